@@ -1,22 +1,10 @@
 """What extensions may use of `cli`."""
 
+from . import inputs as inputs
 from . import options as options
-from .inputs import batches_on as batches_on
-from .inputs import camera_instead as camera_instead
-from .inputs import drawing_of as drawing_of
-from .inputs import load_camera as load_camera
-from .inputs import named_camera as named_camera
-from .inputs import open_scene as open_scene
-from .inputs import parse_definitions as parse_definitions
-from .inputs import refuse_options as refuse_options
-from .inputs import require_in_sight as require_in_sight
-from .inputs import require_in_use as require_in_use
-from .inputs import require_linear as require_linear
+from . import stopping as stopping
 from .program import COMMANDS as COMMANDS
 from .program import PROGRAM as PROGRAM
 from .program import command_group as command_group
 from .program import load as load
 from .program import main as main
-from .stopping import checkpoint_of as checkpoint_of
-from .stopping import resumable as resumable
-from .stopping import stage_lines as stage_lines

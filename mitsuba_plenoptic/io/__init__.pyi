@@ -1,6 +1,7 @@
 """What other folders and extensions may use of `io`."""
 
 from . import examples as examples
+from . import versions as versions
 from .cache import Cache as Cache
 from .cache import Progress as Progress
 from .cache import StageOptions as StageOptions
@@ -48,6 +49,3 @@ from .truth_files import read_ground_truth as read_ground_truth
 from .truth_files import require_quantities as require_quantities
 from .truth_files import truth_path as truth_path
 from .truth_files import write_ground_truth as write_ground_truth
-from .versions import camera_of_waves as camera_of_waves
-from .versions import is_of_1_0 as is_of_1_0
-from .versions import stamped as stamped

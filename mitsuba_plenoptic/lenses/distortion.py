@@ -10,8 +10,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 
 def undistort(x: Any, y: Any, distortion: Any) -> tuple[Any, Any]:
     r"""Return the undistorted position U(m), as floats, NumPy arrays or Dr.Jit arrays.
@@ -33,38 +31,3 @@ def undistort(x: Any, y: Any, distortion: Any) -> tuple[Any, Any]:
         x * radial + p1 * (square + 2 * x * x) + p2 * cross,
         y * radial + p2 * (square + 2 * y * y) + p1 * cross,
     )
-
-
-def undistorted(m: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the undistorted positions U(m) for positions (n, 2), with their derivatives.
-
-    Parameters
-    ----------
-    m : (n, 2) array
-        Positions on the MLA in millimetres.
-    distortion : five numbers
-        k1, k2, k3, p1 and p2.
-
-    Returns
-    -------
-    place : (n, 2) array
-    by_place : (n, 2, 2) array
-    by_numbers : (n, 2, 5) array
-        With respect to k1, k2, k3, p1 and p2.
-    """
-    k1, k2, k3, p1, p2 = distortion
-    x, y = m.T
-    square = x * x + y * y
-    position = np.stack(undistort(x, y, distortion), axis=-1)
-    radial = 1 + square * (k1 + square * (k2 + square * k3))
-    growth = 2 * (k1 + square * (2 * k2 + square * 3 * k3))
-    by_place = growth[:, None, None] * m[:, :, None] * m[:, None]
-    by_place[:, 0, 0] += radial + 6 * p1 * x + 2 * p2 * y
-    by_place[:, 1, 1] += radial + 6 * p2 * y + 2 * p1 * x
-    by_place[:, [0, 1], [1, 0]] += 2 * (p1 * y + p2 * x)[:, None]
-    by_numbers = np.empty((len(m), 2, 5))
-    for power in range(3):
-        by_numbers[:, :, power] = m * (square ** (power + 1))[:, None]
-    by_numbers[:, 0, 3], by_numbers[:, 1, 4] = square + 2 * x * x, square + 2 * y * y
-    by_numbers[:, 0, 4] = by_numbers[:, 1, 3] = 2 * x * y
-    return position, by_place, by_numbers

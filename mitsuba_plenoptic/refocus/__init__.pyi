@@ -1,5 +1,6 @@
 """What other folders and extensions may use of `refocus`."""
 
+from . import planning as planning
 from .api import reconstruct as reconstruct
 from .conjugates import ThinConjugates as ThinConjugates
 from .estimates import estimate_reconstruction as estimate_reconstruction
@@ -15,8 +16,6 @@ from .methods import require_distances as require_distances
 from .methods import used_by as used_by
 from .methods import work_of as work_of
 from .passages import BinSums as BinSums
-from .planning import plan as plan
-from .planning import require_feasible as require_feasible
 from .projection import pupil_radius as pupil_radius
 from .projection import ray_sums as ray_sums
 from .projection import ray_sums_vjp as ray_sums_vjp
@@ -34,8 +33,6 @@ from .results import read_reconstruction as read_reconstruction
 from .results import require_volume_path as require_volume_path
 from .results import write_reconstruction as write_reconstruction
 from .results import write_volume as write_volume
-from .straight import SOFT_NOISE as SOFT_NOISE
-from .straight import softened as softened
 from .wave_methods import BackwardFields as BackwardFields
 from .wave_methods import signed_parts as signed_parts
 

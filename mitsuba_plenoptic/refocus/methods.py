@@ -91,7 +91,7 @@ class Task:
     batch_map : BatchMap, optional
         For long methods: computes their point spreads.
     softened : bool
-        Whether the pixels are smoothed (see `refocus.straight.softened`), which methods with `soft` allow for.
+        Whether the pixels are smoothed (see `refocus.straight`), which methods with `soft` allow for.
     systems : dict
         Optical systems that `system` has built.
     """

@@ -10,7 +10,7 @@ A displaced lens moves its micro-image by its displacement, times :math:`(b + z)
 to that of the lens's regular position, and reduced to the size of the upright array, by cubic splines. Splines through
 the pixels overshoot at the edges of micro-images, and a response may have no light where edges have moved by a part of
 a pixel. So for deconvolution by rays, pixels are the coefficients of the splines instead, which are smooth and keep
-the light, and its response is smoothed by the same splines (`softened`). What the lens
+the light, and its response is smoothed by the same splines. What the lens
 has seen then counts to the regular position; where displacements are no small part of a lens, the refocused image is
 displaced at the end.
 
@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import convolve1d, map_coordinates, spline_filter, uniform_filter
+from scipy.ndimage import map_coordinates, spline_filter, uniform_filter
 
 from ..camera import PlenopticCamera
 from ..lattice import Displacement
@@ -43,9 +43,6 @@ _BLOCK = 2**20
 
 _ORDER = 3
 """Order of the splines between pixels."""
-
-SOFT_NOISE = (151 / 315) ** 2
-"""Variance of softened pixels over that of pixels, where micro-images have moved by any part of a pixel."""
 
 _NEAR = 0.01
 """Pixels by which micro-images may be displaced that stay as they are."""
@@ -85,19 +82,12 @@ def moves_images(camera: PlenopticCamera) -> bool:
     return moved and straightened(camera) is not camera
 
 
-def softened(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return pixels as coefficients of a cubic spline, at the pixels' own places; a symmetric map."""
-    for axis in (0, 1):
-        image = convolve1d(image, [1 / 6, 4 / 6, 1 / 6], axis, mode="reflect")
-    return image
-
-
 def straightened_image(
     image: NDArray[np.float32], camera: PlenopticCamera, *, soft: bool = False
 ) -> NDArray[np.float32]:
     """Return a capture (rows, columns, channels) by a camera as its `straightened` camera records it.
 
-    A `soft` image that is moved is also smoothed as by `softened`.
+    A `soft` image that is moved is also smoothed by the same splines.
     """
     regular = straightened(camera)
     if regular is camera:

@@ -5,15 +5,14 @@ from . import images as images
 from . import metrics as metrics
 from . import pages as pages
 from . import plots as plots
+from . import windows as windows
 from .animations import sweep_distances as sweep_distances
-from .comparison_page import write_growing as write_growing
 from .comparison_page import write_report as write_report
 from .edge import EdgeSharpness as EdgeSharpness
 from .edge import edge_sharpness as edge_sharpness
 from .experiment import COMPARED_METHODS as COMPARED_METHODS
 from .experiment import METHOD_TITLES as METHOD_TITLES
 from .experiment import Experiment as Experiment
-from .experiment import Images as Images
 from .experiment import Settings as Settings
 from .experiment import open_store as open_store
 from .experiment import photograph as photograph
@@ -36,6 +35,3 @@ from .output_files import write_stack as write_stack
 from .output_files import write_views as write_views
 from .sheet import Row as Row
 from .sheet import design_sheet as design_sheet
-from .windows import Zoom as Zoom
-from .windows import lit_window as lit_window
-from .windows import zoom_at as zoom_at

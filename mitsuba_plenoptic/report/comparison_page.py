@@ -98,15 +98,6 @@ def write_report(
     return results
 
 
-def write_growing(folder: Path, plates: Mapping[str, str]) -> None:
-    """Write ``report.html`` with the figures that are there so far, by their captions, unless a finished one is."""
-    if not (folder / "results.json").exists():
-        lead = "The rest is being computed. This page shows more as it comes."
-        Page("First results", lead, [Section("Figures", pictures_in(folder, plates))], refresh=5).write(
-            folder / "report.html"
-        )
-
-
 def _capture_text(experiment: Experiment, measured: Mapping[str, Any]) -> str:
     """Return what tells the captures apart."""
     camera = experiment.camera

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...camera import PlenopticCamera, part_units, parts_of, with_parts
-from ...lenses.distortion import undistorted
+from ...lenses.distortion import undistort
 
 CALIBRATED = (
     "focal_length",
@@ -194,7 +194,7 @@ def predict(
         # the tilt is a thousandth of a radian and the distortion a few per cent: each step gains five digits
         m = c - h[:, None] * t
         P = c + (b - h)[:, None] * t
-        source, bend, source_by = undistorted(m, numbers[12:])
+        source, bend, source_by = _undistorted(m, numbers[12:])
         miss = P * (1 - gamma)[:, None] + gamma[:, None] * source - q
         by_t = ((b - h) * (1 - gamma))[:, None, None] * np.eye(2) - (gamma * h)[:, None, None] * bend
         inverse = _inverse(by_t)
@@ -261,3 +261,38 @@ def numbers_of(camera: PlenopticCamera) -> np.ndarray:
     values = {name: parts_of(camera, name) for name in CALIBRATED} | {"mla_offset": camera.lattice.centre(0.0, 0.0)}
     principal = [(size - 1) / 2 - offset for size, offset in zip(camera.resolution, camera.crop_offset, strict=True)]
     return np.concatenate([*values.values(), principal, camera.distortion])
+
+
+def _undistorted(m: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the undistorted positions U(m) for positions (n, 2), with their derivatives.
+
+    Parameters
+    ----------
+    m : (n, 2) array
+        Positions on the MLA in millimetres.
+    distortion : five numbers
+        k1, k2, k3, p1 and p2.
+
+    Returns
+    -------
+    place : (n, 2) array
+    by_place : (n, 2, 2) array
+    by_numbers : (n, 2, 5) array
+        With respect to k1, k2, k3, p1 and p2.
+    """
+    k1, k2, k3, p1, p2 = distortion
+    x, y = m.T
+    square = x * x + y * y
+    position = np.stack(undistort(x, y, distortion), axis=-1)
+    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    growth = 2 * (k1 + square * (2 * k2 + square * 3 * k3))
+    by_place = growth[:, None, None] * m[:, :, None] * m[:, None]
+    by_place[:, 0, 0] += radial + 6 * p1 * x + 2 * p2 * y
+    by_place[:, 1, 1] += radial + 6 * p2 * y + 2 * p1 * x
+    by_place[:, [0, 1], [1, 0]] += 2 * (p1 * y + p2 * x)[:, None]
+    by_numbers = np.empty((len(m), 2, 5))
+    for power in range(3):
+        by_numbers[:, :, power] = m * (square ** (power + 1))[:, None]
+    by_numbers[:, 0, 3], by_numbers[:, 1, 4] = square + 2 * x * x, square + 2 * y * y
+    by_numbers[:, 0, 4] = by_numbers[:, 1, 3] = 2 * x * y
+    return position, by_place, by_numbers

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...choices import Model
-from ...cli import load_camera, options, refuse_options
+from ... import choices
+from ...cli import inputs, options
 from ...errors import content_of, refuse_if
 
 if TYPE_CHECKING:
@@ -64,7 +64,9 @@ def calibrate(
         Path | None, typer.Option(metavar="FILE", help="Picture without light, for a camera fitted to a white picture.")
     ] = None,
     wavelength: Annotated[float | None, options.wavelength_option("550")] = None,
-    model: Annotated[Model | None, typer.Option(show_default="wave", help="Light of a fit to a white picture.")] = None,
+    model: Annotated[
+        choices.Model | None, typer.Option(show_default="wave", help="Light of a fit to a white picture.")
+    ] = None,
 ) -> None:
     """Calibrate a real camera from corners of a checkerboard and white images.
 
@@ -113,23 +115,27 @@ def calibrate(
     for path in filter(None, (output, report)):
         require_apart(path, *sources, centres, white, dark)
     if not fitted:
-        refuse_options("a calibration without a fit to a white picture", dark=dark, wavelength=wavelength, model=model)
+        inputs.refuse_options(
+            "a calibration without a fit to a white picture", dark=dark, wavelength=wavelength, model=model
+        )
     if evaluate is not None:
-        refuse_options("an evaluation", centres=centres, white=white, linear=linear)
+        inputs.refuse_options("an evaluation", centres=centres, white=white, linear=linear)
         _evaluate(evaluate, camera, board, square)
     elif fitted:
-        refuse_options("a fit to a white picture", square=square, centres=centres, white=white, linear=linear)
+        inputs.refuse_options("a fit to a white picture", square=square, centres=centres, white=white, linear=linear)
         _fit(sources, output, camera, dark, wavelength, model, report)
     elif all(pictures) and board is not None:
-        refuse_options("detecting corners", square=square)
+        inputs.refuse_options("detecting corners", square=square)
         _detect(sources, output, camera, Board.parse(board, 1.0), centres, white, linear)
     elif all(pictures):
-        refuse_options("finding centres in white images", camera=camera, square=square, centres=centres, white=white)
+        inputs.refuse_options(
+            "finding centres in white images", camera=camera, square=square, centres=centres, white=white
+        )
         _centres(sources, output, linear)
     elif len(sources) > 1:
         raise typer.BadParameter("give one table of corners, or pictures", param_hint="SOURCE")
     else:
-        refuse_options("a calibration from corners", white=white, linear=linear)
+        inputs.refuse_options("a calibration from corners", white=white, linear=linear)
         _calibrate(sources[0], output, camera, board, square, centres, report)
 
 
@@ -162,7 +168,7 @@ def _evaluate(path: Path, camera: str | None, board: str | None, square: float |
     from .calibrated_cameras import lens_index
     from .calibration_result import error_line, outlier_lines
 
-    tested, record = load_camera(_camera(camera), {})
+    tested, record = inputs.load_camera(_camera(camera), {})
     index = lens_index(record)
     size = _board(board, square)
     evaluation = calibration.evaluate(calibration.read_corners(path, size, tested.crop_size), size, tested, index)
@@ -198,7 +204,7 @@ def _detect(
     output = _output(output, ".csv")
     known_camera = None
     if camera is not None:
-        known_camera, record = load_camera(camera, {})
+        known_camera, record = inputs.load_camera(camera, {})
         middles = calibration.camera_centres(known_camera, lens_index(record))
         light = white_image(known_camera) if white is None else _picture(white, linear)
     elif white is not None:
@@ -258,7 +264,7 @@ def _fit(
 
     if len(sources) > 1:
         raise typer.BadParameter("a camera is fitted to one white picture", param_hint="SOURCE")
-    nominal, _ = load_camera(_camera(camera), {})
+    nominal, _ = inputs.load_camera(_camera(camera), {})
     by_rays = model == "ray"
     refuse_if(by_rays and wavelength is not None, f"--wavelength = {wavelength}: a fit by rays has none; leave it out")
     if report:
@@ -282,7 +288,7 @@ def _calibrate(
     from .calibration_result import summary
 
     output = _output(output, ".json")
-    start, _ = load_camera(_camera(camera), {})
+    start, _ = inputs.load_camera(_camera(camera), {})
     size = _board(board, square)
     corners = calibration.read_corners(path, size, start.crop_size)
     middles = None if centres is None else calibration.read_centres(centres)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import typer
 
+from ... import choices
 from ...camera import PlenopticCamera
-from ...choices import RAW_SUFFIXES
 from ...errors import InputError, naming
 from ...io import Capture, read_numbers
 from ...runtime import progress_bar, write_text
@@ -54,7 +54,7 @@ def fit_camera(
 
 def sensor_values(path: Path) -> np.ndarray:
     """Return a sensor's values, proportional to light: the numbers in a picture."""
-    if path.suffix.lower() in RAW_SUFFIXES:
+    if path.suffix.lower() in choices.RAW_SUFFIXES:
         return read_numbers(path).numbers.astype(np.float64)
     recording = read_recording(path, linear=True)
     return recording.image if isinstance(recording, Capture) else recording

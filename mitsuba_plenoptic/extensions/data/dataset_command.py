@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ...cli import batches_on, options, resumable
+from ...cli import inputs, options, stopping
 from ...runtime import progress_bar
 
 
@@ -31,7 +31,11 @@ def dataset(
     from .dataset import make_dataset, read_recipe
 
     settings = read_recipe(recipe)
-    with batches_on(workers, scheduler) as batch_map, progress_bar("Samples") as progress, resumable(progress):
+    with (
+        inputs.batches_on(workers, scheduler) as batch_map,
+        progress_bar("Samples") as progress,
+        stopping.resumable(progress),
+    ):
         data_set = make_dataset(settings, output, batch_map=batch_map, progress=progress)
     size = sum(path.stat().st_size for path in output.rglob("*") if path.is_file())
     typer.echo(f"{output}: {len(data_set)} samples, {size / 2**20:.0f} MiB, described in {output / 'README.md'}")

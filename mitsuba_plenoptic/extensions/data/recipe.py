@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from ... import choices
 from ...camera import MATCHED, PARAMETERS, PlenopticCamera
-from ...choices import MODELS, QUANTITIES
 from ...errors import (
     InputError,
     naming,
@@ -222,14 +222,14 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
         If the content is no recipe.
     """
     _require_names("recipe", content, _KEYS, needed=("count", "camera", "scenes"))
-    models = content.get("models", list(MODELS))
+    models = content.get("models", list(choices.MODELS))
     refuse_if(
         not isinstance(models, list) or not models or len(set(map(str, models))) < len(models),
-        f"models = {short_repr(models)}: it must be a list of some of {', '.join(MODELS)}",
+        f"models = {short_repr(models)}: it must be a list of some of {', '.join(choices.MODELS)}",
     )
     for model in models:
-        require_choice("models", model, MODELS)
-    for section in MODELS:
+        require_choice("models", model, choices.MODELS)
+    for section in choices.MODELS:
         refuse_if(
             section in content and section not in models,
             f"{section}: models = {short_repr(models)} has no {section} captures; leave it out",
@@ -249,7 +249,7 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
     truth = content.get("truth", ["depth", "normal"])
     refuse_if(
         not isinstance(truth, list),
-        f"truth = {short_repr(truth)}: it must be a list of some of {', '.join(QUANTITIES)}",
+        f"truth = {short_repr(truth)}: it must be a list of some of {', '.join(choices.QUANTITIES)}",
     )
     photodiodes = None
     if "photodiodes" in content:
@@ -363,12 +363,12 @@ def parse(name: str, value: Any) -> Any:
     if not isinstance(value, Mapping):
         return value
     if set(value) == {"one_of"}:
-        choices = value["one_of"]
+        values = value["one_of"]
         refuse_if(
-            not isinstance(choices, list) or not choices,
-            f"{name}: one_of = {short_repr(choices)}: it must be a list of values",
+            not isinstance(values, list) or not values,
+            f"{name}: one_of = {short_repr(values)}: it must be a list of values",
         )
-        return OneOf(tuple(choices))
+        return OneOf(tuple(values))
     require_known(f"{name}: ", value, ("from", "to", "scale", "step", "one_of"))
     refuse_if(
         "one_of" in value or not {"from", "to"} <= set(value),

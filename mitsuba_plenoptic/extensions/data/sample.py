@@ -9,7 +9,7 @@ import numpy as np
 
 from ...camera import PlenopticCamera
 from ...capture_spec import CaptureSpec
-from ...io import Capture, GroundTruth, camera_of_waves, is_of_1_0, stamped
+from ...io import Capture, GroundTruth, versions
 from ...light.detector import expose
 from ...light.render_capture import render_capture
 from ...light.scene import load_scene
@@ -69,8 +69,8 @@ class Sample:
         """Return the capture of a name; wave captures of version 1.0 or earlier get the `lens_model` used then."""
         about = self.facts["captures"][name]
         camera = self.camera
-        if model == "wave" and is_of_1_0(self.facts):
-            camera = camera_of_waves(camera, about["wavelength"], about["metadata"])
+        if model == "wave" and versions.is_of_1_0(self.facts):
+            camera = versions.camera_of_waves(camera, about["wavelength"], about["metadata"])
         return Capture(self.arrays[name], camera, about["wavelength"], model, about["metadata"])
 
     @property
@@ -164,4 +164,4 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
     if truth:
         facts |= {"shapes": list(truth.shapes), "to_world": truth.to_world.tolist()}
         arrays |= truth.pixels | {VIEWS + name: array for name, array in truth.views.items()}
-    return Sample(index, arrays, stamped(facts))
+    return Sample(index, arrays, versions.stamped(facts))

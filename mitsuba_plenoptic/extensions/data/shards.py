@@ -16,10 +16,10 @@ from typing import Any, overload
 
 import numpy as np
 
+from ... import choices
 from ...capture_spec import scene_fingerprint
-from ...choices import MODELS
 from ...errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_count, short_repr
-from ...io import differences, is_of_1_0, stamped, write_json
+from ...io import differences, versions, write_json
 from ...runtime import Sink, atomic_output, h5py_module, read_text, require_file, require_memory, software, stored_array
 from .recipe import Recipe
 from .sample import Sample
@@ -65,7 +65,7 @@ def facts_of(recipe: Recipe) -> dict[str, Any]:
         for index, source in enumerate(recipe.scenes)
         if source.scene
     }
-    facts = {**stamped({}), "software": software(), "recipe": dict(recipe.content), "files": scenes}
+    facts = {**versions.stamped({}), "software": software(), "recipe": dict(recipe.content), "files": scenes}
     return dict(json.loads(json.dumps(facts)))
 
 
@@ -180,8 +180,8 @@ def read_sample(file: Any, path: Path, index: int, names: Collection[str] | None
 def _remark(folder: Path, manifest: dict[str, Any]) -> None:
     """Log how the wave captures of a data set of version 1.0 or earlier are read."""
     recipe = manifest.get("recipe")
-    models = recipe.get("models", MODELS) if isinstance(recipe, dict) else ()
-    if is_of_1_0(manifest) and "wave" in models:
+    models = recipe.get("models", choices.MODELS) if isinstance(recipe, dict) else ()
+    if versions.is_of_1_0(manifest) and "wave" in models:
         _log.info(
             "%s: a data set of version 1.0 or earlier: the lens_model of its wave captures is read as parabolic, "
             "unless they have a main_lens or lenses of fewer than 20 wavelengths",

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import convolve1d
 
 from ...design import resolution_limit
 from ...errors import InputError, argument, refuse_if
 from ...io import digest
-from ...refocus import SOFT_NOISE, Found, Progress, Task, method, portion, softened, work_of
+from ...refocus import Found, Progress, Task, method, portion, work_of
 from ...runtime import Job
 from .fourier import response_of
 from .solver import Linear, Solved, State, Values, Work, richardson_lucy
@@ -23,6 +24,9 @@ DEFAULT_ITERATIONS, MOST_ITERATIONS = 30, 100
 
 LEAST_SEEN = 0.01
 """Light of a bin, over that of the best one, below which it is NaN."""
+
+_SOFT_NOISE = (151 / 315) ** 2
+"""Variance of softened pixels over that of pixels, where micro-images have moved by any part of a pixel."""
 
 
 @method("deconvolved", waves=True, as_it_is=True, long=True, white=False, soft=True)
@@ -40,7 +44,7 @@ def refocus(task: Task, **options: Any) -> list[Found]:
     noise = Noise.of(task.exposure, options["photons"])
     _require_light(task.image, noise)
     if noise and task.softened:
-        noise = Noise(noise.electrons / SOFT_NOISE, noise.dark * SOFT_NOISE)
+        noise = Noise(noise.electrons / _SOFT_NOISE, noise.dark * _SOFT_NOISE)
     groups = [[distance] for distance in task.distances]
     if options["volume"]:
         groups = [list(task.distances)]
@@ -86,11 +90,11 @@ class _Straightened:
     def forward(self, values: Values) -> NDArray[np.float32]:
         """Return the pixels lit by bins."""
         image = self.response.forward(values) * self.passed
-        return softened(image) if self.soft else image
+        return _softened(image) if self.soft else image
 
     def adjoint(self, image: NDArray[np.float32]) -> Values:
         """Return the transpose of `forward`, applied to pixels."""
-        return self.response.adjoint((softened(image) if self.soft else image) * self.passed)
+        return self.response.adjoint((_softened(image) if self.soft else image) * self.passed)
 
 
 def _solve(
@@ -166,3 +170,10 @@ def _require_light(image: NDArray[np.float32], noise: Noise | None) -> None:
         float(image.sum(dtype=np.float64)) <= 0,
         "capture: the sum of its pixels is not above 0: there is no light to deconvolve",
     )
+
+
+def _softened(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return pixels as coefficients of a cubic spline, at the pixels' own places; a symmetric map."""
+    for axis in (0, 1):
+        image = convolve1d(image, [1 / 6, 4 / 6, 1 / 6], axis, mode="reflect")
+    return image

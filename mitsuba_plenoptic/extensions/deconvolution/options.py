@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, TypedDict
 
-from ...choices import MODELS, Model
+from ... import choices
 from ...errors import require_number
 from ...refocus_options import Option
 
-RESPONSES = MODELS
+RESPONSES = choices.MODELS
 
 MOST_VARIATION = 0.25
 """Largest weight of the total variation: steps stay positive, as its gradient is at most 3.42."""
@@ -18,7 +18,7 @@ class DeconvolvedOptions(TypedDict, total=False):
     """Options of the method ``deconvolved``; None is the default."""
 
     response: Annotated[
-        Model | None,
+        choices.Model | None,
         Option(
             "how light goes through the camera.",
             "With a `wavelength` it is ``wave``.",

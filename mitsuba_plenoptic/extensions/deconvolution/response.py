@@ -24,11 +24,11 @@ from ...light.microlenses import upright
 from ...light.optical_system import OpticalSystem
 from ...light.walk import Passage, Walk
 from ...optics.waves import in_millimetres
+from ...points import scene_points
 from ...points.accuracy import band_for
 from ...points.field_grid import Grid, place
 from ...points.patch_factors import Fields, chunks_of
 from ...points.recorder import Recorder
-from ...points.scene_points import sample_pairs
 from ...points.tile import Copies, Scatter
 from ...points.units import radiance_weight
 from ...runtime import Box, Job, Part, active_backend, add
@@ -170,7 +170,7 @@ def ray_batches(across: int, cells: BinCells, distance: float, cell: NDArray[np.
 
 @functools.cache
 def _pairs(count: int) -> NDArray[np.float64]:
-    return sample_pairs(count)
+    return scene_points.sample_pairs(count)
 
 
 def _trace(batch: RayBatch) -> Part:

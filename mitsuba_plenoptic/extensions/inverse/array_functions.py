@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_known
 from ...light.lens_kinds import regular_array
-from ...points.derivatives import DIFFERENTIABLE, WAVELENGTH
+from ...points import derivatives
 from ...points.operator import CaptureOperator
 from .differentiable import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 
@@ -333,7 +333,9 @@ class CameraCapture:
     def __init__(
         self, make: Callable[[PlenopticCamera], CaptureOperator], camera: PlenopticCamera, names: Sequence[str]
     ) -> None:
-        require_known("parameters: ", names, [name for name in DIFFERENTIABLE if name != WAVELENGTH])
+        require_known(
+            "parameters: ", names, [name for name in derivatives.DIFFERENTIABLE if name != derivatives.WAVELENGTH]
+        )
         self._make, self._camera, self._names = make, regular_array(camera), tuple(names)
 
     @cached_property

@@ -9,8 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import choices
 from ...camera import CameraVector, PlenopticCamera
-from ...choices import MODELS
 from ...errors import (
     refuse_if,
     require_accuracy,
@@ -180,7 +180,7 @@ def _model_of(
     model: str, camera: PlenopticCamera, views: list[View], wavelength: float, accuracy: float
 ) -> Callable[[PlenopticCamera], Model]:
     """Return a function that makes the model of captures for a camera near the first one."""
-    if require_choice("model", model, MODELS) == "wave":
+    if require_choice("model", model, choices.MODELS) == "wave":
         return partial(WaveModel, views=views, wavelength=wavelength, accuracy=accuracy)
     refuse_if(accuracy, f"accuracy = {accuracy:g}: it is for fits by the wave model; leave it out")
     return RayModels(camera, views, wavelength).at

@@ -27,7 +27,7 @@ from ...errors import InputError, refuse_if, require_choice, require_count, requ
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
 from ...optics import guards
-from ...prescription.lens_data import image_distance
+from ...prescription import lens_data
 from ...refocus import (
     BackwardFields,
     BinSums,
@@ -37,11 +37,10 @@ from ...refocus import (
     fine_bins,
     is_reached,
     lens_scale,
-    plan,
+    planning,
     pupil_radius,
     ray_sums,
     ray_sums_vjp,
-    require_feasible,
     signed_parts,
     white_sums,
 )
@@ -82,7 +81,7 @@ class RayRefocus:
         camera = regular_array(camera)
         camera.require_no_objective("captures are refocused by rays")
         self.camera, self._distance = camera, require_number("distance", distance, finite=False)
-        image_distance(camera.focal_length, self._distance)
+        lens_data.image_distance(camera.focal_length, self._distance)
         require_choice("footprint", footprint, FOOTPRINTS)
         numbers = camera, self._distance, pupil_radius(camera), footprint, require_count("oversample", oversample)
         self._numbers = numbers[1:]
@@ -251,7 +250,7 @@ class CoherentRefocus:
         # Images are formed by the ideal lens, without aberrations.
         camera = camera.replace(wavefront=())
         distance = require_number("distance", distance, finite=False)
-        image_distance(camera.focal_length, distance)
+        lens_data.image_distance(camera.focal_length, distance)
         oversample = require_count("oversample", oversample)
         system = OpticalSystem(camera, wavelength)
         fine = fine_bins(system, oversample)
@@ -259,8 +258,8 @@ class CoherentRefocus:
         self._spread = LensSpread(camera, oversample, fine, lens_scale(camera, distance)) if fine > 1 else None
         (left, top), (columns, rows) = camera.crop_offset, camera.crop_size
         window = (left, left + columns), (top, top + rows)
-        grids = plan(camera, wavelength, [distance], window, self._oversample)
-        require_feasible(grids)
+        grids = planning.plan(camera, wavelength, [distance], window, self._oversample)
+        planning.require_feasible(grids)
         interleave = require_count("interleave", interleave)
         self._fields = BackwardFields(camera, wavelength, grids, interleave=interleave, with_vjp=True)
         (self._step,) = grids.to_objects

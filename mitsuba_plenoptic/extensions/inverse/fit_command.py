@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...choices import Model
-from ...cli import checkpoint_of, named_camera, options, parse_definitions, require_in_use, resumable
+from ... import choices
+from ...cli import inputs, options, stopping
 from ...errors import InputError, refuse_if, require_number
 from ...runtime import progress_bar
 
@@ -71,7 +71,9 @@ def fit(
             help="Fit coarsely first, by rays and blurred captures: lengths some percent off.",
         ),
     ] = False,
-    model: Annotated[Model, typer.Option(help="How light propagates; the ray model has no diffraction.")] = "wave",
+    model: Annotated[
+        choices.Model, typer.Option(help="How light propagates; the ray model has no diffraction.")
+    ] = "wave",
     accuracy: Annotated[float, options.numeric("Tolerated error of the wave model, for speed; 0: none.")] = 0.0,
     resume: options.Resume = False,
     unit: options.Unit = "mm",
@@ -114,7 +116,7 @@ def fit(
             raise InputError(
                 f"{mask}: it has {left_out.shape} pixels, {path} {capture.camera.shape}: give one mask for all"
             )
-    first = named_camera(camera) or read[0].camera
+    first = inputs.named_camera(camera) or read[0].camera
     first.require_array("fit")
     if start:
         first = fitting.lattice_from_white(first, read[0].image)
@@ -125,8 +127,8 @@ def fit(
     vector_of(first, names)
     views = []
     for name, capture, (noise, full) in zip(scenes, read, noises, strict=True):
-        scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=parse_definitions(define), unit=unit)
-        require_in_use(name, parse_definitions(define))
+        scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=inputs.parse_definitions(define), unit=unit)
+        inputs.require_in_use(name, inputs.parse_definitions(define))
         view = fitting.known_view(
             capture.image,
             scene,
@@ -139,12 +141,12 @@ def fit(
         )
         views.append(view)
     # The coarse fit's stays until the end, as the fine fit starts, and has its bounds, from there.
-    coarse = checkpoint_of(output, resume, output.with_name(f"{output.name}.coarse{CHECKPOINT_SUFFIX}"))
-    with coarse, checkpoint_of(output, resume) as steps:
+    coarse = stopping.checkpoint_of(output, resume, output.with_name(f"{output.name}.coarse{CHECKPOINT_SUFFIX}"))
+    with coarse, stopping.checkpoint_of(output, resume) as steps:
         if afar:
-            with progress_bar("Coarse fit") as progress, resumable(progress, coarse):
+            with progress_bar("Coarse fit") as progress, stopping.resumable(progress, coarse):
                 first = fitting.coarse_fit(first, views, names, wavelength=known, progress=progress, checkpoint=coarse)
-        with progress_bar("Cameras") as progress, resumable(progress, steps):
+        with progress_bar("Cameras") as progress, stopping.resumable(progress, steps):
             found = fitting.fit(
                 first,
                 views,

@@ -19,8 +19,8 @@ from ...light.render_capture import chosen_integrator, plenoptic_sensor
 from ...light.sampling import check_positions
 from ...light.scene_light import SceneLight
 from ...plugins.other_camera import with_camera
+from ...points import scene_points
 from ...points.pupil_weights import PupilWeights
-from ...points.scene_points import find_points, require_matte
 from ...points.units import brightness_at
 from ...runtime import as_array, as_pixels, one_at_a_time
 
@@ -299,10 +299,10 @@ def known_view(
     seen = with_camera(scene, camera)
     sensor = plenoptic_sensor(seen)
     child = chosen_integrator(seen, "ray", {})
-    require_matte(seen, sensor, child, camera)
+    scene_points.require_matte(seen, sensor, child, camera)
     wavelength = require_wavelength(wavelength)
     light = SceneLight(seen, sensor, child, wavelength if mi.is_spectral else None)
-    found = find_points([light], camera, require_count("points_per_lens", points_per_lens), seed=seed)
+    found = scene_points.find_points([light], camera, require_count("points_per_lens", points_per_lens), seed=seed)
     refuse_if(found.weights.shape[1] != 1, "scene: a camera is fitted to images of one channel; use a mono variant")
     refuse_if(not len(found.positions), "scene: the camera sees nothing that shines")
     weights = found.weights[:, 0] / brightness_at(OpticalSystem(camera, wavelength), found.positions)

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ...choices import MODELS
+from ... import choices
 from ...errors import InputError, argument, refuse_if, require_choice, require_count, require_number, suggest_keywords
 from ...io import Capture
 from ...runtime import drjit_array, one_at_a_time
@@ -73,7 +73,7 @@ def fit_layers(
         not captures or len(captures) != len(to_world),
         f"captures and {argument('to_world')}: {len(captures)} and {len(to_world)}: give one position for each capture",
     )
-    chosen = [require_choice("model", model or capture.model, MODELS) for capture in captures]
+    chosen = [require_choice("model", model or capture.model, choices.MODELS) for capture in captures]
     channels = start.radiance.shape[-1]
     for number, capture in enumerate(captures):
         found = capture.image.shape[2] if capture.image.ndim == 3 else 1

@@ -28,7 +28,7 @@ from ...lenses.main_lens import MainLens
 from ...light.optical_system import OpticalSystem
 from ...light.sampling import check_positions
 from ...light.walk import Passage, Walk
-from ...points.derivatives import DIFFERENTIABLE, WAVELENGTH, check_names, light_slopes
+from ...points import derivatives
 from ...points.operator import CaptureOperator
 from ...points.pupil_weights import PupilWeights
 from ...points.units import brightness_at
@@ -44,9 +44,11 @@ def vector_of(camera: PlenopticCamera, names: Iterable[str] | str) -> CameraVect
     """
     given = (names,) if isinstance(names, str) else tuple(names)
     wholes = {name: str(name).partition(".")[0] for name in given}
-    chosen = check_names(camera, dict.fromkeys(wholes.values()))
-    refuse_if(WAVELENGTH in chosen, "wavelength: it is no parameter of a camera; give it, and fit the others")
-    refuse_if(not chosen, f"names = {short_repr(given)}: name at least one of {', '.join(DIFFERENTIABLE)}")
+    chosen = derivatives.check_names(camera, dict.fromkeys(wholes.values()))
+    refuse_if(
+        derivatives.WAVELENGTH in chosen, "wavelength: it is no parameter of a camera; give it, and fit the others"
+    )
+    refuse_if(not chosen, f"names = {short_repr(given)}: name at least one of {', '.join(derivatives.DIFFERENTIABLE)}")
     vector = CameraVector.by_names(camera, chosen)
     for name, whole in wholes.items():
         known = [each.label for each in vector.components if each.name == whole]
@@ -91,7 +93,7 @@ class WaveModel:
         names, directions = vector.names, vector.of(self._camera).directions()
         rows = []
         for view, operator, weights, image in zip(self._views, self._operators, self._weights, images, strict=True):
-            slopes = light_slopes(self._system, names, view.points)
+            slopes = derivatives.light_slopes(self._system, names, view.points)
             growth = [change @ slopes[name] for direction in directions for name, change in direction.items()]
             grown = [
                 # If the weights of all points grow equally, the image is scaled; otherwise it is computed anew.

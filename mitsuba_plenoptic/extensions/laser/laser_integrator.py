@@ -15,10 +15,10 @@ from ...light.optical_system import OpticalSystem
 from ...light.scene import with_objects
 from ...optics import guards
 from ...optics.spectrum import Spectrum
-from ...plugins.properties import DEFAULT_WAVELENGTH, make_base, put, read_plain
+from ...plugins import properties
+from ...points import scene_points
 from ...points.coherent import require_coherent
 from ...points.operator import CaptureOperator
-from ...points.scene_points import require_matte_surfaces
 from ...runtime import Cost, Job
 from .lit_points import LaserScene, LitPoints, named_lasers
 from .modes import mode_count
@@ -36,7 +36,7 @@ SOURCE = ("source_diameter", "source_distance", "bandwidth", "roughness")
 def make_class() -> type:
     """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
 
-    class PlenopticLaserIntegrator(make_base()):  # type: ignore[misc]
+    class PlenopticLaserIntegrator(properties.make_base()):  # type: ignore[misc]
         r"""Laser light: captures with speckle and fringes, together with all other light of the scene.
 
         .. pluginparameters::
@@ -104,14 +104,14 @@ def make_class() -> type:
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            self.lasers = _names(read_plain(props, "lasers", ""))
-            wavelength = read_plain(props, "wavelength", DEFAULT_WAVELENGTH)
+            self.lasers = _names(properties.read_plain(props, "lasers", ""))
+            wavelength = properties.read_plain(props, "wavelength", properties.DEFAULT_WAVELENGTH)
             self.wavelengths = (require_wavelength(wavelength, f"{NAME}: wavelength"),)
             self.modes = None
             if "modes" in props:
                 self.modes = require_count(f"{NAME}: modes", props["modes"])
             self.source = {
-                name: require_number(f"{NAME}: {name}", read_plain(props, name, 0), positive=True)
+                name: require_number(f"{NAME}: {name}", properties.read_plain(props, name, 0), positive=True)
                 for name in SOURCE
                 if name in props
             }
@@ -123,7 +123,7 @@ def make_class() -> type:
                     name in self.source and needed not in self.source,
                     f"{NAME}: {name}: it has a meaning with a {needed} only",
                 )
-            points = read_plain(props, "points_per_spot", POINTS_PER_SPOT)
+            points = properties.read_plain(props, "points_per_spot", POINTS_PER_SPOT)
             self.points_per_spot = require_number(f"{NAME}: points_per_spot", points, positive=True)
             self.read_child(props)
             variant = mi.variant() or ""
@@ -143,7 +143,7 @@ def make_class() -> type:
             rest = with_objects(scene, (), lasers)
             if rest.emitters():
                 image = image + np.array(self.child.render(rest, sensor, seed=seed, spp=spp), np.float32)[..., :1]
-            put(sensor.film(), image, 1)
+            properties.put(sensor.film(), image, 1)
             return sensor.film()
 
         def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
@@ -176,7 +176,7 @@ def make_class() -> type:
             )
             refuse_if(sensor.shutter_open_time() > 0, f"{NAME}: the shutter is open: it needs a scene at rest")
             refuse_if(sensor.get_medium() is not None, f"{NAME}: the sensor is in a medium: it needs empty space")
-            require_matte_surfaces(scene, NAME)
+            scene_points.require_matte_surfaces(scene, NAME)
             return named_lasers(scene, self.lasers, NAME)
 
         def _laser(self, scene: Any, sensor: Any, lasers: list[Any], seed: int, job: Job) -> NDArray[np.float32]:

@@ -11,8 +11,7 @@ import scipy
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, require_count, require_number, short_repr, suggest_keywords
-from ...prescription import Prescription, paraxial
-from ...prescription.lens_data import vergence
+from ...prescription import Prescription, lens_data, paraxial
 
 _CLOSEST = 1e-3
 """Distance between vertices, over the gaps before and behind the group, that is left at least."""
@@ -74,7 +73,7 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
 
     def missed(shift: float) -> float:
         focal_length, b = behind(shift)
-        return b * vergence(focal_length, distance / scale) - 1
+        return b * lens_data.vergence(focal_length, distance / scale) - 1
 
     # The group can move towards the array and towards the scene, up to the next surfaces.
     room = lens.surfaces[last].thickness if last < len(lens.surfaces) - 1 else array - before.length

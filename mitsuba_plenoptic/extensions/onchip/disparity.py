@@ -14,10 +14,10 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import convolve1d, uniform_filter
 
+from ... import choices
 from ...camera import PlenopticCamera, require_round
-from ...choices import Axis
 from ...errors import InputError, refuse_if, require_choice, require_count, require_number, suggest_keywords
-from ...prescription.lens_data import image_distance
+from ...prescription import lens_data
 from ...views import require_light_field
 
 _FLAT = 1e-6
@@ -50,7 +50,7 @@ def half_disparity(camera: PlenopticCamera, distance: float) -> float:
     camera.require_lens("the disparity of half pupils")
     require_round(camera, "the disparity of half pupils is known")
     distance = require_number("distance", distance, finite=False)
-    image_distance(camera.focal_length, distance)
+    lens_data.image_distance(camera.focal_length, distance)
     return -8 / (3 * math.pi) * float(blur_radius(camera, distance))
 
 
@@ -75,7 +75,7 @@ def bank_disparity(bank: xr.DataArray, axis: str = "horizontal") -> xr.DataArray
     InputError
         If there are not two pictures along the axis.
     """
-    require_choice("axis", axis, Axis)
+    require_choice("axis", axis, choices.Axis)
     pupil, along = ("u", "s") if axis == "horizontal" else ("v", "t")
     if bank.sizes[pupil] != 2:
         raise InputError(f"bank: {bank.sizes[pupil]} pictures along {pupil}: a pair has two")
@@ -127,7 +127,7 @@ def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int 
         If there are not two pictures along the axis, or a value is out of range.
     """
     require_light_field(halves)
-    require_choice("axis", axis, Axis)
+    require_choice("axis", axis, choices.Axis)
     pupil, other, along = ("u", "v", 1) if axis == "horizontal" else ("v", "u", 0)
     if halves.sizes[pupil] != 2:
         raise InputError(f"halves: {halves.sizes[pupil]} pictures along {pupil}: a pair has two")

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from ...choices import PICTURES
-from ...cli import drawing_of, options
+from ... import choices
+from ...cli import inputs, options
 from ...refocus_options import with_parameters
 
 
@@ -22,7 +22,7 @@ def dual(
             "FILE",
             "File to write: OpenEXR with the parts left, right and sum (or top and bottom, or four) if it ends in "
             ".exr, the pictures side by side if in .png, a labelled figure if in .pdf.",
-            *PICTURES,
+            *choices.PICTURES,
         ),
     ],
     layout: Annotated[
@@ -51,7 +51,7 @@ def dual(
     from .halves import dual_pixel, photodiode_names
 
     require_apart(require_picture_path(output), capture)
-    drawing = drawing_of(brightness, output)
+    drawing = inputs.drawing_of(brightness, output)
     along, across = layout.split("x")
     halves = dual_pixel(read_capture(capture), (int(along), int(across)))
     white = drawing.brightness.peak([halves.values])

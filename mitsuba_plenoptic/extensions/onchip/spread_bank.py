@@ -10,8 +10,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from ... import choices
 from ...camera import PlenopticCamera
-from ...choices import MODELS
 from ...errors import (
     InputError,
     refuse_if,
@@ -92,7 +92,7 @@ def psf_bank(
     along, across = require_layout(layout)
     require_pixel_pairs(camera)
     camera.require_no_objective("banks of point spreads are computed")
-    require_choice("model", model, MODELS)
+    require_choice("model", model, choices.MODELS)
     wavelength = require_wavelength(wavelength)
     distances = [require_number("depths", depth, positive=True) for depth in depths]
     positions = np.asarray(fields, np.float64)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ... import design
 from ...camera import PlenopticCamera
-from ...prescription.lens_data import image_distance
+from ...prescription import lens_data
 from ...refocus import pupil_radius, ray_sums
 from .claims import CONFIRMED, DIFFERS, PAPER_RESOLUTION, PAPER_SECONDS, PARTLY, Claim, verdict
 
@@ -45,7 +45,7 @@ def focused_cameras(camera: PlenopticCamera, wavelength: float) -> list[FocusedC
     """
     focus = camera.focus_distance
     z = camera.detector_distance
-    image = image_distance(camera.focal_length, focus)
+    image = lens_data.image_distance(camera.focal_length, focus)
     cameras = []
     for depth in (3.0, 4.0, 6.0, 8.0):
         a = depth * z

@@ -12,7 +12,7 @@ from matplotlib.patches import Ellipse, FancyArrowPatch
 from ...camera import PlenopticCamera
 from ...light.walk import follow_back
 from ...optics import rays
-from ...prescription.lens_data import image_distance
+from ...prescription import lens_data
 from ...report import plots
 
 _LIGHT = "#d08700"
@@ -76,7 +76,7 @@ def figure_1(path: Path, camera: PlenopticCamera, objects: Mapping[str, float]) 
             axes.plot(*path_.T, color=f"C{index}", linewidth=0.7, alpha=0.8)
         top = (1 + 0.3 * index) * camera.aperture_radius
         axes.plot([-distance] * 2, [-camera.aperture_radius, top], color=plots.FAINT, linewidth=1)
-        image = image_distance(camera.focal_length, distance)
+        image = lens_data.image_distance(camera.focal_length, distance)
         axes.annotate(
             f"{name}, g = {distance:g} mm\nimage at {image:.4g} mm", (-distance, top), (0, 4),
             textcoords="offset points", ha="center", va="bottom", size=7, color=f"C{index}",

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from ...cli import options, stage_lines
+from ...cli import options, stopping
 
 
 def reproduce(
@@ -35,7 +35,7 @@ def reproduce(
     # Figures need libraries that take a second to load, which other commands need not wait for.
     from .reproduction import reproduce as compute
 
-    with stage_lines(resume) as stages:
+    with stopping.stage_lines(resume) as stages:
         results = compute(output, preset=preset, stages=stages)
     for claim in results["claims"]:
         typer.echo(f"{claim['verdict']:<15} {claim['statement']}")

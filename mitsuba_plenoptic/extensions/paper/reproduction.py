@@ -19,18 +19,15 @@ from ...report import (
     COMPARED_METHODS,
     METHOD_TITLES,
     Experiment,
-    Images,
     Settings,
-    Zoom,
     comparison,
     images,
-    lit_window,
     open_store,
+    pages,
     plots,
     run_experiment,
-    write_growing,
+    windows,
     write_report,
-    zoom_at,
 )
 from .claims import PAPER_SECONDS, check_claims, claims_section, timing_section, timing_table
 from .paper_limits import check_limits, plain_seconds
@@ -85,7 +82,7 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
     near, _, far = _LETTERS
     objects = dict(zip((title.partition(" (")[0] for title in _LETTERS.values()), settings.distances, strict=True))
 
-    def first(camera: PlenopticCamera, pictures: Images) -> None:
+    def first(camera: PlenopticCamera, pictures: dict[tuple[str, float], np.ndarray]) -> None:
         results_shown = [
             Reconstruction(pictures[name, distance], distance, camera.bin_size(distance), model, camera)
             for name, model in (("ray_of_ray", "rays"), ("partial", "waves"))
@@ -101,7 +98,7 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
             sheet.save_both(output / "first.png")
             figure_1(output / "fig1.png", camera, objects)
             there.append("fig1.png")
-        write_growing(output, {name: _PLATES[name] for name in there})
+        _write_growing(output, {name: _PLATES[name] for name in there})
 
     experiment = run_experiment(settings, store, first=first)
     zooms = _letter_zooms(experiment, _LETTERS)
@@ -110,7 +107,7 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
     figure_3(output / "fig3.png", experiment.camera, last)
     panels = [("ray", last), ("coherent", last), ("partial", last), ("partial", settings.distances[0])]
     figure_4(output / "fig4.png", experiment, panels)
-    write_growing(output, _PLATES)
+    _write_growing(output, _PLATES)
     measured = comparison.measure(experiment) | {"readings": measure_readings(experiment, store, near, far)}
     seconds = store.facts(
         "seconds_of_processor",
@@ -143,6 +140,15 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
     )
 
 
+def _write_growing(folder: Path, plates: Mapping[str, str]) -> None:
+    """Write ``report.html`` with the figures that are there so far, by their captions, unless a finished one is."""
+    if not (folder / "results.json").exists():
+        lead = "The rest is being computed. This page shows more as it comes."
+        pages.Page(
+            "First results", lead, [pages.Section("Figures", pages.pictures_in(folder, plates))], refresh=5
+        ).write(folder / "report.html")
+
+
 def processor_seconds(capture: Capture, distance: float) -> dict[str, float]:
     """Return seconds of processor time, by method of the paper's comparison, for a reconstruction at a distance.
 
@@ -160,10 +166,10 @@ def processor_seconds(capture: Capture, distance: float) -> dict[str, float]:
     return seconds
 
 
-def _letter_zooms(experiment: Experiment, letters: Mapping[str, str]) -> list[Zoom]:
+def _letter_zooms(experiment: Experiment, letters: Mapping[str, str]) -> list[windows.Zoom]:
     """Return close-ups of the micro-images in the middle of shapes, which are given by ids and titles."""
     middles = {title: np.add(*experiment.boxes[name]) / 2 for name, title in letters.items()}
-    return [zoom_at(title, experiment.camera, -middle[:2] / middle[2]) for title, middle in middles.items()]
+    return [windows.zoom_at(title, experiment.camera, -middle[:2] / middle[2]) for title, middle in middles.items()]
 
 
 @plots.styled
@@ -174,7 +180,7 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
     """
     camera = experiment.camera
     wave = experiment.wave.image
-    window = lit_window([experiment.pinhole, *experiment.truths.values()])
+    window = windows.lit_window([experiment.pinhole, *experiment.truths.values()])
     zooms = _letter_zooms(experiment, letters)
     plot = plots.Plot(10.9, 5.4 * window.aspect + 4.4)
     rows = plot.add_gridspec(2, 1, height_ratios=(5.4 * window.aspect, 3.5))
@@ -224,7 +230,7 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
 @plots.styled
 def figure_4(path: Path, experiment: Experiment, panels: Sequence[tuple[str, float]]) -> None:
     """Draw the paper's figure 4: four reconstructions, by method and distance."""
-    window = lit_window(list(experiment.truths.values()))
+    window = windows.lit_window(list(experiment.truths.values()))
     pictures = [experiment.images[panel] for panel in panels]
     peak = images.Brightness().peak([window.of(image) for image in pictures])
     plot = plots.Plot(10.6)

@@ -24,8 +24,8 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, make_interp_spline
 
+from ... import choices
 from ...camera import PlenopticCamera, Round
-from ...choices import MODELS
 from ...errors import refuse_if, require_choice, require_count, require_wavelength, suggest_keywords
 from ...io import Capture, Checkpoint
 from ...light.optical_system import OpticalSystem
@@ -217,7 +217,7 @@ class ParticleImages:
         camera: PlenopticCamera | None = None,
         accuracy: float | None = None,
     ) -> None:
-        self.truth, self.model = truth, require_choice("model", model, MODELS)
+        self.truth, self.model = truth, require_choice("model", model, choices.MODELS)
         self.wavelength, self._settings = require_wavelength(wavelength), settings_of(truth)
         refuse_if(model == "ray" and accuracy is not None, f"accuracy = {accuracy}: rays take none; leave it out")
         self._accuracy = ACCURACY if accuracy is None else accuracy

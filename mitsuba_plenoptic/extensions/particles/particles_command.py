@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ...choices import Model
-from ...cli import checkpoint_of, named_camera, options, resumable
+from ... import choices
+from ...cli import inputs, options, stopping
 from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_count, require_known, short_repr
 from ...runtime import progress_bar
 
@@ -54,7 +54,7 @@ def particles(
     thickness: Annotated[
         float | None, options.numeric("Thickness of the light sheet, across the axis.", "light everywhere", unit="MM")
     ] = None,
-    model: Annotated[Model, typer.Option(help="How light propagates.")] = "wave",
+    model: Annotated[choices.Model, typer.Option(help="How light propagates.")] = "wave",
     wavelength: Annotated[float, options.wavelength_option(None)] = 550.0,
     accuracy: Annotated[float | None, options.numeric("Allowed relative error of captures by waves.", "0.01")] = None,
     photons: Annotated[
@@ -93,7 +93,7 @@ def particles(
     box = ParticleVolume(corners[:3], corners[3:])
     densities = {"per_lens": per_lens, "per_volume": per_volume, "count": count}
     truth = particle_sequence(
-        named_camera(camera) or PlenopticCamera(),
+        inputs.named_camera(camera) or PlenopticCamera(),
         box,
         Seeding(**densities, diameter=diameter, spread=spread, index=index, medium=medium),
         _flow(flow, FLOWS, box.centre),
@@ -110,9 +110,9 @@ def particles(
     typer.echo(f"{output / _FILE}: {truth.sizes['particle']} particles, {lit} of them lit in the first frame")
     for frame in range(frames):
         path = output / f"{model}_{frame:04d}.exr"
-        with checkpoint_of(path, resume) as saved, progress_bar(f"Frame {frame + 1} of {frames}") as progress:
+        with stopping.checkpoint_of(path, resume) as saved, progress_bar(f"Frame {frame + 1} of {frames}") as progress:
             saved.run = {"photons": photons}
-            with resumable(progress, saved):
+            with stopping.resumable(progress, saved):
                 capture = images.capture(frame, progress=progress, checkpoint=saved)
             if photons is not None:
                 capture = expose(capture, Detector(), photons=photons, seed=seed + frame)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, require_camera
 from ...errors import refuse_if, require_count, require_number, suggest_keywords, warn
-from ...io import stamped
+from ...io import versions
 from .flows import Flow
 from .seeding import MOST, LightSheet, ParticleVolume, Seeding
 
@@ -117,7 +117,7 @@ def particle_sequence(
             "irradiance": (along[:2], sheet.irradiance(position, volume)),
         },
         coords={"time": ("frame", interval * np.arange(frames), {"units": "s"}), "axis": list("xyz")},
-        attrs={"particles": json.dumps(stamped(settings))},
+        attrs={"particles": json.dumps(versions.stamped(settings))},
     )
 
 

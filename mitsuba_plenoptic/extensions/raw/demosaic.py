@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...choices import MOSAICS
+from ... import choices
 from ...errors import InputError, argument, refuse_if, require_choice, suggest_keywords
 from ...io import EXPOSED, RECORDED, Capture, mosaic_of, recording_of
 from ...light.detector import filters
@@ -70,10 +70,10 @@ def demosaic(
         mosaic is None and stated is None, f"mosaic = None: the capture does not state it; give {argument('mosaic')}"
     )
     refuse_if(
-        stated is not None and stated not in MOSAICS,
+        stated is not None and stated not in choices.MOSAICS,
         f"mosaic = {stated}: each lens has one colour; dual_pixel gives pictures that are Bayer mosaics",
     )
-    mosaic = require_choice("mosaic", stated if mosaic is None else mosaic, MOSAICS)
+    mosaic = require_choice("mosaic", stated if mosaic is None else mosaic, choices.MOSAICS)
     camera = capture.camera
     filter_channels = filters(capture.camera, mosaic)
     if not camera.has_array:

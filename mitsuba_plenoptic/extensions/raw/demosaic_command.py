@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from ...choices import Mosaic
-from ...cli import named_camera, options, require_linear
+from ... import choices
+from ...cli import inputs, options
 from ...errors import refuse_if
 
 
@@ -17,7 +17,7 @@ def demosaic(
     capture: options.CaptureFile,
     output: Annotated[Path, options.output_option("FILE.exr", "File to write.", ".exr")],
     mosaic: Annotated[
-        Mosaic | None,
+        choices.Mosaic | None,
         typer.Option(
             show_default="as the capture states",
             help="Colour filters of the first pixels of two rows.",
@@ -65,8 +65,8 @@ def demosaic(
     from .demosaic import balanced
     from .demosaic import demosaic as interpolate
 
-    require_linear(linear, capture, white)
-    camera_of_option = named_camera(camera)
+    inputs.require_linear(linear, capture, white)
+    camera_of_option = inputs.named_camera(camera)
     refuse_if(
         black_level and not (linear and camera_of_option),
         f"--black-level {black_level:g}: it is for raw pictures with --linear and --camera",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...cli import named_camera, options, require_in_sight
+from ...cli import inputs, options
 from ...errors import naming, refuse_if
 
 if TYPE_CHECKING:
@@ -52,9 +52,9 @@ def mtf(
 
       mitsuba-plenoptic mtf photograph.exr
     """
-    known = named_camera(camera)
+    known = inputs.named_camera(camera)
     if distance is not None:
-        require_in_sight(source, known, distance)
+        inputs.require_in_sight(source, known, distance)
 
     # Brings libraries that take a while to load.
     from ...io import read_capture

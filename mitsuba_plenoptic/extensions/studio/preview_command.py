@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ...cli import open_scene, options, parse_definitions
+from ...cli import inputs, options
 from ...errors import InputError
 from ...runtime import in_words, progress_bar
 
@@ -44,12 +44,12 @@ def preview(
     """
     from ...camera import PlenopticCamera
     from ...light.render_capture import estimate_capture, plenoptic_sensor
-    from ...optics.guards import PhysicsError
+    from ...optics import guards
     from ...runtime import require_writable
 
     target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"))
     with progress_bar("Previewing") as progress:
-        loaded = open_scene(scene, parse_definitions(define), variant, camera, unit=unit)
+        loaded = inputs.open_scene(scene, inputs.parse_definitions(define), variant, camera, unit=unit)
         seen_by = PlenopticCamera.from_sensor(plenoptic_sensor(loaded))
         progress(1, 4)
         # Brings Matplotlib, which takes a while to load.
@@ -70,7 +70,7 @@ def preview(
         try:
             cost = estimate_capture(loaded, model=model, spp=spp)
             typer.echo(f"{model} capture: about {in_words(cost.seconds)} and {cost.memory / 2**30:.2g} GiB")
-        except (InputError, PhysicsError) as error:
+        except (InputError, guards.PhysicsError) as error:
             typer.echo(f"{model} capture: refused: {error}")
     for text in framing_warnings(shown_preview):
         typer.echo(f"framing: {text}")

@@ -14,7 +14,7 @@ from ... import design
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
 from ...lenses.telecentric import TelecentricLens
-from ...prescription.lens_data import defocus_factor, image_distance
+from ...prescription import lens_data
 from ...report import photograph, photographic_sensor
 
 _FAR = 1e5
@@ -73,8 +73,8 @@ class LensView:
     def is_focused(self, distance: np.ndarray) -> np.ndarray:
         """Return a mask of distances whose blur on the array is at most a lens wide."""
         camera = self.camera
-        image = image_distance(camera.focal_length, self.focus)
-        blur = camera.aperture_diameter * np.abs(defocus_factor(distance, image, camera.focal_length))
+        image = lens_data.image_distance(camera.focal_length, self.focus)
+        blur = camera.aperture_diameter * np.abs(lens_data.defocus_factor(distance, image, camera.focal_length))
         return np.asarray(blur <= camera.mla_pitch)
 
     def field(self, distance: float) -> tuple[float, float]:

@@ -28,7 +28,7 @@ from ...errors import (
 from ...io import Cache, Capture, Checkpoint, Progress, StageOptions
 from ...light.render_capture import is_wave_capture, plenoptic_sensor, refuse_by_rays
 from ...light.scene import check_scene_file, scene_defaults
-from ...prescription.lens_data import image_distance
+from ...prescription import lens_data
 from ...refocus import registered
 from ...report import refocused
 from ...runtime import BatchMap, Sink, atomic_output, read_yaml, remove_leftovers, require_writable, software
@@ -153,7 +153,7 @@ class Points:
             camera = PlenopticCamera.from_sensor(scene.sensors()[0])
             sizes[key] = camera.shape + (camera.bin_count if self.distances else ())
             for distance in self.distances:
-                image_distance(camera.focal_length, distance, name=DISTANCE)
+                lens_data.image_distance(camera.focal_length, distance, name=DISTANCE)
             first = next(iter(sizes.values()))
             if sizes[key] != first:
                 changed = ", ".join(f"{name} = {value:g}" for name, value in point.items())

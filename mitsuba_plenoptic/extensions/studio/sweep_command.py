@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ...cli import batches_on, camera_instead, options, parse_definitions, stage_lines
+from ...cli import inputs, options, stopping
 from ...errors import refuse_if
 
 
@@ -66,12 +66,12 @@ def sweep(
         method is not None and "distance" not in checked,
         "--method: nothing is refocused without a 'distance' in the grid; leave it out",
     )
-    parameters = parse_definitions(define)
+    parameters = inputs.parse_definitions(define)
     spec = CaptureSpec(
         scene=scene,
         unit=unit,
         parameters=parameters,
-        camera=camera_instead(
+        camera=inputs.camera_instead(
             camera,
             scene,
             parameters,
@@ -82,9 +82,9 @@ def sweep(
         seed=seed,
         variant=variant or DEFAULT_VARIANT,
     )
-    with stage_lines(resume) as stages:
+    with stopping.stage_lines(resume) as stages:
         compute = prepare(spec, checked, output, method or "ray", stages, workers=workers, scheduler=scheduler)
-        with batches_on(workers, scheduler) as batch_map:
+        with inputs.batches_on(workers, scheduler) as batch_map:
             dataset = compute(batch_map)
     axes = " x ".join(f"{len(values)} {name}" for name, values in checked.items())
     typer.echo(f"{output}: {', '.join(str(name) for name in dataset.data_vars)} over {axes}")

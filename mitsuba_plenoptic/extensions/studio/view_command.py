@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ...cli import named_camera, options
+from ...cli import inputs, options
 from ...errors import refuse_if
 from ...runtime import progress_bar
 
@@ -53,16 +53,16 @@ def view(
     refuse_if(not sources[0].name, f"{sources[0]}: it is not a regular file")
     target = require_writable(output or sources[0].with_suffix(".html"))
     require_apart(target, *sources, white)
-    camera_of_option = named_camera(camera)
+    camera_of_option = inputs.named_camera(camera)
     with progress_bar("Making the page"):
-        inputs = [
+        shown = [
             read_source(source, white=white, views=view_count, linear=linear, camera=camera_of_option)
             for source in sources
         ]
-        has_recording = any(isinstance(item, Recording) for item in inputs)
+        has_recording = any(isinstance(item, Recording) for item in shown)
         for name, value in {"white": white, "view-count": view_count, "camera": camera}.items():
             refuse_if(
                 value is not None and not has_recording, f"--{name} {value}: of no use without a capture or light field"
             )
-        make_page(*inputs).save(target)
+        make_page(*shown).save(target)
     typer.echo(f"{target}: {target.stat().st_size / 2**20:.1f} MiB; open it in a browser")

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from ... import choices
 from ...camera import PlenopticCamera
-from ...choices import RAW_SUFFIXES
 from ...errors import InputError, naming, refuse_if, require_number
 from ...io import Capture, read_attributes, read_capture, read_exr, read_exr_parts, read_picture
 from ...views import open_light_field, read_recording
@@ -46,7 +46,11 @@ def read_source(
     if path.suffix.lower() == ".exr":
         return Recording.of(capture, path.stem, lf)
     # Raw pictures were decoded; of mosaics and light fields there is no raw picture.
-    raw = read_picture(path, linear=linear) if lf.attrs.get("grid") and path.suffix.lower() in RAW_SUFFIXES else None
+    raw = (
+        read_picture(path, linear=linear)
+        if lf.attrs.get("grid") and path.suffix.lower() in choices.RAW_SUFFIXES
+        else None
+    )
     return Recording(path.stem, lf, raw)
 
 
