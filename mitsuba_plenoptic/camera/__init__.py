@@ -7,4 +7,4 @@ Further derived quantities are in `mitsuba_plenoptic.design`.
 
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, _ = lazy_loader.attach_stub(__name__, __file__)

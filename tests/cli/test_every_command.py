@@ -205,6 +205,7 @@ LIGHT |= {
     "scene_files",
     "cli.inputs",
     "cli.options",
+    "cli.program",
     "cli.stopping",
 }
 

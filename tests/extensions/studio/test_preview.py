@@ -125,7 +125,7 @@ def test_a_camera_without_a_plane_in_focus_is_refused():
 
 def test_no_text_runs_into_another_or_out_of_the_picture(tmp_path, monkeypatch):
     seen, made = preview_of(scene_of(0.8 * WIDTH, 2400.0), CAMERA), []
-    monkeypatch.setattr(preview.Plot, "save", lambda plot, path: made.append(plot))
+    monkeypatch.setattr(preview.plots.Plot, "save", lambda plot, path: made.append(plot))
     draw_preview(tmp_path / "seen.png", "a_scene_with_the_name_of_a_very_long_file.xml", seen)
     made[0].canvas.draw()
     shown = {one.get_text(): one.get_window_extent() for one in made[0].findobj(Text) if one.get_text()}
@@ -141,7 +141,7 @@ def test_colours_are_seen_and_what_is_in_focus_is_tinted(tmp_path, monkeypatch):
     seen, made = preview_of(scene, CAMERA), []
     red, green, blue = seen.picture[32, 32]
     assert (green / red, blue / red) == pytest.approx((0.5, 0.25))
-    monkeypatch.setattr(preview.Plot, "save", lambda plot, path: made.append(plot))
+    monkeypatch.setattr(preview.plots.Plot, "save", lambda plot, path: made.append(plot))
     draw_preview(tmp_path / "seen.png", "disc", seen)
     tinted = made[0].axes[0].images[1].get_array()[..., 3] > 0
     assert (tinted == np.isfinite(seen.distance)).all()
