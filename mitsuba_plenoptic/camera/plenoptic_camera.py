@@ -447,14 +447,20 @@ class PlenopticCamera(CameraGeometry, Displayed):
         ----------
         to_world : mitsuba.ScalarTransform4f, optional
             Camera to world, without scale. Default: the camera is at the origin and looks along +z.
-        pixel_format : {"luminance", "rgb", ...}
-            Channels of the film, as Mitsuba names them.
+        pixel_format : {"luminance", "luminance_alpha", "rgb", "rgba", "xyz", "xyza"}
+            Channels of Mitsuba's ``hdrfilm``.
 
         Returns
         -------
         dict
             The sensor, whose film is of single precision. When it is loaded, `from_sensor` returns this camera.
+
+        Raises
+        ------
+        InputError
+            If there is no such format.
         """
+        require_choice("pixel_format", pixel_format, ("luminance", "luminance_alpha", "rgb", "rgba", "xyz", "xyza"))
         values = self.to_dict()
         columns, rows = values.pop("resolution")
         (left, top), (width, height) = values.pop("crop_offset"), values.pop("crop_size")

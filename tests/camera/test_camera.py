@@ -74,6 +74,8 @@ def test_a_camera_survives_its_other_forms(numbers):
     assert PlenopticCamera.from_sensor(written.sensors()[0]) == camera
     sensor = mi.load_dict(camera.to_sensor(mi.ScalarTransform4f().translate([1, 2, 3])))
     assert PlenopticCamera.from_sensor(sensor) == camera
+    with pytest.raises(InputError, match="pixel_format = 'cmyk': it must be one of luminance"):
+        camera.to_xml(pixel_format="cmyk")
     assert tuple(sensor.film().crop_size()) == camera.shape[::-1]
     assert sensor.film().rfilter().is_box_filter()
     np.testing.assert_array_equal(np.ravel(sensor.world_transform().translation()), [1, 2, 3])
