@@ -7,11 +7,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import tifffile
-import xarray as xr
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
@@ -19,8 +18,10 @@ from ..choices import VOLUMES
 from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
 from ..extension import Displayed
 from ..io import read_exr, write_exr
-from ..runtime import atomic_output, require_memory, require_writable
-from ..views import require_zarr
+from ..runtime import atomic_output, require_memory, require_writable, require_zarr
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _EVEN = 1e-3
 """Part of the mean spacing by which planes may lie elsewhere and be evenly spaced."""
@@ -258,6 +259,9 @@ class Volume:
 
     def to_xarray(self) -> xr.DataArray:
         """Return the volume as an array with axes ``distance``, ``y`` and ``x``, which start on the optical axis."""
+        # It takes half a second to load.
+        import xarray as xr
+
         _, rows, columns = self.values.shape[:3]
         coordinates = {
             "distance": list(self.distances),

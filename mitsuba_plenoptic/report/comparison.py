@@ -241,7 +241,7 @@ def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, fl
             object_bar(axes, experiment.camera, distance, window)
             side = f"{distance:g} mm" if across == 0 else ""
             annotate(axes, title=METHOD_TITLES[name], side=side, foot=notes.get((name, distance), ""))
-    plot.save_both(path)
+    plot.save_both(path, experiment.settings.pdf)
 
 
 @styled
@@ -263,7 +263,7 @@ def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -
             annotate(axes, title=name if first else "", side=zoom.title if axes is row[0] else "")
             scale_bar(axes, cuts[0].shape[1] * camera.pixel_size, ON_DETECTOR, below=True)
     plot.colour_bar(mesh, panels, "radiance")
-    plot.save_both(path)
+    plot.save_both(path, experiment.settings.pdf)
 
 
 @styled
@@ -288,4 +288,4 @@ def figure_interference(path: Path, experiment: Experiment, notes: Mapping[tuple
                 foot=notes.get((name, distance), ""),
             )
     plot.colour_bar(mesh, panels, "radiance beyond the limit")
-    plot.save_both(path)
+    plot.save_both(path, experiment.settings.pdf)

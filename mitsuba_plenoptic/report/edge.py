@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import make_lsq_spline
 from scipy.ndimage import gaussian_filter
 
 from ..errors import refuse_if, refusing
@@ -330,6 +329,9 @@ def _transfer(
     refuse_if(
         not abs(high - low) > 0.1 * np.abs(values).max(), "image: it has no edge: both sides of its line are alike"
     )
+    # It takes half a second to load, and most scenes have no edge.
+    from scipy.interpolate import make_lsq_spline
+
     step = (values - low) / (high - low)
     _refuse_saturated(step, values)
     inner = np.linspace(-reach, reach, round(2 * reach * density) + 1)

@@ -161,6 +161,8 @@ class Settings(CaptureSpec):
         Samples per pixel of the thin lens.
     noise : bool
         Whether the captures keep the noise of their samples, which takes two of each at least.
+    pdf : bool
+        Whether figures are written as PDF, too, for papers.
     """
 
     wavelength: float = 633.0
@@ -171,6 +173,7 @@ class Settings(CaptureSpec):
     points: int | None = None
     truth_spp: int = 1024
     noise: bool = False
+    pdf: bool = True
 
 
 @dataclass(frozen=True)

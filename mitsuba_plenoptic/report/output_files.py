@@ -7,10 +7,9 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from ..choices import ANIMATED, PICTURES
 from ..errors import refuse_if
@@ -20,6 +19,9 @@ from ..runtime import require_writable
 from ..views import view_mosaic
 from .animations import write_animation
 from .images import Drawing, enlarge, enlargement, write_png
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _AUTOMATIC = Drawing()
 

@@ -10,11 +10,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
-import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import FuncNorm, Normalize
@@ -25,14 +24,17 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import Bbox, ScaledTranslation, blended_transform_factory
 
+from .. import views
 from ..camera import PlenopticCamera, are_alike
 from ..errors import refuse_if
 from ..io import linear_of
 from ..refocus import Reconstruction
 from ..runtime import atomic_output
-from ..views import camera_of
 from .images import Brightness, srgb, to_bytes
 from .windows import Window, Zoom
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 INK = "#1b1f24"
 FAINT = "#667080"
@@ -106,9 +108,11 @@ class Plot(Figure):
             self._fit()
             self.savefig(temporary, metadata=dated)
 
-    def save_both(self, path: Path) -> None:
-        """Write the figure as PNG, for a page, and as PDF of the same name and layout, for papers."""
+    def save_both(self, path: Path, pdf: bool = True) -> None:
+        """Write the figure as PNG, for a page, and if asked as PDF of the same name and layout, for papers."""
         self.save(path.with_suffix(".png"))
+        if not pdf:
+            return
         # To lay it out again would take as long as to draw it.
         self.set_layout_engine("none")
         self._fits_panels = False
@@ -306,7 +310,7 @@ def stack_figure(stack: xr.DataArray, white: float | None = None) -> Plot:
     if "disparity" in stack.dims:
         panels = [Panel(np.asarray(image.values), f"disparity {float(image.disparity):g}", None) for image in stack]
         return _sheet([panels], [], white, "lenses per view")
-    camera = camera_of(stack)
+    camera = views.camera_of(stack)
     panels = [
         Panel(
             np.asarray(image.values),

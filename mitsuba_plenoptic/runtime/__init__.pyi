@@ -63,6 +63,7 @@ from .files import require_different as require_different
 from .files import require_file as require_file
 from .files import require_size as require_size
 from .files import require_writable as require_writable
+from .files import require_zarr as require_zarr
 from .files import stored_array as stored_array
 from .files import write_text as write_text
 from .limits import GIB as GIB

@@ -277,3 +277,8 @@ def read_json_value(value: Any, resolve: Callable[[str], str]) -> Any:
         text = read_text(resolve(text), 2**26)
     with refusing("it must be a JSON object:", *NO_RECORD):
         return json.loads(text)
+
+
+def require_zarr(path: Path) -> Any:
+    """Return the package zarr, or refuse a file of Zarr without it."""
+    return require_module("zarr", f"{path}: Zarr needs a package: pip install zarr")

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from ..camera import PlenopticCamera, are_alike
 from ..choices import LIGHT_FIELDS, RAW_SUFFIXES
-from ..errors import InputError, argument, content_of, naming, refuse_if, refusing, require_module
+from ..errors import InputError, argument, content_of, naming, refuse_if, refusing
 from ..extension import format_of, place
 from ..io import (
     TIFF,
@@ -26,7 +25,7 @@ from ..io import (
     read_pixels,
     states_detector,
 )
-from ..runtime import atomic_output, require_file, require_memory, require_writable
+from ..runtime import atomic_output, require_file, require_memory, require_writable, require_zarr
 from .coordinates import camera_of, require_light_field
 from .decoding import decode
 from .grid_estimation import estimate_lens_grid
@@ -298,8 +297,3 @@ def read_labelled(path: str | Path) -> xr.DataArray:
         if lf.attrs.get("camera"):
             camera_of(lf)
     return lf
-
-
-def require_zarr(path: Path) -> Any:
-    """Return the package zarr, or refuse a file of Zarr without it."""
-    return require_module("zarr", f"{path}: Zarr needs a package: pip install zarr")

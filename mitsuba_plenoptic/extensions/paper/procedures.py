@@ -61,7 +61,7 @@ def micro_image(camera: PlenopticCamera, lens: float) -> np.ndarray:
 
 
 @plots.styled
-def figure_1(path: Path, camera: PlenopticCamera, objects: Mapping[str, float]) -> None:
+def figure_1(path: Path, camera: PlenopticCamera, objects: Mapping[str, float], pdf: bool) -> None:
     """Draw the paper's figure 1: the setup, with rays from a point of each object to the array."""
     far = max(objects.values())
     b = camera.mla_distance
@@ -86,11 +86,11 @@ def figure_1(path: Path, camera: PlenopticCamera, objects: Mapping[str, float]) 
     below = -1.25 * camera.aperture_radius
     axes.annotate("", (b, below), (0, below), arrowprops={"arrowstyle": "<->", "color": plots.FAINT, "linewidth": 0.8})
     axes.text(b / 2, below, f"b = {b:g} mm", ha="center", va="bottom", size=8, color=plots.FAINT)
-    plot.save_both(path)
+    plot.save_both(path, pdf)
 
 
 @plots.styled
-def figure_3(path: Path, camera: PlenopticCamera, distance: float) -> None:
+def figure_3(path: Path, camera: PlenopticCamera, distance: float, pdf: bool) -> None:
     """Draw the paper's figure 3: reconstruction back to an object plane, by rays and by waves."""
     plot = plots.Plot(10.5, 5.6)
     axes, steps = plot.subplots(2, 1, height_ratios=(3.2, 1.3))
@@ -104,7 +104,7 @@ def figure_3(path: Path, camera: PlenopticCamera, distance: float) -> None:
     _main_lens(axes, camera)
     _array(axes, camera)
     _waves(steps, camera, distance)
-    plot.save_both(path)
+    plot.save_both(path, pdf)
 
 
 def _waves(axes: Axes, camera: PlenopticCamera, distance: float) -> None:
