@@ -274,6 +274,8 @@ class Response(StoredResponse):
         self._recorder = Recorder(camera, grid, *all_pixels)
         self._sampled = self.cells.holding(self._recorder.box)
         each = [self._kernel_memory(distance, oversample) for distance in distances]
+        # Far too large kernels are refused before the light of some is computed.
+        self._require_memory(1, len(distances) > 1)
         # Zones divide the work among the cores; where lenses are alike, one kernel serves several.
         groups = zones(self._sampled, _ZONE)
         unlike = 0.0 if _alike(camera) else math.inf
@@ -284,13 +286,14 @@ class Response(StoredResponse):
         served = [owner[members[len(members) // 2]] for members in groups]
         super().__init__(len(distances) > 1 and _LIT * len(asked) * sum(each) > _MEMORY)
         # Far too many bins are refused before they are put into batches.
-        self._require_memory(len(asked))
+        stored = self._folder is not None
+        self._require_memory(len(asked), stored)
         middle = self._middle(asked[0])
         batches = [
             batch for distance in distances for some in self._batches(self.cells, distance, middle) for batch in some
         ]
         # Beside those that the threads compute, another one is prepared.
-        self._require_memory(len(asked), (job.workers.threads + 1) * max(batch.memory for batch in batches))
+        self._require_memory(len(asked), stored, (job.workers.threads + 1) * max(batch.memory for batch in batches))
         spreads = len(asked) * sum(batch.samples for batch in batches)
         bins, self.prepared = self.cells.bins[0] * self.cells.bins[1], self._prepared(spreads, steps)
         total = math.ceil(_PROGRESS * len(distances) * len(asked) * bins / self.prepared)
@@ -298,9 +301,9 @@ class Response(StoredResponse):
         for distance in distances:
             kernels = self._kernels(distance, asked, job, _PROGRESS * len(self.planes) * len(asked) * bins, total)
             matrices = [block.matrix for kernel in kernels for block in kernel.blocks]
-            stored = iter(self._stored(matrices, f"{len(self.planes)}"))
+            held = iter(self._stored(matrices, f"{len(self.planes)}"))
             kernels = [
-                Kernel(kernel.steps, [replace(block, matrix=next(stored)) for block in kernel.blocks])
+                Kernel(kernel.steps, [replace(block, matrix=next(held)) for block in kernel.blocks])
                 for kernel in kernels
             ]
             self.planes.append(PlaneResponse(self.cells, self._sampled, groups, [kernels[number] for number in served]))
@@ -362,10 +365,18 @@ class Response(StoredResponse):
             width *= 2
 
     def _unlike(self, distance: float, job: Job) -> float:
-        """Return the largest difference of the light of 2 x 2 points in a corner from that in the middle, over it."""
+        """Return the change of the light of 2 x 2 points from the middle to the corners, over this light.
+
+        Aberrations need not grow towards the corners: of the changes to the corners, half-way to them and to the
+        middles of the borders the steepest counts, as if it went on to the corners.
+        """
         index, cells = self._sampled.index, BinCells(self.cells.grid, 1)
-        corners = np.argmax(index @ cells.vectors @ np.array([[1, 1, -1, -1], [1, -1, 1, -1]]), axis=0)
+        places = index @ cells.vectors
+        centre, reach = (places.max(0) + places.min(0)) / 2, (places.max(0) - places.min(0)) / 2
         half = 2 * sum(cells.size) + math.ceil(cells.camera.blur_diameter(distance) / cells.grid.pitch.min())
+
+        def nearest(*aim: float) -> int:
+            return int(np.argmin(((places - centre - reach * aim) ** 2).sum(1)))
 
         def light(cell: NDArray[np.int64]) -> NDArray[np.float32]:
             left, top = (cell @ cells.samples + cells.first_sample - half).tolist()
@@ -377,8 +388,18 @@ class Response(StoredResponse):
                     add(Part(box, sums[None]), Box(left, top, 2 * half, 2 * half), image)
             return image
 
-        middle = light(self._middle(np.arange(len(index))))
-        return max(float(np.linalg.norm(light(corner) - middle) / np.linalg.norm(middle)) for corner in index[corners])
+        aims = [(x, y) for reached in (0.5, 1.0) for x in (-reached, reached) for y in (-reached, reached)]
+        aims += [(-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0)]
+        middle = nearest(0.0, 0.0)
+        at_middle = light(index[middle])
+        if not at_middle.any():
+            return math.inf
+        steepest = 0.0
+        for number in {nearest(*aim) for aim in aims} - {middle}:
+            change = float(np.linalg.norm(light(index[number]) - at_middle) / np.linalg.norm(at_middle))
+            away = math.dist(places[number], places[middle]) / math.hypot(*reach)
+            steepest = max(steepest, change / away)
+        return steepest
 
     def _kernel_memory(self, distance: float, oversample: int) -> float:
         """Return the approximate bytes of one kernel of a plane with all of its blocks."""
@@ -389,13 +410,13 @@ class Response(StoredResponse):
             4 * across * down * oversample**2 * np.prod(grid.lens_samples.diagonal()) * len(camera.mla_focal_lengths)
         )
 
-    def _require_memory(self, groups: int, fields: float = 0.0) -> None:
+    def _require_memory(self, groups: int, on_disk: bool, fields: float = 0.0) -> None:
         def memory(oversample: int) -> float:
             oversample = math.ceil(oversample * self.cells.oversample / self._oversample)
             each = [self._kernel_memory(distance, oversample) for distance in self._distances]
             bins = 4.0 * len(self._sampled) * len(self._camera.mla_focal_lengths) * oversample**2 * len(each)
             samples = 4.0 * self._recorder.box.rows * self._recorder.box.columns
-            kernels = _LIT * groups * (max(each) if self._folder else sum(each))
+            kernels = _LIT * groups * (max(each) if on_disk else sum(each))
             return kernels + 2 * max(each) + 12 * bins + 4 * samples + self._recorder.memory + fields
 
         require_response_memory(memory, self._oversample, self._distances)

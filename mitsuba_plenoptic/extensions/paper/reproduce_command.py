@@ -14,8 +14,8 @@ def reproduce(
     preset: Annotated[
         Literal["quick", "paper"],
         typer.Option(
-            help="A detector of half the width with letters of half the size, or the paper's 4096 x 4096 pixels and its "
-            "figures as PDF, too.",
+            help="A detector of half the width with letters of half the size, or the paper's 4096 x 4096 pixels, "
+            "and figures as PDF, too.",
         ),
     ] = "quick",
     resume: options.Resume = False,
