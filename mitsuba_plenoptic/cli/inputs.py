@@ -46,8 +46,11 @@ def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tu
         refuse_if(parameters, f"-D: {source} is no scene, and has no scene parameters; leave it out")
         return camera_and_record(source)
     require_camera_name("camera", source)
-    content = content_of(Path(source)) if Path(source).is_file() else SCENE_XML
-    refuse_if(content != SCENE_XML, f"{source}: it is {content}; a camera is a preset, a JSON or YAML file or a scene")
+    content = content_of(Path(source)) if Path(source).exists() else SCENE_XML
+    others = "; views, stack and depth read a light field's folder" if Path(source).is_dir() else ""
+    refuse_if(
+        content != SCENE_XML, f"{source}: it is {content}; a camera is a preset, a JSON or YAML file or a scene{others}"
+    )
     sensors = load_scene(source, parameters=parameters, unit=unit).sensors()
     refuse_if(not sensors, f"{source}: it has no sensor; add one of type 'plenoptic'")
     return PlenopticCamera.from_sensor(sensors[0]), None

@@ -225,6 +225,7 @@ WRONG_KINDS = {
         ("jpeg text camera metashape empty", "render {given} -o {out}.exr", "a scene is XML in UTF-8 with the root"),
         ("opencv numpy", "compare {given} -o {out} --distance 240", "a scene is XML in UTF-8 with the root <scene>"),
         ("jpeg lens metashape opencv", "render letters -o {out}.exr --camera {given}", "a camera is a preset, a JSON"),
+        ("folder", "info {given}", "views, stack and depth read a light field's folder"),
         ("yaml gzip", "info --camera {given}", "a camera's file has its parameters by name, in JSON or YAML"),
         ("jpeg numpy folder metashape", "calibrate {given} -o {out}.json", "corners are a table (.csv), pictures and"),
     ],
