@@ -103,6 +103,10 @@ def write_lytro_white(path, numbers, metadata):
     return path.with_suffix(".RAW")
 
 
+LARGE = r"3221225472 bytes: it may have at most \d+"
+"""What is said of a file that `large` wrote."""
+
+
 def large(path):
     """Make a file of 3 GiB without any content, which takes no room on the disk."""
     with path.open("wb") as file:

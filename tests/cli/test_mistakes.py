@@ -8,8 +8,9 @@ import OpenEXR
 import pytest
 from cameras import write_scene
 from PIL import Image
+from refusals import refuses
 
-from mitsuba_plenoptic import InputError, read_capture, reconstruct
+from mitsuba_plenoptic import read_capture, reconstruct
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.refocus_options import method_names
 from mitsuba_plenoptic.views.light_field_files import open_light_field
@@ -38,7 +39,6 @@ OF_RAYS = "a ray capture does not take it"
         # The output is checked before the scene is looked at.
         ("render letters -o {out}/raw.exr", "does not exist"),
         ("render letters -o .", "it is a folder"),
-        ("render letters -o {out}", "ends in .exr"),
         ("render letters -o {out}.exr --camera nokia", "no camera (paper, lytro"),
         ("render letters -o {out}.exr --camera {raw}", "it is an OpenEXR image; a camera is a preset"),
         ("render letters -o {out}.exr --camera f_number=2,lenses=8", "pixels_per_lens or mla_pitch, pixel_size"),
@@ -57,10 +57,8 @@ OF_RAYS = "a ray capture does not take it"
         ("info paper --fix better.txt", "better.txt"),
         ("info paper_double_gauss --drawing {out}.jpg", "give a name that ends in .png"),
         ("info", "SCENE, --camera: give one of the two"),
-        ("info lytro --camera raytrix", "SCENE, --camera: give one of the two"),
         ("info nosuch.exr", "there is no such file"),
         ("info letters --wavelength -633", "wavelength = -633"),
-        ("info letters --wavelength nan", "wavelength = nan"),
         ("info letters --wavelength 5320", "it looks like angstroms, 532 nm"),
         ("info paper -D resolution=64", "-D: paper is no scene"),
         ("info {raw} -D resolution=64", "raw.exr is no scene"),
@@ -191,10 +189,8 @@ def test_advice_names_options_at_the_shell_and_arguments_in_python(raw, tmp_path
     assert words in complaint("views", picture, "-o", tmp_path / "a.png")
     words = "'stack' takes --disparity, and 'depth' finds disparities; or use a capture"
     assert words in complaint("stack", picture, "-o", tmp_path / "a.png", "--view-count", 2, "--distance", 240)
-    with pytest.raises(InputError, match=r"wavelength = None: .* give wavelength$"):
-        reconstruct(read_capture(raw), 240, method="coherent")
-    with pytest.raises(InputError, match="give white or camera for a raw picture, or views for a mosaic"):
-        open_light_field(picture)
+    refuses(r"wavelength = None: .* give wavelength$", reconstruct, read_capture(raw), 240, method="coherent")
+    refuses("give white or camera for a raw picture, or views for a mosaic", open_light_field, picture)
 
 
 METASHAPE = b'<?xml version="1.0" encoding="UTF-8"?>\n<!-- <scene> -->\n<document version="2.0.0"/>'

@@ -1,6 +1,5 @@
 """Reconstruction by waves behind real main lenses: against the thin lens, and of points and scenes that are known."""
 
-import mitsuba as mi
 import numpy as np
 import pytest
 from cameras import WAVELENGTH, small_camera, thin_as_real
@@ -14,11 +13,6 @@ from mitsuba_plenoptic.views import white_image
 from tools.bench.cases import lens_models
 
 METHODS = {"coherent": {}, "partial": {"interleave": "auto"}, "deconvolved": {"iterations": 10}}
-
-
-@pytest.fixture(autouse=True)
-def variant():
-    mi.set_variant("llvm_ad_mono")
 
 
 def real_camera(lens="double_gauss", lenses=12, **numbers):

@@ -8,7 +8,7 @@ import pytest
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct
-from mitsuba_plenoptic.refocus.displacement import brought_back, displacements, is_known
+from mitsuba_plenoptic.refocus.displacement import PupilCentroid, brought_back, displacements, is_known
 from mitsuba_plenoptic.views import white_image
 
 CAMERA = PlenopticCamera(detector_width=0.768, resolution=(192, 192))
@@ -98,3 +98,30 @@ def test_a_plane_divided_by_a_white_capture_is_the_same_beside_others(method):
     beside = mp.reconstruct(capture, [240.0, 280.0], method=method, white=white)[0].image
     alone = mp.reconstruct(capture, 240.0, method=method, white=white).image
     assert np.sqrt(np.nanmean((beside - alone) ** 2)) < 2e-3 * np.nanmax(alone)
+
+
+def by_points(camera, x, y, wavelength, count=400):
+    """The squared sinc of a square lens, weighed over a disc."""
+    line = ((np.arange(count) + 0.5) / count * 2 - 1) * camera.aperture_radius
+    Px, Py = np.meshgrid(line, line)
+    width = wavelength * 1e-6 * camera.mla_distance / camera.mla_pitch
+    weight = np.sinc((Px - x) / width) ** 2 * np.sinc((Py - y) / width) ** 2
+    weight *= np.hypot(Px, Py) <= camera.aperture_radius
+    return (weight * Px).sum() / weight.sum(), (weight * Py).sum() / weight.sum()
+
+
+@pytest.mark.parametrize("wavelength", [633.0, 450.0])
+def test_centroids_are_those_of_a_sum_over_the_pupil(wavelength):
+    centroid = PupilCentroid(CAMERA, wavelength)
+    places = [(0.0, 0.0), (3.0, -1.0), (4.8, 0.0), (-2.0, 4.9), (5.3, 0.4)]
+    x, y = centroid(*np.array(places).T)
+    for place, *found in zip(places, x, y, strict=True):
+        np.testing.assert_allclose(found, by_points(CAMERA, *place, wavelength), atol=0.04)
+    # At the rim light comes from within.
+    assert 4.8 - x[2] > 0.2
+
+
+def test_what_lies_far_outside_comes_from_the_pupil():
+    centroid = PupilCentroid(CAMERA, 633.0)
+    for places in centroid(np.array([0.0, 16.0, -300.0]), np.array([19.0, 0.0, 300.0])):
+        assert (np.abs(places) <= CAMERA.aperture_radius).all()

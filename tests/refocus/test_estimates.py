@@ -6,7 +6,6 @@ import pytest
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import estimate_reconstruction, reconstruct
-from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.refocus import api
 from mitsuba_plenoptic.runtime import progress
 
@@ -73,15 +72,13 @@ def test_long_work_says_its_time_and_memory(capture, monkeypatch, caplog):
     assert caplog.text.count("takes about") == 1
 
 
-def test_the_command_prints_time_and_memory_and_writes_nothing(capture, tmp_path, capsys):
+def test_the_command_prints_time_and_memory_and_writes_nothing(capture, tmp_path, run, complaint):
     path = tmp_path / "raw.exr"
     mp.write_capture(path, capture)
-    arguments = ["reconstruct", str(path), "--distance", "210", "--method", "partial"]
-    assert main([*arguments, "--estimate"]) == 0
-    assert re.search(r"raw\.exr: about \S+ (s|min) and \S+ GiB\n$", capsys.readouterr().out)
-    assert list(tmp_path.iterdir()) == [path]
-    # Appended to a command that is ready to run.
-    assert main([*arguments, "-o", str(tmp_path / "out.png"), "--estimate"]) == 0
-    assert list(tmp_path.iterdir()) == [path]
-    assert main(arguments) == 2
-    assert "name the file to write, or ask for an --estimate" in capsys.readouterr().err
+    arguments = ["reconstruct", path, "--distance", "210", "--method", "partial"]
+    # Also appended to a command that is ready to run.
+    for output in ([], ["-o", tmp_path / "out.png"]):
+        said = run(*arguments, *output, "--estimate")
+        assert re.search(r"raw\.exr: about \S+ (s|min) and \S+ GiB\n$", said)
+        assert list(tmp_path.iterdir()) == [path]
+    assert "name the file to write, or ask for an --estimate" in complaint(*arguments)

@@ -1,13 +1,16 @@
 """Ray refocusing against a slow direct sum, geometry and closed forms."""
 
+import inspect
 import math
 
 import numpy as np
 import pytest
 
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct
 from mitsuba_plenoptic.refocus.methods import METHODS, method
 from mitsuba_plenoptic.refocus.projection import axis_bins, bin_image, ray_sums
+from mitsuba_plenoptic.refocus_options import all_options, method_names, options_of_methods
 from mitsuba_plenoptic.views import white_image
 
 
@@ -168,3 +171,19 @@ def test_a_new_method_is_one_registered_function(monkeypatch):
     result = reconstruct(np.ones((64, 64)), 240.0, camera=camera, method="mean", footprint="point")
     assert (result.image == 241).all() and result.image.shape == (2, 2)
     assert result.options == {"footprint": "point", "oversample": 1}
+
+
+@pytest.mark.needs_extension("deconvolution")
+def test_every_record_has_a_method_that_takes_it_and_a_type():
+    assert tuple(mp.refocus.METHODS) == method_names()
+    for name_of_method, options in options_of_methods().items():
+        for name, option in options.items():
+            assert mp.refocus.METHODS[name_of_method].takes(name)
+            assert option.types and option.text.endswith(".")
+    assert all_options()["relay"].text.startswith("For coherent and partial: whether")
+
+
+def test_a_signature_states_no_default_that_the_method_has_not():
+    """Flags that are on by default, such as `relay`, are None in the signature: the method's default."""
+    parameters = inspect.signature(mp.reconstruct).parameters
+    assert {parameters[name].default for name in all_options()} == {None}

@@ -8,7 +8,6 @@ from cameras import HALF, WAVELENGTH, small_camera
 from cameras import OTHER as OTHER_LENSES
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, point_spread_function, reconstruct, write_capture
-from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.exr import read_exr
 from mitsuba_plenoptic.refocus import planning, wave_methods
 from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens
@@ -338,19 +337,19 @@ def test_progress_ends_complete(options):
     assert seen == sorted(seen)
 
 
-def test_the_command_writes_method_and_camera_into_the_header(tmp_path, capfd):
+def test_the_command_writes_method_and_camera_into_the_header(tmp_path, run, complaint):
     camera = PlenopticCamera(detector_width=0.256, resolution=(128, 128))
     raw, out = tmp_path / "raw.exr", tmp_path / "out.exr"
     write_capture(raw, Capture(np.ones(camera.shape), camera, 633.0, "wave"))
-    arguments = ["reconstruct", str(raw), "-o", str(out), "--distance", "230", "--method", "partial"]
-    assert main([*arguments, "--interleave", "auto", "--oversample", "2", "--no-relay"]) == 0
+    arguments = ["reconstruct", raw, "-o", out, "--distance", "230", "--method", "partial"]
+    run(*arguments, "--interleave", "auto", "--oversample", "2", "--no-relay")
     image, _, header = read_exr(out)
     assert image.shape == (8, 8)
     assert (header["method"], header["distance"]) == ("partial", 230.0)
     assert header["options"] == {"interleave": "auto", "oversample": 2, "relay": False, "wavelength": [633.0]}
     assert PlenopticCamera.from_dict(header["camera"]) == camera
-    assert main([*arguments, "--interleave", "9"]) == 2
-    assert "interleave = 9: it must be 'auto' or a whole number from 1 to 4" in capfd.readouterr().err
+    words = "interleave = 9: it must be 'auto' or a whole number from 1 to 4"
+    assert words in complaint(*arguments, "--interleave", "9")
 
 
 def test_few_lenses_far_apart_need_little_memory(monkeypatch):

@@ -7,9 +7,10 @@ import pytest
 import tifffile
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic import Capture, Detector, InputError, PlenopticCamera, expose, read_raw, write_capture, write_raw
+from mitsuba_plenoptic import Capture, Detector, PlenopticCamera, expose, read_raw, write_capture, write_raw
 from mitsuba_plenoptic.exchange import read_picture
 from mitsuba_plenoptic.report.microlens_drawing import draw_microlens
+from refusals import refused, refuses
 
 CAMERA = PlenopticCamera(detector_width=0.128, resolution=(64, 48), crop_offset=(8, 4), crop_size=(40, 32))
 IMAGE = np.random.default_rng(0).random(CAMERA.shape, np.float32)
@@ -21,33 +22,27 @@ def captured(**changes):
     return Capture(**{"image": np.ones((32, 40)), "camera": CAMERA} | changes)
 
 
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda: captured(image=np.ones((40, 32))), "the camera records 32 rows and 40 columns"),
-        (lambda: captured(image=np.ones((32, 40), complex)), "it must hold real numbers"),
-        (lambda: captured(model="magic"), "model = 'magic': it must be one of ray, wave"),
-        (lambda: captured(wavelength=-5.0), "wavelength = -5: it must be greater than 0"),
-        (lambda: captured(camera=None), "camera = None: it must be a PlenopticCamera"),
-        (lambda: Detector(quantum_efficiency=1.1), "quantum_efficiency = 1.1"),
-        (lambda: Detector(quantum_efficiency=0), "quantum_efficiency = 0"),
-        (lambda: Detector(full_well=-1), "full_well = -1"),
-        (lambda: Detector(read_noise=-1), "read_noise = -1"),
-        (lambda: Detector(dark_electrons=math.nan), "dark_electrons"),
-        (lambda: Detector(stray_light=1.5), "stray_light = 1.5"),
-        (lambda: Detector(bits=17), "bits = 17"),
-        (lambda: Detector(bits=0), "bits = 0"),
-        (lambda: Detector(gain=0), "gain = 0"),
-        (lambda: Detector(black_level=4095), "black_level = 4095"),
-        (lambda: Detector(black_level=1.5), "black_level = 1.5"),
-        (lambda: expose(GREY, Detector(), photons=0), "photons = 0"),
-        (lambda: expose(GREY, Detector(), photons=1, seed=-1), "seed = -1"),
-        (lambda: expose(Capture(IMAGE * np.nan, CAMERA), Detector(), photons=1), "finite"),
-    ],
+test_refused = refused(
+    (lambda: captured(image=np.ones((40, 32))), "the camera records 32 rows and 40 columns"),
+    (lambda: captured(image=np.ones((32, 40), complex)), "it must hold real numbers"),
+    (lambda: captured(model="magic"), "model = 'magic': it must be one of ray, wave"),
+    (lambda: captured(wavelength=-5.0), "wavelength = -5: it must be greater than 0"),
+    (lambda: captured(camera=None), "camera = None: it must be a PlenopticCamera"),
+    (lambda: Detector(quantum_efficiency=1.1), "quantum_efficiency = 1.1"),
+    (lambda: Detector(quantum_efficiency=0), "quantum_efficiency = 0"),
+    (lambda: Detector(full_well=-1), "full_well = -1"),
+    (lambda: Detector(read_noise=-1), "read_noise = -1"),
+    (lambda: Detector(dark_electrons=math.nan), "dark_electrons"),
+    (lambda: Detector(stray_light=1.5), "stray_light = 1.5"),
+    (lambda: Detector(bits=17), "bits = 17"),
+    (lambda: Detector(bits=0), "bits = 0"),
+    (lambda: Detector(gain=0), "gain = 0"),
+    (lambda: Detector(black_level=4095), "black_level = 4095"),
+    (lambda: Detector(black_level=1.5), "black_level = 1.5"),
+    (lambda: expose(GREY, Detector(), photons=0), "photons = 0"),
+    (lambda: expose(GREY, Detector(), photons=1, seed=-1), "seed = -1"),
+    (lambda: expose(Capture(IMAGE * np.nan, CAMERA), Detector(), photons=1), "finite"),
 )
-def test_refused(call, words):
-    with pytest.raises(InputError, match=words):
-        call()
 
 
 @pytest.mark.parametrize(
@@ -65,8 +60,7 @@ def test_refused(call, words):
     ],
 )
 def test_files_that_cannot_be_written(write, words, tmp_path):
-    with pytest.raises(InputError, match=words):
-        write(tmp_path)
+    refuses(words, write, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -87,18 +81,15 @@ LIES = np.zeros((3, 3), np.uint16)
 )
 def test_other_tiff_are_refused(tmp_path, numbers, options, words):
     tifffile.imwrite(tmp_path / "a.tiff", numbers, **options)
-    with pytest.raises(InputError, match=rf"a\.tiff: it cannot be read as a picture: it holds [^\n]*{words[-8:]}"):
-        read_picture(tmp_path / "a.tiff")
+    refuses(rf"a\.tiff: it cannot be read as a picture: it holds [^\n]*{words[-8:]}", read_picture, tmp_path / "a.tiff")
 
 
 @pytest.mark.parametrize("text", ['{"mitsuba_plenoptic": {"camera": {}, "metadata": {"exposure": {}}}}', "[]", "{" * 9])
 def test_pictures_that_are_no_raw_captures(tmp_path, text):
     tifffile.imwrite(tmp_path / "lies.tiff", LIES, description=text, metadata=None)
     (tmp_path / "broken.png").write_bytes(b"\x89PNG\r\n\x1a\nnothing")
-    with pytest.raises(InputError, match=r"lies.tiff: "):
-        read_raw(tmp_path / "lies.tiff")
-    with pytest.raises(InputError, match=r"broken.png: it cannot be read as a picture"):
-        read_raw(tmp_path / "broken.png")
+    refuses(r"lies.tiff: ", read_raw, tmp_path / "lies.tiff")
+    refuses(r"broken.png: it cannot be read as a picture", read_raw, tmp_path / "broken.png")
 
 
 WHOLE = PlenopticCamera(detector_width=0.256, resolution=(64, 64))
@@ -117,7 +108,5 @@ WHOLE = PlenopticCamera(detector_width=0.256, resolution=(64, 64))
 )
 def test_masks_and_imaginary_parts_are_not_lost(take):
     image = np.random.default_rng(0).random((64, 64))
-    with pytest.raises(InputError, match="of its values are masked"):
-        take(np.ma.masked_greater(image, 0.5))
-    with pytest.raises(InputError, match="it must hold real numbers"):
-        take(image + 1j)
+    refuses("of its values are masked", take, np.ma.masked_greater(image, 0.5))
+    refuses("it must hold real numbers", take, image + 1j)

@@ -5,6 +5,7 @@ import functools
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import facing, scene_of
 from scipy.ndimage import gaussian_filter
 
 import mitsuba_plenoptic as mp
@@ -28,17 +29,8 @@ def wall(distance, blurred=None, **changes):
     pattern = gaussian_filter(np.random.default_rng(1).normal(size=(256, 256)), 1.0, mode="wrap")
     pattern = np.clip(0.5 + 0.25 * pattern / pattern.std(), 0.02, 0.98).astype(np.float32)
     texture = {"type": "bitmap", "raw": True, "data": mi.TensorXf(pattern[..., None])}
-    place = mi.ScalarTransform4f().translate([0, 0, distance]).rotate([0, 1, 0], 180).scale(14)
-    scene = mp.load_scene(
-        {
-            "type": "scene",
-            "integrator": {"type": "direct"},
-            "sensor": camera.to_sensor(),
-            "sky": {"type": "constant"},
-            "wall": {"type": "rectangle", "to_world": place, "bsdf": {"type": "diffuse", "reflectance": texture}},
-        }
-    )
-    capture = mp.render_capture(scene, spp=64)
+    card = facing(distance, 14.0, bsdf={"type": "diffuse", "reflectance": texture})
+    capture = mp.render_capture(scene_of(camera.to_sensor(), "direct", sky={"type": "constant"}, card=card), spp=64)
     capture.metadata["distance"] = distance
     return capture
 

@@ -7,9 +7,10 @@ import pytest
 from cameras import disk, letters, pinhole_picture
 from cases import scene_of
 from light_field_cases import PAPER, all_cameras, square_cameras
+from refusals import refuses
 from scipy.spatial import cKDTree
 
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, decode, design, load_scene, render_capture
+from mitsuba_plenoptic import Capture, PlenopticCamera, decode, load_scene, render_capture
 from mitsuba_plenoptic.views import (
     LensGrid,
     camera_of,
@@ -67,11 +68,6 @@ class TestLensGrid:
 
 
 class TestWhiteImage:
-    def test_mean_is_the_closed_form(self):
-        # All 16 x 16 micro-images lie within the detector; on average they take a little more room than a lens.
-        room = (PAPER.micro_image_pitch / PAPER.mla_pitch) ** 2
-        assert white_image(PAPER).mean() == pytest.approx(design.white_mean(PAPER) * room, rel=5e-4)
-
     def test_area_of_one_micro_image(self):
         single = white_image(PAPER, LensGrid((32, 32), (256.3, 255.8), (1, 1)))
         radius = PAPER.micro_image_diameter / PAPER.pixel_size / 2
@@ -243,16 +239,14 @@ class TestViews:
     def test_a_view_beyond_the_pupil_is_refused(self, lf, place):
         (name, value), step = *place.items(), float(lf.u[0] - lf.u[1])
         low, high = float(lf[name][-1]) - step / 2, float(lf[name][0]) + step / 2
-        with pytest.raises(InputError, match=f"{name} = {value}: the light field goes from {low:.4g} to {high:.4g}"):
-            view(lf, **place)
+        refuses(f"{name} = {value}: the light field goes from {low:.4g} to {high:.4g}", view, lf, **place)
         assert np.array_equal(view(lf, **{name: high}), view(lf, **{name: float(lf[name][0])}))
 
     @pytest.mark.parametrize("axis, field, pupil", [("horizontal", "t", "v"), ("vertical", "s", "u")])
     def test_a_line_beyond_the_field_is_refused(self, lf, axis, field, pupil):
         for name, places in (("at", field), ("through", pupil)):
             beyond = 2 * float(lf[places][0])
-            with pytest.raises(InputError, match=f"{name} = {beyond:g}: the light field goes from"):
-                epipolar_image(lf, axis, **{name: beyond})
+            refuses(f"{name} = {beyond:g}: the light field goes from", epipolar_image, lf, axis, **{name: beyond})
 
     def test_of_a_single_view_there_is_nothing_to_choose(self, lf):
         assert view(pick_views(lf, 1), u=1).shape == (4, 6)
