@@ -46,10 +46,8 @@ def test_a_page_has_its_sections_with_their_parts(tmp_path):
     Page("A & B", "In short.", [Section("In numbers", blocks)], foot="The end.").write(tmp_path / "page.html")
     page = Reader((tmp_path / "page.html").read_text())
     assert ("h1", "A & B") in page.texts and ("h2", "In numbers") in page.texts and ("li", "one") in page.texts
-    assert ("p", "The “lens” isn\N{RIGHT SINGLE QUOTATION MARK}t <thin>.") in page.texts and (
-        "figcaption",
-        "A field.",
-    ) in page.texts
+    assert ("p", "The “lens” isn\N{RIGHT SINGLE QUOTATION MARK}t <thin>.") in page.texts
+    assert ("figcaption", "A field.") in page.texts
     assert [text for tag, text in page.texts if tag == "td"] == ["1 mm", "a", "50%", "<b>", "2 mm", "c", "25%"]
     assert "#section-in-numbers" in page.links and "section-in-numbers" in page.links
     # Nothing is loaded from elsewhere.

@@ -7,12 +7,7 @@ import pytest
 
 from mitsuba_plenoptic import Capture, CaptureOperator, Objective, PlenopticCamera, decode
 from mitsuba_plenoptic.design import parallax
-from mitsuba_plenoptic.views import (
-    camera_of,
-    epipolar_image,
-    view,
-    view_mosaic,
-)
+from mitsuba_plenoptic.views import camera_of, epipolar_image, view, view_mosaic
 
 LENS = Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50)
 SQUARE = PlenopticCamera(

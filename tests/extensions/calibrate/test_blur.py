@@ -5,12 +5,14 @@ import json
 import calibration_cases as cases
 import numpy as np
 import pytest
+from refusals import refuses
 from scipy.spatial.transform import Rotation
 
-from mitsuba_plenoptic import InputError, calibrate
+from mitsuba_plenoptic import PlenopticCamera, calibrate
 from mitsuba_plenoptic.calibration import Board, read_camera, read_centres, read_corners, write_calibration
-from mitsuba_plenoptic.extensions.calibrate.blur import fit_blur
+from mitsuba_plenoptic.extensions.calibrate.blur import CutBlur, fit_blur
 from mitsuba_plenoptic.extensions.calibrate.board_model import Observations, numbers_of
+from mitsuba_plenoptic.extensions.calibrate.boards import find_saddles
 
 FOCAL_LENGTHS = np.array(cases.CAMERA.mla_focal_lengths)
 
@@ -68,30 +70,17 @@ def test_radii_that_say_nothing_of_focus_are_refused(seen):
     signed = radii_of(seen, (0.355, 0.361, 0.367))
     assert np.quantile(signed, 0.2) < 0 < np.quantile(signed, 0.8)
     np.testing.assert_allclose(fitted(signed, seen).focal_lengths, (0.355, 0.361, 0.367), rtol=1e-9)
-    with pytest.raises(InputError, match=r"rho: .* must have a sign"):
-        fitted(np.abs(signed), seen)
-    with pytest.raises(InputError, match="rho"):
-        fitted(np.random.default_rng(0).normal(size=len(seen)), seen)
-    with pytest.raises(InputError, match=r"rho: .* too few lenses or all at one depth"):
-        fit_blur(
-            signed[:2],
-            Observations(*(rows[:2] for rows in (seen.lens, seen.pixel, seen.board, seen.pose))),
-            numbers_of(cases.CAMERA),
-            cases.POSES[:1],
-            cases.CAMERA.lattice,
-            3,
-        )
+    refuses(r"rho: .* must have a sign", fitted, np.abs(signed), seen)
+    refuses("rho", fitted, np.random.default_rng(0).normal(size=len(seen)), seen)
+    few = Observations(*(rows[:2] for rows in (seen.lens, seen.pixel, seen.board, seen.pose)))
+    model = numbers_of(cases.CAMERA), cases.POSES[:1], cases.CAMERA.lattice
+    refuses(r"rho: .* too few lenses or all at one depth", fit_blur, signed[:2], few, *model, 3)
 
 
 def test_a_calibration_takes_them_and_keeps_them(tmp_path, radius):
     table = cases.corners(0.05)[0]
-    start = cases.CAMERA.replace(
-        resolution=(2000, 1500),
-        crop_size=(2000, 1500),
-        crop_offset=(0, 0),
-        detector_width=11.0,
-        mla_focal_length=(0.5,) * 3,
-    )
+    whole = {"resolution": (2000, 1500), "crop_size": (2000, 1500), "crop_offset": (0, 0), "detector_width": 11.0}
+    start = cases.CAMERA.replace(**whole, mla_focal_length=(0.5,) * 3)
     path = tmp_path / "corners.csv"
     columns = {**table.columns, "rho": radius}
     rows = np.column_stack(list(columns.values()))
@@ -130,3 +119,61 @@ def test_the_types_of_a_real_camera_are_those_that_compote_found():
     ours = np.sort(found.numbers["detector_distance"] / np.array(found.blur.focal_lengths))
     np.testing.assert_allclose(ours, np.sort([z / float(f) for f in theirs["mla"]["focal_lengths"]]), rtol=0.02)
     assert found.blur.error < 0.06
+
+
+CAMERA = PlenopticCamera.preset("raytrix").replace(mla_aperture="circle")
+COUNT, SIDE = 20, 23
+RADIUS = CAMERA.micro_image_diameter / 2 / CAMERA.pixel_size
+
+
+def micro_images(kind, distance, place, angles):
+    """Draw micro-images, side by side, of corners seen at places from their middle; and white ones.
+
+    Rays from pixels through points of the lens are refracted and followed to the pupil, and to the plane in which the
+    main lens images the corner, at this distance before the array.
+    """
+    b, z, size = CAMERA.mla_distance, CAMERA.detector_distance, CAMERA.pixel_size
+    f, generator = np.array(CAMERA.mla_focal_lengths)[kind], np.random.default_rng(5)
+    points = generator.uniform(-1, 1, (800, 2))
+    lens = points[np.hypot(*points.T) < 1] * CAMERA.lattice.aperture_width / 2
+    image, white = np.zeros((2, SIDE, SIDE * COUNT))
+    axis = np.arange(SIDE) - SIDE // 2
+    for number, (corner, (first, second)) in enumerate(zip(place, angles, strict=True)):
+        # The image of the corner, which the centre of the lens shows at its place.
+        middle = -corner * size * distance / z
+        for row, column in np.ndindex(SIDE, SIDE):
+            pixel = (np.array([axis[column], axis[row]]) + generator.uniform(-0.5, 0.5, lens.shape)) * size
+            slope = (lens - pixel) / z - lens / f
+            open_ = np.hypot(*(lens + b * slope).T) < CAMERA.aperture_radius
+            x, y = (lens + distance * slope - middle)[open_].T * (-z / distance / size)
+            light = np.sign(np.cos(first) * y - np.sin(first) * x) * np.sign(np.cos(second) * y - np.sin(second) * x)
+            white[row, number * SIDE + column] = open_.mean()
+            image[row, number * SIDE + column] = (0.5 + 0.4 * light).sum() / len(lens)
+    return image, white
+
+
+@pytest.mark.parametrize(("kind", "ratio"), [pytest.param(0, -0.2, marks=pytest.mark.slow), (1, -0.15)])
+def test_corners_are_met_in_spite_of_the_rim(kind, ratio):
+    # z/a; the disparity is that of neighbouring lenses in the array's plane, over the pitch of micro-images.
+    over = CAMERA.detector_distance / CAMERA.mla_distance
+    generator = np.random.default_rng(3)
+    bearing, arm = generator.uniform(0, 2 * np.pi, COUNT), generator.uniform(0.35, 0.6, COUNT) * RADIUS
+    place = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1) * arm[:, None]
+    angles = generator.uniform(0, 0.5, (COUNT, 1)) + np.array([0, 1.5])
+    image, white = micro_images(kind, CAMERA.detector_distance / ratio, place, angles)
+    weight = np.where(white > 0.25 * white.max(), white, 0)
+    centre = np.stack([np.arange(COUNT) * SIDE + SIDE // 2, np.full(COUNT, SIDE // 2)], axis=-1).astype(float)
+    given = weight, centre + place + generator.uniform(-0.5, 0.5, place.shape), angles, centre
+    cut, kinds = CutBlur(CAMERA), np.full(COUNT, kind)
+    defocus = cut.defocus(kinds, np.full(COUNT, (ratio - over) / (1 + over)))
+    assert defocus == pytest.approx(1 - CAMERA.detector_distance / CAMERA.mla_focal_lengths[kind] + ratio)
+    outwards = []
+    for seen in (None, lambda rows, arms: cut.displaced(kinds[rows], defocus[rows], arms)):
+        found = find_saddles(image / np.maximum(white, 1e-9), *given, radius=RADIUS, even=RADIUS, displacement=seen)
+        good = np.isfinite(found.deviation)
+        assert good.sum() > 0.7 * COUNT
+        miss = (found.position - centre - place)[good]
+        outwards.append(float(((miss * place[good]).sum(1) / arm[good]).mean()))
+    plain, mended = outwards
+    assert abs(plain) > 0.15
+    assert abs(mended) < 0.3 * abs(plain)

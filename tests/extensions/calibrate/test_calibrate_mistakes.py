@@ -1,9 +1,9 @@
 """What the command ``calibrate`` says about a user's mistakes."""
 
 import pytest
-from foreign_files import large
+from foreign_files import LARGE, large
+from refusals import refused
 
-from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.calibration import Board, read_camera, read_centres, read_corners
 
 
@@ -33,15 +33,11 @@ def test_what_is_read_is_not_written_over(tmp_path, complaint):
     assert (tmp_path / "copy.exr").read_bytes() == b"content"
 
 
-@pytest.mark.parametrize(
-    ("name", "read"),
-    [
-        ("camera.json", read_camera),
-        ("corners.csv", lambda path: read_corners(path, Board(9, 5, 3.0), (64, 64))),
-        ("centres.csv", read_centres),
-        ("white.grid.json", read_centres),
-    ],
+BOARD = Board(9, 5, 3.0)
+
+test_the_size_of_a_file_is_judged_before_it_is_read = refused(
+    (lambda folder: read_camera(large(folder / "camera.json")), f"camera.json: {LARGE}"),
+    (lambda folder: read_corners(large(folder / "corners.csv"), BOARD, (64, 64)), f"corners.csv: {LARGE}"),
+    (lambda folder: read_centres(large(folder / "centres.csv")), f"centres.csv: {LARGE}"),
+    (lambda folder: read_centres(large(folder / "white.grid.json")), f"white.grid.json: {LARGE}"),
 )
-def test_the_size_of_a_file_is_judged_before_it_is_read(tmp_path, name, read):
-    with pytest.raises(InputError, match=rf"{name}: 3221225472 bytes: it may have at most \d+"):
-        read(large(tmp_path / name))

@@ -6,6 +6,7 @@ from pathlib import Path
 import calibration_cases as cases
 import numpy as np
 import pytest
+from refusals import refuses
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, calibrate
 from mitsuba_plenoptic.calibration import (
@@ -19,7 +20,6 @@ from mitsuba_plenoptic.calibration import (
     read_corners,
     write_calibration,
 )
-from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.calibrate.adjustment import Problem, adjust
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, Observations, numbers_of, predict_centres
 from mitsuba_plenoptic.microlens import Conic
@@ -222,8 +222,7 @@ def counted_along_columns(table):
     ],
 )
 def test_mistakes_get_one_line(table, change, words):
-    with pytest.raises(InputError, match=words):
-        calibrate(Table("corners.csv", change(table)), cases.BOARD, START)
+    refuses(words, calibrate, Table("corners.csv", change(table)), cases.BOARD, START)
 
 
 ONE_DISTANCE = np.tile([0.0, 0.0, 3.1, 14, 9, 300], (4, 1)) + [[0, 0, 0, shift, shift, 0] for shift in range(4)]
@@ -251,8 +250,7 @@ OTHER_LATTICE = r"shifts its odd rows by half a pitch, other than the camera's m
     ],
 )  # fmt: skip
 def test_other_boards_and_cameras_are_refused(table, centres, board, start, words):
-    with pytest.raises(InputError, match=words):
-        calibrate(table, board, start, centres)
+    refuses(words, calibrate, table, board, start, centres)
 
 
 def test_the_scale_is_that_of_the_squares(table, centres, found):
@@ -264,12 +262,10 @@ def test_the_scale_is_that_of_the_squares(table, centres, found):
 
 
 def test_a_lattice_that_is_not_the_cameras_is_refused(table):
-    with pytest.raises(InputError, match=OTHER_LATTICE):
-        calibrate(table, cases.BOARD, SQUARE)
+    refuses(OTHER_LATTICE, calibrate, table, cases.BOARD, SQUARE)
     k, l = (index.ravel() for index in np.mgrid[0:60, 0:50])  # noqa: E741
     straight = Table("centres.csv", {"k": k, "l": l, "u": 30.0 + 23.3 * k, "v": 30.0 + 23.3 * l})
-    with pytest.raises(InputError, match="does not shift its odd rows"):
-        calibrate(table, cases.BOARD, START, straight)
+    refuses("does not shift its odd rows", calibrate, table, cases.BOARD, START, straight)
 
 
 def some(table, part):
@@ -303,16 +299,14 @@ def test_corners_that_leave_predictions_open_are_refused():
         calibrate(bent_frames(table, 4.0), cases.BOARD, START)
 
 
-def test_the_command_names_what_corners_leave_open(tmp_path, capsys):
+def test_the_command_names_what_corners_leave_open(tmp_path, run):
     table = cases.corners(0.5)[0]
     few = some(table.keep(table["frame"] < 13), 0.15)
     path, start, output = (tmp_path / name for name in ("corners.csv", "start.json", "camera.json"))
     rows = np.column_stack(list(few.columns.values()))
     np.savetxt(path, rows, delimiter=",", header=",".join(few.columns), comments="")
     start.write_text(START.to_json())
-    given = ["--board", "6x4", "--square", "6", "--camera", str(start), "-o", str(output)]
-    assert main(["calibrate", str(path), *given]) == 0
-    printed = capsys.readouterr().out
+    printed = run("calibrate", path, "--board", "6x4", "--square", "6", "--camera", start, "-o", output)
     assert "leave the focal length open; with +" in printed and "go mla_distance +" in printed
     assert "boards in other poses are predicted to 0." in printed
     record = json.loads(output.read_text())["calibration"]
@@ -346,32 +340,26 @@ def test_corners_alone_tell_where_micro_images_are(table, found):
         ("k,l,u,v,cluster,frame\n1,1,x,1,1,1\n", "no table of numbers"),
     ],
 )
-def test_bad_tables_get_one_line(tmp_path, capsys, text, words):
+def test_bad_tables_get_one_line(tmp_path, complaint, text, words):
     path, output = tmp_path / "corners.csv", tmp_path / "camera.json"
     path.write_text(text)
-    arguments = ["calibrate", str(path), "--board", "6x4", "--square", "6", "--camera", "raytrix", "-o", str(output)]
-    assert main(arguments) == 2
-    message = capsys.readouterr().err
-    assert message.count("\n") == 1
-    assert words in message
+    given = ["--board", "6x4", "--square", "6", "--camera", "raytrix", "-o", output]
+    assert words in complaint("calibrate", path, *given)
     assert not output.exists()
 
 
 @pytest.mark.parametrize("board", ["9", "x5", "9x1", "9x5x3"])
 def test_bad_boards(board):
-    with pytest.raises(InputError, match="board"):
-        Board.parse(board, 10.0)
+    refuses("board", Board.parse, board, 10.0)
 
 
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
-def test_a_real_camera(tmp_path, capsys):
-    output = tmp_path / "camera.json"
+def test_a_real_camera(tmp_path, run):
+    output, corners = tmp_path / "camera.json", cases.REAL / "corners.csv"
     board = ["--board", "9x5", "--square", "10"]
-    corners = str(cases.REAL / "corners.csv")
-    given = ["--camera", "raytrix", "--centres", str(cases.REAL / "centres.csv"), "-o", str(output)]
-    assert main(["calibrate", corners, *board, *given]) == 0
-    assert main(["calibrate", "--evaluate", corners, "--camera", str(output), *board]) == 0
-    *_, last = capsys.readouterr().out.splitlines()
+    centres = ["--centres", cases.REAL / "centres.csv"]
+    run("calibrate", corners, *board, "--camera", "raytrix", *centres, "-o", output)
+    *_, last = run("calibrate", "--evaluate", corners, "--camera", output, *board).splitlines()
     error, rest = last.removeprefix("reprojection error ").split(" ", 1)
     assert rest == "px over 12433 observations of 11 poses"
     assert float(error) <= 0.965
@@ -380,7 +368,7 @@ def test_a_real_camera(tmp_path, capsys):
 @pytest.mark.slow
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
 @pytest.mark.parametrize("part", [0.005, 0.05])
-def test_a_real_camera_in_spite_of_gross_errors(part, tmp_path, capsys):
+def test_a_real_camera_in_spite_of_gross_errors(part, tmp_path, run):
     header, *lines = (cases.REAL / "corners.csv").read_text().splitlines()
     names, generator = header.split(","), np.random.default_rng(0)
     rows = [line.split(",") for line in lines if line]
@@ -392,16 +380,15 @@ def test_a_real_camera_in_spite_of_gross_errors(part, tmp_path, capsys):
     spoiled, output, report = tmp_path / "corners.csv", tmp_path / "camera.json", tmp_path / "report.html"
     spoiled.write_text("\n".join([header, *map(",".join, rows)]) + "\n")
     board = ["--board", "9x5", "--square", "10"]
-    given = ["--camera", "raytrix", "--centres", str(cases.REAL / "centres.csv"), "-o", str(output)]
-    assert main(["calibrate", str(spoiled), *board, *given, "--report", str(report)]) == 0
+    given = ["--camera", "raytrix", "--centres", cases.REAL / "centres.csv", "-o", output, "--report", report]
+    printed = run("calibrate", spoiled, *board, *given)
     named = set(json.loads(output.read_text())["calibration"]["outlier_rows"])
     assert len(set(bad + 2) - named) <= 2
-    printed = capsys.readouterr().out
     assert f"{len(named)} outliers, in lines" in printed
     assert f"{len(named)} outliers, in lines" in report.read_text()
     # The camera is judged by the data as they were measured.
-    assert main(["calibrate", "--evaluate", str(cases.REAL / "corners.csv"), "--camera", str(output), *board]) == 0
-    error = capsys.readouterr().out.splitlines()[-1].removeprefix("reprojection error ").split(" ", 1)[0]
+    judged = run("calibrate", "--evaluate", cases.REAL / "corners.csv", "--camera", output, *board)
+    error = judged.splitlines()[-1].removeprefix("reprojection error ").split(" ", 1)[0]
     assert float(error) <= 0.965
 
 
@@ -424,13 +411,12 @@ def test_corners_of_a_real_camera_alone_predict_poses_that_are_left_out():
 
 @pytest.mark.slow
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
-def test_the_camera_of_the_manual_starts_a_real_one(tmp_path, capsys):
+def test_the_camera_of_the_manual_starts_a_real_one(tmp_path, run):
     text = (Path(__file__).parents[3] / "docs" / "guides" / "calibration.md").read_text()
     camera, output = tmp_path / "start.json", tmp_path / "camera.json"
     camera.write_text(text.split("```json\n")[1].split("```")[0])
-    given = ["--centres", str(cases.REAL / "centres.csv"), "--board", "9x5", "--square", "10", "--camera", str(camera)]
-    assert main(["calibrate", str(cases.REAL / "corners.csv"), *given, "-o", str(output)]) == 0
-    assert "reprojection error 0.96" in capsys.readouterr().out
+    given = ["--centres", cases.REAL / "centres.csv", "--board", "9x5", "--square", "10", "--camera", camera]
+    assert "reprojection error 0.96" in run("calibrate", cases.REAL / "corners.csv", *given, "-o", output)
 
 
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")

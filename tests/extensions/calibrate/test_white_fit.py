@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import scipy.ndimage
 from PIL import Image
+from refusals import refuses
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
+from mitsuba_plenoptic import PlenopticCamera, render_capture
 from mitsuba_plenoptic.calibration import fit_white
 from mitsuba_plenoptic.camera.camera_files import camera_and_record
 from mitsuba_plenoptic.camera.lens_transmissions import LensTransmissions
@@ -139,8 +140,7 @@ def scene_like(light):
     ],
 )
 def test_wrong_pictures_are_refused(white, dark, camera, words):
-    with pytest.raises(InputError, match=words):
-        fit_white(white, camera, dark=dark, wavelength=None)
+    refuses(words, fit_white, white, camera, dark=dark, wavelength=None)
 
 
 def test_eight_bits_mirrored_pictures_and_dust_are_fitted():

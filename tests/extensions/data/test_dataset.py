@@ -8,6 +8,8 @@ import subprocess
 import sys
 import time
 import weakref
+from importlib.metadata import version
+from pathlib import Path
 
 import h5py
 import mitsuba as mi
@@ -15,6 +17,7 @@ import numpy as np
 import pytest
 import yaml
 from dataset_cases import SMALL, small
+from refusals import refuses
 from stopped_runs import start_command
 
 import mitsuba_plenoptic as mp
@@ -103,11 +106,9 @@ def test_another_recipe_is_refused_with_the_difference(made, tmp_path):
         ({"seed": 4}, "it holds other samples: recipe.seed = 3 there, 4 here; choose another folder"),
         ({"count": 4}, r"count = 4: .* holds 5 samples; it may only grow"),
     ):
-        with pytest.raises(InputError, match=message):
-            make_dataset(parse_recipe(small(**changes)), made)
+        refuses(message, make_dataset, parse_recipe(small(**changes)), made)
     (tmp_path / "mine.txt").write_text("mine")
-    with pytest.raises(InputError, match="it holds something else"):
-        make_dataset(parse_recipe(small()), tmp_path)
+    refuses("it holds something else", make_dataset, parse_recipe(small()), tmp_path)
 
 
 def flipped(path, index, array):
@@ -140,15 +141,14 @@ def test_a_rerun_makes_shards_again_that_are_not_there_or_cut_off(made, tmp_path
     assert files(folder) == files(made)
 
 
-def test_other_software_does_not_continue_a_data_set(made, tmp_path, capsys):
+def test_other_software_does_not_continue_a_data_set(made, tmp_path, complaint):
     recipe, folder = tmp_path / "recipe.yaml", shutil.copytree(made, tmp_path / "old")
     recipe.write_text(yaml.safe_dump(small()))
     manifest = json.loads((folder / "dataset.json").read_text())
     manifest["software"]["mitsuba_plenoptic"] = "ba0617f68a4b6c45"
     (folder / "dataset.json").write_text(json.dumps(manifest))
     before = files(folder)
-    assert main(["dataset", str(recipe), "-o", str(folder)]) == 2
-    said = capsys.readouterr().err
+    said = complaint("dataset", recipe, "-o", folder)
     assert "old: it holds other samples: software.mitsuba_plenoptic = ba0617f68a4b6c45 there" in said
     assert files(folder) == before
 
@@ -167,21 +167,18 @@ def test_a_run_goes_on_after_a_lock_that_nobody_holds(made, tmp_path):
     assert files(folder) == files(made)
 
 
-def test_a_second_process_in_the_folder_is_refused(made, tmp_path, capsys):
+def test_a_second_process_in_the_folder_is_refused(made, tmp_path, complaint):
     recipe, folder = tmp_path / "recipe.yaml", tmp_path / "data"
     recipe.write_text(yaml.safe_dump(small()))
     found = []
 
     def meanwhile(tasks):
         # The lock is that of an opened file, so that it keeps this process out as it does others.
-        found.append(main(["dataset", str(recipe), "-o", str(folder)]))
+        found.append(complaint("dataset", recipe, "-o", folder))
         return (task.prepare()() for task in tasks)
 
     make_dataset(parse_recipe(small()), folder, batch_map=meanwhile)
-    assert found == [2]
-    assert capsys.readouterr().err.splitlines() == [
-        f"mitsuba-plenoptic: error: {folder}: another process is making this data set; wait until it has ended"
-    ]
+    assert found == [f"{folder}: another process is making this data set; wait until it has ended"]
     assert files(folder) == files(made)
 
 
@@ -276,3 +273,30 @@ def test_a_full_disk_leaves_finished_shards_and_a_rerun_goes_on(tmp_path):
     assert main(["dataset", str(recipe), "-o", str(folder)]) == 0
     assert [sample.index for sample in DataSet(folder)] == [0, 1, 2, 3, 4]
     assert (folder / "shards" / shards[0]).read_bytes() == first
+
+
+OLD = Path(__file__).parents[2] / "files_of_1_0"
+VERSION = version("mitsuba-plenoptic")
+
+
+def test_a_data_set_is_read_and_not_mixed_with_this_version(tmp_path, caplog):
+    caplog.set_level("INFO", "mitsuba_plenoptic")
+    folder = tmp_path / "data"
+    shutil.copytree(OLD / "data", folder)
+    made = DataSet(folder)
+    assert [record.getMessage().partition(": ")[::2] for record in caplog.records] == [
+        (
+            str(folder),
+            "a data set of version 1.0 or earlier: the lens_model of its wave captures is read as parabolic, unless "
+            "they have a main_lens or lenses of fewer than 20 wavelengths",
+        )
+    ]
+    assert made[0].camera == made[0].capture("ray").camera and made[0].camera.lens_model == "ideal"
+    assert made[0].capture("wave").camera == made[0].camera.replace(lens_model="parabolic")
+    recipe = parse_recipe(made.manifest["recipe"] | {"count": 2})
+    refuses(f"it holds other samples: version = nothing there, {VERSION} here", make_dataset, recipe, folder)
+
+
+def test_a_data_set_states_the_version(tmp_path):
+    made = make_dataset(parse_recipe(yaml.safe_load((OLD / "recipe.yaml").read_text())), tmp_path / "data")
+    assert made.manifest["version"] == made[0].facts["version"] == VERSION

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import yaml
 from dataset_cases import small
-from foreign_files import large
+from foreign_files import LARGE, large
+from refusals import refused, refuses
 from scipy import stats
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, design
@@ -121,8 +122,7 @@ def test_recipes_are_yaml_or_json_and_nothing_else(tmp_path):
         ("#" * 70000, "70000 bytes: it may have at most 65536"),
     ):
         path.write_text(text)
-        with pytest.raises(InputError, match=message):
-            read_recipe(path)
+        refuses(message, read_recipe, path)
 
 
 def test_the_recipe_in_the_documentation_is_one():
@@ -144,9 +144,7 @@ def test_a_recipe_draws_the_numbers_of_a_data_sheet(tmp_path):
     assert all(camera.micro_image_pitch == pytest.approx(0.05) for camera in cameras)
 
 
-@pytest.mark.parametrize(
-    ("name", "read"), [("recipe.yaml", read_recipe), ("dataset.json", lambda path: DataSet(path.parent))]
+test_the_size_of_a_file_is_judged_before_it_is_read = refused(
+    (lambda folder: read_recipe(large(folder / "recipe.yaml")), rf"recipe.yaml: {LARGE}"),
+    (lambda folder: DataSet(large(folder / "dataset.json").parent), rf"dataset.json: {LARGE}"),
 )
-def test_the_size_of_a_file_is_judged_before_it_is_read(tmp_path, name, read):
-    with pytest.raises(InputError, match=rf"{name}: 3221225472 bytes: it may have at most \d+"):
-        read(large(tmp_path / name))

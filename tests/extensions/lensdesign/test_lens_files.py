@@ -1,10 +1,12 @@
 """Lens files of other programs, and our own: read rightly, or refused by file, line and rule."""
 
 import json
+import re
 import sys
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, read_prescription
 from mitsuba_plenoptic.prescription import Glass, bundled_prescription, paraxial
@@ -139,88 +141,79 @@ def test_forms_of_glass_and_curvature(tmp_path):
     assert read(tmp_path, aperture).surfaces[1].semi_aperture == 8
 
 
-@pytest.mark.parametrize(
-    "old, new, message",
-    [
-        ("UNIT MM", "UNIT FT", "line 4: 'UNIT FT X W X CM MR CPMM': the unit must be one of MM, CM, IN, METER"),
-        ("UNIT MM X W X CM MR CPMM\n", "", "UNIT is missing: the unit of its lengths is not known"),
-        ("MODE SEQ", "MODE NSC", "line 2: 'MODE NSC': only sequential lenses are read"),
-        ("ENVD 2.0E+1 1 0", "ENVD 2.0E+1 0 1", "indices are those at 20 degrees and 1 atmosphere"),
-        ("PWAV 2", "PWAV 3", "wavelength 3, the primary one by PWAV, is missing"),
-        ("0.5875618", "587.5618", "wavelength = 587562: it must be from 200 to 2500 nm"),
-        (
-            "TYPE EVENASPH",
-            "TYPE COORDBRK",
-            "'TYPE COORDBRK': only surfaces of the types STANDARD and EVENASPH are read",
-        ),
-        ("TYPE EVENASPH", "TYPE PARAXIAL", "line 20: 'TYPE PARAXIAL': only surfaces of the types"),
-        ("TYPE EVENASPH", "TYPE DGRATING", "line 20: 'TYPE DGRATING': only surfaces of the types"),
-        ("PARM 1 0", "PARM 1 1e-4", "there must be no term of the second power"),
-        ("PARM 3 ", "PARM 9 ", "an even asphere has the parameters 1 to 8"),
-        ("DIAM 9 1", "CLAP 3 8 0\n  DIAM 9 1", "'CLAP 3 8 0': obscurations are not read"),
-        ("DIAM 9 1", "OBSC 0 3 0\n  DIAM 9 1", "OBSC is not understood, and leaving it out could change the lens"),
-        ("DIAM 9 1", "SQAP 8 8 0\n  DIAM 9 1", "SQAP is not understood"),
-        ("DIAM 9 1", "CLAP 0 8 0\n  OBDC 0 1\n  DIAM 9 1", "'OBDC 0 1': decentred apertures are not read"),
-        ("DIAM 9 1", "DIAM 0 1", "surface 2 has no semi-aperture"),
-        ("GLAS ___BLANK 1", "GLAS MIRROR 0", "mirrors are not read"),
-        ("GLAS ___BLANK 1", "GLAS ___BLANK 4", "only fixed, substitute, picked up and model glasses are read"),
-        ("64.17 0 0", "64.17 0.01 0", "a model glass's deviation of the partial dispersion must be 0"),
-        ("DISZ 5", "DISZ INFINITY", "line 26: 'DISZ INFINITY': value 1 must be a number"),
-        ("DISZ 5", "DISZ -5", "surface 1: thickness = -5"),
-        ("DISZ 5", "DISZ 0.005", "surfaces 1 and 2 cross"),
-        ("DISZ 5", "DISZ 5,0", "value 1 must be a number"),
-        ("  STOP\n", "", "0 surfaces have stop: true"),
-        ("MNUM 1 1", "MNUM 2 1", "'MNUM 2 1': only files of one configuration are read"),
-        ("CURV 0.0\n  DISZ 0", "CURV 0.1\n  DISZ 0", "surface 3, the image, is curved"),
-        ("DISZ 60", "DISZ 60\n  GLAS ___BLANK 1 0 1.5 50", "air must follow the last surface"),
-        ("DISZ INFINITY", "DISZ INFINITY\n  GLAS ___BLANK 1 0 1.5 50", "air must precede the first surface"),
-        ("SURF 2", "SURF 3", "surfaces must be numbered from 0"),
-        ("CONI -0.5", "CONI -0.5\n  CURV 0.03", "'CURV 0.03': CURV is given twice"),
-        ("PARM 3 ", "PARM 2 ", "PARM 2 is given twice"),
-        ("  DIAM 5\n", "  DIAM 5\n  XYZW 1\n", "'XYZW 1': XYZW is not understood"),
-    ],
-)
-def test_what_a_zemax_file_may_not_hold(tmp_path, old, new, message):
-    assert ZEMAX.count(old) >= 1
-    with pytest.raises(InputError, match=r"^[^\n]*lens\.zmx[^\n]*$") as refused:
-        read(tmp_path, ZEMAX.replace(old, new, 1))
-    assert message in str(refused.value)
+OF_ZEMAX = [
+    ("UNIT MM", "UNIT FT", "line 4: 'UNIT FT X W X CM MR CPMM': the unit must be one of MM, CM, IN, METER"),
+    ("UNIT MM X W X CM MR CPMM\n", "", "UNIT is missing: the unit of its lengths is not known"),
+    ("MODE SEQ", "MODE NSC", "line 2: 'MODE NSC': only sequential lenses are read"),
+    ("ENVD 2.0E+1 1 0", "ENVD 2.0E+1 0 1", "indices are those at 20 degrees and 1 atmosphere"),
+    ("PWAV 2", "PWAV 3", "wavelength 3, the primary one by PWAV, is missing"),
+    ("0.5875618", "587.5618", "wavelength = 587562: it must be from 200 to 2500 nm"),
+    (
+        "TYPE EVENASPH",
+        "TYPE COORDBRK",
+        "'TYPE COORDBRK': only surfaces of the types STANDARD and EVENASPH are read",
+    ),
+    ("TYPE EVENASPH", "TYPE PARAXIAL", "line 20: 'TYPE PARAXIAL': only surfaces of the types"),
+    ("TYPE EVENASPH", "TYPE DGRATING", "line 20: 'TYPE DGRATING': only surfaces of the types"),
+    ("PARM 1 0", "PARM 1 1e-4", "there must be no term of the second power"),
+    ("PARM 3 ", "PARM 9 ", "an even asphere has the parameters 1 to 8"),
+    ("DIAM 9 1", "CLAP 3 8 0\n  DIAM 9 1", "'CLAP 3 8 0': obscurations are not read"),
+    ("DIAM 9 1", "OBSC 0 3 0\n  DIAM 9 1", "OBSC is not understood, and leaving it out could change the lens"),
+    ("DIAM 9 1", "SQAP 8 8 0\n  DIAM 9 1", "SQAP is not understood"),
+    ("DIAM 9 1", "CLAP 0 8 0\n  OBDC 0 1\n  DIAM 9 1", "'OBDC 0 1': decentred apertures are not read"),
+    ("DIAM 9 1", "DIAM 0 1", "surface 2 has no semi-aperture"),
+    ("GLAS ___BLANK 1", "GLAS MIRROR 0", "mirrors are not read"),
+    ("GLAS ___BLANK 1", "GLAS ___BLANK 4", "only fixed, substitute, picked up and model glasses are read"),
+    ("64.17 0 0", "64.17 0.01 0", "a model glass's deviation of the partial dispersion must be 0"),
+    ("DISZ 5", "DISZ INFINITY", "line 26: 'DISZ INFINITY': value 1 must be a number"),
+    ("DISZ 5", "DISZ -5", "surface 1: thickness = -5"),
+    ("DISZ 5", "DISZ 0.005", "surfaces 1 and 2 cross"),
+    ("DISZ 5", "DISZ 5,0", "value 1 must be a number"),
+    ("  STOP\n", "", "0 surfaces have stop: true"),
+    ("MNUM 1 1", "MNUM 2 1", "'MNUM 2 1': only files of one configuration are read"),
+    ("CURV 0.0\n  DISZ 0", "CURV 0.1\n  DISZ 0", "surface 3, the image, is curved"),
+    ("DISZ 60", "DISZ 60\n  GLAS ___BLANK 1 0 1.5 50", "air must follow the last surface"),
+    ("DISZ INFINITY", "DISZ INFINITY\n  GLAS ___BLANK 1 0 1.5 50", "air must precede the first surface"),
+    ("SURF 2", "SURF 3", "surfaces must be numbered from 0"),
+    ("CONI -0.5", "CONI -0.5\n  CURV 0.03", "'CURV 0.03': CURV is given twice"),
+    ("PARM 3 ", "PARM 2 ", "PARM 2 is given twice"),
+    ("  DIAM 5\n", "  DIAM 5\n  XYZW 1\n", "'XYZW 1': XYZW is not understood"),
+]
+OF_CODEV = [
+    ("RDM;", "", "RDM must precede it: whether radii or curvatures are written is not known"),
+    ("DIM M\n", "DIM M\nDIM I\n", "line 5: 'DIM I': DIM is given twice"),
+    ("DIM M\n", "", "DIM is missing: the unit of its lengths is not known"),
+    ("DIM M", "DIM F", "line 4: 'DIM F': the unit must be M (millimetres), C (centimetres) or I (inches)"),
+    ("REF 1", "", "the primary wavelength is missing"),
+    ("WL 587.5618", "WL 0.5876", "wavelength = 0.5876: it must be from 200 to 2500 nm; it looks like micrometres"),
+    ("CCY 0", "XDE 1", "'XDE 1': decentred and tilted surfaces are not read"),
+    ("CCY 0", "ADE 45", "'ADE 45': decentred and tilted surfaces are not read"),
+    ("CCY 0", "ADY 2", "'ADY 2': decentred and tilted surfaces are not read"),
+    ("CCY 0", "MFL 50", "'MFL 50': MFL is not understood"),
+    ("CCY 0", "DIF GRT", "'DIF GRT': DIF is not understood"),
+    ("CCY 0", "CUY UMY -0.25", "CUY is not understood"),
+    ("CCY 0", "CIR OBS 3", "obscurations and holes are not read"),
+    ("CCY 0", "REX 3", "REX is not understood"),
+    ("K -0.5\n", "K -0.5 A 1E-6\n", "it must be one number; semicolons separate commands"),
+    ("CCY 0", "CIR 9", "'CIR 9': CIR is given twice"),
+    ("CCY 0", "PIM", "only the last thickness, up to the image, may be found by a solve"),
+    ("CCY 0", "ZOO 3", "ZOO is not understood"),
+    ("CCY 0", "TEM 60", "indices are those at 20 to 25 degrees"),
+    ("516800.641700", "REFL", "line 10: 'S 50.0 5.0 REFL': mirrors are not read"),
+    ("STO; ", "", "0 surfaces have stop: true"),
+    ("CIR 9.0", "", "surface 2 has no semi-aperture"),
+    ("SI 0.0", "SI -20.0", "the image is curved"),
+    ("SI 0.0 0.0\n", "", "there must be SO, the lens's surfaces and SI"),
+]
 
 
 @pytest.mark.parametrize(
-    "old, new, message",
-    [
-        ("RDM;", "", "RDM must precede it: whether radii or curvatures are written is not known"),
-        ("DIM M\n", "DIM M\nDIM I\n", "line 5: 'DIM I': DIM is given twice"),
-        ("DIM M\n", "", "DIM is missing: the unit of its lengths is not known"),
-        ("DIM M", "DIM F", "line 4: 'DIM F': the unit must be M (millimetres), C (centimetres) or I (inches)"),
-        ("REF 1", "", "the primary wavelength is missing"),
-        ("WL 587.5618", "WL 0.5876", "wavelength = 0.5876: it must be from 200 to 2500 nm; it looks like micrometres"),
-        ("CCY 0", "XDE 1", "'XDE 1': decentred and tilted surfaces are not read"),
-        ("CCY 0", "ADE 45", "'ADE 45': decentred and tilted surfaces are not read"),
-        ("CCY 0", "ADY 2", "'ADY 2': decentred and tilted surfaces are not read"),
-        ("CCY 0", "MFL 50", "'MFL 50': MFL is not understood"),
-        ("CCY 0", "DIF GRT", "'DIF GRT': DIF is not understood"),
-        ("CCY 0", "CUY UMY -0.25", "CUY is not understood"),
-        ("CCY 0", "CIR OBS 3", "obscurations and holes are not read"),
-        ("CCY 0", "REX 3", "REX is not understood"),
-        ("K -0.5\n", "K -0.5 A 1E-6\n", "it must be one number; semicolons separate commands"),
-        ("CCY 0", "CIR 9", "'CIR 9': CIR is given twice"),
-        ("CCY 0", "PIM", "only the last thickness, up to the image, may be found by a solve"),
-        ("CCY 0", "ZOO 3", "ZOO is not understood"),
-        ("CCY 0", "TEM 60", "indices are those at 20 to 25 degrees"),
-        ("516800.641700", "REFL", "line 10: 'S 50.0 5.0 REFL': mirrors are not read"),
-        ("STO; ", "", "0 surfaces have stop: true"),
-        ("CIR 9.0", "", "surface 2 has no semi-aperture"),
-        ("SI 0.0", "SI -20.0", "the image is curved"),
-        ("SI 0.0 0.0\n", "", "there must be SO, the lens's surfaces and SI"),
-    ],
+    "name, text, old, new, message",
+    [*(("lens.zmx", ZEMAX, *row) for row in OF_ZEMAX), *(("lens.seq", CODEV, *row) for row in OF_CODEV)],
 )
-def test_what_a_codev_file_may_not_hold(tmp_path, old, new, message):
-    assert CODEV.count(old) >= 1
-    with pytest.raises(InputError, match=r"^[^\n]*lens\.seq[^\n]*$") as refused:
-        read(tmp_path, CODEV.replace(old, new, 1), "lens.seq")
-    assert message in str(refused.value)
+def test_what_a_file_may_not_hold(tmp_path, name, text, old, new, message):
+    assert text.count(old) >= 1
+    refuses(rf"{name}.*{re.escape(message)}", read, tmp_path, text.replace(old, new, 1), name)
 
 
 # Of CODE V's codes Optiland drops all digits but three; and it takes the term A for that of the second power.
@@ -254,11 +247,9 @@ def test_glasses_of_catalogues_by_just_their_names(tmp_path):
         ("CaF2", "give another, as there is CaF2:"),
         ("schott:S-LAH53", "no such catalogue has a glass of just that name; give another, as there is ohara:S-LAH53"),
     ]:
-        with pytest.raises(InputError, match=message):
-            Glass.from_plain(name)
+        refuses(message, Glass.from_plain, name)
     # Beyond its data a glass has no index, rather than one of the formula.
-    with pytest.raises(InputError, match="its table goes from 400 to 700 nm"):
-        Glass.from_plain("hikari:F2").at(850)
+    refuses("its table goes from 400 to 700 nm", Glass.from_plain("hikari:F2").at, 850)
     named = ZEMAX.replace("GLAS ___BLANK 1 0 1.5168 64.17", "GLAS {} 0 0 1.5 40")
     assert read(tmp_path, named.format("F2")).surfaces[0].glass.at(587.5618) == pytest.approx(1.62004, abs=1e-5)
     with pytest.raises(InputError, match=r"lens\.zmx, line 27: glass = 'UNOBTAINIUM': SCHOTT: no such catalogue"):
@@ -291,8 +282,7 @@ def test_own_files_hold_numbers_as_json_writes_them(tmp_path, monkeypatch, name)
     lens = read_prescription(name)
     assert PlenopticCamera(main_lens=name).main_lens == PlenopticCamera(main_lens=tmp_path / name).main_lens == lens
     for none in ("none.yaml", "x" * 5000, "a\0b"):
-        with pytest.raises(InputError, match="there is no such file, and the bundled lenses are"):
-            PlenopticCamera(main_lens=none)
+        refuses("there is no such file, and the bundled lenses are", PlenopticCamera, main_lens=none)
     # What else lies about does not hide a bundled lens.
     (tmp_path / "tessar").mkdir()
     assert PlenopticCamera(main_lens="tessar").main_lens.name == "Tessar"
@@ -391,8 +381,7 @@ def test_picked_up_model_glasses_dummy_planes_and_newer_keywords_of_zemax(tmp_pa
     expected = thin_rows([(0.02, 5, 1.62), (-0.02, 7, 1), (0.0125, 5, 1.62), (-0.0125, 0, 1)])
     assert paraxial(lens, 587.5618).focal_length == pytest.approx(expected, rel=1e-6)
     rows[4] = (0.0125, 5.0, picked.replace("2 2", "2 6"), open_)
-    with pytest.raises(InputError, match="picked up from surface 6, which must be an earlier one with a glass"):
-        read(tmp_path, zemax_of(rows))
+    refuses("picked up from surface 6, which must be an earlier one with a glass", read, tmp_path, zemax_of(rows))
 
 
 def test_apertures_of_neighbours_and_unused_private_glasses_of_codev(tmp_path):
@@ -405,15 +394,4 @@ def test_apertures_of_neighbours_and_unused_private_glasses_of_codev(tmp_path):
     assert [surface.semi_aperture for surface in lens.surfaces] == [10.0, 11.0, 11.0]
     expected = thin_rows([(1 / 50, 5, 1.5168), (-1 / 40, 3, 1.62), (-1 / 100, 0, 1)])
     assert paraxial(lens, 587.5618).focal_length == pytest.approx(expected, rel=1e-4)
-    with pytest.raises(InputError, match="a glass of PRV is not read"):
-        read(tmp_path, text.replace("620000.364000", "'NOA61'"), "lens.seq")
-
-
-def test_a_zemax_file_without_semi_diameters_or_reader_is_refused(tmp_path):
-    lens = bundled_prescription("double_gauss")
-    text = zemax_text(lens, [surface.glass and surface.glass.name for surface in lens.surfaces])
-    (tmp_path / "lens.zmx").write_text("\n".join(line for line in text.splitlines() if "DIAM" not in line))
-    with pytest.raises(
-        InputError, match=r"lens\.zmx(, line \d+: glass = .*: glasses by name need|: surface 1 has no semi-aperture)"
-    ):
-        read_prescription(tmp_path / "lens.zmx")
+    refuses("a glass of PRV is not read", read, tmp_path, text.replace("620000.364000", "'NOA61'"), "lens.seq")

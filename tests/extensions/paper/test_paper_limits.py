@@ -15,6 +15,7 @@ from mitsuba_plenoptic.extensions.paper.paper_limits import (
     pixels_against_range,
     run_plain_sums,
 )
+from mitsuba_plenoptic.extensions.paper.procedures import back_path, light_path, micro_image
 from mitsuba_plenoptic.refocus.projection import pupil_radius, ray_sums
 
 PAPER, WAVELENGTH = PlenopticCamera(), 633.0
@@ -95,3 +96,19 @@ def test_pixels_against_range(ranges, verdict):
     assert [each.range for each in cameras] == pytest.approx(ranges)
     assert pixels_against_range(cameras).verdict == verdict
     assert "infinity" in pixels_against_range([FocusedCamera(PAPER, 3.0, 500.0, 200.0, math.inf)]).measured
+
+
+@pytest.mark.parametrize("distance", [210.0, 240.0, 280.0])
+def test_rays_of_a_point_meet_in_its_image(distance):
+    pupil = np.linspace(-5, 5, 7)
+    (_, lens, array) = np.moveaxis(light_path(PAPER, (2.0, distance), pupil), 1, 0)
+    image = 1 / (1 / PAPER.focal_length - 1 / distance)
+    slopes = (array[:, 1] - lens[:, 1]) / PAPER.mla_distance
+    assert lens[:, 1] + slopes * image == pytest.approx(np.full(7, -2.0 * image / distance))
+
+
+def test_the_way_back_leads_through_the_pupil_to_the_plane_in_focus():
+    pixels = micro_image(PAPER, 3 * PAPER.mla_pitch)
+    _, _, pupil, plane = np.moveaxis(back_path(PAPER, 3 * PAPER.mla_pitch, pixels, 240.0), 1, 0)
+    assert np.abs(pupil[:, 1]).max() == pytest.approx(PAPER.aperture_radius)
+    assert plane[:, 1] == pytest.approx(np.full(7, -3 * PAPER.mla_pitch * 2))

@@ -9,14 +9,7 @@ import pytest
 from cameras import letters
 from stopped_runs import StoppedError, stopped_before
 
-from mitsuba_plenoptic import (
-    InputError,
-    load_scene,
-    read_capture,
-    render_capture,
-    scene_path,
-    with_camera,
-)
+from mitsuba_plenoptic import InputError, load_scene, read_capture, render_capture, scene_path, with_camera
 from mitsuba_plenoptic.capture_spec import scene_fingerprint
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.paper import reproduction as reproductions
@@ -55,17 +48,8 @@ def test_reproduce_writes_everything_and_then_keeps_it(
     assert "capture wave " in told.err and "partial 280 " in told.err and "reused" not in told.err
     assert "by construction Reconstructions by rays and by waves have the same number of pixels." in told.out
     assert told.out.rstrip().endswith("report.html: open it in a browser")
-    figures = {
-        "first.png",
-        "fig1.png",
-        "fig2.png",
-        "fig3.png",
-        "fig4.png",
-        "methods.png",
-        "interference.png",
-        "captures.png",
-    }
-    figures |= {name.replace(".png", ".pdf") for name in figures}
+    names = "first fig1 fig2 fig3 fig4 methods interference captures"
+    figures = {f"{name}.{suffix}" for name in names.split() for suffix in ("png", "pdf")}
     assert {path.name for path in tmp_path.iterdir()} == figures | {"data", "results.json", "report.html"}
     ray = read_capture(tmp_path / "data" / "capture_ray.exr")
     # All captures have the paper's lenses.
@@ -238,10 +222,9 @@ def test_processor_seconds(tiny):
 
 
 @pytest.mark.slow
-def test_a_camera_of_few_lenses_is_compared(tmp_path, capsys):
+def test_a_camera_of_few_lenses_is_compared(tmp_path, run):
     words = ["--distance", "240", "--spp", "2", "-D", "resolution=64", "-D", "detector_width=0.256"]
-    assert main(["compare", "letters", "-o", str(tmp_path / "few"), *words]) == 0
-    assert "SSIM" in capsys.readouterr().out
+    assert "SSIM" in run("compare", "letters", "-o", tmp_path / "few", *words)
     numbers = json.loads((tmp_path / "few" / "results.json").read_text())
     assert all(row["ssim"] is None for row in numbers["reconstructions"])
     assert "not defined" in (tmp_path / "few" / "report.html").read_text()

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from refusals import refused
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import particles as pt
@@ -49,14 +50,6 @@ def test_steps_are_those_of_a_dense_matrix(method):
     assert_allclose(found.values.ravel(), x, rtol=1e-5, atol=1e-7)
     assert found.dims == ("z", "y", "x")
     assert_allclose(found["z"], [238.5, 243.5])
-
-
-@pytest.mark.parametrize("method", ["mart", "sirt"])
-def test_what_a_consistent_system_determines_is_found(method):
-    operator, light = dense_case()
-    image = operator.forward(light)
-    found = pt.reconstruct_volume(operator, image, GRID, method=method, iterations=6000)
-    assert_allclose(found.values.ravel(), light, atol=0.02)
 
 
 def test_steps_stop_and_go_on(tmp_path):
@@ -240,40 +233,28 @@ def test_least_squares_find_positions_and_light():
     assert_allclose(power, light, rtol=0.02)
 
 
-@pytest.mark.parametrize(
-    ("build", "line"),
-    [
-        (lambda: pt.VoxelGrid((0, 0, 1), (1, 1, 1), (2, 2, 2)), "the volume is empty"),
-        (lambda: pt.VoxelGrid((0, 0, 0), (1, 1, 1), (0, 2, 2)), "shape = 0: it must be at least 1"),
-        (lambda: pt.VoxelGrid((0, 0, 0), (1, 1, 1), (2.7, 2, 2)), "shape = 2.7: it must be a whole number"),
-        (
-            lambda: pt.RayProjector(CAMERA, GRID, wavelength=550, budget=1e-9),
-            "budget = 1e-09 GiB: the matrix takes more",
-        ),
-        (lambda: pt.RayProjector(CAMERA, NEAR, wavelength=550), "beyond its focus at 80 only"),
-        (lambda: pt.VoxelProjector(CAMERA, NEAR, wavelength=550), "beyond its focus at 80 only"),
-        (
-            lambda: pt.drawn_particles(GRID, np.zeros((1, 3)), np.ones(1), (0.1, 0.1, 1)),
-            "it must be half a voxel at least",
-        ),
-        (lambda: pt.drawn_particles(GRID, np.full((1, 3), np.nan), [1], (0.1, 0.1, 9)), r"positions of shape \(1, 3\)"),
-        (lambda: pt.drawn_particles(GRID, np.zeros((2, 3)), [1], (0.1, 0.1, 9)), r"weights of shape \(1,\): .* of 2"),
-        (lambda: pt.match_particles([[0, 0, np.inf]], [[0, 0, 1]], [[0, 0, 0]], (1, 1, 1)), "first of shape"),
-        (lambda: pt.quality(EMPTY, EMPTY[:3]), "volumes: they must be on the same voxels, but differ in z"),
-        (lambda: pt.quality(FAR, FAR.assign_coords(x=FAR["x"] + 9e-4)), "on the same voxels, but differ in x"),
-        (lambda: pt.quality(EMPTY + np.inf, EMPTY), "volumes: their voxels must be finite"),
-        (lambda: pt.reconstruct_volume(dense_case()[0], np.full((10, 6), np.nan), GRID), "its pixels must be finite"),
-        (lambda: pt.reconstruct_volume(dense_case()[0], np.zeros((10, 6)), GRID), "dark everywhere"),
-        (lambda: pt.reconstruct_volume(dense_case(7)[0], np.ones((10, 6)), GRID), "grid of 18 voxels: the operator's"),
-        (lambda: pt.reconstruct_volume(dense_case()[0], np.ones((10, 6)), GRID, method="art"), "one of mart, sirt"),
-        (lambda: pt.correlate_volumes(EMPTY, EMPTY, window=(4, 4, 4)), "first: the volume is empty"),
-        (lambda: pt.correlate_volumes(EMPTY, EMPTY, window=(9, 4, 4)), r"window = \(9, 4, 4\): the volumes have"),
-        (lambda: pt.locate_particles(EMPTY), "volume: it is empty"),
-    ],
+test_bad_volumes_are_refused_in_one_line = refused(
+    (lambda: pt.VoxelGrid((0, 0, 1), (1, 1, 1), (2, 2, 2)), "the volume is empty"),
+    (lambda: pt.VoxelGrid((0, 0, 0), (1, 1, 1), (0, 2, 2)), "shape = 0: it must be at least 1"),
+    (lambda: pt.VoxelGrid((0, 0, 0), (1, 1, 1), (2.7, 2, 2)), "shape = 2.7: it must be a whole number"),
+    (lambda: pt.RayProjector(CAMERA, GRID, wavelength=550, budget=1e-9), "budget = 1e-09 GiB: the matrix takes more"),
+    (lambda: pt.RayProjector(CAMERA, NEAR, wavelength=550), "beyond its focus at 80 only"),
+    (lambda: pt.VoxelProjector(CAMERA, NEAR, wavelength=550), "beyond its focus at 80 only"),
+    (lambda: pt.drawn_particles(GRID, np.zeros((1, 3)), np.ones(1), (0.1, 0.1, 1)), "it must be half a voxel at least"),
+    (lambda: pt.drawn_particles(GRID, np.full((1, 3), np.nan), [1], (0.1, 0.1, 9)), r"positions of shape \(1, 3\)"),
+    (lambda: pt.drawn_particles(GRID, np.zeros((2, 3)), [1], (0.1, 0.1, 9)), r"weights of shape \(1,\): .* of 2"),
+    (lambda: pt.match_particles([[0, 0, np.inf]], [[0, 0, 1]], [[0, 0, 0]], (1, 1, 1)), "first of shape"),
+    (lambda: pt.quality(EMPTY, EMPTY[:3]), "volumes: they must be on the same voxels, but differ in z"),
+    (lambda: pt.quality(FAR, FAR.assign_coords(x=FAR["x"] + 9e-4)), "on the same voxels, but differ in x"),
+    (lambda: pt.quality(EMPTY + np.inf, EMPTY), "volumes: their voxels must be finite"),
+    (lambda: pt.reconstruct_volume(dense_case()[0], np.full((10, 6), np.nan), GRID), "its pixels must be finite"),
+    (lambda: pt.reconstruct_volume(dense_case()[0], np.zeros((10, 6)), GRID), "dark everywhere"),
+    (lambda: pt.reconstruct_volume(dense_case(7)[0], np.ones((10, 6)), GRID), "grid of 18 voxels: the operator's"),
+    (lambda: pt.reconstruct_volume(dense_case()[0], np.ones((10, 6)), GRID, method="art"), "one of mart, sirt"),
+    (lambda: pt.correlate_volumes(EMPTY, EMPTY, window=(4, 4, 4)), "first: the volume is empty"),
+    (lambda: pt.correlate_volumes(EMPTY, EMPTY, window=(9, 4, 4)), r"window = \(9, 4, 4\): the volumes have"),
+    (lambda: pt.locate_particles(EMPTY), "volume: it is empty"),
 )
-def test_bad_volumes_are_refused_in_one_line(build, line):
-    with pytest.raises(mp.InputError, match=line):
-        build()
 
 
 NEAR = pt.VoxelGrid((0, 0, 60), (1, 1, 90), (2, 2, 2))

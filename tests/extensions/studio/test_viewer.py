@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 import xarray as xr
 from PIL import Image
+from refusals import refused
 
 import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct
 from mitsuba_plenoptic.extensions.studio import viewer
 from mitsuba_plenoptic.extensions.studio.viewer import Recording
 from mitsuba_plenoptic.report.images import encode, to_bytes
@@ -146,30 +148,23 @@ def test_light_fields_without_a_camera():
     assert one["distances"] == [None] * len(one["disparities"]) and one["raw"] is None
 
 
-@pytest.mark.parametrize(
-    ("sources", "words"),
-    [
-        (lambda: [], "sources: give at least one"),
-        (lambda: [1.5], "sources: of type float: they must be captures"),
-        (lambda: [capture()] * 3, "sources: 3 captures or light fields: a page compares two at most"),
-        (
-            lambda: [capture(), capture(colour=True)],
-            "sources: light fields of the shapes .* cannot be compared: they must be alike",
-        ),
-        (
-            lambda: [capture(), capture(CAMERA.replace(mla_distance=121.0))],
-            "sources: light fields whose v differ cannot be compared: they must be of the same camera",
-        ),
-        (
-            lambda: [mp.reconstruct(capture(), [240.0])[0], mp.reconstruct(capture(), [250.0], oversample=2)[0]],
-            "sources: focal stack: all of its images must be of one size",
-        ),
-    ],
-    ids=["none", "number", "three", "unlike", "cameras", "sizes"],
+test_refused = refused(
+    (lambda: mp.view(), "sources: give at least one"),
+    (lambda: mp.view(1.5), "sources: of type float: they must be captures"),
+    (lambda: mp.view(*[capture()] * 3), "sources: 3 captures or light fields: a page compares two at most"),
+    (
+        lambda: mp.view(capture(), capture(colour=True)),
+        "sources: light fields of the shapes .* cannot be compared: they must be alike",
+    ),
+    (
+        lambda: mp.view(capture(), capture(CAMERA.replace(mla_distance=121.0))),
+        "sources: light fields whose v differ cannot be compared: they must be of the same camera",
+    ),
+    (
+        lambda: mp.view(*mp.reconstruct(capture(), [240.0]), *mp.reconstruct(capture(), [250.0], oversample=2)),
+        "sources: focal stack: all of its images must be of one size",
+    ),
 )
-def test_refused(sources, words):
-    with pytest.raises(mp.InputError, match=words):
-        mp.view(*sources())
 
 
 def headline(*sources, **options):
@@ -236,12 +231,8 @@ def test_colours_of_a_crop_in_16_bits_in_a_browser(tmp_path, browser):
 def test_a_stack_and_a_depth_map_in_a_browser(tmp_path, browser):
     results = mp.reconstruct(capture(), [240.0, 260.0])
     holed = dataclasses.replace(results[1], image=np.where(np.eye(16), np.nan, results[1].image))
-    depth = xr.Dataset(
-        {
-            name: (("t", "s"), np.full((16, 16), value))
-            for name, value in {"depth": 200.0, "confidence": 1.0, "image": 0.5}.items()
-        }
-    )
+    values = {"depth": 200.0, "confidence": 1.0, "image": 0.5}
+    depth = xr.Dataset({name: (("t", "s"), np.full((16, 16), value)) for name, value in values.items()})
     depth["depth"][4:] = 400.0
     made = mp.view(results[0], holed, depth)
     made.save(tmp_path / "view.html")
@@ -371,3 +362,26 @@ def test_captures_by_real_lenses_and_microscopes(preset, width, spp, noise, tmp_
     data = content(mp.view(seen))
     assert data["recordings"][0]["raw"]["rows"] == pixels
     assert set(data["recordings"][0]["distances"]) == {None}
+
+
+SMALL = PlenopticCamera(resolution=(64, 32), detector_width=0.256, crop_size=(64, 32))
+
+
+def test_captures_and_reconstructions_are_pictures():
+    capture = Capture(np.ones((32, 64, 3)), SMALL, (611.0, 549.0, 464.0), "wave")
+    text = capture._repr_html_()
+    assert text.startswith('<figure><img src="data:image/png;base64,')
+    assert "wave model, (611.0, 549.0, 464.0) nm: 64 x 32 pixels; white is 1" in text
+    result = reconstruct(Capture(np.ones((32, 64)), SMALL), [240.0])[0]
+    assert "Reconstruction at 240 mm, ray: 4 x 2 bins of 0.128 mm" in result._repr_html_()
+
+
+def test_cameras_are_their_design_sheet():
+    text = SMALL._repr_html_()
+    assert "<td>focal length</td><td>80 mm</td>" in text
+
+
+def test_the_viewer_is_a_frame():
+    page = Capture(np.ones((32, 64)), SMALL).view(title='"A" & <b>')
+    text = page._repr_html_()
+    assert text.startswith("<iframe") and text.count("<") == 2 and "&lt;script&gt;" in text
