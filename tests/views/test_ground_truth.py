@@ -2,6 +2,7 @@
 
 import math
 
+import cases
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -207,19 +208,9 @@ def test_depth_maps_tell_their_error():
     stripes = {"type": "checkerboard", "to_uv": mi.ScalarTransform4f().scale([28, 31, 1])}
     wall = mi.ScalarTransform4f().translate([0, 0, 262]).rotate([0, 1, 0], 165).scale(20)
     to_world = pose()
-    scene = mp.load_scene(
-        {
-            "type": "scene",
-            "integrator": {"type": "direct"},
-            "sensor": camera.to_sensor(to_world),
-            "sky": {"type": "constant"},
-            "wall": {
-                "type": "rectangle",
-                "to_world": to_world @ wall,
-                "bsdf": {"type": "diffuse", "reflectance": stripes},
-            },
-        }
-    )
+    bsdf, sky = {"type": "diffuse", "reflectance": stripes}, {"type": "constant"}
+    card = {"type": "rectangle", "to_world": to_world @ wall, "bsdf": bsdf}
+    scene = cases.scene_of(camera.to_sensor(to_world), "direct", sky=sky, card=card)
     lf = mp.decode(mp.render_capture(scene, spp=4), truth=mp.ground_truth(scene, "depth"))
     assert pick_views(lf, 3).depth.shape == (3, 3, 32, 32)
     found = depth_map(lf, 230, 300, planes=24)
@@ -248,12 +239,9 @@ def test_variants(camera_dict):
 def test_what_an_instance_places_is_that_instance():
     to_world = mi.ScalarTransform4f()
     group = {"type": "shapegroup", "ball": {"type": "sphere", "radius": 0.1}}
+    copied = {"type": "instance", "group": {"type": "ref", "id": "group"}}
     placed = {
-        f"copy_{number}": {
-            "type": "instance",
-            "to_world": to_world.translate([x, 0, 240]),
-            "group": {"type": "ref", "id": "group"},
-        }
+        f"copy_{number}": {**copied, "to_world": to_world.translate([x, 0, 240])}
         for number, x in enumerate((0.2, -0.2))
     }
     wall = {"type": "rectangle", "to_world": to_world.translate([0, 0, 300]).scale(5)}

@@ -208,11 +208,8 @@ class TestDepth:
         assert float(right.confidence.median()) > 0.8
         # Next to the edge the background is not mistaken for the object.
         assert float(found.isel(s=slice(22, 24)).depth.median()) > 240
-        sharp = np.where(
-            np.arange(40) < 20,
-            texture(1)(np.arange(40.0), np.arange(40.0)[:, None]),
-            texture(2)(np.arange(40.0), np.arange(40.0)[:, None]),
-        )
+        place = np.arange(40.0), np.arange(40.0)[:, None]
+        sharp = np.where(place[0] < 20, texture(1)(*place), texture(2)(*place))
         assert np.median(np.abs(found.image.values - sharp)) < 0.02
         known = np.isfinite(found.depth.values)
         assert known.mean() > 0.6

@@ -2,13 +2,15 @@
 
 import math
 
+import cases
 import mitsuba as mi
 import numpy as np
 import pytest
 from cameras import error
+from refusals import refused
 from stopped_runs import StoppedError, stopped_before
 
-from mitsuba_plenoptic import Checkpoint, InputError, PhysicsError, PlenopticCamera, laser, load_scene, render_capture
+from mitsuba_plenoptic import Checkpoint, PhysicsError, PlenopticCamera, laser, load_scene, render_capture
 from mitsuba_plenoptic.extensions.laser.lit_points import LaserScene, named_lasers
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.units import radiance_weight
@@ -22,9 +24,8 @@ LENGTH = WAVELENGTH * 1e-6
 LASER = {"type": "point", "position": [0, 0, 20], "intensity": {"type": "spectrum", "value": 1e4}}
 
 
-def wall(distance=120.0, bsdf=None):
-    transform = mi.ScalarTransform4f().translate([0, 0, distance]).rotate([0, 1, 0], 180).scale(20)
-    return {"type": "rectangle", "to_world": transform, "bsdf": bsdf or {"type": "diffuse"}}
+def wall(distance=120.0, half=20.0, place=(0.0, 0.0), bsdf=None):
+    return cases.facing(distance, half, place, bsdf=bsdf or {"type": "diffuse"})
 
 
 def scene_of(camera=CAMERA, integrator=None, **objects):
@@ -55,25 +56,13 @@ def lit(scene, per_spot=4.0, names=("laser",), camera=CAMERA, seed=0):
     return made.points(per_spot, seed)
 
 
-@pytest.fixture(autouse=True)
-def _variant():
-    mi.set_variant("llvm_ad_mono")
-
-
 def test_the_mean_power_is_that_of_a_wave_capture():
     scene = scene_of(integrator={"modes": 12})
     capture = render_capture(scene)
     assert capture.wavelength == WAVELENGTH
     assert capture.metadata["modes"] == 12
-    other = render_capture(
-        load_scene(
-            {
-                "type": "scene", "wall": wall(), "laser": LASER, "sensor": CAMERA.to_sensor(),
-                "integrator": {"type": "plenoptic_wave", "wavelength": WAVELENGTH},
-            }
-        ),
-        spp=256,
-    )  # fmt: skip
+    waves = {"type": "plenoptic_wave", "wavelength": WAVELENGTH}
+    other = render_capture(cases.scene_of(CAMERA.to_sensor(), waves, wall=wall(), laser=LASER), spp=256)
     bright = other.image > 0.3 * other.image.max()
     assert capture.image[bright].sum() == pytest.approx(other.image[bright].sum(), rel=0.06)
     ratio = capture.image[bright] / other.image[bright]
@@ -123,10 +112,9 @@ def test_points_whose_light_a_wavefront_brings_to_the_detector_are_found():
 
 def test_points_whose_light_defocus_brings_to_the_detector_are_found():
     # A small plate before the wall in focus, whose light is blurred over r |b (1 / f - 1 / g) - 1|.
-    plate = {**wall(100), "to_world": mi.ScalarTransform4f().translate([0, 0, 100]).rotate([0, 1, 0], 180).scale(0.02)}
     wide, narrow = (
         np.ptp(points.positions[points.positions[:, 2] > 110, 0])
-        for points in (lit(scene_of(plate=plate), 1.0), lit(scene_of(), 1.0))
+        for points in (lit(scene_of(plate=wall(100.0, 0.02)), 1.0), lit(scene_of(), 1.0))
     )
     blur = CAMERA.aperture_radius * abs(CAMERA.mla_distance * (1 / CAMERA.focal_length - 1 / 100) - 1)
     assert (wide - narrow) / 4 == pytest.approx(blur, rel=0.1)
@@ -136,13 +124,11 @@ def test_points_whose_light_defocus_brings_to_the_detector_are_found():
 @pytest.mark.parametrize("laser", ["point", "spot"])
 def test_small_things_far_out_of_focus_beside_the_field_are_found(x, laser):
     """Only their blur, of a radius of 1.25 mm, reaches the detector: they are imaged 0.9 and 1.35 mm from the axis."""
-    card = mi.ScalarTransform4f().translate([x, 0.1, 40]).rotate([0, 1, 0], 180).scale(0.02)
     given = LASER
     if laser == "spot":
         towards = mi.ScalarTransform4f().look_at(origin=[0, 0, 20], target=[x, 0.1, 40], up=[0, 1, 0])
         given = {"type": "spot", "to_world": towards, "cutoff_angle": 0.5, "intensity": LASER["intensity"]}
-    card = {"type": "rectangle", "to_world": card, "bsdf": {"type": "diffuse"}}
-    points = lit(scene_of(card=card, laser=given), per_spot=12)
+    points = lit(scene_of(card=wall(40.0, 0.02, (x, 0.1)), laser=given), per_spot=12)
     weights = points.weights[points.positions[:, 2] < 60]
     # The radiance of a matte card of albedo 1/2, times the area of its image.
     square = x**2 + 0.1**2 + 20**2
@@ -153,40 +139,15 @@ def test_small_things_far_out_of_focus_beside_the_field_are_found(x, laser):
 
 def test_what_is_too_far_beside_the_field_adds_no_rays():
     """A card whose blur ends before the detector leaves the points on the wall the same."""
-    card = mi.ScalarTransform4f().translate([1.3, 0.1, 40]).rotate([0, 1, 0], 180).scale(0.02)
-    points = lit(scene_of(card={"type": "rectangle", "to_world": card}))
-    alone = lit(scene_of())
+    points, alone = lit(scene_of(card=wall(40.0, 0.02, (1.3, 0.1)))), lit(scene_of())
     assert np.abs(points.positions).max() == pytest.approx(np.abs(alone.positions).max(), rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (
-            lambda: {"laser": {**LASER, "intensity": {"type": "spectrum", "value": -1.0}}},
-            "laser: its light is negative",
-        ),
-        (lambda: {"wall": wall(bsdf={"type": "diffuse", "reflectance": -0.5})}, "it lights has a negative reflectance"),
-    ],
-)
-def test_negative_light_is_refused_by_name(given, message):
-    with pytest.raises(InputError, match=message):
-        lit(scene_of(**given()))
 
 
 def test_other_light_adds_as_intensity():
     sky = {"type": "constant", "radiance": {"type": "spectrum", "value": 2.0}}
     mixed = render_capture(scene_of(sky=sky), seed=3).image
     alone = render_capture(scene_of(), seed=3).image
-    daylight = render_capture(
-        load_scene(
-            {
-                "type": "scene", "wall": wall(), "sky": sky, "sensor": CAMERA.to_sensor(),
-                "integrator": {"type": "path"},
-            }
-        ),
-        spp=64,
-    ).image  # fmt: skip
+    daylight = render_capture(cases.scene_of(CAMERA.to_sensor(), wall=wall(), sky=sky), spp=64).image
     assert (mixed - alone).sum() == pytest.approx(daylight.sum(), rel=0.05)
     assert error(mixed - alone, daylight) < 0.5
     assert alone.std() > mixed.mean() * 0.1
@@ -226,11 +187,8 @@ def test_directional_lasers_make_straight_fringes():
 
 def test_points_do_not_depend_on_where_the_camera_stands():
     # Half of a wall, in the camera's +x.
-    half = mi.ScalarTransform4f().translate([20, 0, 120]).rotate([0, 1, 0], 180).scale(20)
-    found = []
-    for turn in (0, 40):
-        found.append(lit(scene_of(**posed(turn, wall={**wall(), "to_world": half}, laser=LASER))))
-    one, other = found
+    half = wall(place=(20.0, 0.0))
+    one, other = (lit(scene_of(**posed(turn, wall=half, laser=LASER))) for turn in (0, 40))
     assert len(one.weights) == len(other.weights) > 100
     np.testing.assert_allclose(other.positions, one.positions, atol=1e-4)
     np.testing.assert_allclose(other.weights, one.weights, rtol=1e-4)
@@ -238,11 +196,8 @@ def test_points_do_not_depend_on_where_the_camera_stands():
 
 def test_shadows_have_no_laser_light():
     # A plate over half of the wall's light: it hides the laser from all points with x > 0 but not the lens.
-    plate = {
-        "type": "rectangle",
-        "to_world": mi.ScalarTransform4f().translate([30.0, 0, 60]).scale([5, 30, 1]),
-        "bsdf": {"type": "diffuse"},
-    }
+    place = mi.ScalarTransform4f().translate([30.0, 0, 60]).scale([5, 30, 1])
+    plate = {"type": "rectangle", "to_world": place, "bsdf": {"type": "diffuse"}}
     side = {**LASER, "position": [60.0, 0, 0]}
     x = lit(scene_of(laser=side, plate=plate)).positions[:, 0]
     # Light from (60, 0, 0) through the edges of the plate at x = 25 and 35 meets the wall at x = -10 and 10.
@@ -254,11 +209,7 @@ def test_shadows_have_no_laser_light():
 
 @pytest.mark.parametrize("turn", [0, 40])
 def test_points_that_the_pupil_sees_in_part_are_refused(turn):
-    plate = {
-        "type": "rectangle",
-        "to_world": mi.ScalarTransform4f().translate([5.6, 0, 30]).rotate([0, 1, 0], 180).scale(5),
-        "bsdf": {"type": "diffuse", "reflectance": {"type": "spectrum", "value": 0.0}},
-    }
+    plate = wall(30.0, 5.0, (5.6, 0.0), {"type": "diffuse", "reflectance": {"type": "spectrum", "value": 0.0}})
     with pytest.raises(PhysicsError, match="of the laser light comes from points that objects hide"):
         lit(scene_of(**posed(turn, wall=wall(), plate=plate, laser={**LASER, "position": [0, 0, 40]})))
 
@@ -306,48 +257,50 @@ def test_the_scene_with_speckle():
 
 AREA = {"type": "sphere", "radius": 0.1, "emitter": {"type": "area"}}
 BEAM = {"type": "rectangle", "emitter": {"type": "directionalarea"}}
+OWN = {"type": "plenoptic_laser", "lasers": "laser"}
 
 
-@pytest.mark.parametrize(
-    "make, message",
-    [
-        (lambda: scene_of(integrator={"lasers": ""}), "lasers: give the id"),
-        (lambda: scene_of(integrator={"modes": 0}), "plenoptic_laser: modes = 0: it must be at least 1"),
-        (lambda: scene_of(integrator={"modes": 2, "bandwidth": 1.0}), "modes, bandwidth: give one of the two"),
-        (lambda: scene_of(integrator={"wavelength": 5.0}), "plenoptic_laser: wavelength"),
-        (lambda: scene_of(integrator={"mode": 2}), "plenoptic_laser: mode: it has no such parameter; did you mean"),
-        (lambda: render_capture(scene_of(integrator={"lasers": "lasr"})), "no emitter of this id .*laser.*mean"),
-        (
-            lambda: named_lasers(*surface_lamp(AREA, "AreaLight"), "test"),
-            "test: lasers = .*: an emitter of type AreaLight is extended",
-        ),
-        (lambda: render_capture(scene_of(integrator={"bandwidth": 1.0})), "roughness: a bandwidth needs it"),
-        (
-            lambda: render_capture(scene_of(wall=wall(bsdf={"type": "roughconductor"}))),
-            "plenoptic_laser: surface wall of type RoughConductor is not matte",
-        ),
-        (lambda: scene_of(integrator={"source_distance": 9.0}), "source_distance: it has a meaning with a source_diam"),
-        (lambda: scene_of(integrator={"roughness": 1.0}), "roughness: it has a meaning with a bandwidth only"),
-        (lambda: render_capture(scene_of(integrator={"lasers": "laser, laser"})), "lasers = laser: .* more than once"),
-        (
-            lambda: named_lasers(*surface_lamp(BEAM, "DirectionalArea"), "test"),
-            "test: lasers = .*: an emitter of type DirectionalArea is extended",
-        ),
-        (lambda: render_capture(scene_of(), noise=True), "noise: it is not estimated"),
-        (
-            lambda: render_capture(scene_of(), model="wave", accuracy=0.1),
-            "plenoptic_laser: accuracy: it has no such parameter",
-        ),
-    ],
+test_refusals = refused(
+    (
+        lambda: lit(scene_of(laser={**LASER, "intensity": {"type": "spectrum", "value": -1.0}})),
+        "laser: its light is negative",
+    ),
+    (
+        lambda: lit(scene_of(wall=wall(bsdf={"type": "diffuse", "reflectance": -0.5}))),
+        "it lights has a negative reflectance",
+    ),
+    (
+        lambda: load_scene({"type": "scene", "integrator": OWN}, variant="llvm_ad_rgb"),
+        "plenoptic_laser: variant llvm_ad_rgb: laser light has one wavelength",
+    ),
+    (lambda: scene_of(integrator={"lasers": ""}), "lasers: give the id"),
+    (lambda: scene_of(integrator={"modes": 0}), "plenoptic_laser: modes = 0: it must be at least 1"),
+    (lambda: scene_of(integrator={"modes": 2, "bandwidth": 1.0}), "modes, bandwidth: give one of the two"),
+    (lambda: scene_of(integrator={"wavelength": 5.0}), "plenoptic_laser: wavelength"),
+    (lambda: scene_of(integrator={"mode": 2}), "plenoptic_laser: mode: it has no such parameter; did you mean"),
+    (lambda: render_capture(scene_of(integrator={"lasers": "lasr"})), "no emitter of this id .*laser.*mean"),
+    (
+        lambda: named_lasers(*surface_lamp(AREA, "AreaLight"), "test"),
+        "test: lasers = .*: an emitter of type AreaLight is extended",
+    ),
+    (lambda: render_capture(scene_of(integrator={"bandwidth": 1.0})), "roughness: a bandwidth needs it"),
+    (
+        lambda: render_capture(scene_of(wall=wall(bsdf={"type": "roughconductor"}))),
+        "plenoptic_laser: surface wall of type RoughConductor is not matte",
+    ),
+    (lambda: scene_of(integrator={"source_distance": 9.0}), "source_distance: it has a meaning with a source_diam"),
+    (lambda: scene_of(integrator={"roughness": 1.0}), "roughness: it has a meaning with a bandwidth only"),
+    (lambda: render_capture(scene_of(integrator={"lasers": "laser, laser"})), "lasers = laser: .* more than once"),
+    (
+        lambda: named_lasers(*surface_lamp(BEAM, "DirectionalArea"), "test"),
+        "test: lasers = .*: an emitter of type DirectionalArea is extended",
+    ),
+    (lambda: render_capture(scene_of(), noise=True), "noise: it is not estimated"),
+    (
+        lambda: render_capture(scene_of(), model="wave", accuracy=0.1),
+        "plenoptic_laser: accuracy: it has no such parameter",
+    ),
 )
-def test_refusals(make, message):
-    with pytest.raises(InputError, match=message):
-        make()
-
-
-def test_colour_variants_are_refused():
-    with pytest.raises(InputError, match=r"plenoptic_laser: variant llvm_ad_rgb: laser light has one wavelength"):
-        load_scene({"type": "scene", "integrator": {"type": "plenoptic_laser", "lasers": "a"}}, variant="llvm_ad_rgb")
 
 
 def test_a_misspelt_parameter_is_answered_by_mitsubas_own_loader():

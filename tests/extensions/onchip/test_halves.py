@@ -2,9 +2,12 @@
 
 import math
 
-import mitsuba as mi
 import numpy as np
+import OpenEXR
 import pytest
+from cameras import white
+from cases import facing, radiating, scene_of
+from refusals import refuses
 from scipy.ndimage import fourier_shift, gaussian_filter
 from scipy.signal import fftconvolve
 from scipy.stats import qmc
@@ -23,8 +26,10 @@ from mitsuba_plenoptic import (
     match_halves,
     psf_bank,
     render_capture,
+    write_capture,
 )
 from mitsuba_plenoptic.design import design_warnings
+from mitsuba_plenoptic.onchip import LAYOUTS
 from tools.bench.cases import dual_pixels
 
 CAMERA = PlenopticCamera(
@@ -68,16 +73,9 @@ def test_photodiodes_are_sums_of_pixels():
 
 def test_near_things_lie_further_right_in_the_left_picture():
     """As for a pair of eyes; a lamp nearer than the plane in focus, rendered."""
-    mi.set_variant("llvm_ad_mono")
     distance = 400.0
-    place = mi.ScalarTransform4f().translate([0, 0, distance]).rotate([0, 1, 0], 180).scale(0.4)
-    scene = {
-        "type": "scene",
-        "camera": CAMERA.to_sensor(),
-        "lamp": {"type": "rectangle", "to_world": place, "light": {"type": "area", "radiance": 1.0}},
-        "integrator": {"type": "direct"},
-    }
-    halves = dual_pixel(render_capture(mi.load_dict(scene), spp=1024))
+    scene = scene_of(CAMERA.to_sensor(), "direct", lamp=facing(distance, 0.4, **radiating()))
+    halves = dual_pixel(render_capture(scene, spp=1024))
     left, right = (float((each * each.s).sum() / each.sum()) for each in halves[0])
     assert left > right
     assert right - left == pytest.approx(half_disparity(CAMERA, distance), rel=0.01)
@@ -94,11 +92,9 @@ def test_quad_mosaics():
     assert halves[0, 0, :2, :2].values == pytest.approx(2 * np.array([[2.0, 1.0], [3.0, 2.0]]), rel=0.05)
     shifted = CAMERA.replace(crop_offset=(2, 0), crop_size=(8, 8))
     assert dual_pixel(Capture(exposed.image[:8, 2:10], shifted, metadata=exposed.metadata)).attrs["mosaic"] == "RGGB"
-    with pytest.raises(InputError, match="dual_pixel gives pictures that are Bayer mosaics"):
-        demosaic(exposed)
+    refuses("dual_pixel gives pictures that are Bayer mosaics", demosaic, exposed)
     bayer = expose(Capture(image, CAMERA), Detector(mosaic="RGGB"), photons=100)
-    with pytest.raises(InputError, match="the pixels of a lens have several colours"):
-        dual_pixel(bayer)
+    refuses("the pixels of a lens have several colours", dual_pixel, bayer)
     with pytest.raises(InputError, match=r"layout = \(3, 1\): it must be one of \(2, 1\), \(1, 2\), \(2, 2\)"):
         dual_pixel(Capture(noise(128, 128), CAMERA), layout=(3, 1))
 
@@ -114,8 +110,7 @@ def test_quad_mosaics():
 )
 def test_other_cameras_are_refused(changes, message):
     camera = CAMERA.replace(**changes)
-    with pytest.raises(InputError, match=message):
-        dual_pixel(Capture(np.zeros(camera.shape, np.float32), camera))
+    refuses(message, dual_pixel, Capture(np.zeros(camera.shape, np.float32), camera))
 
 
 # -- point spreads -----------------------------------------------------------------------------------
@@ -128,10 +123,8 @@ def centroids(bank, axis):
 
 def test_halves_of_a_defocused_point_are_half_discs():
     """Centroids 8 R / (3 pi) apart, from before and behind the plane in focus, for blurs of 8 lenses or more."""
-    camera = CAMERA.replace(focus_distance=1200.0)
-    depths = [350.0, 1e6]
-    camera_far = camera.replace(focus_distance=500.0)
-    for each, depth in ((camera, depths[0]), (camera_far, depths[1])):
+    for focus, depth in ((1200.0, 350.0), (500.0, 1e6)):
+        each = CAMERA.replace(focus_distance=focus)
         radius = each.blur_diameter(depth) / each.mla_pitch / 2
         assert radius > 8
         bank = psf_bank(each, [depth])
@@ -153,18 +146,13 @@ def test_shifts_to_chief_rays_restore_the_halves():
     b, z = wide.mla_distance, wide.detector_distance
     heights = np.linspace(0, 3, 31)
     pairs = np.stack([heights, np.degrees(np.arctan(heights / (b + z)))], axis=1).ravel()
-    edge = [(1.0, 0.0)]
-    energy = {
-        name: psf_bank(wide.replace(**changes), [500.0], edge).sum(("t", "s")).values.ravel()
-        for name, changes in {
-            "plain": {},
-            "table": {"mla_cra": pairs},
-            "pitch": {"mla_pitch": 0.0024 * b / (b + z)},
-        }.items()
-    }
-    assert energy["table"] == pytest.approx([0.5, 0.5], abs=0.01)
-    assert energy["pitch"] == pytest.approx(energy["table"], abs=0.01)
-    assert abs(energy["plain"][0] - 0.5) > 0.1
+    plain, table, pitch = (
+        psf_bank(wide.replace(**changes), [500.0], [(1.0, 0.0)]).sum(("t", "s")).values.ravel()
+        for changes in ({}, {"mla_cra": pairs}, {"mla_pitch": 0.0024 * b / (b + z)})
+    )
+    assert table == pytest.approx([0.5, 0.5], abs=0.01)
+    assert pitch == pytest.approx(table, abs=0.01)
+    assert abs(plain[0] - 0.5) > 0.1
 
 
 @pytest.mark.parametrize(
@@ -219,12 +207,9 @@ def window(angle, **changes):
 
 def left_of_even(camera, model, spp):
     """Return the part of an even scene's light in the left halves, and its light over the closed form by ideal rays."""
-    scene = mi.load_dict({
-        "type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant"},
-        "camera": camera.to_sensor(),
-    })  # fmt: skip
     wavelength = {"wavelength": GREEN} if model == "wave" else {}
-    halves = dual_pixel(render_capture(scene, model=model, spp=spp, **wavelength)).values[0, :, 2:-2, 2:-2]
+    capture = render_capture(white(camera), model=model, spp=spp, **wavelength)
+    halves = dual_pixel(capture).values[0, :, 2:-2, 2:-2]
     left, right = halves.mean((1, 2), dtype=float)
     return left / (left + right), (left + right) / 4 / design.white_mean(camera)
 
@@ -311,7 +296,6 @@ def left_of_star(camera, field, count=2**12):
 @pytest.mark.parametrize("angle", [8, 20, 30, 35])
 def test_lenses_aligned_by_snells_law_halve_the_light(angle):
     """Of an even scene and of a point; parabolic rays have coma, and all rays the light of the closed form."""
-    mi.set_variant("llvm_ad_mono")
     camera, field = window(angle)
     left, light = left_of_even(camera, "ray", 8192)
     assert left == pytest.approx(0.5, abs=0.01)
@@ -324,7 +308,6 @@ def test_lenses_aligned_by_snells_law_halve_the_light(angle):
 
 
 def test_halves_by_waves_are_sums_of_plane_waves():
-    mi.set_variant("llvm_ad_mono")
     camera, field = window(30)
     left, light = left_of_even(camera, "wave", 64)
     assert left == pytest.approx(left_by_waves(camera, field, 2**8), abs=0.005)
@@ -368,8 +351,7 @@ def test_vignetted_halves_follow_the_traced_pupil():
     ],
 )
 def test_mistakes_of_banks(arguments, message):
-    with pytest.raises(InputError, match=message):
-        psf_bank(CAMERA, *arguments)
+    refuses(message, psf_bank, CAMERA, *arguments)
 
 
 # -- disparity ---------------------------------------------------------------------------------------
@@ -402,8 +384,7 @@ def test_matching_moved_pictures_finds_the_move():
     pixels[64:66, 80:82] *= 1000
     lit = match_halves(dual_pixel(Capture(pixels, CAMERA)), window=9, search=5)
     assert lit[10:-10, 10:25].values == pytest.approx(3.0, abs=0.2)
-    with pytest.raises(InputError, match="1 pictures along v"):
-        match_halves(dual_pixel(Capture(pixels, CAMERA)), "vertical")
+    refuses("1 pictures along v", match_halves, dual_pixel(Capture(pixels, CAMERA)), "vertical")
 
 
 @pytest.mark.parametrize("disparity", [1.54, 3.09])
@@ -446,3 +427,19 @@ def test_banks_are_as_wide_as_aberrated_and_diffracted_light(changes, least):
     for model in ("ray", "wave"):
         bank = psf_bank(camera, [camera.focus_distance], model=model)
         assert least < float(bank.sum()) <= 1.001, model
+
+
+def test_the_command(tmp_path, run, complaint):
+    capture = Capture(noise(128, 128), CAMERA)
+    write_capture(tmp_path / "raw.exr", capture)
+    said = run("dual", tmp_path / "raw.exr", "-o", tmp_path / "halves.exr")
+    assert said.endswith("2 x 1 pictures of 64 x 64 lenses\n")
+    parts = {part.name(): part for part in OpenEXR.File(str(tmp_path / "halves.exr"), separate_channels=True).parts}
+    assert list(parts) == ["left", "right", "sum"]
+    np.testing.assert_array_equal(parts["right"].channels["Y"].pixels, dual_pixel(capture)[0, 1])
+    assert "2 x 2 pictures" in run("dual", tmp_path / "raw.exr", "-o", tmp_path / "four.png", "--layout", "2x2")
+    assert complaint("dual", tmp_path / "raw.exr", "-o", tmp_path / "x.exr", "--layout", "3x1").startswith("--layout")
+
+
+def test_layouts_in_the_help_are_those_of_the_library(run):
+    assert "|".join(f"{along}x{across}" for along, across in LAYOUTS) in run("dual", "--help")

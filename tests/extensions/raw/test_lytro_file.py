@@ -1,6 +1,7 @@
 """Raw pictures of Lytro's cameras, of files that the tests write after the published layout."""
 
 import copy
+import functools
 import json
 import math
 import random
@@ -8,6 +9,7 @@ import random
 import numpy as np
 import pytest
 from foreign_files import lytro_metadata, write_lytro, write_lytro_white
+from refusals import refuses
 
 from mitsuba_plenoptic import Capture, Detector, InputError, demosaic, expose
 from mitsuba_plenoptic.exchange import nearest_white, read_lytro
@@ -99,27 +101,22 @@ def test_the_nearest_white_picture(tmp_path):
     (tmp_path / "photo.lfp").unlink()
     assert nearest_white(tmp_path, photo).name == "d.RAW"
     (tmp_path / "d.TXT").unlink()
-    with pytest.raises(InputError, match=r"d.RAW: its metadata are not next to it, in d.txt"):
-        nearest_white(tmp_path, photo)
+    refuses(r"d.RAW: its metadata are not next to it, in d.txt", nearest_white, tmp_path, photo)
     with pytest.raises(InputError, match=r"capture: its metadata have no devices.lens.zoomStep"):
         nearest_white(tmp_path, Capture(np.zeros((ROWS, COLUMNS)), photo.camera))
-    with pytest.raises(InputError, match=r"none: there is no such folder"):
-        nearest_white(tmp_path / "none", photo)
+    refuses(r"none: there is no such folder", nearest_white, tmp_path / "none", photo)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match=r"empty: it has no white pictures"):
-        nearest_white(tmp_path / "empty", photo)
+    refuses(r"empty: it has no white pictures", nearest_white, tmp_path / "empty", photo)
 
 
 def changed(name, value):
+    """Return metadata with another value by its name with dots, or without it."""
     metadata = lytro_metadata(COLUMNS, ROWS)
-    *parts, last = name.split(".")
-    part = metadata
-    for each in parts:
-        part = part[each]
+    *parents, last = name.split(".")
+    group = functools.reduce(dict.__getitem__, parents, metadata)
+    group[last] = value
     if value is None:
-        del part[last]
-    else:
-        part[last] = value
+        del group[last]
     return metadata
 
 
@@ -160,14 +157,11 @@ def test_files_for_the_web_have_no_raw_picture(tmp_path):
     path = write_lytro(tmp_path / "a.lfp", numbers_of(12), metadata)
     content = path.read_bytes()
     path.write_bytes(content[: content.index(b"\x89LFC")])
-    with pytest.raises(InputError, match=r"a.lfp: it has no raw picture; files made for the web"):
-        read_lytro(path)
+    refuses(r"a.lfp: it has no raw picture; files made for the web", read_lytro, path)
     path.write_bytes(b"\x89PNG")
-    with pytest.raises(InputError, match=r"a.lfp: it does not begin as a Lytro container"):
-        read_lytro(path)
+    refuses(r"a.lfp: it does not begin as a Lytro container", read_lytro, path)
     path.write_bytes(content[:16])
-    with pytest.raises(InputError, match=r"a.lfp: it has no sections"):
-        read_lytro(path)
+    refuses(r"a.lfp: it has no sections", read_lytro, path)
 
 
 @pytest.mark.parametrize("bits", [12, 10])

@@ -2,6 +2,7 @@
 
 import re
 
+import cases
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -27,15 +28,8 @@ def scene_of(size, distance, across=0.0, light=None):
     transform = mi.ScalarTransform4f()
     pose = transform.look_at([0, 0, 0], [0, 0, 1], [0, 1, 0])
     disk = transform.translate([across, 0, distance]).scale(size / 2).rotate([1, 0, 0], 180)
-    scene = mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "direct"},
-            "light": light or {"type": "constant"},
-            "disk": {"type": "disk", "to_world": disk},
-            "sensor": {"type": "perspective", "to_world": pose},
-        }
-    )
+    sensor, sky = {"type": "perspective", "to_world": pose}, light or {"type": "constant"}
+    scene = cases.scene_of(sensor, "direct", light=sky, disk={"type": "disk", "to_world": disk})
     return with_camera(scene, CAMERA)
 
 
@@ -75,15 +69,8 @@ FIELD = 16 * 0.15 / 20
 def before_microscope(size, depth, across=0.0):
     """A luminous disc before a microscope."""
     disk = mi.ScalarTransform4f().translate([across, 0, depth]).scale(size / 2).rotate([1, 0, 0], 180)
-    emitter = {"type": "area", "radiance": 1.0}
-    scene = mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "path"},
-            "disk": {"type": "disk", "to_world": disk, "emitter": emitter},
-            "sensor": {"type": "perspective"},
-        }
-    )
+    lamp = {"type": "disk", "to_world": disk, "emitter": {"type": "area", "radiance": 1.0}}
+    scene = cases.scene_of({"type": "perspective"}, lamp=lamp)
     return with_camera(scene, MICROSCOPE)
 
 
