@@ -58,13 +58,10 @@ def test_lenses_out_of_focus_take_fewer_samples(blur, monkeypatch):
         sums.append(over_lenses(fine, camera, 1, 9))
     assert 0 < error(*sums) < 5e-4
     monkeypatch.undo()
+    beyond = [1 / nearness]
     blurred, sharp, shown = (
         lens_by_lens.reconstruction_tile(kind, WAVELENGTH, distances, 9).samples
-        for kind, distances in (
-            (camera, [1 / nearness]),
-            (camera, [1 / nearness, camera.focus_distance]),
-            (SMALL, [1 / nearness]),
-        )
+        for kind, distances in ((camera, beyond), (camera, [*beyond, camera.focus_distance]), (SMALL, beyond))
     )
     assert sharp == shown >= (3 if blur > 8 else 2) * blurred
 

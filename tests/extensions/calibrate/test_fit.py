@@ -110,12 +110,7 @@ def errors(found, table, bad):
 
 @pytest.mark.parametrize(
     "kind",
-    [
-        pytest.param("few", marks=pytest.mark.slow),
-        "many",
-        pytest.param("corners", marks=pytest.mark.slow),
-        pytest.param("one frame", marks=pytest.mark.slow),
-    ],
+    [pytest.param(k, marks=[pytest.mark.slow] * (k != "many")) for k in ("few", "many", "corners", "one frame")],
 )
 def test_gross_errors_are_named_and_change_nothing(table, centres, found, kind):
     generator = np.random.default_rng(3)
