@@ -81,8 +81,9 @@ def test_displaced_lenses_are_refocused_as_well_as_regular_ones(name, method):
         correlation(reconstruct(capture(each), DISTANCE, **METHODS[method]).image) for each in ("straight", name)
     )
     assert straight > 0.9
-    # Vignetting takes light from the rims.
-    assert found > straight - (0.003 if name == "fitted" else 0.002)
+    # Vignetting takes light from the rims; responses are of lenses without it, and the capture is divided by it.
+    vignetted = 0.005 if method == "deconvolved" else 0.003
+    assert found > straight - (vignetted if name == "fitted" else 0.002)
 
 
 @pytest.mark.parametrize(
