@@ -26,6 +26,9 @@ class ClosedLens(Light):
     pupil: Pupil
     is_uniform = True
 
+    def __init__(self) -> None:
+        """Make a lens without parameters; dataclasses, which derive from it, have their own."""
+
     @property
     def reach(self) -> Any:
         """Radius of the pupil in millimetres."""
