@@ -60,6 +60,13 @@ def inverse_distance(lens: MainLens, points: NDArray[np.float64]) -> NDArray[np.
     """Return the reciprocals (n,) of the distances of scene points (n, 3) from the lens's entrance pupil.
 
     Behind an objective, which sees all depths under the same angles, it returns the depths instead.
+
+    Parameters
+    ----------
+    lens : MainLens
+        Main lens.
+    points : float64 array (n, 3)
+        Scene points in the camera frame.
     """
     return np.asarray(1 / (points[:, 2] - lens.entrance.pupil) if lens.pupil.finite else points[:, 2])
 

@@ -48,13 +48,25 @@ class Pupil:
         return pupil[0] / self.stop_scale + 0 * point[0], pupil[1] / self.stop_scale + 0 * point[0]
 
     def point(self, position: Any, slope: Any, height: Any = 0.0) -> Any:
-        """Return a coordinate on the pupil of the ray from a position at a height before the array."""
+        """Return a coordinate on the pupil of the ray from a position at a height before the array.
+
+        Parameters
+        ----------
+        position, slope, height : array
+            Position, slope of the ray, and height of the position before the array.
+        """
         if self.swap is not None:
             return self.stop_scale * position
         return self.finite * position + (self.distance - self.finite * height) * slope
 
     def slope(self, pupil: Any, position: Any, height: Any = 0.0) -> Any:
-        """Return the slope, along one axis, of the ray through a point of the pupil and a position as in `point`."""
+        """Return the slope, along one axis, of the ray through a point of the pupil and a position as in `point`.
+
+        Parameters
+        ----------
+        pupil, position, height : array
+            Position, and height of the position before the array.
+        """
         return (pupil - self.finite * position) / (self.distance - self.finite * height)
 
     def chief(self, position: Any, behind: Any) -> Any:
