@@ -35,7 +35,9 @@ def behind_detector(film: Any, detector: DetectorOperator) -> Any:
             return recorded if colours == image.shape[2] else dr.concat([recorded, image[:, :, colours:]], axis=2)
 
         def bitmap(self, raw: bool = False) -> Any:
-            return film.bitmap(raw) if raw else mi.Bitmap(self.develop())
+            plain = film.bitmap(raw)
+            names = [field.name for field in plain.struct_()]
+            return plain if raw else mi.Bitmap(self.develop(), plain.pixel_format(), names)
 
         def write(self, path: Any) -> None:
             self.bitmap().write(path)
