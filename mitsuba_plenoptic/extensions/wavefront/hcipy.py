@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...camera import PhaseScreen, PlenopticCamera, require_camera, require_ideal
+from ...camera import PhaseScreen, PlenopticCamera, Use, require_camera, require_support
 from ...errors import WAVEFRONT_UNIT, WAVELENGTHS, InputError, refuse_if, require_number
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
@@ -56,7 +56,7 @@ class CameraOptics(hcipy.OpticalElement):
 
     def __init__(self, camera: PlenopticCamera) -> None:
         camera = regular_array(require_camera(camera))
-        require_ideal(camera, in_full=True)
+        require_support(camera, Use.POINT_FIELDS)
         refuse_if(
             not (camera.main_lens is None or isinstance(camera.main_lens, Collimator)),
             f"main_lens = {camera.lens_data.label}: wavefronts are taken by thin main lenses and collimators only",
