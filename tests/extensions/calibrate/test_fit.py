@@ -236,7 +236,7 @@ OTHER_LATTICE = r"shifts its odd rows by half a pitch, other than the camera's m
             marks=pytest.mark.slow,
         ),
         (cases.BOARD, SQUARE, OTHER_LATTICE),
-        (cases.BOARD, START.replace(mla_medium=1.5), r"mla_medium = 1\.5: cameras are calibrated with 1 only"),
+        (cases.BOARD, START.replace(mla_medium=1.5), r"mla_medium = 1\.5: calibrations refuse it"),
         (
             cases.BOARD, START.replace(mla_shape=Conic(0.25), mla_focal_length=None),
             "mla_shape = .*calibrations refuse it: they are those of parabolic microlenses",
