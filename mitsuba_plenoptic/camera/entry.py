@@ -58,6 +58,7 @@ class Use(Flag):
     FULL_FIELDS = auto()
     POINT_FIELDS = auto()
     COHERENT_POINTS = auto()
+    WAVEFRONTS = auto()
     POINT_RAYS = auto()
     RAY_SPREADS = auto()
     SPREAD_BANKS = auto()
@@ -91,6 +92,7 @@ _WORDS = {
     Use.FULL_FIELDS: "waves of points by method full_field",
     Use.POINT_FIELDS: "fields of one point",
     Use.COHERENT_POINTS: "coherent fields of points",
+    Use.WAVEFRONTS: "captures of wavefronts",
     Use.POINT_RAYS: "fits and projections of points by rays",
     Use.RAY_SPREADS: "point spreads by rays",
     Use.SPREAD_BANKS: "banks of point spreads",

@@ -17,7 +17,7 @@ from .parameters import PARAMETERS
 
 _SCENES = Use.SCENES | Use.SCENE_DERIVATIVES
 _PATCHES = Use.POINTS | Use.SCENE_POINTS | Use.POINT_DERIVATIVES
-_FIELDS_OF_POINTS = Use.FULL_FIELDS | Use.POINT_FIELDS | Use.COHERENT_POINTS
+_FIELDS_OF_POINTS = Use.FULL_FIELDS | Use.POINT_FIELDS | Use.COHERENT_POINTS | Use.WAVEFRONTS
 _RECONSTRUCTIONS = Use.RESPONSES | Use.FIELDS
 _ROUND_PUPILS = Use.SMALL_LENSES | Use.ROUND_PUPILS | Use.CALIBRATION
 _STRAIGHT = Use.KERNELS | Use.FIELD_DERIVATIVES
@@ -43,6 +43,10 @@ _UNWEIGHTED = Condition(
     lambda camera: camera.lens_data.traced_surfaces or camera.lens_data.images_stop,
 )
 _NOT_CONVERGING = Condition("behind an objective or a collimator", lambda camera: not camera.lens_data.converges)
+_NO_COMMON_PUPIL = Condition(
+    "behind an objective or a prescription",
+    lambda camera: camera.objective is not None or camera.prescription is not None,
+)
 _PLACES = Condition("of places", lambda camera: camera.mla_jitter[0] > 0)
 
 # Reasons that several parameters share.
@@ -53,7 +57,7 @@ _UNEVEN = (
         "CaptureOperator, which takes it for points that are given",
     ),
     refused(
-        Use.POINT_FIELDS | Use.COHERENT_POINTS | Use.POINT_DERIVATIVES | Use.POINT_RAYS,
+        Use.POINT_FIELDS | Use.COHERENT_POINTS | Use.WAVEFRONTS | Use.POINT_DERIVATIVES | Use.POINT_RAYS,
         "points are summed over an evenly open, round pupil",
         "CaptureOperator.forward, which takes it",
     ),
@@ -159,7 +163,9 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
     "mla_transmissions": (*_UNEQUAL_LENSES, _NO_DERIVATIVE),
     "vignetting": (
         *_UNEQUAL_LENSES,
-        refused(Use.COHERENT_POINTS, "all points of one field share one pupil", "CaptureOperator.forward"),
+        refused(
+            Use.COHERENT_POINTS | Use.WAVEFRONTS, "all points of one field share one pupil", "CaptureOperator.forward"
+        ),
         refused(
             Use.POINTS | Use.FULL_FIELDS,
             "waves of points are weighted where the array is in the image behind thin lenses and objectives alone",
@@ -261,7 +267,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
     ),
     "detector_blur": (
         refused(
-            Use.POINT_FIELDS | Use.COHERENT_POINTS | Use.POINT_RAYS,
+            Use.POINT_FIELDS | Use.COHERENT_POINTS | Use.WAVEFRONTS | Use.POINT_RAYS,
             "they are the light before the blur",
             "CaptureOperator.forward",
         ),
@@ -325,6 +331,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             "method deconvolved",
             _OBJECT_IMAGE,
         ),
+        refused(Use.WAVEFRONTS, "a wavefront fills one pupil, that of all points", "", _NO_COMMON_PUPIL),
         refused(
             Use.COHERENT_POINTS,
             "not all points see the same pupil",
