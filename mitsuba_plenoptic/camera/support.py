@@ -212,7 +212,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
         _NO_DERIVATIVE,
     ),
     "phase_screen": (
-        refused(_SCENES, "its slopes may turn light too steeply for the sum of signed rays", "ray captures"),
+        refused(_SCENES, "no guard tells where its slopes vary too fast for signed rays", "ray captures"),
         refused(
             _PATCHES | Use.POINT_RAYS,
             "patches sample smooth phases only",
