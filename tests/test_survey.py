@@ -108,7 +108,7 @@ def test_a_preset_is_refused_by_name_or_gives_light(name, method):
 @pytest.mark.needs_extension("inverse")
 def test_refocusing_by_rays_names_the_collimator():
     camera = mp.PlenopticCamera.preset("shack_hartmann")
-    with pytest.raises(mp.InputError, match="main_lens = collimator: captures are refocused by rays"):
+    with pytest.raises(mp.InputError, match="main_lens = collimator: refocused images by method ray refuse it"):
         refocus.RayRefocus(camera, 1e6)
     with pytest.raises(mp.InputError, match="main_lens = collimator"):
         mp.decode(np.ones(camera.shape, np.float32), camera=camera)

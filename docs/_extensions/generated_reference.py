@@ -191,12 +191,20 @@ def guards(text: str) -> str:
     return text.replace("GUARDS", "\n".join(rows))
 
 
+def support(text: str) -> str:
+    """Fill in the table of support."""
+    from mitsuba_plenoptic.camera import support_table
+
+    return text.replace("SUPPORT", support_table())
+
+
 def _bound(fraction: float) -> str:
     return "never" if fraction >= 1 else f"{100 * fraction:g} %"
 
 
 PAGES: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     "reference/plugins": (plugins, (*PLUGINS.values(), "camera/parameters.py")),
+    "reference/models": (support, ("camera/support.py", "camera/entry.py")),
     "theory/guards": (guards, ("optics/guards.py",)),
     "reference/command": (commands, tuple(f"cli/{path.name}" for path in sorted((PACKAGE / "cli").glob("*.py")))),
 }

@@ -11,8 +11,12 @@ from .documentation import with_sensor_parameters as with_sensor_parameters
 from .entry import Captures as Captures
 from .entry import Form as Form
 from .entry import Parameter as Parameter
+from .entry import Use as Use
+from .entry import approximate as approximate
+from .entry import no_effect as no_effect
 from .entry import one_if_equal as one_if_equal
 from .entry import one_if_single as one_if_single
+from .entry import refused as refused
 from .geometry import CameraGeometry as CameraGeometry
 from .geometry import has_small_lenses as has_small_lenses
 from .lens_transmissions import LensTransmissions as LensTransmissions
@@ -27,12 +31,8 @@ from .plenoptic_camera import PlenopticCamera as PlenopticCamera
 from .plenoptic_camera import are_alike as are_alike
 from .plenoptic_camera import film_numbers as film_numbers
 from .plenoptic_camera import require_camera as require_camera
-from .plenoptic_camera import require_ideal as require_ideal
-from .plenoptic_camera import require_known_to as require_known_to
-from .plenoptic_camera import require_no_glass as require_no_glass
-from .plenoptic_camera import require_no_shape as require_no_shape
-from .plenoptic_camera import require_no_warp as require_no_warp
-from .plenoptic_camera import require_round as require_round
+from .support import require_support as require_support
+from .support import support_table as support_table
 from .vector import CameraVector as CameraVector
 from .vector import Values as Values
 from .vector import change_of as change_of

@@ -1,11 +1,11 @@
-"""The entries of the table of a camera's parameters."""
+"""The entries of the table of a camera's parameters, and of the table of support."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, Flag, auto
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast, dataclass_transform, overload
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, cast, dataclass_transform, overload
 
 Given = TypeVar("Given")
 Kept = TypeVar("Kept")
@@ -33,7 +33,7 @@ class Form(Enum):
 
 
 class Captures(Flag):
-    """Kinds of captures, used to state which of them support or differentiate a parameter."""
+    """Kinds of captures, used to state which of them differentiate a parameter."""
 
     NONE = 0
     RAYS = auto()
@@ -45,6 +45,118 @@ class Captures(Flag):
     POINTS = auto()
     """Captures of points, by `CaptureOperator` and by rays, and with them fits, searches and wave reconstructions."""
     ALL = RAYS | EDGES | SCENES | POINTS
+
+
+class Use(Flag):
+    """What a camera is used for, in the table of support; uses are joined by ``|``."""
+
+    RAYS = auto()
+    SCENES = auto()
+    SCENE_POINTS = auto()
+    SMALL_LENSES = auto()
+    POINTS = auto()
+    FULL_FIELDS = auto()
+    POINT_FIELDS = auto()
+    COHERENT_POINTS = auto()
+    WAVEFRONTS = auto()
+    POINT_RAYS = auto()
+    RAY_SPREADS = auto()
+    SPREAD_BANKS = auto()
+    RESPONSES = auto()
+    KERNELS = auto()
+    FIELDS = auto()
+    RAY_REFOCUSING = auto()
+    DECODING = auto()
+    WHITE_IMAGES = auto()
+    LENS_CENTRES = auto()
+    ROUND_PUPILS = auto()
+    CALIBRATION = auto()
+    FITS = auto()
+    SCENE_DERIVATIVES = auto()
+    POINT_DERIVATIVES = auto()
+    RECONSTRUCTION_DERIVATIVES = auto()
+    FIELD_DERIVATIVES = auto()
+
+    @property
+    def words(self) -> str:
+        """The use in words, as a plural; of several uses the words of the first."""
+        return _WORDS[next(iter(self))]
+
+
+_WORDS = {
+    Use.RAYS: "ray captures",
+    Use.SCENES: "wave captures of scenes",
+    Use.SCENE_POINTS: "wave captures of scenes by method points",
+    Use.SMALL_LENSES: "waves behind lenses of a few wavelengths",
+    Use.POINTS: "waves of points by method patch",
+    Use.FULL_FIELDS: "waves of points by method full_field",
+    Use.POINT_FIELDS: "fields of one point",
+    Use.COHERENT_POINTS: "coherent fields of points",
+    Use.WAVEFRONTS: "captures of wavefronts",
+    Use.POINT_RAYS: "fits and projections of points by rays",
+    Use.RAY_SPREADS: "point spreads by rays",
+    Use.SPREAD_BANKS: "banks of point spreads",
+    Use.RESPONSES: "methods incoherent and deconvolved",
+    Use.KERNELS: "responses of straight arrays",
+    Use.FIELDS: "methods coherent and partial",
+    Use.RAY_REFOCUSING: "refocused images by method ray",
+    Use.DECODING: "decoded light fields",
+    Use.WHITE_IMAGES: "white images",
+    Use.LENS_CENTRES: "centres of micro-images",
+    Use.ROUND_PUPILS: "previews, predictions, disparities of half pupils and depth of focused cameras",
+    Use.CALIBRATION: "calibrations",
+    Use.FITS: "fits of cameras",
+    Use.SCENE_DERIVATIVES: "derivatives of wave captures of scenes by the camera",
+    Use.POINT_DERIVATIVES: "derivatives of captures of points",
+    Use.RECONSTRUCTION_DERIVATIVES: "derivatives of reconstructions",
+    Use.FIELD_DERIVATIVES: "derivatives of coherent and partial reconstructions",
+}
+
+
+@dataclass(frozen=True)
+class Condition:
+    """The cameras of which an entry of the table of support speaks, in words after the parameter's name."""
+
+    words: str
+    holds: Callable[[Any], bool]  # of a camera
+
+
+@dataclass(frozen=True)
+class Support:
+    """What uses of a camera make of a parameter that is not at its default.
+
+    Words of an approximation say how it is made, those of a refusal why, and those of an exact use why nothing changes.
+    """
+
+    uses: Use
+    verdict: Literal["exact", "approximate", "refused"]
+    words: str
+    instead: str = ""  # what works, of a refusal
+    where: Condition | None = None  # None means all cameras with the parameter
+
+    @property
+    def is_refusal(self) -> bool:
+        """Whether the uses refuse the parameter."""
+        return self.verdict == "refused"
+
+
+def no_effect(uses: Use, words: str) -> Support:
+    """Return the entry of uses in which a parameter changes nothing, and rightly so."""
+    return Support(uses, "exact", words)
+
+
+def approximate(uses: Use, words: str, where: Condition | None = None) -> Support:
+    """Return the entry of uses that approximate a parameter."""
+    return Support(uses, "approximate", words, where=where)
+
+
+def refused(uses: Use, words: str, instead: str = "", where: Condition | None = None) -> Support:
+    """Return the entry of uses that refuse a parameter."""
+    return Support(uses, "refused", words, instead, where)
+
+
+ADDED = (refused(~Use.RAYS, "ray captures alone are known to follow it"),)
+"""Support of an added parameter that states none."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -62,7 +174,7 @@ class Parameter(Generic[Given, Kept]):
     otherwise: str = ""  # the default in words, where it is None or needs them
     unit: str | tuple[str, ...] = ""  # one for all its components, or one for each
     parts: tuple[str, ...] = ()  # names of the components in calibrations
-    known_to: Captures = Captures.RAYS  # captures of other kinds refuse cameras with a value that is not the default
+    support: Sequence[Support] | None = None  # of an extension's parameter; None means that only rays follow it
     gradients: Captures = (
         Captures.NONE
     )  # captures with a derivative by it; a parameter with any is exposed by `mi.traverse`

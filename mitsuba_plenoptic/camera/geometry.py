@@ -282,30 +282,6 @@ class CameraGeometry(CameraParameters):
             "mitsuba_plenoptic.design has native_field and resolution_limit",
         )
 
-    def require_bounded(self) -> None:
-        """Refuse a camera whose array is in the image of the stop, for computations by rays."""
-        refuse_if(
-            self.lens_data.images_stop,
-            f"main_lens = {self.lens_data.label}: the array is in the image of the stop, so that no stop bounds its "
-            "micro-images for rays; use CaptureOperator with method full_field",
-        )
-
-    def require_thin(self, what: str, instead: str = "capture by rays") -> None:
-        """Refuse a camera with a real main lens, which `what` does not support; the message offers `instead`."""
-        if not self.lens_data.converges:
-            instead = "reconstruct a wave capture with method deconvolved"
-        refuse_if(
-            not self.lens_data.is_thin,
-            f"main_lens = {self.lens_data.label}: {what} for thin main lenses only; leave main_lens out, or {instead}",
-        )
-
-    def require_no_objective(self, what: str) -> None:
-        """Refuse a camera with an objective, which `what`, for thin main lenses and prescriptions, does not support."""
-        refuse_if(
-            not self.lens_data.converges,
-            f"main_lens = {self.lens_data.label}: {what} for thin main lenses and prescriptions only",
-        )
-
     @property
     def bin_count(self) -> tuple[int, int]:
         """Columns and rows of bins of a reconstruction: squares of one lens pitch that fit the detector.

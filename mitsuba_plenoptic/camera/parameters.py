@@ -65,7 +65,6 @@ class CoreParameters:
         words="Focal length :math:`f_1` of the main lens.",
         otherwise="80, or that of `main_lens`, which is scaled to what is given",
         unit="mm",
-        known_to=Captures.ALL,
         gradients=Captures.ALL & ~Captures.EDGES,
         in_first_files=True,
     )
@@ -79,7 +78,6 @@ class CoreParameters:
         ),
         otherwise="5, or `main_lens` fully open",
         unit="mm",
-        known_to=Captures.ALL,
         gradients=Captures.POINTS,
         in_first_files=True,
     )
@@ -90,14 +88,12 @@ class CoreParameters:
             "Number of blades, 3 to 64, of a thin main lens's aperture: a regular polygon in the circle of "
             "`aperture_radius`; a second number is the angle in degrees, from +x to +y of the camera frame, of one of "
             "its corners. The exposure falls with the area: a scene of radiance 1 reads the open part of the circle; "
-            "behind microlenses, closed parts of micro-images are dark. For rays, waves of scenes without microlenses, "
-            "waves of points, decoding and method ``ray``."
+            "behind microlenses, closed parts of micro-images are dark."
         ),
         form=Form.SEVERAL,
         takes="int or (int, float)",
         otherwise="a round aperture",
         shortest=lambda blades: blades and blades.to_plain(),
-        known_to=Captures.RAYS | Captures.SCENES,
         fit=require_alone,
     )
     aperture_image: Parameter[Any, Aperture | None] = Parameter(
@@ -111,7 +107,6 @@ class CoreParameters:
         form=Form.PICTURE,
         otherwise="a round aperture",
         shortest=lambda image: image and image.to_plain(),
-        known_to=Captures.RAYS | Captures.SCENES,
         fit=require_alone,
     )
     pupil_apodisation: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
@@ -121,13 +116,11 @@ class CoreParameters:
             "Coefficients a2 and a4, from -4 to 4, of the transmission of the main lens's pupil, :math:`T(r) = "
             "\\max(0, 1 + a_2 (r/R)^2 + a_4 (r/R)^4)`: the part of the power that passes at a distance r from the "
             "centre of the exit pupil of radius R, of an objective from that of its back focal plane, relative to the "
-            "centre. It may rise above 1. A scene of radiance 1 reads T within wide micro-images. For rays, waves of "
-            "scenes, waves of points, white images, decoding and method ``ray``."
+            "centre. It may rise above 1. A scene of radiance 1 reads T within wide micro-images."
         ),
         form=Form.PLACE,
         otherwise="an evenly open pupil",
         parts=("a2", "a4"),
-        known_to=Captures.RAYS | Captures.SCENES,
         fit=require_alone,
     )
     mla_distance: Parameter[float | None, float] = Parameter(
@@ -139,7 +132,6 @@ class CoreParameters:
         ),
         otherwise="120, unless `focus_distance` is given",
         unit="mm",
-        known_to=Captures.ALL,
         gradients=Captures.ALL,
         in_first_files=True,
     )
@@ -155,7 +147,6 @@ class CoreParameters:
         otherwise="what follows from `mla_distance`",
         unit="mm",
         instead_of="mla_distance",
-        known_to=Captures.ALL,
     )
     mla_focal_lengths: Parameter[float | Sequence[float] | None, tuple[float, ...]] = Parameter(
         default=None,
@@ -169,7 +160,6 @@ class CoreParameters:
         takes="float or three floats",
         otherwise="0.512, or that of `mla_shape`",
         unit="mm",
-        known_to=Captures.ALL,
         gradients=Captures.ALL,
         shortest=one_if_single,
         in_first_files=True,
@@ -187,7 +177,6 @@ class CoreParameters:
         takes="float or two floats",
         unit="mm",
         parts=("pitch_along", "pitch_across"),
-        known_to=Captures.ALL,
         gradients=Captures.ALL,
         shortest=one_if_equal,
         in_first_files=True,
@@ -205,7 +194,6 @@ class CoreParameters:
         ),
         form=Form.WORD,
         takes='{"square", "hexagonal", "none"}',
-        known_to=Captures.ALL,
     )
     mla_rotation: Parameter[float, float] = Parameter(
         default=0.0,
@@ -215,7 +203,6 @@ class CoreParameters:
             "to up and clockwise as one looks at the capture."
         ),
         unit="degrees",
-        known_to=Captures.ALL,
         gradients=Captures.ALL & ~Captures.SCENES,
         scale=one,
         of_array=True,
@@ -227,7 +214,6 @@ class CoreParameters:
         form=Form.PLACE,
         unit="mm",
         parts=("offset_x", "offset_y"),
-        known_to=Captures.ALL,
         gradients=Captures.ALL,
         scale=lambda camera: min(camera.mla_pitches),
         of_array=True,
@@ -242,7 +228,6 @@ class CoreParameters:
         form=Form.PLACE,
         unit="degrees",
         parts=("tilt_x", "tilt_y"),
-        known_to=Captures.RAYS | Captures.SCENES,
         of_array=True,
     )
     mla_aperture: Parameter[str, str] = Parameter(
@@ -254,14 +239,12 @@ class CoreParameters:
         ),
         form=Form.WORD,
         takes='{"cell", "circle"}',
-        known_to=Captures.ALL,
         of_array=True,
     )
     mla_fill: Parameter[float, float] = Parameter(
         default=1.0,
         check=partial(require_number, positive=True, minimum=LEAST_FILL, maximum=1),
         words="Width of a lens's aperture over the pitch, at most 1; of a disc's over the shorter pitch.",
-        known_to=Captures.ALL,
         gradients=Captures.ALL & ~Captures.SCENES,
         highest=1.0,
         of_array=True,
@@ -272,13 +255,11 @@ class CoreParameters:
         words=(
             "Relative brightness of single lenses, from 0 to 4, see `LensTransmissions`: a table of rows and columns "
             "of lenses around the axis, beyond which it is 1; as a file, as JSON text or a JSON file of its "
-            "parameters, in Python also as an array. For rays, waves of scenes, white images, decoding and "
-            "reconstructions, which divide it out, and for waves of points."
+            "parameters, in Python also as an array. Reconstructions divide it out."
         ),
         form=Form.LENSES,
         otherwise="equal lenses",
         shortest=lambda table: table and table.to_plain(),
-        known_to=Captures.RAYS | Captures.SCENES,
         of_array=True,
     )
     vignetting: Parameter[Any, Vignetting | None] = Parameter(
@@ -287,13 +268,11 @@ class CoreParameters:
         words=(
             "Outline, apodisation and slope of the pupil as they change over the field, see `Vignetting`: as a JSON "
             "file, its text or a dictionary of its parameters. The power of light is multiplied by it; light diffracts "
-            "at the rim of `aperture_radius` alone. For rays, waves of scenes, white images, decoding and "
-            "reconstructions, which divide it out, and for waves of points behind thin main lenses and objectives."
+            "at the rim of `aperture_radius` alone. Reconstructions divide it out."
         ),
         form=Form.VIGNETTING,
         otherwise="the same pupil for all lenses",
         shortest=lambda vignetting: vignetting and vignetting.to_plain(),
-        known_to=Captures.RAYS | Captures.SCENES,
         of_array=True,
     )
     mla_medium: Parameter[float, float] = Parameter(
@@ -305,7 +284,6 @@ class CoreParameters:
             "focal length."
         ),
         scale=one,
-        known_to=Captures.ALL,
         of_array=True,
     )
     mla_absorption: Parameter[float, float] = Parameter(
@@ -314,9 +292,8 @@ class CoreParameters:
         words=(
             "Absorption coefficient, in 1/mm, of the medium between the microlenses and the detector, the same at all "
             "wavelengths: a path L in it transmits the fraction :math:`e^{-\\alpha L}` of the light, so that oblique "
-            "light loses more. Decoding and reconstructions assume a clear medium."
+            "light loses more."
         ),
-        known_to=Captures.RAYS | Captures.SCENES,
         of_array=True,
     )
     mla_shape: Parameter[MicrolensShape | str | Path | dict[str, Any] | None, MicrolensShape | None] = Parameter(
@@ -330,7 +307,6 @@ class CoreParameters:
         form=Form.SHAPE,
         otherwise="a parabolic phase of the focal length",
         shortest=lambda shape: shape and shape.to_plain(),
-        known_to=Captures.ALL,
         of_array=True,
     )
     detector_distance: Parameter[float | None, float] = Parameter(
@@ -339,7 +315,6 @@ class CoreParameters:
         words="Distance :math:`z` from the MLA to the detector.",
         otherwise="`mla_focal_length`, the first of three",
         unit="mm",
-        known_to=Captures.ALL,
         gradients=Captures.ALL,
         in_first_files=True,
         of_array=True,
@@ -349,7 +324,6 @@ class CoreParameters:
         check=require_length,
         words="Width :math:`W` that the columns of the full detector span, cropped or not; pixels are square.",
         unit="mm",
-        known_to=Captures.ALL,
         gradients=Captures.ALL,
         in_first_files=True,
     )
@@ -359,7 +333,6 @@ class CoreParameters:
         words="Columns and rows of the full detector.",
         form=Form.FILM,
         in_first_files=True,
-        known_to=Captures.ALL,
     )
     crop_offset: Parameter[tuple[int, int], tuple[int, int]] = Parameter(
         default=(0, 0),
@@ -367,7 +340,6 @@ class CoreParameters:
         words="Column and row of the first recorded pixel.",
         form=Form.FILM,
         in_first_files=True,
-        known_to=Captures.ALL,
     )
     crop_size: Parameter[tuple[int, int] | None, tuple[int, int]] = Parameter(
         default=None,
@@ -376,7 +348,6 @@ class CoreParameters:
         form=Form.FILM,
         otherwise="all from `crop_offset` on",
         in_first_files=True,
-        known_to=Captures.ALL,
     )
     lens_model: Parameter[str, str] = Parameter(
         default="ideal",
@@ -389,7 +360,6 @@ class CoreParameters:
         form=Form.WORD,
         takes='{"ideal", "parabolic"}',
         in_first_files=True,
-        known_to=Captures.ALL,
     )
     distortion: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(0.0,) * 5,
@@ -404,7 +374,6 @@ class CoreParameters:
         otherwise="none",
         unit=("mm^-2", "mm^-4", "mm^-6", "mm^-1", "mm^-1"),
         parts=("k1", "k2", "k3", "p1", "p2"),
-        known_to=Captures.RAYS | Captures.SCENES,
     )
     wavefront: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(),
@@ -416,7 +385,6 @@ class CoreParameters:
         ),
         form=Form.NUMBERS,
         otherwise="none",
-        known_to=Captures.ALL,
         gradients=Captures.ALL & ~Captures.SCENES,
         scale=one,
         unseen=1,
@@ -428,8 +396,7 @@ class CoreParameters:
         words=(
             "Sampled path that light gains over the pupil of the main lens, in addition to `wavefront`: a turbulent "
             "atmosphere or a measured aberration; see `PhaseScreen`, in Python also as itself, or as a JSON file, its "
-            "text or a dictionary of its parameters. For rays, which its slope deflects, and for waves of points by "
-            "method ``full_field``."
+            "text or a dictionary of its parameters."
         ),
         form=Form.SCREEN,
         otherwise="none",
@@ -440,12 +407,10 @@ class CoreParameters:
         check=partial(require_numbers, count=2, minimum=0.0),
         words=(
             "Standard deviations of what is irregular in the array: of the lenses' positions along x and along y, in "
-            "millimetres and at most 0.1 of the pitch, and of their focal lengths, relative and at most 0.1, for rays, "
-            "signed rays, and waves of points by method ``full_field``; see `mitsuba_plenoptic.light.lens_kinds`. "
-            "Decoding assumes the regular array."
+            "millimetres and at most 0.1 of the pitch, and of their focal lengths, relative and at most 0.1; see "
+            "`mitsuba_plenoptic.light.lens_kinds`."
         ),
         form=Form.PLACE,
-        known_to=Captures.RAYS | Captures.SCENES,
         of_array=True,
     )
     mla_warp: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
@@ -460,7 +425,6 @@ class CoreParameters:
         form=Form.NUMBERS,
         otherwise="a regular array",
         unit=("1/mm", "1/mm", "1/mm", "1/mm²", "1/mm²", "1/mm²", "1/mm²") * 2,
-        known_to=Captures.ALL,
         of_array=True,
     )
     mla_figure_error: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
@@ -469,8 +433,7 @@ class CoreParameters:
         words=(
             "Root mean square in millimetres of a random path that errors of the microlenses' surfaces add to light, "
             "and its correlation length in millimetres along the array; see "
-            "`mitsuba_plenoptic.light.lens_kinds.FigureError`. For rays, and for waves of points by method "
-            "``full_field``."
+            "`mitsuba_plenoptic.light.lens_kinds.FigureError`."
         ),
         form=Form.PLACE,
         of_array=True,
@@ -480,7 +443,6 @@ class CoreParameters:
         check=partial(require_count, minimum=0, maximum=MOST_SEED),
         words="Seed, up to 4294967295, that chooses one of all arrays with this `mla_jitter` and `mla_figure_error`.",
         form=Form.COUNT,
-        known_to=Captures.ALL,
         of_array=True,
     )
     mla_cra: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
@@ -491,12 +453,10 @@ class CoreParameters:
             "followed by an angle of incidence in degrees before the array, 0 first, with straight lines between and "
             "the last beyond. A lens at this height is shifted towards the axis as far as its chief ray moves on the "
             "way to the detector, be that a fraction of a pitch or several. If the tangent of the angle is "
-            "proportional to the height, a smaller `mla_pitch` describes the same array. Captures of points, fits "
-            "and decoding take the nearest regular array."
+            "proportional to the height, a smaller `mla_pitch` describes the same array."
         ),
         form=Form.NUMBERS,
         otherwise="no shift",
-        known_to=Captures.RAYS | Captures.SCENES,
         of_array=True,
     )
     detector_blur: Parameter[float, float] = Parameter(
@@ -504,31 +464,25 @@ class CoreParameters:
         check=partial(require_number, minimum=0, maximum=1),
         words=(
             "Standard deviation, at most 1, of a Gaussian blur of the irradiance on the detector, by a relay lens or "
-            "the diffusion of charge in pixels. Light that would cross the edge of the recorded pixels stays. Decoding "
-            "assumes none."
+            "the diffusion of charge in pixels. Light that would cross the edge of the recorded pixels stays."
         ),
         unit="mm",
-        known_to=Captures.RAYS | Captures.SCENES,
     )
     pixel_crosstalk: Parameter[float, float] = Parameter(
         default=0.0,
         check=partial(require_number, minimum=0, maximum=0.25),
         words=(
             "Fraction, at most 0.25, of a pixel's light that each of its four neighbours receives, through the walls "
-            "between photodiodes. No light is lost; across the edge of a capture as much returns as leaves. "
-            "Decoding assumes pixels without it."
+            "between photodiodes. No light is lost; across the edge of a capture as much returns as leaves."
         ),
-        known_to=Captures.RAYS | Captures.SCENES,
     )
     stray_light: Parameter[float, float] = Parameter(
         default=0.0,
         check=partial(require_number, minimum=0, maximum=1),
         words=(
             "Light, at most 1, that lenses and walls scatter over the detector: every pixel records besides its own "
-            "light this fraction of the mean light around, after `pixel_crosstalk`, of each channel. Reconstructions "
-            "take it for light of the scene."
+            "light this fraction of the mean light around, after `pixel_crosstalk`, of each channel."
         ),
-        known_to=Captures.RAYS | Captures.SCENES,
     )
     stray_width: Parameter[float | None, float | None] = Parameter(
         default=None,
@@ -536,18 +490,16 @@ class CoreParameters:
         words="Standard deviation of the Gaussian over which the mean of `stray_light` is taken.",
         otherwise="the mean over all recorded pixels",
         unit="mm",
-        known_to=Captures.RAYS | Captures.SCENES,
     )
     pixel_response: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(),
         check=require_response,
         words=(
-            "Angular response of the pixels, for rays: angles of incidence in degrees, rising from 0, each followed "
+            "Angular response of the pixels: angles of incidence in degrees, rising from 0, each followed "
             "by a response from 0 to 1, with straight lines between and the last beyond."
         ),
         form=Form.NUMBERS,
         otherwise="1 at all angles",
-        known_to=Captures.RAYS | Captures.SCENES,
     )
     main_lens: Parameter[LensData | str | Path | dict[str, Any] | None, LensData | None] = Parameter(
         default=None,
@@ -566,7 +518,6 @@ class CoreParameters:
         form=Form.LENS,
         otherwise="a thin lens",
         shortest=lambda lens: lens and lens.to_plain(),
-        known_to=Captures.ALL,
     )
     glass: Parameter[_Glass | None, Glass | None] = Parameter(
         default=None,
@@ -579,7 +530,6 @@ class CoreParameters:
         form=Form.GLASS,
         otherwise="the same focal length for all wavelengths",
         shortest=lambda glass: glass and glass.to_plain(),
-        known_to=Captures.ALL,
     )
     mla_glass: Parameter[_Glass | None, Glass | None] = Parameter(
         default=None,
@@ -588,7 +538,6 @@ class CoreParameters:
         form=Form.GLASS,
         otherwise="the same focal length for all wavelengths",
         shortest=lambda glass: glass and glass.to_plain(),
-        known_to=Captures.ALL,
         of_array=True,
     )
 

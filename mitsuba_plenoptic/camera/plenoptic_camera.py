@@ -33,9 +33,8 @@ from ..lattice import LATTICES, NO_LATTICE, Displacement
 from ..microlens.shape import focal_length_of, require_cover
 from ..prescription.lens_data import SINGLE, THIN, image_distance
 from ..presets import PRESETS
-from .aperture import NOT_ROUND
 from .documentation import numpy_section, signature
-from .entry import Captures, record
+from .entry import record
 from .geometry import NO_ARRAY_HERE, CameraGeometry
 from .matched import MATCHED, behind_pupil, require_enough
 from .parameters import PARAMETERS
@@ -152,58 +151,6 @@ def require_small_warp(camera: CameraGeometry) -> None:
         not slope < MOST_WARP_SLOPE,
         f"{rule} changes by up to {slope:.3g} mm per mm over the detector: it must be less than {MOST_WARP_SLOPE:g}",
     )
-
-
-def require_known_to(
-    camera: CameraGeometry, captures: Captures, what: str, instead: str = "", besides: Sequence[str] = ()
-) -> None:
-    """Refuse a camera with parameters that one kind of capture would ignore, except those named in `besides`."""
-    for name, entry in PARAMETERS.items():
-        value = getattr(camera, entry.attribute)
-        if name not in besides and captures not in entry.known_to and value not in (None, entry.default):
-            raise InputError(f"{name} = {value}: {what} through cameras without it only; {instead}leave it out")
-
-
-def require_ideal(camera: CameraGeometry, *, in_full: bool = False, besides: Sequence[str] = ()) -> None:
-    """Refuse a camera with features that the wave model of points does not support, except those named in `besides`.
-
-    Among these are irregular arrays and phase screens, except where fields are computed in full.
-    """
-    full = ("mla_transmissions", "mla_jitter", "mla_figure_error", "phase_screen") if in_full else ()
-    besides = (*besides, *full)
-    require_known_to(camera, Captures.POINTS, "waves of points are followed", "use ray captures, or ", besides)
-
-
-def require_round(camera: CameraGeometry, what: str, besides: Sequence[str] = ()) -> None:
-    """Refuse a camera whose aperture is not an evenly open disc, except as `besides` names; `what` begins the rule."""
-    for name, default in NOT_ROUND.items():
-        value = getattr(camera, name)
-        if name not in besides and value != default:
-            raise InputError(f"{name} = {value}: {what} through round apertures only; leave it out")
-
-
-def require_no_warp(camera: CameraGeometry, what: str) -> None:
-    """Refuse a camera with smoothly displaced lenses; `what` begins the rule."""
-    refuse_if(
-        bool(camera.mla_warp),
-        f"mla_warp = {short_repr(camera.mla_warp)}: {what} through cameras without it only; leave it out",
-    )
-
-
-def require_no_shape(camera: CameraGeometry, what: str) -> None:
-    """Refuse a camera with shaped microlenses, for computations with parabolic ones; `what` begins the rule."""
-    refuse_if(
-        camera.mla_shape is not None,
-        f"mla_shape = {camera.mla_shape}: {what} with parabolic microlenses only; leave it out",
-    )
-
-
-def require_no_glass(camera: CameraGeometry, what: str) -> None:
-    """Refuse a camera with thin lenses of dispersive glass, for computations without dispersion."""
-    for name in ("glass", "mla_glass"):
-        glass = getattr(camera, name)
-        if glass is not None:
-            raise InputError(f"{name} = {glass.name or glass.form}: {what} leave it out")
 
 
 @record

@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera, require_ideal
+from ..camera import PlenopticCamera
 from ..lattice import Lattice
 from ..lenses.closed_lens import ClosedLens
 from ..lenses.common import main_lens
@@ -89,12 +89,10 @@ class OpticalSystem:
         PhysicsError
             If the path through a real lens cannot be fitted.
         """
-        require_ideal(self.camera, in_full=True, besides=("vignetting",))
         return self.lens.waves_of(points)
 
     def waves_of_one(self, point: NDArray[np.float64]) -> PointLight:
         """Return the light of a scene point (3,) on the exit pupil, as exactly as the lens can represent it."""
-        require_ideal(self.camera, in_full=True, besides=("vignetting",))
         return cast(ClosedLens, self.lens) if self.lens.is_uniform else cast(RealLens, self.lens).waves_of_one(point)
 
 

@@ -32,7 +32,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera, Round, require_round
+from ..camera import PlenopticCamera, Round
 from ..errors import InputError, short_repr
 from ..optics.waves import in_millimetres
 from ..runtime import drjit_array, empty_packets, on_all_cores, single_threaded_blas
@@ -144,15 +144,7 @@ class PhaseSpace(ArrayKernels):
 
     def __post_init__(self) -> None:
         camera = self.camera
-        require_round(camera, "waves of scenes are followed to microlenses", ("pupil_apodisation",))
         for name, refused, rule in (
-            (
-                "main_lens",
-                camera.lens_data.images_stop,
-                "not of the Fourier arrangement",
-            ),
-            ("glass", camera.glass is not None, "taken at the wavelength, by camera.at_wavelength"),
-            ("mla_glass", camera.mla_glass is not None, "taken at the wavelength, by camera.at_wavelength"),
             (
                 "mla_fill",
                 self._least_fill > camera.mla_fill,

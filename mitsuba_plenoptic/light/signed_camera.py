@@ -27,7 +27,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Captures, PlenopticCamera, Values, shortest_parts, with_gradient, with_parts
+from ..camera import Captures, PlenopticCamera, Use, Values, require_support, shortest_parts, with_gradient, with_parts
 from ..errors import InputError, refuse_if
 from ..lenses.pupil import Pair
 from ..optics import rays
@@ -51,13 +51,6 @@ PARAMETERS = with_gradient(Captures.SCENES)
 _OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distance", "detector_width")
 """Parameters on which the kernels depend."""
 
-_REFUSED = (
-    *("main_lens", "wavefront", "distortion", "glass", "mla_glass"),
-    *("mla_absorption", "mla_shape", "mla_jitter", "mla_tilt", "mla_warp", "mla_cra", "pixel_response"),
-    *("pupil_apodisation", "mla_transmissions", "vignetting"),
-)
-"""Parameters that must not be set: rays fixed in the scene are traced only through thin main lenses."""
-
 _KERNEL_STEP, _TABLE_STEP = 1e-3, 2e-2
 """Relative steps of finite differences of kernels, and of coefficient tables, whose sampled overlaps need more."""
 
@@ -80,17 +73,13 @@ def parameters_of(camera: PlenopticCamera) -> Values:
 def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points: bool) -> None:
     """Refuse parameters with respect to which a signed-ray capture of this camera has no derivative."""
     for name in names:
-        camera.require_array(f"{name}: derivatives of wave captures by the camera")
+        require_support(camera, Use.SCENE_DERIVATIVES)
         if name not in PARAMETERS:
             raise InputError(f"{name}: captures by signed rays have derivatives by {', '.join(PARAMETERS)} alone")
         refuse_if(
             name == "mla_pitch" and camera.mla_pitches[0] != camera.mla_pitches[1],
             "mla_pitch: captures by signed rays have no derivative by one of two pitches",
         )
-        for other in _REFUSED:
-            value = getattr(camera, other)
-            if any(value) if isinstance(value, tuple) else value not in (None, 0.0):
-                raise InputError(f"{name}: captures by signed rays have no derivative by it with {other}; leave it out")
         refuse_if(
             by_points,
             f"{name}: captures by signed rays have derivatives by it near the microlenses' focus alone, and "

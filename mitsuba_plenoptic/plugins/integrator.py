@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Captures, PlenopticCamera, has_small_lenses, require_ideal, require_known_to
+from ..camera import PlenopticCamera, Use, has_small_lenses, require_support
 from ..errors import InputError, naming, refuse_if, require_accuracy
 from ..extension import hook
 from ..light import colour
@@ -280,13 +280,13 @@ def make_class() -> type:
                 return self._signed(scene, sensor)
             # The film records what the detector makes of the light.
             camera = regular_array(PlenopticCamera.from_sensor(sensor)).replace(**SHARP)
-            require_ideal(camera)
+            require_support(camera, Use.SCENE_POINTS)
             spectrum, upsampling = self.spectrum_of(scene, sensor), None
             if mi.is_spectral:
                 wavelengths = self.wavelengths if spectrum is None else spectrum.wavelengths
                 responses = np.ones((1, 1), np.float32) if spectrum is None else spectrum.matrix()
                 colour.require_spectra(scene, wavelengths, responses)
-            require_matte(scene, sensor, self.child, camera)
+            require_matte(scene, sensor, self.child)
             if spectrum is None:
                 spectrum = Spectrum.lines(*self.wavelengths)
             else:
@@ -304,7 +304,7 @@ def make_class() -> type:
                 colour.require_spectra(scene, colours.spectrum.wavelengths, colours.spectrum.matrix())
             light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
             camera = PlenopticCamera.from_sensor(sensor)
-            require_known_to(camera, Captures.SCENES, "signed rays are followed", "use ray captures, or ")
+            require_support(camera, Use.SCENES)
             if has_small_lenses(camera, max(colours.spectrum.wavelengths)):
                 what = f"{NAME}: mla_pitch = {camera.mla_pitch:g}"
                 return hook("small lenses", what)(camera, light, colours, self.accuracy)

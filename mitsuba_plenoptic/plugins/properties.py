@@ -20,11 +20,13 @@ from ..camera import (
     PARAMETERS,
     Form,
     PlenopticCamera,
+    Use,
     film_numbers,
     known_image,
     known_screen,
     known_transmissions,
     known_vignetting,
+    require_support,
 )
 from ..errors import (
     NO_RECORD,
@@ -105,7 +107,7 @@ def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
             if name in props and entry.form is not Form.FILM
         }
         camera = PlenopticCamera(**given, **film_numbers(film))
-        camera.require_bounded()
+        require_support(camera, Use.RAYS)
     return camera
 
 

@@ -16,7 +16,6 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..lenses.main_lens import MainLens
 from ..light.optical_system import OpticalSystem
@@ -36,14 +35,6 @@ _TOGETHER = 2**14
 """Number of points whose rays are traced together."""
 
 
-def require_coherent(camera: PlenopticCamera) -> None:
-    """Refuse a camera whose points do not all see the same pupil."""
-    refuse_if(
-        not camera.lens_data.is_thin,
-        f"main_lens = {camera.lens_data.label}: coherent fields need a thin main lens, whose pupil all points see",
-    )
-
-
 class CoherentFields:
     """Fields of scene points (n, 3) of a camera with a thin main lens, each of unit power through the pupil.
 
@@ -51,7 +42,6 @@ class CoherentFields:
     """
 
     def __init__(self, system: OpticalSystem, points: NDArray[np.float64]) -> None:
-        require_coherent(system.camera)
         refuse_if(not len(points), "points: coherent fields need at least one")
         lens: Any = system.waves_of(points)
         self.system, self._lens, self._points = system, lens, points

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import NOT_ROUND, PlenopticCamera, Round, require_ideal, require_no_glass, require_no_shape
+from ..camera import NOT_ROUND, PlenopticCamera, Round, Use, require_support
 from ..errors import InputError, refuse_if, require_choice, require_flag, require_wavelength, suggest_keywords
 from ..io import digest
 from ..light.detector_operator import SHARP, DetectorOperator
@@ -116,24 +116,15 @@ class CaptureOperator(CoherentPoints):
         camera = regular_array(camera)
         # An aperture that is not round is the power of every point's light over the pupil. The detector acts on sums.
         open_ = camera.replace(**NOT_ROUND, **SHARP)
-        require_ideal(open_, in_full=method == "full_field", besides=("mla_transmissions", "vignetting"))
-        refuse_if(
-            camera.vignetting is not None and (camera.lens_data.traced_surfaces or camera.lens_data.images_stop),
-            f"vignetting = {camera.vignetting}: waves of points are followed behind thin main lenses and objectives "
-            "with the array in the image only; leave it out",
-        )
-        uneven = pupil_weights is not None or camera.aperture != Round()
-        if camera.lens_data.traced_surfaces and method == "full_field" and uneven:
-            name = "pupil_weights" if pupil_weights is not None else f"pupil_apodisation = {camera.pupil_apodisation}"
-            raise InputError(f"{name}: method {method} takes none behind a main_lens; use patch")
         self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
         self.spectrum = spectrum
         self._channels = WeightChannels(None if wavelength is None else require_wavelength(wavelength), spectrum)
         refuse_if(method == "bank", "method = bank: it is gone since version 2.0; use patch")
         require_choice("method", method, METHODS)
+        require_support(camera, Use.FULL_FIELDS if method == "full_field" else Use.POINTS)
         refuse_if(
-            method != "full_field" and camera.lens_data.images_stop,
-            f"method = {method}: light covers all of the stop's image, in which the array stands; use full_field",
+            bool(camera.lens_data.traced_surfaces) and method == "full_field" and pupil_weights is not None,
+            f"pupil_weights: method {method} takes none behind a main_lens; use patch",
         )
         self._detector = DetectorOperator.of(camera)
         self._method, self._accuracy = method, chosen_accuracy(accuracy, method)
@@ -162,7 +153,7 @@ class CaptureOperator(CoherentPoints):
             self.spectrum is not None and self.spectrum.matrix().tolist() != [[1]],
             "spectrum: a coherent field has no channels and no response; give the wavelength",
         )
-        require_ideal(self.camera, in_full=True)
+        require_support(self.camera, Use.COHERENT_POINTS)
         refuse_if(self._pupil_weights is not None, "pupil_weights: coherent fields take none")
         return CoherentFields(self._plans.system_at(wavelengths[0]), self.points)
 
@@ -361,17 +352,15 @@ class CaptureOperator(CoherentPoints):
     def _for_derivatives(self) -> Differentials:
         """Return the derivatives of the sums; refuse methods without derivatives."""
         refuse_if(self._method != "patch", f"method = {self._method}: it has no derivatives; use patch")
-        self.camera.require_no_objective("derivatives of wave captures are found")
-        spreading = self.camera.replace(**SHARP)
-        require_ideal(spreading)
-        require_no_shape(self.camera, "derivatives of wave captures are found")
-        require_no_glass(self.camera, "there are no derivatives of cameras that disperse light;")
+        require_support(self.camera, Use.POINT_DERIVATIVES)
         if (spectrum := self._channels.spectrum) is not None and spectrum.nodes:
             raise InputError(
                 f"spectrum: nodes = {spectrum.nodes}: there are no derivatives between nodes; leave them out"
             )
         if self._differentials is None:
-            self._differentials = Differentials(spreading, len(self.points), self._plans.made_by(DerivativePlan))
+            self._differentials = Differentials(
+                self.camera.replace(**SHARP), len(self.points), self._plans.made_by(DerivativePlan)
+            )
         return self._differentials
 
     def estimate(self, job: Job | None = None) -> Cost:

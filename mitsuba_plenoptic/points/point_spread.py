@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera, require_camera
+from ..camera import PlenopticCamera, Use, require_camera, require_support
 from ..errors import InputError, refuse_if, require_choice, require_wavelength, suggest_keywords
 from ..light.lens_kinds import regular_array
 from ..light.optical_system import OpticalSystem
@@ -94,6 +94,7 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
     with guards.watch():
         wavelength = require_wavelength(wavelength)
         point = _check(camera, position)
+        require_support(camera, Use.POINT_FIELDS)
         camera = regular_array(camera).at_wavelength(wavelength)
         return full_field.point_fields(OpticalSystem(camera, wavelength), point)
 

@@ -8,22 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import NOT_ROUND, Captures, PlenopticCamera, require_known_to
+from ..camera import PlenopticCamera, Use, require_support
 from ..light.detector_operator import DetectorOperator
 from ..light.optical_system import OpticalSystem
 from ..light.walk import Passage, Walk
 from .scene_points import sample_pairs
-
-_FOLLOWED = (
-    "vignetting",
-    "mla_transmissions",
-    "mla_jitter",
-    "mla_figure_error",
-    "phase_screen",
-    "distortion",
-    *NOT_ROUND,
-)
-"""Parameters that rays of points follow, other than waves of points in patches."""
 
 _RAYS = 2**21
 _TOGETHER = 2**18
@@ -34,8 +23,7 @@ def ray_spread(camera: PlenopticCamera, point: NDArray[np.float64]) -> NDArray[n
 
     The point radiates evenly in all directions, as that of waves does.
     """
-    require_known_to(camera, Captures.POINTS, "rays of points are followed", "use captures of scenes, or ", _FOLLOWED)
-    camera.require_bounded()
+    require_support(camera, Use.RAY_SPREADS)
     lens = OpticalSystem.by_design(camera).lens.waves_of(point[None])
     light, walk = lens.bind(point[None]), Walk.of(camera, lens) if camera.has_array else None
     places = 2 * sample_pairs(_RAYS)[:, :2] - 1

@@ -22,7 +22,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera, require_ideal
+from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if, warn
 from ..io import digest
 from ..lenses.real_lens import RealLens
@@ -75,11 +75,9 @@ def sample_pairs(count: int, seed: int = 0) -> NDArray[np.float64]:
     return np.asarray(qmc.Sobol(4, scramble=True, rng=seed).random_base2(math.ceil(math.log2(count)))[:count])
 
 
-def require_matte(scene: Any, sensor: Any, integrator: Any, camera: PlenopticCamera) -> None:
-    """Refuse a scene or camera unless all light comes directly from matte or emitting surfaces."""
+def require_matte(scene: Any, sensor: Any, integrator: Any) -> None:
+    """Refuse a scene unless all light comes directly from matte or emitting surfaces."""
     what = "method = points"
-    camera.require_array(what)
-    camera.require_no_objective(f"{what}: surfaces are seen")
     if sensor.shutter_open_time() > 0:
         raise InputError(f"{what}: the shutter is open for {sensor.shutter_open_time():g}: it needs a scene at rest")
     if getattr(integrator, "hide_emitters", False):
@@ -113,7 +111,6 @@ def find_points(
 ) -> ScenePoints:
     """Return the points where the rays of all lenses first hit a surface, with the weights of their light."""
     camera.require_resolved()
-    require_ideal(camera)
     system = OpticalSystem.by_design(camera)
     window = LensWindow.of(system)
     lenses = len(window.index)

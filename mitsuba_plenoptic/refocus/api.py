@@ -11,21 +11,17 @@ from typing import Any, overload
 
 import numpy as np
 
-from ..camera import Captures, PlenopticCamera, require_known_to, require_no_shape
+from ..camera import PlenopticCamera, require_support
 from ..errors import (
-    InputError,
-    argument,
     require_count,
     suggest_keywords,
 )
 from ..io import Capture, Checkpoint
-from ..light.detector_operator import SHARP
 from ..optics import guards
 from ..refocus_options import all_options, with_options
 from ..runtime import GIB, BatchMap, Forecast, in_words, memory_asked, one_at_a_time
 from .displacement import is_known
 from .methods import (
-    METHODS,
     Found,
     RegisteredMethod,
     Task,
@@ -183,20 +179,14 @@ def reconstruct(
     """
     recorded = capture
     capture = as_capture(capture, camera)
-    capture.camera.require_array("reconstruct")
     tilted = capture.camera
     chosen = registered(method)
+    require_support(tilted, chosen.use)
     soft = chosen.soft and moves_images(tilted)
     soft = soft and require_response(options.get("response"), capture, wavelength) == "ray"
     image = straightened_image(np.atleast_3d(capture.image), tilted, soft=soft)
     camera = straightened(tilted)
     capture = dataclasses.replace(capture, camera=camera, image=image.reshape(capture.image.shape))
-    if not camera.lens_data.converges and not chosen.as_it_is:
-        methods = " or ".join(each.name for each in METHODS.values() if each.as_it_is) or "of extension deconvolution"
-        raise InputError(
-            f"method = {method}: behind main_lens = {camera.lens_data.label} captures are reconstructed by the "
-            f"camera's own point spreads; use {argument('method')} {methods}"
-        )
     used = used_by(
         chosen,
         white=white,
@@ -213,9 +203,6 @@ def reconstruct(
     distances = require_distances(distance, camera)
     waves = chosen.waves and settings.get("response") != "ray"
     if chosen.waves:
-        what, besides = f"method {method} reconstructs captures", ("mla_jitter", *SHARP)
-        require_known_to(camera, Captures.POINTS, what, "use method ray, or ", besides)
-        require_no_shape(camera, "captures are reconstructed by waves")
         camera.require_resolved()
     if chosen.waves and not chosen.as_it_is and camera.wavefront:
         # Images are formed by the lens as it should be.

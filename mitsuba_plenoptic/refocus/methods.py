@@ -13,7 +13,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, Use
 from ..errors import (
     InputError,
     argument,
@@ -153,6 +153,13 @@ class RegisteredMethod:
     long: bool = False
     white: bool = True
     soft: bool = False
+
+    @property
+    def use(self) -> Use:
+        """The use of a camera, in the table of support."""
+        if self.as_it_is:
+            return Use.RESPONSES
+        return Use.FIELDS if self.waves else Use.RAY_REFOCUSING
 
     def takes(self, option: str) -> bool:
         """Return whether the method has an option of `reconstruct` that only some methods have."""

@@ -34,7 +34,6 @@ def pupil_radius(camera: PlenopticCamera) -> float:
     would lose 3 % of the paper's light. Through the edge of a lens that is not focused on the pupil, a pixel sees
     another point than through the centre, in a focused camera by a good part of the pupil.
     """
-    camera.require_array("refocusing by rays")
     view = max(abs(camera.pupil_shift(f2) - 1) for f2 in camera.mla_focal_lengths) * camera.lattice.aperture_reach
     return camera.lit_radius + view
 

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 import xarray as xr
 
-from ..camera import PlenopticCamera, are_alike, require_camera
+from ..camera import PlenopticCamera, Use, are_alike, require_camera, require_support
 from ..design.microscope import objective_of
 from ..errors import InputError, refuse_if, short_repr, suggest_keywords
 from ..io import TRUTH_COORDINATES, Capture, GroundTruth, channel_planes, require_demosaiced
@@ -152,7 +152,7 @@ def checked_images(
     if upright is not None and image.shape[:2] != upright.shape:
         raise InputError(f"capture of shape {image.shape[:2]}: the camera records {upright.shape}")
     if upright is not None:
-        upright.require_array("decode")
+        require_support(upright, Use.DECODING)
     refuse_if(
         upright is None and white is None, "white = None: without a camera the pupil is known from a white image only"
     )
@@ -160,7 +160,6 @@ def checked_images(
     if white is not None:
         reference = recorded_white(white, (*image.shape[:2], 3), cameras).astype(np.float32).mean(2, keepdims=True)
     if upright is not None and not upright.lens_data.images_stop:
-        upright.require_thin("captures are decoded")
         computed = white_image(upright, grid)
         reference = (
             computed[..., None]

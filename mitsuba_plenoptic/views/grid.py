@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, Use, require_support
 from ..errors import MOST_PIXELS, put, refuse_if, require_count, require_number, require_pair, require_warp
 from ..lattice.lens_shifts import WARP_POWERS, Displacement
 from ..optics import rays
@@ -127,7 +127,7 @@ def bin_grid(camera: PlenopticCamera) -> LensGrid:
     The bins are those of a reconstruction, `PlenopticCamera.bin_count`; for a crop window, those with a micro-image
     centred in it. On an upright square lattice with a corner on the axis they are the lenses.
     """
-    camera.require_thin("light fields are decoded")
+    require_support(camera, Use.LENS_CENTRES)
     camera.require_resolved()
     start = []
     count = []
@@ -159,7 +159,7 @@ def lens_grid(camera: PlenopticCamera) -> LensGrid:
     InputError
         If no micro-image is centred in the recorded window.
     """
-    camera.require_array("lens_grid")
+    require_support(camera, Use.LENS_CENTRES)
     lattice = camera.lattice.regular
     if lattice.axis_aligned and lattice.aspect == 1 and lattice.offset == (0, 0):
         return _warped(bin_grid(camera), camera)
@@ -193,7 +193,7 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
 
     The result has the shape (lenses, 2).
     """
-    camera.require_thin("centres of micro-images are computed")
+    require_support(camera, Use.LENS_CENTRES)
     camera.require_resolved()
     x, y = (
         rays.chief_point(camera.pixel_coordinates(axis)[[0, -1]], camera.mla_distance, camera.reduced_distance)

@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from ..camera import require_round
+from ..camera import Use, require_support
 from .lens_images import MicroImages
 
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window.
@@ -44,7 +44,7 @@ class LensComparison:
     """The micro-images of a capture, for comparison plane by plane."""
 
     def __init__(self, images: MicroImages) -> None:
-        require_round(images.camera, "depth is found by micro-images of focused cameras")
+        require_support(images.camera, Use.ROUND_PUPILS)
         self._images = images
         # Smoothed within micro-images, weighted by the part of the pupil that samples see.
         total = images.values * images.weight[..., None]

@@ -15,7 +15,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Opening, PlenopticCamera, Round, are_alike
+from ..camera import Opening, PlenopticCamera, Round, Use, are_alike, require_support
 from ..design import crosstalk_neighbours
 from ..errors import InputError, refuse_if, short_repr, warn
 from ..io import Capture, recording_of, require_demosaiced
@@ -154,13 +154,12 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         If the array is in the image of the stop, or micro-images are so wide or so far out of focus that it would take
         an hour, or too much memory.
     """
-    camera.require_array("white_image")
-    camera.require_bounded()
+    require_support(camera, Use.WHITE_IMAGES)
     camera = regular_array(camera)
     if camera.vignetting is not None or (grid is None and not camera.lens_data.is_thin):
         # Vignetting states places of lenses, as the camera has them.
         return np.asarray(DetectorOperator.of(camera).forward(_traced(camera)))
-    camera.require_thin("white images of a grid are computed")
+    require_support(camera, Use.LENS_CENTRES)
     fractions = _Fractions(camera)
     half = fractions.half
     rows, columns = camera.shape

@@ -222,7 +222,7 @@ for work in (
     try:
         work()
     except mp.InputError as error:
-        assert "temperature = 35.0: " in str(error) and "through cameras without it only" in str(error), error
+        assert "temperature = 35.0: " in str(error) and "ray captures alone are known to follow it" in str(error), error
     else:
         raise AssertionError
 assert "temperature : float" in Camera.__doc__

@@ -397,7 +397,7 @@ def needing(extension):
     ],
 )
 def test_what_needs_an_array_refuses_by_name(call, capture):
-    with pytest.raises(InputError, match=r"^[\w =/.]+: mla_lattice = none: the camera has no microlens array$"):
+    with pytest.raises(InputError, match=r"^[\w =/.-]+: mla_lattice = none: the camera has no microlens array$"):
         call(capture, capture.camera)
 
 

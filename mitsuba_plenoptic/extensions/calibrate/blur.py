@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from ...camera import PlenopticCamera
+from ...camera import PlenopticCamera, Use, require_support
 from ...errors import refuse_if
 from ...lattice.arrangement import Lattice
 from .adjustment import Adjusted
@@ -131,7 +131,7 @@ class CutBlur:
         # The camera; its tilt and distortion change nothing that matters here.
         camera: PlenopticCamera,
     ) -> None:
-        camera.require_thin("what the pupil cuts of blur is computed")
+        require_support(camera, Use.LENS_CENTRES)
         self._z = camera.detector_distance
         self._b = camera.mla_distance
         self._ratios = self._z / np.array(camera.mla_focal_lengths)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...camera import PlenopticCamera, require_camera, require_no_shape, require_round
+from ...camera import PlenopticCamera, Use, require_camera, require_support
 from ...errors import InputError, naming, refuse_if, suggest_keywords
 from .adjustment import Adjusted, Problem, adjust, adjust_poses, both_axes, deviation, huber, outlying, robust_lines
 from .blur import fit_blur
@@ -63,11 +63,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         If the data cannot determine what a camera predicts; the message says what is lacking. Parameters that the data
         leave open have wide deviations (`Calibration.open_direction`).
     """
-    require_camera(start, "start").require_array("calibrate")
-    start.require_thin("cameras are calibrated")
-    require_no_shape(start, "cameras are calibrated")
-    require_round(start, "cameras are calibrated")
-    refuse_if(start.mla_medium != 1, f"mla_medium = {start.mla_medium:g}: cameras are calibrated with 1 only")
+    require_support(require_camera(start, "start"), Use.CALIBRATION)
     size = np.array(start.crop_size)
     for table in filter(None, (corners, centres)):
         require_on_detector(table, start.crop_size)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ...camera import PlenopticCamera
+from ...camera import PlenopticCamera, Use, require_support
 from ...errors import refuse_if
 from ...runtime import as_pixels, atomic_output, require_memory
 from ...views import lens_types
@@ -90,8 +90,7 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
     index : LensIndex, optional
         Indexing of lenses in the table. Default: that of the camera's lattice.
     """
-    camera.require_array("camera_centres")
-    camera.require_thin("centres of micro-images are computed")
+    require_support(camera, Use.LENS_CENTRES)
     camera.require_resolved()
     lattice = camera.lattice
     size = np.array(camera.crop_size)

@@ -16,7 +16,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera, require_ideal, require_no_shape
+from ...camera import PlenopticCamera, Use, require_support
 from ...design import resolution_limit
 from ...errors import refuse_if
 from ...lenses.common import inverse_distance
@@ -135,8 +135,6 @@ _NO_WAVE = 1.0
 
 def ray_grid(camera: PlenopticCamera) -> Grid:
     """Return a grid whose samples are at most half as wide as pixels."""
-    camera.require_thin("this is done")
-    require_no_shape(camera, "this is done")
     turned = upright(camera)
     steps = np.array(turned.lattice.grid_step) * (turned.micro_image_pitch / turned.mla_pitch)
     origin = -np.array([camera.detector_width, camera.detector_height]) / 2
@@ -264,6 +262,7 @@ class Response(StoredResponse):
         # Kernels are of the light on the pixels, which then mix it.
         self._detector = DetectorOperator.of(camera)
         camera = camera.replace(**SHARP)
+        require_support(camera, Use.RESPONSES | Use.KERNELS)
         _require_equal_lenses(camera)
         if wavelength is None:
             grid, self._together = ray_grid(camera), 1
@@ -466,9 +465,8 @@ class Response(StoredResponse):
 
 
 def _require_equal_lenses(camera: PlenopticCamera) -> None:
-    """Refuse a camera whose lenses differ by more than responses know, or with parameters that they do not know."""
-    camera.require_array("response")
-    place, focal = camera.mla_jitter
+    """Refuse a camera whose lenses differ by more than responses know."""
+    focal = camera.mla_jitter[1]
     # The width on the detector of light that converges to a point behind a lens of the nominal focal length.
     width = focal * max(camera.mla_pitches) * camera.detector_distance / min(camera.mla_focal_lengths)
     refuse_if(
@@ -476,7 +474,6 @@ def _require_equal_lenses(camera: PlenopticCamera) -> None:
         f"mla_jitter = {camera.mla_jitter}: its focal lengths spread light over {width / camera.pixel_size:.2g} "
         f"pixels: responses, of equal lenses, allow {_WIDEST_SPREAD:g}; use method ray, or leave it out",
     )
-    require_ideal(camera.replace(mla_jitter=(place, 0.0)))
 
 
 def _alike(camera: PlenopticCamera) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import choices
-from ...camera import CameraVector, PlenopticCamera
+from ...camera import CameraVector, PlenopticCamera, Use, require_support
 from ...errors import (
     refuse_if,
     require_accuracy,
@@ -100,9 +100,7 @@ def fit(
     """
     from scipy.optimize import least_squares
 
-    camera.require_array("fit")
-    if not camera.lens_data.converges:
-        camera.require_thin("cameras are fitted", "fit one behind a prescription")
+    require_support(camera, Use.FITS)
     camera = regular_array(camera)
     given = [views] if isinstance(views, View) else list(views)
     default = None if photons is None else PixelNoise(require_number("photons", photons, positive=True))

@@ -22,7 +22,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera, require_ideal, require_no_shape, require_no_warp
+from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, refuse_if, require_choice, require_count, require_number, require_wavelength
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
@@ -77,9 +77,8 @@ class RayRefocus:
     def __init__(
         self, camera: PlenopticCamera, distance: float, *, footprint: str = "lens", oversample: int = 1
     ) -> None:
-        require_no_warp(camera, "reconstructions have derivatives")
+        require_support(camera, Use.RAY_REFOCUSING | Use.RECONSTRUCTION_DERIVATIVES)
         camera = regular_array(camera)
-        camera.require_no_objective("captures are refocused by rays")
         self.camera, self._distance = camera, require_number("distance", distance, finite=False)
         lens_data.image_distance(camera.focal_length, self._distance)
         require_choice("footprint", footprint, FOOTPRINTS)
@@ -240,12 +239,9 @@ class CoherentRefocus:
     def __init__(
         self, camera: PlenopticCamera, distance: float, wavelength: float, *, interleave: int = 1, oversample: int = 1
     ) -> None:
-        camera.require_thin("captures are reconstructed")
-        require_no_warp(camera, "reconstructions have derivatives")
+        require_support(camera, Use.FIELDS | Use.FIELD_DERIVATIVES | Use.RECONSTRUCTION_DERIVATIVES)
         wavelength = require_wavelength(wavelength)
         camera = regular_array(camera).at_wavelength(wavelength)
-        require_ideal(camera)
-        require_no_shape(camera, "captures are reconstructed by waves")
         camera.require_resolved()
         # Images are formed by the ideal lens, without aberrations.
         camera = camera.replace(wavefront=())
@@ -433,7 +429,7 @@ class DeconvolvedRefocus:
         iterations: int = DEFAULT_ITERATIONS,
         oversample: int = 1,
     ) -> None:
-        require_no_warp(camera, "reconstructions have derivatives")
+        require_support(camera, Use.RESPONSES | Use.RECONSTRUCTION_DERIVATIVES)
         camera = regular_array(camera)
         self.camera, self.iterations = camera, require_count("iterations", iterations)
         distance, oversample = (

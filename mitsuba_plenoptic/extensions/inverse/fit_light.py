@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera
+from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, put, refuse_if, require_count, require_number, require_wavelength
 from ...io import Capture, digest, require_demosaiced, response_of
 from ...light.lens_kinds import regular_array
@@ -295,11 +295,12 @@ def known_view(
     InputError
         If an input has a wrong value, the scene shows no light, or it has a surface that is not matte.
     """
+    require_support(camera, Use.SCENE_POINTS)
     camera = regular_array(camera)
     seen = with_camera(scene, camera)
     sensor = plenoptic_sensor(seen)
     child = chosen_integrator(seen, "ray", {})
-    scene_points.require_matte(seen, sensor, child, camera)
+    scene_points.require_matte(seen, sensor, child)
     wavelength = require_wavelength(wavelength)
     light = SceneLight(seen, sensor, child, wavelength if mi.is_spectral else None)
     found = scene_points.find_points([light], camera, require_count("points_per_lens", points_per_lens), seed=seed)

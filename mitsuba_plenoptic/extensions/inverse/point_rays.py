@@ -15,12 +15,9 @@ from numpy.typing import NDArray
 
 from ...camera import (
     CameraVector,
-    Captures,
     PlenopticCamera,
-    require_known_to,
-    require_no_glass,
-    require_no_shape,
-    require_no_warp,
+    Use,
+    require_support,
 )
 from ...errors import refuse_if, short_repr
 from ...lattice import make_lattice
@@ -137,20 +134,7 @@ class PointRays:
         # Relative power over the pupil.
         pupil_weights: PupilWeights | None = None,
     ) -> None:
-        require_known_to(camera, Captures.POINTS, "points are followed")
-        require_no_shape(camera, "points are followed by rays")
-        require_no_warp(camera, "points are followed by rays")
-        require_no_glass(camera, "points are followed at one wavelength;")
-        refuse_if(
-            camera.lens_data.images_stop,
-            f"main_lens = {camera.lens_data.label}: points are followed by rays where the array stands in an image of "
-            "the object only; use waves",
-        )
-        refuse_if(
-            not camera.lattice.fills,
-            f"mla_fill = {camera.mla_fill:g}, mla_aperture = {camera.mla_aperture}: points are followed by rays "
-            "through arrays without gaps only; use waves",
-        )
+        require_support(camera, Use.POINT_RAYS)
         points = check_positions(points, camera, virtual=True)
         self._points, self._pupil_weights = points, pupil_weights
         lens = OpticalSystem(camera, wavelength).waves_of(points)

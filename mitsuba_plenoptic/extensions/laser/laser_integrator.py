@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera, require_ideal
+from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, naming, refuse_if, require_count, require_number, require_wavelength, warn
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
@@ -17,7 +17,6 @@ from ...optics import guards
 from ...optics.spectrum import Spectrum
 from ...plugins import properties
 from ...points import scene_points
-from ...points.coherent import require_coherent
 from ...points.operator import CaptureOperator
 from ...runtime import Cost, Job
 from .lit_points import LaserScene, LitPoints, named_lasers
@@ -168,8 +167,7 @@ def make_class() -> type:
             """Return the lasers of a scene; refuse scenes and cameras that the model does not support."""
             with naming(NAME):
                 camera = regular_array(PlenopticCamera.from_sensor(sensor))
-                require_ideal(camera, in_full=True)
-                require_coherent(camera)
+                require_support(camera, Use.COHERENT_POINTS)
             refuse_if(not sensor.film().rfilter().is_box_filter(), f'{NAME}: the film needs <rfilter type="box"/>')
             refuse_if(
                 sensor.film().base_channels_count() != 1, f"{NAME}: the film has colours; use pixel_format luminance"

@@ -195,7 +195,7 @@ class LaserScene:
         The displacement is linear in the inverse distance, so that its greatest length is below straight lines between
         the lengths at some distances.
         """
-        # A thin lens: `require_coherent` refuses others.
+        # A thin lens: the table of support refuses others.
         lens: Any = self.system.lens
         radius = lens.pupil.radius * (np.arange(_RINGS) + 1) / _RINGS
         angle = 2 * math.pi * np.arange(_SPOKES) / _SPOKES

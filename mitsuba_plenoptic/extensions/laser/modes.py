@@ -17,10 +17,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera, require_camera
+from ...camera import PlenopticCamera, Use, require_camera, require_support
 from ...errors import refuse_if, require_number, require_wavelength, suggest_keywords
 from ...optics.waves import in_millimetres
-from ...points.coherent import require_coherent
 
 _NODES = 400
 """Nodes of the integral over angles."""
@@ -95,8 +94,7 @@ def mode_count(
     >>> round(m, 1)
     15.3
     """
-    require_camera(camera)
-    require_coherent(camera)
+    require_support(require_camera(camera), Use.COHERENT_POINTS)
     length = in_millimetres(require_wavelength(wavelength))
     distance = require_number("distance", distance, positive=True)
     size = require_number("source_diameter", source_diameter, minimum=0)

@@ -15,7 +15,7 @@ import xarray as xr
 from scipy.ndimage import convolve1d, uniform_filter
 
 from ... import choices
-from ...camera import PlenopticCamera, require_round
+from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, refuse_if, require_choice, require_count, require_number, suggest_keywords
 from ...prescription import lens_data
 from ...views import require_light_field
@@ -48,7 +48,7 @@ def half_disparity(camera: PlenopticCamera, distance: float) -> float:
         If the main lens is an objective, or the distance is within the focal length.
     """
     camera.require_lens("the disparity of half pupils")
-    require_round(camera, "the disparity of half pupils is known")
+    require_support(camera, Use.ROUND_PUPILS)
     distance = require_number("distance", distance, finite=False)
     lens_data.image_distance(camera.focal_length, distance)
     return -8 / (3 * math.pi) * float(blur_radius(camera, distance))

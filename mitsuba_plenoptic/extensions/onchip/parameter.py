@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from ...camera import Captures, Form, Parameter
+from ...camera import Form, Parameter, Use, approximate, refused
 from ...errors import refuse_if
 from .photodiode_response import PhotodiodeResponse, known_response, require_pixel_pairs
 
@@ -15,6 +15,22 @@ if TYPE_CHECKING:
 PhotodiodeParameter: TypeAlias = Parameter[
     PhotodiodeResponse | str | Path | dict[str, Any] | None, PhotodiodeResponse | None
 ]
+
+_WAVES = (
+    Use.SCENES
+    | Use.SCENE_POINTS
+    | Use.SMALL_LENSES
+    | Use.POINTS
+    | Use.FULL_FIELDS
+    | Use.POINT_FIELDS
+    | Use.COHERENT_POINTS
+    | Use.POINT_RAYS
+    | Use.RAY_SPREADS
+    | Use.SCENE_DERIVATIVES
+    | Use.POINT_DERIVATIVES
+)
+_RECONSTRUCTIONS = Use.RESPONSES | Use.FIELDS
+_GEOMETRY = Use.RAY_REFOCUSING | Use.DECODING | Use.WHITE_IMAGES
 
 
 def require_fit(camera: CameraGeometry) -> None:
@@ -40,6 +56,10 @@ PHOTODIODE_RESPONSE: PhotodiodeParameter = Parameter(
     form=Form.RESPONSE,
     otherwise="that of the microlenses",
     shortest=lambda response: response and response.to_plain(),
-    known_to=Captures.RAYS,
+    support=(
+        refused(_WAVES, "the table contains the diffraction of microlenses", "ray captures"),
+        refused(_RECONSTRUCTIONS, "light goes back through microlenses that refract", "method ray"),
+        approximate(_GEOMETRY, "pixels count as equal behind microlenses that refract"),
+    ),
     of_array=True,
 )

@@ -27,8 +27,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera, require_round
-from ...errors import InputError, refuse_if, short_repr
+from ...camera import PlenopticCamera, Use, require_support
+from ...errors import refuse_if
 from ...light.optical_system import OpticalSystem
 from ...light.walk import Walk
 from ...optics.waves import in_millimetres
@@ -58,24 +58,11 @@ _ALONG = 9
 
 def pixels_per_lens(camera: PlenopticCamera) -> int:
     """Return the number of pixels across a lens; refuse cameras that photodiode responses do not describe."""
-    require_round(camera, "waves are followed to lenses of a few wavelengths")
-    for name, refused, rule in (
-        ("mla_lattice", camera.mla_lattice != "square", '"square"'),
-        ("mla_rotation", camera.mla_rotation != 0, "0"),
-        ("mla_pitch", camera.mla_pitches[0] != camera.mla_pitches[1], "a single pitch"),
-        ("mla_aperture", camera.mla_aperture != "cell", '"cell"'),
-        ("mla_tilt", any(camera.mla_tilt), "0"),
-        ("mla_transmissions", camera.mla_transmissions is not None, "left out"),
-        ("vignetting", camera.vignetting is not None, "left out"),
-        ("mla_jitter", any(camera.mla_jitter), "0"),
-        ("mla_warp", bool(camera.mla_warp), "left out"),
-        ("pixel_response", bool(camera.pixel_response), "left out: the responses contain it"),
-        ("main_lens", camera.objective is not None, "no objective"),
-        ("resolution", any(size % 2 for size in camera.resolution), "even"),
-    ):
-        if refused:
-            value = short_repr(getattr(camera, name))
-            raise InputError(f"{name} = {value}: for waves behind lenses of a few wavelengths it must be {rule}")
+    require_support(camera, Use.SMALL_LENSES)
+    refuse_if(
+        any(size % 2 for size in camera.resolution),
+        f"resolution = {camera.resolution}: for waves behind lenses of a few wavelengths it must be even",
+    )
     count = round(camera.mla_pitch / camera.pixel_size)
     farthest = max(float(np.abs(_offsets(camera, count, axis)).max()) for axis in (0, 1))
     refuse_if(

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ... import choices
-from ...camera import PlenopticCamera
+from ...camera import PlenopticCamera, Use, require_support
 from ...errors import (
     InputError,
     refuse_if,
@@ -91,7 +91,7 @@ def psf_bank(
     """
     along, across = require_layout(layout)
     require_pixel_pairs(camera)
-    camera.require_no_objective("banks of point spreads are computed")
+    require_support(camera, Use.SPREAD_BANKS)
     require_choice("model", model, choices.MODELS)
     wavelength = require_wavelength(wavelength)
     distances = [require_number("depths", depth, positive=True) for depth in depths]

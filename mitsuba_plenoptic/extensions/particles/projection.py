@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
-from ...camera import PlenopticCamera
+from ...camera import PlenopticCamera, Use, require_support
 from ...errors import refuse_if, require_accuracy, require_count, require_number, require_wavelength, suggest_keywords
 from ...lenses.common import inverse_distance
 from ...light.optical_system import OpticalSystem
@@ -71,6 +71,7 @@ class VoxelProjector:
         accuracy: float = 0.1,
         budget: float | None = None,
     ) -> None:
+        require_support(camera, Use.POINTS)
         wavelength, per_lens = require_wavelength(wavelength), require_count("per_lens", per_lens, maximum=32)
         ParticleVolume(grid.lower, grid.upper).before(camera)
         points = grid.points
@@ -139,6 +140,7 @@ class RayProjector:
         budget: float = 4.0,
         progress: Progress | None = None,
     ) -> None:
+        require_support(camera, Use.POINT_RAYS)
         wavelength, budget = require_wavelength(wavelength), require_number("budget", budget, positive=True)
         ParticleVolume(grid.lower, grid.upper).before(camera)
         self._shape, system, points = camera.shape, OpticalSystem(camera, wavelength), grid.points

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...camera import PlenopticCamera
+from ...camera import PlenopticCamera, Use, require_support
 from ...errors import put, refuse_if, require_wavelength
 from ...io import Cache, Progress, digest
 from ..calibrate.photon_transfer import PhotonTransfer, photon_transfer
@@ -160,6 +160,7 @@ class Study:
         box: tuple[float, float, float, float],
         stages: Cache,
     ) -> None:
+        require_support(camera, Use.POINTS | Use.RAY_SPREADS | Use.ROUND_PUPILS)
         for side in (-BAND, BAND):
             require_wavelength(wavelength + side, f"wavelength = {wavelength:g}, which is also tried {side:+g} nm off")
         self.pictures, self.camera, self.wavelength, self.box, self.stages = pictures, camera, wavelength, box, stages

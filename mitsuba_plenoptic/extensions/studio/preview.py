@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from matplotlib.ticker import MaxNLocator
 
-from ...camera import PlenopticCamera, require_round
+from ...camera import PlenopticCamera, Use, require_support
 from ...report import images, plots
 from .preview_views import LensView, view_of
 
@@ -66,7 +66,7 @@ class Preview:
 def preview_of(scene: Any, camera: PlenopticCamera) -> Preview:
     """Return the preview of a scene with its present camera."""
     camera.require_array("preview")
-    require_round(camera, "previews are made")
+    require_support(camera, Use.ROUND_PUPILS)
     view = view_of(camera)
     columns, rows = camera.bin_count
     size = (columns * -(-_COLUMNS // columns), rows * -(-_COLUMNS // columns))

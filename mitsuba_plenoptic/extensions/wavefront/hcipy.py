@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...camera import PhaseScreen, PlenopticCamera, require_camera, require_ideal
+from ...camera import PhaseScreen, PlenopticCamera, Use, require_camera, require_support
 from ...errors import WAVEFRONT_UNIT, WAVELENGTHS, InputError, refuse_if, require_number
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
@@ -18,7 +18,6 @@ from ...optics import guards
 from ...optics.waves import band_edge_fraction
 from ...points.arrival import SampledField
 from ...points.full_field import full_field
-from ...prescription.collimator import Collimator
 from ...runtime import one_at_a_time
 from .far_sources import INFINITY
 
@@ -56,11 +55,7 @@ class CameraOptics(hcipy.OpticalElement):
 
     def __init__(self, camera: PlenopticCamera) -> None:
         camera = regular_array(require_camera(camera))
-        require_ideal(camera, in_full=True)
-        refuse_if(
-            not (camera.main_lens is None or isinstance(camera.main_lens, Collimator)),
-            f"main_lens = {camera.lens_data.label}: wavefronts are taken by thin main lenses and collimators only",
-        )
+        require_support(camera, Use.WAVEFRONTS)
         self.camera = camera
         left, top = (float(camera.pixel_coordinates(axis)[0]) for axis in (0, 1))
         pixel = np.full(2, camera.pixel_size)

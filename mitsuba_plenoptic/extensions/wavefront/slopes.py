@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera
+from ...camera import PlenopticCamera, Use, require_support
 from ...errors import LONGEST, SHORTEST, InputError, refuse_if, require_count, require_length, require_number
 from ...lenses.common import main_lens
 from ...lenses.thin import Wavefront
@@ -76,8 +76,7 @@ def view_slopes(camera: PlenopticCamera, image: Any, point: Any) -> Slopes:
     InputError
         If an input has a wrong shape or value, or the capture is black.
     """
-    camera.require_array("view_slopes")
-    camera.require_thin("slopes of views are measured", "use an InteractionMatrix")
+    require_support(camera, Use.LENS_CENTRES)
     seen = _known_image(image, camera)
     place = main_lens(camera).images(check_positions([point], camera))[0]
     lens, pupil = lenses_of_pixels(camera)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera, require_camera
+from ...camera import PlenopticCamera, Use, require_camera, require_support
 from ...errors import (
     InputError,
     put,
@@ -268,9 +268,7 @@ def known_zones(zones: Any) -> list[Zone]:
 
 def require_fitted(camera: Any) -> None:
     """Refuse a camera whose ``wavefront`` cannot be fitted."""
-    require_camera(camera).require_array("wavefronts")
-    lens = camera.lens_data
-    refuse_if(not lens.is_thin, f"main_lens = {lens.label}: wavefronts are fitted behind thin main lenses only")
+    require_support(require_camera(camera), Use.LENS_CENTRES)
 
 
 def terms_of(camera: PlenopticCamera, count: int) -> Array:

@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import Captures, PlenopticCamera, change_of, parts_of, require_no_warp, size_of, with_gradient
+from ...camera import Captures, PlenopticCamera, change_of, parts_of, size_of, with_gradient
 from ...errors import WAVEFRONT_UNIT, InputError, did_you_mean, require_number, short_repr
 from ...lattice import make_lattice, turn
 from ...lenses.fitted_lens import LENS_NUMBERS, FittedLens, open_area_slopes
@@ -87,7 +87,6 @@ def values_of(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[
 
 def check_names(camera: PlenopticCamera, names: Iterable[str] | None) -> tuple[str, ...]:
     """Return the names of a camera's differentiable parameters, all of them for None; refuse other names."""
-    require_no_warp(camera, "points have derivatives")
     own = [name for name in DIFFERENTIABLE if len(values_of(camera, 1.0, name))]
     names = own if names is None else (names,) if isinstance(names, str) else tuple(names)
     for name in names:

@@ -236,10 +236,10 @@ OTHER_LATTICE = r"shifts its odd rows by half a pitch, other than the camera's m
             marks=pytest.mark.slow,
         ),
         (cases.BOARD, SQUARE, OTHER_LATTICE),
-        (cases.BOARD, START.replace(mla_medium=1.5), r"mla_medium = 1\.5: cameras are calibrated with 1 only"),
+        (cases.BOARD, START.replace(mla_medium=1.5), r"mla_medium = 1\.5: calibrations refuse it"),
         (
             cases.BOARD, START.replace(mla_shape=Conic(0.25), mla_focal_length=None),
-            "mla_shape = .*with parabolic microlenses only",
+            "mla_shape = .*calibrations refuse it: they find the focal lengths of parabolic microlenses; leave it out",
         ),
         (cases.BOARD, "raytrix", "start = 'raytrix': it must be a PlenopticCamera"),
     ],

@@ -106,7 +106,7 @@ FITS = [
     (lambda: view(weights=np.ones(2)), "weights of shape"),
     (lambda: view(noise=0.0), "noise of shape"),
     (lambda: fitted(seen=View(np.zeros((3, 3)), POINTS, ONES)), "the camera records"),
-    (lambda: fitted(camera=PlenopticCamera.preset("lfm"), wavelength=WAVELENGTH), "fitted for thin main lenses only"),
+    (lambda: fitted(camera=PlenopticCamera.preset("lfm"), wavelength=WAVELENGTH), "fits of cameras refuse it"),
     (lambda: fitted("wavelength"), "wavelength: it is no parameter of a camera"),
     (lambda: fitted("f_number"), "f_number"),
     (lambda: fitted("wavefront"), "wavefront: the camera has no coefficients"),
@@ -125,7 +125,10 @@ FITS = [
     (lambda: fitted(bounds={"mla_pitch": (1, 0)}), "bounds: mla_pitch = .*: it must be the lowest and the highest"),
     (lambda: followed(mla_fill=0.8), "mla_fill = 0.8.*arrays without gaps only"),
     (lambda: followed(mla_aperture="circle"), "mla_aperture = circle: .*without gaps"),
-    (lambda: followed(mla_tilt=(0.1, 0.0)), r"mla_tilt = \(0.1, 0.0\): points are followed through cameras without it"),
+    (
+        lambda: followed(mla_tilt=(0.1, 0.0)),
+        r"mla_tilt = \(0.1, 0.0\): fits and projections of points by rays refuse it",
+    ),
     (lambda: followed(distortion=(0.1, 0.0, 0.0, 0.0, 0.0)), "distortion = "),
     *(
         (

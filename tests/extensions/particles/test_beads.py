@@ -117,7 +117,7 @@ test_bad_microscopes_are_refused_in_one_line = refused(
     (lambda: one_bead((0, 0, -12.0)), "z = -12.*: particles must be before the objective, beyond z = -11.97"),
     (
         lambda: pt.RayProjector(FOURIER, pt.VoxelGrid((0, 0, 0), (1, 1, 1), (1, 1, 1)), wavelength=550),
-        "objective: points are followed by rays where the array stands in an image of the object only",
+        "objective: fits and projections of points by rays refuse it: the array is in the image of the stop",
     ),
 )
 

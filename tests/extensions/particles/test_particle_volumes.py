@@ -240,6 +240,14 @@ test_bad_volumes_are_refused_in_one_line = refused(
     (lambda: pt.RayProjector(CAMERA, GRID, wavelength=550, budget=1e-9), "budget = 1e-09 GiB: the matrix takes more"),
     (lambda: pt.RayProjector(CAMERA, NEAR, wavelength=550), "beyond its focus at 80 only"),
     (lambda: pt.VoxelProjector(CAMERA, NEAR, wavelength=550), "beyond its focus at 80 only"),
+    (
+        lambda: pt.RayProjector(CAMERA.replace(stray_light=0.1), GRID, wavelength=550),
+        "stray_light = 0.1: fits and projections of points by rays refuse it: .*use waves of points",
+    ),
+    (
+        lambda: pt.VoxelProjector(CAMERA.replace(mla_tilt=(1.0, 0.0)), GRID, wavelength=550),
+        "mla_tilt = .*: waves of points by method patch refuse it",
+    ),
     (lambda: pt.drawn_particles(GRID, np.zeros((1, 3)), np.ones(1), (0.1, 0.1, 1)), "it must be half a voxel at least"),
     (lambda: pt.drawn_particles(GRID, np.full((1, 3), np.nan), [1], (0.1, 0.1, 9)), r"positions of shape \(1, 3\)"),
     (lambda: pt.drawn_particles(GRID, np.zeros((2, 3)), [1], (0.1, 0.1, 9)), r"weights of shape \(1,\): .* of 2"),

@@ -7,7 +7,7 @@ import pytest
 import scipy.ndimage
 from PIL import Image
 
-from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, extension
+from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, extension
 from mitsuba_plenoptic.extensions.prediction import point_patterns, study
 from mitsuba_plenoptic.views import white_image
 
@@ -103,6 +103,18 @@ def test_pictures_of_other_sizes_are_refused(pictures, complaint):
     Image.fromarray(image[:-1]).save(pictures / "light.tif")
     words = "light field of shape (191, 192): it must have the pixels of the white picture"
     assert words in complaint(*command(pictures))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"mla_tilt": (1.0, 0.0)}, "mla_tilt = .*: waves of points by method patch refuse it"),
+        ({"pupil_apodisation": (-0.2, 0.0)}, "pupil_apodisation = .*predictions.* refuse it: .*round pupil"),
+    ],
+)
+def test_cameras_that_waves_or_rays_do_not_follow_are_refused(changes, words):
+    with pytest.raises(InputError, match=words):
+        study.Study(None, CAMERA.replace(**changes), 550.0, (0, 0, 192, 192), None)
 
 
 def test_without_the_extension_one_line_says_so(empty, monkeypatch, complaint):

@@ -62,4 +62,4 @@ def test_captures_without_microlenses_are_measured_themselves(refocused, tmp_pat
     half, per_mm = re.search(r"half the contrast at (\S+) cycles per bin, (\S+) per mm", text).groups()
     assert float(per_mm) == pytest.approx(float(half) / pixel, rel=0.01)
     assert float(half) == pytest.approx(float(re.search(r"at (\S+) cycles", run("mtf", refocused[0]))[1]), rel=1e-3)
-    assert complaint("mtf", path, "--distance", "300").startswith("reconstruct: mla_lattice = none")
+    assert complaint("mtf", path, "--distance", "300").startswith("refocused images by method ray: mla_lattice = none")
