@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 from pathlib import Path
@@ -11,6 +12,8 @@ from ..errors import NO_RECORD, InputError, content_of, naming, refuse_if, refus
 from ..extension import hook
 from ..presets import PRESETS
 from ..runtime import parse_yaml, read_text, read_yaml, require_size
+from .entry import Form
+from .parameters import FILE_READERS, PARAMETERS
 from .plenoptic_camera import PlenopticCamera
 
 _LARGEST_FILE = 2**24
@@ -46,8 +49,30 @@ def camera_and_record(source: str | Path) -> tuple[PlenopticCamera, Any]:
         with naming(path):
             return read(values), None
     with naming(path):
-        camera = PlenopticCamera.from_json(text)
-    return camera, values.get("calibration")
+        if isinstance(values, dict) and not states_camera(source):
+            record = values.pop("calibration", None)
+            return PlenopticCamera._from_names(_with_files(values, path.parent)), record
+        return PlenopticCamera.from_json(text), None
+
+
+def _with_files(values: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the parameters of a camera's file, with files that they name read from its folder if they lie there."""
+
+    def resolve(name: str) -> str:
+        # Not all text can be the name of a file.
+        with contextlib.suppress(OSError, ValueError):
+            if (beside := folder / name).is_file():
+                return str(beside)
+        return name
+
+    found = dict(values)
+    for name, value in values.items():
+        form = PARAMETERS[name].form if name in PARAMETERS else None
+        if form in FILE_READERS and isinstance(value, str):
+            found[name] = FILE_READERS[form][0](value, resolve)
+        elif form is Form.RESPONSE and isinstance(value, str):
+            found[name] = resolve(value)
+    return found
 
 
 def states_camera(source: str | Path) -> bool:
