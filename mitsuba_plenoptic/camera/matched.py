@@ -121,7 +121,11 @@ def behind_pupil(
         pixels = max(1, round(columns * across)), max(1, round(rows * across * LATTICES[lattice].row_ratio))
     elif pixels is None:
         assert sides is not None
-        pixels = max(1, round(sides[0] / size)), max(1, round(sides[1] / size))
+        pixels = round(sides[0] / size), round(sides[1] / size)
+        refuse_if(
+            min(pixels) < 1,
+            f"sensor_size = {short_repr(sensor_size)} with pixel_size = {size:g}: a side rounds to no pixel",
+        )
     stated = f"sensor_size = {short_repr(sensor_size)}" if lenses is None else f"lenses = {short_repr(lenses)}"
     refuse_if(
         max(pixels) > MOST_PIXELS,

@@ -197,6 +197,7 @@ METASHAPE = b'<?xml version="1.0" encoding="UTF-8"?>\n<!-- <scene> -->\n<documen
 WRONG_KINDS = {
     "jpeg": (b"\xff\xd8\xff\xe0 a picture", ".jpg", "a JPEG picture"),
     "numpy": (b"\x93NUMPY\1\0", ".npy", "an array of NumPy"),
+    "matlab": (b"MATLAB 5.0 MAT-file, Platform: posix".ljust(116) + bytes(8), ".mat", "a .mat file of MATLAB 5"),
     "gzip": (gzip.compress(b"{}"), ".json", "packed by gzip (unpack it)"),
     "empty": (b"", ".exr", "an empty file"),
     "text": ("naïve".encode() * 1000, ".txt", "text that begins with 'naïvenaïve"),
@@ -214,13 +215,18 @@ WRONG_KINDS = {
     [
         ("jpeg numpy lens camera metashape yaml", "views {given} -o {out}.png", "a capture or light field is a folder"),
         ("folder gzip", "stack {given} -o {out}.png --distance 240", "or has a name that ends in .exr"),
-        ("jpeg empty lens", "reconstruct {given} -o {out}.exr --distance 240", "give OpenEXR of this package or a raw"),
+        (
+            "jpeg empty lens matlab",
+            "reconstruct {given} -o {out}.exr --distance 240",
+            "give OpenEXR of this package or a raw",
+        ),
         ("jpeg", "reconstruct {raw} -o {out}.exr --distance 240 --white {given}", "give OpenEXR of this package"),
         ("numpy yaml", "sheet {given} -o {out}.pdf", "give OpenEXR of this package"),
         ("camera", "expose {given} -o {out}.exr --photons 9", "give OpenEXR of this package"),
         ("jpeg text camera metashape empty", "render {given} -o {out}.exr", "a scene is XML in UTF-8 with the root"),
         ("opencv numpy", "compare {given} -o {out} --distance 240", "a scene is XML in UTF-8 with the root <scene>"),
         ("jpeg lens metashape opencv", "render letters -o {out}.exr --camera {given}", "a camera is a preset, a JSON"),
+        ("matlab", "info {given}", "a camera is a preset, a JSON or YAML file or a scene"),
         ("folder", "info {given}", "views, stack and depth read a light field's folder"),
         ("yaml gzip", "info --camera {given}", "a camera's file has its parameters by name, in JSON or YAML"),
         ("jpeg numpy folder metashape", "calibrate {given} -o {out}.json", "corners are a table (.csv), pictures and"),

@@ -237,6 +237,10 @@ SHEET = {
             {"lenses": None, "pixel_size": None, "resolution": (64, 48), "sensor_size": (0.64, 0.5)},
             r"^sensor_size = \(0.64, 0.5\): .*they must be square",
         ),
+        (
+            {"lenses": None, "sensor_size": (0.001, 1), "pixel_size": 0.0055},
+            r"^sensor_size = \(0.001, 1\) with pixel_size = 0.0055: a side rounds to no pixel$",
+        ),
         ({"pixels_per_lens": None, "mla_pitch": 20}, "^mla_pitch = 20: it must be less than the pupil's 17.86 mm"),
         ({"detector_width": 5}, "^detector_width = 5: it follows"),
         ({"detector_distance": 0.2}, "^detector_distance = 0.2: it follows"),
