@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 from xml.etree import ElementTree
 
 import numpy as np
@@ -21,6 +22,7 @@ from ..errors import (
     InputError,
     did_you_mean,
     naming,
+    put,
     refuse_if,
     refusing,
     require_choice,
@@ -31,7 +33,7 @@ from ..errors import (
 from ..extension import Displayed, missing
 from ..lattice import LATTICES, NO_LATTICE, Displacement
 from ..microlens.shape import focal_length_of, require_cover
-from ..prescription.lens_data import SINGLE, THIN, image_distance
+from ..prescription.lens_data import SINGLE, THIN, LensData, image_distance
 from ..presets import PRESETS
 from .aperture import NOT_ROUND
 from .documentation import numpy_section, signature
@@ -86,6 +88,14 @@ def checked_values(given: dict[str, Any]) -> dict[str, Any]:
         f"crop_offset = {offset} with crop_size = {size}: the window must lie within the resolution {resolution}",
     )
     return values
+
+
+def _numbers_of_lens(given: dict[str, Any]) -> frozenset[str]:
+    """Return which of focal length, aperture and distance parameters give, `focus_distance` in place of a distance."""
+    names = {
+        PARAMETERS[name].instead_of or name for name, value in given.items() if value is not None and name in PARAMETERS
+    }
+    return frozenset(names & {"focal_length", "aperture_radius", "mla_distance"})
 
 
 def _settled_array(values: dict[str, Any]) -> dict[str, Any]:
@@ -237,11 +247,13 @@ class PlenopticCamera(CameraGeometry, Displayed):
     True
     """
 
+    _given: ClassVar[frozenset[str]] = frozenset()
+    """Those of focal length, aperture and distance that somebody gave: a new lens brings its own of the others."""
+
     if not TYPE_CHECKING:  # type checkers take the arguments and their types from the table
 
         def __init__(self, **given):
-            for attribute, value in checked_values(given).items():
-                object.__setattr__(self, attribute, value)
+            put(self, **checked_values(given), _given=_numbers_of_lens(given))
             require_whole(self)
 
         __init__.__signature__ = signature()
@@ -438,7 +450,14 @@ class PlenopticCamera(CameraGeometry, Displayed):
             raise InputError(
                 missing("parameters", name) or f"{name}: it is not a camera parameter{did_you_mean(name, known)}"
             )
-        return cls.matched(**values) if of_sheet else cls(**values)
+        if of_sheet:
+            return cls.matched(**values)
+        camera = cls(**values)
+        # Files state all numbers: those that the camera has without them count as not given.
+        own = dict(zip(("focal_length", "aperture_radius"), camera.lens_data.own_numbers(None), strict=True))
+        own["mla_distance"] = camera.lens_data.array_distance()
+        put(camera, _given=frozenset(name for name in camera._given if getattr(camera, name) != own[name]))
+        return camera
 
     def to_sensor(self, to_world: Any = None, pixel_format: str = "luminance") -> dict[str, Any]:
         """Return the sensor plugin ``plenoptic`` of this camera for ``mi.load_dict``, film included.
@@ -528,7 +547,10 @@ class PlenopticCamera(CameraGeometry, Displayed):
         Parameters
         ----------
         **changes
-            Parameters by name. A new `main_lens` is scaled to the focal length, and opens fully if the old one did.
+            Parameters by name. A new `main_lens` is scaled to the focal length. With a new `main_lens` or
+            `focal_length`, `aperture_radius` follows again if nobody gave it, or if a lens of surfaces was fully open;
+            so does what an objective or a collimator sets. Files and captures state all numbers: there a thin lens's
+            5 mm counts as not given.
 
         Raises
         ------
@@ -543,12 +565,26 @@ class PlenopticCamera(CameraGeometry, Displayed):
             values.pop("mla_focal_length", None)
         if "resolution" in changes and not self.is_cropped:
             values.pop("crop_size")
-        if "main_lens" in changes and self.aperture_radius == self.lens_data.own_numbers(self.focal_length)[1]:
-            values.pop("aperture_radius")
+        if {"main_lens", "focal_length"} & {*changes}:
+            if "main_lens" in changes:
+                changes["main_lens"] = PARAMETERS["main_lens"].check("main_lens", changes["main_lens"])
+            for name in self._following(changes.get("main_lens", self.main_lens) or THIN):
+                values.pop(name, None)
         for name in changes:
             if name in PARAMETERS:
                 values.pop(PARAMETERS[name].instead_of, None)
-        return self._from_names(values | changes)
+        camera = self._from_names(values | changes)
+        unchanged = self._given & {*values} - {*changes}
+        put(camera, _given=unchanged | _numbers_of_lens(changes))
+        return camera
+
+    def _following(self, lens: LensData) -> set[str]:
+        """Return the names of numbers that follow from another main lens or focal length, and are not kept."""
+        old, new = ({*each.sets, *(() if each.converges else ("mla_distance",))} for each in (self.lens_data, lens))
+        widest = self.lens_data.own_numbers(self.focal_length)[1]
+        if self.prescription is not None and math.isclose(self.aperture_radius, widest, rel_tol=SINGLE):
+            old.add("aperture_radius")
+        return old | ({"aperture_radius", *new} - self._given)
 
     @property
     def is_dispersive(self) -> bool:
