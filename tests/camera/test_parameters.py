@@ -207,6 +207,10 @@ def test_what_somebody_gave_stays_with_another_lens(route):
     assert thin.aperture_radius == (5 if route not in ("json", "dict") else pytest.approx(13.3349, abs=1e-4))
     given = ROUTES[route](PlenopticCamera()).replace(aperture_radius=5).replace(main_lens="double_gauss")
     assert given.aperture_radius == 5
+    # Fits and derivatives change what they name alone.
+    fully_open = PlenopticCamera(main_lens="double_gauss", focal_length=80)
+    changed = CameraVector.by_names(fully_open, ["focal_length"]).at(np.array([80.0 + 1e-3]))
+    assert (changed.focal_length, changed.aperture_radius) == (80.0 + 1e-3, fully_open.aperture_radius)
     refuses(
         "focal_length = 70: with this main_lens it is 20",
         PlenopticCamera(focal_length=70).replace,
