@@ -108,13 +108,15 @@ def info(
     parameters = parse_definitions(define)
     suffix = Path(source).suffix.lower()
     recorded = suffix in (".exr", *RAW_SUFFIXES) or format_of(suffix, "capture", source) is not None
+    is_lens = Path(source).is_file() and format_of(suffix, "lens", source) is not None
     refuse_if(
-        parameters and recorded,
+        parameters and (recorded or is_lens),
         f"-D: {source} is no scene, and has no scene parameters; leave it out",
     )
-    refuse_if(unit != "mm" and recorded, f"--unit {unit}: {source} is no scene; leave it out")
+    refuse_if(unit != "mm" and (recorded or is_lens), f"--unit {unit}: {source} is no scene; leave it out")
+    refuse_if(is_lens and microlens, f"--microlens {microlens}: {source} is a main lens; leave it out")
     capture = read_capture(source) if recorded else None
-    if Path(source).is_file() and format_of(suffix, "lens", source):
+    if is_lens:
         shown_camera = _behind_lens(source)
     else:
         shown_camera = capture.camera if capture else load_camera(source, parameters, unit)[0]

@@ -137,6 +137,21 @@ def test_a_lens_file_that_forms_no_image_is_refused_by_its_own_numbers(text, rul
     assert not re.search("main_lens|mla_distance|aperture_radius|focus_distance", told)
 
 
+@pytest.mark.parametrize(
+    ("options", "rule"),
+    [
+        (["--microlens", "micro.png"], "--microlens micro.png: {path} is a main lens; leave it out"),
+        (["-D", "radius=3"], "-D: {path} is no scene, and has no scene parameters; leave it out"),
+        (["--unit", "m"], "--unit m: {path} is no scene; leave it out"),
+    ],
+)
+def test_options_that_a_lens_file_does_not_take_are_refused(options, rule, tmp_path, capsys):
+    path = tmp_path / "lens.seq"
+    path.write_text(SEQ.format(50, 2, 5))
+    assert main(["info", str(path), *options]) == 2
+    assert rule.format(path=path) in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("changes", [{}, {"mla_lattice": "hexagonal", "mla_medium": 1.4, "mla_shape": ZoneLens(0.4)}])
 def test_draws_any_microlens(changes, tmp_path):
     draw_microlens(tmp_path / "lens.png", PlenopticCamera(**changes), 532.0)
