@@ -224,9 +224,9 @@ def _mistake(error: Exception, options: Collection[str]) -> str | None:
                 require_choice(name, chosen[1], re.findall(r"'(.*?)'", chosen[2]))
             except InputError as refused:
                 return _with_options(str(refused), options)
-        elif hasattr(error.__cause__, "errors"):
+        elif faults := getattr(error.__cause__, "errors", None):
             # The cause is pydantic's, whose sentence leaves out the value.
-            wrong = error.__cause__.errors()[0]
+            wrong = faults()[0]
             kind = {"int": "a whole number", "float": "a number"}.get(wrong["type"].partition("_")[0])
             rule = f"it must be {kind}" if kind else wrong["msg"]
             message = f"{max(error.param.opts, key=len)} = {short_repr(wrong['input'])}: {rule}"  # type: ignore[attr-defined]

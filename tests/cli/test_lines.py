@@ -79,7 +79,7 @@ BAD = [
     (f"{RENDER} --spp 1.5", "--spp = '1.5': it must be a whole number"),
     (f"{RENDER} -xyz", "no such option: -x"),
     (f'{RENDER} --camera "a=1, b=2"', "a=1, b=2: a: it is not a camera parameter"),
-    (f'{RENDER} --camera ""', "it is a folder; give a file"),
+    (f'{RENDER} --camera ""', "it is a folder; a camera is a preset"),
 ]
 
 
