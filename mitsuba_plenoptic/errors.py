@@ -306,7 +306,8 @@ def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:
     try:
         first, second = value
     except (TypeError, ValueError):
-        raise InputError(f"{name} = {short_repr(value)}: it must be a pair {meaning}") from None
+        spelt = advice(python="", shell=f", written {name}={meaning.strip('()').replace(' ', '')}")
+        raise InputError(f"{name} = {short_repr(value)}: it must be a pair {meaning}{spelt}") from None
     return first, second
 
 

@@ -81,10 +81,14 @@ def states_camera(source: str | Path) -> bool:
 
 
 def _stated(text: str) -> dict[str, Any]:
-    """Return the parameters of a text ``NAME=VALUE,NAME=VALUE``; lists, or values with commas between, are allowed."""
+    """Return the parameters of a text ``NAME=VALUE,NAME=VALUE``.
+
+    Values may be lists in brackets or parentheses, or several with commas between.
+    """
     values: dict[str, Any] = {}
     for name, value in re.findall(r"(\w+)\s*=((?:[^=]*?)(?=,\s*\w+\s*=|$))", text):
         refuse_if(name in values, f"{name} is given twice")
+        value = re.sub(r"^\s*\((.*)\)\s*$", r"[\1]", value)
         bracketed = value.lstrip().startswith("[")
         parts = [parse_yaml(part) for part in ([value] if bracketed else value.split(","))]
         refuse_if(None in parts, f"{name} = {value}: it must be a value, or several with commas between them")

@@ -18,6 +18,7 @@ from ..errors import (
     MOST_JITTER,
     MOST_WARP,
     MOST_WARP_SLOPE,
+    NO_ARRAY,
     NO_RECORD,
     InputError,
     did_you_mean,
@@ -512,6 +513,11 @@ class PlenopticCamera(CameraGeometry, Displayed):
         ----------
         to_world, pixel_format
             As for `to_sensor`; `to_world` may also be an array (4, 4).
+
+        Raises
+        ------
+        InputError
+            If there is no such format, or `to_world` is no rotation and translation.
         """
 
         def element(tag: str, values: dict[str, Any], **attributes: str) -> ElementTree.Element:
@@ -527,8 +533,18 @@ class PlenopticCamera(CameraGeometry, Displayed):
         tree = element("sensor", self.to_sensor(pixel_format=pixel_format), id="camera")
         if to_world is not None:
             place = ElementTree.Element("transform", name="to_world")
-            matrix = np.array(getattr(to_world, "matrix", to_world), np.float64).squeeze()
+            with refusing(f"to_world = {short_repr(to_world)}: it must be a transform, 4 x 4 numbers", *NO_ARRAY):
+                matrix = np.array(getattr(to_world, "matrix", to_world), np.float64).squeeze()
             refuse_if(matrix.shape != (4, 4), f"to_world of shape {matrix.shape}: it must be a transform, 4 x 4")
+            # Scene files are read in single precision.
+            finite = (np.abs(matrix) < np.finfo(np.float32).max).all()
+            refuse_if(not finite, "to_world: its numbers must be finite")
+            turn = matrix[:3, :3]
+            rigid = np.allclose(turn.T @ turn, np.eye(3), atol=1e-3) and np.allclose(matrix[3], (0, 0, 0, 1))
+            refuse_if(
+                not rigid,
+                "to_world: it must be a rotation and a translation, without scale; give lengths in scene units instead",
+            )
             ElementTree.SubElement(place, "matrix", value=" ".join(map(repr, matrix.ravel().tolist())))
             tree.insert(0, place)
         ElementTree.indent(tree, "    ")

@@ -52,8 +52,12 @@ def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tu
         content != SCENE_XML, f"{source}: it is {content}; a camera is a preset, a JSON or YAML file or a scene{others}"
     )
     sensors = load_scene(source, parameters=parameters, unit=unit).sensors()
-    refuse_if(not sensors, f"{source}: it has no sensor; add one of type 'plenoptic'")
-    return PlenopticCamera.from_sensor(sensors[0]), None
+    instead = "give a preset, a camera's file or its parameters with --camera"
+    refuse_if(not sensors, f"{source}: it has no sensor; {instead}, or add one of type 'plenoptic'")
+    try:
+        return PlenopticCamera.from_sensor(sensors[0]), None
+    except InputError as error:
+        raise InputError(f"{source}: {error}; {instead}") from None
 
 
 def refuse_options(work: str, **options: object) -> None:
