@@ -6,6 +6,7 @@ from .aperture import Opening as Opening
 from .aperture import Round as Round
 from .aperture import known_image as known_image
 from .camera_files import camera_and_record as camera_and_record
+from .camera_files import stated_and_record as stated_and_record
 from .camera_files import states_camera as states_camera
 from .documentation import with_sensor_parameters as with_sensor_parameters
 from .entry import Captures as Captures
@@ -18,13 +19,13 @@ from .geometry import has_small_lenses as has_small_lenses
 from .lens_transmissions import LensTransmissions as LensTransmissions
 from .lens_transmissions import known_transmissions as known_transmissions
 from .matched import MATCHED as MATCHED
-from .matched import sheet_of as sheet_of
 from .parameters import PARAMETERS as PARAMETERS
 from .phase_screen import PhaseScreen as PhaseScreen
 from .phase_screen import frozen_flow as frozen_flow
 from .phase_screen import known_screen as known_screen
 from .plenoptic_camera import PlenopticCamera as PlenopticCamera
 from .plenoptic_camera import are_alike as are_alike
+from .plenoptic_camera import camera_of as camera_of
 from .plenoptic_camera import film_numbers as film_numbers
 from .plenoptic_camera import require_camera as require_camera
 from .plenoptic_camera import require_ideal as require_ideal
@@ -33,6 +34,7 @@ from .plenoptic_camera import require_no_glass as require_no_glass
 from .plenoptic_camera import require_no_shape as require_no_shape
 from .plenoptic_camera import require_no_warp as require_no_warp
 from .plenoptic_camera import require_round as require_round
+from .varied import varied_camera as varied_camera
 from .vector import CameraVector as CameraVector
 from .vector import Values as Values
 from .vector import change_of as change_of

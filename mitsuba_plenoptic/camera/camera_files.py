@@ -11,7 +11,7 @@ from ..errors import NO_RECORD, InputError, content_of, naming, refuse_if, refus
 from ..extension import hook
 from ..presets import PRESETS
 from ..runtime import parse_yaml, read_text, read_yaml, require_size
-from .plenoptic_camera import PlenopticCamera
+from .plenoptic_camera import PlenopticCamera, camera_of, named_values
 
 _LARGEST_FILE = 2**24
 
@@ -27,8 +27,21 @@ def camera_and_record(source: str | Path) -> tuple[PlenopticCamera, Any]:
     InputError
         If the source is missing or is no camera.
     """
+    stated, record = stated_and_record(source)
+    with naming(Path(source)):
+        return camera_of(stated), record
+
+
+def stated_and_record(source: str | Path) -> tuple[dict[str, Any], Any]:
+    """Return what a source states of a camera, by name, and its file's object ``calibration`` (None without one).
+
+    Raises
+    ------
+    InputError
+        If the source is missing or states no camera.
+    """
     if str(source) in PRESETS and not Path(source).is_file():
-        return PlenopticCamera.preset(str(source)), None
+        return dict(PRESETS[str(source)]), None
     path = Path(source)
     if states_camera(source):
         text = json.dumps(_stated(str(source)))
@@ -44,10 +57,10 @@ def camera_and_record(source: str | Path) -> tuple[PlenopticCamera, Any]:
     if isinstance(values, dict) and set(values) >= _LIBPLENO:
         read = hook("libpleno", str(path))
         with naming(path):
-            return read(values), None
+            return read(values).to_dict(), None
     with naming(path):
-        camera = PlenopticCamera.from_json(text)
-    return camera, values.get("calibration")
+        record = named_values(values).pop("calibration", None)
+    return values, record
 
 
 def states_camera(source: str | Path) -> bool:
