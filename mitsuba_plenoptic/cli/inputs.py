@@ -45,12 +45,19 @@ def stated_camera(source: str) -> dict[str, Any]:
     """Return what a preset, file, text or scene states of a camera, by name, before anything follows from it."""
     from ..camera import PARAMETERS, PlenopticCamera, stated_and_record
 
-    if not _is_scene(source, {}):
-        return stated_and_record(source)[0]
-    sensor = _sensor_of(source, {})
-    PlenopticCamera.from_sensor(sensor)
-    entries = {name: PARAMETERS[name] for name in sensor.stated}
-    return {name: entry.plain(entry.check(name, sensor.stated[name])) for name, entry in entries.items()}
+    if _is_scene(source, {}):
+        sensor = _sensor_of(source, {})
+        PlenopticCamera.from_sensor(sensor)
+        stated = sensor.stated
+    else:
+        stated = stated_and_record(source)[0]
+
+    def plain(name: str, value: Any) -> Any:
+        # Lenses and other objects become dictionaries, as in files.
+        is_plain = value is None or isinstance(value, (str, int, float, list, tuple, dict))
+        return value if is_plain else PARAMETERS[name].plain(PARAMETERS[name].check(name, value))
+
+    return {name: plain(name, value) for name, value in stated.items()}
 
 
 def _is_scene(source: str, parameters: dict[str, str], unit: str = "mm") -> bool:

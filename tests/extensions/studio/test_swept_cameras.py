@@ -166,6 +166,17 @@ def test_a_scenes_own_sensor_is_varied_in_what_it_states(tmp_path, colours, pixe
             np.testing.assert_array_equal(made.capture.sel(focal_length=length).values, capture.image)
 
 
+def test_the_camera_of_another_scene_is_varied_with_its_lens(scene, tmp_path, run):
+    size = '<float name="detector_width" value="0.128"/><float name="focus_distance" value="240"/>'
+    other = write_scene(tmp_path, sensor=f'<string name="main_lens" value="double_gauss"/>{size}')
+    words = ["--camera", other, "--spp", "2", "--vary", "focal_length=60,70"]
+    run("sweep", scene, "-o", tmp_path / "s.nc", *words)
+    camera = "main_lens=double_gauss,detector_width=0.128,focus_distance=240,resolution=[64,64],focal_length=60"
+    run("render", scene, "-o", tmp_path / "r.exr", "--camera", camera, "--spp", "2")
+    with xr.open_dataset(tmp_path / "s.nc", engine="h5netcdf") as made:
+        np.testing.assert_array_equal(made.capture.sel(focal_length=60), read_capture(tmp_path / "r.exr").image)
+
+
 def test_parameters_of_a_scene_state_its_camera_at_each_of_their_values(tmp_path):
     sensor = '<float name="aperture_radius" value="$stop"/><float name="detector_width" value="0.128"/>'
     scene = write_scene(tmp_path, BALL, sensor=sensor)
