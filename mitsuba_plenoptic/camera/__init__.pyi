@@ -25,7 +25,6 @@ from .phase_screen import frozen_flow as frozen_flow
 from .phase_screen import known_screen as known_screen
 from .plenoptic_camera import PlenopticCamera as PlenopticCamera
 from .plenoptic_camera import are_alike as are_alike
-from .plenoptic_camera import camera_of as camera_of
 from .plenoptic_camera import film_numbers as film_numbers
 from .plenoptic_camera import require_camera as require_camera
 from .plenoptic_camera import require_ideal as require_ideal

@@ -7,11 +7,11 @@ import re
 from pathlib import Path
 from typing import Any
 
-from ..errors import NO_RECORD, InputError, content_of, naming, refuse_if, refusing
+from ..errors import NO_RECORD, InputError, content_of, naming, refuse_if, refusing, short_repr
 from ..extension import hook
 from ..presets import PRESETS
 from ..runtime import parse_yaml, read_text, read_yaml, require_size
-from .plenoptic_camera import PlenopticCamera, camera_of, named_values
+from .plenoptic_camera import PlenopticCamera
 
 _LARGEST_FILE = 2**24
 
@@ -29,7 +29,7 @@ def camera_and_record(source: str | Path) -> tuple[PlenopticCamera, Any]:
     """
     stated, record = stated_and_record(source)
     with naming(Path(source)):
-        return camera_of(stated), record
+        return PlenopticCamera._from_names(stated), record
 
 
 def stated_and_record(source: str | Path) -> tuple[dict[str, Any], Any]:
@@ -58,9 +58,10 @@ def stated_and_record(source: str | Path) -> tuple[dict[str, Any], Any]:
         read = hook("libpleno", str(path))
         with naming(path):
             return read(values).to_dict(), None
-    with naming(path):
-        record = named_values(values).pop("calibration", None)
-    return values, record
+    refuse_if(
+        not isinstance(values, dict), f"{path}: camera = {short_repr(values)}: it must be camera parameters by name"
+    )
+    return values, values.pop("calibration", None)
 
 
 def states_camera(source: str | Path) -> bool:

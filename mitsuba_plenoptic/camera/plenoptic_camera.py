@@ -389,7 +389,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
                     entry.in_first_files and (has_array or not entry.of_array) and name not in values,
                     f"{name}: it is missing from the camera parameters",
                 )
-        return camera_of(values)
+        return cls._from_names(values)
 
     def arguments(self) -> dict[str, Any]:
         """Return all parameters by name in the form that the camera stores and the constructor accepts."""
@@ -420,11 +420,25 @@ class PlenopticCamera(CameraGeometry, Displayed):
             values = json.loads(text)
         if isinstance(values, dict):
             values.pop("calibration", None)
-        return camera_of(values)
+        return cls._from_names(values)
 
     def to_json(self) -> str:
         """Write all parameters as the text of a JSON file, for `from_json`."""
         return json.dumps(self.to_dict(), indent=1) + "\n"
+
+    @classmethod
+    def _from_names(cls, values: Any) -> PlenopticCamera:
+        """Return the camera of parameters, or arguments of `matched`, that come from a file or a user."""
+        if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
+            raise InputError(f"camera = {short_repr(values)}: it must be camera parameters by name")
+        of_sheet = [name for name in MATCHED if name in values]
+        # A single one of them is rather meant for a camera that has its other parameters.
+        known = {*PARAMETERS, *MATCHED} if len(of_sheet) > 1 else PARAMETERS
+        for name in sorted(set(values) - set(known)):
+            raise InputError(
+                missing("parameters", name) or f"{name}: it is not a camera parameter{did_you_mean(name, known)}"
+            )
+        return cls.matched(**values) if of_sheet else cls(**values)
 
     def to_sensor(self, to_world: Any = None, pixel_format: str = "luminance") -> dict[str, Any]:
         """Return the sensor plugin ``plenoptic`` of this camera for ``mi.load_dict``, film included.
@@ -534,7 +548,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         for name in changes:
             if name in PARAMETERS:
                 values.pop(PARAMETERS[name].instead_of, None)
-        return camera_of(values | changes)
+        return self._from_names(values | changes)
 
     @property
     def is_dispersive(self) -> bool:
@@ -569,26 +583,6 @@ class PlenopticCamera(CameraGeometry, Displayed):
             ratio = self.mla_glass.focal_ratio(wavelength)
             changes["mla_focal_length"] = tuple(ratio * value for value in self.mla_focal_lengths)
         return self.replace(**changes)
-
-
-def camera_of(values: Any) -> PlenopticCamera:
-    """Return the camera of parameters, or arguments of `matched`, that come from a file or a user."""
-    values = named_values(values)
-    of_sheet = [name for name in MATCHED if name in values]
-    # A single one of them is rather meant for a camera that has its other parameters.
-    known = {*PARAMETERS, *MATCHED} if len(of_sheet) > 1 else PARAMETERS
-    for name in sorted(set(values) - set(known)):
-        raise InputError(
-            missing("parameters", name) or f"{name}: it is not a camera parameter{did_you_mean(name, known)}"
-        )
-    return PlenopticCamera.matched(**values) if of_sheet else PlenopticCamera(**values)
-
-
-def named_values(values: Any) -> dict[str, Any]:
-    """Return values by name that state a camera; refuse what is no dictionary of them."""
-    if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
-        raise InputError(f"camera = {short_repr(values)}: it must be camera parameters by name")
-    return values
 
 
 def require_camera(value: Any, name: str = "camera") -> PlenopticCamera:

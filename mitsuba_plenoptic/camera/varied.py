@@ -7,7 +7,7 @@ from typing import Any
 
 from ..errors import refuse_if, relation
 from .matched import FOLLOWING, MATCHED, missing_from
-from .plenoptic_camera import PlenopticCamera, camera_of
+from .plenoptic_camera import PlenopticCamera
 
 _TOUCHING = 1e-3
 """Relative difference of width and distance of micro-images that touch; sensors have numbers of single precision."""
@@ -32,9 +32,9 @@ def varied_camera(stated: Mapping[str, Any], varied: Mapping[str, Any]) -> Pleno
     if any(name in stated for name in MATCHED) or (of_sheet and is_complete):
         following = {name: value for name, value in varied.items() if name in FOLLOWING and not of_sheet}
         others = {name: value for name, value in varied.items() if name not in following}
-        camera = camera_of(_joined(stated, others))
+        camera = PlenopticCamera._from_names(_joined(stated, others))
         return camera.replace(**following) if following else camera
-    return camera_of(_joined(_sheet_of(stated, of_sheet, varied) if of_sheet else stated, varied))
+    return PlenopticCamera._from_names(_joined(_sheet_of(stated, of_sheet, varied) if of_sheet else stated, varied))
 
 
 def _joined(stated: Mapping[str, Any], varied: Mapping[str, Any]) -> dict[str, Any]:
@@ -51,7 +51,7 @@ def _resolution(stated: Mapping[str, Any]) -> tuple[int, ...] | None:
 
 def _sheet_of(stated: Mapping[str, Any], of_sheet: list[str], varied: Mapping[str, Any]) -> dict[str, Any]:
     """Return the data sheet of a camera stated by parameters; refuse one whose micro-images do not touch."""
-    camera = camera_of(dict(stated))
+    camera = PlenopticCamera._from_names(dict(stated))
     instead = f"; {relation(of_sheet[0])}"
     refuse_if(
         not camera.has_array, f"{of_sheet[0]}: the camera has no microlens array, and no such data sheet{instead}"
