@@ -5,6 +5,7 @@ from .aperture import Aperture as Aperture
 from .aperture import Opening as Opening
 from .aperture import Round as Round
 from .camera_files import camera_and_record as camera_and_record
+from .camera_files import stated_and_record as stated_and_record
 from .camera_files import states_camera as states_camera
 from .documentation import with_sensor_parameters as with_sensor_parameters
 from .entry import Captures as Captures
@@ -16,7 +17,6 @@ from .geometry import CameraGeometry as CameraGeometry
 from .geometry import has_small_lenses as has_small_lenses
 from .lens_transmissions import LensTransmissions as LensTransmissions
 from .matched import MATCHED as MATCHED
-from .matched import sheet_of as sheet_of
 from .parameters import FILE_READERS as FILE_READERS
 from .parameters import PARAMETERS as PARAMETERS
 from .phase_screen import PhaseScreen as PhaseScreen
@@ -31,6 +31,7 @@ from .plenoptic_camera import require_no_glass as require_no_glass
 from .plenoptic_camera import require_no_shape as require_no_shape
 from .plenoptic_camera import require_no_warp as require_no_warp
 from .plenoptic_camera import require_round as require_round
+from .varied import varied_camera as varied_camera
 from .vector import CameraVector as CameraVector
 from .vector import Values as Values
 from .vector import change_of as change_of

@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from ..errors import NO_RECORD, InputError, content_of, naming, refuse_if, refusing
+from ..errors import NO_RECORD, InputError, content_of, naming, refuse_if, refusing, short_repr
 from ..extension import hook
 from ..presets import PRESETS
 from ..runtime import parse_yaml, read_text, read_yaml, require_size
@@ -30,8 +30,21 @@ def camera_and_record(source: str | Path) -> tuple[PlenopticCamera, Any]:
     InputError
         If the source is missing or is no camera.
     """
+    stated, record = stated_and_record(source)
+    with naming(Path(source)):
+        return PlenopticCamera._from_names(stated), record
+
+
+def stated_and_record(source: str | Path) -> tuple[dict[str, Any], Any]:
+    """Return what a source states of a camera, by name, and its file's object ``calibration`` (None without one).
+
+    Raises
+    ------
+    InputError
+        If the source is missing or states no camera.
+    """
     if str(source) in PRESETS and not Path(source).is_file():
-        return PlenopticCamera.preset(str(source)), None
+        return dict(PRESETS[str(source)]), None
     path = Path(source)
     if states_camera(source):
         text = json.dumps(_stated(str(source)))
@@ -47,12 +60,15 @@ def camera_and_record(source: str | Path) -> tuple[PlenopticCamera, Any]:
     if isinstance(values, dict) and set(values) >= _LIBPLENO:
         read = hook("libpleno", str(path))
         with naming(path):
-            return read(values), None
+            return read(values).to_dict(), None
+    refuse_if(
+        not isinstance(values, dict), f"{path}: camera = {short_repr(values)}: it must be camera parameters by name"
+    )
+    if states_camera(source):
+        return values, None
+    record = values.pop("calibration", None)
     with naming(path):
-        if isinstance(values, dict) and not states_camera(source):
-            record = values.pop("calibration", None)
-            return PlenopticCamera._from_names(_with_files(values, path.parent)), record
-        return PlenopticCamera.from_json(text), None
+        return _with_files(values, path.parent), record
 
 
 def _with_files(values: dict[str, Any], folder: Path) -> dict[str, Any]:

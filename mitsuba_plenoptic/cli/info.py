@@ -102,7 +102,7 @@ def info(
     from ..runtime import require_writable, write_text
 
     refuse_if((source is None) == (camera is None), "SCENE, --camera: give one of the two")
-    source = str(source or camera)
+    source = str(camera if source is None else source)
     if fix is not None:
         require_writable(fix, ".json")
     parameters = parse_definitions(define)

@@ -85,17 +85,18 @@ def _plain(value: Any) -> Any:
     return value[0] if hasattr(value, "__len__") and not isinstance(value, str) and len(value) == 1 else value
 
 
-def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
-    """Return the camera described by a plugin's properties and by its film, the detector."""
+def read_camera(props: Any, plugin: str, film: Any) -> tuple[PlenopticCamera, dict[str, Any]]:
+    """Return the camera described by a plugin's properties and by its film, the detector, and what they state."""
     with naming(plugin):
         given = {
             name: _read_parameter(_plain(props[name]), name, entry.form)
             for name, entry in PARAMETERS.items()
             if name in props and entry.form is not Form.FILM
         }
-        camera = PlenopticCamera(**given, **film_numbers(film))
+        stated = given | film_numbers(film)
+        camera = PlenopticCamera(**stated)
         camera.require_bounded()
-    return camera
+    return camera, stated
 
 
 def _read_parameter(value: Any, name: str, form: Form) -> Any:

@@ -126,7 +126,8 @@ def make_class() -> type:
                 fault = f"the film's filter {film.rfilter().class_name()} smears the micro-images into each other"
                 line = _BOX if has_film else f'<film type="hdrfilm"> {_BOX} </film>'
                 raise InputError(f"{NAME}: {fault if has_film else 'it has no film'}; add the line {line}")
-            camera = self._given = read_camera(props, NAME, film)
+            camera, self.stated = read_camera(props, NAME, film)
+            self._given = camera
             require_read(props, NAME)
             own = _parameters_of(camera)
             # Parameters that are empty, set by the main lens, or of an array that is not there, are not exposed.
