@@ -9,6 +9,7 @@ from cases import film, relative
 
 from mitsuba_plenoptic import CaptureOperator, Objective, PlenopticCamera, Vignetting, render_capture, scene_path
 from mitsuba_plenoptic.lenses.fitted_lens import FittedLens
+from mitsuba_plenoptic.lenses.pupil import Pupil
 from mitsuba_plenoptic.lenses.pupil_fit import PupilRays, Pupils, fit_pupil
 from mitsuba_plenoptic.lenses.thin import ThinLens
 from mitsuba_plenoptic.microlens import Conic
@@ -143,7 +144,7 @@ error = relative
 
 def thin_as_real(camera, field, nearness):
     """Return the thin main lens of a camera, fitted over its pupil as a real one is."""
-    thin = ThinLens(camera.focal_length, camera.aperture_radius, camera.mla_distance, "parabolic")
+    thin = ThinLens(camera.focal_length, Pupil(camera.aperture_radius, camera.mla_distance), "parabolic")
 
     def rays(field, nearness, entrance):
         distance = 1 / nearness
@@ -151,7 +152,7 @@ def thin_as_real(camera, field, nearness):
         pupil = tuple(entrance)
         path = thin.path(pupil, point, WAVELENGTH) * WAVELENGTH * 1e-6
         amplitude = thin.amplitude(pupil, point) * distance
-        stops = (entrance**2).sum(0)[None] / thin.pupil_radius**2
+        stops = (entrance**2).sum(0)[None] / thin.pupil.radius**2
         return PupilRays(field, nearness, entrance, entrance, path, amplitude, stops)
 
     pupils = Pupils(0.0, 1.0, 1 / camera.focal_length)

@@ -525,7 +525,7 @@ def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
     away = around[:, None, None, : _ANGLES // 2]
     found = np.zeros((len(radii), SECTORS))
     for (row, radius), f2 in itertools.product(enumerate(radii), camera.reduced_focal_lengths):
-        slope = lens.slope_to(pupil, radius * away + offset)
+        slope = lens.pupil.slope(pupil, radius * away + offset)
         cosine = slope / np.sqrt(1 + (slope**2).sum(0))
         turn = offset / f2
         if camera.mla_shape is not None:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -30,9 +30,9 @@ from ..errors import refuse_if
 from ..lattice import turn
 from ..optics.waves import in_millimetres
 from ..runtime import drjit_array, single_threaded_blas
-from .common import FinitePupil
 from .lens_system import LensSystem
-from .main_lens import Pair, Traced
+from .main_lens import Entrance, Traced
+from .pupil import Pair, Pupil
 from .pupil_fit import PupilFit, PupilRays, entrance_place, nodes, trace_all
 from .pupil_polynomials import LensLight, Polynomial, PupilPolynomial, fit
 
@@ -81,22 +81,28 @@ class ImageStretch:
 
 
 @dataclass(frozen=True, eq=False)
-class FittedLens(FinitePupil):
+class FittedLens:
     """A real main lens at one wavelength, for scene points within a range of fields and distances."""
 
     system: Any
     # Radius in millimetres of a circle about the axis that contains the open exit pupil for the whole detector.
-    pupil_radius: float
+    reach: float
     fitted: PupilFit
     # Derivatives by parameters, cached by name; see `lens_change`.
     changes: dict[str, LensChange] = field(default_factory=dict, init=False, repr=False)
 
-    is_round = True
+    is_uniform = False
+
+    @functools.cached_property
+    def pupil(self) -> Pupil:
+        """Exit pupil, with the radius `reach`."""
+        return Pupil(self.reach, float(self.system.pupil.distance))
 
     @property
-    def pupil_distance(self) -> float:
-        """Distance from the exit pupil to the MLA in millimetres."""
-        return float(self.system.pupil_distance)
+    def entrance(self) -> Entrance:
+        """Entrance pupil of the lens."""
+        entrance: Entrance = self.system.entrance
+        return entrance
 
     def vergence(self, distance: Any) -> Any:
         """Return the reciprocal of the distance from the rear principal plane to the image of an object plane."""
@@ -139,21 +145,13 @@ class FittedLens(FinitePupil):
 
         slope = pupils.slope(field)
         return LensLight(
-            self.pupil_distance,
+            self.pupil.distance,
             (lanes(slope[:, 0]), lanes(slope[:, 1])),
             lanes(pupils.convergence(inverse_distance)),
             over_pupil(fitted.aberration),
             over_pupil(fitted.brightness),
             [over_pupil(stop) for stop in fitted.stops],
         )
-
-    def open_part(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the fraction (n,) of the circle of radius `pupil_radius` that is unvignetted for each point."""
-        return open_area(self, points) / (math.pi * self.pupil_radius**2)
-
-    def open_slopes(self, names: Iterable[str], points: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """Return derivatives of the logarithm of the open area, (1, n), as `MainLens.open_slopes` does."""
-        return {name: open_area_slopes(self, name, points)[None] for name in names if name in LENS_NUMBERS}
 
     def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> Any:
         """Return the lens with the gradients of its parameters, as `MainLens.varying` does."""
@@ -164,16 +162,10 @@ class FittedLens(FinitePupil):
         """Return this lens, whose parameters are stored in arrays and are opaque already."""
         return self
 
-    def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> Pair:
-        """Return the positions of chief rays from object points on the array, as `MainLens.stretch` does."""
-        found = self.image_stretch(camera, distance)
-        ratio = np.interp(np.hypot(x, y), found.places, found.ratio)
-        return x * ratio, y * ratio
-
     def image_stretch(self, camera: PlenopticCamera, distance: float) -> ImageStretch:
         """Return the stretch of an object plane's image, up to the corners of the bins."""
         g = min(distance, FAR)
-        near = float(self.inverse_distance(np.array([[0.0, 0.0, g]]))[0])
+        near = float(self.fitted.pupils.field(np.array([[0.0, 0.0, g]]))[1][0])
         corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch
         corner = min(corner, WITHIN * self.fitted.aberration.scales.field / near * camera.mla_distance / g)
         positions = np.linspace(0, corner, _STRETCHED)[1:]
@@ -192,20 +184,11 @@ class FittedLens(FinitePupil):
         zero = np.zeros((len(points), 1))
         return np.concatenate(self.bind(points).land((zero, zero), None), axis=1)
 
-    def inverse_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the reciprocals (n,) of the distances of points from the entrance pupil."""
-        return self.fitted.pupils.field(points)[1]
-
-    @property
-    def reach(self) -> float:
-        """Radius of the exit pupil in mm, equal to `pupil_radius`."""
-        return self.pupil_radius
-
     def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the scene points (n, 3) with given images and inverse distances."""
         pupils, distance = self.fitted.pupils, 1 / inverse_distance
         depth = distance + pupils.entrance
-        field = -images * (pupils.magnification / self.pupil_distance)
+        field = -images * (pupils.magnification / self.pupil.distance)
         found = field
         for _ in range(_INVERSIONS):
             found = self.images(np.column_stack([field * distance[:, None], depth]))
@@ -236,7 +219,7 @@ class FittedLens(FinitePupil):
         """
         positions, paths, edges = self._changes
         path, edge = np.interp(radius, positions, paths), np.interp(radius, positions, edges)
-        across = _EDGE_WEIGHT * edge * step / self.pupil_distance
+        across = _EDGE_WEIGHT * edge * step / self.pupil.distance
         return (_AS_TOLD * path + across) * (step / in_millimetres(wavelength))
 
     @functools.cached_property
@@ -248,7 +231,7 @@ class FittedLens(FinitePupil):
         """
         scales = self.fitted.aberration.scales
         angle = 2 * math.pi * (np.arange(_ANGLES) + 0.5) / _ANGLES
-        circle = _RIM * self.pupil_radius * np.stack([np.cos(angle), np.sin(angle)])
+        circle = _RIM * self.reach * np.stack([np.cos(angle), np.sin(angle)])
         x, y = (circle[:, None] * (np.arange(1, _RADII + 1) / _RADII)[:, None]).reshape(2, 1, -1)
         heights, middle = np.linspace(0, scales.field, _HEIGHTS), (0.0, 0.0)
         positions, paths, edges = np.zeros((3, _HEIGHTS))
@@ -265,7 +248,7 @@ class FittedLens(FinitePupil):
                 tilt = [b - a for a, b in zip(here.cosines(middle, None), there.cosines(middle, None), strict=True)]
                 path = there.length((x, y)) - here.length((x, y)) - x * tilt[0] - y * tilt[1]
                 paths = np.maximum(paths, np.abs(np.where(edge > 0, path, 0)).max(1) / step)
-                moved = np.where(np.abs(edge) < _NEAR_EDGE * self.pupil_radius, there.inside((x, y)) - edge, 0)
+                moved = np.where(np.abs(edge) < _NEAR_EDGE * self.reach, there.inside((x, y)) - edge, 0)
                 edges = np.maximum(edges, np.abs(moved).max(1) / step)
         return positions, paths, edges
 
@@ -293,8 +276,8 @@ def open_area(lens: FittedLens, points: NDArray[np.float64]) -> NDArray[np.float
 
 def places(lens: FittedLens) -> tuple[float, float, Pair]:
     """Return the sampling step on the exit pupil, the width of softened edges, and the sample positions."""
-    step, beyond = 2 * lens.pupil_radius / _ACROSS, round(_EDGE)
-    axis = (np.arange(-beyond, _ACROSS + beyond) + 0.5) * step - lens.pupil_radius
+    step, beyond = 2 * lens.reach / _ACROSS, round(_EDGE)
+    axis = (np.arange(-beyond, _ACROSS + beyond) + 0.5) * step - lens.reach
     x, y = (part.reshape(1, -1) for part in np.meshgrid(axis, axis))
     return step, _EDGE * step, (x, y)
 
@@ -385,7 +368,7 @@ def _found_change(lens: FittedLens, name: str) -> LensChange:
             if changes[some]:
                 degrees, found = polynomials[some][0].degrees, np.stack(changes[some])
                 made += fit(scales, degrees, rays.place, rays.field, rays.inverse_distance, found)
-    high, low = (float(side.pupil_distance) for side in sides)
+    high, low = (float(side.pupil.distance) for side in sides)
     return LensChange((high - low) / (2 * step), made[0], made[1], tuple(made[2:]))
 
 
@@ -425,7 +408,7 @@ def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -
 
 
 @dataclass(frozen=True)
-class VaryingLens(FinitePupil):
+class VaryingLens:
     """A fitted lens with gradients; it offers the part of `MainLens` that `points.patch_factors` uses."""
 
     # The lens for plain parameters.
@@ -435,33 +418,24 @@ class VaryingLens(FinitePupil):
     numbers: dict[str, Any]
     # Counter-clockwise rotation, in degrees, of the frame of the points against the scene.
     turned: Any = 0.0
-    pupil_distance: Any = field(init=False)
+    pupil: Pupil = field(init=False)
     _changes: list[tuple[Any, LensChange]] = field(init=False, repr=False)
-
-    is_round = True
 
     def __post_init__(self) -> None:
         system = self.base.system
-        changes, distance = [], self.base.pupil_distance + (self.mla_distance - float(system.mla_distance))
+        changes, distance = [], self.base.pupil.distance + (self.mla_distance - float(system.mla_distance))
         for name in LENS_NUMBERS:
             if name in self.numbers:
                 number = self.numbers[name]
                 change, amount = lens_change(self.base, name), number - dr.detach(number)
                 changes.append((amount, change))
                 distance = distance + amount * change.pupil_distance
-        object.__setattr__(self, "pupil_distance", distance)
+        # A circle about the axis contains the exit pupil, and scales with vignetting edges.
+        radius: Any = self.base.reach
+        if "aperture_radius" in self.numbers:
+            radius = grown(self.numbers["aperture_radius"]) * float(radius)
+        object.__setattr__(self, "pupil", Pupil(radius, distance))
         object.__setattr__(self, "_changes", changes)
-
-    @property
-    def pupil_radius(self) -> Any:
-        """Radius in mm of a circle about the axis that contains the exit pupil and scales with vignetting edges."""
-        if "aperture_radius" not in self.numbers:
-            return self.base.pupil_radius
-        return grown(self.numbers["aperture_radius"]) * float(self.base.pupil_radius)
-
-    def convergence(self, distance: Any) -> Any:
-        """Return the reciprocal of the distance from the exit pupil to the image of a plane, without gradients."""
-        return self.base.convergence(distance)
 
     def bind(self, points: NDArray[np.float64], which: Any) -> VaryingLight:
         """Return the light of some points, as `MainLens.bind` does for Dr.Jit."""

@@ -25,8 +25,8 @@ from ..prescription.lens_data import vergence
 from ..prescription.surfaces import height
 from ..runtime import rsqrt
 from . import sequential
-from .common import FiniteDistance
-from .main_lens import Pair, Traced
+from .main_lens import Traced
+from .pupil import Pair, Pupil
 
 _FIELDS, _ACROSS, _WIDER = 9, 181, 3.0
 """Positions on the array and points across the exit pupil that are tested for light, and the largest radius tested."""
@@ -37,7 +37,7 @@ _SECANTS, _FEW, _PARTS = 8, 3, 4
 
 
 @dataclass(frozen=True, eq=False)
-class LensSystem(FiniteDistance):
+class LensSystem:
     """A lens of several surfaces in front of an array, stopped down and scaled.
 
     Parameters
@@ -100,19 +100,10 @@ class LensSystem(FiniteDistance):
         return self.aperture_radius / self.scale * (full / self.numbers.entrance_radius)
 
     @property
-    def is_round(self) -> bool:
-        """False, since off the axis a vignetted pupil is not round."""
-        return False
-
-    @property
-    def pupil_distance(self) -> Any:
-        """Distance in mm from the paraxial exit pupil to the MLA."""
-        return self.mla_distance + self.scale * (self.numbers.rear_principal - self.numbers.exit_pupil)
-
-    @property
-    def pupil_radius(self) -> Any:
-        """Radius of the paraxial exit pupil in millimetres."""
-        return self.aperture_radius * (self.numbers.exit_radius / self.numbers.entrance_radius)
+    def pupil(self) -> Pupil:
+        """The paraxial exit pupil."""
+        distance = self.mla_distance + self.scale * (self.numbers.rear_principal - self.numbers.exit_pupil)
+        return Pupil(self.aperture_radius * (self.numbers.exit_radius / self.numbers.entrance_radius), distance)
 
     @property
     def front(self) -> Any:
@@ -150,7 +141,7 @@ class LensSystem(FiniteDistance):
         InputError
             If no ray passes the lens, even from the axis.
         """
-        axis = np.linspace(-_WIDER, _WIDER, _ACROSS) * self.pupil_radius
+        axis = np.linspace(-_WIDER, _WIDER, _ACROSS) * self.pupil.radius
         heights = np.linspace(0, field, _FIELDS)
         y, Px, Py = np.meshgrid(heights, axis[_ACROSS // 2 :], axis, indexing="ij")
         middle = self.pupil_middle(heights)[:, None, None]
@@ -161,7 +152,7 @@ class LensSystem(FiniteDistance):
 
     def pupil_middle(self, height: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return where chief rays to heights on the MLA cross the exit pupil's plane; 0 where the lens blocks them."""
-        middle = height + self.pupil_distance * self.chief_slope(height)
+        middle = height + self.pupil.distance * self.chief_slope(height)
         is_open = self.ray((0 * height, middle), (0 * height, height))[2]
         return np.where(is_open, middle, 0.0)
 
@@ -196,7 +187,7 @@ class LensSystem(FiniteDistance):
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Return the ray from a position on the MLA through a point of the exit pupil, as `trace` does."""
-        tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, position, strict=True))
+        tx, ty = (self.pupil.slope(P, q) for P, q in zip(pupil, position, strict=True))
         return self.trace(position, (tx, ty))
 
     def beside(
@@ -237,10 +228,10 @@ class LensSystem(FiniteDistance):
             return sequential.follow(lens, start, (0.0 * slope, slope * N, N))[0][1]
 
         height = np.asarray(height, np.float64)
-        slope = -height / self.pupil_distance / _PARTS
+        slope = -height / self.pupil.distance / _PARTS
         for part in range(1, _PARTS + 1):
             place = height * part / _PARTS
-            other = slope + 1e-3 * self.pupil_radius / self.pupil_distance
+            other = slope + 1e-3 * self.pupil.radius / self.pupil.distance
             for _ in range(_FEW if part < _PARTS else _SECANTS):
                 low, high = at_stop(place, slope), at_stop(place, other)
                 step = np.where(high == low, 0.0, low * (other - slope) / np.where(high == low, 1.0, high - low))

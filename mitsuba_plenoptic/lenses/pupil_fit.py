@@ -25,6 +25,7 @@ from ..optics import guards
 from ..optics.waves import in_millimetres
 from . import sequential
 from .lens_system import LensSystem
+from .pupil import Pupil
 from .pupil_polynomials import Degrees, LensLight, Polynomial, PupilPolynomial, Scales, fit
 
 _BEYOND = 1.1
@@ -175,7 +176,7 @@ class Pupils:
         # The sign of a ray near the axis shows whether the exit pupil is inverted relative to the entrance pupil.
         near = trace(lens, np.zeros(1), np.zeros(1), np.array([[1e-3 * float(lens.aperture_radius)], [0.0]]))
         size = numbers.exit_radius / numbers.entrance_radius
-        image = 1 / float(lens.vergence(math.inf)) + float(lens.pupil_distance) - float(lens.mla_distance)
+        image = 1 / float(lens.vergence(math.inf)) + float(lens.pupil.distance) - float(lens.mla_distance)
         return cls(entrance_place(lens), float(math.copysign(size, near.place[0, 0])), 1 / image)
 
     def field(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -308,8 +309,8 @@ _ALONE, _ACROSS_ALONE = 10, 45
 class ExitPupil(LensLight):
     """The light of one scene point on the exit pupil, fitted to rays of this point alone."""
 
-    # Radius of a circle about the axis that contains the open pupil, in millimetres.
-    pupil_radius: float
+    # The exit pupil, with a radius that contains its open part.
+    pupil: Pupil
     # Positions (n, 2) and direction cosines (n, 2) of the rays that pass the lens.
     bundle: tuple[NDArray[np.float64], NDArray[np.float64]]
     # Root mean square error of the path in waves.
@@ -371,6 +372,6 @@ class ExitPupil(LensLight):
         places = np.column_stack([x * v + y * u, y * v - x * u])
         open_radius = float(np.hypot(x, y).max()) + radius / _ACROSS_ALONE
         slope, convergence = pupils.slope(direction).tolist(), float(pupils.convergence(near))
-        light = float(lens.pupil_distance), (slope[0], slope[1]), convergence, aberration, brightness, stops
+        light = float(lens.pupil.distance), (slope[0], slope[1]), convergence, aberration, brightness, stops
         cosines = np.column_stack(LensLight(*light).cosines((places[:, 0], places[:, 1]), None))
-        return cls(*light, open_radius, (places, cosines), error)
+        return cls(*light, Pupil(open_radius, light[0]), (places, cosines), error)

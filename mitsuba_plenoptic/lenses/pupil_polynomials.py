@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..optics.waves import in_millimetres
 from ..runtime import minimum, safe_sqrt
-from .main_lens import Pair
+from .pupil import Pair
 
 
 @dataclass(frozen=True)

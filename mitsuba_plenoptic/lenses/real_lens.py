@@ -38,7 +38,7 @@ def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
     """Return the map from the exit pupil of a lens to a round pupil."""
     from scipy.spatial import cKDTree
 
-    radius, half, last = float(lens.pupil_radius), _MAP_WIDER * reach, _MAP_WIDER * corner
+    radius, half, last = float(lens.pupil.radius), _MAP_WIDER * reach, _MAP_WIDER * corner
     x, y = np.meshgrid(*[np.linspace(-half, half, _TRIED)] * 2)
     closed = math.inf
     if not _is_open(lens, last, x, y).any():
@@ -115,13 +115,7 @@ class RealLens(LensSystem):
     _fits: dict[tuple[float, float, float], FittedLens] = field(default_factory=dict, init=False, repr=False)
     _lights: dict[tuple[float, float, float], ExitPupil] = field(default_factory=dict, init=False, repr=False)
 
-    is_open_evenly = False
-    changes_evenly = False
-
-    @property
-    def refraction(self) -> float:
-        """Wavelength if the glasses are dispersive, otherwise focal length: equal numbers mean equal refraction."""
-        return self.light if self.prescription.disperses else float(self.focal_length)
+    is_uniform = False
 
     @functools.cached_property
     def reach(self) -> float:
@@ -137,11 +131,8 @@ class RealLens(LensSystem):
     def entrance(self) -> Entrance:
         """Entrance pupil of the lens."""
         pupils = Pupils.of(self)
-        return Entrance(pupils.entrance, max(self.front_bounds[1]), pupils.magnification)
-
-    def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
-        """Return semi-aperture and range of z, in mm, of the first surface, on which all rays start."""
-        return self.front_bounds
+        radius, depths = self.front_bounds
+        return Entrance(pupils.entrance, max(depths), pupils.magnification, radius, depths)
 
     def opaque(self, number: Callable[[Any], Any]) -> RealLens:
         """Return this lens, whose surfaces are compiled into kernels."""

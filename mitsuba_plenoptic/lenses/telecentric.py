@@ -21,7 +21,7 @@ whatever the object point. A further lens turns these directions into positions 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, cast
 
 import numpy as np
@@ -29,16 +29,15 @@ from numpy.typing import NDArray
 
 from ..optics.waves import in_millimetres
 from ..prescription.objective import Objective
-from ..runtime import rsqrt, safe_sqrt, sqrt
-from .common import LensNumbers, UniformLens, builds
-from .main_lens import Pair, Traced
-
-_ROUNDING = 1e-9
-"""Distance outside the stop, over its radius, up to which a point counts as on its edge."""
+from ..runtime import rsqrt, safe_sqrt
+from .closed_lens import ClosedLens
+from .common import LensNumbers, builds
+from .main_lens import Entrance, Traced
+from .pupil import Pair, Pupil
 
 
 @dataclass(frozen=True)
-class TelecentricLens(UniformLens):
+class TelecentricLens(ClosedLens):
     """An objective before a microlens array; `MainLens` documents its methods.
 
     Parameters
@@ -48,26 +47,19 @@ class TelecentricLens(UniformLens):
     """
 
     objective: Objective
+    pupil: Pupil = field(init=False)
+
+    def __post_init__(self) -> None:
+        lens = self.objective
+        # The tube lens images the stop to infinity, a further lens onto the array.
+        pupil = Pupil(lens.stop_radius, lens.tube_focal_length, finite=0, swap=lens.fourier_focal_length)
+        object.__setattr__(self, "pupil", pupil)
 
     @property
-    def is_round(self) -> bool:
-        """True, since the pupil is round from everywhere."""
-        return True
-
-    @property
-    def refraction(self) -> float:
-        """Focal length of the objective in mm, equal at all wavelengths."""
-        return self.objective.focal_length
-
-    @property
-    def pupil_radius(self) -> float:
-        """Radius of the stop in millimetres."""
-        return self.objective.stop_radius
-
-    @property
-    def pupil_distance(self) -> float:
-        """Focal length of the tube lens in mm; a stop position divided by it is a direction in the native image."""
-        return self.objective.tube_focal_length
+    def entrance(self) -> Entrance:
+        """Native object plane, and the bounds of rays on the objective's front principal plane."""
+        front, steepest = self.front, math.tan(self.objective.half_angle)
+        return Entrance(radius=-front * steepest, depths=(front,), growth=1 / self.objective.magnification)
 
     def _sines(self, pupil: Pair) -> Pair:
         """Return n sin(theta), by components, of the light that leaves the object for a point of the stop."""
@@ -86,52 +78,15 @@ class TelecentricLens(UniformLens):
         """
         lens = self.objective
         drop = 2 * math.sin(lens.half_angle / 2) ** 2
-        return 1 / self.pupil_distance + 2 * lens.immersion * drop * distance / self.pupil_radius**2
-
-    def convergence(self, distance: Any) -> Any:
-        """Return the vergence behind the lens for an object distance, as `vergence` does."""
-        return self.vergence(distance)
-
-    def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
-        """Return the radius and z, in mm, that bound rays on the objective's front principal plane."""
-        steepest = math.tan(self.objective.half_angle)
-        return field / self.objective.magnification - self.front * steepest, (self.front,)
-
-    def chief_point(self, position: Any, detector_distance: Any) -> Any:
-        """Return the position unchanged, as chief rays are parallel to the axis."""
-        return position
-
-    def pupil_distance_from(self, behind: Any) -> float:
-        """Return the tube lens's focal length for every plane, as the stop is imaged to infinity."""
-        return self.pupil_distance
-
-    def pupil_point(self, position: Any, slope: Any, height: Any = 0.0) -> Any:
-        """Return one coordinate on the stop: of the slope alone or, in the stop's image, of the position alone."""
-        return self.stop_scale * position if self.objective.images_stop else self.pupil_distance * slope
-
-    def slope_to(self, pupil: Any, position: Any, height: Any = 0.0) -> Any:
-        """Return the slope of light from a point of the stop, the same at all positions."""
-        return pupil / self.pupil_distance
-
-    def meet_array(self, pupil: Any, cosine: Any, point: tuple[Any, Any, Any]) -> Any:
-        """Return the positions where light from scene points meets the array, with the pupil at infinity."""
-        return np.stack(np.broadcast_arrays(*self.land((pupil[0], pupil[1]), point)))
+        return 1 / self.pupil.distance + 2 * lens.immersion * drop * distance / self.pupil.radius**2
 
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the positions (n, 2) of the chief rays of points in the native image plane."""
         return -self.objective.magnification * points[:, :2]
 
-    def inverse_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the depths (n,) of scene points, in mm, with which wavefronts change linearly."""
-        return points[:, 2]
-
     def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the scene points (n, 3) with given `images` and `inverse_distance`."""
         return np.column_stack([images * (-1 / self.objective.magnification), inverse_distance])
-
-    def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
-        """Return 0: wavefronts of all points of an object plane differ by their tilts alone."""
-        return 0 * radius
 
     def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
         """Return the path in waves from a scene point to a point of the stop, less the path to the stop's centre."""
@@ -151,10 +106,10 @@ class TelecentricLens(UniformLens):
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
         """Return the ray from a position on the array to the scene; the image side is paraxial."""
-        if self.objective.images_stop:
-            f = self.objective.last_focal_length
+        f = self.pupil.swap
+        if f is not None:
             position, slope = (f * slope[0], f * slope[1]), (-position[0] / f, -position[1] / f)
-        pupil = slope[0] * self.pupil_distance, slope[1] * self.pupil_distance
+        pupil = slope[0] * self.pupil.distance, slope[1] * self.pupil.distance
         return self.ray(pupil, position)
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
@@ -169,11 +124,6 @@ class TelecentricLens(UniformLens):
         scale = -1 / (self.objective.immersion * self._cosine(pupil))
         return x * scale, y * scale
 
-    @property
-    def stop_scale(self) -> float:
-        """Ratio of a coordinate on the stop to the coordinate of its image on the array, in the Fourier arrangement."""
-        return -self.pupil_distance / self.objective.last_focal_length
-
     def power_through(self, point: NDArray[np.float64]) -> float:
         """Return `passed_power`, which is equal for all scene points."""
         return self.passed_power
@@ -184,48 +134,16 @@ class TelecentricLens(UniformLens):
         lens = self.objective
         return 4 * math.pi * (lens.focal_length * lens.immersion * math.sin(lens.half_angle / 2)) ** 2
 
-    def inside(self, pupil: Pair) -> Any:
-        """Return the distance in mm of a point from the edge of the stop, positive inside."""
-        return self.pupil_radius - sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
-
-    def is_open(self, pupil: Pair) -> Any:
-        """Return whether a point lies inside the stop or, up to rounding, on its edge."""
-        return self.inside(pupil) >= -_ROUNDING * self.pupil_radius
-
-    def cone(self, distances: Any) -> float:
-        """Return the image-side aperture NA / M, the same for all depths."""
-        return self.objective.image_aperture
-
-    def from_array(self, cosine: Pair, image: Pair) -> tuple[Pair, Any, Any]:
-        """Return points of the stop (the same for all positions), the tube lens's focal length, and the tilt's path."""
-        (sx, sy), (x, y), f = cosine, image, self.pupil_distance
-        return (-f * sx, -f * sy), f + 0 * sx, sx * x + sy * y
-
-    def to_array(self, pupil: NDArray[np.float64], image: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the direction cosines in the native image plane, which are the same at all positions."""
-        return np.asarray(-pupil / self.pupil_distance + 0 * image)
-
-    def chief_slope(self, image: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the slope 0, as chief rays are parallel to the axis."""
-        return np.zeros_like(image)
-
-    def curvature(self, square: Any) -> Any:
-        """Return the curvature 0, as light of one stop point is a plane wave at the array."""
-        return 0 * square
-
     def cosines(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         """Return the direction cosines, at the array, of light that passed a point of the stop."""
-        if self.objective.images_stop:
+        if (f := self.pupil.swap) is not None:
             x, y = self._image(pupil, point)
-            return -x / self.objective.last_focal_length, -y / self.objective.last_focal_length
-        return -pupil[0] / self.pupil_distance, -pupil[1] / self.pupil_distance
+            return -x / f, -y / f
+        return -pupil[0] / self.pupil.distance, -pupil[1] / self.pupil.distance
 
     def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         """Return the position on the array of the light from a scene point through a point of the stop."""
-        if self.objective.images_stop:
-            # Adding 0 broadcasts the result to the shape of the points.
-            return pupil[0] / self.stop_scale + 0 * point[0], pupil[1] / self.stop_scale + 0 * point[0]
-        return self._image(pupil, point)
+        return self._image(pupil, point) if self.pupil.swap is None else self.pupil.image(pupil, point)
 
     def _image(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         r"""Return the position in the native image plane, :math:`-M (X + d \tan\theta)`: the gradient of the path."""

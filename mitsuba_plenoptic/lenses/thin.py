@@ -11,7 +11,7 @@ import functools
 import math
 from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, cast
 
 import drjit as dr
 import numpy as np
@@ -21,11 +21,14 @@ from ..camera import PhaseScreen
 from ..errors import WAVEFRONT_UNIT
 from ..optics import rays
 from ..optics.waves import in_millimetres, parabola
+from ..prescription.collimator import Collimator
 from ..prescription.lens_data import SINGLE, vergence
 from ..runtime import sqrt
-from .common import FinitePupil, LensNumbers, UniformLens, builds
+from .closed_lens import ClosedLens
+from .common import LensNumbers, builds
 from .distortion import undistort
-from .main_lens import Pair, Traced
+from .main_lens import Entrance, Traced
+from .pupil import Pair, Pupil
 
 
 def noll(j: int) -> tuple[int, int]:
@@ -101,22 +104,21 @@ def _sum(terms: list[Any], x: Any) -> Any:
     return total
 
 
-_ROUNDING = 1e-9
-"""Distance outside a round pupil, over its radius, up to which a point counts as on its edge."""
+_NODES = 24
+"""Nodes of the quadrature over the pupil, along its radius and around half of its circumference."""
 
 
 @dataclass(frozen=True)
-class ThinLens(UniformLens, FinitePupil):
+class ThinLens(ClosedLens):
     r"""A thin lens with a round pupil, optional aberrations and an optional phase screen.
 
     Parameters
     ----------
     focal_length : float or Dr.Jit array
         Focal length :math:`f_1`.
-    pupil_radius : float or Dr.Jit array
-        Radius :math:`D_1 / 2`.
-    pupil_distance : float or Dr.Jit array
-        Distance b to the MLA.
+    pupil : Pupil
+        The lens itself, of the radius :math:`D_1 / 2` at the distance b before the MLA. A telescope with a collimator
+        is a lens without power whose pupil is imaged onto the array.
     model : {"ideal", "parabolic"}
         ``"ideal"`` is stigmatic for every point and refracts rays by slopes. ``"parabolic"`` is a thin parabolic phase
         and refracts rays by direction cosines.
@@ -127,8 +129,7 @@ class ThinLens(UniformLens, FinitePupil):
     """
 
     focal_length: Any
-    pupil_radius: Any
-    pupil_distance: Any
+    pupil: Pupil
     model: str = "ideal"
     aberrations: Any = ()
     screen: PhaseScreen | None = None
@@ -136,7 +137,7 @@ class ThinLens(UniformLens, FinitePupil):
 
     def __post_init__(self) -> None:
         # Computed at once: a value first computed while Dr.Jit suspends gradients would never carry any.
-        object.__setattr__(self, "_wavefront", Wavefront(self.aberrations, self.pupil_radius, self.screen))
+        object.__setattr__(self, "_wavefront", Wavefront(self.aberrations, self.pupil.radius, self.screen))
 
     @property
     def is_round(self) -> bool:
@@ -144,9 +145,9 @@ class ThinLens(UniformLens, FinitePupil):
         return len(self.aberrations) == 0 and self.screen is None
 
     @property
-    def refraction(self) -> Any:
-        """Focal length in mm, which determines how the lens refracts rays."""
-        return self.focal_length
+    def entrance(self) -> Entrance:
+        """Entrance pupil, which is the lens itself."""
+        return Entrance(radius=self.pupil.radius)
 
     def vergence(self, distance: Any) -> Any:
         r"""Return :math:`1/g' = 1/f_1 - 1/g` in 1/mm, the image vergence; at most 0 where there is no real image."""
@@ -154,8 +155,8 @@ class ThinLens(UniformLens, FinitePupil):
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
         """Return the ray from a position on the MLA to the scene."""
-        Px, Py = (rays.pupil_point(m, t, self.pupil_distance) for m, t in zip(position, slope, strict=True))
-        return (Px, Py, 0.0), self.refract(slope, (Px, Py)), Px * Px + Py * Py <= self.pupil_radius * self.pupil_radius
+        Px, Py = (self.pupil.point(m, t) for m, t in zip(position, slope, strict=True))
+        return (Px, Py, 0.0), self.refract(slope, (Px, Py)), Px * Px + Py * Py <= self.pupil.radius * self.pupil.radius
 
     def refract(self, slope: Pair, pupil: Pair) -> Pair:
         """Return a ray's slopes before the lens from its slopes between lens and MLA."""
@@ -166,47 +167,37 @@ class ThinLens(UniformLens, FinitePupil):
             tx, ty = tx + sx, ty + sy
         return (tx, ty) if self.model == "ideal" else rays.cosines_to_slopes(tx, ty)
 
-    def convergence(self, distance: Any) -> Any:
-        """Return `vergence`, as a thin lens is its own pupil."""
-        return self.vergence(distance)
-
     def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Return the ray from a position on the MLA through a pupil point, which may lie on the edge up to rounding."""
-        (Px, Py), largest = pupil, self.pupil_radius * (1 + SINGLE)
-        tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, position, strict=True))
+        (Px, Py), largest = pupil, self.pupil.radius * (1 + SINGLE)
+        tx, ty = (self.pupil.slope(P, q) for P, q in zip(pupil, position, strict=True))
         return (Px, Py, 0.0), self.refract((tx, ty), pupil), Px * Px + Py * Py <= largest * largest
 
     def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> ThinLens:
         """Return the lens with Dr.Jit parameters that carry gradients."""
-        f1, radius, b = numbers["focal_length"], numbers["aperture_radius"], numbers["mla_distance"]
-        return replace(self, focal_length=f1, pupil_radius=radius, pupil_distance=b, aberrations=numbers["wavefront"])
+        pupil = Pupil(numbers["aperture_radius"], numbers["mla_distance"])
+        return replace(self, focal_length=numbers["focal_length"], pupil=pupil, aberrations=numbers["wavefront"])
 
     def opaque(self, number: Callable[[Any], Any]) -> ThinLens:
         """Return the lens with parameters that are not compiled into kernels."""
-        names = "focal_length", "pupil_radius", "pupil_distance"
+        pupil = replace(self.pupil, radius=number(self.pupil.radius), distance=number(self.pupil.distance))
         aberrations = [number(value) for value in self.aberrations]
-        return replace(self, **{name: number(getattr(self, name)) for name in names}, aberrations=aberrations)
-
-    def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
-        """Return radius and z of the pupil, where all rays start, in mm."""
-        return self.pupil_radius, (0.0,)
+        return replace(self, focal_length=number(self.focal_length), pupil=pupil, aberrations=aberrations)
 
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the positions (n, 2) on the MLA of the rays from scene points (n, 3) through the pupil's centre."""
-        return np.asarray(rays.conjugate_coordinate(points[:, :2], points[:, 2:], self.pupil_distance))
-
-    def inverse_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the reciprocals (n,) of the distances of scene points."""
-        return np.asarray(1 / points[:, 2])
+        return np.asarray(rays.conjugate_coordinate(points[:, :2], points[:, 2:], self.pupil.distance))
 
     def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the scene points (n, 3) with given `images` and `inverse_distance`."""
         distance = 1 / inverse_distance[:, None]
-        return np.hstack([images * (-distance / self.pupil_distance), distance])
+        return np.hstack([images * (-distance / self.pupil.distance), distance])
 
     def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         """Return the position on the MLA of the ray from a scene point through a pupil point, with aberrations."""
-        b, f1, g = self.pupil_distance, self.focal_length, point[2]
+        if not self.pupil.finite:
+            return self.pupil.image(pupil, point)
+        b, f1, g = self.pupil.distance, self.focal_length, point[2]
         if self.model != "ideal":
             slopes = rays.cosines_to_slopes(*self.cosines(pupil, point))
             return pupil[0] + b * slopes[0], pupil[1] + b * slopes[1]
@@ -266,18 +257,19 @@ class ThinLens(UniformLens, FinitePupil):
         length = _distance(pupil, point)
         return abs(point[2]) / (length * length)
 
-    def inside(self, pupil: Pair) -> Any:
-        """Return the distance in mm of a point from the edge of the pupil, positive inside."""
-        return self.pupil_radius - sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
-
-    def is_open(self, pupil: Pair) -> Any:
-        """Return whether a point lies inside the pupil or, up to rounding, on its edge."""
-        return self.inside(pupil) >= -_ROUNDING * self.pupil_radius
+    def power_through(self, point: NDArray[np.float64]) -> float:
+        """Return the integral of the squared amplitude over the pupil, by Gauss's rule in radius, evenly in angle."""
+        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        radius = self.pupil.radius * np.sqrt((nodes + 1) / 2)[:, None]
+        angle = math.pi * np.arange(2 * _NODES) / _NODES
+        squares = self.amplitude((radius * np.cos(angle), radius * np.sin(angle)), tuple(point)) ** 2
+        return float(math.pi * self.pupil.radius**2 * (weights / 2) @ squares.mean(1))
 
     def cosines(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         r"""Return a point's direction cosines, :math:`(P - X) / |P - X| - P / f_1`, plus the slope of the aberrations.
 
-        Behind an ideal lens the direction is that towards the image.
+        Behind an ideal lens the direction is that towards the image. In an image of the pupil angles are larger by the
+        reciprocal of its magnification.
         """
         sx: Any
         sy: Any
@@ -291,15 +283,9 @@ class ThinLens(UniformLens, FinitePupil):
         if not self.is_round:
             x, y = self._wavefront.slope(*pupil)
             sx, sy = sx + x, sy + y
+        if not self.pupil.finite:
+            return sx * self.pupil.stop_scale, sy * self.pupil.stop_scale
         return sx, sy
-
-    def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
-        r"""Return the change of path :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda` for the pupil's radius a and the step d.
-
-        For an ideal lens this is an upper bound: its light changes with the field only as defocus in tilted cones.
-        """
-        a, b = self.pupil_radius, self.pupil_distance
-        return a * (a * a + 3 * radius * radius) * step / (2 * b**3 * in_millimetres(wavelength))
 
 
 def _distance(pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
@@ -331,7 +317,7 @@ class DistortedLens(ThinLens):
     def trace(self, position: Pair, slope: Pair) -> Traced:
         """Return the ray from a position on the MLA through an unchanged pupil point to the scene."""
         source = undistort(*position, self.distortion)
-        moved = (t + (m - u) / self.pupil_distance for t, m, u in zip(slope, position, source, strict=True))
+        moved = (t + (m - u) / self.pupil.distance for t, m, u in zip(slope, position, source, strict=True))
         return super().trace(source, (next(moved), next(moved)))
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
@@ -360,10 +346,20 @@ class DistortedLens(ThinLens):
 @builds(type(None))
 def thin_lens(numbers: LensNumbers) -> ThinLens:
     """Return the main lens of a camera without an objective or prescription."""
-    own = (
-        *(numbers.focal_length, numbers.aperture_radius, numbers.mla_distance, numbers.model, numbers.wavefront),
-        numbers.camera.phase_screen,
-    )
+    pupil, screen = Pupil(numbers.aperture_radius, numbers.mla_distance), numbers.camera.phase_screen
+    own = numbers.focal_length, pupil, numbers.model, numbers.wavefront, screen
     if any(numbers.camera.distortion):
         return DistortedLens(*own, numbers.camera.distortion)
     return ThinLens(*own)
+
+
+@builds(Collimator)
+def collimated_lens(numbers: LensNumbers) -> ThinLens:
+    """Return the objective of a telescope with a collimator, for waves: its pupil is imaged, inverted, onto the array.
+
+    Such a camera is simulated by full fields alone.
+    """
+    camera, collimator = numbers.camera, cast(Collimator, numbers.camera.main_lens)
+    swap = collimator.collimator_focal_length
+    pupil = Pupil(numbers.aperture_radius, camera.focal_length, finite=0, swap=swap)
+    return ThinLens(math.inf, pupil, aberrations=numbers.wavefront, screen=camera.phase_screen)

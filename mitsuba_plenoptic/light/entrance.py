@@ -46,7 +46,7 @@ class LensWindow:
         # Only where points lie depends on it.
         camera, lattice = system.camera, system.lattice.regular
         edges = np.array([[0, 0], camera.crop_size]) + camera.crop_offset - np.array(camera.resolution) / 2
-        recorded = system.lens.chief_point(edges * camera.pixel_size, camera.reduced_distance)
+        recorded = system.lens.pupil.chief(edges * camera.pixel_size, camera.reduced_distance)
         pitch = max(camera.mla_pitches)
         margin = (_MARGIN + 0.5) * pitch
         # Lenses are included even if only the lower edge of their cell is recorded.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
-from ..lenses.main_lens import Pair
+from ..lenses.pupil import Pair
 from ..runtime import SumTask
 from .detector import mix_pixels
 

@@ -5,14 +5,17 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, require_ideal
 from ..lattice import Lattice
+from ..lenses.closed_lens import ClosedLens
 from ..lenses.common import main_lens
 from ..lenses.main_lens import MainLens, PointLight
+from ..lenses.real_lens import RealLens
 from ..prescription.glass import LINE_D
 from .microlens_orders import MicrolensArray, microlens_array
 from .microlenses import upright
@@ -92,7 +95,7 @@ class OpticalSystem:
     def waves_of_one(self, point: NDArray[np.float64]) -> PointLight:
         """Return the light of a scene point (3,) on the exit pupil, as exactly as the lens can represent it."""
         require_ideal(self.camera, in_full=True, besides=("vignetting",))
-        return self.lens.waves_of_one(point)
+        return cast(ClosedLens, self.lens) if self.lens.is_uniform else cast(RealLens, self.lens).waves_of_one(point)
 
 
 # Fits of exit pupils are slow.

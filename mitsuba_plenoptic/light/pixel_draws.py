@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..lenses.main_lens import Pair
+from ..lenses.pupil import Pair
 from .fitted_pupil import CLOSED
 from .pupil_diffraction import PupilDiffraction
 from .random_numbers import chances_of, even_numbers

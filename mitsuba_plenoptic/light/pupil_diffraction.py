@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import WAVEFRONT_UNIT, refuse_if
-from ..lenses.main_lens import Pair
+from ..lenses.pupil import Pair
 from ..optics.waves import in_millimetres
 from ..runtime import single_threaded_blas
 from .fitted_pupil import FittedPupil, PupilFunctions

@@ -47,7 +47,7 @@ def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
     """Return the footprints of scene points, (n, 3), from rays traced through the pupil to the MLA."""
     angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
-    P = lens.pupil_radius * np.concatenate([radius * circle for radius in _RIM_RADII])
+    P = lens.pupil.radius * np.concatenate([radius * circle for radius in _RIM_RADII])
     point, light = (positions[:, None, 0], positions[:, None, 1], positions[:, None, 2]), lens.bind(positions)
     is_open = np.broadcast_to(light.is_open((P[:, 0], P[:, 1])), (len(positions), len(P)))
     pupil = np.broadcast_to(P.T[:, None], (2, len(positions), len(P)))
@@ -59,7 +59,10 @@ def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
     if np.any(square >= 1):
         worst = positions[np.argmax(square.max(1))]
         raise InputError(f"position = {tuple(worst.tolist())}: its light leaves the main lens too steeply")
-    return _bounds(lens.meet_array(pupil, cosine, point), np.broadcast_to(cosine, pupil.shape))
+    cosine = np.broadcast_to(cosine, pupil.shape)
+    if lens.pupil.finite:
+        return bundle_footprint(pupil, cosine, lens.pupil.distance)
+    return _bounds(np.stack(np.broadcast_arrays(*light.land((pupil[0], pupil[1]), point))), cosine)
 
 
 def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from ..camera import Captures, PlenopticCamera, Values, shortest_parts, with_gradient, with_parts
 from ..errors import InputError, refuse_if
-from ..lenses.main_lens import Pair
+from ..lenses.pupil import Pair
 from ..optics import rays
 from ..runtime import drjit_array
 from .array_field import Array

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Round
 from ..errors import refuse_if
-from ..lenses.main_lens import Pair
+from ..lenses.pupil import Pair
 from ..optics.waves import in_millimetres
 from ..runtime import Box, drjit_array, quotient
 from .lens_kinds import LensKinds
@@ -218,7 +218,7 @@ class Draws(DetectorGrid):
         wide = camera.pixel_size * (self._parts + ORDER - 1) / self._parts
         half = wide / 2 * camera.pupil_distance / camera.reduced_distance
         # Snell's law spreads them most at the corner, along the radius.
-        corner = self._lens.slope_to(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
+        corner = self._lens.pupil.slope(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
         half *= (1 + (1 - camera.mla_medium**-2) * corner**2) ** 1.5
         lens = float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._turns))[0]) if self.by_points else 0.0
         return self._lens.reach + lens, half
@@ -230,7 +230,8 @@ class Draws(DetectorGrid):
         # The distance on the array of rays from one detector point to the pupil's middle and its widest point.
         radius, half = self._seen_by_pixels
         widest = radius + half * math.sqrt(2)
-        apart = widest * camera.reduced_distance / self._lens.pupil_distance_from(camera.reduced_distance)
+        pupil, behind = self._lens.pupil, camera.reduced_distance
+        apart = widest * behind / (pupil.distance + pupil.finite * behind)
         reach = apart * max(self.enlargements)
         found = camera.lattice.neighbours(reach + camera.nearer(reach))
         many = f"aperture_radius = {camera.aperture_radius:g}: {len(found)} lenses may light a pixel"
@@ -268,7 +269,7 @@ class Draws(DetectorGrid):
         chief = tuple(c + offset for c, offset in zip(aims.centre, self._chief(detector, aims), strict=True))
         slopes, _ = self.walk.through_centre(tuple(c - p for c, p in zip(aims.centre, chief, strict=True)), aims.height)
         return tuple(
-            self.walk.lens.pupil_point(c, slope, aims.height) for c, slope in zip(aims.centre, slopes, strict=True)
+            self.walk.lens.pupil.point(c, slope, aims.height) for c, slope in zip(aims.centre, slopes, strict=True)
         )
 
     def evenness(self, drawn: Drawn) -> Any:

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..lenses.main_lens import Pair
+from ..lenses.pupil import Pair
 from ..optics.rays import pixel_response
 from ..runtime import (
     Box,

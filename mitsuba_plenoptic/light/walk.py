@@ -10,7 +10,7 @@ import functools
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import drjit as dr
 import mitsuba as mi
@@ -20,7 +20,9 @@ from ..camera import PlenopticCamera, Round
 from ..design.quantities import turns_cosines
 from ..lattice import Lattice
 from ..lenses.common import chief_points, main_lens
-from ..lenses.main_lens import MainLens, Pair, Traced
+from ..lenses.main_lens import MainLens, Traced
+from ..lenses.pupil import Pair
+from ..lenses.real_lens import RealLens
 from ..optics import rays
 from ..runtime import array_module, drjit_array, fft
 from .lens_kinds import FigureError, irregularities
@@ -59,15 +61,15 @@ class PupilWalk:
         """Return rays traced from array positions, at a height above the array's plane, through pupil points."""
         x, y = position
         if not isinstance(height, float) or height:
-            x, y = (m - height * self.lens.slope_to(P, m, height) for P, m in zip(pupil, position, strict=True))
+            x, y = (m - height * self.lens.pupil.slope(P, m, height) for P, m in zip(pupil, position, strict=True))
         # The pupil points stay as they are: rounded differently they would miss a small pupil.
         return self.lens.ray(pupil, (x, y))
 
     def inner(self, pupil: Pair, centre: Pair) -> Pair:
         """Return points of the round pupil for pupil points seen from lenses; points outside stay outside."""
-        found = self.lens.round_map
-        if found is None:
+        if self.lens.is_uniform:
             return pupil
+        found = cast(RealLens, self.lens).round_map
         (x, y), (cx, cy) = pupil, centre
         field = dr.sqrt(cx * cx + cy * cy)
         # The map is defined for fields along x.
@@ -81,7 +83,7 @@ class PupilWalk:
         )
         # Between fields, points in opposite directions would average to one near the centre.
         u, v = (value * away * dr.rsqrt(dr.maximum(u * u + v * v, dr.smallest(mi.Float))) for value in (u, v))
-        lit, outside = field < found.closed, 2 * self.lens.pupil_radius
+        lit, outside = field < found.closed, 2 * self.lens.pupil.radius
         return dr.select(lit, u * c - v * s, outside), dr.select(lit, u * s + v * c, outside)
 
     def passed(self, position: Pair, slope: Pair, height: Any = 0.0) -> Any:
@@ -89,7 +91,7 @@ class PupilWalk:
         aperture, vignetting = self.camera.aperture, self.camera.vignetting
         if aperture == Round() and vignetting is None:
             return 1.0
-        pupil = tuple(self.lens.pupil_point(m, t, height) for m, t in zip(position, slope, strict=True))
+        pupil = tuple(self.lens.pupil.point(m, t, height) for m, t in zip(position, slope, strict=True))
         # The map to the round pupil is that of a lens of plain numbers.
         plain = PupilWalk(self.camera, OpticalSystem.by_design(self.camera).lens)
         x, y = (place / self.camera.pupil_radius for place in plain.inner((pupil[0], pupil[1]), position))
@@ -97,9 +99,8 @@ class PupilWalk:
 
     @functools.cached_property
     def _round_pupil(self) -> Any:
-        assert self.lens.round_map is not None
         return mi.Texture3f(
-            drjit_array(mi.TensorXf, self.lens.round_map.points),
+            drjit_array(mi.TensorXf, cast(RealLens, self.lens).round_map.points),
             filter_mode=dr.FilterMode.Linear,
             wrap_mode=dr.WrapMode.Clamp,
         )
@@ -135,7 +136,7 @@ class Walk(PupilWalk):
         x, y = chief_points(self.lens, pixel, self.detector_distance, self.medium)
         if any(self.camera.mla_tilt):
             height = self.height(x, y)
-            x, y = x + height * self.lens.slope_to(0.0, x), y + height * self.lens.slope_to(0.0, y)
+            x, y = x + height * self.lens.pupil.slope(0.0, x), y + height * self.lens.pupil.slope(0.0, y)
         return (x, y), self.lattice.cell(x, y)
 
     def lens_at(self, i: Any, j: Any) -> tuple[Pair, Any]:
@@ -177,7 +178,7 @@ class Walk(PupilWalk):
         """Return the chief rays' slopes at lens centres, for lenses that turn slopes; None if they turn cosines."""
         if turns_cosines(self.camera):
             return None
-        return self.lens.slope_to(0.0, centre[0], height), self.lens.slope_to(0.0, centre[1], height)
+        return self.lens.pupil.slope(0.0, centre[0], height), self.lens.pupil.slope(0.0, centre[1], height)
 
     # -- towards the scene ---------------------------------------------------------------------------
 
@@ -213,7 +214,8 @@ class Walk(PupilWalk):
     def onto_detector(self, pupil: Pair, passage: Passage) -> tuple[Pair, Any]:
         """Return landing points and weights (see `out_of_array`) of rays through pupil points and an untilted array."""
         (mx, my), centre, _ = passage
-        before, chief = (self.lens.slope_to(pupil[0], mx), self.lens.slope_to(pupil[1], my)), self._chief(centre, 0.0)
+        before = self.lens.pupil.slope(pupil[0], mx), self.lens.pupil.slope(pupil[1], my)
+        chief = self._chief(centre, 0.0)
         behind = rays.into_medium(before, self.turn(passage), chief, self.medium)
         z = self.detector_distance
         return (mx - z * behind[0], my - z * behind[1]), rays.evenness(before, behind, chief, self.medium)
@@ -223,8 +225,11 @@ def walks_of(systems: Iterable[OpticalSystem]) -> list[tuple[PupilWalk, list[int
     """Return one walk for each group of systems whose rays from the pupil follow the same paths, and their indices."""
     found: dict[float, tuple[PupilWalk, list[int]]] = {}
     for number, system in enumerate(systems):
+        # Glasses refract the rays of each wavelength in their own way; other lenses are known by their focal length.
+        camera = system.camera
+        refraction = system.wavelength if camera.lens_data.disperses else camera.focal_length
         walk = PupilWalk(system.camera, system.lens.opaque(functools.partial(dr.opaque, mi.Float)))
-        found.setdefault(system.lens.refraction, (walk, []))[1].append(number)
+        found.setdefault(refraction, (walk, []))[1].append(number)
     return list(found.values())
 
 

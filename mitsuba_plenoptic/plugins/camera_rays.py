@@ -23,7 +23,8 @@ from ..design.quantities import (
 from ..lattice import make_lattice
 from ..lattice.lens_shifts import MOST_DEVIATIONS
 from ..lenses.common import main_lens
-from ..lenses.main_lens import Pair, Traced
+from ..lenses.main_lens import Traced
+from ..lenses.pupil import Pair
 from ..light.lens_kinds import irregularities
 from ..light.walk import Passage, PupilWalk, Walk
 from ..optics.spectrum import RGB_WAVELENGTHS
@@ -202,7 +203,7 @@ class OrdinaryRays(PupilWalk):
         """Return the rays of a camera whose exposed parameters are given as Dr.Jit arrays."""
         plain = main_lens(camera)
         reach, middles, corner, dispersion = plain.reach, None, 1.0, Dispersion.of(camera)
-        if not plain.is_open_evenly:
+        if not plain.is_uniform:
             corner = plain.corner
             heights = np.linspace(0, corner, _MIDDLES + 1)
             middle = plain.pupil_middle(heights)
@@ -212,7 +213,7 @@ class OrdinaryRays(PupilWalk):
             aside = max(np.abs(each.pupil_middle(heights) - middle).max() for each in seen)
             # Rounding of the surfaces' coordinates moves rays at the pupil's edge.
             reach = max(each.pupil_reach(corner, about_middle=True) for each in seen) + aside + 4 * SINGLE * corner
-        share = camera.aperture.share * (reach / plain.pupil_radius) ** 2
+        share = camera.aperture.share * (reach / plain.pupil.radius) ** 2
         made = camera.aperture.draws(), dr.opaque(mi.Float, reach), dr.opaque(mi.Float, share)
         return cls(camera, _varying_lens(camera, numbers), dispersion, *made, middles, corner / _MIDDLES)
 
@@ -221,7 +222,7 @@ class OrdinaryRays(PupilWalk):
         middle = self._middle(pixel)
         pupil = tuple(own + self.reach * place for own, place in zip(middle, self.draws(sample), strict=True))
         aside = dr.hypot(*(P - p for P, p in zip(pupil, pixel, strict=True)))
-        return RandomRays(pupil, self.trace(pixel, pupil), self.share, (aside, self.lens.pupil_distance))
+        return RandomRays(pupil, self.trace(pixel, pupil), self.share, (aside, self.lens.pupil.distance))
 
     def trace(self, pixel: Pair, pupil: Pair) -> Traced:
         """Return traced rays from detector points through points of the pupil."""
@@ -247,7 +248,7 @@ class OrdinaryRays(PupilWalk):
 
     def steps(self, x: float, y: float) -> tuple[Pair, Pair]:
         """Return the changes of slope and place, at the detector, of rays from a step beside through a pupil point."""
-        return (self.lens.slope_to(0.0, x), self.lens.slope_to(0.0, y)), (x, y)
+        return (self.lens.pupil.slope(0.0, x), self.lens.pupil.slope(0.0, y)), (x, y)
 
 
 @dataclass(frozen=True)
@@ -331,7 +332,7 @@ class CameraRays(Walk):
         limits, step = np.full(SECTORS, reach), 1.0
         if turns_cosines(camera):
             corner = math.hypot(*(np.abs(camera.pixel_coordinates(axis)).max() for axis in (0, 1)))
-            radius = float(main_lens(camera).chief_point(corner + camera.pixel_size, camera.reduced_distance))
+            radius = float(main_lens(camera).pupil.chief(corner + camera.pixel_size, camera.reduced_distance))
             radii, step = np.linspace(0, radius, _FIELD_STEPS + 1), radius / _FIELD_STEPS
             limits = np.max([cosine_limits(each, radii) for each in seen], axis=0)
             # A step has the limits of both of its ends.
@@ -408,7 +409,7 @@ class CameraRays(Walk):
         dx, dy = self.lattice.aperture_point(*within)
         point = cx + dx, cy + dy
         x, y = mi.warp.square_to_uniform_disk(pupil_sample)
-        slope = tuple(self.lens.slope_to(self.lens.reach * P, m) for P, m in zip((x, y), point, strict=True))
+        slope = tuple(self.lens.pupil.slope(self.lens.reach * P, m) for P, m in zip((x, y), point, strict=True))
         return point, slope, (side[0], side[1]), self.transmission(*index)
 
 

@@ -14,7 +14,7 @@ from ..camera import PARAMETERS, Captures, Form, PlenopticCamera, film_numbers, 
 from ..errors import InputError, refuse_if
 from ..extension import entries, place
 from ..lenses.common import main_lens
-from ..lenses.main_lens import Pair
+from ..lenses.pupil import Pair
 from ..lenses.real_lens import RealLens
 from ..light.scene_light import world_ray
 from ..optics.rays import pixel_response
@@ -244,7 +244,7 @@ def make_class() -> type:
                 rays = cast(CameraRays, rays)
                 position, slope, side, bright = rays.pass_pixel_lens((px, py), width, lens_sample)
                 # A pixel sees this square of the pupil through an ideal lens.
-                seen = dr.square(width * rays.lens.pupil_distance * rays.camera.mla_medium / self.detector_distance)
+                seen = dr.square(width * rays.lens.pupil.distance * rays.camera.mla_medium / self.detector_distance)
                 response = self._table(side, slope, wavelengths) * (math.pi * rays.lens.reach**2 / seen)
                 response *= rays.passed(position, slope) * bright
                 point, slope, open_ = rays.lens.trace(position, slope)
@@ -321,9 +321,10 @@ def make_class() -> type:
             to_world = self.world_transform()
             camera = self.camera
             field = math.hypot(camera.detector_width, camera.detector_height) / 2 + max(camera.mla_pitches or (0.0,))
-            radius, depths = main_lens(camera).start_bounds(field)
+            entrance = main_lens(camera).entrance
+            radius = entrance.radius + entrance.growth * field
             box = mi.ScalarBoundingBox3f()
-            for x, y, z in itertools.product((-radius, radius), (-radius, radius), depths):
+            for x, y, z in itertools.product((-radius, radius), (-radius, radius), entrance.depths):
                 corner = to_world @ mi.Point3f(x, y, z)
                 box.expand(mi.ScalarPoint3f([float(corner[i][0]) for i in range(3)]))
             return box

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if, require_accuracy
+from ..lenses.common import convergence, inverse_distance, path_change
 from ..lenses.main_lens import MainLens
 from ..optics.waves import in_millimetres
 from .field_grid import Band
@@ -192,13 +193,13 @@ def find_patterns(
         middle[:, 0] += (off + 1) % types - 1
     count = np.bincount(pattern)
     position = np.column_stack([np.bincount(pattern, part) for part in (image - cell).T]) / count[:, None] + middle
-    mean = np.bincount(pattern, lens.inverse_distance(positions)) / count
+    mean = np.bincount(pattern, inverse_distance(lens, positions)) / count
     slant = None
     if pupil_weights is not None:
         slant = np.column_stack([np.bincount(pattern, part) for part in pupil_weights.slant.T]) / count[:, None]
     # If a pattern is shared by diverging and converging light, their mean may be collimated.
-    inverse_distance = np.where(np.abs(mean) > 1 / _FARTHEST, mean, 1 / _FARTHEST)
-    found = lens.points(_in_pitches(camera, position) * camera.mla_pitch, inverse_distance)
+    nearness = np.where(np.abs(mean) > 1 / _FARTHEST, mean, 1 / _FARTHEST)
+    found = lens.points(_in_pitches(camera, position) * camera.mla_pitch, nearness)
     return Patterns(found, slant, pattern, cell - middle[pattern])
 
 
@@ -221,8 +222,8 @@ def _depth_steps(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the index of each point's step of distance, and the number of parts of a lens along an axis."""
     lam = in_millimetres(wavelength)
-    a, b = lens.pupil_radius, lens.pupil_distance
-    defocus = a * a / (2 * lam) * (lens.convergence(g) - 1 / b)
+    a, b = lens.pupil.radius, lens.pupil.distance
+    defocus = a * a / (2 * lam) * (convergence(lens, g) - 1 / b)
     pitch = max(camera.mla_pitches)
     lenses_per_wave = 4 * b * lam / (a * pitch)
     lenses = np.maximum(1, lenses_per_wave * np.abs(defocus))
@@ -253,6 +254,6 @@ def _zones(
             ],
             axis=0,
         )
-        waves = lens.path_change(np.sqrt(square), pitch, wavelength)
+        waves = path_change(lens, np.sqrt(square), pitch, wavelength)
         size[width * waves <= _ZONE_PER_WAVE * step] = width
     return cell // size[:, None] * size[:, None], size

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import drjit as dr
 import numpy as np
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Vignetting
 from ..errors import refuse_if
-from ..lenses.collimated import CollimatedLens
+from ..lenses.closed_lens import ClosedLens
+from ..lenses.common import cone
 from ..lenses.main_lens import PointLight
 from ..lenses.pupil_fit import ExitPupil
-from ..lenses.telecentric import TelecentricLens
 from ..lenses.thin import ThinLens
 from ..light.microlenses import diffraction, scattering
 from ..light.optical_system import OpticalSystem, is_paraxial
@@ -80,7 +80,7 @@ def field_grids(
     lens = system.waves_of_one(position)
     if isinstance(lens, ExitPupil):
         positions, cosines = lens.bundle
-        image = bundle_footprint(positions.T[:, None], cosines.T[:, None], lens.pupil_distance)
+        image = bundle_footprint(positions.T[:, None], cosines.T[:, None], lens.pupil.distance)
     else:
         image = footprint(system.lens, position[None])
     what = f"full field of position = ({position[0]:g}, {position[1]:g}, {position[2]:g})"
@@ -98,7 +98,7 @@ def grids_around(
 ) -> FieldGrids:
     """Return grids that hold the fields of all scene points (n, 3) around an image; `what` names the work."""
     camera, wavelength = system.camera, system.wavelength
-    p, lam, radius = camera.pixel_size, in_millimetres(wavelength), lens.pupil_radius
+    p, lam, radius = camera.pixel_size, in_millimetres(wavelength), lens.pupil.radius
     steepest = float((np.abs(image.cosine) + image.half_cosine).max())
     aside = max(_KEPT_BENDS * scattering(camera), diffraction(camera, wavelength, _KEPT_ORDERS))
     # The pupil's edge bends light, too, which counts where nothing else does.
@@ -116,17 +116,17 @@ def grids_around(
     # The window between pupil and MLA, which is square and aligned with the pixels.
     low = np.minimum((image.centre - image.half_width).min(0), start)
     high = np.maximum((image.centre + image.half_width).max(0), start + np.array(pixels) * p)
-    if camera.lens_data.converges:
+    if lens.pupil.finite:
         low, high = np.minimum(-radius, low), np.maximum(radius, high)
-        diffracted = _AIRY_WIDTHS * lam * lens.pupil_distance / (2 * radius)
-    elif camera.lens_data.images_stop:
+        diffracted = _AIRY_WIDTHS * lam * lens.pupil.distance / (2 * radius)
+    elif lens.pupil.swap is not None:
         # The field is sampled in the image of the stop itself.
         diffracted = 0.0
     else:
         # The number of samples of the stop is that of waves of the steepest direction across the window. Softening its
         # edge over one sample reduces the light that the edge diffracts far from the point's image.
         blur = _WINDOW_PER_BLUR * float(image.half_width.max())
-        diffracted = max(_PUPIL_SAMPLES * lam / system.lens.cone(positions[:, 2]), blur)
+        diffracted = max(_PUPIL_SAMPLES * lam / cone(system.lens, positions[:, 2]), blur)
     held = max(_WINDOW_MARGIN * float((high - low).max()), diffracted)
     wide = fft.fast_length(growth * held / pitch + per_pixel, per_pixel)
     before = np.floor((start - (low + high - wide * pitch) / 2) / p).astype(int)
@@ -200,8 +200,8 @@ def pupil_field(
     X, Y, g = (dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
     lens, pupil, point = system.waves_of_one(position), (Px, Py), (X, Y, g)
     if incident is not None:
-        if isinstance(lens, ThinLens) and is_paraxial(system.camera):
-            waves = lens.paraxial_path(pupil, g, system.wavelength)
+        if is_paraxial(system.camera):
+            waves = cast(ThinLens, lens).paraxial_path(pupil, g, system.wavelength)
         else:
             waves = lens.path(pupil, point, system.wavelength)
         turned = fft.as_field(fft.pack(phasor(waves)), (count, count))
@@ -217,10 +217,10 @@ def pupil_field(
     bright = types.Float(lens.amplitude(pupil, point))
     density = types.Float64(bright * bright * cover)
     if (vignetting := system.camera.vignetting) is not None:
-        seen = SeenPupil(vignetting, system.lens.bind(position[None]), lens.pupil_radius)
+        seen = SeenPupil(vignetting, system.lens.bind(position[None]), lens.pupil.radius)
         cover = types.Float(seen.amplitude(pupil, point, soften))
     if weights is not None:
-        passed, amplitude = weights.at(dr.zeros(types.UInt32, count * count), Px, Py, lens.pupil_radius, step)
+        passed, amplitude = weights.at(dr.zeros(types.UInt32, count * count), Px, Py, lens.pupil.radius, step)
         density *= types.Float64(passed)
         cover = cover * amplitude
     passing = dr.sum(density)[0] * pitch**2
@@ -287,7 +287,7 @@ def interpolate(spectrum: fft.Field, count: int, axis: int) -> fft.Field:
 
 
 def telecentric_arrival(
-    lens: TelecentricLens,
+    lens: ClosedLens,
     position: NDArray[np.float64],
     wavelength: float,
     grids: FieldGrids,
@@ -307,14 +307,14 @@ def telecentric_arrival(
         # Zero frequency comes first, as in transforms.
         index = types.Float64(sample)
         frequencies.append(dr.select(index < (count + 1) // 2, index, index - count))
-    reach = lens.pupil_distance * step
+    reach = lens.pupil.distance * step
     pupil = -frequencies[0] * dr.opaque(types.Float64, reach), -frequencies[1] * dr.opaque(types.Float64, reach)
     field = _stop_field(lens, position, wavelength, pupil, reach, weights, vignetting)
     # The first sample is at the corner of the grid.
     to_corner = [dr.opaque(types.Float64, start / (count * pitch)) for start in grids.wide_origin]
     spectrum = field * phasor(frequencies[0] * to_corner[0] + frequencies[1] * to_corner[1])
     # The field on the stop is a density in position; the density in direction is larger by the focal length.
-    scale = lens.pupil_distance * in_millimetres(wavelength) / pitch**2
+    scale = lens.pupil.distance * in_millimetres(wavelength) / pitch**2
     shape = count, count
     packed = fft.as_field(fft.pack(spectrum * types.Float(scale)), shape)
     guards.check(guards.UNDERSAMPLED, band_edge_fraction(packed))
@@ -328,7 +328,7 @@ def telecentric_arrival(
 
 
 def stop_image_arrival(
-    lens: TelecentricLens | CollimatedLens,
+    lens: ClosedLens,
     position: NDArray[np.float64],
     wavelength: float,
     grids: FieldGrids,
@@ -337,7 +337,7 @@ def stop_image_arrival(
 ) -> tuple[SampledField, SampledField]:
     """Return the fields of `telecentric_arrival` for an array in the image of the stop."""
     types, (columns, rows) = active_backend().types, grids.count
-    scale = lens.stop_scale
+    scale = lens.pupil.stop_scale
     origin = tuple(start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
     row, column = fft.rows_and_columns(types, rows, columns)
     pupil = tuple(
@@ -364,7 +364,7 @@ def stop_image_arrival(
 
 
 def _stop_field(
-    lens: TelecentricLens | CollimatedLens,
+    lens: ClosedLens,
     position: NDArray[np.float64],
     wavelength: float,
     pupil: tuple[Any, Any],
@@ -384,10 +384,10 @@ def _stop_field(
     power = lens.power_through(position)
     if weights is not None:
         count = dr.width(pupil[0])
-        passed, relative = weights.at(dr.zeros(types.UInt32, count), *pupil, lens.pupil_radius, sample)
+        passed, relative = weights.at(dr.zeros(types.UInt32, count), *pupil, lens.pupil.radius, sample)
         power = float(dr.sum(types.Float64(amplitude * amplitude * cover * passed))[0]) * sample**2
     if vignetting is not None:
-        cover = types.Float(SeenPupil(vignetting, lens, lens.pupil_radius).amplitude(pupil, point, soften))
+        cover = types.Float(SeenPupil(vignetting, lens, lens.pupil.radius).amplitude(pupil, point, soften))
     if weights is not None:
         cover = cover * relative
     return phasor(lens.path(pupil, point, wavelength)) * (amplitude * cover / math.sqrt(power))

@@ -48,7 +48,7 @@ class PupilGrid:
 
     def __init__(self, lens: ThinLens, origin: tuple[float, float], pitch: float) -> None:
         self.pitch = pitch
-        self.count = 2 * math.ceil(lens.pupil_radius / pitch) + 3
+        self.count = 2 * math.ceil(lens.pupil.radius / pitch) + 3
         middle = [round(-start / pitch) for start in origin]
         self.middle = np.array([start + index * pitch for start, index in zip(origin, middle, strict=True)])
         left, top = (index - self.count // 2 for index in middle)

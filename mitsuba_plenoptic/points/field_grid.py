@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..lattice import turn
+from ..lenses.common import cone
 from ..lenses.main_lens import MainLens
 from ..light.microlens_orders import MicrolensArray
 from ..light.microlenses import diffraction, repetition, scattering, upright
@@ -123,7 +124,7 @@ class Grid:
         """
         rotation, camera, wavelength = system.camera.mla_rotation or 0.0, upright(system.camera), system.wavelength
         lens = system.waves_of(positions)
-        cosine = lens.cone(positions[:, 2])
+        cosine = cone(lens, positions[:, 2])
         bent = scattering(camera)
         beside = max(band.bends * bent, diffraction(camera, wavelength, band.orders))
         half_band = max(band.cone * (cosine + bent), cosine + beside)
@@ -188,10 +189,10 @@ def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
 def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     camera, lens, lam = grid.camera, grid.lens, in_millimetres(grid.wavelength)
     image = footprint(lens, positions)
-    a, b = lens.pupil_radius, lens.pupil_distance
+    a, b = lens.pupil.radius, lens.pupil.distance
     # Between MLA and detector the light moves sideways: the patch is centred half-way.
     distance, medium = camera.space_behind
-    aside = distance / medium * lens.chief_slope(image.centre)
+    aside = distance / medium * -lens.pupil.slope(0.0, image.centre)
     airy = lam * b / (2 * a)
     blur = 2 * image.half_width.max(1)
     spread = grid.band.margin * airy
@@ -210,7 +211,7 @@ def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     step = lam / (samples[:, None] * grid.pitch)
     angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
     rim = a * np.stack([np.cos(angle), np.sin(angle)], -1)
-    cosine = lens.to_array(rim, image.centre[:, None])
+    cosine = lens.pupil.to_array(rim, image.centre[:, None])
     return Placement(
         samples=samples,
         corner=corner - samples[:, None] // 2,

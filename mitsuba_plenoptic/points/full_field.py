@@ -21,15 +21,14 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..lenses.collimated import CollimatedLens
-from ..lenses.telecentric import TelecentricLens
+from ..lenses.closed_lens import ClosedLens
 from ..light.microlenses import transmission
 from ..light.optical_system import OpticalSystem, is_paraxial
 from ..optics import guards
@@ -120,10 +119,11 @@ def _arrival(
 ) -> tuple[SampledField, SampledField]:
     """Return the field behind the pupil, and the field before the MLA."""
     lens = system.lens
-    if isinstance(lens, (TelecentricLens, CollimatedLens)) and system.camera.lens_data.images_stop:
-        return stop_image_arrival(lens, position, system.wavelength, grids, weights, incident)
-    if isinstance(lens, TelecentricLens):
-        return telecentric_arrival(lens, position, system.wavelength, grids, weights, system.camera.vignetting)
+    if not lens.pupil.finite:
+        closed, wavelength = cast(ClosedLens, lens), system.wavelength
+        if lens.pupil.swap is not None:
+            return stop_image_arrival(closed, position, wavelength, grids, weights, incident)
+        return telecentric_arrival(closed, position, wavelength, grids, weights, system.camera.vignetting)
     pupil = pupil_field(system, position, grids, weights, incident)
     return pupil, at_mla(system.camera, system.wavelength, grids, pupil, paraxial)
 

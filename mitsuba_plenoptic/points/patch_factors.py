@@ -201,12 +201,12 @@ class PatchFactors:
         nx = types.Float64(column) + value(placement.first[:, 0])
         ny = types.Float64(row) + value(placement.first[:, 1])
         sx, sy = nx * self._constant(steps[0]), ny * self._constant(steps[1])
-        b = self._constant(lens.pupil_distance)
+        b = self._constant(lens.pupil.distance)
         image = value(placement.image[:, 0]) * growth, value(placement.image[:, 1]) * growth
-        pupil, R, length = lens.from_array((sx, sy), image)
+        pupil, R, length = lens.pupil.from_array((sx, sy), image)
         X, Y = turn(value(self._positions[:, 0]), value(self._positions[:, 1]), -elements.turned)
         point, light = (X, Y, value(self._positions[:, 2])), lens.bind(self._positions, patch)
-        waves = self._path(elements, lens.is_round, light, pupil, point)
+        waves = self._path(elements, light, pupil, point)
         waves += length / self._constant(in_millimetres(elements.wavelength))
         start[:, 1] *= grid.pitch[0] / grid.pitch[1]
         waves += (nx * value(start[:, 0]) + ny * value(start[:, 1])) / self._constant(self.samples * grid.pitch[0])
@@ -222,12 +222,12 @@ class PatchFactors:
         power = types.Float64(bright * bright * cover)
         if grid.camera.vignetting is not None:
             # The light is dimmed: its power is that before.
-            seen = SeenPupil(grid.camera.vignetting, cast(Light, light), lens.pupil_radius)
+            seen = SeenPupil(grid.camera.vignetting, cast(Light, light), lens.pupil.radius)
             scene_point = (*self._in_camera(elements, X, Y), point[2])
             cover = types.Float(seen.amplitude(self._in_camera(elements, *pupil), scene_point, soften))
         if self._weights is not None:
             in_camera = self._in_camera(elements, *pupil)
-            passed, amplitude = self._weights.at(patch, *in_camera, lens.pupil_radius, sample)
+            passed, amplitude = self._weights.at(patch, *in_camera, lens.pupil.radius, sample)
             power *= types.Float64(passed)
             cover = cover * amplitude
         return phasor(waves) * (bright * cover), dr.block_sum(power, size * size) * self._constant(math.prod(steps))
@@ -235,12 +235,13 @@ class PatchFactors:
     def _path(
         self,
         elements: Elements,
-        is_round: bool,
         light: Light | VaryingLight,
         pupil: tuple[Any, Any],
         point: tuple[Any, Any, Any],
     ) -> Any:
         """Return the path in waves from points to the pupil, both given in the lattice frame."""
+        camera = self._grid.camera
+        is_round = not camera.wavefront and camera.phase_screen is None
         if is_round and elements.aberration is None:
             return light.path(pupil, point, elements.wavelength)
         in_camera = self._in_camera(elements, *pupil)
@@ -282,11 +283,11 @@ class PatchFactors:
         mu = (m - image) * growth
         # path from the pupil: (mu^2 - (s mu)^2) / 2 R, where the part along the other axis is negligible
         lens = elements.lens()
-        b = self._constant(lens.pupil_distance)
+        b = self._constant(lens.pupil.distance)
         square = self._each((placement.image**2).sum(1), patch) * growth * growth + b * b
         own = image * image * growth * growth
         spread = (1 - own / square) / (2 * self._constant(in_millimetres(elements.wavelength)))
-        curvature = spread * lens.curvature(square)
+        curvature = spread * (lens.pupil.finite / dr.sqrt(square))
         shift = ((placement.first - self.chief)[:, axis] + self.samples // 2) / self.mla_samples
         product = phasor(mu * mu * curvature + types.Float64(sample) * self._each(shift, patch))
         for factor in elements.array(self._highest):

@@ -155,8 +155,8 @@ class Layer:
         # A sunflower's pattern covers the pupil evenly.
         angle = np.arange(_TRIED) * (math.pi * (3 - math.sqrt(5)))
         x, y = radius * np.cos(angle), radius * np.sin(angle)
-        exact = self._remainder(x * self._lens.pupil_radius, y * self._lens.pupil_radius, points, some)
-        scale = self._lens.pupil_radius / self._half
+        exact = self._remainder(x * self._lens.pupil.radius, y * self._lens.pupil.radius, points, some)
+        scale = self._lens.pupil.radius / self._half
         for count in _NODES:
             nodes = np.cos((np.arange(count) + 0.5) * (math.pi / count))
             given = [part.ravel() * self._half for part in np.meshgrid(nodes, nodes)]
@@ -191,7 +191,7 @@ def carrier_type(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -
 
 def layers(system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64]) -> list[NDArray[np.int64]]:
     """Return the indices of the points (n, 3) of each layer of distance."""
-    defocus = lens.pupil_radius**2 / (2 * in_millimetres(system.wavelength)) / points[:, 2]
+    defocus = lens.pupil.radius**2 / (2 * in_millimetres(system.wavelength)) / points[:, 2]
     order = np.argsort(defocus, kind="stable")
     span = defocus[order] - defocus[order[0]]
     count = max(1, math.ceil(span[-1] / _LAYER))
@@ -202,11 +202,11 @@ def layers(system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64]) -
 def passed_power(lens: ThinLens, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the squared amplitude of each point's light, integrated over the pupil, (n,)."""
     nodes, weights = np.polynomial.legendre.leggauss(_RINGS)
-    radius = lens.pupil_radius * np.sqrt((nodes + 1) / 2)
+    radius = lens.pupil.radius * np.sqrt((nodes + 1) / 2)
     angle = 2 * math.pi * np.arange(_SPOKES) / _SPOKES
     x, y = (np.outer(radius, turn(angle)).ravel()[:, None] for turn in (np.cos, np.sin))
     amplitude = lens.amplitude((x, y), (points[:, 0], points[:, 1], points[:, 2]))
-    area = math.pi * lens.pupil_radius**2
+    area = math.pi * lens.pupil.radius**2
     return np.asarray(np.repeat(weights / 2, _SPOKES) @ amplitude**2 * (area / _SPOKES))
 
 

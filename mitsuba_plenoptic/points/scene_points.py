@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import drjit as dr
 import mitsuba as mi
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera, require_ideal
 from ..errors import InputError, refuse_if, warn
 from ..io import digest
+from ..lenses.real_lens import RealLens
 from ..light.entrance import Entrances, LensWindow
 from ..light.optical_system import OpticalSystem
 from ..light.scene_light import SceneLight, refuse_negative, world_ray
@@ -135,11 +136,11 @@ def find_points(
         weights = PupilWeights(masks.table, masks.index, slant, sampled=True)
     area = system.lattice.cell_area / count
     scale = radiance_weight(camera, system.lens, area) / _landing(system, positions, weights, window)
-    if not system.lens.is_open_evenly:
+    if not system.lens.is_uniform:
         # With few rays per lens, the fraction that passes differs from the pupil's open fraction by some percent.
         x, y = window.place(*(window.index + 0.5).T)
         open_rays = np.bincount(tried, minlength=len(x))
-        scale = scale * (count * system.lens.open_fraction(x, y) / np.maximum(open_rays, 1))[cell]
+        scale = scale * (count * cast(RealLens, system.lens).open_fraction(x, y) / np.maximum(open_rays, 1))[cell]
     return ScenePoints(positions, radiance * scale[:, None], weights)
 
 

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import Vignetting
-from ..lenses.main_lens import Light, MainLens, Pair
+from ..lenses.main_lens import Light, MainLens
+from ..lenses.pupil import Pair
 
 _RADII, _ANGLES = 24, 48
 """Points of the pupil, as a mean over which the light that passes is estimated."""
@@ -47,10 +48,10 @@ def passed_part(vignetting: Vignetting | None, lens: MainLens, points: NDArray[n
     if vignetting is None:
         return np.ones(len(points))
     radius, angle = np.sqrt((np.arange(_RADII) + 0.5) / _RADII), 2 * np.pi * np.arange(_ANGLES)[:, None] / _ANGLES
-    x, y = ((lens.pupil_radius * radius * turn).ravel() for turn in (np.cos(angle), np.sin(angle)))
+    x, y = ((lens.pupil.radius * radius * turn).ravel() for turn in (np.cos(angle), np.sin(angle)))
     parts = []
     for first in range(0, len(points), _TOGETHER):
         some = points[first : first + _TOGETHER]
         place = lens.bind(some).land((x, y), (some[:, :1], some[:, 1:2], some[:, 2:]))
-        parts.append(vignetting.power(x / lens.pupil_radius, y / lens.pupil_radius, *place).mean(1))
+        parts.append(vignetting.power(x / lens.pupil.radius, y / lens.pupil.radius, *place).mean(1))
     return np.concatenate([np.zeros(0), *parts])

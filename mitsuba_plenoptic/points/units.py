@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..lenses.fitted_lens import FittedLens, open_area
 from ..lenses.main_lens import MainLens
 from ..light.optical_system import OpticalSystem
 
@@ -33,13 +34,16 @@ def brightness_of(camera: PlenopticCamera, lens: MainLens) -> float:
     A point's weight in `CaptureOperator` is this number times its radiance and the solid angle :math:`A_c / b^2`.
     """
     if not camera.has_array:
-        return float(detector_brightness(lens.pupil_distance, camera.pixel_size))
+        return float(detector_brightness(lens.pupil.distance, camera.pixel_size))
     return float(brightness(camera.lattice, lens.reach, camera.reduced_distance, camera.pixel_size))
 
 
 def brightness_at(system: OpticalSystem, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return `brightness_of` a system with the open part of the pupil for each point, (n,)."""
-    return brightness_of(system.camera, system.lens) * system.waves_of(points).open_part(points)
+    lens, whole = system.waves_of(points), brightness_of(system.camera, system.lens)
+    if lens.is_uniform:
+        return np.full(len(points), whole)
+    return whole * (open_area(cast(FittedLens, lens), points) / (math.pi * lens.reach**2))
 
 
 def radiance_weight(camera: PlenopticCamera, lens: MainLens, area: float) -> float:
@@ -54,4 +58,4 @@ def radiance_weight(camera: PlenopticCamera, lens: MainLens, area: float) -> flo
     area : float
         The area's image in the plane of the microlenses or of an ordinary camera's detector, in square millimetres.
     """
-    return area / lens.pupil_distance**2 * brightness_of(camera, lens)
+    return area / lens.pupil.distance**2 * brightness_of(camera, lens)

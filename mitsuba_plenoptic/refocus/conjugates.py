@@ -24,7 +24,8 @@ from scipy import ndimage
 from ..camera import PlenopticCamera
 from ..errors import InputError, argument
 from ..lenses.fitted_lens import FAR, FittedLens
-from ..lenses.main_lens import Light, Pair
+from ..lenses.main_lens import Light
+from ..lenses.pupil import Pair
 from ..lenses.pupil_fit import Pupils
 from ..lenses.real_lens import RealLens
 from ..lenses.thin import ThinLens
@@ -149,7 +150,7 @@ class RealConjugates:
                     f"distance = {distance:g}: it must lie before the main_lens, beyond "
                     f"{max(front, pupils.entrance):.6g}"
                 )
-        b, behind = camera.mla_distance, float(real.pupil_distance)
+        b, behind = camera.mla_distance, float(real.pupil.distance)
         corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch + _MARGIN * camera.mla_pitch
         inverse_distance = [1 / (min(distance, FAR) - pupils.entrance) for distance in distances]
         fields = [abs(pupils.magnification) / behind]
@@ -238,7 +239,7 @@ def behind_thin_lens(system: OpticalSystem) -> PlenopticCamera:
         lens_model="parabolic",
         focal_length=1 / Pupils.of(lens).at_infinity,
         aperture_radius=lens.reach,
-        mla_distance=float(lens.pupil_distance),
+        mla_distance=float(lens.pupil.distance),
     )
 
 

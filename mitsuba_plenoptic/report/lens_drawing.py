@@ -73,7 +73,7 @@ class _DrawnRays:
     def all_of(self, height: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the directions of rays through the whole exit pupil, and a mask of rays that pass."""
         Px, Py = self._pupil
-        distance = self.lens.pupil_distance
+        distance = self.lens.pupil.distance
         return self.directions(height, (Px / distance, (Py - height) / distance))
 
     def chief(self, height: float) -> float:
@@ -142,7 +142,7 @@ def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[n
         Their positions in the camera frame, on the MLA and on each surface; NaN where no ray passes the lens.
     """
     lens = main_lens(camera)
-    slopes = (np.linspace(-1, 1, _ACROSS) * _reach(camera) - height) / lens.pupil_distance
+    slopes = (np.linspace(-1, 1, _ACROSS) * _reach(camera) - height) / lens.pupil.distance
     _, _, is_open = lens.trace((0.0 * slopes, np.full_like(slopes, height)), (0.0 * slopes, slopes))
     passing = slopes[is_open] if is_open.any() else np.array([math.nan])
     slopes = np.linspace(passing[0], passing[-1], count)

@@ -122,7 +122,7 @@ def _in_stop(
     dy = dy[inside]
     growth = -lens.tube_focal_length / lens.last_focal_length
     # The mean power over the stop is 1.
-    mean = stop.passed_power / (math.pi * stop.pupil_radius**2)
+    mean = stop.passed_power / (math.pi * stop.pupil.radius**2)
     light = np.empty(len(x), np.float32)
     for index, (cx, cy) in enumerate(zip(x.tolist(), y.tolist(), strict=True)):
         pupil = (cx + dx) * growth, (cy + dy) * growth

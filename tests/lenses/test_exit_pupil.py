@@ -60,7 +60,7 @@ def test_light_ends_where_surfaces_end_it(lens):
             # Far beyond the edge the polynomials mean nothing.
             scale = 1 / np.sqrt(1 - slope[0] ** 2 - slope[1] ** 2)
             slope = [s * scale for s in slope]
-            place = tuple(p + lens.pupil_distance * t for p, t in zip(line, slope, strict=True))
+            place = tuple(p + lens.pupil.distance * t for p, t in zip(line, slope, strict=True))
             # The camera looks the other way along the same line.
             _, _, is_open = lens.trace(place, tuple(-t for t in slope))
         edge = away[np.argmin(is_open)]

@@ -27,7 +27,7 @@ def bundle(lens, count=300, seed=0):
     """Places on the array within 4 mm, and slopes to within the exit pupil."""
     random = np.random.default_rng(seed)
     place, pupil = random.uniform(-4, 4, (2, 2, count))
-    return tuple(place), tuple((0.6 * pupil - place) / lens.pupil_distance)
+    return tuple(place), tuple((0.6 * pupil - place) / lens.pupil.distance)
 
 
 def test_a_hyperboloid_makes_one_point_of_parallel_light():
@@ -71,7 +71,7 @@ def test_strong_aspheres_are_met_where_light_meets_them():
     x, y = (values.ravel() for values in np.meshgrid(*[np.linspace(-2, 2, 81)] * 2))
     for height in (1.5, 2.75):
         _, slope, is_open = lens.ray((x, y), (0 * x, 0 * x + height))
-        area = is_open.sum() * 0.05**2 / (np.pi * lens.pupil_radius**2)
+        area = is_open.sum() * 0.05**2 / (np.pi * lens.pupil.radius**2)
         assert 0.7 < area < 1.6
         assert np.ptp(slope[1][is_open]) < 0.02
         assert np.mean(slope[1][is_open]) == pytest.approx(-height / 4.1436, rel=0.01)
@@ -102,7 +102,7 @@ def test_rays_go_back_the_way_they_came(name):
 def test_near_the_axis_it_is_the_thin_lens_of_its_principal_planes(name):
     lens = LensSystem.of(camera_with(name))
     for m, P in ((1e-3, 2e-3), (-1e-3, 1e-3)):
-        slope = (P - m) / lens.pupil_distance
+        slope = (P - m) / lens.pupil.distance
         point, there, _ = lens.trace((0.0, m), (0.0, slope))
         height = m + 120 * slope
         assert point[1] + (240 - point[2]) * there[1] == pytest.approx(-2 * m, abs=1e-8)

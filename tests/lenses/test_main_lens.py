@@ -5,13 +5,14 @@ import pytest
 from drjit.llvm import Float64
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.lenses.common import main_lens
+from mitsuba_plenoptic.lenses.common import main_lens, path_change
+from mitsuba_plenoptic.lenses.pupil import Pupil
 from mitsuba_plenoptic.lenses.thin import ThinLens
 from mitsuba_plenoptic.light.sampling import footprint
 from mitsuba_plenoptic.points.point_spread import point_fields
 
 WAVELENGTH, LAMBDA = 633.0, 633e-6
-LENS = ThinLens(80.0, 5.0, 120.0, "parabolic")
+LENS = ThinLens(80.0, Pupil(5.0, 120.0), "parabolic")
 
 
 def pupil_and_points(count=500, seed=0):
@@ -27,7 +28,7 @@ def pupil_and_points(count=500, seed=0):
 @pytest.mark.parametrize("model", ["ideal", "parabolic"])
 def test_a_traced_ray_obeys_the_ray_formulas(array, model):
     place, slope = (0.4, -0.3), (0.02, -0.041)
-    found, found_slope, is_open = ThinLens(80.0, 5.0, 120.0, model).trace(
+    found, found_slope, is_open = ThinLens(80.0, Pupil(5.0, 120.0), model).trace(
         tuple(array([value]) for value in place), tuple(array([value]) for value in slope)
     )
     P = [m + 120 * t for m, t in zip(place, slope, strict=True)]
@@ -52,11 +53,11 @@ def test_ideal_rays_of_a_plane_meet_in_its_image():
     """And `vergence` tells where."""
     place = 120 / 240 * 0.3
     for slope in (-0.03, 0.0, 0.02):
-        point, after, _ = ThinLens(80.0, 5.0, 120.0).trace((place, 0.0), (slope, 0.0))
+        point, after, _ = ThinLens(80.0, Pupil(5.0, 120.0)).trace((place, 0.0), (slope, 0.0))
         assert point[0] + 240 * after[0] == pytest.approx(-0.3)
-    assert 1 / ThinLens(80.0, 5.0, 120.0).vergence(240.0) == pytest.approx(120)
-    assert 1 / ThinLens(80.0, 5.0, 120.0).vergence(np.inf) == pytest.approx(80)
-    assert ThinLens(80.0, 5.0, 120.0).vergence(80.0) == 0
+    assert 1 / ThinLens(80.0, Pupil(5.0, 120.0)).vergence(240.0) == pytest.approx(120)
+    assert 1 / ThinLens(80.0, Pupil(5.0, 120.0)).vergence(np.inf) == pytest.approx(80)
+    assert ThinLens(80.0, Pupil(5.0, 120.0)).vergence(80.0) == 0
 
 
 LENSES = {
@@ -77,9 +78,9 @@ def test_rays_through_pupil_points_and_their_landing_are_those_of_trace(name):
     camera = LENSES[name]
     lens, rng = main_lens(camera), np.random.default_rng(0)
     place = np.array([camera.detector_width / 2.2]) * rng.uniform(-1, 1, (2, 200))
-    radius, angle = lens.pupil_radius * np.sqrt(rng.random(200)), rng.uniform(0, 2 * np.pi, 200)
+    radius, angle = lens.pupil.radius * np.sqrt(rng.random(200)), rng.uniform(0, 2 * np.pi, 200)
     pupil = radius * np.cos(angle), radius * np.sin(angle)
-    slope = tuple(lens.slope_to(P, m) for P, m in zip(pupil, place, strict=True))
+    slope = tuple(lens.pupil.slope(P, m) for P, m in zip(pupil, place, strict=True))
     start, after, is_open = lens.trace(tuple(place), slope)
     assert np.all(is_open)
     point, direction, _ = lens.ray(pupil, tuple(place))
@@ -88,7 +89,7 @@ def test_rays_through_pupil_points_and_their_landing_are_those_of_trace(name):
     distance = rng.uniform(0.7, 3, 200) * abs(camera.focus_distance or 1)
     seen = *(x + (distance - start[2]) * t for x, t in zip(start, after, strict=False)), distance
     assert np.abs(np.array(lens.land(pupil, seen)) - place).max() < 1e-9 * camera.detector_width
-    assert np.allclose([lens.pupil_point(m, t) for m, t in zip(place, slope, strict=True)], pupil)
+    assert np.allclose([lens.pupil.point(m, t) for m, t in zip(place, slope, strict=True)], pupil)
     # Coma moves chief rays, too, of which `images` does not know.
     if not camera.wavefront:
         assert np.allclose(lens.images(np.stack(seen, -1)).T, lens.land((0 * angle, 0 * angle), seen), atol=1e-9)
@@ -101,7 +102,7 @@ def test_the_start_of_rays_lies_within_the_bounds():
         place = rng.uniform(-0.12, 0.12, (2, 200))
         pupil = rng.uniform(-1, 1, (2, 200)) * camera.pupil_radius
         (x, y, _), _, is_open = lens.ray(tuple(pupil), tuple(place))
-        radius, _ = lens.start_bounds(0.17)
+        radius = lens.entrance.radius + lens.entrance.growth * 0.17
         is_open = np.broadcast_to(is_open, x.shape) & (np.hypot(*pupil) < camera.pupil_radius)
         assert np.hypot(x, y)[is_open].max() <= radius
 
@@ -136,7 +137,7 @@ def test_path_change_is_the_third_order():
     near, far = (LENS.path(pupil, (-2 * x, 0.0, g), WAVELENGTH) for x in (r, r + step))
     tilt = np.stack([np.ones(64), *pupil])
     left = (far - near) - tilt.T @ np.linalg.lstsq(tilt.T, far - near, rcond=None)[0]
-    assert 0.1 < np.abs(left).max() / LENS.path_change(r, step, WAVELENGTH) < 1
+    assert 0.1 < np.abs(left).max() / path_change(LENS, r, step, WAVELENGTH) < 1
 
 
 def test_footprints_are_where_rays_land():
@@ -153,7 +154,7 @@ def test_footprints_are_where_rays_land():
 @pytest.mark.parametrize("distance", [8.0, 20.0, 1e4])
 def test_paths_behind_an_ideal_lens_are_equal_to_the_image(distance):
     """Also to a virtual image, in front of the lens."""
-    lens = ThinLens(10.0, 3.0, 12.0)
+    lens = ThinLens(10.0, Pupil(3.0, 12.0))
     point = 0.3 * distance, -0.1 * distance, distance
     x, y = np.random.default_rng(1).uniform(-2, 2, (2, 50))
     image = 1 / (1 / 10.0 - 1 / distance)

@@ -37,7 +37,7 @@ def drawn(walk, count=2000):
 def test_rays_come_back_to_the_detector_point_that_they_left(walk):
     pixel, passage = drawn(walk)
     slope, weight, _ = walk.out_of_array(pixel, passage)
-    pupil = tuple(walk.lens.pupil_point(m, t) for m, t in zip(passage.point, slope, strict=True))
+    pupil = tuple(walk.lens.pupil.point(m, t) for m, t in zip(passage.point, slope, strict=True))
     landed, back = walk.onto_detector(pupil, passage)
     assert np.allclose(landed, pixel, atol=1e-9)
     assert np.allclose(back, weight)
@@ -51,12 +51,16 @@ def test_the_light_of_a_point_takes_the_way_of_the_rays_that_meet_it(walk):
     distance = 0.01 if walk.camera.main_lens and not walk.camera.lens_data.converges else 250.0
     met = np.column_stack([x + (distance - z) * slope[0], y + (distance - z) * slope[1], np.full(len(x), distance)])
     out, _, _ = walk.out_of_array(pixel, passage)
-    pupil = tuple(walk.lens.pupil_point(m, t) for m, t in zip(passage.point, out, strict=True))
+    pupil = tuple(walk.lens.pupil.point(m, t) for m, t in zip(passage.point, out, strict=True))
     for index in np.flatnonzero(is_open):
         point, own = met[index : index + 1], tuple(np.array([[P[index]]]) for P in pupil)
         lens, scene = walk.lens.waves_of(point), tuple(part[:, None] for part in point.T)
-        cosines = np.stack(np.broadcast_arrays(*lens.bind(point).cosines(own, scene)))
-        place = lens.meet_array(np.stack(own), cosines, scene)
+        light = lens.bind(point)
+        place = np.stack(np.broadcast_arrays(*light.land(own, scene)))
+        if lens.pupil.finite:
+            cosines = np.stack(np.broadcast_arrays(*light.cosines(own, scene)))
+            straight = np.stack(own) + lens.pupil.distance * cosines / np.sqrt(1 - (cosines**2).sum(0))
+            assert np.allclose(straight, place, atol=3e-4)
         assert np.allclose(np.ravel(place), [passage.point[axis][index] for axis in (0, 1)], atol=3e-4)
 
 

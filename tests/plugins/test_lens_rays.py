@@ -31,10 +31,10 @@ WIDE = {
 def pupil_of(camera, lens_centre):
     """Solid slope area in which light reaches a lens's centre, and the middle of these slopes."""
     lens = mp.LensSystem.of(camera)
-    half = 1.6 * camera.pupil_radius / lens.pupil_distance
+    half = 1.6 * camera.pupil_radius / lens.pupil.distance
     axis = (np.arange(-400, 400) + 0.5) * (half / 400)
     tx, ty = (t.ravel() for t in np.meshgrid(axis, axis))
-    tx, ty = tx - lens_centre[0] / lens.pupil_distance, ty - lens_centre[1] / lens.pupil_distance
+    tx, ty = tx - lens_centre[0] / lens.pupil.distance, ty - lens_centre[1] / lens.pupil.distance
     _, _, is_open = lens.trace(tuple(np.full_like(tx, c) for c in lens_centre), (tx, ty))
     return np.count_nonzero(is_open) * (axis[1] - axis[0]) ** 2, (tx[is_open].mean(), ty[is_open].mean())
 

@@ -78,7 +78,7 @@ def test_the_sign_of_the_depth_is_that_of_the_frame():
 @pytest.mark.parametrize("objective", [AIR, OIL, FOURIER])
 def test_rays_are_perpendicular_to_the_waves(objective):
     lens, point = TelecentricLens(objective), (0.01, -0.02, 0.006)
-    P, step = np.array([0.3, -0.55]) * lens.pupil_radius, 1e-4
+    P, step = np.array([0.3, -0.55]) * lens.pupil.radius, 1e-4
 
     def path(x, y):
         return lens.path((np.float64(x), np.float64(y)), point, WAVELENGTH) * WAVELENGTH * 1e-6

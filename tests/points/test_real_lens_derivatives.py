@@ -22,7 +22,7 @@ def test_changes_of_the_light_against_refitted_lenses():
     lens = OpticalSystem(camera, WAVELENGTH).waves_of(points)
     change = lens_change(lens, "wavelength")
     rng = np.random.default_rng(1)
-    pupil = tuple(part[None] for part in 0.6 * lens.pupil_radius * rng.uniform(-1, 1, (2, 50)))
+    pupil = tuple(part[None] for part in 0.6 * lens.pupil.radius * rng.uniform(-1, 1, (2, 50)))
     fields, inverse_distance = lens.fitted.pupils.field(points)
     lanes = [np.array([[number]]) for number in change.aberration.at(fields, inverse_distance)[0]]
     field = fields[:, :1], fields[:, 1:]

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from scipy.sparse import csr_array, vstack
 
 from ...camera import PlenopticCamera
 from ...lattice import turn
+from ...lenses.fitted_lens import FittedLens
 from ...points.field_grid import Grid
 from ...runtime import Box, backend_of
 
@@ -208,10 +210,19 @@ class UprightBins:
         is corrected.
         """
         pitch, (across, down), (width, height) = camera.mla_pitch / oversample, cells.bins, cells.bin_sizes
-        stretch, middle = cells.grid.lens.stretch, np.array(camera.bin_count) * oversample / 2
+        middle = np.array(camera.bin_count) * oversample / 2
+
+        def stretched(x: Any, y: Any) -> NDArray[np.float64]:
+            """Return where chief rays from the object points that bins assign to x, y meet the array, (2, ...)."""
+            if cells.grid.lens.is_uniform:
+                return np.stack([x, y])
+            found = cast(FittedLens, cells.grid.lens).image_stretch(camera, distance)
+            ratio = np.interp(np.hypot(x, y), found.places, found.ratio)
+            return np.stack([x * ratio, y * ratio])
+
         corners = (lit.index[:, None] + np.indices((2, 2)).reshape(2, 4).T) @ cells.vectors
         far = np.stack(turn(corners[..., 0], corners[..., 1], camera.mla_rotation)).reshape(2, -1)
-        far *= np.hypot(*far) / np.hypot(*stretch(far[0], far[1], camera, distance)).clip(_ALIGNED)
+        far *= np.hypot(*far) / np.hypot(*stretched(far[0], far[1])).clip(_ALIGNED)
         low = np.floor(far.min(1) / pitch + middle + _ALIGNED).astype(np.int64)
         high = np.ceil(far.max(1) / pitch + middle - _ALIGNED).astype(np.int64)
         parts = math.ceil(pitch / min(width, height) - _ALIGNED)
@@ -226,9 +237,7 @@ class UprightBins:
         for line in np.split(y, rows):
             places = np.meshgrid(x, line)
             # Farther from the axis by a small part of the radius, for the image's area over that of the bins.
-            near, beyond = (
-                np.stack(stretch(size * places[0], size * places[1], camera, distance)) for size in (1, 1 + 1e-4)
-            )
+            near, beyond = (stretched(size * places[0], size * places[1]) for size in (1, 1 + 1e-4))
             radius, ratio = (np.hypot(*some) / np.hypot(*places).clip(_ALIGNED) for some in (near, beyond))
             area = radius * (ratio - radius) / 1e-4 * pitch**2 / (inside.size**2 * width * height)
             u, v = turn(near[0], near[1], -camera.mla_rotation)

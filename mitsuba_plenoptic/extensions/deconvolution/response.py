@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera, require_ideal, require_no_shape
 from ...design import resolution_limit
 from ...errors import refuse_if
+from ...lenses.common import inverse_distance
+from ...lenses.fitted_lens import FittedLens
+from ...lenses.real_lens import RealLens
 from ...light.detector import SHARP, mix_pixels
 from ...light.microlenses import upright
 from ...light.optical_system import OpticalSystem
@@ -64,7 +67,9 @@ def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: f
     """
     depths = [finite_distance(camera, distance) for distance in distances]
     points, system = np.array([[0.0, 0.0, depth] for depth in depths]), OpticalSystem(camera, wavelength)
-    given = system, band_for(_ACCURACY, _MANY), np.concatenate([points, system.lens.farthest(depths)])
+    if not system.lens.is_uniform:
+        points = np.concatenate([points, cast(RealLens, system.lens).farthest(depths)])
+    given = system, band_for(_ACCURACY, _MANY), points
     grid, together = Grid.of(*given), 1
     if grid.rotation == 0:
         together = max(1, int(camera.pixel_size / (_PIXEL_SAMPLES * float(grid.pitch.max()))))
@@ -80,19 +85,22 @@ def wave_batches(
     """
     depth = finite_distance(cells.camera, distance)
     lens = grid.lens
-    inverse_distance = float(lens.inverse_distance(np.array([[0.0, 0.0, depth]]))[0])
+    nearness = float(inverse_distance(lens, np.array([[0.0, 0.0, depth]]))[0])
     limit = resolution_limit(cells.camera, distance, grid.wavelength)
     lines = 0.0 if limit.in_focus else limit.frequency / (2 * limit.lenses)  # along a lens
-    airy = in_millimetres(grid.wavelength) * lens.pupil_distance / (2 * lens.pupil_radius)
+    airy = in_millimetres(grid.wavelength) * lens.pupil.distance / (2 * lens.pupil.radius)
     spots = max(cells.camera.mla_pitches) / (airy + cells.camera.blur_diameter(distance))
     wanted = math.ceil(max(_RADIATORS_PER_LINE * lines, _RADIATORS_PER_SPOT * spots))
     points_along = radiators or max(_RADIATORS, min(_MOST_RADIATORS, wanted))
     places = cells.bin_places(cell, math.ceil(points_along / cells.oversample))
-    weight = bin_weight(cells) / places.shape[1] * float(lens.open_fraction(*places.mean((0, 1))[:, None])[0])
-    places = lens.within(places)
+    weight = bin_weight(cells) / places.shape[1]
+    if not lens.is_uniform:
+        fitted = cast(FittedLens, lens)
+        weight *= float(fitted.open_fraction(*places.mean((0, 1))[:, None])[0])
+        places = fitted.within(places)
     batches = []
     for points in places:
-        positions = lens.points(points, np.full(len(points), inverse_distance))
+        positions = lens.points(points, np.full(len(points), nearness))
         placement = place(grid, positions)
         alike = (np.flatnonzero(placement.samples == size) for size in np.unique(placement.samples))
         groups = [some for same in alike for some in chunks_of(grid, placement, same, math.ceil(len(same) / _BATCHES))]
@@ -179,7 +187,7 @@ def _trace(batch: RayBatch) -> Part:
     lens, light, walk = grid.lens, grid.lens.bind(np.empty((0, 3))), Walk.of(camera, grid.lens)
     pairs, b = _pairs(batch.samples), camera.mla_distance
     q = batch.corner + pairs[:, :2] * cells.bin_sizes
-    radius, angle = lens.pupil_radius * np.sqrt(pairs[:, 2]), 2 * np.pi * pairs[:, 3]
+    radius, angle = lens.pupil.radius * np.sqrt(pairs[:, 2]), 2 * np.pi * pairs[:, 3]
     pupil = radius * np.cos(angle), radius * np.sin(angle)
     g = finite_distance(camera, batch.distance)
     point = -q[:, 0] * g / b, -q[:, 1] * g / b, np.full(len(q), g)
@@ -259,14 +267,14 @@ class Response(StoredResponse):
         if wavelength is None:
             grid, self._together = ray_grid(camera), 1
             # Several of the finer bins of cells make up a bin.
-            rays = math.ceil(_RAYS * math.sqrt(oversample / _fine(grid, camera, distances[0], oversample)))
+            rays = math.ceil(_RAYS * math.sqrt(oversample / _fine(grid, camera, oversample)))
             self._batches: Callable[..., Sequence[Sequence[Any]]] = functools.partial(ray_batches, rays)
         else:
             camera = camera.at_wavelength(wavelength)
             fine, self._together = wave_grid(camera, distances, wavelength)
             grid, self._batches = fine.merged(self._together), functools.partial(wave_batches, fine)
         self.cells, self._camera, self._distances = (
-            BinCells(grid, _fine(grid, camera, distances[0], oversample)),
+            BinCells(grid, _fine(grid, camera, oversample)),
             camera,
             tuple(distances),
         )
@@ -476,8 +484,8 @@ def _alike(camera: PlenopticCamera) -> bool:
     return ideal or not camera.lens_data.converges
 
 
-def _fine(grid: Grid, camera: PlenopticCamera, distance: float, oversample: int) -> int:
+def _fine(grid: Grid, camera: PlenopticCamera, oversample: int) -> int:
     """Return the bins of cells along a lens: those of a reconstruction if they repeat with lenses, or finer ones."""
     lattice = camera.lattice
-    own = lattice.separable and lattice.aspect == 1 and grid.lens.stretch(1.0, 1.0, camera, distance) == (1.0, 1.0)
+    own = lattice.separable and lattice.aspect == 1 and grid.lens.is_uniform
     return oversample if own else max(_FINE, oversample)

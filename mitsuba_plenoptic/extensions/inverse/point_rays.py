@@ -24,6 +24,7 @@ from ...camera import (
 )
 from ...errors import refuse_if, short_repr
 from ...lattice import make_lattice
+from ...lenses.common import convergence
 from ...lenses.main_lens import MainLens
 from ...light.optical_system import OpticalSystem
 from ...light.sampling import check_positions
@@ -153,7 +154,7 @@ class PointRays:
         points = check_positions(points, camera, virtual=True)
         self._points, self._pupil_weights = points, pupil_weights
         lens = OpticalSystem(camera, wavelength).waves_of(points)
-        on_array, on_detector = (2 * float(lens.pupil_radius) * abs(scale) for scale in _scales(camera, lens, points))
+        on_array, on_detector = (2 * float(lens.pupil.radius) * abs(scale) for scale in _scales(camera, lens, points))
         pixels, lenses = on_detector / camera.pixel_size, on_array / min(camera.mla_pitches)
         sharp = np.clip(_PER_PIXEL * pixels, _FEWEST, np.maximum(_ENOUGH, pixels))
         steps = np.ceil(_STEPS_OF_COUNTS * np.log2(np.maximum(sharp, _PER_LENS * lenses)))
@@ -182,8 +183,8 @@ class PointRays:
 
 def _scales(camera: PlenopticCamera, lens: MainLens, points: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
     """Return the displacements of rays, on the array and on the detector, per displacement on the pupil."""
-    b, z = float(lens.pupil_distance), camera.reduced_distance
-    on_array = 1 - b * np.array([float(lens.convergence(g)) for g in points[:, 2]])
+    b, z = float(lens.pupil.distance), camera.reduced_distance
+    on_array = 1 - b * np.array([float(convergence(lens, g)) for g in points[:, 2]])
     bends = [1 + z / b - z / f2 for f2 in camera.reduced_focal_lengths]
     return on_array, np.max([abs(on_array * bend - z / b) for bend in bends], axis=0)
 
@@ -212,7 +213,7 @@ class _Bundles:
             return dr.gather(Float64, drjit_array(Float64, numbers), which)
 
         # One pixel beyond the edge on either side.
-        radius = self._number(self.lens.pupil_radius)
+        radius = self._number(self.lens.pupil.radius)
         step = radius * (2 / (side - 2))
         pupil = tuple((Float64(part) + (0.5 - side / 2)) * step for part in (within % side, within // side))
         light, point = self._walk.lens.bind(self.points, which), tuple(value(part) for part in self.points.T)

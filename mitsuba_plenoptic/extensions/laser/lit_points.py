@@ -98,7 +98,7 @@ class LaserScene:
         if not reaches.any():
             return LitPoints(np.empty((0, 3)), np.empty(0))
         half = half + blur[reaches].max()
-        spot = in_millimetres(self.system.wavelength) * lens.pupil_distance / (2 * lens.pupil_radius)
+        spot = in_millimetres(self.system.wavelength) * lens.pupil.distance / (2 * lens.pupil.radius)
         count = np.ceil(2 * half / spot * math.sqrt(per_spot)).astype(int)
         total = math.prod(count.tolist())
         require_memory(_POINT_BYTES * total, f"points_per_spot = {per_spot:g}: {total} rays to points")
@@ -197,7 +197,7 @@ class LaserScene:
         """
         # A thin lens: `require_coherent` refuses others.
         lens: Any = self.system.lens
-        radius = lens.pupil_radius * (np.arange(_RINGS) + 1) / _RINGS
+        radius = lens.pupil.radius * (np.arange(_RINGS) + 1) / _RINGS
         angle = 2 * math.pi * np.arange(_SPOKES) / _SPOKES
         pupil = np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()
         inverse = 1 / points[:, 2]

@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ...lenses.main_lens import Pair
+from ...lenses.pupil import Pair
 from ...optics.spectrum import RGB_WAVELENGTHS
 from ...prescription.glass import LINE_D
 from ...runtime import drjit_array

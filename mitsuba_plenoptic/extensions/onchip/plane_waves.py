@@ -216,7 +216,7 @@ class PlaneWaveResponses:
 
     def chief(self, x: float, y: float) -> list[float]:
         """Return the direction cosines, at a lens, of the light from the pupil's centre."""
-        slope = [-float(self.system.lens.slope_to(0.0, place)) for place in self._place(x, y)]
+        slope = [-float(self.system.lens.pupil.slope(0.0, place)) for place in self._place(x, y)]
         return [each / math.sqrt(1 + slope[0] ** 2 + slope[1] ** 2) for each in slope]
 
     def is_open(self, x: float, y: float, along: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -226,7 +226,7 @@ class PlaneWaveResponses:
         cosine = np.sqrt(np.maximum(1 - sx**2 - sy**2, 1e-6))
         lens = self.system.lens
         slopes = (-sx / cosine, -sy / cosine)
-        pupil = tuple(drjit_array(mi.Float, lens.pupil_point(c, t)) for c, t in zip(place, slopes, strict=True))
+        pupil = tuple(drjit_array(mi.Float, lens.pupil.point(c, t)) for c, t in zip(place, slopes, strict=True))
         inner = Walk.of(self.camera, lens).inner(pupil, tuple(mi.Float(c) for c in place))
         square = sum(part.numpy().astype(float) ** 2 for part in inner)
         return np.asarray(square <= self.camera.pupil_radius**2).reshape(sx.shape)

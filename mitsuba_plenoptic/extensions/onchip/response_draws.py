@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...lenses.main_lens import Pair
+from ...lenses.pupil import Pair
 from ...light.random_numbers import chances_of, even_numbers
 from ...light.walk import Walk
 from ...runtime import drjit_array
@@ -68,8 +68,8 @@ class Tables:
         chances = [chances_of(lens, seed ^ ((2 * number + half) << 5) ^ word) for word in (24, 25, 26)]
         pupil = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(random[0], random[1])) * float(system.lens.reach)
         centre = self.camera.lattice.centre(*index)
-        slope = [-system.lens.slope_to(P, c) for P, c in zip(pupil, centre, strict=True)]
-        chief = [-system.lens.slope_to(0.0, c) for c in centre]
+        slope = [-system.lens.pupil.slope(P, c) for P, c in zip(pupil, centre, strict=True)]
+        chief = [-system.lens.pupil.slope(0.0, c) for c in centre]
         cosine, middle = (dr.rsqrt(1 + dr.square(t[0]) + dr.square(t[1])) for t in (slope, chief))
         inner = Walk.of(system.camera, system.lens).inner(tuple(pupil), centre)
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= system.camera.pupil_radius**2

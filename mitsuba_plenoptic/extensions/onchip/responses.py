@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...lenses.main_lens import Pair
+from ...lenses.pupil import Pair
 from ...light.noise import Mended, means_of
 from ...light.phase_space import FINE
 from ...light.scene_light import SceneLight, require_finite

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_accuracy, require_count, require_number, require_wavelength, suggest_keywords
+from ...lenses.common import inverse_distance
 from ...light.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator
 from ...runtime import POINTS, Job, Progress, as_array, counted
@@ -86,7 +87,7 @@ class VoxelProjector:
         voxels = np.tile(np.arange(len(points)), 4)
         entries = np.concatenate(weights), (index.reshape(-1), voxels)
         self._spread = scipy.sparse.csr_array(entries, shape=(len(nodes), len(points)))
-        inverse = lens.inverse_distance(points.reshape(grid.shape[0], -1, 3)[:, 0])[nodes[:, 0]]
+        inverse = inverse_distance(lens, points.reshape(grid.shape[0], -1, 3)[:, 0])[nodes[:, 0]]
         # A little aside, so that points at the borders of lenses belong to one of them alike.
         places = (nodes[:, 1:] + 1e-6) / per_lens @ basis + np.array(camera.mla_offset)
         at = lens.points(places, inverse)

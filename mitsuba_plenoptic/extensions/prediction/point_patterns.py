@@ -142,7 +142,7 @@ def _by_waves(camera: PlenopticCamera, points: np.ndarray, wavelength: float) ->
 def _by_rays(camera: PlenopticCamera, points: np.ndarray) -> np.ndarray:
     """Return the pictures of voxels, each of several points, by an even grid of rays through the pupil."""
     lens = OpticalSystem(camera, _ANY_WAVELENGTH).waves_of(np.empty((0, 3)))
-    walk, light, radius = Walk.of(camera, lens), lens.bind(np.empty((0, 3))), float(lens.pupil_radius)
+    walk, light, radius = Walk.of(camera, lens), lens.bind(np.empty((0, 3))), float(lens.pupil.radius)
     across, generator = _RAYS * round(camera.mla_pitch / camera.pixel_size), np.random.default_rng(0)
     rows, columns = camera.shape
     pictures = np.zeros((len(points), rows * columns), np.float32)

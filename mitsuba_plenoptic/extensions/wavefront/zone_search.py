@@ -186,7 +186,7 @@ def fit_wavefronts(
 def _distance_beside(camera: PlenopticCamera, zone: Zone) -> float:
     """Return the distance in mm between the recorded lenses and a zone's nearest ray, with the camera's wavefront."""
     lens = main_lens(camera)
-    radius, angle = np.linspace(0, lens.pupil_radius, _RINGS), 2 * np.pi * np.arange(_SPOKES) / _SPOKES
+    radius, angle = np.linspace(0, lens.pupil.radius, _RINGS), 2 * np.pi * np.arange(_SPOKES) / _SPOKES
     pupil = np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()
     arrives = np.stack([lens.land(pupil, tuple(point)) for point in zone.points[zone.weights > 0]], -1)
     centres = lenses_of_pixels(camera)[0].reshape(-1, 2).T[..., None, None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cache, partial
-from typing import Any
+from typing import Any, cast
 
 import drjit as dr
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ...camera import Captures, PlenopticCamera, change_of, parts_of, require_no_warp, size_of, with_gradient
 from ...errors import WAVEFRONT_UNIT, InputError, did_you_mean, require_number, short_repr
 from ...lattice import make_lattice, turn
+from ...lenses.fitted_lens import LENS_NUMBERS, FittedLens, open_area_slopes
 from ...lenses.thin import Wavefront, zernike
 from ...light.microlens_orders import VaryingArrayFactor
 from ...light.optical_system import OpticalSystem
@@ -136,7 +137,11 @@ def light_slopes(
     """
     slopes = brightness_slopes(system.camera, names)
     found = {name: np.tile(slope[:, None], len(points)) for name, slope in slopes.items()}
-    return found | system.waves_of(points).open_slopes(found, points)
+    lens = system.waves_of(points)
+    if lens.is_uniform:
+        return found
+    changed = [name for name in found if name in LENS_NUMBERS]
+    return found | {name: open_area_slopes(cast(FittedLens, lens), name, points)[None] for name in changed}
 
 
 class VaryingParameters:

@@ -70,7 +70,7 @@ class DerivativePlan(PatchPlan):
         accuracy: float,
     ) -> None:
         # Behind a real lens the changes of copies differ from each other.
-        shared = system.lens.changes_evenly and derivatives_share(accuracy, len(points))
+        shared = system.lens.is_uniform and derivatives_share(accuracy, len(points))
         band = derivative_band_for(accuracy, len(points))
         super().__init__(system, points, pupil_weights, accuracy, band=band, shared=shared)
         camera, self._wavelength = system.camera, system.wavelength

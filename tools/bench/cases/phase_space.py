@@ -254,7 +254,7 @@ class Wall:
         if self._objective is not None:
             # Points that radiate evenly in all directions, by the sine condition.
             lens = TelecentricLens(self._objective)
-            light *= dr.norm(mi.Vector3f(*slope, 1)) * (math.pi * lens.pupil_radius**2 / lens.passed_power)
+            light *= dr.norm(mi.Vector3f(*slope, 1)) * (math.pi * lens.pupil.radius**2 / lens.passed_power)
         return [dr.select(active, light, 0)]
 
     def _fall(self, pupil: tuple[Any, Any, Any], x: Any, y: Any) -> Any:

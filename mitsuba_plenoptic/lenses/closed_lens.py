@@ -1,0 +1,59 @@
+"""The base of main lenses with closed forms: thin, telecentric, Fourier and collimated ones."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..runtime import sqrt
+from .main_lens import Light
+from .pupil import Pair, Pupil
+
+_ROUNDING = 1e-9
+"""Distance outside a round pupil, over its radius, up to which a point counts as on its edge."""
+
+
+class ClosedLens(Light):
+    """A main lens whose light has the same closed form for every scene point, with the whole pupil open to all.
+
+    It is its own light of scene points, which `bind` returns.
+    """
+
+    pupil: Pupil
+    is_uniform = True
+
+    def __init__(self) -> None:
+        """Make a lens without parameters; dataclasses, which derive from it, have their own."""
+
+    @property
+    def reach(self) -> Any:
+        """Radius of the pupil in millimetres."""
+        return self.pupil.radius
+
+    def waves_of(self, points: NDArray[np.float64]) -> Self:
+        """Return this lens, whose light is the same for all points."""
+        return self
+
+    def bind(self, points: NDArray[np.float64], which: Any = None) -> Self:
+        """Return this lens, whose light is the same for all points."""
+        return self
+
+    def opaque(self, number: Callable[[Any], Any]) -> Self:
+        """Return this lens unchanged."""
+        return self
+
+    def inside(self, pupil: Pair) -> Any:
+        """Return the distance in mm of a point from the edge of the pupil, positive inside."""
+        return self.pupil.radius - sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
+
+    def is_open(self, pupil: Pair) -> Any:
+        """Return whether a point lies inside the pupil or, up to rounding, on its edge."""
+        return self.inside(pupil) >= -_ROUNDING * self.pupil.radius
+
+    @abstractmethod
+    def power_through(self, point: NDArray[np.float64]) -> float:
+        """Return the integral of the squared amplitude of a scene point over the pupil."""
