@@ -504,8 +504,8 @@ class CoreParameters:
         check=partial(require_number, minimum=0, maximum=1),
         words=(
             "Standard deviation, at most 1, of a Gaussian blur of the irradiance on the detector, by a relay lens or "
-            "the diffusion of charge in pixels. Rays cross the edges of crops; in wave captures, captures of points "
-            "and white images, light that would cross the edge stays. Decoding assumes none."
+            "the diffusion of charge in pixels. Light that would cross the edge of the recorded pixels stays. Decoding "
+            "assumes none."
         ),
         unit="mm",
         known_to=Captures.RAYS | Captures.SCENES,
@@ -515,9 +515,27 @@ class CoreParameters:
         check=partial(require_number, minimum=0, maximum=0.25),
         words=(
             "Fraction, at most 0.25, of a pixel's light that each of its four neighbours receives, through the walls "
-            "between photodiodes. No light is lost; across the edge of a wave capture as much returns as leaves. "
-            "Decoding and reconstructions assume pixels without it."
+            "between photodiodes. No light is lost; across the edge of a capture as much returns as leaves. "
+            "Decoding assumes pixels without it."
         ),
+        known_to=Captures.RAYS | Captures.SCENES,
+    )
+    stray_light: Parameter[float, float] = Parameter(
+        default=0.0,
+        check=partial(require_number, minimum=0, maximum=1),
+        words=(
+            "Light, at most 1, that lenses and walls scatter over the detector: every pixel records besides its own "
+            "light this fraction of the mean light around, after `pixel_crosstalk`, of each channel. Reconstructions "
+            "take it for light of the scene."
+        ),
+        known_to=Captures.RAYS | Captures.SCENES,
+    )
+    stray_width: Parameter[float | None, float | None] = Parameter(
+        default=None,
+        check=lambda name, value: None if value is None else require_length(name, value),
+        words="Standard deviation of the Gaussian over which the mean of `stray_light` is taken.",
+        otherwise="the mean over all recorded pixels",
+        unit="mm",
         known_to=Captures.RAYS | Captures.SCENES,
     )
     pixel_response: Parameter[Sequence[float], tuple[float, ...]] = Parameter(

@@ -255,9 +255,6 @@ def expose(
             help="Colour filters of the first pixels of two rows; each pixel then records one of three channels.",
         ),
     ] = None,
-    stray_light: Annotated[
-        float, numeric("Light spread evenly over the detector, over the capture's mean.", unit="FRACTION")
-    ] = 0.0,
     seed: Annotated[int, numeric("Seed of the noise.")] = 0,
 ) -> None:
     """Add what a real detector does: noise, saturation, digital numbers.
@@ -290,7 +287,6 @@ def expose(
         gain=gain,
         black_level=black_level,
         mosaic=mosaic,
-        stray_light=stray_light,
     )
     exposed = record(read_capture(capture), detector, photons=photons, seed=seed)
     (write_raw if output.suffix.lower() in RAW_SUFFIXES else write_capture)(output, exposed)

@@ -99,6 +99,7 @@ def in_millimetres(camera: PlenopticCamera) -> Changes:
     return {
         name: tuple(1000 * one for one in value) if isinstance(value, tuple) else 1000 * value
         for name, value in values.items()
+        if value is not None
     }
 
 

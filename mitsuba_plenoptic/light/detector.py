@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
@@ -30,12 +28,6 @@ _SMALLEST, _LARGEST = 1e-9, 1e9
 
 # Values of the image that are exposed at once, at most.
 _CHUNK = 2**22
-
-SHARP: dict[str, Any] = {"detector_blur": 0.0, "pixel_crosstalk": 0.0}
-"""Parameters of a camera whose pixels record the light that falls on them."""
-
-# Standard deviations at which the kernel of a blur ends, and the width of a Gaussian, in pixels, whose samples are 1.
-_BLUR_REACH, _NARROWEST = 6, 0.02
 
 
 @suggest_keywords
@@ -76,9 +68,6 @@ class Detector:
         Colours of the filters on the first two pixels of the detector's first row and of its second, repeated all over
         it; of a quad Bayer mosaic on the first two squares of 2 x 2 pixels, each of which may lie under one lens.
         Default: none.
-    stray_light : float
-        Light that lenses and walls scatter evenly over the detector, 0 to 1: the fraction of the capture's mean
-        irradiance, of each channel, that every pixel receives besides its own. It has noise like any light.
 
     Raises
     ------
@@ -94,7 +83,6 @@ class Detector:
     gain: float | None = None
     black_level: int | None = None
     mosaic: str | None = None
-    stray_light: float = 0.0
 
     def __post_init__(self) -> None:
         put(
@@ -104,7 +92,6 @@ class Detector:
             dark_electrons=require_number("dark_electrons", self.dark_electrons, minimum=0, maximum=_LARGEST),
             read_noise=require_number("read_noise", self.read_noise, minimum=0, maximum=_LARGEST),
             bits=require_count("bits", self.bits, maximum=16),
-            stray_light=require_number("stray_light", self.stray_light, minimum=0, maximum=1),
         )
         top, black = 2**self.bits - 1, self.black_level
         if black is None:
@@ -159,9 +146,6 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     few bits and a large full well, rounding displaces the mean by up to half a number, which is ``0.5 / (gain *
     quantum_efficiency * photons)`` in units of the capture.
 
-    Stray light remains in the result, as in a real picture. It is ``stray_light / (1 + stray_light)`` of the mean of
-    the result, of each channel; reconstructions take it for light of the scene unless it is subtracted before.
-
     Parameters
     ----------
     capture : Capture
@@ -203,8 +187,6 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     require_demosaiced(capture)
     refuse_if(recording_of(capture), "capture: a detector has recorded it already; expose what was rendered")
     image, wavelength = capture.image, capture.wavelength
-    if detector.stray_light:
-        image = image + detector.stray_light * np.maximum(image, 0).mean((0, 1))
     extra: dict[str, Any] = {}
     if detector.mosaic is not None:
         refuse_if(
@@ -234,38 +216,3 @@ def filters(camera: PlenopticCamera, mosaic: str) -> NDArray[np.int64]:
     left, top = camera.crop_offset
     rows, columns = camera.shape
     return np.asarray(tile[np.ix_((np.arange(rows) + top) // each % 2, (np.arange(columns) + left) // each % 2)])
-
-
-def mix_pixels(image: NDArray[Any], camera: PlenopticCamera) -> NDArray[Any]:
-    """Return what the pixels of a camera record of noise-free light (rows, columns[, channels]) that falls on pixels.
-
-    The relay and the pixels blur it by `detector_blur`, and neighbours receive `pixel_crosstalk`. Light that would
-    leave across the edge stays, so that the sum is unchanged. The operation is self-adjoint, and light stays above 0.
-    """
-    result, fraction, blur = image, camera.pixel_crosstalk or 0.0, camera.detector_blur / camera.pixel_size
-    if blur:
-        kernel = _blur_kernel(blur)
-        for axis in (0, 1):
-            result = scipy.ndimage.correlate1d(result, kernel, axis, mode="reflect")
-    if fraction:
-        beside = (scipy.ndimage.correlate1d(result, [1, 0, 1], axis, mode="reflect") for axis in (0, 1))
-        result = (1 - 4 * fraction) * result + fraction * sum(beside)
-    return np.asarray(result, image.dtype)
-
-
-@functools.lru_cache
-def _blur_kernel(deviation: float) -> NDArray[np.float64]:
-    """Return samples of a Gaussian, of sum 1, with a standard deviation in pixels.
-
-    Below a pixel the Gaussian is wider than that, as samples of a narrow one deviate less than itself.
-    """
-    steps = np.arange(-math.ceil(_BLUR_REACH * deviation) - 3, math.ceil(_BLUR_REACH * deviation) + 4)
-
-    def samples(width: float) -> Any:
-        weights = np.exp(-0.5 * (steps / width) ** 2)
-        return weights / weights.sum()
-
-    def excess(width: float) -> float:
-        return float(samples(width) @ steps**2) - deviation**2
-
-    return np.asarray(samples(scipy.optimize.brentq(excess, _NARROWEST, deviation + 1)))

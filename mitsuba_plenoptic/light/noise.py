@@ -20,7 +20,7 @@ from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..lenses.pupil import Pair
 from ..runtime import SumTask
-from .detector import mix_pixels
+from .detector_operator import DetectorOperator
 
 PARTS = 16
 """Count of independent passes from which the noise of a pixel is estimated."""
@@ -58,15 +58,16 @@ class PassSpread:
 
 
 def keep_spread(task: SumTask, camera: PlenopticCamera) -> SumTask:
-    """Return a run's task, with added image channels from which `with_spread` computes variances, after `mix_pixels`.
+    """Return a run's task, with added channels from which `with_spread` computes variances of what is recorded.
 
-    Neighbouring pixels deviate together, so that the variances after mixing do not follow from those before.
+    The detector lets neighbouring pixels deviate together, so that its variances do not follow from those of the light.
     """
+    detector = DetectorOperator.of(camera)
 
     def combine(sums: NDArray[np.float32]) -> NDArray[np.float32]:
         image = task.combine(sums)
-        mixed = mix_pixels(image, camera)
-        return np.concatenate([image, mixed, mixed**2], axis=-1)
+        recorded = detector.forward(image)
+        return np.concatenate([image, recorded, recorded**2], axis=-1)
 
     return replace(task, combine=combine)
 
@@ -129,12 +130,13 @@ class Mended:
 
 
 def variance_left(mended: Mended, variance: NDArray[np.float32], camera: PlenopticCamera) -> NDArray[np.float64]:
-    """Return the part of each pixel's variance that compensation leaves, for variances after `mix_pixels`.
+    """Return the part of each pixel's variance that compensation leaves, for variances of what the detector records.
 
     The factors of compensation count as constants. Mixed pixels have the mean of their neighbours' parts, weighted by
     variance.
     """
-    every, left = (mix_pixels(variance * part, camera) for part in (np.float64(1), mended.remaining**2))
+    detector = DetectorOperator.of(camera)
+    every, left = (detector.forward(variance * part) for part in (np.float64(1), mended.remaining**2))
     return np.divide(left, every, out=np.zeros_like(left), where=every > 0).clip(0, 1)
 
 

@@ -13,7 +13,7 @@ from ..camera import Captures, PlenopticCamera, has_small_lenses, require_ideal,
 from ..errors import InputError, naming, refuse_if, require_accuracy
 from ..extension import hook
 from ..light import colour
-from ..light.detector import mix_pixels
+from ..light.detector_operator import SHARP
 from ..light.lens_kinds import regular_array
 from ..light.render_capture import require_wave_film
 from ..light.scene import GONE_PARAMETERS
@@ -216,7 +216,7 @@ def make_class() -> type:
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=True)
             with guards.watch():
                 change = gradients.forward({name: tangent(sensor, name) for name in names})
-            return develop(sensor.film(), mix_pixels(change, gradients.capture.camera))
+            return develop(sensor.film(), change)
 
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
@@ -226,7 +226,7 @@ def make_class() -> type:
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=False)
             shape = *gradients.capture.camera.shape, gradients.capture.colours.spectrum.channels
             with guards.watch():
-                back = mix_pixels(develop_back(sensor.film(), grad_in, shape), gradients.capture.camera)
+                back = develop_back(sensor.film(), grad_in, shape)
                 found = gradients.backward(back, names)
             for name, gradient in found.items():
                 accumulate(sensor, name, gradient)
@@ -252,14 +252,14 @@ def make_class() -> type:
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
         ) -> Any:
             """Return the film that holds the computed capture."""
-            camera, film = PlenopticCamera.from_sensor(sensor), sensor.film()
+            # Other sensors are refused before their films.
+            PlenopticCamera.from_sensor(sensor)
+            film = sensor.film()
             require_wave_film(film)
             capture = self._capture(scene, sensor)
             with guards.watch():
                 image = capture.compute(seed=seed, spp=spp, job=job or Job(), noise=noise)
-            channels = image.shape[2] // (2 if noise else 1)
-            image[..., :channels] = mix_pixels(image[..., :channels], camera)
-            put(film, image, channels)
+            put(film, image, image.shape[2] // (2 if noise else 1))
             return film
 
         def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
@@ -278,8 +278,8 @@ def make_class() -> type:
         def _capture(self, scene: Any, sensor: Any) -> SignedCapture | PointsCapture:
             if self.method == SIGNED_RAYS:
                 return self._signed(scene, sensor)
-            # The image is blurred when it is recorded.
-            camera = regular_array(PlenopticCamera.from_sensor(sensor)).replace(detector_blur=0.0)
+            # The film records what the detector makes of the light.
+            camera = regular_array(PlenopticCamera.from_sensor(sensor)).replace(**SHARP)
             require_ideal(camera)
             spectrum, upsampling = self.spectrum_of(scene, sensor), None
             if mi.is_spectral:

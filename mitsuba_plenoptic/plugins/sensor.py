@@ -16,10 +16,12 @@ from ..extension import entries, place
 from ..lenses.common import main_lens
 from ..lenses.pupil import Pair
 from ..lenses.real_lens import RealLens
+from ..light.detector_operator import DetectorOperator
 from ..light.scene_light import world_ray
 from ..optics.rays import pixel_response
 from ..runtime import require_unfrozen
 from .camera_rays import CameraRays, rays_of
+from .detector_film import behind_detector
 from .properties import read_camera, require_read
 
 NAME = "plenoptic"
@@ -119,13 +121,17 @@ def make_class() -> type:
                     )
             # Only objects are read here: Mitsuba refuses as unknown only the parameters that were never read.
             objects = [name for name in props.keys() if props.type(name) == mi.Properties.Type.Object]  # noqa: SIM118
-            has_film = any(isinstance(props[name], mi.Film) for name in objects)
+            film_name = next((name for name in objects if isinstance(props[name], mi.Film)), None)
+            if film_name is not None and props[film_name].rfilter().is_box_filter():
+                detector = DetectorOperator.of(read_camera(props, NAME, props[film_name])[0])
+                if not detector.is_identity:
+                    props[film_name] = behind_detector(props[film_name], detector)
             super().__init__(props)
             film = self.film()
             if not film.rfilter().is_box_filter():
                 fault = f"the film's filter {film.rfilter().class_name()} smears the micro-images into each other"
-                line = _BOX if has_film else f'<film type="hdrfilm"> {_BOX} </film>'
-                raise InputError(f"{NAME}: {fault if has_film else 'it has no film'}; add the line {line}")
+                line = _BOX if film_name else f'<film type="hdrfilm"> {_BOX} </film>'
+                raise InputError(f"{NAME}: {fault if film_name else 'it has no film'}; add the line {line}")
             camera, self.stated = read_camera(props, NAME, film)
             self._given = camera
             require_read(props, NAME)
@@ -180,6 +186,8 @@ def make_class() -> type:
                 plain = _plain(value, self._plain[name])
                 self._plain[name] = plain[0] if PARAMETERS[name].form is Form.NUMBER else plain
             self._rays = rays_of(self.camera, numbers)
+            if hasattr(self.film(), "detector"):
+                self.film().detector = DetectorOperator.of(self.camera)
             self._response = pixel_response(self.pixel_response, self.mla_absorption or 0.0)
             tables = (
                 place(package, text)(getattr(self, name))
@@ -235,10 +243,6 @@ def make_class() -> type:
                 # In polarized variants weights are Mueller matrices.
                 rays, weight = light.of(rays), weight * mi.Spectrum(share)
             px, py = self._on_detector(film_sample)
-            if self.detector_blur:
-                px, py = self._blurred((px, py), film_sample, lens_sample)
-            if self.pixel_crosstalk:
-                (px, py), lens_sample = self._through_walls((px, py), lens_sample)
             if self._table is not None:
                 # Rays go from the whole pupil to the pixels' lenses.
                 rays = cast(CameraRays, rays)
@@ -274,28 +278,6 @@ def make_class() -> type:
                     setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(*turned, 1)))
                 ray.has_differentials = True
             return ray, dr.select(open_, weight, 0)
-
-        def _blurred(self, pixel: Pair, film_sample: Any, lens_sample: Any) -> Pair:
-            """Return points displaced at random by the blur, which the samples' own digits decide."""
-            numbers = [mi.Float(sample[axis]) for sample in (film_sample, lens_sample) for axis in (0, 1)]
-            digits = [mi.UInt32(dr.reinterpret_array(dr.uint_array_t(mi.Float), number)) for number in numbers]
-            own, other = digits[0] ^ mi.sample_tea_32(digits[2], digits[3])[0], digits[1]
-            chance = mi.Point2f(mi.sample_tea_float32(own, other), mi.sample_tea_float32(other, own))
-            x, y = self.detector_blur * mi.warp.square_to_std_normal(chance)
-            return pixel[0] + x, pixel[1] + y
-
-        def _through_walls(self, pixel: Pair, sample: Any) -> tuple[Pair, Any]:
-            """Return points of the four neighbouring pixels for light that crosses walls, and the unused sample."""
-            fraction, size = self.pixel_crosstalk, self.detector_width / self.film().size()[0]
-            scaled = sample[0] / fraction
-            side = dr.floor(scaled)
-            crosses = side < 4
-            x = dr.select(side < 2, 2 * side - 1, 0)
-            y = dr.select(side < 2, 0, 2 * side - 5)
-            rest = (sample[0] - 4 * fraction) / max(1 - 4 * fraction, 1e-9)
-            within = dr.select(crosses, scaled - side, rest)
-            moved = tuple(p + dr.select(crosses, step * size, 0) for p, step in zip(pixel, (x, y), strict=True))
-            return (moved[0], moved[1]), mi.Point2f(within, sample[1])
 
         def sample_ray(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True

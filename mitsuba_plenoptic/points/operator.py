@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..camera import NOT_ROUND, PlenopticCamera, Round, require_ideal, require_no_glass, require_no_shape
 from ..errors import InputError, refuse_if, require_choice, require_flag, require_wavelength, suggest_keywords
 from ..io import digest
-from ..light.detector import mix_pixels
+from ..light.detector_operator import SHARP, DetectorOperator
 from ..light.lens_kinds import regular_array
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_positions
@@ -114,8 +114,8 @@ class CaptureOperator(CoherentPoints):
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
         camera = regular_array(camera)
-        # An aperture that is not round is the power of every point's light over the pupil; sums of spreads are blurred.
-        open_ = camera.replace(**NOT_ROUND, detector_blur=0.0)
+        # An aperture that is not round is the power of every point's light over the pupil. The detector acts on sums.
+        open_ = camera.replace(**NOT_ROUND, **SHARP)
         require_ideal(open_, in_full=method == "full_field", besides=("mla_transmissions", "vignetting"))
         refuse_if(
             camera.vignetting is not None and (camera.lens_data.traced_surfaces or camera.lens_data.images_stop),
@@ -135,6 +135,7 @@ class CaptureOperator(CoherentPoints):
             method != "full_field" and camera.lens_data.images_stop,
             f"method = {method}: light covers all of the stop's image, in which the array stands; use full_field",
         )
+        self._detector = DetectorOperator.of(camera)
         self._method, self._accuracy = method, chosen_accuracy(accuracy, method)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
         if camera.aperture != Round():
@@ -193,7 +194,7 @@ class CaptureOperator(CoherentPoints):
             If too much of the light is lost (see `optics.guards`).
         """
         with guards.watch():
-            image = mix_pixels(self._image(self._check(weights), job or Job()), self.camera)
+            image = self._detector.forward(self._image(self._check(weights), job or Job()))
         return image[..., 0] if np.ndim(weights) == 1 and image.shape[2] == 1 else image
 
     def _image(self, weights: NDArray[np.float64], job: Job) -> NDArray[Any]:
@@ -232,7 +233,7 @@ class CaptureOperator(CoherentPoints):
         InputError
             If the image has another shape or is not finite, or the work would need too much memory.
         """
-        channels = mix_pixels(self._channels.check_image(image, self.camera.shape, self._dtype), self.camera)
+        channels = self._detector.adjoint(self._channels.check_image(image, self.camera.shape, self._dtype))
         wavelengths, _ = self._channels.mixing(channels.shape[2])
         result = np.zeros((len(self.points), len(wavelengths)))
         with guards.watch():
@@ -313,7 +314,7 @@ class CaptureOperator(CoherentPoints):
         refuse_if(not checked, "directions: give at least one")
         wavelengths, matrix = self._channels.mixing(factors.shape[1])
         image = self._for_derivatives().jvp(factors, checked, wavelengths, matrix, job or Job())
-        image = mix_pixels(image.reshape(*self.camera.shape, -1), self.camera)
+        image = self._detector.forward(image.reshape(*self.camera.shape, -1))
         made = np.moveaxis(image.reshape(*self.camera.shape, len(checked), len(matrix)), 2, 0)
         flat = np.ndim(weights) == 1 and len(matrix) == 1
         return np.ascontiguousarray(made[..., 0] if flat else made)
@@ -351,7 +352,7 @@ class CaptureOperator(CoherentPoints):
             As for `derivative`.
         """
         factors, chosen = self._check(weights), check_names(self.camera, names)
-        channels = mix_pixels(self._channels.check_image(image_gradient, self.camera.shape), self.camera)
+        channels = self._detector.adjoint(self._channels.check_image(image_gradient, self.camera.shape))
         wavelengths, matrix = self._channels.mixing(factors.shape[1])
         if channels.shape[2] != len(matrix):
             raise InputError(f"image of shape {np.shape(image_gradient)}: the weights make {len(matrix)} channels")
@@ -361,7 +362,7 @@ class CaptureOperator(CoherentPoints):
         """Return the derivatives of the sums; refuse methods without derivatives."""
         refuse_if(self._method != "patch", f"method = {self._method}: it has no derivatives; use patch")
         self.camera.require_no_objective("derivatives of wave captures are found")
-        spreading = self.camera.replace(detector_blur=0.0)
+        spreading = self.camera.replace(**SHARP)
         require_ideal(spreading)
         require_no_shape(self.camera, "derivatives of wave captures are found")
         require_no_glass(self.camera, "there are no derivatives of cameras that disperse light;")

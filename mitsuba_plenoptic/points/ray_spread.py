@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import NOT_ROUND, Captures, PlenopticCamera, require_known_to
-from ..light.detector import mix_pixels
+from ..light.detector_operator import DetectorOperator
 from ..light.optical_system import OpticalSystem
 from ..light.walk import Passage, Walk
 from .scene_points import sample_pairs
@@ -63,4 +63,5 @@ def ray_spread(camera: PlenopticCamera, point: NDArray[np.float64]) -> NDArray[n
         )
         inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
         image += np.bincount((row * columns + column)[inside], power[inside], rows * columns)
-    return mix_pixels((image / max(emitted, math.ulp(0))).reshape(rows, columns).astype(np.float32), camera)
+    on_pixels = (image / max(emitted, math.ulp(0))).reshape(rows, columns).astype(np.float32)
+    return np.asarray(DetectorOperator.of(camera).forward(on_pixels))

@@ -19,6 +19,7 @@ from ..errors import (
     suggest_keywords,
 )
 from ..io import Capture, Checkpoint
+from ..light.detector_operator import SHARP
 from ..optics import guards
 from ..refocus_options import all_options, with_options
 from ..runtime import GIB, BatchMap, Forecast, in_words, memory_asked, one_at_a_time
@@ -212,7 +213,7 @@ def reconstruct(
     distances = require_distances(distance, camera)
     waves = chosen.waves and settings.get("response") != "ray"
     if chosen.waves:
-        what, besides = f"method {method} reconstructs captures", ("mla_jitter", "detector_blur")
+        what, besides = f"method {method} reconstructs captures", ("mla_jitter", *SHARP)
         require_known_to(camera, Captures.POINTS, what, "use method ray, or ", besides)
         require_no_shape(camera, "captures are reconstructed by waves")
         camera.require_resolved()

@@ -22,7 +22,7 @@ from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint
 from ..errors import MOST_PIXELS, refuse_if, short_repr
 from ..io import Capture
-from ..light.detector import SHARP
+from ..light.detector_operator import SHARP, DetectorOperator
 from ..light.optical_system import OpticalSystem
 from ..light.walk import follow_back
 from ..optics import rays
@@ -430,7 +430,7 @@ def _micro_image(camera: PlenopticCamera, index: tuple[float, float]) -> tuple[n
     centre = [rays.chief_detector_point(c, b, z) for c in camera.lattice.centre(*index)]
     Px, Py = ((c - camera.pixel_coordinates(axis)) * (b / z) for axis, c in enumerate(centre))
     seen = np.hypot(Px, Py[:, None])
-    if camera.detector_blur:
+    if not DetectorOperator.of(camera).is_identity:
         # It mixes the light of neighbours.
         return white_pixels(camera), seen
     if camera.lenses_are_bins and focus_type(camera) == "unfocused":

@@ -20,7 +20,7 @@ from ..design import crosstalk_neighbours
 from ..errors import InputError, refuse_if, short_repr, warn
 from ..io import Capture, recording_of, require_demosaiced
 from ..lattice.lens_shifts import hashed
-from ..light.detector import mix_pixels
+from ..light.detector_operator import DetectorOperator
 from ..light.lens_kinds import regular_array
 from ..light.random_numbers import even_steps
 from ..light.walk import Passage, Walk, detector_rows
@@ -133,8 +133,8 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
 
     Behind a thin main lens the value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds.
     Each lens of a tilted array has its own distances; distortion changes nothing, as rays keep their position on the
-    pupil. Behind a real main lens rays are traced from the pixels. Light is mixed as pixels do it, see
-    `detector_blur` and `pixel_crosstalk`.
+    pupil. Behind a real main lens rays are traced from the pixels. The detector records it as
+    `DetectorOperator` states.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     camera = regular_array(camera)
     if camera.vignetting is not None or (grid is None and not camera.lens_data.is_thin):
         # Vignetting states places of lenses, as the camera has them.
-        return mix_pixels(_traced(camera), camera)
+        return np.asarray(DetectorOperator.of(camera).forward(_traced(camera)))
     camera.require_thin("white images of a grid are computed")
     fractions = _Fractions(camera)
     half = fractions.half
@@ -206,7 +206,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         first = index.min(initial=image.size)
         added = np.bincount(index - first, weights=fraction[keep])
         image.reshape(-1)[first : first + added.size] += added
-    return mix_pixels(image[half : half + rows, half : half + columns], camera)
+    return np.asarray(DetectorOperator.of(camera).forward(image[half : half + rows, half : half + columns]))
 
 
 def recorded_white(

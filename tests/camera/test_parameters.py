@@ -98,6 +98,8 @@ OTHER = {
     "mla_cra": (0.0, 0.0, 2.0, 10.0, 4.0, 25.0),
     "detector_blur": 0.0021,
     "pixel_crosstalk": 0.02,
+    "stray_light": 0.03,
+    "stray_width": 0.5,
     "pixel_response": (0.0, 1.0, 20.0, 0.3),
     "photodiode_response": {"angles_x": [-20, 20], "angles_y": [-9, 9], "responses": [[[[1, 0], [1, 0.5]]]]},
     "main_lens": "tessar",

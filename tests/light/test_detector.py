@@ -128,16 +128,3 @@ def test_colour_and_negative_values():
     image = np.stack([np.full(CAMERA.shape, v) for v in (-0.001, 0.2, 0.9)], axis=-1)
     noisy = expose(Capture(image, CAMERA), Detector(), photons=1000).image
     assert noisy.mean((0, 1)) == pytest.approx([0, 0.2, 0.9], abs=0.005)
-
-
-def test_stray_light_is_even_and_its_share_of_the_mean_takes_it_away():
-    image = np.zeros((*CAMERA.shape, 3))
-    image[:, :128] = [0.2, 0.5, 0.9]
-    exposed = expose(Capture(image, CAMERA), Detector(stray_light=0.04, full_well=1e5, bits=16), photons=20000).image
-    expected = 0.04 * np.array([0.1, 0.25, 0.45])
-    assert exposed[:, 128:].mean((0, 1)) == pytest.approx(expected, rel=0.01)
-    # Its own photons are noisy, besides the reading of 2.5 electrons.
-    assert exposed[:, 128:, 2].var() * 12000**2 == pytest.approx(12000 * expected[2] + 2.5**2, rel=0.05)
-    clean = exposed - 0.04 / 1.04 * exposed.mean((0, 1))
-    assert clean[:, 128:].mean((0, 1)) == pytest.approx(np.zeros(3), abs=2e-4)
-    assert clean[:, :128].mean((0, 1)) == pytest.approx([0.2, 0.5, 0.9], abs=2e-3)

@@ -33,7 +33,6 @@ test_refused = refused(
     (lambda: Detector(full_well=-1), "full_well = -1"),
     (lambda: Detector(read_noise=-1), "read_noise = -1"),
     (lambda: Detector(dark_electrons=math.nan), "dark_electrons"),
-    (lambda: Detector(stray_light=1.5), "stray_light = 1.5"),
     (lambda: Detector(bits=17), "bits = 17"),
     (lambda: Detector(bits=0), "bits = 0"),
     (lambda: Detector(gain=0), "gain = 0"),

@@ -22,7 +22,7 @@ def fitted_camera(
     lens: np.ndarray,
     light: np.ndarray,
 ) -> PlenopticCamera:
-    """Return the camera with the array, pupil, blur and brightness of lenses that a fit found.
+    """Return the camera with the array, pupil, blur, stray light and brightness of lenses that a fit found.
 
     `place` (n, 2) are places of micro-images in pixels, `lens` (n, 2) their indices along and across the rows, see
     `array_fit.lattice_index`, and `light` (n,) the light in their middle.
@@ -37,6 +37,7 @@ def fitted_camera(
         **array.lattice_parameters(),
         "mla_warp": tuple(array.warp.tolist()) if array.warp.any() else (),
         "detector_blur": abs(float(field.coefficients["blur"][0])) * camera.pixel_size,
+        "stray_light": stray_fraction(camera, field),
         "mla_transmissions": _transmissions(camera, array, lens, light / light.mean()),
         "vignetting": Vignetting(scale=field.scale * shrunk, **{name: p.tolist() for name, p in polynomials.items()}),
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ from ...errors import InputError, naming
 from ...io import Capture, read_numbers
 from ...runtime import progress_bar, write_text
 from ...views import read_recording
-from .fitted_camera import stray_fraction
 from .photon_transfer import PhotonTransfer, photon_transfer
 from .white_fit import WhiteFit, fit_white
 from .white_page import write_white_report
@@ -92,10 +91,8 @@ def summary(fit: WhiteFit, noise: PhotonTransfer | str | None) -> list[str]:
 def record(fit: WhiteFit, noise: PhotonTransfer | str | None) -> dict[str, Any]:
     """Return what a fit found and how well it agrees, for the file of the camera."""
     judgement = fit.judgement
-    stray = stray_fraction(fit.camera, fit.field)
-    sensor = noise.detector if isinstance(noise, PhotonTransfer) else None
     return {
-        "detector": {"stray_light": stray} if sensor is None else asdict(replace(sensor, stray_light=stray)),
+        "detector": asdict(noise.detector) if isinstance(noise, PhotonTransfer) else None,
         "lens_index": fit.lens_index(),
         "light": "rays" if fit.wavelength is None else {"wavelength_nm": fit.wavelength},
         "field": {

@@ -10,6 +10,7 @@ import scipy.ndimage
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
+from ...light.detector_operator import SHARP
 from ...runtime import single_threaded_blas
 from .array_fit import ArrayFit, fit_array, lattice_index, places, require_alike
 from .field_fit import ZONE_LENSES, FieldNumbers, FieldZones, Judgement, WhiteRecording
@@ -119,8 +120,8 @@ def fit_white(
         mla_tilt=(0.0, 0.0),
         mla_transmissions=None,
         vignetting=None,
-        detector_blur=0.0,
         pupil_apodisation=(0.0, 0.0),
+        **SHARP,
     )
     camera = of_size(plain, size)
     centres = find_centres(filled(frame))

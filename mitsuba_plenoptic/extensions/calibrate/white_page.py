@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 from ...light.render_capture import render_capture
 from ...report import pages, plots
 from ...runtime import set_variant
-from .fitted_camera import stray_fraction
 from .white_fit import WhiteFit
 
 _LENSES = 12
@@ -39,8 +38,7 @@ def write_white_report(path: Path, fit: WhiteFit, summary: list[str]) -> None:
 def side_by_side(fit: WhiteFit, samples: int = _SAMPLES) -> tuple[np.ndarray, np.ndarray]:
     """Return recorded and simulated light of the lenses in the middle, over the mean light in lenses' middles.
 
-    Both have the shape (rows, columns). Simulated is an evenly white scene through the fitted camera, with its stray
-    light.
+    Both have the shape (rows, columns). Simulated is an evenly white scene through the fitted camera.
     """
     set_variant(None)
     pitch = fit.camera.micro_image_pitch / fit.camera.pixel_size
@@ -51,8 +49,7 @@ def side_by_side(fit: WhiteFit, samples: int = _SAMPLES) -> tuple[np.ndarray, np
     direct = {"type": "direct"}
     waves = {"type": "plenoptic_wave", "wavelength": fit.wavelength, "child": direct}
     integrator = direct if fit.wavelength is None else waves
-    capture = render_capture(mi.load_dict(scene | {"integrator": integrator}, parallel=False), spp=samples).image
-    simulated = capture + stray_fraction(fit.camera, fit.field) * capture.mean()
+    simulated = render_capture(mi.load_dict(scene | {"integrator": integrator}, parallel=False), spp=samples).image
     recorded = fit.frame.light[first[1] : first[1] + size[1], first[0] : first[0] + size[0]]
     return recorded / np.nanmean(fit.brightness), simulated
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...camera import PlenopticCamera
 from ...io import Capture
+from ...light.detector_operator import SHARP
 from ...light.render_capture import plenoptic_sensor, render_capture
 from ...plugins.other_camera import with_camera
 from ...runtime import drjit_array
@@ -90,8 +91,7 @@ def _stopped_down(camera: PlenopticCamera) -> PlenopticCamera:
         mla_pitch=pitch,
         detector_width=camera.resolution[0] * pitch * (b + z) / (ACROSS * b),
         mla_cra=(),
-        detector_blur=0.0,
-        pixel_crosstalk=0.0,
+        **SHARP,
         pixel_response=(),
         photodiode_response=None,
     )

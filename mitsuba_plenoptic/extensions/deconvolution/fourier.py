@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...design.microscope import objective_of
-from ...light.detector import SHARP, mix_pixels
+from ...light.detector_operator import SHARP, DetectorOperator
 from ...light.optical_system import OpticalSystem
 from ...optics.waves import in_millimetres
 from ...points.full_field import FullFieldPlan
@@ -63,7 +63,8 @@ class FourierResponse(StoredResponse):
         steps: float = 0.0,
     ) -> None:
         assert wavelength is not None
-        self._mixing, camera = camera, camera.replace(**SHARP)
+        self._detector = DetectorOperator.of(camera)
+        camera = camera.replace(**SHARP)
         self._camera, self._oversample, self._count = camera, oversample, len(distances)
         bins, pixels = np.array(camera.bin_count), np.array(camera.crop_size)
         self._size = tuple(fft.fast_length(float(number)) for number in reversed((pixels + bins - 1).tolist()))
@@ -112,14 +113,14 @@ class FourierResponse(StoredResponse):
             height, width = self._camera.shape
             found = fft.fft(total, axis=0, inverse=True)[:height]
             image = libraries.to_host(fft.irfft(found, columns, axis=1)[:, :width])
-        return mix_pixels(np.ascontiguousarray(image), self._mixing)
+        return np.asarray(self._detector.forward(np.ascontiguousarray(image)))
 
     def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """Return the transpose of `forward`, applied to an image."""
         libraries, columns, result = active_backend(), self._size[1], []
         width, height = self._camera.bin_count
         with fft.resting_drjit():
-            given = self._spectrum(mix_pixels(image, self._mixing))
+            given = self._spectrum(self._detector.adjoint(image))
             for shape, spectra in zip(self.shapes, self._spectra, strict=True):
                 plane = np.empty(shape, np.float32)
                 for phase, spectrum in zip(self._phases, spectra, strict=True):

@@ -22,7 +22,7 @@ import dataclasses
 
 import numpy as np
 
-from ...light.detector import SHARP, mix_pixels
+from ...light.detector_operator import SHARP, DetectorOperator
 from ...refocus import Task, captures, method, portion, to_radiance, white_pixels, white_sums, work_of
 from ...runtime import Job
 from .fourier import response_of
@@ -54,7 +54,7 @@ def refocus(task: Task) -> list[np.ndarray]:
             ) as made:
                 by_waves = task.recorded is not None or not camera.lens_data.converges
                 ones = [np.ones(shape, np.float32) for shape in made.shapes]
-                white = mix_pixels(made.forward(ones), camera) if by_waves else white_pixels(camera)
+                white = DetectorOperator.of(camera).forward(made.forward(ones)) if by_waves else white_pixels(camera)
                 white = white if task.passed is None else white * task.passed
                 for channel in channels:
                     pixels = [*(image[..., channel] for image in given), white]

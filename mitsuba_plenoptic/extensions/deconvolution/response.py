@@ -22,7 +22,7 @@ from ...errors import refuse_if
 from ...lenses.common import inverse_distance
 from ...lenses.fitted_lens import FittedLens
 from ...lenses.real_lens import RealLens
-from ...light.detector import SHARP, mix_pixels
+from ...light.detector_operator import SHARP, DetectorOperator
 from ...light.microlenses import upright
 from ...light.optical_system import OpticalSystem
 from ...light.walk import Passage, Walk
@@ -262,7 +262,8 @@ class Response(StoredResponse):
     ) -> None:
         job, self._oversample = job or Job(), oversample
         # Kernels are of the light on the pixels, which then mix it.
-        self._mixing, camera = camera, camera.replace(**SHARP)
+        self._detector = DetectorOperator.of(camera)
+        camera = camera.replace(**SHARP)
         _require_equal_lenses(camera)
         if wavelength is None:
             grid, self._together = ray_grid(camera), 1
@@ -452,11 +453,11 @@ class Response(StoredResponse):
         for plane, bins, radiance in zip(self.planes, self.bins, values, strict=True):
             plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), samples)
         sums = self.cells.join(samples, self._sampled, self._recorder.box)
-        return mix_pixels(self._recorder.record(sums[None])[..., 0], self._mixing)
+        return np.asarray(self._detector.forward(self._recorder.record(sums[None])[..., 0]))
 
     def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """Return the transpose of `forward`, applied to an image."""
-        sums = self._recorder.spread(mix_pixels(image, self._mixing)[..., None])[0]
+        sums = self._recorder.spread(self._detector.adjoint(image)[..., None])[0]
         samples = self.cells.split(sums, self._recorder.box, self._sampled)
         return [
             (bins.share @ plane.adjoint(samples).ravel()).reshape(bins.shape)

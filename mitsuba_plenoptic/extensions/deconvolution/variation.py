@@ -40,10 +40,7 @@ class Noise:
         # EMVA 1288, Release 4.0 Linear, equation for the digital number.
         with refusing("exposure of the capture: it is not one that 'expose' writes:", KeyError, TypeError):
             photons = exposure["photons"]
-            # Version 1.0 knew no stray light.
-            detector = Detector(
-                **{field.name: {"stray_light": 0.0, **exposure}[field.name] for field in fields(Detector)}
-            )
+            detector = Detector(**{field.name: exposure[field.name] for field in fields(Detector)})
         assert detector.gain is not None
         electrons = detector.quantum_efficiency * require_number("photons", photons, positive=True)
         dark = detector.dark_electrons + detector.read_noise**2 + 1 / (12 * detector.gain**2)

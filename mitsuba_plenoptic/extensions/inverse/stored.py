@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_number
+from ...light.detector_operator import SHARP
 from ...optics import guards
 from ...points.mixing import SpectralSum, mix
 from ...points.operator import CaptureOperator
@@ -101,8 +102,9 @@ class StoredOperator(CaptureOperator):
         InputError
             If the spreads take more memory than the budget, or the matrix would need too much memory.
         """
-        blur = self.camera.detector_blur
-        refuse_if(blur > 0, f"detector_blur = {blur:g}: matrices have the sharp spreads only; leave it out")
+        for name, sharp in SHARP.items():
+            value = getattr(self.camera, name)
+            refuse_if(value != sharp, f"{name} = {value}: matrices have the sharp spreads only; leave it out")
         matrices, parts = self._computed(job), list(self._channels.parts(1))
         mixed = [part.after @ part.before.T for part in parts]
         entries = sum(matrices[part.wavelength].nnz * own.size for part, own in zip(parts, mixed, strict=True))

@@ -23,7 +23,7 @@ from ...errors import (
     suggest_keywords,
 )
 from ...lenses.common import main_lens
-from ...light.detector import mix_pixels
+from ...light.detector_operator import SHARP, DetectorOperator
 from ...light.optical_system import OpticalSystem
 from ...light.sampling import footprint
 from ...points.point_spread import point_spread_function
@@ -110,6 +110,7 @@ def psf_bank(
     refuse_if(count % 2 == 0, f"size = {count}: it must be odd")
     bank = np.empty((len(distances), len(positions), across, along, count, count), np.float32)
     used = np.empty_like(positions)
+    detector = DetectorOperator.of(camera)
     for number, position in enumerate(positions):
         local, used[number], chief = _around(camera, position, count)
         system = OpticalSystem(local, wavelength)
@@ -119,7 +120,7 @@ def psf_bank(
                 image = point_spread_function(local, point, wavelength=wavelength, method=method)
             else:
                 image = PointRays(local, point[None], wavelength).image(system, np.ones(1))
-            bank[index, number] = photodiodes(mix_pixels(image, camera), along, across)
+            bank[index, number] = photodiodes(detector.forward(image), along, across)
     steps = np.arange(count) - count // 2
     coordinates: dict[str, Any] = {
         "depth": ("depth", distances, {"units": "mm"}),
@@ -172,8 +173,7 @@ def _around(
     local = camera.replace(
         mla_cra=(),
         mla_offset=tuple((offset + shift).tolist()),
-        pixel_crosstalk=0.0,
-        detector_blur=0.0,
+        **SHARP,
         crop_offset=tuple(corner.astype(int).tolist()),
         crop_size=(ACROSS * count, ACROSS * count),
     )

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
+from ...light.detector_operator import SHARP
 from ..calibrate.array_fit import ArrayFit, fit_array, places
 from ..calibrate.field_fit import FieldNumbers
 from ..calibrate.micro_image import NUMBERS, MicroImageModel, PupilNumbers
@@ -216,7 +217,7 @@ class ArrayPart:
     @cached_property
     def white(self) -> np.ndarray:
         """Light of each pixel of an evenly white scene, without stray light, over that in the middle of lenses."""
-        camera = self.model.camera.replace(vignetting=None, mla_transmissions=None, mla_warp=(), detector_blur=0.0)
+        camera = self.model.camera.replace(vignetting=None, mla_transmissions=None, mla_warp=(), **SHARP)
         micro = MicroImageModel(camera, self.model.wavelength)
         numbers = self.model.field.values(self.place)
         numbers[:, NUMBERS.index("stray")] = 0.0

@@ -15,6 +15,7 @@ from scipy.ndimage import gaussian_filter
 
 from ...camera import PlenopticCamera, Vignetting
 from ...errors import InputError
+from ...light.detector_operator import SHARP
 from ...light.optical_system import OpticalSystem
 from ...light.walk import Passage, Walk
 from ...points.operator import CaptureOperator
@@ -122,7 +123,7 @@ def _regular(part: ArrayPart, lenses: int) -> PlenopticCamera:
         mla_offset=(pitch / 2, pitch / 2),
         mla_warp=(),
         mla_transmissions=None,
-        detector_blur=0.0,
+        **SHARP,
         vignetting=pupil,
         resolution=(lenses * across, lenses * across),
         detector_width=lenses * pitch * camera.image_growth,

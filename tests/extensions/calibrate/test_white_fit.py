@@ -46,6 +46,10 @@ def test_numbers_of_a_drawn_white_are_found(camera):
     assert numbers["blur"] == pytest.approx(0.8, rel=0.02)
     # Stray light relative to an even pupil's light.
     assert numbers["stray"] == pytest.approx(0.03 / 0.97, rel=0.1)
+    # The camera records as much, in parts of the mean light.
+    direct = light.mean() - 0.03
+    assert found.camera.stray_light == pytest.approx(0.03 / direct, rel=0.1)
+    assert np.abs(white_image(found.camera) - light / 0.97).mean() < 0.01
     for name in ("ellipse_x", "ellipse_y", "slope_x", "slope_y"):
         assert abs(numbers[name]) < 5 * found.deviations[name][0] + 1e-3
     places = found.place[found.withheld]

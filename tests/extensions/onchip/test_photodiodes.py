@@ -14,7 +14,6 @@ from scipy.interpolate import RegularGridInterpolator
 
 from mitsuba_plenoptic import PlenopticCamera, render_capture
 from mitsuba_plenoptic.extensions.onchip.photodiode_response import PhotodiodeResponse
-from mitsuba_plenoptic.light.detector import mix_pixels
 
 CAMERA = PlenopticCamera(
     focal_length=6.8,
@@ -71,33 +70,8 @@ def test_waves_shift_lenses_as_rays_do():
 # -- crosstalk ---------------------------------------------------------------------------------------
 
 
-def test_mixing_keeps_the_sum_and_is_its_own_adjoint():
-    a, b = np.random.default_rng(0).random((2, 9, 7, 3))
-    camera = PlenopticCamera(pixel_crosstalk=0.07)
-    mixed = mix_pixels(a, camera)
-    assert mixed.sum() == pytest.approx(a.sum())
-    assert mixed[3, 3, 1] == pytest.approx(
-        0.72 * a[3, 3, 1] + 0.07 * (a[2, 3, 1] + a[4, 3, 1] + a[3, 2, 1] + a[3, 4, 1])
-    )
-    assert np.sum(mixed * b) == pytest.approx(np.sum(a * mix_pixels(b, camera)))
-    assert mix_pixels(np.ones((3, 4)), camera) == pytest.approx(np.ones((3, 4)))
-
-
 def lamp_before(camera, integrator="direct"):
     return scene_of(camera.to_sensor(), integrator, lamp=facing(238.0, 0.1, **radiating()))
-
-
-@pytest.mark.parametrize("model", ["ray", "wave"])
-def test_captures_with_crosstalk_are_mixed_captures(model):
-    """Of a small lamp, behind large lenses."""
-    spp = 4096 if model == "ray" else 64
-    camera = PlenopticCamera(resolution=(32, 32), detector_width=0.256)
-    plain, crossed = (
-        render_capture(lamp_before(camera.replace(pixel_crosstalk=x)), spp=spp, model=model).image for x in (0.0, 0.05)
-    )
-    expected = mix_pixels(plain, camera.replace(pixel_crosstalk=0.05))
-    assert np.linalg.norm(plain - expected) > 0.04 * np.linalg.norm(plain)
-    assert np.linalg.norm(crossed - expected) < (0.015 if model == "ray" else 1e-6) * np.linalg.norm(expected)
 
 
 def test_gradients_of_waves_have_the_crosstalk():
