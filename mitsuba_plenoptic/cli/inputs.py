@@ -38,24 +38,16 @@ def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tu
     """
     from ..camera import PlenopticCamera, camera_and_record
 
-    if not _is_scene(source, parameters, unit):
-        return camera_and_record(source)
-    try:
+    if _is_scene(source, parameters, unit):
         return PlenopticCamera.from_sensor(_sensor_of(source, parameters, unit)), None
-    except InputError as error:
-        raise InputError(f"{source}: {error}; {_INSTEAD}") from None
+    return camera_and_record(source)
 
 
 def stated_camera(source: str) -> dict[str, Any]:
     """Return what a preset, file, text or scene states of a camera, by name, before anything follows from it."""
-    from ..camera import PARAMETERS, PlenopticCamera, stated_and_record
+    from ..camera import PARAMETERS, stated_and_record
 
-    if _is_scene(source, {}):
-        sensor = _sensor_of(source, {})
-        PlenopticCamera.from_sensor(sensor)
-        stated = sensor.stated
-    else:
-        stated = stated_and_record(source)[0]
+    stated = _sensor_of(source, {}).stated if _is_scene(source, {}) else stated_and_record(source)[0]
 
     def plain(name: str, value: Any) -> Any:
         # Lenses and other objects become dictionaries, as in files.
@@ -87,11 +79,16 @@ def _is_scene(source: str, parameters: dict[str, str], unit: str = "mm") -> bool
 
 
 def _sensor_of(source: str, parameters: dict[str, str], unit: str = "mm") -> Any:
-    """Return the first sensor of a scene."""
+    """Return the first sensor of a scene, a plenoptic one."""
+    from ..camera import PlenopticCamera
     from ..light.scene import load_scene
 
     sensors = load_scene(source, parameters=parameters, unit=unit).sensors()
     refuse_if(not sensors, f"{source}: it has no sensor; {_INSTEAD}, or add one of type 'plenoptic'")
+    try:
+        PlenopticCamera.from_sensor(sensors[0])
+    except InputError as error:
+        raise InputError(f"{source}: {error}; {_INSTEAD}") from None
     return sensors[0]
 
 

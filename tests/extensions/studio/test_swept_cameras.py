@@ -177,6 +177,17 @@ def test_the_camera_of_another_scene_is_varied_with_its_lens(scene, tmp_path, ru
         np.testing.assert_array_equal(made.capture.sel(focal_length=60), read_capture(tmp_path / "r.exr").image)
 
 
+@pytest.mark.parametrize("sensor", ["", '<sensor type="perspective"/>'])
+def test_a_scene_without_a_plenoptic_sensor_states_no_camera(sensor, scene, tmp_path, complaint):
+    other = tmp_path / "other.xml"
+    other.write_text(f'<scene version="3.0.0">{sensor}<shape type="sphere"/></scene>')
+    fault = "sensor of type PerspectiveCamera" if sensor else "it has no sensor; "
+    lines = [complaint("info", other)]
+    lines += [complaint("sweep", scene, "-o", tmp_path / "s.nc", "--camera", other, "--vary", "focal_length=60,70")]
+    for line in lines:
+        assert line.startswith(f"{other}: {fault}") and line.count("other.xml") == line.count("--camera") == 1
+
+
 def test_parameters_of_a_scene_state_its_camera_at_each_of_their_values(tmp_path):
     sensor = '<float name="aperture_radius" value="$stop"/><float name="detector_width" value="0.128"/>'
     scene = write_scene(tmp_path, BALL, sensor=sensor)
