@@ -114,6 +114,9 @@ _BEGINNINGS = {
     b"\x1f\x8b": "packed by gzip (unpack it)",
     b"PK": "a ZIP archive (unpack it)",
     b"%YAML:": "YAML of OpenCV",
+    b"MATLAB 5.0 MAT-file": "a .mat file of MATLAB 5",
+    b"MATLAB 7.3 MAT-file": "a .mat file of MATLAB 7.3",
+    b"\x89HDF": "an HDF5 file",
 }
 
 
@@ -125,7 +128,7 @@ def content_of(path: Path) -> str:
         first = file.read(2**20)
     text = first.decode("utf-8-sig", errors="replace").strip()
     found = [kind for begins, kind in _BEGINNINGS.items() if first.startswith(begins)]
-    if found or not text or {"\ufffd", "\0"} & {*text[:64]}:
+    if found or not text or "\0" in text or "\ufffd" in text[:64]:
         return found[0] if found else "binary data" if text else "an empty file"
     root = re.search(r"<([^\W\d][\w:.-]*)", re.sub(r"(?s)<!--.*?-->", "", text)) if text[0] == "<" else None
     if text[0] == "{":
@@ -303,7 +306,8 @@ def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:
     try:
         first, second = value
     except (TypeError, ValueError):
-        raise InputError(f"{name} = {short_repr(value)}: it must be a pair {meaning}") from None
+        spelt = advice(python="", shell=f", written {name}={meaning.strip('()').replace(' ', '')}")
+        raise InputError(f"{name} = {short_repr(value)}: it must be a pair {meaning}{spelt}") from None
     return first, second
 
 

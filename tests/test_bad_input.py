@@ -295,6 +295,7 @@ class TestFiles:
         if name in ("camera", "kind"):
             assert capture is None
 
+    @pytest.mark.slow
     @quick
     @given(edits=st.lists(EDITS, min_size=1, max_size=4))
     def test_a_damaged_checkpoint_leads_to_the_same_bits_or_is_refused(self, folder, edits):

@@ -4,8 +4,8 @@ from .aperture import NOT_ROUND as NOT_ROUND
 from .aperture import Aperture as Aperture
 from .aperture import Opening as Opening
 from .aperture import Round as Round
-from .aperture import known_image as known_image
 from .camera_files import camera_and_record as camera_and_record
+from .camera_files import stated_and_record as stated_and_record
 from .camera_files import states_camera as states_camera
 from .documentation import with_sensor_parameters as with_sensor_parameters
 from .entry import Captures as Captures
@@ -20,19 +20,18 @@ from .entry import refused as refused
 from .geometry import CameraGeometry as CameraGeometry
 from .geometry import has_small_lenses as has_small_lenses
 from .lens_transmissions import LensTransmissions as LensTransmissions
-from .lens_transmissions import known_transmissions as known_transmissions
 from .matched import MATCHED as MATCHED
-from .matched import sheet_of as sheet_of
+from .parameters import FILE_READERS as FILE_READERS
 from .parameters import PARAMETERS as PARAMETERS
 from .phase_screen import PhaseScreen as PhaseScreen
 from .phase_screen import frozen_flow as frozen_flow
-from .phase_screen import known_screen as known_screen
 from .plenoptic_camera import PlenopticCamera as PlenopticCamera
 from .plenoptic_camera import are_alike as are_alike
 from .plenoptic_camera import film_numbers as film_numbers
 from .plenoptic_camera import require_camera as require_camera
 from .support import require_support as require_support
 from .support import support_table as support_table
+from .varied import varied_camera as varied_camera
 from .vector import CameraVector as CameraVector
 from .vector import Values as Values
 from .vector import change_of as change_of
@@ -44,4 +43,3 @@ from .vector import with_gradient as with_gradient
 from .vector import with_parts as with_parts
 from .vignetting import VIGNETTING_NUMBERS as VIGNETTING_NUMBERS
 from .vignetting import Vignetting as Vignetting
-from .vignetting import known_vignetting as known_vignetting

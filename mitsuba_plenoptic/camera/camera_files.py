@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 from pathlib import Path
 from typing import Any
 
-from ..errors import NO_RECORD, InputError, content_of, naming, refuse_if, refusing
+from ..errors import NO_RECORD, InputError, content_of, naming, refuse_if, refusing, short_repr
 from ..extension import hook
 from ..presets import PRESETS
 from ..runtime import parse_yaml, read_text, read_yaml, require_size
+from .entry import Form
+from .parameters import FILE_READERS, PARAMETERS
 from .plenoptic_camera import PlenopticCamera
 
 _LARGEST_FILE = 2**24
@@ -27,8 +30,21 @@ def camera_and_record(source: str | Path) -> tuple[PlenopticCamera, Any]:
     InputError
         If the source is missing or is no camera.
     """
+    stated, record = stated_and_record(source)
+    with naming(Path(source)):
+        return PlenopticCamera._from_names(stated), record
+
+
+def stated_and_record(source: str | Path) -> tuple[dict[str, Any], Any]:
+    """Return what a source states of a camera, by name, and its file's object ``calibration`` (None without one).
+
+    Raises
+    ------
+    InputError
+        If the source is missing or states no camera.
+    """
     if str(source) in PRESETS and not Path(source).is_file():
-        return PlenopticCamera.preset(str(source)), None
+        return dict(PRESETS[str(source)]), None
     path = Path(source)
     if states_camera(source):
         text = json.dumps(_stated(str(source)))
@@ -44,10 +60,35 @@ def camera_and_record(source: str | Path) -> tuple[PlenopticCamera, Any]:
     if isinstance(values, dict) and set(values) >= _LIBPLENO:
         read = hook("libpleno", str(path))
         with naming(path):
-            return read(values), None
+            return read(values).to_dict(), None
+    refuse_if(
+        not isinstance(values, dict), f"{path}: camera = {short_repr(values)}: it must be camera parameters by name"
+    )
+    if states_camera(source):
+        return values, None
+    record = values.pop("calibration", None)
     with naming(path):
-        camera = PlenopticCamera.from_json(text)
-    return camera, values.get("calibration")
+        return _with_files(values, path.parent), record
+
+
+def _with_files(values: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the parameters of a camera's file, with files that they name read from its folder if they lie there."""
+
+    def resolve(name: str) -> str:
+        # Not all text can be the name of a file.
+        with contextlib.suppress(OSError, ValueError):
+            if (beside := folder / name).is_file():
+                return str(beside)
+        return name
+
+    found = dict(values)
+    for name, value in values.items():
+        form = PARAMETERS[name].form if name in PARAMETERS else None
+        if form in FILE_READERS and isinstance(value, str):
+            found[name] = FILE_READERS[form][0](value, resolve)
+        elif form is Form.RESPONSE and isinstance(value, str):
+            found[name] = resolve(value)
+    return found
 
 
 def states_camera(source: str | Path) -> bool:
@@ -56,10 +97,14 @@ def states_camera(source: str | Path) -> bool:
 
 
 def _stated(text: str) -> dict[str, Any]:
-    """Return the parameters of a text ``NAME=VALUE,NAME=VALUE``; lists, or values with commas between, are allowed."""
+    """Return the parameters of a text ``NAME=VALUE,NAME=VALUE``.
+
+    Values may be lists in brackets or parentheses, or several with commas between.
+    """
     values: dict[str, Any] = {}
     for name, value in re.findall(r"(\w+)\s*=((?:[^=]*?)(?=,\s*\w+\s*=|$))", text):
         refuse_if(name in values, f"{name} is given twice")
+        value = re.sub(r"^\s*\((.*)\)\s*$", r"[\1]", value)
         bracketed = value.lstrip().startswith("[")
         parts = [parse_yaml(part) for part in ([value] if bracketed else value.split(","))]
         refuse_if(None in parts, f"{name} = {value}: it must be a value, or several with commas between them")

@@ -25,29 +25,33 @@ from ..lattice import LATTICES
 MATCHED = ("f_number", "lenses", "pixels_per_lens", "pixel_size", "sensor_size")
 """Arguments that a camera has not, and that state it together with the main lens's focal length and its focus."""
 
-_FOLLOWING = {
+FOLLOWING = {
     "aperture_radius": "f_number and focal_length",
     "mla_focal_length": "f_number, pixels_per_lens and pixel_size",
     "detector_distance": "f_number, pixels_per_lens and pixel_size",
     "detector_width": "lenses, pixels_per_lens and pixel_size, or resolution and pixel_size",
 }
-
-_TOUCHING = 1e-3
-"""Relative difference of width and distance of micro-images that touch; sensors have numbers of single precision."""
+"""Parameters that follow from a data sheet, and from which of its numbers."""
 
 _SQUARE = 0.01
 """Relative difference of a pixel's sides up to which rounded figures of a data sheet state square pixels."""
 
 
-def require_enough(given: dict[str, Any]) -> None:
-    """Refuse missing arguments of a matched camera, and an argument that follows from the others."""
+def missing_from(given: dict[str, Any]) -> list[str]:
+    """Return what an incomplete data sheet lacks."""
     has = {name for name, value in given.items() if value is not None}
     missing = [] if "f_number" in has else ["f_number"]
     missing += [] if has & {"lenses", "resolution", "sensor_size"} else ["lenses, resolution or sensor_size"]
     missing += [] if has & {"pixels_per_lens", "mla_pitch"} else ["pixels_per_lens or mla_pitch"]
     missing += [] if "pixel_size" in has or {"resolution", "sensor_size"} <= has else ["pixel_size"]
     missing += [] if has & {"main_lens", "focal_length"} else ["focal_length"]
-    missing += [] if has & {"focus_distance", "mla_distance"} else ["focus_distance or mla_distance"]
+    return missing + ([] if has & {"focus_distance", "mla_distance"} else ["focus_distance or mla_distance"])
+
+
+def require_enough(given: dict[str, Any]) -> None:
+    """Refuse missing arguments of a matched camera, and an argument that follows from the others."""
+    has = {name for name, value in given.items() if value is not None}
+    missing = missing_from(given)
     refuse_if(missing, f"{', '.join(missing)}: missing; a camera of {', '.join(MATCHED)} needs it")
     for names in (
         ("pixels_per_lens", "mla_pitch"),
@@ -56,27 +60,9 @@ def require_enough(given: dict[str, Any]) -> None:
         ("resolution", "sensor_size", "pixel_size"),
     ):
         refuse_if(has.issuperset(names), f"{', '.join(names)}: one of them follows from the others; leave it out")
-    for name, others in _FOLLOWING.items():
+    for name, others in FOLLOWING.items():
         if name in has:
             raise InputError(f"{name} = {short_repr(given[name])}: it follows from {others}; leave it out")
-
-
-def sheet_of(camera: Any) -> dict[str, Any]:
-    """Return the arguments of `matched` of a camera; refuse one whose micro-images do not touch."""
-    width, pitch = camera.micro_image_diameter, camera.micro_image_pitch
-    refuse_if(
-        abs(width / pitch - 1) > _TOUCHING or camera.is_cropped,
-        f"camera: micro-images of {width:.4g} mm are {pitch:.4g} mm apart: {', '.join(MATCHED)} state whole cameras "
-        "whose micro-images touch; vary its parameters instead",
-    )
-    others = {name: value for name, value in camera.arguments().items() if value is not None}
-    for name in (*_FOLLOWING, "mla_pitch", "crop_offset", "crop_size"):
-        others.pop(name, None)
-    return others | {
-        "f_number": camera.f_number,
-        "pixels_per_lens": pitch / camera.pixel_size,
-        "pixel_size": camera.pixel_size,
-    }
 
 
 def behind_pupil(
@@ -121,7 +107,11 @@ def behind_pupil(
         pixels = max(1, round(columns * across)), max(1, round(rows * across * LATTICES[lattice].row_ratio))
     elif pixels is None:
         assert sides is not None
-        pixels = max(1, round(sides[0] / size)), max(1, round(sides[1] / size))
+        pixels = round(sides[0] / size), round(sides[1] / size)
+        refuse_if(
+            min(pixels) < 1,
+            f"sensor_size = {short_repr(sensor_size)} with pixel_size = {size:g}: a side rounds to no pixel",
+        )
     stated = f"sensor_size = {short_repr(sensor_size)}" if lenses is None else f"lenses = {short_repr(lenses)}"
     refuse_if(
         max(pixels) > MOST_PIXELS,

@@ -7,7 +7,7 @@ gradients and searches work with all read this table. A new parameter is one ent
 from __future__ import annotations
 
 from collections import ChainMap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -38,7 +38,7 @@ from ..microlens.shape import MicrolensShape, known_shape
 from ..prescription import Glass
 from ..prescription.glass import known_glass
 from ..prescription.lens_data import LensData
-from ..prescription.lens_file import known_lens
+from ..prescription.lens_file import known_lens, read_lens
 from .aperture import Aperture, Blades, known_blades, known_image, require_alone
 from .entry import Captures, Form, Parameter, one, one_if_equal, one_if_single, record
 from .lens_transmissions import LensTransmissions, known_transmissions
@@ -562,3 +562,16 @@ else:
 
 PARAMETERS = {entry.name: entry for entry in (cast(Parameter, each.default) for each in fields(CameraParameters))}
 """The entries of the table by the names of the constructor's arguments."""
+
+FILE_READERS: dict[Form, tuple[Callable[..., Any], str]] = {
+    Form.LENS: (read_lens, "a file or a bundled lens"),
+    Form.SHAPE: (known_shape, "a JSON file, or its content"),
+    Form.SCREEN: (known_screen, "a JSON file, or its content"),
+    Form.PICTURE: (known_image, "a picture, or JSON"),
+    Form.LENSES: (known_transmissions, "a table in a file, or JSON"),
+    Form.VIGNETTING: (known_vignetting, "a JSON file, or its content"),
+}
+"""Readers of values that are given as files or their texts, and what these are.
+
+They take the value and a function that finds a file by its name, for example in the folder of a scene.
+"""

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 from xml.etree import ElementTree
 
 import numpy as np
@@ -17,10 +18,12 @@ from ..errors import (
     MOST_JITTER,
     MOST_WARP,
     MOST_WARP_SLOPE,
+    NO_ARRAY,
     NO_RECORD,
     InputError,
     did_you_mean,
     naming,
+    put,
     refuse_if,
     refusing,
     require_choice,
@@ -31,7 +34,7 @@ from ..errors import (
 from ..extension import Displayed, missing
 from ..lattice import LATTICES, NO_LATTICE, Displacement
 from ..microlens.shape import focal_length_of, require_cover
-from ..prescription.lens_data import SINGLE, THIN, image_distance
+from ..prescription.lens_data import SINGLE, THIN, LensData, image_distance
 from ..presets import PRESETS
 from .documentation import numpy_section, signature
 from .entry import record
@@ -85,6 +88,14 @@ def checked_values(given: dict[str, Any]) -> dict[str, Any]:
         f"crop_offset = {offset} with crop_size = {size}: the window must lie within the resolution {resolution}",
     )
     return values
+
+
+def _numbers_of_lens(given: dict[str, Any]) -> frozenset[str]:
+    """Return which of focal length, aperture and distance parameters give, `focus_distance` in place of a distance."""
+    names = {
+        PARAMETERS[name].instead_of or name for name, value in given.items() if value is not None and name in PARAMETERS
+    }
+    return frozenset(names & {"focal_length", "aperture_radius", "mla_distance"})
 
 
 def _settled_array(values: dict[str, Any]) -> dict[str, Any]:
@@ -184,11 +195,13 @@ class PlenopticCamera(CameraGeometry, Displayed):
     True
     """
 
+    _given: ClassVar[frozenset[str]] = frozenset()
+    """Those of focal length, aperture and distance that somebody gave: a new lens brings its own of the others."""
+
     if not TYPE_CHECKING:  # type checkers take the arguments and their types from the table
 
         def __init__(self, **given):
-            for attribute, value in checked_values(given).items():
-                object.__setattr__(self, attribute, value)
+            put(self, **checked_values(given), _given=_numbers_of_lens(given))
             require_whole(self)
 
         __init__.__signature__ = signature()
@@ -385,7 +398,14 @@ class PlenopticCamera(CameraGeometry, Displayed):
             raise InputError(
                 missing("parameters", name) or f"{name}: it is not a camera parameter{did_you_mean(name, known)}"
             )
-        return cls.matched(**values) if of_sheet else cls(**values)
+        if of_sheet:
+            return cls.matched(**values)
+        camera = cls(**values)
+        # Files state all numbers: those that the camera has without them count as not given.
+        own = dict(zip(("focal_length", "aperture_radius"), camera.lens_data.own_numbers(None), strict=True))
+        own["mla_distance"] = camera.lens_data.array_distance()
+        put(camera, _given=frozenset(name for name in camera._given if getattr(camera, name) != own[name]))
+        return camera
 
     def to_sensor(self, to_world: Any = None, pixel_format: str = "luminance") -> dict[str, Any]:
         """Return the sensor plugin ``plenoptic`` of this camera for ``mi.load_dict``, film included.
@@ -440,6 +460,11 @@ class PlenopticCamera(CameraGeometry, Displayed):
         ----------
         to_world, pixel_format
             As for `to_sensor`; `to_world` may also be an array (4, 4).
+
+        Raises
+        ------
+        InputError
+            If there is no such format, or `to_world` is no rotation and translation.
         """
 
         def element(tag: str, values: dict[str, Any], **attributes: str) -> ElementTree.Element:
@@ -455,8 +480,18 @@ class PlenopticCamera(CameraGeometry, Displayed):
         tree = element("sensor", self.to_sensor(pixel_format=pixel_format), id="camera")
         if to_world is not None:
             place = ElementTree.Element("transform", name="to_world")
-            matrix = np.array(getattr(to_world, "matrix", to_world), np.float64).squeeze()
+            with refusing(f"to_world = {short_repr(to_world)}: it must be a transform, 4 x 4 numbers", *NO_ARRAY):
+                matrix = np.array(getattr(to_world, "matrix", to_world), np.float64).squeeze()
             refuse_if(matrix.shape != (4, 4), f"to_world of shape {matrix.shape}: it must be a transform, 4 x 4")
+            # Scene files are read in single precision.
+            finite = (np.abs(matrix) < np.finfo(np.float32).max).all()
+            refuse_if(not finite, "to_world: its numbers must be finite")
+            turn = matrix[:3, :3]
+            rigid = np.allclose(turn.T @ turn, np.eye(3), atol=1e-3) and np.allclose(matrix[3], (0, 0, 0, 1))
+            refuse_if(
+                not rigid,
+                "to_world: it must be a rotation and a translation, without scale; give lengths in scene units instead",
+            )
             ElementTree.SubElement(place, "matrix", value=" ".join(map(repr, matrix.ravel().tolist())))
             tree.insert(0, place)
         ElementTree.indent(tree, "    ")
@@ -475,7 +510,10 @@ class PlenopticCamera(CameraGeometry, Displayed):
         Parameters
         ----------
         **changes
-            Parameters by name. A new `main_lens` is scaled to the focal length, and opens fully if the old one did.
+            Parameters by name. A new `main_lens` is scaled to the focal length. With a new `main_lens` or
+            `focal_length`, `aperture_radius` follows again if nobody gave it, or if a lens of surfaces was fully open;
+            so does what an objective or a collimator sets. Files and captures state all numbers: there a thin lens's
+            5 mm counts as not given.
 
         Raises
         ------
@@ -490,12 +528,26 @@ class PlenopticCamera(CameraGeometry, Displayed):
             values.pop("mla_focal_length", None)
         if "resolution" in changes and not self.is_cropped:
             values.pop("crop_size")
-        if "main_lens" in changes and self.aperture_radius == self.lens_data.own_numbers(self.focal_length)[1]:
-            values.pop("aperture_radius")
+        if {"main_lens", "focal_length"} & {*changes}:
+            if "main_lens" in changes:
+                changes["main_lens"] = PARAMETERS["main_lens"].check("main_lens", changes["main_lens"])
+            for name in self._following(changes.get("main_lens", self.main_lens) or THIN):
+                values.pop(name, None)
         for name in changes:
             if name in PARAMETERS:
                 values.pop(PARAMETERS[name].instead_of, None)
-        return self._from_names(values | changes)
+        camera = self._from_names(values | changes)
+        unchanged = self._given & {*values} - {*changes}
+        put(camera, _given=unchanged | _numbers_of_lens(changes))
+        return camera
+
+    def _following(self, lens: LensData) -> set[str]:
+        """Return the names of numbers that follow from another main lens or focal length, and are not kept."""
+        old, new = ({*each.sets, *(() if each.converges else ("mla_distance",))} for each in (self.lens_data, lens))
+        widest = self.lens_data.own_numbers(self.focal_length)[1]
+        if self.prescription is not None and math.isclose(self.aperture_radius, widest, rel_tol=SINGLE):
+            old.add("aperture_radius")
+        return old | ({"aperture_radius", *new} - self._given)
 
     @property
     def is_dispersive(self) -> bool:

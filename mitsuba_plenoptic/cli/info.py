@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import math
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..choices import RAW_SUFFIXES
-from ..errors import printable, refuse_if
+from ..errors import InputError, printable, refuse_if
 from ..presets import PRESETS
 from .inputs import load_camera, parse_definitions
 from .options import CAMERA, Definitions, Unit, wavelength_option
@@ -18,6 +20,7 @@ from .options import CAMERA, Definitions, Unit, wavelength_option
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from ..camera import PlenopticCamera
     from ..io import Capture
     from ..report import Row
 
@@ -92,7 +95,6 @@ def info(
     from rich.console import Console
     from rich.markup import escape
 
-    from ..camera import PlenopticCamera
     from ..design import design_warnings, mended
     from ..extension import format_of
     from ..io import read_capture
@@ -100,20 +102,22 @@ def info(
     from ..runtime import require_writable, write_text
 
     refuse_if((source is None) == (camera is None), "SCENE, --camera: give one of the two")
-    source = str(source or camera)
+    source = str(camera if source is None else source)
     if fix is not None:
         require_writable(fix, ".json")
     parameters = parse_definitions(define)
     suffix = Path(source).suffix.lower()
     recorded = suffix in (".exr", *RAW_SUFFIXES) or format_of(suffix, "capture", source) is not None
+    is_lens = Path(source).is_file() and format_of(suffix, "lens", source) is not None
     refuse_if(
-        parameters and recorded,
+        parameters and (recorded or is_lens),
         f"-D: {source} is no scene, and has no scene parameters; leave it out",
     )
-    refuse_if(unit != "mm" and recorded, f"--unit {unit}: {source} is no scene; leave it out")
+    refuse_if(unit != "mm" and (recorded or is_lens), f"--unit {unit}: {source} is no scene; leave it out")
+    refuse_if(is_lens and microlens, f"--microlens {microlens}: {source} is a main lens; leave it out")
     capture = read_capture(source) if recorded else None
-    if Path(source).is_file() and format_of(suffix, "lens", source):
-        shown_camera = PlenopticCamera(main_lens=source, mla_lattice="none")
+    if is_lens:
+        shown_camera = _behind_lens(source)
     else:
         shown_camera = capture.camera if capture else load_camera(source, parameters, unit)[0]
     if capture and wavelength is None and isinstance(capture.wavelength, float):
@@ -160,6 +164,30 @@ def info(
         console.print(f"[bold]Written:[/bold] {escape(f'{fix}, {outcome}')}.", soft_wrap=True)
         for warning in still:
             console.print(f"[bold]Still:[/bold] {escape(warning)}.", soft_wrap=True)
+
+
+def _behind_lens(source: str) -> PlenopticCamera:
+    """Return a camera that judges the lens of a file: it is in focus at infinity, or else at twice its focal length.
+
+    The detector has the default's size over the focal length, about 8 degrees from corner to corner.
+    """
+    from ..camera import PlenopticCamera
+    from ..prescription.lens_data import THIN
+    from ..prescription.lens_file import read_prescription
+
+    lens = read_prescription(source)
+    try:
+        focal_length, _ = lens.own_numbers(None)
+    except InputError as error:
+        raise InputError(f"{source}: {str(error).removeprefix('main_lens: ')}") from None
+    own = PlenopticCamera().detector_width / THIN.own_numbers(None)[0] * focal_length
+    for distance in (math.inf, 2 * focal_length):
+        with contextlib.suppress(InputError):
+            return PlenopticCamera(main_lens=lens, focus_distance=distance, detector_width=own, mla_lattice="none")
+    raise InputError(
+        f"{source}: the images of objects at infinity and at twice its focal length, {focal_length:.4g} mm, lie within "
+        "the lens or before its exit pupil: no detector can stand there"
+    )
 
 
 def _origin(capture: Capture) -> dict[str, Any]:

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 COLOURS = "llvm_ad_rgb"
 """Variant for films that record colours."""
 
+_INSTEAD = "give a preset, a camera's file or its parameters with --camera"
+
 _log = logging.getLogger(__name__)
 
 
@@ -34,8 +36,30 @@ def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tu
 
     A file takes precedence over a preset or scene of the same name.
     """
-    from ..camera import PlenopticCamera, camera_and_record, states_camera
-    from ..light.scene import load_scene
+    from ..camera import PlenopticCamera, camera_and_record
+
+    if _is_scene(source, parameters, unit):
+        return PlenopticCamera.from_sensor(_sensor_of(source, parameters, unit)), None
+    return camera_and_record(source)
+
+
+def stated_camera(source: str) -> dict[str, Any]:
+    """Return what a preset, file, text or scene states of a camera, by name, before anything follows from it."""
+    from ..camera import PARAMETERS, stated_and_record
+
+    stated = _sensor_of(source, {}).stated if _is_scene(source, {}) else stated_and_record(source)[0]
+
+    def plain(name: str, value: Any) -> Any:
+        # Lenses and other objects become dictionaries, as in files.
+        is_plain = value is None or isinstance(value, (str, int, float, list, tuple, dict))
+        return value if is_plain else PARAMETERS[name].plain(PARAMETERS[name].check(name, value))
+
+    return {name: plain(name, value) for name, value in stated.items()}
+
+
+def _is_scene(source: str, parameters: dict[str, str], unit: str = "mm") -> bool:
+    """Return whether a camera is that of a scene; refuse options of scenes for others."""
+    from ..camera import states_camera
 
     # Some scenes are called as a camera; parameters are theirs.
     preset = source in PRESETS and not Path(source).is_file() and not (parameters and source in scene_names())
@@ -44,16 +68,28 @@ def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tu
             unit != "mm", f"--unit {unit}: {source} is no scene, and has its lengths in millimetres; leave it out"
         )
         refuse_if(parameters, f"-D: {source} is no scene, and has no scene parameters; leave it out")
-        return camera_and_record(source)
+        return False
     require_camera_name("camera", source)
     content = content_of(Path(source)) if Path(source).exists() else SCENE_XML
     others = "; views, stack and depth read a light field's folder" if Path(source).is_dir() else ""
     refuse_if(
         content != SCENE_XML, f"{source}: it is {content}; a camera is a preset, a JSON or YAML file or a scene{others}"
     )
+    return True
+
+
+def _sensor_of(source: str, parameters: dict[str, str], unit: str = "mm") -> Any:
+    """Return the first sensor of a scene, a plenoptic one."""
+    from ..camera import PlenopticCamera
+    from ..light.scene import load_scene
+
     sensors = load_scene(source, parameters=parameters, unit=unit).sensors()
-    refuse_if(not sensors, f"{source}: it has no sensor; add one of type 'plenoptic'")
-    return PlenopticCamera.from_sensor(sensors[0]), None
+    refuse_if(not sensors, f"{source}: it has no sensor; {_INSTEAD}, or add one of type 'plenoptic'")
+    try:
+        PlenopticCamera.from_sensor(sensors[0])
+    except InputError as error:
+        raise InputError(f"{source}: {error}; {_INSTEAD}") from None
+    return sensors[0]
 
 
 def refuse_options(work: str, **options: object) -> None:
@@ -258,13 +294,10 @@ def batches_on(workers: int | None, scheduler: str | None) -> contextlib.Abstrac
     return Cluster(workers=workers, scheduler=scheduler) if asks_cluster else contextlib.nullcontext()
 
 
-def camera_instead(
-    source: str | None, scene: str, parameters: dict[str, str], varied: dict[str, str] | None = None
-) -> dict[str, Any] | None:
+def camera_instead(source: str | None, scene: str, parameters: dict[str, str]) -> dict[str, Any] | None:
     """Return the parameters of the camera that replaces a scene's, None where none is named."""
     camera = named_camera(source)
     if camera is None:
         return None
     require_in_use(scene, parameters)
-    require_in_use(scene, varied or {}, "grid:")
     return camera.to_dict()

@@ -132,8 +132,8 @@ def stack(
     disparity: Annotated[
         list[float] | None,
         numeric(
-            "Instead: shift of points in focus from view to view, negative nearer; no camera needed.",
-            unit="LENSES",
+            "Instead: pixels that points in focus move from view to view, negative nearer; no camera needed.",
+            unit="PIXELS",
             check=require_number,
         ),
     ] = None,
@@ -200,10 +200,20 @@ def depth(
         ),
     ],
     near: Annotated[
-        float | None, numeric("Nearest distance to search, or least disparity.", "as near as depth shows", unit="MM")
+        float | None,
+        numeric(
+            "Nearest distance to search, or least disparity.",
+            "as the file states, or as near as depth shows",
+            unit="MM",
+        ),
     ] = None,
     far: Annotated[
-        float | None, numeric("Farthest distance to search, or greatest disparity.", "as far as depth shows", unit="MM")
+        float | None,
+        numeric(
+            "Farthest distance to search, or greatest disparity.",
+            "as the file states, or as far as depth shows",
+            unit="MM",
+        ),
     ] = None,
     planes: Annotated[int | None, numeric("Number of distances to try.", "64, more for a wide search")] = None,
     truth: Truth = None,
@@ -239,6 +249,13 @@ def depth(
     where = (estimate.depth if "depth" in estimate else estimate.disparity).where(sure)
     fraction = f"{100 * float(sure.mean()):.0f} % of the bins with a confidence above half"
     ends = dict(zip(("near", "far"), beyond_search(estimate), strict=True))
+    if float(sure.mean()) < _LITTLE:
+        warn(
+            f"depth: hardly any bin determines it from {estimate.attrs['near']:.4g} to {estimate.attrs['far']:.4g} "
+            f"{unit}: the scene has too little texture, or is nearer or farther: widen the search with --near and "
+            "--far; look at the confidence before you use a depth"
+        )
+        ends.clear()
     for end, beyond in ends.items():
         if beyond >= _LITTLE:
             warn(
@@ -246,11 +263,6 @@ def depth(
                 f"{estimate.attrs[end]:.4g} {unit}, and are probably {'nearer' if end == 'near' else 'farther'}: widen "
                 f"the search with --{end}"
             )
-    if float(sure.mean()) < _LITTLE and max(ends.values()) < _LITTLE:
-        warn(
-            "depth: hardly any bin determines it: the scene has too little texture, or is nearer than --near or "
-            "farther than --far; look at the confidence before you use a depth"
-        )
     span = f", from {float(where.min()):.4g} to {float(where.max()):.4g} {unit}" if bool(sure.any()) else ""
     typer.echo(f"{output}: {fraction}{span}")
     if "depth" not in estimate:

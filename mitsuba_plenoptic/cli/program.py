@@ -21,7 +21,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from ..errors import InputError, at_shell, did_you_mean, relation, require_choice
+from ..errors import InputError, at_shell, did_you_mean, relation, require_choice, short_repr
 from ..extension import entries, missing
 from ..runtime import INTERRUPTED, plain_lines
 
@@ -224,6 +224,12 @@ def _mistake(error: Exception, options: Collection[str]) -> str | None:
                 require_choice(name, chosen[1], re.findall(r"'(.*?)'", chosen[2]))
             except InputError as refused:
                 return _with_options(str(refused), options)
+        elif faults := getattr(error.__cause__, "errors", None):
+            # The cause is pydantic's, whose sentence leaves out the value.
+            wrong = faults()[0]
+            kind = {"int": "a whole number", "float": "a number"}.get(wrong["type"].partition("_")[0])
+            rule = f"it must be {kind}" if kind else wrong["msg"]
+            message = f"{max(error.param.opts, key=len)} = {short_repr(wrong['input'])}: {rule}"  # type: ignore[attr-defined]
         context = getattr(error, "ctx", None)
         return f"{message} (see {context.command_path if context else PROGRAM} --help)"
     return _with_options(str(error), options) if isinstance(error, InputError) else None

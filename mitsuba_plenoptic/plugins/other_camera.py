@@ -35,7 +35,8 @@ def with_camera(scene: mi.Scene, camera: PlenopticCamera, sensor: int | None = N
     -------
     mitsuba.Scene
         The new scene, which shares its objects with the given one; all have the same ids. The camera is its first
-        sensor, with the id of the one it replaces; meters on shapes follow, and other sensors are left out.
+        sensor, with the id of the one it replaces; meters on shapes follow, and other sensors are left out. It has the
+        sampler of a plenoptic camera before it, and the count of samples of any other.
 
     Raises
     ------
@@ -74,7 +75,9 @@ def with_camera(scene: mi.Scene, camera: PlenopticCamera, sensor: int | None = N
             f"sensor {old.class_name()} {old.id()!r}: it has no one place and direction for another camera to take",
         )
         described["to_world"] = mi.ScalarTransform4f(np.array(old.world_transform().matrix, np.float64).reshape(4, 4))
-        described["sampler"] = {"type": "independent", "sample_count": old.sampler().sample_count()}
+        is_plenoptic = hasattr(type(old), "camera")
+        independent = {"type": "independent", "sample_count": old.sampler().sample_count()}
+        described["sampler"] = old.sampler() if is_plenoptic else independent
         if old.get_medium() is not None:
             described["medium"] = old.get_medium()
         if old.film().class_name() == "SpecFilm":

@@ -6,7 +6,7 @@ Messages state the plugin, the parameter, its value and the rule.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -16,18 +16,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import (
-    PARAMETERS,
-    Form,
-    PlenopticCamera,
-    Use,
-    film_numbers,
-    known_image,
-    known_screen,
-    known_transmissions,
-    known_vignetting,
-    require_support,
-)
+from ..camera import FILE_READERS, PARAMETERS, Form, PlenopticCamera, Use, film_numbers, require_support
 from ..errors import (
     NO_RECORD,
     InputError,
@@ -45,7 +34,6 @@ from ..light import colour
 from ..light.scene import unknown_parameter
 from ..light.scene_light import require_medium_seen
 from ..light.signed_colours import SignedColours
-from ..microlens.shape import known_shape
 from ..optics.spectrum import (
     MOST_WAVELENGTHS,
     RGB_WAVELENGTHS,
@@ -56,7 +44,6 @@ from ..optics.spectrum import (
     interpolated,
     read_responses,
 )
-from ..prescription.lens_file import read_lens
 from ..runtime import drjit_array, require_unfrozen
 
 
@@ -98,28 +85,18 @@ def _plain(value: Any) -> Any:
     return value[0] if hasattr(value, "__len__") and not isinstance(value, str) and len(value) == 1 else value
 
 
-def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
-    """Return the camera described by a plugin's properties and by its film, the detector."""
+def read_camera(props: Any, plugin: str, film: Any) -> tuple[PlenopticCamera, dict[str, Any]]:
+    """Return the camera described by a plugin's properties and by its film, the detector, and what they state."""
     with naming(plugin):
         given = {
             name: _read_parameter(_plain(props[name]), name, entry.form)
             for name, entry in PARAMETERS.items()
             if name in props and entry.form is not Form.FILM
         }
-        camera = PlenopticCamera(**given, **film_numbers(film))
+        stated = given | film_numbers(film)
+        camera = PlenopticCamera(**stated)
         require_support(camera, Use.RAYS)
-    return camera
-
-
-_TEXTS: dict[Form, tuple[Callable[..., Any], str]] = {
-    Form.LENS: (read_lens, "a file or a bundled lens"),
-    Form.SHAPE: (known_shape, "a JSON file, or its content"),
-    Form.SCREEN: (known_screen, "a JSON file, or its content"),
-    Form.PICTURE: (known_image, "a picture, or JSON"),
-    Form.LENSES: (known_transmissions, "a table in a file, or JSON"),
-    Form.VIGNETTING: (known_vignetting, "a JSON file, or its content"),
-}
-"""Readers of values that are given as files or their texts, and what these are."""
+    return camera, stated
 
 
 def _read_parameter(value: Any, name: str, form: Form) -> Any:
@@ -138,8 +115,8 @@ def _read_parameter(value: Any, name: str, form: Form) -> Any:
         numbers = tuple(require_number(name, _plain(number)) for number in value)
         # Points and vectors have a z.
         return numbers[:2] if form is Form.PLACE and len(numbers) == 3 and numbers[2] == 0 else numbers
-    if form in _TEXTS:
-        read, what = _TEXTS[form]
+    if form in FILE_READERS:
+        read, what = FILE_READERS[form]
         refuse_if(not is_text, f"{name} = {value!r}: it must be text: {what}")
         return read(value, resolved)
     if form is Form.GLASS and is_object:

@@ -123,7 +123,7 @@ def make_class() -> type:
             objects = [name for name in props.keys() if props.type(name) == mi.Properties.Type.Object]  # noqa: SIM118
             film_name = next((name for name in objects if isinstance(props[name], mi.Film)), None)
             if film_name is not None and props[film_name].rfilter().is_box_filter():
-                detector = DetectorOperator.of(read_camera(props, NAME, props[film_name]))
+                detector = DetectorOperator.of(read_camera(props, NAME, props[film_name])[0])
                 if not detector.is_identity:
                     props[film_name] = behind_detector(props[film_name], detector)
             super().__init__(props)
@@ -132,7 +132,8 @@ def make_class() -> type:
                 fault = f"the film's filter {film.rfilter().class_name()} smears the micro-images into each other"
                 line = _BOX if film_name else f'<film type="hdrfilm"> {_BOX} </film>'
                 raise InputError(f"{NAME}: {fault if film_name else 'it has no film'}; add the line {line}")
-            camera = self._given = read_camera(props, NAME, film)
+            camera, self.stated = read_camera(props, NAME, film)
+            self._given = camera
             require_read(props, NAME)
             own = _parameters_of(camera)
             # Parameters that are empty, set by the main lens, or of an array that is not there, are not exposed.

@@ -139,12 +139,13 @@ def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[n
     Returns
     -------
     z, y : float64 arrays (surfaces + 1, count)
-        Their positions in the camera frame, on the MLA and on each surface.
+        Their positions in the camera frame, on the MLA and on each surface; NaN where no ray passes the lens.
     """
     lens = main_lens(camera)
     slopes = (np.linspace(-1, 1, _ACROSS) * _reach(camera) - height) / lens.pupil.distance
     _, _, is_open = lens.trace((0.0 * slopes, np.full_like(slopes, height)), (0.0 * slopes, slopes))
-    slopes = np.linspace(slopes[is_open][0], slopes[is_open][-1], count)
+    passing = slopes[is_open] if is_open.any() else np.array([math.nan])
+    slopes = np.linspace(passing[0], passing[-1], count)
     N = 1 / np.sqrt(1 + slopes**2)
     point = (0.0 * slopes, np.full(count, height / lens.scale), np.full(count, -lens.back_distance / lens.scale))
     direction = (0.0 * slopes, slopes * N, N)

@@ -309,7 +309,7 @@ def stack_figure(stack: xr.DataArray, white: float | None = None) -> Plot:
     """
     if "disparity" in stack.dims:
         panels = [Panel(np.asarray(image.values), f"disparity {float(image.disparity):g}", None) for image in stack]
-        return _sheet([panels], [], white, "lenses per view")
+        return _sheet([panels], [], white, "pixels per view")
     camera = views.camera_of(stack)
     panels = [
         Panel(
@@ -402,7 +402,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
     Plot
         A Matplotlib figure, whose method `save` writes PNG or PDF.
     """
-    sought, unit = ("Depth", "mm from the main lens") if "depth" in found else ("Disparity", "lenses per view")
+    sought, unit = ("Depth", "mm from the main lens") if "depth" in found else ("Disparity", "pixels per view")
     found = found if "depth" in found else found.assign(depth=found.disparity.where(found.confidence > 0.5))
     image = np.asarray(found["image"].values)
     depth = np.asarray(found["depth"].values)

@@ -154,6 +154,15 @@ def grid_of(lf: xr.DataArray) -> LensGrid | None:
     return LensGrid(**_record(lf, "grid")) if lf.attrs.get("grid") else None
 
 
+def stated_disparities(lf: xr.DataArray) -> tuple[float, float] | None:
+    """Return the least and the greatest disparity of the scene, where the file of a light field states them."""
+    if not lf.attrs.get("disparities"):
+        return None
+    stated = _record(lf, "disparities")
+    least, greatest = (require_number(f"disparities: {end}", stated.get(end)) for end in ("least", "greatest"))
+    return least, greatest
+
+
 def _record(lf: xr.DataArray | xr.Dataset, name: str) -> dict[str, Any]:
     """Return the content of a JSON attribute of a light field."""
     with refusing(
@@ -220,7 +229,7 @@ def depth_range(lf: xr.DataArray) -> tuple[float, float]:
 
 
 def disparity(lf: xr.DataArray, distance: float) -> float:
-    r"""Return the shift of a point from one view to the next, in lenses along the index.
+    r"""Return the shift of a point from one view to the next, in pixels of views (lenses) along the index.
 
     A scene point at distance g appears in the view from pupil point P at the lens c = u + P s(g), with u its image
     through the pupil's centre and :math:`s = 1 + b/g - b/f_1`. Neighbouring views are
@@ -253,7 +262,7 @@ def distance_of(lf: xr.DataArray | xr.Dataset, disparity: Any) -> Any:
     lf : xarray.DataArray or xarray.Dataset
         A light field with a camera, or the depth map of one.
     disparity : float or array
-        Lenses per view.
+        Pixels per view.
 
     Returns
     -------

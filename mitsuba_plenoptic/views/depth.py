@@ -16,7 +16,15 @@ from ..design import focus_types
 from ..errors import InputError, require_count, require_number, suggest_keywords
 from ..runtime import Progress, counted, require_memory
 from .agreement import finer_stripes, view_disagreement
-from .coordinates import camera_of, depth_range, disparity, distance_of, require_light_field, view_steps
+from .coordinates import (
+    camera_of,
+    depth_range,
+    disparity,
+    distance_of,
+    require_light_field,
+    stated_disparities,
+    view_steps,
+)
 from .lens_agreement import LensComparison
 from .lens_images import MicroImages, micro_images_of
 from .plane_choice import LENSES, VIEWS, Disagreement, choose, disagreement
@@ -30,10 +38,13 @@ RIGHT = 0.01
 _ORIGIN = 1e3
 _RIGHT_SHIFT = 0.05
 
-# Lenses per view up to which depth is sought by default: views, that then show blur as wide, still show coarse texture.
+# Pixels per view up to which depth is sought by default: views, that then show blur as wide, still show coarse texture.
 _WIDEST = 2.0
 
-# Planes for each lens per view, and for each pixel that micro-images of neighbouring lenses are moved.
+# Pixels per view beyond the disparities that a light field states: a plane is found between others that agree less.
+_BESIDE = 0.5
+
+# Planes for each pixel per view, and for each pixel that micro-images of neighbouring lenses are moved.
 _PER_LENS = 32
 _PER_PIXEL = 4
 
@@ -70,13 +81,13 @@ def depth_map(
         A light field. Without a camera its disparities are found, and the confidence is that of an error below 0.05.
     near, far : float
         Range of distances in millimetres to search; without a camera of disparities, the nearest the least. Default:
-        where a point moves by at most two lenses from view to view, twice as far as `depth_range`; of a focused camera
-        `depth_range`.
+        the range that a light field's file states, as folders of HCI do, and half a pixel more; else where a point
+        moves by at most two pixels from view to view, twice as far as `depth_range`; of a focused camera `depth_range`.
     micro_images : MicroImages, optional
         The micro-images of the same capture, from `micro_images`. A focused camera whose lenses are not upright and
         square needs them, as its light field is interpolated between lenses; others do without.
     planes : int, optional
-        Number of planes, at least 3. Default: 64, and more where they would be farther than 1/32 lens per view apart,
+        Number of planes, at least 3. Default: 64, and more where they would be farther than 1/32 pixel per view apart,
         or micro-images of a focused camera would move by more than a quarter of a pixel between them.
     progress : callable, optional
         Called with the planes done and their number.
@@ -85,7 +96,7 @@ def depth_map(
     -------
     xarray.Dataset
         Over t, s: ``depth`` (distance from the main lens along the axis, mm; NaN where it is unknown; absent without a
-        camera), ``disparity`` (lenses per view along the index, negative nearer than the plane in focus, the best guess
+        camera), ``disparity`` (pixels per view along the index, negative nearer than the plane in focus, the best guess
         everywhere), ``confidence`` (0 to 1), and ``image``, the image in focus
         everywhere; and, where the light field has ground truth, ``truth``, the depth that the central view sees (mm),
         which `depth_error` compares with.
@@ -152,7 +163,7 @@ def depth_map(
         depth = np.where((probability < 0.5) | ~choice.agreed, np.nan, distance_of(lf, disparities))
         maps["depth"] = (dims, depth, {"units": "mm"})
     maps |= {
-        "disparity": (dims, disparities, {"units": "lenses per view"}),
+        "disparity": (dims, disparities, {"units": "pixels per view"}),
         "confidence": (dims, probability),
         "image": (("t", "s", "c")[: sharp.ndim], sharp),
     }
@@ -188,22 +199,19 @@ def beyond_search(found: xr.Dataset) -> tuple[float, float]:
 def _default_search(lf: xr.DataArray) -> tuple[float, float]:
     """Return the nearest and farthest distance in mm, or disparity, at which views or micro-images can show depth.
 
-    Views can while they move by up to `_WIDEST` lenses, twice as far as in `depth_range`; micro-images of focused
-    cameras can while their lenses are no farther apart than the field that each shows.
+    Views can while they move by up to `_WIDEST` pixels, twice as far as in `depth_range`, or where the light field
+    states the disparities of its scene; micro-images of focused cameras can while their lenses are no farther apart
+    than the field that each shows.
     """
-    if not lf.attrs.get("camera"):
-        return -_WIDEST, _WIDEST
     if is_focused(lf):
         return depth_range(lf)
-    near, far = distance_of(lf, np.array([-_WIDEST, _WIDEST]))
+    stated = stated_disparities(lf)
+    least, greatest = (stated[0] - _BESIDE, stated[1] + _BESIDE) if stated else (-_WIDEST, _WIDEST)
+    if not lf.attrs.get("camera"):
+        return least, greatest
+    near, far = distance_of(lf, np.array([least, greatest]))
     # Nothing nearer than the focal length has an image.
     return max(float(near), 1.01 * camera_of(lf).focal_length), float(far)
-
-
-def default_slopes(lf: xr.DataArray) -> np.ndarray:
-    """Return the disparities of the planes of the default search."""
-    near, far = _default_search(lf)
-    return _slopes(lf, disparity(lf, near), disparity(lf, far), None)
 
 
 def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> np.ndarray:

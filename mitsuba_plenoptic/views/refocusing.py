@@ -141,7 +141,7 @@ def focal_stack(
     # Views are moved in copies.
     require_memory(6.0 * lf.size + 2 * images * len(disparities), f"focal stack of {len(disparities)} distances")
     stack = xr.concat([refocus_at(value) for value in counted(disparities, progress)], dim=by)
-    return stack.assign_coords({by: (by, distances, {"units": "mm" if by == "distance" else "lenses per view"})})
+    return stack.assign_coords({by: (by, distances, {"units": "mm" if by == "distance" else "pixels per view"})})
 
 
 # Variance of the places, in squared bins, from which `moved` takes a sample: that for which all of its rules hold.
@@ -214,7 +214,7 @@ class FourierRefocuser:
     lf : xarray.DataArray
         A light field, (v, u, t, s[, c]).
     max_disparity : float
-        Largest magnitude of disparity that will be asked for, in lenses per view; the borders are continued by as
+        Largest magnitude of disparity that will be asked for, in pixels per view; the borders are continued by as
         much as views move.
 
     Raises

@@ -114,7 +114,11 @@ def test_files_and_texts_state_the_same_camera(tmp_path, run):
     (tmp_path / "camera.json").write_text(json.dumps(numbers))
     (tmp_path / "camera.yaml").write_text("".join(f"{name}: {value}\n" for name, value in numbers.items()))
     assert PlenopticCamera.from_json(json.dumps(numbers)) == camera
-    for source in (text, text.replace("60,40", "[60, 40]"), tmp_path / "camera.json", tmp_path / "camera.yaml"):
+    for source in (
+        *(text.replace("60,40", pair) for pair in ("60,40", "[60, 40]", "(60, 40)")),
+        tmp_path / "camera.json",
+        tmp_path / "camera.yaml",
+    ):
         run("info", source, "--fix", tmp_path / "same.json")
         assert PlenopticCamera.from_json((tmp_path / "same.json").read_text()) == camera
     assert PlenopticCamera.from_json(camera.to_json()) == camera

@@ -3,6 +3,7 @@
 import inspect
 import json
 import os
+import pickle
 import re
 import shutil
 import subprocess
@@ -14,6 +15,7 @@ from xml.sax.saxutils import quoteattr
 import mitsuba as mi
 import numpy as np
 import pytest
+from refusals import refuses
 
 import mitsuba_plenoptic
 from mitsuba_plenoptic import InputError, PlenopticCamera
@@ -165,6 +167,57 @@ VECTORS = {
     ),
     "aberrations": ({"wavefront": (0, 0.1, 0.2)}, ["wavefront"], ["wavefront.2", "wavefront.3"], [0.1, 0.2], [1, 1]),
 }
+
+
+ROUTES = {
+    "as made": lambda camera: camera,
+    "json": lambda camera: PlenopticCamera.from_json(camera.to_json()),
+    "dict": lambda camera: PlenopticCamera.from_dict(camera.to_dict()),
+    "pickle": lambda camera: pickle.loads(pickle.dumps(camera)),
+    "replaced": lambda camera: camera.replace(mla_pitch=0.06).replace(mla_pitch=camera.mla_pitch),
+}
+
+
+@pytest.mark.parametrize("route", ROUTES)
+def test_what_nobody_gave_follows_from_another_lens(route):
+    """The right value is that of the camera made with the lens at once."""
+    again, open_ = ROUTES[route], {"main_lens": "double_gauss", "focal_length": 80, "focus_distance": 1000}
+    camera = again(PlenopticCamera(**open_))
+    longer, shorter = again(camera.replace(focal_length=100)), again(camera.replace(focal_length=79))
+    assert longer.aperture_radius == PlenopticCamera(main_lens="double_gauss", focal_length=100).aperture_radius
+    assert shorter.aperture_radius == PlenopticCamera(main_lens="double_gauss", focal_length=79).aperture_radius
+    tessar = PlenopticCamera(main_lens="tessar", focal_length=100)
+    assert again(longer.replace(main_lens="tessar")).aperture_radius == tessar.aperture_radius
+    thin = again(PlenopticCamera())
+    assert thin.replace(main_lens="double_gauss").aperture_radius == camera.aperture_radius
+    # Objectives and collimators set more.
+    weak = {"magnification": 10, "numerical_aperture": 0.3}
+    for start in (thin, again(PlenopticCamera.preset("lfm"))):
+        microscope = start.replace(main_lens=weak)
+        assert (microscope.focal_length, microscope.aperture_radius, microscope.mla_distance) == (20, 6, 200)
+    telescope = again(PlenopticCamera.preset("shack_hartmann")).replace(focal_length=400)
+    assert telescope.mla_distance == pytest.approx(400 + 160 + 160 * (1 + 160 / 400))
+
+
+@pytest.mark.parametrize("route", ROUTES)
+def test_what_somebody_gave_stays_with_another_lens(route):
+    camera = ROUTES[route](PlenopticCamera(main_lens="double_gauss", focal_length=80, aperture_radius=5))
+    for other in (camera.replace(focal_length=100), camera.replace(main_lens="tessar").replace(focal_length=79)):
+        assert other.aperture_radius == 5
+    # A file of a thin lens cannot tell 5 mm that were given from the default.
+    thin = ROUTES[route](PlenopticCamera(aperture_radius=5)).replace(main_lens="double_gauss")
+    assert thin.aperture_radius == (5 if route not in ("json", "dict") else pytest.approx(13.3349, abs=1e-4))
+    given = ROUTES[route](PlenopticCamera()).replace(aperture_radius=5).replace(main_lens="double_gauss")
+    assert given.aperture_radius == 5
+    # Fits and derivatives change what they name alone.
+    fully_open = PlenopticCamera(main_lens="double_gauss", focal_length=80)
+    changed = CameraVector.by_names(fully_open, ["focal_length"]).at(np.array([80.0 + 1e-3]))
+    assert (changed.focal_length, changed.aperture_radius) == (80.0 + 1e-3, fully_open.aperture_radius)
+    refuses(
+        "focal_length = 70: with this main_lens it is 20",
+        PlenopticCamera(focal_length=70).replace,
+        main_lens={"magnification": 10, "numerical_aperture": 0.3},
+    )
 
 
 @pytest.mark.parametrize(("parameters", "names", "labels", "values", "scales"), VECTORS.values(), ids=VECTORS)

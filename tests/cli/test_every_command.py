@@ -91,6 +91,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals differ")
 def test_ctrl_c_in_a_wave_capture_says_how_to_go_on(tmp_path):
     words = [*WAVES, "--method", "points", "-o", str(tmp_path / "raw.exr"), "--checkpoint", str(tmp_path / "kept")]

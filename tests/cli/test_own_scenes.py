@@ -38,10 +38,13 @@ def test_scenes_without_a_plenoptic_sensor_are_answered_with_an_option(box, tmp_
     words = f"{box}: sensor of type PerspectiveCamera: a plenoptic camera needs a sensor of type 'plenoptic'; --camera"
     assert complaint("compare", box, "-o", tmp_path / "out", "--distance", WALL).startswith(f"{words} NAME gives it")
     assert complaint("render", box, "-o", tmp_path / "a.exr").endswith("; --camera NAME gives it one")
+    instead = "give a preset, a camera's file or its parameters with --camera"
+    assert complaint("info", box) == f"{words.partition(';')[0]}; {instead}"
     empty = tmp_path / "empty.xml"
     empty.write_text('<scene version="3.0.0"><shape type="sphere"/></scene>')
     words = "scene: it has no sensor; --camera NAME gives it one, or add one of type 'plenoptic'"
     assert complaint("compare", empty, "-o", tmp_path / "out", "--distance", WALL) == f"{empty}: {words}"
+    assert complaint("info", empty) == f"{empty}: it has no sensor; {instead}, or add one of type 'plenoptic'"
 
 
 def test_another_camera_is_rendered_in_the_place_of_a_sensor_and_in_its_colours(tmp_path, run, complaint):

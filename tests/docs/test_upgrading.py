@@ -55,6 +55,7 @@ def test_the_python_code(small, monkeypatch, capsys):
     assert mp.read_capture("raw.exr").model == "ray"
 
 
+@pytest.mark.slow
 def test_the_commands(small):
     """One after the other, as later ones read what earlier ones wrote."""
     assert [words[0] for words in OURS] == ["doctor", "render", "render", "reconstruct", "depth", "view", "compare"]

@@ -46,6 +46,7 @@ def transmitted(**options):
     return dimmed / clear
 
 
+@pytest.mark.slow
 def test_white_walls_against_the_mean_over_paths():
     """By ideal lenses all paths from the points of a lens to the micro-image of the pupil are equally frequent."""
     m = (np.arange(60) + 0.5) / 60 * 0.04 - 0.02

@@ -203,8 +203,15 @@ def test_white_images_are_blurred():
     assert error(white_image(camera), blurred(white_image(CAMERA), BLUR, camera)) < 1e-5
 
 
-@pytest.mark.parametrize("model", ["ray", "wave"])
-@pytest.mark.parametrize(("detector", "least"), [({"detector_blur": BLUR}, 0.2), ({"pixel_crosstalk": 0.05}, 0.015)])
+@pytest.mark.parametrize(
+    ("model", "detector", "least"),
+    [
+        ("ray", {"detector_blur": BLUR}, 0.2),
+        ("wave", {"pixel_crosstalk": 0.05}, 0.015),
+        pytest.param("wave", {"detector_blur": BLUR}, 0.2, marks=pytest.mark.slow),
+        pytest.param("ray", {"pixel_crosstalk": 0.05}, 0.015, marks=pytest.mark.slow),
+    ],
+)
 def test_reconstructions_know_the_detector(model, detector, least):
     """They show the lamp as the camera without it does; a blur by 1.5 of 8 pixels a lens moves light off lenses."""
     sharp, blurry = (capture(each, 1024, model) for each in (CAMERA, CAMERA.replace(**detector)))

@@ -251,6 +251,7 @@ class _Elsewhere:
             yield pickle.loads(pickle.dumps(batch)).prepare()()
 
 
+@pytest.mark.slow
 def test_spectra_behind_panes_and_computed_elsewhere():
     mi.set_variant("llvm_ad_spectral")
     light = {"emitter": {"type": "area", "radiance": {"type": "d65"}}}

@@ -323,6 +323,7 @@ def test_progress_comes_lot_by_lot(monkeypatch):
     assert done == sorted(done) and done[0] == 0 and 0 < done[1] <= 0.05 and done[-1] == 1
 
 
+@pytest.mark.slow
 def test_a_changed_camera_compiles_no_kernels_again():
     scene = wall_of({"type": "diffuse"})
     params = mi.traverse(scene)

@@ -57,7 +57,7 @@ def stars():
     return sky()
 
 
-@pytest.mark.parametrize(("spp", "noise"), [(1, False), (8, True)])
+@pytest.mark.parametrize(("spp", "noise"), [pytest.param(1, False, marks=pytest.mark.slow), (8, True)])
 def test_few_samples_have_the_light_of_stars(stars, spp, noise):
     mean, error, least = light_of_stars(*stars, spp, 5, noise)
     assert least >= 0

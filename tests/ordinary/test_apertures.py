@@ -188,8 +188,9 @@ WALLS = {
 }
 
 
-@pytest.mark.parametrize(("aperture", "blur", "texel", "spp", "limit", "by_rays"), WALLS.values(), ids=WALLS)
-def test_walls_are_sums_over_the_mask(aperture, blur, texel, spp, limit, by_rays):
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "coded")) for n in WALLS])
+def test_walls_are_sums_over_the_mask(name):
+    aperture, blur, texel, spp, limit, by_rays = WALLS[name]
     given, mask = aperture
     camera = ordinary_camera(1.0, 16, **given)
     scene, wall = textured_wall(camera, texel, blur, WIDE)

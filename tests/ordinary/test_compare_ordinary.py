@@ -33,6 +33,7 @@ def found(folder):
     return json.loads((folder / "results.json").read_text())["ordinary"]
 
 
+@pytest.mark.slow
 def test_the_page_shows_both_cameras(folder, found):
     page = (folder / "report.html").read_text()
     assert "Against an ordinary camera" in page and "--against ordinary" in page

@@ -75,9 +75,9 @@ def thinlens(camera, **changes):
     "given",
     [
         {},
-        {"resolution": (20, 28), "focus_distance": 500.0},
+        pytest.param({"resolution": (20, 28), "focus_distance": 500.0}, marks=pytest.mark.slow),
         {"resolution": (96, 64), "crop_offset": (70, 40), "crop_size": (20, 16)},
-        {"focus_distance": math.inf},
+        pytest.param({"focus_distance": math.inf}, marks=pytest.mark.slow),
     ],
     ids=["focused", "upright film", "crop", "infinity"],
 )
@@ -87,7 +87,9 @@ def test_pictures_are_those_of_the_thin_lens(given):
     assert disagreement(rendered(camera.to_sensor(), 0), rendered(thinlens(camera, **far), 100)) < 1.3
 
 
-@pytest.mark.parametrize("changed", ["aperture_radius", "focus_distance", "fov"])
+@pytest.mark.parametrize(
+    "changed", ["aperture_radius", *(pytest.param(name, marks=pytest.mark.slow) for name in ("focus_distance", "fov"))]
+)
 def test_the_comparison_tells_other_lenses_apart(changed):
     camera = ordinary()
     other = thinlens(camera)
@@ -112,6 +114,7 @@ def test_a_small_pupil_of_a_real_lens_is_found_off_the_axis():
     assert means[1] == pytest.approx(means[0], rel=0.02)
 
 
+@pytest.mark.slow
 def test_colours_are_those_of_lenses_at_their_wavelengths():
     camera = ordinary(glass={"index": 1.5, "abbe": 8.0})
     mi.set_variant("llvm_ad_rgb")

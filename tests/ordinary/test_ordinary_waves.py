@@ -51,14 +51,14 @@ PATHS = {
     [
         (0.5, 1, 8, (), 0.01),
         (1, 0, 4, (), 0.008),
-        (1, 4, 4, (), 0.012),
-        (2, 1, 2, (), 0.012),
-        (10, 1, 2, (), 0.012),
+        pytest.param(1, 4, 4, (), 0.012, marks=pytest.mark.slow),
+        pytest.param(2, 1, 2, (), 0.012, marks=pytest.mark.slow),
+        pytest.param(10, 1, 2, (), 0.012, marks=pytest.mark.slow),
         pytest.param(1, 0, 4, COMA, 0.008, marks=pytest.mark.slow),
         # Somewhere in the pupil the defocus undoes the aberration.
         pytest.param(1, 4, 4, COMA, 0.011, marks=pytest.mark.slow),
         pytest.param(1, 0, 4, SPHERICAL, 0.008, marks=pytest.mark.slow),
-        (1, -1, 4, ASTIGMATISM, 0.012),
+        pytest.param(1, -1, 4, ASTIGMATISM, 0.012, marks=pytest.mark.slow),
     ],
 )
 def test_textured_walls_in_focus_and_blurred(airy, blur, texel, wavefront, limit):
@@ -101,7 +101,7 @@ def test_a_star_has_the_energy_of_the_airy_pattern_within_circles(airy, size):
     assert airy_pattern[v < edge].sum() == pytest.approx(1 - j0(edge) ** 2 - j1(edge) ** 2, abs=2e-3)
 
 
-@pytest.mark.parametrize("airy", [0.4, 1.0])
+@pytest.mark.parametrize("airy", [pytest.param(0.4, marks=pytest.mark.slow), 1.0])
 def test_slanted_edges_have_the_transfer_function_of_a_disc(airy):
     """Both sides of an edge at 5 degrees, whose oversampled profile gives the transfer function (ISO 12233)."""
     camera = ordinary_camera(airy, 64)
@@ -173,7 +173,7 @@ GAUSS = {"main_lens": "double_gauss", "focal_length": 50, "aperture_radius": 6, 
         pytest.param("llvm_ad_rgb", {}, marks=pytest.mark.slow),
         ("llvm_ad_mono", {"crop_offset": (8, 4), "crop_size": (12, 8)}),
         ("llvm_ad_mono", {"lens_model": "parabolic", "distortion": (1e-3, 0, 0, 0, 0)}),
-        ("llvm_ad_rgb", GAUSS),
+        pytest.param("llvm_ad_rgb", GAUSS, marks=pytest.mark.slow),
         # Wider than the field that the lens lights.
         ("llvm_ad_mono", GAUSS | {"detector_width": 36}),
     ],
@@ -199,7 +199,9 @@ def test_noise_is_no_larger_than_that_of_rays():
     assert spread["wave"] < 1.2 * spread["ray"]
 
 
-@pytest.mark.parametrize(("kind", "airy", "seen"), [("textured wall", 2.0, 0.05), ("lamp", 1.0, 0.06)])
+@pytest.mark.parametrize(
+    ("kind", "airy", "seen"), [("textured wall", 2.0, 0.05), pytest.param("lamp", 1.0, 0.06, marks=pytest.mark.slow)]
+)
 def test_few_samples_have_the_mean_of_many(kind, airy, seen):
     """Means over captures of two samples each, whose noise would show a difference of `seen`."""
     scene, taken = noisy_scene(kind, airy, 16), {}
@@ -214,6 +216,7 @@ def test_few_samples_have_the_mean_of_many(kind, airy, seen):
     assert disagreement(1.0) < 1.7 and min(disagreement(1 - seen), disagreement(1 + seen)) > 2
 
 
+@pytest.mark.slow
 def test_gradients_by_the_scene_are_those_of_differences():
     camera = mp.PlenopticCamera(**F10)
     scene = textured(camera)

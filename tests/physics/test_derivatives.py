@@ -31,7 +31,6 @@ QUICK = [
     ("square", "wavefront"),
     ("medium", "mla_distance"),
     ("turned", "mla_pitch"),
-    ("gaps", "detector_distance"),
     ("cropped", "detector_width"),
 ]
 
@@ -62,6 +61,7 @@ def changed(camera, name, amount):
     ("camera", "name"),
     [
         *QUICK,
+        pytest.param("gaps", "detector_distance", marks=pytest.mark.slow),
         *(
             pytest.param(camera, name, marks=pytest.mark.slow)
             for camera in ("square", "circles", "stretched", "three focal lengths", "medium", "real")

@@ -134,6 +134,7 @@ def test_light_behind_a_real_main_lens_is_as_bright_as_by_rays():
     assert by_points(scene, accuracy=0.05).image.sum() == pytest.approx(by_rays.sum(), rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits_also_after_a_stop(tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
     scene = scene_of(camera(1), card=facing(250.0, 2.0, **striped(0.4)))

@@ -69,7 +69,11 @@ def correlation(image):
 
 
 @pytest.mark.parametrize(
-    "method", [pytest.param(name, marks=[pytest.mark.slow] * (name in ("partial", "incoherent"))) for name in METHODS]
+    "method",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in ("coherent", "partial", "incoherent")))
+        for name in METHODS
+    ],
 )
 @pytest.mark.parametrize(
     "name",

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import InputError, Objective, PlenopticCamera, load_scene
+from refusals import refuses
 from tools.bench.cases.arrays import SHAPES, X, Y, bumpy
 
 AIR = Objective(20, 0.5)
@@ -237,6 +238,10 @@ SHEET = {
             {"lenses": None, "pixel_size": None, "resolution": (64, 48), "sensor_size": (0.64, 0.5)},
             r"^sensor_size = \(0.64, 0.5\): .*they must be square",
         ),
+        (
+            {"lenses": None, "sensor_size": (0.001, 1), "pixel_size": 0.0055},
+            r"^sensor_size = \(0.001, 1\) with pixel_size = 0.0055: a side rounds to no pixel$",
+        ),
         ({"pixels_per_lens": None, "mla_pitch": 20}, "^mla_pitch = 20: it must be less than the pupil's 17.86 mm"),
         ({"detector_width": 5}, "^detector_width = 5: it follows"),
         ({"detector_distance": 0.2}, "^detector_distance = 0.2: it follows"),
@@ -296,3 +301,22 @@ def test_names_of_elsewhere_are_answered_with_the_parameter(name, words, tmp_pat
         with pytest.raises(InputError, match=words):
             attempt()
     assert re.search(words, complaint("info", f"{name}=2"))
+
+
+@pytest.mark.parametrize(
+    ("place", "rule"),
+    [
+        ("x", "it must be a transform, 4 x 4 numbers"),
+        ([[1, 2], [3]], "it must be a transform, 4 x 4 numbers"),
+        ([1, 2, 3], "it must be a transform, 4 x 4"),
+        (np.diag([1, 1, math.nan, 1]), "its numbers must be finite"),
+        (np.diag([1, 1, 1e39, 1]), "its numbers must be finite"),
+        (2 * np.eye(4), "it must be a rotation and a translation, without scale"),
+        (np.diag([2, 2, 2, 1]), "it must be a rotation and a translation, without scale"),
+        (np.diag([1, 1, 1, 2]), "it must be a rotation and a translation, without scale"),
+        (np.eye(4) + 0.1 * np.eye(4, k=1), "it must be a rotation and a translation, without scale"),
+        (np.zeros((4, 4)), "it must be a rotation and a translation, without scale"),
+    ],
+)
+def test_places_of_a_camera_that_a_scene_would_refuse(place, rule):
+    refuses(f"^to_world.*: {rule}", PlenopticCamera().to_xml, place)

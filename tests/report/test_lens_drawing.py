@@ -1,5 +1,8 @@
 """Drawings of main lenses and microlenses: what is drawn is what is traced."""
 
+import json
+import re
+
 import matplotlib.image
 import numpy as np
 import pytest
@@ -84,6 +87,69 @@ def test_a_drawing_is_made(tmp_path, capsys):
     assert Image.open(picture).size[0] > 500
     with pytest.raises(InputError, match="the folder"):
         draw_main_lens(tmp_path / "none" / "lens.png", CAMERA)
+
+
+SEQ = "RDM;LEN\nDIM M\nWL 587.5618\nSO 0.0 1e13\nS {0} {1} 1.5:60.0\n STO\n CIR {2}\nS -{0} 9\n CIR {2}\nSI 0 0\nGO\n"
+"""A biconvex lens, by radius, thickness and semi-aperture."""
+
+FILES = {
+    "long": SEQ.format(600, 6, 30),
+    "tiny": SEQ.format(0.5, 0.1, 0.1),
+    "dark corners": SEQ.format(50, 2, 2).replace("S 50", "S 0 300\n CIR 2\nS 50"),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_lens_file_is_judged_where_parallel_light_is_in_focus(name, tmp_path, capsys):
+    """By the lens-maker's formula, whatever the size; nothing of the built-in cameras is in the way."""
+    (tmp_path / "lens.seq").write_text(FILES[name])
+    radius, gap = {"long": (600, 6), "tiny": (0.5, 0.1), "dark corners": (50, 2)}[name]
+    focal_length = 1 / (0.5 * (2 / radius - 0.5 * gap / (1.5 * radius**2)))
+    assert main(["info", str(tmp_path / "lens.seq"), "--drawing", str(tmp_path / "lens.png"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["camera"]["mla_distance"] == pytest.approx(focal_length, rel=1e-9)
+    spots = [float(row["value"]) for row in told["sheet"] if row["quantity"] == "spot"]
+    # Third-order spherical aberration of a ray at the edge of this aperture is below 3 h^3 / f^2.
+    edge = told["camera"]["aperture_radius"]
+    assert 0 < spots[0] < 1e3 * 3 * edge**3 / focal_length**2
+    assert Image.open(tmp_path / "lens.png").size[0] > 500
+
+
+@pytest.mark.parametrize(
+    ("text", "rule"),
+    [
+        (
+            SEQ.format(-50, 2, 5).replace("--", ""),
+            "its focal length is -49.67 mm: it must be positive, so that it forms",
+        ),
+        (
+            SEQ.format(50, 2, 5).replace("S 50", "S 0 90\n STO\n CIR 2\nS 50").replace("60.0\n STO", "60.0"),
+            "no detector",
+        ),
+    ],
+    ids=["diverging", "far pupil"],
+)
+def test_a_lens_file_that_forms_no_image_is_refused_by_its_own_numbers(text, rule, tmp_path, capsys):
+    (tmp_path / "lens.seq").write_text(text)
+    assert main(["info", str(tmp_path / "lens.seq")]) == 2
+    told = capsys.readouterr().err
+    assert f"{tmp_path}/lens.seq: " in told and rule in told
+    assert not re.search("main_lens|mla_distance|aperture_radius|focus_distance", told)
+
+
+@pytest.mark.parametrize(
+    ("options", "rule"),
+    [
+        (["--microlens", "micro.png"], "--microlens micro.png: {path} is a main lens; leave it out"),
+        (["-D", "radius=3"], "-D: {path} is no scene, and has no scene parameters; leave it out"),
+        (["--unit", "m"], "--unit m: {path} is no scene; leave it out"),
+    ],
+)
+def test_options_that_a_lens_file_does_not_take_are_refused(options, rule, tmp_path, capsys):
+    path = tmp_path / "lens.seq"
+    path.write_text(SEQ.format(50, 2, 5))
+    assert main(["info", str(path), *options]) == 2
+    assert rule.format(path=path) in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("changes", [{}, {"mla_lattice": "hexagonal", "mla_medium": 1.4, "mla_shape": ZoneLens(0.4)}])

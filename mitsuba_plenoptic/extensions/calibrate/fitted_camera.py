@@ -46,7 +46,7 @@ def fitted_camera(
         return camera.replace(aperture_radius=camera.aperture_radius * wider, **changes)
     aperture = camera.objective.numerical_aperture * wider
     objective: Objective = replace(camera.objective, numerical_aperture=aperture)
-    return camera.replace(main_lens=objective, aperture_radius=None, focal_length=None, mla_distance=None, **changes)
+    return camera.replace(main_lens=objective, **changes)
 
 
 def _transmissions(camera: PlenopticCamera, array: ArrayFit, lens: np.ndarray, light: np.ndarray) -> LensTransmissions:

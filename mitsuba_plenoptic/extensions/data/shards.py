@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
+import operator
 import os
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
@@ -232,6 +233,11 @@ class DataSet:
         """Return the sample with an index, or the samples of a slice."""
         if isinstance(index, slice):
             return [self[shard] for shard in range(*index.indices(len(self)))]
+        try:
+            operator.index(index)
+        except TypeError:
+            kind = type(index).__name__
+            raise TypeError(f"sample {short_repr(index)} of type {kind}: give a whole number, or a slice") from None
         if index >= len(self):
             raise IndexError(f"sample {index}: there are {len(self)}")
         index = require_count("sample", index, minimum=0)

@@ -39,6 +39,8 @@ class TorchDataset(torch.utils.data.Dataset):
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         """Return the arrays of a sample as tensors, and its index as ``index``."""
+        if isinstance(index, slice):
+            raise TypeError(f"sample {index}: give a whole number; torch.utils.data.Subset takes several")
         sample = self.samples[index]
         tensors: dict[str, Any] = {
             name: torch.from_numpy(np.ascontiguousarray(np.moveaxis(array, -1, 0)) if array.ndim == 3 else array)

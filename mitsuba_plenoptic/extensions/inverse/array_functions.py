@@ -347,7 +347,8 @@ class CameraCapture:
         """Return the captures of weighted points by the camera with given parameter values."""
         weights, *values = given
         changed = {name: value.tolist() for name, value in zip(self._names, values, strict=True)}
-        camera = self._camera.replace(**changed)
+        # Derivatives by the focal length are those of a fixed aperture.
+        camera = self._camera.replace(**{"aperture_radius": self._camera.aperture_radius} | changed)
         return CameraValue(self._make(camera), camera, self._names, weights, values)
 
     def shape(self, given: Shape) -> Shape:

@@ -195,7 +195,7 @@ class _CodevReader:
             )
             self.surfaces[index].stop = True
         wavelength = self.wavelengths[self.primary - 1]
-        return to_prescription(self.path, self.name, wavelength, self.unit, self.surfaces[1:-1])
+        return to_prescription(self.path, self.name, wavelength, self.unit, self.surfaces[1:-1], "CIR", at_ends=True)
 
     def _only_value(self, line: Line, index: int = 1) -> float:
         """Return the number at the end of a surface's command, which may be given only once."""
@@ -223,6 +223,7 @@ class _CodevReader:
             name = line.words[3].strip("'\"")
             line.refuse_if(name.upper() in self.private, "a glass of PRV is not read: name one of a catalogue")
             surface.glass = _glass(line, name)
+        surface.line = line
         self.surfaces.append(surface)
         self.taken.clear()
 

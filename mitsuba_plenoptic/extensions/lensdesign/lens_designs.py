@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...errors import InputError, naming, refuse_if, short_repr
+from ...errors import InputError, naming, short_repr
 from ...prescription import Glass, Prescription
 from ...runtime import require_size
 
@@ -78,6 +78,8 @@ class DesignSurface:
     asphere: list[float] = field(default_factory=list)
     """Coefficients of the fourth, sixth, ... power of the distance from the axis."""
     stop: bool = False
+    line: Line | None = None
+    """The line that begins it."""
 
 
 def read_text(path: str | Path) -> tuple[Path, str]:
@@ -94,10 +96,11 @@ def read_text(path: str | Path) -> tuple[Path, str]:
         return path, raw.decode("latin-1")
 
 
-def _open(path: Path, surfaces: list[DesignSurface]) -> list[DesignSurface]:
+def _open(path: Path, surfaces: list[DesignSurface], keyword: str, *, at_ends: bool) -> list[DesignSurface]:
     """Return the surfaces with apertures, without planes between air and air that have none.
 
-    A surface within the lens without an aperture has the wider of its neighbours'.
+    Surfaces without an aperture, which `keyword` states, have the wider of the nearest ones before and behind; the
+    first and the last surface only if the format leaves apertures out `at_ends`.
     """
     optical: list[tuple[int, DesignSurface]] = []
     before = None
@@ -108,27 +111,39 @@ def _open(path: Path, surfaces: list[DesignSurface]) -> list[DesignSurface]:
         elif optical:
             optical[-1][1].thickness += surface.thickness
         before = surface.glass
+    stated = [surface.semi_aperture for _, surface in optical]
+    without = []
     for position, (surface_number, surface) in enumerate(optical):
-        if not surface.semi_aperture > 0:
-            sides = [
-                neighbour.semi_aperture
-                for _, neighbour in (*optical[max(0, position - 1) : position], *optical[position + 1 : position + 2])
-            ]
-            refuse_if(
-                surface.stop or len(sides) < 2 or not min(sides) > 0,
-                f"{path}: surface {surface_number} has no semi-aperture: the file must give up to where light passes",
-            )
-            surface.semi_aperture = max(sides)
-            _log.info("%s: surface %d has no aperture: the wider of its neighbours' is taken", path, surface_number)
+        if stated[position] > 0:
+            continue
+        sides = [
+            next((radius for radius in side if radius > 0), 0.0)
+            for side in (reversed(stated[:position]), stated[position + 1 :])
+        ]
+        if not (max(sides) if at_ends else min(sides)) > 0:
+            rule = f"surface {surface_number} has no semi-aperture: state by {keyword} up to where light passes"
+            raise surface.line.refused(rule) if surface.line else InputError(f"{path}: {rule}")
+        surface.semi_aperture = max(sides)
+        without.append(surface_number)
+    if without:
+        numbers = ", ".join(map(str, without))
+        _log.info("%s: no %s of surface %s: the wider of the nearest apertures is taken", path, keyword, numbers)
     return [surface for _, surface in optical]
 
 
 def to_prescription(
-    path: Path, name: str, wavelength: float, unit: float, surfaces: list[DesignSurface]
+    path: Path,
+    name: str,
+    wavelength: float,
+    unit: float,
+    surfaces: list[DesignSurface],
+    keyword: str,
+    *,
+    at_ends: bool = False,
 ) -> Prescription:
-    """Return the prescription of a file's surfaces, without object and image."""
+    """Return the prescription of a file's surfaces, without object and image; `_open` completes their apertures."""
     plain = []
-    surfaces = _open(path, surfaces)
+    surfaces = _open(path, surfaces, keyword, at_ends=at_ends)
     for surface_number, surface in enumerate(surfaces, start=1):
         terms = [term * unit ** -(2 * order + 3) for order, term in enumerate(surface.asphere)]
         entry = {

@@ -125,7 +125,7 @@ class _ZemaxReader:
                     line.value(1) != len(self.surfaces),
                     f"surfaces must be numbered from 0; this is number {len(self.surfaces)}",
                 )
-                self.surfaces.append(DesignSurface())
+                self.surfaces.append(DesignSurface(line=line))
                 self.kinds.append("STANDARD")
                 self.parameters.append([])
                 self.taken.clear()
@@ -184,7 +184,7 @@ class _ZemaxReader:
         if first.glass is not None:
             raise self.glasses[0].refused("air must precede the first surface")
         refuse_if(image.curvature, f"{self.path}: surface {len(lens) + 1}, the image, is curved: the array is a plane")
-        return to_prescription(self.path, self.name, self.wavelengths[self.primary] * 1e3, self.unit, lens)
+        return to_prescription(self.path, self.name, self.wavelengths[self.primary] * 1e3, self.unit, lens, "DIAM")
 
     def _glass(self, surface: int) -> Glass:
         line = self.glasses[surface]

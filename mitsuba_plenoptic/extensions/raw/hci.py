@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 
 from ...camera import PlenopticCamera
-from ...errors import InputError, naming, refuse_if, refusing, require_count, require_number
+from ...errors import InputError, naming, refuse_if, refusing, require_count, require_number, short_repr, warn
 from ...io import read_picture
 from ...report import images
 from ...runtime import atomic_output, read_text, require_memory, write_text
@@ -42,6 +42,7 @@ def read_hci(folder: str | Path) -> xr.DataArray:
     xarray.DataArray
         With the camera, in units of its capture, if this package wrote the folder; else from 0 to 1, with the
         plenoptic camera of the same geometry where the parameters state it: its pupil is as wide as the camera array.
+        ``disp_min`` and ``disp_max`` are kept, with the sign of `disparity`, as the default search of `depth_map`.
 
     Raises
     ------
@@ -53,19 +54,28 @@ def read_hci(folder: str | Path) -> xr.DataArray:
     text = read_text(folder / PARAMETERS, 2**20)
     with naming(folder / PARAMETERS), refusing("it cannot be read as the parameters of a light field:"):
         parser.read_string(text)
-        columns, rows = (
-            require_count(name, int(parser["extrinsics"][name]), maximum=1000) for name in ("num_cams_x", "num_cams_y")
-        )
-        ours = parser[SECTION] if parser.has_section(SECTION) else None
-        camera = None if ours is None else PlenopticCamera.from_dict(json.loads(ours["camera"]))
-        white = 1.0 if ours is None else require_number("white", float(ours["white"]), positive=True)
         stated = {name: text for section in parser.sections() for name, text in parser[section].items()}
+        columns, rows = (
+            require_count(name, _number(stated, name), maximum=1000) for name in ("num_cams_x", "num_cams_y")
+        )
+        ours = parser.has_section(SECTION)
+        camera = PlenopticCamera.from_dict(json.loads(stated["camera"])) if ours else None
+        white = require_number("white", _number(stated, "white"), positive=True) if ours else 1.0
+        missing = [] if ours else [name for name in _GEOMETRY if name not in stated]
         geometry = [
-            require_number(name, float(stated[name]), positive=True, finite=name != _GEOMETRY[-1])
+            require_number(name, _number(stated, name), positive=True, finite=name != _GEOMETRY[-1])
             for name in _GEOMETRY
-            if ours is None and stated.keys() >= set(_GEOMETRY)
+            if not ours and not missing
         ]
-        grey = ours is not None and ours["channels"] == "1"
+        least, greatest = (
+            require_number(name, _number(stated, name)) if name in stated else 0.0 for name in ("disp_min", "disp_max")
+        )
+        grey = ours and stated["channels"] == "1"
+    if missing:
+        warn(
+            f"{folder / PARAMETERS}: it has no {', '.join(missing)}: without it the light field has no camera, and "
+            "disparities in pixels per view take the place of distances"
+        )
     views: list[np.ndarray] = []
     for index in range(rows * columns):
         path = folder / f"input_Cam{index:03d}.png"
@@ -88,7 +98,17 @@ def read_hci(folder: str | Path) -> xr.DataArray:
         raise InputError(
             f"{folder}: its views of {values.shape[2:4]} pixels do not fit its camera of {bins.shape} lenses"
         )
-    return light_field(values, None, camera, bins)
+    lf = light_field(values, None, camera, bins)
+    # HCI's disparities are positive nearer.
+    range_of_scene = {"least": -greatest, "greatest": -least}
+    return lf.assign_attrs(disparities=json.dumps(range_of_scene)) if least < greatest else lf
+
+
+def _number(stated: dict[str, str], name: str) -> float:
+    """Return a number that parameters state by its name."""
+    refuse_if(name not in stated, f"{name}: it is missing")
+    with refusing(f"{name} = {short_repr(stated[name])}: it must be a number", ValueError):
+        return float(stated[name])
 
 
 def _camera_of_array(geometry: list[float], shape: tuple[int, ...]) -> PlenopticCamera:

@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from ...camera import MATCHED, PARAMETERS, PlenopticCamera, sheet_of
+from ...camera import MATCHED, PARAMETERS, PlenopticCamera, varied_camera
 from ...capture_spec import CaptureSpec
 from ...errors import (
     InputError,
     argument,
+    did_you_mean,
     refuse_if,
     require_module,
     require_number,
@@ -27,7 +28,7 @@ from ...errors import (
 )
 from ...io import Cache, Capture, Checkpoint, Progress, StageOptions
 from ...light.render_capture import is_wave_capture, plenoptic_sensor, refuse_by_rays
-from ...light.scene import check_scene_file, scene_defaults
+from ...light.scene import check_scene_file, names_in, scene_defaults
 from ...prescription import lens_data
 from ...refocus import registered
 from ...report import refocused
@@ -105,14 +106,28 @@ class Points:
         self._spec = spec
         self._method = method
         self._store = store
-        self._base: PlenopticCamera | None = None
+        # What the scene's sensor states, by the scene's parameters.
+        self._of_sensor: dict[str, Mapping[str, Any]] = {}
+        # Rows and columns, and of bins, of the largest images.
+        self.largest: tuple[int, ...] = ()
         self.distances = grid.get(DISTANCE, ())
         self.axes = {name: values for name, values in grid.items() if name != DISTANCE}
         scene = Path(spec.scene)
         roots = check_scene_file(scene if scene.is_file() else scene_path(spec.scene), spec.parameters)
+        elements = [element for root in roots for element in root.iter()]
+        of_scene = set[str]().union(*map(names_in, elements))
+        known = (*PARAMETERS, *MATCHED)
         # The scene's own parameters come first, unless another camera takes the place of its camera.
-        defaults = scene_defaults(roots) if spec.camera is None else {}
-        self._of_camera = [name for name in self.axes if name in (*PARAMETERS, *MATCHED) and name not in defaults]
+        self.of_camera = [name for name in self.axes if name in known and (spec.camera or name not in of_scene)]
+        for name in self.axes:
+            # Mitsuba also replaces what longer names begin with.
+            if name not in (WAVELENGTH, *self.of_camera) and not any(each.startswith(name) for each in of_scene):
+                similar = did_you_mean(name, (*scene_defaults(roots), *known, WAVELENGTH, DISTANCE))
+                raise InputError(f"parameter {name}: the scene {spec.scene} has none of that name{similar}")
+            refuse_if(
+                name in OWN_NAMES and name not in self.of_camera,
+                f"grid: {name}: the dataset has a variable or dimension of this name; rename it in the scene",
+            )
 
     def __iter__(self) -> Iterator[dict[str, float]]:
         for values in itertools.product(*self.axes.values()):
@@ -120,22 +135,23 @@ class Points:
 
     def spec(self, point: dict[str, float]) -> CaptureSpec:
         """Return the specification of the capture at a grid point."""
-        others = (WAVELENGTH, *self._of_camera)
+        others = (WAVELENGTH, *self.of_camera)
         varied = {name: _text(value) for name, value in point.items() if name not in others}
         for name in varied:
             refuse_if(name in self._spec.parameters, f"grid: {name} varies and is set by {argument('parameters')} too")
         spec = replace(self._spec, parameters={**self._spec.parameters, **varied}, wavelength=point.get(WAVELENGTH))
-        if not self._of_camera:
+        if spec.camera is None and not self.of_camera:
             return spec
-        if self._base is None:
-            self._base = PlenopticCamera.from_sensor(plenoptic_sensor(spec.load()))
-        changes = {name: _whole(point[name]) for name in self._of_camera}
-        sheet = sheet_of(self._base) if set(changes) & set(MATCHED) else {}
-        camera = PlenopticCamera.matched(**sheet | changes) if sheet else self._base.replace(**changes)
+        stated, key = spec.camera, repr(spec.parameters)
+        if stated is None:
+            if key not in self._of_sensor:
+                self._of_sensor[key] = plenoptic_sensor(spec.load()).stated
+            stated = self._of_sensor[key]
+        camera = varied_camera(stated, {name: _whole(point[name]) for name in self.of_camera})
         return replace(spec, camera=camera.to_dict())
 
     def check(self, **for_waves: Any) -> None:
-        """Construct every camera once before the work starts; refuse cameras whose images differ in size.
+        """Construct every camera once before the work starts, and find the largest images.
 
         `for_waves` are options that ray captures refuse; None means not given.
         """
@@ -154,13 +170,7 @@ class Points:
             sizes[key] = camera.shape + (camera.bin_count if self.distances else ())
             for distance in self.distances:
                 lens_data.image_distance(camera.focal_length, distance, name=DISTANCE)
-            first = next(iter(sizes.values()))
-            if sizes[key] != first:
-                changed = ", ".join(f"{name} = {value:g}" for name, value in point.items())
-                raise InputError(
-                    f"grid: with {changed} images have {_size(sizes[key])}, with the first values {_size(first)}: one "
-                    "dataset holds images of one size"
-                )
+        self.largest = tuple(map(max, zip(*sizes.values(), strict=True)))
 
     def compute(self, batch_map: BatchMap | None) -> Iterator[tuple[Capture, list[np.ndarray]]]:
         """Yield each capture with its reconstructions, read from the store if they exist there."""
@@ -181,11 +191,6 @@ class Points:
         return self._store.capture(f"capture{_name(point)}", spec.fingerprint(), make)
 
 
-def _size(size: tuple[int, ...]) -> str:
-    rows, columns, *bins = size
-    return f"{columns} x {rows} pixels" + (f" and {bins[0]} x {bins[1]} bins" if bins else "")
-
-
 def _name(point: dict[str, float]) -> str:
     return "".join(f",{name}={_text(value)}" for name, value in point.items())
 
@@ -199,25 +204,32 @@ def _text(value: float) -> str:
     return repr(_whole(value))
 
 
-_UNITS = {WAVELENGTH: "nm", DISTANCE: "mm", "focus_distance": "mm"} | dict.fromkeys(
-    ("focal_length", "aperture_radius", "mla_distance", "mla_focal_length", "mla_pitch", "detector_distance"), "mm"
-)
+_UNITS = {WAVELENGTH: "nm", DISTANCE: "mm", "pixel_size": "mm", "sensor_size": "mm"} | {
+    name: entry.unit for name, entry in PARAMETERS.items() if entry.unit and isinstance(entry.unit, str)
+}
+
+_DIMENSIONS = ("row", "column", "channel", "bin_row", "bin_column")
+OWN_NAMES = ("capture", "reconstruction", "pixel_size", "bin_size", *_DIMENSIONS)
+"""Names of the dataset's variables and dimensions besides the grid."""
 
 
 class SweepFile:
-    """The dataset of a sweep in a file, written image by image."""
+    """The dataset of a sweep in a file, written image by image.
 
-    def __init__(self, file: Any, spec: CaptureSpec, grid: Grid, method: str, first: Capture) -> None:
+    Its images are as large as the largest; what smaller ones leave of them is not a number.
+    """
+
+    def __init__(
+        self, file: Any, spec: CaptureSpec, grid: Grid, method: str, first: Capture, largest: tuple[int, ...]
+    ) -> None:
         self.variables = file.variables
+        self._grid = grid
         axes = [name for name in grid if name != DISTANCE]
         self.shape = tuple(len(grid[name]) for name in axes) or (1,)
         # A grid of distances alone has one capture, without an axis.
         self._scalar = not axes
-        rows, columns = first.camera.shape
-        sizes = {name: len(values) for name, values in grid.items()} | {"row": rows, "column": columns}
-        if DISTANCE in grid:
-            bin_columns, bin_rows = first.camera.bin_count
-            sizes |= {"bin_row": bin_rows, "bin_column": bin_columns}
+        sizes = {name: len(values) for name, values in grid.items()}
+        sizes |= zip(("row", "column", "bin_column", "bin_row"), largest, strict=False)
         channels = ("channel",) if first.image.ndim == 3 else ()
         file.dimensions = sizes | dict.fromkeys(channels, 3)
         for name, values in grid.items():
@@ -228,12 +240,17 @@ class SweepFile:
             shape = [file.dimensions[d].size for d in dimensions]
             # One image to a chunk, as they are written and read.
             chunks = [1 if d in grid else size for d, size in zip(dimensions, shape, strict=True)]
-            storage = {"chunks": tuple(chunks), "compression": "gzip", "shuffle": True} if image else {}
-            file.create_variable(name, dimensions, "f4" if image else "f8", **storage).attrs.update(facts)
+            storage = (
+                {"chunks": tuple(chunks), "compression": "gzip", "shuffle": True, "fillvalue": np.nan} if image else {}
+            )
+            kind = "f4" if image else "f8"
+            file.create_variable(name, dimensions, kind, **storage).attrs.update(facts)
 
         radiance = {"units": "1", "long_name": "mean radiance over the lens"}
         add("capture", (*axes, "row", "column", *channels), {**radiance, "coordinates": "pixel_size"})
-        add("pixel_size", tuple(axes), {"units": "mm", "long_name": "width of a pixel"}, image=False)
+        # Where it varies, it is an axis.
+        if "pixel_size" not in grid:
+            add("pixel_size", tuple(axes), {"units": "mm", "long_name": "width of a pixel"}, image=False)
         if DISTANCE in grid:
             over = (*axes, DISTANCE)
             add("reconstruction", (*over, "bin_row", "bin_column", *channels), {**radiance, "coordinates": "bin_size"})
@@ -251,10 +268,13 @@ class SweepFile:
     def put(self, index: tuple[Any, ...], capture: Capture, images: list[np.ndarray]) -> None:
         """Write one capture with its reconstructions into the file."""
         at = () if self._scalar else tuple(int(i) for i in index)
-        self.variables["capture"][(*at, ...)] = capture.image
-        self.variables["pixel_size"][at] = capture.camera.pixel_size
+        rows, columns = capture.image.shape[:2]
+        self.variables["capture"][(*at, slice(rows), slice(columns), ...)] = capture.image
+        if "pixel_size" not in self._grid:
+            self.variables["pixel_size"][at] = capture.camera.pixel_size
         for plane, (distance, image) in enumerate(zip(self.distances, images, strict=True)):
-            self.variables["reconstruction"][(*at, plane, ...)] = image
+            rows, columns = image.shape[:2]
+            self.variables["reconstruction"][(*at, plane, slice(rows), slice(columns), ...)] = image
             self.variables["bin_size"][(*at, plane)] = capture.camera.bin_size(distance)
 
 
@@ -279,8 +299,9 @@ def sweep(
         What does not vary.
     grid : mapping of names to numbers
         The settings that vary: parameters of the scene; parameters of the camera and, of a camera whose micro-images
-        touch, arguments of `PlenopticCamera.matched`; ``wavelength`` of wave captures in nanometres; ``distance``, to
-        which each capture is refocused.
+        touch, arguments of `PlenopticCamera.matched`, in place of what the specification or the scene states, from
+        which the camera follows anew; ``wavelength`` of wave captures in nanometres; ``distance``, to which each
+        capture is refocused.
     output : path
         NetCDF-4 file to write, which ends in ``.nc``.
     method : str
@@ -295,13 +316,14 @@ def sweep(
     xarray.Dataset
         The file, opened: ``capture`` over the grid, ``row`` and ``column`` (and ``channel``), with the coordinate
         ``pixel_size``; and, where distances are given, ``reconstruction`` over the grid, ``distance``, ``bin_row`` and
-        ``bin_column``, with ``bin_size``. Images are in units of radiance.
+        ``bin_column``, with ``bin_size``. Images are in units of radiance; beyond smaller images than the largest they
+        are NaN.
 
     Raises
     ------
     InputError
-        If the grid has an unknown name, a value that is no number or twice the same, or none at all; if its images
-        differ in size; or if the scene, a camera or a distance is refused.
+        If the grid has an unknown name, a value that is no number or twice the same, or none at all; or if the scene,
+        a camera or a distance is refused.
     """
     return prepare(spec, grid, output, method, stages, batch_map=batch_map)(batch_map)
 
@@ -326,7 +348,7 @@ def prepare(
             with h5netcdf.File(sink, "w") as file:
                 for index, (capture, images) in enumerate(points.compute(batch_map)):
                     if not index:
-                        sweep_file = SweepFile(file, spec, grid, method, capture)
+                        sweep_file = SweepFile(file, spec, grid, method, capture, points.largest)
                     sweep_file.put(np.unravel_index(index, sweep_file.shape), capture, images)
                     sink.check(output)
                     store.notify("points", index + 1, math.prod(sweep_file.shape))

@@ -67,16 +67,19 @@ def sweep(
         "--method: nothing is refocused without a 'distance' in the grid; leave it out",
     )
     parameters = inputs.parse_definitions(define)
+    stated = None
+    if camera is not None:
+        of_camera = {name for name in checked if name in (*PARAMETERS, *MATCHED)}
+        stated = inputs.stated_camera(camera) if of_camera else inputs.camera_instead(camera, scene, parameters)
+        inputs.require_in_use(scene, parameters)
+        inputs.require_in_use(
+            scene, {name: f"{values[0]:g}" for name, values in checked.items() if name not in of_camera}, "grid:"
+        )
     spec = CaptureSpec(
         scene=scene,
         unit=unit,
         parameters=parameters,
-        camera=inputs.camera_instead(
-            camera,
-            scene,
-            parameters,
-            {name: f"{values[0]:g}" for name, values in checked.items() if name not in (*PARAMETERS, *MATCHED)},
-        ),
+        camera=stated,
         model=model,
         spp=spp,
         seed=seed,

@@ -51,7 +51,7 @@ def numbers_of(image, detector, seed, part=0.8):
 
 @pytest.mark.parametrize(
     "detector",
-    [pytest.param(each, id=name, marks=[pytest.mark.slow] * ("12" in name)) for name, each in DETECTORS.items()],
+    [pytest.param(each, id=name, marks=[pytest.mark.slow] * (name != "8 bits")) for name, each in DETECTORS.items()],
 )
 def test_single_pictures_give_gain_and_noise(white, detector):
     """Within 2 %, though the micro-images vary a hundred times as much as the noise."""

@@ -60,6 +60,7 @@ def test_numbers_of_a_drawn_white_are_found(camera):
     assert found.judgement.residual < 0.011
 
 
+@pytest.mark.slow
 def test_waves_are_told_from_rays():
     """The white of a wave capture is fitted by waves without a blur; rays explain its diffraction by a wide one."""
     camera = THIN.replace(
@@ -101,7 +102,9 @@ def test_lenses_are_whole_by_their_place(pitch, lattice, rotation):
     assert len(found.place) >= ((corners > 0) & (corners < [190, 170])).all((1, 2)).sum() > 100
 
 
-@pytest.mark.parametrize(("diameter", "lattice"), [(1.25, "square"), (1.15, "hexagonal")])
+@pytest.mark.parametrize(
+    ("diameter", "lattice"), [(1.25, "square"), pytest.param(1.15, "hexagonal", marks=pytest.mark.slow)]
+)
 def test_micro_images_that_overlap_are_fitted(diameter, lattice):
     camera = THIN.replace(mla_lattice=lattice, mla_rotation=3.0, resolution=(200, 180), detector_width=4 / 3)
     scale = diameter / camera.micro_image_diameter * camera.micro_image_pitch

@@ -183,8 +183,15 @@ def test_a_second_process_in_the_folder_is_refused(made, tmp_path, complaint):
 
 
 def test_what_is_asked_for_and_not_there_is_named(made):
-    with pytest.raises(IndexError):
-        DataSet(made)[5]
+    samples = DataSet(made)
+    for index in (5, np.int64(5)):
+        with pytest.raises(IndexError, match=r"^sample 5: there are 5$"):
+            samples[index]
+    refuses("sample = -1: it must be at least 0", lambda: samples[-1])
+    for index in ("a", None, 1.0, (0, 1), [0, 1], [], np.array([0, 1]), np.array([0]), np.array(1.0), {}):
+        with pytest.raises(TypeError, match=r"^sample .* of type \w+: give a whole number, or a slice$"):
+            samples[index]
+    assert samples[np.int64(3)].index == samples[np.array(3)].index == 3
     with pytest.raises(InputError, match="sample 0: it has no wave; it has depth, facts"):
         DataSet(made, ["wave"])[0]
     assert [sample.index for sample in pickle.loads(pickle.dumps(DataSet(made, ["ray"])))] == [0, 1, 2, 3, 4]
@@ -211,6 +218,8 @@ def test_pytorch_reads_tensors(made):
 
     loader = torch.utils.data.DataLoader(TorchDataset(made, ["ray", "normal"]), batch_size=5)
     (batch,) = loader
+    with pytest.raises(TypeError, match=r"^sample slice\(0, 2, None\): give a whole number"):
+        loader.dataset[0:2]
     assert batch["ray"].shape == (5, 64, 64)
     assert batch["normal"].shape == (5, 3, 64, 64)
     expected = np.moveaxis(DataSet(made)[3].arrays["normal"], -1, 0)

@@ -149,6 +149,7 @@ def test_a_damaged_checkpoint_is_refused(tmp_path, always_written, monkeypatch):
         mp.reconstruct(capture, 253.0, checkpoint=checkpoint, **options)
 
 
+@pytest.mark.slow
 def test_workers_compute_the_point_spreads():
     class Counted(Threads):
         batches = 0

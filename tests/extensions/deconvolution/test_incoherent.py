@@ -51,7 +51,7 @@ def test_it_is_linear_also_below_zero():
     assert np.allclose(parts[0] + parts[1], parts[2], atol=1e-5 * np.abs(parts[2]).max())
 
 
-@pytest.mark.parametrize("model", ["ray", "wave"])
+@pytest.mark.parametrize("model", ["ray", pytest.param("wave", marks=pytest.mark.slow)])
 def test_a_uniform_scene_reads_its_radiance(model):
     """Also in focus, where a point's spot is narrow, and how much light borders of lenses take must be known."""
     scene = mp.load_scene("white", parameters={"detector_width": 0.512, "resolution": 128, "aperture_radius": 7.5})
@@ -94,7 +94,7 @@ def test_channels_have_their_own_wavelengths():
         assert np.array_equal(together[..., channel], mp.reconstruct(alone, 265, method="incoherent").image)
 
 
-@pytest.mark.parametrize("method", ["ray", "incoherent", "deconvolved"])
+@pytest.mark.parametrize("method", ["ray", pytest.param("incoherent", marks=pytest.mark.slow), "deconvolved"])
 def test_glasses_have_their_focal_lengths_at_the_wavelength(method):
     """Four bins of radiance 1, filled with points that a camera with glasses records at 480 nm."""
     glass = {"index": 1.5168, "abbe": 64.2}

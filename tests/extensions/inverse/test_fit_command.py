@@ -21,7 +21,8 @@ WALL = """<shape type="disk"><transform name="to_world"><scale value="0.05"/><ro
 
 
 @pytest.mark.parametrize(
-    ("model", "spp", "away", "limit"), [("wave", 4, (0.0005, -0.0003), 2e-4), ("ray", 256, (0.005, -0.003), 1e-3)]
+    ("model", "spp", "away", "limit"),
+    [("wave", 4, (0.0005, -0.0003), 2e-4), pytest.param("ray", 256, (0.005, -0.003), 1e-3, marks=pytest.mark.slow)],
 )
 def test_a_camera_from_a_capture(model, spp, away, limit, tmp_path, capsys):
     """Points of the fit are those of another camera, so that it errs by a part of a micrometre."""

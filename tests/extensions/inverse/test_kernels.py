@@ -24,14 +24,14 @@ def kernels():
     ("name", "values"),
     [
         ("mla_distance", (119.9, 120.07, 120.13)),
-        ("focal_length", (79.99, 80.01, 80.03)),
-        ("detector_distance", (0.511, 0.513, 0.515)),
-        ("mla_offset", ((0.001, 0.002), (0.003, 0.001), (0.002, 0.004))),
+        pytest.param("focal_length", (79.99, 80.01, 80.03), marks=pytest.mark.slow),
+        pytest.param("detector_distance", (0.511, 0.513, 0.515), marks=pytest.mark.slow),
+        pytest.param("mla_offset", ((0.001, 0.002), (0.003, 0.001), (0.002, 0.004)), marks=pytest.mark.slow),
         ("mla_rotation", (1.0, 1.01, 1.02)),
         ("wavefront", ((0, 0.1, 0.2), (0, 0.2, 0.1), (0, 0.15, 0.3))),
     ],
 )
-@pytest.mark.parametrize("lattice", ["square", "hexagonal"])
+@pytest.mark.parametrize("lattice", [pytest.param("square", marks=pytest.mark.slow), "hexagonal"])
 def test_a_camera_that_changes_compiles_nothing_after_the_first_step(name, values, lattice, kernels):
     camera = PlenopticCamera(resolution=(64, 64), detector_width=0.128, mla_lattice=lattice)
 

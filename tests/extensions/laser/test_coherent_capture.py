@@ -189,6 +189,7 @@ def test_pixels_are_integrals_of_the_squared_field():
     assert error(image, sums) < 0.002
 
 
+@pytest.mark.slow
 def test_a_stopped_capture_resumes_with_the_same_bits(tmp_path):
     operator, path = operator_of(), tmp_path / "speckle.checkpoint"
 

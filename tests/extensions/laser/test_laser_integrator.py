@@ -56,6 +56,7 @@ def lit(scene, per_spot=4.0, names=("laser",), camera=CAMERA, seed=0):
     return made.points(per_spot, seed)
 
 
+@pytest.mark.slow
 def test_the_mean_power_is_that_of_a_wave_capture():
     scene = scene_of(integrator={"modes": 12})
     capture = render_capture(scene)

@@ -3,12 +3,14 @@
 import json
 import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from refusals import refuses
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, read_prescription
+from mitsuba_plenoptic.camera.camera_files import camera_and_record
 from mitsuba_plenoptic.prescription import Glass, bundled_prescription, paraxial
 
 ZEMAX = """VERS 140124 258 36214
@@ -161,7 +163,7 @@ OF_ZEMAX = [
     ("DIAM 9 1", "OBSC 0 3 0\n  DIAM 9 1", "OBSC is not understood, and leaving it out could change the lens"),
     ("DIAM 9 1", "SQAP 8 8 0\n  DIAM 9 1", "SQAP is not understood"),
     ("DIAM 9 1", "CLAP 0 8 0\n  OBDC 0 1\n  DIAM 9 1", "'OBDC 0 1': decentred apertures are not read"),
-    ("DIAM 9 1", "DIAM 0 1", "surface 2 has no semi-aperture"),
+    ("DIAM 9 1", "DIAM 0 1", "line 29: 'SURF 2': surface 2 has no semi-aperture: state by DIAM up to where"),
     ("GLAS ___BLANK 1", "GLAS MIRROR 0", "mirrors are not read"),
     ("GLAS ___BLANK 1", "GLAS ___BLANK 4", "only fixed, substitute, picked up and model glasses are read"),
     ("64.17 0 0", "64.17 0.01 0", "a model glass's deviation of the partial dispersion must be 0"),
@@ -201,7 +203,6 @@ OF_CODEV = [
     ("CCY 0", "TEM 60", "indices are those at 20 to 25 degrees"),
     ("516800.641700", "REFL", "line 10: 'S 50.0 5.0 REFL': mirrors are not read"),
     ("STO; ", "", "0 surfaces have stop: true"),
-    ("CIR 9.0", "", "surface 2 has no semi-aperture"),
     ("SI 0.0", "SI -20.0", "the image is curved"),
     ("SI 0.0 0.0\n", "", "there must be SO, the lens's surfaces and SI"),
 ]
@@ -296,6 +297,28 @@ def test_surfaces_may_touch_and_stops_may_stand_within_a_hollow(tmp_path):
     assert len(camera.main_lens.surfaces) == 3
     hollow = {"radius": -50, "thickness": 3, "glass": 1.5, "semi_aperture": 10}
     PlenopticCamera(main_lens={"surfaces": [stop, hollow, {"radius": -20, "semi_aperture": 10}]})
+
+
+@pytest.mark.parametrize("kind", ["json", "yaml"])
+def test_files_of_a_camera_are_found_beside_its_own(tmp_path, monkeypatch, kind):
+    """As in scenes; what does not lie there is found from where one works, and text is not a file."""
+    folder = tmp_path / "far"
+    folder.mkdir()
+    monkeypatch.chdir(tmp_path)
+    lens = read(folder, ZEMAX)
+    (folder / "own.json").write_text(json.dumps(OWN))
+    np.save(folder / "waves.npy", np.eye(8))
+    (folder / "screen.json").write_text(json.dumps({"waves": "waves.npy", "width": 20}))
+
+    def camera(**values):
+        (folder / f"camera.{kind}").write_text(json.dumps({"focus_distance": 500} | values))
+        return camera_and_record(Path("far") / f"camera.{kind}")[0]
+
+    assert camera(main_lens="lens.zmx").main_lens == camera(main_lens="far/lens.zmx").main_lens == lens
+    assert camera(main_lens=json.dumps(OWN)).main_lens == camera(main_lens="own.json").main_lens
+    assert camera(main_lens="tessar").main_lens == bundled_prescription("tessar")
+    assert np.array_equal(camera(phase_screen="screen.json").phase_screen.waves, np.eye(8))
+    refuses(rf"far/camera\.{kind}: main_lens = 'none\.zmx': there is no such file", camera, main_lens="none.zmx")
 
 
 DOUBLE_GAUSS = """VERS 90504
@@ -395,3 +418,39 @@ def test_apertures_of_neighbours_and_unused_private_glasses_of_codev(tmp_path):
     expected = thin_rows([(1 / 50, 5, 1.5168), (-1 / 40, 3, 1.62), (-1 / 100, 0, 1)])
     assert paraxial(lens, 587.5618).focal_length == pytest.approx(expected, rel=1e-4)
     refuses("a glass of PRV is not read", read, tmp_path, text.replace("620000.364000", "'NOA61'"), "lens.seq")
+
+
+@pytest.mark.parametrize(
+    "given, expected",
+    [
+        ((12, 0, 0, 0, 11, 9, 10), (12, 12, 12, 12, 11, 9, 10)),
+        ((10, 9, 11, 0, 12, 0, 8), (10, 9, 11, 12, 12, 12, 8)),
+        ((0, 9, 0, 8, 0, 0, 0), (9, 9, 9, 8, 8, 8, 8)),
+    ],
+    ids=["run with the stop", "single ones", "ends"],
+)
+def test_surfaces_without_an_aperture_of_codev_take_the_wider_of_the_nearest(tmp_path, caplog, given, expected):
+    """The lens is that with the apertures written, to its focal length; one remark names all surfaces."""
+    rows = [(61.47, 6, 1.517), (-44.64, 2.5, 1.673), (-129.94, 5, 1), (0, 5, 1)]
+    rows += [(80, 5, 1.517), (-60, 2, 1.673), (-200, 60, 1)]
+
+    def of(apertures):
+        text = "RDM;LEN\nDIM M\nWL 587.5618\nREF 1\nSO 0.0 1e13\n"
+        for index, ((radius, gap, n), aperture) in enumerate(zip(rows, apertures, strict=True)):
+            text += f"S {radius} {gap}" + (f" {n}:50.0\n" if n > 1 else "\n") + "  STO\n" * (index == 3)
+            text += f"  CIR {aperture}\n" * (aperture > 0)
+        return text + "SI 0.0 0.0\nGO\n"
+
+    with caplog.at_level("INFO", logger="mitsuba_plenoptic"):
+        lens = read(tmp_path, of(given), "lens.seq")
+    assert [surface.semi_aperture for surface in lens.surfaces] == list(expected)
+    assert lens == read(tmp_path, of(expected), "lens.seq")
+    f = thin_rows(
+        [(1 / radius if radius else 0, gap * (n_row < 7), n) for n_row, (radius, gap, n) in enumerate(rows, 1)]
+    )
+    assert paraxial(lens, 587.5618).focal_length == pytest.approx(f, rel=1e-9)
+    numbers = ", ".join(str(number) for number, aperture in enumerate(given, start=1) if not aperture)
+    (remark,) = (record.getMessage() for record in caplog.records)
+    assert f"no CIR of surface {numbers}: the wider of the nearest" in remark
+    line = "lens.seq, line 6: 'S 61.47 6 1.517:50.0': surface 1 has no semi-aperture: state by CIR up to where"
+    refuses(line, read, tmp_path, of([0] * 7), "lens.seq")

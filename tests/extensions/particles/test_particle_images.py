@@ -221,6 +221,7 @@ def test_light_over_the_pupil_is_that_of_single_angles():
     assert np.abs(flat / flat.sum() - expected / expected.sum()).max() > 0.03
 
 
+@pytest.mark.slow
 def test_waves_against_spreads_of_each_particle_alone():
     truth = sequence(count=25.0, diameter=3.0, frames=1)
     images = pt.ParticleImages(truth, wavelength=550)

@@ -8,8 +8,9 @@ import scipy
 from PIL import Image
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, decode, read_capture, write_capture
+from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.exchange import open_light_field, read_hci
-from mitsuba_plenoptic.io.exr import read_exr
+from mitsuba_plenoptic.io.exr import read_exr, read_exr_parts
 from mitsuba_plenoptic.report.images import Brightness, to_bytes
 from mitsuba_plenoptic.views import camera_of, depth_map, focal_stack, refocus, view, white_image
 
@@ -118,27 +119,65 @@ def test_one_capture_is_converted_to_a_folder_of_another_benchmark(tmp_path, run
     assert words.startswith(f"{tmp_path / 'a.eslf.png'}: ") and "camera" in words
 
 
-@pytest.fixture(scope="module")
-def array_of_cameras(tmp_path_factory):
+PARAMETERS = """[intrinsics]
+focal_length_mm = 100.0
+sensor_size_mm = 35.0
+[extrinsics]
+num_cams_x = 5
+num_cams_y = 5
+baseline_mm = 40.0
+focus_distance_m = 4.25
+"""
+
+
+def write_array(folder, parameters, square_shift=1, wall_shift=-1):
     """Write a folder of another program: a near square before a far wall, seen by 5 x 5 cameras."""
-    folder, random, size = tmp_path_factory.mktemp("array"), np.random.default_rng(1), (48, 64)
+    random, size = np.random.default_rng(1), (48, 64)
     near, far = (scipy.ndimage.gaussian_filter(random.random((96, 112)), 1.0) for _ in range(2))
     at = np.mgrid[: size[0], : size[1]].astype(float)
     for number in range(25):
-        # HCI's disparities: 1 of the square, -1 of the wall; cameras farther to the right see it farther to the left.
+        # HCI's disparities, positive nearer: cameras farther to the right see a near point farther to the left.
         step = np.array([number // 5 - 2, number % 5 - 2])[:, None, None]
         square, wall = (
-            scipy.ndimage.map_coordinates(texture, at + sign * step + 24, order=3)
-            for texture, sign in ((near, 1), (far, -1))
+            scipy.ndimage.map_coordinates(texture, at + shift * step + 24, order=3)
+            for texture, shift in ((near, square_shift), (far, wall_shift))
         )
-        inside = ((at + step >= [[[16]], [[20]]]) & (at + step < [[[32]], [[44]]])).all(axis=0)
+        moved = at + square_shift * step
+        inside = ((moved >= [[[16]], [[20]]]) & (moved < [[[32]], [[44]]])).all(axis=0)
         picture = (np.where(inside, square, wall) - 0.25) * 2
         Image.fromarray(to_bytes(picture.clip(0, 1))).save(folder / f"input_Cam{number:03d}.png")
-    (folder / "parameters.cfg").write_text(
-        "[intrinsics]\nfocal_length_mm = 100.0\nsensor_size_mm = 35.0\n"
-        "[extrinsics]\nnum_cams_x = 5\nnum_cams_y = 5\nbaseline_mm = 40.0\nfocus_distance_m = 4.25\n"
-    )
+    (folder / "parameters.cfg").write_text(parameters)
     return folder
+
+
+@pytest.fixture(scope="module")
+def array_of_cameras(tmp_path_factory):
+    return write_array(tmp_path_factory.mktemp("array"), PARAMETERS)
+
+
+def test_depth_is_sought_where_a_folder_says_that_the_scene_is(tmp_path, run, capfd):
+    """Disparities of 2.4 and -2.2 are beyond those that are sought where nothing is known of the scene."""
+    parameters, disparities = PARAMETERS.replace("40.0", "120"), "[meta]\ndisp_min = -2.2\ndisp_max = 2.4\n"
+    (tmp_path / "a").mkdir()
+    folder = write_array(tmp_path / "a", parameters + disparities, 2.4, -2.2)
+    run("convert", folder, "-o", tmp_path / "a.nc")
+    for source in (folder, tmp_path / "a.nc"):
+        found = depth_map(open_light_field(source))
+        for where, disparity in ((np.s_[22:26, 26:38], 2.4), (np.s_[2:8, 6:58], -2.2)):
+            true = 1000 / (disparity / (100 / 35 * 64 * 0.12) + 1 / 4.25)
+            assert np.mean(found.confidence.values[where] > 0.5) > 0.9
+            assert np.nanmedian(found.depth.values[where]) == pytest.approx(true, rel=0.01)
+    (folder / "parameters.cfg").write_text(PARAMETERS.replace("focus_distance_m = 4.25\n", disparities))
+    words = ["depth", str(folder), "-o", str(tmp_path / "a.exr")]
+    assert main(words) == 0
+    assert f"warning: {folder / 'parameters.cfg'}: it has no focus_distance_m: without it the" in capfd.readouterr().err
+    # Files have this package's sign.
+    found = read_exr_parts(tmp_path / "a.exr")[0]["disparity"]["Y"]
+    assert np.median(found[22:26, 26:38]) == pytest.approx(-2.4, abs=0.02)
+    (folder / "parameters.cfg").write_text(parameters)
+    assert main(words) == 0
+    said = capfd.readouterr().err
+    assert "hardly any bin determines it" in said and "widen the search with --near and --far" in said
 
 
 def test_depth_of_an_array_of_cameras_is_metric(array_of_cameras, tmp_path, run, complaint):
@@ -151,10 +190,15 @@ def test_depth_of_an_array_of_cameras_is_metric(array_of_cameras, tmp_path, run,
         assert np.nanmedian(found.depth.values[where]) == pytest.approx(true, rel=0.01)
     back = tmp_path / "back"
     assert run("convert", array_of_cameras, "-o", back, "--format", "hci").startswith(f"{back}: 5 x 5 views")
-    text = (array_of_cameras / "parameters.cfg").read_text()
-    (back / "parameters.cfg").write_text(text.replace("40.0", "-25"))
-    words = f"{back / 'parameters.cfg'}: baseline_mm = -25: it must be greater than 0"
-    assert complaint("depth", back, "-o", tmp_path / "b.exr") == words
+    for line, wrong, words in (
+        ("baseline_mm = 40.0", "baseline_mm = -25", "baseline_mm = -25: it must be greater than 0"),
+        ("baseline_mm = 40.0", "baseline_mm = abc", "baseline_mm = 'abc': it must be a number"),
+        ("num_cams_x = 5", "num_cams_x = 5.5", "num_cams_x = 5.5: it must be a whole number"),
+        ("num_cams_y = 5", "", "num_cams_y: it is missing"),
+        ("[intrinsics]", "[meta]\ndisp_min = near\n[intrinsics]", "disp_min = 'near': it must be a number"),
+    ):
+        (back / "parameters.cfg").write_text(PARAMETERS.replace(line, wrong))
+        assert complaint("depth", back, "-o", tmp_path / "b.exr") == f"{back / 'parameters.cfg'}: {words}"
 
 
 def test_without_a_camera_disparities_are_found_and_refocused(array_of_cameras, tmp_path, run, complaint):
@@ -176,4 +220,5 @@ def test_without_a_camera_disparities_are_found_and_refocused(array_of_cameras, 
     said = complaint("depth", mosaic, "-o", tmp_path / "no.exr", "--far", 240)
     assert said == "far, a disparity without a camera, = 240: it must be at most 32"
     for name in ("figure.pdf", "sweep.gif"):
-        run("stack", mosaic, "-o", tmp_path / name, "--disparity", -1, "--disparity", 1)
+        said = run("stack", mosaic, "-o", tmp_path / name, "--disparity", -1, "--disparity", 1)
+    assert said.endswith("from -1 to 1 pixels per view and back\n")

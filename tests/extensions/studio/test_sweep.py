@@ -176,7 +176,6 @@ def test_the_dataset_does_not_grow_in_memory(tmp_path, monkeypatch):
         (["--vary", "../x=4"], "grid: '../x' is not a name"),
         (["--vary", "aperture_radius=4,-5"], "aperture_radius = -5: it must be greater than 0"),
         (["--vary", "distance=240,60"], "distance = 60: it must be greater than the focal length 80"),
-        (["--vary", "mla_pitch=0.064,0.128", "--vary", "distance=240"], "images have 128 x 128 pixels and 2 x 2 bins"),
         (["--vary", "wavelength=500"], "--wavelength: a ray capture does not take it"),
         (["--vary", "wavelength=500,-1", "--model", "wave"], "wavelength = -1: it must be greater than 0"),
         (["--vary", "distance=240", "--method", "magic"], "method = 'magic': it must be one of"),

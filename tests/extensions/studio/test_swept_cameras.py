@@ -1,0 +1,227 @@
+"""Cameras in sweeps: each capture is that of the camera with the varied value written into what states it."""
+
+import json
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import xarray as xr
+from cameras import write_scene
+
+from mitsuba_plenoptic import PlenopticCamera, load_scene, read_capture, render_capture, with_camera
+from mitsuba_plenoptic.camera import camera_and_record, varied_camera
+from mitsuba_plenoptic.capture_spec import CaptureSpec
+from mitsuba_plenoptic.extensions.studio.sweep import sweep
+
+pytest.importorskip("h5netcdf")
+
+SHEET = {
+    "f_number": 4, "lenses": 4, "pixels_per_lens": 5, "pixel_size": 0.012, "focal_length": 50, "focus_distance": 240
+}  # fmt: skip
+BY_PITCH = {
+    "f_number": 4, "resolution": 20, "mla_pitch": 0.06, "pixel_size": 0.006, "focal_length": 50, "focus_distance": 240
+}  # fmt: skip
+BY_SIZE = {name: value for name, value in SHEET.items() if name != "lenses"} | {"sensor_size": 0.24}
+MATCHED_PARAMETERS = PlenopticCamera.matched(**SHEET).to_dict()
+
+BALL = """<emitter type="constant"/><shape type="sphere"><point name="center" x="0.5" y="0" z="240"/>
+<float name="radius" value="2"/><bsdf type="diffuse"><texture name="reflectance" type="checkerboard">
+<transform name="to_uv"><scale x="40" y="40"/></transform></texture></bsdf></shape>"""
+
+
+def text_of(camera):
+    return ",".join(f"{name}={value}" for name, value in camera.items())
+
+
+def without(camera, *names):
+    return {name: value for name, value in camera.items() if name not in names}
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """Write a scene of a ball in the plane in focus, whose sensor is none of this package."""
+    path = tmp_path / "ball.xml"
+    path.write_text(
+        '<scene version="3.0.0"><integrator type="path"/><sensor type="perspective">'
+        '<film type="hdrfilm"><string name="pixel_format" value="luminance"/></film></sensor>'
+        f"{BALL}</scene>"
+    )
+    return path
+
+
+@pytest.mark.parametrize(
+    ("stated", "grid", "replaced"),
+    [
+        (SHEET, {"f_number": [2, 4]}, ()),
+        (SHEET, {"pixel_size": [0.008, 0.012]}, ()),
+        (SHEET, {"pixels_per_lens": [4, 5, 6]}, ()),
+        (SHEET, {"lenses": [3, 4]}, ()),
+        (SHEET, {"focus_distance": [210, 280]}, ()),
+        (SHEET, {"focal_length": [40, 60]}, ()),
+        (SHEET, {"mla_distance": [63, 64]}, ("focus_distance",)),
+        (SHEET, {"mla_rotation": [0, 3]}, ()),
+        (SHEET, {"f_number": [4, 8], "focus_distance": [210, 280]}, ()),
+        (SHEET, {"lenses": [3, 4], "pixel_size": [0.01, 0.012], "focal_length": [50, 60]}, ()),
+        (SHEET, {"mla_pitch": [0.05, 0.06]}, ("pixels_per_lens",)),
+        (without(SHEET, "f_number"), {"f_number": [4, 8]}, ()),
+        (without(SHEET, "focal_length", "lenses"), {"focal_length": [40, 50], "lenses": [3, 4]}, ()),
+        (without(BY_PITCH, "f_number", "pixel_size"), {"f_number": [4, 8], "pixel_size": [0.006]}, ()),
+        (BY_PITCH, {"f_number": [4, 8]}, ()),
+        (BY_PITCH, {"mla_pitch": [0.05, 0.06]}, ()),
+        (BY_PITCH, {"resolution": [10, 20]}, ()),
+        (BY_SIZE, {"sensor_size": [0.24, 0.36]}, ()),
+        (BY_SIZE, {"lenses": [3, 4], "f_number": [4, 5]}, ("sensor_size",)),
+        ({"focal_length": 50, "focus_distance": 240}, {"focal_length": [40, 60]}, ()),
+        ({"mla_focal_length": 0.4}, {"mla_focal_length": [0.4, 0.5], "focus_distance": [240]}, ()),
+        ({"mla_distance": 110, "mla_focal_length": 0.4}, {"focus_distance": [240, 280]}, ("mla_distance",)),
+    ],
+)  # fmt: skip
+def test_varied_values_are_stated_before_anything_follows(stated, grid, replaced):
+    """The camera is that of the text ``--camera`` with the value written into it."""
+    for place in range(2):
+        varied = {name: values[min(place, len(values) - 1)] for name, values in grid.items()}
+        single = camera_and_record(text_of(without(stated, *replaced) | varied))[0]
+        assert varied_camera(stated, varied) == single
+        other = {name: values[0] for name, values in grid.items()}
+        assert place == 0 or varied_camera(stated, other) != single
+
+
+@pytest.mark.parametrize(
+    ("varied", "sheet"),
+    [
+        ({"f_number": 5.0}, {"f_number": 5.0}),
+        ({"f_number": 5.0, "focus_distance": 280.0}, {"f_number": 5.0, "focus_distance": 280.0}),
+        ({"focal_length": 60.0, "pixel_size": 0.01}, {"focal_length": 60.0, "pixel_size": 0.01}),
+        ({"lenses": 3}, {"lenses": 3}),
+        ({"sensor_size": 0.36}, {"lenses": 6}),
+        ({"sensor_size": 0.24, "resolution": 40}, {"pixel_size": 0.006, "lenses": 8, "pixels_per_lens": 5}),
+    ],
+)
+def test_a_camera_of_parameters_whose_micro_images_touch_has_a_sheet(varied, sheet):
+    stated = without(MATCHED_PARAMETERS, "mla_distance") | {"focus_distance": 240}
+    found, expected = varied_camera(stated, varied).arguments(), PlenopticCamera.matched(**SHEET | sheet).arguments()
+    for name in ("mla_pitch", "detector_distance", "mla_focal_length", "detector_width", "aperture_radius"):
+        assert found[name] == pytest.approx(expected[name], rel=1e-9), name
+    assert found["resolution"] == expected["resolution"]
+
+
+@pytest.mark.parametrize(
+    ("stated", "grid", "as_file"),
+    [
+        (SHEET, {"f_number": [2, 4], "focus_distance": [210, 280]}, False),
+        (SHEET, {"pixel_size": [0.008, 0.012]}, False),
+        (BY_PITCH, {"mla_pitch": [0.05, 0.06]}, False),
+        (BY_SIZE, {"sensor_size": [0.24, 0.36], "pixels_per_lens": [5, 6]}, True),
+        (without(SHEET, "f_number"), {"f_number": [2, 4], "lenses": [3, 4]}, False),
+    ],
+)
+def test_a_capture_equals_its_own_rendering(stated, grid, as_file, scene, tmp_path, run):
+    camera = tmp_path / "camera.json"
+    camera.write_text(json.dumps(stated))
+    words = [word for name, values in grid.items() for word in ("--vary", f"{name}={','.join(map(str, values))}")]
+    source = camera if as_file else text_of(stated)
+    run("sweep", scene, "-o", tmp_path / "s.nc", "--spp", "2", "--camera", source, *words)
+    with xr.open_dataset(tmp_path / "s.nc", engine="h5netcdf") as made:
+        assert made.capture.dims == (*grid, "row", "column")
+        for point in made.capture.stack(point=list(grid)).transpose("point", ...):
+            values = {name: float(point[name]) for name in grid}
+            single = stated | {name: int(value) if value == int(value) else value for name, value in values.items()}
+            run("render", scene, "-o", tmp_path / "r.exr", "--spp", "2", "--camera", text_of(single))
+            capture = read_capture(tmp_path / "r.exr")
+            rows, columns = capture.image.shape
+            np.testing.assert_array_equal(point.values[:rows, :columns], capture.image)
+            assert np.isnan(point.values[rows:]).all() and np.isnan(point.values[:, columns:]).all()
+            assert capture.image.std() > 0.01
+            assert float(made.pixel_size.sel({name: values[name] for name in made.pixel_size.dims if name in values})
+                         ) == pytest.approx(capture.camera.pixel_size)  # fmt: skip
+
+
+def test_images_of_several_sizes_are_in_one_dataset(tmp_path):
+    """Smaller ones begin at the first pixel, and the rest is no number, in reconstructions as well."""
+    scene = write_scene(tmp_path, BALL, sensor='<float name="detector_width" value="0.128"/>')
+    spec = CaptureSpec(str(scene), camera=MATCHED_PARAMETERS, spp=2)
+    with sweep(spec, {"lenses": [2, 4], "distance": [240]}, tmp_path / "s.nc") as made:
+        assert made.capture.sizes["row"] == 20 and made.reconstruction.sizes["bin_row"] == 4
+        for lenses in (2, 4):
+            pixels = np.isfinite(made.capture.sel(lenses=lenses)).values
+            assert pixels[: 5 * lenses, : 5 * lenses].all() and pixels.sum() == (5 * lenses) ** 2
+            bins = np.isfinite(made.reconstruction.sel(lenses=lenses).squeeze()).values
+            assert bins[:lenses, :lenses].all() and bins.sum() == lenses**2
+
+
+@pytest.mark.parametrize(("colours", "pixel_format"), [("mono", "luminance"), ("mono", "rgb"), ("rgb", "rgb")])
+def test_a_scenes_own_sensor_is_varied_in_what_it_states(tmp_path, colours, pixel_format):
+    """Here the focus, from which another distance of the array follows, and the scene's sampler is kept."""
+    fixed = '<float name="detector_width" value="0.128"/><float name="focus_distance" value="240"/>'
+    fixed += '<sampler type="multijitter"><integer name="sample_count" value="4"/></sampler>'
+    scene = write_scene(tmp_path, BALL, sensor=fixed, pixel_format=pixel_format)
+    spec = CaptureSpec(str(scene), variant=f"llvm_ad_{colours}", spp=4)
+    with sweep(spec, {"focal_length": [60, 70]}, tmp_path / "s.nc") as made:
+        for length in (60, 70):
+            own = f'<float name="focal_length" value="{length}"/>'
+            scene = write_scene(tmp_path, BALL, sensor=fixed + own, pixel_format=pixel_format)
+            mi.set_variant(f"llvm_ad_{colours}")
+            capture = render_capture(load_scene(scene), spp=4)
+            assert capture.camera.focus_distance == pytest.approx(240)
+            np.testing.assert_array_equal(made.capture.sel(focal_length=length).values, capture.image)
+
+
+def test_the_camera_of_another_scene_is_varied_with_its_lens(scene, tmp_path, run):
+    size = '<float name="detector_width" value="0.128"/><float name="focus_distance" value="240"/>'
+    other = write_scene(tmp_path, sensor=f'<string name="main_lens" value="double_gauss"/>{size}')
+    words = ["--camera", other, "--spp", "2", "--vary", "focal_length=60,70"]
+    run("sweep", scene, "-o", tmp_path / "s.nc", *words)
+    camera = "main_lens=double_gauss,detector_width=0.128,focus_distance=240,resolution=[64,64],focal_length=60"
+    run("render", scene, "-o", tmp_path / "r.exr", "--camera", camera, "--spp", "2")
+    with xr.open_dataset(tmp_path / "s.nc", engine="h5netcdf") as made:
+        np.testing.assert_array_equal(made.capture.sel(focal_length=60), read_capture(tmp_path / "r.exr").image)
+
+
+@pytest.mark.parametrize("sensor", ["", '<sensor type="perspective"/>'])
+def test_a_scene_without_a_plenoptic_sensor_states_no_camera(sensor, scene, tmp_path, complaint):
+    other = tmp_path / "other.xml"
+    other.write_text(f'<scene version="3.0.0">{sensor}<shape type="sphere"/></scene>')
+    fault = "sensor of type PerspectiveCamera" if sensor else "it has no sensor; "
+    lines = [complaint("info", other)]
+    lines += [complaint("sweep", scene, "-o", tmp_path / "s.nc", "--camera", other, "--vary", "focal_length=60,70")]
+    for line in lines:
+        assert line.startswith(f"{other}: {fault}") and line.count("other.xml") == line.count("--camera") == 1
+
+
+def test_parameters_of_a_scene_state_its_camera_at_each_of_their_values(tmp_path):
+    sensor = '<float name="aperture_radius" value="$stop"/><float name="detector_width" value="0.128"/>'
+    scene = write_scene(tmp_path, BALL, sensor=sensor)
+    with sweep(CaptureSpec(str(scene), spp=2), {"stop": [3, 5], "mla_pitch": [0.05, 0.06]}, tmp_path / "s.nc") as made:
+        for stop in (3, 5):
+            loaded = load_scene(scene, parameters={"stop": str(stop)})
+            camera = PlenopticCamera.from_sensor(loaded.sensors()[0]).replace(mla_pitch=0.05)
+            image = render_capture(with_camera(loaded, camera), spp=2).image
+            np.testing.assert_array_equal(made.capture.sel(stop=stop, mla_pitch=0.05).values, image)
+
+
+@pytest.mark.parametrize(
+    ("camera", "vary", "words"),
+    [
+        (text_of(SHEET), "apertur_radius=2,4", "has none of that name; did you mean aperture_radius?"),
+        (text_of(SHEET), "f_numbr=2,4", "did you mean f_number?"),
+        (text_of(SHEET), "focus_distnce=2,4", "did you mean focus_distance?"),
+        (text_of(SHEET), "distanse=2,4", "did you mean distance?"),
+        ("paper", "f_number=4,8", "f_number: micro-images of .* mm apart: .*; aperture_radius is focal_length / (2 "),
+        ("phone", "f_number=4,8", "f_number: the camera has no microlens array.*; aperture_radius is"),
+        (text_of(SHEET), "aperture_radius=2,3 f_number=4", "aperture_radius = 2: it follows from f_number and"),
+        (text_of(SHEET), "focus_distance=210 mla_distance=63", "give one of the two"),
+        (text_of(without(SHEET, "lenses")), "f_number=4,8", "lenses, resolution or sensor_size: missing"),
+    ],
+)  # fmt: skip
+def test_mistakes_name_what_works(camera, vary, words, scene, tmp_path, complaint):
+    varied = [word for each in vary.split() for word in ("--vary", each)]
+    said = complaint("sweep", scene, "-o", tmp_path / "s.nc", "--camera", camera, *varied)
+    assert all(part in said for part in words.split(".*")), said
+    assert not (tmp_path / "s.nc").exists()
+
+
+@pytest.mark.parametrize("name", ["capture", "reconstruction", "pixel_size", "bin_size", "row", "column", "bin_row"])
+def test_parameters_of_a_scene_with_the_names_of_the_dataset_are_refused(name, tmp_path, complaint):
+    scene = write_scene(tmp_path, f'<emitter type="constant"><float name="radiance" value="${name}"/></emitter>')
+    said = complaint("sweep", scene, "-o", tmp_path / "s.nc", "--vary", f"{name}=1,2")
+    assert said.startswith(f"grid: {name}: the dataset has a variable or dimension of this name")
