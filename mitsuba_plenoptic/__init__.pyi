@@ -10,6 +10,8 @@ from .camera import PhaseScreen as PhaseScreen
 from .camera import PlenopticCamera as PlenopticCamera
 from .camera import Vignetting as Vignetting
 from .camera import frozen_flow as frozen_flow
+from .detector.record import Detector as Detector
+from .detector.record import expose as expose
 from .errors import InputError as InputError
 from .extensions.calibrate import calibration as calibration
 from .extensions.calibrate.calibration import calibrate as calibrate
@@ -49,11 +51,6 @@ from .io import write_capture as write_capture
 from .io import write_ground_truth as write_ground_truth
 from .io import write_raw as write_raw
 from .lenses.lens_system import LensSystem as LensSystem
-from .light.detector import Detector as Detector
-from .light.detector import expose as expose
-from .light.render_capture import estimate_capture as estimate_capture
-from .light.render_capture import render_capture as render_capture
-from .light.scene import load_scene as load_scene
 from .optics.guards import PhysicsError as PhysicsError
 from .optics.guards import PhysicsWarning as PhysicsWarning
 from .optics.spectrum import Spectrum as Spectrum
@@ -71,6 +68,9 @@ from .report import edge_sharpness as edge_sharpness
 from .runtime import Cluster as Cluster
 from .runtime import Job as Job
 from .runtime import progress_bar as progress_bar
+from .scene.load import load_scene as load_scene
+from .scene.render_capture import estimate_capture as estimate_capture
+from .scene.render_capture import render_capture as render_capture
 from .scene_files import scene_path as scene_path
 from .views import decode as decode
 from .views import ground_truth as ground_truth

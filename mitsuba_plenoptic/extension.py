@@ -178,14 +178,13 @@ GONE = {
 """Commands, options and modules of version 1.0 that are gone, and what serves instead."""
 
 MOVED = {
-    "system": "light",
-    "capture": "light",
+    "system": "fields.optical_system",
+    "capture": "scene.render_capture",
     "reconstruction": "refocus",
     "operator": "points",
     "lightfield": "views",
     "lens_data": "prescription.lens_data",
     "phase_screen": "camera.phase_screen",
-    "detector": "light.detector",
     "sharpness": "report.edge",
     "objective": "prescription.objective",
     "collimator": "prescription.collimator",

@@ -8,11 +8,11 @@ import pytest
 from cases import film, relative
 
 from mitsuba_plenoptic import CaptureOperator, Objective, PlenopticCamera, Vignetting, render_capture, scene_path
+from mitsuba_plenoptic.array import Conic
 from mitsuba_plenoptic.lenses.fitted_lens import FittedLens
 from mitsuba_plenoptic.lenses.pupil import Pupil
 from mitsuba_plenoptic.lenses.pupil_fit import PupilRays, Pupils, fit_pupil
 from mitsuba_plenoptic.lenses.thin import ThinLens
-from mitsuba_plenoptic.microlens import Conic
 
 _SCENE = """<scene version="3.0.0">
 <integrator type="path"/>

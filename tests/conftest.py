@@ -69,14 +69,14 @@ def no_progress_lines(monkeypatch):
 def short_trials(monkeypatch):
     """Have estimates of time, which come from trials, try a few point spreads or one pass of rays only."""
     monkeypatch.setattr("mitsuba_plenoptic.points.patch_plan._TRIAL_SECONDS", 0.0)
-    monkeypatch.setattr("mitsuba_plenoptic.light.capture_cost._SECONDS", 1e-9)
+    monkeypatch.setattr("mitsuba_plenoptic.scene.capture_cost._SECONDS", 1e-9)
 
 
 @pytest.fixture
 def trials_of_a_second(monkeypatch):
     """Have every trial of an estimate by waves last a second, however fast the machine is."""
     clock = SimpleNamespace(perf_counter=itertools.count(1.0).__next__)
-    for name in ("points.patch_plan", "points.full_field", "light.capture_cost"):
+    for name in ("points.patch_plan", "points.full_field", "scene.capture_cost"):
         monkeypatch.setattr(f"mitsuba_plenoptic.{name}.time", clock)
 
 

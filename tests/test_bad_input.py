@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.array.shape import known_shape
 from mitsuba_plenoptic.calibration import read_camera
 from mitsuba_plenoptic.camera.aperture import known_image
 from mitsuba_plenoptic.camera.phase_screen import known_screen
@@ -25,7 +26,6 @@ from mitsuba_plenoptic.extensions.calibrate.observations import read_centres, re
 from mitsuba_plenoptic.extensions.onchip.photodiode_response import known_response
 from mitsuba_plenoptic.extensions.raw.hci import read_hci
 from mitsuba_plenoptic.extensions.studio.sweep import read_grid
-from mitsuba_plenoptic.microlens.shape import known_shape
 from mitsuba_plenoptic.optics.spectrum import read_responses
 from mitsuba_plenoptic.prescription.lens_file import read_lens, read_prescription
 from mitsuba_plenoptic.views import depth_map, focal_stack, refocus, white_image

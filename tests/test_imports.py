@@ -79,7 +79,7 @@ def test_ipython_completes_public_names_and_modules_alone():
 
 @pytest.mark.parametrize(
     ("former", "now"),
-    [("lightfield", "views"), ("detector", "light.detector"), ("objective", "prescription.objective")],
+    [("lightfield", "views"), ("detector", "detector.record"), ("objective", "prescription.objective")],
 )
 def test_modules_of_1_0_say_what_they_are_called_now(python, former, now):
     importlib.import_module(f"mitsuba_plenoptic.{now}")

@@ -30,7 +30,7 @@ WAVELENGTH = 550.0
 BUILT = {
     "thin lenses": ("lenses/thin.py", "__post_init__"),
     "checks": ("camera/plenoptic_camera.py", "require_whole"),
-    "lattices": ("lattice/arrangement.py", "make_lattice"),
+    "lattices": ("array/arrangement.py", "make_lattice"),
 }
 """What is counted, by the file and the name of the function that makes it."""
 

@@ -18,6 +18,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from ..array.sampled_grid import read_samples
 from ..errors import (
     FULL_TURN,
     InputError,
@@ -30,7 +31,6 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
-from ..microlens.sampled_grid import read_samples
 from ..runtime import drjit_array, module_of, read_json_value, select
 
 _BLADES = 3, 64

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ..array import NO_LATTICE, Displacement, Lattice, make_lattice
 from ..errors import InputError, refuse_if
-from ..lattice import NO_LATTICE, Displacement, Lattice, make_lattice
 from ..prescription import Prescription
 from ..prescription.collimator import Collimator
 from ..prescription.lens_data import THIN, LensData, defocus_factor, even_count

@@ -9,9 +9,9 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from ..array import Lattice
+from ..array.sampled_grid import read_samples
 from ..errors import put, refuse_if, require_count, require_pair, suggest_keywords
-from ..lattice import Lattice
-from ..microlens.sampled_grid import read_samples
 from ..runtime import drjit_array, module_of, select
 from .aperture import known_table
 

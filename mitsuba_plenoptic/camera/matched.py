@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from ..array import LATTICES
 from ..errors import (
     MOST_PIXELS,
     InputError,
@@ -20,7 +21,6 @@ from ..errors import (
     require_pair,
     short_repr,
 )
-from ..lattice import LATTICES
 
 MATCHED = ("f_number", "lenses", "pixels_per_lens", "pixel_size", "sensor_size")
 """Arguments that a camera has not, and that state it together with the main lens's focal length and its focus."""

@@ -13,6 +13,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from ..array import APERTURES, LATTICES, NO_LATTICE
+from ..array.shape import MicrolensShape, known_shape
 from ..errors import (
     FULL_TURN,
     LEAST_FILL,
@@ -33,8 +35,6 @@ from ..errors import (
     require_wavefront,
 )
 from ..extension import entries, place
-from ..lattice import APERTURES, LATTICES, NO_LATTICE
-from ..microlens.shape import MicrolensShape, known_shape
 from ..prescription import Glass
 from ..prescription.glass import known_glass
 from ..prescription.lens_data import LensData
@@ -187,7 +187,7 @@ class CoreParameters:
         default="square",
         check=partial(require_choice, choices=ChainMap[str, Any]({NO_LATTICE: None}, LATTICES)),
         words=(
-            "Arrangement of the microlenses, see `mitsuba_plenoptic.lattice`. ``square``: the corner of four lenses "
+            "Arrangement of the microlenses, see `mitsuba_plenoptic.array`. ``square``: the corner of four lenses "
             "is on the axis. ``hexagonal``: rows along x, every second one offset by half a pitch; the centre of a "
             "lens is on the axis. Either covers the whole plane. ``none``: an ordinary camera without an array, whose "
             "detector is at `mla_distance`; it takes no parameter of an array or of its pixels' optics."
@@ -300,7 +300,7 @@ class CoreParameters:
         default=None,
         check=lambda _, value: known_shape(value),
         words=(
-            "Shape of the microlenses, see `mitsuba_plenoptic.microlens`: a sphere, conic, asphere, a sampled surface "
+            "Shape of the microlenses, see `mitsuba_plenoptic.array`: a sphere, conic, asphere, a sampled surface "
             "or phase, or a diffractive lens, as a JSON file or its text, in Python also as an object or a dictionary. "
             "`mla_focal_length` follows from it, and rays refract at it exactly in either `lens_model`."
         ),
@@ -408,7 +408,7 @@ class CoreParameters:
         words=(
             "Standard deviations of what is irregular in the array: of the lenses' positions along x and along y, in "
             "millimetres and at most 0.1 of the pitch, and of their focal lengths, relative and at most 0.1; see "
-            "`mitsuba_plenoptic.light.lens_kinds`."
+            "`mitsuba_plenoptic.fields.lens_kinds`."
         ),
         form=Form.PLACE,
         of_array=True,
@@ -433,7 +433,7 @@ class CoreParameters:
         words=(
             "Root mean square in millimetres of a random path that errors of the microlenses' surfaces add to light, "
             "and its correlation length in millimetres along the array; see "
-            "`mitsuba_plenoptic.light.lens_kinds.FigureError`."
+            "`mitsuba_plenoptic.fields.lens_kinds.FigureError`."
         ),
         form=Form.PLACE,
         of_array=True,

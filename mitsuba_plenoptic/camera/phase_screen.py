@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..array.sampled_grid import COUNTS, SampledGrid, known_samples, phases, read_samples
 from ..errors import (
     WAVEFRONT_UNIT,
     InputError,
@@ -24,7 +25,6 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
-from ..microlens.sampled_grid import COUNTS, SampledGrid, known_samples, phases, read_samples
 from ..runtime import read_json_value
 
 _MILLIMETRES = WAVEFRONT_UNIT * 1e-6

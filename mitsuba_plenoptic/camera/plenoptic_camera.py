@@ -14,6 +14,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from ..array import LATTICES, NO_LATTICE, Displacement
+from ..array.shape import focal_length_of, require_cover
 from ..errors import (
     MOST_JITTER,
     MOST_WARP,
@@ -32,8 +34,6 @@ from ..errors import (
     suggest_keywords,
 )
 from ..extension import Displayed, missing
-from ..lattice import LATTICES, NO_LATTICE, Displacement
-from ..microlens.shape import focal_length_of, require_cover
 from ..prescription.lens_data import SINGLE, THIN, LensData, image_distance
 from ..presets import PRESETS
 from .documentation import numpy_section, signature

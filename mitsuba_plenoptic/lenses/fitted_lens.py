@@ -25,9 +25,9 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from ..array import turn
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
-from ..lattice import turn
 from ..optics.waves import in_millimetres
 from ..runtime import drjit_array, single_threaded_blas
 from .lens_system import LensSystem

@@ -10,22 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Use, has_small_lenses, require_support
+from ..detector.operator import SHARP
 from ..errors import InputError, naming, refuse_if, require_accuracy
 from ..extension import hook
-from ..light import colour
-from ..light.detector_operator import SHARP
-from ..light.lens_kinds import regular_array
-from ..light.render_capture import require_wave_film
-from ..light.scene import GONE_PARAMETERS
-from ..light.scene_light import LightDerivatives, SceneLight
-from ..light.signed_camera import require_parameters
-from ..light.signed_capture import SignedCapture, SignedGradients
-from ..optics import guards
+from ..fields.lens_kinds import regular_array
+from ..optics import colour, guards
 from ..optics.spectrum import Spectrum
 from ..points.accuracy import DEFAULT_ACCURACY
 from ..points.derivatives import DIFFERENTIABLE
 from ..points.scene_points import PointsCapture, require_matte
 from ..runtime import Cost, Job
+from ..scene.load import GONE_PARAMETERS
+from ..scene.radiance import LightDerivatives, SceneLight
+from ..scene.render_capture import require_wave_film
+from ..waves.signed_camera import require_parameters
+from ..waves.signed_capture import SignedCapture, SignedGradients
 from .properties import (
     NAME,
     SHARED,

@@ -7,10 +7,10 @@ import numpy as np
 
 from ..camera import PlenopticCamera, require_camera
 from ..errors import refuse_if, warn
-from ..light.render_capture import numbered_sensor, require_active
-from ..light.scene import loading, with_objects
-from ..light.scene_light import warn_of_metres
 from ..runtime import one_at_a_time
+from ..scene.load import loading, with_objects
+from ..scene.radiance import warn_of_metres
+from ..scene.render_capture import numbered_sensor, require_active
 
 _WITHOUT_PLACE = ("Batch", "Distant")
 """First parts of the class names of sensors that are at several places, or at infinity."""

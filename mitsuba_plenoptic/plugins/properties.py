@@ -30,10 +30,7 @@ from ..errors import (
     short_repr,
 )
 from ..extension import missing
-from ..light import colour
-from ..light.scene import unknown_parameter
-from ..light.scene_light import require_medium_seen
-from ..light.signed_colours import SignedColours
+from ..optics import colour
 from ..optics.spectrum import (
     MOST_WAVELENGTHS,
     RGB_WAVELENGTHS,
@@ -45,6 +42,9 @@ from ..optics.spectrum import (
     read_responses,
 )
 from ..runtime import drjit_array, require_unfrozen
+from ..scene.load import unknown_parameter
+from ..scene.radiance import require_medium_seen
+from ..waves.signed_colours import SignedColours
 
 
 def read_plain(props: Any, name: str, default: Any) -> Any:

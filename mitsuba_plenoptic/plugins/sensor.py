@@ -11,17 +11,17 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PARAMETERS, Captures, Form, PlenopticCamera, film_numbers, with_sensor_parameters
+from ..detector.film import behind_detector
+from ..detector.operator import DetectorOperator
 from ..errors import InputError, refuse_if
 from ..extension import entries, place
 from ..lenses.common import main_lens
 from ..lenses.pupil import Pair
 from ..lenses.real_lens import RealLens
-from ..light.detector_operator import DetectorOperator
-from ..light.scene_light import world_ray
 from ..optics.rays import pixel_response
+from ..rays.sensor_rays import CameraRays, rays_of
 from ..runtime import require_unfrozen
-from .camera_rays import CameraRays, rays_of
-from .detector_film import behind_detector
+from ..scene.radiance import world_ray
 from .properties import read_camera, require_read
 
 NAME = "plenoptic"

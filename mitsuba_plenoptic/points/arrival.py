@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Vignetting
 from ..errors import refuse_if
+from ..fields.microlenses import diffraction, scattering
+from ..fields.optical_system import OpticalSystem, is_paraxial
 from ..lenses.closed_lens import ClosedLens
 from ..lenses.common import cone
 from ..lenses.main_lens import PointLight
 from ..lenses.pupil_fit import ExitPupil
 from ..lenses.thin import ThinLens
-from ..light.microlenses import diffraction, scattering
-from ..light.optical_system import OpticalSystem, is_paraxial
-from ..light.sampling import Footprint, bundle_footprint, footprint
 from ..optics import guards
 from ..optics.waves import advance, band_edge_fraction, fraction, in_millimetres, phasor, power, rim, soft_edge
 from ..runtime import active_backend, check_memory, fft
 from .pupil_weights import PupilWeights
+from .sampling import Footprint, bundle_footprint, footprint
 from .seen_pupil import SeenPupil
 
 _WINDOW_MARGIN = 1.2

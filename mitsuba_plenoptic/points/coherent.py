@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import refuse_if
+from ..fields.optical_system import OpticalSystem
 from ..lenses.main_lens import MainLens
-from ..light.optical_system import OpticalSystem
-from ..light.sampling import Footprint, footprint
 from ..optics.waves import advance
 from ..runtime import active_backend, as_array, check_memory, fft
 from .arrival import FieldGrids, SampledField, at_mla, blocks, grids_around
@@ -27,6 +26,7 @@ from .carriers import PupilGrid
 from .full_field import detector_spectrum, pass_brightness, pass_microlenses, pixel_integrals
 from .nonuniform import POINT_BYTES, embedded, taken
 from .pupil_sums import Layer, carrier_type, layers
+from .sampling import Footprint, footprint
 
 PLANES = ("pupil", "array", "detector")
 """Planes in which fields are computed: just behind the main lens, just before the microlenses, and on the detector."""

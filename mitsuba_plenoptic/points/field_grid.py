@@ -16,16 +16,16 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from ..array import turn
 from ..camera import PlenopticCamera
-from ..lattice import turn
+from ..fields.microlens_orders import MicrolensArray
+from ..fields.microlenses import diffraction, repetition, scattering, upright
+from ..fields.optical_system import OpticalSystem
 from ..lenses.common import cone
 from ..lenses.main_lens import MainLens
-from ..light.microlens_orders import MicrolensArray
-from ..light.microlenses import diffraction, repetition, scattering, upright
-from ..light.optical_system import OpticalSystem
-from ..light.sampling import footprint
 from ..optics.waves import in_millimetres
 from ..runtime import fft
+from .sampling import footprint
 
 _PITCH_PER_PIXEL = 1.1
 """Largest distance of samples over a pixel, within `_FINER`: larger pixels average the fringes of steep light."""

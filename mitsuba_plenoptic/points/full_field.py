@@ -28,9 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..fields.microlenses import transmission
+from ..fields.optical_system import OpticalSystem, is_paraxial
 from ..lenses.closed_lens import ClosedLens
-from ..light.microlenses import transmission
-from ..light.optical_system import OpticalSystem, is_paraxial
 from ..optics import guards
 from ..optics.waves import advance, in_millimetres, power
 from ..runtime import BatchMap, Box, Cost, Job, Part, PartialSum, active_backend, check_memory, fft

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
-from ..light.optical_system import OpticalSystem
+from ..fields.optical_system import OpticalSystem
 from ..optics.spectrum import Spectrum
 from ..runtime import POINTS, Job, as_array
 from .pupil_weights import PupilWeights

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import NOT_ROUND, PlenopticCamera, Round, Use, require_support
+from ..detector.operator import SHARP, DetectorOperator
 from ..errors import InputError, refuse_if, require_choice, require_flag, require_wavelength, suggest_keywords
+from ..fields.lens_kinds import regular_array
+from ..fields.optical_system import OpticalSystem
 from ..io import digest
-from ..light.detector_operator import SHARP, DetectorOperator
-from ..light.lens_kinds import regular_array
-from ..light.optical_system import OpticalSystem
-from ..light.sampling import check_positions
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime import Cost, Job, LongSum, SumTask, one_at_a_time
@@ -28,6 +27,7 @@ from .full_field import FullFieldPlan
 from .mixing import SpectralSum, WavelengthPlans, WeightChannels, mix
 from .patch_plan import PatchPlan
 from .pupil_weights import PupilWeights
+from .sampling import check_positions
 
 PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan}
 """Methods of computing point spreads at one wavelength, by name: the types of their plans.

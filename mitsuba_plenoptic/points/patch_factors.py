@@ -16,10 +16,10 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lattice import turn
+from ..array import turn
+from ..fields.microlens_orders import ArrayFactor, VaryingArrayFactor
 from ..lenses.fitted_lens import VaryingLens, VaryingLight
 from ..lenses.main_lens import Light, MainLens
-from ..light.microlens_orders import ArrayFactor, VaryingArrayFactor
 from ..optics.waves import in_millimetres, phasor, smooth_edge, soft_edge, transfer
 from ..runtime import array_module, drjit_array, fft, is_zero, on_cuda
 from .field_grid import Grid, Placement

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..light.optical_system import OpticalSystem
+from ..fields.optical_system import OpticalSystem
 from ..optics import guards
 from ..runtime import BatchMap, Box, Cost, Job, Part, PartialSum, active_backend, backend_of, check_memory, fft, on_cuda
 from .accuracy import ZONES, band_for, find_patterns, wavefront_step

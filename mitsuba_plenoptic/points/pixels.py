@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..lattice import turn
+from ..array import turn
 from ..runtime import Backend, backend_of, drjit_array, fft
 
 HALF_WIDTH = 6

@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Use, require_camera, require_support
 from ..errors import InputError, refuse_if, require_choice, require_wavelength, suggest_keywords
-from ..light.lens_kinds import regular_array
-from ..light.optical_system import OpticalSystem
-from ..light.sampling import check_positions
+from ..fields.lens_kinds import regular_array
+from ..fields.optical_system import OpticalSystem
 from ..optics import guards
 from ..runtime import POINTS, Job, Threads, as_array, one_at_a_time
 from . import full_field
 from .full_field import PointFields
 from .operator import CaptureOperator
 from .ray_spread import ray_spread
+from .sampling import check_positions
 
 
 @suggest_keywords

@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..fields.optical_system import OpticalSystem
 from ..lenses.thin import ThinLens
-from ..light.optical_system import OpticalSystem
 from ..optics.waves import in_millimetres, phasor, soft_edge
 from ..runtime import active_backend, array_module, fft
 from .arrival import blocks

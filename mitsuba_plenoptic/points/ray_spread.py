@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Use, require_support
-from ..light.detector_operator import DetectorOperator
-from ..light.optical_system import OpticalSystem
-from ..light.walk import Passage, Walk
+from ..detector.operator import DetectorOperator
+from ..fields.optical_system import OpticalSystem
+from ..rays.tracer import Passage, Walk
 from .scene_points import sample_pairs
 
 _RAYS = 2**21

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ..array import turn
 from ..camera import PlenopticCamera
-from ..lattice import turn
 from ..runtime import Box, active_backend
 from .field_grid import Grid
 from .pixels import PixelIntegrals, TurnedSamples

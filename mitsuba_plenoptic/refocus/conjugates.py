@@ -23,13 +23,13 @@ from scipy import ndimage
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, argument
+from ..fields.optical_system import OpticalSystem, is_paraxial
 from ..lenses.fitted_lens import FAR, FittedLens
 from ..lenses.main_lens import Light
 from ..lenses.pupil import Pair
 from ..lenses.pupil_fit import Pupils
 from ..lenses.real_lens import RealLens
 from ..lenses.thin import ThinLens
-from ..light.optical_system import OpticalSystem, is_paraxial
 from ..optics.waves import in_millimetres
 from ..runtime import array_module
 

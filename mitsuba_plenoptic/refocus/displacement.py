@@ -30,9 +30,9 @@ from scipy.ndimage import map_coordinates
 
 from ..camera import PlenopticCamera
 from ..design import focus_type
-from ..light.walk import follow_back
 from ..optics import rays
 from ..optics.waves import in_millimetres, soft_edge
+from ..rays.tracer import follow_back
 from ..runtime import require_memory
 
 _PLANE = 8

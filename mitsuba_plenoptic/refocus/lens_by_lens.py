@@ -31,8 +31,8 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..design import focus_type
-from ..light.lens_kinds import irregularities
-from ..light.optical_system import OpticalSystem, is_paraxial
+from ..fields.lens_kinds import irregularities
+from ..fields.optical_system import OpticalSystem, is_paraxial
 from ..optics import guards, rays
 from ..optics.waves import advance, in_millimetres, parabola, phasor, soft_edge
 from ..runtime import active_backend, check_memory, drjit_array, fft, single_threaded_blas

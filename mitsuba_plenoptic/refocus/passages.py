@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..light.optical_system import is_paraxial
+from ..fields.optical_system import is_paraxial
 from ..optics.waves import advance, in_millimetres, parabola, phasor
 from ..runtime import active_backend, drjit_array, fft
 from .planning import AxisStep, Directions, LensAxis, Step

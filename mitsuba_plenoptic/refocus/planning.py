@@ -42,7 +42,7 @@ from scipy.special import j0, j1
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
-from ..light.microlenses import bend
+from ..fields.microlenses import bend
 from ..optics import guards, rays
 from ..optics.waves import in_millimetres
 from ..runtime import check_memory, fft, work_limit

@@ -21,8 +21,8 @@ from scipy.sparse import csr_matrix
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint, pixel_footprint
 from ..errors import refuse_if
-from ..light.walk import follow_back
 from ..optics import rays
+from ..rays.tracer import follow_back
 from ..runtime import array_module, drjit_array, require_memory
 from .splatting import Splat
 

@@ -31,10 +31,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter, uniform_filter
 
+from ..array import Displacement
+from ..array.lens_shifts import WARP_POWERS
 from ..camera import PlenopticCamera
-from ..lattice import Displacement
-from ..lattice.lens_shifts import WARP_POWERS
-from ..light.lens_kinds import regular_array
+from ..fields.lens_kinds import regular_array
 from ..views import white_image
 from .methods import once_a_camera
 

@@ -54,8 +54,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..light.microlenses import is_separable, transmission
-from ..light.optical_system import OpticalSystem, is_paraxial
+from ..fields.microlenses import is_separable, transmission
+from ..fields.optical_system import OpticalSystem, is_paraxial
 from ..optics import guards, rays
 from ..optics.waves import parabola, phasor, power, soft_edge
 from ..runtime import active_backend, array_module, check_memory, fft, work_limit

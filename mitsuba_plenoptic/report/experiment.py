@@ -18,9 +18,9 @@ from ..capture_spec import CaptureSpec
 from ..choices import Against
 from ..errors import naming, refuse_if, require_choice
 from ..io import Cache, Capture, Checkpoint, Progress, StageOptions
-from ..light.render_capture import pass_counts
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, reconstruct, require_distances
+from ..scene.render_capture import pass_counts
 from .images import luminance
 
 

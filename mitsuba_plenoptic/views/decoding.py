@@ -12,8 +12,8 @@ import xarray as xr
 from ..camera import PlenopticCamera, Use, are_alike, require_camera, require_support
 from ..design.microscope import objective_of
 from ..errors import InputError, refuse_if, short_repr, suggest_keywords
+from ..fields.lens_kinds import regular_array
 from ..io import TRUTH_COORDINATES, Capture, GroundTruth, channel_planes, require_demosaiced
-from ..light.lens_kinds import regular_array
 from ..runtime import as_pixels, require_memory
 from .coordinates import DIMS, light_field
 from .fourier_views import decode_views

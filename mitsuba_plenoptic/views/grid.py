@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..array.lens_shifts import WARP_POWERS, Displacement
 from ..camera import PlenopticCamera, Use, require_support
 from ..errors import MOST_PIXELS, put, refuse_if, require_count, require_number, require_pair, require_warp
-from ..lattice.lens_shifts import WARP_POWERS, Displacement
 from ..optics import rays
 from ..runtime import require_memory
 

@@ -13,10 +13,10 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..choices import QUANTITIES
 from ..errors import refuse_if, suggest_keywords
+from ..fields.lens_kinds import regular_array
 from ..io import GroundTruth, require_quantities
-from ..light.lens_kinds import regular_array
-from ..light.render_capture import plenoptic_sensor
 from ..runtime import drjit_array, one_at_a_time, require_memory
+from ..scene.render_capture import plenoptic_sensor
 from .coordinates import lens_places, pupil_places
 from .decoding import view_window
 from .grid import bin_grid, lens_grid

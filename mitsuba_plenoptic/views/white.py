@@ -15,16 +15,16 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from ..array.lens_shifts import hashed
 from ..camera import Opening, PlenopticCamera, Round, Use, are_alike, require_support
 from ..design import crosstalk_neighbours
+from ..detector.operator import DetectorOperator
 from ..errors import InputError, refuse_if, short_repr, warn
+from ..fields.lens_kinds import regular_array
 from ..io import Capture, recording_of, require_demosaiced
-from ..lattice.lens_shifts import hashed
-from ..light.detector_operator import DetectorOperator
-from ..light.lens_kinds import regular_array
-from ..light.random_numbers import even_steps
-from ..light.walk import Passage, Walk, detector_rows
 from ..optics import rays
+from ..rays.random_numbers import even_steps
+from ..rays.tracer import Passage, Walk, detector_rows
 from ..runtime import array_module, as_pixels, fft, require_memory
 from .grid import LensGrid, lens_indices, lens_numbers, lens_types, micro_image_centres
 

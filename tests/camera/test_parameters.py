@@ -317,7 +317,7 @@ def test_a_parameter_is_one_entry_and_a_formula(tmp_path):
     page = (ROOT / "docs" / "reference" / "develop" / "extending.md").read_text()
     entry = re.search(r"```py\n(    temperature.*?)```", page, re.DOTALL)[1]
     before, after = re.search(r"```diff\n-(.*\n)\+(.*\n)```", page).groups()
-    table, formula = Path("camera/parameters.py"), Path("plugins/camera_rays.py")
+    table, formula = Path("camera/parameters.py"), Path("rays/sensor_rays.py")
     copy = tmp_path / PACKAGE.name
     shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
     for path, old, new in ((table, _END, f"{entry}{_END}"), (formula, before, after)):

@@ -8,11 +8,11 @@ import pytest
 from cameras import thin_as_real
 
 from mitsuba_plenoptic import LensSystem, PlenopticCamera
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.lenses.common import inverse_distance, path_change
 from mitsuba_plenoptic.lenses.pupil import Pupil
 from mitsuba_plenoptic.lenses.pupil_fit import ExitPupil
 from mitsuba_plenoptic.lenses.thin import ThinLens
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.accuracy import band_for
 from mitsuba_plenoptic.points.field_grid import Grid, place
 from mitsuba_plenoptic.points.patch import PatchBatch

@@ -8,8 +8,8 @@ from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.lenses.common import main_lens, path_change
 from mitsuba_plenoptic.lenses.pupil import Pupil
 from mitsuba_plenoptic.lenses.thin import ThinLens
-from mitsuba_plenoptic.light.sampling import footprint
 from mitsuba_plenoptic.points.point_spread import point_fields
+from mitsuba_plenoptic.points.sampling import footprint
 
 WAVELENGTH, LAMBDA = 633.0, 633e-6
 LENS = ThinLens(80.0, Pupil(5.0, 120.0), "parabolic")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.lenses.fitted_lens import open_area, open_area_slopes
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
 
 HEIGHTS = np.array([0.0, 4.0, 8.0, 10.0])
 POINTS = np.column_stack([0 * HEIGHTS, -HEIGHTS * 118 / 60, 118.0 + 0 * HEIGHTS])

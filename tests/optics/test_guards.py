@@ -14,10 +14,10 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.exr import read_exr
 from mitsuba_plenoptic.optics import guards
 from mitsuba_plenoptic.optics.waves import propagate
-from mitsuba_plenoptic.plugins.camera_rays import Candidates
 from mitsuba_plenoptic.points import arrival as full_field_grids
 from mitsuba_plenoptic.points import patch_plan
 from mitsuba_plenoptic.points.field_grid import Band
+from mitsuba_plenoptic.rays.sensor_rays import Candidates
 from mitsuba_plenoptic.refocus import write_reconstruction
 
 WAVELENGTH = 633.0

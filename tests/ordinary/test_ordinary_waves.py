@@ -21,8 +21,8 @@ from scipy.special import j0, j1
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError
-from mitsuba_plenoptic.light.pixel_draws import PixelDraws
-from mitsuba_plenoptic.light.pupil_diffraction import PupilDiffraction
+from mitsuba_plenoptic.waves.pixel_draws import PixelDraws
+from mitsuba_plenoptic.waves.pupil_diffraction import PupilDiffraction
 from tools.bench.cases.ordinary_cameras import noisy_scene
 
 

@@ -6,7 +6,7 @@ import pytest
 from cameras import sky, white
 
 from mitsuba_plenoptic import PlenopticCamera, design
-from mitsuba_plenoptic.light.lens_kinds import irregularities
+from mitsuba_plenoptic.fields.lens_kinds import irregularities
 
 CAMERA = PlenopticCamera(resolution=(512, 512), detector_width=1.024)
 

@@ -6,7 +6,7 @@ import pytest
 from cameras import TABLE, UNEVEN, WAVELENGTH, error
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, Vignetting, render_capture
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.units import radiance_weight
 
 FITTED = PlenopticCamera(

@@ -5,8 +5,8 @@ import pytest
 from cameras import HALF, WAVELENGTH, error, scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.lenses.fitted_lens import lens_change
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
 
 POINT = np.array((0.03, -0.02, 115.0))
 

@@ -5,7 +5,7 @@ import pytest
 from cameras import HALF, LATTICES, WAVELENGTH, error, in_every_lens, small_camera
 
 from mitsuba_plenoptic import CaptureOperator
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.points import accuracy
 from mitsuba_plenoptic.points.derivatives import DIFFERENTIABLE, plan
 

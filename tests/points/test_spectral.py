@@ -7,7 +7,7 @@ from cameras import error
 from cases import line
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, Spectrum, render_capture
-from mitsuba_plenoptic.light import colour
+from mitsuba_plenoptic.optics import colour
 from mitsuba_plenoptic.points.mixing import SpectralSum, WeightChannels
 from mitsuba_plenoptic.points.spectral import with_enough_nodes
 

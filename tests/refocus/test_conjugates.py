@@ -5,7 +5,7 @@ import pytest
 from cameras import WAVELENGTH, small_camera, thin_as_real
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, reconstruct
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.refocus.conjugates import RealConjugates
 from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens
 from mitsuba_plenoptic.refocus.wave_methods import reconstruct_subsets

@@ -7,10 +7,10 @@ from cases import facing, radiating, scene_of, sensor
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, load_scene, render_capture
-from mitsuba_plenoptic.light.lens_kinds import LensKinds
-from mitsuba_plenoptic.light.phase_space import PhaseSpace
-from mitsuba_plenoptic.light.signed_camera import require_parameters
-from mitsuba_plenoptic.microlens import Conic
+from mitsuba_plenoptic.array import Conic
+from mitsuba_plenoptic.fields.lens_kinds import LensKinds
+from mitsuba_plenoptic.waves.phase_space import PhaseSpace
+from mitsuba_plenoptic.waves.signed_camera import require_parameters
 
 HUGE_PUPIL = PlenopticCamera(aperture_radius=2000.0, detector_width=0.128, resolution=(64, 64))
 STEEP_LENSES = PlenopticCamera(detector_width=0.128, resolution=(64, 64), mla_shape=Conic(0.25, 0.0, (3e3,)))

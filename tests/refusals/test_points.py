@@ -9,9 +9,9 @@ from cameras import CODE, HALF, TABLE, WAVELENGTH, scattered, sky, small_camera
 from cases import PANES, THIN_FOG, facing, radiating, sensor
 
 import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.lenses.pupil_fit import ExitPupil
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.prescription.lens_data import LensData
 
 SMALL = small_camera()

@@ -9,7 +9,7 @@ import pytest
 from cameras import HALF, WAVELENGTH, small_camera
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.refocus import Volume
 from mitsuba_plenoptic.refocus.conjugates import RealConjugates
 from mitsuba_plenoptic.views import white_image

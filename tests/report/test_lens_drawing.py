@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera
+from mitsuba_plenoptic.array import ZoneLens
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.microlens import ZoneLens
 from mitsuba_plenoptic.report.lens_drawing import draw_main_lens, field_figures, lateral_colour, ray_paths, spot
 from mitsuba_plenoptic.report.microlens_drawing import draw_microlens
 from mitsuba_plenoptic.report.plots import Plot

@@ -14,10 +14,10 @@ from stopped_runs import StoppedError, stopped_before
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.extensions.inverse.differentiable import CoherentRefocus
-from mitsuba_plenoptic.light.convolution import Convolution
 from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.runtime import backend as _backend
+from mitsuba_plenoptic.waves.convolution import Convolution
 
 # The inputs are random: the field fills its window, and the captures have light beside the micro-images.
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")

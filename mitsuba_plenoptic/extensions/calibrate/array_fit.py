@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.optimize
 
+from ...array.lens_shifts import WARP_POWERS, Displacement
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...lattice.lens_shifts import WARP_POWERS, Displacement
 from ...views import LensGrid
 
 

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from ...array.arrangement import Lattice
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import refuse_if
-from ...lattice.arrangement import Lattice
 from .adjustment import Adjusted
 from .board_model import AT, Observations
 from .observations import placed

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from ...detector.record import Detector
 from ...errors import refuse_if, require_count, suggest_keywords
-from ...light.detector import Detector
 from ...runtime import IMAGE, as_array
 
 _ORDERS = 2, 4, 6

@@ -9,8 +9,8 @@ import numpy as np
 import scipy.ndimage
 
 from ...camera import PlenopticCamera
+from ...detector.operator import SHARP
 from ...errors import refuse_if
-from ...light.detector_operator import SHARP
 from ...runtime import single_threaded_blas
 from .array_fit import ArrayFit, fit_array, lattice_index, places, require_alike
 from .field_fit import ZONE_LENSES, FieldNumbers, FieldZones, Judgement, WhiteRecording

@@ -10,9 +10,9 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from scipy.spatial import cKDTree
 
-from ...light.render_capture import render_capture
 from ...report import pages, plots
 from ...runtime import set_variant
+from ...scene.render_capture import render_capture
 from .white_fit import WhiteFit
 
 _LENSES = 12

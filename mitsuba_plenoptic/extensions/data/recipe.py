@@ -14,6 +14,7 @@ import numpy as np
 
 from ... import choices
 from ...camera import MATCHED, PARAMETERS, PlenopticCamera
+from ...detector.record import Detector
 from ...errors import (
     InputError,
     naming,
@@ -25,11 +26,10 @@ from ...errors import (
     short_repr,
 )
 from ...io import require_quantities
-from ...light.detector import Detector
-from ...light.render_capture import MOST_SAMPLES
-from ...light.scene import UNITS
 from ...presets import PRESETS
 from ...runtime import DEFAULT_VARIANT, read_yaml
+from ...scene.load import UNITS
+from ...scene.render_capture import MOST_SAMPLES
 from ...scene_files import scene_path
 from ..onchip.halves import require_layout
 from ..onchip.photodiode_response import require_pixel_pairs

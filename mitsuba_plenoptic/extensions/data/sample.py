@@ -9,11 +9,11 @@ import numpy as np
 
 from ...camera import PlenopticCamera
 from ...capture_spec import CaptureSpec
+from ...detector.record import expose
 from ...io import Capture, GroundTruth, versions
-from ...light.detector import expose
-from ...light.render_capture import render_capture
-from ...light.scene import load_scene
 from ...plugins.other_camera import with_camera
+from ...scene.load import load_scene
+from ...scene.render_capture import render_capture
 from ...views import ground_truth
 from .dual_samples import pictures_of, truth_of_lenses
 from .generators import CaptureGenerator

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...design.microscope import objective_of
-from ...light.detector_operator import SHARP, DetectorOperator
-from ...light.optical_system import OpticalSystem
+from ...detector.operator import SHARP, DetectorOperator
+from ...fields.optical_system import OpticalSystem
 from ...optics.waves import in_millimetres
 from ...points.full_field import FullFieldPlan
 from ...points.units import radiance_weight

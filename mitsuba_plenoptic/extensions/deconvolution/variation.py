@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...detector.record import Detector
 from ...errors import refusing, require_number
-from ...light.detector import Detector
 
 _DARKEST = 0.01
 """Variance, over the mean one, that is added to every pixel's where residuals are weighted."""

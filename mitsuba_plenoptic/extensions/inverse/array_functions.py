@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_known
-from ...light.lens_kinds import regular_array
+from ...fields.lens_kinds import regular_array
 from ...points import derivatives
 from ...points.operator import CaptureOperator
 from .differentiable import CoherentRefocus, DeconvolvedRefocus, RayRefocus

@@ -21,8 +21,8 @@ from ...errors import (
     suggest_keywords,
     warn,
 )
+from ...fields.lens_kinds import regular_array
 from ...io import Checkpoint
-from ...light.lens_kinds import regular_array
 from .fit_light import PixelNoise, Pixels, View, by_model, check_views, kept_numbers, light_digest
 from .fit_result import Fit, doubts, steps_along, summary
 from .point_rays import RayModel, RayModels, WaveModel, check_numbers, vector_of

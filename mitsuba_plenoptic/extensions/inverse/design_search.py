@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, require_count, short_repr
-from ...light.lens_kinds import regular_array
+from ...fields.lens_kinds import regular_array
 from .merit import Gradient
 from .point_rays import vector_of
 

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, refuse_if, require_choice, require_count, require_number, require_wavelength
-from ...light.lens_kinds import regular_array
-from ...light.optical_system import OpticalSystem
+from ...fields.lens_kinds import regular_array
+from ...fields.optical_system import OpticalSystem
 from ...optics import guards
 from ...prescription import lens_data
 from ...refocus import (

@@ -91,8 +91,8 @@ def fit(
     import numpy as np
 
     from ...io import CHECKPOINT_SUFFIX, read_capture, read_picture
-    from ...light.scene import load_scene
     from ...runtime import DEFAULT_VARIANT, require_apart, require_writable
+    from ...scene.load import load_scene
     from . import fitting
     from .point_rays import vector_of
 

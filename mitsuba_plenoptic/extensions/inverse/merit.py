@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, did_you_mean, refuse_if, require_count, require_number, require_wavelength
-from ...light.lens_kinds import regular_array
-from ...light.optical_system import OpticalSystem
-from ...light.sampling import check_positions
+from ...fields.lens_kinds import regular_array
+from ...fields.optical_system import OpticalSystem
 from ...points.accuracy import chosen_accuracy
 from ...points.operator import CaptureOperator
+from ...points.sampling import check_positions
 from .differentiable import RayRefocus
 
 DESIGN_ACCURACY = 0.02

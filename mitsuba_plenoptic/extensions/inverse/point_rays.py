@@ -13,6 +13,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from ...array import make_lattice
 from ...camera import (
     CameraVector,
     PlenopticCamera,
@@ -20,16 +21,15 @@ from ...camera import (
     require_support,
 )
 from ...errors import refuse_if, short_repr
-from ...lattice import make_lattice
+from ...fields.optical_system import OpticalSystem
 from ...lenses.common import convergence
 from ...lenses.main_lens import MainLens
-from ...light.optical_system import OpticalSystem
-from ...light.sampling import check_positions
-from ...light.walk import Passage, Walk
 from ...points import derivatives
 from ...points.operator import CaptureOperator
 from ...points.pupil_weights import PupilWeights
+from ...points.sampling import check_positions
 from ...points.units import brightness_at
+from ...rays.tracer import Passage, Walk
 from ...runtime import array_module, check_memory, drjit_array, one_at_a_time
 from .fit_light import View
 

@@ -12,8 +12,8 @@ import mitsuba as mi
 import numpy as np
 
 from ...errors import refuse_if, require_count, require_known, short_repr
-from ...light.render_capture import MOST_SAMPLES
 from ...runtime import drjit_array, one_at_a_time
+from ...scene.render_capture import MOST_SAMPLES
 from .array_functions import Shape
 
 _NO_DERIVATIVES = "give floating-point numbers, vectors, colours or textures of a variant with derivatives"

@@ -11,8 +11,8 @@ import scipy
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
+from ...detector.operator import SHARP
 from ...errors import refuse_if, require_number
-from ...light.detector_operator import SHARP
 from ...optics import guards
 from ...points.mixing import SpectralSum, mix
 from ...points.operator import CaptureOperator

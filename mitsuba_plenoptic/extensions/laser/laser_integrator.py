@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, naming, refuse_if, require_count, require_number, require_wavelength, warn
-from ...light.lens_kinds import regular_array
-from ...light.optical_system import OpticalSystem
-from ...light.scene import with_objects
+from ...fields.lens_kinds import regular_array
+from ...fields.optical_system import OpticalSystem
 from ...optics import guards
 from ...optics.spectrum import Spectrum
 from ...plugins import properties
 from ...points import scene_points
 from ...points.operator import CaptureOperator
 from ...runtime import Cost, Job
+from ...scene.load import with_objects
 from .lit_points import LaserScene, LitPoints, named_lasers
 from .modes import mode_count
 from .realisations import coherent_capture

@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from ...detector.record import filters
 from ...errors import InputError, refuse_if, require_pair, short_repr, suggest_keywords
 from ...io import Capture, mosaic_of
-from ...light.detector import filters
 from ...views import light_field
 from .photodiode_response import ACROSS, require_pixel_pairs
 

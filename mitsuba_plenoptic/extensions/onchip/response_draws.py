@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...lenses.pupil import Pair
-from ...light.random_numbers import chances_of, even_numbers
-from ...light.walk import Walk
+from ...rays.random_numbers import chances_of, even_numbers
+from ...rays.tracer import Walk
 from ...runtime import drjit_array
 from .plane_waves import NEAR
 from .response_tables import PhotodiodeResponses, TableWindow

@@ -23,15 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
+from ...detector.noise import Mended, means_of
 from ...errors import refuse_if
 from ...lenses.pupil import Pair
-from ...light.noise import Mended, means_of
-from ...light.phase_space import FINE
-from ...light.scene_light import SceneLight, require_finite
-from ...light.signed_capture import SignedCapture
-from ...light.signed_colours import Node, SignedColours, mixed
-from ...light.walk import walks_of
+from ...rays.tracer import walks_of
 from ...runtime import Box, Part, PartialSum, drjit_array, fft
+from ...scene.radiance import SceneLight, require_finite
+from ...waves.phase_space import FINE
+from ...waves.signed_capture import SignedCapture
+from ...waves.signed_colours import Node, SignedColours, mixed
 from .plane_waves import NEAR, lens_range
 from .response_draws import Tables
 from .response_tables import PhotodiodeResponses

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ... import choices
 from ...camera import PlenopticCamera, Use, require_support
+from ...detector.operator import SHARP, DetectorOperator
 from ...errors import (
     InputError,
     refuse_if,
@@ -22,11 +23,10 @@ from ...errors import (
     short_repr,
     suggest_keywords,
 )
+from ...fields.optical_system import OpticalSystem
 from ...lenses.common import main_lens
-from ...light.detector_operator import SHARP, DetectorOperator
-from ...light.optical_system import OpticalSystem
-from ...light.sampling import footprint
 from ...points.point_spread import point_spread_function
+from ...points.sampling import footprint
 from ..inverse.point_rays import PointRays
 from .halves import photodiodes, require_layout
 from .photodiode_response import ACROSS, require_pixel_pairs

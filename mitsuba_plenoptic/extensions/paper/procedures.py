@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse, FancyArrowPatch
 
 from ...camera import PlenopticCamera
-from ...light.walk import follow_back
 from ...optics import rays
 from ...prescription import lens_data
+from ...rays.tracer import follow_back
 from ...report import plots
 
 _LIGHT = "#d08700"

@@ -18,8 +18,8 @@ from scipy.sparse import csr_matrix
 from ...camera import PlenopticCamera
 from ...errors import InputError
 from ...io import Cache, Capture
-from ...light.walk import follow_back
 from ...optics import rays
+from ...rays.tracer import follow_back
 from ...refocus import reconstruct
 from ...report import Experiment, metrics
 

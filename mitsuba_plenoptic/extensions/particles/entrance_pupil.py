@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...light.optical_system import OpticalSystem
+from ...fields.optical_system import OpticalSystem
 from ...prescription.objective import Objective
 
 _HORIZON = 0.999

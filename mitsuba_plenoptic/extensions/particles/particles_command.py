@@ -81,8 +81,8 @@ def particles(
       --flow hill:speed=4,radius=5 --interval 0.1 --model ray --photons 1e5
     """
     from ...camera import PlenopticCamera
+    from ...detector.record import Detector, expose
     from ...io import write_capture
-    from ...light.detector import Detector, expose
     from .flows import FLOWS
     from .labelled_files import write_netcdf
     from .particle_images import ParticleImages

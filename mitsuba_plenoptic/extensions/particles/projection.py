@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import refuse_if, require_accuracy, require_count, require_number, require_wavelength, suggest_keywords
+from ...fields.optical_system import OpticalSystem
 from ...lenses.common import inverse_distance
-from ...light.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator
 from ...runtime import POINTS, Job, Progress, as_array, counted
 from ..inverse.point_rays import PointRays

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ...camera import PlenopticCamera
+from ...detector.operator import SHARP
 from ...errors import refuse_if
-from ...light.detector_operator import SHARP
 from ..calibrate.array_fit import ArrayFit, fit_array, places
 from ..calibrate.field_fit import FieldNumbers
 from ..calibrate.micro_image import NUMBERS, MicroImageModel, PupilNumbers

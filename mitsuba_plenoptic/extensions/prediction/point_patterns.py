@@ -14,12 +14,12 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from ...camera import PlenopticCamera, Vignetting
+from ...detector.operator import SHARP
 from ...errors import InputError
-from ...light.detector_operator import SHARP
-from ...light.optical_system import OpticalSystem
-from ...light.walk import Passage, Walk
+from ...fields.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator
 from ...prescription.objective import Objective
+from ...rays.tracer import Passage, Walk
 from .array_part import ArrayPart
 
 _FIRST, _GROWTH, _WIDEST = 0.75, 1.12, 14.0

@@ -43,9 +43,9 @@ def preview(
       mitsuba-plenoptic preview beads
     """
     from ...camera import PlenopticCamera
-    from ...light.render_capture import estimate_capture, plenoptic_sensor
     from ...optics import guards
     from ...runtime import require_writable
+    from ...scene.render_capture import estimate_capture, plenoptic_sensor
 
     target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"))
     with progress_bar("Previewing") as progress:

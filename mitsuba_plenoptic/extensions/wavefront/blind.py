@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, require_camera
 from ...errors import InputError, refuse_if, require_accuracy, require_count, require_wavelength, suggest_keywords
-from ...light.optical_system import OpticalSystem
+from ...fields.optical_system import OpticalSystem
 from ...points.units import brightness_at
 from ..deconvolution.solver import PlaneEstimates, State, Values, richardson_lucy
 from ..inverse.fitting import PixelNoise

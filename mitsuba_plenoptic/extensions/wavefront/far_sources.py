@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...array.sampled_grid import read_samples
 from ...errors import refuse_if, require_number, require_pair, suggest_keywords
-from ...microlens.sampled_grid import read_samples
 
 INFINITY = 1e12
 """Distance of these points in millimetres, at which the curvature of a wavefront is of no effect."""

@@ -12,8 +12,8 @@ import numpy as np
 
 from ...camera import PhaseScreen, PlenopticCamera, Use, require_camera, require_support
 from ...errors import WAVEFRONT_UNIT, WAVELENGTHS, InputError, refuse_if, require_number
-from ...light.lens_kinds import regular_array
-from ...light.optical_system import OpticalSystem
+from ...fields.lens_kinds import regular_array
+from ...fields.optical_system import OpticalSystem
 from ...optics import guards
 from ...optics.waves import band_edge_fraction
 from ...points.arrival import SampledField

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, require_accuracy, require_count, require_wavelength, suggest_keywords
-from ...light.optical_system import OpticalSystem
+from ...fields.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator
 from ...points.units import brightness_at
 from ...runtime import as_array, as_pixels

@@ -22,8 +22,8 @@ from ...camera import PlenopticCamera, Use, require_support
 from ...errors import LONGEST, SHORTEST, InputError, refuse_if, require_count, require_length, require_number
 from ...lenses.common import main_lens
 from ...lenses.thin import Wavefront
-from ...light.sampling import check_positions
 from ...optics import rays
+from ...points.sampling import check_positions
 from ...runtime import as_pixels
 
 Array = NDArray[np.float64]

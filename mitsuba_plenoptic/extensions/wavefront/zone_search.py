@@ -26,10 +26,10 @@ from ...errors import (
     suggest_keywords,
     warn,
 )
+from ...fields.optical_system import OpticalSystem
 from ...lenses.common import main_lens
-from ...light.optical_system import OpticalSystem
-from ...light.sampling import check_positions
 from ...points.operator import CaptureOperator
+from ...points.sampling import check_positions
 from ...points.units import brightness_at
 from ...runtime import as_array
 from ..inverse.fit_light import Pixels, check_views

@@ -10,13 +10,13 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from ...array import make_lattice, turn
 from ...camera import Captures, PlenopticCamera, change_of, parts_of, size_of, with_gradient
 from ...errors import WAVEFRONT_UNIT, InputError, did_you_mean, require_number, short_repr
-from ...lattice import make_lattice, turn
+from ...fields.microlens_orders import VaryingArrayFactor
+from ...fields.optical_system import OpticalSystem
 from ...lenses.fitted_lens import LENS_NUMBERS, FittedLens, open_area_slopes
 from ...lenses.thin import Wavefront, zernike
-from ...light.microlens_orders import VaryingArrayFactor
-from ...light.optical_system import OpticalSystem
 from ...optics.waves import in_millimetres
 from ...runtime import active_backend, array_module, drjit_array, is_zero
 from ..field_grid import Grid

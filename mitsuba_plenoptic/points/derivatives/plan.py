@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...array import turn
 from ...camera import PlenopticCamera
 from ...errors import InputError
-from ...lattice import turn
-from ...light.optical_system import OpticalSystem
+from ...fields.optical_system import OpticalSystem
 from ...optics import guards
 from ...runtime import (
     MEMORY_LIMIT,

@@ -9,6 +9,7 @@ import pytest
 from refusals import refuses
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, calibrate
+from mitsuba_plenoptic.array import Conic
 from mitsuba_plenoptic.calibration import (
     Board,
     LensIndex,
@@ -22,7 +23,6 @@ from mitsuba_plenoptic.calibration import (
 )
 from mitsuba_plenoptic.extensions.calibrate.adjustment import Problem, adjust
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, Observations, numbers_of, predict_centres
-from mitsuba_plenoptic.microlens import Conic
 
 NOISE = 0.1
 START = PlenopticCamera.preset("raytrix").replace(

@@ -9,10 +9,10 @@ from cameras import HALF, WAVELENGTH, scattered, small_camera
 
 from mitsuba_plenoptic import Capture, CaptureOperator, Detector, InputError, PlenopticCamera, expose, fit
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays, vector_of
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.fitting import View, coarse_fit, lattice_from_white, noise_of
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.lenses.common import main_lens
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.units import brightness_at, brightness_of
 
 TRUE = small_camera(2, **HALF)

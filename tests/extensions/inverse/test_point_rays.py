@@ -9,8 +9,8 @@ from cameras import HALF, WAVELENGTH, error, film, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.fitting import known_view
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.units import brightness_at
 
 CAMERAS = {

@@ -12,7 +12,7 @@ from stopped_runs import StoppedError, stopped_before
 
 from mitsuba_plenoptic import Checkpoint, PhysicsError, PlenopticCamera, laser, load_scene, render_capture
 from mitsuba_plenoptic.extensions.laser.lit_points import LaserScene, named_lasers
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.units import radiance_weight
 
 CAMERA = PlenopticCamera(

@@ -5,9 +5,9 @@ import pytest
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.array_functions import CameraCapture
+from mitsuba_plenoptic.fields.lens_kinds import regular_array
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.fitting import View
-from mitsuba_plenoptic.light.lens_kinds import regular_array
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.units import brightness_of
 from mitsuba_plenoptic.refocus import RayRefocus
 

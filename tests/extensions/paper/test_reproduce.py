@@ -15,10 +15,10 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.paper import reproduction as reproductions
 from mitsuba_plenoptic.extensions.paper.reproduction import processor_seconds, reproduce
 from mitsuba_plenoptic.io.cache import Cache, StageOptions
-from mitsuba_plenoptic.light import signed_rays
 from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report.comparison import compare
 from mitsuba_plenoptic.report.experiment import Settings, pinhole_image, run_experiment, thin_lens_image
+from mitsuba_plenoptic.waves import signed_rays
 
 
 def files(folder):

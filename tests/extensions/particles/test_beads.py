@@ -11,9 +11,9 @@ import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import particles as pt
 from mitsuba_plenoptic.dataset import make_dataset, parse_recipe
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
-from mitsuba_plenoptic.light.walk import Passage, Walk
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.pupil_weights import PupilWeights
+from mitsuba_plenoptic.rays.tracer import Passage, Walk
 
 OBJECTIVE = mp.Objective(20, 0.5, 1.33, tube_focal_length=180)
 CAMERA = mp.PlenopticCamera(

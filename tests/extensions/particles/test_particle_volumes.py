@@ -8,7 +8,7 @@ from refusals import refused
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import particles as pt
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 
 CAMERA = mp.PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 GRID = pt.VoxelGrid((-0.2, -0.2, 236), (0.2, 0.2, 246), (2, 3, 3))

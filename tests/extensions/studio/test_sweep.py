@@ -17,7 +17,7 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.studio import sweep as sweeps
 from mitsuba_plenoptic.extensions.studio.sweep import check_grid, parse_grid, read_grid, sweep
 from mitsuba_plenoptic.io.cache import StageOptions
-from mitsuba_plenoptic.light import signed_rays
+from mitsuba_plenoptic.waves import signed_rays
 
 pytest.importorskip("h5netcdf")
 

@@ -10,9 +10,9 @@ from wavefront_cases import ACCURACY, STAR, WAVELENGTH, captured, telescope
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
 from mitsuba_plenoptic.far_sources import star
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.fitting import PixelNoise
 from mitsuba_plenoptic.lenses.thin import Wavefront
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.wavefront import (
     InteractionMatrix,
     Slopes,

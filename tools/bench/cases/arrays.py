@@ -15,10 +15,10 @@ from cases import relative
 from numpy.typing import NDArray
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.light.lens_kinds import irregularities
-from mitsuba_plenoptic.light.microlens_orders import PlaneFactor, axis_orders
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
-from mitsuba_plenoptic.microlens import Conic, MicrolensShape, PhaseMap, Sampled, ZoneLens
+from mitsuba_plenoptic.array import Conic, MicrolensShape, PhaseMap, Sampled, ZoneLens
+from mitsuba_plenoptic.fields.lens_kinds import irregularities
+from mitsuba_plenoptic.fields.microlens_orders import PlaneFactor, axis_orders
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.full_field import point_fields
 from mitsuba_plenoptic.points.point_spread import point_spread_function
 

@@ -22,7 +22,7 @@ import numpy as np
 from cases import relative
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.arrival import FieldGrids, field_grids
 from mitsuba_plenoptic.points.full_field import full_field
 

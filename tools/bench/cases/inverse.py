@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from mitsuba_plenoptic import load_scene
-from mitsuba_plenoptic.light.signed_camera import PARAMETERS
+from mitsuba_plenoptic.waves.signed_camera import PARAMETERS
 
 from .. import Row, case, figure, pick
 from ..timing import paired

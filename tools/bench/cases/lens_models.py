@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mitsuba_plenoptic import PlenopticCamera
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem, is_paraxial
 from mitsuba_plenoptic.lenses.thin import ThinLens
-from mitsuba_plenoptic.light.optical_system import OpticalSystem, is_paraxial
 from mitsuba_plenoptic.optics.rays import slopes_to_cosines
 from mitsuba_plenoptic.optics.waves import in_millimetres, transfer
 from mitsuba_plenoptic.points.full_field import point_fields

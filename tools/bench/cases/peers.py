@@ -17,7 +17,7 @@ from cases import agreement, relative
 from scipy.ndimage import map_coordinates, shift
 
 from mitsuba_plenoptic import PlenopticCamera, decode, load_scene, render_capture
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.points.arrival import FieldGrids
 from mitsuba_plenoptic.points.full_field import pass_microlenses

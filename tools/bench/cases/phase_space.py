@@ -19,16 +19,16 @@ import numpy as np
 from cases import relative
 
 from mitsuba_plenoptic import CaptureOperator, Job, PlenopticCamera
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
-from mitsuba_plenoptic.light.phase_space import PhaseSpace
-from mitsuba_plenoptic.light.scheme import plan_of
-from mitsuba_plenoptic.light.signed_colours import Node
-from mitsuba_plenoptic.light.signed_rays import SignedRaySum
 from mitsuba_plenoptic.points.units import brightness_at, brightness_of, radiance_weight
 from mitsuba_plenoptic.prescription.lens_data import conjugate_distance
 from mitsuba_plenoptic.runtime.batches import SumTask
+from mitsuba_plenoptic.waves.phase_space import PhaseSpace
+from mitsuba_plenoptic.waves.scheme import plan_of
+from mitsuba_plenoptic.waves.signed_colours import Node
+from mitsuba_plenoptic.waves.signed_rays import SignedRaySum
 
 from .. import Pivot, Row, at_most, case, pick
 from ..measures import without_noise, write_comparison

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from mitsuba_plenoptic import Job, PlenopticCamera, load_scene, render_capture
 from mitsuba_plenoptic.extensions.onchip.response_tables import PhotodiodeResponses, TableWindow
 from mitsuba_plenoptic.extensions.onchip.responses import ResponseSum
-from mitsuba_plenoptic.light.signed_colours import Node
 from mitsuba_plenoptic.optics import rays
 from mitsuba_plenoptic.runtime.batches import SumTask
+from mitsuba_plenoptic.waves.signed_colours import Node
 
 from .. import Row, at_most, case
 from ..measures import mean_of_seeds, write_comparison

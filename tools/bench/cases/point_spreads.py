@@ -12,7 +12,7 @@ from cases import relative
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, point_spread_function
 from mitsuba_plenoptic import particles as pt
 from mitsuba_plenoptic.extensions.particles.particle_images import scattered_light
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.full_field import full_field
 
 from .. import Row, at_most, case

@@ -6,9 +6,9 @@ import numpy as np
 
 from mitsuba_plenoptic import PlenopticCamera, load_scene
 from mitsuba_plenoptic.lenses.common import main_lens
-from mitsuba_plenoptic.light.scene_light import SceneLight
 from mitsuba_plenoptic.points.scene_points import find_points
 from mitsuba_plenoptic.points.units import radiance_weight
+from mitsuba_plenoptic.scene.radiance import SceneLight
 
 
 def letter_points(camera: PlenopticCamera, scale: float, per_lens: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,185 @@
+"""The interface of microlens shapes, and the conversion of a shape from any of its forms."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from ..errors import InputError, did_you_mean, naming, refuse_if, require_choice, require_wavelength, short_repr
+from ..prescription import Glass
+from ..prescription.glass import LINE_D
+from ..prescription.lens_data import SINGLE
+from ..runtime import read_json_value
+from . import Lattice
+
+MM_PER_NM = 1e-6
+
+_RIM = np.linspace(0, 1, 65)
+"""Positions across the unit square of an aperture at which a shape must be defined, its edges included."""
+
+
+class MicrolensShape(ABC):
+    """The path that a microlens adds to light, as a function of the offset from the lens's centre.
+
+    A subclass is a frozen dataclass; its fields, and its name ``form``, are the entries of its plain form.
+    """
+
+    form: ClassVar[str]
+    kinds: ClassVar[dict[str, type[MicrolensShape]]] = {}
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        MicrolensShape.kinds[cls.form] = cls
+
+    @abstractmethod
+    def waves(self, x: Any, y: Any, wavelength: float) -> Any:
+        """Return the phase in waves at offsets in millimetres, as NumPy or Dr.Jit arrays.
+
+        The phase is larger where light gains a longer path. A constant has no effect.
+
+        Parameters
+        ----------
+        x, y : array
+            Offsets from the centre of the lens in millimetres, in the frame of the lattice.
+        wavelength : float
+            Wavelength in air in nanometres.
+        """
+
+    @abstractmethod
+    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+        """Return the gradient of the path at the d line (587.6 nm), in millimetres per millimetre; see `waves`.
+
+        The gradient deflects rays. For a phase with jumps by whole waves, the phase without jumps counts: rays follow
+        the first diffraction order.
+        """
+
+    @abstractmethod
+    def strength(self, wavelength: float) -> float:
+        """Return the slopes at a wavelength divided by the slopes at the d line (587.6 nm)."""
+
+    @property
+    @abstractmethod
+    def power(self) -> float:
+        """Power at the d line (587.6 nm): the reciprocal of the focal length in air, in 1/mm."""
+
+    def covers(self, x: Any, y: Any) -> Any:
+        """Return a mask of offsets, NumPy arrays, at which the shape is defined."""
+        return x * x + y * y < float("inf")
+
+    @property
+    def disperses(self) -> bool:
+        """Whether the slopes depend on the wavelength."""
+        return self.strength(486.1) != self.strength(656.3)
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return the shape as numbers, strings, lists and dictionaries, for `from_plain`, files and headers."""
+        fields = dataclasses.fields(self)  # type: ignore[arg-type]
+        plain = {field.name: _plain(getattr(self, field.name)) for field in fields}
+        return {"form": self.form} | plain
+
+    @classmethod
+    def from_plain(cls, values: dict[str, Any]) -> Self:
+        """Return the shape that `to_plain` described, after its checks.
+
+        Parameters
+        ----------
+        values : dict
+            The entries, without ``form``.
+
+        Raises
+        ------
+        InputError
+            If an entry is unknown, missing or out of range.
+        """
+        known = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
+        for name in values:
+            if name not in known:
+                raise InputError(f"form {cls.form}: {short_repr(name)} is not an entry{did_you_mean(name, known)}")
+        for name, field in known.items():
+            refuse_if(
+                name not in values and field.default is dataclasses.MISSING, f"form {cls.form}: {name} is missing"
+            )
+        return cls(**values)
+
+    @cached_property
+    def _text(self) -> str:
+        return json.dumps(self.to_plain(), sort_keys=True)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, MicrolensShape) and self._text == other._text
+
+    def __hash__(self) -> int:
+        return hash(self._text)
+
+    def __str__(self) -> str:
+        return short_repr(self.to_plain())
+
+
+def _plain(value: Any) -> Any:
+    """Return a field of a shape as a JSON value."""
+    if isinstance(value, Glass):
+        return value.to_plain()
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def known_shape(value: Any, resolve: Callable[[str], str] = str) -> MicrolensShape | None:
+    """Return a shape, given as a shape, plain data, a JSON file or its text; None means no shape.
+
+    `resolve` finds files by their names, for example in the folder of a scene.
+    """
+    if value is None or isinstance(value, MicrolensShape):
+        return value
+    with naming("mla_shape"):
+        value = read_json_value(value, resolve)
+        if not isinstance(value, dict) or "form" not in value:
+            raise InputError(
+                f"{short_repr(value)}: it must be a shape, a dictionary with an entry form, or a JSON file"
+            )
+        entries = dict(value)
+        kind = MicrolensShape.kinds[require_choice("form", entries.pop("form"), MicrolensShape.kinds)]
+        return kind.from_plain(entries)
+
+
+def known_index(name: str, value: Any) -> Glass:
+    """Return a lens's material from any form of a glass; its index at the d line must exceed 1."""
+    glass = value if isinstance(value, Glass) else Glass.from_plain(value, name)
+    refuse_if(not glass.at(LINE_D) > 1, f"{name} = {short_repr(value)}: its index must be greater than 1")
+    return glass
+
+
+def excess_index(glass: Glass, wavelength: float) -> float:
+    """Return the refractive index of a material at a wavelength, less 1 for air."""
+    return float(glass.at(wavelength)) - 1
+
+
+def per_millimetre(wavelength: float) -> float:
+    """Return the number of waves in a millimetre, from a wavelength in nanometres."""
+    return 1 / (require_wavelength(wavelength) * MM_PER_NM)
+
+
+def focal_length_of(shape: MicrolensShape, medium: float, given: Sequence[float] | None) -> float:
+    """Return a shape's focal length in a medium, in mm; refuse a negative one, and a different given one."""
+    refuse_if(
+        not shape.power > 0,
+        f"mla_shape: its power is {shape.power:.4g} per mm: it must focus light, with a power greater than 0",
+    )
+    own = medium / shape.power
+    refuse_if(
+        given is not None and not all(math.isclose(own, each, rel_tol=SINGLE) for each in given),
+        f"mla_focal_length = {short_repr(given)}: with this mla_shape it is {own:.7g}; leave it out",
+    )
+    return own
+
+
+def require_cover(shape: MicrolensShape, lattice: Lattice) -> None:
+    """Refuse a shape that ends within the aperture of a lens."""
+    x, y = lattice.aperture_point(*np.meshgrid(_RIM, _RIM))
+    covered = shape.covers(*lattice.to_frame(x, y))
+    refuse_if(not np.all(covered), "mla_shape: it must be defined all over a lens's aperture, and ends within it")

@@ -1,0 +1,197 @@
+"""Noise of captures: its estimate from samples, its compensation, and means of radiance that reduce it.
+
+The estimate uses the spread of at most sixteen passes, so the value of each pixel has a relative error of
+1/sqrt(32) = 18 % or more. Means over many pixels are more accurate. Wave captures compensate negative pixels, to first
+order by a factor for each pixel; it reduces the estimate as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import refuse_if
+from ..lenses.pupil import Pair
+from ..runtime import SumTask
+from .operator import DetectorOperator
+
+PARTS = 16
+"""Count of independent passes from which the noise of a pixel is estimated."""
+
+
+def require_samples(spp: int) -> None:
+    """Refuse fewer than two samples per pixel, which have no spread."""
+    refuse_if(spp < 2, f"spp = {spp}: it must be at least 2 for an estimate of the noise")
+
+
+class PassSpread:
+    """The mean of several passes of a capture, and its standard deviation from the passes' spread.
+
+    Mitsuba's own integrator ``moment`` gives the spread of single samples, but omits the weights of rays, which a
+    plenoptic sensor needs.
+    """
+
+    def __init__(self) -> None:
+        self.image: NDArray[np.float32] = np.zeros((), np.float32)
+        self._squares: NDArray[np.float32] = np.zeros((), np.float32)
+        self._samples = self._passes = 0
+
+    def add(self, image: NDArray[np.float32], samples: int) -> None:
+        """Add a pass, the mean of `samples` per pixel (West 1979, "Updating mean and variance estimates")."""
+        self._samples += samples
+        self._passes += 1
+        difference = image - self.image
+        self.image = self.image + difference * np.float32(samples / self._samples)
+        self._squares = self._squares + np.float32(samples) * difference * (image - self.image)
+
+    def deviation(self) -> NDArray[np.float32]:
+        """Return the standard deviation of the mean of two or more passes, with the shape of the image."""
+        variance = self._squares / np.float32((self._passes - 1) * self._samples)
+        return np.asarray(np.sqrt(np.maximum(variance, 0)))
+
+
+def keep_spread(task: SumTask, camera: PlenopticCamera) -> SumTask:
+    """Return a run's task, with added channels from which `with_spread` computes variances of what is recorded.
+
+    The detector lets neighbouring pixels deviate together, so that its variances do not follow from those of the light.
+    """
+    detector = DetectorOperator.of(camera)
+
+    def combine(sums: NDArray[np.float32]) -> NDArray[np.float32]:
+        image = task.combine(sums)
+        recorded = detector.forward(image)
+        return np.concatenate([image, recorded, recorded**2], axis=-1)
+
+    return replace(task, combine=combine)
+
+
+def with_spread(image: NDArray[np.float32], runs: int) -> NDArray[np.float32]:
+    """Return a capture and its variances from the sum of the images of several runs made by `keep_spread`."""
+    whole, sums, squares = np.split(image, 3, axis=-1)
+    spread = (squares - sums**2 / runs) * np.float32(runs / max(1, runs - 1))
+    return np.concatenate([whole, np.maximum(spread, 0)], axis=-1)
+
+
+class Mended:
+    """An image whose negative values, which are noise, are compensated by the light around them.
+
+    Clipping negative values to zero would brighten the image, the more so the fewer samples there are. Instead, squares
+    of 2 x 2 pixels, squares of 2 x 2 of these squares, and so on up to the whole image keep their sums. A square with a
+    sum below zero becomes black, and the other squares of the next larger square make up for it in proportion to their
+    light. The result therefore has the sum of the image, or is black if that sum is below zero.
+    """
+
+    def __init__(self, image: NDArray[Any]) -> None:
+        # Zeros count as positive: black pixels may become brighter.
+        self._positive, self._light = image >= 0, np.maximum(image, 0)
+        self.image: NDArray[Any] = self._light
+        """The image, nowhere below zero."""
+        self._squares: Mended | None = None
+        if image.size > 1:
+            self._squares, self._sum = Mended(_sums(image)), _sums(self._light)
+            # The part of the light of each square that remains.
+            self._kept = np.divide(self._squares.image, self._sum, out=np.ones_like(self._sum), where=self._sum > 0)
+            self.image = _times(self._light, self._kept)
+
+    @property
+    def remaining(self) -> NDArray[np.float64]:
+        """The part of each value of the image that remains: 0 for negative values, at most 1 for the others."""
+        positive = self._positive.astype(np.float64)
+        return positive if self._squares is None else _times(positive, self._kept)
+
+    def forward(self, change: NDArray[Any]) -> NDArray[Any]:
+        """Return the change of the result for a change of the image."""
+        light = np.where(self._positive, change, 0)
+        if self._squares is None:
+            return light
+        kept = self._over_sum(self._squares.forward(_sums(change)) - self._kept * _sums(light))
+        return _times(light, self._kept) + _times(self._light, kept)
+
+    def backward(self, gradient: NDArray[Any]) -> NDArray[Any]:
+        """Return the gradient with respect to the image: the transpose of `forward` applied to a gradient."""
+        if self._squares is None:
+            return np.where(self._positive, gradient, 0)
+        squares = self._over_sum(_sums(gradient * self._light))
+        even = np.ones_like(gradient)
+        light = _times(gradient, self._kept) - _times(even, self._kept * squares)
+        own = np.where(self._positive, light, 0) + _times(even, self._squares.backward(squares))
+        return own.astype(gradient.dtype)
+
+    def _over_sum(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return values of squares divided by the light of the squares, 0 for squares without light."""
+        return np.divide(values, self._sum, out=np.zeros_like(values), where=self._sum > 0)
+
+
+def variance_left(mended: Mended, variance: NDArray[np.float32], camera: PlenopticCamera) -> NDArray[np.float64]:
+    """Return the part of each pixel's variance that compensation leaves, for variances of what the detector records.
+
+    The factors of compensation count as constants. Mixed pixels have the mean of their neighbours' parts, weighted by
+    variance.
+    """
+    detector = DetectorOperator.of(camera)
+    every, left = (detector.forward(variance * part) for part in (np.float64(1), mended.remaining**2))
+    return np.divide(left, every, out=np.zeros_like(left), where=every > 0).clip(0, 1)
+
+
+def _times(image: NDArray[Any], factors: NDArray[np.float64]) -> NDArray[Any]:
+    """Return an image times the factors of its squares of 2 x 2 pixels."""
+    rows, columns = image.shape
+    wide, result = factors.repeat(2, 1)[:, :columns], np.empty_like(image)
+    for first in range(2):
+        own, part = wide[: (rows + 1 - first) // 2], result[first::2]
+        np.multiply(image[first::2], own, out=part, casting="same_kind")
+    return result
+
+
+def _sums(image: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the sums over squares of 2 x 2 pixels; beyond odd edges missing pixels count as 0."""
+    if any(size % 2 for size in image.shape):
+        image = np.pad(image, [(0, size % 2) for size in image.shape])
+    rows = np.add(image[::2], image[1::2], dtype=np.float64)
+    return np.asarray(rows[:, ::2] + rows[:, 1::2])
+
+
+def known_means(radiance: list[Any], seen: Any, count: int, spp: int) -> tuple[list[Pair], Any]:
+    """Return the means of each radiance value over rays of even indices and over rays of odd indices.
+
+    A mask of cells with nonzero radiance is returned, too, as derivatives of radiance may cancel in the means.
+    """
+    (counts, *sums), lit = halves(seen, radiance, count, spp)
+    means = [means_of(pair, counts) for pair in sums]
+    dr.eval(means, lit)
+    return means, lit
+
+
+def means_of(sums: Sequence[Any], counts: Sequence[Any]) -> Pair:
+    """Return the means over each half of the rays from sums and counts; 0 without rays."""
+    first, second = (dr.select(number > 0, total / number, 0) for total, number in zip(sums, counts, strict=True))
+    return first, second
+
+
+def halves(seen: Any, values: list[Any], count: int, spp: int) -> tuple[list[Pair], Any]:
+    """Return, for each cell, sums over rays of even and of odd indices: of `seen` and of each value.
+
+    The mask of the cells in which some value is not zero is returned as well.
+    """
+    rays = dr.opaque(mi.UInt32, spp)
+    first = dr.arange(mi.UInt32, count) * rays
+
+    def add(k: Any, totals: list[Pair], some: Any) -> tuple[Any, list[Pair], Any]:
+        own = [dr.gather(mi.Float, each, first + k) for each in (seen, *values)]
+        even = (k & 1) == 0
+        totals = [
+            (a + dr.select(even, value, 0), b + dr.select(even, 0, value))
+            for (a, b), value in zip(totals, own, strict=True)
+        ]
+        return k + 1, totals, some | dr.any([value != 0 for value in own[1:]], axis=0)
+
+    state = mi.UInt32(0), [(mi.Float(0), mi.Float(0)) for _ in range(1 + len(values))], mi.Bool(False)
+    _, totals, some = dr.while_loop(state, lambda k, *_: k < rays, add, label="halves")
+    return totals, some

@@ -1,0 +1,1 @@
+"""Elements that fields of light pass: microlenses, their diffraction orders, and a camera at one wavelength."""

@@ -1,0 +1,242 @@
+r"""Irregular arrays: displaced lenses of uneven focal lengths, tilted arrays, shifts to chief rays, figure errors.
+
+The lens with the indices (i, j) is displaced along x and y, and its focal length is scaled, by normal deviates. These
+depend only on the indices and a seed, so that a lens is the same in all computations. Deviates are clipped at three
+standard deviations.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..array import Displacement
+from ..array.lens_shifts import MOST_DEVIATIONS, deviates
+from ..camera import PlenopticCamera, one_if_equal
+from ..errors import InputError
+from ..optics.waves import in_millimetres
+from ..runtime import drjit_array, module_of
+
+
+def irregularities(camera: PlenopticCamera, i: Any, j: Any) -> tuple[Any, Any, Any]:
+    """Return the displacements of lenses along x and y, in millimetres, and the factors on their focal lengths."""
+    (place, focal), (x, y, f) = camera.mla_jitter, deviates(camera.mla_seed, i, j)
+    return place * x, place * y, 1 + focal * f
+
+
+_PLACES = 33
+"""Places across a crop at which shifts to chief rays are fitted."""
+
+
+def regular_array(camera: PlenopticCamera) -> PlenopticCamera:
+    """Return a camera without `mla_cra` whose regular lenses are nearest to the shifted ones above recorded pixels.
+
+    Point spreads and reconstructions, which know regular arrays only, use this camera. Its `mla_pitch` and `mla_offset`
+    minimise the mean square distance from the lenses.
+    """
+    if not camera.mla_cra:
+        return camera
+    edges = (camera.pixel_coordinates(axis)[[0, -1]] + 0.5 * camera.pixel_size * np.array([-1, 1]) for axis in (0, 1))
+    place = np.stack(np.meshgrid(*(np.linspace(low, high, _PLACES) for low, high in edges)))
+    shift = np.stack(
+        Displacement(chief_rays=camera.mla_cra, distance=camera.detector_distance, medium=camera.mla_medium).smooth(
+            *place
+        )
+    )
+    middle, moved = place.mean((1, 2)), shift.mean((1, 2))
+    about = place - middle[:, None, None]
+    stretch = 1 + (about * shift).sum() / (about**2).sum()
+    return camera.replace(
+        mla_cra=(),
+        mla_pitch=one_if_equal(tuple((stretch * np.array(camera.mla_pitches)).tolist())),
+        mla_offset=tuple((stretch * (np.array(camera.mla_offset) - middle) + middle + moved).tolist()),
+    )
+
+
+_COSINES = 32
+"""Count of cosines."""
+
+
+@dataclass(frozen=True, eq=False)
+class FigureError:
+    r"""Figure error of one array: a random optical path of given size and correlation length over the whole array.
+
+    The path is a sum of cosines of random directions, periods and phases,
+
+    .. math:: W(x, y) = \sigma \sqrt{2 / K} \sum_{k=1}^{K} \cos(2 \pi (u_k x + v_k y) + \varphi_k),
+
+    whose frequencies are normally distributed with the standard deviation :math:`1 / 2 \pi l`. Over all seeds the root
+    mean square is :math:`\sigma`, and the correlation of points at a distance d is :math:`\exp(-d^2 / 2 l^2)`. The path
+    depends on position and seed only, and has slopes everywhere.
+    """
+
+    amplitude: float  # of each cosine, in millimetres
+    frequencies: NDArray[np.float64]  # (2, cosines), in 1/mm
+    phases: NDArray[np.float64]  # in periods
+
+    @classmethod
+    def of(cls, camera: PlenopticCamera) -> FigureError | None:
+        """Return the figure error of a camera's array, or None if it has none."""
+        size, length = camera.mla_figure_error
+        return _drawn(size, length, camera.mla_seed) if size else None
+
+    def path(self, x: Any, y: Any) -> Any:
+        """Return the path in millimetres at positions on the array, NumPy or Dr.Jit arrays."""
+        return self.amplitude * sum(cosine for cosine, _, _, _ in self._waves(x, y))
+
+    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+        """Return the gradient of the path at positions, in millimetres per millimetre."""
+        across: Any = 0.0
+        up: Any = 0.0
+        for _, sine, u, v in self._waves(x, y):
+            across, up = across - sine * u, up - sine * v
+        scale = 2 * math.pi * self.amplitude
+        return scale * across, scale * up
+
+    def _waves(self, x: Any, y: Any) -> list[tuple[Any, Any, Any, Any]]:
+        """Return cosine and sine of each wave, and its frequencies along x and y."""
+        module, rows = module_of(x), [*self.frequencies, self.phases]
+        if module is dr:
+            # In tables, other numbers need no other kernel.
+            tables = [drjit_array(type(x), row) for row in rows]
+            rows = [[dr.gather(type(x), table, k) for k in range(len(self.phases))] for table in tables]
+        found = []
+        for u, v, phase in zip(*rows, strict=True):
+            turns = u * x + v * y + phase
+            turns = 2 * math.pi * (turns - module.floor(turns))
+            found.append((module.cos(turns), module.sin(turns), u, v))
+        return found
+
+
+@functools.lru_cache(maxsize=4)
+def _drawn(size: float, length: float, seed: int) -> FigureError:
+    """Return a figure error drawn at random from its size, correlation length and seed."""
+    random = np.random.default_rng([seed, _COSINES])
+    frequencies = random.normal(0, 1 / (2 * math.pi * length), (2, _COSINES))
+    return FigureError(size * math.sqrt(2 / _COSINES), frequencies, random.random(_COSINES))
+
+
+_STEP = 0.4
+"""Largest phase difference in radians, at a lens's edge, between adjacent kinds; a lens differs by half of it."""
+
+_SHORTEST = 400.0
+"""Wavelength in nanometres for which this phase difference is computed."""
+
+_MOMENT_SAMPLES = 256
+"""Samples across a lens for the moments of its aperture."""
+
+_MOST = 32
+"""Largest number of kinds, each of which has images of its own."""
+
+
+class Kind(NamedTuple):
+    """Microlenses treated as equal, with one set of kernels."""
+
+    # Index of the design focal length of the lens.
+    lens_type: int
+    # Focal length and distance to the detector of these lenses, in millimetres, reduced by the index of the medium.
+    focal_length: float
+    distance: float
+
+
+@dataclass(frozen=True)
+class LensKinds:
+    """The kinds of a camera's microlenses, which are the same for all wavelengths."""
+
+    camera: PlenopticCamera
+
+    def __post_init__(self) -> None:
+        count = len(self._ratios) * len(self._heights) * len(self.camera.mla_focal_lengths)
+        if count > _MOST:
+            # The error names the parameter that causes more kinds.
+            name = "mla_jitter" if len(self._ratios) > len(self._heights) else "mla_tilt"
+            raise InputError(
+                f"{name} = {getattr(self.camera, name)}: a wave capture would need {count} kinds of microlenses, and "
+                f"takes {_MOST} at most; make it smaller"
+            )
+
+    @cached_property
+    def every(self) -> list[Kind]:
+        """All kinds: combinations of heights, focal length factors and lens types."""
+        camera = self.camera
+        return [
+            Kind(kind, f2 * ratio, camera.reduced_distance + height / camera.mla_medium)
+            for height, ratio, (kind, f2) in itertools.product(
+                self._heights, self._ratios, enumerate(camera.reduced_focal_lengths)
+            )
+        ]
+
+    def enlargement(self, focal_length: Any, mla_distance: Any = None, scale: Any = 1.0) -> Any:
+        r"""Return the mean enlargement of a kind's micro-images, relative to micro-images by rays through lens centres.
+
+        Lenses turn direction cosines, so that slopes behind a lens grow faster than in proportion. Behind the point m
+        of a lens of power n/f, in the light of one pupil point, areas grow by :math:`(1 - m^2 / f^2)^{-2}` in a medium
+        of index n. The brightness falls by the reciprocal, whose mean over the lens is taken. `scale` enlarges the
+        lenses; the focal length is reduced.
+        """
+        camera = self.camera
+        distance = camera.pupil_distance if mla_distance is None else mla_distance
+        square = (scale * (1 / focal_length - camera.lens_data.converges / distance) / camera.mla_medium) ** 2
+        second, fourth = self._moments
+        return (1 - 2 * second * square + fourth * square * square) ** -0.5
+
+    @cached_property
+    def _moments(self) -> tuple[float, float]:
+        """Means, over a lens's aperture, of the second and fourth power of the distance from its centre."""
+        along = drjit_array(mi.Float, (np.arange(_MOMENT_SAMPLES) + 0.5) / _MOMENT_SAMPLES)
+        x, y = (value.numpy().astype(float) for value in self.camera.lattice.aperture_point(*dr.meshgrid(along, along)))
+        square = x * x + y * y
+        return float(square.mean()), float((square**2).mean())
+
+    def number(self, i: Any, j: Any, height: Any) -> Any:
+        """Return the index of each lens's kind."""
+        camera, types = self.camera, len(self.camera.mla_focal_lengths)
+        kind = mi.UInt32(camera.lattice.lens_type(i, j)) if types > 1 else mi.UInt32(0)
+        if len(self._ratios) > 1:
+            kind += types * _nearest(irregularities(camera, i, j)[2], self._ratios)
+        if len(self._heights) > 1:
+            kind += types * len(self._ratios) * _nearest(height, self._heights)
+        return kind
+
+    @property
+    def _phase(self) -> float:
+        """Phase in radians at a lens's edge per unit of wavefront curvature in 1/mm."""
+        return math.pi * float(self.camera.lattice.aperture_reach) ** 2 / in_millimetres(_SHORTEST)
+
+    @cached_property
+    def _ratios(self) -> NDArray[np.float64]:
+        """Factors on the focal lengths, one per kind."""
+        most = MOST_DEVIATIONS * self.camera.mla_jitter[1]
+        # The detector's distance replaces the focal lengths, which depend on the wavelength, as the kinds must not.
+        return 1 + _steps(most, _STEP / self._phase * self.camera.reduced_distance)
+
+    @cached_property
+    def _heights(self) -> NDArray[np.float64]:
+        """Heights in mm of the lenses of a tilted array, one per kind."""
+        camera = self.camera
+        across, up = (math.tan(math.radians(abs(angle))) for angle in camera.mla_tilt)
+        most = across * camera.detector_width / 2 + up * camera.detector_height / 2
+        n = camera.mla_medium
+        return _steps(most, _STEP / self._phase * n * (camera.reduced_distance - most / n) ** 2)
+
+
+def _steps(most: float, widest: float) -> NDArray[np.float64]:
+    """Return the centres of equal steps, each at most `widest` wide, from -most to most."""
+    count = max(1, math.ceil(2 * most / widest)) if most else 1
+    return most * ((2 * np.arange(count) + 1) / count - 1)
+
+
+def _nearest(value: Any, steps: Sequence[float] | NDArray[np.float64]) -> Any:
+    """Return the index of the step nearest to each value."""
+    width = float(steps[1] - steps[0])
+    return mi.UInt32(dr.clip(dr.floor((value - float(steps[0])) / width + 0.5), 0, len(steps) - 1))

@@ -1,0 +1,159 @@
+r"""The microlens array as a thin element: the apertures, and the phase in each of them.
+
+.. math:: t(m) = \exp\left(-i \pi \frac{n |m - c|^2}{\lambda f_2}\right)
+
+in the aperture of the lens with centre c, and 0 between apertures (Goodman, "Introduction to Fourier Optics", section
+5.1), n being the index of the medium behind the array; or the phase of the camera's `mla_shape`. If a grid cannot
+represent the steep orders from the edges, orders are used instead: see `microlens_orders`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..array import Lattice, make_lattice, turn
+from ..camera import PlenopticCamera
+from ..optics.waves import in_millimetres, parabola, phasor
+from ..runtime import fft
+from .lens_kinds import FigureError, irregularities
+
+_HARD_EDGES = 1.4
+"""Directions that are retained for apertures with a dark surround, over those for lenses without gaps."""
+
+_JOINED = 1 / 2
+"""Orders that are retained where the phases of neighbouring lenses join, over those of separate apertures."""
+
+_POINTS = 65
+"""Points across a lens at which the slopes of its shape are sampled."""
+
+_STEEPEST = 0.7
+"""Largest direction cosine that is retained for an aperture's diffraction: the limit of scalar thin elements."""
+
+
+def is_separable(camera: PlenopticCamera) -> bool:
+    """Return whether the transmission is a product of a function of x and a function of y."""
+    return camera.lattice.separable and len(camera.mla_focal_lengths) == 1 and camera.mla_shape is None
+
+
+def factor_axes(camera: PlenopticCamera) -> list[tuple[int, ...]]:
+    """Return the axes of each factor of the transmission, which has none without an array."""
+    if not camera.has_array:
+        return []
+    return [(0,), (1,)] if is_separable(camera) else [(0, 1)]
+
+
+def repetition(camera: PlenopticCamera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lattice's vectors, and the sides of the coarsest grid of all centres, in mm in the lattice frame.
+
+    Without an array nothing repeats, and pixels are the grid.
+    """
+    if not camera.has_array:
+        return np.zeros((2, 2)), np.full(2, camera.pixel_size)
+    return np.array(camera.lattice.basis), np.array(camera.lattice.grid_step)
+
+
+def upright(camera: PlenopticCamera) -> PlenopticCamera:
+    """Return the camera in the frame that is rotated with the lattice about the axis."""
+    if not camera.mla_rotation:
+        return camera
+    moved, warp = camera.lattice.displacement, camera.mla_warp
+    return camera.replace(
+        mla_rotation=0.0,
+        mla_offset=turn(*camera.mla_offset, -camera.mla_rotation),
+        mla_warp=warp if moved is None else moved.turned(camera.mla_rotation).warp,
+    )
+
+
+def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> Any:
+    """Return the transmission with all orders, as Complex2f, at Dr.Jit float64 positions in millimetres."""
+    dx, dy, which = from_centre(camera, x, y)
+    types = fft.array_types(x)
+    lattice, longer = _opaque_lattice(camera, types), 1.0
+    # The light of each cell passes its own lens, wherever this lies; displaced cells have no gaps between them.
+    u, v = (x, y) if lattice.displacement is None else lattice.displacement.regular(x, y)
+    cx, cy = lattice.regular.centre(*lattice.cell(x, y))
+    inside = lattice.in_aperture(u - cx, v - cy)
+    if camera.mla_jitter[1]:
+        longer = types.Float64(irregularities(camera, *lattice.cell(x, y))[2])
+    if camera.mla_shape is not None:
+        waves = camera.mla_shape.waves(*lattice.to_frame(dx, dy), wavelength) / longer
+    else:
+        lengths = types.Float64(camera.reduced_focal_lengths)
+        dr.make_opaque(lengths)
+        focal_length = dr.gather(types.Float64, lengths, which) * longer
+        waves = parabola(dx * dx + dy * dy, focal_length, wavelength)
+    if (error := FigureError.of(camera) if any(camera.mla_figure_error) else None) is not None:
+        waves += error.path(x, y) / in_millimetres(wavelength)
+    return dr.select(inside, phasor(waves), 0)
+
+
+def from_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any, Any]:
+    """Return the offsets of Dr.Jit float64 positions from the centres of their lenses, and the types of the lenses."""
+    types = fft.array_types(x)
+    lattice = _opaque_lattice(camera, types)
+    i, j = lattice.cell(x, y)
+    cx, cy = lattice.centre(i, j)
+    several = len(camera.mla_focal_lengths) > 1
+    return x - cx, y - cy, types.UInt32(lattice.lens_type(i, j)) if several else types.UInt32(0)
+
+
+def _opaque_lattice(camera: PlenopticCamera, types: Any) -> Lattice:
+    """Return the lattice with numbers that are not compiled into kernels, for positions in Dr.Jit arrays."""
+    given = [*camera.mla_pitches, camera.mla_rotation, *camera.mla_offset, camera.mla_fill]
+    along, across, rotation, x, y, fill = (dr.opaque(types.Float64, number) for number in given)
+    return make_lattice(
+        camera.mla_lattice,
+        # One array stands for equal pitches.
+        (along, along if camera.mla_pitches[0] == camera.mla_pitches[1] else across),
+        rotation=rotation if camera.mla_rotation else 0.0,
+        offset=(x, y),
+        aperture=camera.mla_aperture,
+        fill=fill,
+        displacement=camera.lattice.displacement,
+    )
+
+
+def bend(camera: PlenopticCamera) -> float:
+    """Return the largest change of a direction cosine by a microlens, along an axis: :math:`n D_2 / 2 f_2`."""
+    lattice = camera.lattice
+    if camera.mla_shape is not None:
+        slopes = np.hypot(*camera.mla_shape.slopes(*lattice.to_frame(*aperture_points(lattice))))
+        return float(slopes.max()) * (math.sqrt(0.5) if lattice.has_upright_apertures else 1)
+    half = lattice.aperture_width / 2 if lattice.has_upright_apertures else lattice.aperture_reach
+    return float(half) / min(camera.reduced_focal_lengths)
+
+
+def aperture_points(lattice: Lattice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return offsets of points that cover an aperture, including its rim."""
+    x, y = lattice.aperture_point(*np.meshgrid(*2 * [np.linspace(0, 1, _POINTS)]))
+    return np.asarray(x), np.asarray(y)
+
+
+def scattering(camera: PlenopticCamera) -> float:
+    """Return the largest change of direction cosine, by a microlens, up to which nearly all light is scattered.
+
+    The edges of opaque gaps scatter more than the joints between lenses. Without an array nothing is scattered.
+    """
+    if not camera.has_array:
+        return 0.0
+    return bend(camera) * (1 if camera.lattice.fills else _HARD_EDGES)
+
+
+def diffraction(camera: PlenopticCamera, wavelength: float, orders: float) -> float:
+    r"""Return the direction cosine of a high diffraction order of a microlens's aperture.
+
+    The minima of an aperture of width w lie at multiples of :math:`\lambda / w`. Beyond the m-th minimum lies the
+    fraction :math:`1 / \pi^2 m` of the light, for each axis (Goodman, "Introduction to Fourier Optics", section 4.4.1).
+    Lenses without gaps scatter less than the edges of apertures: half the orders are used for them. Without an array
+    there are no orders.
+    """
+    if not camera.has_array:
+        return 0.0
+    lattice = camera.lattice
+    cosine = orders * in_millimetres(wavelength) / min(lattice.aperture_widths)
+    return float(min(_STEEPEST, cosine * (_JOINED if lattice.fills else 1)))

@@ -1,0 +1,100 @@
+"""A camera at one wavelength: its lattice, microlenses and main lens."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..array import Lattice
+from ..camera import PlenopticCamera
+from ..lenses.closed_lens import ClosedLens
+from ..lenses.common import main_lens
+from ..lenses.main_lens import MainLens, PointLight
+from ..lenses.real_lens import RealLens
+from ..prescription.glass import LINE_D
+from .microlens_orders import MicrolensArray, microlens_array
+from .microlenses import upright
+
+
+def is_paraxial(camera: PlenopticCamera) -> bool:
+    """Return whether waves from a field of many points propagate paraxially, by slopes, like the camera's rays.
+
+    Behind an ideal thin main lens the light of a single point converges to the point's image, by direction cosines. No
+    phase does that to the light of all points together, except in paraxial propagation, by slopes: a parabola.
+    """
+    return camera.main_lens is None and camera.lens_model == "ideal"
+
+
+@dataclass(frozen=True)
+class OpticalSystem:
+    """Camera, lattice, microlenses and main lens at one wavelength, shared by captures and reconstructions.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    lens_model : {"ideal", "parabolic"}, optional
+        Model of a thin main lens. Default: that of the camera.
+    """
+
+    camera: PlenopticCamera
+    wavelength: float
+    lens_model: str | None = None
+
+    @classmethod
+    def by_design(cls, camera: PlenopticCamera) -> OpticalSystem:
+        """Return the optical system at the main lens's design wavelength, for rays without a wavelength."""
+        return cls(camera, getattr(camera.main_lens, "wavelength", LINE_D))
+
+    @cached_property
+    def lattice(self) -> Lattice:
+        """Lattice of the microlenses."""
+        return self.camera.lattice
+
+    @cached_property
+    def microlenses(self) -> MicrolensArray:
+        """Transmission of the microlenses, in the frame of the camera."""
+        return microlens_array(self.camera, self.wavelength)
+
+    @cached_property
+    def upright_microlenses(self) -> MicrolensArray:
+        """Transmission of the microlenses, in the frame rotated with their lattice about the axis."""
+        turned = self.camera.mla_rotation != 0
+        return microlens_array(upright(self.camera), self.wavelength) if turned else self.microlenses
+
+    @cached_property
+    def lens(self) -> MainLens:
+        """Main lens of the camera, for waves and rays; see `MainLens` for its methods."""
+        return _wave_lens(self.camera, self.wavelength, model=self.lens_model or self.camera.lens_model)
+
+    def waves_of(self, points: NDArray[np.float64]) -> MainLens:
+        """Return the main lens for wave propagation from scene points (n, 3).
+
+        Parameters
+        ----------
+        points : float64 array (n, 3)
+            Scene points in the camera frame.
+
+        Raises
+        ------
+        InputError
+            If the wave model does not support the camera, or a point is not before the lens or lies outside its field.
+        PhysicsError
+            If the path through a real lens cannot be fitted.
+        """
+        return self.lens.waves_of(points)
+
+    def waves_of_one(self, point: NDArray[np.float64]) -> PointLight:
+        """Return the light of a scene point (3,) on the exit pupil, as exactly as the lens can represent it."""
+        return cast(ClosedLens, self.lens) if self.lens.is_uniform else cast(RealLens, self.lens).waves_of_one(point)
+
+
+# Fits of exit pupils are slow.
+_wave_lens = functools.lru_cache(maxsize=4)(main_lens)

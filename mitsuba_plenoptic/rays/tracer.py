@@ -1,0 +1,265 @@
+"""The walk of rays between detector, microlens array, main lens and scene, in either direction.
+
+Ray captures, signed rays, rays of points, splatting and geometric projections all use it. It works on NumPy and Dr.Jit
+arrays, whose gradients it propagates. `optics.rays` has the formulas and the symbols.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple, cast
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..array import Lattice
+from ..camera import PlenopticCamera, Round
+from ..design.quantities import turns_cosines
+from ..fields.lens_kinds import FigureError, irregularities
+from ..fields.optical_system import OpticalSystem
+from ..lenses.common import chief_points, main_lens
+from ..lenses.main_lens import MainLens, Traced
+from ..lenses.pupil import Pair
+from ..lenses.real_lens import RealLens
+from ..optics import rays
+from ..runtime import array_module, drjit_array, fft
+
+_LANES = 2**22
+"""Rays that are followed at once."""
+
+
+class Passage(NamedTuple):
+    """The passage of rays through the microlens array: a point of a lens, the lens's centre and its focal length.
+
+    The focal length is reduced by the index of the medium behind the array.
+    """
+
+    point: Pair
+    centre: Pair
+    focal_length: Any
+
+
+@dataclass(frozen=True)
+class PupilWalk:
+    """The main lens that rays of a camera pass, from points of the plane behind it."""
+
+    # The camera with plain values, for the parameters without gradients.
+    camera: PlenopticCamera
+    lens: MainLens
+
+    def into_scene(self, position: Pair, slope: Pair, height: Any = 0.0) -> Traced:
+        """Return rays traced from array positions, at a height above the array's plane, through the main lens."""
+        if not isinstance(height, float) or height:
+            position = position[0] - height * slope[0], position[1] - height * slope[1]
+        return self.lens.trace(position, slope)
+
+    def through_pupil(self, pupil: Pair, position: Pair, height: Any = 0.0) -> Traced:
+        """Return rays traced from array positions, at a height above the array's plane, through pupil points."""
+        x, y = position
+        if not isinstance(height, float) or height:
+            x, y = (m - height * self.lens.pupil.slope(P, m, height) for P, m in zip(pupil, position, strict=True))
+        # The pupil points stay as they are: rounded differently they would miss a small pupil.
+        return self.lens.ray(pupil, (x, y))
+
+    def inner(self, pupil: Pair, centre: Pair) -> Pair:
+        """Return points of the round pupil for pupil points seen from lenses; points outside stay outside."""
+        if self.lens.is_uniform:
+            return pupil
+        found = cast(RealLens, self.lens).round_map
+        (x, y), (cx, cy) = pupil, centre
+        field = dr.sqrt(cx * cx + cy * cy)
+        # The map is defined for fields along x.
+        c, s = dr.select(field > 0, cx / field, 1), dr.select(field > 0, cy / field, 0)
+        fields, across, _, _ = found.points.shape
+        u, v = x * c + y * s, y * c - x * s
+        at = [(value / found.half + 1) * ((across - 1) / (2 * across)) + 0.5 / across for value in (u, v)]
+        # Outside its border the map continues with the border's values, which lie outside the pupil.
+        u, v, away = self._round_pupil.eval(
+            mi.Point3f(*at, field / found.field * ((fields - 1) / fields) + 0.5 / fields)
+        )
+        # Between fields, points in opposite directions would average to one near the centre.
+        u, v = (value * away * dr.rsqrt(dr.maximum(u * u + v * v, dr.smallest(mi.Float))) for value in (u, v))
+        lit, outside = field < found.closed, 2 * self.lens.pupil.radius
+        return dr.select(lit, u * c - v * s, outside), dr.select(lit, u * s + v * c, outside)
+
+    def passed(self, position: Pair, slope: Pair, height: Any = 0.0) -> Any:
+        """Return the part of the power of rays from array positions that passes an uneven or vignetted aperture."""
+        aperture, vignetting = self.camera.aperture, self.camera.vignetting
+        if aperture == Round() and vignetting is None:
+            return 1.0
+        pupil = tuple(self.lens.pupil.point(m, t, height) for m, t in zip(position, slope, strict=True))
+        # The map to the round pupil is that of a lens of plain numbers.
+        plain = PupilWalk(self.camera, OpticalSystem.by_design(self.camera).lens)
+        x, y = (place / self.camera.pupil_radius for place in plain.inner((pupil[0], pupil[1]), position))
+        return aperture.power(x, y) * (1.0 if vignetting is None else vignetting.power(x, y, *position))
+
+    @functools.cached_property
+    def _round_pupil(self) -> Any:
+        return mi.Texture3f(
+            drjit_array(mi.TensorXf, cast(RealLens, self.lens).round_map.points),
+            filter_mode=dr.FilterMode.Linear,
+            wrap_mode=dr.WrapMode.Clamp,
+        )
+
+
+@dataclass(frozen=True)
+class Walk(PupilWalk):
+    """The optical elements that rays of a camera pass; parameters that may carry gradients are Dr.Jit arrays."""
+
+    lattice: Lattice
+    # Focal lengths of the microlenses in air, one for each type or one for all.
+    focal_lengths: Any
+    # Distance from the array to the detector, and the refractive index of the medium between them.
+    detector_distance: Any
+    medium: Any
+
+    @classmethod
+    def of(cls, camera: PlenopticCamera, lens: MainLens | None = None) -> Walk:
+        """Return the walk with a camera's plain values, by default through the main lens at its design wavelength."""
+        lens = main_lens(camera) if lens is None else lens
+        lengths = np.array(camera.mla_focal_lengths)
+        return cls(camera, lens, camera.lattice, lengths, camera.detector_distance, camera.mla_medium)
+
+    # -- the array -----------------------------------------------------------------------------------
+
+    def height(self, x: Any, y: Any) -> Any:
+        """Return the height in mm of a tilted array at a position: towards the main lens, relative to the axis."""
+        across, up = (math.tan(math.radians(angle)) for angle in self.camera.mla_tilt)
+        return x * across + y * up if across or up else 0.0
+
+    def chief_cell(self, pixel: Pair) -> tuple[Pair, Pair]:
+        """Return where the chief rays of detector points cross the array, and the indices of the lenses there."""
+        x, y = chief_points(self.lens, pixel, self.detector_distance, self.medium)
+        if any(self.camera.mla_tilt):
+            height = self.height(x, y)
+            x, y = x + height * self.lens.pupil.slope(0.0, x), y + height * self.lens.pupil.slope(0.0, y)
+        return (x, y), self.lattice.cell(x, y)
+
+    def lens_at(self, i: Any, j: Any) -> tuple[Pair, Any]:
+        """Return the centres of lenses, irregular ones too, and the focal lengths, reduced by the medium's index."""
+        centre, f2 = self.lattice.centre(i, j), self.focal_lengths / self.medium
+        if np.size(f2) == 1 if isinstance(f2, np.ndarray) else dr.width(f2) == 1:
+            f2 = float(f2[0]) if isinstance(f2, np.ndarray) else f2
+        elif dr.is_array_v(centre[0]):
+            kind, lane = self.lattice.lens_type(i, j), type(centre[0])
+            f2 = dr.gather(lane, f2 if dr.is_array_v(f2) else drjit_array(lane, f2), dr.uint32_array_t(lane)(kind))
+        else:
+            f2 = f2[np.asarray(self.lattice.lens_type(i, j), int)]
+        if self.camera.mla_jitter[1]:
+            f2 = f2 * irregularities(self.camera, i, j)[2]
+        return centre, f2
+
+    def transmission(self, i: Any, j: Any) -> Any:
+        """Return the relative brightness of lenses."""
+        table = self.camera.mla_transmissions
+        return 1.0 if table is None else table.at(self.camera.lattice, i, j)
+
+    def turn(self, passage: Passage) -> Pair:
+        """Return the changes that lenses cause in rays' direction cosines, or slopes, at given points."""
+        (mx, my), (cx, cy), f2 = passage
+        x, y, shape = mx - cx, my - cy, self.camera.mla_shape
+        if shape is None:
+            x, y = -x / f2, -y / f2
+        else:
+            # Other focal lengths, of irregular lenses and by dispersion, scale the whole path.
+            weaker = self.camera.reduced_focal_lengths[0] / f2
+            x, y = self.lattice.from_frame(*shape.slopes(*self.lattice.to_frame(x, y)))
+            x, y = x * weaker, y * weaker
+        if any(self.camera.mla_figure_error) and (error := FigureError.of(self.camera)) is not None:
+            right, up = error.slopes(mx, my)
+            x, y = x + right, y + up
+        return x, y
+
+    def _chief(self, centre: Pair, height: Any) -> Pair | None:
+        """Return the chief rays' slopes at lens centres, for lenses that turn slopes; None if they turn cosines."""
+        if turns_cosines(self.camera):
+            return None
+        return self.lens.pupil.slope(0.0, centre[0], height), self.lens.pupil.slope(0.0, centre[1], height)
+
+    # -- towards the scene ---------------------------------------------------------------------------
+
+    def out_of_array(self, pixel: Pair, passage: Passage) -> tuple[Pair, Any, Any]:
+        """Return slopes before the array of rays from detector points, weights, and which rays leave the medium.
+
+        The weights make rays from all points of the detector uniform over the pupil; see `optics.rays.evenness`.
+        """
+        height = self.height(*passage.centre)
+        z = self.detector_distance + height if any(self.camera.mla_tilt) else self.detector_distance
+        chief = self._chief(passage.centre, height)
+        behind = (passage.point[0] - pixel[0]) / z, (passage.point[1] - pixel[1]) / z
+        slope, emerges = rays.out_of_medium(behind, self.turn(passage), chief, self.medium)
+        return slope, rays.evenness(slope, behind, chief, self.medium), emerges
+
+    def trace(self, pixel: Pair, passage: Passage) -> Traced:
+        """Return traced rays from detector points through points of the array and through the main lens."""
+        slope, _, emerges = self.out_of_array(pixel, passage)
+        point, slope, is_open = self.into_scene(passage.point, slope, self.height(*passage.centre))
+        return point, slope, is_open & emerges
+
+    def through_centre(self, offset: Pair, height: Any) -> tuple[Pair, Any]:
+        """Return slopes before the array, and weights, of rays through lens centres at offsets from detector points.
+
+        Lenses are thin phases, which do not turn the rays through their centres; weights as in `out_of_array`.
+        """
+        behind = tuple(value / (self.detector_distance + height) for value in offset)
+        slope = behind if self.medium == 1 else rays.refracted((behind[0], behind[1]), self.medium)
+        return (slope[0], slope[1]), rays.evenness(slope, behind, None, self.medium)
+
+    # -- towards the detector ------------------------------------------------------------------------
+
+    def onto_detector(self, pupil: Pair, passage: Passage) -> tuple[Pair, Any]:
+        """Return landing points and weights (see `out_of_array`) of rays through pupil points and an untilted array."""
+        (mx, my), centre, _ = passage
+        before = self.lens.pupil.slope(pupil[0], mx), self.lens.pupil.slope(pupil[1], my)
+        chief = self._chief(centre, 0.0)
+        behind = rays.into_medium(before, self.turn(passage), chief, self.medium)
+        z = self.detector_distance
+        return (mx - z * behind[0], my - z * behind[1]), rays.evenness(before, behind, chief, self.medium)
+
+
+def walks_of(systems: Iterable[OpticalSystem]) -> list[tuple[PupilWalk, list[int]]]:
+    """Return one walk for each group of systems whose rays from the pupil follow the same paths, and their indices."""
+    found: dict[float, tuple[PupilWalk, list[int]]] = {}
+    for number, system in enumerate(systems):
+        # Glasses refract the rays of each wavelength in their own way; other lenses are known by their focal length.
+        camera = system.camera
+        refraction = system.wavelength if camera.lens_data.disperses else camera.focal_length
+        walk = PupilWalk(system.camera, system.lens.opaque(functools.partial(dr.opaque, mi.Float)))
+        found.setdefault(refraction, (walk, []))[1].append(number)
+    return list(found.values())
+
+
+def on_plane(traced: Traced, distance: Any, mla_distance: Any) -> Pair:
+    """Return where rays in the scene meet an object plane, which may be at infinity, times -b / g in millimetres."""
+    (x, y, z), (tx, ty), _ = traced
+    forward = 1 - z / distance
+    return tuple(-mla_distance * rays.object_direction(X, forward * t, distance) for X, t in ((x, tx), (y, ty)))
+
+
+def follow_back(p: Any, m: Any, c: Any, distance: float, camera: PlenopticCamera) -> tuple[Any, Any]:
+    """Follow rays from p through m of the lens at c back to an object plane by paraxial optics, linear in p, m and c.
+
+    One axis at a time; returns the points of the pupil, and those of the plane, which may be at infinity, times -b / g.
+    """
+    t = rays.microlens_slope(p, m, c, camera.reduced_distance, camera.mla_focal_length / camera.mla_medium)
+    P = rays.pupil_point(m, t, camera.mla_distance)
+    slope = rays.main_lens_slope(t, P, camera.focal_length)
+    return P, -camera.mla_distance * rays.object_direction(P, slope, distance)
+
+
+def detector_rows(camera: PlenopticCamera) -> Iterator[tuple[slice, Any, Any]]:
+    """Yield slices of rows with x and y of the centres of their pixels in millimetres, as Dr.Jit arrays."""
+    types = array_module()
+    rows, columns = camera.shape
+    x, y = (drjit_array(types.Float64, camera.pixel_coordinates(axis)) for axis in (0, 1))
+    together = max(1, _LANES // columns)
+    for first in range(0, rows, together):
+        last = min(rows, first + together)
+        row, column = fft.rows_and_columns(types, last - first, columns)
+        px = dr.gather(types.Float64, x, column)
+        py = dr.gather(types.Float64, y, row + dr.opaque(types.UInt32, first))
+        yield slice(first, last), px, py

@@ -1,0 +1,15 @@
+"""Wave captures: the light of incoherent scenes by signed rays.
+
+Light of an incoherent scene is described in phase space, by a Wigner function: a density over positions and directions
+that may be negative. Through each lens it moves along rays; the edge of a pupil or of a microlens spreads it. A capture
+draws the rays of a ray capture, gives each ray coefficients of either sign, one for each function that describes where
+the edges diffract, sums the coefficients in images over the pixels, and convolves each image with its kernel.
+
+The files in the order in which light passes them:
+
+`scheme` chooses between cameras with and without microlenses. `signed_draws` and `pixel_draws` draw rays.
+`phase_space` and `pupil_diffraction` plan the diffraction: which functions and kernels a camera needs, by
+`array_kernels`, `array_field`, `lens_functions`, `oblique`, `fitted_pupil` and `pupil_samples`. `signed_colours`
+chooses wavelengths. `signed_rays` traces, weighs and sums; `pixel_kernels` and `convolution` make images of the sums.
+`signed_capture` is a capture with its cost and the derivatives by a scene; `signed_camera` those by a camera.
+"""

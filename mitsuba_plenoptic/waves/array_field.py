@@ -1,0 +1,157 @@
+r"""Fields behind the microlenses for light of one direction, whose pairs of points give the array's kernels.
+
+Light that reaches the detector around the landing point :math:`p_0` of a lens's centre is the Fourier transform of the
+field over the direction cosines t with which light reaches :math:`p_0` (Debye's integral: Born and Wolf, "Principles of
+optics", section 8.8.1). Fields are therefore sampled at even steps of :math:`x = z (t_0 - t)`, where :math:`t_0`
+belongs to the lens's centre; in paraxial light x is the point m on the lens. Each x stands for the point
+
+.. math:: m = p_0 - z\, t / c, \qquad c^2 = 1 - t^2 / n^2 ,
+
+in a medium of index n at the reduced distance z. The field's phase there is that of the path from the pupil through m
+to :math:`p_0`, and the amplitude per direction cosine is :math:`1/c^2`: :math:`c^2` by the inclination and the distance
+(Rayleigh and Sommerfeld's integral: Goodman, "Introduction to Fourier optics", section 3.5), times :math:`d^2m / d^2x =
+1/c^4`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..array import Lattice
+from ..camera import PlenopticCamera
+from ..fields.lens_kinds import Kind, LensKinds
+from ..fields.microlenses import aperture_points
+from ..optics.waves import in_millimetres
+
+_GRAZING = 1e-3
+"""Least square of the cosine of an angle of incidence; more grazing light, from far neighbours, is left out."""
+
+MOST_PHASE = 8.0
+"""Largest defocus in radians at a lens's edge for which functions over the lens describe where rays land."""
+
+Array = NDArray[Any]
+Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class LensWaves:
+    """Phases of a camera's microlenses at one wavelength, relative to the phases by which rays are deflected."""
+
+    # A camera whose detector is near the microlenses' focus; one with glass is taken `at_wavelength`.
+    camera: PlenopticCamera
+    wavelength: float
+
+    @property
+    def lattice(self) -> Lattice:
+        """The regular microlens lattice: kernels are those of a lens among neighbours at regular distances."""
+        return self.camera.lattice.regular
+
+    @cached_property
+    def _lens_kinds(self) -> LensKinds:
+        return LensKinds(self.camera)
+
+    @property
+    def kinds(self) -> list[Kind]:
+        """The kinds of microlenses."""
+        return self._lens_kinds.every
+
+    @property
+    def defocus(self) -> float:
+        """Largest defocus of the waves behind microlenses on the detector, in radians at the edge of a lens."""
+        square = float(self.lattice.aperture_reach) ** 2
+        most = max(abs(self.convergence(kind)) for kind in self.kinds)
+        return math.pi * most * square / in_millimetres(self.wavelength)
+
+    @property
+    def aberration(self) -> float:
+        """Deviation of the lenses' phase from the parabola by which rays land, in radians at the edge of a lens.
+
+        It is computed from slopes, since a phase may have jumps.
+        """
+        shape, lattice, (focal_length, *_) = self.camera.mla_shape, self.lattice, self.camera.reduced_focal_lengths
+        assert shape is not None
+        u, v = lattice.to_frame(*aperture_points(lattice))
+        strength = shape.strength(self.wavelength)
+        slopes = (s * strength + place / focal_length for s, place in zip(shape.slopes(u, v), (u, v), strict=True))
+        most = float(np.hypot(*slopes).max())
+        return math.pi * most * float(lattice.aperture_reach) / in_millimetres(self.wavelength)
+
+    def convergence(self, kind: Kind) -> float:
+        """Return the wavefront curvature (1/mm) behind a lens for a pupil point, relative to focus on the detector."""
+        # Waves from a point of an objective's stop are plane.
+        own = self.camera.lens_data.converges / self.camera.pupil_distance
+        return 1 / kind.distance + own - 1 / kind.focal_length
+
+    def _beyond_parabola(self, u: NDArray[np.float64], v: NDArray[np.float64], kind: Kind) -> NDArray[np.float64]:
+        """Return the phase of a lens in waves, relative to the parabola by which rays land."""
+        shape = self.camera.mla_shape
+        assert shape is not None
+        ratio = kind.focal_length / self.camera.reduced_focal_lengths[kind.lens_type]
+        parabola = (u * u + v * v) / (2 * in_millimetres(self.wavelength) * kind.focal_length)
+        return np.asarray(shape.waves(u, v, self.wavelength) / ratio + parabola)
+
+    def _plane(self, x: Pair, kind: Kind, cosines: tuple[float, float]) -> tuple[Pair, Array, Array]:
+        r"""Return the points of the array that stand at positions `x` of kernels' pairs, for given direction cosines.
+
+        The other results are the squares :math:`c^2` of the cosines of the angles of incidence, which are 0 where no
+        light arrives, and the optical paths to the landing point of the lens's centre, less that from the centre.
+        """
+        index, z = self.camera.mla_medium, kind.distance
+        s = self.lattice.from_frame(*cosines)
+        scale = z * self._lens_kinds.enlargement(kind.focal_length) / math.sqrt(1 - math.hypot(*s) ** 2 / index**2)
+        landing = [each * scale for each in s]
+        straight = math.hypot(index * z, *landing)
+        tx, ty = (index * p / straight - q / z for p, q in zip(landing, x, strict=True))
+        square = np.maximum(1 - (tx * tx + ty * ty) / index**2, 0)
+        slant = 1 / np.sqrt(np.maximum(square, _GRAZING))
+        return (
+            (landing[0] - z * tx * slant, landing[1] - z * ty * slant),
+            square,
+            index * (index * z * slant - straight),
+        )
+
+    def transmission(self, x: Pair, kind: Kind, cosines: tuple[float, float]) -> tuple[Pair, Array, Array]:
+        """Return the field of a lens and its neighbours at positions `x` of kernels' pairs, for given directions.
+
+        Directions are cosines, in the lattice frame. The other results are the points of the array, relative to the
+        lens's centre, and the part of each sample that belongs to the lens itself.
+        """
+        lattice, camera = self.lattice, self.camera
+        wavelength = in_millimetres(self.wavelength)
+        (mx, my), square, path = self._plane(x, kind, cosines)
+        # Lens types alternate along a row.
+        centre = lattice.centre(float(kind.lens_type), 0.0)
+        i, j = lattice.cell(mx + centre[0], my + centre[1])
+        cx, cy = (mx - c + c0 for mx, c, c0 in zip((mx, my), lattice.centre(i, j), centre, strict=True))
+        # Neighbours are assumed to deviate as the lens itself does.
+        powers = camera.mla_focal_lengths[kind.lens_type] / kind.focal_length / np.array(camera.mla_focal_lengths)
+        types = lattice.lens_type(i, j).astype(int) if len(powers) > 1 else np.zeros(i.shape, int)
+        own = camera.lens_data.converges / camera.pupil_distance
+        sx, sy = lattice.from_frame(*cosines)
+        path += sx * mx + sy * my + own * (mx * mx + my * my) / 2 - powers[types] * (cx * cx + cy * cy) / 2
+        waves = path / wavelength
+        if camera.mla_shape is not None:
+            waves += self._beyond_parabola(*lattice.to_frame(cx, cy), kind)
+        amplitude = np.where(square < _GRAZING, 0, 1 / np.maximum(square, _GRAZING))
+        # Samples at borders count in part, so that kernels change smoothly with the camera.
+        step = x[0][0, 1] - x[0][0, 0]
+        own_inset = lattice.aperture_inset(mx, my) / step
+        if lattice.aperture == "cell" and (1 - lattice.fill) * lattice.pitches[0] < step:
+            # Neighbours touch: all light passes, and is divided among them. Sums with these integrals of a B-spline of
+            # order 2 depend little on where between samples the border is.
+            inset = np.clip(own_inset, -1, 1)
+            share = 0.5 + inset - inset * np.abs(inset) / 2
+        else:
+            # Across an opening the sum of these amplitudes, and that of their squares, is its width in steps.
+            inset = lattice.aperture_inset(cx, cy) / step
+            part = np.clip(np.where(inset < 0.5, inset + 0.5, inset - 0.5), 0, 1)
+            amplitude *= 0.5 * (1 + part + np.where(inset < 0.5, -1, 1) * np.sqrt(1 - part * part))
+            share = (own_inset > -0.5).astype(float)
+        # Functions are undefined outside the aperture, where rays have no coefficients.
+        return (mx, my), (amplitude * np.exp(2j * np.pi * waves)).astype(np.complex64), share

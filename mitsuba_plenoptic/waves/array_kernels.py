@@ -1,0 +1,468 @@
+r"""Diffraction by the microlens array: the kernels of a capture's images, and the functions over a lens.
+
+Let T be the transmission of the array, relative to the lens that a ray meets. Behind the array, a ray that meets it at
+m lands on the detector at an offset p from the ray model's position with the signed density
+
+.. math:: K_a(m, p) = \frac{1}{(\lambda z)^2}
+          \int T(m + \xi/2)\, T^*(m - \xi/2)\, e^{-2 \pi i \xi \cdot p / \lambda z}\, d^2\xi.
+
+Pairs of points in two neighbouring lenses are included; they describe the interference of the neighbours' fields. With
+functions :math:`a_n` of m chosen for the camera (`lens_functions`), :math:`K_a(m, p) \approx \sum_n a_n(m)
+\varphi_n(p)`. Coordinates of microlens points are relative to the centre of the lens.
+
+Fields behind the lenses are those of `array_field`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fields.lens_kinds import Kind
+from ..optics.waves import in_millimetres
+from ..runtime import fft, on_all_cores, require_memory, single_threaded_blas
+from .array_field import MOST_PHASE, LensWaves
+from .lens_functions import LensFunctions
+from .oblique import Oblique, changes, directions, terms
+
+_TRANSFER_SAMPLES = 64
+"""Lags per pitch of lenses' transfer functions. There are twice as many points, whose phases differ by a tenth of a
+period between neighbours."""
+
+_KEPT = 2.0
+"""Samples per cycle of the highest frequency of a lens's diffraction; two samples represent it completely."""
+
+SPECTRUM_SAMPLES = 256
+"""Samples across a lens for the Fourier coefficients of its functions."""
+
+_HIGHER, _COARSE, _LAGS = 4, 48, 16
+"""Degrees of the polynomials that are combined above the degree whose polynomials are as many as the functions; points
+across an aperture and lags on either side for which the functions are the best."""
+
+_FUNCTIONS, _OBLIQUE = 0.75, (2.0, 1.25)
+"""Part of images of random light that may be missing for want of functions, over the tolerance; parts for want of
+oblique kernels, of usual cameras, and of those with steep light."""
+
+_MOST_OBLIQUE = 2
+"""Largest number of oblique kernels over that of functions: more are only needed for lenses faster than f/2."""
+
+_COARSER = 4
+"""Factor by which lags of oblique kernels of degree 2 are farther apart, as these are small changes."""
+
+_STEEP = 0.3
+"""Largest direction cosine in front of a lens, plus that by which its edge refracts, from where on kernels change with
+the direction as polynomials of degree 4."""
+
+_FIELD, _PUPIL = 9, 9
+"""Positions across the detector and the pupil whose rays the oblique kernels are for."""
+
+_EVEN = 1e-5
+"""Difference from the mirror image, of largest values 1, below which transmissions and weights are symmetric."""
+
+REACH = 2.5
+"""Distance in microlens pitches to which kernels are computed."""
+
+_BORDER = 8
+"""Samples over which a kernel falls to zero at either end of its period, which is no whole number of samples."""
+
+_REACHED, _SHAPE = 16, 8.0
+"""Samples on either side in the derivative filter, and the shape parameter of its Kaiser window."""
+
+
+@dataclass(frozen=True)
+class ArrayKernels(LensWaves):
+    """Diffraction of one camera's microlenses at one wavelength, as kernels of images."""
+
+    # There are at most as many functions over a lens as polynomials of this degree, (degree + 1) (degree + 2) / 2.
+    degree: int = 4
+    # Shortest wavelength of the plans with which it is used, whose rays must land alike. Default: its own wavelength.
+    shortest: float | None = None
+    # Part of images of random light that is allowed to be missing for want of further functions and oblique kernels.
+    tolerance: float = 0.005
+
+    @property
+    def by_points(self) -> bool:
+        """Whether a ray lands where its point on the lens sends it, instead of where the lens's centre does.
+
+        Far from the microlenses' focus a few functions cannot describe the difference. The spread by the pupil is then
+        taken as that of the whole pupil for all of its points.
+        """
+        return self.defocus * self.wavelength / (self.shortest or self.wavelength) > MOST_PHASE
+
+    @cached_property
+    @single_threaded_blas()
+    def functions(self) -> LensFunctions:
+        """Functions of a ray's point on a lens; polynomials of some degree if landing points depend on these points."""
+        u, v, inside = self.aperture_grid(SPECTRUM_SAMPLES)
+        higher = 0 if self.by_points or self.degree == 0 else _HIGHER
+        scale = float(self.lattice.aperture_reach)
+        polynomials = LensFunctions.polynomials(u[inside], v[inside], self.degree + higher, scale)
+        if not higher:
+            return polynomials
+        u, v, inside = self.aperture_grid(self._samples_of(_COARSE))
+        # Two directions stand for all rays, with their mean square along each axis; opposite ones have mirror images.
+        along, across = np.sqrt(2 * np.mean(np.square(self._cosines()), axis=0)).tolist()
+        images = np.concatenate(
+            [
+                self._images(polynomials, kind, polynomials.functions, cosines)
+                for kind in self.kinds[: len(self.camera.mla_focal_lengths)]
+                for cosines in ((along, 0.0), (0.0, across))
+            ],
+            axis=1,
+        )
+        return polynomials.best(self._most_functions, _FUNCTIONS * self.tolerance, (u[inside], v[inside]), images)
+
+    @property
+    def _is_steep(self) -> bool:
+        """Whether kernels change with the direction of light as polynomials of degree 4."""
+        edge = max(float(self.lattice.aperture_reach) / kind.distance for kind in self.kinds)
+        return bool(np.hypot(*self._cosines().T).max() + edge > _STEEP)
+
+    @property
+    def _most_functions(self) -> int:
+        """Largest number of functions over a lens: the number of polynomials up to the degree."""
+        return (self.degree + 1) * (self.degree + 2) // 2
+
+    @cached_property
+    @single_threaded_blas()
+    def oblique(self) -> Oblique:
+        """Combinations of the changes of kernels with the direction of light."""
+        functions, camera = self.functions, self.camera
+        if self.by_points or functions.count == 1:
+            return Oblique.nothing(functions.count)
+        cosines = self._cosines()
+        largest = float(np.hypot(*cosines.T).max())
+        # Small apertures fall between the points of a grid that is as fine for all.
+        u, v, inside = self.aperture_grid(max(_LAGS, self._samples_of(_COARSE)))
+        kinds = self.kinds[: len(camera.mla_focal_lengths)]
+        degree = 4 if self._is_steep else 2
+        images = [
+            np.concatenate([self._images(functions, kind, functions.duals, (a, b)) for kind in kinds], axis=1)
+            for a, b in directions(degree) * largest
+        ]
+        light = functions.light(u[inside], v[inside])
+        allowed, most = _OBLIQUE[self._is_steep] * self.tolerance, _MOST_OBLIQUE * self._most_functions
+        return Oblique.best(largest, cosines / largest, np.stack(images), light, functions.odd, allowed, most)
+
+    def _samples_of(self, count: int) -> int:
+        """Return the number of samples across a pitch, given the number across an aperture."""
+        return math.ceil(count * self.lattice.pitches[0] / self.lattice.aperture_width)
+
+    @property
+    def values(self) -> int:
+        """Number of values of each ray, which is the number of kernels for one kind of lenses."""
+        return self.functions.count + self.oblique.count
+
+    @cached_property
+    def covariance(self) -> NDArray[np.float64]:
+        """Covariance of the values of an image's rays, for light with random edges from all directions."""
+        functions, oblique = self.functions, self.oblique
+        u, v, inside = self.aperture_grid(_LAGS)
+        light = functions.light(u[inside], v[inside])
+        across, up = self._cosines().T / oblique.largest
+        expected = np.transpose(terms(across, up, oblique.degree))
+        factors = np.einsum("rnk,sk->srn", oblique.factors, expected)
+        both = np.concatenate(
+            [np.broadcast_to(np.eye(functions.count), (len(expected), *light.shape)), factors], axis=1
+        )
+        return np.asarray(np.einsum("sin,nm,sjm->ij", both, light, both, optimize=True) / len(expected))
+
+    def _cosines(self) -> NDArray[np.float64]:
+        """Return the direction cosines (n, 2) on the array, in the array's frame, of light from the pupil."""
+        camera = self.camera
+        field = np.linspace(-0.5, 0.5, _FIELD) if camera.lens_data.converges else np.zeros(1)
+        pupil = np.linspace(-1, 1, _PUPIL) * camera.pupil_radius
+        x, y, Px, Py = (
+            each.ravel()
+            for each in np.meshgrid(field * camera.detector_width, field * camera.detector_height, pupil, pupil)
+        )
+        inside = np.hypot(Px, Py) <= camera.pupil_radius
+        slopes = (each[inside] / camera.pupil_distance for each in (x - Px, y - Py))
+        u, v = self.lattice.to_frame(*slopes)
+        return np.column_stack([u, v]) / np.sqrt(1 + u * u + v * v)[:, None]
+
+    def _images(
+        self,
+        polynomials: LensFunctions,
+        kind: Kind,
+        coefficients: NDArray[np.float64],
+        cosines: tuple[float, float] = (0.0, 0.0),
+    ) -> NDArray[np.float64]:
+        """Return the spectra (n, values) of kernels, as pixels record them, for combinations of polynomials."""
+        scale = in_millimetres(self.wavelength) * kind.distance
+        fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
+        farthest = min(2 * _TRANSFER_SAMPLES, int(scale / (2 * self.camera.pixel_size * fine)))
+        every = max(1, farthest // _LAGS)
+        lags = np.arange(-_LAGS, _LAGS + 1) * every
+        weights = np.sinc(lags * (fine * self.camera.pixel_size / scale))
+        transfer = self._transfer(_LAGS, every, kind, polynomials, coefficients, cosines)
+        spectra = transfer * (weights[:, None] * weights)
+        return np.concatenate([spectra.real, spectra.imag], axis=1).reshape(len(spectra), -1)
+
+    def aperture_grid(self, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+        """Return coordinates of a grid around a lens, in the frame of the lattice, and a mask of its aperture."""
+        reach = float(self.lattice.cell_reach)
+        count = 2 * math.ceil(reach * samples / self.lattice.pitches[0])
+        step = self.lattice.pitches[0] / samples
+        along = (np.arange(count) + 0.5 - count / 2) * step
+        v, u = np.meshgrid(along, along, indexing="ij")
+        return u, v, np.asarray(self.lattice.in_aperture(*self.lattice.from_frame(u, v)))
+
+    def mirrored(self, values: Sequence[Any], across: Any, up: Any) -> list[Any]:
+        """Return the values of the functions at positions mirrored along u, along v, or both."""
+        signs = dr.select(across, -1.0, 1.0), dr.select(up, -1.0, 1.0)
+        return [
+            value * (signs[0] if i else 1.0) * (signs[1] if j else 1.0)
+            for (i, j), value in zip(self.functions.odd, values, strict=False)
+        ]
+
+    @property
+    def reach(self) -> float:
+        """Distance in mm to which captures need kernels."""
+        return REACH * max(self.camera.mla_pitches)
+
+    def kernels(self, step: float, reach: float, kind: int = 0) -> NDArray[np.float64]:
+        """Return the kernels (n, k, k) of one kind of lenses on a grid of width `step`, times the area of a grid cell.
+
+        First come the functions' kernels, which reach at least to `reach`, then the oblique ones. Light beyond is
+        folded back, which conserves energy.
+        """
+        key = step, reach, kind
+        if key not in self._kept:
+            self._require_memory(step, reach, kind)
+            if self.by_points:
+                self._kept[key] = self._cell_kernels(step, reach, self.kinds[kind])
+            else:
+                self._kept[key] = self.sampled_kernels(step, self.kernel_samples(step, reach, kind), kind)
+        return self._kept[key]
+
+    def _require_memory(self, step: float, reach: float, kind: int) -> None:
+        """Refuse kernels that exceed the memory, as for pixels far larger than a lens's diffraction pattern."""
+        if self.by_points:
+            # Transforms of the aperture, their products, and the kernels themselves.
+            count, each = 2 * (math.ceil(reach / step) + 1) * self._cell_parts(step, self.kinds[kind]), 32.0
+        else:
+            count, each = 2 * self.kernel_samples(step, reach, kind)[2] + 1, 8.0
+        spot = in_millimetres(self.wavelength) * self.kinds[kind].distance / float(self.lattice.aperture_width)
+        require_memory(
+            each * self.functions.count * float(count) ** 2,
+            f"detector_width = {self.camera.detector_width:g}: pixels of {self.camera.pixel_size:.3g} mm behind lenses "
+            f"whose diffraction spreads {self.wavelength:g} nm by {spot:.2g} mm, need kernels of {count} x {count} "
+            "samples",
+        )
+
+    def _cell_parts(self, step: float, kind: Kind) -> int:
+        """Return the number of samples across a cell that resolves a lens's diffraction."""
+        scale = in_millimetres(self.wavelength) * kind.distance
+        return math.ceil(_KEPT * step * float(self.lattice.aperture_width) / scale)
+
+    @cached_property
+    def _kept(self) -> dict[tuple[float, float, int], NDArray[np.float64]]:
+        return {}
+
+    def kernel_samples(self, step: float, reach: float, kind: int = 0) -> tuple[int, int, int]:
+        """Return the sampling of `kernels`: lag step in fine samples, number of lags, samples on either side."""
+        scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
+        fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
+        every = max(1, int(scale / (2 * fine * reach)))
+        # Pairs in neighbouring lenses are less than two cell widths apart; the grid resolves half a cycle per step.
+        farthest = int(min(2 * _TRANSFER_SAMPLES, scale / (2 * step * fine))) // every
+        return every, farthest, math.ceil((scale / (fine * every * step) + _BORDER) / 2)
+
+    @single_threaded_blas()
+    def sampled_kernels(self, step: float, samples: tuple[int, int, int], kind: int = 0) -> NDArray[np.float64]:
+        """Return `kernels` with a given sampling, even where another sampling would suit better."""
+        every, farthest, count = samples
+        functions, oblique = self.functions, self.oblique
+        transfer = self._transfer(farthest, every, self.kinds[kind], functions, functions.duals)
+        kernels = self._placed(transfer, every, step, count, kind)
+        if not oblique.count:
+            return kernels
+        parts = np.einsum("rnk,kd->drn", oblique.kernels, changes(oblique.degree))
+        # Coarse pixels resolve few lags.
+        coarser = _COARSER if oblique.degree == 2 and farthest >= _LAGS else 1
+        transfer = np.sum(
+            [
+                self._transfer(
+                    farthest // coarser,
+                    every * coarser,
+                    self.kinds[kind],
+                    functions,
+                    functions.duals @ part.T,
+                    (a, b),
+                )
+                for part, (a, b) in zip(parts, directions(oblique.degree) * oblique.largest, strict=True)
+            ],
+            axis=0,
+        )
+        # Their period is shorter, but not the border of their windows.
+        small = self._placed(transfer, every * coarser, step, min(count, count // coarser + _BORDER // 2), kind)
+        aside = (kernels.shape[1] - small.shape[1]) // 2
+        return np.concatenate([kernels, np.pad(small, [(0, 0), (aside, aside), (aside, aside)])])
+
+    def _placed(
+        self, transfer: NDArray[np.complex64], every: int, step: float, count: int, kind: int
+    ) -> NDArray[np.float64]:
+        """Return kernels of `count` samples on either side, from transfer functions `every` steps apart."""
+        scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
+        apart = self.lattice.pitches[0] / _TRANSFER_SAMPLES * every
+        farthest = transfer.shape[1] // 2
+        place, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * apart
+        # All repetitions of the window add up to 1, so that a kernel has the transfer function at each lag.
+        period = scale / apart
+        beyond = (np.abs(place) - period / 2) / min(_BORDER * step, period)
+        window = (1 - np.sin(np.pi * np.clip(beyond, -0.5, 0.5))) / 2
+        waves = window[:, None] * np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (apart * step / scale)
+        return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
+
+    def spots(self, along: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the diffraction patterns (types, n, n) of single lenses, at detector positions along both axes."""
+        u, v, inside = self.aperture_grid(_TRANSFER_SAMPLES)
+        wavelength = in_millimetres(self.wavelength)
+        made = []
+        for kind in self.kinds[: len(self.camera.mla_focal_lengths)]:
+            scale = wavelength * kind.distance
+            waves = np.exp(-2j * np.pi * np.outer(along, u[0]) / scale)
+            phase = self.convergence(kind) * (u * u + v * v) / (2 * wavelength)
+            if self.camera.mla_shape is not None:
+                phase = phase + self._beyond_parabola(u, v, kind)
+            field = waves @ np.where(inside, np.exp(2j * np.pi * phase), 0) @ waves.T
+            made.append(np.abs(field) ** 2 * (u[0, 1] - u[0, 0]) ** 2 / (inside.sum() * scale**2))
+        return np.stack(made)
+
+    def _cell_kernels(self, step: float, reach: float, kind: Kind) -> NDArray[np.float64]:
+        r"""Return kernels between cells of uniform light, for cells that may be larger than the diffraction kernels.
+
+        Without neighbours and phase, the integral over pairs of points is a sum of products: :math:`m^i = 2^{-i} \sum_a
+        \binom{i}{a} x_1^a x_2^{i-a}` gives products of transforms of aperture times power.
+        """
+        lattice, scale = self.lattice, in_millimetres(self.wavelength) * kind.distance
+        parts = self._cell_parts(step, kind)
+        count = math.ceil(reach / step)
+        fine, far = step / parts, (count + 1) * parts - 1
+        x, y, _ = self.aperture_grid(SPECTRUM_SAMPLES)
+        along, spacing = x[0], x[0, 1] - x[0, 0]
+        inside = lattice.in_aperture(x, y)
+        functions = self.functions
+        u, v = (place / functions.scale for place in lattice.to_frame(x, y))
+        # The transforms of samples repeat; behind large lenses they do so within the kernels' reach.
+        within = min(far, int(scale / (2 * spacing * fine)))
+        waves = np.exp(-2j * np.pi * np.outer(np.arange(-within, within + 1) * fine, along) / scale)
+        fields = {(a, b): waves @ np.where(inside, u**a * v**b, 0) @ waves.T for a, b in functions.exponents}
+        products = []
+        for i, j in functions.exponents:
+            both = np.zeros(fields[0, 0].shape)
+            for a, b in itertools.product(range(i + 1), range(j + 1)):
+                weight = math.comb(i, a) * math.comb(j, b) / 2 ** (i + j)
+                both += weight * (fields[a, b] * fields[i - a, j - b].conj()).real
+            products.append(both)
+        kernels = np.einsum("mn,myx->nyx", functions.combined, products) * (spacing * fine / scale) ** 2 / inside.sum()
+        kernels = np.pad(kernels, [(0, 0), *[(far - within,) * 2] * 2])
+        tent = np.convolve(np.ones(parts), np.ones(parts)) / parts
+        for axis in (1, 2):
+            kernels = np.apply_along_axis(np.convolve, axis, kernels, tent, "valid")
+        return kernels[:, ::parts, ::parts]
+
+    def _transfer(
+        self,
+        farthest: int,
+        every: int,
+        kind: Kind,
+        polynomials: LensFunctions,
+        coefficients: NDArray[np.float64],
+        cosines: tuple[float, float] = (0.0, 0.0),
+    ) -> NDArray[np.complex64]:
+        """Return the integrals over a cell of combinations of polynomials, times T T*, at lags along y and x.
+
+        Along either axis there are `farthest` lags on either side, `every` steps of the pitch over `_TRANSFER_SAMPLES`
+        apart, and two points for each step. `coefficients` (polynomials, n) define the combinations. Light has given
+        direction cosines.
+        """
+        lattice = self.lattice
+        # A lag of whole steps moves both points of a pair to points of the grid.
+        step = lattice.pitches[0] / _TRANSFER_SAMPLES / 2
+        reach = math.ceil(lattice.cell_reach / step) + farthest * every + 1
+        along = (np.arange(-reach, reach) + 0.5) * step
+        y, x = np.meshgrid(along, along, indexing="ij")
+        (x, y), T, share = self.transmission((x, y), kind, cosines)
+        own = share > 0
+        rows, columns = (np.flatnonzero(own.any(axis)) for axis in (1, 0))
+        top, bottom, left, width = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1 - columns[0]
+        values = polynomials.values(*(place[own] for place in lattice.to_frame(x, y)))
+        # On these samples, too, the integrals of the duals with the functions over the lens are exact.
+        measure = share[own] * np.square(np.abs(T[own]))
+        functions, duals = polynomials.functions, polynomials.duals
+        products = (values @ functions).T @ (measure[:, None] * (values @ duals)) / measure.sum()
+        exact = duals @ np.linalg.solve(products, functions.T @ coefficients)
+        weight = np.zeros((*own.shape, coefficients.shape[1]), np.float32)
+        weight[own] = share[own, None] * (values @ exact)
+        weight = weight[top:bottom, left : left + width]
+        across, up = (self._symmetry(T, weight, axis) for axis in (1, 0))
+        real = imaginary = np.ones(coefficients.shape[1], bool)
+        if across is not None and up is not None:
+            # Opposite points give conjugate products: half of the lens gives the real or the imaginary part.
+            real = np.ravel(across == up)
+            imaginary, bottom = ~real, (top + bottom) // 2
+            weight = 2 * weight[: bottom - top]
+        weight = weight.reshape(-1, coefficients.shape[1])
+        weights = weight[:, real], weight[:, imaginary]
+        count, most = 2 * farthest + 1, farthest * every
+        # One symmetry gives the lags on one side from those on the other.
+        first = 0 if across is None and up is None else farthest
+        result = np.zeros((coefficients.shape[1], count, count), np.complex64)
+        # Views (column, row, place) of T, from each column on.
+        lines = np.lib.stride_tricks.sliding_window_view(T, width, axis=1).transpose(1, 0, 2)
+        after, before = lines[left - most : left + most + 1 : every], lines[left + most : left - most - 1 : -every]
+        after, before = after[first:], before[first:]
+
+        def integrate(lags: NDArray[np.int64]) -> None:
+            product = np.empty((count - first, bottom - top, width), np.complex64)
+            for lag in lags.tolist():
+                b = lag * every
+                np.conjugate(before[:, top - b : bottom - b], out=product)
+                product *= after[:, top + b : bottom + b]
+                flat = product.reshape(len(product), -1)
+                result.real[real, farthest + lag, first:] = (flat.real @ weights[0]).T
+                result.imag[imaginary, farthest + lag, first:] = (flat.imag @ weights[1]).T
+
+        on_all_cores(integrate, np.array_split(np.arange(farthest + 1), fft.worker_count()))
+        other_side = result[:, farthest:, :farthest:-1]
+        if across is not None:
+            result[:, farthest:, :farthest] = other_side * across
+        elif up is not None:
+            result[:, farthest:, :farthest] = other_side.conj() * up
+        # The weights are real.
+        result[:, :farthest] = result[:, :farthest:-1, ::-1].conj()
+        # The normalisation uses the sampled open area, which conserves the energy.
+        return np.asarray(result / np.float32(measure.sum()))
+
+    @staticmethod
+    def _symmetry(T: NDArray[Any], weight: NDArray[np.float32], axis: int) -> NDArray[np.float32] | None:
+        """Return 1 for weights that are even, and -1 for odd ones, along an axis along which T is even; otherwise None.
+
+        Shapes: the result (n, 1, 1), `weight` (rows, columns, n).
+        """
+        other = np.flip(weight, axis)
+        signs = np.where((other * weight).sum((0, 1)) < 0, np.float32(-1), np.float32(1))
+        even = np.allclose(T, np.flip(T, axis), rtol=0, atol=_EVEN)
+        even = even and np.allclose(weight, signs * other, rtol=0, atol=_EVEN * np.abs(weight).max((0, 1)))
+        return signs[:, None, None] if even else None
+
+
+def displaced(kernels: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Return the changes of kernels per cell of displacement, along x, then along y."""
+    from scipy.ndimage import convolve1d
+
+    # Kernels end abruptly, and their slopes include these ends: a short filter confines them to their surroundings.
+    steps = np.arange(-_REACHED, _REACHED + 1)
+    ideal = np.divide((-1.0) ** steps, steps, out=np.zeros(len(steps)), where=steps != 0)
+    wide = np.pad(kernels, [(0, 0), (_REACHED, _REACHED), (_REACHED, _REACHED)])
+    return [convolve1d(wide, -ideal * np.kaiser(len(steps), _SHAPE), axis, mode="constant") for axis in (2, 1)]

@@ -1,0 +1,554 @@
+r"""Diffraction in phase space: the spread of rays of incoherent light by the main lens's pupil and the microlenses.
+
+In front of the pupil the Wigner function of incoherent light is the radiance along rays (Walther, J. Opt. Soc. Am. 58,
+1256 (1968); Bastiaans, Opt. Commun. 25, 26 (1978)). Two apertures spread it. Behind the *pupil* a ray through the pupil
+point P keeps P, and meets the array at m + x instead of m, with the signed density
+
+.. math:: K_p(P, x) = \frac{1}{(\lambda b)^2} \int O_P(\eta)\, e^{-2 \pi i \eta \cdot x / \lambda b}\, d^2\eta, \qquad
+          O_P(\eta) = t(P + \eta/2)\, t^*(P - \eta/2).
+
+Behind the *array* the ray lands on the detector at an offset p from the ray model's position, with a signed density
+:math:`K_a(m, p) \approx \sum_n a_n(m) \varphi_n(p)`, where :math:`a_n` are functions of m over a lens: see
+`array_kernels` and `lens_functions`. A capture becomes a ray capture of a few values per ray, followed by one
+convolution for each value:
+
+.. math:: I = \sum_n \varphi_n * \sum_{rays} L\, A_n, \qquad A_n(m, P) = \int K_p(P, x)\, a_n(m + x)\, d^2x .
+
+All of this depends on the camera and the wavelength, and not on the scene. Coordinates of microlens points are relative
+to the centre of the lens. The coefficients are tabulated here, and interpolated with Dr.Jit on the active device.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera, Round
+from ..errors import InputError, short_repr
+from ..fields.optical_system import OpticalSystem
+from ..optics.waves import in_millimetres
+from ..runtime import drjit_array, empty_packets, on_all_cores, single_threaded_blas
+from .array_field import MOST_PHASE
+from .array_kernels import SPECTRUM_SAMPLES, ArrayKernels
+
+FINE = 0.005
+"""Accuracy below which finer plans are made."""
+
+_DEGREES, _WINDOWS, _RADIAL, _TOLERANCES = (4, 6), (9, 13), (14, 24), (0.005, 0.0012)
+"""Degrees, which give the number of functions over a lens, windows, nodes of the table along the pupil's radius, and
+tolerances of oblique kernels, of usual and of finer plans."""
+
+_DEFOCUS = 4.0
+"""Defocus of the microlenses in radians beyond which the degree is increased by two."""
+
+_CELLS = (2.0, 4.0)
+"""Cells of the grid per period of the highest frequency of a microlens's diffraction, at usual and fine accuracy. Two
+resolve it; 4 also resolve the interference of neighbouring lenses."""
+
+_UNIT = 3.8
+"""Least unit of the windows' widths over lambda b / R, where the unit is not a lens: windows of nine contain 99.4 % of
+the Airy pattern."""
+
+_MOST_CELLS, _VERY_COARSE = (2, 3), 16.0
+"""Most cells of the grid across a pixel, at usual and fine accuracy, as a pixel integrates over what more resolve; and
+the width of pixels, in widths of a lens's diffraction, from which the second holds for both, as kernels on fewer cells
+would have too few lags."""
+
+_SPREADS = 2.0
+"""Width of the window around a lens over the width of the pupil's diffraction along the radius, lambda b / 2 h."""
+
+_LEAST_WINDOW, _NARROW = 3, 0.2
+"""Units across the smallest window; it is one unit smaller if that width is below this fraction of a unit."""
+
+_OVERSAMPLING, _FINEST = 1.4, 32
+"""Samples of the table over those that its highest frequency requires, and the largest number per lens."""
+
+MOST_SHIFT = 0.3
+"""Largest displacement in pixels by the pupil's diffraction where the defocus exceeds `MOST_PHASE`."""
+
+_SMOOTH = "closer to a parabola, for the shortest wavelength, too; use CaptureOperator"
+"""The rule for the shape of microlenses."""
+
+_NARROWEST = 10.0
+"""Width of openings in wavelengths below which kernels lack more than 3 % of the light, or have far too much."""
+
+_WIDE = 5.0
+"""Units of windows, over the pitch, beyond which samples are twice as dense: the light of a lens is a slope of the
+pupil's pattern there, which linear interpolation between fewer samples leaves up to 7 % too high at lens centres."""
+
+_SUBSAMPLES = 4
+"""Gauss-Legendre nodes, per direction and side, of the average of the pupil's overlap around a table node."""
+
+_DARK = 0.01
+"""Smallest transmission of an apodised pupil in its overlaps, which are divided by it."""
+
+_PACKET = 4
+"""Count of coefficients that are gathered at a time."""
+
+_BYTES = 2**30
+"""Bytes of tables that are cached, beyond which those that a capture does not need are freed, the oldest first. A table
+takes some 18 MiB, and 40 MiB at f/2."""
+
+_tables: dict[tuple[Any, ...], Table] = {}
+
+
+class TableNode(NamedTuple):
+    """The window of the table at one node of the pupil's radius, in the lattice frame."""
+
+    # Side lengths, which are whole multiples of the lattice periods.
+    sides: tuple[float, float]
+    # Samples along the sides.
+    counts: tuple[int, int]
+    # Number of intervals between nodes over a quarter turn.
+    angular: int
+
+
+@dataclass(frozen=True)
+class PhaseSpace(ArrayKernels):
+    """Diffraction of one camera at one wavelength, as coefficients of rays and kernels of images."""
+
+    # Units across the window at the pupil's rim, where the spread of a ray is largest. A unit is a lens, or more behind
+    # pupils that diffract light over many lenses. Light outside is folded back by whole windows, which conserves the
+    # energy.
+    window: int = 9
+    # Nodes of the table along the pupil's radius, denser towards its rim.
+    radial: int = 12
+    # Longest wavelength of the plans with which it is used, whose tables have the same nodes. Default: its own.
+    longest: float | None = None
+
+    @classmethod
+    def of(
+        cls, camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float, longest: float | None
+    ) -> PhaseSpace:
+        """Return a usual or a finer plan; `shortest` and `longest` are the extreme wavelengths of a capture's plans."""
+        plan = cls(
+            camera,
+            wavelength,
+            degree=_DEGREES[fine],
+            window=_WINDOWS[fine],
+            radial=_RADIAL[fine],
+            tolerance=_TOLERANCES[fine],
+            shortest=shortest,
+            longest=longest,
+        )
+        return replace(plan, degree=plan.degree + 2) if plan.defocus > _DEFOCUS and not plan.by_points else plan
+
+    def __post_init__(self) -> None:
+        camera = self.camera
+        for name, refused, rule in (
+            (
+                "mla_fill",
+                self._least_fill > camera.mla_fill,
+                f'{self._least_fill:.3g} or more, openings of {_NARROWEST:g} wavelengths; use method="points"',
+            ),
+            ("mla_shape", camera.mla_shape is not None and self.aberration > MOST_PHASE, _SMOOTH),
+            ("mla_shape", camera.mla_shape is not None and self.by_points, "near the microlenses' focus"),
+            ("detector_distance", self._shift > MOST_SHIFT, f"closer to the microlenses' focus, {self._limits}"),
+        ):
+            if refused:
+                raise InputError(f"{name} = {short_repr(getattr(camera, name))}: for signed rays it must be {rule}")
+
+    @property
+    def _least_fill(self) -> float:
+        """Smallest `mla_fill` for which the kernels are valid, by the narrowest opening in wavelengths."""
+        camera = self.camera
+        return _NARROWEST * in_millimetres(self.wavelength) * camera.mla_fill / float(camera.lattice.aperture_width)
+
+    @property
+    def _shift(self) -> float:
+        """Displacement of light, in pixels, by the pupil's diffraction, where landing points vary over a lens."""
+        if not self.by_points:
+            return 0.0
+        camera = self.camera
+        most = max(abs(self.convergence(kind)) * kind.distance for kind in self.kinds)
+        width = in_millimetres(self.wavelength) * camera.pupil_distance / (2 * camera.pupil_radius)
+        return most * width / camera.pixel_size
+
+    @property
+    def _limits(self) -> str:
+        """Allowed range of the detector's distance in mm, as text."""
+        camera = self.camera
+        aside = MOST_PHASE * in_millimetres(self.wavelength) / math.pi / float(self.lattice.aperture_reach) ** 2
+        own = camera.lens_data.converges / camera.pupil_distance
+        powers = [1 / f2 - own for f2 in camera.reduced_focal_lengths]
+        near, far = (camera.mla_medium / max(power, 1e-9) for power in (min(powers) + aside, max(powers) - aside))
+        return f"from {near:.4g} to {far:.4g} mm" if near <= far else "which several focal lengths do not allow"
+
+    @functools.cached_property
+    def system(self) -> OpticalSystem:
+        """Optical system of the camera at the wavelength."""
+        return OpticalSystem(self.camera, self.wavelength)
+
+    @functools.cached_property
+    def nodes(self) -> list[TableNode]:
+        """Nodes of the table along the pupil's radius, each with its window and number of samples."""
+        radius, pitch = self.camera.pupil_radius, self.lattice.pitches[0]
+        # Windows are for the longest wavelength, and samples for the shortest.
+        reach, least_reach = (
+            in_millimetres(limit or self.wavelength) * self.camera.pupil_distance
+            for limit in (self.longest, self.shortest)
+        )
+        unit = max(pitch, _UNIT * reach / radius)
+        oversampling = _OVERSAMPLING * (1 + (unit > _WIDE * pitch))
+        made = []
+        for index in range(self.radial + 1):
+            distance, inner = (radius * (1 - (1 - max(r, 0) / self.radial) ** 2) for r in (index, index - 1))
+            spread = _SPREADS * reach / max(radius - distance, 1e-9 * radius)
+            least = _LEAST_WINDOW * unit if spread > _NARROW * unit else (_LEAST_WINDOW - 1) * unit
+            wanted = min(self.window * unit, max(least, unit + spread))
+            sides = tuple(math.ceil(wanted / period - 1e-6) * period for period in self.lattice.period())
+            # The largest lag is perpendicular to the radius.
+            step = max(least_reach / (2 * oversampling * 2 * math.sqrt(radius**2 - inner**2)), pitch / _FINEST)
+            # Between adjacent nodes the farthest points move by half a unit.
+            angular = math.ceil(math.pi / 2 * max(sides) / unit)
+            made.append(TableNode(sides, tuple(math.ceil(side / step) for side in sides), angular))
+        return made
+
+    @property
+    def table(self) -> Table:
+        """Coefficients of rays at each node of the pupil's radius: (nodes of the angle, rows, columns, functions).
+
+        Cameras that differ only in parameters without effect on the table, such as their detectors, share it. Plans do
+        not store it, as those of many cameras, for example in a fit, would fill the memory.
+        """
+        tabulate([self])
+        return _tables[self.key]
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """All that the table depends on."""
+        camera = self.camera
+        return (
+            *(camera.mla_lattice, camera.mla_pitches, camera.mla_aperture, camera.mla_fill),
+            *(camera.pupil_radius, camera.pupil_distance, camera.aperture, self.wavelength, *self.nodes),
+            self.functions.combined.tobytes(),
+        )
+
+    @property
+    def layout(self) -> tuple[Any, ...]:
+        """All that the places of coefficients in the table depend on, but the lattice."""
+        return self.camera.pupil_radius, *self.nodes
+
+    @property
+    def shapes(self) -> list[tuple[int, ...]]:
+        """Shapes of the table's arrays."""
+        return [(node.angular + 1, *reversed(node.counts), self.functions.count) for node in self.nodes]
+
+    @single_threaded_blas()
+    def tabulated(self, table: Table | None = None) -> Sequence[NDArray[Any]]:
+        """Return the arrays of the table of coefficients, computed anew in single precision, or in a given table."""
+        arrays = [np.empty(shape, np.float32) for shape in self.shapes] if table is None else table
+        radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
+        u, v, inside = self.aperture_grid(SPECTRUM_SAMPLES)
+        used = np.ix_(*(np.flatnonzero(inside.any(axis)) for axis in (1, 0)))
+        u, v, inside = u[used], v[used], inside[used]
+        functions = self.functions
+        values = np.where(inside[..., None], functions.values(u, v) @ functions.functions, 0) * (u[0, 1] - u[0, 0]) ** 2
+
+        def fill(radial: int) -> None:
+            node, part = self.nodes[radial], arrays[radial]
+            # Fourier coefficients over the window, for the frequencies that pass the pupil.
+            gains, orders, lags = [], [], []
+            for side, count, along, halved in zip(node.sides, node.counts, (u[0], v[:, 0]), (0, 1), strict=True):
+                most = (count - 1) // 2
+                # Opposite frequencies give conjugate parts: those of half the plane stand for both.
+                order = np.arange(0 if halved else -most, most + 1)
+                # Samples are in the middle of cells. The gain compensates the damping by linear interpolation.
+                phases = np.exp(np.pi * 1j * order * (1 / count - 1)) * np.sinc(order / count) ** -2 * count / side
+                gains.append(phases.astype(np.complex64))
+                orders.append(np.exp(-2j * np.pi * np.outer(order, along) / side).astype(np.complex64))
+                lags.append(np.asarray(order * (reach / side), np.float32))
+            spectra = np.einsum("ay,yxn,bx->nba", orders[1], values.astype(np.float32), orders[0], optimize=True)
+            spectra *= gains[0][:, None] * gains[1]
+            size, below = node.counts, len(gains[0]) // 2
+            whole = np.zeros((functions.count, size[0], size[1] // 2 + 1), np.complex64)
+            for angle in range(node.angular + 1):
+                turn = math.pi / 2 / node.angular
+                passed = spectra * self._overlap(radial, angle * turn, turn, lags[0][:, None], lags[1], radius)
+                whole[:, : below + 1, : passed.shape[2]] = passed[:, below:]
+                whole[:, size[0] - below :, : passed.shape[2]] = passed[:, :below]
+                part[angle] = scipy.fft.irfft2(whole, size, workers=1).T
+
+        on_all_cores(fill, range(len(self.nodes)))
+        return arrays
+
+    def _overlap(
+        self,
+        radial: int,
+        angle: float,
+        turn: float,
+        lag_u: NDArray[np.float32],
+        lag_v: NDArray[np.float32],
+        radius: float,
+    ) -> NDArray[np.float32]:
+        """Return O_P over the power at P, averaged over the part of the pupil for which interpolation uses a node."""
+        aperture, even = self.camera.aperture, self.camera.aperture == Round()
+        abscissae, weights = np.polynomial.legendre.leggauss(_SUBSAMPLES)
+        aside, weights = (abscissae + 1) / 2, weights * (1 - (abscissae + 1) / 2)
+        steps = np.concatenate([-aside, aside])
+        weights = np.concatenate([weights, weights])
+        rest = np.float32(radius**2) - (lag_u**2 + lag_v**2) / 4
+        total, scale = np.zeros_like(rest), 0.0
+        for step, weight in zip(steps, weights, strict=True):
+            t = 1 - (radial + step) / self.radial
+            if not 0 <= t <= 1:
+                continue
+            distance = radius * (1 - t * t)
+            # The area element of a step of t; on the axis any value gives the same result.
+            area = weight * t * distance
+            for part, share in zip(steps, weights, strict=True):
+                Pu, Pv = (np.float32(distance * f(angle + part * turn)) for f in (math.cos, math.sin))
+                # Both points P + lag / 2 and P - lag / 2 are within the pupil.
+                both: Any = np.abs(Pu * lag_u + Pv * lag_v) <= rest - np.float32(distance**2)
+                power = 1.0
+                if not even:
+                    ends = [
+                        [(P + side * lag / 2) / radius for P, lag in ((Pu, lag_u), (Pv, lag_v))] for side in (1, -1)
+                    ]
+                    # Where no light passes, the light of what is tabulated is multiplied by 0.
+                    both = both * np.sqrt(math.prod(np.maximum(aperture.power(*end), _DARK) for end in ends))
+                    power = max(float(aperture.power(Pu / radius, Pv / radius)), _DARK)
+                total += np.float32(area * share) * both
+                scale += area * share * power
+        return np.asarray(total / np.float32(scale))
+
+    @property
+    def widths(self) -> tuple[float, float]:
+        """Widths in mm of a lens's diffraction on the detector, and of a lens."""
+        extent = in_millimetres(self.wavelength) * self.camera.reduced_distance
+        return extent / float(self.lattice.aperture_width), min(self.camera.mla_pitches)
+
+    def parts(self, fine: bool) -> int:
+        """Return the number of cells of the grid across a pixel, for usual or finer plans."""
+        if self.by_points:
+            return 1  # kernels are integrated over pixels
+        highest = self.camera.pixel_size / self.widths[0]
+        return min(math.ceil(_CELLS[fine] * highest), _MOST_CELLS[fine or highest > _VERY_COARSE])
+
+    def arguments(self, point: tuple[Any, Any], pupil: tuple[Any, Any]) -> list[Any]:
+        """Return the numbers of which a ray's coefficients are polynomials: its point on a lens over the reach."""
+        return [place / self.functions.scale for place in self.lattice.to_frame(*point)]
+
+    def moved(self, camera: PlenopticCamera) -> PhaseSpace:
+        """Return the plan of a slightly different camera, with the same functions and nodes of the table."""
+        plan = replace(self, camera=camera)
+        vars(plan)["functions"], vars(plan)["oblique"] = self.functions, self.oblique
+        scales = [own / before for own, before in zip(plan.lattice.period(), self.lattice.period(), strict=True)]
+        vars(plan)["nodes"] = [
+            node._replace(sides=(node.sides[0] * scales[0], node.sides[1] * scales[1])) for node in self.nodes
+        ]
+        return plan
+
+
+def coefficients_of(plans: Sequence[PhaseSpace]) -> list[RayCoefficients | Polynomials]:
+    """Return the objects that compute the coefficients of rays for plans."""
+    tabulate([plan for plan in plans if not plan.by_points])
+    return [Polynomials(plan) if plan.by_points else RayCoefficients(plan, plan.table) for plan in plans]
+
+
+def tabulate(plans: Sequence[PhaseSpace]) -> None:
+    """Compute the tables of plans that are not cached.
+
+    Tables with the same places lie side by side, so that rays find the coefficients of all wavelengths in one place.
+    """
+    wanted = {plan.key: plan for plan in plans}
+    alike: dict[Any, list[tuple[Any, PhaseSpace]]] = {}
+    for key, plan in wanted.items():
+        if key not in _tables:
+            alike.setdefault(plan.layout, []).append((key, plan))
+    for some in alike.values():
+        tables = Table.side_by_side([plan.shapes for _, plan in some])
+        for key in [key for key in _tables if key not in wanted]:
+            if sum(table.size for table in (*tables, *_tables.values())) > _BYTES:
+                del _tables[key]
+        for (key, plan), table in zip(some, tables, strict=True):
+            plan.tabulated(table)
+            _tables[key] = table
+
+
+class TableNodes:
+    """Nodes of a plan's table, of which a ray takes a random one near its pupil point."""
+
+    def __init__(self, plan: PhaseSpace) -> None:
+        self._radial, self._radius = plan.radial, plan.camera.pupil_radius
+        self._angular = mi.Float([node.angular for node in plan.nodes])
+
+    def along(self, Pu: Any, Pv: Any, chance: Any) -> tuple[Any, Any]:
+        """Return distances from the pupil's centre over its radius, and a random neighbouring node of the radius."""
+        distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
+        place = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * self._radial
+        return distance, mi.UInt(dr.minimum(dr.floor(place + chance), self._radial))
+
+    def around(self, Pu: Any, Pv: Any, radial: Any, chance: Any) -> Any:
+        """Return a random neighbouring node of the angle, at a node of the radius."""
+        turn = dr.atan2(dr.abs(Pv), dr.abs(Pu)) * (2 / math.pi) * dr.gather(mi.Float, self._angular, radial)
+        return mi.UInt(dr.floor(turn + chance))
+
+
+class Table(list[NDArray[Any]]):
+    """Coefficient arrays of a table's nodes, of 16 bits, one after another in `memory` (places, numbers), in packets.
+
+    Zeros follow the arrays, for rays outside all nodes. Other tables may fill other columns of the memory.
+    """
+
+    def __init__(
+        self,
+        shapes: Sequence[tuple[int, ...]],
+        # Memory, and the table's first packet in each row; by default, memory for this table alone.
+        memory: NDArray[Any] | None = None,
+        first: int = 0,
+    ) -> None:
+        self.packets, self.first = -(-shapes[0][-1] // _PACKET), first
+        ends = np.cumsum([math.prod(shape[:-1]) for shape in shapes])
+        if memory is None:
+            memory = empty_packets((int(ends[-1]) + 1, self.packets * _PACKET), np.float16)
+        self.memory, whole = memory, memory[:, first * _PACKET : (first + self.packets) * _PACKET]
+        own, whole[:, shapes[0][-1] :], whole[-1] = whole[:, : shapes[0][-1]], 0, 0
+        super().__init__(part.reshape(shape) for part, shape in zip(np.split(own, ends)[:-1], shapes, strict=True))
+
+    @classmethod
+    def side_by_side(cls, every: Sequence[Sequence[tuple[int, ...]]]) -> list[Table]:
+        """Return zero tables of given shapes with the same places, in one memory."""
+        whole = [(*shape[:-1], sum(-(-shapes[0][-1] // _PACKET) * _PACKET for shapes in every)) for shape in every[0]]
+        memory, tables, first = cls(whole).memory, [], 0
+        for shapes in every:
+            tables.append(cls(shapes, memory, first))
+            first += tables[-1].packets
+        return tables
+
+    @property
+    def size(self) -> int:
+        """Bytes of the arrays."""
+        return sum(part.nbytes for part in self)
+
+    @classmethod
+    def of(cls, arrays: Sequence[NDArray[Any]]) -> Table:
+        """Return arrays as a table; a table is returned without a copy, as it fills much memory."""
+        if isinstance(arrays, cls):
+            return arrays
+        made = cls([array.shape for array in arrays])
+        for part, array in zip(made, arrays, strict=True):
+            part[...] = array
+        return made
+
+
+class RayCoefficients:
+    """The table of a `PhaseSpace`, or another table of the same layout, on the device of the active variant."""
+
+    def __init__(self, plan: PhaseSpace, table: Sequence[NDArray[Any]]) -> None:
+        self.plan = plan
+        self.layout, whole = plan.layout, Table.of(table)
+        self._table = drjit_array(mi.Float16, whole.memory)
+        self._packets = range(whole.first, whole.first + whole.packets)
+        self._wide = whole.memory.shape[1] // _PACKET
+        *first, self._nowhere = np.cumsum([0] + [math.prod(part.shape[:3]) for part in table]).tolist()
+        self._first = drjit_array(mi.Int, np.array(first))
+        sides, counts = np.array([n.sides for n in plan.nodes]), np.array([n.counts for n in plan.nodes])
+        self._sides = [drjit_array(mi.Float, column) for column in sides.T]
+        self._counts = [drjit_array(mi.Int, column) for column in counts.T]
+        self._nodes = TableNodes(plan)
+
+    def __call__(
+        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
+    ) -> list[Any]:
+        """Return the coefficients of rays from points of a lens through points of the pupil."""
+        return self.read(*self.places(point, pupil, jitter, active))
+
+    def places(
+        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
+    ) -> list[Any]:
+        """Return the places in the table of the coefficients of rays, for `read`; see `__call__`.
+
+        Each ray takes one node of the table at random, so that the expectation is the linear interpolation between the
+        sixteen nodes around it.
+        """
+        plan = self.plan
+        lattice = plan.lattice
+        (u, v), (Pu, Pv) = lattice.to_frame(*point), lattice.to_frame(*pupil)
+        distance, radial = self._nodes.along(Pu, Pv, jitter[0])
+        active = active & (distance <= 1)
+        # The table covers a quarter of the pupil; the symmetry of the lenses gives the others.
+        mirrored = Pu < 0, Pv < 0
+        u, v = (dr.select(turned, -place, place) for turned, place in zip(mirrored, (u, v), strict=True))
+        index = dr.gather(mi.Int, self._first, radial)
+        sizes = [dr.gather(mi.Int, each, radial) for each in self._counts]
+        index += mi.Int(self._nodes.around(Pu, Pv, radial, jitter[1])) * (sizes[0] * sizes[1])
+        for axis, place, chance, row in ((1, v, jitter[2], sizes[0]), (0, u, jitter[3], 1)):
+            side, size = dr.gather(mi.Float, self._sides[axis], radial), sizes[axis]
+            active &= dr.abs(place) <= side / 2
+            count = mi.Float(size)
+            node = mi.Int(dr.floor(place * (count / side) + (count / 2 - 0.5) + chance))
+            # The window is periodic.
+            index += dr.select(node < 0, node + size, dr.select(node >= size, node - size, node)) * row
+        # The two lowest bits tell in which quarter of the pupil the ray is.
+        quarter = dr.select(mirrored[0], mi.UInt32(1), 0) | dr.select(mirrored[1], mi.UInt32(2), 0)
+        return [dr.select(active, mi.UInt32(index) << 2 | quarter, dr.opaque(mi.UInt32, self._nowhere << 2))]
+
+    def read(self, place: Any) -> list[Any]:
+        """Return the coefficients at `places`."""
+        values = [
+            mi.Float(value)
+            for packet in self._packets
+            for value in dr.gather(mi.Array4f16, self._table, (place >> 2) * self._wide + packet)
+        ]
+        return self.plan.mirrored(values, (place & 1) != 0, (place & 2) != 0)
+
+    def slopes(
+        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
+    ) -> tuple[list[Any], list[Any]]:
+        """Return the derivatives of the coefficients by the point, along the lattice's axes; see `__call__`."""
+        Pu, Pv = self.plan.lattice.to_frame(*pupil)
+        _, radial = self._nodes.along(Pu, Pv, jitter[0])
+        result = []
+        for axis, P in enumerate((Pu, Pv)):
+            # This is the slope of linear interpolation between nodes.
+            before, after = (
+                self(point, pupil, (*jitter[:2], *(end if i == 1 - axis else jitter[2 + i] for i in range(2))), active)
+                for end in (mi.Float(0), mi.Float(1))
+            )
+            density = mi.Float(dr.gather(mi.Int, self._counts[axis], radial)) / dr.gather(
+                mi.Float, self._sides[axis], radial
+            )
+            density = dr.select(P < 0, -density, density)
+            result.append([(b - a) * density for a, b in zip(before, after, strict=True)])
+        return result[0], result[1]
+
+
+class Polynomials:
+    """Coefficients of rays that land by their own points: the polynomials of a plan."""
+
+    def __init__(self, plan: Any) -> None:
+        self.plan = plan
+        self.layout: tuple[Any, ...] = (plan.functions.scale,)
+
+    def __call__(self, point: tuple[Any, Any], pupil: Any, jitter: Any, active: Any) -> list[Any]:
+        """Return the values of the polynomials."""
+        return self.read(*self.places(point, pupil, jitter, active))
+
+    def places(self, point: tuple[Any, Any], pupil: Any, jitter: Any, active: Any) -> list[Any]:
+        """Return the arguments of the polynomials, for `read`."""
+        return list(self.plan.arguments(point, pupil))
+
+    def read(self, u: Any, v: Any, *shares: Any) -> list[Any]:
+        """Return the values of the polynomials at `places`, whose monomials are those of each share of a ray."""
+        plan, functions = self.plan, self.plan.functions
+        powers = [[mi.Float(1)], [mi.Float(1)]]
+        for _ in range(plan.degree):
+            for each, place in zip(powers, (u, v), strict=True):
+                each.append(each[-1] * place)
+        monomials = [powers[0][i] * powers[1][j] for i, j in functions.exponents]
+        if shares:
+            monomials = [share * monomial for share in shares for monomial in monomials]
+        return [
+            sum((m * float(c) for m, c in zip(monomials, column, strict=True) if c), mi.Float(0))
+            for column in functions.combined.T
+        ]

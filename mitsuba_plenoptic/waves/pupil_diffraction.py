@@ -1,0 +1,300 @@
+r"""Diffraction by the pupil of an ordinary camera, in phase space: functions of a ray's pupil point, and kernels.
+
+Without a microlens array a ray that passes the pupil at P and would land on the detector at m lands at m + x, with the
+signed density
+
+.. math:: K_p(P, x) = \frac{1}{(\lambda b)^2} \int t(P + \eta/2)\, t^*(P - \eta/2)\,
+          e^{-2 \pi i \eta \cdot x / \lambda b}\, d^2\eta ,
+
+where t is the transmission of the pupil, aberrations included (`phase_space`). With polynomials :math:`a_n` that are
+orthonormal over the pupil with the power :math:`|t|^2` as weight, the first of which is 1,
+:math:`K_p(P, x) \approx |t(P)|^2 \sum_n a_n(P)\, \varphi_n(x)`, and a capture is a ray capture of a few values per ray,
+whose points P have the density of the power, followed by one convolution for each,
+
+.. math:: I = \sum_n \varphi_n * \sum_{rays} L\, a_n(P), \qquad \varphi_n(x) = \int a_n(P)\, K_p(P, x)\, d^2P .
+
+The first kernel is the point spread function in focus, which is therefore exact. Light from other distances varies with
+P; where it does so faster than the polynomials, defocus has already averaged out what diffraction would change. This
+does not hold between open parts of a coded aperture, where :math:`K_p` has light although t is 0, nor with large
+aberrations: `fitted_pupil` serves these. Rays follow aberrations of first and second order, whose differences t then
+lacks; higher orders, and all small aberrations, are in t. Coarse pixels, and lenses with large aberrations, leave all
+of them to the rays, without third differences.
+
+As P is the middle of two points of the pupil, :math:`P^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}`, the kernels are
+sums of products of the transforms of t times powers.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import WAVEFRONT_UNIT, refuse_if
+from ..fields.optical_system import OpticalSystem
+from ..lenses.pupil import Pair
+from ..optics.waves import in_millimetres
+from ..runtime import single_threaded_blas
+from .fitted_pupil import FittedPupil, PupilFunctions
+from .lens_functions import LensFunctions, even_polynomials
+from .oblique import Oblique
+from .pupil_samples import SAMPLES, PupilSamples, along, spread_points
+
+_DEGREES, _OF_PARTS = (6, 10), (5, 7)
+"""Degrees of the polynomials over the pupil, and over each part of coded ones: of usual plans, and of finer ones and
+those with aberrated kernels, where the defocus of some part of the pupil undoes the aberration, so that polynomials
+have to follow this defocus."""
+
+_REACH, _COARSE_REACH = 24.0, 12.0
+"""Half the width of the kernels in lambda b / R: 0.4 % of the Airy pattern is beyond, and is spread over the kernel.
+For coarse pixels kernels are differences from the Airy pattern, which are narrower."""
+
+_TAPER = 0.75
+"""Part of this width from where kernels fall to zero."""
+
+_CELL, _MOST_CELLS, _COARSE_CELLS = 0.25, 4, 2
+"""Widest cells of the grid in lambda b / R, which resolve the highest frequency, and the most cells across a pixel.
+Coarser pixels have a few larger ones."""
+
+_LEAST_PASSED = 0.2
+"""Smallest transfer by which the transfer of coarse pixels' kernels is divided."""
+
+_FINEST = 0.04
+"""Narrowest pixels in lambda b / R, a fifteenth of the Airy disc's radius, for which kernels fit into memory."""
+
+_EVERY = 37
+"""One of so many points of the pupil serves for the covariance."""
+
+_SMALL, _MOST_WAVES, _SECOND = 1 / 14, 0.5, 6
+"""Aberrations, in waves of 633 nm root mean square: small ones are in the kernels alone, and those up to the largest
+with the polynomials of higher than second order, which follow the first six of Noll's."""
+
+
+@dataclass(frozen=True)
+class PupilDiffraction:
+    """Diffraction of one ordinary camera at one wavelength, as functions over the pupil and kernels of images."""
+
+    # One with glass is taken `at_wavelength`.
+    camera: PlenopticCamera
+    wavelength: float
+    fine: bool = False
+    # Shortest wavelength of the plans with which it is used, whose rays start alike. Default: its own wavelength.
+    shortest: float | None = None
+
+    by_points = True
+    """Every ray lands by its own point, and its coefficients are polynomials."""
+
+    tolerance = 0.001
+    """Part of images of random light that may be missing for want of images of the places in a pixel."""
+
+    def __post_init__(self) -> None:
+        refuse_if(
+            self._pixel < _FINEST,
+            f"detector_width = {self.camera.detector_width:g}: pixels of {self.camera.pixel_size:.3g} mm are too fine "
+            f"for the pupil's diffraction, which is {self.unit:.3g} mm wide: waves of scenes need pixels of "
+            f"{_FINEST * self.unit:.2g} mm or more",
+        )
+
+    @cached_property
+    def system(self) -> OpticalSystem:
+        """Optical system that refracts the rays, at the wavelength: without the aberrations of the kernels."""
+        by_rays = np.trim_zeros(np.subtract(self.camera.wavefront, self._in_kernels), "b")
+        return OpticalSystem(self.camera.replace(wavefront=tuple(by_rays.tolist())), self.wavelength)
+
+    @cached_property
+    def _in_kernels(self) -> NDArray[np.float64]:
+        """Coefficients of the aberrations that the kernels contain."""
+        every = np.array(self.camera.wavefront, float)
+        number = np.arange(1, len(every) + 1)
+        if self.is_coarse or np.linalg.norm(every[_SECOND:]) > _MOST_WAVES:
+            return np.zeros(len(every))
+        return np.where(number > (3 if np.linalg.norm(every[3:]) <= _SMALL else _SECOND), every, 0)
+
+    @property
+    def unit(self) -> float:
+        """Width of the pupil's diffraction on the detector, lambda b / R, in mm: 1.64 radii of the Airy disc."""
+        return in_millimetres(self.wavelength) * self.camera.pupil_distance / self.camera.pupil_radius
+
+    @property
+    def _pixel(self) -> float:
+        """Width of a pixel over the diffraction of the shortest wavelength."""
+        return self.camera.pixel_size / (self.unit * (self.shortest or self.wavelength) / self.wavelength)
+
+    @property
+    def _cells(self) -> int:
+        """Number of cells across a pixel that resolve the diffraction."""
+        return math.ceil(self._pixel / _CELL)
+
+    @property
+    def is_coarse(self) -> bool:
+        """Whether rays themselves are displaced by the point spread function, as pixels are much wider."""
+        return self._cells > _MOST_CELLS
+
+    @property
+    def _is_wide(self) -> bool:
+        """Whether cells of pixels are wider than kernels, and displaced rays do without."""
+        return self._pixel > _COARSE_CELLS * _COARSE_REACH
+
+    @property
+    def widths(self) -> tuple[float, float]:
+        """Widths in mm of the pupil's diffraction on the detector, and of blur that may differ between wavelengths."""
+        return self.unit / 2, self.unit
+
+    def parts(self, fine: bool) -> int:
+        """Return the number of cells of the grid across a pixel."""
+        return _COARSE_CELLS if self.is_coarse else self._cells
+
+    @cached_property
+    def _pupil(self) -> PupilSamples:
+        """Transmission of the pupil."""
+        waves = self._in_kernels * (WAVEFRONT_UNIT / self.wavelength)
+        return PupilSamples(self.camera.aperture, tuple(waves.tolist()) if waves.any() else ())
+
+    @property
+    def _is_aberrated(self) -> bool:
+        """Whether kernels contain large aberrations."""
+        return bool(np.linalg.norm(self._in_kernels) > _SMALL)
+
+    @property
+    def _is_coded(self) -> bool:
+        """Whether the pupil may have closed parts between open ones that matter: in coarse pixels they do not."""
+        return self.camera.aperture_image is not None and not self.is_coarse
+
+    @property
+    def _degree(self) -> int:
+        """Degree of the polynomials if all of them can be used."""
+        few, many = _OF_PARTS if self._is_coded else _DEGREES
+        return many if self.fine or self._is_aberrated else few
+
+    @cached_property
+    def fitted(self) -> FittedPupil | None:
+        """Functions and fitted kernels of coded or aberrated pupils."""
+        return _fitted(self._pupil, self._degree) if self._is_coded or self._is_aberrated else None
+
+    @cached_property
+    @single_threaded_blas()
+    def _polynomials(self) -> LensFunctions:
+        """Polynomials of a pupil point over the pupil's radius, fewer where little of the pupil is open."""
+        return even_polynomials([spread_points(self._pupil.power)], 0 if self._is_wide else self._degree)[0]
+
+    @property
+    def functions(self) -> LensFunctions | PupilFunctions:
+        """Functions of a ray's `arguments`."""
+        return self.fitted.functions if self.fitted else self._polynomials
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomials."""
+        return max(map(sum, self.functions.exponents))
+
+    @property
+    def oblique(self) -> Oblique:
+        """Changes of the kernels with the direction of light, of which there are none."""
+        return Oblique.nothing(self.functions.count)
+
+    @cached_property
+    def covariance(self) -> NDArray[np.float64]:
+        """Covariance of the values of an image's rays, for light with random edges over the pupil."""
+        if self.fitted:
+            return self.fitted.covariance
+        return self._polynomials.light(*(each[::_EVERY] for each in spread_points(self._pupil.power)))
+
+    def arguments(self, point: Pair, pupil: Pair) -> list[Any]:
+        """Return the numbers of which a ray's coefficients are polynomials: its pupil point over the radius.
+
+        Behind coded apertures the shares of the pupil's parts follow, by which polynomials are multiplied.
+        """
+        x, y = (place / self.camera.pupil_radius for place in pupil)
+        return [x, y] if self.fitted is None else self.fitted.arguments(x, y)
+
+    def spots(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the point spread function in focus (1, n, n), at detector positions in mm along both axes."""
+        field = self._fields(places / self.unit)[0, 0]
+        return (np.abs(field) ** 2)[None] / np.abs(field).max() ** 2
+
+    @cached_property
+    def spread(self) -> tuple[NDArray[np.float64], float]:
+        """The point spread function in focus on a grid, and the width of a cell of the grid in mm."""
+        step = _CELL / 2
+        return np.maximum(self._sampled(step, math.ceil(_REACH / step))[0], 0), step * self.unit
+
+    @property
+    def reach(self) -> float:
+        """Distance in mm to which captures need kernels."""
+        return _REACH * self.unit
+
+    def kernels(self, step: float, reach: float, kind: int = 0) -> NDArray[np.float64]:
+        """Return the kernels (n, k, k) on a grid of width `step` in mm, times the area of a grid cell."""
+        if self._is_wide:
+            return np.ones((1, 1, 1))
+        if not self.is_coarse:
+            return self._sampled(step / self.unit, math.ceil(reach / step))
+        return self._of_displaced(step)
+
+    def _of_displaced(self, step: float) -> NDArray[np.float64]:
+        """Return kernels between coarse pixels for rays that are displaced by the spread of the shortest wavelength."""
+        parts = 2 * math.ceil(step / (2 * _CELL * self.unit)) + 1
+        count = 2 * math.ceil(_COARSE_REACH * self.unit / step) + 1
+        fine = step / parts
+        spectra = scipy.fft.fft2(scipy.fft.ifftshift(self._sampled(fine / self.unit, count * parts // 2), (1, 2)))
+        known = spectra[0]
+        if self.shortest not in (None, self.wavelength):
+            shortest = replace(self, wavelength=self.shortest, shortest=None)
+            known = scipy.fft.fft2(scipy.fft.ifftshift(shortest._sampled(fine / shortest.unit, count * parts // 2)[0]))
+        # The lowest frequencies, which the grid of pixels can represent.
+        order = scipy.fft.ifftshift(np.arange(count) - count // 2)
+        low = np.ix_(order, order)
+        passed = known[low]
+        # Where hardly anything passes, noise would be amplified.
+        ratio = np.stack([spectrum[low] for spectrum in spectra]) * passed.conj()
+        ratio /= np.maximum(np.abs(passed) ** 2, _LEAST_PASSED * np.abs(passed))
+        return np.asarray(scipy.fft.fftshift(scipy.fft.ifft2(ratio).real, (1, 2)))
+
+    @single_threaded_blas()
+    def _fields(self, places: NDArray[np.float64]) -> dict[tuple[int, int], NDArray[np.complex128]]:
+        """Return transforms of transmission times powers, at detector places in `unit` along both axes."""
+        x, transmission = along(SAMPLES), self._pupil.transmission
+        waves = np.exp(-2j * np.pi * np.outer(places, x))
+        return {(a, b): waves @ (transmission * x**a * x[:, None] ** b) @ waves.T for a, b in self._moments[0]}
+
+    @property
+    def _moments(self) -> tuple[list[tuple[int, int]], NDArray[np.float64]]:
+        """Powers whose integrals with the pupil's light give kernels, and their coefficients (powers, kernels)."""
+        if self.fitted:
+            return [(0, 0)], np.ones((1, 1))
+        return self._polynomials.exponents, self._polynomials.combined
+
+    def _sampled(self, step: float, count: int) -> NDArray[np.float64]:
+        """Return the kernels (n, k, k) at `count` samples on either side, `step` units apart, times their area."""
+        places = step * np.arange(-count, count + 1.0)
+        fields, products, (exponents, combined) = self._fields(places), [], self._moments
+        for i, j in exponents:
+            both = np.zeros((2 * count + 1,) * 2)
+            for a, b in itertools.product(range(i + 1), range(j + 1)):
+                weight = math.comb(i, a) * math.comb(j, b) / 2 ** (i + j)
+                both += weight * (fields[a, b] * fields[i - a, j - b].conj()).real
+            products.append(both)
+        spacing = 2 / SAMPLES
+        kernels = np.einsum("mn,myx->nyx", combined, products) * (spacing**4 * step**2 / self._pupil.whole)
+        if self.fitted:
+            kernels = np.concatenate([kernels, self.fitted.kernels(places) * step**2])
+        # They fall to zero, as edges of windows would show around lamps, and keep the energy.
+        across = np.hypot(*np.meshgrid(*[np.arange(-count, count + 1.0) / count] * 2))
+        kernels *= np.cos(np.pi / 2 * np.clip((across - _TAPER) / (1 - _TAPER), 0, 1)) ** 2
+        tail = np.maximum(1 - across**2, 0) ** 2
+        missing = np.eye(len(kernels))[0] - kernels.sum((1, 2))
+        return kernels + missing[:, None, None] * (tail / tail.sum())
+
+
+@functools.lru_cache(maxsize=8)
+def _fitted(samples: PupilSamples, degree: int) -> FittedPupil:
+    """Return the functions and kernels of a pupil, cached for further wavelengths and captures."""
+    return FittedPupil(samples, degree)

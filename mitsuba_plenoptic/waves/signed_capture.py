@@ -1,0 +1,281 @@
+r"""Captures of scenes by signed rays: plan, noise, cost, and derivatives with respect to the scene's parameters.
+
+A capture is linear in the radiances of its rays, so its change is the same sum over their changes. In reverse, let
+:math:`J_n` be the correlations of the kernels with the gradient of a function of the capture. The derivative of this
+function with respect to the radiance of ray k of N through a cell and lens is
+
+.. math:: g_k = \frac{1}{N} \left[ w_k A_n(m_k, P_k)\, J_n + \frac{1}{N_h}
+          \sum_{j \notin h} \left( J_0 - w_j A_n(m_j, P_j)\, J_n \right) \right] ,
+
+where the second term is due to the mean c that the ray's half h, of :math:`N_h` rays, provides to the other half. The
+mixing of a ray's values into channels by the nodes is linear as well, and is transposed in reverse.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Any, ClassVar, TypeVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera, Values
+from ..detector.noise import PARTS, Mended, halves, keep_spread, variance_left, with_spread
+from ..errors import warn
+from ..io import digest
+from ..runtime import Cost, Job, SumTask
+from ..scene.capture_cost import seconds_by_rays, seconds_by_waves
+from ..scene.radiance import LightDerivatives, SceneLight
+from .phase_space import FINE
+from .signed_camera import CameraAdjoint, CameraTangents
+from .signed_colours import Lanes, Node, SignedColours, mixed
+from .signed_rays import Lot, SignedRaySum, memory_of, rays_of_a_cell
+
+Sum = TypeVar("Sum", bound=SignedRaySum)
+
+_SAMPLES = 4
+"""Samples per pixel of each capture from whose spread the noise is estimated: fewer correct each other less well."""
+
+_TRACING = 0.9
+"""Approximate fraction of a capture's time in which rays are traced; then their images are convolved."""
+
+
+@dataclass(frozen=True)
+class SignedCapture:
+    """A capture by signed rays: camera, light, responses of the channels, and accuracy."""
+
+    camera: PlenopticCamera
+    # Radiance along rays.
+    light: SceneLight
+    # Responses of the channels.
+    colours: SignedColours
+    accuracy: float
+
+    has_gradients: ClassVar[bool] = True
+    """Whether derivatives of the capture can be computed."""
+
+    @cached_property
+    def nodes(self) -> list[Node]:
+        """The nodes: wavelengths at which diffraction is computed."""
+        return self.colours.planned(self.camera, self.accuracy)
+
+    @property
+    def _parts(self) -> int:
+        """The number of grid cells across a pixel."""
+        shortest = min((node.plan for node in self.nodes), key=lambda plan: plan.wavelength)
+        return shortest.parts(self.accuracy < FINE)
+
+    def sums(
+        self,
+        spp: int,
+        seed: int,
+        runs: int,
+        kind: Callable[..., Sum],
+        light: SceneLight | None = None,
+        nodes: list[Node] | None = None,
+    ) -> list[Callable[[], Sum]]:
+        """Return functions that construct the sums of `runs` independent captures, which divide the rays equally.
+
+        The functions allow the memory of one sum to be freed before the next is made. By default, light and nodes are
+        those of the capture.
+        """
+        used = light or self.light, self.nodes if nodes is None else nodes
+        return [
+            self._sum(kind, *used, spp=-(-spp // runs), seed=own)
+            # Captures with neighbouring seeds must not share runs.
+            for own in np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
+        ]
+
+    def _sum(
+        self, kind: Callable[..., Sum], light: SceneLight, nodes: list[Node], *, spp: int, seed: int
+    ) -> Callable[[], Sum]:
+        """Return a function that constructs one sum."""
+        return partial(kind, self.camera, light, nodes, self.colours.drawn, parts=self._parts, spp=spp, seed=seed)
+
+    def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
+        """Return the light on the pixels (rows, columns, channels), with the deviations of what pixels make of it."""
+        runs = max(2, min(PARTS, spp // _SAMPLES)) if noise else 1
+        sums = self.sums(spp, seed, runs, SignedRaySum)
+        first = sums[0]()
+        items = int(first.items.sum())
+        if runs == 1:
+            sums = [lambda: first]
+
+        def planned(plan: Callable[[], SignedRaySum]) -> SignedRaySum:
+            made = plan()
+            made.traced = lambda more: report("traced", reached["traced"] + more)
+            return made
+
+        tasks = [SumTask(items, partial(planned, plan), lambda image: image * np.float32(1 / runs)) for plan in sums]
+        if noise:
+            tasks = [keep_spread(task, self.camera) for task in tasks]
+        channels = self.colours.spectrum.channels
+        shape = (*self.camera.shape, channels * (3 if noise else 1))
+        every = sum(task.items for task in tasks)
+        reached = {"traced": 0.0, "convolved": 0.0}
+
+        def report(what: str, count: float) -> None:
+            reached[what] = count
+            reached["traced"] = max(reached.values())
+            if progress:
+                progress(round(_TRACING * reached["traced"] + (1 - _TRACING) * reached["convolved"]), every)
+
+        progress, job = job.progress, replace(job, progress=lambda done, _: report("convolved", done))
+        image = job.run(tasks, shape, every, {"scene_digest": lambda: digest(first.probe())})
+        if not image.any():
+            warn(
+                "plenoptic_wave: none of the rays meets anything that shines; plain BSDFs are black from "
+                "behind, and a nested integrator with hide_emitters sees no emitters"
+            )
+        if noise:
+            image = with_spread(image, runs)
+        for channel, mended in self.mended(image).items():
+            image[..., channel] = mended.image
+            if noise:
+                image[..., channels + channel] *= variance_left(mended, image[..., channels + channel], self.camera)
+        np.maximum(image[..., channels:], 0, out=image[..., channels:])
+        np.sqrt(image[..., channels:], out=image[..., channels:])
+        return image
+
+    def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
+        """Return the compensated images of channels that only noise can make negative, by channel."""
+        channels = np.flatnonzero(self.colours.spectrum.matrix().min(1) >= 0).tolist()
+        return {channel: Mended(image[..., channel]) for channel in channels}
+
+    def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
+        """Return the estimated cost of `compute`, from some rays of a ray capture, without the nodes' tables."""
+        camera, light, lit = self.camera, self.light, 1.0
+        if camera.has_array:
+            # The area of a micro-image over that of a lens.
+            wide = camera.pupil_radius * camera.reduced_distance / camera.pupil_distance
+            lit = max(1.0, math.pi * wide**2 / math.prod(camera.mla_pitches))
+        cell, _ = rays_of_a_cell(spp, self._parts, lit)
+        rays = cell * self._parts**2 * lit
+        pixels = float(camera.shape[0]) * camera.shape[1]
+        by_rays = seconds_by_rays(light.scene, light.sensor, light.integrator, seed=seed, spp=spp) * rays / spp
+        images = sum(len(node.channels) for node in self.nodes)
+        seconds = seconds_by_waves(by_rays, rays * pixels, pixels, images)
+        return Cost(0, 0, seconds, memory_of(pixels, rays * pixels, self.nodes))
+
+
+class SignedRayAdjoint(SignedRaySum):
+    """The reverse pass of a signed-ray capture; its light is a `LightDerivatives`."""
+
+    def backward(self, gradient: Sequence[NDArray[np.float32]]) -> None:
+        """Propagate the gradient of the sum, by channel (rows, columns), to Dr.Jit's gradients of scene parameters."""
+        for lot, felt in self._back(gradient):
+            self._vjp(lot, felt)
+
+    def _vjp(self, lot: Lot, felt: list[list[NDArray[np.float32]]]) -> None:
+        """Propagate the gradients of the images through the rays of a `Lot` of pixels; see `_back`."""
+        drawn, own = self._drawn_rays(lot.pixels, lot.key)
+        together, rays = dr.opaque(mi.UInt32, self._together), dr.width(own)
+        for (pupil, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
+            replay = self._light.replay(*self._asked(pupil, drawn, own, lanes, lot.seed))
+            # Pixels of which no ray hits a surface are left out.
+            meets = dr.select(replay.active, mi.UInt32(1), 0) + dr.zeros(mi.UInt32, rays)
+            met = dr.compress(dr.block_sum(meets, self._together) > 0)
+            if not dr.width(met):
+                continue
+            lane = dr.arange(mi.UInt32, dr.width(met) * self._together)
+            place = dr.gather(mi.UInt32, met, lane // together) * together + lane % together
+            cotangent = dr.zeros(mi.Spectrum, rays)
+            for value, part in self._cotangents(lot, met, felt, nodes, lanes).items():
+                every = dr.zeros(mi.Float, rays)
+                dr.scatter(every, part, place)
+                cotangent[value] = every
+            dr.eval(cotangent)
+            replay.differentiate(dr.ADMode.Backward, cotangent)
+
+    def _cotangents(
+        self, lot: Lot, met: Any, felt: list[list[NDArray[np.float32]]], nodes: Sequence[int], lanes: Lanes | None
+    ) -> dict[int, Any]:
+        """Return the derivatives with respect to each ray's radiance values, for the pixels `met` of a `Lot`."""
+        drawn, own = self._drawn_rays(lot.pixels.take(met), lot.key)
+        sample = dr.arange(mi.UInt32, dr.width(own)) - own * dr.opaque(mi.UInt32, self._together)
+        cell = self._cell_of(own, sample)
+        # For each value: the derivative through the ray itself, and through the mean that the other half subtracts.
+        totals: dict[int, tuple[Any, Any]] = {}
+        for number in nodes:
+            node = self._nodes[number]
+            values = self._coefficients[number](drawn.point, drawn.inner, drawn.chance, drawn.open)
+            direct, others = [], []
+            for total in felt[number]:
+                (parts,) = self._felt(total, number, lot, met)
+                parts = [dr.gather(mi.Float, part, cell, drawn.open) for part in parts]
+                by_ray = drawn.weight * mixed(values, parts)
+                direct.append(dr.select(drawn.open, by_ray, 0))
+                others.append(dr.select(drawn.open, (parts[0] - by_ray) * self._known_part, 0))
+            used, weights = node.mixture(lanes)
+            if lanes is not None:
+                each = dr.gather(mi.UInt32, met, own)
+                weights = [[dr.gather(mi.Float, weight, each) for weight in row] for row in weights]
+            for value, column in zip(used, zip(*weights, strict=True), strict=True):
+                before = totals.get(value, (0, 0))
+                totals[value] = before[0] + mixed(column, direct), before[1] + mixed(column, others)
+        seen = dr.select(drawn.open, mi.Float(1), 0)
+        dr.eval(seen, totals)
+        (even, odd), *sums = halves(seen, [total[1] for total in totals.values()], dr.width(met), self._together)[0]
+        by_mean = [
+            (dr.select(even > 0, of_odd / even, 0), dr.select(odd > 0, of_even / odd, 0)) for of_even, of_odd in sums
+        ]
+        dr.eval(by_mean)
+        is_even, scale = (
+            (sample & 1) == 0,
+            self._answer(drawn) / mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes)),
+        )
+        return {
+            value: (by_ray + seen * dr.select(is_even, *(dr.gather(mi.Float, half, own) for half in halves))) * scale
+            for (value, (by_ray, _)), halves in zip(totals.items(), by_mean, strict=True)
+        }
+
+
+@dataclass(frozen=True)
+class SignedGradients:
+    """The derivatives of a signed-ray capture, with the rays that `compute` draws."""
+
+    capture: SignedCapture
+    # The derivatives of its light; None means that the light does not change.
+    light: LightDerivatives | None
+    seed: int
+    spp: int
+
+    def forward(self, changes: Values) -> NDArray[np.float32]:
+        """Return the change of the capture, an array (rows, columns, channels)."""
+        with dr.suspend_grad():
+            change = np.zeros((*self.capture.camera.shape, self.capture.colours.spectrum.channels), np.float32)
+            if self.light is not None:
+                change += self._image(SignedRaySum, self.light)
+            if changes:
+                change += self._image(partial(CameraTangents, changes=changes))
+            for channel, mended in self.capture.mended(self._image(SignedRaySum)).items():
+                change[..., channel] = mended.forward(change[..., channel])
+        return change
+
+    def backward(self, gradient: NDArray[np.float32], names: Sequence[str]) -> Values:
+        """Return the gradients of the camera's parameters; gradients of scene parameters accumulate in Dr.Jit.
+
+        Shapes: `gradient` (rows, columns, channels).
+        """
+        with dr.suspend_grad():
+            linear = list(np.moveaxis(gradient, -1, 0))
+            for channel, mended in self.capture.mended(self._image(SignedRaySum)).items():
+                linear[channel] = mended.backward(linear[channel])
+            if self.light is not None:
+                self._sum(SignedRayAdjoint, self.light).backward(linear)
+            return self._sum(partial(CameraAdjoint, names=names)).backward(linear) if names else {}
+
+    def _sum(self, kind: Callable[..., Sum], light: LightDerivatives | None = None) -> Sum:
+        return self.capture.sums(self.spp, self.seed, 1, kind, light)[0]()
+
+    def _image(self, kind: Callable[..., SignedRaySum], light: LightDerivatives | None = None) -> NDArray[np.float32]:
+        """Return the image of one kind of sum, an array (rows, columns, channels)."""
+        work = self._sum(kind, light)
+        items = int(work.items.sum())
+        shape = *self.capture.camera.shape, self.capture.colours.spectrum.channels
+        return Job().run([SumTask(items, lambda: work, lambda image: image)], shape, items)

@@ -1,0 +1,452 @@
+"""Sampling of rays for signed-ray captures: from detector cells, through points around lenses and of the pupil.
+
+Points around microlenses are drawn with a density close to that of the rays' light. At each node of a plan's table the
+window around a lens is divided into strips, and each strip into cells; all cells receive equally many rays. Cells are
+narrow where the first coefficient, which contains a ray's light, is large.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera, Round
+from ..errors import refuse_if
+from ..fields.lens_kinds import LensKinds
+from ..lenses.pupil import Pair
+from ..optics.waves import in_millimetres
+from ..rays.random_numbers import chances_of, even_numbers
+from ..rays.tracer import Walk
+from ..runtime import Box, drjit_array, quotient
+from .phase_space import PhaseSpace, TableNodes
+
+_AIRY, _AIRY_REACH = 1024, 200.0
+"""Steps of the Airy pattern's energy table, and its extent in units of lambda b / 2 pi R; 0.3 % lies beyond."""
+
+ORDER = 2
+"""Order of the B-spline that is the density of detector points drawn around a cell: it suppresses aliasing of
+frequencies that the grid cannot represent."""
+
+_COUNTED = 256
+"""Largest side in pixels of the square on which lenses that light a pixel are counted."""
+
+_MOST_LENSES = 2**12
+"""Most lenses that may light a pixel; each takes kernels and rays of its own."""
+
+_CELLS = 64
+"""Number of strips of a window, and of cells of a strip."""
+
+_LEAST = 0.05
+"""Fraction of the mean density that is added: other coefficients may be nonzero where the first is 0."""
+
+
+class Drawn(NamedTuple):
+    """Rays drawn for cells of the detector."""
+
+    # Their points on the pupil, and on the equivalent round pupil.
+    pupil: Pair
+    inner: Pair
+    # Their points on the array, relative to the centre of the lens, and in the camera frame.
+    point: Pair
+    place: Pair
+    # Their points on the detector, relative to the centre of the lens.
+    detector: Pair
+    # Distance by which the lens is nearer to the main lens than the lens on the axis.
+    height: Any
+    kind: Any
+    # Reciprocal of the density of the points, relative to the aperture.
+    weight: Any
+    # Random numbers by which each ray takes one of the table nodes around it.
+    chance: tuple[Any, Any, Any, Any]
+    # Whether the pupil transmits them.
+    open: Any
+    # Relative brightness of the lens.
+    brightness: Any = 1.0
+
+    @property
+    def kept(self) -> Kept:
+        """The data on which the coefficients of the rays depend."""
+        return Kept(self.point, self.inner, self.weight, self.open)
+
+
+class Kept(NamedTuple):
+    """Data, other than redrawn random numbers, on which the coefficients of rays depend: see `Drawn`."""
+
+    point: Pair
+    inner: Pair
+    weight: Any
+    open: Any
+
+    def at(self, lane: Any) -> Kept:
+        """Return the evaluated data of some of the rays."""
+        point, inner = (
+            tuple(dr.gather(mi.Float, value, lane) for value in values) for values in (self.point, self.inner)
+        )
+        return Kept(point, inner, dr.gather(mi.Float, self.weight, lane), dr.gather(mi.Bool, self.open, lane))
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """Pixels of the detector, each paired with a lens."""
+
+    # A rectangle of pixels.
+    box: Box
+    # Indices in the rectangle, row by row.
+    index: Any
+    # Indices of the lenses, or of the lens of all pixels, among the `candidates` of `Draws`.
+    lens: Any
+
+    @property
+    def number(self) -> Any:
+        """A distinct number for each pair of a pixel and a lens."""
+        return self.lens * dr.opaque(mi.UInt32, self.box.rows * self.box.columns) + self.index
+
+    def take(self, which: Any) -> Pixels:
+        """Return a selection of the pairs of a pixel and a lens."""
+        index, lens = (dr.gather(mi.UInt32, each, which) for each in (self.index, self.lens))
+        return replace(self, index=index, lens=lens)
+
+
+class Aims(NamedTuple):
+    """Detector cells or pixels, and the lenses through which they see the pupil."""
+
+    # Centres of the cells or pixels.
+    middle: Pair
+    # Centres of the lenses.
+    centre: Pair
+    # Distance by which the lenses are nearer to the main lens than the lens on the axis.
+    height: Any
+    kind: Any
+    # Relative brightness of the lenses.
+    brightness: Any = 1.0
+
+    def at(self, own: Any) -> Aims:
+        """Return the aims of some cells or pixels, computed once for all of their rays."""
+        dr.eval(*self)
+        middle, centre = (
+            tuple(dr.gather(mi.Float, value, own) for value in pair) for pair in (self.middle, self.centre)
+        )
+        height, bright = (dr.gather(mi.Float, mi.Float(value), own) for value in (self.height, self.brightness))
+        return Aims(middle, centre, height, dr.gather(mi.UInt32, mi.UInt32(self.kind), own), bright)
+
+
+class DetectorGrid:
+    """The grid of pixels, and of their cells, from which rays are drawn."""
+
+    def __init__(self, camera: PlenopticCamera, parts: int) -> None:
+        self._camera, self._parts = camera, parts
+
+    @property
+    def _step(self) -> float:
+        """Width of a cell in millimetres."""
+        return self._camera.pixel_size / self._parts
+
+    def _middle(self, pixels: Pixels) -> Pair:
+        """Return the centres of pixels."""
+        camera = self._camera
+        # Opaque values are kernel inputs, so that other values do not compile the kernels again.
+        columns = dr.opaque(mi.UInt32, pixels.box.columns)
+        left, top = (dr.opaque(mi.Int32, number) for number in (pixels.box.left, pixels.box.top))
+        row = quotient(pixels.index, pixels.box.columns)
+        x, y = (
+            (mi.Float(mi.Int32(index) + low) + 0.5 - 0.5 * camera.resolution[axis]) * camera.pixel_size
+            for axis, index, low in ((0, pixels.index - row * columns, left), (1, row, top))
+        )
+        return x, y
+
+    def _cells(self, aims: Aims, place: Any) -> Aims:
+        """Return the aims of cells at given places in pixels, numbered row by row, from the pixels' aims."""
+        row = quotient(place, self._parts)
+        x, y = (
+            p + (mi.Float(index) + 0.5 - self._parts / 2) * self._step
+            for p, index in zip(aims.middle, (place - row * dr.opaque(mi.UInt32, self._parts), row), strict=True)
+        )
+        return aims._replace(middle=(x, y))
+
+
+class Draws(DetectorGrid):
+    """Sampler of the rays of a camera's detector cells.
+
+    The rays of a pixel and a lens are numbered, cell by cell. Rays of even numbers, and rays of odd numbers, each
+    follow a sequence that fills the lens evenly.
+    """
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        plans: Sequence[PhaseSpace],
+        # Count of cells across a pixel.
+        parts: int = 1,
+    ) -> None:
+        super().__init__(camera, parts)
+        self._lens = plans[0].system.lens
+        # Of opaque lengths, so that a camera of other ones does not compile the kernels again.
+        walk, number = Walk.of(camera, self._lens), functools.partial(dr.opaque, mi.Float)
+        self.walk = replace(walk, lens=self._lens.opaque(number), detector_distance=number(walk.detector_distance))
+        self.kinds = LensKinds(camera)
+        # With these plans the pupil point of a ray follows from its own point of the lens, not from the lens's centre.
+        self.by_points = plans[0].by_points
+        # Order of the B-splines by which rays are collected in addition to cells.
+        self.order = 0 if self.by_points else ORDER - 1
+        self._turns = mi.Float([plans[0].convergence(kind) * camera.pupil_distance for kind in plans[0].kinds])
+        # Factors by which micro-images are larger than those by rays through lens centres, for each kind of lenses.
+        # Where rays land by their own points, the aberrations of a lens widen its spots, too.
+        self.enlargements = [
+            1.0 if self.by_points else self.kinds.enlargement(kind.focal_length) for kind in plans[0].kinds
+        ]
+        self._longest = max(plans, key=lambda plan: plan.wavelength)
+
+    @cached_property
+    def _points(self) -> LensPoints:
+        """Distribution of points around lenses for the longest wavelength, which is diffracted most."""
+        return LensPoints(self._longest)
+
+    @cached_property
+    def _seen_by_pixels(self) -> tuple[float, float]:
+        """Radius in mm, in the pupil's plane, that contains all rays, and half the width of a pixel's image there."""
+        camera = self._camera
+        # Other points of the pixel and around its cells see other points of the pupil.
+        wide = camera.pixel_size * (self._parts + ORDER - 1) / self._parts
+        half = wide / 2 * camera.pupil_distance / camera.reduced_distance
+        # Snell's law spreads them most at the corner, along the radius.
+        corner = self._lens.pupil.slope(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
+        half *= (1 + (1 - camera.mla_medium**-2) * corner**2) ** 1.5
+        lens = float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._turns))[0]) if self.by_points else 0.0
+        return self._lens.reach + lens, half
+
+    @cached_property
+    def candidates(self) -> NDArray[np.int64]:
+        """Lenses that can light a pixel, as lattice indices relative to the lens of the pixel's chief ray."""
+        camera = self._camera
+        # The distance on the array of rays from one detector point to the pupil's middle and its widest point.
+        radius, half = self._seen_by_pixels
+        widest = radius + half * math.sqrt(2)
+        pupil, behind = self._lens.pupil, camera.reduced_distance
+        apart = widest * behind / (pupil.distance + pupil.finite * behind)
+        reach = apart * max(self.enlargements)
+        found = camera.lattice.neighbours(reach + camera.nearer(reach))
+        many = f"aperture_radius = {camera.aperture_radius:g}: {len(found)} lenses may light a pixel"
+        refuse_if(len(found) > _MOST_LENSES, f"{many}; waves of scenes are captured through at most {_MOST_LENSES}")
+        return found
+
+    @cached_property
+    def _steps(self) -> list[Any]:
+        """Return the two columns of `candidates` for kernels."""
+        return [drjit_array(mi.Float, column) for column in self.candidates.T]
+
+    def lights(self, aims: Aims) -> Any:
+        """Return whether light through the lenses can reach the pixels."""
+        radius, half = (dr.opaque(mi.Float, length) for length in self._seen_by_pixels)
+        # What lies outside the pupil of the square that is the image of a pixel and of what is around its cells.
+        x, y = (dr.maximum(dr.abs(P) - half, 0) for P in self.seen(aims.middle, aims))
+        return dr.square(x) + dr.square(y) <= dr.square(radius)
+
+    @property
+    def lit_lenses(self) -> float:
+        """Mean number of lenses that light a pixel, counted in the middle of the detector."""
+        return _lit_lenses(self._camera, self._longest, self._parts)
+
+    def aims(self, pixels: Pixels) -> Aims:
+        """Return the centres of pixels and of the lenses through which they are lit."""
+        x, y = self._middle(pixels)
+        _, cell = self.walk.chief_cell((x, y))
+        i, j = (index + dr.gather(mi.Float, steps, pixels.lens) for index, steps in zip(cell, self._steps, strict=True))
+        centre, _ = self.walk.lens_at(i, j)
+        height = self.walk.height(*centre)
+        return Aims((x, y), centre, height, self.kinds.number(i, j, height), self.walk.transmission(i, j))
+
+    def seen(self, detector: Pair, aims: Aims) -> Pair:
+        """Return the pupil points whose light lands on detector points, as a mean over a lens."""
+        chief = tuple(c + offset for c, offset in zip(aims.centre, self._chief(detector, aims), strict=True))
+        slopes, _ = self.walk.through_centre(tuple(c - p for c, p in zip(aims.centre, chief, strict=True)), aims.height)
+        return tuple(
+            self.walk.lens.pupil.point(c, slope, aims.height) for c, slope in zip(aims.centre, slopes, strict=True)
+        )
+
+    def evenness(self, drawn: Drawn) -> Any:
+        """Return weights that give the rays of all cells the density of the power over the pupil and behind lenses."""
+        offset = tuple(-p for p in self._shrunk(drawn.detector, drawn.kind))
+        even, aperture = self.walk.through_centre(offset, drawn.height)[1] * drawn.brightness, self._camera.aperture
+        vignetting = self._camera.vignetting
+        if aperture == Round() and vignetting is None:
+            return even
+        x, y = (P / self._camera.pupil_radius for P in drawn.inner)
+        return even * aperture.power(x, y) * (1.0 if vignetting is None else vignetting.power(x, y, *drawn.place))
+
+    def _chief(self, detector: Pair, aims: Aims) -> Pair:
+        """Return where light that lands on detector points would land through the centres of its lenses."""
+        return self._shrunk(tuple(p - c for c, p in zip(aims.centre, detector, strict=True)), aims.kind)
+
+    def _shrunk(self, offset: Pair, kind: Any) -> Pair:
+        """Return positions relative to lens centres, divided by the enlargement of micro-images."""
+        if len(self.enlargements) > 1:
+            larger = dr.gather(mi.Float, mi.Float(self.enlargements), kind)
+        else:
+            larger = dr.opaque(mi.Float, self.enlargements[0])
+        return tuple(value / larger for value in offset)
+
+    def cosines(self, pixels: Pixels) -> Pair:
+        """Return the direction cosines, in the lattice frame, with which the light of pixels meets the array."""
+        camera, aims = self._camera, self.aims(pixels)
+        u, v = camera.lattice.to_frame(*self._chief(aims.middle, aims))
+        # In the medium behind the lenses the sine is smaller by its index.
+        scale = camera.mla_medium * dr.rsqrt(dr.square(self.walk.detector_distance + aims.height) + u * u + v * v)
+        return u * scale, v * scale
+
+    def turns(self, kind: int) -> NDArray[np.float64]:
+        """Return the changes (places, 2) of `cosines` from a pixel's centre to its cells, near the middle of a lens."""
+        camera = self._camera
+        along = (np.arange(self._parts) - (self._parts - 1) / 2) * self._step
+        y, x = (each.ravel() for each in np.meshgrid(along, along, indexing="ij"))
+        scale = camera.mla_medium / (camera.detector_distance * self.enlargements[kind])
+        return np.column_stack(camera.lattice.to_frame(x, y)) * scale
+
+    def draw(self, pixels: Pixels, own: Any, sample: Any, place: Any, seed: Any) -> Drawn:
+        """Return rays drawn for pixels; rays of even and of odd numbers are independent.
+
+        For each ray, `own` is the index of its pixel among the pixels, `sample` its number in the pixel, and `place`
+        the index of its cell.
+        """
+        aims, lattice = self._cells(self.aims(pixels).at(own), place), self._camera.lattice
+        pixel = dr.gather(mi.UInt32, pixels.number, own)
+        random = even_numbers(pixel, seed ^ ((sample & 1) << 3), sample >> 1, 4)
+        chance = chances_of(pixel, seed ^ (sample << 4))
+        within = [r - 0.5 if self.by_points else tent(r) for r in random[2:]]
+        x, y = (p + r * self._step for p, r in zip(aims.middle, within, strict=True))
+        pupil = self.seen((x, y), aims)
+        if self.by_points:
+            # Diffraction at the whole pupil displaces light on the array by the Airy pattern.
+            first, second = (mi.sample_tea_float32(pixel, seed ^ (sample << 4) ^ number) for number in (11, 12))
+            energy = first * (_AIRY - 1)
+            low = mi.UInt32(energy)
+            ends = (dr.gather(mi.Float, self._airy, step) for step in (low, low + 1))
+            radius, (sine, cosine) = dr.lerp(*ends, energy - low), dr.sincos(2 * math.pi * second)
+            point, aside = lattice.aperture_point(*random[:2]), (radius * cosine, radius * sine)
+            weight = dr.ones(mi.Float, dr.width(sample))
+            turn = dr.gather(mi.Float, self._turns, aims.kind)
+            pupil = tuple(P + turn * m for P, m in zip(pupil, point, strict=True))
+            inner = self.walk.inner(pupil, aims.centre)
+        else:
+            inner, aside = self.walk.inner(pupil, aims.centre), (0.0, 0.0)
+            point, weight = self._points.draw(inner, chance, random[:2])
+        is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self._camera.pupil_radius**2
+        place = tuple(c + m - x for c, m, x in zip(aims.centre, point, aside, strict=True))
+        detector = x - aims.centre[0], y - aims.centre[1]
+        kind, bright = aims.kind, aims.brightness
+        return Drawn(pupil, inner, point, place, detector, aims.height, kind, weight, chance, is_open, bright)
+
+    def crossed(self, drawn: Drawn) -> Pair:
+        """Return the lateral path of light in the medium behind the lens, and the medium's depth."""
+        lattice = self._camera.lattice
+        (u, v), (across, up) = lattice.to_frame(*drawn.point), lattice.aperture_widths
+        x, y = lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
+        aside = dr.hypot(x - drawn.detector[0], y - drawn.detector[1])
+        return aside, self._camera.detector_distance + drawn.height
+
+    @cached_property
+    def _airy(self) -> Any:
+        """Radii that encircle even steps of the Airy pattern's energy (Born and Wolf, section 8.5.2)."""
+        from scipy.special import j0, j1
+
+        camera = self._camera
+        v = np.linspace(0, _AIRY_REACH, 1 << 14)
+        energy = 1 - j0(v) ** 2 - j1(v) ** 2
+        radius = np.interp(np.linspace(0, energy[-1], _AIRY), energy, v)
+        wavelength = in_millimetres(self._longest.wavelength)
+        unit = wavelength * camera.pupil_distance / (2 * math.pi * camera.pupil_radius)
+        return drjit_array(mi.Float, radius * unit)
+
+
+@functools.lru_cache(maxsize=64)
+def _lit_lenses(camera: PlenopticCamera, plan: PhaseSpace, parts: int) -> float:
+    """Return `Draws.lit_lenses`, cached for further captures of the camera."""
+    draws, side = Draws(camera, [plan], parts), min(_COUNTED, *camera.resolution)
+    left, top = ((size - side) // 2 for size in camera.resolution)
+    box = Box(left, top, side, side)
+    pixels = dr.arange(mi.UInt32, side * side)
+    lenses = (dr.opaque(mi.UInt32, lens) for lens in range(len(draws.candidates)))
+    lit = [draws.lights(draws.aims(Pixels(box, pixels, lens))) for lens in lenses]
+    return float(dr.sum(sum((dr.select(each, mi.Float(1), 0) for each in lit), mi.Float(0)))[0]) / side**2
+
+
+def tent(value: Any) -> Any:
+    """Return numbers with the density 1 - |t|, a B-spline of order 2, from uniform random numbers."""
+    return dr.select(value < 0.5, dr.sqrt(2 * value) - 1, 1 - dr.sqrt(2 * (1 - value)))
+
+
+class LensPoints:
+    """Sampler of points around lenses, for rays with the coefficients of a plan's table."""
+
+    def __init__(self, plan: PhaseSpace) -> None:
+        self._lattice = plan.lattice
+        self._nodes = TableNodes(plan)
+        rows, columns = _edges(plan)
+        first = np.cumsum([0] + [len(part) for part in plan.table])[:-1]
+        self._first = drjit_array(mi.UInt32, first)
+        self._sides = [mi.Float([node.sides[axis] for node in plan.nodes]) for axis in (0, 1)]
+        self._rows, self._columns = (drjit_array(mi.Float, part) for part in (rows, columns))
+
+    def draw(self, pupil: tuple[Any, Any], chance: Any, random: Any) -> tuple[tuple[Any, Any], Any]:
+        """Return points around lenses for rays to pupil points, and the reciprocals of their density over a lens."""
+        lattice = self._lattice
+        Pu, Pv = lattice.to_frame(*pupil)
+        _, radial = self._nodes.along(Pu, Pv, chance[0])
+        part = dr.gather(mi.UInt32, self._first, radial) + self._nodes.around(Pu, Pv, radial, chance[1])
+        places, weight = [], mi.Float(1 / float(lattice.lens_area))
+        for axis, edges in ((1, self._rows), (0, self._columns)):
+            number = mi.UInt32(random[axis] * _CELLS)
+            part = part * _CELLS + number
+            low, high = dr.gather(mi.Vector2f, edges, part)
+            side = dr.gather(mi.Float, self._sides[axis], radial)
+            places.append(dr.lerp(low, high, random[axis] * _CELLS - mi.Float(number)) * side)
+            weight *= (high - low) * side * _CELLS
+        v, u = (dr.select(P < 0, -place, place) for P, place in zip((Pv, Pu), places, strict=True))
+        return lattice.from_frame(u, v), weight
+
+
+@functools.lru_cache(maxsize=8)
+def _edges(plan: PhaseSpace) -> list[NDArray[np.float32]]:
+    """Return the two edges of each strip of all nodes, and of each cell, in widths of the windows, as flat arrays."""
+    parts = [divided(density_of(values)) for part in plan.table for values in part[..., 0]]
+    edges = (np.array(each, np.float32) - np.float32(0.5) for each in zip(*parts, strict=True))
+    # A ray reads both edges at once.
+    return [np.stack([each[..., :-1], each[..., 1:]], axis=-1).ravel() for each in edges]
+
+
+def density_of(values: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the sampling density for samples of a coefficient, which may be negative."""
+    square = values.astype(np.float64) ** 2
+    # Between samples a ray takes one of the nearest ones.
+    for axis in (0, 1):
+        square = (np.roll(square, 1, axis) + 2 * square + np.roll(square, -1, axis)) / 4
+    root = np.sqrt(square)
+    return np.asarray(root + _LEAST * root.mean())
+
+
+def divided(density: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the edges that divide a window into parts over which a piecewise constant density has equal integrals.
+
+    The edges are those of the strips, (n + 1,), and of the cells in each strip, (n, n + 1).
+    """
+    rows, columns = density.shape
+    upto = np.concatenate([np.zeros((1, columns)), np.cumsum(density, axis=0)])
+    parts = np.linspace(0, 1, _CELLS + 1)
+    total = upto.sum(1)
+    edges = np.interp(parts * total[-1], total, np.arange(rows + 1))
+    low = np.minimum(edges.astype(int), rows - 1)
+    strips = np.diff(upto[low] + (edges - low)[:, None] * density[low], axis=0)
+    sums = np.concatenate([np.zeros((_CELLS, 1)), np.cumsum(strips, axis=1)], axis=1)
+    # All strips in one interpolation, each two units after the one before.
+    behind = 2.0 * np.arange(_CELLS)[:, None]
+    places = np.broadcast_to(np.arange(columns + 1.0), sums.shape)
+    cells = np.interp((parts + behind).ravel(), (sums / sums[:, -1:] + behind).ravel(), places.ravel())
+    return edges / rows, cells.reshape(_CELLS, -1) / columns

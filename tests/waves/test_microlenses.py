@@ -1,0 +1,139 @@
+"""The transmission of microlens arrays: its orders, their sum, and the array's own images."""
+
+import numpy as np
+import pytest
+from cameras import LATTICES, WAVELENGTH, error, small_camera
+from drjit.llvm import Float64
+from scipy.special import j1
+
+from mitsuba_plenoptic.array import turn
+from mitsuba_plenoptic.fields.microlens_orders import AxisFactor, PlaneFactor, axis_orders
+from mitsuba_plenoptic.fields.microlenses import transmission
+from mitsuba_plenoptic.optics.waves import propagate
+
+SMALL = small_camera()
+
+lattices = pytest.mark.parametrize("lattice", LATTICES.values(), ids=LATTICES)
+
+
+def to_numpy(values):
+    return np.array(values.real) + 1j * np.array(values.imag)
+
+
+# -- the element -------------------------------------------------------------------------------------
+
+
+@lattices
+def test_every_lens_is_a_parabola_in_its_aperture(lattice):
+    camera = SMALL.replace(**lattice)
+    i, j = 3, -2
+    cx, cy = camera.lattice.centre(i, j)
+    dx, dy = np.random.default_rng(0).uniform(-0.03, 0.03, (2, 500))
+    dx, dy = (axis[camera.lattice.in_aperture(dx, dy)] for axis in (dx, dy))
+    found = to_numpy(transmission(camera, WAVELENGTH, Float64(cx + dx), Float64(cy + dy)))
+    focal_length = camera.mla_focal_lengths[int(camera.lattice.lens_type(i, j)) % len(camera.mla_focal_lengths)]
+    expected = np.exp(-1j * np.pi * (dx**2 + dy**2) / (WAVELENGTH * 1e-6 * focal_length))
+    assert np.abs(found - expected).max() < 1e-5
+
+
+@pytest.mark.parametrize("changes", [{}, {"mla_fill": 0.8}, {"mla_fill": 0.8, "mla_pitch": (0.064, 0.05)}])
+def test_a_separable_array_is_the_product_of_its_axes(changes):
+    camera = SMALL.replace(mla_offset=(0.01, -0.02), **changes)
+    x, y = np.random.default_rng(0).uniform(-1, 1, (2, 500))
+    expected = np.ones(500, complex)
+    for along, pitch, offset in zip((x, y), camera.mla_pitches, camera.mla_offset, strict=True):
+        # An edge of a cell lies at the offset.
+        away = (along - offset) % pitch - pitch / 2
+        focal_length, width = camera.mla_focal_length, camera.mla_fill * pitch
+        expected *= np.exp(-1j * np.pi * away**2 / (WAVELENGTH * 1e-6 * focal_length)) * (np.abs(away) <= width / 2)
+    assert np.allclose(to_numpy(transmission(camera, WAVELENGTH, Float64(x), Float64(y))), expected, atol=1e-5)
+
+
+# -- its orders --------------------------------------------------------------------------------------
+
+
+def test_orders_of_the_lens_array():
+    """The Fresnel integrals against a plain sum over the cell."""
+    x = (np.arange(200_000) + 0.5) / 200_000 * SMALL.mla_pitch
+    t = np.exp(-1j * np.pi * (x - SMALL.mla_pitch / 2) ** 2 / (WAVELENGTH * 1e-6 * SMALL.mla_focal_length))
+    q = np.arange(-20, 21)
+    expected = [np.mean(t * np.exp(-2j * np.pi * k * x / SMALL.mla_pitch)) for k in q]
+    assert np.allclose(axis_orders(SMALL, WAVELENGTH, 20, 0)[0], expected, atol=1e-8)
+    # All of the light is in some order.
+    assert np.sum(np.abs(axis_orders(SMALL, WAVELENGTH, 3000, 0)[0]) ** 2) == pytest.approx(1, abs=1e-4)
+
+
+@pytest.mark.filterwarnings("ignore:.*outer eighth of its window:mitsuba_plenoptic.PhysicsWarning")  # it is periodic
+@pytest.mark.parametrize("part", [0.25, 1.0, 7.3])
+def test_self_imaging_of_a_bare_lens_array(part):
+    """A plane wave through the array, parts of a Talbot length on, against its Fourier orders with exact kz."""
+    pitch, lam = SMALL.mla_pitch, WAVELENGTH * 1e-6
+    periods, per_period = 6, 96
+    highest = 0.3
+    x = np.arange(periods * per_period) * pitch / per_period
+    t = to_numpy(AxisFactor(SMALL, WAVELENGTH, highest, 0).at(Float64(x)))
+    distance = part * 2 * pitch**2 / lam
+    field = propagate(t[None, :] * t[:, None], pitch / per_period, distance, WAVELENGTH)
+
+    q = np.arange(-int(highest * pitch / lam), int(highest * pitch / lam) + 1)
+    fine = (np.arange(100_000) + 0.5) / 100_000 * pitch
+    lens = np.exp(-1j * np.pi * (fine - pitch / 2) ** 2 / (lam * SMALL.mla_focal_length))
+    c = np.array([np.mean(lens * np.exp(-2j * np.pi * k * fine / pitch)) for k in q])
+    s2 = (q[:, None] ** 2 + q[None, :] ** 2) * (lam / pitch) ** 2
+    path = distance / lam * (np.sqrt(1 - s2) - 1)
+    waves = np.exp(2j * np.pi * q[None, :] * x[:, None] / pitch)
+    expected = waves @ (c[:, None] * c[None, :] * np.exp(2j * np.pi * path)) @ waves.T
+    assert error(field, expected) < 1e-4
+
+
+@pytest.mark.parametrize("pitch", [0.064, (0.064, 0.05)])
+def test_orders_of_a_separable_array_are_those_of_two_axes(pitch):
+    camera = SMALL.replace(mla_pitch=pitch)
+    plane = PlaneFactor(camera, WAVELENGTH, 0.2).orders()
+    down, along = (axis_orders(camera, WAVELENGTH, plane.shape[1 - axis] // 2, axis)[0] for axis in (1, 0))
+    assert np.allclose(plane, np.outer(down, along) * (plane != 0), atol=1e-6)
+
+
+def test_orders_of_holes_are_airy_patterns():
+    """Lenses of hardly any power on a hexagonal lattice, whose reciprocal lattice is hexagonal, too."""
+    camera = SMALL.replace(mla_lattice="hexagonal", mla_aperture="circle", mla_fill=0.9, mla_focal_length=1e6)
+    found = PlaneFactor(camera, WAVELENGTH, 0.2).orders()
+    q = [np.arange(size) - size // 2 for size in found.shape]
+    width, height = camera.lattice.period()
+    argument = np.pi * 0.9 * camera.mla_pitch * np.hypot(q[1] / width, q[0][:, None] / height)
+    with np.errstate(invalid="ignore"):
+        airy = np.where(argument == 0, 1, 2 * j1(argument) / argument)
+    there = (q[0][:, None] + q[1]) % 2 == 0
+    expected = camera.lattice.lens_area / camera.lattice.cell_area * airy * there * (found != 0)
+    # A lens's centre is on the axis, so that there is no other phase.
+    assert np.abs(found - expected).max() < 3e-4
+    assert np.abs(found[~there]).max() < 1e-5
+
+
+@lattices
+def test_orders_are_converged_and_hold_the_light(lattice):
+    camera = SMALL.replace(**lattice)
+    found = PlaneFactor(camera, WAVELENGTH, 0.35).orders()
+    assert error(found, PlaneFactor(camera, WAVELENGTH, 0.35, fine=1234).orders()) < 3e-3
+    open_part = camera.lattice.lens_area / camera.lattice.cell_area
+    # What is missing goes farther: of an edge's light a part that falls with the inverse of the angle.
+    assert 0.985 * open_part < (np.abs(found) ** 2).sum() < 1.001 * open_part
+
+
+@lattices
+@pytest.mark.parametrize("parameter", [None, ("position", 0, 0), ("fresnel", 1, 0)])
+def test_transmission_is_the_sum_of_its_orders(lattice, parameter):
+    """Errors between samples of a table are far below those of a capture: gradients cancel nearly."""
+    camera = SMALL.replace(**lattice)
+    x, y = np.random.default_rng(0).uniform(-1, 1, (2, 500))
+    factor = PlaneFactor(camera, WAVELENGTH, 0.2)
+    found = to_numpy(factor.at(Float64(x), Float64(y), parameter=parameter))
+    amplitudes = factor.orders(parameter)
+    x, y = turn(x - camera.mla_offset[0], y - camera.mla_offset[1], -camera.mla_rotation)
+    sides = camera.lattice.period(len(camera.mla_focal_lengths))
+    along_x, along_y = (
+        np.exp(2j * np.pi * np.outer(place, np.arange(size) - size // 2) / side)
+        for place, size, side in zip((x, y), amplitudes.shape[::-1], sides, strict=True)
+    )
+    expected = np.einsum("kj,ji,ki->k", along_y, amplitudes, along_x)
+    assert error(found, expected) < 5e-5

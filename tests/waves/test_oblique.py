@@ -1,0 +1,193 @@
+"""Kernels for light that meets the microlenses obliquely, against an exact propagation and the laws of rays."""
+
+import math
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, shift
+
+from mitsuba_plenoptic import PlenopticCamera
+from mitsuba_plenoptic.runtime.batches import Box
+from mitsuba_plenoptic.waves.oblique import Oblique, changes, directions, moved, terms
+from mitsuba_plenoptic.waves.signed_colours import plan_of
+from mitsuba_plenoptic.waves.signed_draws import Draws, Pixels
+
+WAVELENGTH, STEP, COUNT = 633e-6, 0.0005, 1024
+
+
+def exact_spot(
+    camera: PlenopticCamera, lens: tuple[float, float], place: np.ndarray, centre: list[float]
+) -> np.ndarray:
+    """Propagate light from the middle of the pupil through a lens and its neighbours, without paraxial approximation.
+
+    Returns the power per area of the lens, for unit irradiance, at positions `place` from a centre along both axes.
+    """
+    along = (np.arange(COUNT) - COUNT // 2 + 0.5) * STEP
+    pitch, f2, z, b = camera.mla_pitch, camera.mla_focal_length, camera.detector_distance, camera.mla_distance
+    m, n = np.meshgrid(along, along)
+    u, v = ((each + pitch / 2) % pitch - pitch / 2 for each in (m, n))
+    path = np.sqrt(b * b + (lens[0] + m) ** 2 + (lens[1] + n) ** 2) - (u * u + v * v) / (2 * f2)
+    # Lenses farther away are dark, so that their light does not wrap around.
+    lit = (np.abs(m) < 2.5 * pitch) & (np.abs(n) < 2.5 * pitch)
+    spectrum = np.fft.fft2(np.where(lit, np.exp(2j * np.pi / WAVELENGTH * path), 0))
+    frequency = np.fft.fftfreq(COUNT, STEP)
+    fx, fy = np.meshgrid(frequency, frequency)
+    spectrum *= np.exp(2j * np.pi * z * np.sqrt(1 / WAVELENGTH**2 - fx**2 - fy**2))
+    waves = [np.exp(2j * np.pi * np.outer(place + c - along[0], frequency)) / COUNT for c in centre]
+    return np.abs(waves[1] @ spectrum @ waves[0].T) ** 2 / pitch**2
+
+
+def test_spots_of_oblique_light_are_those_of_an_exact_propagation():
+    camera = PlenopticCamera(mla_focal_length=0.384, mla_distance=121.536)
+    plan = plan_of(camera, 633.0, True, 633.0)
+    lens = (61 * camera.mla_pitch, -45 * camera.mla_pitch)
+    distance = math.hypot(camera.mla_distance, *lens)
+    cosines = [c / distance for c in lens]
+    slopes = [c / camera.mla_distance for c in lens]
+    kernels = plan.kernels(0.001, plan.reach) / 0.001**2
+    factors = plan.oblique.factors[:, 0] @ np.array(
+        terms(*(s / plan.oblique.largest for s in cosines), plan.oblique.degree)
+    )
+    place = (np.arange(kernels.shape[1]) - kernels.shape[1] // 2) * 0.001
+    enlargement = Draws(camera, [plan]).enlargements[0]
+    exact = exact_spot(camera, lens, place, [enlargement * camera.detector_distance * t for t in slopes])
+    middle = np.abs(place) < 0.03
+    square = np.ix_(middle, middle)
+    apart = camera.mla_pitch * (1 + camera.detector_distance / camera.mla_distance) / 0.001
+    without, whole = (
+        sum(shift(kernel, (i * apart, j * apart), order=5) for i in (-1, 0, 1) for j in (-1, 0, 1))
+        for kernel in (kernels[0], kernels[0] + np.tensordot(factors, kernels[plan.functions.count :], 1))
+    )
+    # Frequencies at which lenses interfere that are farther apart than neighbours are removed.
+    exact, without, whole = (gaussian_filter(image, 1.2) for image in (exact, without, whole))
+    size = np.linalg.norm(exact[square])
+    assert np.linalg.norm((whole - exact)[square]) / size < 0.006
+    assert np.linalg.norm((without - exact)[square]) / size > 0.009
+
+
+def fast_lens(medium: float, pitch: float = 0.04) -> PlenopticCamera:
+    """Return a camera with microlenses of f/2.4 in a medium."""
+    return PlenopticCamera(
+        focal_length=10.0, aperture_radius=2.5, mla_distance=12.0, mla_pitch=pitch, mla_focal_length=0.0955 * medium,
+        mla_medium=medium, detector_width=0.4, resolution=(100, 100),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("medium", [1.0, 1.4])
+def test_light_arrives_as_rays_of_direction_cosines_do(medium):
+    camera, cosines, step = fast_lens(medium), (0.11, -0.17), 1e-5
+    plan = plan_of(camera, 633.0, False, 633.0)
+    kind, power = plan.kinds[0], 1 / plan.kinds[0].focal_length - 1 / camera.pupil_distance
+    x, y = np.meshgrid(0.004 + step * np.arange(3), -0.011 + step * np.arange(3))
+    (mx, my), field, *_ = plan.transmission((x, y), kind, cosines)
+    # The phase's slope by the direction cosine with which light comes from a point is the distance by which the light
+    # of this point misses the landing point of the lens's centre.
+    phase = np.unwrap(np.unwrap(np.angle(field), axis=0), axis=1)
+    missed = np.gradient(phase, step)[1][1, 1], np.gradient(phase, step)[0][1, 1]
+    missed = [m * WAVELENGTH / (2 * np.pi) * kind.distance for m in missed]
+
+    def landing(m):
+        behind = (np.array(cosines) - m * power) / medium
+        return m + kind.distance * medium * behind / np.sqrt(1 - behind @ behind)
+
+    own = landing(np.array([mx[1, 1], my[1, 1]]))
+    larger = Draws(camera, [plan]).enlargements[0]
+    assert missed == pytest.approx(own - larger * landing(np.zeros(2)), abs=1e-4)
+
+
+@pytest.mark.parametrize("cosines", [(0.0, 0.0), (0.2, 0.0), (0.14, 0.14)])
+def test_spots_of_fast_lenses_are_those_of_an_exact_propagation(cosines):
+    camera, count, step = fast_lens(1.0).replace(mla_fill=0.96), 1024, 0.04 * 0.96 / 128
+    plan = plan_of(camera, 633.0, False, 633.0)
+    kind, b = plan.kinds[0], camera.pupil_distance
+    along = (np.arange(count) - count // 2 + 0.5) * step
+    x, y = np.meshgrid(along, along)
+    tilt = np.array(cosines) / math.sqrt(1 - math.hypot(*cosines) ** 2)
+    path = np.sqrt(b * b + (x + b * tilt[0]) ** 2 + (y + b * tilt[1]) ** 2) - (x * x + y * y) / (2 * kind.focal_length)
+    inside = np.maximum(abs(x), abs(y)) < 0.0192
+    frequency = np.fft.fftfreq(count, step)
+    fx, fy = np.meshgrid(frequency, frequency)
+    across = np.sqrt(np.maximum(1 / WAVELENGTH**2 - fx**2 - fy**2, 0))
+    spectrum = np.fft.fft2(np.where(inside, np.exp(2j * np.pi / WAVELENGTH * path), 0))
+    exact = np.abs(np.fft.ifft2(spectrum * np.exp(2j * np.pi * kind.distance * across))) ** 2 / inside.sum()
+    # The lens alone, at the same places by a plain sum over its points.
+    reach = (np.arange(160) + 0.5) / 160 * 0.04 - 0.02
+    at = np.meshgrid(reach, reach)
+    _, field, share = plan.transmission(tuple(at), kind, cosines)
+    own = np.where(share > 0, field, 0)
+    landing = kind.distance * Draws(camera, [plan]).enlargements[0] * tilt
+    near = [np.abs(along - p) < 0.012 for p in landing]
+    waves = [
+        np.exp(-2j * np.pi * np.outer(along[n] - p, reach) / (WAVELENGTH * kind.distance))
+        for n, p in zip(near, landing, strict=True)
+    ]
+    found = np.abs(waves[1] @ own @ waves[0].T) ** 2
+    pixels = [gaussian_filter(each, 4) for each in (found, exact[np.ix_(near[1], near[0])])]
+    pixels = [each / each.sum() for each in pixels]
+    assert np.linalg.norm(pixels[0] - pixels[1]) / np.linalg.norm(pixels[1]) < 0.006
+
+
+@pytest.mark.parametrize("degree", [2, 4])
+def test_changes_are_those_of_polynomials(degree):
+    rng = np.random.default_rng(4)
+    slopes = rng.normal(size=degree * (degree + 3) // 2)
+    values = [1.0 + slopes @ np.array(terms(*s, degree)) for s in directions(degree)]
+    assert changes(degree) @ values == pytest.approx(slopes, rel=1e-9)
+    # Moved terms are those of the moved directions.
+    step = np.array([0.2, -0.1])
+    (s,) = rng.uniform(-1, 1, (1, 2))
+    assert moved(step, degree) @ [1, *terms(*s, degree)] == pytest.approx([1, *terms(*(s + step), degree)])
+
+
+@pytest.mark.slow
+def test_oblique_kernels_have_no_light_of_their_own():
+    camera = PlenopticCamera(mla_lattice="hexagonal", mla_focal_length=(0.48, 0.512, 0.55))
+    plan = plan_of(camera, 633.0, False, 633.0)
+    assert plan.oblique.count > 0
+    for kind in range(3):
+        kernels = plan.kernels(camera.pixel_size, plan.reach, kind)
+        assert abs(kernels[plan.functions.count :].sum((1, 2))).max() < 1e-4 * abs(kernels[0]).sum()
+
+
+@pytest.mark.parametrize("degree", [2, 4])
+def test_slopes_of_terms_are_their_differences(degree):
+    rng = np.random.default_rng(2)
+    count, step = degree * (degree + 3) // 2, 1e-3
+    basis = np.eye(1 + count) + np.tril(rng.uniform(-0.1, 0.1, (1 + count, 1 + count)), -1)
+    oblique = Oblique(0.2, *rng.normal(size=(2, 2, 3, count)), basis)
+    assert oblique.degree == degree
+    cosines = rng.uniform(-0.2, 0.2, (2, 7)).astype(np.float32)
+    for found, along in zip(oblique.slopes(cosines), step * np.eye(2, dtype=np.float32), strict=True):
+        before, after = (oblique.terms(cosines + side * along[:, None]) for side in (-1, 1))
+        assert found == pytest.approx((after - before) / (2 * step), rel=1e-3, abs=1e-3)
+    assert Oblique.nothing(3).terms(cosines).shape == Oblique.nothing(3).slopes(cosines).shape[1:] == (0, 7)
+
+
+def test_terms_are_orthonormal_in_light_of_all_directions():
+    # Fast microlenses, whose kernels change as polynomials of degree 4.
+    plan = plan_of(fast_lens(1.0), 633.0, False, 633.0)
+    assert plan.oblique.degree == 4
+    along = np.linspace(-0.5, 0.5, 9)
+    camera = plan.camera
+    x, y, Px, Py = (each.ravel() for each in np.meshgrid(0.4 * along, 0.4 * along, 5 * along, 5 * along))
+    inside = np.hypot(Px, Py) <= camera.pupil_radius
+    slopes = np.array([(x - Px)[inside], (y - Py)[inside]]) / camera.pupil_distance
+    cosines = slopes / np.sqrt(1 + np.square(slopes).sum(0))
+    found = np.vstack([np.ones(inside.sum()), plan.oblique.terms(cosines.astype(np.float32))])
+    assert found @ found.T / inside.sum() == pytest.approx(np.eye(15), abs=1e-3)
+
+
+def test_pixels_know_the_direction_of_their_light():
+    camera = PlenopticCamera(mla_rotation=20.0, mla_medium=1.4)
+    draws = Draws(camera, [plan_of(camera, 633.0, False, 633.0)])
+    (nearest,) = np.flatnonzero((draws.candidates == 0).all(axis=1)).tolist()
+    pixels = Pixels(Box(40, 60, 8, 8), mi.UInt32(np.arange(64)), mi.UInt32(nearest))
+    u, v = draws.cosines(pixels)
+    aims = draws.aims(pixels)
+    pupil = draws.seen(aims.middle, aims)
+    across = [c.numpy() - P.numpy() for c, P in zip(aims.centre, pupil, strict=True)]
+    x, y = (each / np.sqrt(camera.mla_distance**2 + across[0] ** 2 + across[1] ** 2) for each in across)
+    turn = math.radians(20.0)
+    assert u.numpy() == pytest.approx(x * math.cos(turn) + y * math.sin(turn), abs=1e-5)
+    assert v.numpy() == pytest.approx(y * math.cos(turn) - x * math.sin(turn), abs=1e-5)

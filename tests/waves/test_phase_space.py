@@ -1,0 +1,220 @@
+"""Signed rays against closed forms of apertures, and against exact sums of point spreads."""
+
+import math
+import weakref
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from cases import relative
+from scipy.special import j0, j1
+
+from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera
+from mitsuba_plenoptic.fields.optical_system import OpticalSystem
+from mitsuba_plenoptic.rays.tracer import Walk
+from mitsuba_plenoptic.runtime.backend import drjit_array
+from mitsuba_plenoptic.waves.phase_space import PhaseSpace, coefficients_of
+from tools.bench.cases import phase_space
+
+PLACES = (0.0, 0.028, 0.036)
+"""In a point's image, where light of a lens is looked for."""
+
+DISCS = PlenopticCamera(mla_aperture="circle", mla_fill=0.5)
+GAPS = PlenopticCamera(mla_fill=0.5)
+
+
+@pytest.mark.slow
+def test_the_kernels_of_a_plan_keep_energy():
+    plan = PhaseSpace(PlenopticCamera(mla_lattice="hexagonal", mla_rotation=7.0), 633.0, degree=4)
+    sums = plan.kernels(0.001, 0.16).sum((1, 2))
+    assert sums == pytest.approx([1] + [0] * (len(sums) - 1), abs=3e-3)
+
+
+def disc(s):
+    return 2 / math.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
+
+
+@pytest.mark.parametrize(("camera", "theory"), [(DISCS, disc), (GAPS, lambda s: 1 - s)])
+@pytest.mark.parametrize("degree", [0, 4])
+def test_the_first_kernel_has_the_transfer_function_of_its_aperture(camera, theory, degree):
+    # Goodman, "Introduction to Fourier Optics", section 6.3.
+    plan, step, width = PhaseSpace(camera, 633.0, degree=degree), 0.001, 0.032
+    kernel = plan.kernels(step, 0.3)[0]
+    frequency = np.arange(0, 0.9 * width / (633e-6 * 0.512), 5.0)
+    place = (np.arange(len(kernel)) - len(kernel) // 2) * step
+    found = np.exp(-2j * np.pi * np.outer(frequency, place)) @ kernel.sum(0)
+    assert found.real == pytest.approx(theory(frequency * 633e-6 * 0.512 / width), abs=0.004)
+    assert np.abs(found.imag).max() < 1e-3
+
+
+@pytest.mark.parametrize(("radius", "tolerance"), [(5.0, 0.015), (0.25, 0.0015)])
+def test_the_mean_over_the_pupil_is_airys_pattern(radius, tolerance):
+    # How much of the light of a point in focus falls into a lens, over its place: the lens convolved with the pattern.
+    plan = PhaseSpace(PlenopticCamera(aperture_radius=radius), 633.0, degree=0)
+    mean = np.zeros(len(PLACES))
+    for radial, (node, part) in enumerate(zip(plan.nodes, plan.table, strict=True)):
+        t = 1 - radial / plan.radial
+        ring = part[..., 0]
+        # The other quarters of the pupil are mirror images.
+        ring = (ring + ring[:, ::-1] + ring[:, :, ::-1] + ring[:, ::-1, ::-1]) / 4
+        turn = np.where(np.arange(len(ring)) % (len(ring) - 1), 1, 0.5)
+        ring = np.tensordot(turn, ring, 1) / turn.sum()
+        axis = (np.arange(ring.shape[1]) + 0.5) / ring.shape[1] * node.sides[0] - node.sides[0] / 2
+        middle = (
+            ring[ring.shape[0] // 2 - 1 : ring.shape[0] // 2 + 1].mean(0)
+            if len(ring) % 2 == 0
+            else ring[len(ring) // 2]
+        )
+        mean += (1 - t * t) * t * np.interp(PLACES, axis, middle)
+    mean /= sum((1 - t * t) * t for t in 1 - np.arange(plan.radial + 1) / plan.radial)
+    step, scale = 0.001, math.pi * 2 * radius / (633e-6 * 120)
+    axis = (np.arange(-480, 480) + 0.5) * step
+    v = scale * np.hypot(axis, axis[:, None])
+    airy = (scale * j1(v) / v) ** 2 / math.pi
+    lens = np.abs(axis) < 0.032
+    for place, found in zip(PLACES, mean, strict=True):
+        expected = airy[np.ix_(lens, np.abs(axis + place) < 0.032)].sum() * step**2
+        assert found == pytest.approx(expected, abs=tolerance), place
+
+
+def test_every_ray_keeps_its_energy():
+    plan = PhaseSpace(PlenopticCamera(), 633.0, degree=1, window=3, radial=5)
+    for node, part in zip(plan.nodes, plan.table, strict=True):
+        lenses = np.prod(node.sides) / 0.064**2
+        assert part[..., 0].mean((1, 2)) * lenses == pytest.approx(1, rel=1e-3)
+        assert part[..., 1:].mean((1, 2)) * lenses == pytest.approx(0, abs=5e-3)
+
+
+@pytest.mark.parametrize("blur", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])
+def test_a_wall_is_that_of_point_spreads(blur):
+    camera = PlenopticCamera()
+    wall = phase_space.Wall(camera, blur, 1, 8, 0.0)
+    view = phase_space.around(camera, wall, 1)
+    exact = phase_space.reference(view, wall)
+    plan = PhaseSpace(camera, 633.0, degree=2, window=5)
+    signed = phase_space.capture(plan, view, wall, 256, 1, 0)
+    assert relative(signed, exact) < 0.06
+    assert signed.sum() / exact.sum() == pytest.approx(1, abs=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "camera",
+    [
+        PlenopticCamera.preset("paper_double_gauss"),
+        PlenopticCamera(wavefront=(0, 0, 0, 0, 0, 0.3)),
+        PlenopticCamera.preset("lfm"),
+    ],
+    ids=["double Gauss", "astigmatism", "objective"],
+)
+def test_walls_through_other_main_lenses_are_those_of_point_spreads(camera):
+    wall = phase_space.Wall(camera, 0.0, 1, 12, 0.0)
+    view = phase_space.around(camera, wall, 2)
+    exact = phase_space.reference(view, wall)
+    signed = phase_space.capture(PhaseSpace(camera, 633.0), view, wall, 256, 1, 0)
+    # Its noise is a part of the error.
+    assert relative(signed, exact) < 0.05
+    assert signed.sum() / exact.sum() == pytest.approx(1, abs=0.01)
+
+
+def test_the_pupil_off_the_axis_is_that_of_rays():
+    camera = PlenopticCamera.preset("paper_double_gauss").replace(aperture_radius=13.0)
+    mi.set_variant("llvm_ad_mono")
+    pupil, lens = Walk.of(camera, OpticalSystem(camera, 633.0).lens), LensSystem.of(camera, 633.0)
+    x, y = np.random.default_rng(0).uniform(-2.4, 2.4, (2, 20000)) * camera.pupil_radius
+    for centre in ((0.0, 0.0), (3.5, -2.0), (0.0, 4.0)):
+        u, v = pupil.inner((mi.Float(x), mi.Float(y)), (mi.Float(centre[0]), mi.Float(centre[1])))
+        is_open = np.hypot(u.numpy(), v.numpy()) <= camera.pupil_radius
+        expected = lens.ray((x, y), (np.full_like(x, centre[0]), np.full_like(y, centre[1])))[2]
+        assert np.mean(is_open != expected) < 2e-3
+    # The pupil near the axis is another one.
+    assert np.mean((np.hypot(x, y) <= camera.pupil_radius) != expected) > 0.005
+
+
+def test_a_lens_far_out_of_focus_has_the_transfer_function_of_its_aperture():
+    plan = PhaseSpace(PlenopticCamera.preset("raytrix"), 633.0, degree=2)
+    kernels = plan.kernels(0.0055, 0.16)
+    assert kernels.sum((1, 2)) == pytest.approx([1, 0, 0, 0, 0, 0], abs=5e-3)
+    # Most of the spot is within a pixel, whose kernel is positive.
+    assert kernels[0].min() > -1e-6
+    assert 0.7 < kernels[0].max() < 0.8
+
+
+@pytest.mark.parametrize("f_number", [2, 5.6, 12, 30, 60, 240, 1000])
+def test_windows_hold_the_airy_pattern(f_number):
+    """All but 0.6 % of its light, by the encircled energy (Born and Wolf, "Principles of Optics", section 8.5.2)."""
+    camera = PlenopticCamera(aperture_radius=120 / f_number / 2)
+    half = min(PhaseSpace(camera, 633.0).nodes[-1].sides) / 2
+    v = 2 * np.pi * camera.pupil_radius / (633e-6 * camera.pupil_distance) * half
+    assert j0(v) ** 2 + j1(v) ** 2 < 0.006
+
+
+def test_openings_of_a_few_wavelengths_are_refused():
+    with pytest.raises(InputError, match=r"mla_fill = 0.05: for signed rays it must be 0.0989 or more, openings of 10"):
+        PhaseSpace(PlenopticCamera(mla_fill=0.05), 633.0)
+    narrow = PhaseSpace(PlenopticCamera(mla_fill=0.1), 633.0)
+    assert narrow.kernels(0.008, 0.128)[0].sum() == pytest.approx(1, abs=0.05)
+
+
+@pytest.mark.slow
+def test_plans_of_many_cameras_keep_tables_of_bounded_size(monkeypatch):
+    """As those of the steps of a fit, of which other caches keep the plans."""
+    made = []
+
+    def tabulated(plan, table):
+        made.append(weakref.ref(table.memory))
+        return table
+
+    monkeypatch.setattr("mitsuba_plenoptic.waves.phase_space._tables", {})
+    monkeypatch.setattr(PhaseSpace, "tabulated", tabulated)
+    plans = [PhaseSpace(PlenopticCamera(), 500.0, degree=1, radial=2, window=9 + k) for k in range(20)]
+    sizes = [sum(math.prod(shape) for shape in plan.shapes) * 4 for plan in plans]
+    monkeypatch.setattr("mitsuba_plenoptic.waves.phase_space._BYTES", sum(sizes[-4:]))
+    for plan in plans:
+        assert plan.table is plan.table
+    assert len(made) == 20
+    assert [each() is not None for each in made] == [False] * 16 + [True] * 4
+    # A capture gets all of its tables, however large they are.
+    coefficients_of(plans[:8])
+    assert len(made) == 28
+    assert all(each() is not None for each in made[20:])
+
+
+@pytest.mark.slow
+def test_wavelengths_find_coefficients_at_the_same_places(monkeypatch):
+    monkeypatch.setattr("mitsuba_plenoptic.waves.phase_space._tables", {})
+    plans = [PhaseSpace(PlenopticCamera(), each, shortest=460.0, longest=610.0) for each in (460.0, 550.0, 610.0)]
+    together = coefficients_of(plans)
+    assert len({each.layout for each in together}) == 1
+    rng = np.random.default_rng(3)
+    point, pupil = ([drjit_array(mi.Float, size * rng.uniform(-1, 1, 500)) for _ in range(2)] for size in (0.05, 4.0))
+    chances = [drjit_array(mi.Float, rng.uniform(size=500)) for _ in range(4)]
+    ray = point, pupil, chances, mi.Bool(True)
+    for plan, own in zip(plans, together, strict=True):
+        alone = type(own)(plan, plan.tabulated())
+        assert dr.all(alone.places(*ray)[0] == together[0].places(*ray)[0])
+        assert np.array_equal(alone(*ray), own(*ray))
+        assert np.abs(own(*ray)).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("pitch", "pixels", "tolerance"),
+    [pytest.param(0.5, 16, 0.01, marks=pytest.mark.slow), (0.4, 4, 0.02), (0.4, 2, 0.04)],
+)
+def test_kernels_of_large_lenses_keep_the_light(pitch, pixels, tolerance):
+    """Far wider than their diffraction: samples of lenses repeat within the kernels' reach."""
+    focal_length = 5.2 * pitch
+    camera = PlenopticCamera(
+        focal_length=50,
+        aperture_radius=5,
+        focus_distance=1000,
+        mla_pitch=pitch,
+        mla_focal_length=focal_length,
+        detector_width=8 * pitch,
+        resolution=(8 * pixels,) * 2,
+    )
+    plan = PhaseSpace(camera, 633.0)
+    assert plan.by_points == (pitch == 0.5)
+    step = camera.pixel_size / plan.parts(False)
+    assert plan.kernels(step, 2 * pitch)[0].sum() == pytest.approx(1, abs=tolerance)

@@ -1,0 +1,223 @@
+"""A detector's operator, against Gaussian convolutions by SciPy, and the captures that it records."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from cameras import error
+from scipy.ndimage import gaussian_filter
+
+from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, reconstruct, render_capture
+from mitsuba_plenoptic.detector.operator import DetectorOperator
+from mitsuba_plenoptic.io.captures import Capture
+from mitsuba_plenoptic.views.white import white_image
+
+CAMERA = PlenopticCamera(resolution=(32, 32), detector_width=0.256)
+"""Of 4 x 4 lenses with pixels of 8 micrometres."""
+
+BLUR = 0.012
+"""A blur of 1.5 pixels."""
+
+
+def lit(camera, integrator, **film):
+    """Return a scene of a small lamp in focus."""
+    place = mi.ScalarTransform4f().translate([0.05, 0, 238]).scale(0.1).rotate([0, 1, 0], 180)
+    lamp = {"type": "rectangle", "to_world": place, "light": {"type": "area", "radiance": 1.0}}
+    sensor = camera.to_sensor()
+    sensor["film"] |= film
+    return mi.load_dict({"type": "scene", "camera": sensor, "lamp": lamp, "integrator": integrator})
+
+
+def capture(camera, spp, model="ray", **options):
+    """Return the capture of the lamp."""
+    return render_capture(lit(camera, {"type": "direct"}), spp=spp, model=model, **options)
+
+
+def render(*given):
+    return capture(*given).image
+
+
+def blurred(image, blur, camera):
+    return gaussian_filter(image, blur / camera.pixel_size, mode="reflect", truncate=8, axes=(0, 1))
+
+
+# -- blur --------------------------------------------------------------------------------------------
+
+
+def test_blurs_are_gaussian_and_keep_the_light():
+    a = np.random.default_rng(0).random((19, 17, 2))
+    camera = CAMERA.replace(detector_blur=BLUR)
+    mixed = DetectorOperator.of(camera).forward(a)
+    assert mixed == pytest.approx(blurred(a, BLUR, camera), abs=1e-6)
+    assert mixed.sum() == pytest.approx(a.sum())
+    impulse = np.zeros((1, 41))
+    impulse[0, 20] = 1
+    # Below a pixel, where samples of a Gaussian would have too small a variance.
+    narrow = DetectorOperator(blur=0.4).forward(impulse)
+    # Nowhere does it take light away, however wide it is.
+    for width in (1e-6, 0.05, 0.4, 1.0, 1.5, 30.0):
+        assert DetectorOperator(blur=width).forward(impulse).min() >= 0
+    along = np.arange(41)
+    smooth = 1 + np.cos(2 * np.pi * (along - 20) / 16)
+    assert (narrow * smooth).sum() == pytest.approx(1 + np.exp(-0.5 * (0.4 * 2 * np.pi / 16) ** 2), abs=1e-3)
+
+
+def test_crosstalk_gives_light_to_four_neighbours():
+    a = np.random.default_rng(0).random((9, 7, 3))
+    mixed = DetectorOperator(crosstalk=0.07).forward(a)
+    beside = a[2, 3, 1] + a[4, 3, 1] + a[3, 2, 1] + a[3, 4, 1]
+    assert mixed[3, 3, 1] == pytest.approx(0.72 * a[3, 3, 1] + 0.07 * beside)
+    assert mixed.sum((0, 1)) == pytest.approx(a.sum((0, 1)))
+
+
+MAP = np.linspace(0.01, 0.1, 21 * 18).reshape(21, 18)
+
+
+@pytest.mark.parametrize("width", [2.5, np.inf])
+@pytest.mark.parametrize("stray", [0.05, MAP], ids=["number", "map"])
+def test_the_adjoint_is_the_transpose_for_arrays_and_tensors(stray, width):
+    operator = DetectorOperator(blur=1.5, crosstalk=0.04, stray_light=stray, stray_width=width)
+    x, y = np.random.default_rng(1).random((2, 21, 18, 3))
+    assert np.sum(operator.forward(x) * y) == pytest.approx(np.sum(x * operator.adjoint(y)), rel=1e-12)
+    # An even image only brightens, by the stray light.
+    even = np.ones((21, 18, 3))
+    brighter = even + np.broadcast_to(np.asarray(stray), (21, 18))[..., None]
+    assert operator.forward(even) == pytest.approx(brighter, rel=1e-12)
+    tensor = mi.TensorXf(x.astype(np.float32))
+    dr.enable_grad(tensor)
+    made = operator.forward(tensor)
+    assert np.array(made) == pytest.approx(operator.forward(x), rel=1e-5)
+    dr.backward(dr.sum(made * mi.TensorXf(y.astype(np.float32)), axis=None))
+    assert np.array(dr.grad(tensor)) == pytest.approx(operator.adjoint(y), rel=1e-5)
+
+
+def test_stray_light_by_the_mean_is_taken_away_by_its_mean():
+    x = np.random.default_rng(2).random((21, 18, 3))
+    signal = DetectorOperator(stray_light=MAP).forward(x)
+    clean = signal - MAP[..., None] * signal.mean((0, 1)) / (1 + MAP.mean())
+    assert clean == pytest.approx(x, rel=1e-12)
+
+
+def test_a_crop_of_the_signal_is_the_signal_of_a_crop_within_the_kernels():
+    x = np.random.default_rng(3).random((80, 90))
+    operator = DetectorOperator(blur=1.5, crosstalk=0.04, stray_light=0.1, stray_width=2.0)
+    crop = np.s_[10:70, 15:80]
+    margin = np.s_[27:-27, 27:-27]
+    assert operator.forward(x)[crop][margin] == pytest.approx(operator.forward(x[crop])[margin], rel=1e-12)
+
+
+@pytest.mark.parametrize("model", ["ray", "wave"])
+def test_captures_are_recorded_by_the_detector(model):
+    """The same rays, with and without it; `mi.render` and `render_capture` agree."""
+    camera = CAMERA.replace(detector_blur=BLUR, pixel_crosstalk=0.05, stray_light=0.03, stray_width=0.04)
+    plain, found = (render(each, 64, model) for each in (CAMERA, camera))
+    assert error(found, DetectorOperator.of(camera).forward(plain)) < 1e-6
+    assert error(found, plain) > 0.1
+
+
+def test_plain_renders_are_recorded_with_gradients_and_depth_as_it_is():
+    camera = CAMERA.replace(detector_blur=BLUR, pixel_crosstalk=0.05, stray_light=0.03)
+    operator = DetectorOperator.of(camera)
+    depth = {"type": "aov", "aovs": "d:depth", "image": {"type": "path"}}
+    plain, found = (
+        np.array(mi.render(lit(each, depth, pixel_format="luminance_alpha"), spp=16)) for each in (CAMERA, camera)
+    )
+    assert found.shape[2] == 3
+    assert found[..., :1] == pytest.approx(operator.forward(plain[..., :1]), abs=1e-6)
+    assert np.array_equal(found[..., 1:], plain[..., 1:])
+    weights = np.random.default_rng(0).random((*camera.shape, 1), np.float32)
+    loaded = lit(camera, {"type": "prb"})
+    params = mi.traverse(loaded)
+    (name,) = (name for name in params.keys() if name.endswith("radiance.value"))  # noqa: SIM118
+    dr.enable_grad(params[name])
+    params.update()
+    image = mi.render(loaded, params, spp=16, seed_grad=5)
+    dr.backward(dr.sum(image * mi.TensorXf(weights), axis=None))
+    # The image is proportional to the lamp's radiance of 1.
+    plain = np.array(mi.render(lit(CAMERA, {"type": "prb"}), spp=16, seed=5))
+    expected = np.sum(operator.adjoint(weights) * plain)
+    assert dr.sum(dr.grad(params[name]), axis=None)[0] == pytest.approx(expected, rel=1e-4)
+    frozen = dr.freeze(lambda loaded, seed: mi.render(loaded, spp=4, seed=seed))
+    for seed in (1, 2):
+        assert np.array_equal(frozen(loaded, mi.UInt32(seed)), mi.render(loaded, spp=4, seed=seed))
+
+
+def test_a_changed_crop_of_the_film_is_recorded():
+    loaded = lit(CAMERA.replace(detector_blur=BLUR), {"type": "path"})
+    params = mi.traverse(loaded)
+    params["camera.film.crop_size"], params["camera.film.crop_offset"] = [8, 6], [10, 12]
+    params.update()
+    assert np.shape(mi.render(loaded, spp=1)) == (6, 8, 1)
+    assert PlenopticCamera.from_sensor(loaded.sensors()[0]).crop_size == (8, 6)
+
+
+def test_ray_captures_with_a_blur_have_less_noise():
+    """The blur takes the mean of some 28 pixels."""
+    deviations = [
+        np.std([capture(camera, 16, seed=seed).image for seed in range(8)], axis=0).mean()
+        for camera in (CAMERA, CAMERA.replace(detector_blur=BLUR))
+    ]
+    assert deviations[1] < 0.6 * deviations[0]
+
+
+@pytest.mark.parametrize(("blur", "most"), [(0.0027, 0.032), (0.008, 0.02), (BLUR, 0.012)])
+def test_ray_captures_are_blurred_like_finer_pixels(blur, most):
+    """By a third of a pixel to 1.5, against pixels of a fifth of the width, whose sums are blurred by SciPy.
+
+    Blurs much narrower than a pixel move what pixels hold, not what lies within them.
+    """
+    fine = CAMERA.replace(resolution=(160, 160))
+    parts = blurred(render(fine, 256), blur, fine).reshape(32, 5, 32, 5).mean((1, 3))
+    assert error(render(CAMERA.replace(detector_blur=blur), 4096), parts) < most
+    assert error(render(CAMERA, 4096), parts) > 2 * most
+
+
+def test_wave_captures_are_blurred_captures():
+    plain, found = (render(CAMERA.replace(detector_blur=x), 32, "wave") for x in (0.0, BLUR))
+    assert error(found, blurred(plain, BLUR, CAMERA)) < 1e-5
+    assert error(found, plain) > 0.1
+    # Their noise is that of blurred images, whose pixels do not deviate independently.
+    camera = CAMERA.replace(detector_blur=BLUR)
+    every = [capture(camera, 32, "wave", seed=seed, noise=True) for seed in range(8)]
+    variance = np.var([each.image for each in every], axis=0, ddof=1).mean()
+    assert np.mean([each.noise**2 for each in every]) == pytest.approx(variance, rel=0.25)
+
+
+def test_points_are_recorded_forward_and_back():
+    camera = CAMERA.replace(detector_blur=BLUR, pixel_crosstalk=0.05, stray_light=0.03)
+    detector = DetectorOperator.of(camera)
+    points, given = [(0.0, 0.0, 236.0), (0.03, 0.02, 240.0)], np.array([1.0, 2.0])
+    plain, operator = (CaptureOperator(each, points, wavelength=633) for each in (CAMERA, camera))
+    image, other = operator.forward(given), np.random.default_rng(0).random(camera.shape, np.float32)
+    assert error(image, detector.forward(plain.forward(given))) < 1e-5
+    assert np.sum(image * other) == pytest.approx(operator.adjoint(other) @ given, rel=1e-5)
+    change = {"detector_distance": 1.0}
+    slope = operator.derivative(given, change)
+    assert error(slope, detector.forward(plain.derivative(given, change))) < 1e-4
+    felt = operator.gradient(given, other, ["detector_distance"])["detector_distance"]
+    assert np.sum(slope * other) == pytest.approx(float(np.sum(felt)), rel=1e-3)
+
+
+def test_white_images_are_blurred():
+    camera = CAMERA.replace(detector_blur=BLUR)
+    assert error(white_image(camera), blurred(white_image(CAMERA), BLUR, camera)) < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("model", "detector", "least"),
+    [
+        ("ray", {"detector_blur": BLUR}, 0.2),
+        ("wave", {"pixel_crosstalk": 0.05}, 0.015),
+        pytest.param("wave", {"detector_blur": BLUR}, 0.2, marks=pytest.mark.slow),
+        pytest.param("ray", {"pixel_crosstalk": 0.05}, 0.015, marks=pytest.mark.slow),
+    ],
+)
+def test_reconstructions_know_the_detector(model, detector, least):
+    """They show the lamp as the camera without it does; a blur by 1.5 of 8 pixels a lens moves light off lenses."""
+    sharp, blurry = (capture(each, 1024, model) for each in (CAMERA, CAMERA.replace(**detector)))
+    for method in ("ray", "coherent", "partial", "incoherent", "deconvolved"):
+        options = {"method": method, "wavelength": None if method in ("ray", "deconvolved") else 633.0}
+        found, expected = (reconstruct(each, 240, **options).image for each in (blurry, sharp))
+        assert error(found, expected) < 0.05, method
+    ignored = reconstruct(Capture(blurry.image, CAMERA, 633.0, model), 240).image
+    assert error(ignored, reconstruct(sharp, 240).image) > least

@@ -1,0 +1,357 @@
+"""The built-in scenes: what stands where, that parameters reach it, and that the meshes can be made again."""
+
+import math
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from built_in_scenes import figures, solids
+from built_in_scenes.mesh import flat_mesh
+from cameras import BUILT_IN
+from cases import film
+from make_meshes import write_all
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, load_scene, render_capture, scene_path
+from mitsuba_plenoptic.scene.render_capture import pass_counts
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMES = ("letters", "white", "chart", "still_life", "vitrine", "colour_chart")
+DISTANCES = {"eight": 210.0, "f": 240.0, "hash": 280.0}
+STILL_LIFE = ("table", "backdrop", "pawn", "die", "ball", "lambda", "knot", "window", "lamp")
+
+
+def load(name, **parameters):
+    return mi.load_file(str(scene_path(name)), **{"resolution": "64", **parameters})
+
+
+def thin_camera(resolution, **parameters):
+    """Build one of Mitsuba's own cameras with the view of the plenoptic one."""
+    view = {"fov": math.degrees(2 * math.atan(8.192 / 2 / 120)), "film": film(resolution, resolution)}
+    return mi.load_dict({"type": "perspective", **view, **parameters})
+
+
+def first_rays(resolution):
+    """Return the rays of a thin camera through the middles of its pixels."""
+    x, y = dr.meshgrid(*[(dr.arange(mi.Float, resolution) + 0.5) / resolution] * 2)
+    return thin_camera(resolution).sample_ray(0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))[0]
+
+
+def render(scene, resolution=128, spp=64, **parameters):
+    return np.array(mi.render(scene, sensor=thin_camera(resolution, **parameters), spp=spp, seed=1))[..., 0]
+
+
+def shapes(scene):
+    return {shape.id(): shape for shape in scene.shapes()}
+
+
+def box(shape):
+    return np.array(shape.bbox().min), np.array(shape.bbox().max)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_camera_is_the_papers_and_parameters_reach_it(name):
+    scene = mi.load_file(str(scene_path(name)))
+    assert PlenopticCamera.from_sensor(scene.sensors()[0]) == PlenopticCamera()
+    assert scene.sensors()[0].sampler().sample_count() == 16
+
+    changed = {
+        "detector_width": 2.048,
+        "focal_length": 70.0,
+        "aperture_radius": 4.0,
+        "mla_distance": 110.0,
+        "mla_focal_length": 0.4,
+        "mla_pitch": 0.05,
+        "lens_model": "parabolic",
+    }
+    scene = load(name, resolution="96", spp="9", **{key: str(value) for key, value in changed.items()})
+    sensor = scene.sensors()[0]
+    camera = PlenopticCamera.from_sensor(sensor)
+    assert sensor.sampler().sample_count() == 9
+    assert camera.resolution == (96, 96)
+    for key, value in changed.items():
+        assert getattr(camera, key) == (pytest.approx(value) if isinstance(value, float) else value)
+    # Nobody asked for another detector distance, so the detector stays in the microlenses' focus.
+    assert camera.detector_distance == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_resolution_samples_the_same_detector(name):
+    full = load_scene(name).sensors()[0].camera
+    columns = full.resolution[0] // 20
+    camera = load_scene(name, parameters={"resolution": str(columns)}).sensors()[0].camera
+    assert camera.resolution[0] == columns
+    assert camera.detector_width == full.detector_width
+    # As near to the detector's shape as whole pixels come.
+    assert camera.detector_height == pytest.approx(full.detector_height, abs=camera.pixel_size / 2)
+    assert camera.pixels_per_lens == pytest.approx(full.pixels_per_lens * columns / full.resolution[0])
+
+
+def test_rows_can_be_given():
+    camera = load_scene("raytrix", parameters={"resolution": "102", "rows": "10"}).sensors()[0].camera
+    assert camera.resolution == (102, 10)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_film_and_keys(name):
+    scene = load(name)
+    plate = scene.sensors()[0].film()
+    plate.prepare([])
+    assert plate.rfilter().class_name() == "BoxFilter"
+    assert plate.bitmap().pixel_format() == mi.Bitmap.PixelFormat.Y
+    assert plate.bitmap().component_format() == mi.Struct.Type.Float32
+    assert not [key for key in mi.traverse(scene).properties if "object_" in key]
+
+
+@pytest.mark.parametrize(
+    ("name", "variant"),
+    [
+        # The still life is looked at in these variants below.
+        pytest.param(name, variant, marks=[pytest.mark.slow] * (name == "still_life" and "spectral" not in variant))
+        for name in NAMES
+        for variant in ("llvm_ad_mono", "llvm_ad_rgb", "llvm_ad_spectral")
+    ],
+)
+def test_renders_in_every_colour_mode(name, variant):
+    mi.set_variant(variant)
+    capture = np.array(mi.render(load(name, mla_pitch="0.512", mla_focal_length="4.096"), spp=4, seed=3))
+    coloured = name == "colour_chart" and variant != "llvm_ad_mono"
+    assert capture.shape == (64, 64, 3 if coloured else 1)
+    assert np.isfinite(capture).all()
+    assert capture.max() > 0.5
+
+
+def test_letters_stand_where_they_should_and_scale_in_their_planes():
+    found, small = shapes(load("letters")), shapes(load("letters", letter_scale="0.25"))
+    assert set(found) == set(DISTANCES)
+    for (name, distance), place in zip(DISTANCES.items(), (1, 0, -1), strict=True):
+        low, high = box(found[name])
+        assert low[2] == high[2] == distance
+        np.testing.assert_allclose([low[1], high[1]], [-2, 2], atol=1e-6)
+        np.testing.assert_allclose((low[0] + high[0]) / 2, place * 3.2 * distance / 240, atol=1e-5)
+        np.testing.assert_allclose(box(small[name]), [low * [0.25, 0.25, 1], high * [0.25, 0.25, 1]], atol=1e-6)
+
+
+def test_letters_read_from_left_to_right():
+    resolution = 256
+    image = render(load("letters"), resolution)
+    assert image.max() == pytest.approx(1, abs=1e-5)
+    bright = np.flatnonzero(image.sum(axis=0))
+    runs = np.split(bright, np.flatnonzero(np.diff(bright) > 1) + 1)
+    assert len(runs) == 3
+    pixel = 8.192 / 120 * 240 / resolution
+    v, u = (0.5 * resolution - 0.5 - np.arange(resolution)) * pixel, (np.arange(resolution) + 0.5) * pixel
+    outlines = (figures.letter_eight(), figures.letter_f(), figures.letter_hash())
+    for run, outline, distance, place in zip(runs, outlines, DISTANCES.values(), (-3.2, 0, 3.2), strict=True):
+        letter = image[:, run]
+        # First and second moments tell the letters apart, and each from its mirror images.
+        w, (y, x) = letter.sum(), np.meshgrid(v, u[run] - 8.192 - place, indexing="ij")
+        seen = np.array([w * pixel**2, (letter * x).sum() / w, (letter * y).sum() / w, (letter * x * y).sum() / w])
+        points = np.array([polygon_moments(piece) for piece in outline]).sum(axis=0)
+        scale = 240 / distance
+        area, mx, my, mxy = points
+        drawn = np.array([area * scale**2, mx / area * scale, my / area * scale, mxy / area * scale**2])
+        np.testing.assert_allclose(seen, drawn, atol=0.02, rtol=0.005)
+
+
+def polygon_moments(polygon):
+    """Return the integrals of 1, x, y and xy over a convex polygon."""
+    p = np.array(polygon)
+    total = np.zeros(4)
+    for a, b, c in ((p[0], p[i], p[i + 1]) for i in range(1, len(p) - 1)):
+        area = 0.5 * ((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0])
+        centre = (a + b + c) / 3
+        # The midpoints of the sides integrate polynomials of degree two exactly.
+        middles = (np.array([a, b, c]) + np.array([b, c, a])) / 2
+        total += area * np.array([1, *centre, (middles[:, 0] * middles[:, 1]).mean()])
+    return total
+
+
+@pytest.mark.parametrize("name", ["letters", "chart"])
+def test_nothing_hides_anything_from_the_pupil(name):
+    boxes = [box(shape) for shape in shapes(load(name)).values()]
+    pupil = 5.0
+    for low, high in boxes:
+        for low2, high2 in boxes:
+            if low2[2] <= low[2]:
+                continue
+            # Seen from the pupil, the nearer box shifts against the farther one by at most this.
+            shift = pupil * (1 - low[2] / low2[2])
+            near, far = (low[0], high[0]), (low2[0] * low[2] / low2[2], high2[0] * low[2] / low2[2])
+            assert near[1] + shift < far[0] or far[1] + shift < near[0]
+
+
+@pytest.mark.parametrize("aperture", [5.0, 10.0])
+def test_white_wall_fills_the_view(aperture):
+    scene = load("white")
+    low, high = box(shapes(scene)["wall"])
+    assert low[2] == high[2] == 240.0
+    camera = PlenopticCamera(aperture_radius=aperture)
+    # Any MLA point that the detector sees, through any pupil point.
+    edge = (camera.detector_width / 2 + camera.mla_pitch) * 240.0 / 120.0
+    assert min(-low[0], high[0], -low[1], high[1]) > edge + aperture
+    image = render(scene, 64, 64, type="thinlens", aperture_radius=aperture, focus_distance=200.0)
+    np.testing.assert_allclose(image, 1, atol=1e-5)
+    low, high = box(shapes(load("white", wall_distance="300"))["wall"])
+    assert low[2] == high[2] == 300.0
+
+
+def test_chart_has_every_figure_at_every_distance():
+    found = shapes(load("chart"))
+    assert set(found) == {f"{kind}_{g}" for kind in ("star", "bars", "edge") for g in (210, 240, 280)}
+    for name, shape in found.items():
+        low, high = box(shape)
+        assert low[2] == high[2] == float(name.split("_")[1])
+        # The whole figure is in view, even blurred by a camera that focuses at 240.
+        blur = 5.0 * abs(1 - low[2] / 240)
+        assert max(-low[0], high[0], -low[1], high[1]) + blur < 8.192 / 2 / 120 * low[2]
+    # On a line through the middle of the coarsest upright bars: 1.5 line pairs per mm.
+    group, _ = figures.bar_group(1.5, 0.0, 0.0, 0.15)
+    edges = sorted({u for bar in group[:3] for u, _ in bar})
+    np.testing.assert_allclose(np.diff(edges), 1 / 3)
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_rgb"])
+def test_still_life_shows_everything_between_200_and_300(variant):
+    mi.set_variant(variant)
+    scene = load("still_life")
+    found = shapes(scene)
+    assert set(STILL_LIFE) <= set(found)
+    resolution = 128
+    image = render(scene, resolution, 16)
+    assert np.isfinite(image).all()
+    # A typical surface is between 0.1 and 1, and nothing is black.
+    assert np.mean((image > 0.08) & (image < 1)) > 0.75
+    assert image.min() > 0
+
+    hit = scene.ray_intersect(first_rays(resolution))
+    depth = np.array(hit.p.z)
+    assert depth.min() > 190
+    assert depth.max() < 300.01
+    for name, shape in found.items():
+        count = np.count_nonzero(np.array(hit.shape == mi.ShapePtr(shape)))
+        if name in ("window", "lamp"):
+            assert count == 0
+        elif not name.startswith("pearl"):
+            assert count > 100, name
+
+
+def test_vitrine_shows_the_knot_in_the_mirror_alone():
+    scene = load("vitrine")
+    found = shapes(scene)
+    assert {"ground", "leaf", "plastic_ball", "glass_ball", "pawn", "mirror", "frame", "knot"} == set(found)
+    ray = first_rays(64)
+    hit = scene.ray_intersect(ray)
+    mirrored = hit.spawn_ray(hit.to_world(mi.reflect(hit.wi)))
+    image = scene.ray_intersect(mirrored, hit.shape == mi.ShapePtr(found["mirror"]))
+    depth = {}
+    for name, shape in found.items():
+        seen = (image if name == "knot" else hit).shape == mi.ShapePtr(shape)
+        depth[name] = np.array((hit.t + image.t if name == "knot" else hit.t) * ray.d.z)[np.array(seen)]
+        assert depth[name].size > 20, name
+    assert not np.array(hit.shape == mi.ShapePtr(found["knot"])).any()
+    assert depth["leaf"].min() < 200 and depth["ground"].max() > 380
+    assert not np.array(hit.is_valid()).all()
+    assert 268 < depth["knot"].mean() < 282
+
+
+def test_flat_figures_face_the_camera_and_do_not_overlap():
+    rng = np.random.default_rng(1)
+    for outline in (
+        figures.letter_eight(),
+        figures.letter_f(),
+        figures.letter_hash(),
+        figures.siemens_star(24, 0.1, 2.0, 6),
+        figures.chart_bars(),
+        figures.slanted_square(3.0, 5.0),
+    ):
+        mesh = flat_mesh(outline)
+        a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+        assert (np.cross(b - a, c - a)[:, 2] < 0).all()
+        points = rng.uniform(mesh.vertices.min(axis=0)[:2], mesh.vertices.max(axis=0)[:2], (5000, 2))
+        inside = np.ones((len(mesh.faces), len(points)), bool)
+        for p, q in ((a, b), (b, c), (c, a)):
+            side = (q - p)[:, None, :2]
+            to_point = points[None] - p[:, None, :2]
+            inside &= side[..., 0] * to_point[..., 1] - side[..., 1] * to_point[..., 0] < 0
+        assert inside.sum(axis=0).max() == 1
+
+
+def test_solid_meshes_are_closed_and_turned_outwards():
+    for mesh in (
+        solids.pawn(),
+        solids.rounded_die(3.4, 0.42, 4),
+        solids.torus_knot(2.3, 0.42, 128, 20),
+        solids.solid_lambda(4.2, 1.0),
+    ):
+        a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+        normal = np.cross(b - a, c - a)
+        assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() > 0
+        np.testing.assert_allclose(normal.sum(axis=0), 0, atol=1e-9)
+        assert mesh.vertices[:, 1].min() == pytest.approx(0, abs=1e-9)
+        if mesh.normals is not None:
+            assert (np.einsum("ij,ij->i", normal, mesh.normals[mesh.faces].mean(axis=1)) > 0).all()
+
+
+def test_meshes_and_textures_come_out_the_same(tmp_path):
+    made = {path.relative_to(tmp_path) for path in write_all(tmp_path)}
+    scenes = ROOT / "scenes"
+    committed = {
+        path.relative_to(scenes) for pattern in ("*.png", "*.hdr", "meshes/*.ply") for path in scenes.glob(pattern)
+    }
+    assert made == committed
+    for path in made:
+        assert (tmp_path / path).read_bytes() == (scenes / path).read_bytes(), path
+    assert (
+        sum(path.stat().st_size for path in scenes.rglob("*") if path.suffix in (".png", ".hdr", ".ply", ".xml"))
+        < 2**20
+    )
+
+
+def test_dictionaries_are_scenes_and_any_sensor_renders(camera_dict):
+    far = camera_dict(resolution=64, detector_width=0.128, focus_distance=300.0)
+    world = {"type": "scene", "integrator": {"type": "path"}, "light": {"type": "constant"}}
+    scene = load_scene(world | {"near": camera_dict(resolution=64, detector_width=0.128), "far": far})
+    capture = render_capture(scene, sensor=1, spp=2)
+    assert capture.camera.focus_distance == pytest.approx(300)
+    assert (capture.metadata["scene"], capture.metadata["sensor"]) == ("dictionary", 1)
+    assert render_capture(scene, spp=2).camera.focus_distance == pytest.approx(240)
+    # A sensor of its own, as `mi.render` takes one.
+    np.testing.assert_array_equal(render_capture(scene, sensor=mi.load_dict(far), spp=2).image, capture.image)
+    assert estimate_capture(scene, sensor=1, spp=2).seconds > 0
+    for wrong in (2, -1, "far"):
+        with pytest.raises(InputError, match="sensor = "):
+            render_capture(scene, sensor=wrong)
+    with pytest.raises(InputError, match="a dictionary has none"):
+        load_scene({"type": "scene"}, parameters={"spp": "4"})
+    with pytest.raises(InputError, match="its 'type' is 'sphere'"):
+        load_scene({"type": "sphere"})
+    with pytest.raises(InputError, match=r"scene: .*focal_lenght"):
+        load_scene({"type": "scene", "sensor": camera_dict(focal_lenght=3.0)})
+
+
+def test_passes_of_large_ray_captures_have_a_power_of_two_of_samples(monkeypatch):
+    """So that no two threads add samples of one pixel, in an order that varies."""
+    mi.set_variant("llvm_ad_mono")
+    scene, done = load_scene("letters", parameters={"resolution": "32", "detector_width": "0.064"}), []
+    monkeypatch.setattr("mitsuba_plenoptic.scene.render_capture._RAYS_PER_PASS", 28 * 32**2)
+    for spp in (28, 40):
+        render_capture(scene, model="ray", spp=spp, progress=lambda count, total: done.append(count))
+    assert done == [16, 24, 28, 16, 32, 40]
+    render_capture(scene, model="ray", spp=7, progress=lambda count, total: done.append(count))
+    assert done[6:] == [4, 6, 7]
+
+
+@pytest.mark.parametrize(
+    ("sampler", "spp", "counts"),
+    [
+        ("independent", 2**14 + 3, [2**14, 2, 1]),
+        ("stratified", 100, [64, 16, 16, 4]),
+        ("stratified", 3, [1, 1, 1]),
+        ("ldsampler", 5, [4, 4]),
+    ],
+)
+def test_passes_have_counts_that_the_sampler_draws(camera_dict, sampler, spp, counts):
+    sensor = mi.load_dict(camera_dict(resolution=4) | {"sampler": {"type": sampler, "sample_count": 4}})
+    assert pass_counts(sensor, spp, 2**20) == counts

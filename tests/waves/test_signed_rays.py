@@ -1,0 +1,232 @@
+"""Captures of scenes by signed rays, against closed forms, rays, and one another."""
+
+import math
+import pickle
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from cases import bars_through, facing, radiating, scene_of, sensor, spot_filtered
+from scipy.ndimage import gaussian_filter
+
+from mitsuba_plenoptic import Checkpoint, PlenopticCamera, estimate_capture, render_capture
+from mitsuba_plenoptic.fields.lens_kinds import LensKinds, irregularities
+
+BLACK = {"type": "diffuse", "reflectance": 0.0}
+
+
+def wall(distance=240.0):
+    return facing(distance, 60.0, **radiating())
+
+
+def by_waves(scene, spp=16, **options):
+    return render_capture(scene, model="wave", method="signed_rays", spp=spp, **options)
+
+
+def quarters(image, lenses):
+    """Return the means over quarters of the inner micro-images: (lenses, upper and lower, lenses, left and right)."""
+    half = image.shape[0] // lenses // 2
+    inner = image.reshape(2 * lenses, half, 2 * lenses, half).mean((1, 3))[4:-4, 4:-4]
+    return inner.reshape(lenses - 4, 2, lenses - 4, 2)
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {},
+        pytest.param({"detector_distance": 0.41}, marks=pytest.mark.slow),
+        pytest.param({"mla_lattice": "hexagonal", "mla_focal_length": "0.48, 0.512, 0.55"}, marks=pytest.mark.slow),
+        pytest.param({"mla_fill": 0.5, "mla_aperture": "circle"}, marks=pytest.mark.slow),
+    ],
+    ids=["in focus", "focused camera", "three focal lengths", "discs"],
+)
+def test_a_white_wall_is_even_and_as_bright_as_by_rays(parameters):
+    scene = scene_of(sensor(10, 16, **parameters), wall=wall())
+    by_rays = render_capture(scene, model="ray", spp=256).image
+    images = [by_waves(scene, spp=4, seed=seed).image for seed in (0, 1)]
+    # What lies beyond the detector brings light, too.
+    assert images[0].mean() == pytest.approx(by_rays.mean(), rel=0.01)
+    noise = np.std(images[0] - images[1]) / math.sqrt(2) / images[0].mean()
+    by_few = [render_capture(scene, model="ray", spp=4, seed=seed).image for seed in (0, 1)]
+    assert noise < np.std(by_few[0] - by_few[1]) / math.sqrt(2) / images[0].mean()
+
+
+def turned(x, y, power):
+    """Return the slopes behind points of a lens of a ray that is parallel to its axis, by its direction cosines."""
+    sx, sy = -x * power, -y * power
+    along = np.sqrt(1 - sx * sx - sy * sy)
+    return sx / along, sy / along
+
+
+@pytest.mark.parametrize("parameters", [{}, {"mla_focal_length": 0.2, "detector_distance": 0.2}, {"mla_fill": 0.5}])
+def test_micro_images_are_darker_as_their_lenses_spread_light(parameters):
+    camera = PlenopticCamera(**parameters)
+    (focal_length,) = camera.mla_focal_lengths
+    # A change of slope before a lens moves where light lands: by the lens's points, with finite differences.
+    power, half, step = 1 / focal_length - 1 / camera.mla_distance, camera.mla_fill * 0.064 / 2, 1e-4
+    x, y = np.meshgrid(*2 * [(np.arange(64) + 0.5) / 64 * 2 * half - half])
+    across, up = (
+        [
+            (a - b) / (2 * step)
+            for a, b in zip(turned(x + du, y + dv, power), turned(x - du, y - dv, power), strict=True)
+        ]
+        for du, dv in ((step / power, 0), (0, step / power))
+    )
+    brightness = np.mean(1 / (across[0] * up[1] - across[1] * up[0]))
+    assert LensKinds(camera).enlargement(focal_length) ** -2 == pytest.approx(brightness, rel=1e-4)
+
+
+def test_enlarged_micro_images_keep_their_light(monkeypatch):
+    focal = {"mla_focal_length": 0.256, "detector_distance": 0.256}
+    scene, brightness = (
+        scene_of(sensor(6, 32, **focal), wall=wall()),
+        LensKinds(PlenopticCamera(**focal)).enlargement(0.256),
+    )
+    enlarged = by_waves(scene).image
+    monkeypatch.setattr(LensKinds, "enlargement", lambda *_: 1.0)
+    before = by_waves(scene).image
+    assert enlarged.sum() == pytest.approx(before.sum(), rel=2e-3)
+    middle = np.s_[1:5, 14:18, 1:5, 14:18]
+    enlarged, before = (image.reshape(6, 32, 6, 32)[middle].mean() for image in (enlarged, before))
+    # Diffraction by the lenses smooths both.
+    assert enlarged / before == pytest.approx(brightness**-2, abs=4e-3)
+
+
+def smoothed_captures(**parameters):
+    """Return captures of a wall by rays and by waves, with what lenses diffract smoothed away."""
+    mi.set_variant("llvm_ad_mono")
+    size = {"detector_width": 0.576, "resolution": (96, 96), "lens_model": "parabolic"}
+    scene = scene_of(PlenopticCamera(**size, **parameters).to_sensor(), wall=facing(240.0, 30.0, **radiating()))
+    rays, waves = render_capture(scene, model="ray", spp=256).image, by_waves(scene, spp=192).image
+    # The ray capture is brighter by its thin phase elements' second order.
+    assert waves.mean() == pytest.approx(rays.mean(), rel=0.025)
+    # The border lacks what comes from beyond it.
+    return [gaussian_filter(image, 2.5)[12:-12, 12:-12] for image in (rays, waves)]
+
+
+@pytest.fixture(scope="module")
+def by_the_even_array():
+    return smoothed_captures()
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        pytest.param({"mla_jitter": (0.003, 0.0), "mla_seed": 3}, marks=pytest.mark.slow),
+        pytest.param({"mla_tilt": (2.0, -1.5)}, marks=pytest.mark.slow),
+        {"pixel_response": (0.0, 1.0, 3.0, 0.6)},
+        pytest.param(
+            {"mla_focal_length": (0.583, 0.524, 0.561), "mla_lattice": "hexagonal", "mla_pitch": 0.12744,
+             "detector_distance": 0.3371, "focal_length": 49.885, "aperture_radius": 6.2356, "mla_distance": 56.86},
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=["displaced lenses", "tilted array", "angular response", "far out of focus"],
+)  # fmt: skip
+def test_irregular_arrays_change_a_capture_as_they_change_one_by_rays(parameters, by_the_even_array):
+    changes = (after - before for before, after in zip(by_the_even_array, smoothed_captures(**parameters), strict=True))
+    by_rays, by_signed = changes
+    assert np.linalg.norm(by_signed - by_rays) < 0.3 * np.linalg.norm(by_rays)
+
+
+def test_lenses_of_uneven_focal_lengths_are_of_the_nearest_kind():
+    mi.set_variant("llvm_ad_mono")
+    camera = PlenopticCamera(mla_jitter=(0.0, 0.02), mla_seed=7)
+    kinds, i, j = LensKinds(camera), *np.random.default_rng(0).integers(-60, 60, (2, 500))
+    number = kinds.number(mi.Float(i), mi.Float(j), 0.0).numpy()
+    given = np.array([kind.focal_length for kind in kinds.every])[number]
+    own = camera.mla_focal_length * irregularities(camera, i, j)[2]
+    step = camera.mla_focal_length * (kinds.every[1].focal_length / kinds.every[0].focal_length - 1)
+    assert np.abs(given - own).max() < 0.55 * step < 0.005
+    assert len(set(number)) == len(kinds.every) > 3
+
+
+def test_what_covers_half_of_the_pupil_darkens_halves_of_micro_images():
+    pane = facing(1.0, (10.0, 20.0), (10.0, 0.0), bsdf={"type": "mask", "opacity": 0.7, "nested": BLACK})
+    scene = scene_of(sensor(10, 16), pane=pane, wall=wall())
+    rays, waves = (
+        quarters(image, 10).mean((0, 1, 2))
+        for image in (
+            # Diffraction carries a little across the border.
+            spot_filtered(render_capture(scene, model="ray", spp=64).image, scene.sensors()[0].camera),
+            by_waves(scene).image,
+        )
+    )
+    assert waves.min() / waves.max() == pytest.approx(rays.min() / rays.max(), abs=0.03)
+    assert np.argmin(waves) == np.argmin(rays)
+
+
+def test_what_differs_from_lens_to_lens_behind_a_pane_is_seen():
+    stripes = {
+        f"stripe_{i}": facing(240.0, (0.256, 20.0), (1.024 * i, 0.0), bsdf=BLACK) for i in range(-8, 9)
+    }  # of four lenses, before a wall far behind
+    scene = scene_of(sensor(16, 8), **stripes, wall=wall(262.0))
+    rays, waves = (
+        image[:, 16:-16].reshape(128, -1, 8).mean((0, 2))
+        for image in (render_capture(scene, model="ray", spp=64).image, by_waves(scene, spp=32).image)
+    )
+    contrast = [np.ptp(lenses) / lenses.mean() for lenses in (rays, waves)]
+    assert contrast[0] > 1.5
+    assert contrast[1] == pytest.approx(contrast[0], rel=0.03)
+
+
+@pytest.mark.slow
+def test_fewer_rays_have_the_same_mean():
+    scene = bars_through("directly", lenses=8)
+    many = by_waves(scene, spp=256, seed=99).image
+    few = np.mean([by_waves(scene, spp=2, seed=seed).image for seed in range(16)], axis=0)
+    # Light is added up over a lens: what pixels below zero lack is taken from their surroundings.
+    lenses = [image.reshape(8, 16, 8, 16).mean((1, 3)) for image in (many, few)]
+    assert lenses[1] == pytest.approx(lenses[0], abs=0.04 * float(lenses[0].max()))
+
+
+@pytest.mark.slow
+def test_the_noise_is_that_of_seeds():
+    scene = bars_through("directly", lenses=8)
+    captures = [by_waves(scene, noise=True, seed=seed) for seed in range(8)]
+    found = np.std([capture.image for capture in captures], axis=0, ddof=1)
+    stated = np.mean([capture.noise**2 for capture in captures])
+    assert math.sqrt(stated) == pytest.approx(math.sqrt((found**2).mean()), rel=0.2)
+
+
+def test_a_point_of_light_is_found_however_small():
+    # 0.02 mm in a lens of 0.128 mm in the scene.
+    lamps = {
+        f"lamp_{i}_{j}": facing(240.0, 0.01, (0.47 * i, 0.41 * j), **radiating(100.0))
+        for i in (-1, 0, 1)
+        for j in (-1, 0, 1)
+    }
+    scene = scene_of(sensor(16, 16), **lamps)
+    sums = [
+        image.sum() for image in (render_capture(scene, model="ray", spp=512).image, by_waves(scene, spp=256).image)
+    ]
+    assert sums[1] == pytest.approx(sums[0], rel=0.1)
+
+
+def test_the_same_seed_gives_the_same_bits_in_parts(tmp_path):
+    scene = bars_through("directly", lenses=8)
+    once, again = by_waves(scene), by_waves(scene)
+    assert np.array_equal(once.image, again.image)
+    assert not np.array_equal(once.image, by_waves(scene, seed=1).image)
+    path = tmp_path / "kept"
+    assert np.array_equal(by_waves(scene, checkpoint=Checkpoint(path)).image, once.image)
+
+
+def test_estimates_take_some_of_the_rays(trials_of_a_second):
+    cost = estimate_capture(bars_through("directly", lenses=8), model="wave", method="signed_rays")
+    assert 0 < cost.seconds < 600
+    assert 0 < cost.memory < 2**32
+
+
+def test_black_scenes_are_black_and_said_to_be():
+    with pytest.warns(UserWarning, match="none of the rays meets anything that shines"):
+        image = by_waves(scene_of(sensor(4, 8), card=facing(240.0, 5.0, bsdf=BLACK))).image
+    assert not image.any()
+
+
+def test_plans_are_the_same_in_another_process():
+    from mitsuba_plenoptic.waves.phase_space import PhaseSpace
+
+    plan = PhaseSpace(PlenopticCamera(), 550.0, degree=2)
+    other = pickle.loads(pickle.dumps(plan))
+    assert np.array_equal(plan.kernels(0.002, 0.08), other.kernels(0.002, 0.08))

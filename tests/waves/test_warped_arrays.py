@@ -1,0 +1,132 @@
+"""Smoothly displaced lenses: where micro-images lie by rays and by waves, points through them, and bad input."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from cameras import HALF, error, sky, small_camera
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, point_spread_function, render_capture
+from mitsuba_plenoptic.array import Displacement
+from mitsuba_plenoptic.array.lens_shifts import WARP_POWERS
+from mitsuba_plenoptic.views import decode, lens_grid, white_image
+from tools.bench.cases.arrays import GREEN
+
+ACROSS = (0.5, -0.4, 0.3, 0.5, -0.35, 0.25, 0.2)
+UP = (-0.3, 0.5, 0.4, -0.3, 0.5, 0.2, -0.35)
+
+
+def warped(camera, farthest):
+    """Return the camera with lenses displaced by up to so many pixels, and the displacement as a function."""
+    half = camera.detector_width / 2
+
+    def moved(x, y, size=1.0):
+        u, v = x / half, y / half
+        terms = np.array([u * u, u * v, v * v, u**3, u * u * v, u * v * v, v**3])
+        return size * np.tensordot([ACROSS, UP], terms, 1)
+
+    places = np.meshgrid(*2 * [np.linspace(-half, half, 65)])
+    size = farthest * camera.pixel_size / np.hypot(*moved(*places)).max()
+    orders = np.array([half ** -sum(powers) for powers in WARP_POWERS])
+    numbers = size * np.array([ACROSS, UP]) * orders
+    return camera.replace(mla_warp=tuple(numbers.ravel())), lambda x, y: moved(x, y, size)
+
+
+def centroids(image, camera, centres, half=13.0):
+    """Return the centroids of micro-images within squares around expected centres, in pixels from these."""
+    found = []
+    for place in centres:
+        aside = [camera.pixel_coordinates(axis) / camera.pixel_size - place[axis] for axis in (0, 1)]
+        x, y = (np.clip(half + 0.5 - np.abs(values), 0, 1) for values in aside)
+        part = image * x * y[:, None]
+        found.append([part.sum(axis) @ aside[axis] / part.sum() for axis in (0, 1)])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("light", ["rays", pytest.param("waves", marks=pytest.mark.slow), "computed", "grid"])
+def test_micro_images_are_displaced_by_the_polynomial(light):
+    """To 0.02 pixels, of displacements by up to 3 pixels; the centres are c (b + z) / b."""
+    mi.set_variant("llvm_ad_mono")
+    camera, moved = warped(small_camera(8, crop_offset=(32, 0), crop_size=(224, 256)), 2.7)
+    assert PlenopticCamera.from_json(camera.to_json()) == camera
+    index = np.array([(i, j) for i in range(-3, 3) for j in range(-3, 3)])
+    regular = (index + 0.5) * camera.mla_pitch
+    aside = moved(*regular.T).T
+    expected = (regular + aside) * (1 + 0.512 / 120) / camera.pixel_size
+    assert np.hypot(*aside.T).max() > 0.6 * camera.pixel_size
+    if light == "grid":
+        found = lens_grid(camera).centres().reshape(-1, 2) + np.array(camera.crop_offset) - 128
+        near = np.hypot(*(found[:, None] - expected).transpose(2, 0, 1)).min(0)
+        assert near.max() < 1e-9
+        return
+    if light == "computed":
+        image = white_image(camera)
+    else:
+        image = sky(camera, 128, **({"model": "wave", "wavelength": 550} if light == "waves" else {}))
+    assert np.abs(centroids(image, camera, expected)).max() < 0.02
+
+
+@pytest.mark.slow
+def test_a_point_in_focus_sees_a_lens_of_a_moved_array():
+    """Nearly all of its light passes one lens, as it does in a regular array that lies where this lens is."""
+    camera, moved = warped(small_camera(8, **HALF), 1.5)
+    lens = 3.5 * camera.mla_pitch, -2.5 * camera.mla_pitch
+    aside = moved(*lens)
+    point = [-2 * (c + shift) for c, shift in zip(lens, aside, strict=True)] + [120.0]
+    found = point_spread_function(camera, point, wavelength=GREEN, method="full_field")
+    straight = camera.replace(mla_warp=())
+    placed = straight.replace(mla_offset=tuple(aside.tolist()))
+    expected, unmoved = (
+        point_spread_function(each, point, wavelength=GREEN, method="full_field") for each in (placed, straight)
+    )
+    assert error(found, expected) < 0.01
+    assert error(unmoved, expected) > 0.03
+
+
+def test_polynomials_turn_with_their_frame():
+    camera, _ = warped(PlenopticCamera(), 3.0)
+    shifts, (x, y) = camera.lattice.displacement, np.random.default_rng(0).uniform(-4, 4, (2, 20))
+    angle = np.radians(25)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    # A place of the turned frame, brought to the camera's, displaced and brought back.
+    there = np.array(shifts.smooth(*(turn @ [x, y])))
+    assert np.allclose(shifts.turned(25).smooth(x, y), turn.T @ there, atol=1e-12)
+    assert np.allclose(shifts.regular(*np.add([x, y], shifts.smooth(x, y))), [x, y], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_views_of_a_warped_camera_are_those_of_the_straight_one():
+    mi.set_variant("llvm_ad_mono")
+    straight, fields = small_camera(12), []
+    camera, _ = warped(straight, 3.0)
+    texture = mi.Bitmap(np.random.default_rng(0).random((9, 9, 1)).astype(np.float32))
+    light = {"type": "area", "radiance": {"type": "bitmap", "bitmap": texture, "raw": True}}
+    place = mi.ScalarTransform4f().translate([0, 0, 240]).rotate([0, 1, 0], 180)
+    for taken in (straight, camera):
+        parts = {"camera": taken.to_sensor(), "wall": {"type": "rectangle", "to_world": place, "emitter": light}}
+        capture = render_capture(mi.load_dict({"type": "scene", "i": {"type": "direct"}, **parts}), spp=64)
+        fields.append(decode(capture))
+    fields.append(decode(capture.image, camera=straight))
+    seen = np.all([field.weight.values > 0.5 for field in fields], axis=0)
+    ours, wrong = (np.corrcoef(field.values[seen], fields[0].values[seen])[0, 1] for field in fields[1:])
+    assert ours > 0.998 and 1 - wrong > 5 * (1 - ours)
+
+
+def test_a_steep_warp_is_refused_and_zeros_are_none():
+    with pytest.raises(
+        InputError, match=r"changes by up to 0.1[0-9]* mm per mm over the detector: it must be less than"
+    ):
+        small_camera(10).replace(mla_warp=(0.125, 0.125))
+    assert PlenopticCamera(mla_warp=[0.0] * 9) == PlenopticCamera()
+    assert len(PlenopticCamera(mla_warp=(1e-6,)).mla_warp) == 14
+
+
+def test_lenses_in_a_rectangle_are_those_whose_displaced_centres_lie_in_it():
+    camera, _ = warped(small_camera(20), 5.0)
+    low, high = (-0.288, -0.2), (0.416, 0.48)
+    found = {tuple(index) for index in camera.lattice.lenses_within(low, high)}
+    i, j = (index.ravel() for index in np.mgrid[-15:15, -15:15])
+    x, y = camera.lattice.centre(i.astype(float), j.astype(float))
+    inside = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
+    assert found == set(zip(i[inside].tolist(), j[inside].tolist(), strict=True))
+    assert found != {tuple(index) for index in camera.lattice.regular.lenses_within(low, high)}
+    assert isinstance(camera.lattice.displacement, Displacement)
