@@ -63,6 +63,12 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
     return tuple(names), others
 
 
+def varying_of(sensor: Any) -> tuple[str, ...]:
+    """Return the names of camera parameters of a sensor by which derivatives are taken."""
+    with dr.resume_grad():
+        return tuple(name for name in DIFFERENTIABLE if dr.grad_enabled(getattr(sensor, name, None)))
+
+
 def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
     """Return the tangent of a parameter of the camera."""
     return np.ravel(np.array(dr.grad(getattr(sensor, name)), np.float64))
@@ -307,7 +313,7 @@ def make_class() -> type:
             if has_small_lenses(camera, max(colours.spectrum.wavelengths)):
                 what = f"{NAME}: mla_pitch = {camera.mla_pitch:g}"
                 return hook("small lenses", what)(camera, light, colours, self.accuracy)
-            return SignedCapture(camera, light, colours, self.accuracy)
+            return SignedCapture(camera, light, colours, self.accuracy, varying_of(sensor))
 
         def parameters(self) -> dict[str, Any]:
             """Return the parameters of this integrator by name, as for ``mi.load_dict``."""
