@@ -153,8 +153,7 @@ def tests_that_come_by(checkout: Path, drawn: list[tuple[Path, Mistake]]) -> lis
 def _pytest(checkout: Path, arguments: list[str], limit: float | None) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *arguments]
     paths = {"PYTHONPATH": os.pathsep.join([str(checkout), str(checkout / "build" / "mutants")])}
-    # The limit is one of processor time, so that other work on the machine does not matter; a test that waits for nothing
-    # ends later.
+    # Of processor time, so that other work on the machine does not matter; tests that wait without end stop later.
     bounded = None if limit is None else partial(resource.setrlimit, resource.RLIMIT_CPU, (int(limit), int(limit)))
     return subprocess.run(
         command,
@@ -199,9 +198,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--first", type=int, default=0, help="the first of the drawn mistakes that is tried")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument(
-        "--limit", type=float, default=300.0, help="seconds of processor time for the tests of a mistake"
-    )
+    parser.add_argument("--limit", type=float, default=300.0, help="processor time in s for a mistake's tests")
     arguments = parser.parse_args()
     checkouts = [checkout.resolve() for checkout in arguments.checkouts]
     old, new = checkouts
