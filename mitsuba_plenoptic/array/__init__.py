@@ -18,7 +18,7 @@ from .conic import Conic
 from .lens_shifts import Displacement
 from .phase_map import PhaseMap
 from .sampled import Sampled
-from .shape import MicrolensShape
+from .shape import MicrolensShape, Paraboloid
 from .zone_lens import ZoneLens
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "Displacement",
     "Lattice",
     "MicrolensShape",
+    "Paraboloid",
     "PhaseMap",
     "Sampled",
     "ZoneLens",

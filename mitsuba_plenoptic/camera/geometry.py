@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..array import NO_LATTICE, Displacement, Lattice, make_lattice
+from ..array import NO_LATTICE, Displacement, Lattice, MicrolensShape, Paraboloid, make_lattice
 from ..errors import InputError, refuse_if
 from ..prescription import Prescription
 from ..prescription.collimator import Collimator
@@ -124,6 +124,11 @@ class CameraGeometry(CameraParameters):
             fill=self.mla_fill,
             displacement=self.displacement(self.detector_distance),
         )
+
+    @cached_property
+    def microlens(self) -> MicrolensShape:
+        """The shape of the microlenses, a paraboloid where no `mla_shape` is given."""
+        return self.mla_shape or Paraboloid(self.reduced_focal_lengths[0])
 
     def displacement(self, detector_distance: Any) -> Displacement | None:
         """Return the displacement of the lenses from their regular positions; None for a regular array.

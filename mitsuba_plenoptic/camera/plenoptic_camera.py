@@ -134,8 +134,7 @@ def require_whole(camera: CameraGeometry) -> None:
             entry.fit(camera)
     reach = np.hypot(*(np.abs(camera.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
     if camera.has_array:
-        if camera.mla_shape is not None:
-            require_cover(camera.mla_shape, camera.lattice)
+        require_cover(camera.microlens, camera.lattice)
         require_small_warp(camera)
         rise = reach * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt)))
         refuse_if(

@@ -9,7 +9,6 @@ represent the steep orders from the edges, orders are used instead: see `microle
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import drjit as dr
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..array import Lattice, make_lattice, turn
 from ..camera import PlenopticCamera
-from ..optics.waves import in_millimetres, parabola, phasor
+from ..optics.waves import in_millimetres, phasor
 from ..runtime import fft
 from .lens_kinds import FigureError, irregularities
 
@@ -37,7 +36,7 @@ _STEEPEST = 0.7
 
 def is_separable(camera: PlenopticCamera) -> bool:
     """Return whether the transmission is a product of a function of x and a function of y."""
-    return camera.lattice.separable and len(camera.mla_focal_lengths) == 1 and camera.mla_shape is None
+    return camera.lattice.separable and len(camera.mla_focal_lengths) == 1 and camera.microlens.is_parabolic
 
 
 def factor_axes(camera: PlenopticCamera) -> list[tuple[int, ...]]:
@@ -73,20 +72,17 @@ def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> 
     """Return the transmission with all orders, as Complex2f, at Dr.Jit float64 positions in millimetres."""
     dx, dy, which = from_centre(camera, x, y)
     types = fft.array_types(x)
-    lattice, longer = _opaque_lattice(camera, types), 1.0
+    lattice = _opaque_lattice(camera, types)
     # The light of each cell passes its own lens, wherever this lies; displaced cells have no gaps between them.
     u, v = (x, y) if lattice.displacement is None else lattice.displacement.regular(x, y)
     cx, cy = lattice.regular.centre(*lattice.cell(x, y))
     inside = lattice.in_aperture(u - cx, v - cy)
+    lengths = types.Float64(camera.reduced_focal_lengths)
+    dr.make_opaque(lengths)
+    focal_length = dr.gather(types.Float64, lengths, which)
     if camera.mla_jitter[1]:
-        longer = types.Float64(irregularities(camera, *lattice.cell(x, y))[2])
-    if camera.mla_shape is not None:
-        waves = camera.mla_shape.waves(*lattice.to_frame(dx, dy), wavelength) / longer
-    else:
-        lengths = types.Float64(camera.reduced_focal_lengths)
-        dr.make_opaque(lengths)
-        focal_length = dr.gather(types.Float64, lengths, which) * longer
-        waves = parabola(dx * dx + dy * dy, focal_length, wavelength)
+        focal_length *= types.Float64(irregularities(camera, *lattice.cell(x, y))[2])
+    waves = camera.microlens.lens_waves(lattice, dx, dy, focal_length, wavelength)
     if (error := FigureError.of(camera) if any(camera.mla_figure_error) else None) is not None:
         waves += error.path(x, y) / in_millimetres(wavelength)
     return dr.select(inside, phasor(waves), 0)
@@ -121,11 +117,8 @@ def _opaque_lattice(camera: PlenopticCamera, types: Any) -> Lattice:
 def bend(camera: PlenopticCamera) -> float:
     """Return the largest change of a direction cosine by a microlens, along an axis: :math:`n D_2 / 2 f_2`."""
     lattice = camera.lattice
-    if camera.mla_shape is not None:
-        slopes = np.hypot(*camera.mla_shape.slopes(*lattice.to_frame(*aperture_points(lattice))))
-        return float(slopes.max()) * (math.sqrt(0.5) if lattice.has_upright_apertures else 1)
-    half = lattice.aperture_width / 2 if lattice.has_upright_apertures else lattice.aperture_reach
-    return float(half) / min(camera.reduced_focal_lengths)
+    slopes = np.abs(camera.microlens.deflection(lattice, *aperture_points(lattice), min(camera.reduced_focal_lengths)))
+    return float(slopes.max() if lattice.has_upright_apertures else np.hypot(*slopes).max())
 
 
 def aperture_points(lattice: Lattice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

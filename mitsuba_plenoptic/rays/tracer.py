@@ -161,14 +161,7 @@ class Walk(PupilWalk):
     def turn(self, passage: Passage) -> Pair:
         """Return the changes that lenses cause in rays' direction cosines, or slopes, at given points."""
         (mx, my), (cx, cy), f2 = passage
-        x, y, shape = mx - cx, my - cy, self.camera.mla_shape
-        if shape is None:
-            x, y = -x / f2, -y / f2
-        else:
-            # Other focal lengths, of irregular lenses and by dispersion, scale the whole path.
-            weaker = self.camera.reduced_focal_lengths[0] / f2
-            x, y = self.lattice.from_frame(*shape.slopes(*self.lattice.to_frame(x, y)))
-            x, y = x * weaker, y * weaker
+        x, y = self.camera.microlens.deflection(self.lattice, mx - cx, my - cy, f2)
         if any(self.camera.mla_figure_error) and (error := FigureError.of(self.camera)) is not None:
             right, up = error.slopes(mx, my)
             x, y = x + right, y + up

@@ -331,9 +331,10 @@ class ArrayKernels(LensWaves):
         for kind in self.kinds[: len(self.camera.mla_focal_lengths)]:
             scale = wavelength * kind.distance
             waves = np.exp(-2j * np.pi * np.outer(along, u[0]) / scale)
-            phase = self.convergence(kind) * (u * u + v * v) / (2 * wavelength)
-            if self.camera.mla_shape is not None:
-                phase = phase + self._beyond_parabola(u, v, kind)
+            # In front of the lens, whose phase follows.
+            phase = (self.convergence(kind) + 1 / kind.focal_length) * (u * u + v * v) / (2 * wavelength)
+            offset = self.lattice.from_frame(u, v)
+            phase += self.camera.microlens.lens_waves(self.lattice, *offset, kind.focal_length, self.wavelength)
             field = waves @ np.where(inside, np.exp(2j * np.pi * phase), 0) @ waves.T
             made.append(np.abs(field) ** 2 * (u[0, 1] - u[0, 0]) ** 2 / (inside.sum() * scale**2))
         return np.stack(made)
