@@ -15,7 +15,7 @@ from . import hexagonal as hexagonal
 from . import square as square
 from .arrangement import APERTURES, LATTICES, NO_LATTICE, Lattice, make_lattice, register
 from .conic import Conic
-from .lens_shifts import Displacement
+from .lens_shifts import Displacement, Lenslet
 from .phase_map import PhaseMap
 from .sampled import Sampled
 from .shape import MicrolensShape, Paraboloid
@@ -28,6 +28,7 @@ __all__ = [
     "Conic",
     "Displacement",
     "Lattice",
+    "Lenslet",
     "MicrolensShape",
     "Paraboloid",
     "PhaseMap",

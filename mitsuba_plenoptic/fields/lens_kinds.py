@@ -21,18 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array import Displacement
-from ..array.lens_shifts import MOST_DEVIATIONS, deviates
+from ..array.lens_shifts import MOST_DEVIATIONS
 from ..camera import PlenopticCamera, one_if_equal
 from ..errors import InputError
 from ..optics.waves import in_millimetres
 from ..runtime import drjit_array, module_of
-
-
-def irregularities(camera: PlenopticCamera, i: Any, j: Any) -> tuple[Any, Any, Any]:
-    """Return the displacements of lenses along x and y, in millimetres, and the factors on their focal lengths."""
-    (place, focal), (x, y, f) = camera.mla_jitter, deviates(camera.mla_seed, i, j)
-    return place * x, place * y, 1 + focal * f
-
 
 _PLACES = 33
 """Places across a crop at which shifts to chief rays are fitted."""
@@ -203,7 +196,7 @@ class LensKinds:
         camera, types = self.camera, len(self.camera.mla_focal_lengths)
         kind = mi.UInt32(camera.lattice.lens_type(i, j)) if types > 1 else mi.UInt32(0)
         if len(self._ratios) > 1:
-            kind += types * _nearest(irregularities(camera, i, j)[2], self._ratios)
+            kind += types * _nearest(camera.focal_factor(i, j), self._ratios)
         if len(self._heights) > 1:
             kind += types * len(self._ratios) * _nearest(height, self._heights)
         return kind

@@ -19,7 +19,7 @@ from ..array import Lattice, make_lattice, turn
 from ..camera import PlenopticCamera
 from ..optics.waves import in_millimetres, phasor
 from ..runtime import fft
-from .lens_kinds import FigureError, irregularities
+from .lens_kinds import FigureError
 
 _HARD_EDGES = 1.4
 """Directions that are retained for apertures with a dark surround, over those for lenses without gaps."""
@@ -70,35 +70,23 @@ def upright(camera: PlenopticCamera) -> PlenopticCamera:
 
 def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> Any:
     """Return the transmission with all orders, as Complex2f, at Dr.Jit float64 positions in millimetres."""
-    dx, dy, which = from_centre(camera, x, y)
     types = fft.array_types(x)
-    lattice = _opaque_lattice(camera, types)
+    lattice, lengths = opaque_lattice(camera, types), types.Float64(camera.reduced_focal_lengths)
+    dr.make_opaque(lengths)
+    cell = lattice.cell(x, y)
+    lens = camera.lenslet(*cell, lattice, lengths)
+    offset = x - lens.centre[0], y - lens.centre[1]
     # The light of each cell passes its own lens, wherever this lies; displaced cells have no gaps between them.
     u, v = (x, y) if lattice.displacement is None else lattice.displacement.regular(x, y)
-    cx, cy = lattice.regular.centre(*lattice.cell(x, y))
+    cx, cy = lattice.regular.centre(*cell)
     inside = lattice.in_aperture(u - cx, v - cy)
-    lengths = types.Float64(camera.reduced_focal_lengths)
-    dr.make_opaque(lengths)
-    focal_length = dr.gather(types.Float64, lengths, which)
-    if camera.mla_jitter[1]:
-        focal_length *= types.Float64(irregularities(camera, *lattice.cell(x, y))[2])
-    waves = camera.microlens.lens_waves(lattice, dx, dy, focal_length, wavelength)
-    if (error := FigureError.of(camera) if any(camera.mla_figure_error) else None) is not None:
+    waves = camera.microlens.lens_waves(lattice, *offset, lens.focal_length, wavelength)
+    if (error := FigureError.of(camera)) is not None:
         waves += error.path(x, y) / in_millimetres(wavelength)
     return dr.select(inside, phasor(waves), 0)
 
 
-def from_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any, Any]:
-    """Return the offsets of Dr.Jit float64 positions from the centres of their lenses, and the types of the lenses."""
-    types = fft.array_types(x)
-    lattice = _opaque_lattice(camera, types)
-    i, j = lattice.cell(x, y)
-    cx, cy = lattice.centre(i, j)
-    several = len(camera.mla_focal_lengths) > 1
-    return x - cx, y - cy, types.UInt32(lattice.lens_type(i, j)) if several else types.UInt32(0)
-
-
-def _opaque_lattice(camera: PlenopticCamera, types: Any) -> Lattice:
+def opaque_lattice(camera: PlenopticCamera, types: Any) -> Lattice:
     """Return the lattice with numbers that are not compiled into kernels, for positions in Dr.Jit arrays."""
     given = [*camera.mla_pitches, camera.mla_rotation, *camera.mla_offset, camera.mla_fill]
     along, across, rotation, x, y, fill = (dr.opaque(types.Float64, number) for number in given)

@@ -260,9 +260,8 @@ class Draws(DetectorGrid):
         x, y = self._middle(pixels)
         _, cell = self.walk.chief_cell((x, y))
         i, j = (index + dr.gather(mi.Float, steps, pixels.lens) for index, steps in zip(cell, self._steps, strict=True))
-        centre, _ = self.walk.lens_at(i, j)
-        height = self.walk.height(*centre)
-        return Aims((x, y), centre, height, self.kinds.number(i, j, height), self.walk.transmission(i, j))
+        lens = self.walk.lenslet(i, j)
+        return Aims((x, y), lens.centre, lens.height, self.kinds.number(i, j, lens.height), lens.gain)
 
     def seen(self, detector: Pair, aims: Aims) -> Pair:
         """Return the pupil points whose light lands on detector points, as a mean over a lens."""
