@@ -71,6 +71,19 @@ class CameraGeometry(CameraParameters):
         return self.aperture_blades or self.aperture_image or apodised
 
     @property
+    def has_even_pupil(self) -> bool:
+        """Whether all of the pupil's disc is equally open to all places of the array."""
+        return self.aperture == Round() and self.vignetting is None
+
+    def pupil_power(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> Any:
+        """Return the part of the power that passes pupil points, over its radius, to places of the array.
+
+        It is the product of all layers: blades, a picture or an apodisation, and vignetting.
+        """
+        power = self.aperture.power(*pupil)
+        return power if self.vignetting is None else power * self.vignetting.power(*pupil, *place)
+
+    @property
     def f_number(self) -> float:
         """Focal length of the main lens divided by its diameter."""
         return self.focal_length / self.aperture_diameter

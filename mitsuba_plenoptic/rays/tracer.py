@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array import Lattice, Lenslet
-from ..camera import PlenopticCamera, Round
+from ..camera import PlenopticCamera
 from ..design.quantities import turns_cosines
 from ..fields.lens_kinds import FigureError
 from ..fields.optical_system import OpticalSystem
@@ -83,14 +83,13 @@ class PupilWalk:
 
     def passed(self, position: Pair, slope: Pair, height: Any = 0.0) -> Any:
         """Return the part of the power of rays from array positions that passes an uneven or vignetted aperture."""
-        aperture, vignetting = self.camera.aperture, self.camera.vignetting
-        if aperture == Round() and vignetting is None:
+        if self.camera.has_even_pupil:
             return 1.0
         pupil = tuple(self.lens.pupil.point(m, t, height) for m, t in zip(position, slope, strict=True))
         # The map to the round pupil is that of a lens of plain numbers.
         plain = PupilWalk(self.camera, OpticalSystem.by_design(self.camera).lens)
         x, y = (place / self.camera.pupil_radius for place in plain.inner((pupil[0], pupil[1]), position))
-        return aperture.power(x, y) * (1.0 if vignetting is None else vignetting.power(x, y, *position))
+        return self.camera.pupil_power((x, y), position)
 
     @functools.cached_property
     def _round_pupil(self) -> Any:

@@ -22,6 +22,7 @@ from ..detector.operator import DetectorOperator
 from ..errors import InputError, refuse_if, short_repr, warn
 from ..fields.lens_kinds import regular_array
 from ..io import Capture, recording_of, require_demosaiced
+from ..optics.rays import second_leg
 from ..rays.random_numbers import even_steps
 from ..rays.tracer import Passage, Walk, detector_rows
 from ..runtime import array_module, as_pixels, fft, require_memory
@@ -335,11 +336,8 @@ def mean_response(camera: PlenopticCamera) -> float:
     distance = camera.micro_image_diameter / 2 * np.sqrt(u)
     x, y = camera.lattice.aperture_point(s, t)
     across = np.hypot(distance * np.cos(2 * np.pi * v) - x, distance * np.sin(2 * np.pi * v) - y)
-    response = np.exp(-camera.mla_absorption * np.hypot(across, camera.detector_distance))
-    if camera.pixel_response:
-        angle = np.degrees(np.arctan(across / camera.detector_distance))
-        response *= np.interp(angle, camera.pixel_response[::2], camera.pixel_response[1::2])
-    return float(response.mean())
+    counts = second_leg(camera.pixel_response, camera.mla_absorption, np)(across, camera.detector_distance)
+    return float(counts.mean())
 
 
 def _traced(camera: PlenopticCamera) -> NDArray[np.float32]:
