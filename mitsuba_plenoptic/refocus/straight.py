@@ -34,7 +34,6 @@ from scipy.ndimage import map_coordinates, spline_filter, uniform_filter
 from ..array import Displacement
 from ..array.lens_shifts import WARP_POWERS
 from ..camera import PlenopticCamera
-from ..fields.lens_kinds import regular_array
 from ..views import white_image
 from .methods import once_a_camera
 
@@ -72,7 +71,7 @@ def straightened(camera: PlenopticCamera) -> PlenopticCamera:
     even = camera.replace(**_EVEN) if is_uneven(camera) else camera
     if camera.lattice.displacement is None and not any(camera.mla_tilt):
         return even
-    regular = regular_array(even)
+    regular = even.regular
     return regular.replace(mla_tilt=(0.0, 0.0), mla_warp=(), mla_jitter=(0.0, camera.mla_jitter[1]))
 
 

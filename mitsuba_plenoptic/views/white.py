@@ -20,7 +20,6 @@ from ..camera import Opening, PlenopticCamera, Round, Use, are_alike, require_su
 from ..design import crosstalk_neighbours
 from ..detector.operator import DetectorOperator
 from ..errors import InputError, refuse_if, short_repr, warn
-from ..fields.lens_kinds import regular_array
 from ..io import Capture, recording_of, require_demosaiced
 from ..optics.rays import second_leg
 from ..rays.random_numbers import even_steps
@@ -155,7 +154,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         an hour, or too much memory.
     """
     require_support(camera, Use.WHITE_IMAGES)
-    camera = regular_array(camera)
+    camera = camera.regular
     if camera.vignetting is not None or (grid is None and not camera.lens_data.is_thin):
         # Vignetting states places of lenses, as the camera has them.
         return np.asarray(DetectorOperator.of(camera).forward(_traced(camera)))
