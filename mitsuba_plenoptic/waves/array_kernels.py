@@ -15,7 +15,6 @@ Fields behind the lenses are those of `array_field`.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,7 +29,7 @@ from ..fields.lens_kinds import Kind
 from ..optics.waves import in_millimetres
 from ..runtime import fft, on_all_cores, require_memory, single_threaded_blas
 from .array_field import MOST_PHASE, LensWaves
-from .lens_functions import LensFunctions
+from .lens_functions import LensFunctions, of_middles
 from .oblique import Oblique, changes, directions, terms
 
 _TRANSFER_SAMPLES = 64
@@ -340,10 +339,9 @@ class ArrayKernels(LensWaves):
         return np.stack(made)
 
     def _cell_kernels(self, step: float, reach: float, kind: Kind) -> NDArray[np.float64]:
-        r"""Return kernels between cells of uniform light, for cells that may be larger than the diffraction kernels.
+        """Return kernels between cells of uniform light, for cells that may be larger than the diffraction kernels.
 
-        Without neighbours and phase, the integral over pairs of points is a sum of products: :math:`m^i = 2^{-i} \sum_a
-        \binom{i}{a} x_1^a x_2^{i-a}` gives products of transforms of aperture times power.
+        Neighbours and phases are left out: see `of_middles`.
         """
         lattice, scale = self.lattice, in_millimetres(self.wavelength) * kind.distance
         parts = self._cell_parts(step, kind)
@@ -358,13 +356,7 @@ class ArrayKernels(LensWaves):
         within = min(far, int(scale / (2 * spacing * fine)))
         waves = np.exp(-2j * np.pi * np.outer(np.arange(-within, within + 1) * fine, along) / scale)
         fields = {(a, b): waves @ np.where(inside, u**a * v**b, 0) @ waves.T for a, b in functions.exponents}
-        products = []
-        for i, j in functions.exponents:
-            both = np.zeros(fields[0, 0].shape)
-            for a, b in itertools.product(range(i + 1), range(j + 1)):
-                weight = math.comb(i, a) * math.comb(j, b) / 2 ** (i + j)
-                both += weight * (fields[a, b] * fields[i - a, j - b].conj()).real
-            products.append(both)
+        products = of_middles(functions.exponents, fields)
         kernels = np.einsum("mn,myx->nyx", functions.combined, products) * (spacing * fine / scale) ** 2 / inside.sum()
         kernels = np.pad(kernels, [(0, 0), *[(far - within,) * 2] * 2])
         tent = np.convolve(np.ones(parts), np.ones(parts)) / parts
