@@ -172,17 +172,17 @@ _ANGLES = 1025
 """Angles in the table."""
 
 
-def second_leg(pairs: tuple[float, ...], absorption: float, types: Any = mi) -> Callable[[Any, Any], Any]:
+def second_leg(pairs: tuple[float, ...], absorption: float, kind: Any = None) -> Callable[[Any, Any], Any]:
     """Return a function of lateral path and depth behind the lenses that gives the part of the power that counts.
 
     `pairs` are angles of incidence in degrees and the responses of pixels there, in turn, of which the last is the
-    steepest, or none; `absorption` is the medium's coefficient in 1/mm, for the law of Beer and Lambert. Paths are
-    Dr.Jit arrays of `types` or, if this is NumPy, those of NumPy.
+    steepest, or none; `absorption` is the medium's coefficient in 1/mm, for the law of Beer and Lambert. `kind` is the
+    type of the paths' arrays: of Dr.Jit, by default the active variant's, or of NumPy.
     """
     fine = np.linspace(0, pairs[-2] if pairs else 90, _ANGLES)
     table: Any = np.interp(fine, pairs[::2], pairs[1::2]) if pairs else None
-    if pairs and types is not np:
-        table = drjit_array(types.Float, table)
+    if pairs and kind is not np.ndarray:
+        table = drjit_array(kind or mi.Float, table)
         dr.make_opaque(table)
     step = math.radians(float(fine[1]))
 

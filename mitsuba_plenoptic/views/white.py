@@ -335,7 +335,7 @@ def mean_response(camera: PlenopticCamera) -> float:
     distance = camera.micro_image_diameter / 2 * np.sqrt(u)
     x, y = camera.lattice.aperture_point(s, t)
     across = np.hypot(distance * np.cos(2 * np.pi * v) - x, distance * np.sin(2 * np.pi * v) - y)
-    counts = second_leg(camera.pixel_response, camera.mla_absorption, np)(across, camera.detector_distance)
+    counts = second_leg(camera.pixel_response, camera.mla_absorption, np.ndarray)(across, camera.detector_distance)
     return float(counts.mean())
 
 
