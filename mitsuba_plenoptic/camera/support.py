@@ -126,6 +126,7 @@ _BEFORE_DETECTOR = (
 )
 _DISPERSES = (
     approximate(Use.RAYS, "mono variants have no wavelengths: rays see the focal length at the line d"),
+    approximate(Use.RAY_SPREADS, "without a wavelength rays see the focal length at the line d"),
     approximate(_GEOMETRY, "rays go back with the focal length at the line d"),
     refused(Use.POINT_RAYS, "rays of points have no wavelength", "waves of points"),
     refused(
