@@ -448,6 +448,6 @@ def _as_regular(camera: PlenopticCamera) -> PlenopticCamera:
     if regular is camera:
         return camera
     ends = (camera.pixel_coordinates(axis)[[0, -1]] for axis in (0, 1))
-    cells = camera.lattice.cell(*np.meshgrid(*(np.linspace(*pair, _PLACES) for pair in ends)))
+    cells = camera.lattice.cell(*np.meshgrid(*(np.linspace(low, high, _PLACES) for low, high in ends)))
     apart = np.subtract(camera.lattice.centre(*cells), regular.lattice.centre(*cells))
     return regular if np.hypot(*apart).max() < _AS_REGULAR * camera.pixel_size else camera
