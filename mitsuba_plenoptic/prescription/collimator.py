@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ..errors import refuse_if, require_known, require_length, short_repr, suggest_keywords
+from ..errors import refuse_if, require_length, suggest_keywords
 from .lens_data import SINGLE, THIN, LensData, require_unscaled
 
 
@@ -103,25 +103,3 @@ class Collimator(LensData):
     def image_blur(self, camera: Any, distance: float) -> float:
         """Return the diameter in mm of the pupil's image on the array."""
         return float(camera.aperture_diameter * self.magnification(camera.focal_length))
-
-    def to_plain(self) -> dict[str, Any]:
-        """Return the focal length by name, for `from_plain`, files and headers."""
-        return {"collimator_focal_length": self.collimator_focal_length}
-
-    @classmethod
-    def from_plain(cls, value: dict[str, Any]) -> Collimator:
-        """Return the collimator that `to_plain` described.
-
-        Parameters
-        ----------
-        value : dict
-            ``collimator_focal_length``.
-
-        Raises
-        ------
-        InputError
-            If the focal length is missing or out of range, or there are other names.
-        """
-        refuse_if(not isinstance(value, dict), f"main_lens = {short_repr(value)}: it must be a dictionary")
-        require_known("main_lens: ", value, [cls.mark])
-        return cls(**value)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, Self
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 from ..errors import LONGEST, InputError, refuse_if, short_repr
+from ..runtime import PlainData
 
 
 def vergence(focal_length: Any, distance: Any) -> Any:
@@ -57,7 +59,8 @@ _MLA_DISTANCE = 120.0
 """Distance from the main lens to the array, in millimetres, where neither that nor a plane in focus is given."""
 
 
-class LensData:
+@dataclass(frozen=True, eq=False)
+class LensData(PlainData):
     """Plain data of a main lens, here a thin one; classes of other lenses derive from it.
 
     Attributes
@@ -73,6 +76,7 @@ class LensData:
     """
 
     mark: ClassVar[str] = ""
+    where: ClassVar[str] = "main_lens: "
     kinds: ClassVar[list[type[LensData]]] = []
 
     is_thin: ClassVar[bool] = True
@@ -163,15 +167,6 @@ class LensData:
     def bin_size(self, camera: Any, distance: float) -> float:
         """Return the width in mm of one bin of a reconstruction, in the object plane."""
         return float(camera.mla_pitch * distance / camera.mla_distance)
-
-    def to_plain(self) -> dict[str, Any]:
-        """Return the lens as numbers, strings, lists and dictionaries, for `from_plain`, files and headers."""
-        raise NotImplementedError
-
-    @classmethod
-    def from_plain(cls, value: Any) -> Self:
-        """Return the lens described by `to_plain`, after its checks."""
-        raise NotImplementedError
 
 
 THIN = LensData()

@@ -28,7 +28,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..runtime import drjit_array, on_all_cores, single_threaded_blas
+from ..runtime import drjit_array, monomials, on_all_cores, single_threaded_blas
 from .lens_functions import edge_covariance, even_polynomials
 from .pupil_samples import PupilSamples, along, means, spread_points
 
@@ -84,8 +84,8 @@ class PupilFunctions:
         self, x: NDArray[np.float64], y: NDArray[np.float64], shares: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return the values (points, functions) at points, whose shares are an array (shares, points)."""
-        monomials = np.stack([x**i * y**j for i, j in self.exponents], -1)
-        return np.asarray(np.concatenate([share[:, None] * monomials for share in shares], 1) @ self.combined)
+        terms = np.stack(monomials(x, y, self.exponents), -1)
+        return np.asarray(np.concatenate([share[:, None] * terms for share in shares], 1) @ self.combined)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime import on_all_cores
+from ..runtime import exponents, monomials, on_all_cores
 
 _TIED = 1e-3
 """Relative difference of the errors that two functions remove below which both or neither are used, as they differ by
@@ -56,15 +56,16 @@ class LensFunctions:
     @classmethod
     def polynomials(cls, u: NDArray[np.float64], v: NDArray[np.float64], degree: int, scale: float) -> LensFunctions:
         """Return polynomials that are orthonormal over an aperture of points u and v, by Gram-Schmidt."""
-        exponents = [(i, total - i) for total in range(degree + 1) for i in range(total, -1, -1)]
-        monomials = _monomials(u, v, exponents, scale)
-        triangle = np.linalg.inv(np.linalg.cholesky(monomials.T @ monomials / len(monomials))).T
-        unit = np.eye(len(exponents))
-        return cls(scale, exponents, triangle, unit, unit, [(i % 2 == 1, j % 2 == 1) for i, j in exponents])
+        powers = exponents(degree)
+        terms = np.stack(monomials(u / scale, v / scale, powers), -1)
+        triangle = np.linalg.inv(np.linalg.cholesky(terms.T @ terms / len(terms))).T
+        unit = np.eye(len(powers))
+        return cls(scale, powers, triangle, unit, unit, [(i % 2 == 1, j % 2 == 1) for i, j in powers])
 
     def values(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the values of the polynomials at positions."""
-        return np.asarray(_monomials(u, v, self.exponents, self.scale) @ self.triangle)
+        terms = monomials(u / self.scale, v / self.scale, self.exponents)
+        return np.asarray(np.stack(terms, -1) @ self.triangle)
 
     @property
     def count(self) -> int:
@@ -171,11 +172,3 @@ def _covariance(expected: NDArray[np.float64]) -> NDArray[np.float64]:
     whole = expected / (2 * np.pi)
     whole[0, 0] += _MEAN_SQUARE
     return np.asarray(whole)
-
-
-def _monomials(
-    u: NDArray[np.float64], v: NDArray[np.float64], exponents: Sequence[tuple[int, int]], scale: float
-) -> NDArray[np.float64]:
-    powers = [np.polynomial.polynomial.polyvander(place / scale, max(map(sum, exponents))) for place in (u, v)]
-    i, j = np.transpose(exponents)
-    return np.asarray(powers[0][..., i] * powers[1][..., j])

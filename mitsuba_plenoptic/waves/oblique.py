@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime import backend_of
+from ..runtime import backend_of, exponents, monomials
 
 _LEAST = 1e-9
 """Part of the mean variance that is added to all variances, so that their matrices can be inverted."""
@@ -40,11 +40,7 @@ _INNER = 0.55
 
 def terms(u: Any, v: Any, degree: int) -> list[Any]:
     """Return the terms in which kernels change with direction cosines, relative to the largest cosines."""
-    powers: list[list[Any]] = [[1.0, each] for each in (u, v)]
-    for own in powers:
-        while len(own) <= degree:
-            own.append(own[-1] * own[1])
-    return [powers[0][i] * powers[1][j] for i, j in _exponents(degree)]
+    return monomials(u, v, exponents(degree, lowest=1))
 
 
 @functools.cache
@@ -58,11 +54,6 @@ def directions(degree: int) -> NDArray[np.float64]:
         for radius, angles in ((1.0, np.arange(8) * np.pi / 4), (_INNER, (np.arange(8) + 0.5) * np.pi / 4))
     ]
     return np.concatenate([np.zeros((1, 2)), *rings])
-
-
-def _exponents(degree: int) -> list[tuple[int, int]]:
-    """Return the powers of s_u and s_v of the terms."""
-    return [(i, whole - i) for whole in range(1, degree + 1) for i in range(whole, -1, -1)]
 
 
 @dataclass(frozen=True)
@@ -81,7 +72,7 @@ class Oblique:
     @classmethod
     def nothing(cls, functions: int) -> Oblique:
         """Return an empty set of combinations."""
-        count = len(_exponents(2))
+        count = len(exponents(2, lowest=1))
         empty = np.zeros((0, functions, count))
         return cls(1.0, empty, empty, np.eye(1 + count))
 
@@ -109,7 +100,7 @@ class Oblique:
         change = np.einsum("kd,dnx->nkx", changes(degree), images)
         every = _values(cosines, degree)
         moments = every.T @ every / len(every)
-        odd_terms = [(i % 2 == 1, j % 2 == 1) for i, j in _exponents(degree)]
+        odd_terms = [(i % 2 == 1, j % 2 == 1) for i, j in exponents(degree, lowest=1)]
         both = np.einsum("nm,kl->nkml", light, moments[1:, 1:])
         whole = float(np.einsum("nm,nx,mx->", light, images[0], images[0]))
         shape, found = change.shape[:2], []
@@ -169,15 +160,15 @@ class Oblique:
         arrays = backend_of(u).arrays
         if not self.count:
             return arrays.zeros((2, 0, *u.shape), np.float32)
-        exponents, none = _exponents(self.degree), arrays.zeros_like(u)
-        lower = dict(zip(exponents, terms(u, v, self.degree), strict=True)) | {(0, 0): arrays.ones_like(u)}
+        pairs = exponents(self.degree, lowest=1)
+        lower = dict(zip(pairs, terms(u, v, self.degree), strict=True)) | {(0, 0): arrays.ones_like(u)}
         slopes = []
         for axis in (0, 1):
-            found = [none]
-            for powers in exponents:
-                i, j = powers[0] - (axis == 0), powers[1] - (axis == 1)
-                found.append(lower[i, j] * (scale * powers[axis]) if powers[axis] else none)
-            slopes.append(self._orthonormal(arrays, found))
+            along = [arrays.zeros_like(u)]
+            for pair in pairs:
+                i, j = pair[0] - (axis == 0), pair[1] - (axis == 1)
+                along.append(lower[i, j] * (scale * pair[axis]) if pair[axis] else along[0])
+            slopes.append(self._orthonormal(arrays, along))
         return arrays.stack(slopes)
 
 

@@ -36,7 +36,7 @@ from ..camera import PlenopticCamera, Round
 from ..errors import InputError, short_repr
 from ..fields.optical_system import OpticalSystem
 from ..optics.waves import in_millimetres
-from ..runtime import drjit_array, empty_packets, on_all_cores, single_threaded_blas
+from ..runtime import drjit_array, empty_packets, monomials, on_all_cores, single_threaded_blas
 from .array_field import MOST_PHASE
 from .array_kernels import SPECTRUM_SAMPLES, ArrayKernels
 
@@ -540,15 +540,11 @@ class Polynomials:
 
     def read(self, u: Any, v: Any, *shares: Any) -> list[Any]:
         """Return the values of the polynomials at `places`, whose monomials are those of each share of a ray."""
-        plan, functions = self.plan, self.plan.functions
-        powers = [[mi.Float(1)], [mi.Float(1)]]
-        for _ in range(plan.degree):
-            for each, place in zip(powers, (u, v), strict=True):
-                each.append(each[-1] * place)
-        monomials = [powers[0][i] * powers[1][j] for i, j in functions.exponents]
+        functions = self.plan.functions
+        terms = monomials(u, v, functions.exponents)
         if shares:
-            monomials = [share * monomial for share in shares for monomial in monomials]
+            terms = [share * term for share in shares for term in terms]
         return [
-            sum((m * float(c) for m, c in zip(monomials, column, strict=True) if c), mi.Float(0))
+            sum((term * float(c) for term, c in zip(terms, column, strict=True) if c), mi.Float(0))
             for column in functions.combined.T
         ]
