@@ -30,6 +30,7 @@ from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..optics.waves import in_millimetres
 from ..runtime import drjit_array, single_threaded_blas
+from .accuracy import ACCURACY
 from .lens_system import LensSystem
 from .main_lens import Entrance, Traced
 from .pupil import Pair, Pupil
@@ -38,34 +39,6 @@ from .pupil_polynomials import LensLight, Polynomial, PupilPolynomial, fit
 
 FAR = 1e13
 """Distance in millimetres at which light counts as collimated."""
-
-WITHIN = 0.999
-"""Fraction of the fitted field that is used, so that rounding does not place points beyond it."""
-
-_INVERSIONS = 12
-"""Iterations that find scene points from images; each multiplies the error by about the relative distortion."""
-
-_HEIGHTS, _ANGLES, _RADII = 33, 16, 8
-"""Fields, angles and radii on the pupil at which wavefronts are compared."""
-
-_RIM = 0.999
-"""Largest of these radii over the pupil's radius, since points on the very edge may count as outside."""
-
-_AS_TOLD = 2.0
-"""Weight of changes of the path.
-
-The bounds for sharing patterns were chosen with the thin lens's closed form, which exceeds its path by this factor.
-"""
-
-_NEAR_EDGE = 0.15
-"""Distance from an edge, over the pupil's radius, up to which positions sample the motion of the edge."""
-
-_EDGE_WEIGHT = 1 / 4
-"""Change of a wavefront, in waves, that counts as much as an edge shift of one wave's tilt across a lens."""
-
-
-_STRETCHED = 257
-"""Distances from the axis at which the stretch of images is computed."""
 
 
 @dataclass(frozen=True)
@@ -167,8 +140,8 @@ class FittedLens:
         g = min(distance, FAR)
         near = float(self.fitted.pupils.field(np.array([[0.0, 0.0, g]]))[1][0])
         corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch
-        corner = min(corner, WITHIN * self.fitted.aberration.scales.field / near * camera.mla_distance / g)
-        positions = np.linspace(0, corner, _STRETCHED)[1:]
+        corner = min(corner, ACCURACY.used_field * self.fitted.aberration.scales.field / near * camera.mla_distance / g)
+        positions = np.linspace(0, corner, ACCURACY.stretch_fields)[1:]
         points = np.column_stack([0 * positions, -positions * g / camera.mla_distance, np.full(len(positions), g)])
         images = self.images(points)[:, 1]
         growth = np.gradient(np.append(0, images), np.append(0, positions))[1:]
@@ -190,7 +163,7 @@ class FittedLens:
         depth = distance + pupils.entrance
         field = -images * (pupils.magnification / self.pupil.distance)
         found = field
-        for _ in range(_INVERSIONS):
+        for _ in range(ACCURACY.inversions):
             found = self.images(np.column_stack([field * distance[:, None], depth]))
             square = (found**2).sum(1)
             far = square > 0
@@ -210,7 +183,7 @@ class FittedLens:
             min(1 / max(near, 1e-300), FAR) for near in (scales.middle - scales.half, scales.middle + scales.half)
         ]
         ends = [[0.0, scales.field * distance, distance + entrance] for distance in distances]
-        return WITHIN * float(np.hypot(*self.images(np.array(ends)).T).min())
+        return ACCURACY.used_field * float(np.hypot(*self.images(np.array(ends)).T).min())
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
         """Return the difference, in waves, of wavefronts whose images lie a step apart, as `MainLens.path_change` does.
@@ -219,8 +192,8 @@ class FittedLens:
         """
         positions, paths, edges = self._changes
         path, edge = np.interp(radius, positions, paths), np.interp(radius, positions, edges)
-        across = _EDGE_WEIGHT * edge * step / self.pupil.distance
-        return (_AS_TOLD * path + across) * (step / in_millimetres(wavelength))
+        across = ACCURACY.edge_weight * edge * step / self.pupil.distance
+        return (ACCURACY.path_weight * path + across) * (step / in_millimetres(wavelength))
 
     @functools.cached_property
     def _changes(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -230,34 +203,30 @@ class FittedLens:
         motion: of the path in millimetres, without the tilt at the centre, and of the position of an edge on the pupil.
         """
         scales = self.fitted.aberration.scales
-        angle = 2 * math.pi * (np.arange(_ANGLES) + 0.5) / _ANGLES
-        circle = _RIM * self.reach * np.stack([np.cos(angle), np.sin(angle)])
-        x, y = (circle[:, None] * (np.arange(1, _RADII + 1) / _RADII)[:, None]).reshape(2, 1, -1)
-        heights, middle = np.linspace(0, scales.field, _HEIGHTS), (0.0, 0.0)
-        positions, paths, edges = np.zeros((3, _HEIGHTS))
+        angle = 2 * math.pi * (np.arange(ACCURACY.compared_angles) + 0.5) / ACCURACY.compared_angles
+        circle = ACCURACY.compared_rim * self.reach * np.stack([np.cos(angle), np.sin(angle)])
+        x, y = (
+            circle[:, None] * (np.arange(1, ACCURACY.compared_radii + 1) / ACCURACY.compared_radii)[:, None]
+        ).reshape(2, 1, -1)
+        heights, middle = np.linspace(0, scales.field, ACCURACY.compared_fields), (0.0, 0.0)
+        positions, paths, edges = np.zeros((3, ACCURACY.compared_fields))
         for inverse_distance in scales.middle + scales.half * np.array([-1.0, 0.0, 1.0]):
             distance = 1 / (inverse_distance or 1e-12)
-            points = np.column_stack([0 * heights, heights * distance, np.full(_HEIGHTS, distance)])
+            points = np.column_stack([0 * heights, heights * distance, np.full(ACCURACY.compared_fields, distance)])
             points[:, 2] += self.fitted.pupils.entrance
             images, here = self.images(points), self.bind(points)
             positions = np.maximum(positions, np.hypot(*images.T))
             step = 1e-3 * float(np.hypot(*images.T).max())
             edge = here.inside((x, y))
             for aside in (np.array([0.0, step]), np.array([step, 0.0])):
-                there = self.bind(self.points(images + aside, np.full(_HEIGHTS, 1 / distance)))
+                there = self.bind(self.points(images + aside, np.full(ACCURACY.compared_fields, 1 / distance)))
                 tilt = [b - a for a, b in zip(here.cosines(middle, None), there.cosines(middle, None), strict=True)]
                 path = there.length((x, y)) - here.length((x, y)) - x * tilt[0] - y * tilt[1]
                 paths = np.maximum(paths, np.abs(np.where(edge > 0, path, 0)).max(1) / step)
-                moved = np.where(np.abs(edge) < _NEAR_EDGE * self.reach, there.inside((x, y)) - edge, 0)
+                moved = np.where(np.abs(edge) < ACCURACY.edge_distance * self.reach, there.inside((x, y)) - edge, 0)
                 edges = np.maximum(edges, np.abs(moved).max(1) / step)
         return positions, paths, edges
 
-
-_ACROSS, _EDGE = 192, 4.0
-"""Samples across the pupil's bounding circle for its open area, and the width of softened edges in samples."""
-
-_FIELDS, _DEPTHS = 17, 3
-"""Fields and inverse distances of the table from which the open areas of many points are interpolated."""
 
 _TOGETHER = 16
 """Points that are computed together."""
@@ -276,10 +245,10 @@ def open_area(lens: FittedLens, points: NDArray[np.float64]) -> NDArray[np.float
 
 def places(lens: FittedLens) -> tuple[float, float, Pair]:
     """Return the sampling step on the exit pupil, the width of softened edges, and the sample positions."""
-    step, beyond = 2 * lens.reach / _ACROSS, round(_EDGE)
-    axis = (np.arange(-beyond, _ACROSS + beyond) + 0.5) * step - lens.reach
+    step, beyond = 2 * lens.reach / ACCURACY.area_samples, round(ACCURACY.area_edge)
+    axis = (np.arange(-beyond, ACCURACY.area_samples + beyond) + 0.5) * step - lens.reach
     x, y = (part.reshape(1, -1) for part in np.meshgrid(axis, axis))
-    return step, _EDGE * step, (x, y)
+    return step, ACCURACY.area_edge * step, (x, y)
 
 
 def edges(light: LensLight, pupil: Pair) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -294,27 +263,24 @@ def at_all(
     """Return a measured quantity of each point, interpolated over field and inverse distance if points are many."""
     from scipy.interpolate import RegularGridInterpolator
 
-    if len(points) <= _FIELDS * _DEPTHS:
+    if len(points) <= ACCURACY.area_fields * ACCURACY.area_depths:
         parts = [measured(points[first : first + _TOGETHER]) for first in range(0, len(points), _TOGETHER)]
         return np.concatenate([np.empty(0), *parts])
     field, inverse_distance = lens.fitted.pupils.field(points)
     heights, scales = np.hypot(*field.T), lens.fitted.aberration.scales
     # The ranges are widened so that they are never empty.
     axes = (
-        np.linspace(0, heights.max() + 1e-9 * scales.field, _FIELDS),
-        np.linspace(inverse_distance.min(), inverse_distance.max() + 1e-9 * scales.half, _DEPTHS),
+        np.linspace(0, heights.max() + 1e-9 * scales.field, ACCURACY.area_fields),
+        np.linspace(inverse_distance.min(), inverse_distance.max() + 1e-9 * scales.half, ACCURACY.area_depths),
     )
     u, near = (part.ravel() for part in np.meshgrid(*axes, indexing="ij"))
     nodes = np.column_stack([0 * u, u / near, 1 / near + lens.fitted.pupils.entrance])
-    table = at_all(lens, nodes, measured).reshape(_FIELDS, _DEPTHS)
+    table = at_all(lens, nodes, measured).reshape(ACCURACY.area_fields, ACCURACY.area_depths)
     return np.asarray(RegularGridInterpolator(axes, table, bounds_error=False)((heights, inverse_distance)))
 
 
 LENS_NUMBERS = ("focal_length", "aperture_radius", "wavelength")
 """Parameters that change the light on the exit pupil."""
-
-_CHANGE = 1e-4
-"""Relative change of a parameter on either side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,7 +304,7 @@ def lens_change(lens: FittedLens, name: str) -> LensChange:
 def _found_change(lens: FittedLens, name: str) -> LensChange:
     system, fitted = lens.system, lens.fitted
     scales = fitted.aberration.scales
-    step = _CHANGE * float(getattr(system, name))
+    step = ACCURACY.derivative_step * float(getattr(system, name))
     sides = [replace(system, **{name: getattr(system, name) + amount}) for amount in (step, -step)]
     depths = scales.middle - scales.half, scales.middle + scales.half
     start = nodes(float(system.aperture_radius), scales.field, depths)

@@ -12,6 +12,7 @@ not depend on the number of points; `ExitPupil` those of one point alone, as exa
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -24,18 +25,10 @@ from ..errors import InputError, refuse_if
 from ..optics import guards
 from ..optics.waves import in_millimetres
 from . import sequential
+from .accuracy import ACCURACY
 from .lens_system import LensSystem
 from .pupil import Pupil
 from .pupil_polynomials import Degrees, LensLight, Polynomial, PupilPolynomial, Scales, fit
-
-_BEYOND = 1.1
-"""Largest accepted ray height, over the semi-aperture of each surface."""
-
-_STEP = 1e-4
-"""Distance of neighbouring rays over the pupil's radius, from which the density of rays is computed."""
-
-_STEEPEST = 10.0
-"""Largest accepted slope of rays behind the lens."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +82,7 @@ def trace_all(
     """
     position, path, stops, slope = _follow(lens, field, inverse_distance, entrance)
     middle = _follow(lens, field, inverse_distance, np.zeros_like(entrance))[1]
-    step = _STEP * float(lens.aperture_radius)
+    step = ACCURACY.ray_step * float(lens.aperture_radius)
     (ax, ay), (bx, by) = (
         (
             _follow(lens, field, inverse_distance, entrance + shift)[0]
@@ -102,7 +95,7 @@ def trace_all(
         away = (entrance[0] * inverse_distance) ** 2 + (entrance[1] * inverse_distance - field) ** 2 + 1
         amplitude = 1 / (away * np.sqrt(np.abs(ax * by - ay * bx)))
         finite = np.isfinite([*position, path - middle, amplitude]).all(0) & np.isfinite(stops).all(0)
-        valid = finite & (stops <= _BEYOND**2).all(0) & (slope < _STEEPEST)
+        valid = finite & (stops <= ACCURACY.ray_height**2).all(0) & (slope < ACCURACY.steepest)
     return PupilRays(field, inverse_distance, position, entrance, path - middle, amplitude, stops), valid
 
 
@@ -134,25 +127,6 @@ def _follow(
     lost = np.where(met, 0.0, np.nan)
     return position + lost, path + lost, stops + lost, np.where(met, slope, np.inf)
 
-
-_DEGREES = (Degrees(6, 4, 4), Degrees(8, 6, 4), Degrees(10, 8, 5))
-GOOD = 1e-3
-"""Polynomial degrees that are tried in turn, and the root mean square path error in waves that ends the search."""
-
-_STOPS = Degrees(4, 4, 2)
-"""Degrees of the polynomials of vignetting surfaces: low ones, which extrapolate smoothly."""
-
-_ACROSS, _WIDER = 21, 1.4
-"""Rays across the entrance pupil, and the radius up to which they are traced, in radii of the pupil."""
-
-_FIELDS, _DEPTHS = 11, 7
-"""Points whose rays are fitted, along the field and along the inverse distance."""
-
-_JUDGES, _JUDGING, _LEAST = 40, 300, 20
-"""Points that check a fit, rays traced from each of them, and the fewest open rays with which a point counts."""
-
-_COVERED = 64
-"""Fields, up to the largest one, that are tested for light."""
 
 Tracer = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], PupilRays]
 """Function from fields, inverse distances and positions on the entrance pupil to rays, see `trace`."""
@@ -218,7 +192,10 @@ class PupilFit:
 
 def covered(tracer: Tracer, radius: float, field: float, inverse_distance: tuple[float, float]) -> float:
     """Return the largest field, up to `field`, from which light passes the lens at both inverse distances."""
-    fields, across = np.linspace(0, field, _COVERED), np.linspace(-_WIDER, _WIDER, 2 * _ACROSS) * radius
+    fields, across = (
+        np.linspace(0, field, ACCURACY.covered_fields),
+        np.linspace(-ACCURACY.fitted_radius, ACCURACY.fitted_radius, 2 * ACCURACY.fitted_rays) * radius,
+    )
     least = field
     for near in inverse_distance:
         F, Y = (values.ravel() for values in np.meshgrid(fields, across))
@@ -235,7 +212,7 @@ def fit_pupil(
     field: float,
     inverse_distance: tuple[float, float],
     wavelength: float,
-    good: float = GOOD,
+    good: float = ACCURACY.path_error,
 ) -> PupilFit:
     """Return traced rays and polynomials of rising degree, until the path's error is at most `good` waves."""
     rays, judges = tracer(*nodes(radius, field, inverse_distance)), tracer(*_random(radius, field, inverse_distance))
@@ -250,14 +227,14 @@ def fit_pupil(
 
     path = rays.path - pupils.sphere_path(rays)
     left = judges.path - pupils.sphere_path(judges)
-    for degrees in _DEGREES:
+    for degrees in itertools.starmap(Degrees, ACCURACY.degrees):
         aberration, brightness = fitted(degrees, path, rays.amplitude)
         error = _error(aberration, judges, left) / in_millimetres(wavelength)
         if error <= good:
             break
     # A surface that lets all traced rays through does not vignette.
     cutting = np.flatnonzero(rays.stops.max(1) > 1)
-    stops = fitted(_STOPS, *rays.stops[cutting])
+    stops = fitted(Degrees(*ACCURACY.stop_degrees), *rays.stops[cutting])
     return PupilFit(pupils, aberration, brightness, tuple(stops), tuple(cutting.tolist()), error)
 
 
@@ -270,19 +247,24 @@ def nodes(radius: float, field: float, inverse_distance: tuple[float, float]) ->
     def between(low: float, high: float, count: int) -> NDArray[np.float64]:
         return (low + high) / 2 - (high - low) / 2 * np.cos(np.pi * np.arange(count) / (count - 1))
 
-    axis = np.linspace(-_WIDER, _WIDER, _ACROSS) * radius
-    fields = np.sqrt(between(0, field**2, _FIELDS))
-    F, D, X, Y = np.meshgrid(fields, between(*inverse_distance, _DEPTHS), axis[axis >= 0], axis, indexing="ij")
-    within = np.hypot(X, Y) <= _WIDER * radius
+    axis = np.linspace(-ACCURACY.fitted_radius, ACCURACY.fitted_radius, ACCURACY.fitted_rays) * radius
+    fields = np.sqrt(between(0, field**2, ACCURACY.fitted_fields))
+    F, D, X, Y = np.meshgrid(
+        fields, between(*inverse_distance, ACCURACY.fitted_depths), axis[axis >= 0], axis, indexing="ij"
+    )
+    within = np.hypot(X, Y) <= ACCURACY.fitted_radius * radius
     return F[within], D[within], np.stack([X[within], Y[within]])
 
 
 def _random(radius: float, field: float, inverse_distance: tuple[float, float]) -> tuple[NDArray, NDArray, NDArray]:
     """Return fields, inverse distances and positions of random rays that check a fit, sorted by point."""
     random = np.random.default_rng(0)
-    F = np.repeat(field * np.sqrt(random.random(_JUDGES)), _JUDGING)
-    D = np.repeat(inverse_distance[0] + (inverse_distance[1] - inverse_distance[0]) * random.random(_JUDGES), _JUDGING)
-    away, angle = _WIDER * radius * np.sqrt(random.random(len(F))), 2 * math.pi * random.random(len(F))
+    F = np.repeat(field * np.sqrt(random.random(ACCURACY.checked_points)), ACCURACY.checking_rays)
+    D = np.repeat(
+        inverse_distance[0] + (inverse_distance[1] - inverse_distance[0]) * random.random(ACCURACY.checked_points),
+        ACCURACY.checking_rays,
+    )
+    away, angle = ACCURACY.fitted_radius * radius * np.sqrt(random.random(len(F))), 2 * math.pi * random.random(len(F))
     return F, D, np.stack([away * np.cos(angle), away * np.sin(angle)])
 
 
@@ -291,7 +273,7 @@ def _error(aberration: Polynomial, rays: PupilRays, path: NDArray[np.float64]) -
     worst = 0.0
     for field in np.unique(rays.field):
         some = rays.field == field
-        if np.count_nonzero(some) < _LEAST:
+        if np.count_nonzero(some) < ACCURACY.least_open_rays:
             continue
         one, near = np.array([[0.0, field]]), rays.inverse_distance[some][:1]
         coefficients = [np.array(number) for number in aberration.at(one, near)[0]]
@@ -299,10 +281,6 @@ def _error(aberration: Polynomial, rays: PupilRays, path: NDArray[np.float64]) -
         found = aberration.over_pupil(coefficients, (0.0, field)).value((x, y))
         worst = max(worst, float(np.std(found - path[some])))
     return worst
-
-
-_ALONE, _ACROSS_ALONE = 10, 45
-"""Degree of the polynomials of a single point, and rays across the pupil; alternate ones are fitted, others check."""
 
 
 @dataclass(frozen=True)
@@ -333,7 +311,9 @@ class ExitPupil(LensLight):
         pupils = Pupils.of(lens)
         (direction,), (near,) = pupils.field(np.array([point]))
         field = float(np.hypot(*direction))
-        axis = np.linspace(-_WIDER, _WIDER, _ACROSS_ALONE) * float(lens.aperture_radius)
+        axis = np.linspace(-ACCURACY.fitted_radius, ACCURACY.fitted_radius, ACCURACY.single_rays) * float(
+            lens.aperture_radius
+        )
         entrance = np.stack([part.ravel() for part in np.meshgrid(axis, axis)])
         count = entrance.shape[1]
         rays = trace(lens, np.full(count, field), np.full(count, near), entrance)
@@ -346,7 +326,7 @@ class ExitPupil(LensLight):
         # On the axis there is no direction on which the light could depend.
         scales, degrees = (
             Scales(radius + abs(middle), field or 1.0, near, 1.0),
-            Degrees(_ALONE, _ALONE * (field > 0), 0),
+            Degrees(ACCURACY.single_degree, ACCURACY.single_degree * (field > 0), 0),
         )
         along = float(direction[0]), float(direction[1])
 
@@ -370,7 +350,7 @@ class ExitPupil(LensLight):
         # From the frame in which the point lies along y to that of the camera.
         (u, v), (x, y) = direction / scales.field if field else (0.0, 1.0), rays.place[:, is_open]
         places = np.column_stack([x * v + y * u, y * v - x * u])
-        open_radius = float(np.hypot(x, y).max()) + radius / _ACROSS_ALONE
+        open_radius = float(np.hypot(x, y).max()) + radius / ACCURACY.single_rays
         slope, convergence = pupils.slope(direction).tolist(), float(pupils.convergence(near))
         light = float(lens.pupil.distance), (slope[0], slope[1]), convergence, aberration, brightness, stops
         cosines = np.column_stack(LensLight(*light).cosines((places[:, 0], places[:, 1]), None))

@@ -14,12 +14,7 @@ from typing import Any
 from ..prescription import Prescription
 from ..prescription.surfaces import LEAST, height
 from ..runtime import safe_sqrt, select
-
-NEWTON_STEPS = 5
-"""Newton iterations that find the intersection of a ray with an asphere from that with its conic or plane."""
-
-_MET = 1e-3
-"""Length of the last iteration, over the semi-aperture, from which on a ray counts as one that misses an asphere."""
+from .accuracy import ACCURACY
 
 
 @dataclass(frozen=True)
@@ -167,13 +162,13 @@ def follow(
                 # An asphere may be nearer to its vertex's plane than to its conic, which rays may also miss.
                 off = abs(t * N - height(surface, (x + t * L) * (x + t * L) + (y + t * M) * (y + t * M)))
                 t = select((root > 0) & (off < abs(height(surface, x * x + y * y))), t, 0 * x)
-                for _ in range(NEWTON_STEPS):
+                for _ in range(ACCURACY.newton_steps):
                     X, Y = x + t * L, y + t * M
                     square = X * X + Y * Y
                     rise = _slope(surface, square) * (X * L + Y * M)
                     step = (t * N - height(surface, square)) / (N - rise)
                     t = t - step
-                met = abs(step) < _MET * surface.semi_aperture
+                met = abs(step) < ACCURACY.missing * surface.semi_aperture
                 is_open, t = is_open & met, select(met, t, 0 * x)
             else:
                 is_open = is_open & (root > 0)

@@ -24,6 +24,7 @@ from ..optics.waves import in_millimetres, parabola
 from ..prescription.collimator import Collimator
 from ..prescription.lens_data import SINGLE, vergence
 from ..runtime import sqrt
+from .accuracy import ACCURACY
 from .closed_lens import ClosedLens
 from .common import LensNumbers, builds
 from .distortion import undistort
@@ -102,10 +103,6 @@ def _sum(terms: list[Any], x: Any) -> Any:
     for term in reversed(terms):
         total = total * x + term
     return total
-
-
-_NODES = 24
-"""Nodes of the quadrature over the pupil, along its radius and around half of its circumference."""
 
 
 @dataclass(frozen=True)
@@ -259,9 +256,9 @@ class ThinLens(ClosedLens):
 
     def power_through(self, point: NDArray[np.float64]) -> float:
         """Return the integral of the squared amplitude over the pupil, by Gauss's rule in radius, evenly in angle."""
-        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        nodes, weights = np.polynomial.legendre.leggauss(ACCURACY.wavefront_nodes)
         radius = self.pupil.radius * np.sqrt((nodes + 1) / 2)[:, None]
-        angle = math.pi * np.arange(2 * _NODES) / _NODES
+        angle = math.pi * np.arange(2 * ACCURACY.wavefront_nodes) / ACCURACY.wavefront_nodes
         squares = self.amplitude((radius * np.cos(angle), radius * np.sin(angle)), tuple(point)) ** 2
         return float(math.pi * self.pupil.radius**2 * (weights / 2) @ squares.mean(1))
 
@@ -296,10 +293,6 @@ def _distance(pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
 
 def _signed(length: Any, g: Any) -> Any:
     return dr.copysign(length, g) if dr.is_array_v(length) else np.copysign(length, g)
-
-
-_STEPS = 12
-"""Iterations that find the position on the MLA from the undistorted one."""
 
 
 @dataclass(frozen=True)
@@ -337,7 +330,7 @@ class DistortedLens(ThinLens):
         """Return the positions on the MLA of which `undistort` makes given ones."""
         (x, y), (u, v) = image, image
         # Each step multiplies the error by the derivative of the displacement, some per cent.
-        for _ in range(_STEPS):
+        for _ in range(ACCURACY.distortion_steps):
             moved = undistort(x, y, self.distortion)
             x, y = x + u - moved[0], y + v - moved[1]
         return x, y
