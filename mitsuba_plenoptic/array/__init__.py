@@ -15,10 +15,10 @@ from . import hexagonal as hexagonal
 from . import square as square
 from .arrangement import APERTURES, LATTICES, NO_LATTICE, Lattice, make_lattice, register
 from .conic import Conic
-from .lens_shifts import Displacement
+from .lens_shifts import Displacement, Lenslet
 from .phase_map import PhaseMap
 from .sampled import Sampled
-from .shape import MicrolensShape
+from .shape import MicrolensShape, Paraboloid
 from .zone_lens import ZoneLens
 
 __all__ = [
@@ -28,7 +28,9 @@ __all__ = [
     "Conic",
     "Displacement",
     "Lattice",
+    "Lenslet",
     "MicrolensShape",
+    "Paraboloid",
     "PhaseMap",
     "Sampled",
     "ZoneLens",

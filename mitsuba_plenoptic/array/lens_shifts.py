@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import numpy as np
@@ -28,6 +28,15 @@ _STEPS = 3
 
 _ALONG, _SMALL = 33, 1e-6
 """Places along each axis at which displacements are compared, and the step in mm of their finite differences."""
+
+
+class Lenslet(NamedTuple):
+    """Single lenses of an array."""
+
+    centre: tuple[Any, Any]
+    focal_length: Any  # in air, in millimetres
+    height: Any = 0.0  # in mm, towards the main lens, of a tilted array
+    gain: Any = 1.0  # relative brightness
 
 
 @dataclass(frozen=True)

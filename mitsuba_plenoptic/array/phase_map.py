@@ -122,7 +122,7 @@ class PhaseMap(MicrolensShape):
         """Return the ratio of slopes, for the fitted paraboloids; see `MicrolensShape.strength`."""
         return self._power(wavelength) / self.power
 
-    @property
+    @cached_property
     def power(self) -> float:
         """Power, at the d line in 1/mm, of the paraboloid of revolution that best fits the phase without jumps."""
         return self._power(LINE_D)

@@ -7,12 +7,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_module, require_number, require_wavelength
-from ..runtime import IMAGE, as_array, drjit_array, module_of, require_file, unit_of
+from ..runtime import IMAGE, as_array, module_of, require_file, take, unit_of
 
 COUNTS = 4, 1024
 """Least and largest count of samples along an axis."""
@@ -139,7 +138,7 @@ class SampledGrid:
         (column, u), (row, v) = self._places(x, y)
         module = module_of(u)
         column, row = column + module.floor(u + 0.5), row + module.floor(v + 0.5)
-        return _take(values.ravel(), row * values.shape[1] + column, x)
+        return take(values.ravel(), row * values.shape[1] + column)
 
     def _places(self, x: Any, y: Any) -> list[tuple[Any, Any]]:
         """Return column and row of the sample before each offset, and the distances from this sample in samples."""
@@ -159,7 +158,7 @@ class SampledGrid:
             for right in (0, 1):
                 index = (row + down) * self._samples.shape[1] + column + right
                 for part, (by_row, by_column) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):
-                    value = _take(self._corners[..., part].ravel(), index, x)
+                    value = take(self._corners[..., part].ravel(), index)
                     total = total + value * across[right, by_column] * up[down, by_row]
         return total
 
@@ -171,11 +170,3 @@ def _weights(t: Any, derivative: int) -> dict[tuple[int, int], Any]:
         return {(0, 0): -step, (1, 0): step, (0, 1): 1 + t * (3 * t - 4), (1, 1): t * (3 * t - 2)}
     last = t * t * (3 - 2 * t)
     return {(0, 0): 1 - last, (1, 0): last, (0, 1): t * (1 - t) * (1 - t), (1, 1): t * t * (t - 1)}
-
-
-def _take(values: NDArray[np.float64], index: Any, like: Any) -> Any:
-    """Return values at indices that are given as floats, as an array of the kind of `like`."""
-    if not dr.is_array_v(like):
-        return values[np.asarray(index, np.int64)]
-    kind = type(like)
-    return dr.gather(kind, drjit_array(kind, values), dr.uint32_array_t(kind)(index))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -30,6 +31,8 @@ class MicrolensShape(PlainData, ABC):
 
     form: ClassVar[str]
     kinds: ClassVar[dict[str, type[MicrolensShape]]] = {}
+    is_parabolic: ClassVar[bool] = False
+    """Whether the phase is a parabola, whose diffraction orders have a closed form, and which may turn slopes."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -67,6 +70,19 @@ class MicrolensShape(PlainData, ABC):
     def power(self) -> float:
         """Power at the d line (587.6 nm): the reciprocal of the focal length in air, in 1/mm."""
 
+    def lens_waves(self, lattice: Lattice, x: Any, y: Any, focal_length: Any, wavelength: float) -> Any:
+        """Return the phase in waves of lenses of some focal lengths in air, which scale the path.
+
+        Offsets are given in the camera frame, and the lattice has the rotation of the lenses.
+        """
+        return self.waves(*lattice.to_frame(x, y), wavelength) * (1 / self.power / focal_length)
+
+    def deflection(self, lattice: Lattice, x: Any, y: Any, focal_length: Any) -> tuple[Any, Any]:
+        """Return the changes of direction at the d line by lenses of some focal lengths; see `lens_waves`."""
+        x, y = lattice.from_frame(*self.slopes(*lattice.to_frame(x, y)))
+        weaker = 1 / self.power / focal_length
+        return x * weaker, y * weaker
+
     def covers(self, x: Any, y: Any) -> Any:
         """Return a mask of offsets, NumPy arrays, at which the shape is defined."""
         return x * x + y * y < float("inf")
@@ -82,6 +98,44 @@ class MicrolensShape(PlainData, ABC):
 
     def __str__(self) -> str:
         return short_repr(self.to_plain())
+
+
+@dataclass(frozen=True, eq=False)
+class Paraboloid(MicrolensShape):
+    r"""A thin lens of the phase :math:`-r^2 / 2 \lambda F` in waves: that of a camera without an `mla_shape`."""
+
+    form = "paraboloid"
+    is_parabolic = True
+    focal_length: Any
+
+    def waves(self, x: Any, y: Any, wavelength: float) -> Any:
+        """Return the phase in waves; see `MicrolensShape.waves`."""
+        return (x * x + y * y) * (-0.5 / (wavelength * MM_PER_NM * self.focal_length))
+
+    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+        """Return the gradient of the path; see `MicrolensShape.slopes`."""
+        return -x / self.focal_length, -y / self.focal_length
+
+    def strength(self, wavelength: float) -> float:
+        """Return 1: glass changes the focal lengths of such lenses."""
+        return 1.0
+
+    @property
+    def power(self) -> Any:
+        """The reciprocal of the focal length in air, in 1/mm."""
+        return 1 / self.focal_length
+
+    def lens_waves(self, lattice: Lattice, x: Any, y: Any, focal_length: Any, wavelength: float) -> Any:
+        """Return the phase in waves of other focal lengths; see `MicrolensShape.lens_waves`."""
+        return Paraboloid(focal_length).waves(x, y, wavelength)
+
+    def deflection(self, lattice: Lattice, x: Any, y: Any, focal_length: Any) -> tuple[Any, Any]:
+        """Return the deflection by other focal lengths; see `MicrolensShape.deflection`."""
+        return Paraboloid(focal_length).slopes(x, y)
+
+
+# Cameras state it by its focal length alone.
+del MicrolensShape.kinds[Paraboloid.form]
 
 
 def known_shape(value: Any, resolve: Callable[[str], str] = str) -> MicrolensShape | None:

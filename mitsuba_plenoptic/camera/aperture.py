@@ -28,7 +28,7 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
-from ..runtime import PlainData, drjit_array, known_record, module_of, select
+from ..runtime import PlainData, known_record, module_of, select, take
 
 _BLADES = 3, 64
 """Fewest and most blades."""
@@ -191,12 +191,7 @@ class Aperture(PlainData):
         column, row = (
             module.minimum(module.maximum(module.floor((place + 1) * (count / 2)), 0), count - 1) for place in (x, y)
         )
-        index, values = row * count + column, self.transmission.ravel()
-        if module is np:
-            found: Any = values[np.asarray(index, np.int64)]
-        else:
-            found = dr.gather(type(x), drjit_array(type(x), values), dr.uint32_array_t(type(x))(index))
-        return select(x * x + y * y <= 1, found, 0.0)
+        return select(x * x + y * y <= 1, take(self.transmission.ravel(), row * count + column), 0.0)
 
     def draws(self) -> Callable[[Any], tuple[Any, Any]]:
         """Return a map from the unit square to the cells, in which points may be beyond the circle."""

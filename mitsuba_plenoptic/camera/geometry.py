@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ..array import NO_LATTICE, Displacement, Lattice, make_lattice
+from ..array import NO_LATTICE, Displacement, Lattice, Lenslet, MicrolensShape, Paraboloid, make_lattice
+from ..array.lens_shifts import deviates
 from ..errors import InputError, refuse_if
 from ..prescription import Prescription
 from ..prescription.collimator import Collimator
 from ..prescription.lens_data import THIN, LensData, defocus_factor, even_count
 from ..prescription.objective import Objective
+from ..runtime import take
 from .aperture import Apodised, Opening, Round
 from .entry import record
 from .parameters import CameraParameters
@@ -66,6 +69,19 @@ class CameraGeometry(CameraParameters):
         """The aperture over the pupil's radius: blades, a picture, an apodised disc, or a disc."""
         apodised = Apodised(*self.pupil_apodisation) if any(self.pupil_apodisation) else Round()
         return self.aperture_blades or self.aperture_image or apodised
+
+    @property
+    def has_even_pupil(self) -> bool:
+        """Whether all of the pupil's disc is equally open to all places of the array."""
+        return self.aperture == Round() and self.vignetting is None
+
+    def pupil_power(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> Any:
+        """Return the part of the power that passes pupil points, over its radius, to places of the array.
+
+        It is the product of all layers: blades, a picture or an apodisation, and vignetting.
+        """
+        power = self.aperture.power(*pupil)
+        return power if self.vignetting is None else power * self.vignetting.power(*pupil, *place)
 
     @property
     def f_number(self) -> float:
@@ -123,6 +139,39 @@ class CameraGeometry(CameraParameters):
             aperture=self.mla_aperture,
             fill=self.mla_fill,
             displacement=self.displacement(self.detector_distance),
+        )
+
+    @cached_property
+    def microlens(self) -> MicrolensShape:
+        """The shape of the microlenses, a paraboloid where no `mla_shape` is given."""
+        return self.mla_shape or Paraboloid(self.reduced_focal_lengths[0])
+
+    def array_height(self, x: Any, y: Any) -> Any:
+        """Return the height in mm of a tilted array at a position: towards the main lens, relative to the axis."""
+        across, up = (math.tan(math.radians(angle)) for angle in self.mla_tilt)
+        return x * across + y * up if across or up else 0.0
+
+    def focal_factor(self, i: Any, j: Any) -> Any:
+        """Return the factor on the focal length of an irregular lens."""
+        return 1 + self.mla_jitter[1] * deviates(self.mla_seed, i, j)[2]
+
+    def lenslet(self, i: Any, j: Any, lattice: Lattice | None = None, focal_lengths: Any = None) -> Lenslet:
+        """Return the lenses of some indices, floats, NumPy or Dr.Jit arrays.
+
+        A lattice, and one focal length in air or one for each type of lens, may stand for the camera's own.
+        """
+        lattice = self.lattice if lattice is None else lattice
+        focal_length = np.array(self.reduced_focal_lengths) if focal_lengths is None else focal_lengths
+        centre = lattice.centre(i, j)
+        if len(self.mla_focal_lengths) > 1:
+            focal_length = take(focal_length, lattice.lens_type(i, j))
+        elif isinstance(focal_length, np.ndarray):
+            focal_length = float(focal_length[0])
+        if self.mla_jitter[1]:
+            focal_length = focal_length * self.focal_factor(i, j)
+        table = self.mla_transmissions
+        return Lenslet(
+            centre, focal_length, self.array_height(*centre), 1.0 if table is None else table.at(lattice, i, j)
         )
 
     def displacement(self, detector_distance: Any) -> Displacement | None:

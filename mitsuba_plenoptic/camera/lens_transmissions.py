@@ -6,13 +6,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import drjit as dr
-import numpy as np
-
 from ..array import Lattice
 from ..array.sampled_grid import read_samples
 from ..errors import put, refuse_if, require_count, require_pair, suggest_keywords
-from ..runtime import PlainData, drjit_array, known_record, module_of, select
+from ..runtime import PlainData, known_record, module_of, select, take
 
 _LARGEST, _BRIGHTEST = 4096, 4.0
 """Most rows and columns of a table, and the largest value."""
@@ -87,12 +84,7 @@ class LensTransmissions(PlainData):
         along = i + module.floor(j / 2) if lattice.stagger == 2 else i
         column, row = along - self.first[0], j - self.first[1]
         inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-        index, values = select(inside, row * columns + column, 0), self.values.ravel()
-        if module is np:
-            found: Any = values[np.asarray(index, np.int64)]
-        else:
-            found = dr.gather(type(i), drjit_array(type(i), values), dr.uint32_array_t(type(i))(index))
-        return select(inside, found, 1.0)
+        return select(inside, take(self.values.ravel(), select(inside, row * columns + column, 0)), 1.0)
 
     def __repr__(self) -> str:
         rows, columns = self.values.shape

@@ -37,10 +37,13 @@ from ..extension import Displayed, missing
 from ..prescription.lens_data import SINGLE, THIN, LensData, image_distance
 from ..presets import PRESETS
 from .documentation import numpy_section, signature
-from .entry import record
+from .entry import one_if_equal, record
 from .geometry import NO_ARRAY_HERE, CameraGeometry
 from .matched import MATCHED, behind_pupil, require_enough
 from .parameters import PARAMETERS
+
+_PLACES = 33
+"""Places across a crop at which shifts to chief rays are fitted."""
 
 
 def checked_values(given: dict[str, Any]) -> dict[str, Any]:
@@ -134,8 +137,7 @@ def require_whole(camera: CameraGeometry) -> None:
             entry.fit(camera)
     reach = np.hypot(*(np.abs(camera.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
     if camera.has_array:
-        if camera.mla_shape is not None:
-            require_cover(camera.mla_shape, camera.lattice)
+        require_cover(camera.microlens, camera.lattice)
         require_small_warp(camera)
         rise = reach * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt)))
         refuse_if(
@@ -548,6 +550,28 @@ class PlenopticCamera(CameraGeometry, Displayed):
         if self.prescription is not None and math.isclose(self.aperture_radius, widest, rel_tol=SINGLE):
             old.add("aperture_radius")
         return old | ({"aperture_radius", *new} - self._given)
+
+    @property
+    def regular(self) -> PlenopticCamera:
+        """The camera without `mla_cra` whose regular lenses are nearest to the shifted ones above recorded pixels.
+
+        Point spreads and reconstructions, which know regular arrays only, use it. Its `mla_pitch` and `mla_offset`
+        minimise the mean square distance from the lenses.
+        """
+        if not self.mla_cra:
+            return self
+        edges = (self.pixel_coordinates(axis)[[0, -1]] + 0.5 * self.pixel_size * np.array([-1, 1]) for axis in (0, 1))
+        place = np.stack(np.meshgrid(*(np.linspace(low, high, _PLACES) for low, high in edges)))
+        shifts = Displacement(chief_rays=self.mla_cra, distance=self.detector_distance, medium=self.mla_medium)
+        shift = np.stack(shifts.smooth(*place))
+        middle, moved = place.mean((1, 2)), shift.mean((1, 2))
+        about = place - middle[:, None, None]
+        stretch = 1 + (about * shift).sum() / (about**2).sum()
+        return self.replace(
+            mla_cra=(),
+            mla_pitch=one_if_equal(tuple((stretch * np.array(self.mla_pitches)).tolist())),
+            mla_offset=tuple((stretch * (np.array(self.mla_offset) - middle) + middle + moved).tolist()),
+        )
 
     @property
     def is_dispersive(self) -> bool:

@@ -493,7 +493,7 @@ def crosstalk_defocus(camera: PlenopticCamera) -> float:
 
 def turns_cosines(camera: PlenopticCamera) -> bool:
     """Return whether the microlenses turn direction cosines of rays, not slopes."""
-    return camera.lens_model != "ideal" or camera.mla_shape is not None
+    return camera.lens_model != "ideal" or not camera.microlens.is_parabolic
 
 
 def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
@@ -527,11 +527,7 @@ def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
     for (row, radius), f2 in itertools.product(enumerate(radii), camera.reduced_focal_lengths):
         slope = lens.pupil.slope(pupil, radius * away + offset)
         cosine = slope / np.sqrt(1 + (slope**2).sum(0))
-        turn = offset / f2
-        if camera.mla_shape is not None:
-            slopes = camera.mla_shape.slopes(*camera.lattice.to_frame(*offset))
-            turn = -np.stack(camera.lattice.from_frame(*slopes))
-        behind = (cosine + turn) / n
+        behind = (cosine - np.stack(camera.microlens.deflection(camera.lattice, *offset, f2))) / n
         square = (behind**2).sum(0)
         # The rest is reflected totally.
         passes = square < 1

@@ -20,48 +20,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array import Displacement
-from ..array.lens_shifts import MOST_DEVIATIONS, deviates
-from ..camera import PlenopticCamera, one_if_equal
+from ..array.lens_shifts import MOST_DEVIATIONS
+from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics.waves import in_millimetres
 from ..runtime import drjit_array, module_of
-
-
-def irregularities(camera: PlenopticCamera, i: Any, j: Any) -> tuple[Any, Any, Any]:
-    """Return the displacements of lenses along x and y, in millimetres, and the factors on their focal lengths."""
-    (place, focal), (x, y, f) = camera.mla_jitter, deviates(camera.mla_seed, i, j)
-    return place * x, place * y, 1 + focal * f
-
-
-_PLACES = 33
-"""Places across a crop at which shifts to chief rays are fitted."""
-
-
-def regular_array(camera: PlenopticCamera) -> PlenopticCamera:
-    """Return a camera without `mla_cra` whose regular lenses are nearest to the shifted ones above recorded pixels.
-
-    Point spreads and reconstructions, which know regular arrays only, use this camera. Its `mla_pitch` and `mla_offset`
-    minimise the mean square distance from the lenses.
-    """
-    if not camera.mla_cra:
-        return camera
-    edges = (camera.pixel_coordinates(axis)[[0, -1]] + 0.5 * camera.pixel_size * np.array([-1, 1]) for axis in (0, 1))
-    place = np.stack(np.meshgrid(*(np.linspace(low, high, _PLACES) for low, high in edges)))
-    shift = np.stack(
-        Displacement(chief_rays=camera.mla_cra, distance=camera.detector_distance, medium=camera.mla_medium).smooth(
-            *place
-        )
-    )
-    middle, moved = place.mean((1, 2)), shift.mean((1, 2))
-    about = place - middle[:, None, None]
-    stretch = 1 + (about * shift).sum() / (about**2).sum()
-    return camera.replace(
-        mla_cra=(),
-        mla_pitch=one_if_equal(tuple((stretch * np.array(camera.mla_pitches)).tolist())),
-        mla_offset=tuple((stretch * (np.array(camera.mla_offset) - middle) + middle + moved).tolist()),
-    )
-
 
 _COSINES = 32
 """Count of cosines."""
@@ -203,7 +166,7 @@ class LensKinds:
         camera, types = self.camera, len(self.camera.mla_focal_lengths)
         kind = mi.UInt32(camera.lattice.lens_type(i, j)) if types > 1 else mi.UInt32(0)
         if len(self._ratios) > 1:
-            kind += types * _nearest(irregularities(camera, i, j)[2], self._ratios)
+            kind += types * _nearest(camera.focal_factor(i, j), self._ratios)
         if len(self._heights) > 1:
             kind += types * len(self._ratios) * _nearest(height, self._heights)
         return kind

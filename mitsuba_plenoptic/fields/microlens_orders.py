@@ -46,7 +46,7 @@ from ..array import Lattice, turn
 from ..camera import PlenopticCamera
 from ..optics.waves import in_millimetres
 from ..runtime import array_module, backend_of, check_memory, drjit_array, empty_packets, fft
-from .microlenses import factor_axes, from_centre, transmission
+from .microlenses import factor_axes, opaque_lattice, transmission
 
 _FLAT = 1e4
 """Focal length, in millimetres, of a lens without noticeable phase."""
@@ -265,9 +265,13 @@ class PlaneFactor(ArrayFactor):
         )
         samples = transmission(centred, self._wavelength, x, y)
         if power:
-            *offset, which = from_centre(centred, x, y)
-            factor = types.Float((offset[axis] / dr.opaque(types.Float64, centred.mla_pitches[axis])) ** power)
-            samples *= factor if lens_type is None else dr.select(which == lens_type, factor, 0)
+            lattice = opaque_lattice(centred, types)
+            cell = lattice.cell(x, y)
+            offset = (x, y)[axis] - lattice.centre(*cell)[axis]
+            factor = types.Float((offset / dr.opaque(types.Float64, centred.mla_pitches[axis])) ** power)
+            if lens_type is not None and len(centred.mla_focal_lengths) > 1:
+                factor = dr.select(lattice.lens_type(*cell) == lens_type, factor, 0)
+            samples *= factor
         packed = fft.pack(samples)
         return np.asarray(backend_of(packed).to_host(fft.as_field(packed, tuple(shape))))
 

@@ -9,7 +9,6 @@ represent the steep orders from the edges, orders are used instead: see `microle
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import drjit as dr
@@ -18,9 +17,9 @@ from numpy.typing import NDArray
 
 from ..array import Lattice, make_lattice, turn
 from ..camera import PlenopticCamera
-from ..optics.waves import in_millimetres, parabola, phasor
+from ..optics.waves import in_millimetres, phasor
 from ..runtime import fft
-from .lens_kinds import FigureError, irregularities
+from .lens_kinds import FigureError
 
 _HARD_EDGES = 1.4
 """Directions that are retained for apertures with a dark surround, over those for lenses without gaps."""
@@ -37,7 +36,7 @@ _STEEPEST = 0.7
 
 def is_separable(camera: PlenopticCamera) -> bool:
     """Return whether the transmission is a product of a function of x and a function of y."""
-    return camera.lattice.separable and len(camera.mla_focal_lengths) == 1 and camera.mla_shape is None
+    return camera.lattice.separable and len(camera.mla_focal_lengths) == 1 and camera.microlens.is_parabolic
 
 
 def factor_axes(camera: PlenopticCamera) -> list[tuple[int, ...]]:
@@ -71,38 +70,23 @@ def upright(camera: PlenopticCamera) -> PlenopticCamera:
 
 def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> Any:
     """Return the transmission with all orders, as Complex2f, at Dr.Jit float64 positions in millimetres."""
-    dx, dy, which = from_centre(camera, x, y)
     types = fft.array_types(x)
-    lattice, longer = _opaque_lattice(camera, types), 1.0
+    lattice, lengths = opaque_lattice(camera, types), types.Float64(camera.reduced_focal_lengths)
+    dr.make_opaque(lengths)
+    cell = lattice.cell(x, y)
+    lens = camera.lenslet(*cell, lattice, lengths)
+    offset = x - lens.centre[0], y - lens.centre[1]
     # The light of each cell passes its own lens, wherever this lies; displaced cells have no gaps between them.
     u, v = (x, y) if lattice.displacement is None else lattice.displacement.regular(x, y)
-    cx, cy = lattice.regular.centre(*lattice.cell(x, y))
+    cx, cy = lattice.regular.centre(*cell)
     inside = lattice.in_aperture(u - cx, v - cy)
-    if camera.mla_jitter[1]:
-        longer = types.Float64(irregularities(camera, *lattice.cell(x, y))[2])
-    if camera.mla_shape is not None:
-        waves = camera.mla_shape.waves(*lattice.to_frame(dx, dy), wavelength) / longer
-    else:
-        lengths = types.Float64(camera.reduced_focal_lengths)
-        dr.make_opaque(lengths)
-        focal_length = dr.gather(types.Float64, lengths, which) * longer
-        waves = parabola(dx * dx + dy * dy, focal_length, wavelength)
-    if (error := FigureError.of(camera) if any(camera.mla_figure_error) else None) is not None:
+    waves = camera.microlens.lens_waves(lattice, *offset, lens.focal_length, wavelength)
+    if (error := FigureError.of(camera)) is not None:
         waves += error.path(x, y) / in_millimetres(wavelength)
     return dr.select(inside, phasor(waves), 0)
 
 
-def from_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any, Any]:
-    """Return the offsets of Dr.Jit float64 positions from the centres of their lenses, and the types of the lenses."""
-    types = fft.array_types(x)
-    lattice = _opaque_lattice(camera, types)
-    i, j = lattice.cell(x, y)
-    cx, cy = lattice.centre(i, j)
-    several = len(camera.mla_focal_lengths) > 1
-    return x - cx, y - cy, types.UInt32(lattice.lens_type(i, j)) if several else types.UInt32(0)
-
-
-def _opaque_lattice(camera: PlenopticCamera, types: Any) -> Lattice:
+def opaque_lattice(camera: PlenopticCamera, types: Any) -> Lattice:
     """Return the lattice with numbers that are not compiled into kernels, for positions in Dr.Jit arrays."""
     given = [*camera.mla_pitches, camera.mla_rotation, *camera.mla_offset, camera.mla_fill]
     along, across, rotation, x, y, fill = (dr.opaque(types.Float64, number) for number in given)
@@ -121,11 +105,8 @@ def _opaque_lattice(camera: PlenopticCamera, types: Any) -> Lattice:
 def bend(camera: PlenopticCamera) -> float:
     """Return the largest change of a direction cosine by a microlens, along an axis: :math:`n D_2 / 2 f_2`."""
     lattice = camera.lattice
-    if camera.mla_shape is not None:
-        slopes = np.hypot(*camera.mla_shape.slopes(*lattice.to_frame(*aperture_points(lattice))))
-        return float(slopes.max()) * (math.sqrt(0.5) if lattice.has_upright_apertures else 1)
-    half = lattice.aperture_width / 2 if lattice.has_upright_apertures else lattice.aperture_reach
-    return float(half) / min(camera.reduced_focal_lengths)
+    slopes = np.abs(camera.microlens.deflection(lattice, *aperture_points(lattice), min(camera.reduced_focal_lengths)))
+    return float(slopes.max() if lattice.has_upright_apertures else np.hypot(*slopes).max())
 
 
 def aperture_points(lattice: Lattice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

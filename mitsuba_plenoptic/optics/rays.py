@@ -20,7 +20,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..prescription.lens_data import defocus_factor
-from ..runtime import drjit_array, rsqrt
+from ..runtime import drjit_array, module_of, rsqrt, take
 
 Pair = tuple[Any, Any]
 """x and y of slopes or direction cosines."""
@@ -172,32 +172,29 @@ _ANGLES = 1025
 """Angles in the table."""
 
 
-def pixel_response(pairs: tuple[float, ...], absorption: float) -> Callable[[Any, Any], Any] | None:
-    """Return a function of lateral path and depth in a medium that gives pixels' response; None if it is always 1.
+def second_leg(pairs: tuple[float, ...], absorption: float, kind: Any = None) -> Callable[[Any, Any], Any]:
+    """Return a function of lateral path and depth behind the lenses that gives the part of the power that counts.
 
-    Parameters
-    ----------
-    pairs : floats
-        Angles of incidence in degrees and the responses there, in turn, of which the last is the steepest; or none.
-    absorption : float
-        Absorption coefficient of the medium in 1/mm, for the law of Beer and Lambert.
+    `pairs` are angles of incidence in degrees and the responses of pixels there, in turn, of which the last is the
+    steepest, or none; `absorption` is the medium's coefficient in 1/mm, for the law of Beer and Lambert. `kind` is the
+    type of the paths' arrays: of Dr.Jit, by default the active variant's, or of NumPy.
     """
-    if not pairs and not absorption:
-        return None
-    table: Any = None
-    if pairs:
-        fine = np.linspace(0, pairs[-2], _ANGLES)
-        table = drjit_array(mi.Float, np.interp(fine, pairs[::2], pairs[1::2]))
+    fine = np.linspace(0, pairs[-2] if pairs else 90, _ANGLES)
+    table: Any = np.interp(fine, pairs[::2], pairs[1::2]) if pairs else None
+    if pairs and kind is not np.ndarray:
+        table = drjit_array(kind or mi.Float, table)
         dr.make_opaque(table)
-        step = math.radians(float(fine[1]))
+    step = math.radians(float(fine[1]))
 
-    def response(aside: Any, depth: Any) -> Any:
-        transmitted = dr.exp(-absorption * dr.hypot(aside, depth)) if absorption else 1.0
-        if table is None:
-            return transmitted
-        position = dr.clip(dr.atan(aside / depth) / step, 0, _ANGLES - 1)
-        low = mi.UInt32(dr.minimum(dr.floor(position), _ANGLES - 2))
-        first, second = dr.gather(mi.Float, table, low), dr.gather(mi.Float, table, low + 1)
-        return (first + (position - mi.Float(low)) * (second - first)) * transmitted
+    def power(aside: Any, depth: Any) -> Any:
+        module = module_of(aside)
+        passed = module.exp(-absorption * module.hypot(aside, depth)) if absorption else 1.0
+        if not pairs:
+            return passed
+        angle = (dr.atan if module is dr else np.arctan)(aside / depth)
+        position = module.clip(angle / step, 0, _ANGLES - 1)
+        low = module.minimum(module.floor(position), _ANGLES - 2)
+        first, second = take(table, low), take(table, low + 1)
+        return (first + (position - low) * (second - first)) * passed
 
-    return response
+    return power

@@ -13,7 +13,6 @@ from ..camera import PlenopticCamera, Use, has_small_lenses, require_support
 from ..detector.operator import SHARP
 from ..errors import InputError, naming, refuse_if, require_accuracy
 from ..extension import hook
-from ..fields.lens_kinds import regular_array
 from ..optics import colour, guards
 from ..optics.spectrum import Spectrum
 from ..points.accuracy import DEFAULT_ACCURACY
@@ -278,7 +277,7 @@ def make_class() -> type:
             if self.method == SIGNED_RAYS:
                 return self._signed(scene, sensor)
             # The film records what the detector makes of the light.
-            camera = regular_array(PlenopticCamera.from_sensor(sensor)).replace(**SHARP)
+            camera = PlenopticCamera.from_sensor(sensor).regular.replace(**SHARP)
             require_support(camera, Use.SCENE_POINTS)
             spectrum, upsampling = self.spectrum_of(scene, sensor), None
             if mi.is_spectral:

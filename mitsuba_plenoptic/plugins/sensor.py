@@ -18,7 +18,7 @@ from ..extension import entries, place
 from ..lenses.common import main_lens
 from ..lenses.pupil import Pair
 from ..lenses.real_lens import RealLens
-from ..optics.rays import pixel_response
+from ..optics.rays import second_leg
 from ..rays.sensor_rays import CameraRays, rays_of
 from ..runtime import require_unfrozen
 from ..scene.radiance import world_ray
@@ -188,7 +188,7 @@ def make_class() -> type:
             self._rays = rays_of(self.camera, numbers)
             if hasattr(self.film(), "detector"):
                 self.film().detector = DetectorOperator.of(self.camera)
-            self._response = pixel_response(self.pixel_response, self.mla_absorption or 0.0)
+            self._second_leg = second_leg(self.pixel_response, self.mla_absorption or 0.0)
             tables = (
                 place(package, text)(getattr(self, name))
                 for package, name, text in entries("responses")
@@ -255,9 +255,7 @@ def make_class() -> type:
                 weight = weight * mi.Spectrum(response)
             else:
                 passage, (point, slope, open_), share, path = rays.draw((px, py), lens_sample, light)
-                weight = weight * share
-                if self._response is not None:
-                    weight = weight * self._response(*path)
+                weight = weight * share * self._second_leg(*path)
             open_ &= active
             ray = world_ray(self, point, slope)
             # A ray of zero length hits nothing: it is cheap, and the depth and normals of dark pixels remain 0.

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from ..camera import NOT_ROUND, PlenopticCamera, Round, Use, require_support
 from ..detector.operator import SHARP, DetectorOperator
 from ..errors import InputError, refuse_if, require_choice, require_flag, require_wavelength, suggest_keywords
-from ..fields.lens_kinds import regular_array
 from ..fields.optical_system import OpticalSystem
 from ..io import digest
 from ..optics import guards
@@ -113,7 +112,7 @@ class CaptureOperator(CoherentPoints):
     ) -> None:
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
-        camera = regular_array(camera)
+        camera = camera.regular
         # An aperture that is not round is the power of every point's light over the pupil. The detector acts on sums.
         open_ = camera.replace(**NOT_ROUND, **SHARP)
         self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))

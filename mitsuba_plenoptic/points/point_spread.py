@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Use, require_camera, require_support
 from ..errors import InputError, refuse_if, require_choice, require_wavelength, suggest_keywords
-from ..fields.lens_kinds import regular_array
 from ..fields.optical_system import OpticalSystem
 from ..optics import guards
 from ..runtime import POINTS, Job, Threads, as_array, one_at_a_time
@@ -95,7 +94,7 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
         wavelength = require_wavelength(wavelength)
         point = _check(camera, position)
         require_support(camera, Use.POINT_FIELDS)
-        camera = regular_array(camera).at_wavelength(wavelength)
+        camera = camera.regular.at_wavelength(wavelength)
         return full_field.point_fields(OpticalSystem(camera, wavelength), point)
 
 

@@ -42,9 +42,9 @@ def ray_spread(camera: PlenopticCamera, point: NDArray[np.float64]) -> NDArray[n
         landed: Any = place
         if walk is not None:
             i, j = walk.lattice.cell(*place)
-            centre, focal_length = walk.lens_at(i, j)
-            power *= walk.transmission(i, j) * walk.lattice.in_aperture(place[0] - centre[0], place[1] - centre[1])
-            landed, _ = walk.onto_detector(pupil, Passage((place[0], place[1]), centre, focal_length))
+            lens = walk.lenslet(i, j)
+            power *= lens.gain * walk.lattice.in_aperture(place[0] - lens.centre[0], place[1] - lens.centre[1])
+            landed, _ = walk.onto_detector(pupil, Passage((place[0], place[1]), lens))
         column, row = (
             np.floor(p / camera.pixel_size + size / 2 - offset).astype(np.int64)
             for p, size, offset in zip(landed, camera.resolution, camera.crop_offset, strict=True)

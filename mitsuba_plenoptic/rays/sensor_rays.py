@@ -22,7 +22,6 @@ from ..design.quantities import (
     crosstalk_reach,
     turns_cosines,
 )
-from ..fields.lens_kinds import irregularities
 from ..lenses.common import main_lens
 from ..lenses.main_lens import Traced
 from ..lenses.pupil import Pair
@@ -291,17 +290,18 @@ class CameraRays(Walk):
         """Return rays through points of lenses, which are drawn from those around chief rays."""
         passage, _, tried = self.pass_array(pixel, sample, self.around)
         if light is not None:
-            passage = passage._replace(focal_length=passage.focal_length * light.mla_ratio)
+            lens = passage.lens._replace(focal_length=passage.lens.focal_length * light.mla_ratio)
+            passage = passage._replace(lens=lens)
         traced = self.trace(pixel, passage)
         aside = dr.hypot(*(m - p for m, p in zip(passage.point, pixel, strict=True)))
         before, even, _ = self.out_of_array(pixel, passage)
-        weight = tried * even * self.passed(passage.point, before, self.height(*passage.centre))
+        weight = tried * even * self.passed(passage.point, before, passage.lens.height)
         return RandomRays(passage, traced, weight, (aside, self.detector_distance))
 
     def chief(self, pixel: Pair) -> Traced:
         """Return traced rays from detector points through the centres of their chief rays' lenses."""
         passage, *_ = self.pass_array(pixel, mi.Point2f(0.5), Candidates([mi.Float(0), mi.Float(0)]))
-        return self.trace(pixel, passage._replace(point=passage.centre))
+        return self.trace(pixel, passage._replace(point=passage.lens.centre))
 
     def missed(self, pixel: Pair, sample: Any) -> float:
         """Return the part of the light of detector points through lenses that are not tried, by one ray from each."""
@@ -348,11 +348,11 @@ class CameraRays(Walk):
         """Return whether lenses are close enough to the chief rays' points to be tried."""
         if candidates.limits is None:
             return mi.Bool(True)
-        (x, y), _ = self.lens_at(i, j)
+        x, y = self.lattice.centre(i, j)
         towards = x - chief[0], y - chief[1]
         limit = candidates.limit(chief, towards)
         if self.camera.mla_jitter[1]:
-            limit += abs(1 - 1 / irregularities(self.camera, i, j)[2]) * candidates.defocus
+            limit += abs(1 - 1 / self.camera.focal_factor(i, j)) * candidates.defocus
         return dr.hypot(*towards) <= limit
 
     def _draw(self, candidates: Candidates, chief: Pair, cell: Pair, sample: Any) -> tuple[Pair, Any, Any, Any]:
@@ -387,9 +387,9 @@ class CameraRays(Walk):
         """
         chief, cell = self.chief_cell(pixel)
         (i, j), within, candidate, tried = self._draw(candidates, chief, cell, lens_sample[0])
-        (cx, cy), f2 = self.lens_at(i, j)
+        lens = self.lenslet(i, j)
         dx, dy = self.lattice.aperture_point(within, lens_sample[1])
-        return Passage((cx + dx, cy + dy), (cx, cy), f2), candidate, tried * self.transmission(i, j)
+        return Passage((lens.centre[0] + dx, lens.centre[1] + dy), lens), candidate, tried * lens.gain
 
     def pass_pixel_lens(self, pixel: Pair, pixel_size: Any, pupil_sample: Any) -> tuple[Pair, Pair, Pair, Any]:
         """Return random points of the lenses above detector points, and random points of the pupil.
@@ -405,12 +405,12 @@ class CameraRays(Walk):
             index.append(dr.floor((whole + 0.5) / 2))
             side.append(whole - 2 * index[axis])
             within.append(position - whole)
-        (cx, cy), _ = self.lens_at(*index)
+        lens = self.lenslet(*index)
         dx, dy = self.lattice.aperture_point(*within)
-        point = cx + dx, cy + dy
+        point = lens.centre[0] + dx, lens.centre[1] + dy
         x, y = mi.warp.square_to_uniform_disk(pupil_sample)
         slope = tuple(self.lens.pupil.slope(self.lens.reach * P, m) for P, m in zip((x, y), point, strict=True))
-        return point, slope, (side[0], side[1]), self.transmission(*index)
+        return point, slope, (side[0], side[1]), lens.gain
 
 
 def rays_of(camera: PlenopticCamera, numbers: dict[str, Any]) -> CameraRays | OrdinaryRays:

@@ -7,7 +7,6 @@ arrays, whose gradients it propagates. `optics.rays` has the formulas and the sy
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple, cast
@@ -16,10 +15,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..array import Lattice
-from ..camera import PlenopticCamera, Round
+from ..array import Lattice, Lenslet
+from ..camera import PlenopticCamera
 from ..design.quantities import turns_cosines
-from ..fields.lens_kinds import FigureError, irregularities
+from ..fields.lens_kinds import FigureError
 from ..fields.optical_system import OpticalSystem
 from ..lenses.common import chief_points, main_lens
 from ..lenses.main_lens import MainLens, Traced
@@ -33,14 +32,10 @@ _LANES = 2**22
 
 
 class Passage(NamedTuple):
-    """The passage of rays through the microlens array: a point of a lens, the lens's centre and its focal length.
-
-    The focal length is reduced by the index of the medium behind the array.
-    """
+    """The passage of rays through the microlens array."""
 
     point: Pair
-    centre: Pair
-    focal_length: Any
+    lens: Lenslet
 
 
 @dataclass(frozen=True)
@@ -88,14 +83,13 @@ class PupilWalk:
 
     def passed(self, position: Pair, slope: Pair, height: Any = 0.0) -> Any:
         """Return the part of the power of rays from array positions that passes an uneven or vignetted aperture."""
-        aperture, vignetting = self.camera.aperture, self.camera.vignetting
-        if aperture == Round() and vignetting is None:
+        if self.camera.has_even_pupil:
             return 1.0
         pupil = tuple(self.lens.pupil.point(m, t, height) for m, t in zip(position, slope, strict=True))
         # The map to the round pupil is that of a lens of plain numbers.
         plain = PupilWalk(self.camera, OpticalSystem.by_design(self.camera).lens)
         x, y = (place / self.camera.pupil_radius for place in plain.inner((pupil[0], pupil[1]), position))
-        return aperture.power(x, y) * (1.0 if vignetting is None else vignetting.power(x, y, *position))
+        return self.camera.pupil_power((x, y), position)
 
     @functools.cached_property
     def _round_pupil(self) -> Any:
@@ -126,50 +120,23 @@ class Walk(PupilWalk):
 
     # -- the array -----------------------------------------------------------------------------------
 
-    def height(self, x: Any, y: Any) -> Any:
-        """Return the height in mm of a tilted array at a position: towards the main lens, relative to the axis."""
-        across, up = (math.tan(math.radians(angle)) for angle in self.camera.mla_tilt)
-        return x * across + y * up if across or up else 0.0
-
     def chief_cell(self, pixel: Pair) -> tuple[Pair, Pair]:
         """Return where the chief rays of detector points cross the array, and the indices of the lenses there."""
         x, y = chief_points(self.lens, pixel, self.detector_distance, self.medium)
         if any(self.camera.mla_tilt):
-            height = self.height(x, y)
+            height = self.camera.array_height(x, y)
             x, y = x + height * self.lens.pupil.slope(0.0, x), y + height * self.lens.pupil.slope(0.0, y)
         return (x, y), self.lattice.cell(x, y)
 
-    def lens_at(self, i: Any, j: Any) -> tuple[Pair, Any]:
-        """Return the centres of lenses, irregular ones too, and the focal lengths, reduced by the medium's index."""
-        centre, f2 = self.lattice.centre(i, j), self.focal_lengths / self.medium
-        if np.size(f2) == 1 if isinstance(f2, np.ndarray) else dr.width(f2) == 1:
-            f2 = float(f2[0]) if isinstance(f2, np.ndarray) else f2
-        elif dr.is_array_v(centre[0]):
-            kind, lane = self.lattice.lens_type(i, j), type(centre[0])
-            f2 = dr.gather(lane, f2 if dr.is_array_v(f2) else drjit_array(lane, f2), dr.uint32_array_t(lane)(kind))
-        else:
-            f2 = f2[np.asarray(self.lattice.lens_type(i, j), int)]
-        if self.camera.mla_jitter[1]:
-            f2 = f2 * irregularities(self.camera, i, j)[2]
-        return centre, f2
-
-    def transmission(self, i: Any, j: Any) -> Any:
-        """Return the relative brightness of lenses."""
-        table = self.camera.mla_transmissions
-        return 1.0 if table is None else table.at(self.camera.lattice, i, j)
+    def lenslet(self, i: Any, j: Any) -> Lenslet:
+        """Return the lenses of some indices."""
+        return self.camera.lenslet(i, j, self.lattice, self.focal_lengths / self.medium)
 
     def turn(self, passage: Passage) -> Pair:
         """Return the changes that lenses cause in rays' direction cosines, or slopes, at given points."""
-        (mx, my), (cx, cy), f2 = passage
-        x, y, shape = mx - cx, my - cy, self.camera.mla_shape
-        if shape is None:
-            x, y = -x / f2, -y / f2
-        else:
-            # Other focal lengths, of irregular lenses and by dispersion, scale the whole path.
-            weaker = self.camera.reduced_focal_lengths[0] / f2
-            x, y = self.lattice.from_frame(*shape.slopes(*self.lattice.to_frame(x, y)))
-            x, y = x * weaker, y * weaker
-        if any(self.camera.mla_figure_error) and (error := FigureError.of(self.camera)) is not None:
+        (mx, my), ((cx, cy), focal_length, *_) = passage
+        x, y = self.camera.microlens.deflection(self.lattice, mx - cx, my - cy, focal_length)
+        if (error := FigureError.of(self.camera)) is not None:
             right, up = error.slopes(mx, my)
             x, y = x + right, y + up
         return x, y
@@ -187,9 +154,9 @@ class Walk(PupilWalk):
 
         The weights make rays from all points of the detector uniform over the pupil; see `optics.rays.evenness`.
         """
-        height = self.height(*passage.centre)
+        height = passage.lens.height
         z = self.detector_distance + height if any(self.camera.mla_tilt) else self.detector_distance
-        chief = self._chief(passage.centre, height)
+        chief = self._chief(passage.lens.centre, height)
         behind = (passage.point[0] - pixel[0]) / z, (passage.point[1] - pixel[1]) / z
         slope, emerges = rays.out_of_medium(behind, self.turn(passage), chief, self.medium)
         return slope, rays.evenness(slope, behind, chief, self.medium), emerges
@@ -197,7 +164,7 @@ class Walk(PupilWalk):
     def trace(self, pixel: Pair, passage: Passage) -> Traced:
         """Return traced rays from detector points through points of the array and through the main lens."""
         slope, _, emerges = self.out_of_array(pixel, passage)
-        point, slope, is_open = self.into_scene(passage.point, slope, self.height(*passage.centre))
+        point, slope, is_open = self.into_scene(passage.point, slope, passage.lens.height)
         return point, slope, is_open & emerges
 
     def through_centre(self, offset: Pair, height: Any) -> tuple[Pair, Any]:
@@ -213,9 +180,9 @@ class Walk(PupilWalk):
 
     def onto_detector(self, pupil: Pair, passage: Passage) -> tuple[Pair, Any]:
         """Return landing points and weights (see `out_of_array`) of rays through pupil points and an untilted array."""
-        (mx, my), centre, _ = passage
+        mx, my = passage.point
         before = self.lens.pupil.slope(pupil[0], mx), self.lens.pupil.slope(pupil[1], my)
-        chief = self._chief(centre, 0.0)
+        chief = self._chief(passage.lens.centre, 0.0)
         behind = rays.into_medium(before, self.turn(passage), chief, self.medium)
         z = self.detector_distance
         return (mx - z * behind[0], my - z * behind[1]), rays.evenness(before, behind, chief, self.medium)

@@ -31,7 +31,6 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..design import focus_type
-from ..fields.lens_kinds import irregularities
 from ..fields.optical_system import OpticalSystem, is_paraxial
 from ..optics import guards, rays
 from ..optics.waves import advance, in_millimetres, parabola, phasor, soft_edge
@@ -304,7 +303,7 @@ class LensSet:
     def batch(self, which: np.ndarray) -> LensBatch:
         """Return the batch of the lenses at the given positions."""
         tile, camera, centre = self.tile, self.tile.camera, self.centre[which]
-        z, types = camera.reduced_distance, np.array(camera.reduced_focal_lengths)
+        z = camera.reduced_distance
         axes = x, y = self._samples(which)
         along_x, along_y = (
             phasor(parabola((axis.coordinate - c[:, None]) ** 2, z, tile.wavelength))
@@ -315,7 +314,6 @@ class LensSet:
         ways = [c + tile.cell[0] - axis.coordinate[:, 0] for axis, c in zip(axes, centre.T, strict=True)]
         shift = [phasor(np.outer(way, np.fft.fftfreq(tile.padded, tile.pitch))) for way in ways]
         wave_path = in_millimetres(tile.wavelength) * camera.mla_distance
-        lens_type = camera.lattice.lens_type(*self._index[which].T) if len(types) > 1 else np.zeros(len(which))
         return LensBatch(
             bin=self.bin[which],
             aside=self._aside[which],
@@ -326,7 +324,7 @@ class LensSet:
             shift=[shift[1][:, :, None], shift[0][:, None, :]],
             # Without the direction to the main lens's centre, and without its curvature.
             tilt=[phasor((c[:, None] * tile.cell + tile.cell**2 / 2) / wave_path) for c in centre.T[::-1]],
-            focal_length=types[lens_type.astype(int)] * irregularities(camera, *self._index[which].T)[2],
+            focal_length=np.broadcast_to(camera.lenslet(*self._index[which].T).focal_length, len(which)),
             aperture=self._aperture,
         )
 

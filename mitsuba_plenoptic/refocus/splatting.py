@@ -230,11 +230,11 @@ def traced_places(
     """
     types, walk, half = array_module(), Walk.of(camera), camera.pixel_size / 2
     for rows, px, py in detector_rows(camera):
-        centre, f2 = walk.lens_at(*walk.chief_cell((px, py))[1])
+        lens = walk.lenslet(*walk.chief_cell((px, py))[1])
         lit = types.Bool(False)
         x, y = types.Float64(0), types.Float64(0)
         for across, down in ((-1, 0), (1, 0), (0, -1), (0, 1), (0, 0)):
-            traced = walk.trace((px + across * half, py + down * half), Passage(centre, centre, f2))
+            traced = walk.trace((px + across * half, py + down * half), Passage(lens.centre, lens))
             lit |= traced[2]
             x, y = on_plane(traced, distance, camera.mla_distance)
         dr.eval(x, y, lit)

@@ -34,7 +34,6 @@ from scipy.ndimage import map_coordinates, spline_filter, uniform_filter
 from ..array import Displacement
 from ..array.lens_shifts import WARP_POWERS
 from ..camera import PlenopticCamera
-from ..fields.lens_kinds import regular_array
 from ..views import white_image
 from .methods import once_a_camera
 
@@ -72,7 +71,7 @@ def straightened(camera: PlenopticCamera) -> PlenopticCamera:
     even = camera.replace(**_EVEN) if is_uneven(camera) else camera
     if camera.lattice.displacement is None and not any(camera.mla_tilt):
         return even
-    regular = regular_array(even)
+    regular = even.regular
     return regular.replace(mla_tilt=(0.0, 0.0), mla_warp=(), mla_jitter=(0.0, camera.mla_jitter[1]))
 
 
@@ -147,20 +146,19 @@ def passed_light(camera: PlenopticCamera) -> NDArray[np.float32] | None:
 def _seen(camera: PlenopticCamera, regular: PlenopticCamera) -> Iterator[tuple[slice, Any, Any]]:
     """Yield rows of the regular camera's pixels, with the columns and rows, in fractions, that the camera has there."""
     b, z, n = camera.pupil_distance, camera.reduced_distance, camera.mla_medium
-    slopes, growth = np.tan(np.deg2rad(camera.mla_tilt)), camera.image_growth
+    growth = camera.image_growth
     px, down = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
     height = max(1, _BLOCK // px.size)
     for first in range(0, down.size, height):
         p = np.meshgrid(px, down[first : first + height])
         cells = regular.lattice.cell(*(q / growth for q in p))
-        centre = camera.lattice.centre(*cells)
-        rise = sum(slope * c for slope, c in zip(slopes, centre, strict=True))
+        lens = camera.lenslet(*cells)
         # Chief rays behind an objective are parallel to the axis.
-        nearer = 1 - (growth > 1) * rise / b
-        larger = (z + rise / n) / z / nearer
+        nearer = 1 - (growth > 1) * lens.height / b
+        larger = (z + lens.height / n) / z / nearer
         places = [
             (c / nearer - larger * before) * growth + larger * q
-            for q, c, before in zip(p, centre, regular.lattice.centre(*cells), strict=True)
+            for q, c, before in zip(p, lens.centre, regular.lattice.centre(*cells), strict=True)
         ]
         x, y = (
             place / camera.pixel_size + camera.resolution[axis] / 2 - 0.5 - camera.crop_offset[axis]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import require_wavelength
-from ..optics.waves import in_millimetres, parabola
+from ..optics.waves import in_millimetres
 from ..prescription.glass import LINE_D
 from ..runtime import require_writable
 from .plots import INK, Plot, styled
@@ -45,10 +45,7 @@ def draw_microlens(path: Path, camera: PlenopticCamera, wavelength: float | None
     along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 * reach - reach
     u, v = np.meshgrid(along, along)
     inside = np.asarray(camera.lattice.in_aperture(*camera.lattice.from_frame(u, v)))
-    if camera.mla_shape is None:
-        waves = np.asarray(parabola(u * u + v * v, camera.reduced_focal_lengths[0], wavelength))
-    else:
-        waves = np.asarray(camera.mla_shape.waves(u, v, wavelength))
+    waves = np.asarray(camera.microlens.waves(u, v, wavelength))
     plot = Plot(11.2, 3.7)
     lens, section, light = plot.subplots(1, 3, width_ratios=(1.2, 1.2, 1))
     ends = 1e3 * along[0], 1e3 * along[-1]
@@ -65,10 +62,7 @@ def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:
     """Draw a section of the lens, with rays parallel to the axis to half the detector distance beyond the detector."""
     half = float(camera.lattice.aperture_width) / 2
     start = np.linspace(-1, 1, 15) * half * 0.98
-    if camera.mla_shape is None:
-        deflection = -start / camera.reduced_focal_lengths[0]
-    else:
-        deflection = camera.mla_shape.slopes(start, 0 * start)[0] * camera.mla_shape.strength(wavelength)
+    deflection = camera.microlens.slopes(start, 0 * start)[0] * camera.microlens.strength(wavelength)
     sine = np.asarray(deflection) / camera.mla_medium
     slope = sine / np.sqrt(1 - np.minimum(sine * sine, 0.999))
     z = camera.detector_distance

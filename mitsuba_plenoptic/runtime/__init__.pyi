@@ -31,6 +31,7 @@ from .backend import safe_sqrt as safe_sqrt
 from .backend import select as select
 from .backend import set_variant as set_variant
 from .backend import sqrt as sqrt
+from .backend import take as take
 from .backend import turn as turn
 from .backend import unit_of as unit_of
 from .batches import BatchMap as BatchMap

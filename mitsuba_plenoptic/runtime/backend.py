@@ -300,6 +300,15 @@ def select(condition: Any, yes: Any, no: Any) -> Any:
     return dr.select(condition, yes, no) if dr.is_array_v(condition) else np.where(condition, yes, no)
 
 
+def take(values: Any, index: Any) -> Any:
+    """Return values of a flat table at indices given as floats, as an array of the indices' type."""
+    kind = type(index)
+    if not dr.is_array_v(index):
+        return values[np.asarray(index, np.int64)]
+    table = values if dr.is_array_v(values) else drjit_array(kind, values)
+    return dr.gather(kind, table, dr.uint32_array_t(kind)(index))
+
+
 def minimum(a: Any, b: Any) -> Any:
     """Return the smaller of two numbers, plain if both are plain."""
     return min(a, b) if isinstance(a, (int, float)) else module_of(a).minimum(a, b)

@@ -12,7 +12,6 @@ import xarray as xr
 from ..camera import PlenopticCamera, Use, are_alike, require_camera, require_support
 from ..design.microscope import objective_of
 from ..errors import InputError, refuse_if, short_repr, suggest_keywords
-from ..fields.lens_kinds import regular_array
 from ..io import TRUTH_COORDINATES, Capture, GroundTruth, channel_planes, require_demosaiced
 from ..runtime import as_pixels, require_memory
 from .coordinates import DIMS, light_field
@@ -112,8 +111,7 @@ def decode(
         return lf
     planes = {TRUTH_COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
     refuse_if(
-        not are_alike(regular_array(truth.camera), camera)
-        or any(plane.shape != lf.shape[:4] for plane in planes.values()),
+        not are_alike(truth.camera.regular, camera) or any(plane.shape != lf.shape[:4] for plane in planes.values()),
         "truth: it is of another camera than the light field",
     )
     integer_types = {"shape_index": np.int32}
@@ -148,7 +146,7 @@ def checked_images(
         not cameras and grid is None,
         "camera = None: a plain array needs its camera, or the grid of its micro-images and a white image",
     )
-    upright = regular_array(require_camera(cameras[0])) if cameras else None
+    upright = require_camera(cameras[0]).regular if cameras else None
     if upright is not None and image.shape[:2] != upright.shape:
         raise InputError(f"capture of shape {image.shape[:2]}: the camera records {upright.shape}")
     if upright is not None:

@@ -13,7 +13,6 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..choices import QUANTITIES
 from ..errors import refuse_if, suggest_keywords
-from ..fields.lens_kinds import regular_array
 from ..io import GroundTruth, require_quantities
 from ..runtime import drjit_array, one_at_a_time, require_memory
 from ..scene.render_capture import plenoptic_sensor
@@ -189,7 +188,7 @@ def _rays_of_views(
     camera: PlenopticCamera, sensor: Any
 ) -> tuple[tuple[int, int, int, int], Callable[[Any], tuple[Any, Any]]]:
     """Return the shape (v, u, t, s) of the light field of a camera, and the rays of its samples by their indices."""
-    regular = regular_array(camera)
+    regular = camera.regular
     bins = bin_grid(regular)
     half, _ = view_window(regular, lens_grid(regular))
     (rows, columns), views = bins.shape, 2 * half + 1

@@ -20,9 +20,8 @@ from ..camera import Opening, PlenopticCamera, Round, Use, are_alike, require_su
 from ..design import crosstalk_neighbours
 from ..detector.operator import DetectorOperator
 from ..errors import InputError, refuse_if, short_repr, warn
-from ..fields.lens_kinds import regular_array
 from ..io import Capture, recording_of, require_demosaiced
-from ..optics import rays
+from ..optics.rays import second_leg
 from ..rays.random_numbers import even_steps
 from ..rays.tracer import Passage, Walk, detector_rows
 from ..runtime import array_module, as_pixels, fft, require_memory
@@ -155,7 +154,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         an hour, or too much memory.
     """
     require_support(camera, Use.WHITE_IMAGES)
-    camera = regular_array(camera)
+    camera = camera.regular
     if camera.vignetting is not None or (grid is None and not camera.lens_data.is_thin):
         # Vignetting states places of lenses, as the camera has them.
         return np.asarray(DetectorOperator.of(camera).forward(_traced(camera)))
@@ -183,10 +182,9 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     image = np.zeros((rows + 2 * half, columns + 2 * half), dtype=np.float32)
     window = np.arange(-half, half + 1)
     for row in np.array_split(centres, -(-len(centres) // _BLOCK) or 1):
-        height = fractions.heights(row)
-        bright = 1.0
-        if camera.mla_transmissions is not None:
-            bright = camera.mla_transmissions.at(camera.lattice, *lens_indices(camera, row))[:, None, None]
+        lens = camera.lenslet(*lens_indices(camera, row))
+        height = np.broadcast_to(lens.height, len(row))
+        bright = np.reshape(lens.gain, (-1, 1, 1))
         if grid is None and any(camera.mla_tilt):
             # Where the tilt has moved them: c (b + z) / (b - h).
             middle = np.array(camera.resolution) / 2 - camera.crop_offset
@@ -337,11 +335,8 @@ def mean_response(camera: PlenopticCamera) -> float:
     distance = camera.micro_image_diameter / 2 * np.sqrt(u)
     x, y = camera.lattice.aperture_point(s, t)
     across = np.hypot(distance * np.cos(2 * np.pi * v) - x, distance * np.sin(2 * np.pi * v) - y)
-    response = np.exp(-camera.mla_absorption * np.hypot(across, camera.detector_distance))
-    if camera.pixel_response:
-        angle = np.degrees(np.arctan(across / camera.detector_distance))
-        response *= np.interp(angle, camera.pixel_response[::2], camera.pixel_response[1::2])
-    return float(response.mean())
+    counts = second_leg(camera.pixel_response, camera.mla_absorption, np.ndarray)(across, camera.detector_distance)
+    return float(counts.mean())
 
 
 def _traced(camera: PlenopticCamera) -> NDArray[np.float32]:
@@ -369,12 +364,11 @@ def _traced(camera: PlenopticCamera) -> NDArray[np.float32]:
             position = (px + (s - 0.5) * p, py + (t - 0.5) * p)
             dx, dy = camera.lattice.aperture_point(u, v)
             for across, down in around:
-                (cx, cy), f2 = walk.lens_at(i + across, j + down)
-                bright = walk.transmission(i + across, j + down)
-                passage = Passage((cx + dx, cy + dy), (cx, cy), f2)
+                lens = walk.lenslet(i + across, j + down)
+                passage = Passage((lens.centre[0] + dx, lens.centre[1] + dy), lens)
                 _, _, is_open = walk.trace(position, passage)
                 slope, _, _ = walk.out_of_array(position, passage)
-                total += dr.select(is_open, walk.passed(passage.point, slope, walk.height(cx, cy)) * bright, 0.0)
+                total += dr.select(is_open, walk.passed(passage.point, slope, lens.height) * lens.gain, 0.0)
             dr.eval(total)
         image[rows] = (total / _RAYS).numpy().reshape(-1, camera.crop_size[0])
     return image
@@ -385,26 +379,17 @@ class _Fractions:
 
     def __init__(self, camera: PlenopticCamera) -> None:
         self._camera = camera
-        self._slopes = np.tan(np.deg2rad(camera.mla_tilt))
         # Lenses of a tilted array whose heights differ by less, in detector distances, are blurred alike.
         self._step = 0.01 * camera.detector_distance
         self._tables: dict[tuple[int, int], PupilFraction] = {}
         reach = max(math.hypot(*(camera.pixel_coordinates(axis)[end] for axis in (0, 1))) for end in (0, -1))
-        rise = round(reach * math.hypot(*self._slopes) / self._step)
+        rise = round(reach * math.hypot(*np.tan(np.deg2rad(camera.mla_tilt))) / self._step)
         pixels = [
             self._table(lens_type, level).reach / self._at(level).pupil_step
             for lens_type in range(len(camera.mla_focal_lengths))
             for level in {-rise, rise}
         ]
         self.half = math.ceil(max(pixels))
-
-    def heights(self, centres: np.ndarray) -> np.ndarray:
-        """Return the heights, towards the main lens and relative to the axis, of lenses with micro-images at (n, 2)."""
-        camera = self._camera
-        p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
-        chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
-        lens = np.stack(camera.lattice.centre(*camera.lattice.cell(*chief.T)), axis=-1)
-        return np.asarray(lens @ self._slopes)
 
     def __call__(self, lens_type: np.ndarray, height: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the fractions (n, rows, columns) of lenses at pupil positions x (n, columns), y (n, rows)."""

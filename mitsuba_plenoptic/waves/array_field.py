@@ -74,27 +74,17 @@ class LensWaves:
 
         It is computed from slopes, since a phase may have jumps.
         """
-        shape, lattice, (focal_length, *_) = self.camera.mla_shape, self.lattice, self.camera.reduced_focal_lengths
-        assert shape is not None
-        u, v = lattice.to_frame(*aperture_points(lattice))
-        strength = shape.strength(self.wavelength)
-        slopes = (s * strength + place / focal_length for s, place in zip(shape.slopes(u, v), (u, v), strict=True))
-        most = float(np.hypot(*slopes).max())
-        return math.pi * most * float(lattice.aperture_reach) / in_millimetres(self.wavelength)
+        shape, focal_length = self.camera.microlens, self.camera.reduced_focal_lengths[0]
+        offset = aperture_points(self.lattice)
+        slopes = np.multiply(shape.deflection(self.lattice, *offset, focal_length), shape.strength(self.wavelength))
+        most = float(np.hypot(*(slopes + np.divide(offset, focal_length))).max())
+        return math.pi * most * float(self.lattice.aperture_reach) / in_millimetres(self.wavelength)
 
     def convergence(self, kind: Kind) -> float:
         """Return the wavefront curvature (1/mm) behind a lens for a pupil point, relative to focus on the detector."""
         # Waves from a point of an objective's stop are plane.
         own = self.camera.lens_data.converges / self.camera.pupil_distance
         return 1 / kind.distance + own - 1 / kind.focal_length
-
-    def _beyond_parabola(self, u: NDArray[np.float64], v: NDArray[np.float64], kind: Kind) -> NDArray[np.float64]:
-        """Return the phase of a lens in waves, relative to the parabola by which rays land."""
-        shape = self.camera.mla_shape
-        assert shape is not None
-        ratio = kind.focal_length / self.camera.reduced_focal_lengths[kind.lens_type]
-        parabola = (u * u + v * v) / (2 * in_millimetres(self.wavelength) * kind.focal_length)
-        return np.asarray(shape.waves(u, v, self.wavelength) / ratio + parabola)
 
     def _plane(self, x: Pair, kind: Kind, cosines: tuple[float, float]) -> tuple[Pair, Array, Array]:
         r"""Return the points of the array that stand at positions `x` of kernels' pairs, for given direction cosines.
@@ -123,21 +113,21 @@ class LensWaves:
         lens's centre, and the part of each sample that belongs to the lens itself.
         """
         lattice, camera = self.lattice, self.camera
-        wavelength = in_millimetres(self.wavelength)
         (mx, my), square, path = self._plane(x, kind, cosines)
         # Lens types alternate along a row.
         centre = lattice.centre(float(kind.lens_type), 0.0)
         i, j = lattice.cell(mx + centre[0], my + centre[1])
         cx, cy = (mx - c + c0 for mx, c, c0 in zip((mx, my), lattice.centre(i, j), centre, strict=True))
         # Neighbours are assumed to deviate as the lens itself does.
-        powers = camera.mla_focal_lengths[kind.lens_type] / kind.focal_length / np.array(camera.mla_focal_lengths)
-        types = lattice.lens_type(i, j).astype(int) if len(powers) > 1 else np.zeros(i.shape, int)
+        focal_lengths = (
+            np.array(camera.mla_focal_lengths) * kind.focal_length / camera.mla_focal_lengths[kind.lens_type]
+        )
+        types = lattice.lens_type(i, j).astype(int) if len(focal_lengths) > 1 else np.zeros(i.shape, int)
         own = camera.lens_data.converges / camera.pupil_distance
         sx, sy = lattice.from_frame(*cosines)
-        path += sx * mx + sy * my + own * (mx * mx + my * my) / 2 - powers[types] * (cx * cx + cy * cy) / 2
-        waves = path / wavelength
-        if camera.mla_shape is not None:
-            waves += self._beyond_parabola(*lattice.to_frame(cx, cy), kind)
+        path += sx * mx + sy * my + own * (mx * mx + my * my) / 2
+        waves = path / in_millimetres(self.wavelength)
+        waves += camera.microlens.lens_waves(lattice, cx, cy, focal_lengths[types], self.wavelength)
         amplitude = np.where(square < _GRAZING, 0, 1 / np.maximum(square, _GRAZING))
         # Samples at borders count in part, so that kernels change smoothly with the camera.
         step = x[0][0, 1] - x[0][0, 0]

@@ -15,7 +15,6 @@ Fields behind the lenses are those of `array_field`.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,7 +29,7 @@ from ..fields.lens_kinds import Kind
 from ..optics.waves import in_millimetres
 from ..runtime import fft, on_all_cores, require_memory, single_threaded_blas
 from .array_field import MOST_PHASE, LensWaves
-from .lens_functions import LensFunctions
+from .lens_functions import LensFunctions, of_middles
 from .oblique import Oblique, changes, directions, terms
 
 _TRANSFER_SAMPLES = 64
@@ -331,18 +330,18 @@ class ArrayKernels(LensWaves):
         for kind in self.kinds[: len(self.camera.mla_focal_lengths)]:
             scale = wavelength * kind.distance
             waves = np.exp(-2j * np.pi * np.outer(along, u[0]) / scale)
-            phase = self.convergence(kind) * (u * u + v * v) / (2 * wavelength)
-            if self.camera.mla_shape is not None:
-                phase = phase + self._beyond_parabola(u, v, kind)
+            # In front of the lens, whose phase follows.
+            phase = (self.convergence(kind) + 1 / kind.focal_length) * (u * u + v * v) / (2 * wavelength)
+            offset = self.lattice.from_frame(u, v)
+            phase += self.camera.microlens.lens_waves(self.lattice, *offset, kind.focal_length, self.wavelength)
             field = waves @ np.where(inside, np.exp(2j * np.pi * phase), 0) @ waves.T
             made.append(np.abs(field) ** 2 * (u[0, 1] - u[0, 0]) ** 2 / (inside.sum() * scale**2))
         return np.stack(made)
 
     def _cell_kernels(self, step: float, reach: float, kind: Kind) -> NDArray[np.float64]:
-        r"""Return kernels between cells of uniform light, for cells that may be larger than the diffraction kernels.
+        """Return kernels between cells of uniform light, for cells that may be larger than the diffraction kernels.
 
-        Without neighbours and phase, the integral over pairs of points is a sum of products: :math:`m^i = 2^{-i} \sum_a
-        \binom{i}{a} x_1^a x_2^{i-a}` gives products of transforms of aperture times power.
+        Neighbours and phases are left out: see `of_middles`.
         """
         lattice, scale = self.lattice, in_millimetres(self.wavelength) * kind.distance
         parts = self._cell_parts(step, kind)
@@ -357,13 +356,7 @@ class ArrayKernels(LensWaves):
         within = min(far, int(scale / (2 * spacing * fine)))
         waves = np.exp(-2j * np.pi * np.outer(np.arange(-within, within + 1) * fine, along) / scale)
         fields = {(a, b): waves @ np.where(inside, u**a * v**b, 0) @ waves.T for a, b in functions.exponents}
-        products = []
-        for i, j in functions.exponents:
-            both = np.zeros(fields[0, 0].shape)
-            for a, b in itertools.product(range(i + 1), range(j + 1)):
-                weight = math.comb(i, a) * math.comb(j, b) / 2 ** (i + j)
-                both += weight * (fields[a, b] * fields[i - a, j - b].conj()).real
-            products.append(both)
+        products = of_middles(functions.exponents, fields)
         kernels = np.einsum("mn,myx->nyx", functions.combined, products) * (spacing * fine / scale) ** 2 / inside.sum()
         kernels = np.pad(kernels, [(0, 0), *[(far - within,) * 2] * 2])
         tent = np.convolve(np.ones(parts), np.ones(parts)) / parts

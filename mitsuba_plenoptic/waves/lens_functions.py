@@ -14,6 +14,8 @@ the functions, for which :math:`\int d_n a_k\, dm = \delta_{nk}`.
 from __future__ import annotations
 
 import contextlib
+import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,6 +37,23 @@ _ROWS = 128
 
 _MEAN_SQUARE = 0.5
 """Mean square of light that is 0 or 1."""
+
+
+def of_middles(
+    exponents: list[tuple[int, int]], fields: dict[tuple[int, int], NDArray[np.complex128]]
+) -> list[NDArray[np.float64]]:
+    r"""Return the diffraction of powers of the middle of two points, from that of fields times powers of one point.
+
+    Integrals are sums of products, as :math:`m^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}` for middles m.
+    """
+    moments = []
+    for i, j in exponents:
+        both = np.zeros(fields[0, 0].shape)
+        for a, b in itertools.product(range(i + 1), range(j + 1)):
+            weight = math.comb(i, a) * math.comb(j, b) / 2 ** (i + j)
+            both += weight * (fields[a, b] * fields[i - a, j - b].conj()).real
+        moments.append(both)
+    return moments
 
 
 @dataclass(frozen=True)

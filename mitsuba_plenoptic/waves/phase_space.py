@@ -150,8 +150,8 @@ class PhaseSpace(ArrayKernels):
                 self._least_fill > camera.mla_fill,
                 f'{self._least_fill:.3g} or more, openings of {_NARROWEST:g} wavelengths; use method="points"',
             ),
-            ("mla_shape", camera.mla_shape is not None and self.aberration > MOST_PHASE, _SMOOTH),
-            ("mla_shape", camera.mla_shape is not None and self.by_points, "near the microlenses' focus"),
+            ("mla_shape", self.aberration > MOST_PHASE, _SMOOTH),
+            ("mla_shape", not camera.microlens.is_parabolic and self.by_points, "near the microlenses' focus"),
             ("detector_distance", self._shift > MOST_SHIFT, f"closer to the microlenses' focus, {self._limits}"),
         ):
             if refused:

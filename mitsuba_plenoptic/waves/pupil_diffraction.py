@@ -20,14 +20,12 @@ aberrations: `fitted_pupil` serves these. Rays follow aberrations of first and s
 lacks; higher orders, and all small aberrations, are in t. Coarse pixels, and lenses with large aberrations, leave all
 of them to the rays, without third differences.
 
-As P is the middle of two points of the pupil, :math:`P^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}`, the kernels are
-sums of products of the transforms of t times powers.
+P is the middle of two points of the pupil, so that kernels are products of transforms: `lens_functions.of_middles`.
 """
 
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -44,7 +42,7 @@ from ..lenses.pupil import Pair
 from ..optics.waves import in_millimetres
 from ..runtime import single_threaded_blas
 from .fitted_pupil import FittedPupil, PupilFunctions
-from .lens_functions import LensFunctions, even_polynomials
+from .lens_functions import LensFunctions, even_polynomials, of_middles
 from .oblique import Oblique
 from .pupil_samples import SAMPLES, PupilSamples, along, spread_points
 
@@ -275,13 +273,8 @@ class PupilDiffraction:
     def _sampled(self, step: float, count: int) -> NDArray[np.float64]:
         """Return the kernels (n, k, k) at `count` samples on either side, `step` units apart, times their area."""
         places = step * np.arange(-count, count + 1.0)
-        fields, products, (exponents, combined) = self._fields(places), [], self._moments
-        for i, j in exponents:
-            both = np.zeros((2 * count + 1,) * 2)
-            for a, b in itertools.product(range(i + 1), range(j + 1)):
-                weight = math.comb(i, a) * math.comb(j, b) / 2 ** (i + j)
-                both += weight * (fields[a, b] * fields[i - a, j - b].conj()).real
-            products.append(both)
+        exponents, combined = self._moments
+        products = of_middles(exponents, self._fields(places))
         spacing = 2 / SAMPLES
         kernels = np.einsum("mn,myx->nyx", combined, products) * (spacing**4 * step**2 / self._pupil.whole)
         if self.fitted:

@@ -19,7 +19,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera, Round
+from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..fields.lens_kinds import LensKinds
 from ..lenses.pupil import Pair
@@ -260,9 +260,8 @@ class Draws(DetectorGrid):
         x, y = self._middle(pixels)
         _, cell = self.walk.chief_cell((x, y))
         i, j = (index + dr.gather(mi.Float, steps, pixels.lens) for index, steps in zip(cell, self._steps, strict=True))
-        centre, _ = self.walk.lens_at(i, j)
-        height = self.walk.height(*centre)
-        return Aims((x, y), centre, height, self.kinds.number(i, j, height), self.walk.transmission(i, j))
+        lens = self.walk.lenslet(i, j)
+        return Aims((x, y), lens.centre, lens.height, self.kinds.number(i, j, lens.height), lens.gain)
 
     def seen(self, detector: Pair, aims: Aims) -> Pair:
         """Return the pupil points whose light lands on detector points, as a mean over a lens."""
@@ -275,12 +274,11 @@ class Draws(DetectorGrid):
     def evenness(self, drawn: Drawn) -> Any:
         """Return weights that give the rays of all cells the density of the power over the pupil and behind lenses."""
         offset = tuple(-p for p in self._shrunk(drawn.detector, drawn.kind))
-        even, aperture = self.walk.through_centre(offset, drawn.height)[1] * drawn.brightness, self._camera.aperture
-        vignetting = self._camera.vignetting
-        if aperture == Round() and vignetting is None:
+        even = self.walk.through_centre(offset, drawn.height)[1] * drawn.brightness
+        if self._camera.has_even_pupil:
             return even
         x, y = (P / self._camera.pupil_radius for P in drawn.inner)
-        return even * aperture.power(x, y) * (1.0 if vignetting is None else vignetting.power(x, y, *drawn.place))
+        return even * self._camera.pupil_power((x, y), drawn.place)
 
     def _chief(self, detector: Pair, aims: Aims) -> Pair:
         """Return where light that lands on detector points would land through the centres of its lenses."""

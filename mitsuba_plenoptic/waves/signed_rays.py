@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..detector.noise import known_means
 from ..lenses.pupil import Pair
-from ..optics.rays import pixel_response
+from ..optics.rays import second_leg
 from ..rays.tracer import PupilWalk, walks_of
 from ..runtime import (
     Box,
@@ -158,7 +158,7 @@ class SignedRaySum:
         self._draws = scheme_of(camera).draws(camera, plans, parts)
         # The coefficients' integral is known where all rays of a cell and lens pass one point of the pupil.
         self._known_part = 0.0 if self._draws.by_points else 1.0
-        self._response = pixel_response(camera.pixel_response or (), camera.mla_absorption or 0.0)
+        self._second_leg = second_leg(camera.pixel_response or (), camera.mla_absorption or 0.0)
         rays, least = rays_of_a_cell(spp, parts, self._draws.lit_lenses)
         # Rays of a cell. With drawn wavelengths, a pass has only the fewest that correct each other and share these.
         self._spp = rays if drawn is None else least
@@ -490,8 +490,7 @@ class SignedRaySum:
 
     def _answer(self, drawn: Drawn) -> Any:
         """Return the pixels' response to rays by their path behind the lenses, times the rays' weights in a medium."""
-        even = self._draws.evenness(drawn)
-        return even if self._response is None else self._response(*self._draws.crossed(drawn)) * even
+        return self._second_leg(*self._draws.crossed(drawn)) * self._draws.evenness(drawn)
 
     def _kept(self, drawn: Drawn, number: int) -> tuple[Any, ...]:
         """Return the data of rays that `_bring` needs for a node."""

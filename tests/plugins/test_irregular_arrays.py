@@ -6,7 +6,6 @@ import pytest
 from cameras import sky, white
 
 from mitsuba_plenoptic import PlenopticCamera, design
-from mitsuba_plenoptic.fields.lens_kinds import irregularities
 
 CAMERA = PlenopticCamera(resolution=(512, 512), detector_width=1.024)
 
@@ -24,9 +23,9 @@ def test_micro_images_lie_behind_displaced_lenses():
     misses, shifts = [], []
     for i in range(-6, 6):
         for j in range(-6, 6):
-            right, up, factor = irregularities(camera, np.array([i]), np.array([j]))
+            lens = camera.lenslet(np.array([i]), np.array([j]))
             regular = (np.array([i, j]) + 0.5) * camera.mla_pitch
-            centre = regular + np.concatenate([right, up])
+            centre = np.concatenate(lens.centre)
             expected, nominal = (
                 c * (1 + camera.detector_distance / camera.mla_distance) / camera.pixel_size + 256
                 for c in (centre, regular)
@@ -37,7 +36,7 @@ def test_micro_images_lie_behind_displaced_lenses():
             place = [np.sum(part * (np.arange(28) + 0.5)[None, :]), np.sum(part * (np.arange(28) + 0.5)[:, None])]
             misses.append(np.array(place) / part.sum() + low - expected)
             shifts.append(expected - nominal)
-            assert factor == 1
+            assert lens.focal_length == camera.mla_focal_length
     assert np.abs(misses).max() < 0.03
     assert np.std(shifts) == pytest.approx(0.002 * (1 + 0.512 / 120) / 0.002, rel=0.15)
 
@@ -47,8 +46,8 @@ def test_focal_lengths_scatter():
     camera = CAMERA.replace(mla_jitter=(0.0, 0.08), resolution=(64, 64), detector_width=0.128)
     found = sky(camera, 1024)
     for i, j in ((-1, -1), (0, -1), (-1, 0), (0, 0)):
-        factor = float(irregularities(camera, np.array([i]), np.array([j]))[2][0])
-        alone = sky(CAMERA.replace(mla_focal_length=0.512 * factor, detector_distance=0.512, resolution=(64, 64),
+        focal_length = float(camera.lenslet(np.array([i]), np.array([j])).focal_length[0])
+        alone = sky(CAMERA.replace(mla_focal_length=focal_length, detector_distance=0.512, resolution=(64, 64),
                                      detector_width=0.128), 1024)  # fmt: skip
         own = np.s_[32 * (j + 1) : 32 * (j + 2), 32 * (i + 1) : 32 * (i + 2)]
         assert np.abs(found[own] - alone[own]).mean() < 4e-3
@@ -81,8 +80,8 @@ def test_noise_and_light_of_many_candidates(more):
 
 def test_the_seed_makes_another_array():
     seeds = (CAMERA.replace(mla_jitter=(0.001, 0.01), mla_seed=seed) for seed in (0, 1))
-    a, b = (irregularities(camera, np.arange(9), np.arange(9)) for camera in seeds)
-    assert not np.isclose(a[0], b[0]).any()
+    a, b = (camera.lenslet(np.arange(9), np.arange(9)) for camera in seeds)
+    assert not np.isclose(a.centre[0], b.centre[0], rtol=0, atol=1e-8).any()
     first, second = (sky(CAMERA.replace(mla_jitter=(0.001, 0.0), mla_seed=1), 4) for _ in range(2))
     assert np.array_equal(first, second)
 

@@ -6,7 +6,7 @@ import pytest
 from cameras import HALF, error, small_camera
 
 from mitsuba_plenoptic import PlenopticCamera, point_spread_function
-from mitsuba_plenoptic.fields.lens_kinds import FigureError, irregularities
+from mitsuba_plenoptic.fields.lens_kinds import FigureError
 from tools.bench.cases.arrays import GREEN, SHAPES, propagated
 
 POINT = np.array([0.03, -0.02, 114.0])
@@ -25,13 +25,11 @@ def test_full_fields_of_irregular_arrays_against_explicit_sums(changes):
     camera = small_camera(2, **HALF, **changes)
 
     def path(x, y):
-        i, j = camera.lattice.cell(x, y)
-        cx, cy = camera.lattice.regular.centre(i, j)
-        right, up, longer = irregularities(camera, i, j)
-        r2 = (x - cx - right) ** 2 + (y - cy - up) ** 2
+        lens = camera.lenslet(*camera.lattice.cell(x, y))
+        r2 = (x - lens.centre[0]) ** 2 + (y - lens.centre[1]) ** 2
         own = 0.5 * (np.sqrt(0.25**2 - r2) - 0.25) if camera.mla_shape else -r2 / (2 * 0.512)
         wrong = FigureError.of(camera)
-        return own / longer + (0 if wrong is None else wrong.path(x, y))
+        return own * camera.mla_focal_length / lens.focal_length + (0 if wrong is None else wrong.path(x, y))
 
     found = point_spread_function(camera, POINT, wavelength=GREEN, method="full_field")
     regular = camera.replace(mla_jitter=(0.0, 0.0), mla_figure_error=(0.0, 0.0))

@@ -30,8 +30,8 @@ def drawn(walk, count=2000):
     """Return detector points, and passages through lenses near those of their chief rays."""
     rng = np.random.default_rng(0)
     pixel = tuple(rng.uniform(-1, 1, (2, count)))
-    (centre, f2), offset = walk.lens_at(*walk.chief_cell(pixel)[1]), rng.uniform(-0.03, 0.03, (2, count))
-    return pixel, Passage((centre[0] + offset[0], centre[1] + offset[1]), centre, f2)
+    lens, offset = walk.lenslet(*walk.chief_cell(pixel)[1]), rng.uniform(-0.03, 0.03, (2, count))
+    return pixel, Passage((lens.centre[0] + offset[0], lens.centre[1] + offset[1]), lens)
 
 
 def test_rays_come_back_to_the_detector_point_that_they_left(walk):
@@ -69,6 +69,6 @@ def test_paraxial_rays_are_those_of_an_ideal_camera():
     pixel, passage = drawn(Walk.of(camera))
     point, slope, _ = Walk.of(camera).trace(pixel, passage)
     for axis in (0, 1):
-        pupil, place = follow_back(pixel[axis], passage.point[axis], passage.centre[axis], 240.0, camera)
+        pupil, place = follow_back(pixel[axis], passage.point[axis], passage.lens.centre[axis], 240.0, camera)
         assert np.allclose(pupil, point[axis])
         assert np.allclose(place, -120.0 / 240.0 * (point[axis] + 240.0 * slope[axis]))

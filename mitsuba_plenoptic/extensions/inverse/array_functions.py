@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_known
-from ...fields.lens_kinds import regular_array
 from ...points import derivatives
 from ...points.operator import CaptureOperator
 from .differentiable import CoherentRefocus, DeconvolvedRefocus, RayRefocus
@@ -336,7 +335,7 @@ class CameraCapture:
         require_known(
             "parameters: ", names, [name for name in derivatives.DIFFERENTIABLE if name != derivatives.WAVELENGTH]
         )
-        self._make, self._camera, self._names = make, regular_array(camera), tuple(names)
+        self._make, self._camera, self._names = make, camera.regular, tuple(names)
 
     @cached_property
     def _last_axes(self) -> tuple[Shape, Shape]:

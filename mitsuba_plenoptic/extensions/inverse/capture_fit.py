@@ -21,7 +21,6 @@ from ...errors import (
     suggest_keywords,
     warn,
 )
-from ...fields.lens_kinds import regular_array
 from ...io import Checkpoint
 from .fit_light import PixelNoise, Pixels, View, by_model, check_views, kept_numbers, light_digest
 from .fit_result import Fit, doubts, steps_along, summary
@@ -101,7 +100,7 @@ def fit(
     from scipy.optimize import least_squares
 
     require_support(camera, Use.FITS)
-    camera = regular_array(camera)
+    camera = camera.regular
     given = [views] if isinstance(views, View) else list(views)
     default = None if photons is None else PixelNoise(require_number("photons", photons, positive=True))
     refuse_if(

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, require_count, short_repr
-from ...fields.lens_kinds import regular_array
 from .merit import Gradient
 from .point_rays import vector_of
 
@@ -90,7 +89,7 @@ def maximise(
     from scipy.optimize import minimize
 
     camera.require_array("maximise")
-    camera = regular_array(camera)
+    camera = camera.regular
     labels: list[str] = []
     for name in bounds:
         found = vector_of(camera, str(name).split(".", 1)[0])

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, refuse_if, require_choice, require_count, require_number, require_wavelength
-from ...fields.lens_kinds import regular_array
 from ...fields.optical_system import OpticalSystem
 from ...optics import guards
 from ...prescription import lens_data
@@ -78,7 +77,7 @@ class RayRefocus:
         self, camera: PlenopticCamera, distance: float, *, footprint: str = "lens", oversample: int = 1
     ) -> None:
         require_support(camera, Use.RAY_REFOCUSING | Use.RECONSTRUCTION_DERIVATIVES)
-        camera = regular_array(camera)
+        camera = camera.regular
         self.camera, self._distance = camera, require_number("distance", distance, finite=False)
         lens_data.image_distance(camera.focal_length, self._distance)
         require_choice("footprint", footprint, FOOTPRINTS)
@@ -241,7 +240,7 @@ class CoherentRefocus:
     ) -> None:
         require_support(camera, Use.FIELDS | Use.FIELD_DERIVATIVES | Use.RECONSTRUCTION_DERIVATIVES)
         wavelength = require_wavelength(wavelength)
-        camera = regular_array(camera).at_wavelength(wavelength)
+        camera = camera.regular.at_wavelength(wavelength)
         camera.require_resolved()
         # Images are formed by the ideal lens, without aberrations.
         camera = camera.replace(wavefront=())
@@ -430,7 +429,7 @@ class DeconvolvedRefocus:
         oversample: int = 1,
     ) -> None:
         require_support(camera, Use.RESPONSES | Use.RECONSTRUCTION_DERIVATIVES)
-        camera = regular_array(camera)
+        camera = camera.regular
         self.camera, self.iterations = camera, require_count("iterations", iterations)
         distance, oversample = (
             require_number("distance", distance, finite=False),

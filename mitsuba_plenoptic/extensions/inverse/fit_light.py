@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, put, refuse_if, require_count, require_number, require_wavelength
-from ...fields.lens_kinds import regular_array
 from ...fields.optical_system import OpticalSystem
 from ...io import Capture, digest, require_demosaiced, response_of
 from ...plugins.other_camera import with_camera
@@ -296,7 +295,7 @@ def known_view(
         If an input has a wrong value, the scene shows no light, or it has a surface that is not matte.
     """
     require_support(camera, Use.SCENE_POINTS)
-    camera = regular_array(camera)
+    camera = camera.regular
     seen = with_camera(scene, camera)
     sensor = plenoptic_sensor(seen)
     child = chosen_integrator(seen, "ray", {})

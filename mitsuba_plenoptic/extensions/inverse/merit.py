@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, did_you_mean, refuse_if, require_count, require_number, require_wavelength
-from ...fields.lens_kinds import regular_array
 from ...fields.optical_system import OpticalSystem
 from ...points.accuracy import chosen_accuracy
 from ...points.operator import CaptureOperator
@@ -53,7 +52,7 @@ class Spreads:
         return total
 
     def _operators(self, camera: PlenopticCamera, points: NDArray[np.float64] | None) -> Iterable[CaptureOperator]:
-        camera = regular_array(camera)
+        camera = camera.regular
         if self._system is None or self._system.camera != camera:
             self._system = OpticalSystem(camera.at_wavelength(self.wavelength), self.wavelength)
         # A step from a point far away may lead across infinity.

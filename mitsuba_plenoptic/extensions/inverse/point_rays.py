@@ -210,7 +210,7 @@ class _Bundles:
         scales = _scales(self.camera, self.lens, self.points)
         on_array, on_detector = (value(abs(scale)) * step for scale in scales)
         for (i, j), fraction in self._lenses(position, on_array):
-            landed, weight = self._walk.onto_detector(pupil, Passage(position, *self._walk.lens_at(i, j)))
+            landed, weight = self._walk.onto_detector(pupil, Passage(position, self._walk.lenslet(i, j)))
             # In a medium squares are smaller than by the reduced distance.
             self._detect(image, landed, on_detector * weight**-0.25, power * fraction)
 

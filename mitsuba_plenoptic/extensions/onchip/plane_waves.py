@@ -190,11 +190,7 @@ class PlaneWaveResponses:
         x = ((np.arange(_FINE) + 0.5) / _FINE - 0.5) * camera.mla_pitch
         waves = np.exp(-2j * math.pi * np.outer(order, x) / camera.mla_pitch)
         waves *= (np.abs(x) <= camera.mla_fill * camera.mla_pitch / 2) / _FINE
-        if camera.mla_shape is None:
-            lens = np.exp(-1j * math.pi * camera.mla_medium * x**2 / (wavelength * camera.mla_focal_length))
-            along = waves @ lens
-            return order, np.outer(along, along)
-        phase = camera.mla_shape.waves(x, x[:, None], self.wavelength)
+        phase = camera.microlens.waves(x, x[:, None], self.wavelength)
         return order, waves @ np.exp(2j * math.pi * phase) @ waves.T
 
     def _place(self, x: float, y: float) -> list[float]:

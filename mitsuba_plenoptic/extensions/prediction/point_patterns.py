@@ -160,7 +160,7 @@ def _by_rays(camera: PlenopticCamera, points: np.ndarray) -> np.ndarray:
             power = light.amplitude(pupil, seen) ** 2
             if camera.vignetting is not None:
                 power = power * camera.vignetting.power(x, y, *place)
-            passage = Passage(place, *walk.lens_at(*camera.lattice.cell(*place)))
+            passage = Passage(place, walk.lenslet(*camera.lattice.cell(*place)))
             landed, _ = walk.onto_detector(pupil, passage)
             column, row = (
                 np.floor(q / camera.pixel_size + size / 2).astype(int)

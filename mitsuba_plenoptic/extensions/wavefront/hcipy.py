@@ -12,7 +12,6 @@ import numpy as np
 
 from ...camera import PhaseScreen, PlenopticCamera, Use, require_camera, require_support
 from ...errors import WAVEFRONT_UNIT, WAVELENGTHS, InputError, refuse_if, require_number
-from ...fields.lens_kinds import regular_array
 from ...fields.optical_system import OpticalSystem
 from ...optics import guards
 from ...optics.waves import band_edge_fraction
@@ -54,7 +53,7 @@ class CameraOptics(hcipy.OpticalElement):
     """
 
     def __init__(self, camera: PlenopticCamera) -> None:
-        camera = regular_array(require_camera(camera))
+        camera = require_camera(camera).regular
         require_support(camera, Use.WAVEFRONTS)
         self.camera = camera
         left, top = (float(camera.pixel_coordinates(axis)[0]) for axis in (0, 1))

@@ -5,7 +5,6 @@ import pytest
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.array_functions import CameraCapture
-from mitsuba_plenoptic.fields.lens_kinds import regular_array
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.fitting import View
 from mitsuba_plenoptic.points.units import brightness_of
@@ -28,11 +27,11 @@ def around(name, part):
 @pytest.mark.parametrize("part", [0.0, 0.95])
 def test_regular_lenses_are_where_the_aligned_ones_are(name, part):
     camera, index = around(name, part)
-    regular = regular_array(camera)
+    regular = camera.regular
     i, j = (np.array([-2.0, 0.0, 2.0]) + start for start in index)
     place, near = camera.lattice.regular.centre(i, j), regular.lattice.centre(i, j)
     assert not regular.mla_cra
-    assert regular_array(regular) is regular
+    assert regular.regular is regular
     shift = np.array(camera.lattice.centre(i, j)) - place
     assert np.max(np.abs(shift)) > part * 2e-4
     for regular_place, aligned, aside in zip(near, place, shift, strict=True):
@@ -59,7 +58,7 @@ def test_points_are_captured_as_banks_have_them(name):
 def test_methods_of_regular_arrays_take_aligned_presets(name):
     """Small crops, as full presets need much memory; the smallest results tell that light arrives."""
     camera, _ = around(name, 0.5)
-    regular, distance = regular_array(camera), camera.focus_distance
+    regular, distance = camera.regular, camera.focus_distance
     place = np.array([camera.pixel_coordinates(axis).mean() for axis in (0, 1)])
     points = [(*(-place * distance / camera.mla_distance).tolist(), distance)]
     operator = mp.CaptureOperator(camera, points, wavelength=550)

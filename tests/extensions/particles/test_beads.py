@@ -9,6 +9,7 @@ from refusals import refused
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import particles as pt
+from mitsuba_plenoptic.array import Lenslet
 from mitsuba_plenoptic.dataset import make_dataset, parse_recipe
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
@@ -70,7 +71,7 @@ def test_lobes_are_at_the_angles_of_the_rays():
     seen = flat > 0.7 * flat.max()
     rows, columns = np.nonzero(seen)
     x, y = ((index - 52) * CAMERA.pixel_size for index in (columns, rows))
-    _, slope, is_open = Walk.of(CAMERA).trace((x, y), Passage((0 * x, 0 * y), (0 * x, 0 * y), 2.433))
+    _, slope, is_open = Walk.of(CAMERA).trace((x, y), Passage((0 * x, 0 * y), Lenslet((0 * x, 0 * y), 2.433)))
     assert is_open.all() and seen.sum() > 100
     cosine = -slope[0] / np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
     expected = pt.cross_sections(np.array([2.0]), 1.59 / 1.333, 550 / 1.333, cosine[None])[0]

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.array import Conic, MicrolensShape, PhaseMap, Sampled, ZoneLens
-from mitsuba_plenoptic.fields.lens_kinds import irregularities
 from mitsuba_plenoptic.fields.microlens_orders import PlaneFactor, axis_orders
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.full_field import point_fields
@@ -136,9 +135,8 @@ def irregular(camera: PlenopticCamera) -> Callable[..., Any]:
     """Return the path of an array of parabolic lenses that are displaced and of uneven focal lengths."""
 
     def path(x: Any, y: Any) -> Any:
-        i, j = camera.lattice.cell(x, y)
-        cx, cy = camera.lattice.centre(i, j)
-        return -((x - cx) ** 2 + (y - cy) ** 2) / (2 * 0.512) / irregularities(camera, i, j)[2]
+        lens = camera.lenslet(*camera.lattice.cell(x, y))
+        return -((x - lens.centre[0]) ** 2 + (y - lens.centre[1]) ** 2) / (2 * lens.focal_length)
 
     return path
 
