@@ -24,13 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime import exponents, monomials, on_all_cores
-
-_TIED = 1e-3
-"""Relative difference of the errors that two functions remove below which both or neither are used, as they differ by
-the symmetry of a lens."""
-
-_STEEPEST = 1e5
-"""Largest condition number of the polynomials' coefficients, which rays evaluate in single precision."""
+from .accuracy import USUAL
 
 _ROWS = 128
 """Points of a lens whose distances from all others are computed at a time, so that these fit into a cache."""
@@ -122,7 +116,7 @@ class LensFunctions:
         found.sort(key=lambda each: -each[0])
         errors = np.array([error for error, _, _ in found])
         left = np.append(np.cumsum(errors[::-1])[::-1], 0)
-        apart = np.append(errors[:-1] >= errors[1:] * (1 + _TIED), True)
+        apart = np.append(errors[:-1] >= errors[1:] * (1 + USUAL.tied), True)
         allowed = np.append(0, 1 + np.flatnonzero(apart))
         allowed = allowed[allowed < count]
         enough = allowed[left[allowed] <= tolerance**2 * 2 * np.pi * (_covariance(expected) * products).sum()]
@@ -156,7 +150,7 @@ def even_polynomials(
     for own in range(degree, 0, -1):
         with contextlib.suppress(np.linalg.LinAlgError):
             found = [LensFunctions.polynomials(u, v, own, 1.0) for u, v in parts]
-            if max(np.linalg.cond(each.triangle) for each in found) < _STEEPEST:
+            if max(np.linalg.cond(each.triangle) for each in found) < USUAL.worst_condition:
                 return found
     return [LensFunctions.polynomials(u, v, 0, 1.0) for u, v in parts]
 

@@ -30,12 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime import backend_of, exponents, monomials
-
-_LEAST = 1e-9
-"""Part of the mean variance that is added to all variances, so that their matrices can be inverted."""
-
-_INNER = 0.55
-"""Radius of the inner ring of directions, in largest direction cosines, from which terms of degree 4 are found."""
+from .accuracy import USUAL
 
 
 def terms(u: Any, v: Any, degree: int) -> list[Any]:
@@ -51,7 +46,7 @@ def directions(degree: int) -> NDArray[np.float64]:
     # Between them, two rings of eight tell all terms of degree 4 apart.
     rings = [
         radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        for radius, angles in ((1.0, np.arange(8) * np.pi / 4), (_INNER, (np.arange(8) + 0.5) * np.pi / 4))
+        for radius, angles in ((1.0, np.arange(8) * np.pi / 4), (USUAL.inner_ring, (np.arange(8) + 0.5) * np.pi / 4))
     ]
     return np.concatenate([np.zeros((1, 2)), *rings])
 
@@ -112,7 +107,8 @@ class Oblique:
             ]
             rows, columns = (np.array(part, int) for part in zip(*own, strict=True))
             matrix = both[rows[:, None], columns[:, None], rows, columns]
-            root = np.linalg.cholesky(matrix + _LEAST * np.trace(matrix) / len(matrix) * np.eye(len(matrix)))
+            added = USUAL.added_variance * np.trace(matrix) / len(matrix)
+            root = np.linalg.cholesky(matrix + added * np.eye(len(matrix)))
             left, values, _ = np.linalg.svd(root.T @ change[rows, columns], full_matrices=False)
             factors, kernels = np.linalg.solve(root.T, left), root @ left
             for number, value in enumerate(values):
@@ -123,7 +119,7 @@ class Oblique:
         rest = np.cumsum([value for value, _ in found][::-1])[::-1]
         count = min(int(np.count_nonzero(rest > tolerance**2 * whole)), most)
         used = np.array([pair for _, pair in found[:count]]).reshape(count, 2, *shape)
-        basis = np.asarray(np.linalg.cholesky(moments + _LEAST * np.diag(moments.diagonal())))
+        basis = np.asarray(np.linalg.cholesky(moments + USUAL.added_variance * np.diag(moments.diagonal())))
         return cls(largest, used[:, 0], used[:, 1], basis)
 
     @property
