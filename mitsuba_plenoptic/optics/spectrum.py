@@ -256,13 +256,25 @@ class Spectrum:
             return replace(self, nodes=() if len(seen) in (0, len(set(self.wavelengths))) else tuple(sorted(seen)))
         return replace(self, nodes=tuple(_gauss_nodes(np.array(self.wavelengths), lit, count).tolist()))
 
-    def shares(self) -> NDArray[np.float64]:
-        """Return the values (nodes, wavelengths) of each node's Lagrange polynomial at every wavelength."""
-        nodes, wavelengths = np.array(self.nodes), np.array(self.wavelengths)
-        factors = np.ones((len(nodes), len(wavelengths)))
+    @property
+    def computed(self) -> tuple[float, ...]:
+        """Wavelengths at which diffraction is computed: the nodes, or all wavelengths if there are none."""
+        return self.nodes or tuple(sorted(set(self.wavelengths)))
+
+    def shares(self, wavelengths: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+        """Return the values (nodes, wavelengths) of each node's Lagrange polynomial, by default at all wavelengths.
+
+        Parameters
+        ----------
+        wavelengths : array (n,), optional
+            Other wavelengths in nanometres.
+        """
+        nodes = np.array(self.computed)
+        at = np.array(self.wavelengths) if wavelengths is None else wavelengths
+        factors = np.ones((len(nodes), len(at)))
         for index, node in enumerate(nodes):
             for other in np.delete(nodes, index):
-                factors[index] *= (wavelengths - other) / (node - other)
+                factors[index] *= (at - other) / (node - other)
         return factors
 
     def centroids(self) -> tuple[float, ...]:
