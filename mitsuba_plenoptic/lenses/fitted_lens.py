@@ -95,8 +95,8 @@ class FittedLens:
 
     def open_fraction(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the open fraction of the pupil, seen from positions on the MLA, as `MainLens.open_fraction` does."""
-        found: NDArray[np.float64] = self.system.open_fraction(x, y)
-        return found
+        fraction: NDArray[np.float64] = self.system.open_fraction(x, y)
+        return fraction
 
     def bind(self, points: NDArray[np.float64], which: Any = None) -> LensLight:
         """Return the light of some points, as `MainLens.bind` does."""
@@ -128,8 +128,8 @@ class FittedLens:
 
     def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> Any:
         """Return the lens with the gradients of its parameters, as `MainLens.varying` does."""
-        own = {name: numbers[name] for name in LENS_NUMBERS if name in names}
-        return VaryingLens(self, numbers["mla_distance"], own, turned)
+        changed = {name: numbers[name] for name in LENS_NUMBERS if name in names}
+        return VaryingLens(self, numbers["mla_distance"], changed, turned)
 
     def opaque(self, number: Callable[[Any], Any]) -> FittedLens:
         """Return this lens, whose parameters are stored in arrays and are opaque already."""
@@ -162,12 +162,12 @@ class FittedLens:
         pupils, distance = self.fitted.pupils, 1 / inverse_distance
         depth = distance + pupils.entrance
         field = -images * (pupils.magnification / self.pupil.distance)
-        found = field
+        reached = field
         for _ in range(ACCURACY.inversions):
-            found = self.images(np.column_stack([field * distance[:, None], depth]))
-            square = (found**2).sum(1)
+            reached = self.images(np.column_stack([field * distance[:, None], depth]))
+            square = (reached**2).sum(1)
             far = square > 0
-            field = field * np.where(far, (found * images).sum(1) / np.where(far, square, 1), 1)[:, None]
+            field = field * np.where(far, (reached * images).sum(1) / np.where(far, square, 1), 1)[:, None]
         return np.column_stack([field * distance[:, None], depth])
 
     def within(self, images: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -247,7 +247,7 @@ def places(lens: FittedLens) -> tuple[float, float, Pair]:
     """Return the sampling step on the exit pupil, the width of softened edges, and the sample positions."""
     step, beyond = 2 * lens.reach / ACCURACY.area_samples, round(ACCURACY.area_edge)
     axis = (np.arange(-beyond, ACCURACY.area_samples + beyond) + 0.5) * step - lens.reach
-    x, y = (part.reshape(1, -1) for part in np.meshgrid(axis, axis))
+    x, y = (plane.reshape(1, -1) for plane in np.meshgrid(axis, axis))
     return step, ACCURACY.area_edge * step, (x, y)
 
 
@@ -273,7 +273,7 @@ def at_all(
         np.linspace(0, heights.max() + 1e-9 * scales.field, ACCURACY.area_fields),
         np.linspace(inverse_distance.min(), inverse_distance.max() + 1e-9 * scales.half, ACCURACY.area_depths),
     )
-    u, near = (part.ravel() for part in np.meshgrid(*axes, indexing="ij"))
+    u, near = (plane.ravel() for plane in np.meshgrid(*axes, indexing="ij"))
     nodes = np.column_stack([0 * u, u / near, 1 / near + lens.fitted.pupils.entrance])
     table = at_all(lens, nodes, measured).reshape(ACCURACY.area_fields, ACCURACY.area_depths)
     return np.asarray(RegularGridInterpolator(axes, table, bounds_error=False)((heights, inverse_distance)))
@@ -311,11 +311,11 @@ def _found_change(lens: FittedLens, name: str) -> LensChange:
     rays, valid = trace_all(system, *start)
     moved = [_seen_from(system, side, *start) for side in sides]
     for side in moved:
-        valid &= np.isfinite([*side.place, side.path, side.amplitude]).all(0) & np.isfinite(side.stops).all(0)
+        valid &= np.isfinite([*side.position, side.path, side.amplitude]).all(0) & np.isfinite(side.stops).all(0)
     rays, (more, less) = rays.take(valid), [side.take(valid) for side in moved]
     # All refer to the field and inverse distance of the point with respect to the unchanged lens.
     more, less = (replace(side, field=rays.field, inverse_distance=rays.inverse_distance) for side in (more, less))
-    shift = (more.place - less.place) / (2 * step)
+    shift = (more.position - less.position) / (2 * step)
 
     def values(side: PupilRays) -> list[NDArray[np.float64]]:
         path = side.path - fitted.pupils.sphere_path(side)
@@ -323,27 +323,27 @@ def _found_change(lens: FittedLens, name: str) -> LensChange:
 
     def changed(polynomial: Polynomial, high: NDArray[np.float64], low: NDArray[np.float64]) -> NDArray[np.float64]:
         along = polynomial.at(np.column_stack([0 * rays.field, rays.field]), rays.inverse_distance).T
-        _, x, y = polynomial.over_pupil(list(along), (0.0, rays.field)).gradient((rays.place[0], rays.place[1]))
+        _, x, y = polynomial.over_pupil(list(along), (0.0, rays.field)).gradient((rays.position[0], rays.position[1]))
         return np.asarray((high - low) / (2 * step) - x * shift[0] - y * shift[1])
 
     polynomials = [fitted.aberration, fitted.brightness, *fitted.stops]
     changes = [changed(*parts) for parts in zip(polynomials, values(more), values(less), strict=True)]
-    made: list[Polynomial] = []
+    fits: list[Polynomial] = []
     with single_threaded_blas():
         for some in (slice(0, 2), slice(2, None)):
             if changes[some]:
-                degrees, found = polynomials[some][0].degrees, np.stack(changes[some])
-                made += fit(scales, degrees, rays.place, rays.field, rays.inverse_distance, found)
+                degrees, targets = polynomials[some][0].degrees, np.stack(changes[some])
+                fits += fit(scales, degrees, rays.position, rays.field, rays.inverse_distance, targets)
     high, low = (float(side.pupil.distance) for side in sides)
-    return LensChange((high - low) / (2 * step), made[0], made[1], tuple(made[2:]))
+    return LensChange((high - low) / (2 * step), fits[0], fits[1], tuple(fits[2:]))
 
 
 def _seen_from(
-    lens: LensSystem, other: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
+    lens: LensSystem, changed: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
 ) -> PupilRays:
     """Return rays traced through another lens, from points of given fields and inverse distances for the first."""
-    nearer = 1 / (1 - inverse_distance * (entrance_place(other) - entrance_place(lens)))
-    return trace_all(other, field * nearer, inverse_distance * nearer, entrance)[0]
+    nearer = 1 / (1 - inverse_distance * (entrance_place(changed) - entrance_place(lens)))
+    return trace_all(changed, field * nearer, inverse_distance * nearer, entrance)[0]
 
 
 def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -392,8 +392,8 @@ class VaryingLens:
         changes, distance = [], self.base.pupil.distance + (self.mla_distance - float(system.mla_distance))
         for name in LENS_NUMBERS:
             if name in self.numbers:
-                number = self.numbers[name]
-                change, amount = lens_change(self.base, name), number - dr.detach(number)
+                value = self.numbers[name]
+                change, amount = lens_change(self.base, name), value - dr.detach(value)
                 changes.append((amount, change))
                 distance = distance + amount * change.pupil_distance
         # A circle about the axis contains the exit pupil, and scales with vignetting edges.
@@ -433,9 +433,9 @@ class VaryingLens:
         return VaryingLight(base, changes)
 
 
-def grown(number: Any) -> Any:
+def grown(value: Any) -> Any:
     """Return the value 1 with the relative gradient of a number."""
-    return number / dr.detach(number)
+    return value / dr.detach(value)
 
 
 @dataclass(frozen=True)
@@ -458,28 +458,28 @@ class VaryingLight:
 
     def path(self, pupil: Pair, point: Any, wavelength: Any) -> Any:
         """Return the path in waves, as `Light.path` does; the point must be the one to which the light is bound."""
-        length, held = self.base.length(pupil), dr.detach(pupil)
+        length, fixed = self.base.length(pupil), dr.detach(pupil)
         for change in self.changes:
-            length += change.amount * change.aberration.value(held)
+            length += change.amount * change.aberration.value(fixed)
         return length * (1 / in_millimetres(wavelength))
 
     def amplitude(self, pupil: Pair, point: Any) -> Any:
         """Return the amplitude, as `Light.amplitude` does; the point must be the one to which the light is bound."""
-        result, held = self.base.amplitude(pupil, point), dr.detach(pupil)
+        result, fixed = self.base.amplitude(pupil, point), dr.detach(pupil)
         for change in self.changes:
-            result += change.amount * change.brightness.value(held)
+            result += change.amount * change.brightness.value(fixed)
         return result
 
     def inside(self, pupil: Pair) -> Any:
         """Return the distance from the edges, as `Light.inside` does, with gradients accurate near the edges."""
-        least, held = None, dr.detach(pupil)
+        least, fixed = None, dr.detach(pupil)
         for index, stop in enumerate(self.base.stops):
             away = replace(self.base, stops=[stop]).inside(pupil)
             if self.changes:
-                _, x, y = stop.gradient(held)
+                _, x, y = stop.gradient(fixed)
                 slope = dr.detach(dr.rsqrt(dr.maximum(x * x + y * y, 1e-20)))
                 for change in self.changes:
                     # An edge is where the squared height is 1; it moves by the change of that square over its slope.
-                    away -= change.amount * change.stops[index].value(held) * slope
+                    away -= change.amount * change.stops[index].value(fixed) * slope
             least = away if least is None else dr.minimum(least, away)
         return least

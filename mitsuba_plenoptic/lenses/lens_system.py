@@ -166,8 +166,8 @@ class LensSystem:
         # Extra distances of the object from the front principal plane, and of the image from the rear one.
         front = self.scale * (here.front_principal - self.numbers.front_principal)
         rear = self.scale * (here.rear_principal - self.numbers.rear_principal)
-        own = vergence(self.scale * here.focal_length, distance + front)
-        return own / (1 + rear * own)
+        power = vergence(self.scale * here.focal_length, distance + front)
+        return power / (1 + rear * power)
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA to the scene, as described in `MainLens.trace`."""
@@ -223,15 +223,15 @@ class LensSystem:
 
         height = np.asarray(height, np.float64)
         slope = -height / self.pupil.distance / ACCURACY.height_steps
-        for part in range(1, ACCURACY.height_steps + 1):
-            place = height * part / ACCURACY.height_steps
-            other = slope + 1e-3 * self.pupil.radius / self.pupil.distance
-            for _ in range(ACCURACY.few_secants if part < ACCURACY.height_steps else ACCURACY.secants):
-                low, high = at_stop(place, slope), at_stop(place, other)
-                step = np.where(high == low, 0.0, low * (other - slope) / np.where(high == low, 1.0, high - low))
-                slope, other = slope - step, slope
+        for count in range(1, ACCURACY.height_steps + 1):
+            target = height * count / ACCURACY.height_steps
+            nearby = slope + 1e-3 * self.pupil.radius / self.pupil.distance
+            for _ in range(ACCURACY.few_secants if count < ACCURACY.height_steps else ACCURACY.secants):
+                low, high = at_stop(target, slope), at_stop(target, nearby)
+                step = np.where(high == low, 0.0, low * (nearby - slope) / np.where(high == low, 1.0, high - low))
+                slope, nearby = slope - step, slope
             # Far from the axis the paraxial pupil may be a bad guess.
-            slope = slope * (min(part + 1, ACCURACY.height_steps) / part)
+            slope = slope * (min(count + 1, ACCURACY.height_steps) / count)
         return slope
 
     @property

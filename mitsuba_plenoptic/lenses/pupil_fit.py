@@ -39,7 +39,7 @@ class PupilRays:
     field: NDArray[np.float64]
     inverse_distance: NDArray[np.float64]
     # Positions in the planes of the exit and of the entrance pupil, in millimetres, (2, n).
-    place: NDArray[np.float64]
+    position: NDArray[np.float64]
     entrance: NDArray[np.float64]
     # Path to the exit pupil less that of the ray through the centre of the entrance pupil, in millimetres, (n,).
     path: NDArray[np.float64]
@@ -168,7 +168,7 @@ class Pupils:
 
     def sphere_path(self, rays: PupilRays) -> NDArray[np.float64]:
         """Return the path of a perfect wave to the exit pupil, less the path to the pupil's centre, (n,)."""
-        (x, y), w, s = rays.place, self.convergence(rays.inverse_distance), self.slope(rays.field)
+        (x, y), w, s = rays.position, self.convergence(rays.inverse_distance), self.slope(rays.field)
         length = np.sqrt((x * w) ** 2 + (y * w - s) ** 2 + 1) + np.sqrt(s * s + 1)
         return (2 * y * s - (x * x + y * y) * w) / length
 
@@ -220,10 +220,10 @@ def fit_pupil(
     refuse_if(not is_open.any(), "main_lens: no ray gets through it from where the scene points lie")
     judges = judges.take(judges.open)
     low, high = inverse_distance
-    scales = Scales(float(np.hypot(*rays.place[:, is_open]).max()), field, (low + high) / 2, (high - low) / 2)
+    scales = Scales(float(np.hypot(*rays.position[:, is_open]).max()), field, (low + high) / 2, (high - low) / 2)
 
     def fitted(degrees: Degrees, *values: NDArray[np.float64]) -> list[Polynomial]:
-        return fit(scales, degrees, rays.place, rays.field, rays.inverse_distance, np.stack(values))
+        return fit(scales, degrees, rays.position, rays.field, rays.inverse_distance, np.stack(values))
 
     path = rays.path - pupils.sphere_path(rays)
     left = judges.path - pupils.sphere_path(judges)
@@ -275,11 +275,11 @@ def _error(aberration: Polynomial, rays: PupilRays, path: NDArray[np.float64]) -
         some = rays.field == field
         if np.count_nonzero(some) < ACCURACY.least_open_rays:
             continue
-        one, near = np.array([[0.0, field]]), rays.inverse_distance[some][:1]
-        coefficients = [np.array(number) for number in aberration.at(one, near)[0]]
-        x, y = rays.place[:, some]
-        found = aberration.over_pupil(coefficients, (0.0, field)).value((x, y))
-        worst = max(worst, float(np.std(found - path[some])))
+        direction, near = np.array([[0.0, field]]), rays.inverse_distance[some][:1]
+        coefficients = [np.array(coefficient) for coefficient in aberration.at(direction, near)[0]]
+        x, y = rays.position[:, some]
+        fitted = aberration.over_pupil(coefficients, (0.0, field)).value((x, y))
+        worst = max(worst, float(np.std(fitted - path[some])))
     return worst
 
 
@@ -314,15 +314,15 @@ class ExitPupil(LensLight):
         axis = np.linspace(-ACCURACY.fitted_radius, ACCURACY.fitted_radius, ACCURACY.single_rays) * float(
             lens.aperture_radius
         )
-        entrance = np.stack([part.ravel() for part in np.meshgrid(axis, axis)])
+        entrance = np.stack([plane.ravel() for plane in np.meshgrid(axis, axis)])
         count = entrance.shape[1]
         rays = trace(lens, np.full(count, field), np.full(count, near), entrance)
         is_open = rays.open
         if not is_open.any():
             raise InputError(f"position = ({', '.join(f'{c:g}' for c in point)}): no light of it passes the main_lens")
         # The beam's middle lies in the plane of axis and point.
-        middle = float(rays.place[1, is_open].mean())
-        radius = float(np.hypot(rays.place[0], rays.place[1] - middle).max())
+        middle = float(rays.position[1, is_open].mean())
+        radius = float(np.hypot(rays.position[0], rays.position[1] - middle).max())
         # On the axis there is no direction on which the light could depend.
         scales, degrees = (
             Scales(radius + abs(middle), field or 1.0, near, 1.0),
@@ -331,14 +331,16 @@ class ExitPupil(LensLight):
         along = float(direction[0]), float(direction[1])
 
         def fitted(some: Any, *values: NDArray[np.float64]) -> list[PupilPolynomial]:
-            own = rays.take(some)
-            made = fit(scales, degrees, own.place, own.field, own.inverse_distance, np.stack(values), alone=True)
-            return [each.over_pupil(each.coefficients[0, 0].tolist(), along) for each in made]
+            subset = rays.take(some)
+            polynomials = fit(
+                scales, degrees, subset.position, subset.field, subset.inverse_distance, np.stack(values), alone=True
+            )
+            return [polynomial.over_pupil(polynomial.coefficients[0, 0].tolist(), along) for polynomial in polynomials]
 
         path = rays.path - pupils.sphere_path(rays)
         checking = np.arange(len(path)) % 2 == 1
         (aberration,) = fitted(~checking, path[~checking])
-        left = path - replace(aberration, field=(0.0, field)).value((rays.place[0], rays.place[1]))
+        left = path - replace(aberration, field=(0.0, field)).value((rays.position[0], rays.position[1]))
         error = float(np.std(left[checking & is_open])) / in_millimetres(lens.light)
         guards.check(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * error) ** 2)))
         # A surface that lets all traced rays through does not vignette.
@@ -348,7 +350,7 @@ class ExitPupil(LensLight):
         circle = np.array([scales.radius**2 / 2, scales.radius**2 / 2 + middle**2, -2 * shift / scales.mixed])
         stops.append(PupilPolynomial(scales, Degrees(2, 1, 0), (circle / radius**2).tolist(), along))
         # From the frame in which the point lies along y to that of the camera.
-        (u, v), (x, y) = direction / scales.field if field else (0.0, 1.0), rays.place[:, is_open]
+        (u, v), (x, y) = direction / scales.field if field else (0.0, 1.0), rays.position[:, is_open]
         places = np.column_stack([x * v + y * u, y * v - x * u])
         open_radius = float(np.hypot(x, y).max()) + radius / ACCURACY.single_rays
         slope, convergence = pupils.slope(direction).tolist(), float(pupils.convergence(near))

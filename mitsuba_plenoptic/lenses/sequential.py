@@ -77,23 +77,23 @@ def elements(
     """
     surfaces = prescription.surfaces
     index = [1.0, *(prescription.indices(wavelength) if indices is None else indices)]
-    made = []
-    for number, surface in enumerate(surfaces):
-        stopped = number == prescription.stop and stop_radius is not None
-        made.append(
+    steps = []
+    for position, surface in enumerate(surfaces):
+        stopped = position == prescription.stop and stop_radius is not None
+        steps.append(
             (
-                surfaces[number - 1].thickness if number else 0.0,
-                surfaces[number].thickness if number < len(surfaces) - 1 else 0.0,
+                surfaces[position - 1].thickness if position else 0.0,
+                surfaces[position].thickness if position < len(surfaces) - 1 else 0.0,
                 surface,
                 stop_radius if stopped else surface.semi_aperture,
-                index[number],
-                index[number + 1],
+                index[position],
+                index[position + 1],
             )
         )
     if not backwards:
-        return [Element(gap, s.curvature, s.conic, s.asphere, a, n, m) for gap, _, s, a, n, m in made]
+        return [Element(gap, s.curvature, s.conic, s.asphere, a, n, m) for gap, _, s, a, n, m in steps]
     return [
-        Element(gap, -s.curvature, s.conic, tuple(-c for c in s.asphere), a, m, n) for _, gap, s, a, n, m in made[::-1]
+        Element(gap, -s.curvature, s.conic, tuple(-c for c in s.asphere), a, m, n) for _, gap, s, a, n, m in steps[::-1]
     ]
 
 

@@ -93,8 +93,8 @@ class Wavefront:
         along_x, along_y = along_x * scale, along_y * scale
         if self._screen is None:
             return along_x, along_y
-        own = self._screen.slopes(x, y)
-        return along_x + own[0], along_y + own[1]
+        added = self._screen.slopes(x, y)
+        return along_x + added[0], along_y + added[1]
 
 
 def _sum(terms: list[Any], x: Any) -> Any:
@@ -340,10 +340,10 @@ class DistortedLens(ThinLens):
 def thin_lens(numbers: LensNumbers) -> ThinLens:
     """Return the main lens of a camera without an objective or prescription."""
     pupil, screen = Pupil(numbers.aperture_radius, numbers.mla_distance), numbers.camera.phase_screen
-    own = numbers.focal_length, pupil, numbers.model, numbers.wavefront, screen
+    arguments = numbers.focal_length, pupil, numbers.model, numbers.wavefront, screen
     if any(numbers.camera.distortion):
-        return DistortedLens(*own, numbers.camera.distortion)
-    return ThinLens(*own)
+        return DistortedLens(*arguments, numbers.camera.distortion)
+    return ThinLens(*arguments)
 
 
 @builds(Collimator)

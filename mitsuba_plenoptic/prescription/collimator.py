@@ -71,10 +71,10 @@ class Collimator(LensData):
     def settled(self, given: dict[str, float]) -> dict[str, float]:
         """Return the parameters completed by the distance of the pupil's image; refuse another distance."""
         length, collimator = given["focal_length"], self.collimator_focal_length
-        own = length + collimator + collimator * (1 + self.magnification(length))
+        distance = length + collimator + collimator * (1 + self.magnification(length))
         if not math.isnan(given["mla_distance"]):
-            require_unscaled(given, {"mla_distance": own}, SINGLE)
-        return given | {"mla_distance": own}
+            require_unscaled(given, {"mla_distance": distance}, SINGLE)
+        return given | {"mla_distance": distance}
 
     def require_focusable(self, focus_distance: Any) -> None:
         """Refuse any given plane in focus, which is always infinity."""

@@ -202,10 +202,10 @@ def require_unscaled(given: dict[str, float], own: dict[str, float], tolerance: 
     InputError
         If a given value is not the lens's own.
     """
-    for name, number in own.items():
+    for name, value in own.items():
         refuse_if(
-            not math.isclose(given[name], number, rel_tol=tolerance),
-            f"{name} = {given[name]:g}: with this main_lens it is {number:.6g}; leave it out",
+            not math.isclose(given[name], value, rel_tol=tolerance),
+            f"{name} = {given[name]:g}: with this main_lens it is {value:.6g}; leave it out",
         )
     return own
 

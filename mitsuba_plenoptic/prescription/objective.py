@@ -95,12 +95,12 @@ class Objective(LensData):
         )
         put(self, tube_focal_length=require_length("main_lens: tube_focal_length", self.tube_focal_length))
         require_choice("main_lens: arrangement", self.arrangement, ARRANGEMENTS)
-        name, given = "main_lens: fourier_focal_length", self.fourier_focal_length
+        name, length = "main_lens: fourier_focal_length", self.fourier_focal_length
         if self.arrangement == "fourier":
-            refuse_if(given is None, f"{name}: it is missing; arrangement = fourier needs the lens before the array")
-            put(self, fourier_focal_length=require_length(name, given))
-        elif given is not None:
-            raise InputError(f"{name} = {short_repr(given)}: it is for arrangement = fourier; leave it out")
+            refuse_if(length is None, f"{name}: it is missing; arrangement = fourier needs the lens before the array")
+            put(self, fourier_focal_length=require_length(name, length))
+        elif length is not None:
+            raise InputError(f"{name} = {short_repr(length)}: it is for arrangement = fourier; leave it out")
 
     @property
     def name(self) -> str:
