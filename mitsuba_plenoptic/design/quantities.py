@@ -527,7 +527,7 @@ def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
     for (row, radius), f2 in itertools.product(enumerate(radii), camera.reduced_focal_lengths):
         slope = lens.pupil.slope(pupil, radius * away + offset)
         cosine = slope / np.sqrt(1 + (slope**2).sum(0))
-        behind = (cosine - np.stack(camera.microlens.deflection(camera.lattice, *offset, f2))) / n
+        behind = (cosine - np.stack(camera.microlens.deflection(camera.lattice, offset[0], offset[1], f2))) / n
         square = (behind**2).sum(0)
         # The rest is reflected totally.
         passes = square < 1

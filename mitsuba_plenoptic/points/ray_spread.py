@@ -41,10 +41,10 @@ def ray_spread(camera: PlenopticCamera, point: NDArray[np.float64]) -> NDArray[n
             power *= camera.vignetting.power(*seen, *place)
         landed: Any = place
         if walk is not None:
-            i, j = walk.lattice.cell(*place)
-            lens = walk.lenslet(i, j)
-            power *= lens.gain * walk.lattice.in_aperture(place[0] - lens.centre[0], place[1] - lens.centre[1])
-            landed, _ = walk.onto_detector(pupil, Passage((place[0], place[1]), lens))
+            lenslet = walk.lenslet(*walk.lattice.cell(*place))
+            x, y = lenslet.centre
+            power *= lenslet.gain * walk.lattice.in_aperture(place[0] - x, place[1] - y)
+            landed, _ = walk.onto_detector(pupil, Passage((place[0], place[1]), lenslet))
         column, row = (
             np.floor(p / camera.pixel_size + size / 2 - offset).astype(np.int64)
             for p, size, offset in zip(landed, camera.resolution, camera.crop_offset, strict=True)

@@ -29,7 +29,8 @@ from ..optics.spectrum import Responses, Spectrum
 from ..optics.waves import in_millimetres
 from ..rays.random_numbers import even_words
 from ..runtime import drjit_array
-from .phase_space import FINE
+from .expansion import ExpandedPlan, nearby
+from .phase_space import FINE, PhaseSpace
 from .scheme import plan_of, scheme_of
 
 _PROBED, _LEAST_ERROR = 3.0, 1e-3
@@ -196,14 +197,18 @@ class SignedColours:
             return spectrum.interpolated(self.nodes)
         return _enough(camera, spectrum, max(accuracy, _LEAST_ERROR))
 
-    def planned(self, camera: PlenopticCamera, accuracy: float) -> list[Node]:
-        """Return the nodes, with their plans."""
-        shared = self.shared(camera, accuracy)
+    def planned(self, camera: PlenopticCamera, accuracy: float, varying: Sequence[str] = ()) -> list[Node]:
+        """Return the nodes, with their plans, which are expanded where parameters are varied."""
+        start = nearby(camera, varying, accuracy)
+        shared = self.shared(start, accuracy)
         shortest, longest = shared[0][0], shared[-1][0]
-        return [
-            Node(plan_of(camera.at_wavelength(at), at, accuracy < FINE, shortest, longest), channels, weights)
-            for at, channels, weights in shared
-        ]
+        nodes = []
+        for wavelength, channels, weights in shared:
+            plan = plan_of(start.at_wavelength(wavelength), wavelength, accuracy < FINE, shortest, longest)
+            if varying and isinstance(plan, PhaseSpace) and not plan.by_points:
+                plan = ExpandedPlan.about(plan, camera.at_wavelength(wavelength))
+            nodes.append(Node(plan, channels, weights))
+        return nodes
 
     def shared(
         self, camera: PlenopticCamera, accuracy: float

@@ -190,9 +190,9 @@ def _trace(batch: RayBatch) -> Part:
     g = finite_distance(camera, batch.distance)
     point = -q[:, 0] * g / b, -q[:, 1] * g / b, np.full(len(q), g)
     m = light.land(pupil, point)
-    lens = walk.lenslet(*camera.lattice.cell(*m))
-    passes = camera.lattice.in_aperture(m[0] - lens.centre[0], m[1] - lens.centre[1])
-    landed, _ = walk.onto_detector(pupil, Passage((m[0], m[1]), lens))
+    lenslet = walk.lenslet(*camera.lattice.cell(*m))
+    passes = camera.lattice.in_aperture(m[0] - lenslet.centre[0], m[1] - lenslet.centre[1])
+    landed, _ = walk.onto_detector(pupil, Passage((m[0], m[1]), lenslet))
     position = ((np.stack(landed, axis=-1) - grid.origin) / grid.pitch)[passes]
     below = np.floor(position).astype(np.int64)
     low = below.min(0)
