@@ -90,26 +90,10 @@ def fit(
     *,
     alone: bool = False,
 ) -> list[Polynomial]:
-    """Return polynomials fitted to values by least squares.
+    """Return polynomials fitted to the values (k, n) of k functions by least squares.
 
-    Parameters
-    ----------
-    scales : Scales
-        Scales of the variables.
-    degrees : Degrees
-        Largest powers.
-    position : float64 array (2, n)
-        Positions on the pupil, for points whose fields lie along y.
-    field, inverse_distance : float64 array (n,)
-        Fields and inverse distances of these points.
-    values : float64 array (k, n)
-        Values of k functions.
-    alone : bool
-        Whether all rays come from one point, so that no power of its field alone is fitted.
-
-    Returns
-    -------
-    list of k Polynomial
+    `position` (2, n) are those on the pupil, for points with fields along y; `alone` leaves out powers of the field
+    alone, if all rays come from one point.
     """
     f, d = scales.of_points(field**2, inverse_distance)
     s, t = scales.of_pupil((position**2).sum(0)), position[1] * field * scales.mixed

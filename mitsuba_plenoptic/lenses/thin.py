@@ -210,15 +210,6 @@ class ThinLens(ClosedLens):
         With aberrations W, a thin parabolic phase has the path :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`
         (Goodman, "Introduction to Fourier Optics", section 5.1). Behind an ideal lens all paths to the image X' are
         equal, which leaves :math:`(|X'| - |P - X'| + W(P)) / \lambda`. Both are computed without cancellation.
-
-        Parameters
-        ----------
-        pupil : (array, array)
-            Point on the exit pupil in millimetres.
-        point : (array, array, array)
-            Scene point in the camera frame in millimetres.
-        wavelength : float
-            Wavelength in nanometres.
         """
         (Px, Py), (X, Y, g) = pupil, point
         square = Px * Px + Py * Py
@@ -297,13 +288,7 @@ def _signed(length: Any, g: Any) -> Any:
 
 @dataclass(frozen=True)
 class DistortedLens(ThinLens):
-    """A thin lens with distortion, whose rays continue as if from another MLA point; for the ray model only.
-
-    Parameters
-    ----------
-    distortion : five floats
-        See `mitsuba_plenoptic.lenses.distortion`.
-    """
+    """A thin lens with distortion (`undistort`), whose rays continue as if from another MLA point; for rays only."""
 
     distortion: tuple[float, ...] = (0.0,) * 5
 
