@@ -151,7 +151,7 @@ class Pupils:
         near = trace(lens, np.zeros(1), np.zeros(1), np.array([[1e-3 * float(lens.aperture_radius)], [0.0]]))
         size = numbers.exit_radius / numbers.entrance_radius
         image = 1 / float(lens.vergence(math.inf)) + float(lens.pupil.distance) - float(lens.mla_distance)
-        return cls(entrance_place(lens), float(math.copysign(size, near.place[0, 0])), 1 / image)
+        return cls(entrance_place(lens), float(math.copysign(size, near.position[0, 0])), 1 / image)
 
     def field(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the fields (n, 2) and inverse distances (n,) of scene points (n, 3)."""
