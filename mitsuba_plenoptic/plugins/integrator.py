@@ -284,7 +284,7 @@ def make_class() -> type:
             if self.method == SIGNED_RAYS:
                 return self._signed(scene, sensor)
             # The film records what the detector makes of the light.
-            camera = PlenopticCamera.from_sensor(sensor).regular.replace(**SHARP)
+            camera = PlenopticCamera.from_sensor(sensor).replace(**SHARP)
             require_support(camera, Use.SCENE_POINTS)
             spectrum, upsampling = self.spectrum_of(scene, sensor), None
             if mi.is_spectral:
