@@ -113,6 +113,18 @@ class WaveAccuracy:
     noise_weight: float = 2e-4  # weight of the noise
     fitted_every: int = 9  # one of so many points of the pupil serves for the covariance
 
+    # Wavelengths of signed rays
+    spot_error: float = 3.0  # allowed error of a lens's spot over that of the capture, in which spots overlap
+    least_spot_error: float = 1e-3  # smallest of these errors of captures
+    # Largest blur from one node to the next, in lenses, over the square root of the capture's error.
+    node_blur: float = 10.0
+    most_nodes: int = 32  # largest count of nodes of a band, unless `nodes` is given
+    dense_wavelengths: int = 33  # wavelengths at which spots are compared, with linear interpolation between them
+    spot_width: float = 4.0  # half the width of the compared spots in diffraction widths
+    spot_samples: int = 4  # samples per diffraction width
+    shared_pixel: float = 4.0  # width of pixels over that of spots from which channels may share a node
+    density_steps: int = 2**14  # steps by which the responses from which wavelengths are drawn are integrated
+
 
 USUAL = WaveAccuracy()
 """The numbers of usual plans."""

@@ -4,7 +4,8 @@ Coefficients and kernels are computed at a few wavelengths, the nodes of `Spectr
 wavelengths is divided among the nodes by the polynomial through them. Each channel thus has an image at each node, and
 records the sum of the images' convolutions.
 
-In spectral variants each ray has its own wavelengths, drawn from the channels' responses. The two rays that correct
+In spectral variants each ray has its own wavelengths, drawn from the channels' responses, over which the mean square of
+a node's share is its weight in Gauss's rule: sharing adds no noise to speak of. The two rays that correct
 each other have the same wavelengths, so that light which is uniform over a lens has only the noise of the wavelengths.
 From cell to cell the wavelengths follow a sequence that fills the band evenly in any neighbourhood.
 """
@@ -29,31 +30,13 @@ from ..optics.spectrum import Responses, Spectrum
 from ..optics.waves import in_millimetres
 from ..rays.random_numbers import even_words
 from ..runtime import drjit_array
+from .accuracy import USUAL
 from .expansion import ExpandedPlan, nearby
 from .phase_space import FINE, PhaseSpace
 from .scheme import plan_of, scheme_of
 
-_PROBED, _LEAST_ERROR = 3.0, 1e-3
-"""Ratio of the allowed error of a lens's spot to that of the capture, in which spots overlap; smallest error used."""
-
-_BLUR = 10.0
-"""Largest blur from one node to the next, in lenses, over the square root of the capture's error: the error of linear
-interpolation grows with the square of the step."""
-
-_MOST_NODES = 32
-"""Largest count of nodes of a band, unless `nodes` is given."""
-
-_DENSE = 33
-"""Wavelengths at which spots are compared, with linear interpolation between them."""
-
-_SPOTS = (4.0, 4)
-"""Half the width of the compared spots in diffraction widths, and samples per diffraction width."""
-
-_COARSE = 4.0
-"""Width of pixels over that of spots from which channels may share a node; others are not examined for it."""
-
-_STRATA, _STEPS = 4096, 2**14
-"""Strata of equal probability from which wavelengths are drawn, and integration steps by which they are found."""
+_STRATA = 4096
+"""Strata of equal probability from which wavelengths are drawn."""
 
 
 class Lanes(NamedTuple):
@@ -71,7 +54,7 @@ class DrawnWavelengths:
     """Random wavelengths with the density of the channels' responses, which are stratified."""
 
     def __init__(self, responses: Responses) -> None:
-        steps = np.linspace(responses.low, responses.high, _STEPS + 1)
+        steps = np.linspace(responses.low, responses.high, USUAL.density_steps + 1)
         density = np.abs(responses.at(steps))
         density = (density / density.sum(1, keepdims=True)).sum(0)
         upto = np.concatenate([[0], np.cumsum(density[1:] + density[:-1])])
@@ -184,7 +167,7 @@ class SignedColours:
         if self.nodes is None and camera.has_array:
             wavelength = in_millimetres(max(self.spectrum.wavelengths))
             spot = wavelength * camera.reduced_distance / camera.lattice.aperture_width
-            if camera.pixel_size > _COARSE * spot:
+            if camera.pixel_size > USUAL.shared_pixel * spot:
                 together = self._noded(lit, camera, accuracy)
                 if len(together.computed) == 1:
                     return [(lit, together)]
@@ -195,7 +178,7 @@ class SignedColours:
         spectrum = replace(self.spectrum, responses=tuple(self.spectrum.responses[channel] for channel in channels))
         if self.nodes is not None:
             return spectrum.interpolated(self.nodes)
-        return _enough(camera, spectrum, max(accuracy, _LEAST_ERROR))
+        return _enough(camera, spectrum, max(accuracy, USUAL.least_spot_error))
 
     def planned(self, camera: PlenopticCamera, accuracy: float, varying: Sequence[str] = ()) -> list[Node]:
         """Return the nodes, with their plans, which are expanded where parameters are varied."""
@@ -242,29 +225,29 @@ def _enough(camera: PlenopticCamera, spectrum: Spectrum, error: float) -> Spectr
     if lit.min() == lit.max():
         return spectrum.interpolated(1)
     weights = responses / responses.sum(1, keepdims=True)
-    dense = np.geomspace(lit.min(), lit.max(), _DENSE)
+    dense = np.geomspace(lit.min(), lit.max(), USUAL.dense_wavelengths)
     make = scheme_of(camera).plan
     width, coarse = make(camera.at_wavelength(dense[-1]), dense[-1]).widths
-    step = width * dense[0] / dense[-1] / _SPOTS[1]
-    reach = math.ceil((_SPOTS[0] * width + camera.pixel_size / 2) / step)
+    step = width * dense[0] / dense[-1] / USUAL.spot_samples
+    reach = math.ceil((USUAL.spot_width * width + camera.pixel_size / 2) / step)
     along = np.arange(-reach, reach + 1) * step
     spots = np.stack([make(camera.at_wavelength(wavelength), wavelength).spots(along) for wavelength in dense])
     pixel = max(1, round(camera.pixel_size / step))
-    spots = scipy.ndimage.uniform_filter(spots, (0, 0, pixel, pixel), mode="constant").reshape(_DENSE, -1)
+    spots = scipy.ndimage.uniform_filter(spots, (0, 0, pixel, pixel), mode="constant").reshape(len(dense), -1)
 
     def at(places: Any) -> Any:
-        return np.stack([np.interp(places, dense, unit) for unit in np.eye(_DENSE)], axis=-1) @ spots
+        return np.stack([np.interp(places, dense, unit) for unit in np.eye(len(dense))], axis=-1) @ spots
 
     true = weights @ at(wavelengths)
     noded = spectrum
-    for count in range(1, _MOST_NODES + 1):
+    for count in range(1, USUAL.most_nodes + 1):
         noded = spectrum.interpolated(count)
         wrong = np.linalg.norm(weights @ noded.shares().T @ at(noded.computed) - true, axis=1)
         apart = noded if count > 1 else spectrum.interpolated(2)
         powers = [_power(camera, node) for node in apart.computed]
         blur = 2 * camera.aperture_radius * camera.mla_distance * np.abs(np.diff(powers)).max()
-        good = (wrong / np.linalg.norm(true, axis=1)).max() <= _PROBED * error
-        if good and blur <= _BLUR * math.sqrt(error) * coarse:
+        good = (wrong / np.linalg.norm(true, axis=1)).max() <= USUAL.spot_error * error
+        if good and blur <= USUAL.node_blur * math.sqrt(error) * coarse:
             break
     return noded
 
