@@ -158,12 +158,12 @@ def _sums(image: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(rows[:, ::2] + rows[:, 1::2])
 
 
-def known_means(radiance: list[Any], seen: Any, count: int, spp: int) -> tuple[list[Pair], Any]:
+def known_means(radiance: list[Any], passed: Any, count: int, spp: int) -> tuple[list[Pair], Any]:
     """Return the means of each radiance value over rays of even indices and over rays of odd indices.
 
     A mask of cells with nonzero radiance is returned, too, as derivatives of radiance may cancel in the means.
     """
-    (counts, *sums), lit = halves(seen, radiance, count, spp)
+    (counts, *sums), lit = halves(passed, radiance, count, spp)
     means = [means_of(pair, counts) for pair in sums]
     dr.eval(means, lit)
     return means, lit
@@ -175,7 +175,7 @@ def means_of(sums: Sequence[Any], counts: Sequence[Any]) -> Pair:
     return first, second
 
 
-def halves(seen: Any, values: list[Any], count: int, spp: int) -> tuple[list[Pair], Any]:
+def halves(passed: Any, values: list[Any], count: int, spp: int) -> tuple[list[Pair], Any]:
     """Return, for each cell, sums over rays of even and of odd indices: of `seen` and of each value.
 
     The mask of the cells in which some value is not zero is returned as well.
@@ -184,7 +184,7 @@ def halves(seen: Any, values: list[Any], count: int, spp: int) -> tuple[list[Pai
     first = dr.arange(mi.UInt32, count) * rays
 
     def add(k: Any, totals: list[Pair], some: Any) -> tuple[Any, list[Pair], Any]:
-        light = [dr.gather(mi.Float, of_rays, first + k) for of_rays in (seen, *values)]
+        light = [dr.gather(mi.Float, of_rays, first + k) for of_rays in (passed, *values)]
         even = (k & 1) == 0
         totals = [
             (a + dr.select(even, value, 0), b + dr.select(even, 0, value))

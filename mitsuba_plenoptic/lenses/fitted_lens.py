@@ -98,16 +98,16 @@ class FittedLens:
         fraction: NDArray[np.float64] = self.system.open_fraction(x, y)
         return fraction
 
-    def bind(self, points: NDArray[np.float64], which: Any = None) -> LensLight:
+    def bind(self, points: NDArray[np.float64], index: Any = None) -> LensLight:
         """Return the light of some points, as `MainLens.bind` does."""
         fitted, pupils = self.fitted, self.fitted.pupils
         field, inverse_distance = pupils.field(points)
 
         def lanes(column: NDArray[np.float64]) -> Any:
-            if which is None:
+            if index is None:
                 return np.ascontiguousarray(column)[:, None]
-            Float64 = dr.float64_array_t(type(which))
-            return dr.gather(Float64, drjit_array(Float64, column), which)
+            Float64 = dr.float64_array_t(type(index))
+            return dr.gather(Float64, drjit_array(Float64, column), index)
 
         positions = lanes(field[:, 0]), lanes(field[:, 1])
 
@@ -131,7 +131,7 @@ class FittedLens:
         changed = {name: numbers[name] for name in LENS_NUMBERS if name in names}
         return VaryingLens(self, numbers["mla_distance"], changed, turned)
 
-    def opaque(self, number: Callable[[Any], Any]) -> FittedLens:
+    def opaque(self, convert: Callable[[Any], Any]) -> FittedLens:
         """Return this lens, whose parameters are stored in arrays and are opaque already."""
         return self
 
@@ -403,15 +403,15 @@ class VaryingLens:
         object.__setattr__(self, "pupil", Pupil(radius, distance))
         object.__setattr__(self, "_changes", changes)
 
-    def bind(self, points: NDArray[np.float64], which: Any) -> VaryingLight:
+    def bind(self, points: NDArray[np.float64], index: Any) -> VaryingLight:
         """Return the light of some points, as `MainLens.bind` does for Dr.Jit."""
-        light = self.base.bind(points, which)
+        light = self.base.bind(points, index)
         fields, inverse_distance = self.base.fitted.pupils.field(points)
-        Float64 = dr.float64_array_t(type(which))
+        Float64 = dr.float64_array_t(type(index))
 
         def bound(polynomial: Any) -> PupilPolynomial:
             lanes = [
-                dr.gather(Float64, drjit_array(Float64, c), which) for c in polynomial.at(fields, inverse_distance).T
+                dr.gather(Float64, drjit_array(Float64, c), index) for c in polynomial.at(fields, inverse_distance).T
             ]
             return polynomial.over_pupil(lanes, light.aberration.field)
 

@@ -53,9 +53,9 @@ class PupilRays:
         """Mask of unvignetted rays."""
         return np.asarray((self.stops <= 1).all(axis=0))
 
-    def take(self, which: NDArray[Any]) -> PupilRays:
+    def take(self, index: NDArray[Any]) -> PupilRays:
         """Return a selection of the rays."""
-        return PupilRays(*(np.asarray(getattr(self, name))[..., which] for name in self.__dataclass_fields__))
+        return PupilRays(*(np.asarray(getattr(self, name))[..., index] for name in self.__dataclass_fields__))
 
 
 def entrance_place(lens: LensSystem) -> float:

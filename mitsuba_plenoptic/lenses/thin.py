@@ -175,11 +175,11 @@ class ThinLens(ClosedLens):
         pupil = Pupil(numbers["aperture_radius"], numbers["mla_distance"])
         return replace(self, focal_length=numbers["focal_length"], pupil=pupil, aberrations=numbers["wavefront"])
 
-    def opaque(self, number: Callable[[Any], Any]) -> ThinLens:
+    def opaque(self, convert: Callable[[Any], Any]) -> ThinLens:
         """Return the lens with parameters that are not compiled into kernels."""
-        pupil = replace(self.pupil, radius=number(self.pupil.radius), distance=number(self.pupil.distance))
-        aberrations = [number(value) for value in self.aberrations]
-        return replace(self, focal_length=number(self.focal_length), pupil=pupil, aberrations=aberrations)
+        pupil = replace(self.pupil, radius=convert(self.pupil.radius), distance=convert(self.pupil.distance))
+        aberrations = [convert(value) for value in self.aberrations]
+        return replace(self, focal_length=convert(self.focal_length), pupil=pupil, aberrations=aberrations)
 
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the positions (n, 2) on the MLA of the rays from scene points (n, 3) through the pupil's centre."""

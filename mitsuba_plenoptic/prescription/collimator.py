@@ -68,13 +68,13 @@ class Collimator(LensData):
         """Return NaN, as the distance follows from both focal lengths, see `settled`."""
         return math.nan
 
-    def settled(self, given: dict[str, float]) -> dict[str, float]:
+    def settled(self, stated: dict[str, float]) -> dict[str, float]:
         """Return the parameters completed by the distance of the pupil's image; refuse another distance."""
-        length, collimator = given["focal_length"], self.collimator_focal_length
+        length, collimator = stated["focal_length"], self.collimator_focal_length
         distance = length + collimator + collimator * (1 + self.magnification(length))
-        if not math.isnan(given["mla_distance"]):
-            require_unscaled(given, {"mla_distance": distance}, SINGLE)
-        return given | {"mla_distance": distance}
+        if not math.isnan(stated["mla_distance"]):
+            require_unscaled(stated, {"mla_distance": distance}, SINGLE)
+        return stated | {"mla_distance": distance}
 
     def require_focusable(self, focus_distance: Any) -> None:
         """Refuse any given plane in focus, which is always infinity."""

@@ -211,7 +211,7 @@ class Glass:
                 not all(isinstance(pair, (list, tuple)) and len(pair) == 2 for pair in entries),
                 f"{where}: table = {short_repr(entries)}: it must be pairs of wavelength and index",
             )
-            entries = [number for pair in entries for number in pair]
+            entries = [figure for pair in entries for figure in pair]
         return cls(form, tuple(require_number(f"{where}: {form}", entry) for entry in entries), name)
 
 
@@ -271,7 +271,7 @@ class _Entry(NamedTuple):
         path = resources.files("optiland.database") / "data-nk" / self.file
         material = importlib.import_module("optiland.materials").MaterialFile(str(path))
         # A wavelength at the end of the data stays within them, whatever its digits.
-        wavelengths = [one for one in _CATALOGUE.tolist() if self.low - 1e-6 <= one <= self.high + 1e-6]
+        wavelengths = _CATALOGUE[(self.low - 1e-6 <= _CATALOGUE) & (self.high + 1e-6 >= _CATALOGUE)].tolist()
         refuse_if(len(wavelengths) < 2, f"glass {name}: its data reach from {self.low:g} to {self.high:g} nm only")
         indices = [float(np.ravel(material.n(wavelength * 1e-3))[0]) for wavelength in wavelengths]
         pairs = [value for pair in zip(wavelengths, indices, strict=True) for value in pair]

@@ -125,9 +125,9 @@ class LensData(PlainData):
         """Return the distance to the array in mm if neither it nor a plane in focus is given."""
         return _MLA_DISTANCE
 
-    def settled(self, given: dict[str, float]) -> dict[str, float]:
+    def settled(self, stated: dict[str, float]) -> dict[str, float]:
         """Return the camera's main lens parameters, completed from given ones; refuse contradictions."""
-        return given
+        return stated
 
     def require_focusable(self, focus_distance: Any) -> None:
         """Refuse a lens whose plane in focus cannot be chosen."""
@@ -187,27 +187,27 @@ def known_kind(value: Any, default: type[LensData]) -> type[LensData]:
     return default
 
 
-def require_unscaled(given: dict[str, float], own: dict[str, float], tolerance: float) -> dict[str, float]:
+def require_unscaled(stated: dict[str, float], settled: dict[str, float], tolerance: float) -> dict[str, float]:
     """Return a lens's own parameters; refuse given parameters that differ.
 
     Parameters
     ----------
-    given, own : dict
-        Values by name: the given ones, and the lens's.
+    stated, settled : dict
+        Values by name: those of a camera, and the lens's.
     tolerance : float
         Allowed relative difference.
 
     Raises
     ------
     InputError
-        If a given value is not the lens's own.
+        If a stated value is not the lens's own.
     """
-    for name, value in own.items():
+    for name, value in settled.items():
         refuse_if(
-            not math.isclose(given[name], value, rel_tol=tolerance),
-            f"{name} = {given[name]:g}: with this main_lens it is {value:.6g}; leave it out",
+            not math.isclose(stated[name], value, rel_tol=tolerance),
+            f"{name} = {stated[name]:g}: with this main_lens it is {value:.6g}; leave it out",
         )
-    return own
+    return settled
 
 
 def require_alone(camera: Any) -> None:

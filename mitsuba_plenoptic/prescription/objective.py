@@ -165,10 +165,10 @@ class Objective(LensData):
         """Return the focal length of the lens before the array."""
         return self.last_focal_length
 
-    def settled(self, given: dict[str, float]) -> dict[str, float]:
+    def settled(self, stated: dict[str, float]) -> dict[str, float]:
         """Return the parameters set by the objective; refuse given ones that differ."""
         numbers = self.focal_length, self.stop_radius, self.last_focal_length
-        return require_unscaled(given, dict(zip(self.sets, numbers, strict=True)), SINGLE)
+        return require_unscaled(stated, dict(zip(self.sets, numbers, strict=True)), SINGLE)
 
     def require_focusable(self, focus_distance: Any) -> None:
         """Refuse a plane in focus other than the native object plane."""

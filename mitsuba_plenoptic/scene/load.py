@@ -282,7 +282,7 @@ def _complete(path: Path, parameters: dict[str, str]) -> dict[str, str]:
 
 
 @contextlib.contextmanager
-def loading(what: str = "") -> Iterator[None]:
+def loading(subject: str = "") -> Iterator[None]:
     """Turn Mitsuba's refusal to load a scene into an `InputError` with the cause and the line of the file."""
     try:
         yield
@@ -294,7 +294,7 @@ def loading(what: str = "") -> Iterator[None]:
             raise KeyboardInterrupt from None
         # A traceback states lines of Python.
         line = re.search(r"\b(line \d+(?:, col(?:umn)? \d+)?)", str(error).partition("Traceback")[0])
-        where = f"{what}{f', {line[1]}' if line else ''}: " if what else ""
+        where = f"{subject}{f', {line[1]}' if line else ''}: " if subject else ""
         raise InputError(f"{where}{mitsuba_sentence(error)}") from None
 
 

@@ -190,7 +190,7 @@ def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
     try:
         PlenopticCamera.from_sensor(chosen)
     except InputError as error:
-        if plenoptic := [index for index, other in enumerate(scene.sensors()) if hasattr(type(other), "camera")]:
+        if plenoptic := [index for index, item in enumerate(scene.sensors()) if hasattr(type(item), "camera")]:
             instead = advice(python=f"sensor={plenoptic[0]} is one", shell=f"--sensor {plenoptic[0]} is one")
         raise InputError(f"{error}; {instead}") from None
     return chosen
@@ -208,11 +208,11 @@ def require_active(name: str, thing: mi.Object, kind: type) -> mi.Object:
     return thing
 
 
-def numbered_sensor(scene: mi.Scene, number: int) -> mi.Sensor:
+def numbered_sensor(scene: mi.Scene, index: int) -> mi.Sensor:
     """Return a scene's sensor by its index; refuse what is no index of one."""
-    number, sensors = require_count("sensor", number, minimum=0), scene.sensors()
-    refuse_if(number >= len(sensors), f"sensor = {number}: the scene's are numbered from 0 to {len(sensors) - 1}")
-    return sensors[number]
+    index, sensors = require_count("sensor", index, minimum=0), scene.sensors()
+    refuse_if(index >= len(sensors), f"sensor = {index}: the scene's are numbered from 0 to {len(sensors) - 1}")
+    return sensors[index]
 
 
 def is_wave_capture(scene: Any, model: str | None) -> bool:
