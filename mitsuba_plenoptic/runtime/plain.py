@@ -56,7 +56,7 @@ class PlainData:
         )
 
     def __eq__(self, other: object) -> bool:
-        return type(self) is type(other) and self._contents == other._contents  # type: ignore[attr-defined]
+        return type(self) is type(other) and self._contents == other._contents
 
     def __hash__(self) -> int:
         return hash(self._contents)
