@@ -74,9 +74,9 @@ def keep_spread(task: SumTask, camera: PlenopticCamera) -> SumTask:
 
 def with_spread(image: NDArray[np.float32], runs: int) -> NDArray[np.float32]:
     """Return a capture and its variances from the sum of the images of several runs made by `keep_spread`."""
-    whole, sums, squares = np.split(image, 3, axis=-1)
+    captured, sums, squares = np.split(image, 3, axis=-1)
     spread = (squares - sums**2 / runs) * np.float32(runs / max(1, runs - 1))
-    return np.concatenate([whole, np.maximum(spread, 0)], axis=-1)
+    return np.concatenate([captured, np.maximum(spread, 0)], axis=-1)
 
 
 class Mended:
@@ -111,8 +111,8 @@ class Mended:
         light = np.where(self._positive, change, 0)
         if self._squares is None:
             return light
-        kept = self._over_sum(self._squares.forward(_sums(change)) - self._kept * _sums(light))
-        return _times(light, self._kept) + _times(self._light, kept)
+        shares = self._over_sum(self._squares.forward(_sums(change)) - self._kept * _sums(light))
+        return _times(light, self._kept) + _times(self._light, shares)
 
     def backward(self, gradient: NDArray[Any]) -> NDArray[Any]:
         """Return the gradient with respect to the image: the transpose of `forward` applied to a gradient."""
@@ -121,8 +121,8 @@ class Mended:
         squares = self._over_sum(_sums(gradient * self._light))
         even = np.ones_like(gradient)
         light = _times(gradient, self._kept) - _times(even, self._kept * squares)
-        own = np.where(self._positive, light, 0) + _times(even, self._squares.backward(squares))
-        return own.astype(gradient.dtype)
+        result = np.where(self._positive, light, 0) + _times(even, self._squares.backward(squares))
+        return result.astype(gradient.dtype)
 
     def _over_sum(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return values of squares divided by the light of the squares, 0 for squares without light."""
@@ -136,8 +136,8 @@ def variance_left(mended: Mended, variance: NDArray[np.float32], camera: Plenopt
     variance.
     """
     detector = DetectorOperator.of(camera)
-    every, left = (detector.forward(variance * part) for part in (np.float64(1), mended.remaining**2))
-    return np.divide(left, every, out=np.zeros_like(left), where=every > 0).clip(0, 1)
+    complete, left = (detector.forward(variance * factor) for factor in (np.float64(1), mended.remaining**2))
+    return np.divide(left, complete, out=np.zeros_like(left), where=complete > 0).clip(0, 1)
 
 
 def _times(image: NDArray[Any], factors: NDArray[np.float64]) -> NDArray[Any]:
@@ -145,8 +145,8 @@ def _times(image: NDArray[Any], factors: NDArray[np.float64]) -> NDArray[Any]:
     rows, columns = image.shape
     wide, result = factors.repeat(2, 1)[:, :columns], np.empty_like(image)
     for first in range(2):
-        own, part = wide[: (rows + 1 - first) // 2], result[first::2]
-        np.multiply(image[first::2], own, out=part, casting="same_kind")
+        factor, target = wide[: (rows + 1 - first) // 2], result[first::2]
+        np.multiply(image[first::2], factor, out=target, casting="same_kind")
     return result
 
 
@@ -158,12 +158,12 @@ def _sums(image: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(rows[:, ::2] + rows[:, 1::2])
 
 
-def known_means(radiance: list[Any], seen: Any, count: int, spp: int) -> tuple[list[Pair], Any]:
+def known_means(radiance: list[Any], passed: Any, count: int, spp: int) -> tuple[list[Pair], Any]:
     """Return the means of each radiance value over rays of even indices and over rays of odd indices.
 
     A mask of cells with nonzero radiance is returned, too, as derivatives of radiance may cancel in the means.
     """
-    (counts, *sums), lit = halves(seen, radiance, count, spp)
+    (counts, *sums), lit = halves(passed, radiance, count, spp)
     means = [means_of(pair, counts) for pair in sums]
     dr.eval(means, lit)
     return means, lit
@@ -171,11 +171,11 @@ def known_means(radiance: list[Any], seen: Any, count: int, spp: int) -> tuple[l
 
 def means_of(sums: Sequence[Any], counts: Sequence[Any]) -> Pair:
     """Return the means over each half of the rays from sums and counts; 0 without rays."""
-    first, second = (dr.select(number > 0, total / number, 0) for total, number in zip(sums, counts, strict=True))
+    first, second = (dr.select(count > 0, total / count, 0) for total, count in zip(sums, counts, strict=True))
     return first, second
 
 
-def halves(seen: Any, values: list[Any], count: int, spp: int) -> tuple[list[Pair], Any]:
+def halves(passed: Any, values: list[Any], count: int, spp: int) -> tuple[list[Pair], Any]:
     """Return, for each cell, sums over rays of even and of odd indices: of `seen` and of each value.
 
     The mask of the cells in which some value is not zero is returned as well.
@@ -184,13 +184,13 @@ def halves(seen: Any, values: list[Any], count: int, spp: int) -> tuple[list[Pai
     first = dr.arange(mi.UInt32, count) * rays
 
     def add(k: Any, totals: list[Pair], some: Any) -> tuple[Any, list[Pair], Any]:
-        own = [dr.gather(mi.Float, each, first + k) for each in (seen, *values)]
+        light = [dr.gather(mi.Float, of_rays, first + k) for of_rays in (passed, *values)]
         even = (k & 1) == 0
         totals = [
             (a + dr.select(even, value, 0), b + dr.select(even, 0, value))
-            for (a, b), value in zip(totals, own, strict=True)
+            for (a, b), value in zip(totals, light, strict=True)
         ]
-        return k + 1, totals, some | dr.any([value != 0 for value in own[1:]], axis=0)
+        return k + 1, totals, some | dr.any([value != 0 for value in light[1:]], axis=0)
 
     state = mi.UInt32(0), [(mi.Float(0), mi.Float(0)) for _ in range(1 + len(values))], mi.Bool(False)
     _, totals, some = dr.while_loop(state, lambda k, *_: k < rays, add, label="halves")

@@ -14,12 +14,7 @@ from typing import Any
 from ..prescription import Prescription
 from ..prescription.surfaces import LEAST, height
 from ..runtime import safe_sqrt, select
-
-NEWTON_STEPS = 5
-"""Newton iterations that find the intersection of a ray with an asphere from that with its conic or plane."""
-
-_MET = 1e-3
-"""Length of the last iteration, over the semi-aperture, from which on a ray counts as one that misses an asphere."""
+from .accuracy import ACCURACY
 
 
 @dataclass(frozen=True)
@@ -67,51 +62,33 @@ def elements(
 ) -> list[Element]:
     """Return a lens's surfaces in the order in which light meets them; the gap before the first is 0.
 
-    Parameters
-    ----------
-    prescription : Prescription
-        The lens.
-    wavelength : float
-        Wavelength in nanometres.
-    stop_radius : float or Dr.Jit array, optional
-        Radius of the stop. Default: fully open.
-    backwards : bool
-        Whether light travels from the array to the scene.
-    indices : sequence of float or Dr.Jit array, optional
-        Refractive indices behind each surface. Default: those at the wavelength.
+    `backwards` is from the array to the scene. `stop_radius` is by default that of the open lens, and `indices` are
+    those behind each surface, by default at the wavelength.
     """
     surfaces = prescription.surfaces
     index = [1.0, *(prescription.indices(wavelength) if indices is None else indices)]
-    made = []
-    for number, surface in enumerate(surfaces):
-        stopped = number == prescription.stop and stop_radius is not None
-        made.append(
+    steps = []
+    for position, surface in enumerate(surfaces):
+        stopped = position == prescription.stop and stop_radius is not None
+        steps.append(
             (
-                surfaces[number - 1].thickness if number else 0.0,
-                surfaces[number].thickness if number < len(surfaces) - 1 else 0.0,
+                surfaces[position - 1].thickness if position else 0.0,
+                surfaces[position].thickness if position < len(surfaces) - 1 else 0.0,
                 surface,
                 stop_radius if stopped else surface.semi_aperture,
-                index[number],
-                index[number + 1],
+                index[position],
+                index[position + 1],
             )
         )
     if not backwards:
-        return [Element(gap, s.curvature, s.conic, s.asphere, a, n, m) for gap, _, s, a, n, m in made]
+        return [Element(gap, s.curvature, s.conic, s.asphere, a, n, m) for gap, _, s, a, n, m in steps]
     return [
-        Element(gap, -s.curvature, s.conic, tuple(-c for c in s.asphere), a, m, n) for _, gap, s, a, n, m in made[::-1]
+        Element(gap, -s.curvature, s.conic, tuple(-c for c in s.asphere), a, m, n) for _, gap, s, a, n, m in steps[::-1]
     ]
 
 
 def widened(surface: Element, factor: float) -> Element:
-    """Return a surface with a larger semi-aperture.
-
-    Parameters
-    ----------
-    surface : Element
-        The surface.
-    factor : float
-        Factor on the semi-aperture.
-    """
+    """Return a surface with a larger semi-aperture."""
     return dataclasses.replace(surface, semi_aperture=factor * surface.semi_aperture)
 
 
@@ -121,7 +98,7 @@ def follow(
     direction: tuple[Any, Any, Any],
     squares: list[Any] | None = None,
 ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any, Any], Any, Any]:
-    r"""Return position, direction and path of rays behind a lens.
+    r"""Return point, direction and path of rays behind a lens, and, before the path, whether they pass all surfaces.
 
     A ray meets a conic at the parameter :math:`s = C / (B + \sqrt{B^2 - A C})` behind the plane of its vertex, with
     :math:`A = c (1 + k N^2)`, :math:`B = N - c (x L + y M)`, :math:`C = c (x^2 + y^2)` (Welford, "Aberrations of
@@ -130,27 +107,9 @@ def follow(
     :math:`\mathbf{d}' = \eta \mathbf{d} + (\cos\theta' - \eta \cos\theta) \mathbf{n}` with :math:`\eta = n / n'`
     (Snell's law as a vector; same, section 4.4).
 
-    Parameters
-    ----------
-    lens : sequence of Element
-        The surfaces in the order in which light meets them.
-    point : (array, array, array)
-        Start points of the rays; z is measured from the first surface's vertex, less its `gap`.
-    direction : (array, array, array)
-        Direction cosines of the rays, of which the third is positive.
-    squares : list, optional
-        List that receives, for each surface, the squared distances from the axis at which rays meet it.
-
-    Returns
-    -------
-    point : (array, array, array)
-        Points where the rays leave the last surface; z is measured from its vertex.
-    direction : (array, array, array)
-        Direction cosines of the rays behind it.
-    open : array
-        Whether the rays pass all surfaces.
-    path : array
-        Optical path from the start point to the last surface.
+    Start points are measured from the first surface's vertex, less its `gap`, and directions have a positive third
+    cosine; the points behind are measured from the last vertex. The list `squares` receives, for each surface, the
+    squared distances from the axis at which rays meet it.
     """
     (x, y, z), (L, M, N) = point, direction
     is_open: Any = True
@@ -167,13 +126,13 @@ def follow(
                 # An asphere may be nearer to its vertex's plane than to its conic, which rays may also miss.
                 off = abs(t * N - height(surface, (x + t * L) * (x + t * L) + (y + t * M) * (y + t * M)))
                 t = select((root > 0) & (off < abs(height(surface, x * x + y * y))), t, 0 * x)
-                for _ in range(NEWTON_STEPS):
+                for _ in range(ACCURACY.newton_steps):
                     X, Y = x + t * L, y + t * M
                     square = X * X + Y * Y
                     rise = _slope(surface, square) * (X * L + Y * M)
                     step = (t * N - height(surface, square)) / (N - rise)
                     t = t - step
-                met = abs(step) < _MET * surface.semi_aperture
+                met = abs(step) < ACCURACY.missing * surface.semi_aperture
                 is_open, t = is_open & met, select(met, t, 0 * x)
             else:
                 is_open = is_open & (root > 0)

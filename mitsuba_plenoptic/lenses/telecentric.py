@@ -38,13 +38,7 @@ from .pupil import Pair, Pupil
 
 @dataclass(frozen=True)
 class TelecentricLens(ClosedLens):
-    """An objective before a microlens array; `MainLens` documents its methods.
-
-    Parameters
-    ----------
-    objective : Objective
-        The objective, its tube lens, and the arrangement of the array.
-    """
+    """An objective before a microlens array; `MainLens` documents its methods."""
 
     objective: Objective
     pupil: Pupil = field(init=False)

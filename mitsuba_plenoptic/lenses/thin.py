@@ -24,6 +24,7 @@ from ..optics.waves import in_millimetres, parabola
 from ..prescription.collimator import Collimator
 from ..prescription.lens_data import SINGLE, vergence
 from ..runtime import sqrt
+from .accuracy import ACCURACY
 from .closed_lens import ClosedLens
 from .common import LensNumbers, builds
 from .distortion import undistort
@@ -92,8 +93,8 @@ class Wavefront:
         along_x, along_y = along_x * scale, along_y * scale
         if self._screen is None:
             return along_x, along_y
-        own = self._screen.slopes(x, y)
-        return along_x + own[0], along_y + own[1]
+        added = self._screen.slopes(x, y)
+        return along_x + added[0], along_y + added[1]
 
 
 def _sum(terms: list[Any], x: Any) -> Any:
@@ -102,10 +103,6 @@ def _sum(terms: list[Any], x: Any) -> Any:
     for term in reversed(terms):
         total = total * x + term
     return total
-
-
-_NODES = 24
-"""Nodes of the quadrature over the pupil, along its radius and around half of its circumference."""
 
 
 @dataclass(frozen=True)
@@ -178,11 +175,11 @@ class ThinLens(ClosedLens):
         pupil = Pupil(numbers["aperture_radius"], numbers["mla_distance"])
         return replace(self, focal_length=numbers["focal_length"], pupil=pupil, aberrations=numbers["wavefront"])
 
-    def opaque(self, number: Callable[[Any], Any]) -> ThinLens:
+    def opaque(self, convert: Callable[[Any], Any]) -> ThinLens:
         """Return the lens with parameters that are not compiled into kernels."""
-        pupil = replace(self.pupil, radius=number(self.pupil.radius), distance=number(self.pupil.distance))
-        aberrations = [number(value) for value in self.aberrations]
-        return replace(self, focal_length=number(self.focal_length), pupil=pupil, aberrations=aberrations)
+        pupil = replace(self.pupil, radius=convert(self.pupil.radius), distance=convert(self.pupil.distance))
+        aberrations = [convert(value) for value in self.aberrations]
+        return replace(self, focal_length=convert(self.focal_length), pupil=pupil, aberrations=aberrations)
 
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the positions (n, 2) on the MLA of the rays from scene points (n, 3) through the pupil's centre."""
@@ -213,15 +210,6 @@ class ThinLens(ClosedLens):
         With aberrations W, a thin parabolic phase has the path :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`
         (Goodman, "Introduction to Fourier Optics", section 5.1). Behind an ideal lens all paths to the image X' are
         equal, which leaves :math:`(|X'| - |P - X'| + W(P)) / \lambda`. Both are computed without cancellation.
-
-        Parameters
-        ----------
-        pupil : (array, array)
-            Point on the exit pupil in millimetres.
-        point : (array, array, array)
-            Scene point in the camera frame in millimetres.
-        wavelength : float
-            Wavelength in nanometres.
         """
         (Px, Py), (X, Y, g) = pupil, point
         square = Px * Px + Py * Py
@@ -259,9 +247,9 @@ class ThinLens(ClosedLens):
 
     def power_through(self, point: NDArray[np.float64]) -> float:
         """Return the integral of the squared amplitude over the pupil, by Gauss's rule in radius, evenly in angle."""
-        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        nodes, weights = np.polynomial.legendre.leggauss(ACCURACY.wavefront_nodes)
         radius = self.pupil.radius * np.sqrt((nodes + 1) / 2)[:, None]
-        angle = math.pi * np.arange(2 * _NODES) / _NODES
+        angle = math.pi * np.arange(2 * ACCURACY.wavefront_nodes) / ACCURACY.wavefront_nodes
         squares = self.amplitude((radius * np.cos(angle), radius * np.sin(angle)), tuple(point)) ** 2
         return float(math.pi * self.pupil.radius**2 * (weights / 2) @ squares.mean(1))
 
@@ -298,19 +286,9 @@ def _signed(length: Any, g: Any) -> Any:
     return dr.copysign(length, g) if dr.is_array_v(length) else np.copysign(length, g)
 
 
-_STEPS = 12
-"""Iterations that find the position on the MLA from the undistorted one."""
-
-
 @dataclass(frozen=True)
 class DistortedLens(ThinLens):
-    """A thin lens with distortion, whose rays continue as if from another MLA point; for the ray model only.
-
-    Parameters
-    ----------
-    distortion : five floats
-        See `mitsuba_plenoptic.lenses.distortion`.
-    """
+    """A thin lens with distortion (`undistort`), whose rays continue as if from another MLA point; for rays only."""
 
     distortion: tuple[float, ...] = (0.0,) * 5
 
@@ -337,7 +315,7 @@ class DistortedLens(ThinLens):
         """Return the positions on the MLA of which `undistort` makes given ones."""
         (x, y), (u, v) = image, image
         # Each step multiplies the error by the derivative of the displacement, some per cent.
-        for _ in range(_STEPS):
+        for _ in range(ACCURACY.distortion_steps):
             moved = undistort(x, y, self.distortion)
             x, y = x + u - moved[0], y + v - moved[1]
         return x, y
@@ -347,10 +325,10 @@ class DistortedLens(ThinLens):
 def thin_lens(numbers: LensNumbers) -> ThinLens:
     """Return the main lens of a camera without an objective or prescription."""
     pupil, screen = Pupil(numbers.aperture_radius, numbers.mla_distance), numbers.camera.phase_screen
-    own = numbers.focal_length, pupil, numbers.model, numbers.wavefront, screen
+    arguments = numbers.focal_length, pupil, numbers.model, numbers.wavefront, screen
     if any(numbers.camera.distortion):
-        return DistortedLens(*own, numbers.camera.distortion)
-    return ThinLens(*own)
+        return DistortedLens(*arguments, numbers.camera.distortion)
+    return ThinLens(*arguments)
 
 
 @builds(Collimator)
