@@ -30,7 +30,7 @@ from ..optics.waves import in_millimetres
 from ..rays.random_numbers import even_words
 from ..runtime import drjit_array
 from .phase_space import FINE
-from .scheme import plan_of, scheme_of
+from .scheme import plan_of, plan_type
 
 _PROBED, _LEAST_ERROR = 3.0, 1e-3
 """Ratio of the allowed error of a lens's spot to that of the capture, in which spots overlap; smallest error used."""
@@ -260,7 +260,7 @@ def _enough(
         return [at[0]]
     wavelengths, weights = np.array(at), np.array(responses)
     dense = np.geomspace(wavelengths[0], wavelengths[-1], _DENSE)
-    make = scheme_of(camera).plan
+    make = plan_type(camera)
     width, coarse = make(camera.at_wavelength(dense[-1]), dense[-1]).widths
     step = width * dense[0] / dense[-1] / _SPOTS[1]
     reach = math.ceil((_SPOTS[0] * width + camera.pixel_size / 2) / step)
