@@ -101,3 +101,12 @@ def test_what_is_gone_says_what_serves_instead(capsys):
         importlib.import_module("mitsuba_plenoptic.benchmark")
     assert mitsuba_plenoptic.cli.main(["benchmark", "make"]) == 2
     assert capsys.readouterr().err == f"mitsuba-plenoptic: error: {line}\n"
+
+
+@pytest.mark.parametrize("folder", ["rays", "waves"])
+def test_the_page_of_a_folder_names_all_of_its_modules(folder):
+    page = importlib.import_module(f"mitsuba_plenoptic.{folder}").__doc__
+    named = set(re.findall(r"`(\w+)`", page))
+    assert named == {path.stem for path in (PACKAGE / folder).glob("*.py")} - {"__init__"}
+    for name in named:
+        importlib.import_module(f"mitsuba_plenoptic.{folder}.{name}")

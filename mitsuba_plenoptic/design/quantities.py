@@ -21,7 +21,6 @@ point, they are :math:`w |1 - s \kappa|` and :math:`p |s| b / z`.
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 
@@ -29,23 +28,12 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if, require_number, require_wavelength
-from ..lenses.common import chief_points, main_lens
+from ..lenses.common import main_lens
 from ..optics.waves import in_millimetres
 from ..prescription.lens_data import conjugate_distance, image_distance
 
 MOST_OVERLAP = 100_000
 """Lenses that may light one pixel."""
-
-SECTORS = 12
-"""Directions in which the reach of light behind lenses that turn direction cosines is stated."""
-
-_LENS_POINTS = 9
-"""Points across a lens, and below, angles around the pupil and the field, from which this reach is computed."""
-
-_ANGLES = 16
-
-_BETWEEN = 1.03
-"""Factor on it for points between the samples."""
 
 # -- what the microlenses are focused on -------------------------------------------------------------
 
@@ -484,61 +472,10 @@ def crosstalk_reach(camera: PlenopticCamera) -> float:
     return float(reach + smear * camera.lattice.aperture_reach)
 
 
-def crosstalk_defocus(camera: PlenopticCamera) -> float:
-    """Return the change of `crosstalk_reach` per relative change of a lens's power."""
-    growth = camera.lens_data.converges + camera.pupil_distance / camera.reduced_distance
-    across = camera.lattice.aperture_reach * camera.pupil_distance
-    return float(across / min(camera.reduced_focal_lengths) / growth)
-
-
-def turns_cosines(camera: PlenopticCamera) -> bool:
-    """Return whether the microlenses turn direction cosines of rays, not slopes."""
-    return camera.lens_model != "ideal" or not camera.microlens.is_parabolic
-
-
-def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
-    """Return how far from the chief ray's point cosine-turning lenses can light a pixel, in mm, by sectors.
-
-    `crosstalk_neighbours` follows rays by their slopes. Parabolic and shaped lenses turn direction cosines, so that
-    rays through the edge of a fast lens meet the detector farther outside. This is the greatest distance of the lens
-    from the chief ray's point, among rays from the rim of the pupil.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    radii : (n,) array
-        Distances of the lens from the axis.
-
-    Returns
-    -------
-    (n, SECTORS) array
-        By the angle, from 0 to 180 degrees, between the directions towards the lens and away from the axis.
-    """
-    lens, z, n = main_lens(camera), camera.detector_distance, camera.mla_medium
-    s, t = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0, 1, _LENS_POINTS)] * 2))
-    offset = np.stack(camera.lattice.aperture_point(s, t))[:, :, None, None]
-    angle = 2 * np.pi * np.arange(_ANGLES) / _ANGLES
-    around = np.stack([np.cos(angle), np.sin(angle)])
-    pupil = lens.reach * around[:, None, :, None]
-    # Cells and the pupil look alike from opposite sides of the field.
-    away = around[:, None, None, : _ANGLES // 2]
-    found = np.zeros((len(radii), SECTORS))
-    for (row, radius), f2 in itertools.product(enumerate(radii), camera.reduced_focal_lengths):
-        slope = lens.pupil.slope(pupil, radius * away + offset)
-        cosine = slope / np.sqrt(1 + (slope**2).sum(0))
-        behind = (cosine - np.stack(camera.microlens.deflection(camera.lattice, offset[0], offset[1], f2))) / n
-        square = (behind**2).sum(0)
-        # The rest is reflected totally.
-        passes = square < 1
-        position = radius * away + offset - z * behind / np.sqrt(np.where(passes, 1 - square, 1))
-        towards = radius * away - np.stack(chief_points(lens, (position[0], position[1]), z, n))
-        distance = np.hypot(*towards) * passes
-        sector = np.arccos(np.clip((towards * away).sum(0) / np.maximum(distance, 1e-12), -1, 1)) * (SECTORS / np.pi)
-        np.maximum.at(found[row], np.minimum(sector.astype(int), SECTORS - 1), distance)
-    # Points between the samples reach into neighbouring sectors, and a little farther.
-    padded = np.pad(found, [(0, 0), (1, 1)], mode="edge")
-    return _BETWEEN * np.max([padded[:, i : i + SECTORS] for i in range(3)], axis=0)
+def pupil_growth(camera: PlenopticCamera) -> float:
+    """Return how far rays from one detector point move on the pupil per motion on the array, 1 + b/z in a camera."""
+    # Behind an objective all lenses see the stop in the same directions.
+    return camera.lens_data.converges + camera.pupil_distance / camera.reduced_distance
 
 
 def crosstalk_lenses(camera: PlenopticCamera) -> int:
@@ -549,9 +486,7 @@ def crosstalk_lenses(camera: PlenopticCamera) -> int:
 
 def _crosstalk(camera: PlenopticCamera) -> tuple[float, float, float]:
     """Return roughly how many lenses light a pixel, and the `reach` and `smear` of `Lattice.neighbours` for them."""
-    b, z, lattice = camera.pupil_distance, camera.reduced_distance, camera.lattice
-    # Behind an objective all lenses see the stop in the same directions.
-    growth = camera.lens_data.converges + b / z
+    lattice, growth = camera.lattice, pupil_growth(camera)
     reach = main_lens(camera).reach / growth
     smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths) / growth
     covered = math.pi * (reach + smear * lattice.aperture_reach + max(camera.mla_pitches)) ** 2

@@ -1,4 +1,4 @@
-"""Noise of captures: its estimate from samples, its compensation, and means of radiance that reduce it.
+"""Noise of captures: its estimate from samples, and its compensation.
 
 The estimate uses the spread of at most sixteen passes, so the value of each pixel has a relative error of
 1/sqrt(32) = 18 % or more. Means over many pixels are more accurate. Wave captures compensate negative pixels, to first
@@ -7,18 +7,14 @@ order by a factor for each pixel; it reduces the estimate as well.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
-from ..lenses.pupil import Pair
 from ..runtime import SumTask
 from .operator import DetectorOperator
 
@@ -156,42 +152,3 @@ def _sums(image: NDArray[Any]) -> NDArray[np.float64]:
         image = np.pad(image, [(0, size % 2) for size in image.shape])
     rows = np.add(image[::2], image[1::2], dtype=np.float64)
     return np.asarray(rows[:, ::2] + rows[:, 1::2])
-
-
-def known_means(radiance: list[Any], passed: Any, count: int, spp: int) -> tuple[list[Pair], Any]:
-    """Return the means of each radiance value over rays of even indices and over rays of odd indices.
-
-    A mask of cells with nonzero radiance is returned, too, as derivatives of radiance may cancel in the means.
-    """
-    (counts, *sums), lit = halves(passed, radiance, count, spp)
-    means = [means_of(pair, counts) for pair in sums]
-    dr.eval(means, lit)
-    return means, lit
-
-
-def means_of(sums: Sequence[Any], counts: Sequence[Any]) -> Pair:
-    """Return the means over each half of the rays from sums and counts; 0 without rays."""
-    first, second = (dr.select(count > 0, total / count, 0) for total, count in zip(sums, counts, strict=True))
-    return first, second
-
-
-def halves(passed: Any, values: list[Any], count: int, spp: int) -> tuple[list[Pair], Any]:
-    """Return, for each cell, sums over rays of even and of odd indices: of `seen` and of each value.
-
-    The mask of the cells in which some value is not zero is returned as well.
-    """
-    rays = dr.opaque(mi.UInt32, spp)
-    first = dr.arange(mi.UInt32, count) * rays
-
-    def add(k: Any, totals: list[Pair], some: Any) -> tuple[Any, list[Pair], Any]:
-        light = [dr.gather(mi.Float, of_rays, first + k) for of_rays in (passed, *values)]
-        even = (k & 1) == 0
-        totals = [
-            (a + dr.select(even, value, 0), b + dr.select(even, 0, value))
-            for (a, b), value in zip(totals, light, strict=True)
-        ]
-        return k + 1, totals, some | dr.any([value != 0 for value in light[1:]], axis=0)
-
-    state = mi.UInt32(0), [(mi.Float(0), mi.Float(0)) for _ in range(1 + len(values))], mi.Bool(False)
-    _, totals, some = dr.while_loop(state, lambda k, *_: k < rays, add, label="halves")
-    return totals, some

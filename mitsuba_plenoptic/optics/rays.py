@@ -141,7 +141,7 @@ def out_of_medium(slope: Pair, turn: Pair, chief: Pair | None, index: Any) -> tu
     return (bent[0] + along * chief[0], bent[1] + along * chief[1]), True
 
 
-def evenness(before: Pair, behind: Pair, chief: Pair | None, index: Any) -> Any:
+def etendue_factor(before: Pair, behind: Pair, chief: Pair | None, index: Any) -> Any:
     """Return the weight with which rays that are uniform over a detector in a medium are uniform over the pupil.
 
     The weight is the ratio of slope areas before a microlens and in the medium, divided by the factor n^2 that it has

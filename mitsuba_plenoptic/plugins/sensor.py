@@ -19,7 +19,7 @@ from ..lenses.common import main_lens
 from ..lenses.pupil import Pair
 from ..lenses.real_lens import RealLens
 from ..optics.rays import second_leg
-from ..rays.sensor_rays import CameraRays, rays_of
+from ..rays.sensor_rays import LensRays, RayColours, sampler_of
 from ..runtime import require_unfrozen
 from ..scene.radiance import world_ray
 from .properties import read_camera, require_read
@@ -185,7 +185,7 @@ def make_class() -> type:
             for name, value in numbers.items():
                 plain = _plain(value, self._plain[name])
                 self._plain[name] = plain[0] if PARAMETERS[name].form is Form.NUMBER else plain
-            self._rays = rays_of(self.camera, numbers)
+            self._rays = sampler_of(self.camera, numbers)
             if hasattr(self.film(), "detector"):
                 self.film().detector = DetectorOperator.of(self.camera)
             self._second_leg = second_leg(self.pixel_response, self.mla_absorption or 0.0)
@@ -230,33 +230,28 @@ def make_class() -> type:
 
         def pupil_ray(self, pupil: Pair, position: Pair) -> tuple[Any, Any]:
             """Return the ray through points of the microlens array and the pupil, and whether it is transmitted."""
-            point, slope, open_ = self._rays.through_pupil(pupil, position)
+            point, slope, open_ = self._rays.walk.through_pupil(pupil, position)
             return mi.RayDifferential3f(world_ray(self, point, slope)), open_
 
         def _sample(
             self, time: Any, wavelength_sample: Any, film_sample: Any, lens_sample: Any, active: Any, differential: bool
         ) -> tuple[Any, Any]:
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
-            rays, light, passage, width = self._rays, None, None, self.detector_width / self.film().size()[0]
+            rays, width = self._rays, self.detector_width / self.film().size()[0]
+            light: RayColours | None = None
+            passage: Any = None
             if rays.dispersion is not None:
                 light, lens_sample, share = rays.dispersion.draw(lens_sample, wavelengths)
                 # In polarized variants weights are Mueller matrices.
                 rays, weight = light.of(rays), weight * mi.Spectrum(share)
             px, py = self._on_detector(film_sample)
             if self._table is not None:
-                # Rays go from the whole pupil to the pixels' lenses.
-                rays = cast(CameraRays, rays)
-                position, slope, side, bright = rays.pass_pixel_lens((px, py), width, lens_sample)
-                # A pixel sees this square of the pupil through an ideal lens.
-                seen = dr.square(width * rays.lens.pupil.distance * rays.camera.mla_medium / self.detector_distance)
-                response = self._table(side, slope, wavelengths) * (math.pi * rays.lens.reach**2 / seen)
-                response *= rays.passed(position, slope) * bright
-                point, slope, open_ = rays.lens.trace(position, slope)
-                weight = weight * mi.Spectrum(response)
+                sample, side, behind = cast(LensRays, rays).sample_pupil((px, py), width, lens_sample)
+                weight = weight * mi.Spectrum(self._table(side, behind, wavelengths) * sample.weight)
             else:
-                passage, (point, slope, open_), share, path = rays.draw((px, py), lens_sample, light)
-                weight = weight * share * self._second_leg(*path)
-            open_ &= active
+                sample, passage = rays.sample((px, py), lens_sample, light)
+                weight = weight * sample.weight * self._second_leg(*rays.second_leg(sample))
+            point, slope, open_ = sample.origin, sample.slope, sample.valid & active
             ray = world_ray(self, point, slope)
             # A ray of zero length hits nothing: it is cheap, and the depth and normals of dark pixels remain 0.
             ray.maxt = dr.select(open_, dr.largest(mi.Float), 0)
@@ -267,9 +262,9 @@ def make_class() -> type:
             if differential and passage is not None:
                 to_world = self.world_transform()
                 for name, dx, dy in (("x", width, 0), ("y", 0, width)):
-                    if rays.camera.lens_data.traced_surfaces:
+                    if rays.walk.camera.lens_data.traced_surfaces:
                         # Tracing the offset rays surface by surface would cost three times as much.
-                        beside, turned = cast(RealLens, rays.lens).beside(point, slope, *rays.steps(dx, dy))
+                        beside, turned = cast(RealLens, rays.walk.lens).beside(point, slope, *rays.steps(dx, dy))
                     else:
                         beside, turned, _ = rays.trace((px + dx, py + dy), passage)
                     setattr(ray, f"o_{name}", to_world @ mi.Point3f(*beside))

@@ -135,7 +135,7 @@ def find_points(
     scale = radiance_weight(camera, system.lens, area) / _landing(system, positions, weights, window)
     if not system.lens.is_uniform:
         # With few rays per lens, the fraction that passes differs from the pupil's open fraction by some percent.
-        x, y = window.place(*(window.index + 0.5).T)
+        x, y = window.position(*(window.index + 0.5).T)
         open_rays = np.bincount(tried, minlength=len(x))
         scale = scale * (count * cast(RealLens, system.lens).open_fraction(x, y) / np.maximum(open_rays, 1))[cell]
     return ScenePoints(positions, radiance * scale[:, None], weights)
@@ -163,7 +163,7 @@ class _Finder:
         square = mi.Point2f(drjit_array(mi.Float, s), drjit_array(mi.Float, t))
         P = mi.warp.square_to_uniform_disk_concentric(square) * radius
         i, j = self.window.index[cell].T
-        q = tuple(drjit_array(mi.Float, x) for x in self.window.place(i + u, j + v))
+        q = tuple(drjit_array(mi.Float, x) for x in self.window.position(i + u, j + v))
         point, slope, is_open = lens.ray((P.x, P.y), q)
         # Thin lenses return scalars for the starting plane and the mask; they are widened to one value per ray.
         point = point[0], point[1], point[2] + dr.zeros(mi.Float, len(numbers))
@@ -242,7 +242,7 @@ def _landing(
     pupil = x * radius, y * radius
     for some in np.array_split(partial, max(1, len(partial) * len(x) // 2**24)):
         light = lens.bind(positions[some])
-        landed = window.holds(*light.land(pupil, tuple(positions[some].T[..., None])))
+        landed = window.contains(*light.land(pupil, tuple(positions[some].T[..., None])))
         power = np.broadcast_to(light.is_open(pupil), landed.shape).astype(float)
         if weights is not None:
             power *= 1 + weights.slant[some] @ np.stack([x, y])

@@ -56,19 +56,19 @@ class LensWindow:
         whole = (_MARGIN - 1) * pitch
         return cls(lattice, index, recorded[0] - whole, recorded[1] + whole)
 
-    def place(self, i: Any, j: Any) -> tuple[Any, Any]:
+    def position(self, i: Any, j: Any) -> tuple[Any, Any]:
         """Return the MLA point at i and j steps along the lattice vectors from the first corner of cell (0, 0)."""
         (ax, ay), (bx, by) = self.lattice.basis
         cx, cy = self.lattice.centre(0.0, 0.0)
         return i * ax + j * bx + (cx - (ax + bx) / 2), i * ay + j * by + (cy - (ay + by) / 2)
 
-    def holds(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return a mask of points that lie in the cells of the window."""
         first, last = self.index.min(0), self.index.max(0)
         sampled = np.zeros(last - first + 3, dtype=bool)
         sampled[tuple((self.index - first + 1).T)] = True
         (ax, ay), (bx, by) = self.lattice.basis
-        ox, oy = self.place(0.0, 0.0)
+        ox, oy = self.position(0.0, 0.0)
         x, y, area = x - ox, y - oy, ax * by - ay * bx
         i, j = (
             np.clip(np.floor(steps).astype(int) - low, -1, high - low + 1) + 1
@@ -101,15 +101,15 @@ class Entrances:
             return mi.Point3f(x, y, 0)
         depth = self.line[:, 2] - front.pupil
         # Offset of the finding ray at the entrance pupil, and the front plane's fraction of the way to the point.
-        own = self.line[:, :2] - self.slope * depth[:, None] - self.pupil / front.magnification
-        part = (front.front - front.pupil) / depth
+        offset = self.line[:, :2] - self.slope * depth[:, None] - self.pupil / front.magnification
+        fraction = (front.front - front.pupil) / depth
 
         def value(column: NDArray[np.float64]) -> Any:
             return dr.gather(mi.Float, drjit_array(mi.Float, column), which)
 
-        t = value(part)
+        t = value(fraction)
         ends = [
-            (1 - t) * (value(own[:, axis]) + P / front.magnification) + value(part * self.line[:, axis])
+            (1 - t) * (value(offset[:, axis]) + P / front.magnification) + value(fraction * self.line[:, axis])
             for axis, P in ((0, x), (1, y))
         ]
         return mi.Point3f(*ends, front.front)

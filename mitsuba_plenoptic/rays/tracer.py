@@ -15,9 +15,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..array import Lattice, Lenslet
+from ..array import Lenslet
 from ..camera import PlenopticCamera
-from ..design.quantities import turns_cosines
 from ..fields.lens_kinds import FigureError
 from ..fields.optical_system import OpticalSystem
 from ..lenses.common import chief_points, main_lens
@@ -38,13 +37,46 @@ class Passage(NamedTuple):
     lens: Lenslet
 
 
+class Ray(NamedTuple):
+    """Rays from detector points p through points m of the array and points P of the pupil into the scene."""
+
+    p: Pair
+    # Without an array, m = p.
+    m: Pair
+    P: Pair
+    # Weight of the light, and whether the ray reaches the scene.
+    weight: Any
+    valid: Any
+    # Start in front of the main lens, and slope; None before the ray is traced, as each wavelength has its own.
+    origin: Any = None
+    slope: Any = None
+
+
 @dataclass(frozen=True)
-class PupilWalk:
-    """The main lens that rays of a camera pass, from points of the plane behind it."""
+class Walk:
+    """The optical elements that rays of a camera pass; parameters that may carry gradients are Dr.Jit arrays.
+
+    Without a microlens array there is a main lens alone, before the plane of the detector.
+    """
 
     # The camera with plain values, for the parameters without gradients.
     camera: PlenopticCamera
     lens: MainLens
+    lattice: Any = None
+    # Focal lengths of the microlenses in air, one for each type or one for all.
+    focal_lengths: Any = None
+    # Distance from the array to the detector, and the refractive index of the medium between them.
+    detector_distance: Any = None
+    medium: Any = 1.0
+
+    @classmethod
+    def of(cls, camera: PlenopticCamera, lens: MainLens | None = None) -> Walk:
+        """Return the walk with a camera's plain values, by default through the main lens at its design wavelength."""
+        lens = main_lens(camera) if lens is None else lens
+        lengths = np.array(camera.mla_focal_lengths)
+        return cls(camera, lens, camera.lattice, lengths, camera.detector_distance, camera.mla_medium)
+
+    # -- the main lens -------------------------------------------------------------------------------
 
     def into_scene(self, position: Pair, slope: Pair, height: Any = 0.0) -> Traced:
         """Return rays traced from array positions, at a height above the array's plane, through the main lens."""
@@ -60,7 +92,7 @@ class PupilWalk:
         # The pupil points stay as they are: rounded differently they would miss a small pupil.
         return self.lens.ray(pupil, (x, y))
 
-    def inner(self, pupil: Pair, centre: Pair) -> Pair:
+    def round_pupil(self, pupil: Pair, centre: Pair) -> Pair:
         """Return points of the round pupil for pupil points seen from lenses; points outside stay outside."""
         if self.lens.is_uniform:
             return pupil
@@ -73,50 +105,28 @@ class PupilWalk:
         u, v = x * c + y * s, y * c - x * s
         at = [(value / found.half + 1) * ((across - 1) / (2 * across)) + 0.5 / across for value in (u, v)]
         # Outside its border the map continues with the border's values, which lie outside the pupil.
-        u, v, away = self._round_pupil.eval(
-            mi.Point3f(*at, field / found.field * ((fields - 1) / fields) + 0.5 / fields)
-        )
+        u, v, away = self._round_map.eval(mi.Point3f(*at, field / found.field * ((fields - 1) / fields) + 0.5 / fields))
         # Between fields, points in opposite directions would average to one near the centre.
         u, v = (value * away * dr.rsqrt(dr.maximum(u * u + v * v, dr.smallest(mi.Float))) for value in (u, v))
         lit, outside = field < found.closed, 2 * self.lens.pupil.radius
         return dr.select(lit, u * c - v * s, outside), dr.select(lit, u * s + v * c, outside)
 
-    def passed(self, position: Pair, slope: Pair, height: Any = 0.0) -> Any:
-        """Return the part of the power of rays from array positions that passes an uneven or vignetted aperture."""
+    def transmittance(self, pupil: Pair, position: Pair) -> Any:
+        """Return the transmitted part of the power of rays through an uneven or vignetted pupil."""
         if self.camera.has_even_pupil:
             return 1.0
-        pupil = tuple(self.lens.pupil.point(m, t, height) for m, t in zip(position, slope, strict=True))
         # The map to the round pupil is that of a lens of plain numbers.
-        plain = PupilWalk(self.camera, OpticalSystem.by_design(self.camera).lens)
-        x, y = (place / self.camera.pupil_radius for place in plain.inner((pupil[0], pupil[1]), position))
+        plain = Walk(self.camera, OpticalSystem.by_design(self.camera).lens)
+        x, y = (P / self.camera.pupil_radius for P in plain.round_pupil(pupil, position))
         return self.camera.pupil_power((x, y), position)
 
     @functools.cached_property
-    def _round_pupil(self) -> Any:
+    def _round_map(self) -> Any:
         return mi.Texture3f(
             drjit_array(mi.TensorXf, cast(RealLens, self.lens).round_map.points),
             filter_mode=dr.FilterMode.Linear,
             wrap_mode=dr.WrapMode.Clamp,
         )
-
-
-@dataclass(frozen=True)
-class Walk(PupilWalk):
-    """The optical elements that rays of a camera pass; parameters that may carry gradients are Dr.Jit arrays."""
-
-    lattice: Lattice
-    # Focal lengths of the microlenses in air, one for each type or one for all.
-    focal_lengths: Any
-    # Distance from the array to the detector, and the refractive index of the medium between them.
-    detector_distance: Any
-    medium: Any
-
-    @classmethod
-    def of(cls, camera: PlenopticCamera, lens: MainLens | None = None) -> Walk:
-        """Return the walk with a camera's plain values, by default through the main lens at its design wavelength."""
-        lens = main_lens(camera) if lens is None else lens
-        lengths = np.array(camera.mla_focal_lengths)
-        return cls(camera, lens, camera.lattice, lengths, camera.detector_distance, camera.mla_medium)
 
     # -- the array -----------------------------------------------------------------------------------
 
@@ -132,7 +142,7 @@ class Walk(PupilWalk):
         """Return the lenses of some indices."""
         return self.camera.lenslet(i, j, self.lattice, self.focal_lengths / self.medium)
 
-    def turn(self, passage: Passage) -> Pair:
+    def deflection(self, passage: Passage) -> Pair:
         """Return the changes that lenses cause in rays' direction cosines, or slopes, at given points."""
         (mx, my), ((cx, cy), focal_length, *_) = passage
         x, y = self.camera.microlens.deflection(self.lattice, mx - cx, my - cy, focal_length)
@@ -143,7 +153,7 @@ class Walk(PupilWalk):
 
     def _chief(self, centre: Pair, height: Any) -> Pair | None:
         """Return the chief rays' slopes at lens centres, for lenses that turn slopes; None if they turn cosines."""
-        if turns_cosines(self.camera):
+        if deflects_cosines(self.camera):
             return None
         return self.lens.pupil.slope(0.0, centre[0], height), self.lens.pupil.slope(0.0, centre[1], height)
 
@@ -152,14 +162,14 @@ class Walk(PupilWalk):
     def out_of_array(self, pixel: Pair, passage: Passage) -> tuple[Pair, Any, Any]:
         """Return slopes before the array of rays from detector points, weights, and which rays leave the medium.
 
-        The weights make rays from all points of the detector uniform over the pupil; see `optics.rays.evenness`.
+        The weights make rays from all points of the detector uniform over the pupil; see `optics.rays.etendue_factor`.
         """
         height = passage.lens.height
         z = self.detector_distance + height if any(self.camera.mla_tilt) else self.detector_distance
         chief = self._chief(passage.lens.centre, height)
         behind = (passage.point[0] - pixel[0]) / z, (passage.point[1] - pixel[1]) / z
-        slope, emerges = rays.out_of_medium(behind, self.turn(passage), chief, self.medium)
-        return slope, rays.evenness(slope, behind, chief, self.medium), emerges
+        slope, emerges = rays.out_of_medium(behind, self.deflection(passage), chief, self.medium)
+        return slope, rays.etendue_factor(slope, behind, chief, self.medium), emerges
 
     def trace(self, pixel: Pair, passage: Passage) -> Traced:
         """Return traced rays from detector points through points of the array and through the main lens."""
@@ -174,7 +184,7 @@ class Walk(PupilWalk):
         """
         behind = tuple(value / (self.detector_distance + height) for value in offset)
         slope = behind if self.medium == 1 else rays.refracted((behind[0], behind[1]), self.medium)
-        return (slope[0], slope[1]), rays.evenness(slope, behind, None, self.medium)
+        return (slope[0], slope[1]), rays.etendue_factor(slope, behind, None, self.medium)
 
     # -- towards the detector ------------------------------------------------------------------------
 
@@ -183,19 +193,24 @@ class Walk(PupilWalk):
         mx, my = passage.point
         before = self.lens.pupil.slope(pupil[0], mx), self.lens.pupil.slope(pupil[1], my)
         chief = self._chief(passage.lens.centre, 0.0)
-        behind = rays.into_medium(before, self.turn(passage), chief, self.medium)
+        behind = rays.into_medium(before, self.deflection(passage), chief, self.medium)
         z = self.detector_distance
-        return (mx - z * behind[0], my - z * behind[1]), rays.evenness(before, behind, chief, self.medium)
+        return (mx - z * behind[0], my - z * behind[1]), rays.etendue_factor(before, behind, chief, self.medium)
 
 
-def walks_of(systems: Iterable[OpticalSystem]) -> list[tuple[PupilWalk, list[int]]]:
+def deflects_cosines(camera: PlenopticCamera) -> bool:
+    """Return whether the microlenses deflect direction cosines of rays, not slopes."""
+    return camera.lens_model != "ideal" or not camera.microlens.is_parabolic
+
+
+def walks_of(systems: Iterable[OpticalSystem]) -> list[tuple[Walk, list[int]]]:
     """Return one walk for each group of systems whose rays from the pupil follow the same paths, and their indices."""
-    found: dict[float, tuple[PupilWalk, list[int]]] = {}
+    found: dict[float, tuple[Walk, list[int]]] = {}
     for number, system in enumerate(systems):
         # Glasses refract the rays of each wavelength in their own way; other lenses are known by their focal length.
         camera = system.camera
         refraction = system.wavelength if camera.lens_data.disperses else camera.focal_length
-        walk = PupilWalk(system.camera, system.lens.opaque(functools.partial(dr.opaque, mi.Float)))
+        walk = Walk(system.camera, system.lens.opaque(functools.partial(dr.opaque, mi.Float)))
         found.setdefault(refraction, (walk, []))[1].append(number)
     return list(found.values())
 

@@ -368,7 +368,8 @@ def _traced(camera: PlenopticCamera) -> NDArray[np.float32]:
                 passage = Passage((lens.centre[0] + dx, lens.centre[1] + dy), lens)
                 _, _, is_open = walk.trace(position, passage)
                 slope, _, _ = walk.out_of_array(position, passage)
-                total += dr.select(is_open, walk.passed(passage.point, slope, lens.height) * lens.gain, 0.0)
+                x, y = (walk.lens.pupil.point(m, t, lens.height) for m, t in zip(passage.point, slope, strict=True))
+                total += dr.select(is_open, walk.transmittance((x, y), passage.point) * lens.gain, 0.0)
             dr.eval(total)
         image[rows] = (total / _RAYS).numpy().reshape(-1, camera.crop_size[0])
     return image

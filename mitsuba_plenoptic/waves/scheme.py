@@ -1,30 +1,20 @@
-"""The choice between cameras with and without a microlens array: how diffraction is planned, and rays are drawn."""
+"""The plan of diffraction of cameras with and without a microlens array."""
 
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple
 
 from ..camera import PlenopticCamera
 from .phase_space import PhaseSpace
-from .pixel_draws import PixelDraws
 from .pupil_diffraction import PupilDiffraction
-from .signed_draws import Draws
 
 Plan = PhaseSpace | PupilDiffraction
 """The diffraction of a camera at one wavelength, as functions of rays and kernels of images."""
 
 
-class Scheme(NamedTuple):
-    """The classes that serve a camera's wave captures."""
-
-    plan: type[Plan]
-    draws: type[Draws] | type[PixelDraws]
-
-
-def scheme_of(camera: PlenopticCamera) -> Scheme:
-    """Return the classes that serve a camera."""
-    return Scheme(PhaseSpace, Draws) if camera.has_array else Scheme(PupilDiffraction, PixelDraws)
+def plan_type(camera: PlenopticCamera) -> type[Plan]:
+    """Return the class of a camera's plans."""
+    return PhaseSpace if camera.has_array else PupilDiffraction
 
 
 @functools.lru_cache(maxsize=16)

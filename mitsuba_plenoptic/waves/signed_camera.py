@@ -27,29 +27,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import Captures, PlenopticCamera, Use, Values, require_support, shortest_parts, with_gradient
-from ..detector.noise import known_means
 from ..errors import InputError, refuse_if
 from ..fields.lens_kinds import LensKinds
 from ..lenses.pupil import Pair
 from ..optics import rays
-from ..rays.random_numbers import chances_of
+from ..rays.tracer import Walk
 from ..runtime import drjit_array
 from ..scene.radiance import require_finite
 from .array_field import Array
 from .array_kernels import displaced
+from .control_variate import means_of_halves, of_other_half
 from .expansion import OF_KERNELS, kernel_slopes, width_slopes
 from .phase_space import PhaseSpace, RayCoefficients
 from .pixel_kernels import PixelKernels
+from .ray_sampler import RaySamples
 from .scheme import Plan
 from .signed_colours import mixed
-from .signed_draws import Drawn, Kept
-from .signed_rays import Lot, NodeLight, SignedRaySum, of_cells
+from .signed_rays import RayBatch, SignedRaySum
 
 PARAMETERS = with_gradient(Captures.SCENES)
 """Camera parameters with respect to which signed-ray captures have derivatives."""
 
 
-class Held(NamedTuple):
+class FixedRays(NamedTuple):
     """Rays fixed in the scene, as they pass a changed camera."""
 
     point: Pair  # on the array, from the lens's centre, in the lattice's frame, in which lengths grow with the pitch
@@ -116,77 +116,55 @@ class CameraTangents(_CameraSum):
         super().__init__(*arguments, names=changes, **options)
         # All changes of the kernels share one set of values.
         self._sets = 4
+        self._wider = dr.opaque(mi.Float, width_change(self._camera, changes))
 
-    def _kept(self, drawn: Drawn, number: int) -> tuple[Any, ...]:
-        return tuple(drawn.kept)
-
-    def _alike(self, nodes: Sequence[int]) -> list[list[int]]:
-        return [[number] for number in nodes]
-
-    def _bring(
-        self, lot: Lot, met: Any, kept: tuple[Any, ...], lights: list[NodeLight], numbers: Sequence[int]
-    ) -> list[list[list[Any]]]:
-        """Return each cell's values for each kernel, their slopes and their changes, for each image of one node.
-
-        The changes of the direction cosines of the cells' light are returned as well.
-        """
-        ((radiance, known, weights),), (number,) = lights, numbers
-        (pixel, first, start), (drawn, _) = self._cells_of(met), self._drawn_rays(lot.pixels, lot.key)
-        known, weights = of_cells(known, pixel), of_cells(weights, pixel)
-        lens, key = dr.gather(mi.UInt32, lot.pixels.number, pixel), lot.key
-        table, width = self._coefficients[number], self._by_width[number]
-        assert isinstance(table, RayCoefficients)  # others are refused
-        _, direction, _ = self._groups[0][0].through_pupil(drawn.pupil, drawn.place, drawn.height)
+    def _arguments(self, samples: RaySamples, walk: Walk, number: int) -> list[Any]:
+        """Return the arguments of the coefficients of rays, and the rays' changes."""
+        _, slope, _ = walk.through_pupil(samples.ray.P, samples.ray.m, samples.lens.height)
         with dr.resume_grad():
             varying = varying_parameters(self._camera)
-            for name, parts in self._changes.items():
+            for name, components in self._changes.items():
                 dr.enable_grad(varying[name])
-                for value, part in zip(varying[name], parts, strict=True):
-                    dr.set_grad(value, part)
-            held = hold(self._camera, varying, drawn, direction, self._step)
+                for value, component in zip(varying[name], components, strict=True):
+                    dr.set_grad(value, component)
+            fixed = follow_fixed(self._camera, varying, samples, slope, self._step)
             changes = [
                 dr.forward_to(value, flags=dr.ADFlag.ClearInterior) if dr.grad_enabled(value) else mi.Float(0)
-                for value in (*held.point, *held.cell, held.measure, held.density, *held.cosines)
+                for value in (*fixed.point, *fixed.cell, fixed.measure, fixed.density, *fixed.cosines)
             ]
-        changes = [dr.detach(change) + dr.zeros(mi.Float, dr.width(radiance[0])) for change in changes]
-        dr.eval(changes)
-        wider = dr.opaque(mi.Float, width_change(self._camera, self._changes))
+        changes = [dr.detach(change) + dr.zeros(mi.Float, dr.width(samples.number)) for change in changes]
+        return [*samples.lens_point, *samples.round_pupil, *samples.chance, samples.ray.valid, *changes]
 
-        def bring(k: Any, brought: list[list[list[Any]]]) -> tuple[Any, list[list[list[Any]]]]:
-            ray, even = Kept(*kept).at(first + k), ((start + k) & 1) == 0
-            du, dv, dx, dy, measure, density = (dr.gather(mi.Float, change, first + k) for change in changes[:6])
-            means = [dr.select(ray.open, dr.select(even, pair[1], pair[0]), 0) for pair in known]
-            lights = [dr.gather(mi.Float, light, first + k) for light in radiance]
-            nodes = ray.point, ray.inner, chances_of(lens, key ^ ((start + k) << 4)), ray.open
-            values, (by_u, by_v), by_width = table(*nodes), table.slopes(*nodes), width(*nodes)
-            result = []
-            for row, before in zip(weights, brought[0], strict=True):
-                mean = mixed(row, means)
-                strength = dr.select(ray.open, (mixed(row, lights) - mean) * ray.weight, 0)
-                own = [strength * value for value in values]
-                change = [
-                    strength * (a * measure + u * du + v * dv + q * wider)
-                    for a, u, v, q in zip(values, by_u, by_v, by_width, strict=True)
-                ]
-                own[0] += mean
-                change[0] += mean * density
-                parts = [*change, *(a * dx for a in own), *(a * dy for a in own), *own]
-                result.append([old + part for old, part in zip(before, parts, strict=True)])
-            return k + 1, [result]
+    def _values(self, number: int, arguments: list[Any]) -> list[tuple[list[Any], Any]]:
+        """Return the changes of a ray's coefficients, these times its displacements on the detector, and themselves."""
+        x, y, X, Y, *chance = arguments[:8]
+        valid, du, dv, dx, dy, measure, density = arguments[8:15]
+        ray, table = ((x, y), (X, Y), tuple(chance), valid), self._coefficients[number]
+        assert isinstance(table, RayCoefficients)  # others are refused
+        values, (by_u, by_v), by_width = table(*ray), table.slopes(*ray), self._by_width[number](*ray)
+        change = [
+            a * measure + u * du + v * dv + q * self._wider
+            for a, u, v, q in zip(values, by_u, by_v, by_width, strict=True)
+        ]
+        return [(change, density), ([a * dx for a in values], dx), ([a * dy for a in values], dy), (values, None)]
 
+    def _cell_means(self, pixels: Any, of_rays: list[Any], *light: Any) -> list[list[list[Any]]]:
+        """Return the mean values, and the changes of the direction cosines of the cells' light."""
+        _, first, _ = self._cells_of(pixels)
         # All rays of a cell and a lens have nearly the same direction.
-        bent = [dr.gather(mi.Float, change, first) for change in changes[6:]]
-        return [[[*values, *bent] for values in images] for images in self._mean_of(bring, dr.width(pixel), numbers)]
+        bent = [dr.gather(mi.Float, change, first) for change in of_rays[-2:]]
+        images = super()._cell_means(pixels, of_rays, *light)
+        return [[[*values, *bent] for values in of_node] for of_node in images]
 
     def _combined(self, kernels: list[PixelKernels], values: Array, terms: Array, cosines: Array, number: int) -> Array:
-        """Return the images made from all sets of values; see `_bring`."""
-        parts, bent = values[..., :-2], values[..., -2:]
-        *held, own = self.arrays.split(parts, self._sets, axis=-1)
-        changed = (float(self._changes[name][i]) * own for name, i in self._of_kernels)
-        given = self.arrays.concatenate([*held, *changed], axis=-1)
-        images = super()._combined(kernels, given, terms, cosines, number)
+        """Return the images made from all sets of values; see `_values`."""
+        sets, bent = values[..., :-2], values[..., -2:]
+        *others, coefficients = self.arrays.split(sets, self._sets, axis=-1)
+        changed = (float(self._changes[name][i]) * coefficients for name, i in self._of_kernels)
+        sets = self.arrays.concatenate([*others, *changed], axis=-1)
+        images = super()._combined(kernels, sets, terms, cosines, number)
         turned = self.arrays.einsum("atx,xa->tx", self._nodes[number].plan.oblique.slopes(cosines), bent.mean(1))
-        images[: len(kernels[0].kernels)] += kernels[0].turned(own, turned)
+        images[: len(kernels[0].kernels)] += kernels[0].turned(coefficients, turned)
         return images
 
 
@@ -196,91 +174,89 @@ class CameraAdjoint(_CameraSum):
     def backward(self, gradient: Sequence[Array]) -> Values:
         """Return the gradient with respect to each parameter component, from gradients by channel (rows, columns)."""
         total = {name: np.zeros(len(value)) for name, value in parameters_of(self._camera).items()}
-        for lot, felt in self._back(gradient):
-            self._vjp(lot, felt, total)
+        for batch, adjoint in self._adjoint_batches(gradient):
+            self._vjp(batch, adjoint, total)
         return {name: total[name] for name in self._names}
 
-    def _by_direction(self, images: Array, number: int, lot: Lot, some: Any) -> list[list[Any]]:
-        """Return the derivatives with respect to the direction of light of the gradients that `_felt` returns."""
-        kernels, rows = self._kernels[number][lot.kind][0], self._rows(number, lot.kind)[0]
-        own = images[rows, dr.gather(mi.UInt32, lot.some, some).numpy()]
-        slopes = self._nodes[number].plan.oblique.slopes(self._cosines(lot, some))
-        return [[drjit_array(mi.Float, part.T) for part in kernels.turned_adjoint(own, along)] for along in slopes]
-
-    def _vjp(self, lot: Lot, felt: list[list[Array]], total: Values) -> None:
-        """Add the gradients from the rays of a `Lot` of pixels to `total`; see `_back`."""
-        drawn, own = self._drawn_rays(lot.pixels, lot.key)
-        ((walk, _),), (lanes,) = self._groups, lot.lanes
-        radiance = self._light(*self._asked(walk, drawn, own, lanes, lot.seed))
-        radiance = [light * self._answer(drawn) for light in radiance]
-        seen = dr.select(drawn.open, mi.Float(1), 0)
-        require_finite(radiance, seen)
-        known, lit = known_means(radiance, seen, dr.width(lot.some), self._together)
-        lit = dr.compress(lit)
-        if not dr.width(lit):
-            return
-        together = dr.opaque(mi.UInt32, self._together)
-        drawn, own = self._drawn_rays(lot.pixels.take(lit), lot.key)
-        _, direction, _ = walk.through_pupil(drawn.pupil, drawn.place, drawn.height)
-        sample = dr.arange(mi.UInt32, dr.width(own)) - own * together
-        even = (sample & 1) == 0
-        points, cell = (drawn.point, drawn.inner, drawn.chance, drawn.open), self._cell_of(own, sample)
-        own = dr.gather(mi.UInt32, lit, own)
-        lights = [dr.gather(mi.Float, light, own * together + sample, drawn.open) for light in radiance]
-        means = [
-            dr.select(drawn.open, dr.select(even, *(dr.gather(mi.Float, half, own) for half in pair[::-1])), 0)
-            for pair in known
+    def _by_direction(self, images: Array, number: int, batch: RayBatch, pixels: Any) -> list[list[Any]]:
+        """Return the derivatives of `_adjoint_values` with respect to the direction of light."""
+        kernels, rows = self._kernels[number][batch.kind][0], self._rows(number, batch.kind)[0]
+        of_pixels = images[rows, dr.gather(mi.UInt32, batch.index, pixels).numpy()]
+        slopes = self._nodes[number].plan.oblique.slopes(self._cosines(batch, pixels))
+        return [
+            [drjit_array(mi.Float, values.T) for values in kernels.turned_adjoint(of_pixels, along)] for along in slopes
         ]
-        by_held, by_width, by_kernels = [mi.Float(0)] * 8, mi.Float(0), [mi.Float(0)] * len(self._of_kernels)
-        for number, (node, table, width, totals) in enumerate(
-            zip(self._nodes, self._coefficients, self._by_width, felt, strict=True)
+
+    def _vjp(self, batch: RayBatch, adjoint: list[list[Array]], total: Values) -> None:
+        """Add the gradients from the rays of a batch to `total`; see `_adjoint_batches`."""
+        samples, ((walk, _),), (lanes,) = self.samples(batch.pixels, batch.key), self._groups, batch.wavelengths
+        power = self._sampler.power(samples)
+        radiance = [light * power for light in self._light(*self._scene_rays(walk, samples, lanes, batch.seed))]
+        seen = dr.select(samples.ray.valid, mi.Float(1), 0)
+        require_finite(radiance, seen)
+        halves, lit = means_of_halves(radiance, seen, dr.width(batch.index), self._together)
+        pixels = dr.compress(lit)
+        if not dr.width(pixels):
+            return
+        samples = self.samples(batch.pixels.take(pixels), batch.key)
+        ray, even = samples.ray, (samples.number & 1) == 0
+        _, slope, _ = walk.through_pupil(ray.P, ray.m, samples.lens.height)
+        arguments = samples.lens_point, samples.round_pupil, samples.chance, ray.valid
+        pixel = dr.gather(mi.UInt32, pixels, samples.pixel)
+        together = dr.opaque(mi.UInt32, self._together)
+        lights = [dr.gather(mi.Float, light, pixel * together + samples.number, ray.valid) for light in radiance]
+        controls = [
+            dr.select(ray.valid, of_other_half(even, [dr.gather(mi.Float, half, pixel) for half in pair]), 0)
+            for pair in halves
+        ]
+        residuals = [light - control for light, control in zip(lights, controls, strict=True)]
+        by_fixed, by_width, by_kernels = [mi.Float(0)] * 8, mi.Float(0), [mi.Float(0)] * len(self._of_kernels)
+
+        def at_rays(values: list[Any]) -> list[Any]:
+            return [dr.gather(mi.Float, value, samples.cell, ray.valid) for value in values]
+
+        for number, (node, table, width, images) in enumerate(
+            zip(self._nodes, self._coefficients, self._by_width, adjoint, strict=True)
         ):
             assert isinstance(table, RayCoefficients)  # others are refused
-            values, (by_u, by_v), wider = table(*points), table.slopes(*points), width(*points)
+            values, (by_u, by_v), wider = table(*arguments), table.slopes(*arguments), width(*arguments)
             used, weights = node.mixture(lanes)
             if lanes is not None:
-                weights = [[dr.gather(mi.Float, weight, own) for weight in row] for row in weights]
-            for row, total_felt in zip(weights, totals, strict=True):
-                mean = mixed(row, [means[i] for i in used])
-                strength = (mixed(row, [lights[i] for i in used]) - mean) * drawn.weight
-                strength = dr.select(drawn.open, strength, 0)
-                weighted = [strength * value for value in values]
-                weighted[0] += mean
-                sets = [
-                    [dr.gather(mi.Float, part, cell, drawn.open) for part in each]
-                    for each in self._felt(total_felt, number, lot, lit)
-                ]
-                brought = [
-                    *(strength * mixed(parts, sets[0]) for parts in (by_u, by_v)),
+                weights = [[dr.gather(mi.Float, weight, pixel) for weight in row] for row in weights]
+            for row, image in zip(weights, images, strict=True):
+                control = mixed(row, [controls[i] for i in used])
+                residual = dr.select(ray.valid, ray.weight * mixed(row, [residuals[i] for i in used]), 0)
+                weighted = [residual * value for value in values]
+                weighted[0] += control
+                sets = [at_rays(each) for each in self._adjoint_values(image, number, batch, pixels)]
+                gradients = [
+                    *(residual * mixed(slopes, sets[0]) for slopes in (by_u, by_v)),
                     *(mixed(weighted, sets[each]) for each in (1, 2)),
-                    strength * mixed(values, sets[0]),
-                    mean * sets[0][0],
-                    *(
-                        mixed(weighted, [dr.gather(mi.Float, part, cell, drawn.open) for part in each])
-                        for each in self._by_direction(total_felt, number, lot, lit)
-                    ),
+                    residual * mixed(values, sets[0]),
+                    control * sets[0][0],
+                    *(mixed(weighted, at_rays(each)) for each in self._by_direction(image, number, batch, pixels)),
                 ]
-                by_held = [before + part for before, part in zip(by_held, brought, strict=True)]
-                by_width += strength * mixed(wider, sets[0])
+                by_fixed = [before + gradient for before, gradient in zip(by_fixed, gradients, strict=True)]
+                by_width += residual * mixed(wider, sets[0])
                 by_kernels = [before + mixed(weighted, each) for before, each in zip(by_kernels, sets[3:], strict=True)]
         sums = [dr.sum(figure) for figure in (by_width, *by_kernels)]
-        dr.eval(by_held, sums)
+        dr.eval(by_fixed, sums)
         rays = self._spp * self._passes
         of_width, *of_kernels = (float(figure[0]) / rays for figure in sums)
-        for (name, part), figure in zip(self._of_kernels, of_kernels, strict=True):
-            total[name][part] += figure
+        for (name, component), figure in zip(self._of_kernels, of_kernels, strict=True):
+            total[name][component] += figure
         total["mla_distance"] += of_width / self._camera.mla_distance
         total["mla_pitch"][0] -= of_width / self._camera.mla_pitch
         with dr.resume_grad():
             varying = varying_parameters(self._camera)
             dr.enable_grad([varying[name] for name in self._names])
-            held = hold(self._camera, varying, drawn, direction, self._step)
-            parts = *held.point, *held.cell, held.measure, held.density, *held.cosines
-            dr.backward(dr.sum(mixed(by_held, parts)) / rays)
-            gradients = {name: [dr.grad(value) for value in varying[name]] for name in self._names}
+            fixed = follow_fixed(self._camera, varying, samples, slope, self._step)
+            quantities = *fixed.point, *fixed.cell, fixed.measure, fixed.density, *fixed.cosines
+            dr.backward(dr.sum(mixed(by_fixed, quantities)) / rays)
+            of_names = {name: [dr.grad(value) for value in varying[name]] for name in self._names}
             # All in one kernel.
-            dr.eval(gradients)
-            for name, values in gradients.items():
+            dr.eval(of_names)
+            for name, values in of_names.items():
                 total[name] += [float(value[0]) for value in values]
 
 
@@ -289,34 +265,34 @@ def varying_parameters(camera: PlenopticCamera) -> dict[str, list[Any]]:
     return {name: [dr.opaque(mi.Float, value) for value in values] for name, values in parameters_of(camera).items()}
 
 
-def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn, direction: Pair, step: float) -> Held:
-    """Return a camera's drawn rays, with fixed slopes in the scene, traced through a camera of varying `PARAMETERS`.
+def follow_fixed(
+    camera: PlenopticCamera, varying: Mapping[str, list[Any]], samples: RaySamples, slope: Pair, step: float
+) -> FixedRays:
+    """Return rays of a camera, whose slopes in the scene are fixed, in a camera of varying `PARAMETERS`.
 
     `step` is the width in mm of a cell of the detector's grid.
     """
     ((f1,), (b,), (z,), (width,)) = (
         varying[name] for name in ("focal_length", "mla_distance", "detector_distance", "detector_width")
     )
-    pitch = varying["mla_pitch"][0] / camera.mla_pitches[0]
+    pitch, ray = varying["mla_pitch"][0] / camera.mla_pitches[0], samples.ray
     kinds = LensKinds(camera)
     larger = mi.Float(1)
     for index, kind in enumerate(kinds.every):
         focal = varying["mla_focal_length"][kind.lens_type]
-        own = focal * (kind.focal_length / camera.mla_focal_lengths[kind.lens_type])
-        larger = dr.select(drawn.kind == index, kinds.enlargement(own, b, pitch), larger)
+        of_kind = focal * (kind.focal_length / camera.mla_focal_lengths[kind.lens_type])
+        larger = dr.select(samples.lens.kind == index, kinds.enlargement(of_kind, b, pitch), larger)
     # Back through the lens: a lens of the opposite focal length undoes the refraction.
     is_ideal = camera.lens_model == "ideal"
-    turned = direction if is_ideal else rays.slopes_to_cosines(*direction)
-    before = [rays.main_lens_slope(s, P, -f1) for s, P in zip(turned, drawn.pupil, strict=True)]
-    slope = before if is_ideal else rays.cosines_to_slopes(*before)
+    turned = slope if is_ideal else rays.slopes_to_cosines(*slope)
+    unturned = [rays.main_lens_slope(s, P, -f1) for s, P in zip(turned, ray.P, strict=True)]
+    before = unturned if is_ideal else rays.cosines_to_slopes(*unturned)
     centres = tuple(
-        offset + (q - m - held) * pitch
-        for m, q, offset, held in zip(drawn.point, drawn.place, varying["mla_offset"], camera.mla_offset, strict=True)
+        offset + (q - m - start) * pitch
+        for m, q, offset, start in zip(samples.lens_point, ray.m, varying["mla_offset"], camera.mla_offset, strict=True)
     )
-    aside = [
-        (rays.pupil_point(P, t, -b) - centre) / pitch for P, t, centre in zip(drawn.pupil, slope, centres, strict=True)
-    ]
-    behind = tuple((centre - P) / b for P, centre in zip(drawn.pupil, centres, strict=True))
+    aside = [(rays.pupil_point(P, t, -b) - centre) / pitch for P, t, centre in zip(ray.P, before, centres, strict=True)]
+    behind = tuple((centre - P) / b for P, centre in zip(ray.P, centres, strict=True))
     cosines = rays.slopes_to_cosines(*camera.lattice.to_frame(*behind))
     if camera.mla_medium != 1:
         behind = rays.refracted(behind, 1 / camera.mla_medium)
@@ -324,9 +300,9 @@ def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn
     landed = [(centre + t * (larger * z)) / cell for t, centre in zip(behind, centres, strict=True)]
     u, v = camera.lattice.to_frame(*aside)
     # An ideal lens keeps ranges of slopes, a parabolic phase those of direction cosines.
-    square = 0.0 if is_ideal else slope[0] * slope[0] + slope[1] * slope[1]
+    square = 0.0 if is_ideal else before[0] * before[0] + before[1] * before[1]
     grid = 2 * dr.log(width)
-    return Held(
+    return FixedRays(
         (u, v),
         (landed[0], landed[1]),
         2 * dr.log(z) + 2 * dr.log(mi.Float(1) + square) - 2 * dr.log(pitch) - grid,

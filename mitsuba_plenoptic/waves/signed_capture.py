@@ -25,16 +25,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Values
-from ..detector.noise import PARTS, Mended, halves, keep_spread, variance_left, with_spread
+from ..detector.noise import PARTS, Mended, keep_spread, variance_left, with_spread
 from ..errors import warn
 from ..io import digest
 from ..runtime import Cost, Job, SumTask
 from ..scene.capture_cost import seconds_by_rays, seconds_by_waves
 from ..scene.radiance import LightDerivatives, SceneLight
+from .control_variate import adjoint_of_means
 from .phase_space import FINE
 from .signed_camera import CameraAdjoint, CameraTangents
 from .signed_colours import Lanes, Node, SignedColours, mixed
-from .signed_rays import Lot, SignedRaySum, memory_of, rays_of_a_cell
+from .signed_rays import RayBatch, SignedRaySum, memory_of, rays_of_a_cell
 
 Sum = TypeVar("Sum", bound=SignedRaySum)
 
@@ -170,69 +171,68 @@ class SignedRayAdjoint(SignedRaySum):
 
     def backward(self, gradient: Sequence[NDArray[np.float32]]) -> None:
         """Propagate the gradient of the sum, by channel (rows, columns), to Dr.Jit's gradients of scene parameters."""
-        for lot, felt in self._back(gradient):
-            self._vjp(lot, felt)
+        for batch, adjoint in self._adjoint_batches(gradient):
+            self._vjp(batch, adjoint)
 
-    def _vjp(self, lot: Lot, felt: list[list[NDArray[np.float32]]]) -> None:
-        """Propagate the gradients of the images through the rays of a `Lot` of pixels; see `_back`."""
-        drawn, own = self._drawn_rays(lot.pixels, lot.key)
-        together, rays = dr.opaque(mi.UInt32, self._together), dr.width(own)
-        for (pupil, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
-            replay = self._light.replay(*self._asked(pupil, drawn, own, lanes, lot.seed))
+    def _vjp(self, batch: RayBatch, adjoint: list[list[NDArray[np.float32]]]) -> None:
+        """Propagate the adjoint images through the rays of a batch; see `_adjoint_batches`."""
+        samples = self.samples(batch.pixels, batch.key)
+        together, rays = dr.opaque(mi.UInt32, self._together), dr.width(samples.number)
+        for (walk, nodes), lanes in zip(self._groups, batch.wavelengths, strict=True):
+            replay = self._light.replay(*self._scene_rays(walk, samples, lanes, batch.seed))
             # Pixels of which no ray hits a surface are left out.
             meets = dr.select(replay.active, mi.UInt32(1), 0) + dr.zeros(mi.UInt32, rays)
-            met = dr.compress(dr.block_sum(meets, self._together) > 0)
-            if not dr.width(met):
+            pixels = dr.compress(dr.block_sum(meets, self._together) > 0)
+            if not dr.width(pixels):
                 continue
-            lane = dr.arange(mi.UInt32, dr.width(met) * self._together)
-            place = dr.gather(mi.UInt32, met, lane // together) * together + lane % together
+            lane = dr.arange(mi.UInt32, dr.width(pixels) * self._together)
+            ray = dr.gather(mi.UInt32, pixels, lane // together) * together + lane % together
             cotangent = dr.zeros(mi.Spectrum, rays)
-            for value, part in self._cotangents(lot, met, felt, nodes, lanes).items():
+            for value, of_rays in self._cotangents(batch, pixels, adjoint, nodes, lanes).items():
                 every = dr.zeros(mi.Float, rays)
-                dr.scatter(every, part, place)
+                dr.scatter(every, of_rays, ray)
                 cotangent[value] = every
             dr.eval(cotangent)
             replay.differentiate(dr.ADMode.Backward, cotangent)
 
     def _cotangents(
-        self, lot: Lot, met: Any, felt: list[list[NDArray[np.float32]]], nodes: Sequence[int], lanes: Lanes | None
+        self,
+        batch: RayBatch,
+        pixels: Any,
+        adjoint: list[list[NDArray[np.float32]]],
+        nodes: Sequence[int],
+        lanes: Lanes | None,
     ) -> dict[int, Any]:
-        """Return the derivatives with respect to each ray's radiance values, for the pixels `met` of a `Lot`."""
-        drawn, own = self._drawn_rays(lot.pixels.take(met), lot.key)
-        sample = dr.arange(mi.UInt32, dr.width(own)) - own * dr.opaque(mi.UInt32, self._together)
-        cell = self._cell_of(own, sample)
+        """Return the derivatives with respect to each ray's radiance values, for some pixels of a batch."""
+        samples = self.samples(batch.pixels.take(pixels), batch.key)
+        ray, coefficients = samples.ray, (samples.lens_point, samples.round_pupil, samples.chance, samples.ray.valid)
         # For each value: the derivative through the ray itself, and through the mean that the other half subtracts.
         totals: dict[int, tuple[Any, Any]] = {}
         for number in nodes:
             node = self._nodes[number]
-            values = self._coefficients[number](drawn.point, drawn.inner, drawn.chance, drawn.open)
-            direct, others = [], []
-            for total in felt[number]:
-                (parts,) = self._felt(total, number, lot, met)
-                parts = [dr.gather(mi.Float, part, cell, drawn.open) for part in parts]
-                by_ray = drawn.weight * mixed(values, parts)
-                direct.append(dr.select(drawn.open, by_ray, 0))
-                others.append(dr.select(drawn.open, (parts[0] - by_ray) * self._known_part, 0))
+            values = self._coefficients[number](*coefficients)
+            direct, by_control = [], []
+            for image in adjoint[number]:
+                (of_cells,) = self._adjoint_values(image, number, batch, pixels)
+                of_rays = [dr.gather(mi.Float, value, samples.cell, ray.valid) for value in of_cells]
+                by_ray = ray.weight * mixed(values, of_rays)
+                direct.append(dr.select(ray.valid, by_ray, 0))
+                by_control.append(dr.select(ray.valid, (of_rays[0] - by_ray) * self._control_factor, 0))
             used, weights = node.mixture(lanes)
             if lanes is not None:
-                each = dr.gather(mi.UInt32, met, own)
-                weights = [[dr.gather(mi.Float, weight, each) for weight in row] for row in weights]
+                pixel = dr.gather(mi.UInt32, pixels, samples.pixel)
+                weights = [[dr.gather(mi.Float, weight, pixel) for weight in row] for row in weights]
             for value, column in zip(used, zip(*weights, strict=True), strict=True):
                 before = totals.get(value, (0, 0))
-                totals[value] = before[0] + mixed(column, direct), before[1] + mixed(column, others)
-        seen = dr.select(drawn.open, mi.Float(1), 0)
+                totals[value] = before[0] + mixed(column, direct), before[1] + mixed(column, by_control)
+        seen = dr.select(ray.valid, mi.Float(1), 0)
         dr.eval(seen, totals)
-        (even, odd), *sums = halves(seen, [total[1] for total in totals.values()], dr.width(met), self._together)[0]
-        by_mean = [
-            (dr.select(even > 0, of_odd / even, 0), dr.select(odd > 0, of_even / odd, 0)) for of_even, of_odd in sums
-        ]
-        dr.eval(by_mean)
-        is_even, scale = (
-            (sample & 1) == 0,
-            self._answer(drawn) / mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes)),
-        )
+        by_mean = adjoint_of_means([total[1] for total in totals.values()], seen, dr.width(pixels), self._together)
+        is_even = (samples.number & 1) == 0
+        scale = self._sampler.power(samples) / mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes))
         return {
-            value: (by_ray + seen * dr.select(is_even, *(dr.gather(mi.Float, half, own) for half in halves))) * scale
+            value: (by_ray + seen * dr.select(is_even, *(dr.gather(mi.Float, half, samples.pixel) for half in halves)))
+            * scale
             for (value, (by_ray, _)), halves in zip(totals.items(), by_mean, strict=True)
         }
 

@@ -33,7 +33,7 @@ from ..runtime import drjit_array
 from .accuracy import USUAL
 from .expansion import ExpandedPlan, nearby
 from .phase_space import FINE, PhaseSpace
-from .scheme import plan_of, scheme_of
+from .scheme import plan_of, plan_type
 
 _STRATA = 4096
 """Strata of equal probability from which wavelengths are drawn."""
@@ -211,8 +211,8 @@ class SignedColours:
             weights = {node: values @ self.upsampling.T for node, values in weights.items()}
         shared = []
         for node, values in sorted(weights.items()):
-            channels = np.flatnonzero(values.any(1))
-            shared.append((node, tuple(channels.tolist()), values[channels]))
+            lit = np.flatnonzero(values.any(1))
+            shared.append((node, tuple(lit.tolist()), values[lit]))
         return shared
 
 
@@ -226,7 +226,7 @@ def _enough(camera: PlenopticCamera, spectrum: Spectrum, error: float) -> Spectr
         return spectrum.interpolated(1)
     weights = responses / responses.sum(1, keepdims=True)
     dense = np.geomspace(lit.min(), lit.max(), USUAL.dense_wavelengths)
-    make = scheme_of(camera).plan
+    make = plan_type(camera)
     width, coarse = make(camera.at_wavelength(dense[-1]), dense[-1]).widths
     step = width * dense[0] / dense[-1] / USUAL.spot_samples
     reach = math.ceil((USUAL.spot_width * width + camera.pixel_size / 2) / step)

@@ -1,16 +1,13 @@
 r"""Wave captures of scenes from the rays of a ray capture: signed coefficients of each ray, and convolutions.
 
 Rays start from each cell of the detector's grid, pass points around a lens that lights the cell, and continue through
-the pupil into the scene. `light.phase_space` gives the light that arrives with each ray, and the light's distribution
-on the detector. The scene only has to provide the radiance along rays.
-
-Coefficients vary in sign and magnitude within a lens, so that their plain sum is noisy even for a uniform scene. With
-the mean c of the radiances found by other, independent rays of the same cell and lens, the sum is therefore
+the pupil into the scene. `phase_space` gives the light that arrives with each ray, and the light's distribution on the
+detector. The scene only has to provide the radiance along rays. The estimate of a cell and a lens is, for each function
+n, with the control variate c (`control_variate`),
 
 .. math:: \frac{1}{N} \sum_k \left[ w_k A_n(m_k, P_k)\, (L_k - c) + \delta_{n0}\, c \right] ,
 
-which has the same mean, because the coefficients' integral over m is known, and no noise where the radiance is uniform
-(a control variate: Owen, "Monte Carlo theory, methods and examples", section 8.9).
+because the integrals of the coefficients over m are known. `SignedRaySum.estimate` is this formula.
 """
 
 from __future__ import annotations
@@ -29,10 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..detector.noise import known_means
 from ..lenses.pupil import Pair
-from ..optics.rays import second_leg
-from ..rays.tracer import PupilWalk, walks_of
+from ..rays.tracer import Walk, walks_of
 from ..runtime import (
     Box,
     PartialSum,
@@ -46,12 +41,14 @@ from ..runtime import (
 )
 from ..scene.radiance import require_finite
 from .array_field import Array
+from .control_variate import means_of_halves, of_other_half
 from .convolution import TILE, Block, Convolution, blocks_of, box_of, margin_of
 from .phase_space import coefficients_of
 from .pixel_kernels import PixelKernels
-from .scheme import Plan, scheme_of
+from .pupil_sampler import PupilSampler
+from .ray_sampler import LensSampler, Pixels, RaySamples
+from .scheme import Plan
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
-from .signed_draws import Drawn, Pixels
 
 _BLOCK_BYTES = 2**27
 """Bytes of the images of one block of the detector: few, for memory, and as progress is counted in blocks."""
@@ -82,16 +79,16 @@ _MASKS = 5
 """Count of lenses for which masks of the pixels that they light are computed at once."""
 
 
-class Lot(NamedTuple):
+class RayBatch(NamedTuple):
     """Pixels, each paired with a lens that lights it, whose rays are traced together."""
 
     # Their indices among all pixels.
-    some: Any
+    index: Any
     # The kind of all of the lenses.
     kind: int
     pixels: Pixels
     # Wavelengths that are drawn for them, for each group of nodes.
-    lanes: list[Lanes | None]
+    wavelengths: list[Lanes | None]
     seed: int
     # The fraction of its block's rays.
     share: float
@@ -102,24 +99,14 @@ class Lot(NamedTuple):
         return dr.opaque(mi.UInt32, self.seed & ~15)
 
 
-class Brought(NamedTuple):
-    """Sums over the rays of the pixels of a lot that see light of one node."""
+class CellMeans(NamedTuple):
+    """Mean values over the rays of the cells of the pixels of a batch that see light of one node."""
 
     # Indices of these pixels among all pixels, and direction cosines of their light.
-    some: Any
+    index: Any
     cosines: Pair
-    # For each image the mean values of the pixels' cells, cell by cell.
+    # For each image the values, cell by cell.
     values: list[Any]
-
-
-class NodeLight(NamedTuple):
-    """The light of rays that a node uses."""
-
-    # Radiance values of each ray, and the known means of each pixel.
-    radiance: list[Any]
-    means: list[Pair]
-    # Weights that mix the values for each image.
-    weights: Sequence[Any]
 
 
 class SignedRaySum:
@@ -155,11 +142,10 @@ class SignedRaySum:
         self._step = camera.pixel_size / parts
         plans = [node.plan for node in nodes]
         self._groups = walks_of(plan.system for plan in plans)
-        self._draws = scheme_of(camera).draws(camera, plans, parts)
+        self._sampler = (LensSampler if camera.has_array else PupilSampler)(camera, plans, parts)
         # The coefficients' integral is known where all rays of a cell and lens pass one point of the pupil.
-        self._known_part = 0.0 if self._draws.by_points else 1.0
-        self._second_leg = second_leg(camera.pixel_response or (), camera.mla_absorption or 0.0)
-        rays, least = rays_of_a_cell(spp, parts, self._draws.lit_lenses)
+        self._control_factor = 0.0 if self._sampler.by_points else 1.0
+        rays, least = rays_of_a_cell(spp, parts, self._sampler.lit_lenses)
         # Rays of a cell. With drawn wavelengths, a pass has only the fewest that correct each other and share these.
         self._spp = rays if drawn is None else least
         self._passes = round(rays / self._spp)
@@ -201,10 +187,10 @@ class SignedRaySum:
     @cached_property
     def _kernels(self) -> list[list[list[PixelKernels]]]:
         """Kernels of each node, each kind of lenses and each set of values of a ray."""
-        draws = self._draws
+        sampler = self._sampler
         grids = [
-            _Grid(self._parts, larger, tuple(map(tuple, draws.turns(kind).tolist())), draws.order)
-            for kind, larger in enumerate(draws.enlargements)
+            _Grid(self._parts, larger, tuple(map(tuple, sampler.cosine_steps(kind).tolist())), sampler.order)
+            for kind, larger in enumerate(sampler.enlargements)
         ]
         return [
             [
@@ -255,17 +241,17 @@ class SignedRaySum:
         for image in sums:
             image[:] = 0
         dr.eval(pixels)
-        before: tuple[Lot, list[Brought | None]] | None = None
-        # Dr.Jit's own threads rest while others compute the batches; here they are needed, but for the last lot.
+        before: tuple[RayBatch, list[CellMeans | None]] | None = None
+        # Dr.Jit's own threads rest while others convolve; here they are needed, but for the last batch.
         with fft.busy_drjit():
-            for lot in self._lots(box, pixels, seeds):
-                brought = self._collect(lot)
-                # While a lot is added to the images, other threads sum the rays of the next one.
+            for batch in self._ray_batches(box, pixels, seeds):
+                means = self.estimate(batch)
+                # While a batch is added to the images, other threads sum the rays of the next one.
                 if before:
                     self._add(*before, sums)
-                before = lot, brought
+                before = batch, means
                 if traced:
-                    traced(lot.share * every)
+                    traced(batch.share * every)
             dr.sync_thread()
         if before:
             self._add(*before, sums)
@@ -277,31 +263,31 @@ class SignedRaySum:
         return [self.arrays.empty((count, pixels), np.float32) for count in counts]
 
     @single_threaded_blas()
-    def _add(self, lot: Lot, brought: list[Brought | None], sums: list[Array]) -> None:
-        """Add the light of a lot's rays to the images."""
+    def _add(self, batch: RayBatch, means: list[CellMeans | None], sums: list[Array]) -> None:
+        """Add the light of a batch of rays to the images."""
         libraries = active_backend()
-        arrays, held = self.arrays, libraries.from_drjit
+        arrays, shared = self.arrays, libraries.from_drjit
         images = iter(sums)
-        for number, node in enumerate(brought):
-            own = [next(images) for _ in self._nodes[number].channels]
+        for number, node in enumerate(means):
+            of_node = [next(images) for _ in self._nodes[number].channels]
             if node is None:
                 continue
-            kernels, rows = self._kernels[number][lot.kind], self._rows(number, lot.kind)
-            some, cosines = held(node.some).astype(np.intp), arrays.stack([held(value) for value in node.cosines])
+            kernels, rows = self._kernels[number][batch.kind], self._rows(number, batch.kind)
+            index, cosines = shared(node.index).astype(np.intp), arrays.stack([shared(s) for s in node.cosines])
             # The pixels of a lens are in order, and each is contained once until the next lens; a device adds them all.
-            starts = [] if libraries.is_cuda else (1 + np.flatnonzero(some[1:] <= some[:-1])).tolist()
-            totals = [image[rows[0].start : rows[-1].stop] for image in own]
-            every = [held(values).reshape(len(some), self._parts**2, -1) for values in node.values]
-            for few in kernels[0].portions([0, *starts, len(some)]):
+            starts = [] if libraries.is_cuda else (1 + np.flatnonzero(index[1:] <= index[:-1])).tolist()
+            totals = [image[rows[0].start : rows[-1].stop] for image in of_node]
+            every = [shared(values).reshape(len(index), self._parts**2, -1) for values in node.values]
+            for few in kernels[0].portions([0, *starts, len(index)]):
                 terms = self._nodes[number].plan.oblique.terms(cosines[:, few])
                 for total, values in zip(totals, every, strict=True):
-                    given = self._combined(kernels, values[few], terms, cosines[:, few], number)
+                    light = self._combined(kernels, values[few], terms, cosines[:, few], number)
                     if libraries.is_cuda:
-                        arrays.add.at(total, (slice(None), some[few]), given)
+                        arrays.add.at(total, (slice(None), index[few]), light)
                     else:
                         # Row by row, which takes a fraction of the time of a sum with columns of a matrix.
-                        for row, part in zip(total, given, strict=True):
-                            arrays.add.at(row, some[few], part)
+                        for row, light_of_row in zip(total, light, strict=True):
+                            arrays.add.at(row, index[few], light_of_row)
 
     def _combined(self, kernels: list[PixelKernels], values: Array, terms: Array, cosines: Array, number: int) -> Array:
         """Return the images (n, pixels) from a node's values (pixels, places, values) of cells, for all sets of values.
@@ -311,48 +297,45 @@ class SignedRaySum:
         parts = self.arrays.split(values, len(kernels), axis=-1)
         return self.arrays.concatenate([each.combined(part, terms) for each, part in zip(kernels, parts, strict=True)])
 
-    def _lots(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> Iterator[Lot]:
-        """Yield, in lots, the pixels of a box with each lens that lights them."""
-        size = max(1, _LANES // self._together)
-        kept: Any = True
+    def _ray_batches(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> Iterator[RayBatch]:
+        """Yield, in batches, the pixels of a box with each lens that lights them."""
+        size, sampler = max(1, _LANES // self._together), self._sampler
+        used: Any = True
         if (far := self._far(box)).any():
             # Near pixels, and one of each square of the others, have rays.
             shape = -(-box.rows // _THINNED), -(-box.columns // _THINNED)
-            drawn = np.random.default_rng(seeds).integers(_THINNED**2, size=shape)
+            chosen = np.random.default_rng(seeds).integers(_THINNED**2, size=shape)
             row, column = np.ogrid[: box.rows, : box.columns]
-            place = row % _THINNED * _THINNED + column % _THINNED
-            held = ~far | (drawn[row // _THINNED, column // _THINNED] == place)
-            kept = drjit_array(mi.UInt32, held.ravel()[pixels.numpy()]) != 0
-        found: list[list[Any]] = [[] for _ in self._draws.enlargements]
-        count = len(self._draws.candidates)
+            within = row % _THINNED * _THINNED + column % _THINNED
+            near = ~far | (chosen[row // _THINNED, column // _THINNED] == within)
+            used = drjit_array(mi.UInt32, near.ravel()[pixels.numpy()]) != 0
+        lit: list[list[Any]] = [[] for _ in sampler.enlargements]
+        count = len(sampler.choice.lenses)
         for first in range(0, count, _MASKS):
             # Always as many, as other numbers would compile kernels again.
             lenses = [dr.opaque(mi.UInt32, min(first + number, count - 1)) for number in range(_MASKS)]
-            aims = [self._draws.aims(Pixels(box, pixels, lens)) for lens in lenses]
-            seen = [kept & self._draws.lights(each) for each in aims]
-            masks = [
-                [mask & (each.kind == kind) for kind in range(len(found))]
-                for mask, each in zip(seen, aims, strict=True)
-            ]
+            views = [sampler.lenses(Pixels(box, pixels, lens)) for lens in lenses]
+            masks = [[used & sampler.lights(view) & (view.kind == kind) for kind in range(len(lit))] for view in views]
             dr.eval(masks)
             for lens, kinds in zip(lenses[: count - first], masks, strict=False):
-                for lit, mask in zip(found, kinds, strict=True):
-                    some = dr.compress(mask)
-                    if dr.width(some):
-                        lit.append((some, lens + dr.zeros(mi.UInt32, dr.width(some))))
-        rays = self._passes * sum(dr.width(some) for lit in found for some, _ in lit)
-        for kind, lit in enumerate(found):
-            if not lit:
+                for of_kind, mask in zip(lit, kinds, strict=True):
+                    index = dr.compress(mask)
+                    if dr.width(index):
+                        of_kind.append((index, lens + dr.zeros(mi.UInt32, dr.width(index))))
+        rays = self._passes * sum(dr.width(index) for of_kind in lit for index, _ in of_kind)
+        for kind, of_kind in enumerate(lit):
+            if not of_kind:
                 continue
-            # Lots of all lenses together, since those at the rims of micro-images light few pixels.
-            every, lenses = (dr.concat(list(parts)) for parts in zip(*lit, strict=True))
+            # Batches of all lenses together, since those at the rims of micro-images light few pixels.
+            every, lenses = (dr.concat(list(arrays)) for arrays in zip(*of_kind, strict=True))
             for start in range(0, dr.width(every), size):
                 lane = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, min(size, dr.width(every) - start))
-                some = dr.gather(mi.UInt32, every, lane)
-                chosen = Pixels(box, dr.gather(mi.UInt32, pixels, some), dr.gather(mi.UInt32, lenses, lane))
-                own = seeds.spawn(1)[0].generate_state(1 + self._passes).tolist()
-                for turn, seed in enumerate(own[1:]):
-                    yield Lot(some, kind, chosen, self._lanes(chosen, turn, own[0]), seed, dr.width(some) / rays)
+                index = dr.gather(mi.UInt32, every, lane)
+                pairs = Pixels(box, dr.gather(mi.UInt32, pixels, index), dr.gather(mi.UInt32, lenses, lane))
+                seed, *others = seeds.spawn(1)[0].generate_state(1 + self._passes).tolist()
+                for number, of_pass in enumerate(others):
+                    wavelengths = self._wavelengths(pairs, number, seed)
+                    yield RayBatch(index, kind, pairs, wavelengths, of_pass, dr.width(index) / rays)
 
     def _far(self, box: Box) -> NDArray[np.bool_]:
         """Return a mask (rows, columns) of the pixels of a box that are far from the recorded ones; see `_NEAR`."""
@@ -366,15 +349,15 @@ class SignedRaySum:
         )
         return np.asarray(rows[:, None] | columns)
 
-    def _back(self, gradient: Sequence[Array]) -> Iterator[tuple[Lot, list[list[Array]]]]:
-        """Yield the lots of all blocks, and the gradients with respect to the images made from the lots.
+    def _adjoint_batches(self, gradient: Sequence[Array]) -> Iterator[tuple[RayBatch, list[list[Array]]]]:
+        """Yield the batches of all blocks, and the adjoint images (kernels, pixels) of each image of each node.
 
-        `gradient` is the gradient with respect to the sum, by channel (rows, columns). A gradient (kernels, pixels) is
-        yielded for each image of each node.
+        `gradient` is the gradient with respect to the sum, by channel (rows, columns), and adjoint images are those
+        with respect to the images made from the batches.
         """
         for number, bins in enumerate(self._blocks):
             convolutions, every = iter(self._convolutions), bins.rows * bins.columns
-            felt = [
+            adjoint = [
                 [
                     np.stack(
                         [
@@ -387,28 +370,28 @@ class SignedRaySum:
                 for node in self._nodes
             ]
             far = self._far(bins).ravel()
-            for each in itertools.chain.from_iterable(felt):
-                each[:, far] *= _THINNED**2
+            for images in itertools.chain.from_iterable(adjoint):
+                images[:, far] *= _THINNED**2
             seeds = np.random.SeedSequence([self._seed, number])
-            for lot in self._lots(bins, dr.arange(mi.UInt32, every), seeds):
-                yield lot, felt
+            for batch in self._ray_batches(bins, dr.arange(mi.UInt32, every), seeds):
+                yield batch, adjoint
 
-    def _felt(self, images: Array, number: int, lot: Lot, some: Any) -> list[list[Any]]:
-        """Return the gradients with respect to each set of the functions' values, for cells of pixels of a lot.
+    def _adjoint_values(self, images: Array, number: int, batch: RayBatch, pixels: Any) -> list[list[Any]]:
+        """Return the adjoints of each set of the functions' values in the cells of some pixels of a batch.
 
-        They follow from `images`, the gradients with respect to a node's images for one channel; see `_back`.
+        They follow from the adjoint images of a node for one channel.
         """
-        terms = self._nodes[number].plan.oblique.terms(self._cosines(lot, some))
-        own = images[:, dr.gather(mi.UInt32, lot.some, some).numpy()]
+        terms = self._nodes[number].plan.oblique.terms(self._cosines(batch, pixels))
+        of_pixels = images[:, dr.gather(mi.UInt32, batch.index, pixels).numpy()]
         return [
             # Pixel by pixel, as cells are.
-            [drjit_array(mi.Float, part.T) for part in kernels.adjoint(own[rows], terms)]
-            for kernels, rows in zip(self._kernels[number][lot.kind], self._rows(number, lot.kind), strict=True)
+            [drjit_array(mi.Float, values.T) for values in kernels.adjoint(of_pixels[rows], terms)]
+            for kernels, rows in zip(self._kernels[number][batch.kind], self._rows(number, batch.kind), strict=True)
         ]
 
-    def _cosines(self, lot: Lot, some: Any) -> Array:
-        """Return the direction cosines (2, pixels) of the light of pixels of a lot."""
-        return np.array([value.numpy() for value in self._draws.cosines(lot.pixels.take(some))])
+    def _cosines(self, batch: RayBatch, pixels: Any) -> Array:
+        """Return the direction cosines (2, pixels) of the light of some pixels of a batch."""
+        return np.array([value.numpy() for value in self._sampler.cosines(batch.pixels.take(pixels))])
 
     def probe(self) -> Array:
         """Return the light of some pixels, a fingerprint of a scene and its camera."""
@@ -421,131 +404,133 @@ class SignedRaySum:
         every = self._bins.rows * self._bins.columns
         return drjit_array(mi.UInt32, np.linspace(0, every - 1, min(count, every)))
 
-    def _lanes(self, pixels: Pixels, turn: int, seed: int) -> list[Lanes | None]:
+    def _wavelengths(self, pixels: Pixels, number: int, seed: int) -> list[Lanes | None]:
         """Return the wavelengths of the rays of pixels in one pass, for each group of nodes."""
         if self._drawn is None:
             return [None for _ in self._groups]
-        chance = chances(dr.opaque(mi.UInt32, pixels.box.columns), pixels.index, turn, seed)
-        lanes: list[Lanes | None] = [
-            self._drawn.draw(chance, span([self._nodes[number] for number in group])) for _, group in self._groups
-        ]
+        chance = chances(dr.opaque(mi.UInt32, pixels.box.columns), pixels.index, number, seed)
+        lanes = [self._drawn.draw(chance, span([self._nodes[number] for number in group])) for _, group in self._groups]
         # Dr.Jit does not look into named tuples.
-        dr.eval([tuple(each) for each in lanes if each])
-        return lanes
+        dr.eval([tuple(each) for each in lanes])
+        return list(lanes)
 
-    def _collect(self, lot: Lot) -> list[Brought | None]:
-        """Return each node's sums over the rays of a lot, traced and scheduled for evaluation; None without light."""
-        drawn, own = self._drawn_rays(lot.pixels, lot.key)
-        counted = dr.select(drawn.open, mi.Float(1), 0)
-        brought: list[Brought | None] = [None for _ in self._nodes]
-        for (walk, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
-            radiance = self._light(*self._asked(walk, drawn, own, lanes, lot.seed))
-            radiance = [light * self._answer(drawn) for light in radiance]
-            alike = self._alike(nodes)
-            kept = [self._kept(drawn, numbers[0]) for numbers in alike]
-            # Any function may be the light; derivatives and band-limited light may be negative.
-            require_finite(radiance, counted, kept, signed=not getattr(self._light, "is_radiance", False))
-            known, lit = known_means(radiance, counted, dr.width(lot.some), self._together)
-            met = dr.compress(lit)
-            if not dr.width(met):
-                continue
-            some, cosines = dr.gather(mi.UInt32, lot.some, met), self._draws.cosines(lot.pixels.take(met))
-            for numbers, each in zip(alike, kept, strict=True):
-                mixtures = [self._nodes[number].mixture(lanes) for number in numbers]
-                lights = [
-                    NodeLight([radiance[i] for i in used], [known[i] for i in used], weights)
-                    for used, weights in mixtures
-                ]
-                for number, images in zip(numbers, self._bring(lot, met, each, lights, numbers), strict=True):
-                    brought[number] = Brought(some, cosines, [interleaved(parts) for parts in images])
-            dr.eval(some, cosines, [each.values for each in brought if each])
-        return brought
-
-    def _alike(self, nodes: Sequence[int]) -> list[list[int]]:
-        """Return nodes divided into those that have the coefficients of a ray at the same place of their tables."""
-        found: dict[Any, list[int]] = {}
-        for number in nodes:
-            found.setdefault(self._coefficients[number].layout, []).append(number)
-        return list(found.values())
-
-    def _drawn_rays(self, pixels: Pixels, key: Any) -> tuple[Drawn, Any]:
-        """Return all rays of pixels, one per lane, and the index of each ray's pixel."""
+    def samples(self, pixels: Pixels, key: Any) -> RaySamples:
+        """Return all rays of pixels, one per lane."""
         lane = dr.arange(mi.UInt32, dr.width(pixels.index) * self._together)
-        own = quotient(lane, self._together)
-        sample = lane - own * dr.opaque(mi.UInt32, self._together)
-        return self._draws.draw(pixels, own, sample, quotient(sample, self._spp), key), own
+        pixel = quotient(lane, self._together)
+        number = lane - pixel * dr.opaque(mi.UInt32, self._together)
+        return self._sampler.draw(pixels, pixel, number, quotient(number, self._spp), key)
 
-    def _cell_of(self, own: Any, sample: Any) -> Any:
-        """Return the index of each ray's cell among the cells of all pixels."""
-        return own * dr.opaque(mi.UInt32, self._parts**2) + quotient(sample, self._spp)
-
-    def _asked(self, walk: PupilWalk, drawn: Drawn, own: Any, lanes: Lanes | None, seed: int) -> tuple[Any, ...]:
-        """Return the arguments of a call of the light: see `SceneLight`."""
-        start, direction, _ = walk.through_pupil(drawn.pupil, drawn.place, drawn.height)
+    def _scene_rays(self, walk: Walk, samples: RaySamples, lanes: Lanes | None, seed: int) -> tuple[Any, ...]:
+        """Return the rays in the scene, as the arguments of a call of the light: see `SceneLight`."""
+        ray = samples.ray
+        start, slope, _ = walk.through_pupil(ray.P, ray.m, samples.lens.height)
         # Outside the aperture, surfaces may reflect rays totally, whose values are not finite then.
-        seen = drawn.open & dr.all([dr.isfinite(value) for value in (*start, *direction)], axis=0)
+        seen = ray.valid & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
         if lanes is None:
-            return start, direction, seen, seed
-        return start, direction, seen, seed, [dr.gather(mi.Float, each, own) for each in lanes.wavelengths]
+            return start, slope, seen, seed
+        return start, slope, seen, seed, [dr.gather(mi.Float, each, samples.pixel) for each in lanes.wavelengths]
 
-    def _answer(self, drawn: Drawn) -> Any:
-        """Return the pixels' response to rays by their path behind the lenses, times the rays' weights in a medium."""
-        return self._second_leg(*self._draws.crossed(drawn)) * self._draws.evenness(drawn)
+    def estimate(self, batch: RayBatch) -> list[CellMeans | None]:
+        """Return each node's mean values over the rays of the cells of a batch, to be evaluated; None without light."""
+        samples = self.samples(batch.pixels, batch.key)
+        power = self._sampler.power(samples)
+        counted = dr.select(samples.ray.valid, mi.Float(1), 0)
+        means: list[CellMeans | None] = [None for _ in self._nodes]
+        for (walk, nodes), lanes in zip(self._groups, batch.wavelengths, strict=True):
+            # The radiance along the rays, as far as the pixels receive it.
+            radiance = [light * power for light in self._light(*self._scene_rays(walk, samples, lanes, batch.seed))]
+            # What the coefficients depend on, once for nodes that have those of a ray at the same place of tables.
+            alike: dict[Any, list[int]] = {}
+            for number in nodes:
+                alike.setdefault(self._coefficients[number].layout, []).append(number)
+            arguments = [
+                [dr.select(samples.ray.valid, samples.ray.weight, 0), *self._arguments(samples, walk, numbers[0])]
+                for numbers in alike.values()
+            ]
+            # Any function may be the light; derivatives and band-limited light may be negative.
+            require_finite(radiance, counted, arguments, signed=not getattr(self._light, "is_radiance", False))
+            # The control variate, and the pixels that see light.
+            controls, lit = means_of_halves(radiance, counted, dr.width(batch.index), self._together)
+            pixels = dr.compress(lit)
+            if not dr.width(pixels):
+                continue
+            index, cosines = dr.gather(mi.UInt32, batch.index, pixels), self._sampler.cosines(batch.pixels.take(pixels))
+            for numbers, of_rays in zip(alike.values(), arguments, strict=True):
+                mixtures = [self._nodes[number].mixture(lanes) for number in numbers]
+                sums = self._cell_means(pixels, of_rays, radiance, controls, mixtures, numbers)
+                for number, images in zip(numbers, sums, strict=True):
+                    means[number] = CellMeans(index, cosines, [interleaved(values) for values in images])
+            dr.eval(index, cosines, [node.values for node in means if node])
+        return means
 
-    def _kept(self, drawn: Drawn, number: int) -> tuple[Any, ...]:
-        """Return the data of rays that `_bring` needs for a node."""
-        places = self._coefficients[number].places(drawn.point, drawn.inner, drawn.chance, drawn.open)
-        return places, dr.select(drawn.open, drawn.weight, 0)
-
-    def _bring(
-        self, lot: Lot, met: Any, kept: tuple[Any, ...], lights: list[NodeLight], numbers: Sequence[int]
+    def _cell_means(
+        self,
+        pixels: Any,
+        of_rays: list[Any],
+        radiance: list[Any],
+        controls: list[Pair],
+        mixtures: Sequence[tuple[list[int], list[list[Any]]]],
+        numbers: Sequence[int],
     ) -> list[list[list[Any]]]:
-        """Return the mean coefficients of the rays of each cell of the pixels `met`, for each image of some nodes."""
-        # Computed before the recorded loop, so as not to become a part of it.
-        pixel, first, start = self._cells_of(met)
-        (places, weight), coefficients = kept, [self._coefficients[number] for number in numbers]
-        lights = [NodeLight(each.radiance, *of_cells((each.means, each.weights), pixel)) for each in lights]
+        """Return the mean values over the rays of each cell of some pixels, for each image of some nodes.
 
-        def bring(k: Any, brought: list[list[list[Any]]]) -> tuple[Any, list[list[list[Any]]]]:
-            own, even = dr.gather(mi.Float, weight, first + k), ((start + k) & 1) == 0
-            at = [dr.gather(type(place), place, first + k) for place in places]
-            result = []
-            for light, table, images in zip(lights, coefficients, brought, strict=True):
-                others = [dr.select(even, pair[1], pair[0]) * self._known_part for pair in light.means]
-                changes = [
-                    dr.gather(mi.Float, each, first + k) - other
-                    for each, other in zip(light.radiance, others, strict=True)
+        `of_rays` are the rays' weights and the arguments of their coefficients.
+        """
+        # Computed before the recorded loop, so as not to become a part of it.
+        pixel, first, start = self._cells_of(pixels)
+        lights = [
+            ([radiance[i] for i in used], _of_cells([controls[i] for i in used], pixel), _of_cells(weights, pixel))
+            for used, weights in mixtures
+        ]
+
+        def add(k: Any, means: list[list[list[Any]]]) -> tuple[Any, list[list[list[Any]]]]:
+            weight, *arguments = (dr.gather(type(values), values, first + k) for values in of_rays)
+            even, result = ((start + k) & 1) == 0, []
+            for number, (light, halves, weights), images in zip(numbers, lights, means, strict=True):
+                controls = [of_other_half(even, pair) * self._control_factor for pair in halves]
+                residuals = [
+                    dr.gather(mi.Float, value, first + k) - control
+                    for value, control in zip(light, controls, strict=True)
                 ]
-                values, made = table.read(*at), []
-                for row, before in zip(light.weights, images, strict=True):
-                    change = own * mixed(row, changes)
-                    after = [dr.fma(value, change, old) for old, value in zip(before, values, strict=True)]
-                    after[0] += dr.select(own > 0, mixed(row, others), 0)
-                    made.append(after)
-                result.append(made)
+                sets = self._values(number, arguments)
+                of_node = []
+                for row, before in zip(weights, images, strict=True):
+                    residual, control = weight * mixed(row, residuals), dr.select(weight > 0, mixed(row, controls), 0)
+                    sums = iter(before)
+                    after = [[dr.fma(value, residual, next(sums)) for value in values] for values, _ in sets]
+                    for values, (_, of_control) in zip(after, sets, strict=True):
+                        values[0] += control if of_control is None else control * of_control
+                    of_node.append([value for values in after for value in values])
+                result.append(of_node)
             return k + 1, result
 
-        return self._mean_of(bring, dr.width(pixel), numbers)
-
-    def _cells_of(self, met: Any) -> tuple[Any, Any, Any]:
-        """Return, for each cell of pixels `met`, its pixel and its first ray, among all rays and among the pixel's."""
-        places, spp, together = (dr.opaque(mi.UInt32, n) for n in (self._parts**2, self._spp, self._together))
-        lane = dr.arange(mi.UInt32, dr.width(met) * self._parts**2)
-        turn = quotient(lane, self._parts**2)
-        pixel, start = dr.gather(mi.UInt32, met, turn), (lane - turn * places) * spp
-        return pixel, pixel * together + start, start
-
-    def _mean_of(self, bring: Callable[..., Any], cells: int, numbers: Sequence[int]) -> list[list[list[Any]]]:
-        """Return the mean values over the rays of each of some cells, in a loop, for each image of some nodes."""
-        nodes = [self._nodes[number] for number in numbers]
+        nodes, cells = [self._nodes[number] for number in numbers], dr.width(pixel)
         nothing = [
             [[dr.zeros(mi.Float, cells) for _ in range(self._sets * node.plan.functions.count)] for _ in node.channels]
             for node in nodes
         ]
         end = dr.opaque(mi.UInt32, self._spp)
-        _, brought = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < end, bring, label="signed rays")
+        _, sums = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < end, add, label="signed rays")
         rays = mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes))
-        return [[[part / rays for part in parts] for parts in images] for images in brought]
+        return [[[value / rays for value in values] for values in images] for images in sums]
+
+    def _arguments(self, samples: RaySamples, walk: Walk, number: int) -> list[Any]:
+        """Return the arguments of `_values` for rays."""
+        ray = samples.ray
+        return self._coefficients[number].places(samples.lens_point, samples.round_pupil, samples.chance, ray.valid)
+
+    def _values(self, number: int, arguments: list[Any]) -> list[tuple[list[Any], Any]]:
+        """Return sets of values of a ray for each function, and the known mean of the first one; None for 1."""
+        return [(self._coefficients[number].read(*arguments), None)]
+
+    def _cells_of(self, pixels: Any) -> tuple[Any, Any, Any]:
+        """Return, for each cell of some pixels, its pixel and its first ray, among all rays and among the pixel's."""
+        cells, spp, together = (dr.opaque(mi.UInt32, n) for n in (self._parts**2, self._spp, self._together))
+        lane = dr.arange(mi.UInt32, dr.width(pixels) * self._parts**2)
+        number = quotient(lane, self._parts**2)
+        pixel, start = dr.gather(mi.UInt32, pixels, number), (lane - number * cells) * spp
+        return pixel, pixel * together + start, start
 
 
 def rays_of_a_cell(spp: int, parts: int, lit_lenses: float) -> tuple[int, int]:
@@ -563,10 +548,10 @@ def memory_of(pixels: float, rays: float, nodes: Sequence[Node]) -> float:
     return blocks + spectra + len(nodes) * _TABLE_BYTES + _RAY_BYTES * min(_LANES, rays) + 8 * pixels
 
 
-def of_cells(values: Any, pixel: Any) -> Any:
+def _of_cells(values: Any, pixel: Any) -> Any:
     """Return values of pixels, in nested sequences, for the pixel of each cell; single values are for all pixels."""
     if isinstance(values, Sequence):
-        return [of_cells(value, pixel) for value in values]
+        return [_of_cells(value, pixel) for value in values]
     return values if dr.width(values) == 1 else dr.gather(type(values), values, pixel)
 
 
@@ -577,16 +562,16 @@ class _Grid(NamedTuple):
     parts: int
     larger: float
     # Changes of the direction cosines from a pixel to its cells, and the order of B-splines of collected rays.
-    turns: tuple[tuple[float, ...], ...]
+    steps: tuple[tuple[float, ...], ...]
     order: int
 
     def for_pixels(self, plan: Plan, kernels: NDArray[np.float64], keeps_light: bool) -> PixelKernels:
         """Return the kernels of pixel images from kernels (values, k, k) of cells."""
-        turns = np.array(self.turns) / plan.oblique.largest
+        steps = np.array(self.steps) / plan.oblique.largest
         # A pixel is the mean of its cells. Larger micro-images are darker.
         mean = kernels / (self.parts * self.larger) ** 2
         random_light = plan.covariance, plan.tolerance
-        return PixelKernels(mean, plan.oblique, self.parts, turns, self.order, *random_light, keeps_light)
+        return PixelKernels(mean, plan.oblique, self.parts, steps, self.order, *random_light, keeps_light)
 
 
 @functools.lru_cache(maxsize=16)

@@ -17,7 +17,7 @@ from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.points import arrival as full_field_grids
 from mitsuba_plenoptic.points import patch_plan
 from mitsuba_plenoptic.points.field_grid import Band
-from mitsuba_plenoptic.rays.sensor_rays import Candidates
+from mitsuba_plenoptic.rays.lens_choice import CHIEF
 from mitsuba_plenoptic.refocus import write_reconstruction
 
 WAVELENGTH = 633.0
@@ -195,7 +195,7 @@ class TestCrosstalk:
         scene = mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": camera_dict(aperture_radius=10.0)})
         mp.render_capture(scene, spp=1)
         sensor = scene.sensors()[0]
-        sensor._rays = replace(sensor._rays, around=Candidates([mi.Float(0), mi.Float(0)]))
+        sensor._rays = replace(sensor._rays, choice=CHIEF)
         with pytest.raises(mp.PhysicsError, match=r"^27\..*through microlenses that are too far"):
             mp.render_capture(scene, spp=1)
 

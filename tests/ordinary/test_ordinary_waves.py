@@ -21,8 +21,8 @@ from scipy.special import j0, j1
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError
-from mitsuba_plenoptic.waves.pixel_draws import PixelDraws
 from mitsuba_plenoptic.waves.pupil_diffraction import PupilDiffraction
+from mitsuba_plenoptic.waves.pupil_sampler import PupilSampler
 from tools.bench.cases.ordinary_cameras import noisy_scene
 
 
@@ -140,7 +140,7 @@ def test_coarse_pixels_displace_rays_by_finite_steps():
     assert plan.is_coarse
     borders = np.array([0, 1e-8, 0.5, 1 - 1.2e-7, 1 - 6e-8], np.float32)
     random = [mi.Float(values.ravel()) for values in np.meshgrid(borders, borders)]
-    assert np.isfinite(np.array(PixelDraws(camera, [plan])._displacement(random))).all()
+    assert np.isfinite(np.array(PupilSampler(camera, [plan])._displacement(random))).all()
 
 
 def test_white_has_hardly_any_noise():

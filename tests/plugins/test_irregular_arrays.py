@@ -70,7 +70,7 @@ def test_noise_and_light_of_many_candidates(more):
     """A pixel that sees only a white wall has no noise, and the mean is the closed form."""
     camera = CAMERA.replace(**more)
     scene = white(camera)
-    assert len(scene.sensors()[0]._rays.around.steps[0]) > 1
+    assert len(scene.sensors()[0]._rays.choice.lenses) > 1
     images = np.stack([np.array(mi.render(scene, spp=16, seed=seed))[..., 0] for seed in range(6)])
     window = np.outer(np.hanning(514)[1:-1], np.hanning(514)[1:-1])
     assert np.average(images.mean(0), weights=window) == pytest.approx(design.white_mean(camera), rel=2e-3)

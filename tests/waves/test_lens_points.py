@@ -7,7 +7,7 @@ import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.waves.phase_space import PhaseSpace, coefficients_of
-from mitsuba_plenoptic.waves.signed_draws import LensPoints
+from mitsuba_plenoptic.waves.ray_sampler import LensPoints
 
 COUNT = 1 << 19
 

@@ -10,8 +10,8 @@ from scipy.ndimage import gaussian_filter, shift
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.runtime.batches import Box
 from mitsuba_plenoptic.waves.oblique import Oblique, changes, directions, moved, terms
+from mitsuba_plenoptic.waves.ray_sampler import LensSampler, Pixels
 from mitsuba_plenoptic.waves.signed_colours import plan_of
-from mitsuba_plenoptic.waves.signed_draws import Draws, Pixels
 
 WAVELENGTH, STEP, COUNT = 633e-6, 0.0005, 1024
 
@@ -50,7 +50,7 @@ def test_spots_of_oblique_light_are_those_of_an_exact_propagation():
         terms(*(s / plan.oblique.largest for s in cosines), plan.oblique.degree)
     )
     place = (np.arange(kernels.shape[1]) - kernels.shape[1] // 2) * 0.001
-    enlargement = Draws(camera, [plan]).enlargements[0]
+    enlargement = LensSampler(camera, [plan]).enlargements[0]
     exact = exact_spot(camera, lens, place, [enlargement * camera.detector_distance * t for t in slopes])
     middle = np.abs(place) < 0.03
     square = np.ix_(middle, middle)
@@ -92,7 +92,7 @@ def test_light_arrives_as_rays_of_direction_cosines_do(medium):
         return m + kind.distance * medium * behind / np.sqrt(1 - behind @ behind)
 
     own = landing(np.array([mx[1, 1], my[1, 1]]))
-    larger = Draws(camera, [plan]).enlargements[0]
+    larger = LensSampler(camera, [plan]).enlargements[0]
     assert missed == pytest.approx(own - larger * landing(np.zeros(2)), abs=1e-4)
 
 
@@ -116,7 +116,7 @@ def test_spots_of_fast_lenses_are_those_of_an_exact_propagation(cosines):
     at = np.meshgrid(reach, reach)
     _, field, share = plan.transmission(tuple(at), kind, cosines)
     own = np.where(share > 0, field, 0)
-    landing = kind.distance * Draws(camera, [plan]).enlargements[0] * tilt
+    landing = kind.distance * LensSampler(camera, [plan]).enlargements[0] * tilt
     near = [np.abs(along - p) < 0.012 for p in landing]
     waves = [
         np.exp(-2j * np.pi * np.outer(along[n] - p, reach) / (WAVELENGTH * kind.distance))
@@ -180,13 +180,13 @@ def test_terms_are_orthonormal_in_light_of_all_directions():
 
 def test_pixels_know_the_direction_of_their_light():
     camera = PlenopticCamera(mla_rotation=20.0, mla_medium=1.4)
-    draws = Draws(camera, [plan_of(camera, 633.0, False, 633.0)])
-    (nearest,) = np.flatnonzero((draws.candidates == 0).all(axis=1)).tolist()
+    sampler = LensSampler(camera, [plan_of(camera, 633.0, False, 633.0)])
+    (nearest,) = np.flatnonzero((sampler.choice.lenses == 0).all(axis=1)).tolist()
     pixels = Pixels(Box(40, 60, 8, 8), mi.UInt32(np.arange(64)), mi.UInt32(nearest))
-    u, v = draws.cosines(pixels)
-    aims = draws.aims(pixels)
-    pupil = draws.seen(aims.middle, aims)
-    across = [c.numpy() - P.numpy() for c, P in zip(aims.centre, pupil, strict=True)]
+    u, v = sampler.cosines(pixels)
+    lenses = sampler.lenses(pixels)
+    pupil = sampler.seen(lenses.position, lenses)
+    across = [c.numpy() - P.numpy() for c, P in zip(lenses.centre, pupil, strict=True)]
     x, y = (each / np.sqrt(camera.mla_distance**2 + across[0] ** 2 + across[1] ** 2) for each in across)
     turn = math.radians(20.0)
     assert u.numpy() == pytest.approx(x * math.cos(turn) + y * math.sin(turn), abs=1e-5)

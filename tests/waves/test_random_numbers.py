@@ -11,7 +11,7 @@ from mitsuba_plenoptic.rays import random_numbers
 def test_numbers_follow_the_sequence_at_any_index(start):
     """In single precision an index of 2^22 leaves two bits of a fraction."""
     index = start + np.arange(1024)
-    found = random_numbers.even_numbers(mi.UInt32(7), mi.UInt32(32), mi.UInt32(index), 3)
+    found = random_numbers.low_discrepancy(mi.UInt32(7), mi.UInt32(32), mi.UInt32(index), 3)
     for numbers, step in zip(found, random_numbers.even_steps(3).tolist(), strict=True):
         values = numbers.numpy().astype(float)
         assert values.min() >= 0 and values.max() < 1
@@ -20,7 +20,7 @@ def test_numbers_follow_the_sequence_at_any_index(start):
 
 
 @pytest.mark.parametrize(
-    "draw", [lambda lanes, key: random_numbers.even_numbers(lanes, key, mi.UInt32(0), 6), random_numbers.chances_of]
+    "draw", [lambda lanes, key: random_numbers.low_discrepancy(lanes, key, mi.UInt32(0), 6), random_numbers.chances_of]
 )
 def test_numbers_of_lanes_are_even_and_independent(draw):
     count = 2**16

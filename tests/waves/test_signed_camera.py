@@ -13,16 +13,16 @@ from mitsuba_plenoptic.rays.tracer import Walk
 from mitsuba_plenoptic.runtime.batches import Box, SumTask
 from mitsuba_plenoptic.waves.array_kernels import REACH, displaced
 from mitsuba_plenoptic.waves.phase_space import PhaseSpace, coefficients_of
+from mitsuba_plenoptic.waves.ray_sampler import Pixels
 from mitsuba_plenoptic.waves.signed_camera import (
     PARAMETERS,
     CameraAdjoint,
     CameraTangents,
-    hold,
+    follow_fixed,
     parameters_of,
     varying_parameters,
 )
 from mitsuba_plenoptic.waves.signed_colours import Node
-from mitsuba_plenoptic.waves.signed_draws import Pixels
 
 PIXELS = 192
 MODELS = {
@@ -64,9 +64,9 @@ def moved(camera, name, amount):
 
 def traced(work, pixels, key):
     """Return the rays that a sum draws, and their slopes in the scene."""
-    drawn, _ = work._drawn_rays(pixels, key)
+    samples = work.samples(pixels, key)
     walk = Walk.of(work._camera, OpticalSystem(work._camera, 633.0).lens)
-    return drawn, walk.through_pupil(drawn.pupil, drawn.place, drawn.height)[1]
+    return samples, walk.through_pupil(samples.ray.P, samples.ray.m, samples.lens.height)[1]
 
 
 class HeldRays(CameraTangents):
@@ -77,7 +77,7 @@ class HeldRays(CameraTangents):
         self.other, self.table, self.total = camera, coefficients_of([plan.moved(camera)])[0], 0.0
         samples = plan.kernel_samples(self._step, REACH * max(camera.mla_pitches))
         step = self._step * camera.detector_width / self._camera.detector_width
-        kernels = plan.moved(camera).sampled_kernels(step, samples, 0) / self._draws.enlargements[0] ** 2
+        kernels = plan.moved(camera).sampled_kernels(step, samples, 0) / self._sampler.enlargements[0] ** 2
         self.margin = PIXELS // 2
         figure = np.pad(weights(), self.margin)
         frequencies = np.fft.fftfreq(len(figure))
@@ -88,30 +88,37 @@ class HeldRays(CameraTangents):
             pass
         return self.total
 
-    def _bring(self, lot, met, kept, lights, numbers):
-        ((radiance, known, _),), (number,) = lights, numbers
-        lane = dr.arange(mi.UInt32, dr.width(radiance[0]))
-        own, sample = lane // self._spp, lane % self._spp
-        index, box = dr.gather(mi.UInt32, lot.pixels.index, own), lot.pixels.box
-        drawn, direction = traced(self, lot.pixels, lot.key)
-        mean = dr.select((sample & 1) == 0, *(dr.gather(mi.Float, half, own) for half in known[0][::-1]))
-        mean = dr.select(drawn.open, mean, 0)
-        strength = dr.select(drawn.open, (radiance[0] - mean) * drawn.weight, 0)
+    def estimate(self, batch):
+        drawn, direction = traced(self, batch.pixels, batch.key)
+        index, box = dr.gather(mi.UInt32, batch.pixels.index, drawn.pixel), batch.pixels.box
+        valid, node = drawn.ray.valid, self._nodes[0]
+        walk = Walk.of(self._camera, OpticalSystem(self._camera, 633.0).lens)
+        start, _, _ = walk.through_pupil(drawn.ray.P, drawn.ray.m, drawn.lens.height)
+        (radiance,) = light(start, direction, valid, 0)
+        # Rays of even numbers subtract the mean of those of odd numbers, and vice versa.
+        halves = [
+            np.asarray(value, float).reshape(-1, self._spp // 2, 2)
+            for value in (radiance, dr.select(valid, mi.Float(1), 0))
+        ]
+        mean = (halves[0].sum(1) / np.maximum(halves[1].sum(1), 1))[:, None, ::-1]
+        mean = mi.Float(np.broadcast_to(mean, halves[0].shape).ravel().astype(np.float32))
+        mean = dr.select(valid, mean, 0)
+        strength = dr.select(valid, (radiance - mean) * drawn.ray.weight, 0)
         here, there = (
-            hold(self._camera, varying_parameters(camera), drawn, direction, self._step)
+            follow_fixed(self._camera, varying_parameters(camera), drawn, direction, self._step)
             for camera in (self._camera, self.other)
         )
         scale = self.other.mla_pitch / self._camera.mla_pitch
         point = tuple(p * scale for p in there.point)
         same = all(bool(dr.all(a == b)) for a, b in zip(here.point, there.point, strict=True))
         # Where points do not move, the same nodes of the table have the same noise.
-        values = self.table(point, drawn.pupil, drawn.chance, drawn.open) if same else self.interpolated(point, drawn)
+        values = self.table(point, drawn.round_pupil, drawn.chance, valid) if same else self.interpolated(point, drawn)
         values = [np.asarray(value, float) for value in values]
         count = np.asarray(strength * dr.exp(there.measure - here.measure), float)
         values = [value * count for value in values]
         values[0] += np.asarray(mean * dr.exp(there.density - here.density), float)
         # Light meets the lenses of the other camera in another direction.
-        oblique = self._nodes[number].plan.oblique
+        oblique = node.plan.oblique
         if oblique.count:
             bent = oblique.terms(np.array([np.asarray(cosine) for cosine in there.cosines]))
             values += list(np.einsum("rnk,kx,nx->rx", oblique.factors, bent, np.array(values)))
@@ -129,22 +136,22 @@ class HeldRays(CameraTangents):
             self.total += (
                 np.sum(np.asarray(value, float) * scipy.ndimage.map_coordinates(felt, place, order=5)) / self._spp
             )
-        return super()._bring(lot, met, kept, lights, numbers)
+        return [None for _ in self._nodes]
 
     def interpolated(self, point, drawn):
         """Return coefficients that are interpolated linearly in the point."""
-        _, radial = self.table._nodes.along(*drawn.pupil, drawn.chance[0])
+        _, radial = self.table._nodes.along(*drawn.round_pupil, drawn.chance[0])
         shares = []
         for axis in (1, 0):
             count = mi.Float(dr.gather(mi.Int, self.table._counts[axis], radial))
-            place = dr.select(drawn.pupil[axis] < 0, -point[axis], point[axis])
+            place = dr.select(drawn.round_pupil[axis] < 0, -point[axis], point[axis])
             place = place * count / dr.gather(mi.Float, self.table._sides[axis], radial) + count / 2 - 0.5
             shares.append(place - dr.floor(place))
         total = [mi.Float(0)] * self._nodes[0].plan.functions.count
         for i, j in np.ndindex(2, 2):
             share = (shares[0] if i else 1 - shares[0]) * (shares[1] if j else 1 - shares[1])
             ends = *drawn.chance[:2], mi.Float(i), mi.Float(j)
-            found = self.table(point, drawn.pupil, ends, drawn.open)
+            found = self.table(point, drawn.round_pupil, ends, drawn.ray.valid)
             total = [before + share * value for before, value in zip(total, found, strict=True)]
         return total
 
@@ -235,13 +242,13 @@ def test_rays_come_back_to_where_they_were_drawn(node):
     camera = node.plan.camera
     work = CameraTangents(camera, light, [node], parts=1, spp=8, seed=3, changes={})
     step = camera.pixel_size
-    (nearest,) = np.flatnonzero((work._draws.candidates == 0).all(axis=1)).tolist()
+    (nearest,) = np.flatnonzero((work._sampler.choice.lenses == 0).all(axis=1)).tolist()
     pixels = Pixels(Box(0, 0, PIXELS, PIXELS), mi.UInt32(50, 1000, 30000), mi.UInt32(nearest))
     drawn, direction = traced(work, pixels, mi.UInt32(16))
-    held = hold(camera, varying_parameters(camera), drawn, direction, step)
-    for found, expected in zip(held.point, drawn.point, strict=True):
+    held = follow_fixed(camera, varying_parameters(camera), drawn, direction, step)
+    for found, expected in zip(held.point, drawn.lens_point, strict=True):
         np.testing.assert_allclose(found, expected, atol=2e-5)
-    index = np.array([50, 1000, 30000]).repeat(dr.width(drawn.weight) // 3)
+    index = np.array([50, 1000, 30000]).repeat(dr.width(drawn.number) // 3)
     for found, whole in zip(held.cell, (index % PIXELS, index // PIXELS), strict=True):
         # A linear B-spline reaches as far as a cell.
         assert np.all(np.abs(np.asarray(found) + PIXELS / 2 - whole - 0.5) <= 1 + 1e-3)

@@ -210,7 +210,7 @@ class PlaneWaveResponses:
         lens = self.system.lens
         slopes = (-sx / cosine, -sy / cosine)
         pupil = tuple(drjit_array(mi.Float, lens.pupil.point(c, t)) for c, t in zip(place, slopes, strict=True))
-        inner = Walk.of(self.camera, lens).inner(pupil, tuple(mi.Float(c) for c in place))
+        inner = Walk.of(self.camera, lens).round_pupil(pupil, tuple(mi.Float(c) for c in place))
         square = sum(part.numpy().astype(float) ** 2 for part in inner)
         return np.asarray(square <= self.camera.pupil_radius**2).reshape(sx.shape)
 

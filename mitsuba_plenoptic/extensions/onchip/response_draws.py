@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...lenses.pupil import Pair
-from ...rays.random_numbers import chances_of, even_numbers
+from ...rays.random_numbers import chances_of, low_discrepancy
 from ...rays.tracer import Walk
 from ...runtime import drjit_array
 from .plane_waves import NEAR
@@ -64,14 +64,14 @@ class Tables:
     def draw(self, index: Pair, lens: Any, half: Any, number: Any, seed: Any) -> Aimed:
         """Return rays drawn for lenses of given lattice indices; the rays of the two halves are independent."""
         system = self.plans[0].system
-        random = even_numbers(lens, seed ^ (half * 8), number, 4)
+        random = low_discrepancy(lens, seed ^ (half * 8), number, 4)
         chances = [chances_of(lens, seed ^ ((2 * number + half) << 5) ^ word) for word in (24, 25, 26)]
         pupil = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(random[0], random[1])) * float(system.lens.reach)
         centre = self.camera.lattice.centre(*index)
         slope = [-system.lens.pupil.slope(P, c) for P, c in zip(pupil, centre, strict=True)]
         chief = [-system.lens.pupil.slope(0.0, c) for c in centre]
         cosine, middle = (dr.rsqrt(1 + dr.square(t[0]) + dr.square(t[1])) for t in (slope, chief))
-        inner = Walk.of(system.camera, system.lens).inner(tuple(pupil), centre)
+        inner = Walk.of(system.camera, system.lens).round_pupil(tuple(pupil), centre)
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= system.camera.pupil_radius**2
         zone, drawn = self._zone(index, chances[0][:2]), mi.UInt32(0)
         near: list[Any] = []

@@ -22,12 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...detector.noise import Mended, means_of
+from ...detector.noise import Mended
 from ...errors import refuse_if
 from ...lenses.pupil import Pair
 from ...rays.tracer import walks_of
 from ...runtime import Box, Part, PartialSum, drjit_array, fft
 from ...scene.radiance import SceneLight, require_finite
+from ...waves.control_variate import mean_of_half, of_other_half
 from ...waves.phase_space import FINE
 from ...waves.signed_capture import SignedCapture
 from ...waves.signed_colours import Node, SignedColours, mixed
@@ -243,7 +244,7 @@ class ResponseSum:
             ]
             for parts in ([rays.counts], rays.sums)
         )
-        means = [means_of(each, counts[0]) for each in sums]
+        means = [mean_of_half(each, counts[0]) for each in sums]
         dr.eval(means, counts)
         near = self._near_sums(grid, rays, means, at)
         far = self._far_sums(grid, rays, means, seed)
@@ -265,13 +266,15 @@ class ResponseSum:
         lane = dr.arange(mi.UInt32, grid.rows * grid.columns * self._rays)
         own = lane // count
         turn = lane - own * count
-        held = [dr.select(turn >= count // 2, *(dr.gather(mi.Float, half, own) for half in each)) for each in means]
+        others = [
+            of_other_half(turn < count // 2, [dr.gather(mi.Float, half, own) for half in halves]) for halves in means
+        ]
 
         def add(k: Any, *totals: Any) -> tuple[Any, ...]:
             row = mi.Int(k) // NEAR
             cell = mi.Int(k) - row * NEAR - NEAR // 2, row - NEAR // 2
             other = at(own, cell) * count + turn
-            change = [dr.gather(mi.Float, light, other) - mean for light, mean in zip(rays.lights, held, strict=True)]
+            change = [dr.gather(mi.Float, light, other) - mean for light, mean in zip(rays.lights, others, strict=True)]
             first = [dr.gather(mi.UInt32, index, other) for index in rays.near]
             made = self._products(change, lambda number: tables.near_values(number, first[number], cell))
             return k + 1, *(total + part for total, part in zip(totals, made, strict=True))
@@ -288,7 +291,7 @@ class ResponseSum:
         width, height = dr.opaque(mi.Int, grid.columns), dr.opaque(mi.Int, grid.rows)
         lane = dr.arange(mi.UInt32, around.rows * around.columns * self._rays)
         lens = lane // count
-        later = lane - lens * count >= count // 2
+        is_first = lane - lens * count < count // 2
         row = lens // columns
         x, y = mi.Int(lens - row * columns) - margin, mi.Int(row) - margin
         key = dr.opaque(mi.UInt32, seed)
@@ -306,8 +309,9 @@ class ResponseSum:
             active &= dr.maximum(*(dr.abs(part) for part in cell)) > NEAR // 2
             index = mi.UInt32(target[1] * width + target[0])
             change = [
-                (light - dr.select(later, *(dr.gather(mi.Float, half, index, active) for half in each))) * weight
-                for light, each in zip(rays.lights, means, strict=True)
+                (light - of_other_half(is_first, [dr.gather(mi.Float, half, index, active) for half in halves]))
+                * weight
+                for light, halves in zip(rays.lights, means, strict=True)
             ]
             made = self._products(change, lambda number: tables.far_values(number, rays.far[number], cell))
             for total, part in zip(totals, made, strict=True):

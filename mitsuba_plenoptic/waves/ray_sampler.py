@@ -20,12 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import refuse_if
 from ..fields.lens_kinds import LensKinds
 from ..lenses.pupil import Pair
+from ..optics.rays import second_leg
 from ..optics.waves import in_millimetres
-from ..rays.random_numbers import chances_of, even_numbers
-from ..rays.tracer import Walk
+from ..rays.lens_choice import LensChoice
+from ..rays.random_numbers import chances_of, low_discrepancy
+from ..rays.tracer import Ray, Walk
 from ..runtime import Box, drjit_array, quotient
 from .phase_space import PhaseSpace, TableNodes
 
@@ -39,59 +40,11 @@ frequencies that the grid cannot represent."""
 _COUNTED = 256
 """Largest side in pixels of the square on which lenses that light a pixel are counted."""
 
-_MOST_LENSES = 2**12
-"""Most lenses that may light a pixel; each takes kernels and rays of its own."""
-
 _CELLS = 64
 """Number of strips of a window, and of cells of a strip."""
 
 _LEAST = 0.05
 """Fraction of the mean density that is added: other coefficients may be nonzero where the first is 0."""
-
-
-class Drawn(NamedTuple):
-    """Rays drawn for cells of the detector."""
-
-    # Their points on the pupil, and on the equivalent round pupil.
-    pupil: Pair
-    inner: Pair
-    # Their points on the array, relative to the centre of the lens, and in the camera frame.
-    point: Pair
-    place: Pair
-    # Their points on the detector, relative to the centre of the lens.
-    detector: Pair
-    # Distance by which the lens is nearer to the main lens than the lens on the axis.
-    height: Any
-    kind: Any
-    # Reciprocal of the density of the points, relative to the aperture.
-    weight: Any
-    # Random numbers by which each ray takes one of the table nodes around it.
-    chance: tuple[Any, Any, Any, Any]
-    # Whether the pupil transmits them.
-    open: Any
-    # Relative brightness of the lens.
-    brightness: Any = 1.0
-
-    @property
-    def kept(self) -> Kept:
-        """The data on which the coefficients of the rays depend."""
-        return Kept(self.point, self.inner, self.weight, self.open)
-
-
-class Kept(NamedTuple):
-    """Data, other than redrawn random numbers, on which the coefficients of rays depend: see `Drawn`."""
-
-    point: Pair
-    inner: Pair
-    weight: Any
-    open: Any
-
-    def at(self, lane: Any) -> Kept:
-        """Return the evaluated data of some of the rays."""
-        point, inner = (
-            tuple(dr.gather(mi.Float, value, lane) for value in values) for values in (self.point, self.inner)
-        )
-        return Kept(point, inner, dr.gather(mi.Float, self.weight, lane), dr.gather(mi.Bool, self.open, lane))
 
 
 @dataclass(frozen=True)
@@ -102,7 +55,7 @@ class Pixels:
     box: Box
     # Indices in the rectangle, row by row.
     index: Any
-    # Indices of the lenses, or of the lens of all pixels, among the `candidates` of `Draws`.
+    # Indices of the lenses, or of the lens of all pixels, among those of `LensChoice`.
     lens: Any
 
     @property
@@ -116,27 +69,46 @@ class Pixels:
         return replace(self, index=index, lens=lens)
 
 
-class Aims(NamedTuple):
+class CellLenses(NamedTuple):
     """Detector cells or pixels, and the lenses through which they see the pupil."""
 
-    # Centres of the cells or pixels.
-    middle: Pair
-    # Centres of the lenses.
+    # Centres of the cells or pixels, and of the lenses.
+    position: Pair
     centre: Pair
     # Distance by which the lenses are nearer to the main lens than the lens on the axis.
     height: Any
     kind: Any
     # Relative brightness of the lenses.
-    brightness: Any = 1.0
+    gain: Any = 1.0
 
-    def at(self, own: Any) -> Aims:
-        """Return the aims of some cells or pixels, computed once for all of their rays."""
+    def at(self, pixel: Any) -> CellLenses:
+        """Return those of some pixels, by index, computed once for all of their rays."""
         dr.eval(*self)
-        middle, centre = (
-            tuple(dr.gather(mi.Float, value, own) for value in pair) for pair in (self.middle, self.centre)
+        position, centre = (
+            tuple(dr.gather(mi.Float, value, pixel) for value in pair) for pair in (self.position, self.centre)
         )
-        height, bright = (dr.gather(mi.Float, mi.Float(value), own) for value in (self.height, self.brightness))
-        return Aims(middle, centre, height, dr.gather(mi.UInt32, mi.UInt32(self.kind), own), bright)
+        height, gain = (dr.gather(mi.Float, mi.Float(value), pixel) for value in (self.height, self.gain))
+        return CellLenses(position, centre, height, dr.gather(mi.UInt32, mi.UInt32(self.kind), pixel), gain)
+
+
+class RaySamples(NamedTuple):
+    """Rays drawn for cells of the detector.
+
+    The weight of a ray is the reciprocal of the density of its points, relative to the aperture.
+    """
+
+    ray: Ray
+    # Their points on the round pupil that is equivalent to the pupil.
+    round_pupil: Pair
+    # Their points on the array, from the centres of the lenses, before the pupil's diffraction displaces the light.
+    lens_point: Pair
+    lens: CellLenses
+    # Random numbers by which each ray takes one of the table nodes around it.
+    chance: tuple[Any, Any, Any, Any]
+    # Indices of their pixels and of their cells, and their numbers in the pixels.
+    pixel: Any
+    cell: Any
+    number: Any
 
 
 class DetectorGrid:
@@ -144,6 +116,7 @@ class DetectorGrid:
 
     def __init__(self, camera: PlenopticCamera, parts: int) -> None:
         self._camera, self._parts = camera, parts
+        self._response = second_leg(camera.pixel_response or (), camera.mla_absorption or 0.0)
 
     @property
     def _step(self) -> float:
@@ -163,17 +136,17 @@ class DetectorGrid:
         )
         return x, y
 
-    def _cells(self, aims: Aims, place: Any) -> Aims:
-        """Return the aims of cells at given places in pixels, numbered row by row, from the pixels' aims."""
-        row = quotient(place, self._parts)
+    def _cells(self, lenses: CellLenses, pixel: Any, cell: Any) -> tuple[CellLenses, Any]:
+        """Return cells of some numbers in pixels, row by row, with the pixels' lenses, and their numbers among all."""
+        row = quotient(cell, self._parts)
         x, y = (
             p + (mi.Float(index) + 0.5 - self._parts / 2) * self._step
-            for p, index in zip(aims.middle, (place - row * dr.opaque(mi.UInt32, self._parts), row), strict=True)
+            for p, index in zip(lenses.position, (cell - row * dr.opaque(mi.UInt32, self._parts), row), strict=True)
         )
-        return aims._replace(middle=(x, y))
+        return lenses._replace(position=(x, y)), pixel * dr.opaque(mi.UInt32, self._parts**2) + cell
 
 
-class Draws(DetectorGrid):
+class LensSampler(DetectorGrid):
     """Sampler of the rays of a camera's detector cells.
 
     The rays of a pixel and a lens are numbered, cell by cell. Rays of even numbers, and rays of odd numbers, each
@@ -197,7 +170,7 @@ class Draws(DetectorGrid):
         self.by_points = plans[0].by_points
         # Order of the B-splines by which rays are collected in addition to cells.
         self.order = 0 if self.by_points else ORDER - 1
-        self._turns = mi.Float([plans[0].convergence(kind) * camera.pupil_distance for kind in plans[0].kinds])
+        self._pupil_shifts = mi.Float([plans[0].convergence(kind) * camera.pupil_distance for kind in plans[0].kinds])
         # Factors by which micro-images are larger than those by rays through lens centres, for each kind of lenses.
         # Where rays land by their own points, the aberrations of a lens widen its spots, too.
         self.enlargements = [
@@ -220,34 +193,25 @@ class Draws(DetectorGrid):
         # Snell's law spreads them most at the corner, along the radius.
         corner = self._lens.pupil.slope(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
         half *= (1 + (1 - camera.mla_medium**-2) * corner**2) ** 1.5
-        lens = float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._turns))[0]) if self.by_points else 0.0
+        lens = (
+            float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._pupil_shifts))[0])
+            if self.by_points
+            else 0.0
+        )
         return self._lens.reach + lens, half
 
     @cached_property
-    def candidates(self) -> NDArray[np.int64]:
-        """Lenses that can light a pixel, as lattice indices relative to the lens of the pixel's chief ray."""
-        camera = self._camera
+    def choice(self) -> LensChoice:
+        """Lenses that can light a pixel."""
         # The distance on the array of rays from one detector point to the pupil's middle and its widest point.
         radius, half = self._seen_by_pixels
-        widest = radius + half * math.sqrt(2)
-        pupil, behind = self._lens.pupil, camera.reduced_distance
-        apart = widest * behind / (pupil.distance + pupil.finite * behind)
-        reach = apart * max(self.enlargements)
-        found = camera.lattice.neighbours(reach + camera.nearer(reach))
-        many = f"aperture_radius = {camera.aperture_radius:g}: {len(found)} lenses may light a pixel"
-        refuse_if(len(found) > _MOST_LENSES, f"{many}; waves of scenes are captured through at most {_MOST_LENSES}")
-        return found
+        return LensChoice.of_pixels(self._camera, radius + half * math.sqrt(2), max(self.enlargements))
 
-    @cached_property
-    def _steps(self) -> list[Any]:
-        """Return the two columns of `candidates` for kernels."""
-        return [drjit_array(mi.Float, column) for column in self.candidates.T]
-
-    def lights(self, aims: Aims) -> Any:
+    def lights(self, lenses: CellLenses) -> Any:
         """Return whether light through the lenses can reach the pixels."""
         radius, half = (dr.opaque(mi.Float, length) for length in self._seen_by_pixels)
         # What lies outside the pupil of the square that is the image of a pixel and of what is around its cells.
-        x, y = (dr.maximum(dr.abs(P) - half, 0) for P in self.seen(aims.middle, aims))
+        x, y = (dr.maximum(dr.abs(P) - half, 0) for P in self.seen(lenses.position, lenses))
         return dr.square(x) + dr.square(y) <= dr.square(radius)
 
     @property
@@ -255,34 +219,39 @@ class Draws(DetectorGrid):
         """Mean number of lenses that light a pixel, counted in the middle of the detector."""
         return _lit_lenses(self._camera, self._longest, self._parts)
 
-    def aims(self, pixels: Pixels) -> Aims:
+    def lenses(self, pixels: Pixels) -> CellLenses:
         """Return the centres of pixels and of the lenses through which they are lit."""
         x, y = self._middle(pixels)
         _, cell = self.walk.chief_cell((x, y))
-        i, j = (index + dr.gather(mi.Float, steps, pixels.lens) for index, steps in zip(cell, self._steps, strict=True))
+        i, j = self.choice.at(cell, pixels.lens)
         lens = self.walk.lenslet(i, j)
-        return Aims((x, y), lens.centre, lens.height, self.kinds.number(i, j, lens.height), lens.gain)
+        return CellLenses((x, y), lens.centre, lens.height, self.kinds.number(i, j, lens.height), lens.gain)
 
-    def seen(self, detector: Pair, aims: Aims) -> Pair:
+    def seen(self, detector: Pair, lenses: CellLenses) -> Pair:
         """Return the pupil points whose light lands on detector points, as a mean over a lens."""
-        chief = tuple(c + offset for c, offset in zip(aims.centre, self._chief(detector, aims), strict=True))
-        slopes, _ = self.walk.through_centre(tuple(c - p for c, p in zip(aims.centre, chief, strict=True)), aims.height)
-        return tuple(
-            self.walk.lens.pupil.point(c, slope, aims.height) for c, slope in zip(aims.centre, slopes, strict=True)
-        )
+        centre, offset = lenses.centre, self._chief(detector, lenses)
+        # The points where light would land through the centres of the lenses are rounded as positions are.
+        back = tuple(c - (c + step) for c, step in zip(centre, offset, strict=True))
+        slopes, _ = self.walk.through_centre(back, lenses.height)
+        return tuple(self.walk.lens.pupil.point(c, t, lenses.height) for c, t in zip(centre, slopes, strict=True))
 
-    def evenness(self, drawn: Drawn) -> Any:
-        """Return weights that give the rays of all cells the density of the power over the pupil and behind lenses."""
-        offset = tuple(-p for p in self._shrunk(drawn.detector, drawn.kind))
-        even = self.walk.through_centre(offset, drawn.height)[1] * drawn.brightness
-        if self._camera.has_even_pupil:
-            return even
-        x, y = (P / self._camera.pupil_radius for P in drawn.inner)
-        return even * self._camera.pupil_power((x, y), drawn.place)
+    def power(self, samples: RaySamples) -> Any:
+        """Return factors on the radiance of rays: étendue, transmission of pupil and lenses, and response of pixels."""
+        ray, lens, lattice = samples.ray, samples.lens, self._camera.lattice
+        offset = tuple(-p for p in self._chief(ray.p, lens))
+        factor = self.walk.through_centre(offset, lens.height)[1] * lens.gain
+        if not self._camera.has_even_pupil:
+            x, y = (P / self._camera.pupil_radius for P in samples.round_pupil)
+            factor = factor * self._camera.pupil_power((x, y), ray.m)
+        # The path behind the lens starts within its aperture.
+        (u, v), (across, up) = lattice.to_frame(*samples.lens_point), lattice.aperture_widths
+        x, y = lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
+        aside = dr.hypot(x - (ray.p[0] - lens.centre[0]), y - (ray.p[1] - lens.centre[1]))
+        return self._response(aside, self._camera.detector_distance + lens.height) * factor
 
-    def _chief(self, detector: Pair, aims: Aims) -> Pair:
-        """Return where light that lands on detector points would land through the centres of its lenses."""
-        return self._shrunk(tuple(p - c for c, p in zip(aims.centre, detector, strict=True)), aims.kind)
+    def _chief(self, detector: Pair, lenses: CellLenses) -> Pair:
+        """Return where light of detector points would land through the lens centres, from these."""
+        return self._shrunk(tuple(p - c for c, p in zip(lenses.centre, detector, strict=True)), lenses.kind)
 
     def _shrunk(self, offset: Pair, kind: Any) -> Pair:
         """Return positions relative to lens centres, divided by the enlargement of micro-images."""
@@ -294,13 +263,13 @@ class Draws(DetectorGrid):
 
     def cosines(self, pixels: Pixels) -> Pair:
         """Return the direction cosines, in the lattice frame, with which the light of pixels meets the array."""
-        camera, aims = self._camera, self.aims(pixels)
-        u, v = camera.lattice.to_frame(*self._chief(aims.middle, aims))
+        camera, lenses = self._camera, self.lenses(pixels)
+        u, v = camera.lattice.to_frame(*self._chief(lenses.position, lenses))
         # In the medium behind the lenses the sine is smaller by its index.
-        scale = camera.mla_medium * dr.rsqrt(dr.square(self.walk.detector_distance + aims.height) + u * u + v * v)
+        scale = camera.mla_medium * dr.rsqrt(dr.square(self.walk.detector_distance + lenses.height) + u * u + v * v)
         return u * scale, v * scale
 
-    def turns(self, kind: int) -> NDArray[np.float64]:
+    def cosine_steps(self, kind: int) -> NDArray[np.float64]:
         """Return the changes (places, 2) of `cosines` from a pixel's centre to its cells, near the middle of a lens."""
         camera = self._camera
         along = (np.arange(self._parts) - (self._parts - 1) / 2) * self._step
@@ -308,47 +277,38 @@ class Draws(DetectorGrid):
         scale = camera.mla_medium / (camera.detector_distance * self.enlargements[kind])
         return np.column_stack(camera.lattice.to_frame(x, y)) * scale
 
-    def draw(self, pixels: Pixels, own: Any, sample: Any, place: Any, seed: Any) -> Drawn:
+    def draw(self, pixels: Pixels, pixel: Any, number: Any, cell: Any, seed: Any) -> RaySamples:
         """Return rays drawn for pixels; rays of even and of odd numbers are independent.
 
-        For each ray, `own` is the index of its pixel among the pixels, `sample` its number in the pixel, and `place`
-        the index of its cell.
+        For each ray, `pixel` is the index of its pixel among the pixels, `number` its own in the pixel, and `cell` that
+        of its cell in the pixel.
         """
-        aims, lattice = self._cells(self.aims(pixels).at(own), place), self._camera.lattice
-        pixel = dr.gather(mi.UInt32, pixels.number, own)
-        random = even_numbers(pixel, seed ^ ((sample & 1) << 3), sample >> 1, 4)
-        chance = chances_of(pixel, seed ^ (sample << 4))
+        (lenses, index), lattice = self._cells(self.lenses(pixels).at(pixel), pixel, cell), self._camera.lattice
+        lane = dr.gather(mi.UInt32, pixels.number, pixel)
+        random = low_discrepancy(lane, seed ^ ((number & 1) << 3), number >> 1, 4)
+        chance = chances_of(lane, seed ^ (number << 4))
         within = [r - 0.5 if self.by_points else tent(r) for r in random[2:]]
-        x, y = (p + r * self._step for p, r in zip(aims.middle, within, strict=True))
-        pupil = self.seen((x, y), aims)
+        x, y = (p + r * self._step for p, r in zip(lenses.position, within, strict=True))
+        pupil = self.seen((x, y), lenses)
         if self.by_points:
             # Diffraction at the whole pupil displaces light on the array by the Airy pattern.
-            first, second = (mi.sample_tea_float32(pixel, seed ^ (sample << 4) ^ number) for number in (11, 12))
+            first, second = (mi.sample_tea_float32(lane, seed ^ (number << 4) ^ word) for word in (11, 12))
             energy = first * (_AIRY - 1)
             low = mi.UInt32(energy)
             ends = (dr.gather(mi.Float, self._airy, step) for step in (low, low + 1))
             radius, (sine, cosine) = dr.lerp(*ends, energy - low), dr.sincos(2 * math.pi * second)
             point, aside = lattice.aperture_point(*random[:2]), (radius * cosine, radius * sine)
-            weight = dr.ones(mi.Float, dr.width(sample))
-            turn = dr.gather(mi.Float, self._turns, aims.kind)
-            pupil = tuple(P + turn * m for P, m in zip(pupil, point, strict=True))
-            inner = self.walk.inner(pupil, aims.centre)
+            weight = dr.ones(mi.Float, dr.width(number))
+            growth = dr.gather(mi.Float, self._pupil_shifts, lenses.kind)
+            pupil = tuple(P + growth * m for P, m in zip(pupil, point, strict=True))
+            round_pupil = self.walk.round_pupil(pupil, lenses.centre)
         else:
-            inner, aside = self.walk.inner(pupil, aims.centre), (0.0, 0.0)
-            point, weight = self._points.draw(inner, chance, random[:2])
-        is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self._camera.pupil_radius**2
-        place = tuple(c + m - x for c, m, x in zip(aims.centre, point, aside, strict=True))
-        detector = x - aims.centre[0], y - aims.centre[1]
-        kind, bright = aims.kind, aims.brightness
-        return Drawn(pupil, inner, point, place, detector, aims.height, kind, weight, chance, is_open, bright)
-
-    def crossed(self, drawn: Drawn) -> Pair:
-        """Return the lateral path of light in the medium behind the lens, and the medium's depth."""
-        lattice = self._camera.lattice
-        (u, v), (across, up) = lattice.to_frame(*drawn.point), lattice.aperture_widths
-        x, y = lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
-        aside = dr.hypot(x - drawn.detector[0], y - drawn.detector[1])
-        return aside, self._camera.detector_distance + drawn.height
+            round_pupil, aside = self.walk.round_pupil(pupil, lenses.centre), (0.0, 0.0)
+            point, weight = self._points.draw(round_pupil, chance, random[:2])
+        valid = dr.square(round_pupil[0]) + dr.square(round_pupil[1]) <= self._camera.pupil_radius**2
+        position = tuple(c + m - step for c, m, step in zip(lenses.centre, point, aside, strict=True))
+        ray = Ray((x, y), position, pupil, weight, valid)
+        return RaySamples(ray, round_pupil, point, lenses, chance, pixel, index, number)
 
     @cached_property
     def _airy(self) -> Any:
@@ -366,13 +326,13 @@ class Draws(DetectorGrid):
 
 @functools.lru_cache(maxsize=64)
 def _lit_lenses(camera: PlenopticCamera, plan: PhaseSpace, parts: int) -> float:
-    """Return `Draws.lit_lenses`, cached for further captures of the camera."""
-    draws, side = Draws(camera, [plan], parts), min(_COUNTED, *camera.resolution)
+    """Return `LensSampler.lit_lenses`, cached for further captures of the camera."""
+    sampler, side = LensSampler(camera, [plan], parts), min(_COUNTED, *camera.resolution)
     left, top = ((size - side) // 2 for size in camera.resolution)
     box = Box(left, top, side, side)
     pixels = dr.arange(mi.UInt32, side * side)
-    lenses = (dr.opaque(mi.UInt32, lens) for lens in range(len(draws.candidates)))
-    lit = [draws.lights(draws.aims(Pixels(box, pixels, lens))) for lens in lenses]
+    lenses = (dr.opaque(mi.UInt32, lens) for lens in range(len(sampler.choice.lenses)))
+    lit = [sampler.lights(sampler.lenses(Pixels(box, pixels, lens))) for lens in lenses]
     return float(dr.sum(sum((dr.select(each, mi.Float(1), 0) for each in lit), mi.Float(0)))[0]) / side**2
 
 

@@ -18,83 +18,74 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..lenses.pupil import Pair
-from ..rays.random_numbers import chances_of, even_numbers
-from ..rays.tracer import PupilWalk
+from ..rays.lens_choice import CHIEF
+from ..rays.random_numbers import chances_of, low_discrepancy
+from ..rays.tracer import Ray, Walk
 from .fitted_pupil import CLOSED
 from .pupil_diffraction import PupilDiffraction
-from .signed_draws import ORDER, Aims, DetectorGrid, Drawn, Pixels, tent
+from .ray_sampler import ORDER, CellLenses, DetectorGrid, Pixels, RaySamples, tent
 
 
-class PixelDraws(DetectorGrid):
-    """Sampler of the rays of the pixels of a camera without a microlens array."""
+class PupilSampler(DetectorGrid):
+    """Sampler of the rays of the pixels of a camera without a microlens array, whose one lens is the main lens."""
+
+    by_points, choice, lit_lenses = False, CHIEF, 1.0
+    enlargements = (1.0,)
 
     def __init__(self, camera: PlenopticCamera, plans: Sequence[PupilDiffraction], parts: int = 1) -> None:
         super().__init__(camera, parts)
         self._plan = min(plans, key=lambda plan: plan.wavelength)
-        self.walk = PupilWalk(camera, self._plan.system.lens)
-        self.by_points = False
-        self.enlargements = [1.0]
+        self.walk = Walk(camera, self._plan.system.lens)
         self._open = camera.aperture.draws()
         self.order = 0 if self._plan.is_coarse else 2 * ORDER - 1
 
-    @property
-    def candidates(self) -> NDArray[np.int64]:
-        """A single lens, the main lens."""
-        return np.zeros((1, 2), np.int64)
-
-    @property
-    def lit_lenses(self) -> float:
-        """Number of lenses that light a pixel."""
-        return 1.0
-
-    def lights(self, aims: Aims) -> Any:
+    def lights(self, lenses: CellLenses) -> Any:
         """Return whether light can reach the pixels."""
-        return dr.full(mi.Bool, True, dr.width(aims.kind))
+        return dr.full(mi.Bool, True, dr.width(lenses.kind))
 
-    def aims(self, pixels: Pixels) -> Aims:
+    def lenses(self, pixels: Pixels) -> CellLenses:
         """Return the centres of pixels, which are their own lenses' centres."""
-        middle = self._middle(pixels)
-        return Aims(middle, middle, 0.0, dr.zeros(mi.UInt32, dr.width(pixels.index)))
+        position = self._middle(pixels)
+        return CellLenses(position, position, 0.0, dr.zeros(mi.UInt32, dr.width(pixels.index)))
 
     def cosines(self, pixels: Pixels) -> Pair:
         """Return direction cosines on which no kernel depends."""
         nothing = dr.zeros(mi.Float, dr.width(pixels.index))
         return nothing, nothing
 
-    def turns(self, kind: int) -> NDArray[np.float64]:
+    def cosine_steps(self, kind: int) -> NDArray[np.float64]:
         """Return the changes (places, 2) of `cosines` from a pixel's centre to its cells."""
         return np.zeros((self._parts**2, 2))
 
-    def evenness(self, drawn: Drawn) -> Any:
-        """Return the power through the disc from which pupil points are drawn over that through an open pupil."""
-        share = self._camera.aperture.share * (self.walk.lens.reach / self._camera.pupil_radius) ** 2
-        return dr.opaque(mi.Float, share)
+    def power(self, samples: RaySamples) -> Any:
+        """Return factors on the radiance of rays: response of pixels, and the disc's power over an open pupil's.
 
-    def crossed(self, drawn: Drawn) -> Pair:
-        """Return the lateral path of light between pupil and detector, and its depth."""
-        aside = dr.hypot(*(P - m for P, m in zip(drawn.pupil, drawn.detector, strict=True)))
-        return aside, mi.Float(self._camera.pupil_distance)
+        The disc is that from which pupil points are drawn.
+        """
+        ray, share = samples.ray, self._camera.aperture.share * (self.walk.lens.reach / self._camera.pupil_radius) ** 2
+        aside = dr.hypot(*(P - p for P, p in zip(ray.P, ray.p, strict=True)))
+        return self._response(aside, mi.Float(self._camera.pupil_distance)) * dr.opaque(mi.Float, share)
 
-    def draw(self, pixels: Pixels, own: Any, sample: Any, place: Any, seed: Any) -> Drawn:
-        """Return rays drawn for pixels; rays of even and of odd numbers are independent. See `Draws.draw`."""
-        aims = self._cells(self.aims(pixels).at(own), place)
-        pixel = dr.gather(mi.UInt32, pixels.number, own)
-        random = even_numbers(pixel, seed ^ ((sample & 1) << 3), sample >> 1, 6)
+    def draw(self, pixels: Pixels, pixel: Any, number: Any, cell: Any, seed: Any) -> RaySamples:
+        """Return rays drawn for pixels; rays of even and of odd numbers are independent. See `LensSampler.draw`."""
+        lenses, index = self._cells(self.lenses(pixels).at(pixel), pixel, cell)
+        lane = dr.gather(mi.UInt32, pixels.number, pixel)
+        random = low_discrepancy(lane, seed ^ ((number & 1) << 3), number >> 1, 6)
         if self._plan.is_coarse:
             x, y = self._displacement(random[4:])
             aside = (random[2] - 0.5) * self._step - x, (random[3] - 0.5) * self._step - y
         else:
             # Sums of two numbers with the density of a B-spline of order 2.
             aside = tuple((tent(a) + tent(b)) * self._step for a, b in zip(random[2:4], random[4:], strict=True))
-        start = tuple(p + step for p, step in zip(aims.middle, aside, strict=True))
+        start = tuple(p + step for p, step in zip(lenses.position, aside, strict=True))
         x, y = self._in_pupil(*random[:2])
         pupil = x * self.walk.lens.reach, y * self.walk.lens.reach
-        inner = self.walk.inner(pupil, start)
-        is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self._camera.pupil_radius**2
-        chance = chances_of(pixel, seed ^ (sample << 4))
-        return Drawn(
-            pupil, inner, start, start, start, 0.0, aims.kind, dr.ones(mi.Float, dr.width(own)), chance, is_open
-        )
+        round_pupil = self.walk.round_pupil(pupil, start)
+        valid = dr.square(round_pupil[0]) + dr.square(round_pupil[1]) <= self._camera.pupil_radius**2
+        ray = Ray(start, start, pupil, dr.ones(mi.Float, dr.width(pixel)), valid)
+        chance = chances_of(lane, seed ^ (number << 4))
+        lenses = lenses._replace(height=0.0)
+        return RaySamples(ray, round_pupil, start, lenses, chance, pixel, index, number)
 
     def _in_pupil(self, first: Any, second: Any) -> Pair:
         """Return random points of the pupil over its radius: a part of them may be in closed parts."""
