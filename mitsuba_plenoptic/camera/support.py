@@ -285,8 +285,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
     "mla_cra": (
         approximate(
             Use.RAYS | Use.SCENES,
-            "apertures keep their size, so that lenses one per cent nearer to each other together get that much light "
-            "twice",
+            "apertures keep their size: lenses whose cells shrink by one per cent record one per cent too much",
         ),
         approximate(_RECONSTRUCTIONS | _GEOMETRY, "the lenses are those of the nearest regular array"),
         refused(
