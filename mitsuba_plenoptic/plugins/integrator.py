@@ -25,18 +25,8 @@ from ..scene.render_capture import require_wave_film
 from ..waves.scheme import check_screen
 from ..waves.signed_camera import require_parameters
 from ..waves.signed_capture import SignedCapture, SignedGradients
-from .properties import (
-    NAME,
-    SHARED,
-    asked_for,
-    develop,
-    develop_back,
-    make_base,
-    put,
-    read_choice,
-    read_colours,
-    read_plain,
-)
+from .properties import read_choice, read_plain
+from .wave_base import NAME, SHARED, asked_for, develop, develop_back, make_base, put, read_colours
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
@@ -61,6 +51,12 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
         else:
             others = True
     return tuple(names), others
+
+
+def varying_of(sensor: Any) -> tuple[str, ...]:
+    """Return the names of camera parameters of a sensor by which derivatives are taken."""
+    with dr.resume_grad():
+        return tuple(name for name in DIFFERENTIABLE if dr.grad_enabled(getattr(sensor, name, None)))
 
 
 def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
@@ -174,7 +170,8 @@ def make_class() -> type:
         for the scene. There are gradients for the sensor's ``focal_length``, ``mla_distance``, ``mla_focal_length``,
         ``mla_pitch``, ``mla_offset``, ``detector_distance`` and ``detector_width`` if the main lens is thin, without
         aberrations, distortion and glass, and the array is regular and near the microlenses' focus. Spectral variants
-        have gradients only in reverse.
+        have gradients only in reverse. A capture with such gradients takes its kernels from those of a camera nearby,
+        by expansion, which changes it by less than a tenth of ``accuracy``.
 
         .. tabs::
             .. code-tab:: xml
@@ -309,7 +306,7 @@ def make_class() -> type:
             if has_small_lenses(camera, max(colours.spectrum.wavelengths)):
                 what = f"{NAME}: mla_pitch = {camera.mla_pitch:g}"
                 return hook("small lenses", what)(camera, light, colours, self.accuracy)
-            return SignedCapture(camera, light, colours, self.accuracy)
+            return SignedCapture(camera, light, colours, self.accuracy, varying_of(sensor))
 
         def parameters(self) -> dict[str, Any]:
             """Return the parameters of this integrator by name, as for ``mi.load_dict``."""

@@ -88,7 +88,7 @@ class HeldRays(CameraTangents):
             pass
         return self.total
 
-    def _bring(self, lot, kept, lights, lit, numbers):
+    def _bring(self, lot, met, kept, lights, numbers):
         ((radiance, known, _),), (number,) = lights, numbers
         lane = dr.arange(mi.UInt32, dr.width(radiance[0]))
         own, sample = lane // self._spp, lane % self._spp
@@ -129,7 +129,7 @@ class HeldRays(CameraTangents):
             self.total += (
                 np.sum(np.asarray(value, float) * scipy.ndimage.map_coordinates(felt, place, order=5)) / self._spp
             )
-        return super()._bring(lot, kept, lights, dr.zeros(mi.Bool, dr.width(lot.some)), numbers)
+        return super()._bring(lot, met, kept, lights, numbers)
 
     def interpolated(self, point, drawn):
         """Return coefficients that are interpolated linearly in the point."""
