@@ -301,12 +301,14 @@ def make_class() -> type:
             light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
             camera = PlenopticCamera.from_sensor(sensor)
             require_support(camera, Use.SCENES)
+            if varying := varying_of(sensor):
+                require_support(camera, Use.SCENE_DERIVATIVES)
             if camera.phase_screen is not None:
                 check_screen(camera, min(colours.spectrum.wavelengths))
             if has_small_lenses(camera, max(colours.spectrum.wavelengths)):
                 what = f"{NAME}: mla_pitch = {camera.mla_pitch:g}"
                 return hook("small lenses", what)(camera, light, colours, self.accuracy)
-            return SignedCapture(camera, light, colours, self.accuracy, varying_of(sensor))
+            return SignedCapture(camera, light, colours, self.accuracy, varying)
 
         def parameters(self) -> dict[str, Any]:
             """Return the parameters of this integrator by name, as for ``mi.load_dict``."""
