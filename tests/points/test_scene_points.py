@@ -91,8 +91,10 @@ def test_what_covers_half_of_the_pupil_darkens_halves_of_micro_images():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pairs", [(0, 0, 2.5, 2, 5, 5), (0, 0, 5, 52)], ids=["kink", "a tenth nearer"])
-def test_lenses_shifted_to_chief_rays_are_seen_as_by_signed_rays(pairs):
+@pytest.mark.parametrize(
+    ("pairs", "limit"), [((0, 0, 2.5, 2, 5, 5), 0.035), ((0, 0, 5, 52), 0.06)], ids=["kink", "a tenth nearer"]
+)
+def test_lenses_shifted_to_chief_rays_are_seen_as_by_signed_rays(pairs, limit):
     """Apart from the light, as signed rays' apertures keep their size where cells, which points see, shrink."""
     count, height = 1664, 2.5
     seen = PlenopticCamera(
@@ -109,7 +111,7 @@ def test_lenses_shifted_to_chief_rays_are_seen_as_by_signed_rays(pairs):
     tangential = shifts.smooth(x, step)[1] / step
     shrunk = (1 + radial) * (1 + tangential)
     assert points.sum() / rays.sum() == pytest.approx(shrunk, rel=0.015)
-    assert error(points / shrunk, rays) < 0.035
+    assert error(points / shrunk, rays) < limit
     assert error(by_signed_rays(unshifted), rays) > 0.1
 
 
