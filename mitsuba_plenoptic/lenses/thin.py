@@ -105,6 +105,10 @@ def _sum(terms: list[Any], x: Any) -> Any:
     return total
 
 
+_PAIRS, _DIRECTIONS = 65, 6
+"""Middles of pairs of points across the pupil, and directions of the pairs."""
+
+
 @dataclass(frozen=True)
 class ThinLens(ClosedLens):
     r"""A thin lens with a round pupil, optional aberrations and an optional phase screen.
@@ -239,6 +243,26 @@ class ThinLens(ClosedLens):
         """Return the path W(P), in waves, that light gains at a pupil point by aberrations and a phase screen."""
         Px, Py = pupil
         return 0 * Px + self._wavefront.path(Px, Py) * (1 / in_millimetres(wavelength))
+
+    def beyond_slopes(self, apart: float, wavelength: float) -> float:
+        r"""Return how far the paths of pupil points some mm apart differ by more than the slope halfway between them.
+
+        It is the mean of :math:`1 - \cos 2 \pi \Delta`, over all such pairs in the pupil and directions q of length
+        `apart`, where :math:`\lambda \Delta = W(P + q/2) - W(P - q/2) - q \cdot \nabla W(P)` grows with the third
+        derivative of W.
+        """
+        radius, scale = float(self.pupil.radius), 1 / in_millimetres(wavelength)
+        x, y = (place.ravel() for place in np.meshgrid(*2 * [np.linspace(-radius, radius, _PAIRS)]))
+        slopes = self._wavefront.slope(x, y)
+        errors = []
+        for angle in math.pi / _DIRECTIONS * np.arange(_DIRECTIONS):
+            u, v = apart * math.cos(angle), apart * math.sin(angle)
+            ends = [(x + side * u, y + side * v) for side in (0.5, -0.5)]
+            inside = np.maximum(*(np.hypot(*end) for end in ends)) <= radius
+            first, second = (self._wavefront.path(*end) for end in ends)
+            phase = (first - second - u * slopes[0] - v * slopes[1]) * (2 * math.pi * scale)
+            errors.append((1 - np.cos(phase))[inside])
+        return float(np.concatenate(errors).mean())
 
     def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
         r"""Return the amplitude :math:`|g| / |P - X|^2`, the first Rayleigh-Sommerfeld solution (Goodman, 3.5)."""
