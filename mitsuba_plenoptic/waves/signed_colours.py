@@ -211,8 +211,8 @@ class SignedColours:
             weights = {node: values @ self.upsampling.T for node, values in weights.items()}
         shared = []
         for node, values in sorted(weights.items()):
-            channels = np.flatnonzero(values.any(1))
-            shared.append((node, tuple(channels.tolist()), values[channels]))
+            lit = np.flatnonzero(values.any(1))
+            shared.append((node, tuple(lit.tolist()), values[lit]))
         return shared
 
 
