@@ -24,18 +24,8 @@ from ..scene.radiance import LightDerivatives, SceneLight
 from ..scene.render_capture import require_wave_film
 from ..waves.signed_camera import require_parameters
 from ..waves.signed_capture import SignedCapture, SignedGradients
-from .properties import (
-    NAME,
-    SHARED,
-    asked_for,
-    develop,
-    develop_back,
-    make_base,
-    put,
-    read_choice,
-    read_colours,
-    read_plain,
-)
+from .properties import read_choice, read_plain
+from .wave_base import NAME, SHARED, asked_for, develop, develop_back, make_base, put, read_colours
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
