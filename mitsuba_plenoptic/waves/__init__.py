@@ -11,5 +11,6 @@ The files in the order in which light passes them:
 `phase_space` and `pupil_diffraction` plan the diffraction: which functions and kernels a camera needs, by
 `array_kernels`, `array_field`, `lens_functions`, `oblique`, `fitted_pupil` and `pupil_samples`. `signed_colours`
 chooses wavelengths. `signed_rays` traces, weighs and sums; `pixel_kernels` and `convolution` make images of the sums.
-`signed_capture` is a capture with its cost and the derivatives by a scene; `signed_camera` those by a camera.
+`signed_capture` is a capture with its cost and the derivatives by a scene; `signed_camera` those by a camera. The
+numbers on which the accuracy depends are the records of `accuracy`.
 """
