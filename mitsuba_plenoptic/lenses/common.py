@@ -21,7 +21,19 @@ if TYPE_CHECKING:
 
 
 def chief_points(lens: MainLens, position: Pair, detector_distance: Any, index: Any) -> Pair:
-    """Return where rays from detector positions to the pupil's centre cross the MLA, by Snell's law."""
+    """Return where rays from detector positions to the pupil's centre cross the MLA, by Snell's law.
+
+    Parameters
+    ----------
+    lens : MainLens
+        Main lens.
+    position : (array, array)
+        x and y on the detector in millimetres.
+    detector_distance : float or array
+        Distance from the MLA to the detector in millimetres.
+    index : float or array
+        Refractive index of the medium between them.
+    """
     near = tuple(lens.pupil.chief(p, detector_distance / index) for p in position)
     if isinstance(index, (int, float)) and index == 1:
         return near[0], near[1]
@@ -48,6 +60,13 @@ def inverse_distance(lens: MainLens, points: NDArray[np.float64]) -> NDArray[np.
     """Return the reciprocals (n,) of the distances of scene points (n, 3) from the lens's entrance pupil.
 
     Behind an objective, which sees all depths under the same angles, it returns the depths instead.
+
+    Parameters
+    ----------
+    lens : MainLens
+        Main lens.
+    points : float64 array (n, 3)
+        Scene points in the camera frame.
     """
     return np.asarray(1 / (points[:, 2] - lens.entrance.pupil) if lens.pupil.finite else points[:, 2])
 
@@ -55,10 +74,20 @@ def inverse_distance(lens: MainLens, points: NDArray[np.float64]) -> NDArray[np.
 def path_change(lens: MainLens, radius: Any, step: Any, wavelength: float) -> Any:
     r"""Return the difference in waves, at the pupil's edge, between wavefronts whose images lie a small step apart.
 
-    The images lie at `radius`, r, from the axis, and the step is d, in millimetres. The tilt that corresponds to the
-    step is excluded. A thin lens of radius a has :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, an upper bound for an ideal
-    lens, whose light changes with the field only as defocus in tilted cones; wavefronts of all points in an object
-    plane of an objective differ by tilts alone.
+    The tilt that corresponds to the step is excluded. A thin lens of radius a has :math:`a (a^2 + 3 r^2) d / 2 b^3
+    \lambda`, an upper bound for an ideal lens, whose light changes with the field only as defocus in tilted cones;
+    wavefronts of all points in an object plane of an objective differ by tilts alone.
+
+    Parameters
+    ----------
+    lens : MainLens
+        Main lens.
+    radius : array
+        Distance r of the images from the axis in millimetres.
+    step : array
+        Distance d between the images in millimetres.
+    wavelength : float
+        Wavelength in nanometres.
     """
     if not lens.is_uniform:
         return cast("FittedLens", lens).path_change(radius, step, wavelength)
@@ -116,10 +145,24 @@ def main_lens(
     varying: Mapping[str, Any] | None = None,
     model: str | None = None,
 ) -> Any:
-    """Return the optics of a camera's main lens, by default at the wavelength for which it is specified.
+    """Return the optics of a camera's main lens at a wavelength.
 
-    `varying` are values that replace the camera's, such as Dr.Jit arrays with gradients: ``focal_length``,
-    ``aperture_radius``, ``mla_distance`` and ``wavefront``; `model` replaces its `lens_model`.
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float, optional
+        Wavelength in nanometres. Default: that for which the main lens is specified.
+    varying : mapping, optional
+        Values that replace the camera's, such as Dr.Jit arrays with gradients: ``focal_length``,
+        ``aperture_radius``, ``mla_distance`` and ``wavefront``.
+    model : {"ideal", "parabolic"}, optional
+        Refraction model of rays. Default: the camera's `lens_model`.
+
+    Raises
+    ------
+    InputError
+        If no function is registered for a main lens of this type.
     """
     varied = varying or {}
     names = "focal_length", "aperture_radius", "mla_distance", "wavefront"

@@ -12,10 +12,16 @@ from typing import Any
 
 
 def undistort(x: Any, y: Any, distortion: Any) -> tuple[Any, Any]:
-    r"""Return the undistorted position U(m) of positions on the array in mm, as floats, NumPy arrays or Dr.Jit arrays.
+    r"""Return the undistorted position U(m), as floats, NumPy arrays or Dr.Jit arrays.
 
-    :math:`U = m (1 + k_1 r^2 + k_2 r^4 + k_3 r^6) + (p_1 (r^2 + 2 x^2) + 2 p_2 x y,\ p_2 (r^2 + 2 y^2) + 2 p_1 x y)`
-    with k1, k2, k3 in mm^-2, mm^-4, mm^-6, and p1 and p2 in mm^-1.
+    :math:`U = m (1 + k_1 r^2 + k_2 r^4 + k_3 r^6) + (p_1 (r^2 + 2 x^2) + 2 p_2 x y,\ p_2 (r^2 + 2 y^2) + 2 p_1 x y)`.
+
+    Parameters
+    ----------
+    x, y : float or array
+        Position in the plane of the microlens array, in mm from the axis.
+    distortion : five floats
+        k1, k2, k3 in mm^-2, mm^-4, mm^-6, p1 and p2 in mm^-1.
     """
     k1, k2, k3, p1, p2 = distortion
     square = x * x + y * y

@@ -48,13 +48,25 @@ class Pupil:
         return pupil[0] / self.stop_scale + 0 * point[0], pupil[1] / self.stop_scale + 0 * point[0]
 
     def point(self, position: Any, slope: Any, height: Any = 0.0) -> Any:
-        """Return a coordinate on the pupil of the ray from a position at a height before the array."""
+        """Return a coordinate on the pupil of the ray from a position at a height before the array.
+
+        Parameters
+        ----------
+        position, slope, height : array
+            Position, slope of the ray, and height of the position before the array.
+        """
         if self.swap is not None:
             return self.stop_scale * position
         return self.finite * position + (self.distance - self.finite * height) * slope
 
     def slope(self, pupil: Any, position: Any, height: Any = 0.0) -> Any:
-        """Return the slope, along one axis, of the ray through a point of the pupil and a position as in `point`."""
+        """Return the slope, along one axis, of the ray through a point of the pupil and a position as in `point`.
+
+        Parameters
+        ----------
+        pupil, position, height : array
+            Position, and height of the position before the array.
+        """
         return (pupil - self.finite * position) / (self.distance - self.finite * height)
 
     def chief(self, position: Any, behind: Any) -> Any:
@@ -69,8 +81,21 @@ class Pupil:
     def from_array(self, cosine: Pair, position: Pair) -> tuple[Pair, Any, Any]:
         """Return the pupil points of plane waves that reach a position on the array, as in the Debye integral.
 
-        They are followed by the length on the pupil per small range of direction cosines, :math:`dP = R ds` near the
-        axis, and by the path from there to the position, less that from the pupil's centre, in millimetres.
+        Parameters
+        ----------
+        cosine : (array, array)
+            Direction cosines of the waves.
+        position : (array, array)
+            The position.
+
+        Returns
+        -------
+        pupil : (array, array)
+            Points of the pupil from which they come.
+        length : array
+            Length on the pupil per small range of direction cosines: :math:`dP = R ds` near the axis.
+        path : array
+            Path from there to the position, less that from the pupil's centre, in millimetres.
         """
         (sx, sy), (x, y), R = cosine, position, self.distance
         if not self.finite:

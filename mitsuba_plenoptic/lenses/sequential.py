@@ -62,8 +62,18 @@ def elements(
 ) -> list[Element]:
     """Return a lens's surfaces in the order in which light meets them; the gap before the first is 0.
 
-    `backwards` is from the array to the scene. `stop_radius` is by default that of the open lens, and `indices` are
-    those behind each surface, by default at the wavelength.
+    Parameters
+    ----------
+    prescription : Prescription
+        The lens.
+    wavelength : float
+        Wavelength in nanometres.
+    stop_radius : float or Dr.Jit array, optional
+        Radius of the stop. Default: fully open.
+    backwards : bool
+        Whether light travels from the array to the scene.
+    indices : sequence of float or Dr.Jit array, optional
+        Refractive indices behind each surface. Default: those at the wavelength.
     """
     surfaces = prescription.surfaces
     index = [1.0, *(prescription.indices(wavelength) if indices is None else indices)]
@@ -88,7 +98,15 @@ def elements(
 
 
 def widened(surface: Element, factor: float) -> Element:
-    """Return a surface with a larger semi-aperture."""
+    """Return a surface with a larger semi-aperture.
+
+    Parameters
+    ----------
+    surface : Element
+        The surface.
+    factor : float
+        Factor on the semi-aperture.
+    """
     return dataclasses.replace(surface, semi_aperture=factor * surface.semi_aperture)
 
 
@@ -98,7 +116,7 @@ def follow(
     direction: tuple[Any, Any, Any],
     squares: list[Any] | None = None,
 ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any, Any], Any, Any]:
-    r"""Return point, direction and path of rays behind a lens, and, before the path, whether they pass all surfaces.
+    r"""Return position, direction and path of rays behind a lens.
 
     A ray meets a conic at the parameter :math:`s = C / (B + \sqrt{B^2 - A C})` behind the plane of its vertex, with
     :math:`A = c (1 + k N^2)`, :math:`B = N - c (x L + y M)`, :math:`C = c (x^2 + y^2)` (Welford, "Aberrations of
@@ -107,9 +125,27 @@ def follow(
     :math:`\mathbf{d}' = \eta \mathbf{d} + (\cos\theta' - \eta \cos\theta) \mathbf{n}` with :math:`\eta = n / n'`
     (Snell's law as a vector; same, section 4.4).
 
-    Start points are measured from the first surface's vertex, less its `gap`, and directions have a positive third
-    cosine; the points behind are measured from the last vertex. The list `squares` receives, for each surface, the
-    squared distances from the axis at which rays meet it.
+    Parameters
+    ----------
+    lens : sequence of Element
+        The surfaces in the order in which light meets them.
+    point : (array, array, array)
+        Start points of the rays; z is measured from the first surface's vertex, less its `gap`.
+    direction : (array, array, array)
+        Direction cosines of the rays, of which the third is positive.
+    squares : list, optional
+        List that receives, for each surface, the squared distances from the axis at which rays meet it.
+
+    Returns
+    -------
+    point : (array, array, array)
+        Points where the rays leave the last surface; z is measured from its vertex.
+    direction : (array, array, array)
+        Direction cosines of the rays behind it.
+    open : array
+        Whether the rays pass all surfaces.
+    path : array
+        Optical path from the start point to the last surface.
     """
     (x, y, z), (L, M, N) = point, direction
     is_open: Any = True

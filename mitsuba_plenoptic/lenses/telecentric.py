@@ -38,7 +38,13 @@ from .pupil import Pair, Pupil
 
 @dataclass(frozen=True)
 class TelecentricLens(ClosedLens):
-    """An objective before a microlens array; `MainLens` documents its methods."""
+    """An objective before a microlens array; `MainLens` documents its methods.
+
+    Parameters
+    ----------
+    objective : Objective
+        The objective, its tube lens, and the arrangement of the array.
+    """
 
     objective: Objective
     pupil: Pupil = field(init=False)

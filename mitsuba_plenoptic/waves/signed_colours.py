@@ -158,7 +158,7 @@ class SignedColours:
 
         Nodes are those of Gauss's rule for the responses. Their number is the smallest that gives each channel's
         microlens spot, as pixels record it, in uniform light to three times `accuracy`, and that limits the blur
-        between neighbouring nodes of a dispersive main lens, at the usual accuracy to one lens. Where it is 1 for all
+        between neighbouring nodes of a dispersive main lens, at the usual accuracy to 1.3 lenses. Where it is 1 for all
         channels, with pixels far wider than the spots, channels that have nodes of their own elsewhere share it, too.
         """
         lit = np.flatnonzero(self.spectrum.matrix().any(1)).tolist()

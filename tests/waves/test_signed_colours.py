@@ -141,7 +141,7 @@ def test_bands_of_a_patch_of_light_against_exact_sums(width, glass):
 @pytest.mark.slow
 def test_dispersing_lenses_keep_the_light_of_spectra():
     mi.set_variant("llvm_ad_spectral")
-    options = {"nodes": 2, "spp": 16}
+    options = {"nodes": 3, "spp": 16}
     for radiance in (line(532, 10)[2], {"type": "d65"}):
         plain, glass = (by_waves(wall(radiance, **more), **options).image.mean((0, 1)) for more in ({}, GLASS))
         assert glass == pytest.approx(plain, abs=0.02 * float(plain[1]))
