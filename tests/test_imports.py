@@ -79,10 +79,12 @@ def test_ipython_completes_public_names_and_modules_alone():
 
 @pytest.mark.parametrize(
     ("former", "now"),
-    [("lightfield", "views"), ("detector", "detector.record"), ("objective", "prescription.objective")],
+    [("lightfield", "views"), ("lens_data", "prescription.lens_data"), ("objective", "prescription.objective")],
 )
 def test_modules_of_1_0_say_what_they_are_called_now(python, former, now):
     importlib.import_module(f"mitsuba_plenoptic.{now}")
+    # This one has its name again.
+    assert mitsuba_plenoptic.detector.Detector is mitsuba_plenoptic.Detector
     line = f"mitsuba_plenoptic.{former} is called mitsuba_plenoptic.{now} since version 2.0"
     with pytest.raises(AttributeError, match=line):
         getattr(mitsuba_plenoptic, former)

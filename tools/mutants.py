@@ -17,10 +17,13 @@ import ast
 import json
 import os
 import random
+import resource
+import signal
 import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 FOLDERS = ("camera", "design", "lattice", "lenses", "light", "microlens", "optics", "points", "prescription", "refocus")
@@ -150,8 +153,17 @@ def tests_that_come_by(checkout: Path, drawn: list[tuple[Path, Mistake]]) -> lis
 def _pytest(checkout: Path, arguments: list[str], limit: float | None) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *arguments]
     paths = {"PYTHONPATH": os.pathsep.join([str(checkout), str(checkout / "build" / "mutants")])}
+    # Of processor time, so that other work on the machine does not matter; tests that wait without end stop later.
+    bounded = None if limit is None else partial(resource.setrlimit, resource.RLIMIT_CPU, (int(limit), int(limit)))
     return subprocess.run(
-        command, cwd=checkout, env=os.environ | paths, capture_output=True, text=True, timeout=limit, check=False
+        command,
+        cwd=checkout,
+        env=os.environ | paths,
+        capture_output=True,
+        text=True,
+        timeout=limit and 5 * limit,
+        check=False,
+        preexec_fn=bounded,
     )
 
 
@@ -173,6 +185,8 @@ def notice(path: Path, text: str, checkout: Path, tests: list[str], limit: float
             return "no end"
         finally:
             path.write_text(original)
+    if run.returncode == -signal.SIGKILL:
+        return "no end"
     failures = [row.split()[1] for row in run.stdout.splitlines() if row.startswith(("FAILED ", "ERROR "))]
     return failures[0] if failures else "none" if run.returncode == 0 else f"status {run.returncode}"
 
@@ -184,7 +198,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--first", type=int, default=0, help="the first of the drawn mistakes that is tried")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--limit", type=float, default=300.0, help="seconds for the tests of a mistake")
+    parser.add_argument("--limit", type=float, default=300.0, help="processor time in s for a mistake's tests")
     arguments = parser.parse_args()
     checkouts = [checkout.resolve() for checkout in arguments.checkouts]
     old, new = checkouts

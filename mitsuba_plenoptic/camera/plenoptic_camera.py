@@ -555,7 +555,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
     def regular(self) -> PlenopticCamera:
         """The camera without `mla_cra` whose regular lenses are nearest to the shifted ones above recorded pixels.
 
-        Point spreads and reconstructions, which know regular arrays only, use it. Its `mla_pitch` and `mla_offset`
+        Reconstructions and fits, which know regular arrays only, use it. Its `mla_pitch` and `mla_offset`
         minimise the mean square distance from the lenses.
         """
         if not self.mla_cra:

@@ -89,17 +89,17 @@ _NOT_ROUND = (
 )
 _UNEQUAL_LENSES = (
     refused(
-        Use.SCENE_POINTS | Use.POINT_DERIVATIVES | Use.POINT_RAYS,
-        "the lights of surfaces' points and their derivatives are those of equally bright lenses and pupils",
-        "wave captures of scenes by signed rays, or CaptureOperator.forward",
+        Use.POINT_DERIVATIVES | Use.POINT_RAYS,
+        "they are those of equally bright lenses and pupils",
+        "CaptureOperator.forward",
     ),
     refused(Use.SMALL_LENSES | _STRAIGHT, "the light of one lens stands for that of others", "reconstruct"),
 )
 _BEHIND_LENSES = (
     refused(
-        _PATCHES | _FIELDS_OF_POINTS | Use.POINT_RAYS | Use.RAY_SPREADS,
-        "waves and rays of points reach pixels without a weight by direction",
-        "captures of scenes",
+        Use.POINT_DERIVATIVES | Use.POINT_RAYS,
+        "they are those of pixels that record all directions alike",
+        "CaptureOperator.forward",
     ),
     refused(_RECONSTRUCTIONS, "light goes back from pixels without a weight by direction", "method ray"),
 )
@@ -126,6 +126,7 @@ _BEFORE_DETECTOR = (
 )
 _DISPERSES = (
     approximate(Use.RAYS, "mono variants have no wavelengths: rays see the focal length at the line d"),
+    approximate(Use.RAY_SPREADS, "without a wavelength rays see the focal length at the line d"),
     approximate(_GEOMETRY, "rays go back with the focal length at the line d"),
     refused(Use.POINT_RAYS, "rays of points have no wavelength", "waves of points"),
     refused(
@@ -189,9 +190,9 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             Use.COHERENT_POINTS | Use.WAVEFRONTS, "all points of one field share one pupil", "CaptureOperator.forward"
         ),
         refused(
-            Use.POINTS | Use.FULL_FIELDS,
+            Use.POINTS | Use.FULL_FIELDS | Use.SCENE_POINTS,
             "waves of points are weighted where the array is in the image behind thin lenses and objectives alone",
-            "captures of scenes",
+            "captures of scenes by rays or signed rays",
             _UNWEIGHTED,
         ),
         _NO_DERIVATIVE,
@@ -282,10 +283,16 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
     "mla_seed": (),
     "mla_cra": (
         approximate(
-            _PATCHES | _FIELDS_OF_POINTS | _RECONSTRUCTIONS | _GEOMETRY,
-            "the lenses are those of the nearest regular array",
+            Use.RAYS | Use.SCENES,
+            "apertures keep their size, so that lenses one per cent nearer to each other together get that much light "
+            "twice",
         ),
-        refused(Use.POINT_RAYS | Use.RAY_SPREADS, "rays of points are those of unshifted lenses", "captures of scenes"),
+        approximate(_RECONSTRUCTIONS | _GEOMETRY, "the lenses are those of the nearest regular array"),
+        refused(
+            Use.POINT_RAYS | Use.POINT_DERIVATIVES,
+            "they are those of a regular lattice, from which lenses are displaced by a hundredth of a pixel or more",
+            "CaptureOperator.forward",
+        ),
         _NO_DERIVATIVE,
     ),
     "detector_blur": (

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..array import Lattice, make_lattice, turn
 from ..camera import PlenopticCamera
+from ..optics.rays import second_leg
 from ..optics.waves import in_millimetres, phasor
 from ..runtime import fft
 from .lens_kinds import FigureError
@@ -32,6 +33,9 @@ _POINTS = 65
 
 _STEEPEST = 0.7
 """Largest direction cosine that is retained for an aperture's diffraction: the limit of scalar thin elements."""
+
+_EVANESCENT = 1 - 1e-6
+"""Squared sine of the direction from which waves do not propagate."""
 
 
 def is_separable(camera: PlenopticCamera) -> bool:
@@ -100,6 +104,29 @@ def opaque_lattice(camera: PlenopticCamera, types: Any) -> Lattice:
         fill=fill,
         displacement=camera.lattice.displacement,
     )
+
+
+def has_response(camera: PlenopticCamera) -> bool:
+    """Return whether pixels record a part of their light that depends on its direction behind the microlenses."""
+    return bool(camera.pixel_response or camera.mla_absorption)
+
+
+def clear(camera: PlenopticCamera) -> PlenopticCamera:
+    """Return the camera without absorption, whose pixels record light of all directions alike."""
+    if not has_response(camera):
+        return camera
+    return camera.replace(pixel_response=(), **{"mla_absorption": 0.0} if camera.mla_absorption else {})
+
+
+def recorded_amplitude(camera: PlenopticCamera, sx: Any, sy: Any) -> Any:
+    """Return the root of the part that pixels record of a plane wave's power, by direction cosines in the medium.
+
+    Cosines are Dr.Jit float64 arrays; the result has single precision.
+    """
+    square = dr.minimum(sx * sx + sy * sy, _EVANESCENT)
+    depth = camera.space_behind[0] or 1.0
+    power = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, type(sx))
+    return dr.float32_array_t(type(sx))(dr.sqrt(power(depth * dr.sqrt(square / (1 - square)), depth)))
 
 
 def bend(camera: PlenopticCamera) -> float:

@@ -280,9 +280,9 @@ def _advance(
     rows, columns = shape
     row, column = fft.rows_and_columns(types, rows, columns)
     down, across = pitch if isinstance(pitch, tuple) else (pitch, pitch)
-    sx = _cosine(types, column, columns, across, wavelength)
+    sx = direction_cosine(types, column, columns, across, wavelength)
     first, all_rows = part or (0, rows)
-    sy = _cosine(types, row + dr.opaque(types.UInt32, first), all_rows, down, wavelength)
+    sy = direction_cosine(types, row + dr.opaque(types.UInt32, first), all_rows, down, wavelength)
     return fft.pack(fft.unpack(packed) * transfer(sx, sy, distance, wavelength, **how))
 
 
@@ -321,8 +321,8 @@ def transfer(
     return phasor(waves) if paraxial else dr.select(square < 1, phasor(waves), 0)
 
 
-def _cosine(types: Any, index: Any, count: int, pitch: float, wavelength: float) -> Any:
-    """Direction cosine of a plane wave, from its index in a spectrum with zero frequency first."""
+def direction_cosine(types: Any, index: Any, count: int, pitch: float, wavelength: float) -> Any:
+    """Return the direction cosine of a plane wave, from its index in a spectrum with zero frequency first."""
     position, size = types.Int32(index), dr.opaque(types.Int32, count)
     order = dr.select(2 * position < size, position, position - size)
     return types.Float64(order) * dr.opaque(types.Float64, in_millimetres(wavelength) / (count * pitch))

@@ -62,6 +62,12 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
     return tuple(names), others
 
 
+def varying_of(sensor: Any) -> tuple[str, ...]:
+    """Return the names of camera parameters of a sensor by which derivatives are taken."""
+    with dr.resume_grad():
+        return tuple(name for name in DIFFERENTIABLE if dr.grad_enabled(getattr(sensor, name, None)))
+
+
 def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
     """Return the tangent of a parameter of the camera."""
     return np.ravel(np.array(dr.grad(getattr(sensor, name)), np.float64))
@@ -173,7 +179,8 @@ def make_class() -> type:
         for the scene. There are gradients for the sensor's ``focal_length``, ``mla_distance``, ``mla_focal_length``,
         ``mla_pitch``, ``mla_offset``, ``detector_distance`` and ``detector_width`` if the main lens is thin, without
         aberrations, distortion and glass, and the array is regular and near the microlenses' focus. Spectral variants
-        have gradients only in reverse.
+        have gradients only in reverse. A capture with such gradients takes its kernels from those of a camera nearby,
+        by expansion, which changes it by less than a tenth of ``accuracy``.
 
         .. tabs::
             .. code-tab:: xml
@@ -277,7 +284,7 @@ def make_class() -> type:
             if self.method == SIGNED_RAYS:
                 return self._signed(scene, sensor)
             # The film records what the detector makes of the light.
-            camera = PlenopticCamera.from_sensor(sensor).regular.replace(**SHARP)
+            camera = PlenopticCamera.from_sensor(sensor).replace(**SHARP)
             require_support(camera, Use.SCENE_POINTS)
             spectrum, upsampling = self.spectrum_of(scene, sensor), None
             if mi.is_spectral:
@@ -306,7 +313,7 @@ def make_class() -> type:
             if has_small_lenses(camera, max(colours.spectrum.wavelengths)):
                 what = f"{NAME}: mla_pitch = {camera.mla_pitch:g}"
                 return hook("small lenses", what)(camera, light, colours, self.accuracy)
-            return SignedCapture(camera, light, colours, self.accuracy)
+            return SignedCapture(camera, light, colours, self.accuracy, varying_of(sensor))
 
         def parameters(self) -> dict[str, Any]:
             """Return the parameters of this integrator by name, as for ``mi.load_dict``."""

@@ -23,7 +23,7 @@ from ..optics.waves import advance
 from ..runtime import active_backend, as_array, check_memory, fft
 from .arrival import FieldGrids, SampledField, at_mla, blocks, grids_around
 from .carriers import PupilGrid
-from .full_field import detector_spectrum, pass_brightness, pass_microlenses, pixel_integrals
+from .full_field import detector_spectrum, pass_brightness, pass_microlenses, pass_pixels, pixel_integrals
 from .nonuniform import POINT_BYTES, embedded, taken
 from .pupil_sums import Layer, carrier_type, layers
 from .sampling import Footprint, footprint
@@ -90,6 +90,7 @@ class CoherentFields:
                 spectrum = fft.fft2(field)
             wavelength = camera.medium_wavelength(self.system.wavelength)
             spectrum = advance(spectrum, grids.pitch, -camera.space_behind[0], wavelength)
+            pass_pixels(camera, wavelength, grids, spectrum)
             with fft.resting_drjit():
                 field = fft.fft2(spectrum, inverse=True).conj()
             pass_microlenses(self.system, grids, field)

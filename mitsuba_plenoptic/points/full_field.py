@@ -28,11 +28,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..fields.microlenses import transmission
+from ..fields.microlenses import has_response, recorded_amplitude, transmission
 from ..fields.optical_system import OpticalSystem, is_paraxial
 from ..lenses.closed_lens import ClosedLens
 from ..optics import guards
-from ..optics.waves import advance, in_millimetres, power
+from ..optics.waves import advance, direction_cosine, in_millimetres, power
 from ..runtime import BatchMap, Box, Cost, Job, Part, PartialSum, active_backend, check_memory, fft
 from .arrival import (
     FieldGrids,
@@ -138,8 +138,23 @@ def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: fft.Fie
             guards.check(guards.MICROLENS, 1 - power(samples) / before)
     with fft.resting_drjit():
         spectrum = fft.fft2(samples)
-    camera = system.camera
-    return advance(spectrum, grids.pitch, camera.space_behind[0], camera.medium_wavelength(system.wavelength))
+    camera, wavelength = system.camera, system.camera.medium_wavelength(system.wavelength)
+    spectrum = advance(spectrum, grids.pitch, camera.space_behind[0], wavelength)
+    pass_pixels(camera, wavelength, grids, spectrum)
+    return spectrum
+
+
+def pass_pixels(camera: PlenopticCamera, wavelength: float, grids: FieldGrids, spectrum: fft.Field) -> None:
+    """Multiply a spectrum on the detector, in place, by the root of what pixels record of each direction."""
+    if not has_response(camera):
+        return
+    types, (columns, rows) = active_backend().types, grids.count
+    for block in blocks(rows):
+        row, column = fft.rows_and_columns(types, block.stop - block.start, columns)
+        sx = direction_cosine(types, column, columns, grids.pitch, wavelength)
+        sy = direction_cosine(types, row + dr.opaque(types.UInt32, block.start), rows, grids.pitch, wavelength)
+        amplitude = active_backend().from_drjit(recorded_amplitude(camera, sx, sy))
+        spectrum[block] *= amplitude.reshape(spectrum[block].shape)
 
 
 def pass_brightness(system: OpticalSystem, grids: FieldGrids, samples: fft.Field) -> None:

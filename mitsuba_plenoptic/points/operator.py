@@ -37,6 +37,12 @@ A plan is made for an optical system, points, their pupil weights and an accurac
 
 METHODS = tuple(PLANS)
 
+_AS_REGULAR = 0.01
+"""Largest distance in pixels of shifted lenses from regular ones that stand for them, behind which spreads repeat."""
+
+_PLACES = 33
+"""Places across the recorded pixels at which this distance is measured."""
+
 
 class CaptureOperator(CoherentPoints):
     r"""The image that a camera records of incoherent point sources, as a linear function of the points' weights.
@@ -112,7 +118,7 @@ class CaptureOperator(CoherentPoints):
     ) -> None:
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
-        camera = camera.regular
+        camera = _as_regular(camera)
         # An aperture that is not round is the power of every point's light over the pupil. The detector acts on sums.
         open_ = camera.replace(**NOT_ROUND, **SHARP)
         self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
@@ -434,3 +440,14 @@ class CaptureOperator(CoherentPoints):
     def _check(self, weights: Any) -> NDArray[np.float64]:
         """Return weights as an array (n, columns); refuse anything else."""
         return self._channels.check_weights(weights, len(self.points))
+
+
+def _as_regular(camera: PlenopticCamera) -> PlenopticCamera:
+    """Return the camera, of a regular array if lenses that `mla_cra` shifts are as good as regular."""
+    regular = camera.regular
+    if regular is camera:
+        return camera
+    ends = (camera.pixel_coordinates(axis)[[0, -1]] for axis in (0, 1))
+    cells = camera.lattice.cell(*np.meshgrid(*(np.linspace(*pair, _PLACES) for pair in ends)))
+    apart = np.subtract(camera.lattice.centre(*cells), regular.lattice.centre(*cells))
+    return regular if np.hypot(*apart).max() < _AS_REGULAR * camera.pixel_size else camera

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..array import turn
 from ..fields.microlens_orders import ArrayFactor, VaryingArrayFactor
+from ..fields.microlenses import has_response, recorded_amplitude
 from ..lenses.fitted_lens import VaryingLens, VaryingLight
 from ..lenses.main_lens import Light, MainLens
 from ..optics.waves import in_millimetres, phasor, smooth_edge, soft_edge, transfer
@@ -307,7 +308,7 @@ class PatchFactors:
         return product
 
     def _transfer(self, elements: Elements) -> Any:
-        """Return the transfer function from MLA to detector."""
+        """Return the transfer function from MLA to detector, times what pixels record of each direction."""
         types = self._types
         rows, columns = self.shapes[-1]
         _, row, column = fft.split(types, dr.arange(types.UInt32, rows * columns), rows, columns)
@@ -319,4 +320,7 @@ class PatchFactors:
         # In the medium both direction cosines and wavelength are smaller by its index.
         medium = self._constant(self._grid.camera.space_behind[1])
         distance = self._constant(elements.detector_distance)
-        return transfer(sx / medium, sy / medium, distance, elements.wavelength / medium)
+        sx, sy = sx / medium, sy / medium
+        free_space = transfer(sx, sy, distance, elements.wavelength / medium)
+        camera = self._grid.camera
+        return free_space * recorded_amplitude(camera, sx, sy) if has_response(camera) else free_space

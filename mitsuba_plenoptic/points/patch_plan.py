@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..fields.microlenses import clear, has_response
 from ..fields.optical_system import OpticalSystem
 from ..optics import guards
 from ..runtime import BatchMap, Box, Cost, Job, Part, PartialSum, active_backend, backend_of, check_memory, fft, on_cuda
@@ -72,7 +73,7 @@ class PatchPlan:
         self._grid = Grid.of(system, band or band_for(accuracy, len(points)), points)
         upright, lens, turned = self._grid.camera, self._grid.lens, self._grid.to_frame(points)
         # Lenses at uneven distances share nothing, nor do lenses of uneven light.
-        shared &= bool(self._grid.lens_samples.any()) and not camera.mla_warp
+        shared &= bool(self._grid.lens_samples.any()) and camera.lattice.displacement is None
         shared &= camera.vignetting is None and camera.mla_transmissions is None
         step = wavefront_step(accuracy, upright, lens, turned) if shared else 0.0
         patterns = find_patterns(upright, lens, turned, pupil_weights, wavelength, step)
@@ -155,7 +156,7 @@ class PatchPlan:
         """
         if math.isinf(self._grid.band.beyond) or not self._grid.microlenses.fills or not len(self._positions):
             return 1.0
-        grid = replace(self._grid, camera=self._grid.camera.replace(mla_transmissions=None, vignetting=None))
+        grid = replace(self._grid, camera=clear(self._grid.camera).replace(mla_transmissions=None, vignetting=None))
         some = _some(np.arange(len(self._positions)))
         arrived = sum(
             float(arrived_power(Fields(grid, self._placement.take(chunk), self._positions[chunk], None)).sum())
@@ -170,12 +171,12 @@ class PatchPlan:
             groups += chunks_of(self._grid, self._placement, patterns[samples == size], _CHUNK)
         return groups
 
-    def _fields(self, which: NDArray[np.int64]) -> Fields:
-        """Return the data of the fields of a selection of patterns."""
+    def _fields(self, which: NDArray[np.int64], grid: Grid | None = None) -> Fields:
+        """Return the data of the fields of a selection of patterns, by default on the plan's grid."""
         weights = self._pupil_weights and self._pupil_weights.take(self._order[self._first[which]])
         if weights is not None and self._slant is not None:
             weights = replace(weights, slant=self._slant[which])
-        return Fields(self._grid, self._placement.take(which), self._positions[which], weights)
+        return Fields(grid or self._grid, self._placement.take(which), self._positions[which], weights)
 
     def lit_chunks(self, weights: NDArray[np.float64]) -> tuple[list[NDArray[np.int64]], NDArray[np.int64]]:
         """Return the chunks that have nonzero weights, and the number of points in each of them."""
@@ -198,10 +199,15 @@ class PatchPlan:
             return None
         if not self._passes_all:
             chunks = self._alike(_some(np.concatenate(chunks)))
-            power = np.add.reduceat(weights[self._order].sum(1), self._first)
-            arrived = sum(float(power[chunk] @ arrived_power(self._fields(chunk))) for chunk in chunks)
+            arrived = sum(self._arrived(chunk, weights) for chunk in chunks)
         sent = self._sent(chunks, weights)
         return 1 - arrived / sent if sent else None
+
+    def _arrived(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> float:
+        """Return the sum of all samples of a chunk's patches, as if pixels recorded all of the light there."""
+        power = np.add.reduceat(weights[self._order].sum(1), self._first)[chunk]
+        grid = replace(self._grid, camera=clear(self._grid.camera))
+        return float(power @ arrived_power(self._fields(chunk, grid)))
 
     def _sum_of(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Part:
         """Return the part of the sum due to a chunk, computed at once in this thread."""
@@ -229,8 +235,9 @@ class PatchPlan:
 
     @property
     def _passes_all(self) -> bool:
-        """Whether the array passes all light."""
-        return self._grid.microlenses.fills and self._camera.mla_transmissions is None
+        """Whether pixels record all light that their patches hold."""
+        camera = self._camera
+        return self._grid.microlenses.fills and camera.mla_transmissions is None and not has_response(camera)
 
     # -- adjoint ---------------------------------------------------------------------------------------
 
@@ -317,7 +324,10 @@ class PatchPlan:
             # Overheads of a chunk are small relative to a whole chunk.
             some = chunk[: max(_FIRST, math.ceil(_FIRST * _TRIAL_SECONDS / taken))]
             part, taken = self._timed(some, ones)
-            arrived += float(part.sums.sum(dtype=np.float64))
+            if has_response(self._camera):
+                arrived += self.gain * self._arrived(some, ones)
+            else:
+                arrived += float(part.sums.sum(dtype=np.float64))
             sent += self._sent([some], ones)
             seconds += taken / len(some) * int(upto[-1]) / batch_map.workers
         guards.require(guards.PATCH, 1 - arrived / (self.gain * sent) if sent else 0.0)

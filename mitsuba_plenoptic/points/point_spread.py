@@ -94,7 +94,7 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
         wavelength = require_wavelength(wavelength)
         point = _check(camera, position)
         require_support(camera, Use.POINT_FIELDS)
-        camera = camera.regular.at_wavelength(wavelength)
+        camera = camera.at_wavelength(wavelength)
         return full_field.point_fields(OpticalSystem(camera, wavelength), point)
 
 

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Use, require_support
 from ..detector.operator import DetectorOperator
+from ..fields.microlenses import has_response
 from ..fields.optical_system import OpticalSystem
+from ..optics.rays import second_leg
 from ..rays.tracer import Passage, Walk
 from .scene_points import sample_pairs
 
@@ -26,6 +28,7 @@ def ray_spread(camera: PlenopticCamera, point: NDArray[np.float64]) -> NDArray[n
     require_support(camera, Use.RAY_SPREADS)
     lens = OpticalSystem.by_design(camera).lens.waves_of(point[None])
     light, walk = lens.bind(point[None]), Walk.of(camera, lens) if camera.has_array else None
+    counts = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, np.ndarray)
     places = 2 * sample_pairs(_RAYS)[:, :2] - 1
     rows, columns = camera.shape
     image, emitted = np.zeros(rows * columns), 0.0
@@ -40,11 +43,15 @@ def ray_spread(camera: PlenopticCamera, point: NDArray[np.float64]) -> NDArray[n
         if camera.vignetting is not None:
             power *= camera.vignetting.power(*seen, *place)
         landed: Any = place
+        before, depth = pupil, lens.pupil.distance
         if walk is not None:
             lenslet = walk.lenslet(*walk.lattice.cell(*place))
             x, y = lenslet.centre
             power *= lenslet.gain * walk.lattice.in_aperture(place[0] - x, place[1] - y)
-            landed, _ = walk.onto_detector(pupil, Passage((place[0], place[1]), lenslet))
+            before, depth = (place[0], place[1]), camera.detector_distance
+            landed, _ = walk.onto_detector(pupil, Passage(before, lenslet))
+        if has_response(camera):
+            power *= counts(np.hypot(landed[0] - before[0], landed[1] - before[1]), depth)
         column, row = (
             np.floor(p / camera.pixel_size + size / 2 - offset).astype(np.int64)
             for p, size, offset in zip(landed, camera.resolution, camera.crop_offset, strict=True)

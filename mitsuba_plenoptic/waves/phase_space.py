@@ -224,6 +224,11 @@ class PhaseSpace(ArrayKernels):
         return _tables[self.key]
 
     @property
+    def start(self) -> PhaseSpace:
+        """The plan about which this one is expanded: by default the plan itself."""
+        return self
+
+    @property
     def key(self) -> tuple[Any, ...]:
         """All that the table depends on."""
         camera = self.camera
@@ -341,12 +346,17 @@ class PhaseSpace(ArrayKernels):
     def moved(self, camera: PlenopticCamera) -> PhaseSpace:
         """Return the plan of a slightly different camera, with the same functions and nodes of the table."""
         plan = replace(self, camera=camera)
-        vars(plan)["functions"], vars(plan)["oblique"] = self.functions, self.oblique
-        scales = [own / before for own, before in zip(plan.lattice.period(), self.lattice.period(), strict=True)]
-        vars(plan)["nodes"] = [
-            node._replace(sides=(node.sides[0] * scales[0], node.sides[1] * scales[1])) for node in self.nodes
-        ]
+        plan.take_basis(self)
         return plan
+
+    def take_basis(self, other: PhaseSpace) -> None:
+        """Use the functions of another plan and its nodes of the table, which grow with the lattice."""
+        scales = [own / before for own, before in zip(self.lattice.period(), other.lattice.period(), strict=True)]
+        vars(self)["functions"] = replace(other.functions, scale=other.functions.scale * scales[0])
+        vars(self)["oblique"] = other.oblique
+        vars(self)["nodes"] = [
+            node._replace(sides=(node.sides[0] * scales[0], node.sides[1] * scales[1])) for node in other.nodes
+        ]
 
 
 def coefficients_of(plans: Sequence[PhaseSpace]) -> list[RayCoefficients | Polynomials]:

@@ -347,7 +347,8 @@ class LensPoints:
     def __init__(self, plan: PhaseSpace) -> None:
         self._lattice = plan.lattice
         self._nodes = TableNodes(plan)
-        rows, columns = _edges(plan)
+        # Plans that are expanded about one plan share the edges, as points may have any density.
+        rows, columns = _edges(plan.start)
         first = np.cumsum([0] + [len(part) for part in plan.table])[:-1]
         self._first = drjit_array(mi.UInt32, first)
         self._sides = [mi.Float([node.sides[axis] for node in plan.nodes]) for axis in (0, 1)]

@@ -17,7 +17,6 @@ change with the functions' images, and with the direction in which light meets t
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -27,7 +26,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Captures, PlenopticCamera, Use, Values, require_support, shortest_parts, with_gradient, with_parts
+from ..camera import Captures, PlenopticCamera, Use, Values, require_support, shortest_parts, with_gradient
 from ..errors import InputError, refuse_if
 from ..fields.lens_kinds import LensKinds
 from ..lenses.pupil import Pair
@@ -36,8 +35,9 @@ from ..rays.tracer import Walk
 from ..runtime import drjit_array
 from ..scene.radiance import require_finite
 from .array_field import Array
-from .array_kernels import REACH, displaced
+from .array_kernels import displaced
 from .control_variate import means_of_halves, of_other_half
+from .expansion import OF_KERNELS, kernel_slopes, width_slopes
 from .phase_space import PhaseSpace, RayCoefficients
 from .pixel_kernels import PixelKernels
 from .ray_sampler import RaySamples
@@ -47,12 +47,6 @@ from .signed_rays import RayBatch, SignedRaySum
 
 PARAMETERS = with_gradient(Captures.SCENES)
 """Camera parameters with respect to which signed-ray captures have derivatives."""
-
-_OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distance", "detector_width")
-"""Parameters on which the kernels depend."""
-
-_KERNEL_STEP, _TABLE_STEP = 1e-3, 2e-2
-"""Relative steps of finite differences of kernels, and of coefficient tables, whose sampled overlaps need more."""
 
 
 class FixedRays(NamedTuple):
@@ -98,13 +92,13 @@ class _CameraSum(SignedRaySum):
 
     @cached_property
     def _by_width(self) -> list[RayCoefficients]:
-        return [width_slopes(node.plan) for node in self._nodes]
+        return [RayCoefficients(node.plan, width_slopes(node.plan)) for node in self._nodes]
 
     @cached_property
     def _of_kernels(self) -> list[tuple[str, int]]:
         """The parameter components on which kernels depend."""
         start = parameters_of(self._camera)
-        return [(name, i) for name in self._names if name in _OF_KERNELS for i in range(len(start[name]))]
+        return [(name, i) for name in self._names if name in OF_KERNELS for i in range(len(start[name]))]
 
     def _further_kernels(self, plan: Plan, kind: int) -> list[NDArray[np.float64]]:
         assert isinstance(plan, PhaseSpace)
@@ -245,21 +239,25 @@ class CameraAdjoint(_CameraSum):
                 by_fixed = [before + gradient for before, gradient in zip(by_fixed, gradients, strict=True)]
                 by_width += residual * mixed(wider, sets[0])
                 by_kernels = [before + mixed(weighted, each) for before, each in zip(by_kernels, sets[3:], strict=True)]
-        dr.eval(by_fixed, by_width, by_kernels)
+        sums = [dr.sum(figure) for figure in (by_width, *by_kernels)]
+        dr.eval(by_fixed, sums)
         rays = self._spp * self._passes
-        for (name, component), figure in zip(self._of_kernels, by_kernels, strict=True):
-            total[name][component] += dr.sum(figure)[0] / rays
-        of_width = float(dr.sum(by_width)[0]) / rays
+        of_width, *of_kernels = (float(figure[0]) / rays for figure in sums)
+        for (name, component), figure in zip(self._of_kernels, of_kernels, strict=True):
+            total[name][component] += figure
         total["mla_distance"] += of_width / self._camera.mla_distance
         total["mla_pitch"][0] -= of_width / self._camera.mla_pitch
         with dr.resume_grad():
             varying = varying_parameters(self._camera)
-            dr.enable_grad(varying)
+            dr.enable_grad([varying[name] for name in self._names])
             fixed = follow_fixed(self._camera, varying, samples, slope, self._step)
             quantities = *fixed.point, *fixed.cell, fixed.measure, fixed.density, *fixed.cosines
             dr.backward(dr.sum(mixed(by_fixed, quantities)) / rays)
-            for name, values in varying.items():
-                total[name] += [float(dr.grad(value)[0]) for value in values]
+            gradients = {name: [dr.grad(value) for value in varying[name]] for name in self._names}
+            # All in one kernel.
+            dr.eval(gradients)
+            for name, values in gradients.items():
+                total[name] += [float(value[0]) for value in values]
 
 
 def varying_parameters(camera: PlenopticCamera) -> dict[str, list[Any]]:
@@ -321,38 +319,3 @@ def width_change(camera: PlenopticCamera, changes: Values) -> float:
         if name in changes
     )
     return sum(parts)
-
-
-def width_slopes(plan: PhaseSpace) -> RayCoefficients:
-    """Return the derivatives of coefficients with respect to the logarithm of the pupil's diffraction width."""
-    return RayCoefficients(plan, _width_table(plan))
-
-
-@functools.lru_cache(maxsize=4)
-def _width_table(plan: PhaseSpace) -> list[Array]:
-    """Return the table of the derivatives of coefficients with respect to the logarithm of the width."""
-    distance = plan.camera.mla_distance
-    sides = [
-        plan.moved(plan.camera.replace(mla_distance=distance * (1 + side))).tabulated()
-        for side in (_TABLE_STEP, -_TABLE_STEP)
-    ]
-    return [(a - b) / np.float32(2 * _TABLE_STEP) for a, b in zip(*sides, strict=True)]
-
-
-@functools.lru_cache(maxsize=32)
-def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[NDArray[np.float64]]:
-    """Return the derivatives of kernels with respect to each component of a parameter on which they depend."""
-    camera, start = plan.camera, parameters_of(plan.camera)[name]
-    samples = plan.kernel_samples(step, REACH * max(camera.mla_pitches), kind)
-    slopes = []
-    for part in range(len(start)):
-        sides = []
-        for side in (_KERNEL_STEP, -_KERNEL_STEP):
-            if name == "detector_width":
-                sides.append(plan.sampled_kernels(step * (1 + side), samples, kind))
-                continue
-            changed = start.copy()
-            changed[part] *= 1 + side
-            sides.append(plan.moved(with_parts(camera, {name: changed})).sampled_kernels(step, samples, kind))
-        slopes.append((sides[0] - sides[1]) / (2 * _KERNEL_STEP * start[part]))
-    return slopes

@@ -56,6 +56,8 @@ class SignedCapture:
     # Responses of the channels.
     colours: SignedColours
     accuracy: float
+    # Camera parameters by which the capture is differentiated.
+    varying: tuple[str, ...] = ()
 
     has_gradients: ClassVar[bool] = True
     """Whether derivatives of the capture can be computed."""
@@ -63,7 +65,7 @@ class SignedCapture:
     @cached_property
     def nodes(self) -> list[Node]:
         """The nodes: wavelengths at which diffraction is computed."""
-        return self.colours.planned(self.camera, self.accuracy)
+        return self.colours.planned(self.camera, self.accuracy, self.varying)
 
     @property
     def _parts(self) -> int:

@@ -29,7 +29,8 @@ from ..optics.spectrum import Responses, Spectrum
 from ..optics.waves import in_millimetres
 from ..rays.random_numbers import even_words
 from ..runtime import drjit_array
-from .phase_space import FINE
+from .expansion import ExpandedPlan, nearby
+from .phase_space import FINE, PhaseSpace
 from .scheme import plan_of, plan_type
 
 _PROBED, _LEAST_ERROR = 3.0, 1e-3
@@ -207,13 +208,17 @@ class SignedColours:
         given = tuple(wavelengths[order].tolist()), tuple(map(tuple, weights.tolist()))
         return _enough(camera, *given, max(accuracy, _LEAST_ERROR))
 
-    def planned(self, camera: PlenopticCamera, accuracy: float) -> list[Node]:
-        """Return the nodes, with their plans."""
-        found, fine = self.shared(camera, accuracy), accuracy < FINE
-        return [
-            Node(plan_of(camera.at_wavelength(place), place, fine, found[0][0], found[-1][0]), channels, weights)
-            for place, channels, weights in found
-        ]
+    def planned(self, camera: PlenopticCamera, accuracy: float, varying: Sequence[str] = ()) -> list[Node]:
+        """Return the nodes, with their plans, which are expanded where parameters are varied."""
+        start = nearby(camera, varying, accuracy)
+        found, fine = self.shared(start, accuracy), accuracy < FINE
+        nodes = []
+        for place, channels, weights in found:
+            plan = plan_of(start.at_wavelength(place), place, fine, found[0][0], found[-1][0])
+            if varying and isinstance(plan, PhaseSpace) and not plan.by_points:
+                plan = ExpandedPlan.about(plan, camera.at_wavelength(place))
+            nodes.append(Node(plan, channels, weights))
+        return nodes
 
     def shared(
         self, camera: PlenopticCamera, accuracy: float

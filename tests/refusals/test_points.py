@@ -194,7 +194,6 @@ def coherent(operator):
     return operator.coherent_fields.at([1.0], "detector")
 
 
-PATCHES = "waves of points by method patch refuse it: .*use captures of scenes"
 PERIODIC = "patches treat the array as periodic; use CaptureOperator with method full_field"
 BETWEEN = {"wavelength": None, "spectrum": mp.Spectrum.band(550, 40, 4).interpolated(2)}
 FULL = {"method": "full_field"}
@@ -206,9 +205,8 @@ VIGNETTED = {"vignetting": {"radius": [0.8]}}
     [
         ({"mla_jitter": (0.001, 0)}, {}, forward, f"mla_jitter = .*{PERIODIC}"),
         ({"mla_figure_error": (1e-5, 0.02)}, {}, forward, f"mla_figure_error = .*{PERIODIC}"),
-        ({"pixel_response": (0, 1, 20, 0.5)}, {}, forward, f"pixel_response = .*{PATCHES}"),
-        ({"pixel_response": (0, 1, 20, 0.5)}, FULL, forward, "pixel_response = .*method full_field refuse it"),
-        ({"mla_absorption": 1.0}, {}, forward, "mla_absorption = 1.0: waves of points"),
+        ({"pixel_response": (0, 1, 20, 0.5)}, {}, derivative, "pixel_response = .*all directions alike"),
+        ({"mla_absorption": 1.0}, {}, gradient, "mla_absorption = 1.0: derivatives of captures of points"),
         ({"mla_warp": (0.001,) * 14}, {}, derivative, "mla_warp = .*derivatives of captures of points refuse it"),
         ({"mla_transmissions": TABLE}, {}, derivative, "mla_transmissions = .*leave it out"),
         (VIGNETTED, {}, gradient, "vignetting = .*leave it out"),

@@ -165,7 +165,7 @@ def make_class() -> type:
         def _require(self, scene: Any, sensor: Any) -> list[Any]:
             """Return the lasers of a scene; refuse scenes and cameras that the model does not support."""
             with naming(NAME):
-                camera = PlenopticCamera.from_sensor(sensor).regular
+                camera = PlenopticCamera.from_sensor(sensor)
                 require_support(camera, Use.COHERENT_POINTS)
             refuse_if(not sensor.film().rfilter().is_box_filter(), f'{NAME}: the film needs <rfilter type="box"/>')
             refuse_if(
@@ -178,7 +178,7 @@ def make_class() -> type:
 
         def _laser(self, scene: Any, sensor: Any, lasers: list[Any], seed: int, job: Job) -> NDArray[np.float32]:
             """Return the light of the lasers, (rows, columns, 1)."""
-            camera = PlenopticCamera.from_sensor(sensor).regular
+            camera = PlenopticCamera.from_sensor(sensor)
             (wavelength,) = self.wavelengths
             system = OpticalSystem(camera.at_wavelength(wavelength), wavelength)
             points = LaserScene(scene, sensor, lasers, system).points(self.points_per_spot, seed)

@@ -122,6 +122,7 @@ def _regular(part: ArrayPart, lenses: int) -> PlenopticCamera:
         # A lens is centred on the axis.
         mla_offset=(pitch / 2, pitch / 2),
         mla_warp=(),
+        mla_cra=(),
         mla_transmissions=None,
         **SHARP,
         vignetting=pupil,

@@ -53,8 +53,7 @@ class CameraOptics(hcipy.OpticalElement):
     """
 
     def __init__(self, camera: PlenopticCamera) -> None:
-        camera = require_camera(camera).regular
-        require_support(camera, Use.WAVEFRONTS)
+        require_support(require_camera(camera), Use.WAVEFRONTS)
         self.camera = camera
         left, top = (float(camera.pixel_coordinates(axis)[0]) for axis in (0, 1))
         pixel = np.full(2, camera.pixel_size)

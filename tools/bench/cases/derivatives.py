@@ -6,7 +6,8 @@ field are those of the middle, 1.5 times as fine and in windows 2.6 times as wid
 the microlenses fold back, and what wraps round a window, changes fastest with the parameters. Where the detector's
 width changes the grids grow with it, and where wavelength or pitch do, the count of microlens orders is held.
 
-The cost of derivatives of captures, compared with the capture itself.
+The cost of derivatives of captures, compared with the capture itself, and that of a fit's steps by waves, compared with
+those by rays.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import Any
 import numpy as np
 from cases import relative
 
-from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
+from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, load_scene
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.arrival import FieldGrids, field_grids
 from mitsuba_plenoptic.points.full_field import full_field
@@ -194,3 +195,51 @@ def _measured(mode: str, file: Path, camera: PlenopticCamera, accuracy: float, r
         MODES[mode](operator, stored["weights"], image)
         taken = time.perf_counter() - began[0], time.process_time() - began[1]
     return {"seconds": taken[0], "processor": taken[1], "memory": peak_memory() - before}
+
+
+@case(
+    "derivative-cost.steps",
+    "A step of Adam on the distance of the microlens array, by waves and by rays, for parts of the letters with 16 "
+    "samples: processor time of the median step of a camera that changes",
+    {
+        "pixels": "{pixels}", "rays (s)": "{rays:.3f}", "waves (s)": "{waves:.3f}", "waves over rays": "{ratio:.1f}",
+    },
+    (at_most("large_ratio", 8.0),),
+    page="docs/guides/derivatives.md",
+    quick={"sizes": (64,)},
+)  # fmt: skip
+def steps(*, sizes: tuple[int, ...] = (64, 256), count: int = 7) -> Iterator[Row]:
+    """Run the steps, with a camera whose distance starts 0.2 % too long; the first two steps are left out."""
+    for pixels in sizes:
+        rays, waves = (in_process(_step, kind, pixels, count) for kind in ("direct", "plenoptic_wave"))
+        row = {"pixels": pixels, "rays": rays, "waves": waves, "ratio": waves / rays}
+        # On few pixels most rays by waves belong to the margin around them.
+        yield row | ({"large_ratio": row["ratio"]} if pixels >= 256 else {})
+
+
+def _step(kind: str, pixels: int, count: int) -> float:
+    import drjit as dr
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_mono")
+    parameters = {"resolution": str(pixels), "detector_width": str(0.002 * pixels)}
+    scene = load_scene("letters", parameters=parameters)
+    integrator = mi.load_dict({"type": kind})
+    params = mi.traverse(scene)
+    key = "camera.mla_distance"
+    start = float(params[key][0])
+    with dr.suspend_grad():
+        target = mi.render(scene, spp=16, integrator=integrator, seed=0)
+    optimizer = mi.ad.Adam(lr=1e-4 * start)
+    optimizer[key] = mi.Float(1.002 * start)
+    taken = []
+    for seed in range(count):
+        began = time.process_time()
+        params.update(optimizer)
+        image = mi.render(scene, params, spp=16, integrator=integrator, seed=seed)
+        dr.backward(dr.mean(dr.square(image - target), axis=None))
+        optimizer.step()
+        dr.eval(optimizer[key])
+        dr.sync_thread()
+        taken.append(time.process_time() - began)
+    return float(np.median(taken[2:]))
