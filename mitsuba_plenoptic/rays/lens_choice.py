@@ -10,13 +10,11 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ..array.lens_shifts import MOST_DEVIATIONS
 from ..camera import PlenopticCamera
@@ -50,8 +48,9 @@ _MOST_LENSES = 2**12
 class LensChoice:
     """The lenses around a chief ray's lens that can light a point or a pixel."""
 
-    # Steps (lenses, 2) in the lattice's indices; the first is the chief ray's own lens.
-    lenses: NDArray[np.int64]
+    # Steps in the lattice's indices, of which the first is the chief ray's own lens, and their two columns for kernels.
+    lenses: tuple[tuple[int, int], ...]
+    steps: Sequence[Any] = ()
     # Distances from the chief ray's point within which the centres of lenses are tried, as of `cosine_limits`, by steps
     # of the distance from the axis, and the width of a step; None where all lenses are tried.
     limits: Any = None
@@ -80,11 +79,10 @@ class LensChoice:
             limits = np.maximum(limits[:-1], limits[1:])
             lenses = max(lenses, camera.lattice.neighbours(limits.max() + beyond), key=len)
         # Most rays through lenses that cannot light a point would miss the pupil, and the others would be noisier.
-        if not 1 < len(lenses) <= _MOST_CHECKED:
-            return cls(lenses)
-        numbers = [drjit_array(mi.Float, values) for values in (limits, step, defocus)]
+        checks = 1 < len(lenses) <= _MOST_CHECKED
+        numbers = [drjit_array(mi.Float, values) for values in (*lenses.T, limits, step, defocus)]
         dr.make_opaque(numbers)
-        return cls(lenses, *numbers)
+        return cls(tuple(map(tuple, lenses.tolist())), numbers[:2], *(numbers[2:] if checks else ()))
 
     @classmethod
     def of_pixels(cls, camera: PlenopticCamera, radius: float, enlargement: float) -> LensChoice:
@@ -93,14 +91,7 @@ class LensChoice:
         lenses = camera.lattice.neighbours(reach + camera.nearer(reach))
         many = f"aperture_radius = {camera.aperture_radius:g}: {len(lenses)} lenses may light a pixel"
         refuse_if(len(lenses) > _MOST_LENSES, f"{many}; waves of scenes are captured through at most {_MOST_LENSES}")
-        return cls(lenses)
-
-    @cached_property
-    def steps(self) -> list[Any]:
-        """The two columns of `lenses` for kernels."""
-        columns = [drjit_array(mi.Float, column) for column in self.lenses.T]
-        dr.make_opaque(columns)
-        return columns
+        return cls(tuple(map(tuple, lenses.tolist())), [drjit_array(mi.Float, column) for column in lenses.T])
 
     def at(self, chief: Pair, number: Any) -> Pair:
         """Return the indices of lenses by their numbers, from those of the chief rays' lenses."""
@@ -142,7 +133,7 @@ class LensChoice:
         return self.at(cell, number), scaled - whole, number, tried
 
 
-CHIEF = LensChoice(np.zeros((1, 2), np.int64))
+CHIEF = LensChoice(((0, 0),))
 """The chief ray's lens alone."""
 
 

@@ -306,11 +306,11 @@ class LensRays:
 
     def missed(self, pixel: Pair, sample: Any) -> float:
         """Return the part of the light of detector points through lenses that are not tried, by one ray from each."""
-        walk, tried = self.walk, set(map(tuple, self.choice.lenses.tolist()))
+        walk = self.walk
         around = replace(LensChoice.of_points(self.ends, beyond=max(walk.camera.mla_pitches)), limits=None)
         passage, number, _ = self._pass(pixel, sample, around)
         _, _, valid = self.trace(pixel, passage)
-        beyond = mi.Bool([tuple(lens) not in tried for lens in around.lenses.tolist()])
+        beyond = mi.Bool([lens not in self.choice.lenses for lens in around.lenses])
         chief, cell = walk.chief_cell(pixel)
         near = self.choice.is_near(walk, chief, *around.at(cell, number))
         missed = dr.gather(mi.Bool, beyond, number) | ~near

@@ -395,14 +395,10 @@ class SignedRaySum:
 
     def probe(self) -> Array:
         """Return the light of some pixels, a fingerprint of a scene and its camera."""
-        pixels = self._some(_PROBES // self._parts**2)
+        every = self._bins.rows * self._bins.columns
+        pixels = drjit_array(mi.UInt32, np.linspace(0, every - 1, min(_PROBES // self._parts**2, every)))
         traced = self._trace(self._bins, pixels, np.random.SeedSequence(0))
         return np.concatenate([active_backend().to_host(part).ravel() for part in traced])
-
-    def _some(self, count: int) -> Any:
-        """Return the indices of `count` evenly spaced pixels."""
-        every = self._bins.rows * self._bins.columns
-        return drjit_array(mi.UInt32, np.linspace(0, every - 1, min(count, every)))
 
     def _wavelengths(self, pixels: Pixels, number: int, seed: int) -> list[Lanes | None]:
         """Return the wavelengths of the rays of pixels in one pass, for each group of nodes."""

@@ -124,7 +124,7 @@ def test_the_pupil_off_the_axis_is_that_of_rays():
     pupil, lens = Walk.of(camera, OpticalSystem(camera, 633.0).lens), LensSystem.of(camera, 633.0)
     x, y = np.random.default_rng(0).uniform(-2.4, 2.4, (2, 20000)) * camera.pupil_radius
     for centre in ((0.0, 0.0), (3.5, -2.0), (0.0, 4.0)):
-        u, v = pupil.inner((mi.Float(x), mi.Float(y)), (mi.Float(centre[0]), mi.Float(centre[1])))
+        u, v = pupil.round_pupil((mi.Float(x), mi.Float(y)), (mi.Float(centre[0]), mi.Float(centre[1])))
         is_open = np.hypot(u.numpy(), v.numpy()) <= camera.pupil_radius
         expected = lens.ray((x, y), (np.full_like(x, centre[0]), np.full_like(y, centre[1])))[2]
         assert np.mean(is_open != expected) < 2e-3
