@@ -181,6 +181,8 @@ GONE = {
 MOVED = {
     "system": "fields.optical_system",
     "capture": "scene.render_capture",
+    "lattice": "array",
+    "microlens": "array",
     "reconstruction": "refocus",
     "operator": "points",
     "lightfield": "views",
