@@ -65,8 +65,9 @@ class Extension:
         light, and the wavelengths.
     presets : mapping of str to str
         Names of known cameras, and the places of dictionaries that have their parameters by these names.
-    plugins : mapping of str to str
-        Modules of plugins for Mitsuba, with ``NAME`` and ``make_class``, and their kind, sensor or integrator.
+    plugins : mapping of str to (str, str)
+        Names of plugins for Mitsuba, the modules whose ``make_class`` defines them, and their kind, sensor or
+        integrator.
     methods : mapping of str to str
         Methods of reconstruction, and the modules that register them by `refocus.methods.method`.
     options : mapping of str to str
@@ -92,7 +93,7 @@ class Extension:
     parameters: Mapping[str, str] = field(default_factory=dict)
     responses: Mapping[str, str] = field(default_factory=dict)
     presets: Mapping[str, str] = field(default_factory=dict)
-    plugins: Mapping[str, str] = field(default_factory=dict)
+    plugins: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     methods: Mapping[str, str] = field(default_factory=dict)
     options: Mapping[str, str] = field(default_factory=dict)
     generators: Mapping[str, str] = field(default_factory=dict)

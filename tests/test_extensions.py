@@ -32,7 +32,7 @@ def test_an_init_holds_the_record_only(name):
 
 def test_all_that_records_name_is_there():
     for package, record in installed().items():
-        for module in [*record.plugins, *record.methods.values()]:
+        for module in [*(module for module, _ in record.plugins.values()), *record.methods.values()]:
             importlib.import_module(f"{package}.{module}")
         for kind in ("names", "parameters", "responses", "presets", "hooks", "generators", "displays", "options"):
             for text in getattr(record, kind).values():
@@ -46,10 +46,8 @@ def test_the_list_of_what_extensions_add_is_complete():
     """So that each is named where it is not installed; responses are parameters, and displays are of the core."""
     added = {name: set() for name in SHIPPED}
     for package, record in installed().items():
-        for kind in {*Extension.__dataclass_fields__} - {"responses", "displays", "plugins"}:
+        for kind in {*Extension.__dataclass_fields__} - {"responses", "displays"}:
             added[package.rpartition(".")[2]] |= {*getattr(record, kind)}
-        for module in record.plugins:
-            added[package.rpartition(".")[2]].add(importlib.import_module(f"{package}.{module}").NAME)
     for line in (PACKAGE / "__init__.pyi").read_text().splitlines():
         if found := re.match(r"from \.extensions\.(\w+).* import (\w+) as \2$", line):
             added[found[1]].add(found[2])

@@ -12,7 +12,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime import module_of, turn
+from ..runtime import exponents, module_of, monomials, turn
 
 Corner = Sequence[float] | NDArray[np.float64]
 """X and y of a corner of a rectangle."""
@@ -20,7 +20,7 @@ Corner = Sequence[float] | NDArray[np.float64]
 MOST_DEVIATIONS = 3.0
 """Standard deviations at which deviates are clipped."""
 
-WARP_POWERS = ((2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
+WARP_POWERS = exponents(3, lowest=2)
 """Powers of x and y of the terms of a warp."""
 
 _STEPS = 3
@@ -66,12 +66,9 @@ class Displacement:
         """Return the smooth displacements of lenses at regular positions."""
         right, up = self._to_chief_rays(x, y) if self.chief_rays else (0.0, 0.0)
         if self.warp:
-            xx, xy, yy = x * x, x * y, y * y
-            terms = (xx, xy, yy, xx * x, xx * y, xy * y, yy * y)
-            right, up = (
-                start + sum(number * term for number, term in zip(numbers, terms, strict=True))
-                for start, numbers in ((right, self.warp[:7]), (up, self.warp[7:]))
-            )
+            terms = monomials(x, y, WARP_POWERS)
+            right += sum(number * term for number, term in zip(self.warp[: len(terms)], terms, strict=True))
+            up += sum(number * term for number, term in zip(self.warp[len(terms) :], terms, strict=True))
         return right, up
 
     def regular(self, x: Any, y: Any) -> tuple[Any, Any]:
@@ -126,7 +123,7 @@ class Displacement:
         # As many places as there are terms determine the polynomials of the new frame.
         x, y = np.random.default_rng(0).uniform(-1, 1, (2, 4 * len(WARP_POWERS)))
         moved = turn(*replace(self, chief_rays=()).smooth(*turn(x, y, degrees)), -degrees)
-        terms = np.stack([x**i * y**j for i, j in WARP_POWERS], axis=-1)
+        terms = np.stack(monomials(x, y, WARP_POWERS), axis=-1)
         return replace(self, warp=tuple(np.linalg.lstsq(terms, np.stack(moved, -1))[0].T.ravel().tolist()))
 
 

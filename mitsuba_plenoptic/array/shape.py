@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from functools import cached_property
-from typing import Any, ClassVar, Self
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
-from ..errors import InputError, did_you_mean, naming, refuse_if, require_choice, require_wavelength, short_repr
+from ..errors import InputError, naming, refuse_if, require_choice, require_wavelength, short_repr
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
 from ..prescription.lens_data import SINGLE
-from ..runtime import read_json_value
+from ..runtime import PlainData, read_json_value
 from . import Lattice
 
 MM_PER_NM = 1e-6
@@ -25,7 +23,7 @@ _RIM = np.linspace(0, 1, 65)
 """Positions across the unit square of an aperture at which a shape must be defined, its edges included."""
 
 
-class MicrolensShape(ABC):
+class MicrolensShape(PlainData, ABC):
     """The path that a microlens adds to light, as a function of the offset from the lens's centre.
 
     A subclass is a frozen dataclass; its fields, and its name ``form``, are the entries of its plain form.
@@ -39,6 +37,7 @@ class MicrolensShape(ABC):
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         MicrolensShape.kinds[cls.form] = cls
+        cls.where = f"form {cls.form}: "
 
     @abstractmethod
     def waves(self, x: Any, y: Any, wavelength: float) -> Any:
@@ -94,50 +93,14 @@ class MicrolensShape(ABC):
         return self.strength(486.1) != self.strength(656.3)
 
     def to_plain(self) -> dict[str, Any]:
-        """Return the shape as numbers, strings, lists and dictionaries, for `from_plain`, files and headers."""
-        fields = dataclasses.fields(self)  # type: ignore[arg-type]
-        plain = {field.name: _plain(getattr(self, field.name)) for field in fields}
-        return {"form": self.form} | plain
-
-    @classmethod
-    def from_plain(cls, values: dict[str, Any]) -> Self:
-        """Return the shape that `to_plain` described, after its checks.
-
-        Parameters
-        ----------
-        values : dict
-            The entries, without ``form``.
-
-        Raises
-        ------
-        InputError
-            If an entry is unknown, missing or out of range.
-        """
-        known = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
-        for name in values:
-            if name not in known:
-                raise InputError(f"form {cls.form}: {short_repr(name)} is not an entry{did_you_mean(name, known)}")
-        for name, field in known.items():
-            refuse_if(
-                name not in values and field.default is dataclasses.MISSING, f"form {cls.form}: {name} is missing"
-            )
-        return cls(**values)
-
-    @cached_property
-    def _text(self) -> str:
-        return json.dumps(self.to_plain(), sort_keys=True)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, MicrolensShape) and self._text == other._text
-
-    def __hash__(self) -> int:
-        return hash(self._text)
+        """Return the form and the fields as plain data, for files and headers."""
+        return {"form": self.form} | super().to_plain()
 
     def __str__(self) -> str:
         return short_repr(self.to_plain())
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Paraboloid(MicrolensShape):
     r"""A thin lens of the phase :math:`-r^2 / 2 \lambda F` in waves: that of a camera without an `mla_shape`."""
 
@@ -173,13 +136,6 @@ class Paraboloid(MicrolensShape):
 
 # Cameras state it by its focal length alone.
 del MicrolensShape.kinds[Paraboloid.form]
-
-
-def _plain(value: Any) -> Any:
-    """Return a field of a shape as a JSON value."""
-    if isinstance(value, Glass):
-        return value.to_plain()
-    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def known_shape(value: Any, resolve: Callable[[str], str] = str) -> MicrolensShape | None:

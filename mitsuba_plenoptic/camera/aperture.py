@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -22,16 +21,14 @@ from ..array.sampled_grid import read_samples
 from ..errors import (
     FULL_TURN,
     InputError,
-    naming,
     put,
     refuse_if,
     require_count,
-    require_known,
     require_number,
     short_repr,
     suggest_keywords,
 )
-from ..runtime import module_of, read_json_value, select, take
+from ..runtime import PlainData, known_record, module_of, select, take
 
 _BLADES = 3, 64
 """Fewest and most blades."""
@@ -128,7 +125,7 @@ class Blades:
 
 @suggest_keywords
 @dataclass(frozen=True, eq=False)
-class Aperture:
+class Aperture(PlainData):
     """A picture in the pupil of the main lens: a coded aperture, a heart, an apodisation.
 
     The picture fills the square around the pupil, and each value holds for a cell of the square. Cells whose centres
@@ -211,16 +208,6 @@ class Aperture:
         """Return the picture, which the circle cuts."""
         return np.asarray(self.transmission)
 
-    def to_plain(self) -> dict[str, Any]:
-        """Return the picture as lists by name, for files and headers."""
-        return {"transmission": self.transmission.tolist()}
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Aperture) and np.array_equal(self.transmission, other.transmission)
-
-    def __hash__(self) -> int:
-        return hash(self.transmission.tobytes())
-
     def __repr__(self) -> str:
         rows, columns = self.transmission.shape
         return f"Aperture({rows} x {columns} values)"
@@ -267,8 +254,6 @@ class Apodised:
         return f"{self.a2:g}, {self.a4:g}"
 
 
-Table = TypeVar("Table", bound=Any)
-
 Opening = Round | Blades | Aperture | Apodised
 """What passes light: each has its `share`, `power`, `draws` and `cells`."""
 
@@ -285,28 +270,7 @@ def known_blades(name: str, value: Any) -> Blades | None:
     return Blades(require_count(name, parts[0], minimum=low, maximum=high), angle)
 
 
-def known_table(name: str, kind: type[Table], value: Any, resolve: Callable[[str], str] = str) -> Table | None:
-    """Return a parameter with a table, given as such, as values, plain data, a file or JSON text; None means none.
-
-    The first field of its class is the table. `resolve` finds files by their names, for example in the folder of a
-    scene.
-    """
-    if value is None or isinstance(value, kind):
-        return value
-    table, *others = (field.name for field in fields(kind))
-    with naming(name):
-        if isinstance(value, (str, Path)):
-            is_json = str(value).lstrip().startswith("{") or Path(value).suffix.lower() == ".json"
-            value = read_json_value(value, resolve) if is_json else Path(resolve(str(value)))
-        if not isinstance(value, dict):
-            return kind(value)
-        require_known("", value, (table, *others))
-        refuse_if(table not in value, f"{table} is missing")
-        given = value[table]
-        return kind(**value | {table: Path(resolve(given)) if isinstance(given, str) else given})
-
-
-known_image = partial(known_table, "aperture_image", Aperture)
+known_image = partial(known_record, Aperture, "aperture_image")
 """Return a picture in the pupil from any of its forms; None means no picture."""
 
 

@@ -6,13 +6,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from ..array import Lattice
 from ..array.sampled_grid import read_samples
 from ..errors import put, refuse_if, require_count, require_pair, suggest_keywords
-from ..runtime import module_of, select, take
-from .aperture import known_table
+from ..runtime import PlainData, known_record, module_of, select, take
 
 _LARGEST, _BRIGHTEST = 4096, 4.0
 """Most rows and columns of a table, and the largest value."""
@@ -26,7 +23,7 @@ _DECIMALS = 5
 
 @suggest_keywords
 @dataclass(frozen=True, eq=False)
-class LensTransmissions:
+class LensTransmissions(PlainData):
     """Relative brightness of single microlenses, as a white picture shows it.
 
     The power of the light behind a lens is multiplied by its value; lenses beyond the table have 1.
@@ -89,22 +86,10 @@ class LensTransmissions:
         inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
         return select(inside, take(self.values.ravel(), select(inside, row * columns + column, 0)), 1.0)
 
-    def to_plain(self) -> dict[str, Any]:
-        """Return the table as lists by name, for files and headers."""
-        return {"values": self.values.tolist(), "first": self.first}
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, LensTransmissions):
-            return False
-        return self.first == other.first and np.array_equal(self.values, other.values)
-
-    def __hash__(self) -> int:
-        return hash((self.values.tobytes(), self.first))
-
     def __repr__(self) -> str:
         rows, columns = self.values.shape
         return f"LensTransmissions({rows} x {columns} values, first={self.first})"
 
 
-known_transmissions = partial(known_table, "mla_transmissions", LensTransmissions)
+known_transmissions = partial(known_record, LensTransmissions, "mla_transmissions")
 """Return the brightness of lenses from any of its forms; None means that lenses are equal."""

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -14,18 +13,14 @@ import numpy as np
 from ..array.sampled_grid import COUNTS, SampledGrid, known_samples, phases, read_samples
 from ..errors import (
     WAVEFRONT_UNIT,
-    InputError,
-    naming,
     put,
     refuse_if,
     require_count,
-    require_known,
     require_number,
     require_numbers,
-    short_repr,
     suggest_keywords,
 )
-from ..runtime import read_json_value
+from ..runtime import PlainData, known_record
 
 _MILLIMETRES = WAVEFRONT_UNIT * 1e-6
 """Unit of the samples."""
@@ -33,7 +28,7 @@ _MILLIMETRES = WAVEFRONT_UNIT * 1e-6
 
 @suggest_keywords
 @dataclass(frozen=True, eq=False)
-class PhaseScreen:
+class PhaseScreen(PlainData):
     """The path that light gains over the pupil of the main lens, given by samples, for example of a turbulent layer.
 
     Between samples it is a bicubic spline, whose gradient deflects rays. The unit is that of the Zernike coefficients
@@ -110,41 +105,13 @@ class PhaseScreen:
         """
         return self._grid.slopes(x, y)
 
-    def to_plain(self) -> dict[str, Any]:
-        """Return a screen as lists and numbers by name, for files and headers."""
-        return {"waves": self.waves.tolist(), "width": self.width}
-
-    @cached_property
-    def _text(self) -> str:
-        return json.dumps(self.to_plain())
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, PhaseScreen) and self._text == other._text
-
-    def __hash__(self) -> int:
-        return hash(self._text)
-
     def __repr__(self) -> str:
         rows, columns = self.waves.shape
         return f"PhaseScreen({rows} x {columns} samples, width={self.width!r})"
 
 
-def known_screen(value: Any, resolve: Callable[[str], str] = str) -> PhaseScreen | None:
-    """Return a phase screen, given as a screen, plain data, a JSON file or its text; None means no screen.
-
-    `resolve` finds files by their names, for example in the folder of a scene.
-    """
-    if value is None or isinstance(value, PhaseScreen):
-        return value
-    with naming("phase_screen"):
-        value = read_json_value(value, resolve)
-        if not isinstance(value, dict):
-            raise InputError(f"{short_repr(value)}: it must be a PhaseScreen, a dictionary, or a JSON file")
-        require_known("", value, ("waves", "width"))
-        for name in ("waves", "width"):
-            refuse_if(name not in value, f"{name} is missing")
-        waves = value["waves"]
-        return PhaseScreen(resolve(waves) if isinstance(waves, str) else waves, value["width"])
+known_screen = partial(known_record, PhaseScreen, "phase_screen", form="a PhaseScreen, a dictionary")
+"""Return a phase screen from any of its forms; None means no screen."""
 
 
 @suggest_keywords

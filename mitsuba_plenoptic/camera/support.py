@@ -65,14 +65,14 @@ _UNEVEN = (
         "CaptureOperator, which takes it for points that are given",
     ),
     refused(
-        Use.POINT_FIELDS | Use.COHERENT_POINTS | Use.WAVEFRONTS | Use.POINT_DERIVATIVES | Use.POINT_RAYS,
+        Use.COHERENT_POINTS | Use.WAVEFRONTS | Use.POINT_DERIVATIVES | Use.POINT_RAYS,
         "points are summed over an evenly open, round pupil",
         "CaptureOperator.forward, which takes it",
     ),
     refused(_RECONSTRUCTIONS, "the light goes back through an evenly open, round pupil", "method ray"),
     refused(_ROUND_PUPILS, "the formulas are those of an evenly open, round pupil"),
     refused(
-        Use.FULL_FIELDS,
+        Use.FULL_FIELDS | Use.POINT_FIELDS,
         "exit pupils of prescriptions are sampled without weights",
         "method patch",
         _PRESCRIPTION,
@@ -190,7 +190,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             Use.COHERENT_POINTS | Use.WAVEFRONTS, "all points of one field share one pupil", "CaptureOperator.forward"
         ),
         refused(
-            Use.POINTS | Use.FULL_FIELDS | Use.SCENE_POINTS,
+            Use.POINTS | Use.FULL_FIELDS | Use.POINT_FIELDS | Use.SCENE_POINTS,
             "waves of points are weighted where the array is in the image behind thin lenses and objectives alone",
             "captures of scenes by rays or signed rays",
             _UNWEIGHTED,
@@ -236,7 +236,8 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
         _NO_DERIVATIVE,
     ),
     "phase_screen": (
-        refused(_SCENES, "no guard tells where its slopes vary too fast for signed rays", "ray captures"),
+        approximate(Use.SCENES, "by its slopes, which must vary little between points of the pupil that interfere"),
+        _NO_DERIVATIVE,
         refused(
             _PATCHES | Use.POINT_RAYS,
             "patches sample smooth phases only",
@@ -284,8 +285,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
     "mla_cra": (
         approximate(
             Use.RAYS | Use.SCENES,
-            "apertures keep their size, so that lenses one per cent nearer to each other together get that much light "
-            "twice",
+            "apertures keep their size: lenses whose cells shrink by one per cent record one per cent too much",
         ),
         approximate(_RECONSTRUCTIONS | _GEOMETRY, "the lenses are those of the nearest regular array"),
         refused(

@@ -7,8 +7,7 @@ from functools import partial
 from typing import Any
 
 from ..errors import put, refuse_if, require_length, require_numbers, short_repr, suggest_keywords
-from ..runtime import module_of, select
-from .aperture import known_table
+from ..runtime import PlainData, exponents, known_record, module_of, monomials, select
 
 _DEGREES = {1: 0, 3: 1, 6: 2, 10: 3, 15: 4}
 """Degree of a polynomial of two variables by its number of coefficients."""
@@ -21,8 +20,8 @@ _NARROWEST = 1e-4
 
 
 @suggest_keywords
-@dataclass(frozen=True)
-class Vignetting:
+@dataclass(frozen=True, eq=False)
+class Vignetting(PlainData):
     r"""Pupil of a real camera over its field: outline, apodisation and slope, as a white picture shows them.
 
     Seen from a place (x, y) of the microlens array, the point :math:`(p_x, p_y)` of the pupil, in units of its radius,
@@ -84,17 +83,10 @@ class Vignetting:
 
     def at(self, x: Any, y: Any) -> dict[str, Any]:
         """Return the numbers by name at places of the array in millimetres."""
-        X, Y = x * (1 / self.scale), y * (1 / self.scale)
-        powers = [(total - j, j) for total in range(5) for j in range(total + 1)]
-        one = X * 0 + 1
-        along, up = [one, X], [one, Y]
-        for _ in range(3):
-            along.append(along[-1] * X)
-            up.append(up[-1] * Y)
+        degree = max(_DEGREES[len(getattr(self, name))] for name in VIGNETTING_NUMBERS)
+        terms = monomials(x * (1 / self.scale), y * (1 / self.scale), exponents(degree))
         return {
-            name: sum(
-                value * along[i] * up[j] for value, (i, j) in zip(getattr(self, name), powers, strict=False) if value
-            )
+            name: sum(value * term for value, term in zip(getattr(self, name), terms, strict=False) if value)
             for name in VIGNETTING_NUMBERS
         }
 
@@ -131,11 +123,6 @@ class Vignetting:
         value = 1 + slope + square * (n["apodisation_2"] + n["apodisation_4"] * square)
         return square, radius, module_of(square).maximum(value, 0)
 
-    def to_plain(self) -> dict[str, Any]:
-        """Return the coefficients as lists by name, and the scale, for files and headers."""
-        lists = {name: list(getattr(self, name)) for name in VIGNETTING_NUMBERS}
-        return {"scale": self.scale} | {name: values for name, values in lists.items() if any(values)}
-
     def __str__(self) -> str:
         return f"Vignetting(radius={short_repr(self.radius)}, ...)"
 
@@ -143,5 +130,5 @@ class Vignetting:
 VIGNETTING_NUMBERS = tuple(field.name for field in fields(Vignetting) if field.name != "scale")
 """Names of the polynomials."""
 
-known_vignetting = partial(known_table, "vignetting", Vignetting)
+known_vignetting = partial(known_record, Vignetting, "vignetting")
 """Return vignetting from any of its forms; None means none."""

@@ -70,9 +70,9 @@ def keep_spread(task: SumTask, camera: PlenopticCamera) -> SumTask:
 
 def with_spread(image: NDArray[np.float32], runs: int) -> NDArray[np.float32]:
     """Return a capture and its variances from the sum of the images of several runs made by `keep_spread`."""
-    whole, sums, squares = np.split(image, 3, axis=-1)
+    captured, sums, squares = np.split(image, 3, axis=-1)
     spread = (squares - sums**2 / runs) * np.float32(runs / max(1, runs - 1))
-    return np.concatenate([whole, np.maximum(spread, 0)], axis=-1)
+    return np.concatenate([captured, np.maximum(spread, 0)], axis=-1)
 
 
 class Mended:
@@ -107,8 +107,8 @@ class Mended:
         light = np.where(self._positive, change, 0)
         if self._squares is None:
             return light
-        kept = self._over_sum(self._squares.forward(_sums(change)) - self._kept * _sums(light))
-        return _times(light, self._kept) + _times(self._light, kept)
+        shares = self._over_sum(self._squares.forward(_sums(change)) - self._kept * _sums(light))
+        return _times(light, self._kept) + _times(self._light, shares)
 
     def backward(self, gradient: NDArray[Any]) -> NDArray[Any]:
         """Return the gradient with respect to the image: the transpose of `forward` applied to a gradient."""
@@ -117,8 +117,8 @@ class Mended:
         squares = self._over_sum(_sums(gradient * self._light))
         even = np.ones_like(gradient)
         light = _times(gradient, self._kept) - _times(even, self._kept * squares)
-        own = np.where(self._positive, light, 0) + _times(even, self._squares.backward(squares))
-        return own.astype(gradient.dtype)
+        result = np.where(self._positive, light, 0) + _times(even, self._squares.backward(squares))
+        return result.astype(gradient.dtype)
 
     def _over_sum(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return values of squares divided by the light of the squares, 0 for squares without light."""
@@ -132,8 +132,8 @@ def variance_left(mended: Mended, variance: NDArray[np.float32], camera: Plenopt
     variance.
     """
     detector = DetectorOperator.of(camera)
-    every, left = (detector.forward(variance * part) for part in (np.float64(1), mended.remaining**2))
-    return np.divide(left, every, out=np.zeros_like(left), where=every > 0).clip(0, 1)
+    complete, left = (detector.forward(variance * factor) for factor in (np.float64(1), mended.remaining**2))
+    return np.divide(left, complete, out=np.zeros_like(left), where=complete > 0).clip(0, 1)
 
 
 def _times(image: NDArray[Any], factors: NDArray[np.float64]) -> NDArray[Any]:
@@ -141,8 +141,8 @@ def _times(image: NDArray[Any], factors: NDArray[np.float64]) -> NDArray[Any]:
     rows, columns = image.shape
     wide, result = factors.repeat(2, 1)[:, :columns], np.empty_like(image)
     for first in range(2):
-        own, part = wide[: (rows + 1 - first) // 2], result[first::2]
-        np.multiply(image[first::2], own, out=part, casting="same_kind")
+        factor, target = wide[: (rows + 1 - first) // 2], result[first::2]
+        np.multiply(image[first::2], factor, out=target, casting="same_kind")
     return result
 
 

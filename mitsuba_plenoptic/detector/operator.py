@@ -95,13 +95,13 @@ def _correlated(image: Any, kernel: tuple[float, ...], axis: int) -> Any:
     # A sum of shifted images: `dr.convolve` keeps arrays that `dr.freeze` does not know.
     size, stride = image.shape[axis], math.prod(image.shape[axis + 1 :])
     index = dr.arange(dr.uint32_array_t(dr.array_t(image)), math.prod(image.shape))
-    place = index // stride % size
+    position = index // stride % size
     total = dr.zeros(dr.array_t(image), len(index))
     for step, weight in enumerate(kernel, start=-(len(kernel) // 2)):
         if weight:
-            beside = (place + step % (2 * size)) % (2 * size)
+            beside = (position + step % (2 * size)) % (2 * size)
             beside = dr.select(beside < size, beside, 2 * size - 1 - beside)
-            total += weight * dr.gather(type(total), image.array, index + (beside - place) * stride)
+            total += weight * dr.gather(type(total), image.array, index + (beside - position) * stride)
     dr.eval(total)
     return type(image)(total, image.shape)
 

@@ -199,9 +199,9 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     result, saturated = np.empty_like(image), 0
     rows = max(1, _CHUNK // (image[0].size))
     for start in range(0, len(image), rows):
-        part = image[start : start + rows].astype(np.float64)
-        numbers, full = detector._exposed(photons * np.maximum(part, 0), generator)
-        saturated += int(np.count_nonzero(full.reshape(*part.shape[:2], -1).any(axis=2)))
+        light = image[start : start + rows].astype(np.float64)
+        numbers, full = detector._exposed(photons * np.maximum(light, 0), generator)
+        saturated += int(np.count_nonzero(full.reshape(*light.shape[:2], -1).any(axis=2)))
         electrons = (numbers.astype(np.float64) - detector.black_level) / detector.gain - detector.dark_electrons
         result[start : start + rows] = electrons / (detector.quantum_efficiency * photons)
     exposure = {**asdict(detector), "photons": photons, "seed": seed, "saturated_pixels": saturated, **extra}
@@ -212,7 +212,7 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
 def filters(camera: PlenopticCamera, mosaic: str) -> NDArray[np.int64]:
     """Return the channel, 0 to 2 for red to blue, that each recorded pixel sees."""
     tile = np.array(["RGB".index(letter) for letter in mosaic.removeprefix("QUAD_")]).reshape(2, 2)
-    each = 1 if mosaic in MOSAICS else 2
+    repeats = 1 if mosaic in MOSAICS else 2
     left, top = camera.crop_offset
     rows, columns = camera.shape
-    return np.asarray(tile[np.ix_((np.arange(rows) + top) // each % 2, (np.arange(columns) + left) // each % 2)])
+    return np.asarray(tile[np.ix_((np.arange(rows) + top) // repeats % 2, (np.arange(columns) + left) // repeats % 2)])

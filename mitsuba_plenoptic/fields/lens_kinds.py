@@ -25,9 +25,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics.waves import in_millimetres
 from ..runtime import drjit_array, module_of
-
-_COSINES = 32
-"""Count of cosines."""
+from .accuracy import ACCURACY
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,22 +82,9 @@ class FigureError:
 @functools.lru_cache(maxsize=4)
 def _drawn(size: float, length: float, seed: int) -> FigureError:
     """Return a figure error drawn at random from its size, correlation length and seed."""
-    random = np.random.default_rng([seed, _COSINES])
-    frequencies = random.normal(0, 1 / (2 * math.pi * length), (2, _COSINES))
-    return FigureError(size * math.sqrt(2 / _COSINES), frequencies, random.random(_COSINES))
-
-
-_STEP = 0.4
-"""Largest phase difference in radians, at a lens's edge, between adjacent kinds; a lens differs by half of it."""
-
-_SHORTEST = 400.0
-"""Wavelength in nanometres for which this phase difference is computed."""
-
-_MOMENT_SAMPLES = 256
-"""Samples across a lens for the moments of its aperture."""
-
-_MOST = 32
-"""Largest number of kinds, each of which has images of its own."""
+    random = np.random.default_rng([seed, ACCURACY.cosines])
+    frequencies = random.normal(0, 1 / (2 * math.pi * length), (2, ACCURACY.cosines))
+    return FigureError(size * math.sqrt(2 / ACCURACY.cosines), frequencies, random.random(ACCURACY.cosines))
 
 
 class Kind(NamedTuple):
@@ -120,12 +105,12 @@ class LensKinds:
 
     def __post_init__(self) -> None:
         count = len(self._ratios) * len(self._heights) * len(self.camera.mla_focal_lengths)
-        if count > _MOST:
+        if count > ACCURACY.most_kinds:
             # The error names the parameter that causes more kinds.
             name = "mla_jitter" if len(self._ratios) > len(self._heights) else "mla_tilt"
             raise InputError(
                 f"{name} = {getattr(self.camera, name)}: a wave capture would need {count} kinds of microlenses, and "
-                f"takes {_MOST} at most; make it smaller"
+                f"takes {ACCURACY.most_kinds} at most; make it smaller"
             )
 
     @cached_property
@@ -156,7 +141,7 @@ class LensKinds:
     @cached_property
     def _moments(self) -> tuple[float, float]:
         """Means, over a lens's aperture, of the second and fourth power of the distance from its centre."""
-        along = drjit_array(mi.Float, (np.arange(_MOMENT_SAMPLES) + 0.5) / _MOMENT_SAMPLES)
+        along = drjit_array(mi.Float, (np.arange(ACCURACY.moment_samples) + 0.5) / ACCURACY.moment_samples)
         x, y = (value.numpy().astype(float) for value in self.camera.lattice.aperture_point(*dr.meshgrid(along, along)))
         square = x * x + y * y
         return float(square.mean()), float((square**2).mean())
@@ -174,14 +159,14 @@ class LensKinds:
     @property
     def _phase(self) -> float:
         """Phase in radians at a lens's edge per unit of wavefront curvature in 1/mm."""
-        return math.pi * float(self.camera.lattice.aperture_reach) ** 2 / in_millimetres(_SHORTEST)
+        return math.pi * float(self.camera.lattice.aperture_reach) ** 2 / in_millimetres(ACCURACY.kind_wavelength)
 
     @cached_property
     def _ratios(self) -> NDArray[np.float64]:
         """Factors on the focal lengths, one per kind."""
         most = MOST_DEVIATIONS * self.camera.mla_jitter[1]
         # The detector's distance replaces the focal lengths, which depend on the wavelength, as the kinds must not.
-        return 1 + _steps(most, _STEP / self._phase * self.camera.reduced_distance)
+        return 1 + _steps(most, ACCURACY.kind_step / self._phase * self.camera.reduced_distance)
 
     @cached_property
     def _heights(self) -> NDArray[np.float64]:
@@ -190,7 +175,7 @@ class LensKinds:
         across, up = (math.tan(math.radians(abs(angle))) for angle in camera.mla_tilt)
         most = across * camera.detector_width / 2 + up * camera.detector_height / 2
         n = camera.mla_medium
-        return _steps(most, _STEP / self._phase * n * (camera.reduced_distance - most / n) ** 2)
+        return _steps(most, ACCURACY.kind_step / self._phase * n * (camera.reduced_distance - most / n) ** 2)
 
 
 def _steps(most: float, widest: float) -> NDArray[np.float64]:

@@ -46,19 +46,8 @@ from ..array import Lattice, turn
 from ..camera import PlenopticCamera
 from ..optics.waves import in_millimetres
 from ..runtime import array_module, backend_of, check_memory, drjit_array, empty_packets, fft
+from .accuracy import ACCURACY
 from .microlenses import factor_axes, opaque_lattice, transmission
-
-_FLAT = 1e4
-"""Focal length, in millimetres, of a lens without noticeable phase."""
-
-_PER_ORDER = 64, 20
-"""Samples of a table per period of its highest order, for factors of one and of two coordinates."""
-
-_FINE = 2048
-"""Samples across a pitch from which the orders are computed; they limit the accuracy of the edges."""
-
-_PER_WAVE = 8
-"""Smallest number of samples per period of the highest order that is retained, which excludes aliasing."""
 
 _FINE_BYTES = 16
 """Memory in bytes per sample while the orders are computed."""
@@ -154,7 +143,7 @@ class AxisFactor(ArrayFactor):
     def __init__(self, camera: PlenopticCamera, wavelength: float, cosine: float, axis: int) -> None:
         highest = cosine / in_millimetres(wavelength)
         count = int(highest * camera.mla_pitches[axis])
-        super().__init__(camera, (axis,), (fft.fast_length(_PER_ORDER[0] * max(count, 1)),))
+        super().__init__(camera, (axis,), (fft.fast_length(ACCURACY.order_samples[0] * max(count, 1)),))
         self._orders = axis_orders(camera, wavelength, count, axis)
 
     def orders(self, parameter: ArrayParameter | None = None) -> NDArray[Any]:
@@ -200,12 +189,14 @@ class PlaneFactor(ArrayFactor):
     The orders are computed from at least `fine` samples across the smaller pitch.
     """
 
-    def __init__(self, camera: PlenopticCamera, wavelength: float, cosine: float, fine: int = _FINE) -> None:
+    def __init__(
+        self, camera: PlenopticCamera, wavelength: float, cosine: float, fine: int = ACCURACY.edge_samples
+    ) -> None:
         sides = camera.lattice.period(len(camera.mla_focal_lengths))
         self._wavelength, self._cosine, self._fine = wavelength, cosine, fine
         self._counts = [int(cosine / in_millimetres(wavelength) * side) for side in sides[::-1]]
         super().__init__(
-            camera, (0, 1), tuple(fft.fast_length(_PER_ORDER[1] * max(count, 1)) for count in self._counts)
+            camera, (0, 1), tuple(fft.fast_length(ACCURACY.order_samples[1] * max(count, 1)) for count in self._counts)
         )
         self._moments: dict[tuple[int, int, int | None], NDArray[np.complex64]] = {}
 
@@ -237,8 +228,8 @@ class PlaneFactor(ArrayFactor):
         """Return the orders of one period from fine samples; orders beyond the largest direction are zero."""
         camera, sides, wave = self._camera, self.periods, in_millimetres(self._wavelength)
         highest, pitch = self._cosine / wave, min(camera.mla_pitches)
-        fine = max(self._fine, math.ceil(_PER_WAVE * highest * pitch))
-        table = math.prod(side * highest * _PER_ORDER[1] for side in sides)
+        fine = max(self._fine, math.ceil(ACCURACY.wave_samples * highest * pitch))
+        table = math.prod(side * highest * ACCURACY.order_samples[1] for side in sides)
         check_memory(
             _FINE_BYTES * math.prod(side / pitch * fine for side in sides) + 16 * table,
             f"microlens array of pitch {camera.mla_pitch:g} with {self._counts[1]} x {self._counts[0]} orders",
@@ -320,7 +311,7 @@ class MicrolensArray:
 
     @functools.cached_property
     def _holes(self) -> MicrolensArray:
-        return MicrolensArray(self._camera.replace(mla_focal_length=_FLAT, mla_shape=None), self._wavelength)
+        return MicrolensArray(self._camera.replace(mla_focal_length=ACCURACY.flat, mla_shape=None), self._wavelength)
 
 
 @functools.lru_cache(maxsize=4)

@@ -20,19 +20,8 @@ from ..camera import PlenopticCamera
 from ..optics.rays import second_leg
 from ..optics.waves import in_millimetres, phasor
 from ..runtime import fft
+from .accuracy import ACCURACY
 from .lens_kinds import FigureError
-
-_HARD_EDGES = 1.4
-"""Directions that are retained for apertures with a dark surround, over those for lenses without gaps."""
-
-_JOINED = 1 / 2
-"""Orders that are retained where the phases of neighbouring lenses join, over those of separate apertures."""
-
-_POINTS = 65
-"""Points across a lens at which the slopes of its shape are sampled."""
-
-_STEEPEST = 0.7
-"""Largest direction cosine that is retained for an aperture's diffraction: the limit of scalar thin elements."""
 
 _EVANESCENT = 1 - 1e-6
 """Squared sine of the direction from which waves do not propagate."""
@@ -138,7 +127,7 @@ def bend(camera: PlenopticCamera) -> float:
 
 def aperture_points(lattice: Lattice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return offsets of points that cover an aperture, including its rim."""
-    x, y = lattice.aperture_point(*np.meshgrid(*2 * [np.linspace(0, 1, _POINTS)]))
+    x, y = lattice.aperture_point(*np.meshgrid(*2 * [np.linspace(0, 1, ACCURACY.slope_points)]))
     return np.asarray(x), np.asarray(y)
 
 
@@ -149,7 +138,7 @@ def scattering(camera: PlenopticCamera) -> float:
     """
     if not camera.has_array:
         return 0.0
-    return bend(camera) * (1 if camera.lattice.fills else _HARD_EDGES)
+    return bend(camera) * (1 if camera.lattice.fills else ACCURACY.hard_edges)
 
 
 def diffraction(camera: PlenopticCamera, wavelength: float, orders: float) -> float:
@@ -164,4 +153,4 @@ def diffraction(camera: PlenopticCamera, wavelength: float, orders: float) -> fl
         return 0.0
     lattice = camera.lattice
     cosine = orders * in_millimetres(wavelength) / min(lattice.aperture_widths)
-    return float(min(_STEEPEST, cosine * (_JOINED if lattice.fills else 1)))
+    return float(min(ACCURACY.steepest, cosine * (ACCURACY.joined if lattice.fills else 1)))

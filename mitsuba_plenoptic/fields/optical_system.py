@@ -32,17 +32,7 @@ def is_paraxial(camera: PlenopticCamera) -> bool:
 
 @dataclass(frozen=True)
 class OpticalSystem:
-    """Camera, lattice, microlenses and main lens at one wavelength, shared by captures and reconstructions.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
-    lens_model : {"ideal", "parabolic"}, optional
-        Model of a thin main lens. Default: that of the camera.
-    """
+    """Camera, lattice, microlenses and main lens at one wavelength in nanometres, for captures and reconstructions."""
 
     camera: PlenopticCamera
     wavelength: float
@@ -75,20 +65,7 @@ class OpticalSystem:
         return _wave_lens(self.camera, self.wavelength, model=self.lens_model or self.camera.lens_model)
 
     def waves_of(self, points: NDArray[np.float64]) -> MainLens:
-        """Return the main lens for wave propagation from scene points (n, 3).
-
-        Parameters
-        ----------
-        points : float64 array (n, 3)
-            Scene points in the camera frame.
-
-        Raises
-        ------
-        InputError
-            If the wave model does not support the camera, or a point is not before the lens or lies outside its field.
-        PhysicsError
-            If the path through a real lens cannot be fitted.
-        """
+        """Return the main lens for waves from scene points (n, 3), or refuse points without such waves."""
         return self.lens.waves_of(points)
 
     def waves_of_one(self, point: NDArray[np.float64]) -> PointLight:

@@ -38,11 +38,11 @@ class ClosedLens(Light):
         """Return this lens, whose light is the same for all points."""
         return self
 
-    def bind(self, points: NDArray[np.float64], which: Any = None) -> Self:
+    def bind(self, points: NDArray[np.float64], index: Any = None) -> Self:
         """Return this lens, whose light is the same for all points."""
         return self
 
-    def opaque(self, number: Callable[[Any], Any]) -> Self:
+    def opaque(self, convert: Callable[[Any], Any]) -> Self:
         """Return this lens unchanged."""
         return self
 

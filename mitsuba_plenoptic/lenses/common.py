@@ -164,9 +164,9 @@ def main_lens(
     InputError
         If no function is registered for a main lens of this type.
     """
-    given = varying or {}
+    varied = varying or {}
     names = "focal_length", "aperture_radius", "mla_distance", "wavefront"
-    numbers = {name: given.get(name, getattr(camera, name)) for name in names}
+    numbers = {name: varied.get(name, getattr(camera, name)) for name in names}
     build = BUILDERS.get(type(camera.main_lens))
     if build is None:
         raise InputError(f"main_lens = {camera.main_lens!r}: no function is marked to build a lens of this kind")

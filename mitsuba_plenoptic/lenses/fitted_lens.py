@@ -30,6 +30,7 @@ from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..optics.waves import in_millimetres
 from ..runtime import drjit_array, single_threaded_blas
+from .accuracy import ACCURACY
 from .lens_system import LensSystem
 from .main_lens import Entrance, Traced
 from .pupil import Pair, Pupil
@@ -38,34 +39,6 @@ from .pupil_polynomials import LensLight, Polynomial, PupilPolynomial, fit
 
 FAR = 1e13
 """Distance in millimetres at which light counts as collimated."""
-
-WITHIN = 0.999
-"""Fraction of the fitted field that is used, so that rounding does not place points beyond it."""
-
-_INVERSIONS = 12
-"""Iterations that find scene points from images; each multiplies the error by about the relative distortion."""
-
-_HEIGHTS, _ANGLES, _RADII = 33, 16, 8
-"""Fields, angles and radii on the pupil at which wavefronts are compared."""
-
-_RIM = 0.999
-"""Largest of these radii over the pupil's radius, since points on the very edge may count as outside."""
-
-_AS_TOLD = 2.0
-"""Weight of changes of the path.
-
-The bounds for sharing patterns were chosen with the thin lens's closed form, which exceeds its path by this factor.
-"""
-
-_NEAR_EDGE = 0.15
-"""Distance from an edge, over the pupil's radius, up to which positions sample the motion of the edge."""
-
-_EDGE_WEIGHT = 1 / 4
-"""Change of a wavefront, in waves, that counts as much as an edge shift of one wave's tilt across a lens."""
-
-
-_STRETCHED = 257
-"""Distances from the axis at which the stretch of images is computed."""
 
 
 @dataclass(frozen=True)
@@ -122,19 +95,19 @@ class FittedLens:
 
     def open_fraction(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the open fraction of the pupil, seen from positions on the MLA, as `MainLens.open_fraction` does."""
-        found: NDArray[np.float64] = self.system.open_fraction(x, y)
-        return found
+        fraction: NDArray[np.float64] = self.system.open_fraction(x, y)
+        return fraction
 
-    def bind(self, points: NDArray[np.float64], which: Any = None) -> LensLight:
+    def bind(self, points: NDArray[np.float64], index: Any = None) -> LensLight:
         """Return the light of some points, as `MainLens.bind` does."""
         fitted, pupils = self.fitted, self.fitted.pupils
         field, inverse_distance = pupils.field(points)
 
         def lanes(column: NDArray[np.float64]) -> Any:
-            if which is None:
+            if index is None:
                 return np.ascontiguousarray(column)[:, None]
-            Float64 = dr.float64_array_t(type(which))
-            return dr.gather(Float64, drjit_array(Float64, column), which)
+            Float64 = dr.float64_array_t(type(index))
+            return dr.gather(Float64, drjit_array(Float64, column), index)
 
         positions = lanes(field[:, 0]), lanes(field[:, 1])
 
@@ -155,10 +128,10 @@ class FittedLens:
 
     def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> Any:
         """Return the lens with the gradients of its parameters, as `MainLens.varying` does."""
-        own = {name: numbers[name] for name in LENS_NUMBERS if name in names}
-        return VaryingLens(self, numbers["mla_distance"], own, turned)
+        changed = {name: numbers[name] for name in LENS_NUMBERS if name in names}
+        return VaryingLens(self, numbers["mla_distance"], changed, turned)
 
-    def opaque(self, number: Callable[[Any], Any]) -> FittedLens:
+    def opaque(self, convert: Callable[[Any], Any]) -> FittedLens:
         """Return this lens, whose parameters are stored in arrays and are opaque already."""
         return self
 
@@ -167,8 +140,8 @@ class FittedLens:
         g = min(distance, FAR)
         near = float(self.fitted.pupils.field(np.array([[0.0, 0.0, g]]))[1][0])
         corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch
-        corner = min(corner, WITHIN * self.fitted.aberration.scales.field / near * camera.mla_distance / g)
-        positions = np.linspace(0, corner, _STRETCHED)[1:]
+        corner = min(corner, ACCURACY.used_field * self.fitted.aberration.scales.field / near * camera.mla_distance / g)
+        positions = np.linspace(0, corner, ACCURACY.stretch_fields)[1:]
         points = np.column_stack([0 * positions, -positions * g / camera.mla_distance, np.full(len(positions), g)])
         images = self.images(points)[:, 1]
         growth = np.gradient(np.append(0, images), np.append(0, positions))[1:]
@@ -189,12 +162,12 @@ class FittedLens:
         pupils, distance = self.fitted.pupils, 1 / inverse_distance
         depth = distance + pupils.entrance
         field = -images * (pupils.magnification / self.pupil.distance)
-        found = field
-        for _ in range(_INVERSIONS):
-            found = self.images(np.column_stack([field * distance[:, None], depth]))
-            square = (found**2).sum(1)
+        reached = field
+        for _ in range(ACCURACY.inversions):
+            reached = self.images(np.column_stack([field * distance[:, None], depth]))
+            square = (reached**2).sum(1)
             far = square > 0
-            field = field * np.where(far, (found * images).sum(1) / np.where(far, square, 1), 1)[:, None]
+            field = field * np.where(far, (reached * images).sum(1) / np.where(far, square, 1), 1)[:, None]
         return np.column_stack([field * distance[:, None], depth])
 
     def within(self, images: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -210,7 +183,7 @@ class FittedLens:
             min(1 / max(near, 1e-300), FAR) for near in (scales.middle - scales.half, scales.middle + scales.half)
         ]
         ends = [[0.0, scales.field * distance, distance + entrance] for distance in distances]
-        return WITHIN * float(np.hypot(*self.images(np.array(ends)).T).min())
+        return ACCURACY.used_field * float(np.hypot(*self.images(np.array(ends)).T).min())
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
         """Return the difference, in waves, of wavefronts whose images lie a step apart, as `MainLens.path_change` does.
@@ -219,8 +192,8 @@ class FittedLens:
         """
         positions, paths, edges = self._changes
         path, edge = np.interp(radius, positions, paths), np.interp(radius, positions, edges)
-        across = _EDGE_WEIGHT * edge * step / self.pupil.distance
-        return (_AS_TOLD * path + across) * (step / in_millimetres(wavelength))
+        across = ACCURACY.edge_weight * edge * step / self.pupil.distance
+        return (ACCURACY.path_weight * path + across) * (step / in_millimetres(wavelength))
 
     @functools.cached_property
     def _changes(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -230,34 +203,30 @@ class FittedLens:
         motion: of the path in millimetres, without the tilt at the centre, and of the position of an edge on the pupil.
         """
         scales = self.fitted.aberration.scales
-        angle = 2 * math.pi * (np.arange(_ANGLES) + 0.5) / _ANGLES
-        circle = _RIM * self.reach * np.stack([np.cos(angle), np.sin(angle)])
-        x, y = (circle[:, None] * (np.arange(1, _RADII + 1) / _RADII)[:, None]).reshape(2, 1, -1)
-        heights, middle = np.linspace(0, scales.field, _HEIGHTS), (0.0, 0.0)
-        positions, paths, edges = np.zeros((3, _HEIGHTS))
+        angle = 2 * math.pi * (np.arange(ACCURACY.compared_angles) + 0.5) / ACCURACY.compared_angles
+        circle = ACCURACY.compared_rim * self.reach * np.stack([np.cos(angle), np.sin(angle)])
+        x, y = (
+            circle[:, None] * (np.arange(1, ACCURACY.compared_radii + 1) / ACCURACY.compared_radii)[:, None]
+        ).reshape(2, 1, -1)
+        heights, middle = np.linspace(0, scales.field, ACCURACY.compared_fields), (0.0, 0.0)
+        positions, paths, edges = np.zeros((3, ACCURACY.compared_fields))
         for inverse_distance in scales.middle + scales.half * np.array([-1.0, 0.0, 1.0]):
             distance = 1 / (inverse_distance or 1e-12)
-            points = np.column_stack([0 * heights, heights * distance, np.full(_HEIGHTS, distance)])
+            points = np.column_stack([0 * heights, heights * distance, np.full(ACCURACY.compared_fields, distance)])
             points[:, 2] += self.fitted.pupils.entrance
             images, here = self.images(points), self.bind(points)
             positions = np.maximum(positions, np.hypot(*images.T))
             step = 1e-3 * float(np.hypot(*images.T).max())
             edge = here.inside((x, y))
             for aside in (np.array([0.0, step]), np.array([step, 0.0])):
-                there = self.bind(self.points(images + aside, np.full(_HEIGHTS, 1 / distance)))
+                there = self.bind(self.points(images + aside, np.full(ACCURACY.compared_fields, 1 / distance)))
                 tilt = [b - a for a, b in zip(here.cosines(middle, None), there.cosines(middle, None), strict=True)]
                 path = there.length((x, y)) - here.length((x, y)) - x * tilt[0] - y * tilt[1]
                 paths = np.maximum(paths, np.abs(np.where(edge > 0, path, 0)).max(1) / step)
-                moved = np.where(np.abs(edge) < _NEAR_EDGE * self.reach, there.inside((x, y)) - edge, 0)
+                moved = np.where(np.abs(edge) < ACCURACY.edge_distance * self.reach, there.inside((x, y)) - edge, 0)
                 edges = np.maximum(edges, np.abs(moved).max(1) / step)
         return positions, paths, edges
 
-
-_ACROSS, _EDGE = 192, 4.0
-"""Samples across the pupil's bounding circle for its open area, and the width of softened edges in samples."""
-
-_FIELDS, _DEPTHS = 17, 3
-"""Fields and inverse distances of the table from which the open areas of many points are interpolated."""
 
 _TOGETHER = 16
 """Points that are computed together."""
@@ -276,10 +245,10 @@ def open_area(lens: FittedLens, points: NDArray[np.float64]) -> NDArray[np.float
 
 def places(lens: FittedLens) -> tuple[float, float, Pair]:
     """Return the sampling step on the exit pupil, the width of softened edges, and the sample positions."""
-    step, beyond = 2 * lens.reach / _ACROSS, round(_EDGE)
-    axis = (np.arange(-beyond, _ACROSS + beyond) + 0.5) * step - lens.reach
-    x, y = (part.reshape(1, -1) for part in np.meshgrid(axis, axis))
-    return step, _EDGE * step, (x, y)
+    step, beyond = 2 * lens.reach / ACCURACY.area_samples, round(ACCURACY.area_edge)
+    axis = (np.arange(-beyond, ACCURACY.area_samples + beyond) + 0.5) * step - lens.reach
+    x, y = (plane.reshape(1, -1) for plane in np.meshgrid(axis, axis))
+    return step, ACCURACY.area_edge * step, (x, y)
 
 
 def edges(light: LensLight, pupil: Pair) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -294,27 +263,24 @@ def at_all(
     """Return a measured quantity of each point, interpolated over field and inverse distance if points are many."""
     from scipy.interpolate import RegularGridInterpolator
 
-    if len(points) <= _FIELDS * _DEPTHS:
+    if len(points) <= ACCURACY.area_fields * ACCURACY.area_depths:
         parts = [measured(points[first : first + _TOGETHER]) for first in range(0, len(points), _TOGETHER)]
         return np.concatenate([np.empty(0), *parts])
     field, inverse_distance = lens.fitted.pupils.field(points)
     heights, scales = np.hypot(*field.T), lens.fitted.aberration.scales
     # The ranges are widened so that they are never empty.
     axes = (
-        np.linspace(0, heights.max() + 1e-9 * scales.field, _FIELDS),
-        np.linspace(inverse_distance.min(), inverse_distance.max() + 1e-9 * scales.half, _DEPTHS),
+        np.linspace(0, heights.max() + 1e-9 * scales.field, ACCURACY.area_fields),
+        np.linspace(inverse_distance.min(), inverse_distance.max() + 1e-9 * scales.half, ACCURACY.area_depths),
     )
-    u, near = (part.ravel() for part in np.meshgrid(*axes, indexing="ij"))
+    u, near = (plane.ravel() for plane in np.meshgrid(*axes, indexing="ij"))
     nodes = np.column_stack([0 * u, u / near, 1 / near + lens.fitted.pupils.entrance])
-    table = at_all(lens, nodes, measured).reshape(_FIELDS, _DEPTHS)
+    table = at_all(lens, nodes, measured).reshape(ACCURACY.area_fields, ACCURACY.area_depths)
     return np.asarray(RegularGridInterpolator(axes, table, bounds_error=False)((heights, inverse_distance)))
 
 
 LENS_NUMBERS = ("focal_length", "aperture_radius", "wavelength")
 """Parameters that change the light on the exit pupil."""
-
-_CHANGE = 1e-4
-"""Relative change of a parameter on either side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,18 +304,18 @@ def lens_change(lens: FittedLens, name: str) -> LensChange:
 def _found_change(lens: FittedLens, name: str) -> LensChange:
     system, fitted = lens.system, lens.fitted
     scales = fitted.aberration.scales
-    step = _CHANGE * float(getattr(system, name))
+    step = ACCURACY.derivative_step * float(getattr(system, name))
     sides = [replace(system, **{name: getattr(system, name) + amount}) for amount in (step, -step)]
     depths = scales.middle - scales.half, scales.middle + scales.half
     start = nodes(float(system.aperture_radius), scales.field, depths)
     rays, valid = trace_all(system, *start)
     moved = [_seen_from(system, side, *start) for side in sides]
     for side in moved:
-        valid &= np.isfinite([*side.place, side.path, side.amplitude]).all(0) & np.isfinite(side.stops).all(0)
+        valid &= np.isfinite([*side.position, side.path, side.amplitude]).all(0) & np.isfinite(side.stops).all(0)
     rays, (more, less) = rays.take(valid), [side.take(valid) for side in moved]
     # All refer to the field and inverse distance of the point with respect to the unchanged lens.
     more, less = (replace(side, field=rays.field, inverse_distance=rays.inverse_distance) for side in (more, less))
-    shift = (more.place - less.place) / (2 * step)
+    shift = (more.position - less.position) / (2 * step)
 
     def values(side: PupilRays) -> list[NDArray[np.float64]]:
         path = side.path - fitted.pupils.sphere_path(side)
@@ -357,27 +323,27 @@ def _found_change(lens: FittedLens, name: str) -> LensChange:
 
     def changed(polynomial: Polynomial, high: NDArray[np.float64], low: NDArray[np.float64]) -> NDArray[np.float64]:
         along = polynomial.at(np.column_stack([0 * rays.field, rays.field]), rays.inverse_distance).T
-        _, x, y = polynomial.over_pupil(list(along), (0.0, rays.field)).gradient((rays.place[0], rays.place[1]))
+        _, x, y = polynomial.over_pupil(list(along), (0.0, rays.field)).gradient((rays.position[0], rays.position[1]))
         return np.asarray((high - low) / (2 * step) - x * shift[0] - y * shift[1])
 
     polynomials = [fitted.aberration, fitted.brightness, *fitted.stops]
     changes = [changed(*parts) for parts in zip(polynomials, values(more), values(less), strict=True)]
-    made: list[Polynomial] = []
+    fits: list[Polynomial] = []
     with single_threaded_blas():
         for some in (slice(0, 2), slice(2, None)):
             if changes[some]:
-                degrees, found = polynomials[some][0].degrees, np.stack(changes[some])
-                made += fit(scales, degrees, rays.place, rays.field, rays.inverse_distance, found)
+                degrees, targets = polynomials[some][0].degrees, np.stack(changes[some])
+                fits += fit(scales, degrees, rays.position, rays.field, rays.inverse_distance, targets)
     high, low = (float(side.pupil.distance) for side in sides)
-    return LensChange((high - low) / (2 * step), made[0], made[1], tuple(made[2:]))
+    return LensChange((high - low) / (2 * step), fits[0], fits[1], tuple(fits[2:]))
 
 
 def _seen_from(
-    lens: LensSystem, other: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
+    lens: LensSystem, changed: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
 ) -> PupilRays:
     """Return rays traced through another lens, from points of given fields and inverse distances for the first."""
-    nearer = 1 / (1 - inverse_distance * (entrance_place(other) - entrance_place(lens)))
-    return trace_all(other, field * nearer, inverse_distance * nearer, entrance)[0]
+    nearer = 1 / (1 - inverse_distance * (entrance_place(changed) - entrance_place(lens)))
+    return trace_all(changed, field * nearer, inverse_distance * nearer, entrance)[0]
 
 
 def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -426,8 +392,8 @@ class VaryingLens:
         changes, distance = [], self.base.pupil.distance + (self.mla_distance - float(system.mla_distance))
         for name in LENS_NUMBERS:
             if name in self.numbers:
-                number = self.numbers[name]
-                change, amount = lens_change(self.base, name), number - dr.detach(number)
+                value = self.numbers[name]
+                change, amount = lens_change(self.base, name), value - dr.detach(value)
                 changes.append((amount, change))
                 distance = distance + amount * change.pupil_distance
         # A circle about the axis contains the exit pupil, and scales with vignetting edges.
@@ -437,15 +403,15 @@ class VaryingLens:
         object.__setattr__(self, "pupil", Pupil(radius, distance))
         object.__setattr__(self, "_changes", changes)
 
-    def bind(self, points: NDArray[np.float64], which: Any) -> VaryingLight:
+    def bind(self, points: NDArray[np.float64], index: Any) -> VaryingLight:
         """Return the light of some points, as `MainLens.bind` does for Dr.Jit."""
-        light = self.base.bind(points, which)
+        light = self.base.bind(points, index)
         fields, inverse_distance = self.base.fitted.pupils.field(points)
-        Float64 = dr.float64_array_t(type(which))
+        Float64 = dr.float64_array_t(type(index))
 
         def bound(polynomial: Any) -> PupilPolynomial:
             lanes = [
-                dr.gather(Float64, drjit_array(Float64, c), which) for c in polynomial.at(fields, inverse_distance).T
+                dr.gather(Float64, drjit_array(Float64, c), index) for c in polynomial.at(fields, inverse_distance).T
             ]
             return polynomial.over_pupil(lanes, light.aberration.field)
 
@@ -467,9 +433,9 @@ class VaryingLens:
         return VaryingLight(base, changes)
 
 
-def grown(number: Any) -> Any:
+def grown(value: Any) -> Any:
     """Return the value 1 with the relative gradient of a number."""
-    return number / dr.detach(number)
+    return value / dr.detach(value)
 
 
 @dataclass(frozen=True)
@@ -492,28 +458,28 @@ class VaryingLight:
 
     def path(self, pupil: Pair, point: Any, wavelength: Any) -> Any:
         """Return the path in waves, as `Light.path` does; the point must be the one to which the light is bound."""
-        length, held = self.base.length(pupil), dr.detach(pupil)
+        length, fixed = self.base.length(pupil), dr.detach(pupil)
         for change in self.changes:
-            length += change.amount * change.aberration.value(held)
+            length += change.amount * change.aberration.value(fixed)
         return length * (1 / in_millimetres(wavelength))
 
     def amplitude(self, pupil: Pair, point: Any) -> Any:
         """Return the amplitude, as `Light.amplitude` does; the point must be the one to which the light is bound."""
-        result, held = self.base.amplitude(pupil, point), dr.detach(pupil)
+        result, fixed = self.base.amplitude(pupil, point), dr.detach(pupil)
         for change in self.changes:
-            result += change.amount * change.brightness.value(held)
+            result += change.amount * change.brightness.value(fixed)
         return result
 
     def inside(self, pupil: Pair) -> Any:
         """Return the distance from the edges, as `Light.inside` does, with gradients accurate near the edges."""
-        least, held = None, dr.detach(pupil)
+        least, fixed = None, dr.detach(pupil)
         for index, stop in enumerate(self.base.stops):
             away = replace(self.base, stops=[stop]).inside(pupil)
             if self.changes:
-                _, x, y = stop.gradient(held)
+                _, x, y = stop.gradient(fixed)
                 slope = dr.detach(dr.rsqrt(dr.maximum(x * x + y * y, 1e-20)))
                 for change in self.changes:
                     # An edge is where the squared height is 1; it moves by the change of that square over its slope.
-                    away -= change.amount * change.stops[index].value(held) * slope
+                    away -= change.amount * change.stops[index].value(fixed) * slope
             least = away if least is None else dr.minimum(least, away)
         return least

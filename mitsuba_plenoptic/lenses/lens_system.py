@@ -25,15 +25,9 @@ from ..prescription.lens_data import vergence
 from ..prescription.surfaces import height
 from ..runtime import rsqrt
 from . import sequential
+from .accuracy import ACCURACY
 from .main_lens import Traced
 from .pupil import Pair, Pupil
-
-_FIELDS, _ACROSS, _WIDER = 9, 181, 3.0
-"""Positions on the array and points across the exit pupil that are tested for light, and the largest radius tested."""
-
-
-_SECANTS, _FEW, _PARTS = 8, 3, 4
-"""Secant iterations that find chief rays, fewer at steps of the height from the axis before it, and these steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,9 +135,9 @@ class LensSystem:
         InputError
             If no ray passes the lens, even from the axis.
         """
-        axis = np.linspace(-_WIDER, _WIDER, _ACROSS) * self.pupil.radius
-        heights = np.linspace(0, field, _FIELDS)
-        y, Px, Py = np.meshgrid(heights, axis[_ACROSS // 2 :], axis, indexing="ij")
+        axis = np.linspace(-ACCURACY.tested_radius, ACCURACY.tested_radius, ACCURACY.tested_points) * self.pupil.radius
+        heights = np.linspace(0, field, ACCURACY.tested_fields)
+        y, Px, Py = np.meshgrid(heights, axis[ACCURACY.tested_points // 2 :], axis, indexing="ij")
         middle = self.pupil_middle(heights)[:, None, None]
         _, _, is_open = self.ray((Px, Py + middle), (np.zeros_like(y), y))
         refuse_if(not np.any(is_open[0]), "main_lens: no ray gets through it to the middle of the array")
@@ -172,8 +166,8 @@ class LensSystem:
         # Extra distances of the object from the front principal plane, and of the image from the rear one.
         front = self.scale * (here.front_principal - self.numbers.front_principal)
         rear = self.scale * (here.rear_principal - self.numbers.rear_principal)
-        own = vergence(self.scale * here.focal_length, distance + front)
-        return own / (1 + rear * own)
+        power = vergence(self.scale * here.focal_length, distance + front)
+        return power / (1 + rear * power)
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA to the scene, as described in `MainLens.trace`."""
@@ -228,16 +222,16 @@ class LensSystem:
             return sequential.follow(lens, start, (0.0 * slope, slope * N, N))[0][1]
 
         height = np.asarray(height, np.float64)
-        slope = -height / self.pupil.distance / _PARTS
-        for part in range(1, _PARTS + 1):
-            place = height * part / _PARTS
-            other = slope + 1e-3 * self.pupil.radius / self.pupil.distance
-            for _ in range(_FEW if part < _PARTS else _SECANTS):
-                low, high = at_stop(place, slope), at_stop(place, other)
-                step = np.where(high == low, 0.0, low * (other - slope) / np.where(high == low, 1.0, high - low))
-                slope, other = slope - step, slope
+        slope = -height / self.pupil.distance / ACCURACY.height_steps
+        for count in range(1, ACCURACY.height_steps + 1):
+            target = height * count / ACCURACY.height_steps
+            nearby = slope + 1e-3 * self.pupil.radius / self.pupil.distance
+            for _ in range(ACCURACY.few_secants if count < ACCURACY.height_steps else ACCURACY.secants):
+                low, high = at_stop(target, slope), at_stop(target, nearby)
+                step = np.where(high == low, 0.0, low * (nearby - slope) / np.where(high == low, 1.0, high - low))
+                slope, nearby = slope - step, slope
             # Far from the axis the paraxial pupil may be a bad guess.
-            slope = slope * (min(part + 1, _PARTS) / part)
+            slope = slope * (min(count + 1, ACCURACY.height_steps) / count)
         return slope
 
     @property

@@ -92,14 +92,14 @@ class MainLens(Protocol):
     def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Return the ray from a position on the MLA through a pupil point, in the form that `trace` returns."""
 
-    def bind(self, points: NDArray[np.float64], which: Any = None) -> Light:
+    def bind(self, points: NDArray[np.float64], index: Any = None) -> Light:
         """Return the light of some scene points.
 
         Parameters
         ----------
         points : float64 array (n, 3)
             The points in the camera frame, or in a frame rotated about the axis if the lens is round.
-        which : UInt32 array of Dr.Jit, optional
+        index : UInt32 array of Dr.Jit, optional
             The point of each lane. Default: the light takes NumPy arrays (n, m), one row per point.
         """
 
@@ -122,7 +122,7 @@ class MainLens(Protocol):
             Clockwise rotation of the scene, in degrees, that precedes the frame of the points.
         """
 
-    def opaque(self, number: Callable[[Any], Any]) -> MainLens:
+    def opaque(self, convert: Callable[[Any], Any]) -> MainLens:
         """Return the lens with its plain parameters made opaque, by a function, to the compiler of kernels."""
 
 

@@ -12,6 +12,7 @@ not depend on the number of points; `ExitPupil` those of one point alone, as exa
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -24,18 +25,10 @@ from ..errors import InputError, refuse_if
 from ..optics import guards
 from ..optics.waves import in_millimetres
 from . import sequential
+from .accuracy import ACCURACY
 from .lens_system import LensSystem
 from .pupil import Pupil
 from .pupil_polynomials import Degrees, LensLight, Polynomial, PupilPolynomial, Scales, fit
-
-_BEYOND = 1.1
-"""Largest accepted ray height, over the semi-aperture of each surface."""
-
-_STEP = 1e-4
-"""Distance of neighbouring rays over the pupil's radius, from which the density of rays is computed."""
-
-_STEEPEST = 10.0
-"""Largest accepted slope of rays behind the lens."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +39,7 @@ class PupilRays:
     field: NDArray[np.float64]
     inverse_distance: NDArray[np.float64]
     # Positions in the planes of the exit and of the entrance pupil, in millimetres, (2, n).
-    place: NDArray[np.float64]
+    position: NDArray[np.float64]
     entrance: NDArray[np.float64]
     # Path to the exit pupil less that of the ray through the centre of the entrance pupil, in millimetres, (n,).
     path: NDArray[np.float64]
@@ -60,9 +53,9 @@ class PupilRays:
         """Mask of unvignetted rays."""
         return np.asarray((self.stops <= 1).all(axis=0))
 
-    def take(self, which: NDArray[Any]) -> PupilRays:
+    def take(self, index: NDArray[Any]) -> PupilRays:
         """Return a selection of the rays."""
-        return PupilRays(*(np.asarray(getattr(self, name))[..., which] for name in self.__dataclass_fields__))
+        return PupilRays(*(np.asarray(getattr(self, name))[..., index] for name in self.__dataclass_fields__))
 
 
 def entrance_place(lens: LensSystem) -> float:
@@ -89,7 +82,7 @@ def trace_all(
     """
     position, path, stops, slope = _follow(lens, field, inverse_distance, entrance)
     middle = _follow(lens, field, inverse_distance, np.zeros_like(entrance))[1]
-    step = _STEP * float(lens.aperture_radius)
+    step = ACCURACY.ray_step * float(lens.aperture_radius)
     (ax, ay), (bx, by) = (
         (
             _follow(lens, field, inverse_distance, entrance + shift)[0]
@@ -102,7 +95,7 @@ def trace_all(
         away = (entrance[0] * inverse_distance) ** 2 + (entrance[1] * inverse_distance - field) ** 2 + 1
         amplitude = 1 / (away * np.sqrt(np.abs(ax * by - ay * bx)))
         finite = np.isfinite([*position, path - middle, amplitude]).all(0) & np.isfinite(stops).all(0)
-        valid = finite & (stops <= _BEYOND**2).all(0) & (slope < _STEEPEST)
+        valid = finite & (stops <= ACCURACY.ray_height**2).all(0) & (slope < ACCURACY.steepest)
     return PupilRays(field, inverse_distance, position, entrance, path - middle, amplitude, stops), valid
 
 
@@ -135,25 +128,6 @@ def _follow(
     return position + lost, path + lost, stops + lost, np.where(met, slope, np.inf)
 
 
-_DEGREES = (Degrees(6, 4, 4), Degrees(8, 6, 4), Degrees(10, 8, 5))
-GOOD = 1e-3
-"""Polynomial degrees that are tried in turn, and the root mean square path error in waves that ends the search."""
-
-_STOPS = Degrees(4, 4, 2)
-"""Degrees of the polynomials of vignetting surfaces: low ones, which extrapolate smoothly."""
-
-_ACROSS, _WIDER = 21, 1.4
-"""Rays across the entrance pupil, and the radius up to which they are traced, in radii of the pupil."""
-
-_FIELDS, _DEPTHS = 11, 7
-"""Points whose rays are fitted, along the field and along the inverse distance."""
-
-_JUDGES, _JUDGING, _LEAST = 40, 300, 20
-"""Points that check a fit, rays traced from each of them, and the fewest open rays with which a point counts."""
-
-_COVERED = 64
-"""Fields, up to the largest one, that are tested for light."""
-
 Tracer = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], PupilRays]
 """Function from fields, inverse distances and positions on the entrance pupil to rays, see `trace`."""
 
@@ -177,7 +151,7 @@ class Pupils:
         near = trace(lens, np.zeros(1), np.zeros(1), np.array([[1e-3 * float(lens.aperture_radius)], [0.0]]))
         size = numbers.exit_radius / numbers.entrance_radius
         image = 1 / float(lens.vergence(math.inf)) + float(lens.pupil.distance) - float(lens.mla_distance)
-        return cls(entrance_place(lens), float(math.copysign(size, near.place[0, 0])), 1 / image)
+        return cls(entrance_place(lens), float(math.copysign(size, near.position[0, 0])), 1 / image)
 
     def field(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the fields (n, 2) and inverse distances (n,) of scene points (n, 3)."""
@@ -194,7 +168,7 @@ class Pupils:
 
     def sphere_path(self, rays: PupilRays) -> NDArray[np.float64]:
         """Return the path of a perfect wave to the exit pupil, less the path to the pupil's centre, (n,)."""
-        (x, y), w, s = rays.place, self.convergence(rays.inverse_distance), self.slope(rays.field)
+        (x, y), w, s = rays.position, self.convergence(rays.inverse_distance), self.slope(rays.field)
         length = np.sqrt((x * w) ** 2 + (y * w - s) ** 2 + 1) + np.sqrt(s * s + 1)
         return (2 * y * s - (x * x + y * y) * w) / length
 
@@ -218,7 +192,10 @@ class PupilFit:
 
 def covered(tracer: Tracer, radius: float, field: float, inverse_distance: tuple[float, float]) -> float:
     """Return the largest field, up to `field`, from which light passes the lens at both inverse distances."""
-    fields, across = np.linspace(0, field, _COVERED), np.linspace(-_WIDER, _WIDER, 2 * _ACROSS) * radius
+    fields, across = (
+        np.linspace(0, field, ACCURACY.covered_fields),
+        np.linspace(-ACCURACY.fitted_radius, ACCURACY.fitted_radius, 2 * ACCURACY.fitted_rays) * radius,
+    )
     least = field
     for near in inverse_distance:
         F, Y = (values.ravel() for values in np.meshgrid(fields, across))
@@ -235,7 +212,7 @@ def fit_pupil(
     field: float,
     inverse_distance: tuple[float, float],
     wavelength: float,
-    good: float = GOOD,
+    good: float = ACCURACY.path_error,
 ) -> PupilFit:
     """Return traced rays and polynomials of rising degree, until the path's error is at most `good` waves."""
     rays, judges = tracer(*nodes(radius, field, inverse_distance)), tracer(*_random(radius, field, inverse_distance))
@@ -243,21 +220,21 @@ def fit_pupil(
     refuse_if(not is_open.any(), "main_lens: no ray gets through it from where the scene points lie")
     judges = judges.take(judges.open)
     low, high = inverse_distance
-    scales = Scales(float(np.hypot(*rays.place[:, is_open]).max()), field, (low + high) / 2, (high - low) / 2)
+    scales = Scales(float(np.hypot(*rays.position[:, is_open]).max()), field, (low + high) / 2, (high - low) / 2)
 
     def fitted(degrees: Degrees, *values: NDArray[np.float64]) -> list[Polynomial]:
-        return fit(scales, degrees, rays.place, rays.field, rays.inverse_distance, np.stack(values))
+        return fit(scales, degrees, rays.position, rays.field, rays.inverse_distance, np.stack(values))
 
     path = rays.path - pupils.sphere_path(rays)
     left = judges.path - pupils.sphere_path(judges)
-    for degrees in _DEGREES:
+    for degrees in itertools.starmap(Degrees, ACCURACY.degrees):
         aberration, brightness = fitted(degrees, path, rays.amplitude)
         error = _error(aberration, judges, left) / in_millimetres(wavelength)
         if error <= good:
             break
     # A surface that lets all traced rays through does not vignette.
     cutting = np.flatnonzero(rays.stops.max(1) > 1)
-    stops = fitted(_STOPS, *rays.stops[cutting])
+    stops = fitted(Degrees(*ACCURACY.stop_degrees), *rays.stops[cutting])
     return PupilFit(pupils, aberration, brightness, tuple(stops), tuple(cutting.tolist()), error)
 
 
@@ -270,19 +247,24 @@ def nodes(radius: float, field: float, inverse_distance: tuple[float, float]) ->
     def between(low: float, high: float, count: int) -> NDArray[np.float64]:
         return (low + high) / 2 - (high - low) / 2 * np.cos(np.pi * np.arange(count) / (count - 1))
 
-    axis = np.linspace(-_WIDER, _WIDER, _ACROSS) * radius
-    fields = np.sqrt(between(0, field**2, _FIELDS))
-    F, D, X, Y = np.meshgrid(fields, between(*inverse_distance, _DEPTHS), axis[axis >= 0], axis, indexing="ij")
-    within = np.hypot(X, Y) <= _WIDER * radius
+    axis = np.linspace(-ACCURACY.fitted_radius, ACCURACY.fitted_radius, ACCURACY.fitted_rays) * radius
+    fields = np.sqrt(between(0, field**2, ACCURACY.fitted_fields))
+    F, D, X, Y = np.meshgrid(
+        fields, between(*inverse_distance, ACCURACY.fitted_depths), axis[axis >= 0], axis, indexing="ij"
+    )
+    within = np.hypot(X, Y) <= ACCURACY.fitted_radius * radius
     return F[within], D[within], np.stack([X[within], Y[within]])
 
 
 def _random(radius: float, field: float, inverse_distance: tuple[float, float]) -> tuple[NDArray, NDArray, NDArray]:
     """Return fields, inverse distances and positions of random rays that check a fit, sorted by point."""
     random = np.random.default_rng(0)
-    F = np.repeat(field * np.sqrt(random.random(_JUDGES)), _JUDGING)
-    D = np.repeat(inverse_distance[0] + (inverse_distance[1] - inverse_distance[0]) * random.random(_JUDGES), _JUDGING)
-    away, angle = _WIDER * radius * np.sqrt(random.random(len(F))), 2 * math.pi * random.random(len(F))
+    F = np.repeat(field * np.sqrt(random.random(ACCURACY.checked_points)), ACCURACY.checking_rays)
+    D = np.repeat(
+        inverse_distance[0] + (inverse_distance[1] - inverse_distance[0]) * random.random(ACCURACY.checked_points),
+        ACCURACY.checking_rays,
+    )
+    away, angle = ACCURACY.fitted_radius * radius * np.sqrt(random.random(len(F))), 2 * math.pi * random.random(len(F))
     return F, D, np.stack([away * np.cos(angle), away * np.sin(angle)])
 
 
@@ -291,18 +273,14 @@ def _error(aberration: Polynomial, rays: PupilRays, path: NDArray[np.float64]) -
     worst = 0.0
     for field in np.unique(rays.field):
         some = rays.field == field
-        if np.count_nonzero(some) < _LEAST:
+        if np.count_nonzero(some) < ACCURACY.least_open_rays:
             continue
-        one, near = np.array([[0.0, field]]), rays.inverse_distance[some][:1]
-        coefficients = [np.array(number) for number in aberration.at(one, near)[0]]
-        x, y = rays.place[:, some]
-        found = aberration.over_pupil(coefficients, (0.0, field)).value((x, y))
-        worst = max(worst, float(np.std(found - path[some])))
+        direction, near = np.array([[0.0, field]]), rays.inverse_distance[some][:1]
+        coefficients = [np.array(coefficient) for coefficient in aberration.at(direction, near)[0]]
+        x, y = rays.position[:, some]
+        fitted = aberration.over_pupil(coefficients, (0.0, field)).value((x, y))
+        worst = max(worst, float(np.std(fitted - path[some])))
     return worst
-
-
-_ALONE, _ACROSS_ALONE = 10, 45
-"""Degree of the polynomials of a single point, and rays across the pupil; alternate ones are fitted, others check."""
 
 
 @dataclass(frozen=True)
@@ -333,32 +311,36 @@ class ExitPupil(LensLight):
         pupils = Pupils.of(lens)
         (direction,), (near,) = pupils.field(np.array([point]))
         field = float(np.hypot(*direction))
-        axis = np.linspace(-_WIDER, _WIDER, _ACROSS_ALONE) * float(lens.aperture_radius)
-        entrance = np.stack([part.ravel() for part in np.meshgrid(axis, axis)])
+        axis = np.linspace(-ACCURACY.fitted_radius, ACCURACY.fitted_radius, ACCURACY.single_rays) * float(
+            lens.aperture_radius
+        )
+        entrance = np.stack([plane.ravel() for plane in np.meshgrid(axis, axis)])
         count = entrance.shape[1]
         rays = trace(lens, np.full(count, field), np.full(count, near), entrance)
         is_open = rays.open
         if not is_open.any():
             raise InputError(f"position = ({', '.join(f'{c:g}' for c in point)}): no light of it passes the main_lens")
         # The beam's middle lies in the plane of axis and point.
-        middle = float(rays.place[1, is_open].mean())
-        radius = float(np.hypot(rays.place[0], rays.place[1] - middle).max())
+        middle = float(rays.position[1, is_open].mean())
+        radius = float(np.hypot(rays.position[0], rays.position[1] - middle).max())
         # On the axis there is no direction on which the light could depend.
         scales, degrees = (
             Scales(radius + abs(middle), field or 1.0, near, 1.0),
-            Degrees(_ALONE, _ALONE * (field > 0), 0),
+            Degrees(ACCURACY.single_degree, ACCURACY.single_degree * (field > 0), 0),
         )
         along = float(direction[0]), float(direction[1])
 
         def fitted(some: Any, *values: NDArray[np.float64]) -> list[PupilPolynomial]:
-            own = rays.take(some)
-            made = fit(scales, degrees, own.place, own.field, own.inverse_distance, np.stack(values), alone=True)
-            return [each.over_pupil(each.coefficients[0, 0].tolist(), along) for each in made]
+            subset = rays.take(some)
+            polynomials = fit(
+                scales, degrees, subset.position, subset.field, subset.inverse_distance, np.stack(values), alone=True
+            )
+            return [polynomial.over_pupil(polynomial.coefficients[0, 0].tolist(), along) for polynomial in polynomials]
 
         path = rays.path - pupils.sphere_path(rays)
         checking = np.arange(len(path)) % 2 == 1
         (aberration,) = fitted(~checking, path[~checking])
-        left = path - replace(aberration, field=(0.0, field)).value((rays.place[0], rays.place[1]))
+        left = path - replace(aberration, field=(0.0, field)).value((rays.position[0], rays.position[1]))
         error = float(np.std(left[checking & is_open])) / in_millimetres(lens.light)
         guards.check(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * error) ** 2)))
         # A surface that lets all traced rays through does not vignette.
@@ -368,9 +350,9 @@ class ExitPupil(LensLight):
         circle = np.array([scales.radius**2 / 2, scales.radius**2 / 2 + middle**2, -2 * shift / scales.mixed])
         stops.append(PupilPolynomial(scales, Degrees(2, 1, 0), (circle / radius**2).tolist(), along))
         # From the frame in which the point lies along y to that of the camera.
-        (u, v), (x, y) = direction / scales.field if field else (0.0, 1.0), rays.place[:, is_open]
+        (u, v), (x, y) = direction / scales.field if field else (0.0, 1.0), rays.position[:, is_open]
         places = np.column_stack([x * v + y * u, y * v - x * u])
-        open_radius = float(np.hypot(x, y).max()) + radius / _ACROSS_ALONE
+        open_radius = float(np.hypot(x, y).max()) + radius / ACCURACY.single_rays
         slope, convergence = pupils.slope(direction).tolist(), float(pupils.convergence(near))
         light = float(lens.pupil.distance), (slope[0], slope[1]), convergence, aberration, brightness, stops
         cosines = np.column_stack(LensLight(*light).cosines((places[:, 0], places[:, 1]), None))

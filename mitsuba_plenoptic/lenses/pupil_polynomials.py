@@ -55,8 +55,8 @@ class Degrees:
     @cached_property
     def pairs(self) -> list[tuple[int, int]]:
         """Pairs of powers, of the pupil's invariant and of the mixed invariant, that occur in the polynomial."""
-        each = range(min(self.pupil, self.field) + 1)
-        return [(b, c) for c in each for b in range((self.pupil - c) // 2, -1, -1)]
+        powers = range(min(self.pupil, self.field) + 1)
+        return [(b, c) for c in powers for b in range((self.pupil - c) // 2, -1, -1)]
 
 
 @dataclass(frozen=True)
@@ -90,42 +90,26 @@ def fit(
     *,
     alone: bool = False,
 ) -> list[Polynomial]:
-    """Return polynomials fitted to values by least squares.
+    """Return polynomials fitted to the values (k, n) of k functions by least squares.
 
-    Parameters
-    ----------
-    scales : Scales
-        Scales of the variables.
-    degrees : Degrees
-        Largest powers.
-    position : float64 array (2, n)
-        Positions on the pupil, for points whose fields lie along y.
-    field, inverse_distance : float64 array (n,)
-        Fields and inverse distances of these points.
-    values : float64 array (k, n)
-        Values of k functions.
-    alone : bool
-        Whether all rays come from one point, so that no power of its field alone is fitted.
-
-    Returns
-    -------
-    list of k Polynomial
+    `position` (2, n) are those on the pupil, for points with fields along y; `alone` leaves out powers of the field
+    alone, if all rays come from one point.
     """
     f, d = scales.of_points(field**2, inverse_distance)
     s, t = scales.of_pupil((position**2).sum(0)), position[1] * field * scales.mixed
-    own = [(b, c, a) for b, c in degrees.pairs for a in range(1 if alone else (degrees.field - c) // 2 + 1)]
+    terms = [(b, c, a) for b, c in degrees.pairs for a in range(1 if alone else (degrees.field - c) // 2 + 1)]
     highest = (degrees.pupil, degrees.field, degrees.field)
     powers = [np.vander(x, n + 1, increasing=True).T for x, n in zip((s, t, f), highest, strict=True)]
-    base = np.stack([powers[0][b] * powers[1][c] * powers[2][a] for b, c, a in own])
+    base = np.stack([powers[0][b] * powers[1][c] * powers[2][a] for b, c, a in terms])
     depth = np.vander(d, degrees.depth + 1, increasing=True).T
     basis = (depth[:, None] * base).reshape(-1, len(s)).T
     orthogonal, triangle = np.linalg.qr(basis)
-    solution = np.linalg.solve(triangle, orthogonal.T @ values.T).T.reshape(len(values), len(depth), len(own))
+    solution = np.linalg.solve(triangle, orthogonal.T @ values.T).T.reshape(len(values), len(depth), len(terms))
     coefficients = np.zeros((len(values), len(depth), degrees.field // 2 + 1, len(degrees.pairs)))
-    number = {pair: k for k, pair in enumerate(degrees.pairs)}
-    for k, (b, c, a) in enumerate(own):
-        coefficients[:, :, a, number[b, c]] = solution[:, :, k]
-    return [Polynomial(scales, degrees, part) for part in coefficients]
+    index = {pair: k for k, pair in enumerate(degrees.pairs)}
+    for k, (b, c, a) in enumerate(terms):
+        coefficients[:, :, a, index[b, c]] = solution[:, :, k]
+    return [Polynomial(scales, degrees, fitted) for fitted in coefficients]
 
 
 @dataclass(frozen=True)

@@ -20,38 +20,32 @@ from ..errors import InputError, refuse_if
 from ..optics import guards
 from ..prescription import Prescription
 from ..runtime import single_threaded_blas
+from .accuracy import ACCURACY
 from .common import LensNumbers, builds
-from .fitted_lens import WITHIN, FittedLens
+from .fitted_lens import FittedLens
 from .lens_system import LensSystem
 from .main_lens import Entrance, RoundMap
 from .pupil_fit import ExitPupil, Pupils, covered, fit_pupil, trace
-
-_FIELDS, _ANGLES, _DENSE, _MAP_NODES = 17, 256, 4096, 97
-"""Distances from the axis, directions in which edges are searched and interpolated, and map nodes across the pupil."""
-
-_MAP_WIDER, _BISECTIONS, _TRIED = 1.1, 24, 65
-"""Extent of the map over that of the pupil and of the detector's corner; bisections that find an edge; rays across the
-pupil that find its centre."""
 
 
 def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
     """Return the map from the exit pupil of a lens to a round pupil."""
     from scipy.spatial import cKDTree
 
-    radius, half, last = float(lens.pupil.radius), _MAP_WIDER * reach, _MAP_WIDER * corner
-    x, y = np.meshgrid(*[np.linspace(-half, half, _TRIED)] * 2)
+    radius, half, last = float(lens.pupil.radius), ACCURACY.map_extent * reach, ACCURACY.map_extent * corner
+    x, y = np.meshgrid(*[np.linspace(-half, half, ACCURACY.centre_rays)] * 2)
     closed = math.inf
     if not _is_open(lens, last, x, y).any():
         # Between an open and a closed field the map would transmit light that the lens blocks.
         last, closed = 0.0, last
-        for _ in range(_BISECTIONS):
+        for _ in range(ACCURACY.edge_bisections):
             between = (last + closed) / 2
             last, closed = (between, closed) if _is_open(lens, between, x, y).any() else (last, between)
-    heights = np.linspace(0, last, _FIELDS)
-    axis = np.linspace(-half, half, _MAP_NODES)
+    heights = np.linspace(0, last, ACCURACY.edge_fields)
+    axis = np.linspace(-half, half, ACCURACY.map_nodes)
     nodes = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
     # The initial values are points outside the round pupil.
-    result = np.full((_FIELDS, len(nodes), 3), 2 * radius, np.float32)
+    result = np.full((ACCURACY.edge_fields, len(nodes), 3), 2 * radius, np.float32)
     for index, height in enumerate(heights):
         passed = _is_open(lens, height, x, y)
         if not passed.any():
@@ -66,7 +60,7 @@ def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
         away = np.maximum(radius - inside, 0)
         result[index] = np.column_stack([normals[nearest] * away[:, None], away])
     refuse_if(not (result[0, :, 2] <= radius).any(), "main_lens: no ray gets through it to the middle of the array")
-    return RoundMap(last, closed, half, result.reshape(_FIELDS, _MAP_NODES, _MAP_NODES, 3))
+    return RoundMap(last, closed, half, result.reshape(ACCURACY.edge_fields, ACCURACY.map_nodes, ACCURACY.map_nodes, 3))
 
 
 def _is_open(lens: LensSystem, height: float, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -76,34 +70,19 @@ def _is_open(lens: LensSystem, height: float, x: NDArray[np.float64], y: NDArray
 
 def _edge(lens: LensSystem, height: float, reach: float, middle: tuple[float, float]) -> NDArray[np.float64]:
     """Return points of the pupil's edge around its middle, as seen from a position on the array's x axis."""
-    angle = 2 * math.pi * np.arange(_ANGLES) / _ANGLES
-    low, high = np.zeros(_ANGLES), np.full(_ANGLES, 2 * reach)
-    for _ in range(_BISECTIONS):
+    angle = 2 * math.pi * np.arange(ACCURACY.edge_angles) / ACCURACY.edge_angles
+    low, high = np.zeros(ACCURACY.edge_angles), np.full(ACCURACY.edge_angles, 2 * reach)
+    for _ in range(ACCURACY.edge_bisections):
         between = (low + high) / 2
         within = _is_open(lens, height, middle[0] + between * np.cos(angle), middle[1] + between * np.sin(angle))
         low, high = np.where(within, between, low), np.where(within, high, between)
-    dense = 2 * math.pi * np.arange(_DENSE) / _DENSE
+    dense = 2 * math.pi * np.arange(ACCURACY.edge_directions) / ACCURACY.edge_directions
     distance = np.interp(dense, angle, low, period=2 * math.pi)
     return np.stack([middle[0] + distance * np.cos(dense), middle[1] + distance * np.sin(dense)], -1)
 
 
-_FIELD_STEP, _INVERSE_DISTANCE_STEP = 1.1, 0.02
-"""Steps of the fitted range, so that fits are reused: a factor of fields; inverse distances over the lens's power."""
-
-_NARROWEST = 0.1
-"""Smallest range of fields that is fitted, over that of the detector."""
-
-_WIDER = 1.1
-"""Field that `farthest` covers, over that of the detector's corner, because of distortion and blur."""
-
 _LIGHTS = 16
 """Largest number of lights of single points that are cached."""
-
-_HEIGHTS, _ACROSS = 17, 151
-"""Distances from the axis at which the open part of the pupil is computed, and rays across the pupil."""
-
-_BEYOND = 1.05
-"""Largest distance from the axis, over that of the detector's corner: lenses farther out contribute light, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +113,7 @@ class RealLens(LensSystem):
         radius, depths = self.front_bounds
         return Entrance(pupils.entrance, max(depths), pupils.magnification, radius, depths)
 
-    def opaque(self, number: Callable[[Any], Any]) -> RealLens:
+    def opaque(self, convert: Callable[[Any], Any]) -> RealLens:
         """Return this lens, whose surfaces are compiled into kernels."""
         return self
 
@@ -146,8 +125,8 @@ class RealLens(LensSystem):
     @functools.cached_property
     def _fractions(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         radius, lens = self.reach, self._own
-        heights = np.linspace(0, _BEYOND * self.corner, _HEIGHTS)
-        axis = ((np.arange(_ACROSS) + 0.5) * 2 / _ACROSS - 1) * radius
+        heights = np.linspace(0, ACCURACY.open_reach * self.corner, ACCURACY.open_fields)
+        axis = ((np.arange(ACCURACY.open_rays) + 0.5) * 2 / ACCURACY.open_rays - 1) * radius
         Px, Py = (values[np.hypot(*grid) <= radius] for grid in [np.meshgrid(axis, axis)] for values in grid)
         return heights, np.array(
             [np.mean(lens.ray((Px, Py), (np.zeros_like(Px), np.full_like(Py, height)))[2]) for height in heights]
@@ -194,18 +173,18 @@ class RealLens(LensSystem):
         """Return points (n, 3), one at each distance, at the largest field that a detector sees through the lens."""
         depths = np.array(distances)
         near = 1 / (depths - self.entrance.pupil)
-        field = _WIDER * self.corner / self.mla_distance * depths * near
+        field = ACCURACY.farthest_field * self.corner / self.mla_distance * depths * near
         lens = self.over_field(float(field.max()), (float(near.min()), float(near.max())))
-        field = np.minimum(field, WITHIN * lens.fitted.aberration.scales.field)
+        field = np.minimum(field, ACCURACY.used_field * lens.fitted.aberration.scales.field)
         return np.column_stack([0 * depths, field / near, depths])
 
     def _over_field(self, field: float, inverse_distance: tuple[float, float]) -> FittedLens:
         """Return a lens fitted for a field and inverse distances; ranges grow in steps, so that fits are reused."""
-        least = _NARROWEST * self.corner / self.mla_distance
-        steps = math.ceil(math.log(max(1, field / least)) / math.log(_FIELD_STEP))
-        power = _INVERSE_DISTANCE_STEP / self.focal_length
+        least = ACCURACY.narrowest_field * self.corner / self.mla_distance
+        steps = math.ceil(math.log(max(1, field / least)) / math.log(ACCURACY.field_step))
+        power = ACCURACY.depth_step / self.focal_length
         low, high = math.floor(inverse_distance[0] / power), math.ceil(inverse_distance[1] / power)
-        key = least * _FIELD_STEP**steps, low * power, max(high, low + 1) * power
+        key = least * ACCURACY.field_step**steps, low * power, max(high, low + 1) * power
         if key not in self._fits:
             self._fits[key] = self._fit(*key)
         return self._fits[key]

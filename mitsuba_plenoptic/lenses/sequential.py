@@ -14,12 +14,7 @@ from typing import Any
 from ..prescription import Prescription
 from ..prescription.surfaces import LEAST, height
 from ..runtime import safe_sqrt, select
-
-NEWTON_STEPS = 5
-"""Newton iterations that find the intersection of a ray with an asphere from that with its conic or plane."""
-
-_MET = 1e-3
-"""Length of the last iteration, over the semi-aperture, from which on a ray counts as one that misses an asphere."""
+from .accuracy import ACCURACY
 
 
 @dataclass(frozen=True)
@@ -82,23 +77,23 @@ def elements(
     """
     surfaces = prescription.surfaces
     index = [1.0, *(prescription.indices(wavelength) if indices is None else indices)]
-    made = []
-    for number, surface in enumerate(surfaces):
-        stopped = number == prescription.stop and stop_radius is not None
-        made.append(
+    steps = []
+    for position, surface in enumerate(surfaces):
+        stopped = position == prescription.stop and stop_radius is not None
+        steps.append(
             (
-                surfaces[number - 1].thickness if number else 0.0,
-                surfaces[number].thickness if number < len(surfaces) - 1 else 0.0,
+                surfaces[position - 1].thickness if position else 0.0,
+                surfaces[position].thickness if position < len(surfaces) - 1 else 0.0,
                 surface,
                 stop_radius if stopped else surface.semi_aperture,
-                index[number],
-                index[number + 1],
+                index[position],
+                index[position + 1],
             )
         )
     if not backwards:
-        return [Element(gap, s.curvature, s.conic, s.asphere, a, n, m) for gap, _, s, a, n, m in made]
+        return [Element(gap, s.curvature, s.conic, s.asphere, a, n, m) for gap, _, s, a, n, m in steps]
     return [
-        Element(gap, -s.curvature, s.conic, tuple(-c for c in s.asphere), a, m, n) for _, gap, s, a, n, m in made[::-1]
+        Element(gap, -s.curvature, s.conic, tuple(-c for c in s.asphere), a, m, n) for _, gap, s, a, n, m in steps[::-1]
     ]
 
 
@@ -167,13 +162,13 @@ def follow(
                 # An asphere may be nearer to its vertex's plane than to its conic, which rays may also miss.
                 off = abs(t * N - height(surface, (x + t * L) * (x + t * L) + (y + t * M) * (y + t * M)))
                 t = select((root > 0) & (off < abs(height(surface, x * x + y * y))), t, 0 * x)
-                for _ in range(NEWTON_STEPS):
+                for _ in range(ACCURACY.newton_steps):
                     X, Y = x + t * L, y + t * M
                     square = X * X + Y * Y
                     rise = _slope(surface, square) * (X * L + Y * M)
                     step = (t * N - height(surface, square)) / (N - rise)
                     t = t - step
-                met = abs(step) < _MET * surface.semi_aperture
+                met = abs(step) < ACCURACY.missing * surface.semi_aperture
                 is_open, t = is_open & met, select(met, t, 0 * x)
             else:
                 is_open = is_open & (root > 0)

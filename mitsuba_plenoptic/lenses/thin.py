@@ -24,6 +24,7 @@ from ..optics.waves import in_millimetres, parabola
 from ..prescription.collimator import Collimator
 from ..prescription.lens_data import SINGLE, vergence
 from ..runtime import sqrt
+from .accuracy import ACCURACY
 from .closed_lens import ClosedLens
 from .common import LensNumbers, builds
 from .distortion import undistort
@@ -92,8 +93,8 @@ class Wavefront:
         along_x, along_y = along_x * scale, along_y * scale
         if self._screen is None:
             return along_x, along_y
-        own = self._screen.slopes(x, y)
-        return along_x + own[0], along_y + own[1]
+        added = self._screen.slopes(x, y)
+        return along_x + added[0], along_y + added[1]
 
 
 def _sum(terms: list[Any], x: Any) -> Any:
@@ -104,8 +105,8 @@ def _sum(terms: list[Any], x: Any) -> Any:
     return total
 
 
-_NODES = 24
-"""Nodes of the quadrature over the pupil, along its radius and around half of its circumference."""
+_PAIRS, _DIRECTIONS = 65, 6
+"""Middles of pairs of points across the pupil, and directions of the pairs."""
 
 
 @dataclass(frozen=True)
@@ -178,11 +179,11 @@ class ThinLens(ClosedLens):
         pupil = Pupil(numbers["aperture_radius"], numbers["mla_distance"])
         return replace(self, focal_length=numbers["focal_length"], pupil=pupil, aberrations=numbers["wavefront"])
 
-    def opaque(self, number: Callable[[Any], Any]) -> ThinLens:
+    def opaque(self, convert: Callable[[Any], Any]) -> ThinLens:
         """Return the lens with parameters that are not compiled into kernels."""
-        pupil = replace(self.pupil, radius=number(self.pupil.radius), distance=number(self.pupil.distance))
-        aberrations = [number(value) for value in self.aberrations]
-        return replace(self, focal_length=number(self.focal_length), pupil=pupil, aberrations=aberrations)
+        pupil = replace(self.pupil, radius=convert(self.pupil.radius), distance=convert(self.pupil.distance))
+        aberrations = [convert(value) for value in self.aberrations]
+        return replace(self, focal_length=convert(self.focal_length), pupil=pupil, aberrations=aberrations)
 
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the positions (n, 2) on the MLA of the rays from scene points (n, 3) through the pupil's centre."""
@@ -213,15 +214,6 @@ class ThinLens(ClosedLens):
         With aberrations W, a thin parabolic phase has the path :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`
         (Goodman, "Introduction to Fourier Optics", section 5.1). Behind an ideal lens all paths to the image X' are
         equal, which leaves :math:`(|X'| - |P - X'| + W(P)) / \lambda`. Both are computed without cancellation.
-
-        Parameters
-        ----------
-        pupil : (array, array)
-            Point on the exit pupil in millimetres.
-        point : (array, array, array)
-            Scene point in the camera frame in millimetres.
-        wavelength : float
-            Wavelength in nanometres.
         """
         (Px, Py), (X, Y, g) = pupil, point
         square = Px * Px + Py * Py
@@ -252,6 +244,26 @@ class ThinLens(ClosedLens):
         Px, Py = pupil
         return 0 * Px + self._wavefront.path(Px, Py) * (1 / in_millimetres(wavelength))
 
+    def beyond_slopes(self, apart: float, wavelength: float) -> float:
+        r"""Return how far the paths of pupil points some mm apart differ by more than the slope halfway between them.
+
+        It is the mean of :math:`1 - \cos 2 \pi \Delta`, over all such pairs in the pupil and directions q of length
+        `apart`, where :math:`\lambda \Delta = W(P + q/2) - W(P - q/2) - q \cdot \nabla W(P)` grows with the third
+        derivative of W.
+        """
+        radius, scale = float(self.pupil.radius), 1 / in_millimetres(wavelength)
+        x, y = (place.ravel() for place in np.meshgrid(*2 * [np.linspace(-radius, radius, _PAIRS)]))
+        slopes = self._wavefront.slope(x, y)
+        errors = []
+        for angle in math.pi / _DIRECTIONS * np.arange(_DIRECTIONS):
+            u, v = apart * math.cos(angle), apart * math.sin(angle)
+            ends = [(x + side * u, y + side * v) for side in (0.5, -0.5)]
+            inside = np.maximum(*(np.hypot(*end) for end in ends)) <= radius
+            first, second = (self._wavefront.path(*end) for end in ends)
+            phase = (first - second - u * slopes[0] - v * slopes[1]) * (2 * math.pi * scale)
+            errors.append((1 - np.cos(phase))[inside])
+        return float(np.concatenate(errors).mean())
+
     def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
         r"""Return the amplitude :math:`|g| / |P - X|^2`, the first Rayleigh-Sommerfeld solution (Goodman, 3.5)."""
         length = _distance(pupil, point)
@@ -259,9 +271,9 @@ class ThinLens(ClosedLens):
 
     def power_through(self, point: NDArray[np.float64]) -> float:
         """Return the integral of the squared amplitude over the pupil, by Gauss's rule in radius, evenly in angle."""
-        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        nodes, weights = np.polynomial.legendre.leggauss(ACCURACY.wavefront_nodes)
         radius = self.pupil.radius * np.sqrt((nodes + 1) / 2)[:, None]
-        angle = math.pi * np.arange(2 * _NODES) / _NODES
+        angle = math.pi * np.arange(2 * ACCURACY.wavefront_nodes) / ACCURACY.wavefront_nodes
         squares = self.amplitude((radius * np.cos(angle), radius * np.sin(angle)), tuple(point)) ** 2
         return float(math.pi * self.pupil.radius**2 * (weights / 2) @ squares.mean(1))
 
@@ -298,19 +310,9 @@ def _signed(length: Any, g: Any) -> Any:
     return dr.copysign(length, g) if dr.is_array_v(length) else np.copysign(length, g)
 
 
-_STEPS = 12
-"""Iterations that find the position on the MLA from the undistorted one."""
-
-
 @dataclass(frozen=True)
 class DistortedLens(ThinLens):
-    """A thin lens with distortion, whose rays continue as if from another MLA point; for the ray model only.
-
-    Parameters
-    ----------
-    distortion : five floats
-        See `mitsuba_plenoptic.lenses.distortion`.
-    """
+    """A thin lens with distortion (`undistort`), whose rays continue as if from another MLA point; for rays only."""
 
     distortion: tuple[float, ...] = (0.0,) * 5
 
@@ -337,7 +339,7 @@ class DistortedLens(ThinLens):
         """Return the positions on the MLA of which `undistort` makes given ones."""
         (x, y), (u, v) = image, image
         # Each step multiplies the error by the derivative of the displacement, some per cent.
-        for _ in range(_STEPS):
+        for _ in range(ACCURACY.distortion_steps):
             moved = undistort(x, y, self.distortion)
             x, y = x + u - moved[0], y + v - moved[1]
         return x, y
@@ -347,10 +349,10 @@ class DistortedLens(ThinLens):
 def thin_lens(numbers: LensNumbers) -> ThinLens:
     """Return the main lens of a camera without an objective or prescription."""
     pupil, screen = Pupil(numbers.aperture_radius, numbers.mla_distance), numbers.camera.phase_screen
-    own = numbers.focal_length, pupil, numbers.model, numbers.wavefront, screen
+    arguments = numbers.focal_length, pupil, numbers.model, numbers.wavefront, screen
     if any(numbers.camera.distortion):
-        return DistortedLens(*own, numbers.camera.distortion)
-    return ThinLens(*own)
+        return DistortedLens(*arguments, numbers.camera.distortion)
+    return ThinLens(*arguments)
 
 
 @builds(Collimator)

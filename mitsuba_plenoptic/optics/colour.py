@@ -46,18 +46,18 @@ def tables_of(scene: Any) -> list[Table]:
 
 def _tables(thing: Any) -> dict[str, Table]:
     """Return the tabulated spectra of a scene or a plugin by name."""
-    parameters, found = mi.traverse(thing), {}
+    parameters, tables = mi.traverse(thing), {}
     for key in parameters.keys():  # noqa: SIM118 (Mitsuba's mapping is no iterable)
         stem, _, last = key.rpartition(".")
         if last != "values":
             continue
         values = np.array(parameters[key], np.float64)
         if f"{stem}.wavelengths" in parameters:
-            found[stem] = np.array(parameters[f"{stem}.wavelengths"], np.float64), values
+            tables[stem] = np.array(parameters[f"{stem}.wavelengths"], np.float64), values
         elif f"{stem}.range" in parameters:
             low, high = (float(end) for end in parameters[f"{stem}.range"])
-            found[stem] = np.linspace(low, high, len(values)), values
-    return found
+            tables[stem] = np.linspace(low, high, len(values)), values
+    return tables
 
 
 def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArray[np.float32]) -> None:
@@ -136,13 +136,13 @@ def _reflectances() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
     grid = np.arange(mi.MI_CIE_MIN, mi.MI_CIE_MAX + _STEP / 2, _STEP)
     count = len(grid)
-    seen = _srgb_responses(grid) * _d65(grid) * _STEP
+    recorded = _srgb_responses(grid) * _d65(grid) * _STEP
     # Normalised so that D65 itself is exactly white.
-    seen /= seen.sum(axis=1, keepdims=True)
+    recorded /= recorded.sum(axis=1, keepdims=True)
     smooth = np.kron(np.eye(3), np.diff(np.eye(count), axis=0))
-    colours = np.kron(np.eye(3), seen)
-    whole = np.kron(np.ones((1, 3)), np.eye(count))
-    matrix = np.vstack([smooth, _EXACT * colours, _EXACT * whole])
+    colours = np.kron(np.eye(3), recorded)
+    total = np.kron(np.ones((1, 3)), np.eye(count))
+    matrix = np.vstack([smooth, _EXACT * colours, _EXACT * total])
     target = np.concatenate([np.zeros(len(smooth)), _EXACT * np.eye(3).ravel(), np.full(count, _EXACT)])
-    found = lsq_linear(matrix, target, bounds=(0, 1), method="bvls", max_iter=2000)
-    return grid, np.maximum(found.x, 0).reshape(3, count)
+    solution = lsq_linear(matrix, target, bounds=(0, 1), method="bvls", max_iter=2000)
+    return grid, np.maximum(solution.x, 0).reshape(3, count)

@@ -161,6 +161,16 @@ HIDDEN = Guard(
 )
 
 
+# Signed rays follow the slopes of the path over the pupil. Light of points of the pupil whose interference has the
+# period of a lens loses this fraction of its contrast; see `ThinLens.beyond_slopes`.
+SCREEN = Guard(
+    "phase_screen",
+    "of the light interferes at microlenses otherwise than the slopes of the phase_screen say: it varies too fast",
+    "use ray captures, or CaptureOperator with method full_field",
+    warn=0.01,
+    refuse=0.1,
+)
+
 # The window between pupil and array follows from the camera's aperture. A given wavefront that fits has all of its
 # light there but the less than a hundredth that interpolation spreads; one of twice the diameter loses half.
 APERTURE = Guard(

@@ -118,7 +118,7 @@ def into_medium(slope: Pair, turn: Pair, chief: Pair | None, index: Any) -> Pair
         return slope[0] - turn[0], slope[1] - turn[1]
     c = rsqrt(_widening(chief, index))
     along = c * c * (1 / (index * index) - 1) * _dot(chief, (slope[0] - chief[0], slope[1] - chief[1]))
-    x, y = ((c * (t + along * own) - change) / index for t, change, own in zip(slope, turn, chief, strict=True))
+    x, y = ((c * (t + along * c0) - change) / index for t, change, c0 in zip(slope, turn, chief, strict=True))
     return x, y
 
 
@@ -136,7 +136,7 @@ def out_of_medium(slope: Pair, turn: Pair, chief: Pair | None, index: Any) -> tu
     if _is_one(index):
         return (slope[0] + turn[0], slope[1] + turn[1]), True
     c = rsqrt(_widening(chief, index))
-    bent = tuple((index * t + change) / c - own for t, change, own in zip(slope, turn, chief, strict=True))
+    bent = tuple((index * t + change) / c - c0 for t, change, c0 in zip(slope, turn, chief, strict=True))
     along = 1 + (1 - 1 / (index * index)) * _dot(chief, bent)
     return (bent[0] + along * chief[0], bent[1] + along * chief[1]), True
 

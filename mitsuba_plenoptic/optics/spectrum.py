@@ -206,14 +206,14 @@ class Spectrum:
         """
         table = path if isinstance(path, np.ndarray) else read_responses(path)
         wavelengths, columns = table[:, 0], table[:, 1:].T
-        made = cls.smooth(
+        spectrum = cls.smooth(
             partial(interpolated, wavelengths, columns),
             float(wavelengths[0]),
             float(wavelengths[-1]),
             count,
             [(wavelengths, np.ones(len(wavelengths))), *tables],
         )
-        return made.balanced("responses" if isinstance(path, np.ndarray) else str(path))
+        return spectrum.balanced("responses" if isinstance(path, np.ndarray) else str(path))
 
     def balanced(self, where: str = "spectrum") -> Spectrum:
         """Return the spectrum with the responses of every channel divided by their sum.
@@ -251,18 +251,30 @@ class Spectrum:
         weights = np.abs(np.array(self.responses))
         sums = weights.sum(axis=1, keepdims=True)
         lit = np.divide(weights, sums, out=np.zeros_like(weights), where=sums > 0).sum(0)
-        seen = {wavelength for wavelength, weight in zip(self.wavelengths, lit, strict=True) if weight > 0}
-        if count >= len(seen):
-            return replace(self, nodes=() if len(seen) in (0, len(set(self.wavelengths))) else tuple(sorted(seen)))
+        bright = {wavelength for wavelength, weight in zip(self.wavelengths, lit, strict=True) if weight > 0}
+        if count >= len(bright):
+            return replace(self, nodes=() if len(bright) in (0, len(set(self.wavelengths))) else tuple(sorted(bright)))
         return replace(self, nodes=tuple(_gauss_nodes(np.array(self.wavelengths), lit, count).tolist()))
 
-    def shares(self) -> NDArray[np.float64]:
-        """Return the values (nodes, wavelengths) of each node's Lagrange polynomial at every wavelength."""
-        nodes, wavelengths = np.array(self.nodes), np.array(self.wavelengths)
-        factors = np.ones((len(nodes), len(wavelengths)))
+    @property
+    def computed(self) -> tuple[float, ...]:
+        """Wavelengths at which diffraction is computed: the nodes, or all wavelengths if there are none."""
+        return self.nodes or tuple(sorted(set(self.wavelengths)))
+
+    def shares(self, wavelengths: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+        """Return the values (nodes, wavelengths) of each node's Lagrange polynomial, by default at all wavelengths.
+
+        Parameters
+        ----------
+        wavelengths : array (n,), optional
+            Other wavelengths in nanometres.
+        """
+        nodes = np.array(self.computed)
+        at = np.array(self.wavelengths) if wavelengths is None else wavelengths
+        factors = np.ones((len(nodes), len(at)))
         for index, node in enumerate(nodes):
-            for other in np.delete(nodes, index):
-                factors[index] *= (wavelengths - other) / (node - other)
+            for neighbour in np.delete(nodes, index):
+                factors[index] *= (at - neighbour) / (node - neighbour)
         return factors
 
     def centroids(self) -> tuple[float, ...]:
@@ -326,25 +338,25 @@ def _nodes(
     fine = products((edges[:-1, None] + half + half * nodes).ravel()).reshape(-1, len(half), 3) @ weights * half[:, 0]
     upto = np.hstack([np.zeros((len(fine), 1)), np.cumsum(fine, axis=1)])
     # The error of each table's products is relative to its largest product with any channel.
-    whole = np.abs(fine).sum(axis=1).reshape(len(tables), -1).max(axis=1, keepdims=True)
-    whole = np.broadcast_to(whole, (len(tables), len(fine) // len(tables))).ravel()
+    largest = np.abs(fine).sum(axis=1).reshape(len(tables), -1).max(axis=1, keepdims=True)
+    largest = np.broadcast_to(largest, (len(tables), len(fine) // len(tables))).ravel()
     turns = np.abs(np.diff(np.diff(products(edges), axis=1) / np.diff(edges), axis=1))
 
     def errors(first: int, last: int) -> NDArray[np.float64]:
         nodes, weights = rule(edges[first], edges[last])
         wrong = np.abs(products(nodes) @ weights - upto[:, last] + upto[:, first])
-        return np.divide(wrong, whole, out=np.zeros_like(wrong), where=whole > 0)
+        return np.divide(wrong, largest, out=np.zeros_like(wrong), where=largest > 0)
 
     parts = {(0, len(edges) - 1): errors(0, len(edges) - 1)}
     while (total := np.sum(list(parts.values()), axis=0)).max() > _WRONG:
         worst = int(np.argmax(total))
-        divisible = [part for part in parts if part[1] - part[0] > 1]
+        divisible = [interval for interval in parts if interval[1] - interval[0] > 1]
         if not divisible or len(parts) > MOST_WAVELENGTHS // 2:
             break
-        first, last = max(divisible, key=lambda part: parts[part][worst])
+        first, last = max(divisible, key=lambda interval: parts[interval][worst])
         between = first + 1 + int(np.argmax(turns[worst, first : last - 1]))
         del parts[first, last]
-        parts |= {part: errors(*part) for part in ((first, between), (between, last))}
+        parts |= {interval: errors(*interval) for interval in ((first, between), (between, last))}
     rules = [rule(edges[first], edges[last]) for first, last in sorted(parts)]
     found = np.concatenate([nodes for nodes, _ in rules]), np.concatenate([weights for _, weights in rules])
     refuse_if(
@@ -363,14 +375,14 @@ def _gauss_nodes(wavelengths: NDArray[np.float64], weights: NDArray[np.float64],
     """
     middle, half = (wavelengths.max() + wavelengths.min()) / 2, np.ptp(wavelengths) / 2
     x = (wavelengths - middle) / half
-    known = [np.sqrt(weights / weights.sum())]
+    basis_rows = [np.sqrt(weights / weights.sum())]
     for _ in range(count - 1):
-        new = x * known[-1]
+        new = x * basis_rows[-1]
         for _again in range(2):
-            for old in known:
+            for old in basis_rows:
                 new = new - (old @ new) * old
-        known.append(new / np.linalg.norm(new))
-    basis = np.array(known)
+        basis_rows.append(new / np.linalg.norm(new))
+    basis = np.array(basis_rows)
     return np.asarray(middle + half * np.linalg.eigvalsh((basis * x) @ basis.T))
 
 

@@ -101,9 +101,9 @@ def frequencies_of(size: int) -> np.ndarray:
     return np.fft.fftfreq(size) * 2
 
 
-def fraction(part: float, whole: float) -> float:
+def fraction(share: float, total: float) -> float:
     """Return part / whole, or 0 if the whole is 0."""
-    return float(part / whole) if whole > 0 else 0.0
+    return float(share / total) if total > 0 else 0.0
 
 
 def weighted(weight: np.ndarray, field: fft.Field) -> float:
@@ -155,8 +155,8 @@ class StepGuard:
         chosen = np.flatnonzero((np.abs(order) <= self._step) | (np.arange(count) % self._step == 0))
         weight = np.where(np.abs(order[chosen]) <= self._step, 1, self._step)
         waves = _packed_rows(packed, self._shape, chosen)
-        held = weighted(weight, waves) / math.prod(self._shape)
-        self._representative = abs(fraction(held, self._power) - 1) < _UNSEEN
+        power = weighted(weight, waves) / math.prod(self._shape)
+        self._representative = abs(fraction(power, self._power) - 1) < _UNSEEN
         if not self._representative:
             chosen, weight = np.arange(count), np.ones(count)
             waves = _packed_rows(packed, self._shape, None)
@@ -225,11 +225,14 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     """
     libraries = active_backend()
     on_device = libraries.is_cuda and isinstance(field, libraries.arrays.ndarray)
-    given = (libraries.arrays if on_device else np).asarray(field, np.complex64, order="C")
-    refuse_if(given.ndim != 2 or given.size == 0, f"field of shape {given.shape}: it must have rows and columns")
-    samples = given if overwrite else backend_of(given).empty(given.shape, np.complex64)
+    source = (libraries.arrays if on_device else np).asarray(field, np.complex64, order="C")
+    refuse_if(
+        source.ndim != 2 or source.size == 0,
+        f"field of shape {source.shape}: it must have rows and columns",
+    )
+    samples = source if overwrite else backend_of(source).empty(source.shape, np.complex64)
     if not overwrite:
-        samples[...] = given
+        samples[...] = source
     pitch, distance = require_number("pitch", pitch, positive=True), require_number("distance", distance)
     wavelength = require_wavelength(wavelength)
     shape, guard = samples.shape, StepGuard(samples, pitch, wavelength)

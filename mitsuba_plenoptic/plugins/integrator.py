@@ -22,20 +22,11 @@ from ..runtime import Cost, Job
 from ..scene.load import GONE_PARAMETERS
 from ..scene.radiance import LightDerivatives, SceneLight
 from ..scene.render_capture import require_wave_film
+from ..waves.scheme import check_screen
 from ..waves.signed_camera import require_parameters
 from ..waves.signed_capture import SignedCapture, SignedGradients
-from .properties import (
-    NAME,
-    SHARED,
-    asked_for,
-    develop,
-    develop_back,
-    make_base,
-    put,
-    read_choice,
-    read_colours,
-    read_plain,
-)
+from .properties import read_choice, read_plain
+from .wave_base import NAME, SHARED, asked_for, develop, develop_back, make_base, put, read_colours
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
@@ -261,8 +252,8 @@ def make_class() -> type:
             PlenopticCamera.from_sensor(sensor)
             film = sensor.film()
             require_wave_film(film)
-            capture = self._capture(scene, sensor)
             with guards.watch():
+                capture = self._capture(scene, sensor)
                 image = capture.compute(seed=seed, spp=spp, job=job or Job(), noise=noise)
             put(film, image, image.shape[2] // (2 if noise else 1))
             return film
@@ -310,10 +301,14 @@ def make_class() -> type:
             light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
             camera = PlenopticCamera.from_sensor(sensor)
             require_support(camera, Use.SCENES)
+            if varying := varying_of(sensor):
+                require_support(camera, Use.SCENE_DERIVATIVES)
+            if camera.phase_screen is not None:
+                check_screen(camera, min(colours.spectrum.wavelengths))
             if has_small_lenses(camera, max(colours.spectrum.wavelengths)):
                 what = f"{NAME}: mla_pitch = {camera.mla_pitch:g}"
                 return hook("small lenses", what)(camera, light, colours, self.accuracy)
-            return SignedCapture(camera, light, colours, self.accuracy, varying_of(sensor))
+            return SignedCapture(camera, light, colours, self.accuracy, varying)
 
         def parameters(self) -> dict[str, Any]:
             """Return the parameters of this integrator by name, as for ``mi.load_dict``."""

@@ -97,9 +97,10 @@ class Grid:
 
         Positions and steps are in mm on the array, as Dr.Jit arrays and along x and y.
         """
-        table, lattice, parts = self.camera.mla_transmissions, self.camera.lattice, (np.arange(_PARTS) + 0.5) / _PARTS
+        table = self.camera.mla_transmissions
         if table is None:
             return 1.0
+        lattice, parts = self.camera.lattice, (np.arange(_PARTS) + 0.5) / _PARTS
         if lattice.displacement is not None:
             # Once for all parts, as displacements are smooth.
             x, y = lattice.displacement.regular(x, y)

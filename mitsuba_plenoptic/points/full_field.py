@@ -98,10 +98,16 @@ def full_field(
     return active_backend().to_host(pixel_integrals(system.camera, spectrum, grids))
 
 
-def point_fields(system: OpticalSystem, position: NDArray[np.float64], *, microlenses: bool = True) -> PointFields:
+def point_fields(
+    system: OpticalSystem,
+    position: NDArray[np.float64],
+    *,
+    pupil_weights: PupilWeights | None = None,
+    microlenses: bool = True,
+) -> PointFields:
     """Return one scene point's field at every plane, propagated as by `full_field`."""
     grids = field_grids(system, position, 1.0, 1.0)
-    pupil, mla = _arrival(system, position, grids)
+    pupil, mla = _arrival(system, position, grids, pupil_weights)
     spectrum = detector_spectrum(system, grids, mla.samples.copy(), microlenses)
     with fft.resting_drjit():
         detector = fft.fft2(spectrum, inverse=True)

@@ -61,7 +61,7 @@ class WeightChannels:
     @property
     def sums(self) -> int:
         """Number of sums of point spreads in an image: one for each distinct wavelength, or each node."""
-        return 1 if self.spectrum is None else len(self.spectrum.nodes or set(self.spectrum.wavelengths))
+        return 1 if self.spectrum is None else len(self.spectrum.computed)
 
     def mixing(self, columns: int) -> tuple[tuple[float, ...], NDArray[np.float32]]:
         """Return each weight column's wavelength, and the matrix (channels, columns) from columns to channels."""

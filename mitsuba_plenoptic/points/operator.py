@@ -447,7 +447,8 @@ def _as_regular(camera: PlenopticCamera) -> PlenopticCamera:
     regular = camera.regular
     if regular is camera:
         return camera
-    ends = (camera.pixel_coordinates(axis)[[0, -1]] for axis in (0, 1))
-    cells = camera.lattice.cell(*np.meshgrid(*(np.linspace(*pair, _PLACES) for pair in ends)))
+    pixels = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    x, y = (np.linspace(float(places[0]), float(places[-1]), _PLACES) for places in pixels)
+    cells = camera.lattice.cell(*np.meshgrid(x, y))
     apart = np.subtract(camera.lattice.centre(*cells), regular.lattice.centre(*cells))
     return regular if np.hypot(*apart).max() < _AS_REGULAR * camera.pixel_size else camera

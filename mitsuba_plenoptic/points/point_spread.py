@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera, Use, require_camera, require_support
+from ..camera import NOT_ROUND, PlenopticCamera, Round, Use, require_camera, require_support
 from ..errors import InputError, refuse_if, require_choice, require_wavelength, suggest_keywords
 from ..fields.optical_system import OpticalSystem
 from ..optics import guards
@@ -15,6 +15,7 @@ from ..runtime import POINTS, Job, Threads, as_array, one_at_a_time
 from . import full_field
 from .full_field import PointFields
 from .operator import CaptureOperator
+from .pupil_weights import PupilWeights
 from .ray_spread import ray_spread
 from .sampling import check_positions
 
@@ -95,7 +96,9 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
         point = _check(camera, position)
         require_support(camera, Use.POINT_FIELDS)
         camera = camera.at_wavelength(wavelength)
-        return full_field.point_fields(OpticalSystem(camera, wavelength), point)
+        weights = None if camera.aperture == Round() else PupilWeights.through(camera.aperture, 1)
+        system = OpticalSystem(camera.replace(**NOT_ROUND), wavelength)
+        return full_field.point_fields(system, point, pupil_weights=weights)
 
 
 def _check(camera: PlenopticCamera, position: Any) -> NDArray[np.float64]:

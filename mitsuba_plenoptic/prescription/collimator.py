@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ..errors import refuse_if, require_known, require_length, short_repr, suggest_keywords
+from ..errors import refuse_if, require_length, suggest_keywords
 from .lens_data import SINGLE, THIN, LensData, require_unscaled
 
 
@@ -68,13 +68,13 @@ class Collimator(LensData):
         """Return NaN, as the distance follows from both focal lengths, see `settled`."""
         return math.nan
 
-    def settled(self, given: dict[str, float]) -> dict[str, float]:
+    def settled(self, stated: dict[str, float]) -> dict[str, float]:
         """Return the parameters completed by the distance of the pupil's image; refuse another distance."""
-        length, collimator = given["focal_length"], self.collimator_focal_length
-        own = length + collimator + collimator * (1 + self.magnification(length))
-        if not math.isnan(given["mla_distance"]):
-            require_unscaled(given, {"mla_distance": own}, SINGLE)
-        return given | {"mla_distance": own}
+        length, collimator = stated["focal_length"], self.collimator_focal_length
+        distance = length + collimator + collimator * (1 + self.magnification(length))
+        if not math.isnan(stated["mla_distance"]):
+            require_unscaled(stated, {"mla_distance": distance}, SINGLE)
+        return stated | {"mla_distance": distance}
 
     def require_focusable(self, focus_distance: Any) -> None:
         """Refuse any given plane in focus, which is always infinity."""
@@ -103,25 +103,3 @@ class Collimator(LensData):
     def image_blur(self, camera: Any, distance: float) -> float:
         """Return the diameter in mm of the pupil's image on the array."""
         return float(camera.aperture_diameter * self.magnification(camera.focal_length))
-
-    def to_plain(self) -> dict[str, Any]:
-        """Return the focal length by name, for `from_plain`, files and headers."""
-        return {"collimator_focal_length": self.collimator_focal_length}
-
-    @classmethod
-    def from_plain(cls, value: dict[str, Any]) -> Collimator:
-        """Return the collimator that `to_plain` described.
-
-        Parameters
-        ----------
-        value : dict
-            ``collimator_focal_length``.
-
-        Raises
-        ------
-        InputError
-            If the focal length is missing or out of range, or there are other names.
-        """
-        refuse_if(not isinstance(value, dict), f"main_lens = {short_repr(value)}: it must be a dictionary")
-        require_known("main_lens: ", value, [cls.mark])
-        return cls(**value)

@@ -211,7 +211,7 @@ class Glass:
                 not all(isinstance(pair, (list, tuple)) and len(pair) == 2 for pair in entries),
                 f"{where}: table = {short_repr(entries)}: it must be pairs of wavelength and index",
             )
-            entries = [number for pair in entries for number in pair]
+            entries = [figure for pair in entries for figure in pair]
         return cls(form, tuple(require_number(f"{where}: {form}", entry) for entry in entries), name)
 
 
@@ -223,7 +223,7 @@ def catalogue_glass(
     The catalogues are those of refractiveindex.info included in Optiland, the extra ``lenses``. The name must match
     exactly, except for capitals.
     """
-    maker, _, own = name.rpartition(":")
+    maker, _, glass = name.rpartition(":")
     if maker:
         makers = [maker]
     with refusing(
@@ -232,27 +232,29 @@ def catalogue_glass(
         ImportError,
     ):
         importlib.import_module("optiland.materials")
-    plain = own.lower() if with_hyphens else own.lower().replace("-", "")
-    found = {
+    plain = glass.lower() if with_hyphens else glass.lower().replace("-", "")
+    catalogues = {
         entry.maker: entry
         for entry in _catalogued()
         if plain == (entry.name.lower() if with_hyphens else entry.name.lower().replace("-", ""))
     }
     # Files of other programs write makers with what belongs to them, such as NIKON-HIKARI.
-    chosen = list(found) if makers is None else [one for by in makers for one in found if one.lower() in by.lower()][:1]
+    chosen = list(catalogues)
+    if makers is not None:
+        chosen = [maker for written in makers for maker in catalogues if maker.lower() in written.lower()][:1]
     if len(chosen) > 1:
-        raise InputError(f"{where} = {short_repr(name)}: {', '.join(chosen)} have one: write {chosen[0]}:{own}")
+        raise InputError(f"{where} = {short_repr(name)}: {', '.join(chosen)} have one: write {chosen[0]}:{glass}")
     if not chosen:
         searched = "no catalogue has" if makers is None else f"{', '.join(makers)}: no such catalogue has"
         # The same name from other makers, who measured a crystal of that name, then longer names.
         measured = [entry for entry in _catalogued() if plain == entry.maker.lower()]
         longer = [entry for entry in _catalogued() if entry.file.startswith("glass/") and plain in entry.name.lower()]
-        like = [f"{entry.maker}:{entry.name}" for entry in [*found.values(), *measured, *longer] if plain]
+        like = [f"{entry.maker}:{entry.name}" for entry in [*catalogues.values(), *measured, *longer] if plain]
         hint = f", as there is {', '.join(dict.fromkeys(like[:3]))}" if like else ""
         raise InputError(
             f"{where} = {short_repr(name)}: {searched} a glass of just that name; give another{hint}, or index and abbe"
         )
-    return found[chosen[0]].tabulated(name)
+    return catalogues[chosen[0]].tabulated(name)
 
 
 class _Entry(NamedTuple):
@@ -269,10 +271,10 @@ class _Entry(NamedTuple):
         path = resources.files("optiland.database") / "data-nk" / self.file
         material = importlib.import_module("optiland.materials").MaterialFile(str(path))
         # A wavelength at the end of the data stays within them, whatever its digits.
-        wavelengths = [one for one in _CATALOGUE.tolist() if self.low - 1e-6 <= one <= self.high + 1e-6]
+        wavelengths = _CATALOGUE[(self.low - 1e-6 <= _CATALOGUE) & (self.high + 1e-6 >= _CATALOGUE)].tolist()
         refuse_if(len(wavelengths) < 2, f"glass {name}: its data reach from {self.low:g} to {self.high:g} nm only")
         indices = [float(np.ravel(material.n(wavelength * 1e-3))[0]) for wavelength in wavelengths]
-        pairs = [number for pair in zip(wavelengths, indices, strict=True) for number in pair]
+        pairs = [value for pair in zip(wavelengths, indices, strict=True) for value in pair]
         return Glass("table", tuple(pairs), name)
 
 
@@ -284,13 +286,13 @@ def _catalogued() -> tuple[_Entry, ...]:
     They are searched here, since Optiland itself finds N-SF5 by the name SF5, and similar names.
     """
     text = (resources.files("optiland.database") / "catalog_nk.csv").read_text(encoding="utf-8")
-    found = {}
+    entries = {}
     for row in csv.DictReader(text.splitlines()):
         file = row["filename"]
         maker, name = file.split("/")[1], row["filename_no_ext"]
         low, high = (1e3 * float(row[f"{end}_wavelength"] or "nan") for end in ("min", "max"))
-        found[file] = _Entry(maker, name, file, low, high)
-    return tuple(found.values())
+        entries[file] = _Entry(maker, name, file, low, high)
+    return tuple(entries.values())
 
 
 def known_glass(name: str, value: Any) -> Glass | None:

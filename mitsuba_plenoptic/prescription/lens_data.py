@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, Self
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 from ..errors import LONGEST, InputError, refuse_if, short_repr
+from ..runtime import PlainData
 
 
 def vergence(focal_length: Any, distance: Any) -> Any:
@@ -57,7 +59,8 @@ _MLA_DISTANCE = 120.0
 """Distance from the main lens to the array, in millimetres, where neither that nor a plane in focus is given."""
 
 
-class LensData:
+@dataclass(frozen=True, eq=False)
+class LensData(PlainData):
     """Plain data of a main lens, here a thin one; classes of other lenses derive from it.
 
     Attributes
@@ -73,6 +76,7 @@ class LensData:
     """
 
     mark: ClassVar[str] = ""
+    where: ClassVar[str] = "main_lens: "
     kinds: ClassVar[list[type[LensData]]] = []
 
     is_thin: ClassVar[bool] = True
@@ -121,9 +125,9 @@ class LensData:
         """Return the distance to the array in mm if neither it nor a plane in focus is given."""
         return _MLA_DISTANCE
 
-    def settled(self, given: dict[str, float]) -> dict[str, float]:
+    def settled(self, stated: dict[str, float]) -> dict[str, float]:
         """Return the camera's main lens parameters, completed from given ones; refuse contradictions."""
-        return given
+        return stated
 
     def require_focusable(self, focus_distance: Any) -> None:
         """Refuse a lens whose plane in focus cannot be chosen."""
@@ -164,15 +168,6 @@ class LensData:
         """Return the width in mm of one bin of a reconstruction, in the object plane."""
         return float(camera.mla_pitch * distance / camera.mla_distance)
 
-    def to_plain(self) -> dict[str, Any]:
-        """Return the lens as numbers, strings, lists and dictionaries, for `from_plain`, files and headers."""
-        raise NotImplementedError
-
-    @classmethod
-    def from_plain(cls, value: Any) -> Self:
-        """Return the lens described by `to_plain`, after its checks."""
-        raise NotImplementedError
-
 
 THIN = LensData()
 """That of a thin lens."""
@@ -192,27 +187,27 @@ def known_kind(value: Any, default: type[LensData]) -> type[LensData]:
     return default
 
 
-def require_unscaled(given: dict[str, float], own: dict[str, float], tolerance: float) -> dict[str, float]:
+def require_unscaled(stated: dict[str, float], settled: dict[str, float], tolerance: float) -> dict[str, float]:
     """Return a lens's own parameters; refuse given parameters that differ.
 
     Parameters
     ----------
-    given, own : dict
-        Values by name: the given ones, and the lens's.
+    stated, settled : dict
+        Values by name: those of a camera, and the lens's.
     tolerance : float
         Allowed relative difference.
 
     Raises
     ------
     InputError
-        If a given value is not the lens's own.
+        If a stated value is not the lens's own.
     """
-    for name, number in own.items():
+    for name, value in settled.items():
         refuse_if(
-            not math.isclose(given[name], number, rel_tol=tolerance),
-            f"{name} = {given[name]:g}: with this main_lens it is {number:.6g}; leave it out",
+            not math.isclose(stated[name], value, rel_tol=tolerance),
+            f"{name} = {stated[name]:g}: with this main_lens it is {value:.6g}; leave it out",
         )
-    return own
+    return settled
 
 
 def require_alone(camera: Any) -> None:

@@ -42,8 +42,8 @@ def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> LensDa
         there = path.exists()
     if text in BUNDLED or not there:
         return bundled_prescription(text)
-    if (found := format_of(path.suffix.lower(), "lens", str(path))) is not None:
-        return cast(LensData, place(*found)(path))
+    if (reader := format_of(path.suffix.lower(), "lens", str(path))) is not None:
+        return cast(LensData, place(*reader)(path))
     try:
         return lens_from_plain(read_yaml(require_file(path)))
     except InputError as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 from ..errors import (
@@ -11,7 +11,6 @@ from ..errors import (
     put,
     refuse_if,
     require_choice,
-    require_known,
     require_length,
     require_number,
     short_repr,
@@ -96,12 +95,12 @@ class Objective(LensData):
         )
         put(self, tube_focal_length=require_length("main_lens: tube_focal_length", self.tube_focal_length))
         require_choice("main_lens: arrangement", self.arrangement, ARRANGEMENTS)
-        name, given = "main_lens: fourier_focal_length", self.fourier_focal_length
+        name, length = "main_lens: fourier_focal_length", self.fourier_focal_length
         if self.arrangement == "fourier":
-            refuse_if(given is None, f"{name}: it is missing; arrangement = fourier needs the lens before the array")
-            put(self, fourier_focal_length=require_length(name, given))
-        elif given is not None:
-            raise InputError(f"{name} = {short_repr(given)}: it is for arrangement = fourier; leave it out")
+            refuse_if(length is None, f"{name}: it is missing; arrangement = fourier needs the lens before the array")
+            put(self, fourier_focal_length=require_length(name, length))
+        elif length is not None:
+            raise InputError(f"{name} = {short_repr(length)}: it is for arrangement = fourier; leave it out")
 
     @property
     def name(self) -> str:
@@ -166,10 +165,10 @@ class Objective(LensData):
         """Return the focal length of the lens before the array."""
         return self.last_focal_length
 
-    def settled(self, given: dict[str, float]) -> dict[str, float]:
+    def settled(self, stated: dict[str, float]) -> dict[str, float]:
         """Return the parameters set by the objective; refuse given ones that differ."""
         numbers = self.focal_length, self.stop_radius, self.last_focal_length
-        return require_unscaled(given, dict(zip(self.sets, numbers, strict=True)), SINGLE)
+        return require_unscaled(stated, dict(zip(self.sets, numbers, strict=True)), SINGLE)
 
     def require_focusable(self, focus_distance: Any) -> None:
         """Refuse a plane in focus other than the native object plane."""
@@ -228,29 +227,3 @@ class Objective(LensData):
         if self.is_fourier:
             return 2 * self.last_focal_length * self.image_aperture
         return 2 * self.magnification * abs(distance) * math.tan(self.half_angle)
-
-    def to_plain(self) -> dict[str, Any]:
-        """Return the objective as plain values by name, for `from_plain`, files and headers."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: value for name, value in values.items() if value is not None}
-
-    @classmethod
-    def from_plain(cls, value: dict[str, Any]) -> Objective:
-        """Return the objective that `to_plain` described.
-
-        Parameters
-        ----------
-        value : dict
-            ``magnification`` and ``numerical_aperture``, and any other parameter.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown or missing, or a value is out of range.
-        """
-        known = [field.name for field in fields(cls)]
-        refuse_if(not isinstance(value, dict), f"main_lens = {short_repr(value)}: an objective has {', '.join(known)}")
-        require_known("main_lens: ", value, known)
-        for name in known[:2]:
-            refuse_if(name not in value, f"main_lens: {name}: it is missing from the objective")
-        return cls(**value)

@@ -127,7 +127,7 @@ class Surface:
             not isinstance(asphere, (list, tuple)) or len(asphere) > MOST_COEFFICIENTS,
             f"{where}: asphere = {short_repr(asphere)}: it must be at most {MOST_COEFFICIENTS} numbers",
         )
-        made = cls(
+        surface = cls(
             radius=radius,
             thickness=require_number(f"{where}: thickness", value.get("thickness", 0.0), minimum=0, maximum=LONGEST),
             glass=None if value.get("glass") is None else Glass.from_plain(value["glass"], f"{where}: glass"),
@@ -138,10 +138,11 @@ class Surface:
             asphere=tuple(require_number(f"{where}: asphere", entry) for entry in asphere),
         )
         refuse_if(
-            (1 + made.conic) * (made.semi_aperture * made.curvature) ** 2 >= 1,
-            f"{where}: semi_aperture = {made.semi_aperture:g}: the surface of radius {made.radius:g} ends before that",
+            (1 + surface.conic) * (surface.semi_aperture * surface.curvature) ** 2 >= 1,
+            f"{where}: semi_aperture = {surface.semi_aperture:g}: the surface of radius {surface.radius:g} ends "
+            "before that",
         )
-        return made
+        return surface
 
 
 @dataclass(frozen=True)
@@ -220,8 +221,8 @@ class Prescription(LensData):
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
         """Return the focal length and the open entrance pupil's radius, in mm, scaled to a given focal length."""
         numbers = self.paraxial
-        given = numbers.focal_length if focal_length is None else require_length("focal_length", focal_length)
-        return given, numbers.entrance_radius * given / numbers.focal_length
+        length = numbers.focal_length if focal_length is None else require_length("focal_length", focal_length)
+        return length, numbers.entrance_radius * length / numbers.focal_length
 
     def exit_pupil(self, focal_length: float) -> tuple[float, float]:
         """Return the exit pupil's distance before the rear principal plane, and the pupils' ratio of radii."""
@@ -288,31 +289,28 @@ class Prescription(LensData):
             f"main_lens: surfaces = {short_repr(listed)}: it must be a list of 1 to {MOST_SURFACES}",
         )
         surfaces = tuple(
-            Surface.from_plain(surface, f"main_lens: surface {number}")
-            for number, surface in enumerate(listed, start=1)
+            Surface.from_plain(surface, f"main_lens: surface {index}") for index, surface in enumerate(listed, start=1)
         )
         stops = []
-        for number, surface in enumerate(listed):
+        for index, surface in enumerate(listed):
             flag = surface.get("stop", False)
             if not isinstance(flag, bool):
-                raise InputError(
-                    f"main_lens: surface {number + 1}: stop = {short_repr(flag)}: it must be true or false"
-                )
-            stops += [number] if flag else []
+                raise InputError(f"main_lens: surface {index + 1}: stop = {short_repr(flag)}: it must be true or false")
+            stops += [index] if flag else []
         refuse_if(len(stops) != 1, f"main_lens: {len(stops)} surfaces have stop: true: it must be just one of them")
         if surfaces[-1].glass is not None:
             raise InputError(f"main_lens: surface {len(surfaces)}: glass: air must follow the last surface")
         texts = {name: value.get(name, "") for name in ("name", "source")}
         for name, text in texts.items():
             refuse_if(not isinstance(text, str), f"main_lens: {name} = {short_repr(text)}: it must be text")
-        made = cls(
+        lens = cls(
             surfaces,
             stops[0],
             **texts,
             wavelength=require_wavelength(value.get("wavelength", LINE_D), "main_lens: wavelength"),
         )
-        made.indices(made.wavelength)
-        return made.clipped()
+        lens.indices(lens.wavelength)
+        return lens.clipped()
 
     def indices(self, wavelength: float) -> list[float]:
         """Return the index behind each surface at a wavelength in nanometres; air has 1."""
@@ -382,17 +380,17 @@ def paraxial(prescription: Prescription, wavelength: float | None = None) -> Par
         If the lens does not converge, or a pupil is at infinity.
     """
     indices = [1.0, *prescription.indices(prescription.wavelength if wavelength is None else wavelength)]
-    whole, before, after = np.eye(2), np.eye(2), np.eye(2)
+    matrix, before, after = np.eye(2), np.eye(2), np.eye(2)
     length = 0.0
     for index, surface in enumerate(prescription.surfaces):
         if index == prescription.stop:
-            before, after = whole, np.eye(2)
+            before, after = matrix, np.eye(2)
         power = (indices[index + 1] - indices[index]) * surface.curvature
         gap = surface.thickness / indices[index + 1] if index < len(prescription.surfaces) - 1 else 0.0
         length += surface.thickness if gap else 0.0
         step = np.array([[1, gap], [0, 1]]) @ np.array([[1, 0], [-power, 1]])
-        whole, after = step @ whole, step @ after
-    (A, _), (C, D) = whole
+        matrix, after = step @ matrix, step @ after
+    (A, _), (C, D) = matrix
     if not -C > 1e-12:
         text = "infinite" if abs(C) <= 1e-12 else f"{-1 / C:.4g} mm"
         raise InputError(f"main_lens: its focal length is {text}: it must be positive, so that it forms an image")

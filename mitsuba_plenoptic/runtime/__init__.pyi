@@ -78,6 +78,10 @@ from .limits import single_threaded_blas as single_threaded_blas
 from .limits import software as software
 from .limits import unit_hint as unit_hint
 from .limits import work_limit as work_limit
+from .plain import PlainData as PlainData
+from .plain import known_record as known_record
+from .polynomials import exponents as exponents
+from .polynomials import monomials as monomials
 from .progress import INTERRUPTED as INTERRUPTED
 from .progress import Forecast as Forecast
 from .progress import ProgressBar as ProgressBar

@@ -36,9 +36,9 @@ _TRANSFORM = 512
 def seconds_by_rays(scene: Any, sensor: Any, integrator: Any, *, seed: int, spp: int) -> float:
     """Return the estimated seconds of a ray capture: evenly spaced rows of pixels are traced in Mitsuba's order."""
     columns, rows = (int(size) for size in sensor.film().crop_size())
-    whole = rows * columns * spp
+    samples = rows * columns * spp
     together = min(spp, _FEW_PATHS)
-    lines = min(rows, max(1, min(_RAYS, whole // _PART) // (columns * together)))
+    lines = min(rows, max(1, min(_RAYS, samples // _PART) // (columns * together)))
     count = lines * columns * together
     sampler = mi.load_dict({"type": "independent"})
     pixel = dr.arange(mi.UInt32, count) // together
@@ -60,10 +60,10 @@ def seconds_by_rays(scene: Any, sensor: Any, integrator: Any, *, seed: int, spp:
     dr.eval(column, row)
     trace()  # compiles the kernels
     seconds, traced = trace(), count
-    while seconds < _SECONDS and traced * _PART < whole:
+    while seconds < _SECONDS and traced * _PART < samples:
         seconds += trace()
         traced += count
-    return seconds * whole / traced
+    return seconds * samples / traced
 
 
 def seconds_by_waves(by_rays: float, rays: float, pixels: float, images: int) -> float:

@@ -44,8 +44,8 @@ def check_scene_file(path: Path, parameters: Mapping[str, str]) -> list[Element]
 
     Scenes that would run native code as plugins are refused, and pictures that crash Mitsuba.
     """
-    what = content_of(require_size(path, LARGEST_SCENE))
-    refuse_if(what != SCENE_XML, f"{path}: it is {what}; a scene is XML in UTF-8 with the root <scene>")
+    content = content_of(require_size(path, LARGEST_SCENE))
+    refuse_if(content != SCENE_XML, f"{path}: it is {content}; a scene is XML in UTF-8 with the root <scene>")
     roots: dict[Path, Element] = {}
     _check(path, dict(parameters), [Path.cwd(), path.parent], roots)
     return list(roots.values())
@@ -62,8 +62,11 @@ def _check(path: Path, parameters: dict[str, str], folders: list[Path], roots: d
     roots[path.resolve()] = root
     # A scene's defaults also apply to the files that it includes.
     values = scene_defaults([root]) | parameters
-    elements = [(each.tag, {key: _filled(each.get(key, ""), values) for key in _ATTRIBUTES}) for each in root.iter()]
-    folders = [*folders, path.parent, *(path.parent / given["value"] for tag, given in elements if tag == "path")]
+    elements = [
+        (element.tag, {key: _filled(element.get(key, ""), values) for key in _ATTRIBUTES}) for element in root.iter()
+    ]
+    folders = [*folders, path.parent]
+    folders += [path.parent / attributes["value"] for tag, attributes in elements if tag == "path"]
     for plugins in (folder / "plugins" for folder in folders):
         with contextlib.suppress(OSError):  # there is no such folder
             native = sorted(item.name for item in plugins.iterdir() if _NATIVE.search(item.name))
@@ -72,31 +75,31 @@ def _check(path: Path, parameters: dict[str, str], folders: list[Path], roots: d
                 f"{path}: Mitsuba would run the native code in {plugins} ({', '.join(native[:3])}) as plugins of this "
                 "scene: move the folder away",
             )
-    for tag, given in elements:
-        plugin = given["type"]
+    for tag, attributes in elements:
+        plugin = attributes["type"]
         refuse_if(
             re.search(r"[^\w$.\-]", plugin) or ".." in plugin,
             f"{path}: type = {short_repr(plugin)}: it must be the name of a plugin",
         )
-        for file in _existing(given["filename"], folders) if tag == "include" else ():
+        for file in _existing(attributes["filename"], folders) if tag == "include" else ():
             if file.resolve() not in roots:
                 _check(file, values, folders, roots)
-        for file in _existing(given["value"], folders) if given["value"].lower().endswith(".exr") else ():
-            for part in read_parts(file):
+        for file in _existing(attributes["value"], folders) if attributes["value"].lower().endswith(".exr") else ():
+            for layer in read_parts(file):
                 refuse_if(
-                    min(part.origin) < 0,
-                    f"{path}: {file}: its data window begins at {part.origin}, and Mitsuba crashes below 0",
+                    min(layer.origin) < 0,
+                    f"{path}: {file}: its data window begins at {layer.origin}, and Mitsuba crashes below 0",
                 )
 
 
 def scene_defaults(roots: Iterable[Element]) -> dict[str, str]:
     """Return the defaults of a scene's parameters; of several with one name the first, as in Mitsuba."""
-    found: dict[str, str] = {}
+    defaults: dict[str, str] = {}
     for root in roots:
-        for each in root.iter("default"):
-            if name := each.get("name"):
-                found.setdefault(name, each.get("value", ""))
-    return found
+        for element in root.iter("default"):
+            if name := element.get("name"):
+                defaults.setdefault(name, element.get("value", ""))
+    return defaults
 
 
 def names_in(element: Element) -> set[str]:
@@ -229,7 +232,7 @@ def load_scene(
             config = mi.parser.ParserConfig(mi.variant())
             config.merge_meshes = config.merge_equivalent = config.parallel = False
             # As `mi.load_file` does, which is not used here: files are looked for next to the scene.
-            mi.set_file_resolver(mi.FileResolver(found := mi.file_resolver()))
+            mi.set_file_resolver(mi.FileResolver(resolver := mi.file_resolver()))
             mi.file_resolver().prepend(str(Path(where).parent))
             try:
                 state = parse(config)
@@ -237,7 +240,7 @@ def load_scene(
                 scale_nodes(state.nodes, factor)
                 loaded = mi.parser.instantiate(config, state)
             finally:
-                mi.set_file_resolver(found)
+                mi.set_file_resolver(resolver)
     # Captures state this name in their metadata.
     loaded.set_id(name)
     if sensors := loaded.sensors():
@@ -249,36 +252,37 @@ def with_objects(scene: mi.Scene, new: Sequence[mi.Object], old: Sequence[mi.Obj
     """Return a scene of new objects, then of all others of a scene but for some, which keep their ids."""
     properties = mi.Properties("scene")
     # Unlike the lists of shapes and emitters, the traversal names the groups that instances show.
-    parts = [part for part, (_, depth) in mi.traverse(scene).hierarchy.items() if depth == 1 and part not in old]
-    for index, part in enumerate((*new, *parts)):
-        properties[f"{index}"] = part
-    made = mi.PluginManager.instance().create_object(properties)
-    made.set_id(scene.id())
-    return made
+    parts = [child for child, (_, depth) in mi.traverse(scene).hierarchy.items() if depth == 1 and child not in old]
+    for index, child in enumerate((*new, *parts)):
+        properties[f"{index}"] = child
+    copy = mi.PluginManager.instance().create_object(properties)
+    copy.set_id(scene.id())
+    return copy
 
 
 def _complete(path: Path, parameters: dict[str, str]) -> dict[str, str]:
     """Return the parameters for a scene file, with rows in proportion to the columns; refuse names that it has not."""
     roots = check_scene_file(path, parameters)
     defaults = scene_defaults(roots)
-    texts = [text for root in roots for each in root.iter() for text in each.attrib.values()]
+    texts = [text for root in roots for element in root.iter() for text in element.attrib.values()]
     for name in parameters:
         # Mitsuba ignores misspelled names silently, and replaces names wherever they are part of a text, but for longer
         # names.
-        longer = [each for each in defaults if each.startswith(name) and each != name]
-        if not any(f"${name}" in re.sub("|".join(rf"\${each}" for each in longer) or "$^", "", text) for text in texts):
-            known = sorted(defaults)
-            names = f"none of that name ({', '.join(known)})" if known else "no parameters"
-            raise InputError(f"parameter {name}: the scene {path} has {names}{did_you_mean(name, known)}")
-    wanted = parameters.get("resolution", ""), defaults.get("resolution", ""), defaults.get("rows", "")
-    if "rows" in parameters or not all(re.fullmatch(r"\d{1,9}", each) for each in wanted):
+        longer = [default for default in defaults if default.startswith(name) and default != name]
+        pattern = "|".join(rf"\${default}" for default in longer) or "$^"
+        if not any(f"${name}" in re.sub(pattern, "", text) for text in texts):
+            names = sorted(defaults)
+            stated = f"none of that name ({', '.join(names)})" if names else "no parameters"
+            raise InputError(f"parameter {name}: the scene {path} has {stated}{did_you_mean(name, names)}")
+    counts = parameters.get("resolution", ""), defaults.get("resolution", ""), defaults.get("rows", "")
+    if "rows" in parameters or not all(re.fullmatch(r"\d{1,9}", count) for count in counts):
         return parameters
-    columns, own_columns, own_rows = map(int, wanted)
+    columns, own_columns, own_rows = map(int, counts)
     return {**parameters, "rows": str(max(1, round(columns * own_rows / own_columns)))}
 
 
 @contextlib.contextmanager
-def loading(what: str = "") -> Iterator[None]:
+def loading(subject: str = "") -> Iterator[None]:
     """Turn Mitsuba's refusal to load a scene into an `InputError` with the cause and the line of the file."""
     try:
         yield
@@ -290,7 +294,7 @@ def loading(what: str = "") -> Iterator[None]:
             raise KeyboardInterrupt from None
         # A traceback states lines of Python.
         line = re.search(r"\b(line \d+(?:, col(?:umn)? \d+)?)", str(error).partition("Traceback")[0])
-        where = f"{what}{f', {line[1]}' if line else ''}: " if what else ""
+        where = f"{subject}{f', {line[1]}' if line else ''}: " if subject else ""
         raise InputError(f"{where}{mitsuba_sentence(error)}") from None
 
 
@@ -301,15 +305,15 @@ def mitsuba_sentence(error: Exception) -> str:
     # Mitsuba lists misspelled parameters below the sentence that reports them.
     start = max((i for i, line in enumerate(lines) if not line.startswith("- ")), default=0)
     last = " ".join(lines[start:])
-    if found := re.search(r'unreferenced \w+ in .*? of type "(\w+)": - \w+ "(\w+)"', last):
-        return unknown_parameter(found[1], found[2])
-    if found := re.search(r'Plugin "(\w+)" not found', last):
-        absent = missing("plugins", found[1])
-        return absent or f"type = {found[1]}: Mitsuba has no such plugin{did_you_mean(found[1], KNOWN_PARAMETERS)}"
+    if match := re.search(r'unreferenced \w+ in .*? of type "(\w+)": - \w+ "(\w+)"', last):
+        return unknown_parameter(match[1], match[2])
+    if match := re.search(r'Plugin "(\w+)" not found', last):
+        absent = missing("plugins", match[1])
+        return absent or f"type = {match[1]}: Mitsuba has no such plugin{did_you_mean(match[1], KNOWN_PARAMETERS)}"
     last = re.sub(r"^\[[\w.]+:\d+\] ", "", last)
     last = re.sub(r"^(?:At|While loading|Error while loading) [^:]*?(?:\([^)]*\)|\"[^\"]*\"): ", "", last)
-    if found := re.match(r"\[(\w+)\] could not assign an object of type '(\w+)'", last):
-        return f"{found[1]}: a value of type {found[2]} is none that plugins take; give a number or text"
+    if match := re.match(r"\[(\w+)\] could not assign an object of type '(\w+)'", last):
+        return f"{match[1]}: a value of type {match[2]} is none that plugins take; give a number or text"
     return re.sub(r"^(?:[\w.]+\.)?(?:InputError|RuntimeError|ValueError|TypeError|Exception): ", "", last)
 
 
@@ -347,28 +351,29 @@ def scale_nodes(nodes: Any, factor: float) -> None:
     lengths, which are millimetres in every scene.
     """
     # Objects of the active variant that have lengths or may hold some that do.
-    made = (mi.Shape, mi.Sensor, mi.Emitter, mi.Medium, mi.Volume, mi.BSDF, mi.Texture)
+    kinds = (mi.Shape, mi.Sensor, mi.Emitter, mi.Medium, mi.Volume, mi.BSDF, mi.Texture)
     for node in nodes:
         properties, plugin = node.props, node.props.plugin_name()
         name = f"unit: {plugin}{f' {node.props.id()!r}' if node.props.id() else ''}"
         for key in properties.keys():  # noqa: SIM118 (properties are no mapping)
             refuse_if(
-                isinstance(properties[key], made),
+                isinstance(properties[key], kinds),
                 f"{name}: {key}: an object that is already made cannot be scaled; give its dictionary",
             )
-        known = _SCALABLE.get(node.type, (plugin,))
+        scalable = _SCALABLE.get(node.type, (plugin,))
         refuse_if(
-            plugin not in known,
-            f"{name}: its lengths cannot be scaled, only those of {', '.join(sorted(known))}; scale the scene itself",
+            plugin not in scalable,
+            f"{name}: its lengths cannot be scaled, only those of {', '.join(sorted(scalable))}; scale the scene "
+            "itself",
         )
-        place = np.array(properties["to_world"].matrix, np.float64) if "to_world" in properties else np.eye(4)
+        matrix = np.array(properties["to_world"].matrix, np.float64) if "to_world" in properties else np.eye(4)
         if plugin in (*_SCALED_SHAPES, "gridvolume"):
-            properties["to_world"] = mi.ScalarTransform4f(np.diag([factor, factor, factor, 1]) @ place)
+            properties["to_world"] = mi.ScalarTransform4f(np.diag([factor, factor, factor, 1]) @ matrix)
         # The shapes of a group are scaled, so that an instance of them is only moved.
         elif plugin in ("instance", *_MOVED_CAMERAS, *_MOVED_LAMPS):
             if "to_world" in properties:
-                place[:3, 3] *= factor
-                properties["to_world"] = mi.ScalarTransform4f(place)
+                matrix[:3, 3] *= factor
+                properties["to_world"] = mi.ScalarTransform4f(matrix)
             for key in ("origin", "position"):
                 if key in properties:
                     properties[key] = [factor * value for value in properties[key]]
@@ -389,7 +394,7 @@ def scale_nodes(nodes: Any, factor: float) -> None:
 def _times(value: Any, factor: float, name: str) -> Any:
     """Return the power of a lamp, a number, a colour or a spectrum, times a factor."""
     if hasattr(value, "is_uniform"):
-        values = [factor * one for one in value.values]
+        values = [factor * entry for entry in value.values]
         return type(value)(values[0]) if value.is_uniform() else type(value)(value.wavelengths, values)
     numbers = isinstance(value, (int, float)) or hasattr(value, "__len__")
     refuse_if(not numbers, f"{name}: it must be given as numbers, so that it can be scaled")

@@ -56,8 +56,8 @@ class SceneLight:
     ) -> list[Any]:
         """Return the radiance along rays from points in the camera frame, by channel or at each ray's wavelengths."""
         sampler, ray = self.rays(point, slope, active, seed, wavelengths)
-        found = sample(self.integrator, self.scene, sampler, ray, self.sensor.get_medium(), active)
-        return channels(found) if wavelengths is None else list(found)
+        sampled = sample(self.integrator, self.scene, sampler, ray, self.sensor.get_medium(), active)
+        return channels(sampled) if wavelengths is None else list(sampled)
 
     def rays(
         self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None
@@ -293,7 +293,7 @@ def warn_of_metres(scene: Any, sensor: Any) -> None:
     if farthest <= 0:
         return
     ranges = depth_ranges(camera) if camera.refocuses else ()
-    sharp = min((found[0] for found in ranges if found), default=0.0)
+    sharp = min((distances[0] for distances in ranges if distances), default=0.0)
     if farthest < camera.focal_length:
         where = f"within the main lens's focal length of {camera.focal_length:.4g} mm"
     elif farthest < _FAR_TOO_NEAR * sharp:

@@ -142,7 +142,7 @@ def render_capture(
         computed=True,
     )
     # Two sensors with the same camera must not share a checkpoint.
-    which = {} if sensor == 0 else {"sensor": sensor if isinstance(sensor, int) else chosen.id()}
+    label = {} if sensor == 0 else {"sensor": sensor if isinstance(sensor, int) else chosen.id()}
     metadata: dict[str, Any] = {
         "scene": scene.id(),
         "variant": mi.variant(),
@@ -151,7 +151,7 @@ def render_capture(
         "software": {name: _version(name) for name in _SOFTWARE},
         "seed": seed,
         "spp": spp,
-        **which,
+        **label,
     }
     deviation = None
     with guards.watch() as fractions:
@@ -190,29 +190,29 @@ def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
     try:
         PlenopticCamera.from_sensor(chosen)
     except InputError as error:
-        if found := [index for index, each in enumerate(scene.sensors()) if hasattr(type(each), "camera")]:
-            instead = advice(python=f"sensor={found[0]} is one", shell=f"--sensor {found[0]} is one")
+        if plenoptic := [index for index, item in enumerate(scene.sensors()) if hasattr(type(item), "camera")]:
+            instead = advice(python=f"sensor={plenoptic[0]} is one", shell=f"--sensor {plenoptic[0]} is one")
         raise InputError(f"{error}; {instead}") from None
     return chosen
 
 
-def require_active(name: str, given: mi.Object, kind: type) -> mi.Object:
+def require_active(name: str, thing: mi.Object, kind: type) -> mi.Object:
     """Return an object of a kind of the active variant; refuse others, and those of another variant."""
-    found = given.variant_name() if hasattr(given, "variant_name") else None
+    variant = thing.variant_name() if hasattr(thing, "variant_name") else None
     refuse_if(
-        not isinstance(given, kind),
-        f"{name} of type {type(given).__name__}{f' and of variant {found}' if found else ''}: it must be a "
+        not isinstance(thing, kind),
+        f"{name} of type {type(thing).__name__}{f' and of variant {variant}' if variant else ''}: it must be a "
         f"mitsuba.{kind.__name__} of the active variant {mi.variant()}, which is one for the whole process: load the "
         "scene after mi.set_variant",
     )
-    return given
+    return thing
 
 
-def numbered_sensor(scene: mi.Scene, number: int) -> mi.Sensor:
+def numbered_sensor(scene: mi.Scene, index: int) -> mi.Sensor:
     """Return a scene's sensor by its index; refuse what is no index of one."""
-    number, sensors = require_count("sensor", number, minimum=0), scene.sensors()
-    refuse_if(number >= len(sensors), f"sensor = {number}: the scene's are numbered from 0 to {len(sensors) - 1}")
-    return sensors[number]
+    index, sensors = require_count("sensor", index, minimum=0), scene.sensors()
+    refuse_if(index >= len(sensors), f"sensor = {index}: the scene's are numbered from 0 to {len(sensors) - 1}")
+    return sensors[index]
 
 
 def is_wave_capture(scene: Any, model: str | None) -> bool:
@@ -276,11 +276,11 @@ def chosen_integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> An
         refuse_by_rays(**wave)
         integrator = child
     elif wave or not is_wave:
-        own = {"type": integrator.plugin, **integrator.parameters()} if is_wave else {"type": "plenoptic_wave"}
+        properties = {"type": integrator.plugin, **integrator.parameters()} if is_wave else {"type": "plenoptic_wave"}
         # None means not given; Mitsuba's loader would end the process on it.
         wave = {name: value for name, value in wave.items() if value is not None}
         try:
-            integrator = mi.load_dict({**own, **wave, "child": child})
+            integrator = mi.load_dict({**properties, **wave, "child": child})
         except RuntimeError as error:
             raise InputError(mitsuba_sentence(error)) from None
     instead = advice(python="ground_truth(scene) returns depth and normals", shell="--aov writes depth and normals")
@@ -385,21 +385,21 @@ def _render_passes(
     seeds = np.random.SeedSequence(seed).generate_state(len(counts))
     image, spread = np.zeros(()), PassSpread() if noise else None
     sampler = sensor.sampler()
-    given = sampler.sample_count()
+    count_before = sampler.sample_count()
     try:
         for index, (pass_seed, count) in enumerate(zip(seeds.tolist(), counts, strict=True)):
             # `integrator.render` rather than `mi.render`, which hides the cause of an error.
-            part = np.array(integrator.render(scene, sensor, seed=pass_seed, spp=count, develop=True))
+            rendered = np.array(integrator.render(scene, sensor, seed=pass_seed, spp=count, develop=True))
             if spread:
-                spread.add(part, count)
+                spread.add(rendered, count)
             else:
-                part *= count / sum(counts)
-                image = np.add(image, part, out=image) if index else part
+                rendered *= count / sum(counts)
+                image = np.add(image, rendered, out=image) if index else rendered
             if progress:
                 progress(min(sum(counts[: index + 1]), spp), spp)
     finally:
         # Passes leave their count in the scene's sampler, where the next capture would look for its own.
-        sampler.set_sample_count(given)
+        sampler.set_sample_count(count_before)
     return (spread.image, spread.deviation()) if spread else (image, None)
 
 

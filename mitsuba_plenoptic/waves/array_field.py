@@ -28,12 +28,7 @@ from ..camera import PlenopticCamera
 from ..fields.lens_kinds import Kind, LensKinds
 from ..fields.microlenses import aperture_points
 from ..optics.waves import in_millimetres
-
-_GRAZING = 1e-3
-"""Least square of the cosine of an angle of incidence; more grazing light, from far neighbours, is left out."""
-
-MOST_PHASE = 8.0
-"""Largest defocus in radians at a lens's edge for which functions over the lens describe where rays land."""
+from .accuracy import USUAL
 
 Array = NDArray[Any]
 Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -99,7 +94,7 @@ class LensWaves:
         straight = math.hypot(index * z, *landing)
         tx, ty = (index * p / straight - q / z for p, q in zip(landing, x, strict=True))
         square = np.maximum(1 - (tx * tx + ty * ty) / index**2, 0)
-        slant = 1 / np.sqrt(np.maximum(square, _GRAZING))
+        slant = 1 / np.sqrt(np.maximum(square, USUAL.grazing))
         return (
             (landing[0] - z * tx * slant, landing[1] - z * ty * slant),
             square,
@@ -128,7 +123,7 @@ class LensWaves:
         path += sx * mx + sy * my + own * (mx * mx + my * my) / 2
         waves = path / in_millimetres(self.wavelength)
         waves += camera.microlens.lens_waves(lattice, cx, cy, focal_lengths[types], self.wavelength)
-        amplitude = np.where(square < _GRAZING, 0, 1 / np.maximum(square, _GRAZING))
+        amplitude = np.where(square < USUAL.grazing, 0, 1 / np.maximum(square, USUAL.grazing))
         # Samples at borders count in part, so that kernels change smoothly with the camera.
         step = x[0][0, 1] - x[0][0, 0]
         own_inset = lattice.aperture_inset(mx, my) / step

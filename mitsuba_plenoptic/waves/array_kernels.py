@@ -28,52 +28,13 @@ from numpy.typing import NDArray
 from ..fields.lens_kinds import Kind
 from ..optics.waves import in_millimetres
 from ..runtime import fft, on_all_cores, require_memory, single_threaded_blas
-from .array_field import MOST_PHASE, LensWaves
+from .accuracy import USUAL
+from .array_field import LensWaves
 from .lens_functions import LensFunctions, of_middles
 from .oblique import Oblique, changes, directions, terms
 
-_TRANSFER_SAMPLES = 64
-"""Lags per pitch of lenses' transfer functions. There are twice as many points, whose phases differ by a tenth of a
-period between neighbours."""
-
-_KEPT = 2.0
-"""Samples per cycle of the highest frequency of a lens's diffraction; two samples represent it completely."""
-
-SPECTRUM_SAMPLES = 256
-"""Samples across a lens for the Fourier coefficients of its functions."""
-
-_HIGHER, _COARSE, _LAGS = 4, 48, 16
-"""Degrees of the polynomials that are combined above the degree whose polynomials are as many as the functions; points
-across an aperture and lags on either side for which the functions are the best."""
-
-_FUNCTIONS, _OBLIQUE = 0.75, (2.0, 1.25)
-"""Part of images of random light that may be missing for want of functions, over the tolerance; parts for want of
-oblique kernels, of usual cameras, and of those with steep light."""
-
-_MOST_OBLIQUE = 2
-"""Largest number of oblique kernels over that of functions: more are only needed for lenses faster than f/2."""
-
-_COARSER = 4
-"""Factor by which lags of oblique kernels of degree 2 are farther apart, as these are small changes."""
-
-_STEEP = 0.3
-"""Largest direction cosine in front of a lens, plus that by which its edge refracts, from where on kernels change with
-the direction as polynomials of degree 4."""
-
-_FIELD, _PUPIL = 9, 9
-"""Positions across the detector and the pupil whose rays the oblique kernels are for."""
-
-_EVEN = 1e-5
-"""Difference from the mirror image, of largest values 1, below which transmissions and weights are symmetric."""
-
 REACH = 2.5
 """Distance in microlens pitches to which kernels are computed."""
-
-_BORDER = 8
-"""Samples over which a kernel falls to zero at either end of its period, which is no whole number of samples."""
-
-_REACHED, _SHAPE = 16, 8.0
-"""Samples on either side in the derivative filter, and the shape parameter of its Kaiser window."""
 
 
 @dataclass(frozen=True)
@@ -94,19 +55,19 @@ class ArrayKernels(LensWaves):
         Far from the microlenses' focus a few functions cannot describe the difference. The spread by the pupil is then
         taken as that of the whole pupil for all of its points.
         """
-        return self.defocus * self.wavelength / (self.shortest or self.wavelength) > MOST_PHASE
+        return self.defocus * self.wavelength / (self.shortest or self.wavelength) > USUAL.most_phase
 
     @cached_property
     @single_threaded_blas()
     def functions(self) -> LensFunctions:
         """Functions of a ray's point on a lens; polynomials of some degree if landing points depend on these points."""
-        u, v, inside = self.aperture_grid(SPECTRUM_SAMPLES)
-        higher = 0 if self.by_points or self.degree == 0 else _HIGHER
+        u, v, inside = self.aperture_grid(USUAL.spectrum_samples)
+        higher = 0 if self.by_points or self.degree == 0 else USUAL.higher_degrees
         scale = float(self.lattice.aperture_reach)
         polynomials = LensFunctions.polynomials(u[inside], v[inside], self.degree + higher, scale)
         if not higher:
             return polynomials
-        u, v, inside = self.aperture_grid(self._samples_of(_COARSE))
+        u, v, inside = self.aperture_grid(self._samples_of(USUAL.coarse_points))
         # Two directions stand for all rays, with their mean square along each axis; opposite ones have mirror images.
         along, across = np.sqrt(2 * np.mean(np.square(self._cosines()), axis=0)).tolist()
         images = np.concatenate(
@@ -117,13 +78,14 @@ class ArrayKernels(LensWaves):
             ],
             axis=1,
         )
-        return polynomials.best(self._most_functions, _FUNCTIONS * self.tolerance, (u[inside], v[inside]), images)
+        tolerance = USUAL.missing_functions * self.tolerance
+        return polynomials.best(self._most_functions, tolerance, (u[inside], v[inside]), images)
 
     @property
     def _is_steep(self) -> bool:
         """Whether kernels change with the direction of light as polynomials of degree 4."""
         edge = max(float(self.lattice.aperture_reach) / kind.distance for kind in self.kinds)
-        return bool(np.hypot(*self._cosines().T).max() + edge > _STEEP)
+        return bool(np.hypot(*self._cosines().T).max() + edge > USUAL.steep)
 
     @property
     def _most_functions(self) -> int:
@@ -140,7 +102,7 @@ class ArrayKernels(LensWaves):
         cosines = self._cosines()
         largest = float(np.hypot(*cosines.T).max())
         # Small apertures fall between the points of a grid that is as fine for all.
-        u, v, inside = self.aperture_grid(max(_LAGS, self._samples_of(_COARSE)))
+        u, v, inside = self.aperture_grid(max(USUAL.coarse_lags, self._samples_of(USUAL.coarse_points)))
         kinds = self.kinds[: len(camera.mla_focal_lengths)]
         degree = 4 if self._is_steep else 2
         images = [
@@ -148,7 +110,8 @@ class ArrayKernels(LensWaves):
             for a, b in directions(degree) * largest
         ]
         light = functions.light(u[inside], v[inside])
-        allowed, most = _OBLIQUE[self._is_steep] * self.tolerance, _MOST_OBLIQUE * self._most_functions
+        allowed = USUAL.missing_oblique[self._is_steep] * self.tolerance
+        most = USUAL.most_oblique * self._most_functions
         return Oblique.best(largest, cosines / largest, np.stack(images), light, functions.odd, allowed, most)
 
     def _samples_of(self, count: int) -> int:
@@ -164,7 +127,7 @@ class ArrayKernels(LensWaves):
     def covariance(self) -> NDArray[np.float64]:
         """Covariance of the values of an image's rays, for light with random edges from all directions."""
         functions, oblique = self.functions, self.oblique
-        u, v, inside = self.aperture_grid(_LAGS)
+        u, v, inside = self.aperture_grid(USUAL.coarse_lags)
         light = functions.light(u[inside], v[inside])
         across, up = self._cosines().T / oblique.largest
         expected = np.transpose(terms(across, up, oblique.degree))
@@ -177,8 +140,8 @@ class ArrayKernels(LensWaves):
     def _cosines(self) -> NDArray[np.float64]:
         """Return the direction cosines (n, 2) on the array, in the array's frame, of light from the pupil."""
         camera = self.camera
-        field = np.linspace(-0.5, 0.5, _FIELD) if camera.lens_data.converges else np.zeros(1)
-        pupil = np.linspace(-1, 1, _PUPIL) * camera.pupil_radius
+        field = np.linspace(-0.5, 0.5, USUAL.oblique_fields) if camera.lens_data.converges else np.zeros(1)
+        pupil = np.linspace(-1, 1, USUAL.oblique_pupil) * camera.pupil_radius
         x, y, Px, Py = (
             each.ravel()
             for each in np.meshgrid(field * camera.detector_width, field * camera.detector_height, pupil, pupil)
@@ -197,12 +160,12 @@ class ArrayKernels(LensWaves):
     ) -> NDArray[np.float64]:
         """Return the spectra (n, values) of kernels, as pixels record them, for combinations of polynomials."""
         scale = in_millimetres(self.wavelength) * kind.distance
-        fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
-        farthest = min(2 * _TRANSFER_SAMPLES, int(scale / (2 * self.camera.pixel_size * fine)))
-        every = max(1, farthest // _LAGS)
-        lags = np.arange(-_LAGS, _LAGS + 1) * every
+        fine = self.lattice.pitches[0] / USUAL.pitch_lags
+        farthest = min(2 * USUAL.pitch_lags, int(scale / (2 * self.camera.pixel_size * fine)))
+        every = max(1, farthest // USUAL.coarse_lags)
+        lags = np.arange(-USUAL.coarse_lags, USUAL.coarse_lags + 1) * every
         weights = np.sinc(lags * (fine * self.camera.pixel_size / scale))
-        transfer = self._transfer(_LAGS, every, kind, polynomials, coefficients, cosines)
+        transfer = self._transfer(USUAL.coarse_lags, every, kind, polynomials, coefficients, cosines)
         spectra = transfer * (weights[:, None] * weights)
         return np.concatenate([spectra.real, spectra.imag], axis=1).reshape(len(spectra), -1)
 
@@ -261,7 +224,7 @@ class ArrayKernels(LensWaves):
     def _cell_parts(self, step: float, kind: Kind) -> int:
         """Return the number of samples across a cell that resolves a lens's diffraction."""
         scale = in_millimetres(self.wavelength) * kind.distance
-        return math.ceil(_KEPT * step * float(self.lattice.aperture_width) / scale)
+        return math.ceil(USUAL.cycle_samples * step * float(self.lattice.aperture_width) / scale)
 
     @cached_property
     def _kept(self) -> dict[tuple[float, float, int], NDArray[np.float64]]:
@@ -270,11 +233,11 @@ class ArrayKernels(LensWaves):
     def kernel_samples(self, step: float, reach: float, kind: int = 0) -> tuple[int, int, int]:
         """Return the sampling of `kernels`: lag step in fine samples, number of lags, samples on either side."""
         scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
-        fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
+        fine = self.lattice.pitches[0] / USUAL.pitch_lags
         every = max(1, int(scale / (2 * fine * reach)))
         # Pairs in neighbouring lenses are less than two cell widths apart; the grid resolves half a cycle per step.
-        farthest = int(min(2 * _TRANSFER_SAMPLES, scale / (2 * step * fine))) // every
-        return every, farthest, math.ceil((scale / (fine * every * step) + _BORDER) / 2)
+        farthest = int(min(2 * USUAL.pitch_lags, scale / (2 * step * fine))) // every
+        return every, farthest, math.ceil((scale / (fine * every * step) + USUAL.border) / 2)
 
     @single_threaded_blas()
     def sampled_kernels(self, step: float, samples: tuple[int, int, int], kind: int = 0) -> NDArray[np.float64]:
@@ -287,7 +250,7 @@ class ArrayKernels(LensWaves):
             return kernels
         parts = np.einsum("rnk,kd->drn", oblique.kernels, changes(oblique.degree))
         # Coarse pixels resolve few lags.
-        coarser = _COARSER if oblique.degree == 2 and farthest >= _LAGS else 1
+        coarser = USUAL.oblique_coarser if oblique.degree == 2 and farthest >= USUAL.coarse_lags else 1
         transfer = np.sum(
             [
                 self._transfer(
@@ -303,7 +266,7 @@ class ArrayKernels(LensWaves):
             axis=0,
         )
         # Their period is shorter, but not the border of their windows.
-        small = self._placed(transfer, every * coarser, step, min(count, count // coarser + _BORDER // 2), kind)
+        small = self._placed(transfer, every * coarser, step, min(count, count // coarser + USUAL.border // 2), kind)
         aside = (kernels.shape[1] - small.shape[1]) // 2
         return np.concatenate([kernels, np.pad(small, [(0, 0), (aside, aside), (aside, aside)])])
 
@@ -312,19 +275,19 @@ class ArrayKernels(LensWaves):
     ) -> NDArray[np.float64]:
         """Return kernels of `count` samples on either side, from transfer functions `every` steps apart."""
         scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
-        apart = self.lattice.pitches[0] / _TRANSFER_SAMPLES * every
+        apart = self.lattice.pitches[0] / USUAL.pitch_lags * every
         farthest = transfer.shape[1] // 2
         place, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * apart
         # All repetitions of the window add up to 1, so that a kernel has the transfer function at each lag.
         period = scale / apart
-        beyond = (np.abs(place) - period / 2) / min(_BORDER * step, period)
+        beyond = (np.abs(place) - period / 2) / min(USUAL.border * step, period)
         window = (1 - np.sin(np.pi * np.clip(beyond, -0.5, 0.5))) / 2
         waves = window[:, None] * np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (apart * step / scale)
         return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
 
     def spots(self, along: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the diffraction patterns (types, n, n) of single lenses, at detector positions along both axes."""
-        u, v, inside = self.aperture_grid(_TRANSFER_SAMPLES)
+        u, v, inside = self.aperture_grid(USUAL.pitch_lags)
         wavelength = in_millimetres(self.wavelength)
         made = []
         for kind in self.kinds[: len(self.camera.mla_focal_lengths)]:
@@ -347,7 +310,7 @@ class ArrayKernels(LensWaves):
         parts = self._cell_parts(step, kind)
         count = math.ceil(reach / step)
         fine, far = step / parts, (count + 1) * parts - 1
-        x, y, _ = self.aperture_grid(SPECTRUM_SAMPLES)
+        x, y, _ = self.aperture_grid(USUAL.spectrum_samples)
         along, spacing = x[0], x[0, 1] - x[0, 0]
         inside = lattice.in_aperture(x, y)
         functions = self.functions
@@ -375,13 +338,13 @@ class ArrayKernels(LensWaves):
     ) -> NDArray[np.complex64]:
         """Return the integrals over a cell of combinations of polynomials, times T T*, at lags along y and x.
 
-        Along either axis there are `farthest` lags on either side, `every` steps of the pitch over `_TRANSFER_SAMPLES`
+        Along either axis there are `farthest` lags on either side, `every` steps of the pitch over `pitch_lags`
         apart, and two points for each step. `coefficients` (polynomials, n) define the combinations. Light has given
         direction cosines.
         """
         lattice = self.lattice
         # A lag of whole steps moves both points of a pair to points of the grid.
-        step = lattice.pitches[0] / _TRANSFER_SAMPLES / 2
+        step = lattice.pitches[0] / USUAL.pitch_lags / 2
         reach = math.ceil(lattice.cell_reach / step) + farthest * every + 1
         along = (np.arange(-reach, reach) + 0.5) * step
         y, x = np.meshgrid(along, along, indexing="ij")
@@ -445,8 +408,8 @@ class ArrayKernels(LensWaves):
         """
         other = np.flip(weight, axis)
         signs = np.where((other * weight).sum((0, 1)) < 0, np.float32(-1), np.float32(1))
-        even = np.allclose(T, np.flip(T, axis), rtol=0, atol=_EVEN)
-        even = even and np.allclose(weight, signs * other, rtol=0, atol=_EVEN * np.abs(weight).max((0, 1)))
+        even = np.allclose(T, np.flip(T, axis), rtol=0, atol=USUAL.mirrored)
+        even = even and np.allclose(weight, signs * other, rtol=0, atol=USUAL.mirrored * np.abs(weight).max((0, 1)))
         return signs[:, None, None] if even else None
 
 
@@ -455,7 +418,9 @@ def displaced(kernels: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     from scipy.ndimage import convolve1d
 
     # Kernels end abruptly, and their slopes include these ends: a short filter confines them to their surroundings.
-    steps = np.arange(-_REACHED, _REACHED + 1)
+    reach = USUAL.derivative_samples
+    steps = np.arange(-reach, reach + 1)
     ideal = np.divide((-1.0) ** steps, steps, out=np.zeros(len(steps)), where=steps != 0)
-    wide = np.pad(kernels, [(0, 0), (_REACHED, _REACHED), (_REACHED, _REACHED)])
-    return [convolve1d(wide, -ideal * np.kaiser(len(steps), _SHAPE), axis, mode="constant") for axis in (2, 1)]
+    wide = np.pad(kernels, [(0, 0), (reach, reach), (reach, reach)])
+    window = np.kaiser(len(steps), USUAL.derivative_shape)
+    return [convolve1d(wide, -ideal * window, axis, mode="constant") for axis in (2, 1)]

@@ -28,40 +28,19 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..runtime import drjit_array, on_all_cores, single_threaded_blas
+from ..runtime import drjit_array, monomials, on_all_cores, single_threaded_blas
+from .accuracy import USUAL
 from .lens_functions import edge_covariance, even_polynomials
 from .pupil_samples import PupilSamples, along, means, spread_points
 
 CLOSED = 0.25
 """Part of the rays that pass closed parts of pupils that have some between open ones."""
 
-_LEAST_CLOSED = 0.02
-"""Part of the middles of open points that must be closed for such rays."""
-
 _SAMPLES = 128
 """Samples across the pupil."""
 
 _AREA = (2 / _SAMPLES) ** 2
 """Area of a sample."""
-
-_PER_UNIT = 32
-"""Image frequencies to one of R / lambda b along each axis: kernels have a period of as many units of lambda b / R."""
-
-_TAPER = 0.75
-"""Part of half this period from where kernels fall to zero."""
-
-_BLURS, _WIDEST = 20, 32.0
-"""Count of blurs to which kernels are fitted, on each side of the focus, and the largest one in units."""
-
-_TILT, _PER_DEGREE, _TILTED = 0.5, 0.25, 0.3
-"""Step of the small v in cycles to the pupil's radius, their limit over the polynomials' degree plus one, as higher
-degrees can follow faster changes, and the part of all weight that they have."""
-
-_NOISE = 2e-4
-"""Weight of the noise."""
-
-_EVERY = 9
-"""One of so many points of the pupil serves for the covariance."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +63,8 @@ class PupilFunctions:
         self, x: NDArray[np.float64], y: NDArray[np.float64], shares: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return the values (points, functions) at points, whose shares are an array (shares, points)."""
-        monomials = np.stack([x**i * y**j for i, j in self.exponents], -1)
-        return np.asarray(np.concatenate([share[:, None] * monomials for share in shares], 1) @ self.combined)
+        terms = np.stack(monomials(x, y, self.exponents), -1)
+        return np.asarray(np.concatenate([share[:, None] * terms for share in shares], 1) @ self.combined)
 
 
 @dataclass(frozen=True)
@@ -109,7 +88,7 @@ class FittedPupil:
         within = np.hypot(farthest, farthest[:, None]) <= 1
         middles = np.where(within, np.sqrt(np.maximum(pairs - 1e-9 * pairs.max(), 0)), 0)
         closed = middles * (1 - power / power.max())
-        some = closed.sum() > _LEAST_CLOSED * middles.sum()
+        some = closed.sum() > USUAL.least_closed * middles.sum()
         return [part / (part.sum() * _AREA) for part in ([power, closed] if some else [power])]
 
     @cached_property
@@ -171,7 +150,7 @@ class FittedPupil:
     def covariance(self) -> NDArray[np.float64]:
         """Covariance of the functions' integrals over light with random edges."""
         whole, shares = self._drawn
-        x, y = (place[::_EVERY] for place in spread_points(whole))
+        x, y = (place[:: USUAL.fitted_every] for place in spread_points(whole))
         column, row = (np.asarray((place + 1) * (_SAMPLES / 2), int) for place in (x, y))
         values = self.functions.values(*self._boxed(x, y), shares[:, row, column])
         return edge_covariance(values, x, y, 1.0)
@@ -183,8 +162,8 @@ class FittedPupil:
         y, x = _frequencies()
         along_y, along_x = (np.exp(-2j * np.pi * np.outer(places, each)) for each in (y, x))
         # The other half plane of frequencies has the conjugate spectrum.
-        whole = ((along_y * np.where(y > 0, 2, 1)) @ self._spectra @ along_x.T).real / _PER_UNIT**2
-        fall = (np.hypot(places, places[:, None]) / (_PER_UNIT / 2) - _TAPER) / (1 - _TAPER)
+        whole = ((along_y * np.where(y > 0, 2, 1)) @ self._spectra @ along_x.T).real / USUAL.unit_frequencies**2
+        fall = (np.hypot(places, places[:, None]) / (USUAL.unit_frequencies / 2) - USUAL.taper) / (1 - USUAL.taper)
         return np.asarray(whole * np.cos(np.pi / 2 * np.clip(fall, 0, 1)) ** 2)
 
     @cached_property
@@ -194,9 +173,9 @@ class FittedPupil:
         u, v = self._boxed((x + 0 * x[:, None]).ravel(), (x[:, None] + 0 * x).ravel())
         values = self.functions.values(u, v, shares.reshape(len(shares), -1))
         brought = values * (drawn.ravel() * _AREA)[:, None]
-        noise = _NOISE * (values.T @ brought)[1:, 1:]
+        noise = USUAL.noise_weight * (values.T @ brought)[1:, 1:]
         images = np.ascontiguousarray(np.swapaxes(brought.reshape(_SAMPLES, _SAMPLES, -1), 1, 2), np.complex64)
-        lights, frequencies = _lights(_PER_DEGREE * (self.degree + 1)), _frequencies()
+        lights, frequencies = _lights(USUAL.tilt_limit * (self.degree + 1)), _frequencies()
         weight = np.sqrt([light.weight for light in lights])
 
         def seen(light: _Light) -> tuple[NDArray[np.complex64], ...]:
@@ -247,16 +226,17 @@ class _Light(NamedTuple):
 
 def _lights(steepest: float) -> list[_Light]:
     """Return the light of each pair of opposite blurs, and of opposite v up to the steepest."""
-    steps = _TILT * np.arange(-math.floor(steepest / _TILT), math.floor(steepest / _TILT) + 1)
+    most = math.floor(steepest / USUAL.tilt_step)
+    steps = USUAL.tilt_step * np.arange(-most, most + 1)
     tilts = [(x, y) for x in steps for y in steps if (y, x) > (0, 0) and math.hypot(x, y) <= steepest]
-    blurs = _WIDEST * (np.arange(1, _BLURS + 1) / _BLURS) ** 2
+    blurs = USUAL.widest_blur * (np.arange(1, USUAL.fitted_blurs + 1) / USUAL.fitted_blurs) ** 2
     return [
-        *(_Light(float(blur), 0.0, 0.0, (1 - _TILTED) / _BLURS) for blur in blurs),
-        *(_Light(0.0, float(x), float(y), _TILTED / len(tilts)) for x, y in tilts),
+        *(_Light(float(blur), 0.0, 0.0, (1 - USUAL.tilt_weight) / USUAL.fitted_blurs) for blur in blurs),
+        *(_Light(0.0, float(x), float(y), USUAL.tilt_weight / len(tilts)) for x, y in tilts),
     ]
 
 
 def _frequencies() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the frequencies of images along y, of half of the plane, and along x, in R / lambda b and below 2."""
-    most = 2 * _PER_UNIT - 1
-    return np.arange(most + 1) / _PER_UNIT, np.arange(-most, most + 1) / _PER_UNIT
+    most = 2 * USUAL.unit_frequencies - 1
+    return np.arange(most + 1) / USUAL.unit_frequencies, np.arange(-most, most + 1) / USUAL.unit_frequencies

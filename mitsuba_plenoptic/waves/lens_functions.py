@@ -23,14 +23,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime import on_all_cores
-
-_TIED = 1e-3
-"""Relative difference of the errors that two functions remove below which both or neither are used, as they differ by
-the symmetry of a lens."""
-
-_STEEPEST = 1e5
-"""Largest condition number of the polynomials' coefficients, which rays evaluate in single precision."""
+from ..runtime import exponents, monomials, on_all_cores
+from .accuracy import USUAL
 
 _ROWS = 128
 """Points of a lens whose distances from all others are computed at a time, so that these fit into a cache."""
@@ -75,15 +69,16 @@ class LensFunctions:
     @classmethod
     def polynomials(cls, u: NDArray[np.float64], v: NDArray[np.float64], degree: int, scale: float) -> LensFunctions:
         """Return polynomials that are orthonormal over an aperture of points u and v, by Gram-Schmidt."""
-        exponents = [(i, total - i) for total in range(degree + 1) for i in range(total, -1, -1)]
-        monomials = _monomials(u, v, exponents, scale)
-        triangle = np.linalg.inv(np.linalg.cholesky(monomials.T @ monomials / len(monomials))).T
-        unit = np.eye(len(exponents))
-        return cls(scale, exponents, triangle, unit, unit, [(i % 2 == 1, j % 2 == 1) for i, j in exponents])
+        powers = exponents(degree)
+        terms = np.stack(monomials(u / scale, v / scale, powers), -1)
+        triangle = np.linalg.inv(np.linalg.cholesky(terms.T @ terms / len(terms))).T
+        unit = np.eye(len(powers))
+        return cls(scale, powers, triangle, unit, unit, [(i % 2 == 1, j % 2 == 1) for i, j in powers])
 
     def values(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the values of the polynomials at positions."""
-        return np.asarray(_monomials(u, v, self.exponents, self.scale) @ self.triangle)
+        terms = monomials(u / self.scale, v / self.scale, self.exponents)
+        return np.asarray(np.stack(terms, -1) @ self.triangle)
 
     @property
     def count(self) -> int:
@@ -121,7 +116,7 @@ class LensFunctions:
         found.sort(key=lambda each: -each[0])
         errors = np.array([error for error, _, _ in found])
         left = np.append(np.cumsum(errors[::-1])[::-1], 0)
-        apart = np.append(errors[:-1] >= errors[1:] * (1 + _TIED), True)
+        apart = np.append(errors[:-1] >= errors[1:] * (1 + USUAL.tied), True)
         allowed = np.append(0, 1 + np.flatnonzero(apart))
         allowed = allowed[allowed < count]
         enough = allowed[left[allowed] <= tolerance**2 * 2 * np.pi * (_covariance(expected) * products).sum()]
@@ -155,7 +150,7 @@ def even_polynomials(
     for own in range(degree, 0, -1):
         with contextlib.suppress(np.linalg.LinAlgError):
             found = [LensFunctions.polynomials(u, v, own, 1.0) for u, v in parts]
-            if max(np.linalg.cond(each.triangle) for each in found) < _STEEPEST:
+            if max(np.linalg.cond(each.triangle) for each in found) < USUAL.worst_condition:
                 return found
     return [LensFunctions.polynomials(u, v, 0, 1.0) for u, v in parts]
 
@@ -190,11 +185,3 @@ def _covariance(expected: NDArray[np.float64]) -> NDArray[np.float64]:
     whole = expected / (2 * np.pi)
     whole[0, 0] += _MEAN_SQUARE
     return np.asarray(whole)
-
-
-def _monomials(
-    u: NDArray[np.float64], v: NDArray[np.float64], exponents: Sequence[tuple[int, int]], scale: float
-) -> NDArray[np.float64]:
-    powers = [np.polynomial.polynomial.polyvander(place / scale, max(map(sum, exponents))) for place in (u, v)]
-    i, j = np.transpose(exponents)
-    return np.asarray(powers[0][..., i] * powers[1][..., j])

@@ -29,22 +29,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime import backend_of
-
-_LEAST = 1e-9
-"""Part of the mean variance that is added to all variances, so that their matrices can be inverted."""
-
-_INNER = 0.55
-"""Radius of the inner ring of directions, in largest direction cosines, from which terms of degree 4 are found."""
+from ..runtime import backend_of, exponents, monomials
+from .accuracy import USUAL
 
 
 def terms(u: Any, v: Any, degree: int) -> list[Any]:
     """Return the terms in which kernels change with direction cosines, relative to the largest cosines."""
-    powers: list[list[Any]] = [[1.0, each] for each in (u, v)]
-    for own in powers:
-        while len(own) <= degree:
-            own.append(own[-1] * own[1])
-    return [powers[0][i] * powers[1][j] for i, j in _exponents(degree)]
+    return monomials(u, v, exponents(degree, lowest=1))
 
 
 @functools.cache
@@ -55,14 +46,9 @@ def directions(degree: int) -> NDArray[np.float64]:
     # Between them, two rings of eight tell all terms of degree 4 apart.
     rings = [
         radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        for radius, angles in ((1.0, np.arange(8) * np.pi / 4), (_INNER, (np.arange(8) + 0.5) * np.pi / 4))
+        for radius, angles in ((1.0, np.arange(8) * np.pi / 4), (USUAL.inner_ring, (np.arange(8) + 0.5) * np.pi / 4))
     ]
     return np.concatenate([np.zeros((1, 2)), *rings])
-
-
-def _exponents(degree: int) -> list[tuple[int, int]]:
-    """Return the powers of s_u and s_v of the terms."""
-    return [(i, whole - i) for whole in range(1, degree + 1) for i in range(whole, -1, -1)]
 
 
 @dataclass(frozen=True)
@@ -81,7 +67,7 @@ class Oblique:
     @classmethod
     def nothing(cls, functions: int) -> Oblique:
         """Return an empty set of combinations."""
-        count = len(_exponents(2))
+        count = len(exponents(2, lowest=1))
         empty = np.zeros((0, functions, count))
         return cls(1.0, empty, empty, np.eye(1 + count))
 
@@ -109,7 +95,7 @@ class Oblique:
         change = np.einsum("kd,dnx->nkx", changes(degree), images)
         every = _values(cosines, degree)
         moments = every.T @ every / len(every)
-        odd_terms = [(i % 2 == 1, j % 2 == 1) for i, j in _exponents(degree)]
+        odd_terms = [(i % 2 == 1, j % 2 == 1) for i, j in exponents(degree, lowest=1)]
         both = np.einsum("nm,kl->nkml", light, moments[1:, 1:])
         whole = float(np.einsum("nm,nx,mx->", light, images[0], images[0]))
         shape, found = change.shape[:2], []
@@ -121,7 +107,8 @@ class Oblique:
             ]
             rows, columns = (np.array(part, int) for part in zip(*own, strict=True))
             matrix = both[rows[:, None], columns[:, None], rows, columns]
-            root = np.linalg.cholesky(matrix + _LEAST * np.trace(matrix) / len(matrix) * np.eye(len(matrix)))
+            added = USUAL.added_variance * np.trace(matrix) / len(matrix)
+            root = np.linalg.cholesky(matrix + added * np.eye(len(matrix)))
             left, values, _ = np.linalg.svd(root.T @ change[rows, columns], full_matrices=False)
             factors, kernels = np.linalg.solve(root.T, left), root @ left
             for number, value in enumerate(values):
@@ -132,7 +119,7 @@ class Oblique:
         rest = np.cumsum([value for value, _ in found][::-1])[::-1]
         count = min(int(np.count_nonzero(rest > tolerance**2 * whole)), most)
         used = np.array([pair for _, pair in found[:count]]).reshape(count, 2, *shape)
-        basis = np.asarray(np.linalg.cholesky(moments + _LEAST * np.diag(moments.diagonal())))
+        basis = np.asarray(np.linalg.cholesky(moments + USUAL.added_variance * np.diag(moments.diagonal())))
         return cls(largest, used[:, 0], used[:, 1], basis)
 
     @property
@@ -169,15 +156,15 @@ class Oblique:
         arrays = backend_of(u).arrays
         if not self.count:
             return arrays.zeros((2, 0, *u.shape), np.float32)
-        exponents, none = _exponents(self.degree), arrays.zeros_like(u)
-        lower = dict(zip(exponents, terms(u, v, self.degree), strict=True)) | {(0, 0): arrays.ones_like(u)}
+        pairs = exponents(self.degree, lowest=1)
+        lower = dict(zip(pairs, terms(u, v, self.degree), strict=True)) | {(0, 0): arrays.ones_like(u)}
         slopes = []
         for axis in (0, 1):
-            found = [none]
-            for powers in exponents:
-                i, j = powers[0] - (axis == 0), powers[1] - (axis == 1)
-                found.append(lower[i, j] * (scale * powers[axis]) if powers[axis] else none)
-            slopes.append(self._orthonormal(arrays, found))
+            along = [arrays.zeros_like(u)]
+            for pair in pairs:
+                i, j = pair[0] - (axis == 0), pair[1] - (axis == 1)
+                along.append(lower[i, j] * (scale * pair[axis]) if pair[axis] else along[0])
+            slopes.append(self._orthonormal(arrays, along))
         return arrays.stack(slopes)
 
 

@@ -36,60 +36,15 @@ from ..camera import PlenopticCamera, Round
 from ..errors import InputError, short_repr
 from ..fields.optical_system import OpticalSystem
 from ..optics.waves import in_millimetres
-from ..runtime import drjit_array, empty_packets, on_all_cores, single_threaded_blas
-from .array_field import MOST_PHASE
-from .array_kernels import SPECTRUM_SAMPLES, ArrayKernels
+from ..runtime import drjit_array, empty_packets, monomials, on_all_cores, single_threaded_blas
+from .accuracy import FINER, USUAL
+from .array_kernels import ArrayKernels
 
 FINE = 0.005
 """Accuracy below which finer plans are made."""
 
-_DEGREES, _WINDOWS, _RADIAL, _TOLERANCES = (4, 6), (9, 13), (14, 24), (0.005, 0.0012)
-"""Degrees, which give the number of functions over a lens, windows, nodes of the table along the pupil's radius, and
-tolerances of oblique kernels, of usual and of finer plans."""
-
-_DEFOCUS = 4.0
-"""Defocus of the microlenses in radians beyond which the degree is increased by two."""
-
-_CELLS = (2.0, 4.0)
-"""Cells of the grid per period of the highest frequency of a microlens's diffraction, at usual and fine accuracy. Two
-resolve it; 4 also resolve the interference of neighbouring lenses."""
-
-_UNIT = 3.8
-"""Least unit of the windows' widths over lambda b / R, where the unit is not a lens: windows of nine contain 99.4 % of
-the Airy pattern."""
-
-_MOST_CELLS, _VERY_COARSE = (2, 3), 16.0
-"""Most cells of the grid across a pixel, at usual and fine accuracy, as a pixel integrates over what more resolve; and
-the width of pixels, in widths of a lens's diffraction, from which the second holds for both, as kernels on fewer cells
-would have too few lags."""
-
-_SPREADS = 2.0
-"""Width of the window around a lens over the width of the pupil's diffraction along the radius, lambda b / 2 h."""
-
-_LEAST_WINDOW, _NARROW = 3, 0.2
-"""Units across the smallest window; it is one unit smaller if that width is below this fraction of a unit."""
-
-_OVERSAMPLING, _FINEST = 1.4, 32
-"""Samples of the table over those that its highest frequency requires, and the largest number per lens."""
-
-MOST_SHIFT = 0.3
-"""Largest displacement in pixels by the pupil's diffraction where the defocus exceeds `MOST_PHASE`."""
-
 _SMOOTH = "closer to a parabola, for the shortest wavelength, too; use CaptureOperator"
 """The rule for the shape of microlenses."""
-
-_NARROWEST = 10.0
-"""Width of openings in wavelengths below which kernels lack more than 3 % of the light, or have far too much."""
-
-_WIDE = 5.0
-"""Units of windows, over the pitch, beyond which samples are twice as dense: the light of a lens is a slope of the
-pupil's pattern there, which linear interpolation between fewer samples leaves up to 7 % too high at lens centres."""
-
-_SUBSAMPLES = 4
-"""Gauss-Legendre nodes, per direction and side, of the average of the pupil's overlap around a table node."""
-
-_DARK = 0.01
-"""Smallest transmission of an apodised pupil in its overlaps, which are divided by it."""
 
 _PACKET = 4
 """Count of coefficients that are gathered at a time."""
@@ -130,17 +85,19 @@ class PhaseSpace(ArrayKernels):
         cls, camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float, longest: float | None
     ) -> PhaseSpace:
         """Return a usual or a finer plan; `shortest` and `longest` are the extreme wavelengths of a capture's plans."""
+        accuracy = FINER if fine else USUAL
         plan = cls(
             camera,
             wavelength,
-            degree=_DEGREES[fine],
-            window=_WINDOWS[fine],
-            radial=_RADIAL[fine],
-            tolerance=_TOLERANCES[fine],
+            degree=accuracy.degree,
+            window=accuracy.window,
+            radial=accuracy.radial,
+            tolerance=accuracy.tolerance,
             shortest=shortest,
             longest=longest,
         )
-        return replace(plan, degree=plan.degree + 2) if plan.defocus > _DEFOCUS and not plan.by_points else plan
+        is_far = plan.defocus > USUAL.high_defocus and not plan.by_points
+        return replace(plan, degree=plan.degree + 2) if is_far else plan
 
     def __post_init__(self) -> None:
         camera = self.camera
@@ -148,11 +105,12 @@ class PhaseSpace(ArrayKernels):
             (
                 "mla_fill",
                 self._least_fill > camera.mla_fill,
-                f'{self._least_fill:.3g} or more, openings of {_NARROWEST:g} wavelengths; use method="points"',
+                f"{self._least_fill:.3g} or more, openings of {USUAL.narrowest_opening:g} wavelengths; "
+                'use method="points"',
             ),
-            ("mla_shape", self.aberration > MOST_PHASE, _SMOOTH),
+            ("mla_shape", self.aberration > USUAL.most_phase, _SMOOTH),
             ("mla_shape", not camera.microlens.is_parabolic and self.by_points, "near the microlenses' focus"),
-            ("detector_distance", self._shift > MOST_SHIFT, f"closer to the microlenses' focus, {self._limits}"),
+            ("detector_distance", self._shift > USUAL.most_shift, f"closer to the microlenses' focus, {self._limits}"),
         ):
             if refused:
                 raise InputError(f"{name} = {short_repr(getattr(camera, name))}: for signed rays it must be {rule}")
@@ -161,7 +119,8 @@ class PhaseSpace(ArrayKernels):
     def _least_fill(self) -> float:
         """Smallest `mla_fill` for which the kernels are valid, by the narrowest opening in wavelengths."""
         camera = self.camera
-        return _NARROWEST * in_millimetres(self.wavelength) * camera.mla_fill / float(camera.lattice.aperture_width)
+        opening = USUAL.narrowest_opening * in_millimetres(self.wavelength)
+        return opening * camera.mla_fill / float(camera.lattice.aperture_width)
 
     @property
     def _shift(self) -> float:
@@ -177,7 +136,7 @@ class PhaseSpace(ArrayKernels):
     def _limits(self) -> str:
         """Allowed range of the detector's distance in mm, as text."""
         camera = self.camera
-        aside = MOST_PHASE * in_millimetres(self.wavelength) / math.pi / float(self.lattice.aperture_reach) ** 2
+        aside = USUAL.most_phase * in_millimetres(self.wavelength) / math.pi / float(self.lattice.aperture_reach) ** 2
         own = camera.lens_data.converges / camera.pupil_distance
         powers = [1 / f2 - own for f2 in camera.reduced_focal_lengths]
         near, far = (camera.mla_medium / max(power, 1e-9) for power in (min(powers) + aside, max(powers) - aside))
@@ -197,17 +156,18 @@ class PhaseSpace(ArrayKernels):
             in_millimetres(limit or self.wavelength) * self.camera.pupil_distance
             for limit in (self.longest, self.shortest)
         )
-        unit = max(pitch, _UNIT * reach / radius)
-        oversampling = _OVERSAMPLING * (1 + (unit > _WIDE * pitch))
+        unit = max(pitch, USUAL.airy_unit * reach / radius)
+        oversampling = USUAL.oversampling * (1 + (unit > USUAL.wide_unit * pitch))
         made = []
         for index in range(self.radial + 1):
             distance, inner = (radius * (1 - (1 - max(r, 0) / self.radial) ** 2) for r in (index, index - 1))
-            spread = _SPREADS * reach / max(radius - distance, 1e-9 * radius)
-            least = _LEAST_WINDOW * unit if spread > _NARROW * unit else (_LEAST_WINDOW - 1) * unit
+            spread = USUAL.window_spreads * reach / max(radius - distance, 1e-9 * radius)
+            least = (USUAL.least_window - (spread <= USUAL.narrow_spread * unit)) * unit
             wanted = min(self.window * unit, max(least, unit + spread))
             sides = tuple(math.ceil(wanted / period - 1e-6) * period for period in self.lattice.period())
             # The largest lag is perpendicular to the radius.
-            step = max(least_reach / (2 * oversampling * 2 * math.sqrt(radius**2 - inner**2)), pitch / _FINEST)
+            step = least_reach / (2 * oversampling * 2 * math.sqrt(radius**2 - inner**2))
+            step = max(step, pitch / USUAL.most_samples)
             # Between adjacent nodes the farthest points move by half a unit.
             angular = math.ceil(math.pi / 2 * max(sides) / unit)
             made.append(TableNode(sides, tuple(math.ceil(side / step) for side in sides), angular))
@@ -253,7 +213,7 @@ class PhaseSpace(ArrayKernels):
         """Return the arrays of the table of coefficients, computed anew in single precision, or in a given table."""
         arrays = [np.empty(shape, np.float32) for shape in self.shapes] if table is None else table
         radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
-        u, v, inside = self.aperture_grid(SPECTRUM_SAMPLES)
+        u, v, inside = self.aperture_grid(USUAL.spectrum_samples)
         used = np.ix_(*(np.flatnonzero(inside.any(axis)) for axis in (1, 0)))
         u, v, inside = u[used], v[used], inside[used]
         functions = self.functions
@@ -297,7 +257,7 @@ class PhaseSpace(ArrayKernels):
     ) -> NDArray[np.float32]:
         """Return O_P over the power at P, averaged over the part of the pupil for which interpolation uses a node."""
         aperture, even = self.camera.aperture, self.camera.aperture == Round()
-        abscissae, weights = np.polynomial.legendre.leggauss(_SUBSAMPLES)
+        abscissae, weights = np.polynomial.legendre.leggauss(USUAL.overlap_nodes)
         aside, weights = (abscissae + 1) / 2, weights * (1 - (abscissae + 1) / 2)
         steps = np.concatenate([-aside, aside])
         weights = np.concatenate([weights, weights])
@@ -320,8 +280,9 @@ class PhaseSpace(ArrayKernels):
                         [(P + side * lag / 2) / radius for P, lag in ((Pu, lag_u), (Pv, lag_v))] for side in (1, -1)
                     ]
                     # Where no light passes, the light of what is tabulated is multiplied by 0.
-                    both = both * np.sqrt(math.prod(np.maximum(aperture.power(*end), _DARK) for end in ends))
-                    power = max(float(aperture.power(Pu / radius, Pv / radius)), _DARK)
+                    dark = USUAL.least_transmission
+                    both = both * np.sqrt(math.prod(np.maximum(aperture.power(*end), dark) for end in ends))
+                    power = max(float(aperture.power(Pu / radius, Pv / radius)), dark)
                 total += np.float32(area * share) * both
                 scale += area * share * power
         return np.asarray(total / np.float32(scale))
@@ -337,7 +298,8 @@ class PhaseSpace(ArrayKernels):
         if self.by_points:
             return 1  # kernels are integrated over pixels
         highest = self.camera.pixel_size / self.widths[0]
-        return min(math.ceil(_CELLS[fine] * highest), _MOST_CELLS[fine or highest > _VERY_COARSE])
+        most = FINER if fine or highest > USUAL.coarse_pixel else USUAL
+        return min(math.ceil((FINER if fine else USUAL).cells * highest), most.most_cells)
 
     def arguments(self, point: tuple[Any, Any], pupil: tuple[Any, Any]) -> list[Any]:
         """Return the numbers of which a ray's coefficients are polynomials: its point on a lens over the reach."""
@@ -550,15 +512,11 @@ class Polynomials:
 
     def read(self, u: Any, v: Any, *shares: Any) -> list[Any]:
         """Return the values of the polynomials at `places`, whose monomials are those of each share of a ray."""
-        plan, functions = self.plan, self.plan.functions
-        powers = [[mi.Float(1)], [mi.Float(1)]]
-        for _ in range(plan.degree):
-            for each, place in zip(powers, (u, v), strict=True):
-                each.append(each[-1] * place)
-        monomials = [powers[0][i] * powers[1][j] for i, j in functions.exponents]
+        functions = self.plan.functions
+        terms = monomials(u, v, functions.exponents)
         if shares:
-            monomials = [share * monomial for share in shares for monomial in monomials]
+            terms = [share * term for share in shares for term in terms]
         return [
-            sum((m * float(c) for m, c in zip(monomials, column, strict=True) if c), mi.Float(0))
+            sum((term * float(c) for term, c in zip(terms, column, strict=True) if c), mi.Float(0))
             for column in functions.combined.T
         ]

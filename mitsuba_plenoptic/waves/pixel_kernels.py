@@ -20,14 +20,8 @@ import scipy
 from numpy.typing import NDArray
 
 from ..runtime import backend_of, on_cuda, single_threaded_blas
+from .accuracy import USUAL
 from .oblique import Oblique, moved
-
-_TAIL = 8
-"""Samples by which kernels grow when they are sharpened to undo the smoothing by which rays were collected."""
-
-_PRODUCTS, _ALIKE = 0.7, 0.5
-"""Part of images of random light, over the tolerance, that products of terms and coefficients may lack; correlation of
-this light between the cells of a pixel, most of which see the same part of a scene."""
 
 _TOGETHER, _ON_CUDA = 2**19, 2**25
 """Count of coefficients that are combined at a time, by a processor with caches and by a device."""
@@ -74,13 +68,13 @@ class PixelKernels:
         products = products.reshape(*products.shape[:2], -1)
         direct = np.moveaxis(factors[:functions], 2, 0).reshape(len(self.kernels), -1) + products[0]
         # Sums of coefficients whose products with a term matter: the principal components of their part of images.
-        alike = _ALIKE + (1 - _ALIKE) * np.eye(own.shape[1])
+        alike = USUAL.alike_cells + (1 - USUAL.alike_cells) * np.eye(own.shape[1])
         root = np.kron(_root(covariance[:functions, :functions]), _root(alike))
         found = [np.linalg.svd(factor @ root, full_matrices=False)[:2] for factor in products[1:]]
         square = np.square([each for _, each in found])
         least = np.argsort(square, axis=None)
         whole = np.square(root.T @ factors[:functions].reshape(len(root), -1)).sum()
-        missing = np.cumsum(square.flat[least]) <= (_PRODUCTS * tolerance) ** 2 * whole
+        missing = np.cumsum(square.flat[least]) <= (USUAL.missing_products * tolerance) ** 2 * whole
         self._term, component = np.divmod(np.sort(least[~missing]), square.shape[1])
         of_sums = np.array([found[k][0][:, each] for k, each in zip(self._term, component, strict=True)])
         of_sums = of_sums.reshape(-1, len(self.kernels))
@@ -164,7 +158,7 @@ def _sharpened(kernels: NDArray[np.float64], order: int) -> NDArray[np.float64]:
     r"""Return kernels with spectra over :math:`\mathrm{sinc}^{order}`, the smoothing by a B-spline of this order."""
     if order == 0:
         return kernels
-    wide = np.pad(kernels, [(0, 0), (_TAIL, _TAIL), (_TAIL, _TAIL)])
+    wide = np.pad(kernels, [(0, 0), (USUAL.sharpened, USUAL.sharpened), (USUAL.sharpened, USUAL.sharpened)])
     size = wide.shape[1:]
     sharp = [
         np.sinc(frequency(n)) ** -order

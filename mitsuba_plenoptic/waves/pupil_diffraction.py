@@ -41,39 +41,14 @@ from ..fields.optical_system import OpticalSystem
 from ..lenses.pupil import Pair
 from ..optics.waves import in_millimetres
 from ..runtime import single_threaded_blas
+from .accuracy import FINER, USUAL
 from .fitted_pupil import FittedPupil, PupilFunctions
 from .lens_functions import LensFunctions, even_polynomials, of_middles
 from .oblique import Oblique
-from .pupil_samples import SAMPLES, PupilSamples, along, spread_points
+from .pupil_samples import PupilSamples, along, spread_points
 
-_DEGREES, _OF_PARTS = (6, 10), (5, 7)
-"""Degrees of the polynomials over the pupil, and over each part of coded ones: of usual plans, and of finer ones and
-those with aberrated kernels, where the defocus of some part of the pupil undoes the aberration, so that polynomials
-have to follow this defocus."""
-
-_REACH, _COARSE_REACH = 24.0, 12.0
-"""Half the width of the kernels in lambda b / R: 0.4 % of the Airy pattern is beyond, and is spread over the kernel.
-For coarse pixels kernels are differences from the Airy pattern, which are narrower."""
-
-_TAPER = 0.75
-"""Part of this width from where kernels fall to zero."""
-
-_CELL, _MOST_CELLS, _COARSE_CELLS = 0.25, 4, 2
-"""Widest cells of the grid in lambda b / R, which resolve the highest frequency, and the most cells across a pixel.
-Coarser pixels have a few larger ones."""
-
-_LEAST_PASSED = 0.2
-"""Smallest transfer by which the transfer of coarse pixels' kernels is divided."""
-
-_FINEST = 0.04
-"""Narrowest pixels in lambda b / R, a fifteenth of the Airy disc's radius, for which kernels fit into memory."""
-
-_EVERY = 37
-"""One of so many points of the pupil serves for the covariance."""
-
-_SMALL, _MOST_WAVES, _SECOND = 1 / 14, 0.5, 6
-"""Aberrations, in waves of 633 nm root mean square: small ones are in the kernels alone, and those up to the largest
-with the polynomials of higher than second order, which follow the first six of Noll's."""
+_SECOND = 6
+"""Noll's polynomials up to the second order."""
 
 
 @dataclass(frozen=True)
@@ -95,10 +70,10 @@ class PupilDiffraction:
 
     def __post_init__(self) -> None:
         refuse_if(
-            self._pixel < _FINEST,
+            self._pixel < USUAL.finest_pixel,
             f"detector_width = {self.camera.detector_width:g}: pixels of {self.camera.pixel_size:.3g} mm are too fine "
             f"for the pupil's diffraction, which is {self.unit:.3g} mm wide: waves of scenes need pixels of "
-            f"{_FINEST * self.unit:.2g} mm or more",
+            f"{USUAL.finest_pixel * self.unit:.2g} mm or more",
         )
 
     @cached_property
@@ -112,9 +87,9 @@ class PupilDiffraction:
         """Coefficients of the aberrations that the kernels contain."""
         every = np.array(self.camera.wavefront, float)
         number = np.arange(1, len(every) + 1)
-        if self.is_coarse or np.linalg.norm(every[_SECOND:]) > _MOST_WAVES:
+        if self.is_coarse or np.linalg.norm(every[_SECOND:]) > USUAL.most_aberration:
             return np.zeros(len(every))
-        return np.where(number > (3 if np.linalg.norm(every[3:]) <= _SMALL else _SECOND), every, 0)
+        return np.where(number > (3 if np.linalg.norm(every[3:]) <= USUAL.small_aberration else _SECOND), every, 0)
 
     @property
     def unit(self) -> float:
@@ -129,17 +104,17 @@ class PupilDiffraction:
     @property
     def _cells(self) -> int:
         """Number of cells across a pixel that resolve the diffraction."""
-        return math.ceil(self._pixel / _CELL)
+        return math.ceil(self._pixel / USUAL.airy_cell)
 
     @property
     def is_coarse(self) -> bool:
         """Whether rays themselves are displaced by the point spread function, as pixels are much wider."""
-        return self._cells > _MOST_CELLS
+        return self._cells > USUAL.most_airy_cells
 
     @property
     def _is_wide(self) -> bool:
         """Whether cells of pixels are wider than kernels, and displaced rays do without."""
-        return self._pixel > _COARSE_CELLS * _COARSE_REACH
+        return self._pixel > USUAL.coarse_cells * USUAL.coarse_reach
 
     @property
     def widths(self) -> tuple[float, float]:
@@ -148,7 +123,7 @@ class PupilDiffraction:
 
     def parts(self, fine: bool) -> int:
         """Return the number of cells of the grid across a pixel."""
-        return _COARSE_CELLS if self.is_coarse else self._cells
+        return USUAL.coarse_cells if self.is_coarse else self._cells
 
     @cached_property
     def _pupil(self) -> PupilSamples:
@@ -159,7 +134,7 @@ class PupilDiffraction:
     @property
     def _is_aberrated(self) -> bool:
         """Whether kernels contain large aberrations."""
-        return bool(np.linalg.norm(self._in_kernels) > _SMALL)
+        return bool(np.linalg.norm(self._in_kernels) > USUAL.small_aberration)
 
     @property
     def _is_coded(self) -> bool:
@@ -169,8 +144,8 @@ class PupilDiffraction:
     @property
     def _degree(self) -> int:
         """Degree of the polynomials if all of them can be used."""
-        few, many = _OF_PARTS if self._is_coded else _DEGREES
-        return many if self.fine or self._is_aberrated else few
+        accuracy = FINER if self.fine or self._is_aberrated else USUAL
+        return accuracy.part_degree if self._is_coded else accuracy.pupil_degree
 
     @cached_property
     def fitted(self) -> FittedPupil | None:
@@ -203,7 +178,7 @@ class PupilDiffraction:
         """Covariance of the values of an image's rays, for light with random edges over the pupil."""
         if self.fitted:
             return self.fitted.covariance
-        return self._polynomials.light(*(each[::_EVERY] for each in spread_points(self._pupil.power)))
+        return self._polynomials.light(*(each[:: USUAL.pupil_every] for each in spread_points(self._pupil.power)))
 
     def arguments(self, point: Pair, pupil: Pair) -> list[Any]:
         """Return the numbers of which a ray's coefficients are polynomials: its pupil point over the radius.
@@ -221,13 +196,13 @@ class PupilDiffraction:
     @cached_property
     def spread(self) -> tuple[NDArray[np.float64], float]:
         """The point spread function in focus on a grid, and the width of a cell of the grid in mm."""
-        step = _CELL / 2
-        return np.maximum(self._sampled(step, math.ceil(_REACH / step))[0], 0), step * self.unit
+        step = USUAL.airy_cell / 2
+        return np.maximum(self._sampled(step, math.ceil(USUAL.airy_reach / step))[0], 0), step * self.unit
 
     @property
     def reach(self) -> float:
         """Distance in mm to which captures need kernels."""
-        return _REACH * self.unit
+        return USUAL.airy_reach * self.unit
 
     def kernels(self, step: float, reach: float, kind: int = 0) -> NDArray[np.float64]:
         """Return the kernels (n, k, k) on a grid of width `step` in mm, times the area of a grid cell."""
@@ -239,8 +214,8 @@ class PupilDiffraction:
 
     def _of_displaced(self, step: float) -> NDArray[np.float64]:
         """Return kernels between coarse pixels for rays that are displaced by the spread of the shortest wavelength."""
-        parts = 2 * math.ceil(step / (2 * _CELL * self.unit)) + 1
-        count = 2 * math.ceil(_COARSE_REACH * self.unit / step) + 1
+        parts = 2 * math.ceil(step / (2 * USUAL.airy_cell * self.unit)) + 1
+        count = 2 * math.ceil(USUAL.coarse_reach * self.unit / step) + 1
         fine = step / parts
         spectra = scipy.fft.fft2(scipy.fft.ifftshift(self._sampled(fine / self.unit, count * parts // 2), (1, 2)))
         known = spectra[0]
@@ -253,13 +228,13 @@ class PupilDiffraction:
         passed = known[low]
         # Where hardly anything passes, noise would be amplified.
         ratio = np.stack([spectrum[low] for spectrum in spectra]) * passed.conj()
-        ratio /= np.maximum(np.abs(passed) ** 2, _LEAST_PASSED * np.abs(passed))
+        ratio /= np.maximum(np.abs(passed) ** 2, USUAL.least_transfer * np.abs(passed))
         return np.asarray(scipy.fft.fftshift(scipy.fft.ifft2(ratio).real, (1, 2)))
 
     @single_threaded_blas()
     def _fields(self, places: NDArray[np.float64]) -> dict[tuple[int, int], NDArray[np.complex128]]:
         """Return transforms of transmission times powers, at detector places in `unit` along both axes."""
-        x, transmission = along(SAMPLES), self._pupil.transmission
+        x, transmission = along(USUAL.pupil_samples), self._pupil.transmission
         waves = np.exp(-2j * np.pi * np.outer(places, x))
         return {(a, b): waves @ (transmission * x**a * x[:, None] ** b) @ waves.T for a, b in self._moments[0]}
 
@@ -275,13 +250,13 @@ class PupilDiffraction:
         places = step * np.arange(-count, count + 1.0)
         exponents, combined = self._moments
         products = of_middles(exponents, self._fields(places))
-        spacing = 2 / SAMPLES
+        spacing = 2 / USUAL.pupil_samples
         kernels = np.einsum("mn,myx->nyx", combined, products) * (spacing**4 * step**2 / self._pupil.whole)
         if self.fitted:
             kernels = np.concatenate([kernels, self.fitted.kernels(places) * step**2])
         # They fall to zero, as edges of windows would show around lamps, and keep the energy.
         across = np.hypot(*np.meshgrid(*[np.arange(-count, count + 1.0) / count] * 2))
-        kernels *= np.cos(np.pi / 2 * np.clip((across - _TAPER) / (1 - _TAPER), 0, 1)) ** 2
+        kernels *= np.cos(np.pi / 2 * np.clip((across - USUAL.taper) / (1 - USUAL.taper), 0, 1)) ** 2
         tail = np.maximum(1 - across**2, 0) ** 2
         missing = np.eye(len(kernels))[0] - kernels.sum((1, 2))
         return kernels + missing[:, None, None] * (tail / tail.sum())

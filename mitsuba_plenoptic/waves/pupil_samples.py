@@ -14,9 +14,7 @@ from ..camera import Opening
 from ..errors import WAVEFRONT_UNIT
 from ..lenses.thin import Wavefront
 from ..optics.waves import in_millimetres
-
-SAMPLES, _FINER = 256, 8
-"""Samples of the transmission across the pupil, and points across a sample of which it is the mean."""
+from .accuracy import USUAL
 
 
 @dataclass(frozen=True)
@@ -30,14 +28,15 @@ class PupilSamples:
     @cached_property
     def transmission(self) -> NDArray[np.complex128]:
         """Mean transmission of the samples, rows of rising y, with the aberrations as its phase."""
-        x = along(SAMPLES)
+        x = along(USUAL.pupil_samples)
         path = Wavefront(self.waves, 1.0).path(x + 0 * x[:, None], x[:, None] + 0 * x) if any(self.waves) else 0.0
-        return means(np.sqrt(self._fine), SAMPLES) * np.exp(2j * np.pi / in_millimetres(WAVEFRONT_UNIT) * path)
+        amplitude = means(np.sqrt(self._fine), USUAL.pupil_samples)
+        return amplitude * np.exp(2j * np.pi / in_millimetres(WAVEFRONT_UNIT) * path)
 
     @cached_property
     def power(self) -> NDArray[np.float64]:
         """Mean power that passes the samples."""
-        return means(self._fine, SAMPLES)
+        return means(self._fine, USUAL.pupil_samples)
 
     @property
     def whole(self) -> float:
@@ -47,7 +46,7 @@ class PupilSamples:
     @property
     def _fine(self) -> NDArray[np.float64]:
         """Power that passes at points of a grid that divides the samples."""
-        x = along(SAMPLES * _FINER)
+        x = along(USUAL.pupil_samples * USUAL.sample_points)
         return np.asarray(self.aperture.power(x + 0 * x[:, None], x[:, None] + 0 * x))
 
 

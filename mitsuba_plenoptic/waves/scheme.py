@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import functools
+from typing import cast
 
 from ..camera import PlenopticCamera
+from ..fields.optical_system import OpticalSystem
+from ..lenses.thin import ThinLens
+from ..optics import guards
+from ..optics.waves import in_millimetres
 from .phase_space import PhaseSpace
 from .pupil_diffraction import PupilDiffraction
 
@@ -15,6 +20,17 @@ Plan = PhaseSpace | PupilDiffraction
 def plan_type(camera: PlenopticCamera) -> type[Plan]:
     """Return the class of a camera's plans."""
     return PhaseSpace if camera.has_array else PupilDiffraction
+
+
+def check_screen(camera: PlenopticCamera, wavelength: float) -> None:
+    """Refuse a phase screen whose slopes vary within the points of the pupil whose light interferes at one sample.
+
+    These are as far apart as the pupil's points that a microlens, or a pixel without an array, tells from each other.
+    """
+    _, width = camera.image_samples
+    apart = min(in_millimetres(wavelength) * camera.pupil_distance / width, camera.pupil_radius)
+    lens = cast(ThinLens, OpticalSystem(camera, wavelength).lens)
+    guards.check(guards.SCREEN, lens.beyond_slopes(apart, wavelength))
 
 
 @functools.lru_cache(maxsize=16)

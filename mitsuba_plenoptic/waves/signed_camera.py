@@ -253,10 +253,10 @@ class CameraAdjoint(_CameraSum):
             fixed = follow_fixed(self._camera, varying, samples, slope, self._step)
             quantities = *fixed.point, *fixed.cell, fixed.measure, fixed.density, *fixed.cosines
             dr.backward(dr.sum(mixed(by_fixed, quantities)) / rays)
-            gradients = {name: [dr.grad(value) for value in varying[name]] for name in self._names}
+            of_names = {name: [dr.grad(value) for value in varying[name]] for name in self._names}
             # All in one kernel.
-            dr.eval(gradients)
-            for name, values in gradients.items():
+            dr.eval(of_names)
+            for name, values in of_names.items():
                 total[name] += [float(value[0]) for value in values]
 
 
@@ -284,9 +284,9 @@ def follow_fixed(
         larger = dr.select(samples.lens.kind == index, kinds.enlargement(of_kind, b, pitch), larger)
     # Back through the lens: a lens of the opposite focal length undoes the refraction.
     is_ideal = camera.lens_model == "ideal"
-    directions = slope if is_ideal else rays.slopes_to_cosines(*slope)
-    x, y = (rays.main_lens_slope(s, P, -f1) for s, P in zip(directions, ray.P, strict=True))
-    before = (x, y) if is_ideal else rays.cosines_to_slopes(x, y)
+    turned = slope if is_ideal else rays.slopes_to_cosines(*slope)
+    unturned = [rays.main_lens_slope(s, P, -f1) for s, P in zip(turned, ray.P, strict=True)]
+    before = unturned if is_ideal else rays.cosines_to_slopes(*unturned)
     centres = tuple(
         offset + (q - m - start) * pitch
         for m, q, offset, start in zip(samples.lens_point, ray.m, varying["mla_offset"], camera.mla_offset, strict=True)

@@ -1,10 +1,11 @@
 r"""The wavelengths at which signed-ray captures compute diffraction, and the weights of rays at each wavelength.
 
-Coefficients and kernels are computed at a few wavelengths, the nodes. Light of a wavelength between two nodes is
-divided between them by linear interpolation; light beyond the outermost nodes goes to the nearest node. Each channel
-thus has an image at each node to which it responds, and records the sum of the images' convolutions.
+Coefficients and kernels are computed at a few wavelengths, the nodes of `Spectrum.interpolated`. Light of other
+wavelengths is divided among the nodes by the polynomial through them. Each channel thus has an image at each node, and
+records the sum of the images' convolutions.
 
-In spectral variants each ray has its own wavelengths, drawn from the channels' responses. The two rays that correct
+In spectral variants each ray has its own wavelengths, drawn from the channels' responses, over which the mean square of
+a node's share is its weight in Gauss's rule: sharing adds no noise to speak of. The two rays that correct
 each other have the same wavelengths, so that light which is uniform over a lens has only the noise of the wavelengths.
 From cell to cell the wavelengths follow a sequence that fills the band evenly in any neighbourhood.
 """
@@ -14,7 +15,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import drjit as dr
@@ -29,34 +30,13 @@ from ..optics.spectrum import Responses, Spectrum
 from ..optics.waves import in_millimetres
 from ..rays.random_numbers import even_words
 from ..runtime import drjit_array
+from .accuracy import USUAL
 from .expansion import ExpandedPlan, nearby
 from .phase_space import FINE, PhaseSpace
 from .scheme import plan_of, plan_type
 
-_PROBED, _LEAST_ERROR = 3.0, 1e-3
-"""Ratio of the allowed error of a lens's spot to that of the capture, in which spots overlap; smallest error used."""
-
-_BLUR = 10.0
-"""Largest blur from one node to the next, in lenses, over the square root of the capture's error: the error of linear
-interpolation grows with the square of the step."""
-
-_TAIL = 0.01
-"""Fraction of the responses beyond the outermost node, on either side."""
-
-_MOST_NODES = 32
-"""Largest count of nodes of a band, unless `nodes` is given."""
-
-_DENSE = 33
-"""Wavelengths at which spots are compared, with linear interpolation between them."""
-
-_SPOTS = (4.0, 4)
-"""Half the width of the compared spots in diffraction widths, and samples per diffraction width."""
-
-_COARSE = 4.0
-"""Width of pixels over that of spots from which channels may share a node; others are not examined for it."""
-
-_STRATA, _STEPS = 4096, 2**14
-"""Strata of equal probability from which wavelengths are drawn, and integration steps by which they are found."""
+_STRATA = 4096
+"""Strata of equal probability from which wavelengths are drawn."""
 
 
 class Lanes(NamedTuple):
@@ -74,7 +54,7 @@ class DrawnWavelengths:
     """Random wavelengths with the density of the channels' responses, which are stratified."""
 
     def __init__(self, responses: Responses) -> None:
-        steps = np.linspace(responses.low, responses.high, _STEPS + 1)
+        steps = np.linspace(responses.low, responses.high, USUAL.density_steps + 1)
         density = np.abs(responses.at(steps))
         density = (density / density.sum(1, keepdims=True)).sum(0)
         upto = np.concatenate([[0], np.cumsum(density[1:] + density[:-1])])
@@ -173,50 +153,43 @@ class SignedColours:
         """The distribution from which rays' wavelengths are drawn, or None if light has no spectrum."""
         return None if self.responses is None else DrawnWavelengths(self.responses)
 
-    def places(self, camera: PlenopticCamera, accuracy: float) -> list[float]:
-        """Return the wavelengths of the nodes, in nanometres.
+    def groups(self, camera: PlenopticCamera, accuracy: float) -> list[tuple[list[int], Spectrum]]:
+        """Return channels that have nodes in common, with their spectrum and nodes; channels without responses lack.
 
-        The nodes of a band, or of channels with common nodes, are spaced evenly in the logarithm of the wavelength,
-        without the outermost 1 % of the responses on either side; a single node is the mean wavelength. The number of
-        nodes is the smallest that gives each channel's microlens spot, as pixels record it, in uniform light to three
-        times `accuracy`, and that limits the blur between neighbouring nodes of a dispersive main lens, at the usual
-        accuracy to one lens. Where it is 1 for all channels, with pixels far wider than the spots, channels that have
-        nodes of their own elsewhere share it, too.
+        Nodes are those of Gauss's rule for the responses. Their number is the smallest that gives each channel's
+        microlens spot, as pixels record it, in uniform light to three times `accuracy`, and that limits the blur
+        between neighbouring nodes of a dispersive main lens, at the usual accuracy to 1.3 lenses. Where it is 1 for all
+        channels, with pixels far wider than the spots, channels that have nodes of their own elsewhere share it, too.
         """
-        responses = np.abs(self.spectrum.matrix().astype(np.float64))
+        lit = np.flatnonzero(self.spectrum.matrix().any(1)).tolist()
         if not self.apart:
-            return self._places_for(responses, camera, accuracy)
+            return [(lit, self._noded(lit, camera, accuracy))]
         if self.nodes is None and camera.has_array:
             wavelength = in_millimetres(max(self.spectrum.wavelengths))
             spot = wavelength * camera.reduced_distance / camera.lattice.aperture_width
-            together = self._places_for(responses, camera, accuracy) if camera.pixel_size > _COARSE * spot else []
-            if len(together) == 1:
-                return together
-        return sorted({place for row in responses for place in self._places_for(row[None], camera, accuracy)})
+            if camera.pixel_size > USUAL.shared_pixel * spot:
+                together = self._noded(lit, camera, accuracy)
+                if len(together.computed) == 1:
+                    return [(lit, together)]
+        return [([channel], self._noded([channel], camera, accuracy)) for channel in lit]
 
-    def _places_for(self, rows: NDArray[np.float64], camera: PlenopticCamera, accuracy: float) -> list[float]:
-        """Return the wavelengths of common nodes for channels with given responses (channels, wavelengths)."""
-        wavelengths = np.array(self.spectrum.wavelengths)
-        order = np.argsort(wavelengths, kind="stable")
-        order = order[rows[:, order].any(0)]
-        weights = rows[rows.any(1)][:, order]
-        if not len(weights):
-            return []
-        weights = weights / weights.sum(1, keepdims=True)
+    def _noded(self, channels: list[int], camera: PlenopticCamera, accuracy: float) -> Spectrum:
+        """Return the spectrum of some channels, with nodes."""
+        spectrum = replace(self.spectrum, responses=tuple(self.spectrum.responses[channel] for channel in channels))
         if self.nodes is not None:
-            return _divided(wavelengths[order], weights, self.nodes)
-        given = tuple(wavelengths[order].tolist()), tuple(map(tuple, weights.tolist()))
-        return _enough(camera, *given, max(accuracy, _LEAST_ERROR))
+            return spectrum.interpolated(self.nodes)
+        return _enough(camera, spectrum, max(accuracy, USUAL.least_spot_error))
 
     def planned(self, camera: PlenopticCamera, accuracy: float, varying: Sequence[str] = ()) -> list[Node]:
         """Return the nodes, with their plans, which are expanded where parameters are varied."""
         start = nearby(camera, varying, accuracy)
-        found, fine = self.shared(start, accuracy), accuracy < FINE
+        shared = self.shared(start, accuracy)
+        shortest, longest = shared[0][0], shared[-1][0]
         nodes = []
-        for place, channels, weights in found:
-            plan = plan_of(start.at_wavelength(place), place, fine, found[0][0], found[-1][0])
+        for wavelength, channels, weights in shared:
+            plan = plan_of(start.at_wavelength(wavelength), wavelength, accuracy < FINE, shortest, longest)
             if varying and isinstance(plan, PhaseSpace) and not plan.by_points:
-                plan = ExpandedPlan.about(plan, camera.at_wavelength(place))
+                plan = ExpandedPlan.about(plan, camera.at_wavelength(wavelength))
             nodes.append(Node(plan, channels, weights))
         return nodes
 
@@ -224,67 +197,59 @@ class SignedColours:
         self, camera: PlenopticCamera, accuracy: float
     ) -> list[tuple[float, tuple[int, ...], NDArray[np.float64]]]:
         """Return each node's wavelength and channels, and the weights of a ray's values in the channels: see `Node`."""
-        places = self.places(camera, accuracy)
-        found = []
-        for number, place in enumerate(places):
-            if self.drawn is None or self.responses is None:
-                assert self.upsampling is not None
-                hat = _hats(np.array(self.spectrum.wavelengths), places)[number]
-                weights = (self.spectrum.matrix() * hat) @ self.upsampling.T
-            else:
-                weights = np.asarray(self.responses.at(self.drawn.edges)) * _hats(self.drawn.edges, places)[number]
-            channels = np.flatnonzero(weights.any(1))
-            if len(channels):
-                found.append((place, tuple(channels.tolist()), weights[channels]))
-        return found
-
-
-def _hats(wavelengths: NDArray[np.float64], places: list[float]) -> NDArray[np.float64]:
-    """Return the weights (nodes, wavelengths) of linear interpolation between nodes."""
-    return np.stack([np.interp(wavelengths, places, unit) for unit in np.eye(len(places))])
-
-
-def _divided(wavelengths: NDArray[np.float64], weights: NDArray[np.float64], count: int) -> list[float]:
-    """Return `count` nodes for normalised responses (channels, n) at rising wavelengths."""
-    weight = weights.mean(0)
-    if count == 1 or wavelengths[0] == wavelengths[-1]:
-        return [float(weight @ wavelengths)]
-    low, high = np.interp((_TAIL, 1 - _TAIL), np.cumsum(weight) - weight / 2, wavelengths).tolist()
-    return [float(place) for place in np.geomspace(low, high, count)]
+        if self.drawn is None or self.responses is None:
+            wavelengths = np.array(self.spectrum.wavelengths)
+            matrix: NDArray[Any] = self.spectrum.matrix()
+        else:
+            wavelengths = self.drawn.edges
+            matrix = np.asarray(self.responses.at(wavelengths))
+        weights: dict[float, NDArray[np.float64]] = {}
+        for channels, spectrum in self.groups(camera, accuracy):
+            for node, share in zip(spectrum.computed, spectrum.shares(wavelengths), strict=True):
+                weights.setdefault(node, np.zeros(matrix.shape))[channels] = matrix[channels] * share
+        if self.upsampling is not None:
+            weights = {node: values @ self.upsampling.T for node, values in weights.items()}
+        shared = []
+        for node, values in sorted(weights.items()):
+            lit = np.flatnonzero(values.any(1))
+            shared.append((node, tuple(lit.tolist()), values[lit]))
+        return shared
 
 
 @functools.lru_cache(maxsize=16)
-def _enough(
-    camera: PlenopticCamera, at: tuple[float, ...], responses: tuple[tuple[float, ...], ...], error: float
-) -> list[float]:
-    """Return the fewest nodes that satisfy the conditions of `SignedColours.places`.
-
-    `at` are rising wavelengths, and `responses` the channels' normalised responses there.
-    """
-    if at[0] == at[-1]:
-        return [at[0]]
-    wavelengths, weights = np.array(at), np.array(responses)
-    dense = np.geomspace(wavelengths[0], wavelengths[-1], _DENSE)
+def _enough(camera: PlenopticCamera, spectrum: Spectrum, error: float) -> Spectrum:
+    """Return a spectrum with the fewest nodes that satisfy the conditions of `SignedColours.groups`."""
+    responses = np.abs(np.array(spectrum.responses))
+    wavelengths = np.array(spectrum.wavelengths)
+    lit = wavelengths[responses.any(0)]
+    if lit.min() == lit.max():
+        return spectrum.interpolated(1)
+    weights = responses / responses.sum(1, keepdims=True)
+    dense = np.geomspace(lit.min(), lit.max(), USUAL.dense_wavelengths)
     make = plan_type(camera)
     width, coarse = make(camera.at_wavelength(dense[-1]), dense[-1]).widths
-    step = width * dense[0] / dense[-1] / _SPOTS[1]
-    reach = math.ceil((_SPOTS[0] * width + camera.pixel_size / 2) / step)
+    step = width * dense[0] / dense[-1] / USUAL.spot_samples
+    reach = math.ceil((USUAL.spot_width * width + camera.pixel_size / 2) / step)
     along = np.arange(-reach, reach + 1) * step
-    spots = np.stack([make(camera.at_wavelength(each), each).spots(along) for each in dense])
+    spots = np.stack([make(camera.at_wavelength(wavelength), wavelength).spots(along) for wavelength in dense])
     pixel = max(1, round(camera.pixel_size / step))
-    spots = scipy.ndimage.uniform_filter(spots, (0, 0, pixel, pixel), mode="constant").reshape(_DENSE, -1)
-    true = weights @ _hats(wavelengths, dense.tolist()).T @ spots
-    places: list[float] = []
-    for count in range(1, _MOST_NODES + 1):
-        places = _divided(wavelengths, weights, count)
-        shares = weights @ _hats(wavelengths, places).T @ _hats(np.array(places), dense.tolist()).T
-        wrong = np.linalg.norm(shares @ spots - true, axis=1) / np.linalg.norm(true, axis=1)
-        apart = places if count > 1 else _divided(wavelengths, weights, 2)
-        powers = [_power(camera, place) for place in apart]
+    spots = scipy.ndimage.uniform_filter(spots, (0, 0, pixel, pixel), mode="constant").reshape(len(dense), -1)
+
+    def at(places: Any) -> Any:
+        return np.stack([np.interp(places, dense, unit) for unit in np.eye(len(dense))], axis=-1) @ spots
+
+    true = weights @ at(wavelengths)
+    noded = spectrum
+    for count in range(1, USUAL.most_nodes + 1):
+        noded = spectrum.interpolated(count)
+        wrong = np.linalg.norm(weights @ noded.shares().T @ at(noded.computed) - true, axis=1)
+        apart = noded if count > 1 else spectrum.interpolated(2)
+        powers = [_power(camera, node) for node in apart.computed]
         blur = 2 * camera.aperture_radius * camera.mla_distance * np.abs(np.diff(powers)).max()
-        if wrong.max() <= _PROBED * error and blur <= _BLUR * math.sqrt(error) * coarse:
+        good = (wrong / np.linalg.norm(true, axis=1)).max() <= USUAL.spot_error * error
+        if good and blur <= USUAL.node_blur * math.sqrt(error) * coarse:
             break
-    return places
+    return noded
 
 
 def _power(camera: PlenopticCamera, wavelength: float) -> float:

@@ -155,7 +155,8 @@ def refocused(method, **options):
 
 def point_gradient(camera):
     weights = np.random.default_rng(1).normal(size=camera.shape).astype(np.float32)
-    found = operator_of(camera).gradient(np.arange(1.0, 4), weights, ["mla_distance", "detector_distance"])
+    names = ["mla_distance", "detector_distance" if camera.has_array else "detector_width"]
+    found = operator_of(camera).gradient(np.arange(1.0, 4), weights, names)
     return np.concatenate([np.ravel(each) for each in found.values()])
 
 

@@ -16,7 +16,7 @@ from mitsuba_plenoptic.camera.parameters import PARAMETERS
 from mitsuba_plenoptic.cli import COMMANDS, load
 from mitsuba_plenoptic.extensions.laser import laser_integrator as laser
 from mitsuba_plenoptic.lenses.main_lens import Light, MainLens
-from mitsuba_plenoptic.plugins import integrator, properties
+from mitsuba_plenoptic.plugins import integrator, wave_base
 
 ROOT = Path(__file__).parents[2]
 
@@ -134,7 +134,7 @@ def read_by(module):
     "name, read",
     [
         ("plenoptic", SENSOR_NAMES),
-        ("plenoptic_wave", read_by(integrator) | read_by(properties) | {"wavelength"}),
+        ("plenoptic_wave", read_by(integrator) | read_by(wave_base) | {"wavelength"}),
         ("plenoptic_laser", read_by(laser) | {"modes", *laser.SOURCE}),
     ],
 )

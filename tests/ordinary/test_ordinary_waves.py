@@ -252,5 +252,5 @@ def test_what_waves_refuse():
     parameters.update()
     integrator = mi.load_dict({"type": "plenoptic_wave"})
     image = mi.render(scene, parameters, integrator=integrator, spp=2)
-    with pytest.raises(Exception, match="focal_length: derivatives of wave captures by the camera: mla_lattice = none"):
+    with pytest.raises(Exception, match="derivatives of wave captures of scenes by the camera: mla_lattice = none"):
         dr.backward(dr.sum(image, axis=None))

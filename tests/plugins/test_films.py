@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from cameras import film
 
-from mitsuba_plenoptic.plugins.properties import develop, develop_back
+from mitsuba_plenoptic.plugins.wave_base import develop, develop_back
 
 
 @pytest.mark.parametrize(("variant", "channels"), [("llvm_ad_mono", 1), ("llvm_ad_rgb", 3)])

@@ -8,7 +8,7 @@ import pytest
 from cameras import error
 from cases import facing, radiating, scene_of, sensor
 
-from mitsuba_plenoptic import Checkpoint, InputError, estimate_capture, render_capture
+from mitsuba_plenoptic import Checkpoint, InputError, PlenopticCamera, estimate_capture, render_capture
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.points.units import radiance_weight
@@ -44,16 +44,29 @@ def by_signed_rays(scene, spp=256, **options):
 
 
 @pytest.mark.parametrize(
-    "objects, count, limit",
+    "objects, changes, limit",
     [
-        pytest.param({"wall": lambda: wall()}, 64, 0.01, marks=pytest.mark.slow),
-        ({"card": lambda: facing(240.0, 2.0, **striped(0.4))}, 64, 0.03),
+        pytest.param({"wall": lambda: wall()}, {}, 0.01, marks=pytest.mark.slow),
+        ({"card": lambda: facing(240.0, 2.0, **striped(0.4))}, {}, 0.03),
+        pytest.param(
+            {"card": lambda: facing(240.0, 2.0, **striped(0.4))},
+            {"mla_transmissions": [[0.5, 1.0, 1.0, 1.0], [1.0, 0.7, 1.0, 0.8], [1.0, 1.2, 1.0, 0.6]]},
+            0.03,
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            {"card": lambda: facing(240.0, 2.0, **striped(0.4))},
+            {"vignetting": {"radius": [0.95], "slope_x": [0.1], "apodisation_2": [-0.3]}},
+            0.03,
+            marks=pytest.mark.slow,
+        ),
     ],
-    ids=["white wall", "texture"],
+    ids=["white wall", "texture", "unequal lenses", "vignetting"],
 )
-def test_surfaces_are_seen_as_by_signed_rays(objects, count, limit):
-    scene = scene_of(camera(), **{name: make() for name, make in objects.items()})
-    points, rays = by_points(scene, count).image, by_signed_rays(scene)
+def test_surfaces_are_seen_as_by_signed_rays(objects, changes, limit):
+    seen = PlenopticCamera(detector_width=0.256, resolution=(64, 64), lens_model="parabolic", **changes)
+    scene = scene_of(seen.to_sensor(), **{name: make() for name, make in objects.items()})
+    points, rays = by_points(scene, 64).image, by_signed_rays(scene)
     assert error(points, rays) < limit
     assert points.sum() == pytest.approx(rays.sum(), rel=0.005)
 
@@ -75,6 +88,31 @@ def test_what_covers_half_of_the_pupil_darkens_halves_of_micro_images():
     # The border of the shadow is soft, and the pupil that it leaves open diffracts.
     assert error(points, rays) < 0.04
     assert points.sum() == pytest.approx(rays.sum(), rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("pairs", "limit"), [((0, 0, 2.5, 2, 5, 5), 0.035), ((0, 0, 5, 52), 0.06)], ids=["kink", "a tenth nearer"]
+)
+def test_lenses_shifted_to_chief_rays_are_seen_as_by_signed_rays(pairs, limit):
+    """Apart from the light, as signed rays' apertures keep their size where cells, which points see, shrink."""
+    count, height = 1664, 2.5
+    seen = PlenopticCamera(
+        detector_width=0.004 * count, resolution=(count, count), crop_offset=(count // 2 + 609, count // 2 - 16),
+        crop_size=(32, 32), lens_model="parabolic", mla_cra=pairs,
+    )  # fmt: skip
+    card = facing(240.0, 2.0, (-2 * height, 0.0), **striped(0.4))
+    scene, unshifted = (scene_of(each.to_sensor(), card=card) for each in (seen, seen.replace(mla_cra=())))
+    points, rays = by_points(scene, 32).image, by_signed_rays(scene)
+    # The area of the cell that lies there, over that of a regular one.
+    shifts = seen.lattice.displacement
+    (x, _), step = shifts.regular(height, 0.0), 0.03
+    radial = (shifts.smooth(x + step, 0.0)[0] - shifts.smooth(x - step, 0.0)[0]) / (2 * step)
+    tangential = shifts.smooth(x, step)[1] / step
+    shrunk = (1 + radial) * (1 + tangential)
+    assert points.sum() / rays.sum() == pytest.approx(shrunk, rel=0.015)
+    assert error(points / shrunk, rays) < limit
+    assert error(by_signed_rays(unshifted), rays) > 0.1
 
 
 @pytest.mark.slow

@@ -18,8 +18,10 @@ POINT = np.array([0.03, -0.02, 114.0])
         {"mla_jitter": (0.002, 0.03), "mla_seed": 3},
         pytest.param({"mla_jitter": (0.002, 0.0), "mla_shape": SHAPES["sphere"]}, marks=pytest.mark.slow),
         pytest.param({"mla_figure_error": (5e-5, 0.02)}, marks=pytest.mark.slow),
+        {"mla_cra": (0, 0, 0.04, 0.5, 0.1, 0.8)},
+        {"mla_cra": (0, 0, 0.1, 1.8)},
     ],
-    ids=["parabolic", "spherical", "figure error"],
+    ids=["parabolic", "spherical", "figure error", "aligned", "nearer by a sixth"],
 )
 def test_full_fields_of_irregular_arrays_against_explicit_sums(changes):
     camera = small_camera(2, **HALF, **changes)
@@ -32,7 +34,7 @@ def test_full_fields_of_irregular_arrays_against_explicit_sums(changes):
         return own * camera.mla_focal_length / lens.focal_length + (0 if wrong is None else wrong.path(x, y))
 
     found = point_spread_function(camera, POINT, wavelength=GREEN, method="full_field")
-    regular = camera.replace(mla_jitter=(0.0, 0.0), mla_figure_error=(0.0, 0.0))
+    regular = camera.replace(mla_jitter=(0.0, 0.0), mla_figure_error=(0.0, 0.0), mla_cra=())
     expected = propagated(camera, path, POINT, GREEN)
     assert error(found, expected) < 0.01
     assert error(point_spread_function(regular, POINT, wavelength=GREEN, method="full_field"), expected) > 0.05

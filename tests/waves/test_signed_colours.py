@@ -112,8 +112,8 @@ def test_bands_are_the_means_of_lines():
     scene = scene_of(sensor(4, 16), wall=facing(240.0, 0.12, **radiating()))
     lines = [by_waves(scene, 2048, wavelength=wavelength).image for wavelength in (450.0, 650.0)]
     assert error(*lines) > 0.04
-    # Between two nodes light is shared in straight lines.
-    nodes = by_waves(scene, 2048, wavelength=550.0, bandwidth=2 * 100 / 0.98, nodes=2).image
+    # The two nodes of Gauss's rule; light is shared between them in straight lines.
+    nodes = by_waves(scene, 2048, wavelength=550.0, bandwidth=2 * 100 * math.sqrt(3), nodes=2).image
     assert error(nodes, (lines[0] + lines[1]) / 2) < 0.6 * error(*lines)
     assert nodes.sum() == pytest.approx((lines[0].sum() + lines[1].sum()) / 2, rel=0.005)
     one = by_waves(scene, 64, wavelength=550.0, bandwidth=20.0, nodes=1).image
@@ -141,7 +141,7 @@ def test_bands_of_a_patch_of_light_against_exact_sums(width, glass):
 @pytest.mark.slow
 def test_dispersing_lenses_keep_the_light_of_spectra():
     mi.set_variant("llvm_ad_spectral")
-    options = {"nodes": 2, "spp": 16}
+    options = {"nodes": 3, "spp": 16}
     for radiance in (line(532, 10)[2], {"type": "d65"}):
         plain, glass = (by_waves(wall(radiance, **more), **options).image.mean((0, 1)) for more in ({}, GLASS))
         assert glass == pytest.approx(plain, abs=0.02 * float(plain[1]))
@@ -164,18 +164,19 @@ def test_lines_of_three_channels_have_rays_of_their_own():
         )
 
 
-def test_nodes_share_light_in_straight_lines():
+def test_nodes_share_light_by_the_polynomial_through_them():
     mi.set_variant("llvm_ad_rgb")
     colours = mi.load_dict({"type": "plenoptic_wave", "responses": "srgb", "nodes": 4}).colours.signed(3)
     nodes = colours.planned(PlenopticCamera(resolution=(64, 64), detector_width=0.128), 0.01)
     weights = np.array([node.weights for node in nodes])
     # All light of white is shared, and reads 1 in every channel.
     assert weights.sum((0, 2)) == pytest.approx(np.ones(3), abs=1e-5)
-    wavelengths = np.array(colours.spectrum.wavelengths)
-    places = [node.plan.wavelength for node in nodes]
-    inner = np.clip(wavelengths, places[0], places[-1])
-    moments = (colours.spectrum.matrix() * inner) @ colours.upsampling.T
-    assert np.tensordot(places, weights, 1) == pytest.approx(moments, rel=1e-4, abs=1e-3)
+    # What changes as a cubic polynomial of the wavelength is exact.
+    offsets = (np.array(colours.spectrum.wavelengths) - 550) / 150
+    places = (np.array([node.plan.wavelength for node in nodes]) - 550) / 150
+    for degree in (1, 2, 3):
+        moments = (colours.spectrum.matrix() * offsets**degree) @ colours.upsampling.T
+        assert np.tensordot(places**degree, weights, 1) == pytest.approx(moments, rel=1e-4, abs=1e-5)
 
 
 def test_drawn_wavelengths_integrate_responses():
@@ -188,21 +189,27 @@ def test_drawn_wavelengths_integrate_responses():
         for node in some:
             _, rows = node.mixture(lanes)
             found = [sum(dr.mean(weight)[0] for weight in row) for row in rows]
-            hats = np.interp(places, [each.plan.wavelength for each in nodes], [each is node for each in nodes])
-            expected = np.trapezoid(colour.SRGB.at(places) * hats, places, axis=1)
+            others = [each.plan.wavelength for each in nodes if each is not node]
+            shares = np.prod([(places - other) / (node.plan.wavelength - other) for other in others], axis=0)
+            expected = np.trapezoid(colour.SRGB.at(places) * shares, places, axis=1)
             assert found == pytest.approx(expected[list(node.channels)], rel=0.002, abs=0.05)
+
+
+def nodes_of(colours, camera, accuracy):
+    """Return the wavelengths of all channels' nodes."""
+    return sorted({node for _, spectrum in colours.groups(camera, accuracy) for node in spectrum.computed})
 
 
 def test_nodes_are_as_many_as_spots_need():
     integrator = mi.load_dict({"type": "plenoptic_wave", "method": "signed_rays", "bandwidth": 20.0})
     camera = PlenopticCamera(resolution=(64, 64), detector_width=0.128)
-    assert len(integrator.colours.signed(1).places(camera, 0.01)) == 1
+    assert nodes_of(integrator.colours.signed(1), camera, 0.01) == pytest.approx([633.0])
     band = {"wavelength": 550.0, "bandwidth": 300.0}
     wide = mi.load_dict({"type": "plenoptic_wave", "method": "signed_rays", **band}).colours.signed(1)
-    coarse, fine = (wide.places(camera, accuracy) for accuracy in (0.01, 0.002))
+    coarse, fine = (nodes_of(wide, camera, accuracy) for accuracy in (0.01, 0.002))
     assert 1 < len(coarse) < len(fine) < 10
     # Crown glass shifts the focus.
-    assert len(wide.places(camera.replace(glass={"index": 1.5168, "abbe": 64.2}), 0.01)) > len(fine)
+    assert len(nodes_of(wide, camera.replace(glass={"index": 1.5168, "abbe": 64.2}), 0.01)) > len(fine)
 
 
 def fast_lenses():
@@ -217,11 +224,11 @@ def test_channels_share_a_node_where_pixels_cannot_tell_their_spots():
     mi.set_variant("llvm_ad_rgb")
     lines = mi.load_dict({"type": "plenoptic_wave", "wavelength": "611, 549, 464"}).colours.signed(3)
     camera = fast_lenses()
-    assert lines.places(camera, 0.01) == pytest.approx([np.mean([611, 549, 464])])
+    assert nodes_of(lines, camera, 0.01) == pytest.approx([np.mean([611, 549, 464])])
     # Accurate captures, finer pixels, and lenses whose focus depends on the wavelength.
-    assert lines.places(camera, 0.005) == [464.0, 549.0, 611.0]
-    assert lines.places(camera.replace(resolution=(180, 180)), 0.01) == [464.0, 549.0, 611.0]
-    assert lines.places(camera.replace(mla_glass={"index": 1.6, "abbe": 25.0}), 0.01) == [464.0, 549.0, 611.0]
+    assert nodes_of(lines, camera, 0.005) == [464.0, 549.0, 611.0]
+    assert nodes_of(lines, camera.replace(resolution=(180, 180)), 0.01) == [464.0, 549.0, 611.0]
+    assert nodes_of(lines, camera.replace(mla_glass={"index": 1.6, "abbe": 25.0}), 0.01) == [464.0, 549.0, 611.0]
 
 
 @pytest.mark.slow

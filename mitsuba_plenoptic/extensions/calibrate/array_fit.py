@@ -11,6 +11,7 @@ import scipy.optimize
 from ...array.lens_shifts import WARP_POWERS, Displacement
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
+from ...runtime import exponents, monomials
 from ...views import LensGrid
 
 
@@ -84,7 +85,7 @@ def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera, de
     middle, along, across = np.linalg.lstsq(matrix, target)[0]
     angle_of_rows = math.atan2(along[1], along[0])
     degree = min(degree, 3 if len(pixels) >= 200 else 2 if len(pixels) >= 60 else 1)
-    terms = [(i, j) for i, j in WARP_POWERS if i + j <= degree]
+    terms = exponents(degree, lowest=2)
     # Coefficients of a warp in pixels at the farthest lens, so that all numbers are of one size.
     reach = np.abs(target).max()
 
@@ -94,9 +95,7 @@ def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera, de
         s = math.sin(angle)
         u, v = steps[:, 0] * pitch, steps[:, 1] * row
         x, y = x0 + c * u - s * v, y0 + s * u + c * v
-        powers = (
-            np.stack([(x / reach) ** i * (y / reach) ** j for i, j in terms], axis=-1) if terms else np.zeros((1, 0))
-        )
+        powers = np.stack(monomials(x / reach, y / reach, terms), axis=-1) if terms else np.zeros((1, 0))
         warp = (powers @ numbers[5:].reshape(2, -1).T) * scale
         return np.stack([x, y], axis=-1) + warp
 

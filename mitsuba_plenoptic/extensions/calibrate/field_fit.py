@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...camera import PlenopticCamera
+from ...runtime import exponents, monomials
 from .micro_image import NUMBERS, MicroImageModel, PupilNumbers
 from .white_frames import WhiteFrame
 
@@ -39,12 +40,12 @@ class FieldNumbers:
         self.middle = (np.array(size) - 1) / 2
         self.scale = max(size) / 2
         # A polynomial has at most a quarter as many coefficients as there are lenses.
-        most = next(degree for degree in (4, 3, 2, 1, 0) if 4 * terms_of(degree) <= max(lenses, 4))
+        most = next(degree for degree in (4, 3, 2, 1, 0) if 4 * len(exponents(degree)) <= max(lenses, 4))
         # Numbers that are missing here are the same everywhere.
         degrees = {"radius": 4, "ellipse_x": 4, "ellipse_y": 4, "centre_x": 3, "centre_y": 3}
         degrees |= {"slope_x": 2, "slope_y": 2, "apodisation_2": 2}
         self.degrees = {name: -1 if name in zero else min(degrees.get(name, 0), most) for name in NUMBERS}
-        self.coefficients = {name: np.zeros(terms_of(degree)) for name, degree in self.degrees.items()}
+        self.coefficients = {name: np.zeros(len(exponents(degree))) for name, degree in self.degrees.items()}
         for name in NUMBERS:
             self.coefficients[name][:1] = getattr(start, name)
 
@@ -65,9 +66,8 @@ class FieldNumbers:
     def terms(self, position: np.ndarray) -> np.ndarray:
         """Return the monomial of each coefficient at places (n, 2), which run from -1 to 1 along the longer side."""
         x, y = ((position - self.middle) / self.scale).T
-        powers = [(total - j, j) for total in range(5) for j in range(total + 1)]
-        columns = [powers[: len(self.coefficients[name])] for name in NUMBERS]
-        return np.stack([x**i * y**j for some in columns for i, j in some], axis=-1)
+        terms = monomials(x, y, exponents(4))
+        return np.stack([term for name in NUMBERS for term in terms[: len(self.coefficients[name])]], axis=-1)
 
     def values(self, position: np.ndarray) -> np.ndarray:
         """Return the numbers (n, 11) at places (n, 2) in pixels."""
@@ -84,11 +84,6 @@ class FieldNumbers:
         resampled = (generator.multinomial(count, np.full(count, 1 / count)) for _ in range(100))
         changes = [solved(np.tensordot(times, equations, 1)) for times in resampled]
         return self.split(np.std(changes, axis=0))
-
-
-def terms_of(degree: int) -> int:
-    """Return the number of monomials of two variables up to a degree."""
-    return (degree + 1) * (degree + 2) // 2
 
 
 def solved(equations: np.ndarray, damping: float = 0.0) -> np.ndarray:

@@ -4,5 +4,5 @@ from ...extension import Extension
 
 EXTENSION = Extension(
     modules={"laser": "laser"},
-    plugins={"laser_integrator": "integrator"},
+    plugins={"plenoptic_laser": ("laser_integrator", "integrator")},
 )

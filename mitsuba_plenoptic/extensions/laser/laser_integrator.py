@@ -13,7 +13,7 @@ from ...errors import InputError, naming, refuse_if, require_count, require_numb
 from ...fields.optical_system import OpticalSystem
 from ...optics import guards
 from ...optics.spectrum import Spectrum
-from ...plugins import properties
+from ...plugins import properties, wave_base
 from ...points import scene_points
 from ...points.operator import CaptureOperator
 from ...runtime import Cost, Job
@@ -34,7 +34,7 @@ SOURCE = ("source_diameter", "source_distance", "bandwidth", "roughness")
 def make_class() -> type:
     """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
 
-    class PlenopticLaserIntegrator(properties.make_base()):  # type: ignore[misc]
+    class PlenopticLaserIntegrator(wave_base.make_base()):  # type: ignore[misc]
         r"""Laser light: captures with speckle and fringes, together with all other light of the scene.
 
         .. pluginparameters::
@@ -103,7 +103,7 @@ def make_class() -> type:
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             self.lasers = _names(properties.read_plain(props, "lasers", ""))
-            wavelength = properties.read_plain(props, "wavelength", properties.DEFAULT_WAVELENGTH)
+            wavelength = properties.read_plain(props, "wavelength", wave_base.DEFAULT_WAVELENGTH)
             self.wavelengths = (require_wavelength(wavelength, f"{NAME}: wavelength"),)
             self.modes = None
             if "modes" in props:
@@ -141,7 +141,7 @@ def make_class() -> type:
             rest = with_objects(scene, (), lasers)
             if rest.emitters():
                 image = image + np.array(self.child.render(rest, sensor, seed=seed, spp=spp), np.float32)[..., :1]
-            properties.put(sensor.film(), image, 1)
+            wave_base.put(sensor.film(), image, 1)
             return sensor.film()
 
         def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:

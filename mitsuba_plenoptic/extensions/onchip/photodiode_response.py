@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 import itertools
-import json
 from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import (
-    NO_RECORD,
-    InputError,
     put,
     refuse_if,
     refusing,
-    require_known,
     require_numbers,
     require_wavelength,
     short_repr,
 )
-from ...runtime import read_text
+from ...runtime import PlainData, known_record
 
 if TYPE_CHECKING:
     from ...camera import CameraGeometry
@@ -33,8 +28,6 @@ ACROSS = 2
 
 _EXACT = 0.01
 """Largest relative deviation of the pitch from two pixels: that of a pitch which follows the chief rays."""
-
-_LARGEST_FILE = 2**26
 
 _STEEPEST = 89.0
 """Largest angle in a table, in degrees."""
@@ -64,7 +57,7 @@ def require_pixel_pairs(camera: CameraGeometry) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class PhotodiodeResponse:
+class PhotodiodeResponse(PlainData):
     """Response of the photodiodes under a lens to light by its direction before the lens; bilinear between angles.
 
     Parameters
@@ -115,33 +108,9 @@ class PhotodiodeResponse:
         table = self.responses if self.wavelengths else self.responses[:, :, None]
         return np.repeat(np.repeat(table, rows, 0), columns, 1) / (rows * columns)
 
-    def to_plain(self) -> dict[str, Any]:
-        """Return the response as numbers and lists, for JSON files."""
-        plain = {"angles_x": list(self.angles_x), "angles_y": list(self.angles_y), "responses": self.responses.tolist()}
-        return plain | ({"wavelengths": list(self.wavelengths)} if self.wavelengths else {})
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, PhotodiodeResponse) and self.to_plain() == other.to_plain()
-
-    def __hash__(self) -> int:
-        return hash((self.angles_x, self.angles_y, self.wavelengths, self.responses.tobytes()))
-
-
-def known_response(name: str, value: Any) -> PhotodiodeResponse | None:
-    """Return a photodiode response from any of its forms; None means that the microlenses refract light."""
-    if value is None or isinstance(value, PhotodiodeResponse):
-        return value
-    if isinstance(value, (str, Path)):
-        text = str(value)
-        text = text if text.lstrip().startswith("{") else read_text(value, _LARGEST_FILE)
-        with refusing(f"{name}: it must be a JSON object:", *NO_RECORD):
-            value = json.loads(text)
-    if not isinstance(value, dict):
-        raise InputError(f"{name} = {short_repr(value)}: it must be a JSON file or a dictionary")
-    require_known(f"{name}: ", value, ("angles_x", "angles_y", "responses", "wavelengths"))
-    for key in ("angles_x", "angles_y", "responses"):
-        refuse_if(key not in value, f"{name}: {key} is missing")
-    return PhotodiodeResponse(**value)
+known_response = partial(known_record, PhotodiodeResponse)
+"""Return a photodiode response from any of its forms; None means that the microlenses refract light."""
 
 
 def _rising(name: str, values: tuple[float, ...]) -> tuple[float, ...]:

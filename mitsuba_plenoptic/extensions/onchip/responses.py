@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import functools
 import math
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -40,9 +39,6 @@ from .response_tables import PhotodiodeResponses
 _LANES = 2**23
 """Approximate count of rays that are traced at once."""
 
-_RAY_BYTES = 120
-"""Approximate bytes of a ray."""
-
 _LEAST_RAYS = 8
 """Rays of a lens that are traced at once at the least, if it has as many."""
 
@@ -52,8 +48,8 @@ _BITS = 36
 _DRAWN = 8
 """Lenses of the far window that each ray of a lens draws."""
 
-_PROBES, _TIMED = 2**8, 2**6
-"""Count of lenses whose light identifies a capture, and the sides in lenses of a block that is timed."""
+_PROBES = 2**8
+"""Count of lenses whose light identifies a capture."""
 
 
 class Rays(NamedTuple):
@@ -181,23 +177,6 @@ class ResponseSum:
         index = (lens % columns + self._columns[0], lens // columns + self._rows[0])
         rays = self._traced(tuple(drjit_array(mi.Int, part) for part in index), drjit_array(mi.UInt32, lens), 0)
         return np.stack([light.numpy() for light in rays.sums])
-
-    def cost(self) -> tuple[float, float]:
-        """Return the estimated time in seconds and memory in bytes of the sum, extrapolated from some of the lenses."""
-        seconds = []
-        (left, right), (top, bottom) = self._columns, self._rows
-        columns, rows = min(_TIMED, right - left), min(_TIMED, bottom - top)
-        grid = LensCells((left + right - columns) // 2, (top + bottom - rows) // 2, columns, rows)
-        for seed in range(3):
-            start = time.perf_counter()
-            with fft.busy_drjit():
-                dr.eval(self._captured(grid, [seed]))
-                dr.sync_thread()
-            around = grid.within(self._tables.margin)
-            seconds.append((time.perf_counter() - start) / (around.columns * around.rows))
-        tables = sum(2 * node.plan.nbytes for node in self._nodes)
-        # The first run compiles the kernels, and is left out.
-        return min(seconds[1:]) * self._rounds * float(self.items.sum()), tables + _RAY_BYTES * _LANES
 
     def _traced(self, index: Pair, lens: Any, seed: int) -> Rays:
         """Return traced rays of lenses with given lattice indices and numbers."""

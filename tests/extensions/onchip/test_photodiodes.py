@@ -174,7 +174,7 @@ test_mistakes = refused(
     (lambda: CAMERA.replace(mla_cra=(0, 0, 2, 85)), "mla_cra = 85: it must be at most 80"),
     (lambda: CAMERA.replace(pixel_crosstalk=0.3), "pixel_crosstalk = 0.3: it must be at most 0.25"),
     (lambda: CAMERA.replace(photodiode_response={"angles_x": [0, 1]}), "photodiode_response: angles_y is missing"),
-    (lambda: CAMERA.replace(photodiode_response=3), "photodiode_response = 3: it must be a JSON file or a dictionary"),
+    (lambda: CAMERA.replace(photodiode_response=3), "photodiode_response: 3: it must be a dictionary or a JSON file"),
     (lambda: CAMERA.replace(photodiode_response="{"), "photodiode_response: it must be a JSON object"),
     (lambda: CAMERA.replace(**HALVES, mla_pitch=0.0036), "a lens over photodiodes must cover 2 x 2"),
     (

@@ -1,0 +1,105 @@
+"""What pixels record of the light of points by its direction behind the lenses: absorption and oblique response."""
+
+import numpy as np
+import pytest
+from cameras import HALF, error, small_camera
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.points.point_spread import point_fields
+
+POINT = (0.05, -0.03, 231.0)
+RESPONSE = {"pixel_response": (0, 1, 3, 0.3)}
+ABSORBING = {"mla_absorption": 2.0}
+BEHIND = RESPONSE | ABSORBING
+TURNED = {"mla_lattice": "hexagonal", "mla_rotation": 7.0, "mla_fill": 0.8}
+MEDIUM = {"mla_medium": 1.5, "mla_focal_length": 0.6, "detector_distance": 0.6}
+ORDINARY = {"mla_lattice": "none", "detector_width": 0.08, "resolution": (40, 40)}
+
+
+def spread(camera, **options):
+    return mp.point_spread_function(camera, POINT, wavelength=550.0, **options)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        small_camera(4, **BEHIND),
+        pytest.param(small_camera(4, **BEHIND, **TURNED, **MEDIUM), marks=pytest.mark.slow),
+        pytest.param(mp.PlenopticCamera(**ORDINARY, **RESPONSE), marks=pytest.mark.slow),
+    ],
+    ids=["square", "turned in a medium", "ordinary"],
+)
+def test_patches_against_full_fields(camera):
+    """Most of the light is lost behind the lenses, which no guard takes for light beyond the patches."""
+    full = spread(camera, method="full_field")
+    assert error(spread(camera), full) < 0.005
+    clear = camera.replace(pixel_response=(), **{"mla_absorption": 0.0} if camera.has_array else {})
+    assert full.sum() < 0.75 * spread(clear).sum()
+
+
+@pytest.mark.parametrize("changes", [ABSORBING, RESPONSE], ids=["absorption", "response"])
+def test_waves_lose_as_much_as_rays(changes):
+    camera = small_camera(4)
+    plain, dimmed = ([spread(each), spread(each, model="ray")] for each in (camera, camera.replace(**changes)))
+    waves, rays = (behind.sum() / clear.sum() for behind, clear in zip(dimmed, plain, strict=True))
+    # Light that the joints of lenses diffract goes farther aside.
+    assert waves == pytest.approx(rays, rel=0.04)
+    assert rays < 0.6
+
+
+def test_an_ordinary_camera_has_the_mean_response_of_its_pupil():
+    camera = mp.PlenopticCamera(**ORDINARY)
+    x, y = np.meshgrid(*2 * [np.linspace(-1, 1, 400)])
+    inside = np.hypot(x, y) < 1
+    angle = np.degrees(np.arctan(np.hypot(x, y)[inside] * camera.pupil_radius / camera.pupil_distance))
+    for options in ({}, {"model": "ray"}):
+        point = (0.0, 0.0, 240.0)
+        dimmed, plain = (
+            mp.point_spread_function(each, point, wavelength=550.0, **options)
+            for each in (camera.replace(**RESPONSE), camera)
+        )
+        expected = np.interp(angle, [0, 3], [1, 0.3]).mean()
+        assert dimmed.sum() / plain.sum() == pytest.approx(expected, rel=0.01)
+
+
+def test_adjoint_and_cost():
+    camera = small_camera(4, **BEHIND)
+    operator = mp.CaptureOperator(camera, [POINT, (0.0, 0.1, 244.0)], wavelength=550.0)
+    image = np.random.default_rng(0).normal(size=camera.shape).astype(np.float32)
+    weights = np.array([1.0, 2.0])
+    assert np.vdot(operator.forward(weights).astype(float), image) == pytest.approx(
+        operator.adjoint(image) @ weights, rel=1e-4
+    )
+    assert operator.estimate().points == 2
+
+
+@pytest.mark.slow
+def test_coherent_fields_have_an_adjoint():
+    fields = mp.CaptureOperator(small_camera(2, **BEHIND), [POINT], wavelength=550.0, method="full_field")
+    rng, shape = np.random.default_rng(0), fields.coherent_fields.shape("detector")
+    other = (rng.normal(size=shape) + 1j * rng.normal(size=shape)).astype(np.complex64)
+    amplitudes = np.array([1 + 2j], np.complex64)
+    inner = np.vdot(other, fields.coherent_fields.at(amplitudes, "detector").samples)
+    assert inner == pytest.approx(np.vdot(fields.coherent_fields.adjoint(other, "detector"), amplitudes), rel=1e-3)
+
+
+def test_lenses_shifted_to_chief_rays_against_full_fields():
+    camera = small_camera(4, mla_cra=(0, 0, 0.1, 0.2, 0.2, 2.0))
+    full = spread(camera, method="full_field")
+    assert error(spread(camera), full) < 0.015
+    assert error(spread(camera.regular), full) > 0.3
+    assert spread(camera, model="ray").sum() == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"aperture_blades": 5}, {"pupil_apodisation": (-0.8, 0.0)}], ids=["blades", "apodised"]
+)
+def test_fields_of_a_point_have_the_power_of_its_pupil(changes):
+    camera = small_camera(2, **HALF, **changes)
+    pupil = point_fields(camera, (0.02, -0.01, 114.0), wavelength=550.0).pupil
+    x, y = (start + pupil.pitch * np.arange(len(pupil.samples)) for start in pupil.origin)
+    seen = np.abs(pupil.samples) ** 2
+    expected = camera.aperture.power(*np.meshgrid(x / camera.pupil_radius, y / camera.pupil_radius))
+    # Edges are soft over a sample.
+    assert np.linalg.norm(seen / seen.sum() - expected / expected.sum()) < 0.1 * np.linalg.norm(seen / seen.sum())
+    assert pupil.power == pytest.approx(1, abs=0.01)
