@@ -135,14 +135,14 @@ def make_class() -> type:
             camera, self.stated = read_camera(props, NAME, film)
             self._given = camera
             require_read(props, NAME)
-            own = _parameters_of(camera)
+            parameters = _parameters_of(camera)
             # Parameters that are empty, set by the main lens, or of an array that is not there, are not exposed.
             self._numbers = [
                 name
-                for name, value in own.items()
+                for name, value in parameters.items()
                 if PARAMETERS[name].is_exposed and value not in ((), None) and name not in camera.lens_data.sets
             ]
-            for name, value in own.items():
+            for name, value in parameters.items():
                 if name in self._numbers:
                     # In its shortest form, as an array that can carry gradients.
                     kind = mi.Point2f if PARAMETERS[name].form is Form.PLACE else mi.Float
@@ -264,11 +264,11 @@ def make_class() -> type:
                 for name, dx, dy in (("x", width, 0), ("y", 0, width)):
                     if rays.walk.camera.lens_data.traced_surfaces:
                         # Tracing the offset rays surface by surface would cost three times as much.
-                        beside, turned = cast(RealLens, rays.walk.lens).beside(point, slope, *rays.steps(dx, dy))
+                        beside, slope_beside = cast(RealLens, rays.walk.lens).beside(point, slope, *rays.steps(dx, dy))
                     else:
-                        beside, turned, _ = rays.trace((px + dx, py + dy), passage)
+                        beside, slope_beside, _ = rays.trace((px + dx, py + dy), passage)
                     setattr(ray, f"o_{name}", to_world @ mi.Point3f(*beside))
-                    setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(*turned, 1)))
+                    setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(*slope_beside, 1)))
                 ray.has_differentials = True
             return ray, dr.select(open_, weight, 0)
 
@@ -317,9 +317,9 @@ def _parameters_of(camera: PlenopticCamera) -> dict[str, Any]:
     return {name: value for name, value in camera.arguments().items() if PARAMETERS[name].form is not Form.FILM}
 
 
-def _plain(values: Any, given: float | tuple[float, ...]) -> list[float]:
+def _plain(values: Any, written: float | tuple[float, ...]) -> list[float]:
     """Return single-precision values as first given, or as their shortest decimals: 0.512 for 0.5120000243."""
-    numbers = np.ravel(given).tolist()
+    numbers = np.ravel(written).tolist()
     # Points and vectors come in single precision.
     known = {np.float32(number): number for number in numbers if float(np.float32(number)) != number}
     return [known.get(value, float(str(value))) for value in np.ravel(dr.detach(values)).astype(np.float32)]

@@ -38,8 +38,8 @@ def low_discrepancy(lane: Any, key: Any, index: Any, dimensions: int) -> list[An
     Sequences are displaced at random, by the lane and the key, modulo 1.
     """
     words = [word for pair in range(-(-dimensions // 2)) for word in mi.sample_tea_32(lane, key ^ (1 + pair), _ROUNDS)]
-    places = (word + index * step for word, step in zip(words, even_words(dimensions), strict=False))
-    return [mi.Float(place >> 8) * 2.0**-24 for place in places]
+    shifted = (word + index * step for word, step in zip(words, even_words(dimensions), strict=False))
+    return [mi.Float(word >> 8) * 2.0**-24 for word in shifted]
 
 
 def chances_of(lane: Any, key: Any) -> tuple[Any, Any, Any, Any]:

@@ -101,13 +101,13 @@ class Dispersion:
         if mi.is_spectral:
             position = dr.clip((wavelengths[0] - self.wavelengths[0]) / _STEP, 0, len(self.wavelengths) - 1)
             low = mi.UInt32(dr.minimum(dr.floor(position), len(self.wavelengths) - 2))
-            part = position - mi.Float(low)
+            fraction = position - mi.Float(low)
             share = dr.zeros(mi.UnpolarizedSpectrum)
             share[0] = mi.Float(len(share))
 
             def take(table: Any) -> Any:
                 first, second = dr.gather(mi.Float, table, low), dr.gather(mi.Float, table, low + 1)
-                return first + part * (second - first)
+                return first + fraction * (second - first)
         else:
             scaled = mi.Float(sample[0]) * 3
             whole = dr.minimum(dr.floor(scaled), 2)
@@ -170,7 +170,7 @@ class PupilRays:
     def sample(self, pixel: Pair, sample: Any, light: RayColours | None) -> tuple[Ray, Pair]:
         """Return rays through points of the pupil with the density of the power that passes them, and these points."""
         middle = self._middle(pixel)
-        pupil = tuple(own + self.radius * place for own, place in zip(middle, self.draws(sample), strict=True))
+        pupil = tuple(c + self.radius * x for c, x in zip(middle, self.draws(sample), strict=True))
         origin, slope, valid = self.walk.through_pupil(pupil, pixel)
         return Ray(pixel, pixel, pupil, self.share, valid, origin, slope), pupil
 

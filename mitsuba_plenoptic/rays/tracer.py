@@ -96,19 +96,19 @@ class Walk:
         """Return points of the round pupil for pupil points seen from lenses; points outside stay outside."""
         if self.lens.is_uniform:
             return pupil
-        found = cast(RealLens, self.lens).round_map
+        table = cast(RealLens, self.lens).round_map
         (x, y), (cx, cy) = pupil, centre
         field = dr.sqrt(cx * cx + cy * cy)
         # The map is defined for fields along x.
         c, s = dr.select(field > 0, cx / field, 1), dr.select(field > 0, cy / field, 0)
-        fields, across, _, _ = found.points.shape
+        fields, across, _, _ = table.points.shape
         u, v = x * c + y * s, y * c - x * s
-        at = [(value / found.half + 1) * ((across - 1) / (2 * across)) + 0.5 / across for value in (u, v)]
+        at = [(value / table.half + 1) * ((across - 1) / (2 * across)) + 0.5 / across for value in (u, v)]
         # Outside its border the map continues with the border's values, which lie outside the pupil.
-        u, v, away = self._round_map.eval(mi.Point3f(*at, field / found.field * ((fields - 1) / fields) + 0.5 / fields))
+        u, v, away = self._round_map.eval(mi.Point3f(*at, field / table.field * ((fields - 1) / fields) + 0.5 / fields))
         # Between fields, points in opposite directions would average to one near the centre.
         u, v = (value * away * dr.rsqrt(dr.maximum(u * u + v * v, dr.smallest(mi.Float))) for value in (u, v))
-        lit, outside = field < found.closed, 2 * self.lens.pupil.radius
+        lit, outside = field < table.closed, 2 * self.lens.pupil.radius
         return dr.select(lit, u * c - v * s, outside), dr.select(lit, u * s + v * c, outside)
 
     def transmittance(self, pupil: Pair, position: Pair) -> Any:
@@ -205,14 +205,14 @@ def deflects_cosines(camera: PlenopticCamera) -> bool:
 
 def walks_of(systems: Iterable[OpticalSystem]) -> list[tuple[Walk, list[int]]]:
     """Return one walk for each group of systems whose rays from the pupil follow the same paths, and their indices."""
-    found: dict[float, tuple[Walk, list[int]]] = {}
+    groups: dict[float, tuple[Walk, list[int]]] = {}
     for number, system in enumerate(systems):
         # Glasses refract the rays of each wavelength in their own way; other lenses are known by their focal length.
         camera = system.camera
         refraction = system.wavelength if camera.lens_data.disperses else camera.focal_length
         walk = Walk(system.camera, system.lens.opaque(functools.partial(dr.opaque, mi.Float)))
-        found.setdefault(refraction, (walk, []))[1].append(number)
-    return list(found.values())
+        groups.setdefault(refraction, (walk, []))[1].append(number)
+    return list(groups.values())
 
 
 def on_plane(traced: Traced, distance: Any, mla_distance: Any) -> Pair:

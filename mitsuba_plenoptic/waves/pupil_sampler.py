@@ -96,8 +96,10 @@ class PupilSampler(DetectorGrid):
         sample = mi.Point2f(dr.select(is_closed, first / CLOSED, (first - CLOSED) / (1 - CLOSED)), second)
         density, count = self._closed
         cell, _, within = density.sample(sample)
-        places = [(mi.Float(index) + part) * (2 / count) - 1 for index, part in zip(cell, within, strict=True)]
-        x, y = (dr.select(is_closed, place, other) for place, other in zip(places, self._open(sample), strict=True))
+        coordinates = [(mi.Float(index) + r) * (2 / count) - 1 for index, r in zip(cell, within, strict=True)]
+        x, y = (
+            dr.select(is_closed, closed, other) for closed, other in zip(coordinates, self._open(sample), strict=True)
+        )
         return x, y
 
     @cached_property
@@ -112,8 +114,8 @@ class PupilSampler(DetectorGrid):
         density, count, step = self._spread
         cell, _, within = density.sample(mi.Point2f(*random))
         # Numbers at the borders of cells are placed in empty ones, where the part within is 0 / 0.
-        within = [dr.select(dr.isfinite(part), part, 0.5) for part in within]
-        x, y = ((mi.Float(index) + part - count / 2) * step for index, part in zip(cell, within, strict=True))
+        within = [dr.select(dr.isfinite(r), r, 0.5) for r in within]
+        x, y = ((mi.Float(index) + r - count / 2) * step for index, r in zip(cell, within, strict=True))
         return x, y
 
     @cached_property

@@ -193,12 +193,10 @@ class LensSampler(DetectorGrid):
         # Snell's law spreads them most at the corner, along the radius.
         corner = self._lens.pupil.slope(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
         half *= (1 + (1 - camera.mla_medium**-2) * corner**2) ** 1.5
-        lens = (
-            float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._pupil_shifts))[0])
-            if self.by_points
-            else 0.0
-        )
-        return self._lens.reach + lens, half
+        radius = self._lens.reach
+        if self.by_points:
+            radius += float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._pupil_shifts))[0])
+        return radius, half
 
     @cached_property
     def choice(self) -> LensChoice:
@@ -251,15 +249,12 @@ class LensSampler(DetectorGrid):
 
     def _chief(self, detector: Pair, lenses: CellLenses) -> Pair:
         """Return where light of detector points would land through the lens centres, from these."""
-        return self._shrunk(tuple(p - c for c, p in zip(lenses.centre, detector, strict=True)), lenses.kind)
-
-    def _shrunk(self, offset: Pair, kind: Any) -> Pair:
-        """Return positions relative to lens centres, divided by the enlargement of micro-images."""
         if len(self.enlargements) > 1:
-            larger = dr.gather(mi.Float, mi.Float(self.enlargements), kind)
+            larger = dr.gather(mi.Float, mi.Float(self.enlargements), lenses.kind)
         else:
             larger = dr.opaque(mi.Float, self.enlargements[0])
-        return tuple(value / larger for value in offset)
+        x, y = ((p - c) / larger for c, p in zip(lenses.centre, detector, strict=True))
+        return x, y
 
     def cosines(self, pixels: Pixels) -> Pair:
         """Return the direction cosines, in the lattice frame, with which the light of pixels meets the array."""
@@ -349,34 +344,34 @@ class LensPoints:
         self._nodes = TableNodes(plan)
         # Plans that are expanded about one plan share the edges, as points may have any density.
         rows, columns = _edges(plan.start)
-        first = np.cumsum([0] + [len(part) for part in plan.table])[:-1]
+        first = np.cumsum([0] + [len(nodes) for nodes in plan.table])[:-1]
         self._first = drjit_array(mi.UInt32, first)
         self._sides = [mi.Float([node.sides[axis] for node in plan.nodes]) for axis in (0, 1)]
-        self._rows, self._columns = (drjit_array(mi.Float, part) for part in (rows, columns))
+        self._rows, self._columns = (drjit_array(mi.Float, edges) for edges in (rows, columns))
 
     def draw(self, pupil: tuple[Any, Any], chance: Any, random: Any) -> tuple[tuple[Any, Any], Any]:
         """Return points around lenses for rays to pupil points, and the reciprocals of their density over a lens."""
         lattice = self._lattice
         Pu, Pv = lattice.to_frame(*pupil)
         _, radial = self._nodes.along(Pu, Pv, chance[0])
-        part = dr.gather(mi.UInt32, self._first, radial) + self._nodes.around(Pu, Pv, radial, chance[1])
-        places, weight = [], mi.Float(1 / float(lattice.lens_area))
+        index = dr.gather(mi.UInt32, self._first, radial) + self._nodes.around(Pu, Pv, radial, chance[1])
+        offsets, weight = [], mi.Float(1 / float(lattice.lens_area))
         for axis, edges in ((1, self._rows), (0, self._columns)):
             number = mi.UInt32(random[axis] * _CELLS)
-            part = part * _CELLS + number
-            low, high = dr.gather(mi.Vector2f, edges, part)
+            index = index * _CELLS + number
+            low, high = dr.gather(mi.Vector2f, edges, index)
             side = dr.gather(mi.Float, self._sides[axis], radial)
-            places.append(dr.lerp(low, high, random[axis] * _CELLS - mi.Float(number)) * side)
+            offsets.append(dr.lerp(low, high, random[axis] * _CELLS - mi.Float(number)) * side)
             weight *= (high - low) * side * _CELLS
-        v, u = (dr.select(P < 0, -place, place) for P, place in zip((Pv, Pu), places, strict=True))
+        v, u = (dr.select(P < 0, -offset, offset) for P, offset in zip((Pv, Pu), offsets, strict=True))
         return lattice.from_frame(u, v), weight
 
 
 @functools.lru_cache(maxsize=8)
 def _edges(plan: PhaseSpace) -> list[NDArray[np.float32]]:
     """Return the two edges of each strip of all nodes, and of each cell, in widths of the windows, as flat arrays."""
-    parts = [divided(density_of(values)) for part in plan.table for values in part[..., 0]]
-    edges = (np.array(each, np.float32) - np.float32(0.5) for each in zip(*parts, strict=True))
+    divisions = [divided(density_of(values)) for nodes in plan.table for values in nodes[..., 0]]
+    edges = (np.array(each, np.float32) - np.float32(0.5) for each in zip(*divisions, strict=True))
     # A ray reads both edges at once.
     return [np.stack([each[..., :-1], each[..., 1:]], axis=-1).ravel() for each in edges]
 
@@ -398,14 +393,14 @@ def divided(density: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
     """
     rows, columns = density.shape
     upto = np.concatenate([np.zeros((1, columns)), np.cumsum(density, axis=0)])
-    parts = np.linspace(0, 1, _CELLS + 1)
+    steps = np.linspace(0, 1, _CELLS + 1)
     total = upto.sum(1)
-    edges = np.interp(parts * total[-1], total, np.arange(rows + 1))
+    edges = np.interp(steps * total[-1], total, np.arange(rows + 1))
     low = np.minimum(edges.astype(int), rows - 1)
     strips = np.diff(upto[low] + (edges - low)[:, None] * density[low], axis=0)
     sums = np.concatenate([np.zeros((_CELLS, 1)), np.cumsum(strips, axis=1)], axis=1)
     # All strips in one interpolation, each two units after the one before.
     behind = 2.0 * np.arange(_CELLS)[:, None]
-    places = np.broadcast_to(np.arange(columns + 1.0), sums.shape)
-    cells = np.interp((parts + behind).ravel(), (sums / sums[:, -1:] + behind).ravel(), places.ravel())
+    column = np.broadcast_to(np.arange(columns + 1.0), sums.shape)
+    cells = np.interp((steps + behind).ravel(), (sums / sums[:, -1:] + behind).ravel(), column.ravel())
     return edges / rows, cells.reshape(_CELLS, -1) / columns

@@ -102,10 +102,10 @@ class _CameraSum(SignedRaySum):
 
     def _further_kernels(self, plan: Plan, kind: int) -> list[NDArray[np.float64]]:
         assert isinstance(plan, PhaseSpace)
-        own = plan.kernels(self._step, plan.reach, kind)
+        kernels = plan.kernels(self._step, plan.reach, kind)
         # One set for each component, so that forward and reverse approximate the same kernels.
         slopes = {name: kernel_slopes(plan, name, self._step, kind) for name, _ in self._of_kernels}
-        return [*displaced(own), *(slopes[name][i] for name, i in self._of_kernels)]
+        return [*displaced(kernels), *(slopes[name][i] for name, i in self._of_kernels)]
 
 
 class CameraTangents(_CameraSum):
@@ -229,14 +229,14 @@ class CameraAdjoint(_CameraSum):
                 weighted = [residual * value for value in values]
                 weighted[0] += control
                 sets = [at_rays(each) for each in self._adjoint_values(image, number, batch, pixels)]
-                gradients = [
+                by_quantities = [
                     *(residual * mixed(slopes, sets[0]) for slopes in (by_u, by_v)),
                     *(mixed(weighted, sets[each]) for each in (1, 2)),
                     residual * mixed(values, sets[0]),
                     control * sets[0][0],
                     *(mixed(weighted, at_rays(each)) for each in self._by_direction(image, number, batch, pixels)),
                 ]
-                by_fixed = [before + gradient for before, gradient in zip(by_fixed, gradients, strict=True)]
+                by_fixed = [before + change for before, change in zip(by_fixed, by_quantities, strict=True)]
                 by_width += residual * mixed(wider, sets[0])
                 by_kernels = [before + mixed(weighted, each) for before, each in zip(by_kernels, sets[3:], strict=True)]
         sums = [dr.sum(figure) for figure in (by_width, *by_kernels)]

@@ -89,9 +89,9 @@ class SignedCapture:
         """
         used = light or self.light, self.nodes if nodes is None else nodes
         return [
-            self._sum(kind, *used, spp=-(-spp // runs), seed=own)
+            self._sum(kind, *used, spp=-(-spp // runs), seed=of_run)
             # Captures with neighbouring seeds must not share runs.
-            for own in np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
+            for of_run in np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
         ]
 
     def _sum(

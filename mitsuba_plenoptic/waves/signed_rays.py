@@ -170,7 +170,7 @@ class SignedRaySum:
             seeds = np.random.SeedSequence([self._seed, number])
             sums = free.pop() if free else self._empty(int(self.items[0]))
             traced = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds, sums, self.traced)
-            images = [part.reshape(-1, bins.rows, bins.columns) for part in traced]
+            images = [image.reshape(-1, bins.rows, bins.columns) for image in traced]
             if (far := self._far(bins)).any():
                 all_light = self.arrays.asarray(np.where(far, np.float32(_THINNED**2), np.float32(1)))
                 for image in images:
@@ -294,8 +294,8 @@ class SignedRaySum:
 
         `terms` (terms, pixels) are those of the direction cosines (2, pixels) of the pixels' light.
         """
-        parts = self.arrays.split(values, len(kernels), axis=-1)
-        return self.arrays.concatenate([each.combined(part, terms) for each, part in zip(kernels, parts, strict=True)])
+        sets = zip(kernels, self.arrays.split(values, len(kernels), axis=-1), strict=True)
+        return self.arrays.concatenate([of_set.combined(values, terms) for of_set, values in sets])
 
     def _ray_batches(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> Iterator[RayBatch]:
         """Yield, in batches, the pixels of a box with each lens that lights them."""
@@ -398,7 +398,7 @@ class SignedRaySum:
         every = self._bins.rows * self._bins.columns
         pixels = drjit_array(mi.UInt32, np.linspace(0, every - 1, min(_PROBES // self._parts**2, every)))
         traced = self._trace(self._bins, pixels, np.random.SeedSequence(0))
-        return np.concatenate([active_backend().to_host(part).ravel() for part in traced])
+        return np.concatenate([active_backend().to_host(image).ravel() for image in traced])
 
     def _wavelengths(self, pixels: Pixels, number: int, seed: int) -> list[Lanes | None]:
         """Return the wavelengths of the rays of pixels in one pass, for each group of nodes."""
