@@ -402,6 +402,11 @@ def entries_at(camera: CameraGeometry, use: Use) -> Iterator[tuple[str, Any, Sup
                 yield name, value, entry
 
 
+def is_supported(camera: CameraGeometry, use: Use) -> bool:
+    """Return whether the table refuses no parameter of a camera for a use."""
+    return not any(entry.is_refusal for _, _, entry in entries_at(camera, use))
+
+
 def require_support(camera: CameraGeometry, use: Use) -> None:
     """Refuse a camera with a parameter that the table refuses for a use."""
     for name, value, entry in entries_at(camera, use):

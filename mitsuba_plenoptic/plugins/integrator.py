@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera, Use, has_small_lenses, require_support
+from ..camera import PlenopticCamera, Use, has_small_lenses, is_supported, require_support
 from ..detector.operator import SHARP
 from ..errors import InputError, naming, refuse_if, require_accuracy
 from ..extension import hook
@@ -301,8 +301,8 @@ def make_class() -> type:
             light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
             camera = PlenopticCamera.from_sensor(sensor)
             require_support(camera, Use.SCENES)
-            if varying := varying_of(sensor):
-                require_support(camera, Use.SCENE_DERIVATIVES)
+            # Derivatives that are refused are so when they are asked for.
+            varying = varying_of(sensor) if is_supported(camera, Use.SCENE_DERIVATIVES) else ()
             if camera.phase_screen is not None:
                 check_screen(camera, min(colours.spectrum.wavelengths))
             if has_small_lenses(camera, max(colours.spectrum.wavelengths)):
