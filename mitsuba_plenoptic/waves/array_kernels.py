@@ -47,6 +47,8 @@ class ArrayKernels(LensWaves):
     shortest: float | None = None
     # Part of images of random light that is allowed to be missing for want of further functions and oblique kernels.
     tolerance: float = 0.005
+    # Whether another plan with which it is used is far from focus, as all rays must land alike.
+    beside_far: bool = False
 
     @property
     def by_points(self) -> bool:
@@ -55,7 +57,8 @@ class ArrayKernels(LensWaves):
         Far from the microlenses' focus a few functions cannot describe the difference. The spread by the pupil is then
         taken as that of the whole pupil for all of its points.
         """
-        return self.defocus * self.wavelength / (self.shortest or self.wavelength) > USUAL.most_phase
+        most = USUAL.most_phase
+        return self.beside_far or self.defocus * self.wavelength / (self.shortest or self.wavelength) > most
 
     @cached_property
     @single_threaded_blas()

@@ -82,7 +82,13 @@ class PhaseSpace(ArrayKernels):
 
     @classmethod
     def of(
-        cls, camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float, longest: float | None
+        cls,
+        camera: PlenopticCamera,
+        wavelength: float,
+        fine: bool,
+        shortest: float,
+        longest: float | None,
+        beside_far: bool,
     ) -> PhaseSpace:
         """Return a usual or a finer plan; `shortest` and `longest` are the extreme wavelengths of a capture's plans."""
         accuracy = FINER if fine else USUAL
@@ -95,6 +101,7 @@ class PhaseSpace(ArrayKernels):
             tolerance=accuracy.tolerance,
             shortest=shortest,
             longest=longest,
+            beside_far=beside_far,
         )
         is_far = plan.defocus > USUAL.high_defocus and not plan.by_points
         return replace(plan, degree=plan.degree + 2) if is_far else plan

@@ -35,12 +35,18 @@ def check_screen(camera: PlenopticCamera, wavelength: float) -> None:
 
 @functools.lru_cache(maxsize=16)
 def plan_of(
-    camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float, longest: float | None = None
+    camera: PlenopticCamera,
+    wavelength: float,
+    fine: bool,
+    shortest: float,
+    longest: float | None = None,
+    beside_far: bool = False,
 ) -> Plan:
     """Return a usual or a finer plan of a camera, cached for further captures.
 
-    `shortest` and `longest` are the extreme wavelengths among the capture's plans.
+    `shortest` and `longest` are the extreme wavelengths among the capture's plans, and `beside_far` says that one of
+    them is far from focus.
     """
     if not camera.has_array:
         return PupilDiffraction(camera, wavelength, fine, shortest)
-    return PhaseSpace.of(camera, wavelength, fine, shortest, longest)
+    return PhaseSpace.of(camera, wavelength, fine, shortest, longest, beside_far)

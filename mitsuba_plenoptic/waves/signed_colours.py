@@ -33,7 +33,7 @@ from ..runtime import drjit_array
 from .accuracy import USUAL
 from .expansion import ExpandedPlan, nearby
 from .phase_space import FINE, PhaseSpace
-from .scheme import plan_of, plan_type
+from .scheme import Plan, plan_of, plan_type
 
 _STRATA = 4096
 """Strata of equal probability from which wavelengths are drawn."""
@@ -185,9 +185,19 @@ class SignedColours:
         start = nearby(camera, varying, accuracy)
         shared = self.shared(start, accuracy)
         shortest, longest = shared[0][0], shared[-1][0]
+
+        def plans(beside_far: bool) -> list[Plan]:
+            return [
+                plan_of(start.at_wavelength(node), node, accuracy < FINE, shortest, longest, beside_far)
+                for node, _, _ in shared
+            ]
+
+        # Dispersing microlenses may be in focus at some nodes alone.
+        made = plans(False)
+        if len({plan.by_points for plan in made}) > 1:
+            made = plans(True)
         nodes = []
-        for wavelength, channels, weights in shared:
-            plan = plan_of(start.at_wavelength(wavelength), wavelength, accuracy < FINE, shortest, longest)
+        for plan, (wavelength, channels, weights) in zip(made, shared, strict=True):
             if varying and isinstance(plan, PhaseSpace) and not plan.by_points:
                 plan = ExpandedPlan.about(plan, camera.at_wavelength(wavelength))
             nodes.append(Node(plan, channels, weights))

@@ -12,7 +12,7 @@ from cases import facing, line, radiating, scene_of, sensor
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, Spectrum, render_capture
 from mitsuba_plenoptic.optics import colour
-from mitsuba_plenoptic.waves.signed_colours import span
+from mitsuba_plenoptic.waves.signed_colours import SignedColours, span
 
 CROWN = '{"index": 1.5168, "abbe": 64.2}'
 GLASS = {"glass": CROWN, "mla_glass": CROWN}
@@ -268,3 +268,30 @@ def test_spectra_behind_panes_and_computed_elsewhere():
     assert np.array_equal(here, there)
     rays = render_capture(scene, model="ray", spp=128).image
     assert here.mean((0, 1)) == pytest.approx(rays.mean((0, 1)), rel=0.03)
+
+
+WIDE = PlenopticCamera(
+    mla_pitch=0.25, detector_width=1.0, resolution=(32, 32), mla_glass={"index": 1.5168, "abbe": 64.2}
+)
+"""Behind its microlenses violet light is far from focus, and green light in focus."""
+
+
+def test_rays_of_all_wavelengths_land_alike():
+    lines = 413.5, 541.0, 650.0
+    alone = [SignedColours.lines((each,)).planned(WIDE, 0.01)[0].plan.by_points for each in lines]
+    assert alone == [True, False, False]
+    nodes = SignedColours.lines(lines).planned(WIDE, 0.01)
+    assert len(nodes) == 3 and all(node.plan.by_points for node in nodes)
+
+
+@pytest.mark.slow
+def test_light_in_focus_is_kept_beside_light_far_from_focus():
+    mi.set_variant("llvm_ad_rgb")
+    film = {"type": "hdrfilm", "width": 32, "height": 32, "pixel_format": "rgb", "rfilter": {"type": "box"}}
+    scene = scene_of(WIDE.to_sensor() | {"film": film}, wall=facing(240.0, 60.0, **radiating()))
+    alone, beside = (
+        by_waves(scene, 64, wavelength=wavelengths).image[..., 1].mean()
+        for wavelengths in ("541, 541, 541", "650, 541, 413.5")
+    )
+    # Noise of 2 %.
+    assert beside == pytest.approx(alone, rel=0.05)
