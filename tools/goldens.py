@@ -318,6 +318,8 @@ def results(only: str) -> Iterator[tuple[str, np.ndarray]]:
                 return task()
         except (mp.InputError, mp.PhysicsError) as error:
             return text(f"refused: {error}")
+        except RuntimeError as error:  # what a plugin refuses, with Mitsuba's traceback before it
+            return text(f"refused: {str(error).strip().splitlines()[-1]}")
         except KeyError as error:  # the capture that was refused
             return text(f"nothing: {error!r}")
 
