@@ -51,14 +51,14 @@ def nearby(camera: PlenopticCamera, names: Sequence[str], accuracy: float) -> Pl
 
 
 class ExpandedPlan(PhaseSpace):
-    """The diffraction of a camera near another one, by expansion about the plan of the other one."""
+    """Diffraction of a camera, by expansion about the plan of a camera nearby."""
 
     @classmethod
     def about(cls, plan: PhaseSpace, camera: PlenopticCamera) -> ExpandedPlan:
         """Return the plan of a camera near that of `plan`."""
         expanded = cls(**{field.name: getattr(plan, field.name) for field in fields(plan)} | {"camera": camera})
         vars(expanded)["_start"] = plan
-        # By this covariance of light in kernels the fewest images are found.
+        # It decides which images suffice for random light, and hardly changes.
         vars(expanded)["covariance"] = plan.covariance
         expanded.take_basis(plan)
         return expanded
@@ -93,7 +93,7 @@ class ExpandedPlan(PhaseSpace):
         return total
 
     def kernel_slopes(self, name: str, step: float, kind: int) -> list[NDArray[np.float64]]:
-        """Return the derivatives of kernels by each component of a parameter; see `kernel_slopes`."""
+        """Return the derivatives of kernels by each component of a parameter on which they depend."""
         values = shortest_parts(self.start.camera, name)
         slopes = []
         for part, change in enumerate(self._changes(name)):
