@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -31,7 +31,6 @@ from ..errors import refuse_if
 from ..optics.waves import in_millimetres
 from ..runtime import drjit_array, single_threaded_blas
 from .accuracy import ACCURACY
-from .lens_system import LensSystem
 from .main_lens import Entrance, Traced
 from .pupil import Pair, Pupil
 from .pupil_fit import PupilFit, PupilRays, entrance_place, nodes, trace_all
@@ -98,8 +97,10 @@ class FittedLens:
         fraction: NDArray[np.float64] = self.system.open_fraction(x, y)
         return fraction
 
-    def bind(self, points: NDArray[np.float64], index: Any = None) -> LensLight:
-        """Return the light of some points, as `MainLens.bind` does."""
+    def bind(
+        self, points: NDArray[np.float64], index: Any = None, changes: Sequence[tuple[Any, LensChange]] = ()
+    ) -> LensLight:
+        """Return the light of some points, as `MainLens.bind` does, with gradients of each amount of a change."""
         fitted, pupils = self.fitted, self.fitted.pupils
         field, inverse_distance = pupils.field(points)
 
@@ -111,19 +112,21 @@ class FittedLens:
 
         positions = lanes(field[:, 0]), lanes(field[:, 1])
 
-        def over_pupil(polynomial: Polynomial) -> Any:
-            return polynomial.over_pupil(
-                [lanes(column) for column in polynomial.at(field, inverse_distance).T], positions
-            )
+        def over_pupil(polynomial: Polynomial, *slopes: Polynomial) -> PupilPolynomial:
+            coefficients = [lanes(column) for column in polynomial.at(field, inverse_distance).T]
+            for (amount, _), slope in zip(changes, slopes, strict=True):
+                along = [lanes(column) for column in slope.at(field, inverse_distance).T]
+                coefficients = [c + amount * change for c, change in zip(coefficients, along, strict=True)]
+            return polynomial.over_pupil(coefficients, positions)
 
         slope = pupils.slope(field)
         return LensLight(
             self.pupil.distance,
             (lanes(slope[:, 0]), lanes(slope[:, 1])),
             lanes(pupils.convergence(inverse_distance)),
-            over_pupil(fitted.aberration),
-            over_pupil(fitted.brightness),
-            [over_pupil(stop) for stop in fitted.stops],
+            over_pupil(fitted.aberration, *(change.aberration for _, change in changes)),
+            over_pupil(fitted.brightness, *(change.brightness for _, change in changes)),
+            [over_pupil(*stops) for stops in zip(fitted.stops, *(change.stops for _, change in changes), strict=True)],
         )
 
     def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> Any:
@@ -296,12 +299,8 @@ class LensChange:
 
 def lens_change(lens: FittedLens, name: str) -> LensChange:
     """Return the derivatives of a fitted lens with respect to one of `LENS_NUMBERS`, cached by the lens."""
-    if name not in lens.changes:
-        lens.changes[name] = _found_change(lens, name)
-    return lens.changes[name]
-
-
-def _found_change(lens: FittedLens, name: str) -> LensChange:
+    if name in lens.changes:
+        return lens.changes[name]
     system, fitted = lens.system, lens.fitted
     scales = fitted.aberration.scales
     step = ACCURACY.derivative_step * float(getattr(system, name))
@@ -309,7 +308,12 @@ def _found_change(lens: FittedLens, name: str) -> LensChange:
     depths = scales.middle - scales.half, scales.middle + scales.half
     start = nodes(float(system.aperture_radius), scales.field, depths)
     rays, valid = trace_all(system, *start)
-    moved = [_seen_from(system, side, *start) for side in sides]
+    moved = []
+    for changed_lens in sides:
+        # From points of the same fields and inverse distances for the unchanged lens.
+        field, inverse_distance, entrance = start
+        nearer = 1 / (1 - inverse_distance * (entrance_place(changed_lens) - entrance_place(system)))
+        moved.append(trace_all(changed_lens, field * nearer, inverse_distance * nearer, entrance)[0])
     for side in moved:
         valid &= np.isfinite([*side.position, side.path, side.amplitude]).all(0) & np.isfinite(side.stops).all(0)
     rays, (more, less) = rays.take(valid), [side.take(valid) for side in moved]
@@ -335,15 +339,8 @@ def _found_change(lens: FittedLens, name: str) -> LensChange:
                 degrees, targets = polynomials[some][0].degrees, np.stack(changes[some])
                 fits += fit(scales, degrees, rays.position, rays.field, rays.inverse_distance, targets)
     high, low = (float(side.pupil.distance) for side in sides)
-    return LensChange((high - low) / (2 * step), fits[0], fits[1], tuple(fits[2:]))
-
-
-def _seen_from(
-    lens: LensSystem, changed: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
-) -> PupilRays:
-    """Return rays traced through another lens, from points of given fields and inverse distances for the first."""
-    nearer = 1 / (1 - inverse_distance * (entrance_place(changed) - entrance_place(lens)))
-    return trace_all(changed, field * nearer, inverse_distance * nearer, entrance)[0]
+    lens.changes[name] = LensChange((high - low) / (2 * step), fits[0], fits[1], tuple(fits[2:]))
+    return lens.changes[name]
 
 
 def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -399,87 +396,26 @@ class VaryingLens:
         # A circle about the axis contains the exit pupil, and scales with vignetting edges.
         radius: Any = self.base.reach
         if "aperture_radius" in self.numbers:
-            radius = grown(self.numbers["aperture_radius"]) * float(radius)
+            value = self.numbers["aperture_radius"]
+            # 1, with the relative gradient of the value.
+            radius = value / dr.detach(value) * float(radius)
         object.__setattr__(self, "pupil", Pupil(radius, distance))
         object.__setattr__(self, "_changes", changes)
 
-    def bind(self, points: NDArray[np.float64], index: Any) -> VaryingLight:
-        """Return the light of some points, as `MainLens.bind` does for Dr.Jit."""
-        light = self.base.bind(points, index)
-        fields, inverse_distance = self.base.fitted.pupils.field(points)
-        Float64 = dr.float64_array_t(type(index))
+    def bind(self, points: NDArray[np.float64], index: Any) -> LensLight:
+        """Return the light of some points, as `MainLens.bind` does for Dr.Jit, without gradients of `LensLight.land`.
 
-        def bound(polynomial: Any) -> PupilPolynomial:
-            lanes = [
-                dr.gather(Float64, drjit_array(Float64, c), index) for c in polynomial.at(fields, inverse_distance).T
-            ]
-            return polynomial.over_pupil(lanes, light.aberration.field)
-
-        changes = [
-            Shown(amount, bound(c.aberration), bound(c.brightness), [bound(stop) for stop in c.stops])
-            for amount, c in self._changes
-        ]
+        The light's coefficients are c + a c' with amounts a that are zero and carry the gradients.
+        """
+        light = self.base.bind(points, index, self._changes)
 
         def with_scene(polynomial: PupilPolynomial) -> PupilPolynomial:
             return replace(polynomial, field=turn(*polynomial.field, -self.turned))
 
-        base = replace(
+        return replace(
             light,
             slope=turn(*light.slope, -self.turned),
             aberration=with_scene(light.aberration),
             brightness=with_scene(light.brightness),
             stops=[with_scene(stop) for stop in light.stops],
         )
-        return VaryingLight(base, changes)
-
-
-def grown(value: Any) -> Any:
-    """Return the value 1 with the relative gradient of a number."""
-    return value / dr.detach(value)
-
-
-@dataclass(frozen=True)
-class Shown:
-    """The changes over the pupil with one parameter; `amount` is zero and carries the gradient."""
-
-    amount: Any
-    aberration: PupilPolynomial
-    brightness: PupilPolynomial
-    stops: list[PupilPolynomial]
-
-
-@dataclass(frozen=True)
-class VaryingLight:
-    """The light of one scene point per lane, as `LensLight`, and its changes with parameters."""
-
-    # The light for plain parameters, of points that may be rotated.
-    base: LensLight
-    changes: list[Shown]
-
-    def path(self, pupil: Pair, point: Any, wavelength: Any) -> Any:
-        """Return the path in waves, as `Light.path` does; the point must be the one to which the light is bound."""
-        length, fixed = self.base.length(pupil), dr.detach(pupil)
-        for change in self.changes:
-            length += change.amount * change.aberration.value(fixed)
-        return length * (1 / in_millimetres(wavelength))
-
-    def amplitude(self, pupil: Pair, point: Any) -> Any:
-        """Return the amplitude, as `Light.amplitude` does; the point must be the one to which the light is bound."""
-        result, fixed = self.base.amplitude(pupil, point), dr.detach(pupil)
-        for change in self.changes:
-            result += change.amount * change.brightness.value(fixed)
-        return result
-
-    def inside(self, pupil: Pair) -> Any:
-        """Return the distance from the edges, as `Light.inside` does, with gradients accurate near the edges."""
-        least, fixed = None, dr.detach(pupil)
-        for index, stop in enumerate(self.base.stops):
-            away = replace(self.base, stops=[stop]).inside(pupil)
-            if self.changes:
-                _, x, y = stop.gradient(fixed)
-                slope = dr.detach(dr.rsqrt(dr.maximum(x * x + y * y, 1e-20)))
-                for change in self.changes:
-                    # An edge is where the squared height is 1; it moves by the change of that square over its slope.
-                    away -= change.amount * change.stops[index].value(fixed) * slope
-            least = away if least is None else dr.minimum(least, away)
-        return least

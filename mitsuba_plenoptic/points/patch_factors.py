@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..array import turn
 from ..fields.microlens_orders import ArrayFactor, VaryingArrayFactor
 from ..fields.microlenses import has_response, recorded_amplitude
-from ..lenses.fitted_lens import VaryingLens, VaryingLight
+from ..lenses.fitted_lens import VaryingLens
 from ..lenses.main_lens import Light, MainLens
 from ..optics.waves import in_millimetres, phasor, smooth_edge, soft_edge, transfer
 from ..runtime import array_module, drjit_array, fft, is_zero, on_cuda
@@ -236,7 +236,7 @@ class PatchFactors:
     def _path(
         self,
         elements: Elements,
-        light: Light | VaryingLight,
+        light: Light,
         pupil: tuple[Any, Any],
         point: tuple[Any, Any, Any],
     ) -> Any:
