@@ -75,7 +75,7 @@ def with_spread(image: NDArray[np.float32], runs: int) -> NDArray[np.float32]:
     return np.concatenate([captured, np.maximum(spread, 0)], axis=-1)
 
 
-class Mended:
+class NonNegative:
     """An image whose negative values, which are noise, are compensated by the light around them.
 
     Clipping negative values to zero would brighten the image, the more so the fewer samples there are. Instead, squares
@@ -89,26 +89,26 @@ class Mended:
         self._positive, self._light = image >= 0, np.maximum(image, 0)
         self.image: NDArray[Any] = self._light
         """The image, nowhere below zero."""
-        self._squares: Mended | None = None
+        self._squares: NonNegative | None = None
         if image.size > 1:
-            self._squares, self._sum = Mended(_sums(image)), _sums(self._light)
+            self._squares, self._sum = NonNegative(_sums(image)), _sums(self._light)
             # The part of the light of each square that remains.
-            self._kept = np.divide(self._squares.image, self._sum, out=np.ones_like(self._sum), where=self._sum > 0)
-            self.image = _times(self._light, self._kept)
+            self._factors = np.divide(self._squares.image, self._sum, out=np.ones_like(self._sum), where=self._sum > 0)
+            self.image = _times(self._light, self._factors)
 
     @property
     def remaining(self) -> NDArray[np.float64]:
         """The part of each value of the image that remains: 0 for negative values, at most 1 for the others."""
         positive = self._positive.astype(np.float64)
-        return positive if self._squares is None else _times(positive, self._kept)
+        return positive if self._squares is None else _times(positive, self._factors)
 
     def forward(self, change: NDArray[Any]) -> NDArray[Any]:
         """Return the change of the result for a change of the image."""
         light = np.where(self._positive, change, 0)
         if self._squares is None:
             return light
-        shares = self._over_sum(self._squares.forward(_sums(change)) - self._kept * _sums(light))
-        return _times(light, self._kept) + _times(self._light, shares)
+        shares = self._over_sum(self._squares.forward(_sums(change)) - self._factors * _sums(light))
+        return _times(light, self._factors) + _times(self._light, shares)
 
     def backward(self, gradient: NDArray[Any]) -> NDArray[Any]:
         """Return the gradient with respect to the image: the transpose of `forward` applied to a gradient."""
@@ -116,7 +116,7 @@ class Mended:
             return np.where(self._positive, gradient, 0)
         squares = self._over_sum(_sums(gradient * self._light))
         even = np.ones_like(gradient)
-        light = _times(gradient, self._kept) - _times(even, self._kept * squares)
+        light = _times(gradient, self._factors) - _times(even, self._factors * squares)
         result = np.where(self._positive, light, 0) + _times(even, self._squares.backward(squares))
         return result.astype(gradient.dtype)
 
@@ -125,14 +125,16 @@ class Mended:
         return np.divide(values, self._sum, out=np.zeros_like(values), where=self._sum > 0)
 
 
-def variance_left(mended: Mended, variance: NDArray[np.float32], camera: PlenopticCamera) -> NDArray[np.float64]:
+def variance_left(
+    projection: NonNegative, variance: NDArray[np.float32], camera: PlenopticCamera
+) -> NDArray[np.float64]:
     """Return the part of each pixel's variance that compensation leaves, for variances of what the detector records.
 
     The factors of compensation count as constants. Mixed pixels have the mean of their neighbours' parts, weighted by
     variance.
     """
     detector = DetectorOperator.of(camera)
-    complete, left = (detector.forward(variance * factor) for factor in (np.float64(1), mended.remaining**2))
+    complete, left = (detector.forward(variance * factor) for factor in (np.float64(1), projection.remaining**2))
     return np.divide(left, complete, out=np.zeros_like(left), where=complete > 0).clip(0, 1)
 
 

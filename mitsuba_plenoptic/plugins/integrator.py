@@ -56,23 +56,6 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
     return tuple(names), others
 
 
-def varying_of(sensor: Any) -> tuple[str, ...]:
-    """Return the names of camera parameters of a sensor by which derivatives are taken."""
-    with dr.resume_grad():
-        return tuple(name for name in DIFFERENTIABLE if dr.grad_enabled(getattr(sensor, name, None)))
-
-
-def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
-    """Return the tangent of a parameter of the camera."""
-    return np.ravel(np.array(dr.grad(getattr(sensor, name)), np.float64))
-
-
-def accumulate(sensor: Any, name: str, gradient: NDArray[np.float64]) -> None:
-    """Add a gradient to the gradient of a camera parameter."""
-    value = getattr(sensor, name)
-    dr.accum_grad(value, type(value)(gradient.tolist()))
-
-
 SIGNED_RAYS = "signed_rays"
 """The method that computes the wave capture from the radiance along rays."""
 
@@ -222,8 +205,9 @@ def make_class() -> type:
             """Return the change of the capture along the parameters' tangents, for `mi.render`."""
             sensor, seed, spp = asked_for(scene, sensor, seed, spp)
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=True)
+            tangents = {name: np.ravel(np.array(dr.grad(getattr(sensor, name)), np.float64)) for name in names}
             with guards.watch():
-                change = gradients.forward({name: tangent(sensor, name) for name in names})
+                change = gradients.forward(tangents)
             return develop(sensor.film(), change)
 
         def render_backward(
@@ -235,9 +219,10 @@ def make_class() -> type:
             shape = *gradients.capture.camera.shape, gradients.capture.spectrum.channels
             with guards.watch():
                 back = develop_back(sensor.film(), grad_in, shape)
-                found = gradients.backward(back, names)
-            for name, gradient in found.items():
-                accumulate(sensor, name, gradient)
+                by_name = gradients.backward(back, names)
+            for name, gradient in by_name.items():
+                value = getattr(sensor, name)
+                dr.accum_grad(value, type(value)(gradient.tolist()))
 
         def _gradients(
             self, scene: Any, params: Any, sensor: Any, seed: int, spp: int, forward: bool
@@ -252,7 +237,7 @@ def make_class() -> type:
                 pitch = f"{NAME}: mla_pitch = {capture.camera.mla_pitch:g}"
                 raise InputError(f"{pitch}: captures behind lenses of a few wavelengths have no gradients")
             with naming(NAME):
-                require_parameters(capture.camera, names, any(node.plan.by_points for node in capture.nodes))
+                require_parameters(capture.camera, names, any(node.plan.lands_by_point for node in capture.nodes))
                 light = LightDerivatives.of(capture.light, forward) if others or not names else None
             return names, SignedGradients(capture, light, seed, spp)
 
@@ -278,9 +263,7 @@ def make_class() -> type:
         def spectrum_of(self, scene: Any, sensor: Any) -> Spectrum | None:
             """Return the spectrum that a sensor's film records; None if each channel has one wavelength."""
             # Signed rays draw their wavelengths, so they miss no line; in rgb and mono variants spectra are smooth.
-            # Signed rays draw their wavelengths, so they miss no line; in rgb and mono variants spectra are smooth.
-            drawn = self.method == SIGNED_RAYS
-            tables = [] if drawn or not mi.is_spectral else colour.tables_of(scene)
+            tables = colour.tables_of(scene) if self.method == POINTS and mi.is_spectral else []
             return self._spectrum(sensor.film().base_channels_count(), tables)
 
         def _capture(self, scene: Any, sensor: Any) -> SignedCapture | PointsCapture:
@@ -300,9 +283,8 @@ def make_class() -> type:
             else:
                 upsampling = None if mi.is_spectral else self._upsampling(spectrum)
                 if self.nodes is not None:
-                    spectrum = spectrum.interpolated(
-                        self.nodes * (1 if self.bandwidth is None else len(self.wavelengths))
-                    )
+                    bands = 1 if self.bandwidth is None else len(self.wavelengths)
+                    spectrum = spectrum.interpolated(self.nodes * bands)
             traced = spectrum.wavelengths if mi.is_spectral else (None,)
             lights = [SceneLight(scene, sensor, self.child, wavelength) for wavelength in traced]
             return PointsCapture(camera, lights, spectrum, upsampling, self.accuracy)
@@ -327,7 +309,10 @@ def make_class() -> type:
             if has_small_lenses(camera, max(spectrum.wavelengths)):
                 return hook("small lenses", f"{NAME}: mla_pitch = {camera.mla_pitch:g}")(*arguments)
             # Derivatives that are refused are so when they are asked for.
-            varying = varying_of(sensor) if is_supported(camera, Use.SCENE_DERIVATIVES) else ()
+            varying: tuple[str, ...] = ()
+            if is_supported(camera, Use.SCENE_DERIVATIVES):
+                with dr.resume_grad():
+                    varying = tuple(name for name in DIFFERENTIABLE if dr.grad_enabled(getattr(sensor, name, None)))
             return SignedCapture(*arguments, varying)
 
         def _read_spectrum(self, props: Any) -> None:

@@ -59,13 +59,13 @@ def read_wavelengths(props: Any) -> tuple[float, ...]:
     value = props.get("wavelength", None)
     if value is None:
         return RGB_WAVELENGTHS if mi.is_rgb else (DEFAULT_WAVELENGTH,)
-    parts = value.split(",") if isinstance(value, str) else list(value) if hasattr(value, "__len__") else [value]
+    numbers = value.split(",") if isinstance(value, str) else list(value) if hasattr(value, "__len__") else [value]
     with refusing(
         f"{NAME}: wavelength = {short_repr(value)}: it must be nanometres, or three of them separated by commas",
         ValueError,
     ):
-        parts = [float(part) if isinstance(part, str) else part for part in parts]
-    wavelengths = tuple(require_wavelength(part, f"{NAME}: wavelength") for part in parts)
+        numbers = [float(number) if isinstance(number, str) else number for number in numbers]
+    wavelengths = tuple(require_wavelength(number, f"{NAME}: wavelength") for number in numbers)
     if len(wavelengths) == 1 and mi.is_rgb:
         wavelengths *= 3
     channels = 3 if mi.is_rgb else 1

@@ -62,19 +62,22 @@ class LensChoice:
     def of_points(cls, cameras: Sequence[PlenopticCamera], beyond: float = 0.0) -> LensChoice:
         """Return the lenses that light detector points of a camera, given at the wavelengths that need the most."""
         camera = cameras[0]
-        reach = max(crosstalk_reach(each) for each in cameras)
+        reach = max(crosstalk_reach(of_wavelength) for of_wavelength in cameras)
         across = camera.lattice.aperture_reach * camera.pupil_distance
         # Change of the reach per relative change of a lens's power.
-        defocus = max(float(across / min(each.reduced_focal_lengths) / pupil_growth(each)) for each in cameras)
+        defocus = max(
+            float(across / min(of_wavelength.reduced_focal_lengths) / pupil_growth(of_wavelength))
+            for of_wavelength in cameras
+        )
         # Displaced lenses are nearer, and irregular ones move their light, by at most this distance.
         beyond += camera.nearer(reach) + MOST_DEVIATIONS * camera.mla_jitter[1] * defocus
-        lenses = max((crosstalk_neighbours(each, beyond=beyond) for each in cameras), key=len)
+        lenses = max((crosstalk_neighbours(of_wavelength, beyond=beyond) for of_wavelength in cameras), key=len)
         limits, step = np.full(_SECTORS, reach), 1.0
         if deflects_cosines(camera):
             corner = math.hypot(*(np.abs(camera.pixel_coordinates(axis)).max() for axis in (0, 1)))
             radius = float(main_lens(camera).pupil.chief(corner + camera.pixel_size, camera.reduced_distance))
             radii, step = np.linspace(0, radius, _FIELD_STEPS + 1), radius / _FIELD_STEPS
-            limits = np.max([cosine_limits(each, radii) for each in cameras], axis=0)
+            limits = np.max([cosine_limits(of_wavelength, radii) for of_wavelength in cameras], axis=0)
             # A step has the limits of both of its ends.
             limits = np.maximum(limits[:-1], limits[1:])
             lenses = max(lenses, camera.lattice.neighbours(limits.max() + beyond), key=len)
@@ -123,7 +126,7 @@ class LensChoice:
             # Their own lens is always tried, so that the number is never 0.
             near = [mi.Bool(True)]
             near += [self.is_near(walk, chief, *self.at(cell, mi.UInt32(number))) for number in range(1, count)]
-            tried = sum((dr.select(each, 1, 0) for each in near), mi.Float(0))
+            tried = sum((dr.select(mask, 1, 0) for mask in near), mi.Float(0))
         scaled = within * tried
         whole = dr.minimum(dr.floor(scaled), tried - 1)
         number, passed = mi.UInt32(whole), mi.Float(0)

@@ -120,13 +120,6 @@ class Dispersion:
         return replace(rays, walk=replace(rays.walk, lens=lens))
 
 
-def _varying_lens(camera: PlenopticCamera, numbers: dict[str, Any]) -> Any:
-    """Return the main lens of a camera whose exposed parameters are given as Dr.Jit arrays."""
-    wavefront = numbers.get("wavefront", mi.Float())
-    aberrations = tuple(dr.gather(mi.Float, wavefront, i) for i in range(dr.width(wavefront)))
-    return main_lens(camera, varying=numbers | {"wavefront": aberrations})
-
-
 @dataclass(frozen=True)
 class PupilRays:
     """Sampler of the rays of a camera without a microlens array, through random points of the pupil."""
@@ -144,8 +137,8 @@ class PupilRays:
     step: float = 1.0
 
     @classmethod
-    def varying(cls, camera: PlenopticCamera, numbers: dict[str, Any]) -> PupilRays:
-        """Return the sampler of a camera whose exposed parameters are given as Dr.Jit arrays."""
+    def varying(cls, camera: PlenopticCamera, lens: Any) -> PupilRays:
+        """Return the sampler of a camera whose lens may have gradients."""
         plain = main_lens(camera)
         radius, middles, corner, dispersion = plain.reach, None, 1.0, Dispersion.of(camera)
         if not plain.is_uniform:
@@ -155,12 +148,23 @@ class PupilRays:
             middles = drjit_array(mi.Float, np.append(0, middle[1:] / heights[1:]))
             tables = [] if dispersion is None else [np.atleast_1d(index)[[0, -1]] for index in dispersion.indices or ()]
             seen = [replace(plain, indices=ends) for ends in np.transpose(tables).tolist()] or [plain]
-            aside = max(np.abs(each.pupil_middle(heights) - middle).max() for each in seen)
+            aside = max(np.abs(lens_at_end.pupil_middle(heights) - middle).max() for lens_at_end in seen)
             # Rounding of the surfaces' coordinates moves rays at the pupil's edge.
-            radius = max(each.pupil_reach(corner, about_middle=True) for each in seen) + aside + 4 * SINGLE * corner
+            radius = (
+                max(lens_at_end.pupil_reach(corner, about_middle=True) for lens_at_end in seen)
+                + aside
+                + 4 * SINGLE * corner
+            )
         share = camera.aperture.share * (radius / plain.pupil.radius) ** 2
-        made = camera.aperture.draws(), dr.opaque(mi.Float, radius), dr.opaque(mi.Float, share)
-        return cls(Walk(camera, _varying_lens(camera, numbers)), dispersion, *made, middles, corner / _MIDDLES)
+        return cls(
+            Walk(camera, lens),
+            dispersion,
+            camera.aperture.draws(),
+            dr.opaque(mi.Float, radius),
+            dr.opaque(mi.Float, share),
+            middles,
+            corner / _MIDDLES,
+        )
 
     def sample(self, pixel: Pair, sample: Any, dispersion: Dispersion | None) -> tuple[Ray, Pair]:
         """Return rays through points of the pupil with the density of the power that passes them, and these points."""
@@ -211,8 +215,8 @@ class LensRays:
     choice: LensChoice
 
     @classmethod
-    def varying(cls, camera: PlenopticCamera, numbers: dict[str, Any]) -> LensRays:
-        """Return the sampler of a camera whose exposed parameters are given as Dr.Jit arrays."""
+    def varying(cls, camera: PlenopticCamera, lens: Any, numbers: dict[str, Any]) -> LensRays:
+        """Return the sampler of a camera whose lens and exposed parameters may have gradients."""
         # The rotation is applied only if it is not zero, or a gradient for its angle is requested.
         turned = camera.mla_rotation != 0 or dr.grad_enabled(numbers["mla_rotation"])
         pitch, offset = numbers["mla_pitch"], numbers["mla_offset"]
@@ -227,7 +231,7 @@ class LensRays:
         )
         walk = Walk(
             camera,
-            _varying_lens(camera, numbers),
+            lens,
             lattice,
             numbers["mla_focal_length"],
             numbers["detector_distance"],
@@ -323,4 +327,7 @@ RaySampler = LensRays | PupilRays
 
 def sampler_of(camera: PlenopticCamera, numbers: dict[str, Any]) -> RaySampler:
     """Return the ray sampler of a camera whose exposed parameters are given as Dr.Jit arrays."""
-    return (LensRays if camera.has_array else PupilRays).varying(camera, numbers)
+    wavefront = numbers.get("wavefront", mi.Float())
+    aberrations = tuple(dr.gather(mi.Float, wavefront, i) for i in range(dr.width(wavefront)))
+    lens = main_lens(camera, varying=numbers | {"wavefront": aberrations})
+    return LensRays.varying(camera, lens, numbers) if camera.has_array else PupilRays.varying(camera, lens)

@@ -54,9 +54,13 @@ class SceneLight:
     def __call__(
         self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
     ) -> list[Any]:
-        """Return the radiance along rays from points in the camera frame, by channel or at each ray's wavelengths."""
-        sampler, ray = self.rays(point, slope, active, seed, wavelengths)
-        sampled = sample(self.integrator, self.scene, sampler, ray, self.sensor.get_medium(), active)
+        """Return the radiance along rays from points in the camera frame, by channel or at each ray's wavelengths.
+
+        It has no gradients, which `LightDerivatives` has.
+        """
+        with dr.suspend_grad():
+            sampler, ray = self.rays(point, slope, active, seed, wavelengths)
+            sampled = sample(self.integrator, self.scene, sampler, ray, self.sensor.get_medium(), active)
         return channels(sampled) if wavelengths is None else list(sampled)
 
     def rays(
@@ -204,6 +208,33 @@ class Replay:
         # Evaluated so that gradients are accumulated before the next rays are traced.
         dr.eval(change)
         return change
+
+
+class ReplayedLight:
+    """Light of 1 along each ray that hits a surface, whose gradient is propagated by replays of light paths."""
+
+    is_radiance = False
+
+    def __init__(self, light: LightDerivatives) -> None:
+        self._light = light
+
+    def __call__(
+        self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
+    ) -> list[Any]:
+        """Return the light along rays, as `SceneLight` does, with gradients."""
+        with dr.suspend_grad():
+            self._replay = self._light.replay(point, slope, active, seed, wavelengths)
+        # What is linear in the light has a gradient that does not depend on the light.
+        self._value = mi.Spectrum(dr.select(self._replay.active, mi.Float(1), 0))
+        dr.enable_grad(self._value)
+        return channels(self._value) if wavelengths is None else list(self._value)
+
+    def propagate(self) -> None:
+        """Propagate the gradient of the light that was last asked for to Dr.Jit's gradients of scene parameters."""
+        with dr.resume_grad():
+            cotangent = dr.grad(self._value)
+        dr.eval(cotangent)
+        self._replay.differentiate(dr.ADMode.Backward, cotangent)
 
 
 def _options(scene: Any, ray: Any, active: Any) -> dict[str, Any]:

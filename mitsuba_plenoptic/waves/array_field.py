@@ -78,8 +78,8 @@ class LensWaves:
     def convergence(self, kind: Kind) -> float:
         """Return the wavefront curvature (1/mm) behind a lens for a pupil point, relative to focus on the detector."""
         # Waves from a point of an objective's stop are plane.
-        own = self.camera.lens_data.converges / self.camera.pupil_distance
-        return 1 / kind.distance + own - 1 / kind.focal_length
+        vergence = self.camera.lens_data.converges / self.camera.pupil_distance
+        return 1 / kind.distance + vergence - 1 / kind.focal_length
 
     def _plane(self, x: Pair, kind: Kind, cosines: tuple[float, float]) -> tuple[Pair, Array, Array]:
         r"""Return the points of the array that stand at positions `x` of kernels' pairs, for given direction cosines.
@@ -90,7 +90,7 @@ class LensWaves:
         index, z = self.camera.mla_medium, kind.distance
         s = self.lattice.from_frame(*cosines)
         scale = z * self._lens_kinds.enlargement(kind.focal_length) / math.sqrt(1 - math.hypot(*s) ** 2 / index**2)
-        landing = [each * scale for each in s]
+        landing = [component * scale for component in s]
         straight = math.hypot(index * z, *landing)
         tx, ty = (index * p / straight - q / z for p, q in zip(landing, x, strict=True))
         square = np.maximum(1 - (tx * tx + ty * ty) / index**2, 0)
@@ -118,9 +118,9 @@ class LensWaves:
             np.array(camera.mla_focal_lengths) * kind.focal_length / camera.mla_focal_lengths[kind.lens_type]
         )
         types = lattice.lens_type(i, j).astype(int) if len(focal_lengths) > 1 else np.zeros(i.shape, int)
-        own = camera.lens_data.converges / camera.pupil_distance
+        vergence = camera.lens_data.converges / camera.pupil_distance
         sx, sy = lattice.from_frame(*cosines)
-        path += sx * mx + sy * my + own * (mx * mx + my * my) / 2
+        path += sx * mx + sy * my + vergence * (mx * mx + my * my) / 2
         waves = path / in_millimetres(self.wavelength)
         waves += camera.microlens.lens_waves(lattice, cx, cy, focal_lengths[types], self.wavelength)
         amplitude = np.where(square < USUAL.grazing, 0, 1 / np.maximum(square, USUAL.grazing))
@@ -135,8 +135,8 @@ class LensWaves:
         else:
             # Across an opening the sum of these amplitudes, and that of their squares, is its width in steps.
             inset = lattice.aperture_inset(cx, cy) / step
-            part = np.clip(np.where(inset < 0.5, inset + 0.5, inset - 0.5), 0, 1)
-            amplitude *= 0.5 * (1 + part + np.where(inset < 0.5, -1, 1) * np.sqrt(1 - part * part))
+            inside = np.clip(np.where(inset < 0.5, inset + 0.5, inset - 0.5), 0, 1)
+            amplitude *= 0.5 * (1 + inside + np.where(inset < 0.5, -1, 1) * np.sqrt(1 - inside * inside))
             share = (own_inset > -0.5).astype(float)
         # Functions are undefined outside the aperture, where rays have no coefficients.
         return (mx, my), (amplitude * np.exp(2j * np.pi * waves)).astype(np.complex64), share

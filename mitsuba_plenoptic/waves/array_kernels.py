@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from ..fields.lens_kinds import Kind
 from ..optics.waves import in_millimetres
-from ..runtime import fft, on_all_cores, require_memory, single_threaded_blas
+from ..runtime import exponents, fft, on_all_cores, require_memory, single_threaded_blas
 from .accuracy import USUAL
 from .array_field import LensWaves
 from .lens_functions import LensFunctions, of_middles
@@ -51,7 +51,7 @@ class ArrayKernels(LensWaves):
     beside_far: bool = False
 
     @property
-    def by_points(self) -> bool:
+    def lands_by_point(self) -> bool:
         """Whether a ray lands where its point on the lens sends it, instead of where the lens's centre does.
 
         Far from the microlenses' focus a few functions cannot describe the difference. The spread by the pupil is then
@@ -65,7 +65,7 @@ class ArrayKernels(LensWaves):
     def functions(self) -> LensFunctions:
         """Functions of a ray's point on a lens; polynomials of some degree if landing points depend on these points."""
         u, v, inside = self.aperture_grid(USUAL.spectrum_samples)
-        higher = 0 if self.by_points or self.degree == 0 else USUAL.higher_degrees
+        higher = 0 if self.lands_by_point or self.degree == 0 else USUAL.higher_degrees
         scale = float(self.lattice.aperture_reach)
         polynomials = LensFunctions.polynomials(u[inside], v[inside], self.degree + higher, scale)
         if not higher:
@@ -82,39 +82,31 @@ class ArrayKernels(LensWaves):
             axis=1,
         )
         tolerance = USUAL.missing_functions * self.tolerance
-        return polynomials.best(self._most_functions, tolerance, (u[inside], v[inside]), images)
-
-    @property
-    def _is_steep(self) -> bool:
-        """Whether kernels change with the direction of light as polynomials of degree 4."""
-        edge = max(float(self.lattice.aperture_reach) / kind.distance for kind in self.kinds)
-        return bool(np.hypot(*self._cosines().T).max() + edge > USUAL.steep)
-
-    @property
-    def _most_functions(self) -> int:
-        """Largest number of functions over a lens: the number of polynomials up to the degree."""
-        return (self.degree + 1) * (self.degree + 2) // 2
+        return polynomials.best(len(exponents(self.degree)), tolerance, (u[inside], v[inside]), images)
 
     @cached_property
     @single_threaded_blas()
     def oblique(self) -> Oblique:
         """Combinations of the changes of kernels with the direction of light."""
         functions, camera = self.functions, self.camera
-        if self.by_points or functions.count == 1:
+        if self.lands_by_point or functions.count == 1:
             return Oblique.nothing(functions.count)
         cosines = self._cosines()
         largest = float(np.hypot(*cosines.T).max())
         # Small apertures fall between the points of a grid that is as fine for all.
         u, v, inside = self.aperture_grid(max(USUAL.coarse_lags, self._samples_of(USUAL.coarse_points)))
         kinds = self.kinds[: len(camera.mla_focal_lengths)]
-        degree = 4 if self._is_steep else 2
+        # Kernels of steep light change with its direction as polynomials of degree 4.
+        edge = max(float(self.lattice.aperture_reach) / kind.distance for kind in self.kinds)
+        is_steep = bool(largest + edge > USUAL.steep)
+        degree = 4 if is_steep else 2
         images = [
             np.concatenate([self._images(functions, kind, functions.duals, (a, b)) for kind in kinds], axis=1)
             for a, b in directions(degree) * largest
         ]
         light = functions.light(u[inside], v[inside])
-        allowed = USUAL.missing_oblique[self._is_steep] * self.tolerance
-        most = USUAL.most_oblique * self._most_functions
+        allowed = USUAL.missing_oblique[is_steep] * self.tolerance
+        most = USUAL.most_oblique * len(exponents(self.degree))
         return Oblique.best(largest, cosines / largest, np.stack(images), light, functions.odd, allowed, most)
 
     def _samples_of(self, count: int) -> int:
@@ -146,11 +138,11 @@ class ArrayKernels(LensWaves):
         field = np.linspace(-0.5, 0.5, USUAL.oblique_fields) if camera.lens_data.converges else np.zeros(1)
         pupil = np.linspace(-1, 1, USUAL.oblique_pupil) * camera.pupil_radius
         x, y, Px, Py = (
-            each.ravel()
-            for each in np.meshgrid(field * camera.detector_width, field * camera.detector_height, pupil, pupil)
+            coordinate.ravel()
+            for coordinate in np.meshgrid(field * camera.detector_width, field * camera.detector_height, pupil, pupil)
         )
         inside = np.hypot(Px, Py) <= camera.pupil_radius
-        slopes = (each[inside] / camera.pupil_distance for each in (x - Px, y - Py))
+        slopes = (coordinate[inside] / camera.pupil_distance for coordinate in (x - Px, y - Py))
         u, v = self.lattice.to_frame(*slopes)
         return np.column_stack([u, v]) / np.sqrt(1 + u * u + v * v)[:, None]
 
@@ -203,7 +195,7 @@ class ArrayKernels(LensWaves):
         key = step, reach, kind
         if key not in self._kept:
             self._require_memory(step, reach, kind)
-            if self.by_points:
+            if self.lands_by_point:
                 self._kept[key] = self._cell_kernels(step, reach, self.kinds[kind])
             else:
                 self._kept[key] = self.sampled_kernels(step, self.kernel_samples(step, reach, kind), kind)
@@ -211,14 +203,14 @@ class ArrayKernels(LensWaves):
 
     def _require_memory(self, step: float, reach: float, kind: int) -> None:
         """Refuse kernels that exceed the memory, as for pixels far larger than a lens's diffraction pattern."""
-        if self.by_points:
+        if self.lands_by_point:
             # Transforms of the aperture, their products, and the kernels themselves.
-            count, each = 2 * (math.ceil(reach / step) + 1) * self._cell_parts(step, self.kinds[kind]), 32.0
+            count, bytes_of_sample = 2 * (math.ceil(reach / step) + 1) * self._cell_parts(step, self.kinds[kind]), 32.0
         else:
-            count, each = 2 * self.kernel_samples(step, reach, kind)[2] + 1, 8.0
+            count, bytes_of_sample = 2 * self.kernel_samples(step, reach, kind)[2] + 1, 8.0
         spot = in_millimetres(self.wavelength) * self.kinds[kind].distance / float(self.lattice.aperture_width)
         require_memory(
-            each * self.functions.count * float(count) ** 2,
+            bytes_of_sample * self.functions.count * float(count) ** 2,
             f"detector_width = {self.camera.detector_width:g}: pixels of {self.camera.pixel_size:.3g} mm behind lenses "
             f"whose diffraction spreads {self.wavelength:g} nm by {spot:.2g} mm, need kernels of {count} x {count} "
             "samples",
@@ -261,10 +253,10 @@ class ArrayKernels(LensWaves):
                     every * coarser,
                     self.kinds[kind],
                     functions,
-                    functions.duals @ part.T,
+                    functions.duals @ combination.T,
                     (a, b),
                 )
-                for part, (a, b) in zip(parts, directions(oblique.degree) * oblique.largest, strict=True)
+                for combination, (a, b) in zip(parts, directions(oblique.degree) * oblique.largest, strict=True)
             ],
             axis=0,
         )
@@ -280,19 +272,19 @@ class ArrayKernels(LensWaves):
         scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
         apart = self.lattice.pitches[0] / USUAL.pitch_lags * every
         farthest = transfer.shape[1] // 2
-        place, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * apart
+        position, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * apart
         # All repetitions of the window add up to 1, so that a kernel has the transfer function at each lag.
         period = scale / apart
-        beyond = (np.abs(place) - period / 2) / min(USUAL.border * step, period)
+        beyond = (np.abs(position) - period / 2) / min(USUAL.border * step, period)
         window = (1 - np.sin(np.pi * np.clip(beyond, -0.5, 0.5))) / 2
-        waves = window[:, None] * np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (apart * step / scale)
+        waves = window[:, None] * np.exp(-2j * np.pi * np.outer(position, lags) / scale) * (apart * step / scale)
         return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
 
     def spots(self, along: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the diffraction patterns (types, n, n) of single lenses, at detector positions along both axes."""
         u, v, inside = self.aperture_grid(USUAL.pitch_lags)
         wavelength = in_millimetres(self.wavelength)
-        made = []
+        patterns = []
         for kind in self.kinds[: len(self.camera.mla_focal_lengths)]:
             scale = wavelength * kind.distance
             waves = np.exp(-2j * np.pi * np.outer(along, u[0]) / scale)
@@ -301,8 +293,8 @@ class ArrayKernels(LensWaves):
             offset = self.lattice.from_frame(u, v)
             phase += self.camera.microlens.lens_waves(self.lattice, *offset, kind.focal_length, self.wavelength)
             field = waves @ np.where(inside, np.exp(2j * np.pi * phase), 0) @ waves.T
-            made.append(np.abs(field) ** 2 * (u[0, 1] - u[0, 0]) ** 2 / (inside.sum() * scale**2))
-        return np.stack(made)
+            patterns.append(np.abs(field) ** 2 * (u[0, 1] - u[0, 0]) ** 2 / (inside.sum() * scale**2))
+        return np.stack(patterns)
 
     def _cell_kernels(self, step: float, reach: float, kind: Kind) -> NDArray[np.float64]:
         """Return kernels between cells of uniform light, for cells that may be larger than the diffraction kernels.
@@ -317,7 +309,7 @@ class ArrayKernels(LensWaves):
         along, spacing = x[0], x[0, 1] - x[0, 0]
         inside = lattice.in_aperture(x, y)
         functions = self.functions
-        u, v = (place / functions.scale for place in lattice.to_frame(x, y))
+        u, v = (coordinate / functions.scale for coordinate in lattice.to_frame(x, y))
         # The transforms of samples repeat; behind large lenses they do so within the kernels' reach.
         within = min(far, int(scale / (2 * spacing * fine)))
         waves = np.exp(-2j * np.pi * np.outer(np.arange(-within, within + 1) * fine, along) / scale)
@@ -352,17 +344,17 @@ class ArrayKernels(LensWaves):
         along = (np.arange(-reach, reach) + 0.5) * step
         y, x = np.meshgrid(along, along, indexing="ij")
         (x, y), T, share = self.transmission((x, y), kind, cosines)
-        own = share > 0
-        rows, columns = (np.flatnonzero(own.any(axis)) for axis in (1, 0))
+        open_ = share > 0
+        rows, columns = (np.flatnonzero(open_.any(axis)) for axis in (1, 0))
         top, bottom, left, width = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1 - columns[0]
-        values = polynomials.values(*(place[own] for place in lattice.to_frame(x, y)))
+        values = polynomials.values(*(coordinate[open_] for coordinate in lattice.to_frame(x, y)))
         # On these samples, too, the integrals of the duals with the functions over the lens are exact.
-        measure = share[own] * np.square(np.abs(T[own]))
+        measure = share[open_] * np.square(np.abs(T[open_]))
         functions, duals = polynomials.functions, polynomials.duals
         products = (values @ functions).T @ (measure[:, None] * (values @ duals)) / measure.sum()
         exact = duals @ np.linalg.solve(products, functions.T @ coefficients)
-        weight = np.zeros((*own.shape, coefficients.shape[1]), np.float32)
-        weight[own] = share[own, None] * (values @ exact)
+        weight = np.zeros((*open_.shape, coefficients.shape[1]), np.float32)
+        weight[open_] = share[open_, None] * (values @ exact)
         weight = weight[top:bottom, left : left + width]
         across, up = (self._symmetry(T, weight, axis) for axis in (1, 0))
         real = imaginary = np.ones(coefficients.shape[1], bool)

@@ -22,7 +22,21 @@ def means_of_halves(values: list[Any], valid: Any, count: int, rays: int) -> tup
 
     A mask of the pixels where some value is not zero is returned, too, as derivatives may cancel in the means.
     """
-    (counts, *sums), lit = _sums_of_halves(values, valid, count, rays)
+    end = dr.opaque(mi.UInt32, rays)
+    first = dr.arange(mi.UInt32, count) * end
+
+    def add(k: Any, totals: list[Pair], lit: Any) -> tuple[Any, list[Pair], Any]:
+        ray = [at_rays(value, first + k) for value in (valid, *values)]
+        even = (k & 1) == 0
+        totals = [
+            (a + dr.select(even, value, 0), b + dr.select(even, 0, value))
+            for (a, b), value in zip(totals, ray, strict=True)
+        ]
+        return k + 1, totals, lit | dr.any([value != 0 for value in ray[1:]], axis=0)
+
+    state = mi.UInt32(0), [(mi.Float(0), mi.Float(0)) for _ in range(1 + len(values))], mi.Bool(False)
+    # Loops that only add up are differentiated in reverse without their states.
+    _, (counts, *sums), lit = dr.while_loop(state, lambda k, *_: k < end, add, label="halves", max_iterations=-1)
     means = [mean_of_half(pair, counts) for pair in sums]
     dr.eval(means, lit)
     return means, lit
@@ -39,32 +53,6 @@ def of_other_half(even: Any, halves: Sequence[Any]) -> Any:
     return dr.select(even, halves[1], halves[0])
 
 
-def adjoint_of_means(values: list[Any], valid: Any, count: int, rays: int) -> list[Pair]:
-    """Return, for the even and for the odd rays of each pixel, the derivative with respect to one of their radiances.
-
-    `values` are the derivatives with respect to the mean that each ray subtracts: this is the transpose of
-    `means_of_halves` and `of_other_half`.
-    """
-    ((even, odd), *sums), _ = _sums_of_halves(values, valid, count, rays)
-    result = [mean_of_half((of_odd, of_even), (even, odd)) for of_even, of_odd in sums]
-    dr.eval(result)
-    return result
-
-
-def _sums_of_halves(values: list[Any], valid: Any, count: int, rays: int) -> tuple[list[Pair], Any]:
-    """Return the sums of `valid` and of each value over even and odd rays, and where some value is not zero."""
-    end = dr.opaque(mi.UInt32, rays)
-    first = dr.arange(mi.UInt32, count) * end
-
-    def add(k: Any, totals: list[Pair], lit: Any) -> tuple[Any, list[Pair], Any]:
-        ray = [dr.gather(mi.Float, value, first + k) for value in (valid, *values)]
-        even = (k & 1) == 0
-        totals = [
-            (a + dr.select(even, value, 0), b + dr.select(even, 0, value))
-            for (a, b), value in zip(totals, ray, strict=True)
-        ]
-        return k + 1, totals, lit | dr.any([value != 0 for value in ray[1:]], axis=0)
-
-    state = mi.UInt32(0), [(mi.Float(0), mi.Float(0)) for _ in range(1 + len(values))], mi.Bool(False)
-    _, totals, lit = dr.while_loop(state, lambda k, *_: k < end, add, label="halves")
-    return totals, lit
+def at_rays(values: Any, index: Any) -> Any:
+    """Return the values of rays, no two of which are the same, so that gradients need no atomic sums."""
+    return dr.gather(type(values), values, index, mode=dr.ReduceMode.NoConflicts)

@@ -82,15 +82,15 @@ class Convolution:
                 samples = image[rows, columns]
                 # Microlenses of this kind may be elsewhere; to ask a device takes longer than to go on.
                 if libraries.is_cuda or samples.any():
-                    part = transforms.rfft2(samples, self._size)
-                    part *= spectrum
-                    total += part
+                    transform = transforms.rfft2(samples, self._size)
+                    transform *= spectrum
+                    total += transform
             square = transforms.irfft2(total, self._size, overwrite_x=True)[: size[0] + 2 * m, : size[1] + 2 * m]
             return Part(_grown(Box(box.left + columns.start, box.top + rows.start, size[1], size[0]), m), square[None])
 
         with fft.resting_drjit():
-            for part in on_all_cores(convolved, self._tiles(box)):
-                add(part, wanted, result)
+            for tile in on_all_cores(convolved, self._tiles(box)):
+                add(tile, wanted, result)
         return result[0]
 
     def adjoint(self, pixels: NDArray[np.float32], box: Box | None = None) -> list[NDArray[np.float32]]:
@@ -105,13 +105,13 @@ class Convolution:
         # The transform is circular: samples after these wrap around, and are cut off below.
         def transformed(tile: tuple[slice, slice]) -> NDArray[np.complex64]:
             rows, columns = tile
-            part = samples[0, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m]
-            return arrays.asarray(transforms.rfft2(part, self._size))
+            surroundings = samples[0, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m]
+            return arrays.asarray(transforms.rfft2(surroundings, self._size))
 
         def correlated(spectrum: NDArray[np.complex64]) -> NDArray[np.float32]:
             image = arrays.empty((box.rows, box.columns), np.float32)
-            for part, (rows, columns) in zip(parts, tiles, strict=True):
-                square = transforms.irfft2(part * spectrum.conj(), self._size, overwrite_x=True)
+            for transform, (rows, columns) in zip(parts, tiles, strict=True):
+                square = transforms.irfft2(transform * spectrum.conj(), self._size, overwrite_x=True)
                 image[rows, columns] = square[: rows.stop - rows.start, : columns.stop - columns.start]
             return image
 
@@ -167,7 +167,9 @@ class Block:
 
 def _convolve(block: Block) -> Part:
     # Kernels of longer wavelengths reach farther.
-    pixels = max((each.reached(block.bins) for each in block.convolutions), key=lambda box: box.rows * box.columns)
+    pixels = max(
+        (convolution.reached(block.bins) for convolution in block.convolutions), key=lambda box: box.rows * box.columns
+    )
     sums = active_backend().arrays.zeros((max(block.channels) + 1, pixels.rows, pixels.columns), np.float32)
     for channel, convolution, images in zip(block.channels, block.convolutions, block.images, strict=True):
         sums[channel] += convolution.forward(images, block.bins, pixels)

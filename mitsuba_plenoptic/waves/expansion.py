@@ -72,7 +72,9 @@ class ExpandedPlan(PhaseSpace):
     def tabulated(self, table: Table | None = None) -> Sequence[Array]:
         """Return the arrays of the table of coefficients, or fill a given table."""
         arrays = [np.empty(shape, np.float32) for shape in self.shapes] if table is None else table
-        change = np.float32(_width_change(self.start.camera, self.camera))
+        start, camera = self.start.camera, self.camera
+        ratio = camera.mla_distance / start.mla_distance * start.mla_pitches[0] / camera.mla_pitches[0]
+        change = np.float32(math.log(ratio))
         rows = zip(arrays, _table(self.start), _width_slopes(self.start), strict=True)
 
         def fill(row: tuple[Array, Array, Array]) -> None:
@@ -86,9 +88,9 @@ class ExpandedPlan(PhaseSpace):
         """Return the kernels of one kind of lenses, with the sampling of those about which they are expanded."""
         total = self.start.kernels(self._start_step(step), self.start.reach, kind).copy()
         for name in OF_KERNELS:
-            for part, change in enumerate(self._changes(name)):
+            for component, change in enumerate(self._changes(name)):
                 if change:
-                    slope, curvature = _kernel_changes(self.start, name, part, self._start_step(step), kind)
+                    slope, curvature = _kernel_changes(self.start, name, component, self._start_step(step), kind)
                     total += change * slope + change**2 / 2 * curvature
         return total
 
@@ -96,9 +98,9 @@ class ExpandedPlan(PhaseSpace):
         """Return the derivatives of kernels by each component of a parameter on which they depend."""
         values = shortest_parts(self.start.camera, name)
         slopes = []
-        for part, change in enumerate(self._changes(name)):
-            slope, curvature = _kernel_changes(self.start, name, part, self._start_step(step), kind)
-            slopes.append((slope + change * curvature) / values[part])
+        for component, change in enumerate(self._changes(name)):
+            slope, curvature = _kernel_changes(self.start, name, component, self._start_step(step), kind)
+            slopes.append((slope + change * curvature) / values[component])
         return slopes
 
     def _start_step(self, step: float) -> float:
@@ -109,29 +111,21 @@ class ExpandedPlan(PhaseSpace):
         return (shortest_parts(self.camera, name) / shortest_parts(self.start.camera, name) - 1).tolist()
 
 
-def _width_change(start: PlenopticCamera, camera: PlenopticCamera) -> float:
-    """Return the change of the logarithm of the ratio of the pupil's diffraction width to the pitch."""
-    return math.log(camera.mla_distance / start.mla_distance * start.mla_pitches[0] / camera.mla_pitches[0])
-
-
 @functools.lru_cache(maxsize=4)
 def _table(plan: PhaseSpace) -> Sequence[Array]:
     """Return a plan's table in single precision."""
     return plan.tabulated()
 
 
-def width_slopes(plan: PhaseSpace) -> Table:
-    """Return the table of derivatives of coefficients by the logarithm of the pupil's diffraction width."""
-    return _slope_table(plan.start)
-
-
 @functools.lru_cache(maxsize=4)
-def _slope_table(plan: PhaseSpace) -> Table:
-    return Table.of(_width_slopes(plan))
+def width_slopes(start: PhaseSpace) -> Table:
+    """Return the table of derivatives of a plan's coefficients by the logarithm of the pupil's diffraction width."""
+    return Table.of(_width_slopes(start))
 
 
 @functools.lru_cache(maxsize=4)
 def _width_slopes(plan: PhaseSpace) -> list[Array]:
+    """Return the derivatives in single precision."""
     distance = plan.camera.mla_distance
     sides = [
         plan.moved(plan.camera.replace(mla_distance=distance * (1 + side))).tabulated()
@@ -149,7 +143,7 @@ def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[N
 
 @functools.lru_cache(maxsize=32)
 def _kernel_changes(
-    plan: PhaseSpace, name: str, part: int, step: float, kind: int
+    plan: PhaseSpace, name: str, component: int, step: float, kind: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the first and second derivatives of kernels by the relative change of a parameter's component."""
     samples = plan.kernel_samples(step, plan.reach, kind)
@@ -159,7 +153,7 @@ def _kernel_changes(
             sides.append(plan.sampled_kernels(step * (1 + change), samples, kind))
             continue
         values = shortest_parts(plan.camera, name)
-        values[part] *= 1 + change
+        values[component] *= 1 + change
         sides.append(plan.moved(with_parts(plan.camera, {name: values})).sampled_kernels(step, samples, kind))
     middle = plan.kernels(step, plan.reach, kind)
     return (sides[0] - sides[1]) / (2 * _KERNEL_STEP), (sides[0] - 2 * middle + sides[1]) / _KERNEL_STEP**2

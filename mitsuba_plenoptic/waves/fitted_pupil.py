@@ -79,7 +79,7 @@ class FittedPupil:
     @cached_property
     def densities(self) -> list[NDArray[np.float64]]:
         """Densities (n, n) of open and, if rays have to pass some, of closed parts; their integrals are 1."""
-        power, amplitude = (means(part, _SAMPLES) for part in (self.samples.power, abs(self.samples.transmission)))
+        power, amplitude = (means(values, _SAMPLES) for values in (self.samples.power, abs(self.samples.transmission)))
         size, x = (2 * _SAMPLES,) * 2, along(_SAMPLES)
         pairs = scipy.fft.irfft2(scipy.fft.rfft2(amplitude, size) ** 2, size)[::2, ::2]
         # Rays with the root of the mean square of the light that they bring have the least noise. Samples that the
@@ -89,7 +89,7 @@ class FittedPupil:
         middles = np.where(within, np.sqrt(np.maximum(pairs - 1e-9 * pairs.max(), 0)), 0)
         closed = middles * (1 - power / power.max())
         some = closed.sum() > USUAL.least_closed * middles.sum()
-        return [part / (part.sum() * _AREA) for part in ([power, closed] if some else [power])]
+        return [density / (density.sum() * _AREA) for density in ([power, closed] if some else [power])]
 
     @cached_property
     def closed(self) -> NDArray[np.float64] | None:
@@ -100,9 +100,9 @@ class FittedPupil:
         if len(self.densities) == 1:
             return None
         within = self.samples.whole / (math.pi * self.samples.aperture.share)
-        drawn = within * self.densities[1]
-        drawn[0, 0] = max(1 - within, 0) / _AREA
-        return drawn
+        density = within * self.densities[1]
+        density[0, 0] = max(1 - within, 0) / _AREA
+        return density
 
     def arguments(self, x: Any, y: Any) -> list[Any]:
         """Return, for pupil points over the radius, Dr.Jit arrays of which rays' functions are made.
@@ -112,19 +112,21 @@ class FittedPupil:
         places, aperture = self._boxed(x, y), self.samples.aperture
         if self.closed is None:
             return list(places)
-        column, row = (dr.clip(mi.Int(dr.floor((place + 1) * (_SAMPLES / 2))), 0, _SAMPLES - 1) for place in (x, y))
-        held = dr.gather(mi.Float, drjit_array(mi.Float, self.closed.ravel()), mi.UInt32(row * _SAMPLES + column))
-        parts = aperture.power(x, y) / (math.pi * aperture.share), held
-        drawn = (1 - CLOSED) * parts[0] + CLOSED * parts[1]
-        return [*places, *(dr.select(drawn > 0, part / drawn, 0) for part in parts)]
+        column, row = (
+            dr.clip(mi.Int(dr.floor((coordinate + 1) * (_SAMPLES / 2))), 0, _SAMPLES - 1) for coordinate in (x, y)
+        )
+        closed = dr.gather(mi.Float, drjit_array(mi.Float, self.closed.ravel()), mi.UInt32(row * _SAMPLES + column))
+        densities = aperture.power(x, y) / (math.pi * aperture.share), closed
+        density = (1 - CLOSED) * densities[0] + CLOSED * densities[1]
+        return [*places, *(dr.select(density > 0, share_of_density / density, 0) for share_of_density in densities)]
 
     def _boxed(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Return coordinates in the box around the open parts, from -1 to 1."""
         boxed = []
-        for axis, place in enumerate((x, y)):
+        for axis, coordinate in enumerate((x, y)):
             lit = np.flatnonzero(self.densities[0].any(axis))
             low, high = 2 * int(lit[0]) / _SAMPLES - 1, 2 * int(lit[-1] + 1) / _SAMPLES - 1
-            boxed.append((place - (low + high) / 2) / ((high - low) / 2))
+            boxed.append((coordinate - (low + high) / 2) / ((high - low) / 2))
         return boxed[0], boxed[1]
 
     @cached_property
@@ -140,8 +142,8 @@ class FittedPupil:
     @single_threaded_blas()
     def functions(self) -> PupilFunctions:
         """The functions; the first has an integral of 1 over all rays, and the others of 0."""
-        sets = even_polynomials([self._boxed(*spread_points(part)) for part in self.densities], self.degree)
-        combined, count = scipy.linalg.block_diag(*(each.triangle for each in sets)), len(sets[0].exponents)
+        sets = even_polynomials([self._boxed(*spread_points(density)) for density in self.densities], self.degree)
+        combined, count = scipy.linalg.block_diag(*(functions.triangle for functions in sets)), len(sets[0].exponents)
         # Rays through closed parts bring nothing of uniform light.
         combined[0, count::count] -= 1
         return PupilFunctions(sets[0].exponents, combined)
@@ -150,8 +152,8 @@ class FittedPupil:
     def covariance(self) -> NDArray[np.float64]:
         """Covariance of the functions' integrals over light with random edges."""
         whole, shares = self._drawn
-        x, y = (place[:: USUAL.fitted_every] for place in spread_points(whole))
-        column, row = (np.asarray((place + 1) * (_SAMPLES / 2), int) for place in (x, y))
+        x, y = (coordinate[:: USUAL.fitted_every] for coordinate in spread_points(whole))
+        column, row = (np.asarray((coordinate + 1) * (_SAMPLES / 2), int) for coordinate in (x, y))
         values = self.functions.values(*self._boxed(x, y), shares[:, row, column])
         return edge_covariance(values, x, y, 1.0)
 
@@ -160,7 +162,7 @@ class FittedPupil:
     def kernels(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the kernels (functions, n, n) after the first, at places in lambda b / R along both axes."""
         y, x = _frequencies()
-        along_y, along_x = (np.exp(-2j * np.pi * np.outer(places, each)) for each in (y, x))
+        along_y, along_x = (np.exp(-2j * np.pi * np.outer(places, frequency)) for frequency in (y, x))
         # The other half plane of frequencies has the conjugate spectrum.
         whole = ((along_y * np.where(y > 0, 2, 1)) @ self._spectra @ along_x.T).real / USUAL.unit_frequencies**2
         fall = (np.hypot(places, places[:, None]) / (USUAL.unit_frequencies / 2) - USUAL.taper) / (1 - USUAL.taper)
@@ -169,20 +171,20 @@ class FittedPupil:
     @cached_property
     def _spectra(self) -> NDArray[np.complex128]:
         """Spectra (functions, rows, columns) at `_frequencies` of the kernels after the first, by least squares."""
-        (drawn, shares), x = self._drawn, along(_SAMPLES)
+        (density, shares), x = self._drawn, along(_SAMPLES)
         u, v = self._boxed((x + 0 * x[:, None]).ravel(), (x[:, None] + 0 * x).ravel())
         values = self.functions.values(u, v, shares.reshape(len(shares), -1))
-        brought = values * (drawn.ravel() * _AREA)[:, None]
-        noise = USUAL.noise_weight * (values.T @ brought)[1:, 1:]
-        images = np.ascontiguousarray(np.swapaxes(brought.reshape(_SAMPLES, _SAMPLES, -1), 1, 2), np.complex64)
+        weighted = values * (density.ravel() * _AREA)[:, None]
+        noise = USUAL.noise_weight * (values.T @ weighted)[1:, 1:]
+        images = np.ascontiguousarray(np.swapaxes(weighted.reshape(_SAMPLES, _SAMPLES, -1), 1, 2), np.complex64)
         lights, frequencies = _lights(USUAL.tilt_limit * (self.degree + 1)), _frequencies()
         weight = np.sqrt([light.weight for light in lights])
 
         def seen(light: _Light) -> tuple[NDArray[np.complex64], ...]:
             """Return the integrals of the functions, and of w for the light and for its conjugate."""
             waves = [
-                np.exp(2j * np.pi * np.outer(light.blur * each + tilt, x)).astype(np.complex64)
-                for each, tilt in zip(frequencies, (light.y, light.x), strict=True)
+                np.exp(2j * np.pi * np.outer(light.blur * frequency + tilt, x)).astype(np.complex64)
+                for frequency, tilt in zip(frequencies, (light.y, light.x), strict=True)
             ]
             rows = (waves[0] @ images.reshape(_SAMPLES, -1)).reshape(-1, _SAMPLES) @ waves[1].T
             opposite = _Light(-light.blur, -light.x, -light.y)
@@ -192,14 +194,16 @@ class FittedPupil:
 
         def fitted(row: int) -> NDArray[np.complex128]:
             """Return the spectra (functions, columns) of a row of frequencies."""
-            functions, ahead, behind = (np.stack([part[row] for part in each]) for each in zip(*integrals, strict=True))
+            functions, ahead, behind = (
+                np.stack([integral[row] for integral in of_lights]) for of_lights in zip(*integrals, strict=True)
+            )
             ahead, behind = ahead - functions[:, 0] * spread[row], behind - functions[:, 0].conj() * spread[row]
             others = np.moveaxis(functions[:, 1:], 2, 0).transpose(0, 2, 1) * weight
             # Functions are real, so that their integrals with the conjugate light are conjugate.
             model = np.concatenate([others.real, others.imag], 2)
-            wanted = np.concatenate([weight * (ahead + behind).T, -1j * weight * (ahead - behind).T], 1) / 2
-            found = np.linalg.solve(model @ model.transpose(0, 2, 1) + noise, model @ wanted[..., None])
-            return np.asarray(found[..., 0].T)
+            target = np.concatenate([weight * (ahead + behind).T, -1j * weight * (ahead - behind).T], 1) / 2
+            solution = np.linalg.solve(model @ model.transpose(0, 2, 1) + noise, model @ target[..., None])
+            return np.asarray(solution[..., 0].T)
 
         return np.stack(on_all_cores(fitted, range(len(frequencies[0]))), 1)
 
@@ -208,8 +212,8 @@ class FittedPupil:
         x, size = along(_SAMPLES), (2 * _SAMPLES,) * 2
         bent = means(self.samples.transmission, _SAMPLES) * np.exp(1j * np.pi * light.blur * (x**2 + x[:, None] ** 2))
         tilted = np.exp(1j * np.pi * (light.x * x + light.y * x[:, None]))
-        first, second = (scipy.fft.fft2(part, size) for part in (bent * tilted, bent * tilted.conj()))
-        steps = [np.round(each * _SAMPLES / 2).astype(int) for each in _frequencies()]
+        first, second = (scipy.fft.fft2(light_field, size) for light_field in (bent * tilted, bent * tilted.conj()))
+        steps = [np.round(frequency * _SAMPLES / 2).astype(int) for frequency in _frequencies()]
         whole = scipy.fft.ifft2(first * second.conj())[np.ix_(*steps)]
         return np.asarray(whole / means(self.samples.power, _SAMPLES).sum(), np.complex64)
 

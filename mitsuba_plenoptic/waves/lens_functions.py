@@ -102,19 +102,19 @@ class LensFunctions:
         """
         expected, products = self._expected(*points), images @ images.T
         odd = np.array(self.odd)
-        found = []
+        candidates = []
         for parity in ((False, False), (True, False), (False, True), (True, True)):
-            (own,) = np.nonzero((odd == parity).all(1) & (np.arange(len(odd)) > 0))
-            if not len(own):
+            (alike,) = np.nonzero((odd == parity).all(1) & (np.arange(len(odd)) > 0))
+            if not len(alike):
                 continue
-            own_products, root = products[np.ix_(own, own)], np.linalg.cholesky(expected[np.ix_(own, own)])
+            own_products, root = products[np.ix_(alike, alike)], np.linalg.cholesky(expected[np.ix_(alike, alike)])
             removed, directions = np.linalg.eigh(root.T @ own_products @ root)
             for error, function in zip(removed, (own_products @ root @ directions).T, strict=True):
                 whole = np.zeros(len(odd))
-                whole[own] = function / np.linalg.norm(function)
-                found.append((float(error), parity, whole))
-        found.sort(key=lambda each: -each[0])
-        errors = np.array([error for error, _, _ in found])
+                whole[alike] = function / np.linalg.norm(function)
+                candidates.append((float(error), parity, whole))
+        candidates.sort(key=lambda candidate: -candidate[0])
+        errors = np.array([error for error, _, _ in candidates])
         left = np.append(np.cumsum(errors[::-1])[::-1], 0)
         apart = np.append(errors[:-1] >= errors[1:] * (1 + USUAL.tied), True)
         allowed = np.append(0, 1 + np.flatnonzero(apart))
@@ -122,10 +122,10 @@ class LensFunctions:
         enough = allowed[left[allowed] <= tolerance**2 * 2 * np.pi * (_covariance(expected) * products).sum()]
         most = int(enough[0] if len(enough) else allowed[-1])
         first = np.eye(len(odd))[:, :1]
-        functions = np.column_stack([first, *(whole for _, _, whole in found[:most])])
+        functions = np.column_stack([first, *(whole for _, _, whole in candidates[:most])])
         others = functions[:, 1:]
         duals = np.column_stack([first, expected @ others @ np.linalg.inv(others.T @ expected @ others)])
-        parities = [(False, False), *(parity for _, parity, _ in found[:most])]
+        parities = [(False, False), *(parity for _, parity, _ in candidates[:most])]
         return LensFunctions(self.scale, self.exponents, self.triangle, functions, duals, parities)
 
     def light(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -147,11 +147,11 @@ def even_polynomials(
 
     The degree is at most `degree`, and less where points lie so that single precision does not suffice for it.
     """
-    for own in range(degree, 0, -1):
+    for highest in range(degree, 0, -1):
         with contextlib.suppress(np.linalg.LinAlgError):
-            found = [LensFunctions.polynomials(u, v, own, 1.0) for u, v in parts]
-            if max(np.linalg.cond(each.triangle) for each in found) < USUAL.worst_condition:
-                return found
+            sets = [LensFunctions.polynomials(u, v, highest, 1.0) for u, v in parts]
+            if max(np.linalg.cond(functions.triangle) for functions in sets) < USUAL.worst_condition:
+                return sets
     return [LensFunctions.polynomials(u, v, 0, 1.0) for u, v in parts]
 
 

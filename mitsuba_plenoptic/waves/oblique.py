@@ -98,14 +98,14 @@ class Oblique:
         odd_terms = [(i % 2 == 1, j % 2 == 1) for i, j in exponents(degree, lowest=1)]
         both = np.einsum("nm,kl->nkml", light, moments[1:, 1:])
         whole = float(np.einsum("nm,nx,mx->", light, images[0], images[0]))
-        shape, found = change.shape[:2], []
+        shape, candidates = change.shape[:2], []
         for parity in itertools.product((False, True), repeat=2):
-            own = [
+            pairs = [
                 (n, k)
                 for (n, first), (k, second) in itertools.product(enumerate(odd), enumerate(odd_terms))
                 if tuple(a != b for a, b in zip(first, second, strict=True)) == parity
             ]
-            rows, columns = (np.array(part, int) for part in zip(*own, strict=True))
+            rows, columns = (np.array(indices, int) for indices in zip(*pairs, strict=True))
             matrix = both[rows[:, None], columns[:, None], rows, columns]
             added = USUAL.added_variance * np.trace(matrix) / len(matrix)
             root = np.linalg.cholesky(matrix + added * np.eye(len(matrix)))
@@ -114,11 +114,11 @@ class Oblique:
             for number, value in enumerate(values):
                 pair = np.zeros((2, *shape))
                 pair[:, rows, columns] = factors[:, number], kernels[:, number]
-                found.append((float(value) ** 2, pair))
-        found.sort(key=lambda each: -each[0])
-        rest = np.cumsum([value for value, _ in found][::-1])[::-1]
+                candidates.append((float(value) ** 2, pair))
+        candidates.sort(key=lambda candidate: -candidate[0])
+        rest = np.cumsum([value for value, _ in candidates][::-1])[::-1]
         count = min(int(np.count_nonzero(rest > tolerance**2 * whole)), most)
-        used = np.array([pair for _, pair in found[:count]]).reshape(count, 2, *shape)
+        used = np.array([pair for _, pair in candidates[:count]]).reshape(count, 2, *shape)
         basis = np.asarray(np.linalg.cholesky(moments + USUAL.added_variance * np.diag(moments.diagonal())))
         return cls(largest, used[:, 0], used[:, 1], basis)
 

@@ -103,7 +103,7 @@ class PhaseSpace(ArrayKernels):
             longest=longest,
             beside_far=beside_far,
         )
-        is_far = plan.defocus > USUAL.high_defocus and not plan.by_points
+        is_far = plan.defocus > USUAL.high_defocus and not plan.lands_by_point
         return replace(plan, degree=plan.degree + 2) if is_far else plan
 
     def __post_init__(self) -> None:
@@ -116,7 +116,7 @@ class PhaseSpace(ArrayKernels):
                 'use method="points"',
             ),
             ("mla_shape", self.aberration > USUAL.most_phase, _SMOOTH),
-            ("mla_shape", not camera.microlens.is_parabolic and self.by_points, "near the microlenses' focus"),
+            ("mla_shape", not camera.microlens.is_parabolic and self.lands_by_point, "near the microlenses' focus"),
             ("detector_distance", self._shift > USUAL.most_shift, f"closer to the microlenses' focus, {self._limits}"),
         ):
             if refused:
@@ -132,7 +132,7 @@ class PhaseSpace(ArrayKernels):
     @property
     def _shift(self) -> float:
         """Displacement of light, in pixels, by the pupil's diffraction, where landing points vary over a lens."""
-        if not self.by_points:
+        if not self.lands_by_point:
             return 0.0
         camera = self.camera
         most = max(abs(self.convergence(kind)) * kind.distance for kind in self.kinds)
@@ -144,8 +144,8 @@ class PhaseSpace(ArrayKernels):
         """Allowed range of the detector's distance in mm, as text."""
         camera = self.camera
         aside = USUAL.most_phase * in_millimetres(self.wavelength) / math.pi / float(self.lattice.aperture_reach) ** 2
-        own = camera.lens_data.converges / camera.pupil_distance
-        powers = [1 / f2 - own for f2 in camera.reduced_focal_lengths]
+        vergence = camera.lens_data.converges / camera.pupil_distance
+        powers = [1 / f2 - vergence for f2 in camera.reduced_focal_lengths]
         near, far = (camera.mla_medium / max(power, 1e-9) for power in (min(powers) + aside, max(powers) - aside))
         return f"from {near:.4g} to {far:.4g} mm" if near <= far else "which several focal lengths do not allow"
 
@@ -165,7 +165,7 @@ class PhaseSpace(ArrayKernels):
         )
         unit = max(pitch, USUAL.airy_unit * reach / radius)
         oversampling = USUAL.oversampling * (1 + (unit > USUAL.wide_unit * pitch))
-        made = []
+        nodes = []
         for index in range(self.radial + 1):
             distance, inner = (radius * (1 - (1 - max(r, 0) / self.radial) ** 2) for r in (index, index - 1))
             spread = USUAL.window_spreads * reach / max(radius - distance, 1e-9 * radius)
@@ -177,8 +177,8 @@ class PhaseSpace(ArrayKernels):
             step = max(step, pitch / USUAL.most_samples)
             # Between adjacent nodes the farthest points move by half a unit.
             angular = math.ceil(math.pi / 2 * max(sides) / unit)
-            made.append(TableNode(sides, tuple(math.ceil(side / step) for side in sides), angular))
-        return made
+            nodes.append(TableNode(sides, tuple(math.ceil(side / step) for side in sides), angular))
+        return nodes
 
     @property
     def table(self) -> Table:
@@ -227,7 +227,7 @@ class PhaseSpace(ArrayKernels):
         values = np.where(inside[..., None], functions.values(u, v) @ functions.functions, 0) * (u[0, 1] - u[0, 0]) ** 2
 
         def fill(radial: int) -> None:
-            node, part = self.nodes[radial], arrays[radial]
+            node, coefficients = self.nodes[radial], arrays[radial]
             # Fourier coefficients over the window, for the frequencies that pass the pupil.
             gains, orders, lags = [], [], []
             for side, count, along, halved in zip(node.sides, node.counts, (u[0], v[:, 0]), (0, 1), strict=True):
@@ -244,11 +244,13 @@ class PhaseSpace(ArrayKernels):
             size, below = node.counts, len(gains[0]) // 2
             whole = np.zeros((functions.count, size[0], size[1] // 2 + 1), np.complex64)
             for angle in range(node.angular + 1):
-                turn = math.pi / 2 / node.angular
-                passed = spectra * self._overlap(radial, angle * turn, turn, lags[0][:, None], lags[1], radius)
+                angle_step = math.pi / 2 / node.angular
+                passed = spectra * self._overlap(
+                    radial, angle * angle_step, angle_step, lags[0][:, None], lags[1], radius
+                )
                 whole[:, : below + 1, : passed.shape[2]] = passed[:, below:]
                 whole[:, size[0] - below :, : passed.shape[2]] = passed[:, :below]
-                part[angle] = scipy.fft.irfft2(whole, size, workers=1).T
+                coefficients[angle] = scipy.fft.irfft2(whole, size, workers=1).T
 
         on_all_cores(fill, range(len(self.nodes)))
         return arrays
@@ -257,7 +259,7 @@ class PhaseSpace(ArrayKernels):
         self,
         radial: int,
         angle: float,
-        turn: float,
+        angle_step: float,
         lag_u: NDArray[np.float32],
         lag_v: NDArray[np.float32],
         radius: float,
@@ -277,8 +279,8 @@ class PhaseSpace(ArrayKernels):
             distance = radius * (1 - t * t)
             # The area element of a step of t; on the axis any value gives the same result.
             area = weight * t * distance
-            for part, share in zip(steps, weights, strict=True):
-                Pu, Pv = (np.float32(distance * f(angle + part * turn)) for f in (math.cos, math.sin))
+            for angle_part, share in zip(steps, weights, strict=True):
+                Pu, Pv = (np.float32(distance * f(angle + angle_part * angle_step)) for f in (math.cos, math.sin))
                 # Both points P + lag / 2 and P - lag / 2 are within the pupil.
                 both: Any = np.abs(Pu * lag_u + Pv * lag_v) <= rest - np.float32(distance**2)
                 power = 1.0
@@ -302,7 +304,7 @@ class PhaseSpace(ArrayKernels):
 
     def parts(self, fine: bool) -> int:
         """Return the number of cells of the grid across a pixel, for usual or finer plans."""
-        if self.by_points:
+        if self.lands_by_point:
             return 1  # kernels are integrated over pixels
         highest = self.camera.pixel_size / self.widths[0]
         most = FINER if fine or highest > USUAL.coarse_pixel else USUAL
@@ -310,7 +312,7 @@ class PhaseSpace(ArrayKernels):
 
     def arguments(self, point: tuple[Any, Any], pupil: tuple[Any, Any]) -> list[Any]:
         """Return the numbers of which a ray's coefficients are polynomials: its point on a lens over the reach."""
-        return [place / self.functions.scale for place in self.lattice.to_frame(*point)]
+        return [coordinate / self.functions.scale for coordinate in self.lattice.to_frame(*point)]
 
     def moved(self, camera: PlenopticCamera) -> PhaseSpace:
         """Return the plan of a slightly different camera, with the same functions and nodes of the table."""
@@ -320,7 +322,7 @@ class PhaseSpace(ArrayKernels):
 
     def take_basis(self, other: PhaseSpace) -> None:
         """Use the functions of another plan and its nodes of the table, which grow with the lattice."""
-        scales = [own / before for own, before in zip(self.lattice.period(), other.lattice.period(), strict=True)]
+        scales = [after / before for after, before in zip(self.lattice.period(), other.lattice.period(), strict=True)]
         vars(self)["functions"] = replace(other.functions, scale=other.functions.scale * scales[0])
         vars(self)["oblique"] = other.oblique
         vars(self)["nodes"] = [
@@ -330,8 +332,8 @@ class PhaseSpace(ArrayKernels):
 
 def coefficients_of(plans: Sequence[PhaseSpace]) -> list[RayCoefficients | Polynomials]:
     """Return the objects that compute the coefficients of rays for plans."""
-    tabulate([plan for plan in plans if not plan.by_points])
-    return [Polynomials(plan) if plan.by_points else RayCoefficients(plan, plan.table) for plan in plans]
+    tabulate([plan for plan in plans if not plan.lands_by_point])
+    return [Polynomials(plan) if plan.lands_by_point else RayCoefficients(plan, plan.table) for plan in plans]
 
 
 def tabulate(plans: Sequence[PhaseSpace]) -> None:
@@ -364,13 +366,13 @@ class TableNodes:
     def along(self, Pu: Any, Pv: Any, chance: Any) -> tuple[Any, Any]:
         """Return distances from the pupil's centre over its radius, and a random neighbouring node of the radius."""
         distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
-        place = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * self._radial
-        return distance, mi.UInt(dr.minimum(dr.floor(place + chance), self._radial))
+        position = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * self._radial
+        return distance, mi.UInt(dr.minimum(dr.floor(position + chance), self._radial))
 
     def around(self, Pu: Any, Pv: Any, radial: Any, chance: Any) -> Any:
         """Return a random neighbouring node of the angle, at a node of the radius."""
-        turn = dr.atan2(dr.abs(Pv), dr.abs(Pu)) * (2 / math.pi) * dr.gather(mi.Float, self._angular, radial)
-        return mi.UInt(dr.floor(turn + chance))
+        position = dr.atan2(dr.abs(Pv), dr.abs(Pu)) * (2 / math.pi) * dr.gather(mi.Float, self._angular, radial)
+        return mi.UInt(dr.floor(position + chance))
 
 
 class Table(list[NDArray[Any]]):
@@ -391,8 +393,8 @@ class Table(list[NDArray[Any]]):
         if memory is None:
             memory = empty_packets((int(ends[-1]) + 1, self.packets * _PACKET), np.float16)
         self.memory, whole = memory, memory[:, first * _PACKET : (first + self.packets) * _PACKET]
-        own, whole[:, shapes[0][-1] :], whole[-1] = whole[:, : shapes[0][-1]], 0, 0
-        super().__init__(part.reshape(shape) for part, shape in zip(np.split(own, ends)[:-1], shapes, strict=True))
+        columns, whole[:, shapes[0][-1] :], whole[-1] = whole[:, : shapes[0][-1]], 0, 0
+        super().__init__(rows.reshape(shape) for rows, shape in zip(np.split(columns, ends)[:-1], shapes, strict=True))
 
     @classmethod
     def side_by_side(cls, every: Sequence[Sequence[tuple[int, ...]]]) -> list[Table]:
@@ -407,17 +409,17 @@ class Table(list[NDArray[Any]]):
     @property
     def size(self) -> int:
         """Bytes of the arrays."""
-        return sum(part.nbytes for part in self)
+        return sum(array.nbytes for array in self)
 
     @classmethod
     def of(cls, arrays: Sequence[NDArray[Any]]) -> Table:
         """Return arrays as a table; a table is returned without a copy, as it fills much memory."""
         if isinstance(arrays, cls):
             return arrays
-        made = cls([array.shape for array in arrays])
-        for part, array in zip(made, arrays, strict=True):
-            part[...] = array
-        return made
+        table = cls([array.shape for array in arrays])
+        for rows, array in zip(table, arrays, strict=True):
+            rows[...] = array
+        return table
 
 
 class RayCoefficients:
@@ -429,7 +431,7 @@ class RayCoefficients:
         self._table = drjit_array(mi.Float16, whole.memory)
         self._packets = range(whole.first, whole.first + whole.packets)
         self._wide = whole.memory.shape[1] // _PACKET
-        *first, self._nowhere = np.cumsum([0] + [math.prod(part.shape[:3]) for part in table]).tolist()
+        *first, self._nowhere = np.cumsum([0] + [math.prod(array.shape[:3]) for array in table]).tolist()
         self._first = drjit_array(mi.Int, np.array(first))
         sides, counts = np.array([n.sides for n in plan.nodes]), np.array([n.counts for n in plan.nodes])
         self._sides = [drjit_array(mi.Float, column) for column in sides.T]
@@ -457,29 +459,29 @@ class RayCoefficients:
         active = active & (distance <= 1)
         # The table covers a quarter of the pupil; the symmetry of the lenses gives the others.
         mirrored = Pu < 0, Pv < 0
-        u, v = (dr.select(turned, -place, place) for turned, place in zip(mirrored, (u, v), strict=True))
+        u, v = (dr.select(turned, -coordinate, coordinate) for turned, coordinate in zip(mirrored, (u, v), strict=True))
         index = dr.gather(mi.Int, self._first, radial)
-        sizes = [dr.gather(mi.Int, each, radial) for each in self._counts]
+        sizes = [dr.gather(mi.Int, counts, radial) for counts in self._counts]
         index += mi.Int(self._nodes.around(Pu, Pv, radial, jitter[1])) * (sizes[0] * sizes[1])
-        for axis, place, chance, row in ((1, v, jitter[2], sizes[0]), (0, u, jitter[3], 1)):
+        for axis, coordinate, chance, row in ((1, v, jitter[2], sizes[0]), (0, u, jitter[3], 1)):
             side, size = dr.gather(mi.Float, self._sides[axis], radial), sizes[axis]
-            active &= dr.abs(place) <= side / 2
+            active &= dr.abs(coordinate) <= side / 2
             count = mi.Float(size)
-            node = mi.Int(dr.floor(place * (count / side) + (count / 2 - 0.5) + chance))
+            node = mi.Int(dr.floor(coordinate * (count / side) + (count / 2 - 0.5) + chance))
             # The window is periodic.
             index += dr.select(node < 0, node + size, dr.select(node >= size, node - size, node)) * row
         # The two lowest bits tell in which quarter of the pupil the ray is.
         quarter = dr.select(mirrored[0], mi.UInt32(1), 0) | dr.select(mirrored[1], mi.UInt32(2), 0)
         return [dr.select(active, mi.UInt32(index) << 2 | quarter, dr.opaque(mi.UInt32, self._nowhere << 2))]
 
-    def read(self, place: Any) -> list[Any]:
+    def read(self, index: Any) -> list[Any]:
         """Return the coefficients at `places`."""
         values = [
             mi.Float(value)
             for packet in self._packets
-            for value in dr.gather(mi.Array4f16, self._table, (place >> 2) * self._wide + packet)
+            for value in dr.gather(mi.Array4f16, self._table, (index >> 2) * self._wide + packet)
         ]
-        return self.plan.mirrored(values, (place & 1) != 0, (place & 2) != 0)
+        return self.plan.mirrored(values, (index & 1) != 0, (index & 2) != 0)
 
     def slopes(
         self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any

@@ -48,18 +48,18 @@ class PixelKernels:
         # Whether light that patterns lack is added to the first. Derivatives of kernels have hardly any light in sum.
         keeps_light: bool,
     ) -> None:
-        own = _by_places(_sharpened(kernels, order), parts)
-        responses = own.reshape(-1, own.shape[2] * own.shape[3])
+        by_place = _by_places(_sharpened(kernels, order), parts)
+        responses = by_place.reshape(-1, by_place.shape[2] * by_place.shape[3])
         if parts == 1:
             patterns, factors = responses, np.eye(len(responses))
         else:
-            patterns = _patterns(own, covariance, tolerance)
+            patterns = _patterns(by_place, covariance, tolerance)
             factors = responses @ patterns.T
             if keeps_light:
                 factors[:, 0] += (responses - factors @ patterns).sum(1) / patterns[0].sum()
-        self.kernels = patterns.reshape(-1, *own.shape[2:]).astype(np.float32)
+        self.kernels = patterns.reshape(-1, *by_place.shape[2:]).astype(np.float32)
         functions = len(kernels) - oblique.count
-        factors = factors.reshape(*own.shape[:2], -1)
+        factors = factors.reshape(*by_place.shape[:2], -1)
         # Oblique kernels are for sums of products of the functions' coefficients and terms.
         at_places = np.array([moved(step, oblique.degree)[1:] for step in steps])
         products = np.einsum(
@@ -68,20 +68,20 @@ class PixelKernels:
         products = products.reshape(*products.shape[:2], -1)
         direct = np.moveaxis(factors[:functions], 2, 0).reshape(len(self.kernels), -1) + products[0]
         # Sums of coefficients whose products with a term matter: the principal components of their part of images.
-        alike = USUAL.alike_cells + (1 - USUAL.alike_cells) * np.eye(own.shape[1])
+        alike = USUAL.alike_cells + (1 - USUAL.alike_cells) * np.eye(by_place.shape[1])
         root = np.kron(_root(covariance[:functions, :functions]), _root(alike))
-        found = [np.linalg.svd(factor @ root, full_matrices=False)[:2] for factor in products[1:]]
-        square = np.square([each for _, each in found])
+        decompositions = [np.linalg.svd(factor @ root, full_matrices=False)[:2] for factor in products[1:]]
+        square = np.square([values for _, values in decompositions])
         least = np.argsort(square, axis=None)
         whole = np.square(root.T @ factors[:functions].reshape(len(root), -1)).sum()
         missing = np.cumsum(square.flat[least]) <= (USUAL.missing_products * tolerance) ** 2 * whole
         self._term, component = np.divmod(np.sort(least[~missing]), square.shape[1])
-        of_sums = np.array([found[k][0][:, each] for k, each in zip(self._term, component, strict=True)])
+        of_sums = np.array([decompositions[k][0][:, number] for k, number in zip(self._term, component, strict=True)])
         of_sums = of_sums.reshape(-1, len(self.kernels))
         sums = np.einsum("rk,rkx->rx", of_sums, products[1 + self._term])
         # Factors (images and sums, places * functions), and factors (images, sums) of the products.
-        both = np.concatenate([direct, sums]).reshape(-1, functions, own.shape[1])
-        self._shape = own.shape[1], functions
+        both = np.concatenate([direct, sums]).reshape(-1, functions, by_place.shape[1])
+        self._shape = by_place.shape[1], functions
         self._factors = np.moveaxis(both, 1, 2).reshape(len(both), -1).astype(np.float32)
         self._of_sums = of_sums.T.astype(np.float32)
 
@@ -106,15 +106,15 @@ class PixelKernels:
 
     @single_threaded_blas()
     def adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the adjoint of `combined`, applied to images: coefficients (functions, places, pixels)."""
+        """Return the adjoint of `combined`, applied to images: coefficients (pixels, places, functions)."""
         both = np.concatenate([images, terms[self._term] * (self._of_sums.T @ images)])
-        return np.moveaxis((self._factors.T @ both).reshape(*self._shape, -1), 1, 0)
+        return (both.T @ self._factors).reshape(-1, *self._shape)
 
     @single_threaded_blas()
     def turned_adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the adjoint of `turned`, applied to images: coefficients (functions, places, pixels)."""
+        """Return the adjoint of `turned`, applied to images: coefficients (pixels, places, functions)."""
         sums = terms[self._term] * (self._of_sums.T @ images)
-        return np.moveaxis((self._factors[len(self.kernels) :].T @ sums).reshape(*self._shape, -1), 1, 0)
+        return (sums.T @ self._factors[len(self.kernels) :]).reshape(-1, *self._shape)
 
     def portions(self, ends: Sequence[int]) -> list[slice]:
         """Return slices of pixels, from one of the ends to the next, whose coefficients fit into caches or memory."""
@@ -171,11 +171,11 @@ def _by_places(kernels: NDArray[np.float64], parts: int) -> NDArray[np.float64]:
     """Return cells' kernels summed over pixels, (values, places, k, k), for each place of a cell in its pixel."""
     count = kernels.shape[1] // 2
     reach = -(-count // parts)
-    own = np.zeros((len(kernels), parts, parts, 2 * reach + 1, 2 * reach + 1))
+    sums = np.zeros((len(kernels), parts, parts, 2 * reach + 1, 2 * reach + 1))
     wide = np.pad(kernels, [(0, 0), *[(reach * parts + parts - 1 - count,) * 2] * 2])
     extent = (2 * reach + 1) * parts
     for row, column in np.ndindex(parts, parts):
         top, left = parts - 1 - row, parts - 1 - column
-        part = wide[:, top : top + extent, left : left + extent]
-        own[:, row, column] = part.reshape(len(kernels), 2 * reach + 1, parts, 2 * reach + 1, parts).sum((2, 4))
-    return own.reshape(len(kernels), parts**2, 2 * reach + 1, 2 * reach + 1)
+        shifted = wide[:, top : top + extent, left : left + extent]
+        sums[:, row, column] = shifted.reshape(len(kernels), 2 * reach + 1, parts, 2 * reach + 1, parts).sum((2, 4))
+    return sums.reshape(len(kernels), parts**2, 2 * reach + 1, 2 * reach + 1)

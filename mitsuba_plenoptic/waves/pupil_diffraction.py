@@ -62,7 +62,7 @@ class PupilDiffraction:
     # Shortest wavelength of the plans with which it is used, whose rays start alike. Default: its own wavelength.
     shortest: float | None = None
 
-    by_points = True
+    lands_by_point = True
     """Every ray lands by its own point, and its coefficients are polynomials."""
 
     tolerance = 0.001
@@ -178,14 +178,16 @@ class PupilDiffraction:
         """Covariance of the values of an image's rays, for light with random edges over the pupil."""
         if self.fitted:
             return self.fitted.covariance
-        return self._polynomials.light(*(each[:: USUAL.pupil_every] for each in spread_points(self._pupil.power)))
+        return self._polynomials.light(
+            *(coordinate[:: USUAL.pupil_every] for coordinate in spread_points(self._pupil.power))
+        )
 
     def arguments(self, point: Pair, pupil: Pair) -> list[Any]:
         """Return the numbers of which a ray's coefficients are polynomials: its pupil point over the radius.
 
         Behind coded apertures the shares of the pupil's parts follow, by which polynomials are multiplied.
         """
-        x, y = (place / self.camera.pupil_radius for place in pupil)
+        x, y = (coordinate / self.camera.pupil_radius for coordinate in pupil)
         return [x, y] if self.fitted is None else self.fitted.arguments(x, y)
 
     def spots(self, places: NDArray[np.float64]) -> NDArray[np.float64]:

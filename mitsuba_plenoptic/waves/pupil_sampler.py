@@ -29,8 +29,10 @@ from .ray_sampler import ORDER, CellLenses, DetectorGrid, Pixels, RaySamples, te
 class PupilSampler(DetectorGrid):
     """Sampler of the rays of the pixels of a camera without a microlens array, whose one lens is the main lens."""
 
-    by_points, choice, lit_lenses = False, CHIEF, 1.0
-    enlargements = (1.0,)
+    choice, lit_lenses, enlargements = CHIEF, 1.0, (1.0,)
+
+    control_factor = 1.0
+    """Part of the control variate that rays subtract."""
 
     def __init__(self, camera: PlenopticCamera, plans: Sequence[PupilDiffraction], parts: int = 1) -> None:
         super().__init__(camera, parts)

@@ -65,6 +65,6 @@ def spread_points(density: NDArray[np.float64]) -> tuple[NDArray[np.float64], ND
     """Return coordinates over the pupil's radius of points that have a density, given on samples of the square."""
     # As many as there are samples of the largest density, some of them several times.
     upto = np.cumsum(density) / density.max()
-    place = np.searchsorted(upto, np.arange(math.floor(upto[-1])) + 0.5)
-    row, column = np.divmod(place, len(density))
+    index = np.searchsorted(upto, np.arange(math.floor(upto[-1])) + 0.5)
+    row, column = np.divmod(index, len(density))
     return along(len(density))[column], along(len(density))[row]

@@ -65,7 +65,7 @@ class Pixels:
 
     def take(self, which: Any) -> Pixels:
         """Return a selection of the pairs of a pixel and a lens."""
-        index, lens = (dr.gather(mi.UInt32, each, which) for each in (self.index, self.lens))
+        index, lens = (dr.gather(mi.UInt32, numbers, which) for numbers in (self.index, self.lens))
         return replace(self, index=index, lens=lens)
 
 
@@ -167,14 +167,17 @@ class LensSampler(DetectorGrid):
         self.walk = replace(walk, lens=self._lens.opaque(number), detector_distance=number(walk.detector_distance))
         self.kinds = LensKinds(camera)
         # With these plans the pupil point of a ray follows from its own point of the lens, not from the lens's centre.
-        self.by_points = plans[0].by_points
+        self.lands_by_point = plans[0].lands_by_point
+        # Part of the control variate that rays subtract: the integral of coefficients is known where all rays of a cell
+        # and a lens pass one point of the pupil.
+        self.control_factor = 0.0 if self.lands_by_point else 1.0
         # Order of the B-splines by which rays are collected in addition to cells.
-        self.order = 0 if self.by_points else ORDER - 1
+        self.order = 0 if self.lands_by_point else ORDER - 1
         self._pupil_shifts = mi.Float([plans[0].convergence(kind) * camera.pupil_distance for kind in plans[0].kinds])
         # Factors by which micro-images are larger than those by rays through lens centres, for each kind of lenses.
         # Where rays land by their own points, the aberrations of a lens widen its spots, too.
         self.enlargements = [
-            1.0 if self.by_points else self.kinds.enlargement(kind.focal_length) for kind in plans[0].kinds
+            1.0 if self.lands_by_point else self.kinds.enlargement(kind.focal_length) for kind in plans[0].kinds
         ]
         self._longest = max(plans, key=lambda plan: plan.wavelength)
 
@@ -194,7 +197,7 @@ class LensSampler(DetectorGrid):
         corner = self._lens.pupil.slope(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
         half *= (1 + (1 - camera.mla_medium**-2) * corner**2) ** 1.5
         radius = self._lens.reach
-        if self.by_points:
+        if self.lands_by_point:
             radius += float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._pupil_shifts))[0])
         return radius, half
 
@@ -268,7 +271,7 @@ class LensSampler(DetectorGrid):
         """Return the changes (places, 2) of `cosines` from a pixel's centre to its cells, near the middle of a lens."""
         camera = self._camera
         along = (np.arange(self._parts) - (self._parts - 1) / 2) * self._step
-        y, x = (each.ravel() for each in np.meshgrid(along, along, indexing="ij"))
+        y, x = (coordinate.ravel() for coordinate in np.meshgrid(along, along, indexing="ij"))
         scale = camera.mla_medium / (camera.detector_distance * self.enlargements[kind])
         return np.column_stack(camera.lattice.to_frame(x, y)) * scale
 
@@ -282,10 +285,10 @@ class LensSampler(DetectorGrid):
         lane = dr.gather(mi.UInt32, pixels.number, pixel)
         random = low_discrepancy(lane, seed ^ ((number & 1) << 3), number >> 1, 4)
         chance = chances_of(lane, seed ^ (number << 4))
-        within = [r - 0.5 if self.by_points else tent(r) for r in random[2:]]
+        within = [r - 0.5 if self.lands_by_point else tent(r) for r in random[2:]]
         x, y = (p + r * self._step for p, r in zip(lenses.position, within, strict=True))
         pupil = self.seen((x, y), lenses)
-        if self.by_points:
+        if self.lands_by_point:
             # Diffraction at the whole pupil displaces light on the array by the Airy pattern.
             first, second = (mi.sample_tea_float32(lane, seed ^ (number << 4) ^ word) for word in (11, 12))
             energy = first * (_AIRY - 1)
@@ -328,7 +331,7 @@ def _lit_lenses(camera: PlenopticCamera, plan: PhaseSpace, parts: int) -> float:
     pixels = dr.arange(mi.UInt32, side * side)
     lenses = (dr.opaque(mi.UInt32, lens) for lens in range(len(sampler.choice.lenses)))
     lit = [sampler.lights(sampler.lenses(Pixels(box, pixels, lens))) for lens in lenses]
-    return float(dr.sum(sum((dr.select(each, mi.Float(1), 0) for each in lit), mi.Float(0)))[0]) / side**2
+    return float(dr.sum(sum((dr.select(mask, mi.Float(1), 0) for mask in lit), mi.Float(0)))[0]) / side**2
 
 
 def tent(value: Any) -> Any:
@@ -371,9 +374,9 @@ class LensPoints:
 def _edges(plan: PhaseSpace) -> list[NDArray[np.float32]]:
     """Return the two edges of each strip of all nodes, and of each cell, in widths of the windows, as flat arrays."""
     divisions = [divided(density_of(values)) for nodes in plan.table for values in nodes[..., 0]]
-    edges = (np.array(each, np.float32) - np.float32(0.5) for each in zip(*divisions, strict=True))
+    edges = (np.array(of_axis, np.float32) - np.float32(0.5) for of_axis in zip(*divisions, strict=True))
     # A ray reads both edges at once.
-    return [np.stack([each[..., :-1], each[..., 1:]], axis=-1).ravel() for each in edges]
+    return [np.stack([of_axis[..., :-1], of_axis[..., 1:]], axis=-1).ravel() for of_axis in edges]
 
 
 def density_of(values: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -33,16 +33,14 @@ from ..lenses.pupil import Pair
 from ..optics import rays
 from ..rays.tracer import Walk
 from ..runtime import drjit_array
-from ..scene.radiance import require_finite
 from .array_field import Array
 from .array_kernels import displaced
-from .control_variate import means_of_halves, of_other_half
 from .expansion import OF_KERNELS, kernel_slopes, width_slopes
 from .phase_space import PhaseSpace, RayCoefficients
 from .pixel_kernels import PixelKernels
 from .ray_sampler import RaySamples
 from .scheme import Plan
-from .signed_rays import RayBatch, SignedRaySum
+from .signed_rays import CellMeans, SignedRaySum
 from .spectral_nodes import mixed
 
 PARAMETERS = with_gradient(Captures.SCENES)
@@ -56,6 +54,7 @@ class FixedRays(NamedTuple):
     cell: Pair  # on the detector, in cells of the grid from the axis
     measure: Any  # logarithm of the weight of a ray
     density: Any  # logarithm of the density on the detector of rays whose directions fill the lens
+    width: Any  # logarithm of the ratio of the pupil's diffraction width to the pitch
     cosines: Pair  # of the light that passes the lens's centre, in the lattice's frame
 
 
@@ -64,7 +63,7 @@ def parameters_of(camera: PlenopticCamera) -> Values:
     return {name: shortest_parts(camera, name) for name in PARAMETERS}
 
 
-def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points: bool) -> None:
+def require_parameters(camera: PlenopticCamera, names: Iterable[str], lands_by_point: bool) -> None:
     """Refuse parameters with respect to which a signed-ray capture of this camera has no derivative."""
     for name in names:
         require_support(camera, Use.SCENE_DERIVATIVES)
@@ -75,24 +74,37 @@ def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points:
             "mla_pitch: captures by signed rays have no derivative by one of two pitches",
         )
         refuse_if(
-            by_points,
+            lands_by_point,
             f"{name}: captures by signed rays have derivatives by it near the microlenses' focus alone, and "
             f"detector_distance = {camera.detector_distance:g} is far from it",
         )
 
 
-class _CameraSum(SignedRaySum):
-    """The sum of signed rays, with tables and kernels for derivatives with respect to the camera's parameters."""
+class CameraSum(SignedRaySum):
+    """The change of a capture with the camera's `PARAMETERS`, as it follows from the changes of each ray.
+
+    Subclasses say what a change is: a number, along given changes of the parameters, or a zero with the gradient of a
+    parameter.
+    """
 
     def __init__(self, *arguments: Any, names: Iterable[str], **options: Any) -> None:
         self._names = tuple(names)
         super().__init__(*arguments, **options)
-        # Kernels themselves, displaced along x and along y, and each of their changes.
-        self._sets = 3 + len(self._of_kernels)
+        # Values for the kernels themselves, displaced along x and along y, and for all of their changes.
+        self._sets = 4
+        self._by_width = [RayCoefficients(node.plan, width_slopes(node.plan.start)) for node in self._nodes]
+        with dr.resume_grad():
+            self._varying = self._varied()
 
-    @cached_property
-    def _by_width(self) -> list[RayCoefficients]:
-        return [RayCoefficients(node.plan, width_slopes(node.plan)) for node in self._nodes]
+    def _varied(self) -> dict[str, list[Any]]:
+        """Return the camera's `PARAMETERS` with gradients enabled for those by which the capture is differentiated."""
+        varying = varying_parameters(self._camera)
+        dr.enable_grad([varying[name] for name in self._names])
+        return varying
+
+    def _change(self, value: Any) -> Any:
+        """Return the change of a value that depends on the varying parameters."""
+        raise NotImplementedError
 
     @cached_property
     def _of_kernels(self) -> list[tuple[str, int]]:
@@ -107,44 +119,25 @@ class _CameraSum(SignedRaySum):
         slopes = {name: kernel_slopes(plan, name, self._step, kind) for name, _ in self._of_kernels}
         return [*displaced(kernels), *(slopes[name][i] for name, i in self._of_kernels)]
 
-
-class CameraTangents(_CameraSum):
-    """Directional derivative of a capture along changes of the camera's `PARAMETERS`."""
-
-    def __init__(self, *arguments: Any, changes: Values, **options: Any) -> None:
-        self._changes = changes
-        super().__init__(*arguments, names=changes, **options)
-        # All changes of the kernels share one set of values.
-        self._sets = 4
-        self._wider = dr.opaque(mi.Float, width_change(self._camera, changes))
-
     def _arguments(self, samples: RaySamples, walk: Walk, number: int) -> list[Any]:
         """Return the arguments of the coefficients of rays, and the rays' changes."""
         _, slope, _ = walk.through_pupil(samples.ray.P, samples.ray.m, samples.lens.height)
         with dr.resume_grad():
-            varying = varying_parameters(self._camera)
-            for name, components in self._changes.items():
-                dr.enable_grad(varying[name])
-                for value, component in zip(varying[name], components, strict=True):
-                    dr.set_grad(value, component)
-            fixed = follow_fixed(self._camera, varying, samples, slope, self._step)
-            changes = [
-                dr.forward_to(value, flags=dr.ADFlag.ClearInterior) if dr.grad_enabled(value) else mi.Float(0)
-                for value in (*fixed.point, *fixed.cell, fixed.measure, fixed.density, *fixed.cosines)
-            ]
-        changes = [dr.detach(change) + dr.zeros(mi.Float, dr.width(samples.number)) for change in changes]
+            fixed = follow_fixed(self._camera, self._varying, samples, slope, self._step)
+            # Each of them for each ray, whose gradients are thus summed exactly.
+            quantities = *fixed.point, *fixed.cell, fixed.measure, fixed.density, fixed.width, *fixed.cosines
+            changes = [self._change(value) + dr.zeros(mi.Float, dr.width(samples.number)) for value in quantities]
         return [*samples.lens_point, *samples.round_pupil, *samples.chance, samples.ray.valid, *changes]
 
     def _values(self, number: int, arguments: list[Any]) -> list[tuple[list[Any], Any]]:
         """Return the changes of a ray's coefficients, these times its displacements on the detector, and themselves."""
         x, y, X, Y, *chance = arguments[:8]
-        valid, du, dv, dx, dy, measure, density = arguments[8:15]
+        valid, du, dv, dx, dy, measure, density, width = arguments[8:16]
         ray, table = ((x, y), (X, Y), tuple(chance), valid), self._coefficients[number]
         assert isinstance(table, RayCoefficients)  # others are refused
         values, (by_u, by_v), by_width = table(*ray), table.slopes(*ray), self._by_width[number](*ray)
         change = [
-            a * measure + u * du + v * dv + q * self._wider
-            for a, u, v, q in zip(values, by_u, by_v, by_width, strict=True)
+            a * measure + u * du + v * dv + q * width for a, u, v, q in zip(values, by_u, by_v, by_width, strict=True)
         ]
         return [(change, density), ([a * dx for a in values], dx), ([a * dy for a in values], dy), (values, None)]
 
@@ -155,6 +148,25 @@ class CameraTangents(_CameraSum):
         bent = [dr.gather(mi.Float, change, first) for change in of_rays[-2:]]
         images = super()._cell_means(pixels, of_rays, *light)
         return [[[*values, *bent] for values in of_node] for of_node in images]
+
+
+class CameraTangents(CameraSum):
+    """Directional derivative of a capture along changes of the camera's `PARAMETERS`."""
+
+    def __init__(self, *arguments: Any, changes: Values, **options: Any) -> None:
+        self._changes = changes
+        super().__init__(*arguments, names=changes, **options)
+
+    def _varied(self) -> dict[str, list[Any]]:
+        varying = super()._varied()
+        for name, components in self._changes.items():
+            for value, component in zip(varying[name], components, strict=True):
+                dr.set_grad(value, component)
+        return varying
+
+    def _change(self, value: Any) -> Any:
+        change = dr.forward_to(value, flags=dr.ADFlag.ClearInterior) if dr.grad_enabled(value) else mi.Float(0)
+        return dr.detach(change)
 
     def _combined(self, kernels: list[PixelKernels], values: Array, terms: Array, cosines: Array, number: int) -> Array:
         """Return the images made from all sets of values; see `_values`."""
@@ -168,96 +180,43 @@ class CameraTangents(_CameraSum):
         return images
 
 
-class CameraAdjoint(_CameraSum):
+class CameraAdjoint(CameraSum):
     """Gradient of a function of a capture with respect to its camera's `PARAMETERS`."""
 
     def backward(self, gradient: Sequence[Array]) -> Values:
         """Return the gradient with respect to each parameter component, from gradients by channel (rows, columns)."""
-        total = {name: np.zeros(len(value)) for name, value in parameters_of(self._camera).items()}
-        for batch, adjoint in self._adjoint_batches(gradient):
-            self._vjp(batch, adjoint, total)
-        return {name: total[name] for name in self._names}
-
-    def _by_direction(self, images: Array, number: int, batch: RayBatch, pixels: Any) -> list[list[Any]]:
-        """Return the derivatives of `_adjoint_values` with respect to the direction of light."""
-        kernels, rows = self._kernels[number][batch.kind][0], self._rows(number, batch.kind)[0]
-        of_pixels = images[rows, dr.gather(mi.UInt32, batch.index, pixels).numpy()]
-        slopes = self._nodes[number].plan.oblique.slopes(self._cosines(batch, pixels))
-        return [
-            [drjit_array(mi.Float, values.T) for values in kernels.turned_adjoint(of_pixels, along)] for along in slopes
-        ]
-
-    def _vjp(self, batch: RayBatch, adjoint: list[list[Array]], total: Values) -> None:
-        """Add the gradients from the rays of a batch to `total`; see `_adjoint_batches`."""
-        samples, ((walk, _),), (drawn,) = self.samples(batch.pixels, batch.key), self._groups, batch.wavelengths
-        power = self._sampler.power(samples)
-        radiance = [light * power for light in self._light(*self._scene_rays(walk, samples, drawn, batch.seed))]
-        seen = dr.select(samples.ray.valid, mi.Float(1), 0)
-        require_finite(radiance, seen)
-        halves, lit = means_of_halves(radiance, seen, dr.width(batch.index), self._together)
-        pixels = dr.compress(lit)
-        if not dr.width(pixels):
-            return
-        samples = self.samples(batch.pixels.take(pixels), batch.key)
-        ray, even = samples.ray, (samples.number & 1) == 0
-        _, slope, _ = walk.through_pupil(ray.P, ray.m, samples.lens.height)
-        arguments = samples.lens_point, samples.round_pupil, samples.chance, ray.valid
-        pixel = dr.gather(mi.UInt32, pixels, samples.pixel)
-        together = dr.opaque(mi.UInt32, self._together)
-        lights = [dr.gather(mi.Float, light, pixel * together + samples.number, ray.valid) for light in radiance]
-        controls = [
-            dr.select(ray.valid, of_other_half(even, [dr.gather(mi.Float, half, pixel) for half in pair]), 0)
-            for pair in halves
-        ]
-        residuals = [light - control for light, control in zip(lights, controls, strict=True)]
-        by_fixed, by_width, by_kernels = [mi.Float(0)] * 8, mi.Float(0), [mi.Float(0)] * len(self._of_kernels)
-
-        def at_rays(values: list[Any]) -> list[Any]:
-            return [dr.gather(mi.Float, value, samples.cell, ray.valid) for value in values]
-
-        for number, (node, table, width, images) in enumerate(
-            zip(self._nodes, self._coefficients, self._by_width, adjoint, strict=True)
-        ):
-            assert isinstance(table, RayCoefficients)  # others are refused
-            values, (by_u, by_v), wider = table(*arguments), table.slopes(*arguments), width(*arguments)
-            used, weights = node.mixture(drawn)
-            if drawn is not None:
-                weights = [[dr.gather(mi.Float, weight, pixel) for weight in row] for row in weights]
-            for row, image in zip(weights, images, strict=True):
-                control = mixed(row, [controls[i] for i in used])
-                residual = dr.select(ray.valid, ray.weight * mixed(row, [residuals[i] for i in used]), 0)
-                weighted = [residual * value for value in values]
-                weighted[0] += control
-                sets = [at_rays(each) for each in self._adjoint_values(image, number, batch, pixels)]
-                by_quantities = [
-                    *(residual * mixed(slopes, sets[0]) for slopes in (by_u, by_v)),
-                    *(mixed(weighted, sets[each]) for each in (1, 2)),
-                    residual * mixed(values, sets[0]),
-                    control * sets[0][0],
-                    *(mixed(weighted, at_rays(each)) for each in self._by_direction(image, number, batch, pixels)),
-                ]
-                by_fixed = [before + change for before, change in zip(by_fixed, by_quantities, strict=True)]
-                by_width += residual * mixed(wider, sets[0])
-                by_kernels = [before + mixed(weighted, each) for before, each in zip(by_kernels, sets[3:], strict=True)]
-        sums = [dr.sum(figure) for figure in (by_width, *by_kernels)]
-        dr.eval(by_fixed, sums)
-        rays = self._spp * self._passes
-        of_width, *of_kernels = (float(figure[0]) / rays for figure in sums)
-        for (name, component), figure in zip(self._of_kernels, of_kernels, strict=True):
-            total[name][component] += figure
-        total["mla_distance"] += of_width / self._camera.mla_distance
-        total["mla_pitch"][0] -= of_width / self._camera.mla_pitch
+        for _ in self._propagate(gradient):
+            pass
         with dr.resume_grad():
-            varying = varying_parameters(self._camera)
-            dr.enable_grad([varying[name] for name in self._names])
-            fixed = follow_fixed(self._camera, varying, samples, slope, self._step)
-            quantities = *fixed.point, *fixed.cell, fixed.measure, fixed.density, *fixed.cosines
-            dr.backward(dr.sum(mixed(by_fixed, quantities)) / rays)
-            of_names = {name: [dr.grad(value) for value in varying[name]] for name in self._names}
-            # All in one kernel.
-            dr.eval(of_names)
-            for name, values in of_names.items():
-                total[name] += [float(value[0]) for value in values]
+            gradients = {name: [dr.grad(value) for value in self._varying[name]] for name in self._names}
+        return {name: np.array([float(value[0]) for value in values]) for name, values in gradients.items()}
+
+    def _change(self, value: Any) -> Any:
+        return value - dr.detach(value)
+
+    def _product(self, images: Array, values: list[Any], number: int, kind: int, node: CellMeans) -> Any:
+        """Return the product of adjoint images with those of `CameraTangents._combined`, with gradients."""
+        oblique, cosines = self._nodes[number].plan.oblique, np.array([cosine.numpy() for cosine in node.cosines])
+        terms, kernels, rows = oblique.terms(cosines), self._kernels[number][kind], self._rows(number, kind)
+        dr.eval(values)
+        count = (len(values) - 2) // self._sets
+        coefficients = np.stack([dr.detach(value).numpy() for value in values[-2 - count : -2]], axis=-1)
+        coefficients = coefficients.reshape(len(cosines.T), self._parts**2, count)
+        adjoint = [of_set.adjoint(images[of_rows], terms) for of_set, of_rows in zip(kernels, rows, strict=True)]
+        bent = [
+            np.einsum("xpn,xpn->x", coefficients, kernels[0].turned_adjoint(images[rows[0]], slopes))
+            for slopes in oblique.slopes(cosines)
+        ]
+        # The changes of direction are means over the cells of a pixel.
+        of_bent = np.repeat(np.stack(bent, axis=-1)[:, None] / self._parts**2, self._parts**2, axis=1)
+        of_values = np.concatenate([*adjoint[:3], 0 * coefficients, of_bent], axis=-1)
+        columns = of_values.reshape(-1, len(values)).T
+        total = dr.sum(mixed([drjit_array(mi.Float, column) for column in columns], values))
+        for (name, i), of_kernel in zip(self._of_kernels, adjoint[3:], strict=True):
+            # Opaque, so that other values do not compile the kernels again.
+            product = dr.opaque(mi.Float, float(np.vdot(coefficients, of_kernel)))
+            total += self._change(self._varying[name][i]) * product
+        return total
 
 
 def varying_parameters(camera: PlenopticCamera) -> dict[str, list[Any]]:
@@ -307,15 +266,6 @@ def follow_fixed(
         (landed[0], landed[1]),
         2 * dr.log(z) + 2 * dr.log(mi.Float(1) + square) - 2 * dr.log(pitch) - grid,
         2 * dr.log(z / b) - grid,
+        dr.log(b / pitch),
         cosines,
     )
-
-
-def width_change(camera: PlenopticCamera, changes: Values) -> float:
-    """Return the relative change of the ratio of the pupil's diffraction width to the pitch."""
-    parts = (
-        sign * float(changes[name][0]) / value
-        for name, sign, value in (("mla_distance", 1, camera.mla_distance), ("mla_pitch", -1, camera.mla_pitch))
-        if name in changes
-    )
-    return sum(parts)

@@ -1,14 +1,8 @@
 r"""Captures of scenes by signed rays: plan, noise, cost, and derivatives with respect to the scene's parameters.
 
-A capture is linear in the radiances of its rays, so its change is the same sum over their changes. In reverse, let
-:math:`J_n` be the correlations of the kernels with the gradient of a function of the capture. The derivative of this
-function with respect to the radiance of ray k of N through a cell and lens is
-
-.. math:: g_k = \frac{1}{N} \left[ w_k A_n(m_k, P_k)\, J_n + \frac{1}{N_h}
-          \sum_{j \notin h} \left( J_0 - w_j A_n(m_j, P_j)\, J_n \right) \right] ,
-
-where the second term is due to the mean c that the ray's half h, of :math:`N_h` rays, provides to the other half. The
-mixing of a ray's values into channels by the nodes is linear as well, and is transposed in reverse.
+A capture is linear in the radiances of its rays, so its change is the same sum over their changes. In reverse, the
+correlations of the kernels with the gradient of a function of the capture are gradients of the cells' mean values, and
+Dr.Jit differentiates `SignedRaySum.estimate`, which makes these of the radiances, batch by batch.
 """
 
 from __future__ import annotations
@@ -20,25 +14,23 @@ from functools import cached_property, partial
 from typing import Any, ClassVar, TypeVar
 
 import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Values
-from ..detector.noise import PARTS, Mended, keep_spread, variance_left, with_spread
+from ..detector.noise import PARTS, NonNegative, keep_spread, variance_left, with_spread
 from ..errors import warn
 from ..io import digest
 from ..optics.spectrum import Spectrum
 from ..runtime import Cost, Job, SumTask
 from ..scene.capture_cost import seconds_by_rays, seconds_by_waves
-from ..scene.radiance import LightDerivatives, SceneLight
-from .control_variate import adjoint_of_means
+from ..scene.radiance import LightDerivatives, ReplayedLight, SceneLight
 from .expansion import ExpandedPlan, nearby
 from .phase_space import FINE, PhaseSpace
 from .scheme import Plan, plan_of
 from .signed_camera import CameraAdjoint, CameraTangents
-from .signed_rays import RayBatch, SignedRaySum, memory_of, rays_of_a_cell
-from .spectral_nodes import Node, RayWavelengths, WavelengthSampler, mixed, node_spectra
+from .signed_rays import SignedRaySum, memory_of, rays_of_a_cell
+from .spectral_nodes import Node, WavelengthSampler, node_spectra
 
 Sum = TypeVar("Sum", bound=SignedRaySum)
 
@@ -84,12 +76,12 @@ class SignedCapture:
             ]
 
         # Dispersing microlenses may be in focus at some nodes alone.
-        made = plans(False)
-        if len({plan.by_points for plan in made}) > 1:
-            made = plans(True)
+        of_nodes = plans(False)
+        if len({plan.lands_by_point for plan in of_nodes}) > 1:
+            of_nodes = plans(True)
         nodes = []
-        for plan, (wavelength, channels, of_node) in zip(made, weights, strict=True):
-            if self.varying and isinstance(plan, PhaseSpace) and not plan.by_points:
+        for plan, (wavelength, channels, of_node) in zip(of_nodes, weights, strict=True):
+            if self.varying and isinstance(plan, PhaseSpace) and not plan.lands_by_point:
                 plan = ExpandedPlan.about(plan, self.camera.at_wavelength(wavelength))
             nodes.append(Node(plan, channels, of_node))
         return nodes
@@ -124,7 +116,7 @@ class SignedCapture:
         seed: int,
         runs: int,
         kind: Callable[..., Sum],
-        light: SceneLight | None = None,
+        light: Callable[..., list[Any]] | None = None,
         nodes: list[Node] | None = None,
     ) -> list[Callable[[], Sum]]:
         """Return functions that construct the sums of `runs` independent captures, which divide the rays equally.
@@ -140,7 +132,7 @@ class SignedCapture:
         ]
 
     def _sum(
-        self, kind: Callable[..., Sum], light: SceneLight, nodes: list[Node], *, spp: int, seed: int
+        self, kind: Callable[..., Sum], light: Callable[..., list[Any]], nodes: list[Node], *, spp: int, seed: int
     ) -> Callable[[], Sum]:
         """Return a function that constructs one sum."""
         wavelengths = self.conversion if isinstance(self.conversion, WavelengthSampler) else None
@@ -156,9 +148,9 @@ class SignedCapture:
             sums = [lambda: first]
 
         def planned(plan: Callable[[], SignedRaySum]) -> SignedRaySum:
-            made = plan()
-            made.traced = lambda more: report("traced", reached["traced"] + more)
-            return made
+            work = plan()
+            work.traced = lambda more: report("traced", reached["traced"] + more)
+            return work
 
         tasks = [SumTask(items, partial(planned, plan), lambda image: image * np.float32(1 / runs)) for plan in sums]
         if noise:
@@ -183,18 +175,18 @@ class SignedCapture:
             )
         if noise:
             image = with_spread(image, runs)
-        for channel, mended in self.mended(image).items():
-            image[..., channel] = mended.image
+        for channel, projection in self.projections(image).items():
+            image[..., channel] = projection.image
             if noise:
-                image[..., channels + channel] *= variance_left(mended, image[..., channels + channel], self.camera)
+                image[..., channels + channel] *= variance_left(projection, image[..., channels + channel], self.camera)
         np.maximum(image[..., channels:], 0, out=image[..., channels:])
         np.sqrt(image[..., channels:], out=image[..., channels:])
         return image
 
-    def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
+    def projections(self, image: NDArray[np.float32]) -> dict[int, NonNegative]:
         """Return the compensated images of channels that only noise can make negative, by channel."""
         channels = np.flatnonzero(self.spectrum.matrix().min(1) >= 0).tolist()
-        return {channel: Mended(image[..., channel]) for channel in channels}
+        return {channel: NonNegative(image[..., channel]) for channel in channels}
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
         """Return the estimated cost of `compute`, from some rays of a ray capture, without the nodes' tables."""
@@ -213,74 +205,12 @@ class SignedCapture:
 
 
 class SignedRayAdjoint(SignedRaySum):
-    """The reverse pass of a signed-ray capture; its light is a `LightDerivatives`."""
+    """The reverse pass of a signed-ray capture; its light is a `ReplayedLight`."""
 
     def backward(self, gradient: Sequence[NDArray[np.float32]]) -> None:
         """Propagate the gradient of the sum, by channel (rows, columns), to Dr.Jit's gradients of scene parameters."""
-        for batch, adjoint in self._adjoint_batches(gradient):
-            self._vjp(batch, adjoint)
-
-    def _vjp(self, batch: RayBatch, adjoint: list[list[NDArray[np.float32]]]) -> None:
-        """Propagate the adjoint images through the rays of a batch; see `_adjoint_batches`."""
-        samples = self.samples(batch.pixels, batch.key)
-        together, rays = dr.opaque(mi.UInt32, self._together), dr.width(samples.number)
-        for (walk, nodes), drawn in zip(self._groups, batch.wavelengths, strict=True):
-            replay = self._light.replay(*self._scene_rays(walk, samples, drawn, batch.seed))
-            # Pixels of which no ray hits a surface are left out.
-            meets = dr.select(replay.active, mi.UInt32(1), 0) + dr.zeros(mi.UInt32, rays)
-            pixels = dr.compress(dr.block_sum(meets, self._together) > 0)
-            if not dr.width(pixels):
-                continue
-            lane = dr.arange(mi.UInt32, dr.width(pixels) * self._together)
-            ray = dr.gather(mi.UInt32, pixels, lane // together) * together + lane % together
-            cotangent = dr.zeros(mi.Spectrum, rays)
-            for value, of_rays in self._cotangents(batch, pixels, adjoint, nodes, drawn).items():
-                every = dr.zeros(mi.Float, rays)
-                dr.scatter(every, of_rays, ray)
-                cotangent[value] = every
-            dr.eval(cotangent)
-            replay.differentiate(dr.ADMode.Backward, cotangent)
-
-    def _cotangents(
-        self,
-        batch: RayBatch,
-        pixels: Any,
-        adjoint: list[list[NDArray[np.float32]]],
-        nodes: Sequence[int],
-        drawn: RayWavelengths | None,
-    ) -> dict[int, Any]:
-        """Return the derivatives with respect to each ray's radiance values, for some pixels of a batch."""
-        samples = self.samples(batch.pixels.take(pixels), batch.key)
-        ray, coefficients = samples.ray, (samples.lens_point, samples.round_pupil, samples.chance, samples.ray.valid)
-        # For each value: the derivative through the ray itself, and through the mean that the other half subtracts.
-        totals: dict[int, tuple[Any, Any]] = {}
-        for number in nodes:
-            node = self._nodes[number]
-            values = self._coefficients[number](*coefficients)
-            direct, by_control = [], []
-            for image in adjoint[number]:
-                (of_cells,) = self._adjoint_values(image, number, batch, pixels)
-                of_rays = [dr.gather(mi.Float, value, samples.cell, ray.valid) for value in of_cells]
-                by_ray = ray.weight * mixed(values, of_rays)
-                direct.append(dr.select(ray.valid, by_ray, 0))
-                by_control.append(dr.select(ray.valid, (of_rays[0] - by_ray) * self._control_factor, 0))
-            used, weights = node.mixture(drawn)
-            if drawn is not None:
-                pixel = dr.gather(mi.UInt32, pixels, samples.pixel)
-                weights = [[dr.gather(mi.Float, weight, pixel) for weight in row] for row in weights]
-            for value, column in zip(used, zip(*weights, strict=True), strict=True):
-                before = totals.get(value, (0, 0))
-                totals[value] = before[0] + mixed(column, direct), before[1] + mixed(column, by_control)
-        seen = dr.select(ray.valid, mi.Float(1), 0)
-        dr.eval(seen, totals)
-        by_mean = adjoint_of_means([total[1] for total in totals.values()], seen, dr.width(pixels), self._together)
-        is_even = (samples.number & 1) == 0
-        scale = self._sampler.power(samples) / mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes))
-        return {
-            value: (by_ray + seen * dr.select(is_even, *(dr.gather(mi.Float, half, samples.pixel) for half in halves)))
-            * scale
-            for (value, (by_ray, _)), halves in zip(totals.items(), by_mean, strict=True)
-        }
+        for _ in self._propagate(gradient):
+            self._light.propagate()
 
 
 @dataclass(frozen=True)
@@ -301,8 +231,8 @@ class SignedGradients:
                 change += self._image(SignedRaySum, self.light)
             if changes:
                 change += self._image(partial(CameraTangents, changes=changes))
-            for channel, mended in self.capture.mended(self._image(SignedRaySum)).items():
-                change[..., channel] = mended.forward(change[..., channel])
+            for channel, projection in self.capture.projections(self._image(SignedRaySum)).items():
+                change[..., channel] = projection.forward(change[..., channel])
         return change
 
     def backward(self, gradient: NDArray[np.float32], names: Sequence[str]) -> Values:
@@ -312,13 +242,13 @@ class SignedGradients:
         """
         with dr.suspend_grad():
             linear = list(np.moveaxis(gradient, -1, 0))
-            for channel, mended in self.capture.mended(self._image(SignedRaySum)).items():
-                linear[channel] = mended.backward(linear[channel])
+            for channel, projection in self.capture.projections(self._image(SignedRaySum)).items():
+                linear[channel] = projection.backward(linear[channel])
             if self.light is not None:
-                self._sum(SignedRayAdjoint, self.light).backward(linear)
+                self._sum(SignedRayAdjoint, ReplayedLight(self.light)).backward(linear)
             return self._sum(partial(CameraAdjoint, names=names)).backward(linear) if names else {}
 
-    def _sum(self, kind: Callable[..., Sum], light: LightDerivatives | None = None) -> Sum:
+    def _sum(self, kind: Callable[..., Sum], light: Callable[..., list[Any]] | None = None) -> Sum:
         return self.capture.sums(self.spp, self.seed, 1, kind, light)[0]()
 
     def _image(self, kind: Callable[..., SignedRaySum], light: LightDerivatives | None = None) -> NDArray[np.float32]:

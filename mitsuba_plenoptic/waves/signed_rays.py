@@ -41,7 +41,7 @@ from ..runtime import (
 )
 from ..scene.radiance import require_finite
 from .array_field import Array
-from .control_variate import means_of_halves, of_other_half
+from .control_variate import at_rays, means_of_halves, of_other_half
 from .convolution import TILE, Block, Convolution, blocks_of, box_of, margin_of
 from .phase_space import coefficients_of
 from .pixel_kernels import PixelKernels
@@ -143,8 +143,6 @@ class SignedRaySum:
         plans = [node.plan for node in nodes]
         self._groups = walks_of(plan.system for plan in plans)
         self._sampler = (LensSampler if camera.has_array else PupilSampler)(camera, plans, parts)
-        # The coefficients' integral is known where all rays of a cell and lens pass one point of the pupil.
-        self._control_factor = 0.0 if self._sampler.by_points else 1.0
         rays, least = rays_of_a_cell(spp, parts, self._sampler.lit_lenses)
         # Rays of a cell. With drawn wavelengths, a pass has only the fewest that correct each other and share these.
         self._spp = rays if wavelengths is None else least
@@ -158,7 +156,7 @@ class SignedRaySum:
         # Tables and kernels are computed before the images, so that the peaks of their memory do not add up.
         self._coefficients = coefficients_of(plans)
         self._bins = box_of(camera, max(map(margin_of, self._flat_kernels)))
-        values = sum(len(each) * len(node.channels) for each, node in zip(self._flat_kernels, nodes, strict=True))
+        values = sum(len(flat) * len(node.channels) for flat, node in zip(self._flat_kernels, nodes, strict=True))
         self._blocks = blocks_of(self._bins, _BLOCK_BYTES // (4 * values))
         self.items = np.array([block.rows * block.columns for block in self._blocks])
 
@@ -196,7 +194,10 @@ class SignedRaySum:
             [
                 [
                     _kernels_of(plan, grid, kind),
-                    *(grid.for_pixels(plan, each, keeps_light=False) for each in self._further_kernels(plan, kind)),
+                    *(
+                        grid.for_pixels(plan, kernels, keeps_light=False)
+                        for kernels in self._further_kernels(plan, kind)
+                    ),
                 ]
                 for kind, grid in enumerate(grids)
             ]
@@ -210,11 +211,11 @@ class SignedRaySum:
     @cached_property
     def _flat_kernels(self) -> list[list[Array]]:
         """Flat list of the kernels of each node's images."""
-        return [[kernel for sets in kinds for each in sets for kernel in each.kernels] for kinds in self._kernels]
+        return [[kernel for sets in kinds for of_set in sets for kernel in of_set.kernels] for kinds in self._kernels]
 
     def _rows(self, number: int, kind: int) -> list[slice]:
         """Return, for each set of values of a kind of lenses, the slice of a node's images that it fills."""
-        counts = [[len(each.kernels) for each in sets] for sets in self._kernels[number]]
+        counts = [[len(of_set.kernels) for of_set in sets] for sets in self._kernels[number]]
         ends = sum(map(sum, counts[:kind])) + np.cumsum([0, *counts[kind]])
         return [slice(*pair) for pair in itertools.pairwise(ends.tolist())]
 
@@ -224,8 +225,8 @@ class SignedRaySum:
         size = self._blocks[0].rows, self._blocks[0].columns
         # Those of derivatives are used once.
         make = _convolution_of if self._sets == 1 else _convolution_of.__wrapped__
-        made = [make(self._camera, tuple(itertools.chain(*kinds)), size, on_cuda()) for kinds in self._kernels]
-        return [each for node, each in zip(self._nodes, made, strict=True) for _ in node.channels]
+        of_nodes = [make(self._camera, tuple(itertools.chain(*kinds)), size, on_cuda()) for kinds in self._kernels]
+        return [of_node for node, of_node in zip(self._nodes, of_nodes, strict=True) for _ in node.channels]
 
     def _trace(
         self,
@@ -259,7 +260,7 @@ class SignedRaySum:
 
     def _empty(self, pixels: int) -> list[Array]:
         """Return arrays for the images of each channel of each node, not yet written."""
-        counts = [len(each) for each, node in zip(self._flat_kernels, self._nodes, strict=True) for _ in node.channels]
+        counts = [len(flat) for flat, node in zip(self._flat_kernels, self._nodes, strict=True) for _ in node.channels]
         return [self.arrays.empty((count, pixels), np.float32) for count in counts]
 
     @single_threaded_blas()
@@ -349,11 +350,10 @@ class SignedRaySum:
         )
         return np.asarray(rows[:, None] | columns)
 
-    def _adjoint_batches(self, gradient: Sequence[Array]) -> Iterator[tuple[RayBatch, list[list[Array]]]]:
-        """Yield the batches of all blocks, and the adjoint images (kernels, pixels) of each image of each node.
+    def _propagate(self, gradient: Sequence[Array]) -> Iterator[None]:
+        """Propagate the gradient of the sum, by channel (rows, columns), to what `estimate` depends on.
 
-        `gradient` is the gradient with respect to the sum, by channel (rows, columns), and adjoint images are those
-        with respect to the images made from the batches.
+        None is yielded after each part of the rays.
         """
         for number, bins in enumerate(self._blocks):
             convolutions, every = iter(self._convolutions), bins.rows * bins.columns
@@ -374,24 +374,25 @@ class SignedRaySum:
                 images[:, far] *= _THINNED**2
             seeds = np.random.SeedSequence([self._seed, number])
             for batch in self._ray_batches(bins, dr.arange(mi.UInt32, every), seeds):
-                yield batch, adjoint
+                for group in range(len(self._groups)):
+                    with dr.resume_grad():
+                        means = self.estimate(batch, group)
+                        products = [
+                            self._product(image[:, node.index.numpy()], values, number, batch.kind, node)
+                            for number, node in enumerate(means)
+                            if node
+                            for image, values in zip(adjoint[number], node.values, strict=True)
+                        ]
+                        if products:
+                            dr.backward(sum(products))
+                    yield
 
-    def _adjoint_values(self, images: Array, number: int, batch: RayBatch, pixels: Any) -> list[list[Any]]:
-        """Return the adjoints of each set of the functions' values in the cells of some pixels of a batch.
-
-        They follow from the adjoint images of a node for one channel.
-        """
-        terms = self._nodes[number].plan.oblique.terms(self._cosines(batch, pixels))
-        of_pixels = images[:, dr.gather(mi.UInt32, batch.index, pixels).numpy()]
-        return [
-            # Pixel by pixel, as cells are.
-            [drjit_array(mi.Float, values.T) for values in kernels.adjoint(of_pixels[rows], terms)]
-            for kernels, rows in zip(self._kernels[number][batch.kind], self._rows(number, batch.kind), strict=True)
-        ]
-
-    def _cosines(self, batch: RayBatch, pixels: Any) -> Array:
-        """Return the direction cosines (2, pixels) of the light of some pixels of a batch."""
-        return np.array([value.numpy() for value in self._sampler.cosines(batch.pixels.take(pixels))])
+    def _product(self, images: Array, values: list[Any], number: int, kind: int, node: CellMeans) -> Any:
+        """Return the product of adjoint images (kernels, pixels) with the images of a node's values, with gradients."""
+        terms = self._nodes[number].plan.oblique.terms(np.array([cosine.numpy() for cosine in node.cosines]))
+        sets = zip(self._kernels[number][kind], self._rows(number, kind), strict=True)
+        adjoint = np.concatenate([kernels.adjoint(images[rows], terms) for kernels, rows in sets], axis=-1)
+        return dr.sum(mixed([drjit_array(mi.Float, column) for column in adjoint.reshape(-1, len(values)).T], values))
 
     def probe(self) -> Array:
         """Return the light of some pixels, a fingerprint of a scene and its camera."""
@@ -406,10 +407,10 @@ class SignedRaySum:
             return [None for _ in self._groups]
         chance = chances(dr.opaque(mi.UInt32, pixels.box.columns), pixels.index, number, seed)
         spans = [span([self._nodes[number] for number in group]) for _, group in self._groups]
-        drawn = [self._wavelengths.draw(chance, strata) for strata in spans]
+        groups = [self._wavelengths.draw(chance, strata) for strata in spans]
         # Dr.Jit does not look into named tuples.
-        dr.eval([tuple(of_group) for of_group in drawn])
-        return list(drawn)
+        dr.eval([tuple(of_group) for of_group in groups])
+        return list(groups)
 
     def samples(self, pixels: Pixels, key: Any) -> RaySamples:
         """Return all rays of pixels, one per lane."""
@@ -418,25 +419,32 @@ class SignedRaySum:
         number = lane - pixel * dr.opaque(mi.UInt32, self._together)
         return self._sampler.draw(pixels, pixel, number, quotient(number, self._spp), key)
 
-    def _scene_rays(self, walk: Walk, samples: RaySamples, drawn: RayWavelengths | None, seed: int) -> tuple[Any, ...]:
+    def _scene_rays(
+        self, walk: Walk, samples: RaySamples, colours: RayWavelengths | None, seed: int
+    ) -> tuple[Any, ...]:
         """Return the rays in the scene, as the arguments of a call of the light: see `SceneLight`."""
         ray = samples.ray
         start, slope, _ = walk.through_pupil(ray.P, ray.m, samples.lens.height)
         # Outside the aperture, surfaces may reflect rays totally, whose values are not finite then.
         seen = ray.valid & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
-        if drawn is None:
+        if colours is None:
             return start, slope, seen, seed
-        return start, slope, seen, seed, [dr.gather(mi.Float, value, samples.pixel) for value in drawn.wavelengths]
+        return start, slope, seen, seed, [dr.gather(mi.Float, value, samples.pixel) for value in colours.wavelengths]
 
-    def estimate(self, batch: RayBatch) -> list[CellMeans | None]:
-        """Return each node's mean values over the rays of the cells of a batch, to be evaluated; None without light."""
+    def estimate(self, batch: RayBatch, only: int | None = None) -> list[CellMeans | None]:
+        """Return each node's mean values over the rays of the cells of a batch, to be evaluated; None without light.
+
+        The nodes may be `only` those of one group, which have their rays in common: their values are lists of arrays
+        that are not evaluated and may have gradients.
+        """
         samples = self.samples(batch.pixels, batch.key)
         power = self._sampler.power(samples)
         counted = dr.select(samples.ray.valid, mi.Float(1), 0)
         means: list[CellMeans | None] = [None for _ in self._nodes]
-        for (walk, nodes), drawn in zip(self._groups, batch.wavelengths, strict=True):
+        for group in range(len(self._groups)) if only is None else [only]:
+            (walk, nodes), colours = self._groups[group], batch.wavelengths[group]
             # The radiance along the rays, as far as the pixels receive it.
-            radiance = [light * power for light in self._light(*self._scene_rays(walk, samples, drawn, batch.seed))]
+            radiance = [light * power for light in self._light(*self._scene_rays(walk, samples, colours, batch.seed))]
             # What the coefficients depend on, once for nodes that have those of a ray at the same place of tables.
             alike: dict[Any, list[int]] = {}
             for number in nodes:
@@ -454,11 +462,13 @@ class SignedRaySum:
                 continue
             index, cosines = dr.gather(mi.UInt32, batch.index, pixels), self._sampler.cosines(batch.pixels.take(pixels))
             for numbers, of_rays in zip(alike.values(), arguments, strict=True):
-                mixtures = [self._nodes[number].mixture(drawn) for number in numbers]
+                mixtures = [self._nodes[number].mixture(colours) for number in numbers]
                 sums = self._cell_means(pixels, of_rays, radiance, controls, mixtures, numbers)
                 for number, images in zip(numbers, sums, strict=True):
-                    means[number] = CellMeans(index, cosines, [interleaved(values) for values in images])
-            dr.eval(index, cosines, [node.values for node in means if node])
+                    values = [interleaved(of_image) for of_image in images] if only is None else images
+                    means[number] = CellMeans(index, cosines, values)
+            if only is None:
+                dr.eval(index, cosines, [node.values for node in means if node])
         return means
 
     def _cell_means(
@@ -482,13 +492,12 @@ class SignedRaySum:
         ]
 
         def add(k: Any, means: list[list[list[Any]]]) -> tuple[Any, list[list[list[Any]]]]:
-            weight, *arguments = (dr.gather(type(values), values, first + k) for values in of_rays)
+            weight, *arguments = (at_rays(values, first + k) for values in of_rays)
             even, result = ((start + k) & 1) == 0, []
             for number, (light, halves, weights), images in zip(numbers, lights, means, strict=True):
-                controls = [of_other_half(even, pair) * self._control_factor for pair in halves]
+                controls = [of_other_half(even, pair) * self._sampler.control_factor for pair in halves]
                 residuals = [
-                    dr.gather(mi.Float, value, first + k) - control
-                    for value, control in zip(light, controls, strict=True)
+                    at_rays(value, first + k) - control for value, control in zip(light, controls, strict=True)
                 ]
                 sets = self._values(number, arguments)
                 of_node = []
@@ -508,7 +517,9 @@ class SignedRaySum:
             for node in nodes
         ]
         end = dr.opaque(mi.UInt32, self._spp)
-        _, sums = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < end, add, label="signed rays")
+        # Loops that only add up are differentiated in reverse without their states.
+        state = mi.UInt32(0), nothing
+        _, sums = dr.while_loop(state, lambda k, _: k < end, add, label="signed rays", max_iterations=-1)
         rays = mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes))
         return [[[value / rays for value in values] for values in images] for images in sums]
 
@@ -584,4 +595,4 @@ def _convolution_of(
     camera: PlenopticCamera, sets: tuple[PixelKernels, ...], size: tuple[int, int], cuda: bool
 ) -> Convolution:
     """Return the convolution with kernels, whose spectra are cached, on CUDA there, for further captures."""
-    return Convolution(camera, [kernel for each in sets for kernel in each.kernels], size)
+    return Convolution(camera, [kernel for of_set in sets for kernel in of_set.kernels], size)

@@ -66,17 +66,17 @@ class WavelengthSampler:
         """Draw the wavelengths of the active variant's rays, from a range of the strata, by random numbers."""
         count = dr.size_v(mi.UnpolarizedSpectrum)
         low, high = (dr.opaque(mi.Float, end * _STRATA) for end in span)
-        drawn = RayWavelengths([], [], [], [])
+        rays = RayWavelengths([], [], [], [])
         for lane in range(count):
-            place = low + (high - low) * (chance + lane) * (1 / count)
-            index = dr.minimum(mi.UInt32(place), _STRATA - 1)
+            quantile = low + (high - low) * (chance + lane) * (1 / count)
+            index = dr.minimum(mi.UInt32(quantile), _STRATA - 1)
             first, last = (dr.gather(mi.Float, self._edges, index + end) for end in (0, 1))
-            position = place - mi.Float(index)
-            drawn.wavelengths.append(first + position * (last - first))
-            drawn.stratum.append(index)
-            drawn.position.append(position)
-            drawn.weight.append((last - first) * (high - low) * (1 / count))
-        return drawn
+            position = quantile - mi.Float(index)
+            rays.wavelengths.append(first + position * (last - first))
+            rays.stratum.append(index)
+            rays.position.append(position)
+            rays.weight.append((last - first) * (high - low) * (1 / count))
+        return rays
 
 
 def chances(columns: Any, index: Any, number: int, seed: int) -> Any:
@@ -99,23 +99,23 @@ class Node:
     # drawn wavelengths, the values are those at the edges of the strata.
     weights: NDArray[np.float64]
 
-    def mixture(self, drawn: RayWavelengths | None = None) -> tuple[list[int], list[list[Any]]]:
+    def mixture(self, rays: RayWavelengths | None = None) -> tuple[list[int], list[list[Any]]]:
         """Return the indices of the values used, and their weights for each channel; by cell, for drawn wavelengths."""
-        if drawn is None:
+        if rays is None:
             used = np.flatnonzero(self.weights.any(0)).tolist()
             # Opaque values are kernel inputs, so that other values do not compile the kernels again.
             return used, [[dr.opaque(mi.Float, weight) for weight in row] for row in self.weights[:, used].tolist()]
-        made = []
+        mixtures = []
         for row in self.weights:
             table = drjit_array(mi.Float, row)
-            made.append(
+            mixtures.append(
                 [
                     weight * dr.lerp(*(dr.gather(mi.Float, table, index + end) for end in (0, 1)), position)
-                    for index, position, weight in zip(drawn.stratum, drawn.position, drawn.weight, strict=True)
+                    for index, position, weight in zip(rays.stratum, rays.position, rays.weight, strict=True)
                 ]
             )
-        dr.eval(made)
-        return list(range(len(drawn.weight))), made
+        dr.eval(mixtures)
+        return list(range(len(rays.weight))), mixtures
 
 
 def mixed(weights: Sequence[Any], values: Sequence[Any]) -> Any:

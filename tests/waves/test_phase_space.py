@@ -215,6 +215,6 @@ def test_kernels_of_large_lenses_keep_the_light(pitch, pixels, tolerance):
         resolution=(8 * pixels,) * 2,
     )
     plan = PhaseSpace(camera, 633.0)
-    assert plan.by_points == (pitch == 0.5)
+    assert plan.lands_by_point == (pitch == 0.5)
     step = camera.pixel_size / plan.parts(False)
     assert plan.kernels(step, 2 * pitch)[0].sum() == pytest.approx(1, abs=tolerance)

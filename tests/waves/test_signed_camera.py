@@ -11,6 +11,7 @@ from mitsuba_plenoptic import Job, PlenopticCamera
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.rays.tracer import Walk
 from mitsuba_plenoptic.runtime.batches import Box, SumTask
+from mitsuba_plenoptic.waves import signed_rays
 from mitsuba_plenoptic.waves.array_kernels import REACH, displaced
 from mitsuba_plenoptic.waves.phase_space import PhaseSpace, coefficients_of
 from mitsuba_plenoptic.waves.ray_sampler import Pixels
@@ -214,7 +215,9 @@ def test_coarse_pixels_are_the_means_of_fine_ones(name):
     ],
     ids=["no kernels", "three focal lengths", "several"],
 )
-def test_reverse_is_the_transpose_of_forward(array, changes):
+def test_reverse_is_the_transpose_of_forward(array, changes, monkeypatch):
+    # Rays are traced in several batches.
+    monkeypatch.setattr(signed_rays, "_LANES", 2**10)
     generator = np.random.default_rng(1)
     camera = PlenopticCamera(detector_width=2 * 0.064, resolution=(16, 16), **array)
     plans = [PhaseSpace(camera, wavelength, degree=1, window=3, radial=4) for wavelength in (500.0, 633.0)]

@@ -8,7 +8,7 @@ from cameras import error
 from cases import facing, radiating, scene_of, sensor
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
-from mitsuba_plenoptic.detector.noise import Mended
+from mitsuba_plenoptic.detector.noise import NonNegative
 from mitsuba_plenoptic.waves import signed_rays
 from mitsuba_plenoptic.waves.phase_space import PhaseSpace
 
@@ -212,7 +212,7 @@ def test_gloss_that_lamps_of_some_size_light():
 
 
 def proportional(scene):
-    """Check derivatives by the radiance of a wall, to which captures are proportional, mended as they are."""
+    """Check derivatives by the radiance of a wall, to which captures are proportional, projected as they are."""
     start = np.ravel(np.array(mi.traverse(scene)[RADIANCE]))[0]
     change = pushed(scene, RADIANCE)
     assert error(change, captured(scene) / start) < 1e-5
@@ -251,7 +251,7 @@ def test_nodes_of_wavelengths(variant, colours, parameters):
 )
 def test_other_cameras(parameters):
     camera = PlenopticCamera(resolution=(32, 32), detector_width=0.384, lens_model="parabolic", **parameters)
-    assert PhaseSpace(camera, 633.0).by_points == ("mla_tilt" in parameters)
+    assert PhaseSpace(camera, 633.0).lands_by_point == ("mla_tilt" in parameters)
     proportional(scene_of(camera.to_sensor(), through("path"), wall=facing(250.0, 0.3, **radiating(0.5))))
 
 
@@ -347,18 +347,20 @@ def test_what_is_black_has_a_derivative_too():
     params[RADIANCE] = mi.Float(1.0)
     params.update()
     bright = captured(scene)
-    # What is mended below zero in the one is not in the other, which changes the sum a little, too.
+    # What is projected below zero in the one is not in the other, which changes the sum a little, too.
     assert error(change, bright) < 0.1
     assert change.sum() == pytest.approx(bright.sum(), rel=0.01)
 
 
-def test_mended_images_have_derivatives():
+def test_projected_images_have_derivatives():
     rng = np.random.default_rng(0)
     image, change, gradient = (rng.normal(mean, 1, (21, 30)) for mean in (0.7, 0, 0))
-    mended, step = Mended(image), 1e-6
-    sides = [Mended(image + side * change).image for side in (step, -step)]
-    assert error(mended.forward(change), (sides[0] - sides[1]) / (2 * step)) < 1e-6
-    assert np.vdot(mended.forward(change), gradient) == pytest.approx(np.vdot(change, mended.backward(gradient)))
+    projection, step = NonNegative(image), 1e-6
+    sides = [NonNegative(image + side * change).image for side in (step, -step)]
+    assert error(projection.forward(change), (sides[0] - sides[1]) / (2 * step)) < 1e-6
+    assert np.vdot(projection.forward(change), gradient) == pytest.approx(
+        np.vdot(change, projection.backward(gradient))
+    )
 
 
 @pytest.mark.slow

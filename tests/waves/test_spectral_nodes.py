@@ -283,9 +283,9 @@ def test_rays_of_all_wavelengths_land_alike():
     def nodes_of_lines(*wavelengths):
         return SignedCapture(WIDE, None, Spectrum.lines(*wavelengths), np.eye(len(wavelengths)), None, 0.01).nodes
 
-    assert [nodes_of_lines(line)[0].plan.by_points for line in lines] == [True, False, False]
+    assert [nodes_of_lines(line)[0].plan.lands_by_point for line in lines] == [True, False, False]
     nodes = nodes_of_lines(*lines)
-    assert len(nodes) == 3 and all(node.plan.by_points for node in nodes)
+    assert len(nodes) == 3 and all(node.plan.lands_by_point for node in nodes)
 
 
 @pytest.mark.slow

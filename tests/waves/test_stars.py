@@ -8,7 +8,7 @@ import pytest
 from cases import facing, radiating, scene_of, sensor
 
 from mitsuba_plenoptic import render_capture
-from mitsuba_plenoptic.detector.noise import Mended
+from mitsuba_plenoptic.detector.noise import NonNegative
 
 STARS, STAR_LENSES, STAR_PIXELS, MARGIN = 400, 12, 20, 3.5
 
@@ -88,10 +88,10 @@ def test_no_count_of_samples_brightens_stars(stars, seeds, noise):
 def test_compensation_keeps_the_sum_and_moves_light_little():
     random = np.random.default_rng(0)
     image = random.standard_normal((37, 50)) + 0.2
-    mended = Mended(image).image
-    assert mended.min() >= 0
-    assert mended.sum() == pytest.approx(image.sum(), rel=1e-12)
+    projection = NonNegative(image).image
+    assert projection.min() >= 0
+    assert projection.sum() == pytest.approx(image.sum(), rel=1e-12)
     # No square of 4 x 4 pixels gains light, and those below zero become black.
-    before, after = (each[:36, :48].reshape(9, 4, 12, 4).sum((1, 3)) for each in (image, mended))
+    before, after = (each[:36, :48].reshape(9, 4, 12, 4).sum((1, 3)) for each in (image, projection))
     assert (after <= np.maximum(before, 0) + 1e-12).all()
-    assert not Mended(-np.abs(image)).image.any()
+    assert not NonNegative(-np.abs(image)).image.any()

@@ -13,5 +13,5 @@ EXTENSION = Extension(
     parameters={"photodiode_response": "parameter:PHOTODIODE_RESPONSE"},
     responses={"photodiode_response": "photodiode_table:PhotodiodeTable"},
     presets=dict.fromkeys(("full_frame_dual", "phone_quad", "phone_quad_bayer"), "cameras:CAMERAS"),
-    hooks={"small lenses": "responses:response_capture"},
+    hooks={"small lenses": "responses:ResponseCapture"},
 )

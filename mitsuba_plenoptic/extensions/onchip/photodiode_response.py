@@ -85,11 +85,11 @@ class PhotodiodeResponse(PlainData):
 
     def __post_init__(self) -> None:
         for name in ("angles_x", "angles_y"):
-            given = getattr(self, name)
-            angles = require_numbers(name, given, count=len(given), minimum=-_STEEPEST, maximum=_STEEPEST)
-            refuse_if(len(angles) < 2, f"{name} = {short_repr(given)}: there must be two or more")
+            values = getattr(self, name)
+            angles = require_numbers(name, values, count=len(values), minimum=-_STEEPEST, maximum=_STEEPEST)
+            refuse_if(len(angles) < 2, f"{name} = {short_repr(values)}: there must be two or more")
             put(self, **{name: _rising(name, angles)})
-        wavelengths = tuple(require_wavelength(each, "wavelengths") for each in self.wavelengths)
+        wavelengths = tuple(require_wavelength(wavelength, "wavelengths") for wavelength in self.wavelengths)
         put(self, wavelengths=_rising("wavelengths", wavelengths))
         with refusing("responses: they must be an array of numbers:", TypeError, ValueError):
             table = np.array(self.responses, np.float64)

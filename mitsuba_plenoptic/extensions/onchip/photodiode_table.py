@@ -28,10 +28,10 @@ class PhotodiodeTable:
         if self._wavelengths and not mi.is_spectral:
             # Light has these wavelengths: each channel has a table of its own.
             channels = RGB_WAVELENGTHS if mi.is_rgb else (LINE_D,)
-            parts = [_fraction(self._wavelengths, wavelength, np) for wavelength in channels]
-            low = [min(int(part), len(self._wavelengths) - 1) for part in parts]
+            positions = [_fraction(self._wavelengths, wavelength, np) for wavelength in channels]
+            low = [min(int(position), len(self._wavelengths) - 1) for position in positions]
             high = [min(index + 1, len(self._wavelengths) - 1) for index in low]
-            weights = (np.array(parts) - low)[:, None, None]
+            weights = (np.array(positions) - low)[:, None, None]
             table = table[:, :, low] * (1 - weights) + table[:, :, high] * weights
         self._shape = table.shape
         self._table = drjit_array(mi.Float, table)
@@ -57,7 +57,7 @@ class PhotodiodeTable:
         for channel in range(len(result)):
             if self._wavelengths and mi.is_spectral:
                 layers = _between(_fraction(self._wavelengths, wavelengths[channel], dr), count)
-                result[channel] = sum((part * at(layer) for layer, part in layers), mi.Float(0))
+                result[channel] = sum((weight * at(layer) for layer, weight in layers), mi.Float(0))
             else:
                 result[channel] = at(channel if count > 1 else 0)
         return result
@@ -73,5 +73,5 @@ def _between(fraction: Any, size: int) -> list[tuple[Any, Any]]:
     if size == 1:
         return [(mi.UInt32(0), 1.0)]
     low = mi.UInt32(dr.minimum(dr.floor(fraction), size - 2))
-    part = fraction - mi.Float(low)
-    return [(low, 1 - part), (low + 1, part)]
+    weight = fraction - mi.Float(low)
+    return [(low, 1 - weight), (low + 1, weight)]

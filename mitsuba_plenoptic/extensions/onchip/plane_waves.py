@@ -64,7 +64,12 @@ def pixels_per_lens(camera: PlenopticCamera) -> int:
         f"resolution = {camera.resolution}: for waves behind lenses of a few wavelengths it must be even",
     )
     count = round(camera.mla_pitch / camera.pixel_size)
-    farthest = max(float(np.abs(_offsets(camera, count, axis)).max()) for axis in (0, 1))
+    farthest = 0.0
+    for axis in (0, 1):
+        # The pixels of the first and of the last lens, from the lens's regular position.
+        index = np.array(lens_range(camera, count, axis)) - [0, 1]
+        aside = (index + 0.5) * (max(count, 1) * camera.pixel_size - camera.mla_pitch) - camera.mla_offset[axis]
+        farthest = max(farthest, float(np.abs(aside).max()))
     refuse_if(
         count < 1 or farthest > camera.mla_pitch / 2,
         f"mla_pitch = {camera.mla_pitch:g}: lenses of {camera.mla_pitch / camera.pixel_size:.4g} pixels shift by "
@@ -78,12 +83,6 @@ def lens_range(camera: PlenopticCamera, count: int, axis: int) -> tuple[int, int
     """Return the range of lattice indices of the lenses with recorded pixels along an axis: first, and last plus 1."""
     first = camera.crop_offset[axis] - camera.resolution[axis] // 2
     return first // count, -(-(first + camera.shape[1 - axis]) // count)
-
-
-def _offsets(camera: PlenopticCamera, count: int, axis: int) -> NDArray[np.float64]:
-    """Return the positions of the first and last lens's pixels relative to the lens's regular position."""
-    index = np.array(lens_range(camera, count, axis)) - [0, 1]
-    return (index + 0.5) * (max(count, 1) * camera.pixel_size - camera.mla_pitch) - camera.mla_offset[axis]
 
 
 def displacement(camera: PlenopticCamera, count: int, x: Any, y: Any) -> list[Any]:
@@ -103,7 +102,7 @@ class Zones:
     @classmethod
     def of(cls, camera: PlenopticCamera, count: int) -> Zones:
         """Return the zones of a camera with `count` pixels across a lens."""
-        made = []
+        axes = []
         ranges = [lens_range(camera, count, axis) for axis in (0, 1)]
         aside = displacement(
             camera, count, *np.meshgrid(*(np.linspace(first, last - 1, _ALONG) for first, last in ranges))
@@ -113,8 +112,8 @@ class Zones:
             turned = (last - 1 - first) * camera.mla_pitch / camera.pupil_distance
             steps = math.ceil(max(moved, turned) / _STEP - 0.2)
             middle = (first + last - 1) / 2
-            made.append(np.linspace(first, last - 1, steps + 1) if steps > 0 else np.array([middle]))
-        return cls(*made)
+            axes.append(np.linspace(first, last - 1, steps + 1) if steps > 0 else np.array([middle]))
+        return cls(*axes)
 
     def __len__(self) -> int:
         return len(self.x) * len(self.y)
@@ -131,7 +130,7 @@ class PlaneWaveResponses:
     # Whether direction cosines have smaller steps.
     fine: bool = False
 
-    by_points = False
+    lands_by_point = False
 
     @cached_property
     def system(self) -> OpticalSystem:
@@ -199,19 +198,19 @@ class PlaneWaveResponses:
 
     def chief(self, x: float, y: float) -> list[float]:
         """Return the direction cosines, at a lens, of the light from the pupil's centre."""
-        slope = [-float(self.system.lens.pupil.slope(0.0, place)) for place in self._place(x, y)]
-        return [each / math.sqrt(1 + slope[0] ** 2 + slope[1] ** 2) for each in slope]
+        slope = [-float(self.system.lens.pupil.slope(0.0, coordinate)) for coordinate in self._place(x, y)]
+        return [component / math.sqrt(1 + slope[0] ** 2 + slope[1] ** 2) for component in slope]
 
     def is_open(self, x: float, y: float, along: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return a mask of the pairs of direction cosines, relative to the chief ray, that pass the pupil to a lens."""
-        chief, place = self.chief(x, y), self._place(x, y)
+        chief, centre = self.chief(x, y), self._place(x, y)
         sy, sx = np.meshgrid(chief[1] + along, chief[0] + along, indexing="ij")
         cosine = np.sqrt(np.maximum(1 - sx**2 - sy**2, 1e-6))
         lens = self.system.lens
         slopes = (-sx / cosine, -sy / cosine)
-        pupil = tuple(drjit_array(mi.Float, lens.pupil.point(c, t)) for c, t in zip(place, slopes, strict=True))
-        inner = Walk.of(self.camera, lens).round_pupil(pupil, tuple(mi.Float(c) for c in place))
-        square = sum(part.numpy().astype(float) ** 2 for part in inner)
+        pupil = tuple(drjit_array(mi.Float, lens.pupil.point(c, t)) for c, t in zip(centre, slopes, strict=True))
+        inner = Walk.of(self.camera, lens).round_pupil(pupil, tuple(mi.Float(c) for c in centre))
+        square = sum(coordinate.numpy().astype(float) ** 2 for coordinate in inner)
         return np.asarray(square <= self.camera.pupil_radius**2).reshape(sx.shape)
 
     @single_threaded_blas()
@@ -235,10 +234,10 @@ class PlaneWaveResponses:
         waves_x, waves_y = (np.exp(2j * math.pi * np.outer(order, p) / camera.mla_pitch) for p in (px, py))
         kx, ky = (k * s[:, None] + 2 * math.pi * order / camera.mla_pitch for s in (sx, sy))
         fields = np.empty((len(sy), len(sx), _POINTS**2), np.complex64)
-        for number, each in enumerate(ky):
-            kz = np.sqrt(square - each[:, None] ** 2 - kx[:, None, :] ** 2)
-            part = (amplitude * np.exp(1j * z * kz)) @ waves_x  # (x, order along y, point along x)
-            field = np.matmul(waves_y.T, part)
+        for number, ky_of_row in enumerate(ky):
+            kz = np.sqrt(square - ky_of_row[:, None] ** 2 - kx[:, None, :] ** 2)
+            along_x = (amplitude * np.exp(1j * z * kz)) @ waves_x  # (x, order along y, point along x)
+            field = np.matmul(waves_y.T, along_x)
             field *= np.exp(1j * k * (sy[number] * py[None, :, None] + sx[:, None, None] * px))
             fields[number] = field.reshape(len(sx), -1)
         fields *= np.sqrt(np.outer(weights, weights).ravel() * pixel**2 / 4).astype(np.float32)

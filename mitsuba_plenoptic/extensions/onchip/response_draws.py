@@ -42,9 +42,16 @@ class Tables:
         self.camera, self.plans, self.count = camera, plans, plans[0].count
         self._packets = -(-(self.count**2) // 4)
         self._index = [drjit_array(mi.Int, plan.table.nodes) for plan in plans]
-        self._near, self._far = (
-            [self._packed(table) for table in part] for part in zip(*(p.table[1:3] for p in plans), strict=True)
-        )
+
+        def packed(table: NDArray[np.float16]) -> Any:
+            """Return a table (zones, nodes, y, x, photodiodes) in packets of four, and a node without response."""
+            flat = table.reshape(-1, *table.shape[2:])
+            flat = np.pad(flat, [(0, 1), (0, 0), (0, 0), (0, 4 * self._packets - self.count**2)])
+            return drjit_array(mi.UInt32, np.ascontiguousarray(flat).view(np.uint32))
+
+        # The windows and tables of each wavelength.
+        self.near = [(plan.near, packed(plan.table.near)) for plan in plans]
+        self.far = [(plan.far, packed(plan.table.far)) for plan in plans]
         self._means = [[drjit_array(mi.Float, column) for column in plan.table.means.T] for plan in plans]
         # Lenses of the far window are drawn for the wavelength with the widest one.
         self._widest = widest = max(range(len(plans)), key=lambda number: plans[number].far.lenses)
@@ -54,12 +61,6 @@ class Tables:
     def margin(self) -> int:
         """Number of lenses, on each side of a lens, whose rays light the lens's photodiodes."""
         return self.plans[self._widest].far.lenses // 2
-
-    def _packed(self, table: NDArray[np.float16]) -> Any:
-        """Return a table (zones, nodes, y, x, photodiodes) packed in fours, followed by a node without response."""
-        flat = table.reshape(-1, *table.shape[2:])
-        flat = np.pad(flat, [(0, 1), (0, 0), (0, 0), (0, 4 * self._packets - self.count**2)])
-        return drjit_array(mi.UInt32, np.ascontiguousarray(flat).view(np.uint32))
 
     def draw(self, index: Pair, lens: Any, half: Any, number: Any, seed: Any) -> Aimed:
         """Return rays drawn for lenses of given lattice indices; the rays of the two halves are independent."""
@@ -73,7 +74,7 @@ class Tables:
         cosine, middle = (dr.rsqrt(1 + dr.square(t[0]) + dr.square(t[1])) for t in (slope, chief))
         inner = Walk.of(system.camera, system.lens).round_pupil(tuple(pupil), centre)
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= system.camera.pupil_radius**2
-        zone, drawn = self._zone(index, chances[0][:2]), mi.UInt32(0)
+        zone, widest_node = self._zone(index, chances[0][:2]), mi.UInt32(0)
         near: list[Any] = []
         far: list[Any] = []
         for number_of, (plan, table) in enumerate(zip(self.plans, self._index, strict=True)):
@@ -87,14 +88,15 @@ class Tables:
             is_open &= within & (node >= 0)
             nodes = plan.table.near.shape[1]
             node = dr.select(is_open, mi.UInt(node) + zone * nodes, len(plan.zones) * nodes)
-            drawn = node if number_of == self._widest else drawn
-            for window, chance, indices in ((plan.near, chances[1][:2], near), (plan.far, chances[1][2:], far)):
+            widest_node = node if number_of == self._widest else widest_node
+            for window, offsets, indices in ((plan.near, chances[1][:2], near), (plan.far, chances[1][2:], far)):
                 x, y = (
-                    mi.UInt(dr.floor(r * window.samples + part)) for r, part in zip(random[2:], chance, strict=True)
+                    mi.UInt(dr.floor(r * window.samples + offset))
+                    for r, offset in zip(random[2:], offsets, strict=True)
                 )
                 indices.append((node * window.across + y) * window.across + x)
-        place = tuple(c + (r - 0.5) * self.camera.mla_pitch for c, r in zip(centre, random[2:], strict=True))
-        return Aimed(tuple(pupil), place, is_open, near, far, drawn)
+        point = tuple(c + (r - 0.5) * self.camera.mla_pitch for c, r in zip(centre, random[2:], strict=True))
+        return Aimed(tuple(pupil), point, is_open, near, far, widest_node)
 
     def drawn(self, node: Any, random: Any) -> tuple[Pair, Any]:
         """Return cells of the far window drawn at random for nodes, and the reciprocal probabilities of the cells."""
@@ -105,35 +107,33 @@ class Tables:
         )
         cell = entry >> 16
         row = cell // window.lenses
-        place = tuple(mi.Int(part) + window.first for part in (cell - row * window.lenses, row))
-        return place, quantiles / mi.Float(entry & 0xFFFF)
+        position = tuple(mi.Int(coordinate) + window.first for coordinate in (cell - row * window.lenses, row))
+        return position, quantiles / mi.Float(entry & 0xFFFF)
 
-    def near_values(self, number: int, first: Any, cell: Pair) -> list[Any]:
-        """Return the responses of the photodiodes of one lens to rays drawn for a lens in its near window."""
-        return self._values(self._near[number], self.plans[number].near, first, cell, True)
-
-    def far_values(self, number: int, first: Any, cell: Pair) -> list[Any]:
-        """Return the responses of the photodiodes of one lens to rays drawn for a lens in its far window."""
-        window = self.plans[number].far
-        low, high = dr.minimum(*cell) - window.first, dr.maximum(*cell) - window.first
-        return self._values(self._far[number], window, first, cell, (low >= 0) & (high < window.lenses))
-
-    def _values(self, table: Any, window: TableWindow, first: Any, cell: Pair, active: Any) -> list[Any]:
-        x, y = (mi.UInt32((each - window.first) * window.samples) for each in cell)
-        index, result = first + y * window.across + x, []
+    def values(self, table: tuple[TableWindow, Any], first: Any, cell: Pair) -> list[Any]:
+        """Return the responses of the photodiodes of one lens to rays drawn for a lens in a window around it."""
+        window, packets = table
+        column, row = (coordinate - window.first for coordinate in cell)
+        index = first + mi.UInt32(row * window.samples) * window.across + mi.UInt32(column * window.samples)
+        # Lenses are drawn for the widest of the far windows.
+        within = (dr.minimum(column, row) >= 0) & (dr.maximum(column, row) < window.lenses)
+        result = []
         for packet in range(self._packets):
-            words = dr.gather(mi.Vector2u, table, index * self._packets + packet, active)
-            result += [_from_half(part) for word in words for part in (word << 16, word)]
+            words = dr.gather(mi.Vector2u, packets, index * self._packets + packet, within)
+            for half in (half for word in words for half in (word << 16, word)):
+                # From half precision, whose exponents are biased by 15, to single precision, by 127.
+                bits = ((half & 0x7FFF0000) >> 3) | (half & 0x80000000)
+                result.append(dr.reinterpret_array(mi.Float, bits) * 2.0**112)
         return result[: self.count**2]
 
     def zone_means(self, number: int, index: Pair) -> list[Any]:
         """Return the mean responses of the photodiodes of lenses, interpolated between zones."""
         corners = []
         for chance in ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)):
-            parts = [self._along(axis, each) for axis, each in enumerate(index)]
+            positions = [self._along(axis, numbers) for axis, numbers in enumerate(index)]
             share = mi.Float(1)
-            for part, end in zip(parts, chance, strict=True):
-                aside = part - dr.floor(part)
+            for position, end in zip(positions, chance, strict=True):
+                aside = position - dr.floor(position)
                 share *= aside if end else 1 - aside
             corners.append((self._zone(index, chance), share))
         return [
@@ -153,8 +153,10 @@ class Tables:
         """Return, for each lens, one of the surrounding zones, drawn at random."""
         zones = self.plans[0].zones
         x, y = (
-            mi.UInt(dr.minimum(dr.floor(self._along(axis, each) + part), count - 1))
-            for axis, (each, part, count) in enumerate(zip(index, chance, (len(zones.x), len(zones.y)), strict=True))
+            mi.UInt(dr.minimum(dr.floor(self._along(axis, numbers) + offset), count - 1))
+            for axis, (numbers, offset, count) in enumerate(
+                zip(index, chance, (len(zones.x), len(zones.y)), strict=True)
+            )
         )
         return y * len(zones.x) + x
 
@@ -186,10 +188,3 @@ def _quantiles(plan: PhotodiodeResponses) -> NDArray[np.uint32]:
         counts[-1] += count - counts.sum()
         result[node] = np.repeat((np.arange(lenses**2, dtype=np.uint32) << 16) | counts, counts)
     return result
-
-
-def _from_half(word: Any) -> Any:
-    """Return the half-precision numbers in the upper 16 bits of words."""
-    bits = ((word & 0x7FFF0000) >> 3) | (word & 0x80000000)
-    # The exponents of half precision are biased by 15, and those of single precision by 127.
-    return dr.reinterpret_array(mi.Float, bits) * 2.0**112

@@ -147,26 +147,27 @@ class PhotodiodeResponses(PlaneWaveResponses):
         used = np.any([pupil.mass > 0 for pupil in pupils], axis=0)
         index = np.where(used, np.cumsum(used).reshape(used.shape) - 1, -1).astype(np.int32)
         sizes = [
-            (len(zones), int(used.sum()), each.across, each.across, self.count**2) for each in (self.near, self.far)
+            (len(zones), int(used.sum()), window.across, window.across, self.count**2)
+            for window in (self.near, self.far)
         ]
         near, far = (np.empty(size, np.float16) for size in sizes)
         means = np.empty((len(zones), self.count**2), np.float32)
-        fold, own = _fold(self.near, self.far)
+        fold, interpolation = _fold(self.near, self.far)
         blurred = _blurred(self.near, self.far, self._far_pairs)
         for number, ((x, y), pupil) in enumerate(zip(zones, pupils, strict=True)):
             image = self._mirror_image(number, pupils)
             if image is not None:
                 other, flips = image
                 nodes = index[flips][used]
-                for part, window in ((near, self.near), (far, self.far)):
-                    part[number] = self._mirrored(part[other][nodes], window, flips)
+                for table, window in ((near, self.near), (far, self.far)):
+                    table[number] = self._mirrored(table[other][nodes], window, flips)
                 diodes = np.arange(self.count**2).reshape(self.count, self.count)[flips].ravel()
                 means[number] = means[other][diodes]
                 continue
-            each = pupil.step * self.stride, pupil.step // self._finer
+            steps = pupil.step * self.stride, pupil.step // self._finer
             overlaps = [
                 pupil.overlap(np.arange(-pairs, pairs + 1) * lag)[used]
-                for pairs, lag in zip((self._near_pairs, self._far_pairs), each, strict=True)
+                for pairs, lag in zip((self._near_pairs, self._far_pairs), steps, strict=True)
             ]
             for diode in range(self.count**2):
                 modes = self.modes(x, y, diode)
@@ -174,10 +175,10 @@ class PhotodiodeResponses(PlaneWaveResponses):
                 wide = self._response(modes, self._finer, 1, self.far, overlaps[1], used)
                 whole = close[:, 1:, 1:].sum((1, 2)) / self.near.samples**2
                 # The far samples do not resolve the light within the near window, so that some of it appears beyond.
-                core = close - fold @ wide @ fold.T + own @ wide @ own.T
+                core = close - fold @ wide @ fold.T + interpolation @ wide @ interpolation.T
                 wide -= blurred @ core @ blurred.T
                 # The light from beyond the near window is folded into it.
-                close -= fold @ wide @ fold.T - own @ wide @ own.T
+                close -= fold @ wide @ fold.T - interpolation @ wide @ interpolation.T
                 near[number, ..., diode], far[number, ..., diode] = close, wide
                 means[number, diode] = whole @ pupil.light[used] / pupil.light.sum()
         return ResponseTable(index, near, far, means)
@@ -202,8 +203,8 @@ class PhotodiodeResponses(PlaneWaveResponses):
     def _displacement(self, number: int) -> NDArray[np.float64]:
         """Return the displacement x, y, in lenses, of the pixels under a zone's lens from the lens's centre."""
         row, column = divmod(number, len(self.zones.x))
-        place = self.zones.x[column], self.zones.y[row]
-        return np.array(displacement(self.camera, self.count, *place)) / self.camera.mla_pitch
+        position = self.zones.x[column], self.zones.y[row]
+        return np.array(displacement(self.camera, self.count, *position)) / self.camera.mla_pitch
 
     def _mirrored(
         self, values: NDArray[np.float16], window: TableWindow, flips: tuple[slice, ...]
@@ -267,8 +268,8 @@ class PhotodiodeResponses(PlaneWaveResponses):
         wide = np.zeros((len(chosen), size, size), np.complex64)
         wide[:, (lags % size)[:, None], lags % size] = chosen
         values = scipy.fft.fft2(wide).real
-        place = np.round(window.place * window.samples).astype(int) % size
-        return np.ascontiguousarray(values[:, place[:, None], place])
+        index = np.round(window.place * window.samples).astype(int) % size
+        return np.ascontiguousarray(values[:, index[:, None], index])
 
 
 @dataclass(frozen=True)
@@ -297,19 +298,19 @@ class _Pupil:
         low = far - plan.across * step
         rows, columns = np.nonzero(is_open[low : 2 * far - low, low : 2 * far - low])
         rows, columns = rows + low, columns + low
-        sides = [np.floor(along[each]).astype(int) for each in (rows, columns)]
-        parts = [along[each] - side for each, side in zip((rows, columns), sides, strict=True)]
+        sides = [np.floor(along[index]).astype(int) for index in (rows, columns)]
+        fractions = [along[index] - side for index, side in zip((rows, columns), sides, strict=True)]
         count = np.arange(len(rows))
         hats = scipy.sparse.csr_matrix((len(rows), n * n))
         for dy, dx in ((0, 0), (0, 1), (1, 0), (1, 1)):
             node = (sides[0] + dy + plan.across) * n + sides[1] + dx + plan.across
-            value = np.abs(1 - dy - parts[0]) * np.abs(1 - dx - parts[1])
+            value = np.abs(1 - dy - fractions[0]) * np.abs(1 - dx - fractions[1])
             hats += scipy.sparse.csr_matrix((value, (count, node)), hats.shape)
         chief = plan.chief(x, y)
-        square = sum((c + plan.step * along[each]) ** 2 for c, each in zip(chief, (columns, rows), strict=True))
+        square = sum((c + plan.step * along[index]) ** 2 for c, index in zip(chief, (columns, rows), strict=True))
         # Areas of the pupil per area of direction cosines.
         even = (1 - square) ** -2
-        mass, light = ((hats.T @ part).reshape(n, n) for part in (np.ones(len(rows)), even))
+        mass, light = ((hats.T @ density).reshape(n, n) for density in (np.ones(len(rows)), even))
         return cls(is_open, step, rows, columns, hats, mass, light)
 
     @cached_property
@@ -327,11 +328,11 @@ class _Pupil:
 
         The coefficients are the projection of O on functions that are linear between nodes.
         """
-        n, each = len(self.mass), np.arange(len(self.rows))
+        n, samples = len(self.mass), np.arange(len(self.rows))
         result = np.zeros((n * n, len(lags), len(lags)), np.float32)
         for number, lag in enumerate(lags):
             up, down = (self.is_open[self.rows + side * lag] for side in (1, -1))
-            both = [up[each, self.columns + across] & down[each, self.columns - across] for across in lags]
+            both = [up[samples, self.columns + across] & down[samples, self.columns - across] for across in lags]
             moments = self.hats.T @ np.stack(both, 1).astype(np.float32)
             # The factor conserves energy against the ridge.
             result[:, number] = self._solve.solve(np.asarray(moments)) * (1 + _RIDGE)
@@ -342,25 +343,25 @@ def _fold(near: TableWindow, far: TableWindow) -> tuple[NDArray[np.float32], NDA
     """Return the matrices that fold and that interpolate far-window samples to near ones, (near.across, far.across)."""
     size = far.across - 1
 
-    def interpolated(place: NDArray[np.float64]) -> NDArray[np.float64]:
-        at = ((place - far.place[0]) * far.samples) % size
+    def interpolated(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        at = ((positions - far.place[0]) * far.samples) % size
         low = np.floor(at).astype(int)
-        result = np.zeros((len(place), far.across))
-        result[np.arange(len(place)), low] = 1 - at + low
-        result[np.arange(len(place)), low + 1] += at - low
+        result = np.zeros((len(positions), far.across))
+        result[np.arange(len(positions)), low] = 1 - at + low
+        result[np.arange(len(positions)), low + 1] += at - low
         return result
 
-    own = interpolated(near.place)
+    once = interpolated(near.place)
     periods = range(0, far.lenses, near.lenses)
     every = np.sum([interpolated(near.place + period) for period in periods], axis=0)
-    return every.astype(np.float32), own.astype(np.float32)
+    return every.astype(np.float32), once.astype(np.float32)
 
 
 def _blurred(near: TableWindow, far: TableWindow, pairs: int) -> NDArray[np.float32]:
     """Return the matrix that lowers samples within the near window to the resolution of the far window."""
     lag = np.arange(-pairs, pairs + 1)
     gain = (np.sinc(lag / (far.lenses * near.samples)) / np.sinc(lag / (far.lenses * far.samples))) ** 2
-    far_waves, near_waves = (np.exp(2j * np.pi / far.lenses * np.outer(each.place, lag)) for each in (far, near))
+    far_waves, near_waves = (np.exp(2j * np.pi / far.lenses * np.outer(window.place, lag)) for window in (far, near))
     weights = np.full(near.across, 1 / near.samples)
     weights[[0, -1]] /= 2
     return np.asarray((far_waves * (gain / far.lenses) @ near_waves.conj().T).real * weights, np.float32)

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...detector.noise import Mended
+from ...detector.noise import NonNegative
 from ...errors import refuse_if
 from ...lenses.pupil import Pair
 from ...rays.tracer import walks_of
@@ -175,7 +175,9 @@ class ResponseSum:
         columns, every = self._columns[1] - self._columns[0], int(self.items.sum())
         lens = np.linspace(0, every - 1, min(_PROBES, every)).astype(int)
         index = (lens % columns + self._columns[0], lens // columns + self._rows[0])
-        rays = self._traced(tuple(drjit_array(mi.Int, part) for part in index), drjit_array(mi.UInt32, lens), 0)
+        rays = self._traced(
+            tuple(drjit_array(mi.Int, coordinate) for coordinate in index), drjit_array(mi.UInt32, lens), 0
+        )
         return np.stack([light.numpy() for light in rays.sums])
 
     def _traced(self, index: Pair, lens: Any, seed: int) -> Rays:
@@ -184,14 +186,14 @@ class ResponseSum:
         dr.eval(index, lens)
         lane = dr.arange(mi.UInt32, dr.width(lens) * rays)
         count = dr.opaque(mi.UInt32, rays)
-        own = lane // count
+        of_lens = lane // count
         # The two halves of the rays of a lens follow each other.
-        turn = lane - own * count
-        half = dr.select(turn >= count // 2, mi.UInt32(1), 0)
-        each = tuple(dr.gather(mi.Int, part, own) for part in index)
-        word = dr.gather(mi.UInt32, lens, own)
+        ray = lane - of_lens * count
+        half = dr.select(ray >= count // 2, mi.UInt32(1), 0)
+        indices = tuple(dr.gather(mi.Int, coordinate, of_lens) for coordinate in index)
+        word = dr.gather(mi.UInt32, lens, of_lens)
         key = dr.opaque(mi.UInt32, seed & ~31)
-        aimed = self._tables.draw(each, word, half, turn - half * (count // 2), key)
+        aimed = self._tables.draw(indices, word, half, ray - half * (count // 2), key)
         lights, counted = [], mi.Float(0)
         for walk, numbers in self._walks:
             start, slope, _ = walk.through_pupil(aimed.pupil, aimed.place)
@@ -214,8 +216,8 @@ class ResponseSum:
             around = grid.within(self._tables.margin)
             rays = self._traced(*around.lenses(), seed)
             for (_, channel), values in zip(self._images, self._gathered(grid, rays, seed), strict=True):
-                parts = zip(result[channel], values, strict=True)
-                result[channel] = [old + value * (self._scale / len(seeds)) for old, value in parts]
+                pairs = zip(result[channel], values, strict=True)
+                result[channel] = [old + value * (self._scale / len(seeds)) for old, value in pairs]
             dr.eval(result)
         return result
 
@@ -237,25 +239,25 @@ class ResponseSum:
         counts, sums = (
             [
                 [
-                    sum((dr.gather(mi.Float, part, at(lens, cell) * 2 + half) for cell in cells), mi.Float(0))
+                    sum((dr.gather(mi.Float, light, at(lens, cell) * 2 + half) for cell in cells), mi.Float(0))
                     for half in (0, 1)
                 ]
-                for part in parts
+                for light in lights
             ]
-            for parts in ([rays.counts], rays.sums)
+            for lights in ([rays.counts], rays.sums)
         )
-        means = [mean_of_half(each, counts[0]) for each in sums]
+        means = [mean_of_half(pair, counts[0]) for pair in sums]
         dr.eval(means, counts)
         near = self._near_sums(grid, rays, means, at)
         far = self._far_sums(grid, rays, means, seed)
-        part = (counts[0][0] + counts[0][1]) / (len(cells) * count)
+        passed = (counts[0][0] + counts[0][1]) / (len(cells) * count)
         result = []
         for image, (number, _) in enumerate(self._images):
-            mean = (means[image][0] + means[image][1]) / 2 * part
+            mean = (means[image][0] + means[image][1]) / 2 * passed
             known = tables.zone_means(number, index)
-            own = slice(image * size, (image + 1) * size)
-            parts = zip(near[own], far[own], known, strict=True)
-            result.append([(close + wide) / count + mean * whole for close, wide, whole in parts])
+            diodes = slice(image * size, (image + 1) * size)
+            of_diodes = zip(near[diodes], far[diodes], known, strict=True)
+            result.append([(close + wide) / count + mean * whole for close, wide, whole in of_diodes])
         dr.eval(result)
         return result
 
@@ -264,20 +266,20 @@ class ResponseSum:
         tables, size = self._tables, self._across**2
         count = dr.opaque(mi.UInt32, self._rays)
         lane = dr.arange(mi.UInt32, grid.rows * grid.columns * self._rays)
-        own = lane // count
-        turn = lane - own * count
+        of_lens = lane // count
+        ray = lane - of_lens * count
         others = [
-            of_other_half(turn < count // 2, [dr.gather(mi.Float, half, own) for half in halves]) for halves in means
+            of_other_half(ray < count // 2, [dr.gather(mi.Float, half, of_lens) for half in halves]) for halves in means
         ]
 
         def add(k: Any, *totals: Any) -> tuple[Any, ...]:
             row = mi.Int(k) // NEAR
             cell = mi.Int(k) - row * NEAR - NEAR // 2, row - NEAR // 2
-            other = at(own, cell) * count + turn
+            other = at(of_lens, cell) * count + ray
             change = [dr.gather(mi.Float, light, other) - mean for light, mean in zip(rays.lights, others, strict=True)]
             first = [dr.gather(mi.UInt32, index, other) for index in rays.near]
-            made = self._products(change, lambda number: tables.near_values(number, first[number], cell))
-            return k + 1, *(total + part for total, part in zip(totals, made, strict=True))
+            products = self._products(change, lambda number: tables.values(tables.near[number], first[number], cell))
+            return k + 1, *(total + product for total, product in zip(totals, products, strict=True))
 
         state = (mi.UInt32(0), *[mi.Float(0)] * (size * len(self._images)))
         _, *totals = dr.while_loop(state, lambda k, *_: k < NEAR**2, add, label="near photodiodes")
@@ -306,16 +308,16 @@ class ResponseSum:
             cell, weight = tables.drawn(rays.node, (mi.Float(k) + random) * (1 / _DRAWN))
             target = x - cell[0], y - cell[1]
             active = (dr.minimum(*target) >= 0) & (target[0] < width) & (target[1] < height)
-            active &= dr.maximum(*(dr.abs(part) for part in cell)) > NEAR // 2
+            active &= dr.maximum(*(dr.abs(coordinate) for coordinate in cell)) > NEAR // 2
             index = mi.UInt32(target[1] * width + target[0])
             change = [
                 (light - of_other_half(is_first, [dr.gather(mi.Float, half, index, active) for half in halves]))
                 * weight
                 for light, halves in zip(rays.lights, means, strict=True)
             ]
-            made = self._products(change, lambda number: tables.far_values(number, rays.far[number], cell))
-            for total, part in zip(totals, made, strict=True):
-                dr.scatter_add(total, whole(double(part * (1 / _DRAWN)) / unit), index, active)
+            products = self._products(change, lambda number: tables.values(tables.far[number], rays.far[number], cell))
+            for total, product in zip(totals, products, strict=True):
+                dr.scatter_add(total, whole(double(product * (1 / _DRAWN)) / unit), index, active)
             return (k + 1,)
 
         dr.while_loop((mi.UInt32(0),), lambda k: k < _DRAWN, add, label="far photodiodes")
@@ -344,6 +346,13 @@ class ResponseCapture(SignedCapture):
 
     has_gradients = False
 
+    def __post_init__(self) -> None:
+        refuse_if(
+            mi.is_spectral,
+            f"plenoptic_wave: variant {mi.variant()}: responses of photodiodes under lenses of "
+            "a few wavelengths are computed in mono and rgb variants only",
+        )
+
     @cached_property
     def nodes(self) -> list[Node]:
         """Return the wavelengths at which the response tables are computed."""
@@ -360,16 +369,6 @@ class ResponseCapture(SignedCapture):
         """Return a function that constructs the sum of a capture; there is only one kind of sum."""
         return partial(ResponseSum, self.camera, light, nodes, spp=spp, seed=seed)
 
-    def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
+    def projections(self, image: NDArray[np.float32]) -> dict[int, NonNegative]:
         """Return no channels to mend: negative pixels stay, as the noise of few rays exceeds the light around them."""
         return {}
-
-
-def response_capture(*arguments: Any) -> ResponseCapture:
-    """Return the wave capture of a scene behind lenses of a few wavelengths, from the arguments of `SignedCapture`."""
-    refuse_if(
-        mi.is_spectral,
-        f"plenoptic_wave: variant {mi.variant()}: responses of photodiodes under lenses of "
-        "a few wavelengths are computed in mono and rgb variants only",
-    )
-    return ResponseCapture(*arguments)

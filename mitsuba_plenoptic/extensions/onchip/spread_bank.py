@@ -135,8 +135,8 @@ def psf_bank(
 def _points(camera: PlenopticCamera, chief: tuple[float, float], distances: Sequence[float]) -> NDArray[np.float64]:
     """Return the points (n, 3) at given distances whose chief rays meet the array at one position."""
     start, slope, _ = main_lens(camera).ray((0.0, 0.0), chief)
-    place = [float(start[i]) + (np.array(distances) - float(start[2])) * float(slope[i]) for i in (0, 1)]
-    return np.stack([*place, np.array(distances)], -1)
+    position = [float(start[i]) + (np.array(distances) - float(start[2])) * float(slope[i]) for i in (0, 1)]
+    return np.stack([*position, np.array(distances)], -1)
 
 
 def _reach(
