@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera, Use, has_small_lenses, is_supported, require_support
+from ..camera import Captures, PlenopticCamera, Use, has_small_lenses, is_supported, require_support, with_gradient
 from ..detector.operator import SHARP
 from ..errors import InputError, naming, refuse_if, require_accuracy
 from ..extension import hook
 from ..optics import colour, guards
 from ..optics.spectrum import Spectrum
-from ..points.accuracy import DEFAULT_ACCURACY
-from ..points.derivatives import DIFFERENTIABLE
-from ..points.scene_points import PointsCapture, require_matte
 from ..runtime import Cost, Job
 from ..scene.load import GONE_PARAMETERS
 from ..scene.radiance import LightDerivatives, SceneLight
 from ..scene.render_capture import require_wave_film
+from ..waves.accuracy import DEFAULT_ACCURACY
 from ..waves.scheme import check_screen
 from ..waves.signed_camera import require_parameters
 from ..waves.signed_capture import SignedCapture, SignedGradients
 from .properties import read_choice, read_plain
 from .wave_base import NAME, SHARED, asked_for, develop, develop_back, make_base, put, read_colours
+
+if TYPE_CHECKING:
+    from ..points.scene_points import PointsCapture
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
@@ -45,7 +46,10 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
             held = "places of shapes and cameras are held; differentiate captures by rays, through the sensor plenoptic"
             raise InputError(f"plenoptic_wave: {key}: it has no gradient: {held}")
         if isinstance(node, (mi.Sensor, mi.Film)):
-            refuse_if(name not in DIFFERENTIABLE, f"plenoptic_wave: {key}: captures by waves have no derivative by it")
+            refuse_if(
+                name not in with_gradient(Captures.POINTS),
+                f"plenoptic_wave: {key}: captures by waves have no derivative by it",
+            )
             if node is sensor:
                 names.append(name)
         else:
@@ -56,7 +60,7 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
 def varying_of(sensor: Any) -> tuple[str, ...]:
     """Return the names of camera parameters of a sensor by which derivatives are taken."""
     with dr.resume_grad():
-        return tuple(name for name in DIFFERENTIABLE if dr.grad_enabled(getattr(sensor, name, None)))
+        return tuple(name for name in with_gradient(Captures.POINTS) if dr.grad_enabled(getattr(sensor, name, None)))
 
 
 def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
@@ -274,6 +278,8 @@ def make_class() -> type:
         def _capture(self, scene: Any, sensor: Any) -> SignedCapture | PointsCapture:
             if self.method == SIGNED_RAYS:
                 return self._signed(scene, sensor)
+            from ..points.scene_points import PointsCapture, require_matte
+
             # The film records what the detector makes of the light.
             camera = PlenopticCamera.from_sensor(sensor).replace(**SHARP)
             require_support(camera, Use.SCENE_POINTS)

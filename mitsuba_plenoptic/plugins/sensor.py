@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import drjit as dr
 import mitsuba as mi
@@ -17,12 +17,14 @@ from ..errors import InputError, refuse_if
 from ..extension import entries, place
 from ..lenses.common import main_lens
 from ..lenses.pupil import Pair
-from ..lenses.real_lens import RealLens
 from ..optics.rays import second_leg
 from ..rays.sensor_rays import LensRays, RayColours, sampler_of
 from ..runtime import require_unfrozen
 from ..scene.radiance import world_ray
 from .properties import read_camera, require_read
+
+if TYPE_CHECKING:
+    from ..lenses.real_lens import RealLens
 
 NAME = "plenoptic"
 
@@ -264,7 +266,9 @@ def make_class() -> type:
                 for name, dx, dy in (("x", width, 0), ("y", 0, width)):
                     if rays.walk.camera.lens_data.traced_surfaces:
                         # Tracing the offset rays surface by surface would cost three times as much.
-                        beside, slope_beside = cast(RealLens, rays.walk.lens).beside(point, slope, *rays.steps(dx, dy))
+                        beside, slope_beside = cast("RealLens", rays.walk.lens).beside(
+                            point, slope, *rays.steps(dx, dy)
+                        )
                     else:
                         beside, slope_beside, _ = rays.trace((px + dx, py + dy), passage)
                     setattr(ray, f"o_{name}", to_world @ mi.Point3f(*beside))
