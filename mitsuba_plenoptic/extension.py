@@ -175,6 +175,8 @@ GONE = {
     "--save-run": "a Makefile or Snakemake serves instead (docs/guides/long_runs.md)",
     "--fit": "preview says which distances refocusing makes sharp, and info --fix mends a camera",
     "--overview": "napari and ImageJ show the file of the volume",
+    "fitting.Layers": "mi.render fits textures (docs/guides/inverse_problems.md)",
+    "fitting.fit_layers": "mi.render fits textures (docs/guides/inverse_problems.md)",
     "wavefront.CorrectedObject": "wavefront.fit_wavefronts fits the wavefront of known points",
     "wavefront.deconvolve_zones": "wavefront.fit_wavefronts fits the wavefront of known points",
     "wavefront.digital_adaptive_optics": "wavefront.fit_wavefronts fits the wavefront of known points",
