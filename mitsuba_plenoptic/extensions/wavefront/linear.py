@@ -28,7 +28,7 @@ from ...fields.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator
 from ...points.units import brightness_at
 from ...runtime import as_array, as_pixels
-from .zone_search import Zone
+from .wavefront_fit import Zone, require_zone
 
 Array = NDArray[np.float64]
 
@@ -88,8 +88,7 @@ class InteractionMatrix:
         """
         count = require_count("modes", modes, minimum=2, maximum=36)
         wavelength = require_wavelength(wavelength)
-        if not isinstance(zone, Zone):
-            raise InputError(f"zone of type {type(zone).__name__}: it must be a Zone")
+        require_zone(zone)
         operator = CaptureOperator(camera, zone.points, wavelength=wavelength, accuracy=require_accuracy(accuracy))
         system = OpticalSystem(operator.camera.at_wavelength(wavelength), wavelength)
         weights = zone.weights * brightness_at(system, zone.points)
