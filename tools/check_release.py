@@ -132,7 +132,8 @@ def try_everywhere(distributions: list[Path], folder: Path) -> None:
     for number in stated:
         program = shutil.which(f"python{number}")
         # Version managers put programs on PATH that only say that their version is not active.
-        if program is None or subprocess.run([program, "-c", "import venv"], capture_output=True, check=False).returncode:
+        command = [program or "", "-c", "import venv"]
+        if program is None or subprocess.run(command, capture_output=True, check=False).returncode:
             print(f"Python {number}: not on PATH, not tried")
             continue
         for distribution in distributions:
