@@ -3,9 +3,10 @@
 from typing import NoReturn
 
 from ...extension import without
+from ...linear.noise import PixelNoise
 from .approach import coarse_fit, lattice_from_white
 from .capture_fit import fit
-from .fit_light import PixelNoise, View, known_view, noise_of
+from .fit_light import View, known_view, noise_of
 from .fit_result import Direction, Fit
 
 __all__ = [
