@@ -44,7 +44,7 @@ from mitsuba_plenoptic.optimisation import maximise
 from mitsuba_plenoptic.points.units import brightness_of
 from mitsuba_plenoptic.report.images import Brightness, to_bytes
 from mitsuba_plenoptic.report.plots import Plot, annotate, bare, contact_sheet, depth_figure
-from mitsuba_plenoptic.waves.signed_colours import plan_of
+from mitsuba_plenoptic.waves.scheme import plan_of
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "pictures"

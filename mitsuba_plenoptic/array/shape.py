@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -18,6 +19,9 @@ from ..runtime import PlainData, read_json_value
 from . import Lattice
 
 MM_PER_NM = 1e-6
+
+FILES = ("conic", "phase_map", "sampled", "zone_lens")
+"""Files of this folder with shapes, which are imported when a shape is asked for by its form."""
 
 _RIM = np.linspace(0, 1, 65)
 """Positions across the unit square of an aperture at which a shape must be defined, its edges included."""
@@ -151,6 +155,8 @@ def known_shape(value: Any, resolve: Callable[[str], str] = str) -> MicrolensSha
             raise InputError(
                 f"{short_repr(value)}: it must be a shape, a dictionary with an entry form, or a JSON file"
             )
+        for name in FILES:
+            importlib.import_module(f"{__package__}.{name}")
         entries = dict(value)
         kind = MicrolensShape.kinds[require_choice("form", entries.pop("form"), MicrolensShape.kinds)]
         return kind.from_plain(entries)

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..array import NO_LATTICE, Displacement, Lattice, Lenslet, MicrolensShape, Paraboloid, make_lattice
+from ..array import NO_LATTICE, Displacement, FigureError, Lattice, Lenslet, MicrolensShape, Paraboloid, make_lattice
+from ..array.figure_error import random_figure_error
 from ..array.lens_shifts import deviates
 from ..errors import InputError, refuse_if
 from ..prescription import Prescription
@@ -126,6 +127,12 @@ class CameraGeometry(CameraParameters):
     def refocuses(self) -> bool:
         """Whether captures can be refocused: those of an array, unless it is in the image of a telescope's pupil."""
         return self.has_array and not isinstance(self.main_lens, Collimator)
+
+    @property
+    def figure_error(self) -> FigureError | None:
+        """The random optical path over the whole array, or None if it has none."""
+        size, length = self.mla_figure_error
+        return random_figure_error(size, length, self.mla_seed) if size else None
 
     @cached_property
     def lattice(self) -> Lattice:

@@ -433,7 +433,7 @@ class CoreParameters:
         words=(
             "Root mean square in millimetres of a random path that errors of the microlenses' surfaces add to light, "
             "and its correlation length in millimetres along the array; see "
-            "`mitsuba_plenoptic.fields.lens_kinds.FigureError`."
+            "`mitsuba_plenoptic.array.FigureError`."
         ),
         form=Form.PLACE,
         of_array=True,

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..runtime import drjit_array
-from .spectrum import WAVELENGTHS, Responses, Spectrum, Table, interpolated
+from .spectrum import WAVELENGTHS, Spectrum, Table, interpolated
 
 _STEP = 10.0
 """Step in nanometres between the wavelengths at which reflectances are computed."""
@@ -30,13 +30,16 @@ _EXACT = 1e5
 _UNKNOWN = 0.01
 """Largest fraction of the channels' responses at wavelengths where a spectrum has no values."""
 
+_CIE_STEP = 5.0
+"""Step in nanometres of Mitsuba's tables of CIE 1931."""
+
 _LOW, _HIGH = 380.0, 730.0
 """Visible range in nanometres: beyond it, the luminous efficiency is below 1/1000 of its peak."""
 
 
 def srgb(count: int = WAVELENGTHS, tables: Sequence[Table] = ()) -> Spectrum:
     """Return the spectral responses of linear sRGB, which Mitsuba's colour films also use."""
-    return Spectrum.smooth(*SRGB, count, tables)
+    return Spectrum.smooth(srgb_responses, _LOW, _HIGH, count, tables)
 
 
 def tables_of(scene: Any) -> list[Table]:
@@ -105,15 +108,17 @@ def _beyond(wavelengths: NDArray[np.float64], responses: NDArray[np.float32], lo
     return float(wavelengths[outside][0]) if weights[outside].sum() > _UNKNOWN * weights.sum() else None
 
 
-def _srgb_responses(wavelengths: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the responses (3, n) per nanometre of red, green and blue."""
+def srgb_responses(wavelengths: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the responses (3, n) per nanometre of red, green and blue in linear sRGB."""
     xyz = np.array(mi.cie1931_xyz(drjit_array(mi.Float, wavelengths)), np.float64)
     matrix = np.array([np.ravel(mi.xyz_to_srgb(mi.ScalarColor3f(unit))) for unit in np.eye(3).tolist()], np.float64).T
     return np.asarray(matrix @ xyz * mi.MI_CIE_Y_NORMALIZATION)
 
 
-SRGB = Responses(_srgb_responses, _LOW, _HIGH)
-"""Responses of linear sRGB."""
+def srgb_table() -> NDArray[np.float64]:
+    """Return rows of a wavelength and the responses of linear sRGB; Mitsuba's tables are linear between these rows."""
+    wavelengths = np.arange(_LOW, _HIGH + _CIE_STEP / 2, _CIE_STEP)
+    return np.column_stack([wavelengths, srgb_responses(wavelengths).T])
 
 
 def _d65(wavelengths: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -136,7 +141,7 @@ def _reflectances() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
     grid = np.arange(mi.MI_CIE_MIN, mi.MI_CIE_MAX + _STEP / 2, _STEP)
     count = len(grid)
-    recorded = _srgb_responses(grid) * _d65(grid) * _STEP
+    recorded = srgb_responses(grid) * _d65(grid) * _STEP
     # Normalised so that D65 itself is exactly white.
     recorded /= recorded.sum(axis=1, keepdims=True)
     smooth = np.kron(np.eye(3), np.diff(np.eye(count), axis=0))

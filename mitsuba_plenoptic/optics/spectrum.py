@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,16 +40,6 @@ WAVELENGTHS = 31
 
 Table = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Wavelengths in nanometres and values of a spectrum, linear between them and 0 outside."""
-
-
-class Responses(NamedTuple):
-    """Responses of detector channels as functions of the wavelength."""
-
-    # From wavelengths (n,) in nanometres to responses (channels, n) per nanometre.
-    at: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-    # Shortest and longest wavelength, in nanometres.
-    low: float
-    high: float
 
 
 _FINE = 0.5

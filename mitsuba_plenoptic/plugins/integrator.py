@@ -2,31 +2,35 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera, Use, has_small_lenses, is_supported, require_support
+from ..camera import Captures, PlenopticCamera, Use, has_small_lenses, is_supported, require_support, with_gradient
 from ..detector.operator import SHARP
-from ..errors import InputError, naming, refuse_if, require_accuracy
+from ..errors import InputError, naming, refuse_if, require_accuracy, require_number, short_repr
 from ..extension import hook
 from ..optics import colour, guards
-from ..optics.spectrum import Spectrum
-from ..points.accuracy import DEFAULT_ACCURACY
-from ..points.derivatives import DIFFERENTIABLE
-from ..points.scene_points import PointsCapture, require_matte
+from ..optics.spectrum import MOST_WAVELENGTHS, WAVELENGTHS, Spectrum, Table, interpolated, read_responses
 from ..runtime import Cost, Job
 from ..scene.load import GONE_PARAMETERS
 from ..scene.radiance import LightDerivatives, SceneLight
 from ..scene.render_capture import require_wave_film
+from ..waves.accuracy import DEFAULT_ACCURACY
 from ..waves.scheme import check_screen
 from ..waves.signed_camera import require_parameters
 from ..waves.signed_capture import SignedCapture, SignedGradients
-from .properties import read_choice, read_plain
-from .wave_base import NAME, SHARED, asked_for, develop, develop_back, make_base, put, read_colours
+from ..waves.spectral_nodes import WavelengthSampler
+from .properties import read_choice, read_count, read_number, read_plain
+from .wave_base import NAME, asked_for, develop, develop_back, make_base, put, read_wavelengths
+
+if TYPE_CHECKING:
+    from ..points.scene_points import PointsCapture
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
@@ -45,7 +49,10 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
             held = "places of shapes and cameras are held; differentiate captures by rays, through the sensor plenoptic"
             raise InputError(f"plenoptic_wave: {key}: it has no gradient: {held}")
         if isinstance(node, (mi.Sensor, mi.Film)):
-            refuse_if(name not in DIFFERENTIABLE, f"plenoptic_wave: {key}: captures by waves have no derivative by it")
+            refuse_if(
+                name not in with_gradient(Captures.POINTS),
+                f"plenoptic_wave: {key}: captures by waves have no derivative by it",
+            )
             if node is sensor:
                 names.append(name)
         else:
@@ -56,7 +63,7 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
 def varying_of(sensor: Any) -> tuple[str, ...]:
     """Return the names of camera parameters of a sensor by which derivatives are taken."""
     with dr.resume_grad():
-        return tuple(name for name in DIFFERENTIABLE if dr.grad_enabled(getattr(sensor, name, None)))
+        return tuple(name for name in with_gradient(Captures.POINTS) if dr.grad_enabled(getattr(sensor, name, None)))
 
 
 def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
@@ -75,6 +82,15 @@ SIGNED_RAYS = "signed_rays"
 
 POINTS = "points"
 """The reference method: points of matte surfaces, each of which is propagated separately."""
+
+SRGB = "srgb"
+"""The responses of linear sRGB, in place of the name of a file."""
+
+BAND_NODES = 8
+"""Default count of wavelengths of a band; point spreads may be computed at fewer."""
+
+SHARED = 32
+"""Count of wavelengths of a band whose light is distributed to the nodes of signed rays."""
 
 # Integrators that trace light from the emitters, and do not estimate the radiance along a ray.
 _LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
@@ -107,8 +123,9 @@ def make_class() -> type:
              table, or in spectral variants tables of the scene, change faster. (Default: 31)
          * - nodes
            - |int|
-           - Count of wavelengths at which diffraction is computed, for each band, or with ``responses`` in total; light
-             between two of them is distributed to both. (Default: as many as ``accuracy`` needs)
+           - Count of wavelengths at which diffraction is computed, for each band, or with ``responses`` in total (by
+             ``signed_rays`` for each channel, if no two responses overlap); light between two of them is distributed to
+             both. (Default: as many as ``accuracy`` needs)
          * - method
            - |string|
            - ``signed_rays``: computed from the radiance along rays. ``points``: matte surfaces point by point, the slow
@@ -192,8 +209,7 @@ def make_class() -> type:
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            self.colours = read_colours(props)
-            self.wavelengths = self.colours.wavelengths
+            self._read_spectrum(props)
             for name in GONE_PARAMETERS:
                 refuse_if(
                     name in props,
@@ -220,7 +236,7 @@ def make_class() -> type:
             """Add the gradients of parameters, from the gradient with respect to the capture, for `mi.render`."""
             sensor, seed, spp = asked_for(scene, sensor, seed, spp)
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=False)
-            shape = *gradients.capture.camera.shape, gradients.capture.colours.spectrum.channels
+            shape = *gradients.capture.camera.shape, gradients.capture.spectrum.channels
             with guards.watch():
                 back = develop_back(sensor.film(), grad_in, shape)
                 found = gradients.backward(back, names)
@@ -266,14 +282,16 @@ def make_class() -> type:
         def spectrum_of(self, scene: Any, sensor: Any) -> Spectrum | None:
             """Return the spectrum that a sensor's film records; None if each channel has one wavelength."""
             # Signed rays draw their wavelengths, so they miss no line; in rgb and mono variants spectra are smooth.
-            channels = sensor.film().base_channels_count()
-            if self.method == SIGNED_RAYS:
-                return self.colours.spectrum_for(channels, (), SHARED)
-            return self.colours.spectrum_for(channels, colour.tables_of(scene) if mi.is_spectral else [])
+            # Signed rays draw their wavelengths, so they miss no line; in rgb and mono variants spectra are smooth.
+            drawn = self.method == SIGNED_RAYS
+            tables = [] if drawn or not mi.is_spectral else colour.tables_of(scene)
+            return self._spectrum(sensor.film().base_channels_count(), tables)
 
         def _capture(self, scene: Any, sensor: Any) -> SignedCapture | PointsCapture:
             if self.method == SIGNED_RAYS:
                 return self._signed(scene, sensor)
+            from ..points.scene_points import PointsCapture, require_matte
+
             # The film records what the detector makes of the light.
             camera = PlenopticCamera.from_sensor(sensor).replace(**SHARP)
             require_support(camera, Use.SCENE_POINTS)
@@ -286,36 +304,142 @@ def make_class() -> type:
             if spectrum is None:
                 spectrum = Spectrum.lines(*self.wavelengths)
             else:
-                upsampling = self.colours.upsampling(spectrum)
-                if (nodes := self.colours.nodes) is not None:
-                    bands = 1 if self.colours.bandwidth is None else len(self.wavelengths)
-                    spectrum = spectrum.interpolated(nodes * bands)
-            each = spectrum.wavelengths if mi.is_spectral else (None,)
-            lights = [SceneLight(scene, sensor, self.child, wavelength) for wavelength in each]
+                upsampling = None if mi.is_spectral else self._upsampling(spectrum)
+                if self.nodes is not None:
+                    spectrum = spectrum.interpolated(
+                        self.nodes * (1 if self.bandwidth is None else len(self.wavelengths))
+                    )
+            traced = spectrum.wavelengths if mi.is_spectral else (None,)
+            lights = [SceneLight(scene, sensor, self.child, wavelength) for wavelength in traced]
             return PointsCapture(camera, lights, spectrum, upsampling, self.accuracy)
 
         def _signed(self, scene: Any, sensor: Any) -> SignedCapture:
-            colours = self.colours.signed(sensor.film().base_channels_count())
+            spectrum = self.spectrum_of(scene, sensor)
+            conversion: NDArray[np.float64] | WavelengthSampler
+            if spectrum is None:
+                spectrum, conversion = Spectrum.lines(*self.wavelengths), np.eye(len(self.wavelengths))
+            elif mi.is_spectral:
+                conversion = WavelengthSampler(self._table())
+            else:
+                conversion = self._upsampling(spectrum)
             if mi.is_spectral:
-                colour.require_spectra(scene, colours.spectrum.wavelengths, colours.spectrum.matrix())
+                colour.require_spectra(scene, spectrum.wavelengths, spectrum.matrix())
             light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
             camera = PlenopticCamera.from_sensor(sensor)
             require_support(camera, Use.SCENES)
+            if camera.phase_screen is not None:
+                check_screen(camera, min(spectrum.wavelengths))
+            arguments = camera, light, spectrum, conversion, self.nodes, self.accuracy
+            if has_small_lenses(camera, max(spectrum.wavelengths)):
+                return hook("small lenses", f"{NAME}: mla_pitch = {camera.mla_pitch:g}")(*arguments)
             # Derivatives that are refused are so when they are asked for.
             varying = varying_of(sensor) if is_supported(camera, Use.SCENE_DERIVATIVES) else ()
-            if camera.phase_screen is not None:
-                check_screen(camera, min(colours.spectrum.wavelengths))
-            if has_small_lenses(camera, max(colours.spectrum.wavelengths)):
-                what = f"{NAME}: mla_pitch = {camera.mla_pitch:g}"
-                return hook("small lenses", what)(camera, light, colours, self.accuracy)
-            return SignedCapture(camera, light, colours, self.accuracy, varying)
+            return SignedCapture(*arguments, varying)
+
+        def _read_spectrum(self, props: Any) -> None:
+            """Read wavelengths, bands and responses."""
+            self.wavelengths = read_wavelengths(props)
+            self.has_wavelengths = "wavelength" in props
+            self.bandwidth = read_number(props, NAME, "bandwidth", None)
+            self.responses = read_plain(props, "responses", None)
+            self.wavelength_count = read_count(props, NAME, "wavelength_count", WAVELENGTHS, maximum=MOST_WAVELENGTHS)
+            self.nodes = read_count(props, NAME, "nodes", 0, maximum=MOST_WAVELENGTHS) if "nodes" in props else None
+            # Rows of the file of responses: a wavelength and the response of each channel.
+            self.file_table: NDArray[np.float64] | None = None
+            if self.bandwidth is not None:
+                for wavelength in self.wavelengths:
+                    require_number(f"{NAME}: bandwidth", self.bandwidth, maximum=wavelength)
+            if self.responses is None:
+                if not mi.is_spectral:
+                    refuse_if(
+                        "wavelength_count" in props,
+                        f"{NAME}: wavelength_count = {self.wavelength_count}: of use with responses only",
+                    )
+                    refuse_if(
+                        self.nodes is not None and self.bandwidth is None,
+                        f"{NAME}: nodes = {self.nodes}: of use with bandwidth or responses only",
+                    )
+                return
+            refuse_if(
+                not isinstance(self.responses, str),
+                f"{NAME}: responses = {short_repr(self.responses)}: it must be srgb or the name of a file",
+            )
+            for name in ("wavelength", "bandwidth"):
+                refuse_if(name in props, f"{NAME}: responses, {name}: give one of the two")
+            if self.responses == SRGB:
+                refuse_if(
+                    not (mi.is_rgb or mi.is_spectral),
+                    f"{NAME}: responses = srgb: variant {mi.variant()} has no colours; use an rgb or spectral one",
+                )
+                return
+            self.responses = str(mi.file_resolver().resolve(self.responses))
+            self.file_table = read_responses(self.responses)
+            Spectrum.sensor(self.file_table, self.wavelength_count)
+            channels = self.file_table.shape[1] - 1
+            refuse_if(
+                channels not in (1, 3),
+                f"{NAME}: responses = {self.responses}: {channels} channels: it must be 1 or 3",
+            )
+
+        def _spectrum(self, channels: int, tables: Sequence[Table]) -> Spectrum | None:
+            """Return the spectrum of a film with `channels`; None if each channel of light has one wavelength.
+
+            `tables` are spectra of the scene whose products with the responses must be integrated accurately.
+            """
+            if self.file_table is not None:
+                columns = self.file_table.shape[1] - 1
+                # A luminance film accepts three channels, too, but would add them up as if they were colours.
+                refuse_if(
+                    columns not in (1, channels),
+                    f"responses = {self.responses}: {columns} channels, and the film has {channels}: use pixel_format "
+                    "rgb",
+                )
+                return Spectrum.sensor(self.file_table, self.wavelength_count, tables)
+            if self.bandwidth is not None:
+                count = SHARED if self.method == SIGNED_RAYS else self.nodes or BAND_NODES
+                if tables:
+                    ends, flat = self._table().T
+                    response = partial(interpolated, ends, [flat])
+                    return Spectrum.smooth(response, float(ends[0]), float(ends[1]), count, tables)
+                return Spectrum.bands(self.wavelengths, self.bandwidth, count)
+            if self.responses == SRGB or (mi.is_spectral and channels == 3 and not self.has_wavelengths):
+                return colour.srgb(self.wavelength_count, tables)
+            return None
+
+        def _table(self) -> NDArray[np.float64]:
+            """Return the responses as rows of a wavelength and the response of each channel per nanometre."""
+            if self.file_table is not None:
+                wavelengths, columns = self.file_table[:, 0], self.file_table[:, 1:]
+                return np.column_stack([wavelengths, columns / np.trapezoid(columns, wavelengths, axis=0)])
+            if self.bandwidth is not None:
+                (centre,), half = self.wavelengths, self.bandwidth / 2
+                return np.array([[centre - half, 1 / self.bandwidth], [centre + half, 1 / self.bandwidth]])
+            return colour.srgb_table()
+
+        def _upsampling(self, spectrum: Spectrum) -> NDArray[np.float64]:
+            """Return the matrix (channels of light, wavelengths) from radiance to spectra in mono and rgb variants."""
+            if self.bandwidth is not None:
+                of_band = np.ones(len(spectrum.wavelengths) // len(self.wavelengths))
+                return np.asarray(np.kron(np.eye(len(self.wavelengths)), of_band), np.float64)
+            if not mi.is_rgb:
+                return np.ones((1, len(spectrum.wavelengths)))
+            colour.require_upsampled(spectrum)
+            basis = colour.upsampling(spectrum.wavelengths)
+            if self.responses != SRGB:
+                return basis
+            # Sums over wavelengths approximate integrals; the matrix is corrected so that grey remains exactly grey.
+            return np.asarray(np.linalg.solve(basis @ spectrum.matrix().astype(np.float64).T, basis))
 
         def parameters(self) -> dict[str, Any]:
             """Return the parameters of this integrator by name, as for ``mi.load_dict``."""
-            return {
-                **self.colours.parameters(),
-                "method": self.method,
-                "accuracy": self.accuracy,
-            }
+            parameters: dict[str, Any] = {}
+            if self.responses is not None:
+                parameters |= {"responses": self.responses, "wavelength_count": self.wavelength_count}
+            elif self.has_wavelengths or not mi.is_spectral:
+                parameters["wavelength"] = ", ".join(f"{wavelength:g}" for wavelength in self.wavelengths)
+            for name in ("bandwidth", "nodes"):
+                if getattr(self, name) is not None:
+                    parameters[name] = getattr(self, name)
+            return parameters | {"method": self.method, "accuracy": self.accuracy}
 
     return PlenopticWaveIntegrator

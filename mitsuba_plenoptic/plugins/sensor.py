@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import drjit as dr
 import mitsuba as mi
@@ -17,12 +17,14 @@ from ..errors import InputError, refuse_if
 from ..extension import entries, place
 from ..lenses.common import main_lens
 from ..lenses.pupil import Pair
-from ..lenses.real_lens import RealLens
 from ..optics.rays import second_leg
-from ..rays.sensor_rays import LensRays, RayColours, sampler_of
+from ..rays.sensor_rays import Dispersion, LensRays, sampler_of
 from ..runtime import require_unfrozen
 from ..scene.radiance import world_ray
 from .properties import read_camera, require_read
+
+if TYPE_CHECKING:
+    from ..lenses.real_lens import RealLens
 
 NAME = "plenoptic"
 
@@ -238,18 +240,19 @@ def make_class() -> type:
         ) -> tuple[Any, Any]:
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
             rays, width = self._rays, self.detector_width / self.film().size()[0]
-            light: RayColours | None = None
+            dispersion: Dispersion | None = None
             passage: Any = None
             if rays.dispersion is not None:
-                light, lens_sample, share = rays.dispersion.draw(lens_sample, wavelengths)
+                dispersion, lens_sample, share = rays.dispersion.draw(lens_sample, wavelengths)
+                rays = dispersion.refracting(rays)
                 # In polarized variants weights are Mueller matrices.
-                rays, weight = light.of(rays), weight * mi.Spectrum(share)
+                weight = weight * mi.Spectrum(share)
             px, py = self._on_detector(film_sample)
             if self._table is not None:
                 sample, side, behind = cast(LensRays, rays).sample_pupil((px, py), width, lens_sample)
                 weight = weight * mi.Spectrum(self._table(side, behind, wavelengths) * sample.weight)
             else:
-                sample, passage = rays.sample((px, py), lens_sample, light)
+                sample, passage = rays.sample((px, py), lens_sample, dispersion)
                 weight = weight * sample.weight * self._second_leg(*rays.second_leg(sample))
             point, slope, open_ = sample.origin, sample.slope, sample.valid & active
             ray = world_ray(self, point, slope)
@@ -264,7 +267,9 @@ def make_class() -> type:
                 for name, dx, dy in (("x", width, 0), ("y", 0, width)):
                     if rays.walk.camera.lens_data.traced_surfaces:
                         # Tracing the offset rays surface by surface would cost three times as much.
-                        beside, slope_beside = cast(RealLens, rays.walk.lens).beside(point, slope, *rays.steps(dx, dy))
+                        beside, slope_beside = cast("RealLens", rays.walk.lens).beside(
+                            point, slope, *rays.steps(dx, dy)
+                        )
                     else:
                         beside, slope_beside, _ = rays.trace((px + dx, py + dy), passage)
                     setattr(ray, f"o_{name}", to_world @ mi.Point3f(*beside))

@@ -32,34 +32,16 @@ _MIDDLES = 1024
 
 
 @dataclass(frozen=True)
-class RayColours:
-    """Focal lengths and refractive indices for single rays, each with its own wavelength."""
-
-    # Ratios of the focal lengths of the thin main lens and of the microlenses to the camera's parameters.
-    ratio: Any
-    mla_ratio: Any
-    # Refractive indices behind each surface of a real main lens.
-    indices: list[Any] | None
-
-    def of(self, rays: RaySampler) -> RaySampler:
-        """Return a sampler of rays that the main lens refracts with these focal lengths and indices."""
-        lens: Any = rays.walk.lens
-        if self.indices is not None:
-            lens = replace(lens, indices=self.indices)
-        else:
-            lens = replace(lens, focal_length=lens.focal_length * self.ratio)
-        return replace(rays, walk=replace(rays.walk, lens=lens))
-
-
-@dataclass(frozen=True)
 class Dispersion:
-    """The dispersion of a camera's glasses, for the colours of the active variant."""
+    """Focal lengths and refractive indices of a camera at some wavelengths, or, after `draw`, for each ray."""
 
     # In nanometres: the wavelengths of the channels in rgb variants, a grid in spectral variants.
     wavelengths: tuple[float, ...]
-    # As in `RayColours`, at these wavelengths; a float where the value does not depend on the wavelength.
+    # Ratios of the focal lengths of the thin main lens and of the microlenses to the camera's parameters; a float where
+    # the value does not depend on the wavelength.
     ratio: Any
     mla_ratio: Any
+    # Refractive indices behind each surface of a real main lens.
     indices: list[Any] | None
 
     @classmethod
@@ -96,8 +78,11 @@ class Dispersion:
         high = min([max(self.wavelengths), *(glass.reach[1] for glass in glasses)])
         return [camera.at_wavelength(wavelength) for wavelength in (min(low, LINE_D), max(high, LINE_D))]
 
-    def draw(self, sample: Any, wavelengths: Any) -> tuple[RayColours, Any, Any]:
-        """Return the optics of rays of random wavelengths, the unused part of the sample, and the channels' weights."""
+    def draw(self, sample: Any, wavelengths: Any) -> tuple[Dispersion, Any, Any]:
+        """Return the dispersion for rays of random wavelengths, what is left of the sample, and the channels' weights.
+
+        In rgb variants each ray draws a channel; in spectral variants rays have `wavelengths`.
+        """
         if mi.is_spectral:
             position = dr.clip((wavelengths[0] - self.wavelengths[0]) / _STEP, 0, len(self.wavelengths) - 1)
             low = mi.UInt32(dr.minimum(dr.floor(position), len(self.wavelengths) - 2))
@@ -105,7 +90,7 @@ class Dispersion:
             share = dr.zeros(mi.UnpolarizedSpectrum)
             share[0] = mi.Float(len(share))
 
-            def take(table: Any) -> Any:
+            def at(table: Any) -> Any:
                 first, second = dr.gather(mi.Float, table, low), dr.gather(mi.Float, table, low + 1)
                 return first + fraction * (second - first)
         else:
@@ -115,14 +100,24 @@ class Dispersion:
             sample = mi.Point2f(scaled - whole, sample[1])
             share = mi.UnpolarizedSpectrum(*(dr.select(channel == i, mi.Float(3), 0) for i in range(3)))
 
-            def take(table: Any) -> Any:
+            def at(table: Any) -> Any:
                 return dr.gather(mi.Float, table, channel)
 
-        def of(value: Any) -> Any:
-            return take(value) if dr.is_array_v(value) else value
+        def of_rays(value: Any) -> Any:
+            return at(value) if dr.is_array_v(value) else value
 
-        indices = None if self.indices is None else [of(index) for index in self.indices]
-        return RayColours(of(self.ratio), of(self.mla_ratio), indices), sample, share
+        indices = None if self.indices is None else [of_rays(index) for index in self.indices]
+        ratios = {"ratio": of_rays(self.ratio), "mla_ratio": of_rays(self.mla_ratio)}
+        return replace(self, indices=indices, **ratios), sample, share
+
+    def refracting(self, rays: RaySampler) -> RaySampler:
+        """Return a sampler of rays that the main lens refracts with these focal lengths and indices."""
+        lens: Any = rays.walk.lens
+        if self.indices is not None:
+            lens = replace(lens, indices=self.indices)
+        else:
+            lens = replace(lens, focal_length=lens.focal_length * self.ratio)
+        return replace(rays, walk=replace(rays.walk, lens=lens))
 
 
 def _varying_lens(camera: PlenopticCamera, numbers: dict[str, Any]) -> Any:
@@ -167,7 +162,7 @@ class PupilRays:
         made = camera.aperture.draws(), dr.opaque(mi.Float, radius), dr.opaque(mi.Float, share)
         return cls(Walk(camera, _varying_lens(camera, numbers)), dispersion, *made, middles, corner / _MIDDLES)
 
-    def sample(self, pixel: Pair, sample: Any, light: RayColours | None) -> tuple[Ray, Pair]:
+    def sample(self, pixel: Pair, sample: Any, dispersion: Dispersion | None) -> tuple[Ray, Pair]:
         """Return rays through points of the pupil with the density of the power that passes them, and these points."""
         middle = self._middle(pixel)
         pupil = tuple(c + self.radius * x for c, x in zip(middle, self.draws(sample), strict=True))
@@ -254,11 +249,11 @@ class LensRays:
         dx, dy = self.walk.lattice.aperture_point(within, sample[1])
         return Passage((lens.centre[0] + dx, lens.centre[1] + dy), lens), number, tried * lens.gain
 
-    def sample(self, pixel: Pair, sample: Any, light: RayColours | None) -> tuple[Ray, Passage]:
+    def sample(self, pixel: Pair, sample: Any, dispersion: Dispersion | None) -> tuple[Ray, Passage]:
         """Return rays through random points of lenses, which are drawn from those around chief rays."""
         passage, _, weight = self._pass(pixel, sample, self.choice)
-        if light is not None:
-            lens = passage.lens._replace(focal_length=passage.lens.focal_length * light.mla_ratio)
+        if dispersion is not None:
+            lens = passage.lens._replace(focal_length=passage.lens.focal_length * dispersion.mla_ratio)
             passage = passage._replace(lens=lens)
         walk, m, height = self.walk, passage.point, passage.lens.height
         slope, even, emerges = walk.out_of_array(pixel, passage)

@@ -10,7 +10,7 @@ The files in the order in which light passes them:
 `scheme` chooses between cameras with and without microlenses. `ray_sampler` draws rays through microlenses, and
 `pupil_sampler` those of cameras without an array. `phase_space` and `pupil_diffraction` plan the diffraction: which
 functions and kernels a camera needs, by `array_kernels`, `array_field`, `lens_functions`, `oblique`, `fitted_pupil` and
-`pupil_samples`; `expansion` plans cameras near another one. `signed_colours` chooses wavelengths. `signed_rays` is the
+`pupil_samples`; `expansion` plans cameras near another one. `spectral_nodes` chooses wavelengths. `signed_rays` is the
 estimator, which traces, weighs and sums, with the control variate of `control_variate`; `pixel_kernels` and
 `convolution` make images of the sums. `signed_capture` is a capture with its cost and the derivatives by a scene;
 `signed_camera` those by a camera. The numbers on which the accuracy depends are the records of `accuracy`.

@@ -42,8 +42,8 @@ from .phase_space import PhaseSpace, RayCoefficients
 from .pixel_kernels import PixelKernels
 from .ray_sampler import RaySamples
 from .scheme import Plan
-from .signed_colours import mixed
 from .signed_rays import RayBatch, SignedRaySum
+from .spectral_nodes import mixed
 
 PARAMETERS = with_gradient(Captures.SCENES)
 """Camera parameters with respect to which signed-ray captures have derivatives."""
@@ -189,9 +189,9 @@ class CameraAdjoint(_CameraSum):
 
     def _vjp(self, batch: RayBatch, adjoint: list[list[Array]], total: Values) -> None:
         """Add the gradients from the rays of a batch to `total`; see `_adjoint_batches`."""
-        samples, ((walk, _),), (lanes,) = self.samples(batch.pixels, batch.key), self._groups, batch.wavelengths
+        samples, ((walk, _),), (drawn,) = self.samples(batch.pixels, batch.key), self._groups, batch.wavelengths
         power = self._sampler.power(samples)
-        radiance = [light * power for light in self._light(*self._scene_rays(walk, samples, lanes, batch.seed))]
+        radiance = [light * power for light in self._light(*self._scene_rays(walk, samples, drawn, batch.seed))]
         seen = dr.select(samples.ray.valid, mi.Float(1), 0)
         require_finite(radiance, seen)
         halves, lit = means_of_halves(radiance, seen, dr.width(batch.index), self._together)
@@ -220,8 +220,8 @@ class CameraAdjoint(_CameraSum):
         ):
             assert isinstance(table, RayCoefficients)  # others are refused
             values, (by_u, by_v), wider = table(*arguments), table.slopes(*arguments), width(*arguments)
-            used, weights = node.mixture(lanes)
-            if lanes is not None:
+            used, weights = node.mixture(drawn)
+            if drawn is not None:
                 weights = [[dr.gather(mi.Float, weight, pixel) for weight in row] for row in weights]
             for row, image in zip(weights, images, strict=True):
                 control = mixed(row, [controls[i] for i in used])

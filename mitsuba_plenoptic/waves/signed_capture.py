@@ -28,14 +28,17 @@ from ..camera import PlenopticCamera, Values
 from ..detector.noise import PARTS, Mended, keep_spread, variance_left, with_spread
 from ..errors import warn
 from ..io import digest
+from ..optics.spectrum import Spectrum
 from ..runtime import Cost, Job, SumTask
 from ..scene.capture_cost import seconds_by_rays, seconds_by_waves
 from ..scene.radiance import LightDerivatives, SceneLight
 from .control_variate import adjoint_of_means
-from .phase_space import FINE
+from .expansion import ExpandedPlan, nearby
+from .phase_space import FINE, PhaseSpace
+from .scheme import Plan, plan_of
 from .signed_camera import CameraAdjoint, CameraTangents
-from .signed_colours import Lanes, Node, SignedColours, mixed
 from .signed_rays import RayBatch, SignedRaySum, memory_of, rays_of_a_cell
+from .spectral_nodes import Node, RayWavelengths, WavelengthSampler, mixed, node_spectra
 
 Sum = TypeVar("Sum", bound=SignedRaySum)
 
@@ -48,13 +51,18 @@ _TRACING = 0.9
 
 @dataclass(frozen=True)
 class SignedCapture:
-    """A capture by signed rays: camera, light, responses of the channels, and accuracy."""
+    """A capture by signed rays: camera, light, spectrum, and accuracy."""
 
     camera: PlenopticCamera
     # Radiance along rays.
     light: SceneLight
-    # Responses of the channels.
-    colours: SignedColours
+    # Wavelengths, and the channels' responses.
+    spectrum: Spectrum
+    # Matrix (values, wavelengths) from the values of a ray's light to its spectrum; or, if light has its own spectrum,
+    # the sampler of the rays' wavelengths.
+    conversion: NDArray[np.float64] | WavelengthSampler
+    # Count of wavelengths at which diffraction is computed, see `node_spectra`.
+    node_count: int | None
     accuracy: float
     # Camera parameters by which the capture is differentiated.
     varying: tuple[str, ...] = ()
@@ -64,8 +72,45 @@ class SignedCapture:
 
     @cached_property
     def nodes(self) -> list[Node]:
-        """The nodes: wavelengths at which diffraction is computed."""
-        return self.colours.planned(self.camera, self.accuracy, self.varying)
+        """The nodes, with their plans, which are expanded where parameters are varied."""
+        start = nearby(self.camera, self.varying, self.accuracy)
+        weights = self.node_weights(start)
+        shortest, longest = weights[0][0], weights[-1][0]
+
+        def plans(beside_far: bool) -> list[Plan]:
+            return [
+                plan_of(start.at_wavelength(node), node, self.accuracy < FINE, shortest, longest, beside_far)
+                for node, _, _ in weights
+            ]
+
+        # Dispersing microlenses may be in focus at some nodes alone.
+        made = plans(False)
+        if len({plan.by_points for plan in made}) > 1:
+            made = plans(True)
+        nodes = []
+        for plan, (wavelength, channels, of_node) in zip(made, weights, strict=True):
+            if self.varying and isinstance(plan, PhaseSpace) and not plan.by_points:
+                plan = ExpandedPlan.about(plan, self.camera.at_wavelength(wavelength))
+            nodes.append(Node(plan, channels, of_node))
+        return nodes
+
+    def node_weights(self, camera: PlenopticCamera) -> list[tuple[float, tuple[int, ...], NDArray[np.float64]]]:
+        """Return each node's wavelength and channels, and the weights of a ray's values in the channels: see `Node`."""
+        conversion = self.conversion
+        wavelengths, responses = np.array(self.spectrum.wavelengths), np.asarray(self.spectrum.matrix(), np.float64)
+        if isinstance(conversion, WavelengthSampler):
+            wavelengths, responses = conversion.edges, conversion.responses
+        weights: dict[float, NDArray[np.float64]] = {}
+        for channels, spectrum in node_spectra(camera, self.spectrum, self.accuracy, self.node_count):
+            for node, share in zip(spectrum.computed, spectrum.shares(wavelengths), strict=True):
+                weights.setdefault(node, np.zeros(responses.shape))[channels] = responses[channels] * share
+        result = []
+        for node, values in sorted(weights.items()):
+            if not isinstance(conversion, WavelengthSampler):
+                values = values @ conversion.T
+            lit = np.flatnonzero(values.any(1))
+            result.append((node, tuple(lit.tolist()), values[lit]))
+        return result
 
     @property
     def _parts(self) -> int:
@@ -98,7 +143,8 @@ class SignedCapture:
         self, kind: Callable[..., Sum], light: SceneLight, nodes: list[Node], *, spp: int, seed: int
     ) -> Callable[[], Sum]:
         """Return a function that constructs one sum."""
-        return partial(kind, self.camera, light, nodes, self.colours.drawn, parts=self._parts, spp=spp, seed=seed)
+        wavelengths = self.conversion if isinstance(self.conversion, WavelengthSampler) else None
+        return partial(kind, self.camera, light, nodes, wavelengths, parts=self._parts, spp=spp, seed=seed)
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
         """Return the light on the pixels (rows, columns, channels), with the deviations of what pixels make of it."""
@@ -117,7 +163,7 @@ class SignedCapture:
         tasks = [SumTask(items, partial(planned, plan), lambda image: image * np.float32(1 / runs)) for plan in sums]
         if noise:
             tasks = [keep_spread(task, self.camera) for task in tasks]
-        channels = self.colours.spectrum.channels
+        channels = self.spectrum.channels
         shape = (*self.camera.shape, channels * (3 if noise else 1))
         every = sum(task.items for task in tasks)
         reached = {"traced": 0.0, "convolved": 0.0}
@@ -147,7 +193,7 @@ class SignedCapture:
 
     def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
         """Return the compensated images of channels that only noise can make negative, by channel."""
-        channels = np.flatnonzero(self.colours.spectrum.matrix().min(1) >= 0).tolist()
+        channels = np.flatnonzero(self.spectrum.matrix().min(1) >= 0).tolist()
         return {channel: Mended(image[..., channel]) for channel in channels}
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
@@ -178,8 +224,8 @@ class SignedRayAdjoint(SignedRaySum):
         """Propagate the adjoint images through the rays of a batch; see `_adjoint_batches`."""
         samples = self.samples(batch.pixels, batch.key)
         together, rays = dr.opaque(mi.UInt32, self._together), dr.width(samples.number)
-        for (walk, nodes), lanes in zip(self._groups, batch.wavelengths, strict=True):
-            replay = self._light.replay(*self._scene_rays(walk, samples, lanes, batch.seed))
+        for (walk, nodes), drawn in zip(self._groups, batch.wavelengths, strict=True):
+            replay = self._light.replay(*self._scene_rays(walk, samples, drawn, batch.seed))
             # Pixels of which no ray hits a surface are left out.
             meets = dr.select(replay.active, mi.UInt32(1), 0) + dr.zeros(mi.UInt32, rays)
             pixels = dr.compress(dr.block_sum(meets, self._together) > 0)
@@ -188,7 +234,7 @@ class SignedRayAdjoint(SignedRaySum):
             lane = dr.arange(mi.UInt32, dr.width(pixels) * self._together)
             ray = dr.gather(mi.UInt32, pixels, lane // together) * together + lane % together
             cotangent = dr.zeros(mi.Spectrum, rays)
-            for value, of_rays in self._cotangents(batch, pixels, adjoint, nodes, lanes).items():
+            for value, of_rays in self._cotangents(batch, pixels, adjoint, nodes, drawn).items():
                 every = dr.zeros(mi.Float, rays)
                 dr.scatter(every, of_rays, ray)
                 cotangent[value] = every
@@ -201,7 +247,7 @@ class SignedRayAdjoint(SignedRaySum):
         pixels: Any,
         adjoint: list[list[NDArray[np.float32]]],
         nodes: Sequence[int],
-        lanes: Lanes | None,
+        drawn: RayWavelengths | None,
     ) -> dict[int, Any]:
         """Return the derivatives with respect to each ray's radiance values, for some pixels of a batch."""
         samples = self.samples(batch.pixels.take(pixels), batch.key)
@@ -218,8 +264,8 @@ class SignedRayAdjoint(SignedRaySum):
                 by_ray = ray.weight * mixed(values, of_rays)
                 direct.append(dr.select(ray.valid, by_ray, 0))
                 by_control.append(dr.select(ray.valid, (of_rays[0] - by_ray) * self._control_factor, 0))
-            used, weights = node.mixture(lanes)
-            if lanes is not None:
+            used, weights = node.mixture(drawn)
+            if drawn is not None:
                 pixel = dr.gather(mi.UInt32, pixels, samples.pixel)
                 weights = [[dr.gather(mi.Float, weight, pixel) for weight in row] for row in weights]
             for value, column in zip(used, zip(*weights, strict=True), strict=True):
@@ -250,7 +296,7 @@ class SignedGradients:
     def forward(self, changes: Values) -> NDArray[np.float32]:
         """Return the change of the capture, an array (rows, columns, channels)."""
         with dr.suspend_grad():
-            change = np.zeros((*self.capture.camera.shape, self.capture.colours.spectrum.channels), np.float32)
+            change = np.zeros((*self.capture.camera.shape, self.capture.spectrum.channels), np.float32)
             if self.light is not None:
                 change += self._image(SignedRaySum, self.light)
             if changes:
@@ -279,5 +325,5 @@ class SignedGradients:
         """Return the image of one kind of sum, an array (rows, columns, channels)."""
         work = self._sum(kind, light)
         items = int(work.items.sum())
-        shape = *self.capture.camera.shape, self.capture.colours.spectrum.channels
+        shape = *self.capture.camera.shape, self.capture.spectrum.channels
         return Job().run([SumTask(items, lambda: work, lambda image: image)], shape, items)

@@ -48,7 +48,7 @@ from .pixel_kernels import PixelKernels
 from .pupil_sampler import PupilSampler
 from .ray_sampler import LensSampler, Pixels, RaySamples
 from .scheme import Plan
-from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
+from .spectral_nodes import Node, RayWavelengths, WavelengthSampler, chances, mixed, span
 
 _BLOCK_BYTES = 2**27
 """Bytes of the images of one block of the detector: few, for memory, and as progress is counted in blocks."""
@@ -88,7 +88,7 @@ class RayBatch(NamedTuple):
     kind: int
     pixels: Pixels
     # Wavelengths that are drawn for them, for each group of nodes.
-    wavelengths: list[Lanes | None]
+    wavelengths: list[RayWavelengths | None]
     seed: int
     # The fraction of its block's rays.
     share: float
@@ -127,7 +127,7 @@ class SignedRaySum:
         # The wavelengths at which diffraction is computed, and the channels that record each.
         nodes: Sequence[Node],
         # The distribution of the rays' wavelengths, if rays have wavelengths of their own.
-        drawn: DrawnWavelengths | None = None,
+        wavelengths: WavelengthSampler | None = None,
         *,
         # Count of grid cells across a pixel.
         parts: int,
@@ -137,7 +137,7 @@ class SignedRaySum:
         seed: int,
     ) -> None:
         self.arrays: Any = active_backend().arrays
-        self._camera, self._light, self._nodes, self._drawn = camera, light, nodes, drawn
+        self._camera, self._light, self._nodes, self._wavelengths = camera, light, nodes, wavelengths
         self._parts, self._seed = parts, seed
         self._step = camera.pixel_size / parts
         plans = [node.plan for node in nodes]
@@ -147,7 +147,7 @@ class SignedRaySum:
         self._control_factor = 0.0 if self._sampler.by_points else 1.0
         rays, least = rays_of_a_cell(spp, parts, self._sampler.lit_lenses)
         # Rays of a cell. With drawn wavelengths, a pass has only the fewest that correct each other and share these.
-        self._spp = rays if drawn is None else least
+        self._spp = rays if wavelengths is None else least
         self._passes = round(rays / self._spp)
         # Rays of a pixel and a lens in a pass.
         self._together = self._spp * parts**2
@@ -334,7 +334,7 @@ class SignedRaySum:
                 pairs = Pixels(box, dr.gather(mi.UInt32, pixels, index), dr.gather(mi.UInt32, lenses, lane))
                 seed, *others = seeds.spawn(1)[0].generate_state(1 + self._passes).tolist()
                 for number, of_pass in enumerate(others):
-                    wavelengths = self._wavelengths(pairs, number, seed)
+                    wavelengths = self._drawn_wavelengths(pairs, number, seed)
                     yield RayBatch(index, kind, pairs, wavelengths, of_pass, dr.width(index) / rays)
 
     def _far(self, box: Box) -> NDArray[np.bool_]:
@@ -400,15 +400,16 @@ class SignedRaySum:
         traced = self._trace(self._bins, pixels, np.random.SeedSequence(0))
         return np.concatenate([active_backend().to_host(image).ravel() for image in traced])
 
-    def _wavelengths(self, pixels: Pixels, number: int, seed: int) -> list[Lanes | None]:
+    def _drawn_wavelengths(self, pixels: Pixels, number: int, seed: int) -> list[RayWavelengths | None]:
         """Return the wavelengths of the rays of pixels in one pass, for each group of nodes."""
-        if self._drawn is None:
+        if self._wavelengths is None:
             return [None for _ in self._groups]
         chance = chances(dr.opaque(mi.UInt32, pixels.box.columns), pixels.index, number, seed)
-        lanes = [self._drawn.draw(chance, span([self._nodes[number] for number in group])) for _, group in self._groups]
+        spans = [span([self._nodes[number] for number in group]) for _, group in self._groups]
+        drawn = [self._wavelengths.draw(chance, strata) for strata in spans]
         # Dr.Jit does not look into named tuples.
-        dr.eval([tuple(each) for each in lanes])
-        return list(lanes)
+        dr.eval([tuple(of_group) for of_group in drawn])
+        return list(drawn)
 
     def samples(self, pixels: Pixels, key: Any) -> RaySamples:
         """Return all rays of pixels, one per lane."""
@@ -417,15 +418,15 @@ class SignedRaySum:
         number = lane - pixel * dr.opaque(mi.UInt32, self._together)
         return self._sampler.draw(pixels, pixel, number, quotient(number, self._spp), key)
 
-    def _scene_rays(self, walk: Walk, samples: RaySamples, lanes: Lanes | None, seed: int) -> tuple[Any, ...]:
+    def _scene_rays(self, walk: Walk, samples: RaySamples, drawn: RayWavelengths | None, seed: int) -> tuple[Any, ...]:
         """Return the rays in the scene, as the arguments of a call of the light: see `SceneLight`."""
         ray = samples.ray
         start, slope, _ = walk.through_pupil(ray.P, ray.m, samples.lens.height)
         # Outside the aperture, surfaces may reflect rays totally, whose values are not finite then.
         seen = ray.valid & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
-        if lanes is None:
+        if drawn is None:
             return start, slope, seen, seed
-        return start, slope, seen, seed, [dr.gather(mi.Float, each, samples.pixel) for each in lanes.wavelengths]
+        return start, slope, seen, seed, [dr.gather(mi.Float, value, samples.pixel) for value in drawn.wavelengths]
 
     def estimate(self, batch: RayBatch) -> list[CellMeans | None]:
         """Return each node's mean values over the rays of the cells of a batch, to be evaluated; None without light."""
@@ -433,9 +434,9 @@ class SignedRaySum:
         power = self._sampler.power(samples)
         counted = dr.select(samples.ray.valid, mi.Float(1), 0)
         means: list[CellMeans | None] = [None for _ in self._nodes]
-        for (walk, nodes), lanes in zip(self._groups, batch.wavelengths, strict=True):
+        for (walk, nodes), drawn in zip(self._groups, batch.wavelengths, strict=True):
             # The radiance along the rays, as far as the pixels receive it.
-            radiance = [light * power for light in self._light(*self._scene_rays(walk, samples, lanes, batch.seed))]
+            radiance = [light * power for light in self._light(*self._scene_rays(walk, samples, drawn, batch.seed))]
             # What the coefficients depend on, once for nodes that have those of a ray at the same place of tables.
             alike: dict[Any, list[int]] = {}
             for number in nodes:
@@ -453,7 +454,7 @@ class SignedRaySum:
                 continue
             index, cosines = dr.gather(mi.UInt32, batch.index, pixels), self._sampler.cosines(batch.pixels.take(pixels))
             for numbers, of_rays in zip(alike.values(), arguments, strict=True):
-                mixtures = [self._nodes[number].mixture(lanes) for number in numbers]
+                mixtures = [self._nodes[number].mixture(drawn) for number in numbers]
                 sums = self._cell_means(pixels, of_rays, radiance, controls, mixtures, numbers)
                 for number, images in zip(numbers, sums, strict=True):
                     means[number] = CellMeans(index, cosines, [interleaved(values) for values in images])

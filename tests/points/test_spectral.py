@@ -129,7 +129,7 @@ def test_light_of_a_narrow_band_has_its_colour():
     found = render_capture(lamp(radiance, pixel_format="rgb"), **options, **coarse).image.mean((0, 1))
     places = np.arange(380, 730, 0.02)
     light = np.interp(places, wavelengths, values)
-    expected = np.trapezoid(colour.SRGB.at(places) * light, places, axis=1)
+    expected = np.trapezoid(colour.srgb_responses(places) * light, places, axis=1)
     one = render_capture(lamp(radiance), **options, wavelength=532).image.mean()
     assert found == pytest.approx(expected * one, abs=0.01 * expected[1] * one)
 
@@ -228,7 +228,7 @@ def test_spectra_of_colours():
     mi.set_variant("llvm_ad_rgb")
     wavelengths = tuple(np.arange(360, 830.5, 1.0).tolist())
     basis = colour.upsampling(wavelengths)
-    seen = basis @ colour.SRGB.at(np.array(wavelengths)).T
+    seen = basis @ colour.srgb_responses(np.array(wavelengths)).T
     assert seen == pytest.approx(np.eye(3), abs=0.01)
     d65 = np.array(mi.cie_d65(mi.Float(wavelengths)))
     assert basis.min() >= 0 and basis.sum(0) == pytest.approx(d65, rel=1e-6)

@@ -11,7 +11,7 @@ from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.runtime.batches import Box
 from mitsuba_plenoptic.waves.oblique import Oblique, changes, directions, moved, terms
 from mitsuba_plenoptic.waves.ray_sampler import LensSampler, Pixels
-from mitsuba_plenoptic.waves.signed_colours import plan_of
+from mitsuba_plenoptic.waves.scheme import plan_of
 
 WAVELENGTH, STEP, COUNT = 633e-6, 0.0005, 1024
 

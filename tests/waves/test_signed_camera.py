@@ -22,7 +22,7 @@ from mitsuba_plenoptic.waves.signed_camera import (
     parameters_of,
     varying_parameters,
 )
-from mitsuba_plenoptic.waves.signed_colours import Node
+from mitsuba_plenoptic.waves.spectral_nodes import Node
 
 PIXELS = 192
 MODELS = {

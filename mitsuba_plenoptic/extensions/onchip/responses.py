@@ -31,7 +31,7 @@ from ...scene.radiance import SceneLight, require_finite
 from ...waves.control_variate import mean_of_half, of_other_half
 from ...waves.phase_space import FINE
 from ...waves.signed_capture import SignedCapture
-from ...waves.signed_colours import Node, SignedColours, mixed
+from ...waves.spectral_nodes import Node, mixed
 from .plane_waves import NEAR, lens_range
 from .response_draws import Tables
 from .response_tables import PhotodiodeResponses
@@ -340,17 +340,16 @@ def _plan(camera: PlenopticCamera, wavelength: float, fine: bool) -> PhotodiodeR
 
 @dataclass(frozen=True)
 class ResponseCapture(SignedCapture):
-    """A capture by photodiode responses: camera, light, responses of the channels, and accuracy."""
+    """A capture by photodiode responses: camera, light, spectrum, and accuracy."""
 
     has_gradients = False
 
     @cached_property
     def nodes(self) -> list[Node]:
         """Return the wavelengths at which the response tables are computed."""
-        found = self.colours.shared(self.camera, self.accuracy)
         nodes = [
-            Node(_plan(self.camera.at_wavelength(place), place, self.accuracy < FINE), channels, weights)
-            for place, channels, weights in found
+            Node(_plan(self.camera.at_wavelength(wavelength), wavelength, self.accuracy < FINE), channels, weights)
+            for wavelength, channels, weights in self.node_weights(self.camera)
         ]
         nodes[0].plan.require_memory(len(nodes))
         return nodes
@@ -366,13 +365,11 @@ class ResponseCapture(SignedCapture):
         return {}
 
 
-def response_capture(
-    camera: PlenopticCamera, light: SceneLight, colours: SignedColours, accuracy: float
-) -> ResponseCapture:
-    """Return the wave capture of a scene behind lenses of a few wavelengths."""
+def response_capture(*arguments: Any) -> ResponseCapture:
+    """Return the wave capture of a scene behind lenses of a few wavelengths, from the arguments of `SignedCapture`."""
     refuse_if(
         mi.is_spectral,
         f"plenoptic_wave: variant {mi.variant()}: responses of photodiodes under lenses of "
         "a few wavelengths are computed in mono and rgb variants only",
     )
-    return ResponseCapture(camera, light, colours, accuracy)
+    return ResponseCapture(*arguments)

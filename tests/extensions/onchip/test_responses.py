@@ -13,7 +13,7 @@ from mitsuba_plenoptic.extensions.onchip import response_tables
 from mitsuba_plenoptic.extensions.onchip.plane_waves import Zones, pixels_per_lens
 from mitsuba_plenoptic.extensions.onchip.response_tables import PhotodiodeResponses
 from mitsuba_plenoptic.extensions.onchip.responses import LensCells, ResponseSum
-from mitsuba_plenoptic.waves.signed_colours import Node
+from mitsuba_plenoptic.waves.spectral_nodes import Node
 from tools.bench.cases.photodiodes import Wall, camera_of
 
 

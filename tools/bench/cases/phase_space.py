@@ -27,8 +27,8 @@ from mitsuba_plenoptic.prescription.lens_data import conjugate_distance
 from mitsuba_plenoptic.runtime.batches import SumTask
 from mitsuba_plenoptic.waves.phase_space import PhaseSpace
 from mitsuba_plenoptic.waves.scheme import plan_of
-from mitsuba_plenoptic.waves.signed_colours import Node
 from mitsuba_plenoptic.waves.signed_rays import SignedRaySum
+from mitsuba_plenoptic.waves.spectral_nodes import Node
 
 from .. import Pivot, Row, at_most, case, pick
 from ..measures import without_noise, write_comparison

@@ -25,7 +25,7 @@ from mitsuba_plenoptic.extensions.onchip.response_tables import PhotodiodeRespon
 from mitsuba_plenoptic.extensions.onchip.responses import ResponseSum
 from mitsuba_plenoptic.optics import rays
 from mitsuba_plenoptic.runtime.batches import SumTask
-from mitsuba_plenoptic.waves.signed_colours import Node
+from mitsuba_plenoptic.waves.spectral_nodes import Node
 
 from .. import Row, at_most, case
 from ..measures import mean_of_seeds, write_comparison

@@ -1,4 +1,4 @@
-"""Colours of captures by signed rays: against exact sums of points, rays, lines by themselves, and one another."""
+"""Spectra of captures by signed rays: against exact sums of points, rays, lines by themselves, and one another."""
 
 import math
 import pickle
@@ -12,10 +12,12 @@ from cases import facing, line, radiating, scene_of, sensor
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, Spectrum, render_capture
 from mitsuba_plenoptic.optics import colour
-from mitsuba_plenoptic.waves.signed_colours import SignedColours, span
+from mitsuba_plenoptic.waves.signed_capture import SignedCapture
+from mitsuba_plenoptic.waves.spectral_nodes import WavelengthSampler, node_spectra, span
 
 CROWN = '{"index": 1.5168, "abbe": 64.2}'
 GLASS = {"glass": CROWN, "mla_glass": CROWN}
+SMALL = PlenopticCamera(resolution=(64, 64), detector_width=0.128)
 PATCH = 0.03
 """Half the width of a small patch of light."""
 
@@ -40,7 +42,7 @@ def wall(radiance, **parameters):
 def seen(wavelengths, values):
     """Return what linear sRGB reads of a spectrum, by the integral over Mitsuba's tables of CIE 1931."""
     places = np.arange(380, 730, 0.02)
-    return np.trapezoid(colour.SRGB.at(places) * np.interp(places, wavelengths, values), places, axis=1)
+    return np.trapezoid(colour.srgb_responses(places) * np.interp(places, wavelengths, values), places, axis=1)
 
 
 @pytest.mark.slow
@@ -166,50 +168,50 @@ def test_lines_of_three_channels_have_rays_of_their_own():
 
 def test_nodes_share_light_by_the_polynomial_through_them():
     mi.set_variant("llvm_ad_rgb")
-    colours = mi.load_dict({"type": "plenoptic_wave", "responses": "srgb", "nodes": 4}).colours.signed(3)
-    nodes = colours.planned(PlenopticCamera(resolution=(64, 64), detector_width=0.128), 0.01)
+    spectrum = colour.srgb()
+    basis = colour.upsampling(spectrum.wavelengths)
+    conversion = np.linalg.solve(basis @ spectrum.matrix().T, basis)
+    nodes = SignedCapture(SMALL, None, spectrum, conversion, 4, 0.01).nodes
     weights = np.array([node.weights for node in nodes])
     # All light of white is shared, and reads 1 in every channel.
     assert weights.sum((0, 2)) == pytest.approx(np.ones(3), abs=1e-5)
     # What changes as a cubic polynomial of the wavelength is exact.
-    offsets = (np.array(colours.spectrum.wavelengths) - 550) / 150
+    offsets = (np.array(spectrum.wavelengths) - 550) / 150
     places = (np.array([node.plan.wavelength for node in nodes]) - 550) / 150
     for degree in (1, 2, 3):
-        moments = (colours.spectrum.matrix() * offsets**degree) @ colours.upsampling.T
+        moments = (spectrum.matrix() * offsets**degree) @ conversion.T
         assert np.tensordot(places**degree, weights, 1) == pytest.approx(moments, rel=1e-4, abs=1e-5)
 
 
 def test_drawn_wavelengths_integrate_responses():
     mi.set_variant("llvm_ad_spectral")
-    colours = mi.load_dict({"type": "plenoptic_wave", "responses": "srgb", "nodes": 3}).colours.signed(3)
-    nodes = colours.planned(PlenopticCamera(resolution=(64, 64), detector_width=0.128), 0.01)
+    capture = SignedCapture(SMALL, None, colour.srgb(), WavelengthSampler(colour.srgb_table()), 3, 0.01)
+    nodes = capture.nodes
     count, places = 2**14, np.arange(380, 730, 0.05)
     for some in (nodes, nodes[1:2]):
-        lanes = colours.drawn.draw((dr.arange(mi.Float, count) + 0.5) / count, span(some))
+        drawn = capture.conversion.draw((dr.arange(mi.Float, count) + 0.5) / count, span(some))
         for node in some:
-            _, rows = node.mixture(lanes)
+            _, rows = node.mixture(drawn)
             found = [sum(dr.mean(weight)[0] for weight in row) for row in rows]
             others = [each.plan.wavelength for each in nodes if each is not node]
             shares = np.prod([(places - other) / (node.plan.wavelength - other) for other in others], axis=0)
-            expected = np.trapezoid(colour.SRGB.at(places) * shares, places, axis=1)
+            expected = np.trapezoid(colour.srgb_responses(places) * shares, places, axis=1)
             assert found == pytest.approx(expected[list(node.channels)], rel=0.002, abs=0.05)
 
 
-def nodes_of(colours, camera, accuracy):
+def nodes_of(spectrum, camera, accuracy):
     """Return the wavelengths of all channels' nodes."""
-    return sorted({node for _, spectrum in colours.groups(camera, accuracy) for node in spectrum.computed})
+    groups = node_spectra(camera, spectrum, accuracy)
+    return sorted({node for _, of_channels in groups for node in of_channels.computed})
 
 
 def test_nodes_are_as_many_as_spots_need():
-    integrator = mi.load_dict({"type": "plenoptic_wave", "method": "signed_rays", "bandwidth": 20.0})
-    camera = PlenopticCamera(resolution=(64, 64), detector_width=0.128)
-    assert nodes_of(integrator.colours.signed(1), camera, 0.01) == pytest.approx([633.0])
-    band = {"wavelength": 550.0, "bandwidth": 300.0}
-    wide = mi.load_dict({"type": "plenoptic_wave", "method": "signed_rays", **band}).colours.signed(1)
-    coarse, fine = (nodes_of(wide, camera, accuracy) for accuracy in (0.01, 0.002))
+    assert nodes_of(Spectrum.band(633, 20, 32), SMALL, 0.01) == pytest.approx([633.0])
+    wide = Spectrum.band(550, 300, 32)
+    coarse, fine = (nodes_of(wide, SMALL, accuracy) for accuracy in (0.01, 0.002))
     assert 1 < len(coarse) < len(fine) < 10
     # Crown glass shifts the focus.
-    assert len(nodes_of(wide, camera.replace(glass={"index": 1.5168, "abbe": 64.2}), 0.01)) > len(fine)
+    assert len(nodes_of(wide, SMALL.replace(glass={"index": 1.5168, "abbe": 64.2}), 0.01)) > len(fine)
 
 
 def fast_lenses():
@@ -221,8 +223,7 @@ def fast_lenses():
 
 
 def test_channels_share_a_node_where_pixels_cannot_tell_their_spots():
-    mi.set_variant("llvm_ad_rgb")
-    lines = mi.load_dict({"type": "plenoptic_wave", "wavelength": "611, 549, 464"}).colours.signed(3)
+    lines = Spectrum.lines(611, 549, 464)
     camera = fast_lenses()
     assert nodes_of(lines, camera, 0.01) == pytest.approx([np.mean([611, 549, 464])])
     # Accurate captures, finer pixels, and lenses whose focus depends on the wavelength.
@@ -278,9 +279,12 @@ WIDE = PlenopticCamera(
 
 def test_rays_of_all_wavelengths_land_alike():
     lines = 413.5, 541.0, 650.0
-    alone = [SignedColours.lines((each,)).planned(WIDE, 0.01)[0].plan.by_points for each in lines]
-    assert alone == [True, False, False]
-    nodes = SignedColours.lines(lines).planned(WIDE, 0.01)
+
+    def nodes_of_lines(*wavelengths):
+        return SignedCapture(WIDE, None, Spectrum.lines(*wavelengths), np.eye(len(wavelengths)), None, 0.01).nodes
+
+    assert [nodes_of_lines(line)[0].plan.by_points for line in lines] == [True, False, False]
+    nodes = nodes_of_lines(*lines)
     assert len(nodes) == 3 and all(node.plan.by_points for node in nodes)
 
 
