@@ -175,8 +175,13 @@ GONE = {
     "--save-run": "a Makefile or Snakemake serves instead (docs/guides/long_runs.md)",
     "--fit": "preview says which distances refocusing makes sharp, and info --fix mends a camera",
     "--overview": "napari and ImageJ show the file of the volume",
+    "fitting.Layers": "mi.render fits textures (docs/guides/inverse_problems.md)",
+    "fitting.fit_layers": "mi.render fits textures (docs/guides/inverse_problems.md)",
+    "wavefront.CorrectedObject": "wavefront.fit_wavefronts fits the wavefront of known points",
+    "wavefront.deconvolve_zones": "wavefront.fit_wavefronts fits the wavefront of known points",
+    "wavefront.digital_adaptive_optics": "wavefront.fit_wavefronts fits the wavefront of known points",
 }
-"""Commands, options and modules of version 1.0 that are gone, and what serves instead."""
+"""Commands, options, modules and their names of version 1.0 that are gone, and what serves instead."""
 
 MOVED = {
     "system": "fields.optical_system",
@@ -230,3 +235,10 @@ def missing(kind: str, name: str) -> str:
         if name in names and f"{GROUP}.{owner}" not in installed():
             return f"{name}: extension {owner} is not installed"
     return ""
+
+
+def without(module: str, name: str) -> Exception:
+    """Return the error of a name that a public module lacks; of one that is gone it says what serves instead."""
+    gone = missing("modules", f"{module.rpartition('.')[2]}.{name}")
+    # An `AttributeError` would be replaced by ``from module import name``.
+    return ImportError(gone) if gone else AttributeError(f"module {module!r} has no attribute {name!r}")

@@ -2,12 +2,12 @@
 
     python tools/mutants.py OLD NEW [--count 60] [--seed 1] [--limit 300] [--first 0]
 
-OLD and NEW are checkouts. Mistakes are drawn in functions of FOLDERS that are equal in both: a sign, an operator, an
-index, a bound, a number or a term that is dropped. First the suite of each runs once, with a mark at the statement of
-every mistake, which notes the tests that come by; this prints how long each suite took. The notes stay in
-build/mutants, where a second call finds them. Then each mistake is made in one checkout after the other, the tests that
-come by it run until one fails, and the file is restored. The table has a line a mistake; the exit status is 1 where
-only the old tests notice one.
+OLD and NEW are checkouts. Mistakes are drawn in functions of FOLDERS that are equal in both, wherever they stand: a
+sign, an operator, an index, a bound, a number or a term that is dropped. First the suite of each runs once, with a mark
+at the statement of every mistake, which notes the tests that come by; this prints how long each suite took. The notes
+stay in build/mutants, where a second call finds them. Then each mistake is made in one checkout after the other, the
+tests that come by it run until one fails, and the file is restored. The table has a line a mistake; the exit status is
+1 where only the old tests notice one.
 """
 
 from __future__ import annotations
@@ -26,7 +26,24 @@ import time
 from functools import partial
 from pathlib import Path
 
-FOLDERS = ("camera", "design", "lattice", "lenses", "light", "microlens", "optics", "points", "prescription", "refocus")
+FOLDERS = [
+    "array",
+    "camera",
+    "design",
+    "detector",
+    "fields",
+    "lattice",
+    "lenses",
+    "light",
+    "microlens",
+    "optics",
+    "points",
+    "prescription",
+    "rays",
+    "refocus",
+    "scene",
+    "waves",
+]
 OPERATORS = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult}
 BOUNDS = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt}
 # The module that marks import, which notes the current test of pytest; commands that a test runs inherit its name.
@@ -67,6 +84,19 @@ def mistakes(source: str) -> dict[tuple[str, str], list[Mistake]]:
         key = function.name, ast.get_source_segment(source, function) or ""
         found[key] = sorted(inside, key=lambda one: (one[1].lineno, one[1].col_offset, ast.unparse(one[2])))
     return found
+
+
+def functions_of(checkout: Path) -> dict[tuple[str, str], tuple[Path, list[Mistake]]]:
+    """Return file and mistakes for each function of FOLDERS that stands once, by the function's name and text."""
+    found: dict[tuple[str, str], tuple[Path, list[Mistake]]] = {}
+    twice = set()
+    for folder in FOLDERS:
+        for path in sorted((checkout / "mitsuba_plenoptic" / folder).glob("*.py")):
+            for key, inside in mistakes(path.read_text()).items():
+                if key in found:
+                    twice.add(key)
+                found[key] = path.relative_to(checkout), inside
+    return {key: entry for key, entry in found.items() if key not in twice}
 
 
 def _statements(body: list[ast.stmt]) -> list[ast.stmt]:
@@ -201,31 +231,26 @@ def main() -> None:
     parser.add_argument("--limit", type=float, default=300.0, help="processor time in s for a mistake's tests")
     arguments = parser.parse_args()
     checkouts = [checkout.resolve() for checkout in arguments.checkouts]
-    old, new = checkouts
-    candidates: list[tuple[Path, tuple[Mistake, Mistake]]] = []
-    for folder in FOLDERS:
-        for path in sorted((old / "mitsuba_plenoptic" / folder).glob("*.py")):
-            name = path.relative_to(old)
-            if (new / name).is_file():
-                before, after = mistakes(path.read_text()), mistakes((new / name).read_text())
-                for function in sorted(before.keys() & after.keys()):
-                    candidates += [(name, pair) for pair in zip(before[function], after[function], strict=True)]
+    before, after = map(functions_of, checkouts)
+    candidates: list[list[tuple[Path, Mistake]]] = []
+    for key in sorted(before.keys() & after.keys()):
+        (old, first), (new, second) = before[key], after[key]
+        candidates += [[(old, a), (new, b)] for a, b in zip(first, second, strict=True)]
     drawn = random.Random(arguments.seed).sample(candidates, arguments.count)
     reached = [
-        tests_that_come_by(checkout, [(name, pair[index]) for name, pair in drawn])
-        for index, checkout in enumerate(checkouts)
+        tests_that_come_by(checkout, [pair[index] for pair in drawn]) for index, checkout in enumerate(checkouts)
     ]
     missed = 0
-    for number, (name, pair) in enumerate(drawn[arguments.first :], arguments.first):
+    for number, pair in enumerate(drawn[arguments.first :], arguments.first):
         verdicts = []
-        for checkout, (_, wrong, instead), tests in zip(checkouts, pair, reached, strict=True):
+        for checkout, (name, (_, wrong, instead)), tests in zip(checkouts, pair, reached, strict=True):
             path = checkout / name
             text = mutated(path.read_text(), wrong, instead)
             verdicts.append(notice(path, text, checkout, tests[number], arguments.limit, arguments.seed))
         # Tests without an end in a mistake's limit notice it.
         noticed = ["::" in verdict or verdict == "no end" for verdict in verdicts]
         missed += noticed[0] and not noticed[1]
-        _, wrong, instead = pair[0]
+        name, (_, wrong, instead) = pair[1]
         print(f"{number:3} {name}:{wrong.lineno}  {ast.unparse(wrong)}  ->  {ast.unparse(instead)}")
         print(
             f"    old: {verdicts[0]}\n    new: {verdicts[1]}{'   MISSED' if noticed[0] and not noticed[1] else ''}",

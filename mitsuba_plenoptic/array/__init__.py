@@ -7,34 +7,14 @@ and the aperture's outline. Each lattice has its own file, which registers it un
 A shape states the path that light gains at each point of a cell: the phase in waves, for wave captures, and the slopes
 of the path, for rays. Both are functions of the offset from the lens's centre, in the frame rotated with the lattice.
 Diffraction orders, kernels of signed rays and directions of rays follow from them. A new shape is a new file here.
+
+`__init__.pyi` names what other folders and extensions may use; it is imported when it is first asked for.
 """
 
+import lazy_loader
+
 # Importing a lattice's file registers it.
-from ..runtime import turn
 from . import hexagonal as hexagonal
 from . import square as square
-from .arrangement import APERTURES, LATTICES, NO_LATTICE, Lattice, make_lattice, register
-from .conic import Conic
-from .lens_shifts import Displacement, Lenslet
-from .phase_map import PhaseMap
-from .sampled import Sampled
-from .shape import MicrolensShape, Paraboloid
-from .zone_lens import ZoneLens
 
-__all__ = [
-    "APERTURES",
-    "LATTICES",
-    "NO_LATTICE",
-    "Conic",
-    "Displacement",
-    "Lattice",
-    "Lenslet",
-    "MicrolensShape",
-    "Paraboloid",
-    "PhaseMap",
-    "Sampled",
-    "ZoneLens",
-    "make_lattice",
-    "register",
-    "turn",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -18,6 +19,9 @@ from ..runtime import PlainData, read_json_value
 from . import Lattice
 
 MM_PER_NM = 1e-6
+
+FILES = ("conic", "phase_map", "sampled", "zone_lens")
+"""Files of this folder with shapes, which are imported when a shape is asked for by its form."""
 
 _RIM = np.linspace(0, 1, 65)
 """Positions across the unit square of an aperture at which a shape must be defined, its edges included."""
@@ -151,6 +155,8 @@ def known_shape(value: Any, resolve: Callable[[str], str] = str) -> MicrolensSha
             raise InputError(
                 f"{short_repr(value)}: it must be a shape, a dictionary with an entry form, or a JSON file"
             )
+        for name in FILES:
+            importlib.import_module(f"{__package__}.{name}")
         entries = dict(value)
         kind = MicrolensShape.kinds[require_choice("form", entries.pop("form"), MicrolensShape.kinds)]
         return kind.from_plain(entries)
@@ -173,18 +179,18 @@ def per_millimetre(wavelength: float) -> float:
     return 1 / (require_wavelength(wavelength) * MM_PER_NM)
 
 
-def focal_length_of(shape: MicrolensShape, medium: float, given: Sequence[float] | None) -> float:
+def focal_length_of(shape: MicrolensShape, medium: float, stated: Sequence[float] | None) -> float:
     """Return a shape's focal length in a medium, in mm; refuse a negative one, and a different given one."""
     refuse_if(
         not shape.power > 0,
         f"mla_shape: its power is {shape.power:.4g} per mm: it must focus light, with a power greater than 0",
     )
-    own = medium / shape.power
+    focal_length = medium / shape.power
     refuse_if(
-        given is not None and not all(math.isclose(own, each, rel_tol=SINGLE) for each in given),
-        f"mla_focal_length = {short_repr(given)}: with this mla_shape it is {own:.7g}; leave it out",
+        stated is not None and not all(math.isclose(focal_length, length, rel_tol=SINGLE) for length in stated),
+        f"mla_focal_length = {short_repr(stated)}: with this mla_shape it is {focal_length:.7g}; leave it out",
     )
-    return own
+    return focal_length
 
 
 def require_cover(shape: MicrolensShape, lattice: Lattice) -> None:

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..array import NO_LATTICE, Displacement, Lattice, Lenslet, MicrolensShape, Paraboloid, make_lattice
+from ..array import NO_LATTICE, Displacement, FigureError, Lattice, Lenslet, MicrolensShape, Paraboloid, make_lattice
+from ..array.figure_error import random_figure_error
 from ..array.lens_shifts import deviates
 from ..errors import InputError, refuse_if
 from ..prescription import Prescription
@@ -75,13 +76,13 @@ class CameraGeometry(CameraParameters):
         """Whether all of the pupil's disc is equally open to all places of the array."""
         return self.aperture == Round() and self.vignetting is None
 
-    def pupil_power(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> Any:
+    def pupil_power(self, pupil: tuple[Any, Any], position: tuple[Any, Any]) -> Any:
         """Return the part of the power that passes pupil points, over its radius, to places of the array.
 
         It is the product of all layers: blades, a picture or an apodisation, and vignetting.
         """
         power = self.aperture.power(*pupil)
-        return power if self.vignetting is None else power * self.vignetting.power(*pupil, *place)
+        return power if self.vignetting is None else power * self.vignetting.power(*pupil, *position)
 
     @property
     def f_number(self) -> float:
@@ -126,6 +127,12 @@ class CameraGeometry(CameraParameters):
     def refocuses(self) -> bool:
         """Whether captures can be refocused: those of an array, unless it is in the image of a telescope's pupil."""
         return self.has_array and not isinstance(self.main_lens, Collimator)
+
+    @property
+    def figure_error(self) -> FigureError | None:
+        """The random optical path over the whole array, or None if it has none."""
+        size, length = self.mla_figure_error
+        return random_figure_error(size, length, self.mla_seed) if size else None
 
     @cached_property
     def lattice(self) -> Lattice:
@@ -183,7 +190,7 @@ class CameraGeometry(CameraParameters):
             Distance in mm from the array to the detector, over which `mla_cra` is kept.
         """
         self.require_array("displacement")
-        found = Displacement(
+        displacement = Displacement(
             warp=self.mla_warp,
             chief_rays=self.mla_cra,
             distance=detector_distance,
@@ -191,7 +198,7 @@ class CameraGeometry(CameraParameters):
             deviation=self.mla_jitter[0],
             seed=self.mla_seed,
         )
-        return found if found.is_smooth or found.deviation else None
+        return displacement if displacement.is_smooth or displacement.deviation else None
 
     @cached_property
     def most_displaced(self) -> tuple[float, float]:
@@ -205,10 +212,10 @@ class CameraGeometry(CameraParameters):
         across, up = np.abs(np.tan(np.deg2rad(self.mla_tilt)))
         rise = float(self.detector_width * across + self.detector_height * up) / 2
         # Where the array is far from the detector, micro-images are larger.
-        found = reach * rise / self.detector_distance
+        change = reach * rise / self.detector_distance
         if (moved := self.lattice.displacement) is None:
-            return found
-        return found + moved.farthest_irregular + self.most_displaced[1] * (reach + self.lattice.cell_reach)
+            return change
+        return change + moved.farthest_irregular + self.most_displaced[1] * (reach + self.lattice.cell_reach)
 
     @property
     def lenses_like_bins(self) -> bool:

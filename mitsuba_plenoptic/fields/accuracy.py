@@ -22,7 +22,6 @@ class FieldAccuracy:
     wave_samples: int = 8  # least samples per period of the highest retained order, which excludes aliasing
 
     # Kinds of lenses
-    cosines: int = 32  # cosines of a figure error
     kind_step: float = 0.4  # phase in radians, at a lens's edge, between adjacent kinds; a lens differs by half of it
     kind_wavelength: float = 400.0  # wavelength in nanometres of this phase
     moment_samples: int = 256  # samples across a lens for the moments of its aperture

@@ -7,7 +7,6 @@ standard deviations.
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -24,67 +23,8 @@ from ..array.lens_shifts import MOST_DEVIATIONS
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics.waves import in_millimetres
-from ..runtime import drjit_array, module_of
+from ..runtime import drjit_array
 from .accuracy import ACCURACY
-
-
-@dataclass(frozen=True, eq=False)
-class FigureError:
-    r"""Figure error of one array: a random optical path of given size and correlation length over the whole array.
-
-    The path is a sum of cosines of random directions, periods and phases,
-
-    .. math:: W(x, y) = \sigma \sqrt{2 / K} \sum_{k=1}^{K} \cos(2 \pi (u_k x + v_k y) + \varphi_k),
-
-    whose frequencies are normally distributed with the standard deviation :math:`1 / 2 \pi l`. Over all seeds the root
-    mean square is :math:`\sigma`, and the correlation of points at a distance d is :math:`\exp(-d^2 / 2 l^2)`. The path
-    depends on position and seed only, and has slopes everywhere.
-    """
-
-    amplitude: float  # of each cosine, in millimetres
-    frequencies: NDArray[np.float64]  # (2, cosines), in 1/mm
-    phases: NDArray[np.float64]  # in periods
-
-    @classmethod
-    def of(cls, camera: PlenopticCamera) -> FigureError | None:
-        """Return the figure error of a camera's array, or None if it has none."""
-        size, length = camera.mla_figure_error
-        return _drawn(size, length, camera.mla_seed) if size else None
-
-    def path(self, x: Any, y: Any) -> Any:
-        """Return the path in millimetres at positions on the array, NumPy or Dr.Jit arrays."""
-        return self.amplitude * sum(cosine for cosine, _, _, _ in self._waves(x, y))
-
-    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Return the gradient of the path at positions, in millimetres per millimetre."""
-        across: Any = 0.0
-        up: Any = 0.0
-        for _, sine, u, v in self._waves(x, y):
-            across, up = across - sine * u, up - sine * v
-        scale = 2 * math.pi * self.amplitude
-        return scale * across, scale * up
-
-    def _waves(self, x: Any, y: Any) -> list[tuple[Any, Any, Any, Any]]:
-        """Return cosine and sine of each wave, and its frequencies along x and y."""
-        module, rows = module_of(x), [*self.frequencies, self.phases]
-        if module is dr:
-            # In tables, other numbers need no other kernel.
-            tables = [drjit_array(type(x), row) for row in rows]
-            rows = [[dr.gather(type(x), table, k) for k in range(len(self.phases))] for table in tables]
-        found = []
-        for u, v, phase in zip(*rows, strict=True):
-            turns = u * x + v * y + phase
-            turns = 2 * math.pi * (turns - module.floor(turns))
-            found.append((module.cos(turns), module.sin(turns), u, v))
-        return found
-
-
-@functools.lru_cache(maxsize=4)
-def _drawn(size: float, length: float, seed: int) -> FigureError:
-    """Return a figure error drawn at random from its size, correlation length and seed."""
-    random = np.random.default_rng([seed, ACCURACY.cosines])
-    frequencies = random.normal(0, 1 / (2 * math.pi * length), (2, ACCURACY.cosines))
-    return FigureError(size * math.sqrt(2 / ACCURACY.cosines), frequencies, random.random(ACCURACY.cosines))
 
 
 class Kind(NamedTuple):

@@ -42,10 +42,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..array import Lattice, turn
+from ..array import Lattice
 from ..camera import PlenopticCamera
 from ..optics.waves import in_millimetres
-from ..runtime import array_module, backend_of, check_memory, drjit_array, empty_packets, fft
+from ..runtime import array_module, backend_of, check_memory, drjit_array, empty_packets, fft, turn
 from .accuracy import ACCURACY
 from .microlenses import factor_axes, opaque_lattice, transmission
 

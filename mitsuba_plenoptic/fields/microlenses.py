@@ -15,13 +15,12 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array import Lattice, make_lattice, turn
+from ..array import Lattice, make_lattice
 from ..camera import PlenopticCamera
 from ..optics.rays import second_leg
 from ..optics.waves import in_millimetres, phasor
-from ..runtime import fft
+from ..runtime import fft, turn
 from .accuracy import ACCURACY
-from .lens_kinds import FigureError
 
 _EVANESCENT = 1 - 1e-6
 """Squared sine of the direction from which waves do not propagate."""
@@ -74,7 +73,7 @@ def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> 
     cx, cy = lattice.regular.centre(*cell)
     inside = lattice.in_aperture(u - cx, v - cy)
     waves = camera.microlens.lens_waves(lattice, *offset, lens.focal_length, wavelength)
-    if (error := FigureError.of(camera)) is not None:
+    if (error := camera.figure_error) is not None:
         waves += error.path(x, y) / in_millimetres(wavelength)
     return dr.select(inside, phasor(waves), 0)
 

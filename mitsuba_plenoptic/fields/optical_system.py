@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 from functools import cached_property
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +12,14 @@ from numpy.typing import NDArray
 from ..array import Lattice
 from ..camera import PlenopticCamera
 from ..lenses.closed_lens import ClosedLens
-from ..lenses.common import main_lens
+from ..lenses.common import cached_main_lens
 from ..lenses.main_lens import MainLens, PointLight
-from ..lenses.real_lens import RealLens
 from ..prescription.glass import LINE_D
 from .microlens_orders import MicrolensArray, microlens_array
 from .microlenses import upright
+
+if TYPE_CHECKING:
+    from ..lenses.real_lens import RealLens
 
 
 def is_paraxial(camera: PlenopticCamera) -> bool:
@@ -62,7 +63,7 @@ class OpticalSystem:
     @cached_property
     def lens(self) -> MainLens:
         """Main lens of the camera, for waves and rays; see `MainLens` for its methods."""
-        return _wave_lens(self.camera, self.wavelength, model=self.lens_model or self.camera.lens_model)
+        return cached_main_lens(self.camera, self.wavelength, model=self.lens_model or self.camera.lens_model)
 
     def waves_of(self, points: NDArray[np.float64]) -> MainLens:
         """Return the main lens for waves from scene points (n, 3), or refuse points without such waves."""
@@ -70,8 +71,4 @@ class OpticalSystem:
 
     def waves_of_one(self, point: NDArray[np.float64]) -> PointLight:
         """Return the light of a scene point (3,) on the exit pupil, as exactly as the lens can represent it."""
-        return cast(ClosedLens, self.lens) if self.lens.is_uniform else cast(RealLens, self.lens).waves_of_one(point)
-
-
-# Fits of exit pupils are slow.
-_wave_lens = functools.lru_cache(maxsize=4)(main_lens)
+        return cast(ClosedLens, self.lens) if self.lens.is_uniform else cast("RealLens", self.lens).waves_of_one(point)

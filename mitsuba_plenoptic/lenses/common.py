@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -13,6 +15,9 @@ from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import rays
 from ..optics.waves import in_millimetres
+from ..prescription import Prescription
+from ..prescription.collimator import Collimator
+from ..prescription.objective import Objective
 from .main_lens import MainLens
 from .pupil import Pair
 
@@ -124,6 +129,9 @@ class LensNumbers:
 
 Builder = TypeVar("Builder", bound=Callable[[LensNumbers], Any])
 
+FILES = {type(None): "thin", Collimator: "thin", Objective: "telecentric", Prescription: "real_lens"}
+"""Files of this folder whose functions make main lenses, by the type of the camera's `main_lens`."""
+
 BUILDERS: dict[type, Callable[[LensNumbers], MainLens]] = {}
 """Functions that make a main lens, by the type of the camera's `main_lens`."""
 
@@ -167,7 +175,15 @@ def main_lens(
     varied = varying or {}
     names = "focal_length", "aperture_radius", "mla_distance", "wavefront"
     numbers = {name: varied.get(name, getattr(camera, name)) for name in names}
-    build = BUILDERS.get(type(camera.main_lens))
+    kind = type(camera.main_lens)
+    if kind in FILES:
+        # Fits of pupils are imported for the lenses that need them.
+        importlib.import_module(f"{__package__}.{FILES[kind]}")
+    build = BUILDERS.get(kind)
     if build is None:
         raise InputError(f"main_lens = {camera.main_lens!r}: no function is marked to build a lens of this kind")
     return build(LensNumbers(camera, wavelength, **numbers, model=model or camera.lens_model))
+
+
+# Fits of exit pupils are slow.
+cached_main_lens = functools.lru_cache(maxsize=4)(main_lens)

@@ -25,11 +25,10 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array import turn
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..optics.waves import in_millimetres
-from ..runtime import drjit_array, single_threaded_blas
+from ..runtime import drjit_array, single_threaded_blas, turn
 from .accuracy import ACCURACY
 from .main_lens import Entrance, Traced
 from .pupil import Pair, Pupil

@@ -4,32 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera, Use, has_small_lenses, is_supported, require_support
+from ..camera import Captures, PlenopticCamera, Use, has_small_lenses, is_supported, require_support, with_gradient
 from ..detector.operator import SHARP
 from ..errors import InputError, naming, refuse_if, require_accuracy, require_number, short_repr
 from ..extension import hook
 from ..optics import colour, guards
 from ..optics.spectrum import MOST_WAVELENGTHS, WAVELENGTHS, Spectrum, Table, interpolated, read_responses
-from ..points.accuracy import DEFAULT_ACCURACY
-from ..points.derivatives import DIFFERENTIABLE
-from ..points.scene_points import PointsCapture, require_matte
 from ..runtime import Cost, Job
 from ..scene.load import GONE_PARAMETERS
 from ..scene.radiance import LightDerivatives, SceneLight
 from ..scene.render_capture import require_wave_film
+from ..waves.accuracy import DEFAULT_ACCURACY
 from ..waves.scheme import check_screen
 from ..waves.signed_camera import require_parameters
 from ..waves.signed_capture import SignedCapture, SignedGradients
 from ..waves.spectral_nodes import WavelengthSampler
 from .properties import read_choice, read_count, read_number, read_plain
 from .wave_base import NAME, asked_for, develop, develop_back, make_base, put, read_wavelengths
+
+if TYPE_CHECKING:
+    from ..points.scene_points import PointsCapture
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
@@ -45,10 +46,15 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
         # Attributes of shapes, such as colours and opacities, move nothing.
         moves = isinstance(node, mi.Shape) and not (node.has_attribute(name) or name == "vertex_texcoords")
         if moves or name == "to_world":
-            held = "places of shapes and cameras are held; differentiate captures by rays, through the sensor plenoptic"
-            raise InputError(f"plenoptic_wave: {key}: it has no gradient: {held}")
+            reason = (
+                "places of shapes and cameras are held; differentiate captures by rays, through the sensor plenoptic"
+            )
+            raise InputError(f"plenoptic_wave: {key}: it has no gradient: {reason}")
         if isinstance(node, (mi.Sensor, mi.Film)):
-            refuse_if(name not in DIFFERENTIABLE, f"plenoptic_wave: {key}: captures by waves have no derivative by it")
+            refuse_if(
+                name not in with_gradient(Captures.POINTS),
+                f"plenoptic_wave: {key}: captures by waves have no derivative by it",
+            )
             if node is sensor:
                 names.append(name)
         else:
@@ -269,6 +275,8 @@ def make_class() -> type:
         def _capture(self, scene: Any, sensor: Any) -> SignedCapture | PointsCapture:
             if self.method == SIGNED_RAYS:
                 return self._signed(scene, sensor)
+            from ..points.scene_points import PointsCapture, require_matte
+
             # The film records what the detector makes of the light.
             camera = PlenopticCamera.from_sensor(sensor).replace(**SHARP)
             require_support(camera, Use.SCENE_POINTS)
@@ -312,7 +320,9 @@ def make_class() -> type:
             varying: tuple[str, ...] = ()
             if is_supported(camera, Use.SCENE_DERIVATIVES):
                 with dr.resume_grad():
-                    varying = tuple(name for name in DIFFERENTIABLE if dr.grad_enabled(getattr(sensor, name, None)))
+                    varying = tuple(
+                        name for name in with_gradient(Captures.POINTS) if dr.grad_enabled(getattr(sensor, name, None))
+                    )
             return SignedCapture(*arguments, varying)
 
         def _read_spectrum(self, props: Any) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import drjit as dr
 import mitsuba as mi
@@ -17,12 +17,14 @@ from ..errors import InputError, refuse_if
 from ..extension import entries, place
 from ..lenses.common import main_lens
 from ..lenses.pupil import Pair
-from ..lenses.real_lens import RealLens
 from ..optics.rays import second_leg
 from ..rays.sensor_rays import Dispersion, LensRays, sampler_of
 from ..runtime import require_unfrozen
 from ..scene.radiance import world_ray
 from .properties import read_camera, require_read
+
+if TYPE_CHECKING:
+    from ..lenses.real_lens import RealLens
 
 NAME = "plenoptic"
 
@@ -265,7 +267,9 @@ def make_class() -> type:
                 for name, dx, dy in (("x", width, 0), ("y", 0, width)):
                     if rays.walk.camera.lens_data.traced_surfaces:
                         # Tracing the offset rays surface by surface would cost three times as much.
-                        beside, slope_beside = cast(RealLens, rays.walk.lens).beside(point, slope, *rays.steps(dx, dy))
+                        beside, slope_beside = cast("RealLens", rays.walk.lens).beside(
+                            point, slope, *rays.steps(dx, dy)
+                        )
                     else:
                         beside, slope_beside, _ = rays.trace((px + dx, py + dy), passage)
                     setattr(ray, f"o_{name}", to_world @ mi.Point3f(*beside))
@@ -322,5 +326,5 @@ def _plain(values: Any, written: float | tuple[float, ...]) -> list[float]:
     """Return single-precision values as first given, or as their shortest decimals: 0.512 for 0.5120000243."""
     numbers = np.ravel(written).tolist()
     # Points and vectors come in single precision.
-    known = {np.float32(number): number for number in numbers if float(np.float32(number)) != number}
-    return [known.get(value, float(str(value))) for value in np.ravel(dr.detach(values)).astype(np.float32)]
+    in_double = {np.float32(number): number for number in numbers if float(np.float32(number)) != number}
+    return [in_double.get(value, float(str(value))) for value in np.ravel(dr.detach(values)).astype(np.float32)]

@@ -29,11 +29,9 @@ from ..errors import refuse_if, require_accuracy
 from ..lenses.common import convergence, inverse_distance, path_change
 from ..lenses.main_lens import MainLens
 from ..optics.waves import in_millimetres
+from ..waves.accuracy import DEFAULT_ACCURACY
 from .field_grid import Band
 from .pupil_weights import PupilWeights
-
-DEFAULT_ACCURACY = 0.01
-"""Default allowed relative error, L2 over the image."""
 
 _BANDS = (
     (0.004, Band(cone=2.5, margin=120, bends=3.45, orders=22)),

@@ -16,7 +16,6 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array import turn
 from ..camera import PlenopticCamera
 from ..fields.microlens_orders import MicrolensArray
 from ..fields.microlenses import diffraction, repetition, scattering, upright
@@ -24,7 +23,7 @@ from ..fields.optical_system import OpticalSystem
 from ..lenses.common import cone
 from ..lenses.main_lens import MainLens
 from ..optics.waves import in_millimetres
-from ..runtime import fft
+from ..runtime import fft, turn
 from .sampling import footprint
 
 _PITCH_PER_PIXEL = 1.1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property, partial
 from typing import Any
@@ -15,6 +14,7 @@ from ..detector.operator import SHARP, DetectorOperator
 from ..errors import InputError, refuse_if, require_choice, require_flag, require_wavelength, suggest_keywords
 from ..fields.optical_system import OpticalSystem
 from ..io import digest
+from ..linear.map import LinearMap
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime import Cost, Job, LongSum, SumTask, one_at_a_time
@@ -27,6 +27,7 @@ from .mixing import SpectralSum, WavelengthPlans, WeightChannels, mix
 from .patch_plan import PatchPlan
 from .pupil_weights import PupilWeights
 from .sampling import check_positions
+from .units import brightness_at
 
 PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan}
 """Methods of computing point spreads at one wavelength, by name: the types of their plans.
@@ -44,7 +45,7 @@ _PLACES = 33
 """Places across the recorded pixels at which this distance is measured."""
 
 
-class CaptureOperator(CoherentPoints):
+class CaptureOperator(CoherentPoints, LinearMap):
     r"""The image that a camera records of incoherent point sources, as a linear function of the points' weights.
 
     .. math:: I = A w, \qquad I_p = \sum_r w_r \, \mathrm{psf}_r(p)
@@ -52,6 +53,10 @@ class CaptureOperator(CoherentPoints):
     where psf is the fraction of the power through the visible pupil that falls on the pixel p. `vignetting` and
     `mla_transmissions` of the camera dim point spreads. All data that do not depend on the weights are computed on
     first use, and cached.
+
+    It is a `scipy.sparse.linalg.LinearOperator`, which SciPy's solvers and PyLops take: ``operator @ weights`` and
+    ``operator.T @ image`` are `forward` and `adjoint` of flattened arrays, of the shapes `source_shape` (n,) or (n,
+    wavelengths) and `image_shape`. Without a spectrum several columns are multiplied at once.
 
     Parameters
     ----------
@@ -97,10 +102,9 @@ class CaptureOperator(CoherentPoints):
     >>> image = operator.forward([1.0, 2.0])
     >>> image.shape, operator.adjoint(image).shape
     ((64, 64), (2,))
+    >>> operator.shape, (operator @ [1.0, 2.0]).shape
+    ((4096, 2), (4096,))
     """
-
-    # Of the images.
-    _dtype = np.dtype(np.float32)
 
     @suggest_keywords
     def __init__(
@@ -148,6 +152,13 @@ class CaptureOperator(CoherentPoints):
         planned_for = self.points, self._pupil_weights, self._accuracy
         self._plans = WavelengthPlans(PLANS[method], open_, *planned_for, systems)
         self._differentials: Differentials | None = None
+        wavelengths = 1 if spectrum is None else len(spectrum.wavelengths)
+        channels = 1 if spectrum is None else spectrum.channels
+        LinearMap.__init__(
+            self,
+            (len(self.points), wavelengths)[: 1 + (wavelengths > 1)],
+            (*camera.shape, channels)[: 2 + (channels > 1)],
+        )
 
     @cached_property
     def coherent_fields(self) -> CoherentFields:
@@ -161,6 +172,17 @@ class CaptureOperator(CoherentPoints):
         require_support(self.camera, Use.COHERENT_POINTS)
         refuse_if(self._pupil_weights is not None, "pupil_weights: coherent fields take none")
         return CoherentFields(self._plans.system_at(wavelengths[0]), self.points)
+
+    def powers(self, light: Any) -> NDArray[np.float64]:
+        """Return the weights with which images have the unit of captures of scenes, for one wavelength.
+
+        Parameters
+        ----------
+        light : array (n,)
+            Radiance of each point times the solid angle that it covers, seen from the main lens's image side.
+        """
+        (wavelength,) = {part.wavelength for part in self._channels.parts(1)}
+        return np.asarray(brightness_at(self._plans.system_at(wavelength), self.points) * light)
 
     @one_at_a_time
     def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[np.float32]:
@@ -229,7 +251,7 @@ class CaptureOperator(CoherentPoints):
         InputError
             If the image has another shape or is not finite, or the work would need too much memory.
         """
-        channels = self._detector.adjoint(self._channels.check_image(image, self.camera.shape, self._dtype))
+        channels = self._detector.adjoint(self._channels.check_image(image, self.camera.shape, self.dtype))
         wavelengths, _ = self._channels.mixing(channels.shape[2])
         result = np.zeros((len(self.points), len(wavelengths)))
         with guards.watch():
@@ -388,39 +410,21 @@ class CaptureOperator(CoherentPoints):
         cost = self._plans.at(wavelength).cost(workers)
         return Cost(self.sums * cost.points, self.sums * cost.patterns, self.sums * cost.seconds, cost.memory)
 
-    def as_linear_operator(self) -> Any:
-        """Return the operator of one channel, between flat arrays, for SciPy's solvers.
+    def as_linear_operator(self) -> CaptureOperator:
+        """Return the operator itself, which SciPy's solvers take."""
+        return self
 
-        Returns
-        -------
-        scipy.sparse.linalg.LinearOperator
-            The operator, (pixels, n), of the images' type. Without a spectrum several columns are multiplied at once.
+    def _matmat(self, weights: NDArray[Any]) -> NDArray[Any]:
+        """Return the images (pixels, k) of several columns of weights, which share their spreads."""
+        if self.spectrum is not None:
+            return super()._matmat(weights)
+        return self.forward(weights).reshape(-1, weights.shape[1])
 
-        Raises
-        ------
-        InputError
-            If there is more than one wavelength or channel.
-        """
-        from scipy.sparse.linalg import LinearOperator
-
-        spectrum = self._channels.spectrum
-        if spectrum is not None and (len(spectrum.wavelengths), spectrum.channels) != (1, 1):
-            raise InputError(
-                f"spectrum of {len(spectrum.wavelengths)} wavelengths and {spectrum.channels} channels: a "
-                "linear operator between flat arrays has one of each"
-            )
-        shape, together = self.camera.shape, dict[str, Any]()
-        if spectrum is None:
-            # Several columns share the spreads; with a spectrum they would be wavelengths.
-            together["matmat"] = lambda weights: self.forward(weights).reshape(-1, weights.shape[1])
-            together["rmatmat"] = lambda pixels: self.adjoint(np.reshape(pixels, (*shape, -1)))
-        return LinearOperator(
-            (math.prod(shape), len(self.points)),
-            matvec=lambda weights: self.forward(np.ravel(weights)).ravel(),
-            rmatvec=lambda pixels: self.adjoint(np.reshape(pixels, shape)),
-            dtype=self._dtype,
-            **together,
-        )
+    def _rmatmat(self, pixels: NDArray[Any]) -> NDArray[Any]:
+        """Return the products (n, k) with several images (pixels, k)."""
+        if self.spectrum is not None:
+            return super()._rmatmat(pixels)
+        return self.adjoint(pixels.reshape(*self.camera.shape, -1))
 
     @property
     def sums(self) -> int:

@@ -19,8 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..array import turn
-from ..runtime import Backend, backend_of, drjit_array, fft
+from ..runtime import Backend, backend_of, drjit_array, fft, turn
 
 HALF_WIDTH = 6
 """Samples on each side of a position from which the intensity there is interpolated."""

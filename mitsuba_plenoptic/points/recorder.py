@@ -8,9 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array import turn
 from ..camera import PlenopticCamera
-from ..runtime import Box, active_backend
+from ..runtime import Box, active_backend, turn
 from .field_grid import Grid
 from .pixels import PixelIntegrals, TurnedSamples
 

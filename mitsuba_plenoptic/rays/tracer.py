@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import drjit as dr
 import mitsuba as mi
@@ -17,14 +17,15 @@ import numpy as np
 
 from ..array import Lenslet
 from ..camera import PlenopticCamera
-from ..fields.lens_kinds import FigureError
-from ..fields.optical_system import OpticalSystem
-from ..lenses.common import chief_points, main_lens
+from ..lenses.common import cached_main_lens, chief_points, main_lens
 from ..lenses.main_lens import MainLens, Traced
 from ..lenses.pupil import Pair
-from ..lenses.real_lens import RealLens
 from ..optics import rays
 from ..runtime import array_module, drjit_array, fft
+
+if TYPE_CHECKING:
+    from ..fields.optical_system import OpticalSystem
+    from ..lenses.real_lens import RealLens
 
 _LANES = 2**22
 """Rays that are followed at once."""
@@ -96,7 +97,7 @@ class Walk:
         """Return points of the round pupil for pupil points seen from lenses; points outside stay outside."""
         if self.lens.is_uniform:
             return pupil
-        table = cast(RealLens, self.lens).round_map
+        table = cast("RealLens", self.lens).round_map
         (x, y), (cx, cy) = pupil, centre
         field = dr.sqrt(cx * cx + cy * cy)
         # The map is defined for fields along x.
@@ -116,14 +117,14 @@ class Walk:
         if self.camera.has_even_pupil:
             return 1.0
         # The map to the round pupil is that of a lens of plain numbers.
-        plain = Walk(self.camera, OpticalSystem.by_design(self.camera).lens)
+        plain = Walk(self.camera, cached_main_lens(self.camera))
         x, y = (P / self.camera.pupil_radius for P in plain.round_pupil(pupil, position))
         return self.camera.pupil_power((x, y), position)
 
     @functools.cached_property
     def _round_map(self) -> Any:
         return mi.Texture3f(
-            drjit_array(mi.TensorXf, cast(RealLens, self.lens).round_map.points),
+            drjit_array(mi.TensorXf, cast("RealLens", self.lens).round_map.points),
             filter_mode=dr.FilterMode.Linear,
             wrap_mode=dr.WrapMode.Clamp,
         )
@@ -146,7 +147,7 @@ class Walk:
         """Return the changes that lenses cause in rays' direction cosines, or slopes, at given points."""
         (mx, my), ((cx, cy), focal_length, *_) = passage
         x, y = self.camera.microlens.deflection(self.lattice, mx - cx, my - cy, focal_length)
-        if (error := FigureError.of(self.camera)) is not None:
+        if (error := self.camera.figure_error) is not None:
             right, up = error.slopes(mx, my)
             x, y = x + right, y + up
         return x, y

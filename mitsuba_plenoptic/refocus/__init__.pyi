@@ -2,6 +2,7 @@
 
 from . import planning as planning
 from .api import reconstruct as reconstruct
+from .bins import BinSums as BinSums
 from .conjugates import ThinConjugates as ThinConjugates
 from .estimates import estimate_reconstruction as estimate_reconstruction
 from .lens_by_lens import fine_bins as fine_bins
@@ -15,7 +16,6 @@ from .methods import registered as registered
 from .methods import require_distances as require_distances
 from .methods import used_by as used_by
 from .methods import work_of as work_of
-from .passages import BinSums as BinSums
 from .projection import pupil_radius as pupil_radius
 from .projection import ray_sums as ray_sums
 from .projection import ray_sums_vjp as ray_sums_vjp

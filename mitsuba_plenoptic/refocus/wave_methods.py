@@ -49,38 +49,26 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..fields.microlenses import is_separable, transmission
+from ..fields.elements import Element, converging, microlenses
+from ..fields.links import Chain, FreeSpace, Fresnel, Hop, Spectrum
 from ..fields.optical_system import OpticalSystem, is_paraxial
-from ..optics import guards, rays
-from ..optics.waves import parabola, phasor, power, soft_edge
+from ..fields.steps import Directions, LensAxis, Step
+from ..fields.workspace import FieldWorkspace, Rows
+from ..optics import guards
+from ..optics.waves import phasor, power, soft_edge
 from ..runtime import active_backend, array_module, check_memory, fft, work_limit
+from .bins import BinSums
 from .conjugates import Conjugates, FieldZone, RealConjugates, ThinConjugates, undistorted
 from .lens_by_lens import LensTile, fine_bins, reconstruct_lens_by_lens, tile_lenses
 from .methods import Progress, Task, method, portion, work_of
-from .passages import (
-    BinSums,
-    FieldWorkspace,
-    FreeSpace,
-    ParaxialPath,
-    Rows,
-    ThinElement,
-    propagate,
-    propagate_vjp,
-    to_directions,
-    to_directions_vjp,
-)
 from .planning import (
     FIELD_MEMORY,
     OBJECT_MARGIN,
-    Directions,
     FieldPlan,
-    LensAxis,
-    Step,
     Strip,
     Window,
     check_pupil_diffraction,
@@ -346,7 +334,7 @@ class BackwardFields:
         held = None
         if self._holds:
             (strip,) = self._grids.strips
-            held = self._whole(self._on_array(strip, amplitude, None), strip.to_mla)
+            held = self._workspace.whole(self._on_array(strip, amplitude, None), strip.to_mla.shape)
         for subset in self._subsets:
             field = self._at_pupil()
             for strip in self._grids.strips:
@@ -354,9 +342,7 @@ class BackwardFields:
                     light = self._workspace.blocks(held)
                 else:
                     light = self._on_array(strip, amplitude, None if self._relay else subset)
-                lenses = self._lenses(strip.beyond_paraxial, subset)
-                displaced = propagate(light, lenses, strip.beyond_paraxial, self._beyond_paraxial, self._workspace)
-                self._add_within(field, self._path(strip).forward(displaced, self._workspace))
+                self._add_within(field, self._to_pupil(strip, subset).forward(light, self._workspace))
             yield field
 
     def _at_pupil(self) -> fft.Field:
@@ -365,35 +351,35 @@ class BackwardFields:
         field[...] = 0
         return field
 
-    def _path(self, strip: Strip) -> ParaxialPath:
-        """Return the paraxial path of a strip from the array to the main lens."""
-        return ParaxialPath(strip.to_main_lens, self._grids.pupil, self._camera.mla_distance, self._wavelength)
+    def _to_pupil(self, strip: Strip, subset: tuple[int, int]) -> Chain:
+        """Return the way from the array to the main lens, through the microlenses of a subset."""
+        step, lenses = strip.beyond_paraxial, None
+        if self._relay:
+            lenses = microlenses(step, self._camera, self._wavelength, self._interleave, subset)
+        path = Fresnel(strip.to_main_lens, self._grids.pupil, self._camera.mla_distance, self._wavelength)
+        return Chain([Hop(step, self._beyond_paraxial, lenses), path])
 
     def to_object(self, field: fft.Field, zone: FieldZone, step: Directions) -> Rows:
         """Yield the field at the directions of an object plane, from the field directly before the main lens."""
-        return to_directions(self._workspace.blocks(field), _main_lens(step, zone), step, self._workspace)
+        return Spectrum(step, _main_lens(step, zone)).forward(self._workspace.blocks(field), self._workspace)
 
     def vjp(self, gradients: Iterable[fft.Field], zone: FieldZone, step: Directions) -> NDArray[np.float64]:
         """Return the gradient with respect to the amplitudes, from the gradients of all subsets' fields."""
         workspace = self._workspace
         arrays = workspace.libraries.arrays
         on_array = [arrays.zeros(strip.to_mla.shape, np.complex64) for strip in self._grids.strips]
+        to_object = Spectrum(step, _main_lens(step, zone))
         for subset, gradient in zip(self._subsets, gradients, strict=True):
             field = self._at_pupil()
-            spectrum = workspace.blocks(arrays.asarray(gradient))
-            self._add_within(field, to_directions_vjp(spectrum, _main_lens(step, zone), step, workspace))
+            self._add_within(field, to_object.adjoint(workspace.blocks(arrays.asarray(gradient)), workspace))
             for strip, own in zip(self._grids.strips, on_array, strict=True):
-                on = strip.beyond_paraxial
-                displaced = self._path(strip).vjp(workspace.blocks(field), workspace)
-                back = displaced, self._lenses(on, subset), on, self._beyond_paraxial, workspace
-                for rows, samples in propagate_vjp(*back):
+                for rows, samples in self._to_pupil(strip, subset).adjoint(workspace.blocks(field), workspace):
                     own[rows] += samples
         found, n = [], self._grids.subsamples
         for strip, own in zip(self._grids.strips, on_array, strict=True):
             onto = strip.to_mla
-            light = converging(onto, self._camera, self._wavelength), onto, self._to_mla
-            samples = self._whole(propagate_vjp(workspace.blocks(own), *light, workspace), onto.reversed)
-            real = workspace.libraries.to_host(samples).real
+            light = self._to_array(strip, None).adjoint(workspace.blocks(own), workspace)
+            real = workspace.libraries.to_host(workspace.whole(light, onto.reversed.shape)).real
             shape = onto.y.count // n, n, onto.x.count // n, n
             found.append(real.reshape(shape).sum((1, 3), dtype=np.float64))
         return np.concatenate(found)
@@ -409,14 +395,12 @@ class BackwardFields:
         Light that strays from another lens's pixels into a cell is deflected by a micro-image and misses the main lens.
         So the light of all lenses may propagate to the MLA at once; a subset is the light that passes its lenses.
         """
-        step, camera = strip.to_mla, self._camera
-        light = converging(step, camera, self._wavelength, self._interleave, subset)
-        return propagate(self._samples(amplitude[strip.rows]), light, step, self._to_mla, self._workspace)
+        return self._to_array(strip, subset).forward(self._samples(amplitude[strip.rows]), self._workspace)
 
-    def _lenses(self, step: Step, subset: tuple[int, int]) -> ThinElement:
-        if not self._relay:
-            return ThinElement(step)
-        return microlenses(step, self._camera, self._wavelength, self._interleave, subset)
+    def _to_array(self, strip: Strip, subset: tuple[int, int] | None) -> Hop:
+        """Return the way from a strip of the detector to the array, for the light of all lenses or of a subset."""
+        light = converging(strip.to_mla, self._camera, self._wavelength, self._interleave, subset)
+        return Hop(strip.to_mla, self._to_mla, light)
 
     def _samples(self, amplitude: NDArray[np.float32]) -> Iterator[tuple[slice, Any]]:
         """Yield pixels repeated at each sample, in blocks of rows."""
@@ -438,13 +422,6 @@ class BackwardFields:
             for number, line in zip(range(lines.start, lines.stop), samples, strict=True):
                 chord = self._pupil.chord(number)
                 field[number, chord] += line[chord]
-
-    def _whole(self, blocks: Rows, step: Step) -> fft.Field:
-        """Return the field at the destination samples of a step, gathered from blocks of rows."""
-        field = self._workspace.libraries.arrays.empty(step.shape, np.complex64)
-        for rows, samples in blocks:
-            field[rows] = samples
-        return field
 
 
 class _Pupil:
@@ -476,7 +453,7 @@ class _Pupil:
         return self._lines[own] - lines.start, self._places[own], self._passed[own]
 
 
-def _main_lens(step: Directions, zone: FieldZone) -> ThinElement:
+def _main_lens(step: Directions, zone: FieldZone) -> Element:
     """Return the main lens as an element, less the path to the object point in the middle of a zone of the field."""
     light, pitch = zone.light, min(step.x.pitch, step.y.pitch)
 
@@ -485,56 +462,4 @@ def _main_lens(step: Directions, zone: FieldZone) -> ThinElement:
         passed = phasor(light.path((x, y)))
         return passed * soft_edge(array_module().Float(light.inside((x, y)) / pitch)) if zone.is_cut else passed
 
-    return ThinElement(step, lens)
-
-
-def microlenses(
-    step: Step, camera: PlenopticCamera, wavelength: float, interleave: int = 1, subset: tuple[int, int] = (0, 0)
-) -> ThinElement:
-    """Return the microlenses of a subset, in the source plane of a step; other lenses are opaque.
-
-    The period of the subset is `interleave` in both lattice indices, and `subset` are the indices' remainders.
-    """
-
-    def lens(x: Any, y: Any) -> Any:
-        light = transmission(camera, wavelength, x, y)
-        return light if interleave == 1 else _of_subset(light, camera.lattice.cell(x, y), interleave, subset)
-
-    return ThinElement(step, lens, _centre(camera, subset))
-
-
-def converging(
-    step: Step,
-    camera: PlenopticCamera,
-    wavelength: float,
-    interleave: int = 1,
-    subset: tuple[int, int] | None = None,
-) -> ThinElement:
-    """Return the element that makes detector light converge to the centres of all lenses, or of a subset."""
-    b, z = camera.mla_distance, camera.reduced_distance
-
-    def phase(x: Any, y: Any) -> Any:
-        index = camera.lattice.cell(*(rays.chief_point(p, b, z) for p in (x, y)))
-        cx, cy = camera.lattice.centre(*index)
-        light = phasor(parabola((x - cx) ** 2 + (y - cy) ** 2, z, wavelength))
-        return light if subset is None else _of_subset(light, index, interleave, subset)
-
-    centre = _centre(camera, subset or (0, 0))
-    # Under the lens's own chief ray, so that it belongs to the lens.
-    return ThinElement(step, phase, centre and (centre[0] * (b + z) / b, centre[1] * (b + z) / b))
-
-
-def _centre(camera: PlenopticCamera, index: tuple[int, int]) -> tuple[float, float] | None:
-    """Return a lens's centre if the array's transmission is a product of functions of x and y, otherwise None."""
-    x, y = camera.lattice.centre(*map(float, index))
-    return (float(x), float(y)) if is_separable(camera) else None
-
-
-def _of_subset(light: Any, index: tuple[Any, Any], interleave: int, subset: tuple[int, int]) -> Any:
-    """Return light with the contributions of lenses outside the subset set to 0."""
-    period = dr.opaque(type(index[0]), interleave)
-    mine = [
-        i - period * dr.floor((i + 0.5) / period) == dr.opaque(type(i), remainder)
-        for i, remainder in zip(index, subset, strict=True)
-    ]
-    return dr.select(mine[0] & mine[1], light, 0)
+    return Element(step, lens)

@@ -6,21 +6,22 @@ import contextlib
 import functools
 import importlib.metadata
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
 from ..choices import MODELS
-from ..detector.noise import PARTS, PassSpread, require_samples
 from ..errors import InputError, advice, argument, refuse_if, require_choice, require_count, suggest_keywords
-from ..io import Capture, Checkpoint
+from ..io import Capture
 from ..optics import guards
 from ..runtime import BatchMap, Cost, Job, one_at_a_time, require_memory_for
-from .capture_cost import seconds_by_rays
 from .load import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
 from .radiance import require_medium_seen, warn_of_metres
+
+if TYPE_CHECKING:
+    from ..io import Checkpoint
 
 _FILM_RULE = "a capture needs pixel_format 'luminance' or 'rgb'"
 
@@ -128,6 +129,8 @@ def render_capture(
     spp = sample_count(chosen, spp)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     if noise:
+        from ..detector.noise import require_samples
+
         require_samples(spp)
     wavelengths, spectrum = None, None
     if hasattr(integrator, "wavelengths"):
@@ -360,6 +363,8 @@ def estimate_capture(
     spp = sample_count(sensor, spp)
     if hasattr(integrator, "wavelengths"):
         return integrator.estimate(scene, sensor, seed=seed, spp=spp, job=Job(batch_map=batch_map))
+    from .capture_cost import seconds_by_rays
+
     seconds = seconds_by_rays(scene, sensor, integrator, seed=seed, spp=spp)
     return Cost(0, 0, seconds, film_memory(camera, spp))
 
@@ -376,14 +381,18 @@ def _render_passes(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the image, rendered in passes, whose memory does not grow with the samples, and the requested noise."""
     most = max(1, _RAYS_PER_PASS // (camera.shape[0] * camera.shape[1]))
+    spread = None
     if noise:
+        from ..detector.noise import PARTS, PassSpread
+
+        spread = PassSpread()
         most = min(most, 1 << (-(-spp // PARTS) - 1).bit_length())
     counts = pass_counts(sensor, spp, most)
     if noise and len(counts) == 1:
         counts *= 2
     # Runs with neighbouring seeds must not share passes, or their average would be no better than either of them.
     seeds = np.random.SeedSequence(seed).generate_state(len(counts))
-    image, spread = np.zeros(()), PassSpread() if noise else None
+    image = np.zeros(())
     sampler = sensor.sampler()
     count_before = sampler.sample_count()
     try:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+DEFAULT_ACCURACY = 0.01
+"""Default allowed relative error, L2 over the image."""
+
 
 @dataclass(frozen=True)
 class WaveAccuracy:

@@ -312,21 +312,61 @@ _END = "\n\nif TYPE_CHECKING:\n\n    class ShippedParameters"
 """What follows the table."""
 
 
+def run_changed(tmp_path, changes, trial):
+    """Run a script with a copy of the package in which each line of `changes` (file, old, new) is changed."""
+    copy = tmp_path / PACKAGE.name
+    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    for path, old, new in changes:
+        text = (copy / path).read_text()
+        assert text.count(old) == 1
+        (copy / path).write_text(text.replace(old, new))
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    command = [sys.executable, "-c", trial]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment)
+    assert done.returncode == 0, done.stderr
+    return [float(number) for number in done.stdout.split()]
+
+
 def test_a_parameter_is_one_entry_and_a_formula(tmp_path):
     """As the developer page says: a copy of the package with the page's entry and the page's line."""
     page = (ROOT / "docs" / "reference" / "develop" / "extending.md").read_text()
     entry = re.search(r"```py\n(    temperature.*?)```", page, re.DOTALL)[1]
     before, after = re.search(r"```diff\n-(.*\n)\+(.*\n)```", page).groups()
-    table, formula = Path("camera/parameters.py"), Path("rays/sensor_rays.py")
-    copy = tmp_path / PACKAGE.name
-    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    for path, old, new in ((table, _END, f"{entry}{_END}"), (formula, before, after)):
-        text = (copy / path).read_text()
-        assert text.count(old) == 1
-        (copy / path).write_text(text.replace(old, new))
-    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-    command = [sys.executable, "-c", TRIAL]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment)
-    assert done.returncode == 0, done.stderr
-    change, error = map(float, done.stdout.split())
+    changes = ("camera/parameters.py", _END, f"{entry}{_END}"), ("rays/sensor_rays.py", before, after)
+    change, error = run_changed(tmp_path, changes, TRIAL)
     assert change > 1e-3 and error < 0.02
+
+
+STOP = """
+import mitsuba as mi
+import mitsuba_plenoptic as mp
+
+mi.set_variant("llvm_ad_mono")
+camera = mp.PlenopticCamera(resolution=(64, 64), detector_width=0.256)
+stopped = mp.PlenopticCamera.from_json(camera.replace(second_stop=(0.6, 0.8)).to_json())
+sky = {"type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant", "radiance": 1.0}}
+scenes = [mp.load_scene(sky | {"camera": each.to_sensor()}) for each in (camera, stopped)]
+for model in "ray", "wave":
+    whole, capture = (mp.render_capture(scene, model=model, spp=256) for scene in scenes)
+    print(capture.image.mean() / whole.image.mean())
+try:
+    mp.reconstruct(capture, 240, method="coherent")
+except mp.InputError as error:
+    assert "second_stop = (0.6, 0.8)" in str(error)
+else:
+    raise AssertionError
+"""
+
+
+@pytest.mark.slow
+def test_a_layer_of_the_pupil_is_an_entry_a_row_and_a_factor(tmp_path):
+    """As the developer page says: an elliptic stop passes the product of its half-axes by rays and by waves."""
+    page = (ROOT / "docs" / "reference" / "develop" / "extending.md").read_text()
+    entry = re.search(r"```py\n(    second_stop.*?)```", page, re.DOTALL)[1]
+    row = re.search(r"```py\n(    \"second_stop.*?)```", page, re.DOTALL)[1]
+    _, *factors = re.findall(r"```diff\n-(.*\n)\+(.*\n)```", page)
+    after = '    "mla_distance": (),\n'
+    changes = [("camera/parameters.py", _END, f"{entry}{_END}"), ("camera/support.py", after, f"{row}{after}")]
+    changes += [("camera/geometry.py", old, new) for old, new in factors[:2]]
+    by_rays, by_waves = run_changed(tmp_path, changes, STOP)
+    assert abs(by_rays - 0.48) < 0.003 and abs(by_waves - 0.48) < 0.003

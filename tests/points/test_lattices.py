@@ -5,7 +5,7 @@ import pytest
 from cameras import LATTICES, WAVELENGTH, capture, error, scattered, small_camera
 
 from mitsuba_plenoptic import PlenopticCamera, point_spread_function
-from mitsuba_plenoptic.array import turn
+from mitsuba_plenoptic.runtime import turn
 
 SMALL = small_camera()
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cameras import HALF, LATTICES, WAVELENGTH, capture, error, in_every_lens, scattered, small_camera
-from scipy.sparse.linalg import lsqr
+from scipy.sparse.linalg import aslinearoperator, lsqr
 
-from mitsuba_plenoptic import CaptureOperator, InputError, Job, Spectrum, point_spread_function
+from mitsuba_plenoptic import CaptureOperator, Job, Spectrum, point_spread_function
 from mitsuba_plenoptic.points.operator import PLANS
 from mitsuba_plenoptic.points.pupil_weights import PupilWeights
 from mitsuba_plenoptic.runtime.batches import Threads
@@ -156,13 +156,27 @@ def test_weights_that_cancel_leave_nothing():
 def test_scipy_recovers_weights():
     weights = np.array([1.0, -0.5, 2.0, 0.25])
     operator = CaptureOperator(SMALL, scattered(4), wavelength=WAVELENGTH)
-    matrix = operator.as_linear_operator()
-    assert matrix.shape == (SMALL.shape[0] * SMALL.shape[1], 4)
-    found = lsqr(matrix, operator.forward(weights).ravel(), atol=1e-8, btol=1e-8)[0]
+    assert operator.shape == (SMALL.shape[0] * SMALL.shape[1], 4)
+    found = lsqr(operator, operator.forward(weights).ravel(), atol=1e-8, btol=1e-8)[0]
     assert error(found, weights) < 1e-4
-    several = CaptureOperator(SMALL, scattered(4), spectrum=Spectrum.lines(633, 532))
-    with pytest.raises(InputError, match=r"^spectrum of 2 wavelengths and 2 channels"):
-        several.as_linear_operator()
+
+
+def test_scipy_takes_spectra_sums_and_products():
+    spectrum = Spectrum((633, 532), ((1.0, 0.3), (0.2, 0.8), (0.0, 0.5)))
+    operator = CaptureOperator(SMALL, scattered(4), spectrum=spectrum)
+    weights, image = (
+        np.random.default_rng(2).normal(size=(4, 2)),
+        np.random.default_rng(3).normal(size=(*SMALL.shape, 3)),
+    )
+    assert (operator.source_shape, operator.image_shape) == (weights.shape, image.shape)
+    made, back = operator @ weights.ravel(), operator.T @ image.ravel()
+    assert (made.reshape(image.shape) == operator.forward(weights)).all()
+    assert (back.reshape(weights.shape) == operator.adjoint(image)).all()
+    assert made @ image.ravel() == pytest.approx(weights.ravel() @ back, rel=1e-5)
+    both = np.stack([weights.ravel(), -weights.ravel()], 1)
+    assert error(operator @ both, np.stack([made, -made], 1)) < 1e-6
+    half = aslinearoperator(np.full((1, 8), 0.5))
+    assert error(half @ (operator + operator).T @ image.ravel(), [back.sum()]) < 1e-6
 
 
 # -- wavelengths -------------------------------------------------------------------------------------

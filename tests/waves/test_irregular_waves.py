@@ -6,7 +6,6 @@ import pytest
 from cameras import HALF, error, small_camera
 
 from mitsuba_plenoptic import PlenopticCamera, point_spread_function
-from mitsuba_plenoptic.fields.lens_kinds import FigureError
 from tools.bench.cases.arrays import GREEN, SHAPES, propagated
 
 POINT = np.array([0.03, -0.02, 114.0])
@@ -30,7 +29,7 @@ def test_full_fields_of_irregular_arrays_against_explicit_sums(changes):
         lens = camera.lenslet(*camera.lattice.cell(x, y))
         r2 = (x - lens.centre[0]) ** 2 + (y - lens.centre[1]) ** 2
         own = 0.5 * (np.sqrt(0.25**2 - r2) - 0.25) if camera.mla_shape else -r2 / (2 * 0.512)
-        wrong = FigureError.of(camera)
+        wrong = camera.figure_error
         return own * camera.mla_focal_length / lens.focal_length + (0 if wrong is None else wrong.path(x, y))
 
     found = point_spread_function(camera, POINT, wavelength=GREEN, method="full_field")
@@ -43,7 +42,7 @@ def test_full_fields_of_irregular_arrays_against_explicit_sums(changes):
 def test_a_figure_error_has_its_size_and_correlation():
     x, sizes, products = np.array([0.0, 0.02]), [], []
     for seed in range(400):
-        wrong = FigureError.of(PlenopticCamera(mla_figure_error=(5e-5, 0.02), mla_seed=seed))
+        wrong = PlenopticCamera(mla_figure_error=(5e-5, 0.02), mla_seed=seed).figure_error
         first, second = wrong.path(x, 0 * x + 0.1)
         sizes.append(first * first)
         products.append(first * second)
@@ -67,6 +66,6 @@ def test_a_figure_error_deflects_rays(lens_model):
     p = (film - 0.5) * camera.detector_width
     centre = np.stack(camera.lattice.centre(*camera.lattice.cell(*(p * 120 / 120.512))))
     offset = np.stack(camera.lattice.aperture_point(*lens.astype(float)))
-    expected = 120 * np.stack(FigureError.of(camera).slopes(*(centre + offset)))
+    expected = 120 * np.stack(camera.figure_error.slopes(*(centre + offset)))
     within = np.abs(origins[0]).max(0) < 5
     assert np.abs(origins[1] - origins[0] - expected)[:, within].max() < 0.02 * np.abs(expected).max()

@@ -9,10 +9,10 @@ import mitsuba as mi
 import numpy as np
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, load_scene
-from mitsuba_plenoptic.points.accuracy import DEFAULT_ACCURACY
 from mitsuba_plenoptic.points.pupil_weights import PupilWeights
 from mitsuba_plenoptic.points.scene_points import find_points
 from mitsuba_plenoptic.scene.radiance import SceneLight
+from mitsuba_plenoptic.waves.accuracy import DEFAULT_ACCURACY
 
 WAVELENGTH = 633.0
 SPEED = {

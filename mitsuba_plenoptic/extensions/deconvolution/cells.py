@@ -21,11 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
-from ...array import turn
 from ...camera import PlenopticCamera
 from ...lenses.fitted_lens import FittedLens
 from ...points.field_grid import Grid
-from ...runtime import Box, backend_of
+from ...runtime import Box, backend_of, turn
 
 
 @dataclass(frozen=True)

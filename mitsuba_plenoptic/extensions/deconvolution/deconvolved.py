@@ -1,9 +1,13 @@
-"""Deconvolution: the planes whose simulated capture equals the recorded one."""
+"""Deconvolution: the planes whose simulated capture equals the recorded one, by Richardson and Lucy's iteration.
+
+It stops where only noise is left in the residual, weighted by the variances of the pixels, or where the excess of the
+residual over noise hardly falls any more.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,19 +15,24 @@ from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
 
 from ...design import resolution_limit
-from ...errors import InputError, argument, refuse_if
+from ...errors import InputError, argument, refuse_if, refusing, require_number
 from ...io import digest
+from ...linear.map import LinearMap
+from ...linear.noise import PixelNoise
+from ...linear.solve import RichardsonLucy, SolverState, StopRule, relative_residual, solve
 from ...refocus import Found, Progress, Task, method, portion, work_of
 from ...runtime import Job
 from .fourier import response_of
-from .solver import Linear, Solved, State, Values, Work, richardson_lucy
-from .variation import Noise, TotalVariation
+from .variation import TotalVariation
 
 DEFAULT_ITERATIONS, MOST_ITERATIONS = 30, 100
 """Steps where nothing is known of the noise, and at most where it is."""
 
 LEAST_SEEN = 0.01
 """Light of a bin, over that of the best one, below which it is NaN."""
+
+_SPAN, _LEAST_FALL = 10, 0.95
+"""Steps in which what is above the noise must fall below this fraction of itself."""
 
 _SOFT_NOISE = (151 / 315) ** 2
 """Variance of softened pixels over that of pixels, where micro-images have moved by any part of a pixel."""
@@ -34,17 +43,17 @@ def refocus(task: Task, **options: Any) -> list[Found]:
     """Return planes found by inverting the camera's response with Richardson and Lucy's iteration.
 
     Each plane alone explains the whole capture, or all planes together as a volume; light from other distances is
-    attributed to these planes. See `solver`.
+    attributed to these planes. See `mitsuba_plenoptic.linear.solve`.
 
     Returns
     -------
     list of Found
         The radiance of each plane, with facts.
     """
-    noise = Noise.of(task.exposure, options["photons"])
+    noise = noise_of(task.exposure, options["photons"])
     _require_light(task.image, noise)
     if noise and task.softened:
-        noise = Noise(noise.electrons / _SOFT_NOISE, noise.dark * _SOFT_NOISE)
+        noise = PixelNoise(noise.electrons / _SOFT_NOISE, noise.dark_variance / _SOFT_NOISE)
     groups = [[distance] for distance in task.distances]
     if options["volume"]:
         groups = [list(task.distances)]
@@ -79,22 +88,72 @@ def refocus(task: Task, **options: Any) -> list[Found]:
     ]
 
 
+def noise_of(exposure: dict[str, Any] | None, photons: float | None) -> PixelNoise | None:
+    """Return the noise for `photons`, if given, otherwise for the exposure that `expose` recorded."""
+    if photons is not None:
+        return PixelNoise(require_number("photons", photons, positive=True))
+    return None if exposure is None else PixelNoise.of_exposure(exposure)
+
+
+def until_noise(noise: PixelNoise) -> StopRule:
+    """Return the rule that ends steps where only noise is left, or where what is above it hardly falls any more."""
+    return StopRule(lambda image, model: noise.misfit(image, model) - 1, 0.0, _SPAN, _LEAST_FALL)
+
+
 @dataclass(frozen=True, eq=False)
-class _Straightened:
-    """A response of the pixels of a straightened capture: with the light that they hold, and softened."""
+class Solved:
+    """Result of deconvolution for one channel of one plane."""
 
-    response: Linear
-    passed: NDArray[np.float32] | float
-    soft: bool
+    image: NDArray[np.float32]
+    iterations: int
+    residual: float
+    stopped: bool
 
-    def forward(self, values: Values) -> NDArray[np.float32]:
+
+@dataclass
+class Work:
+    """The channels and planes already solved, and the arrays of an unfinished iteration; a checkpoint stores it."""
+
+    solved: list[Solved] = field(default_factory=list)
+    unfinished: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, NDArray[Any]]) -> Work:
+        """Return the work stored in arrays by name; empty work for no arrays."""
+        with refusing("checkpoint: it is damaged:", KeyError, ValueError):
+            solved = [
+                Solved(arrays[f"image.{index}"], int(done), float(left), bool(stopped))
+                for index, (done, left, stopped) in enumerate(arrays.get("solved", np.zeros((0, 3))))
+            ]
+        return cls(solved, arrays)
+
+    def arrays(self, state: SolverState) -> dict[str, NDArray[Any]]:
+        """Return the work and the state of the next iteration as arrays by name."""
+        facts = [[one.iterations, one.residual, one.stopped] for one in self.solved]
+        images = {f"image.{index}": one.image for index, one in enumerate(self.solved)}
+        return {"solved": np.array(facts, np.float64).reshape(-1, 3), **images, **state.arrays()}
+
+    def take_state(self, shape: tuple[int, ...]) -> SolverState | None:
+        """Return the state of the unfinished iteration, only once; refuse a state of bins of another shape."""
+        unfinished, self.unfinished = self.unfinished, {}
+        return SolverState.of(unfinished, shape)
+
+
+class _AsRecorded(LinearMap):
+    """A response of the pixels of a straightened capture: with the light that they have, and softened."""
+
+    def __init__(self, response: LinearMap, passed: NDArray[np.float32] | float, soft: bool) -> None:
+        super().__init__(response.source_shape, response.image_shape)
+        self._response, self._passed, self._soft = response, passed, soft
+
+    def forward(self, values: NDArray[Any], /) -> NDArray[Any]:
         """Return the pixels lit by bins."""
-        image = self.response.forward(values) * self.passed
-        return _softened(image) if self.soft else image
+        image = self._response.forward(values) * self._passed
+        return _softened(image) if self._soft else image
 
-    def adjoint(self, image: NDArray[np.float32]) -> Values:
+    def adjoint(self, image: NDArray[Any], /) -> NDArray[Any]:
         """Return the transpose of `forward`, applied to pixels."""
-        return self.response.adjoint((_softened(image) if self.soft else image) * self.passed)
+        return self._response.adjoint((_softened(image) if self._soft else image) * self._passed)
 
 
 def _solve(
@@ -102,7 +161,7 @@ def _solve(
     distances: Sequence[float],
     channel: int,
     options: dict[str, Any],
-    noise: Noise | None,
+    noise: PixelNoise | None,
     work: Work,
     report: Progress,
 ) -> Iterator[Solved]:
@@ -111,9 +170,9 @@ def _solve(
     iterations, variation = options["iterations"], options["variation"]
     most = iterations or (MOST_ITERATIONS if noise else DEFAULT_ITERATIONS)
 
-    def keep(state: State) -> None:
+    def save(state: SolverState) -> None:
         if task.checkpoint:
-            task.checkpoint.save_arrays(Work(work.solved, state).arrays)
+            task.checkpoint.save_arrays(lambda: work.arrays(state))
 
     with response_of(task.camera)(
         task.camera,
@@ -124,24 +183,28 @@ def _solve(
         steps=most,
     ) as made:
         # Light that vignetting keeps out is no part of the response.
-        held = 1.0 if task.passed is None else task.passed
+        passed = 1.0 if task.passed is None else task.passed
         as_recorded = task.softened or task.passed is not None
-        solution = richardson_lucy(
-            _Straightened(made, held, task.softened) if as_recorded else made,
+        steps = RichardsonLucy(
+            _AsRecorded(made, passed, task.softened) if as_recorded else made,
             image,
+            noise.shift if noise else 0.0,
+            TotalVariation(made.planes_of, variation) if variation else None,
+        )
+        solution = solve(
+            steps,
             iterations=most,
             accelerate=options["accelerate"],
-            misfit=noise.misfit if noise and iterations is None else None,
-            shift=noise.shift if noise else 0.0,
-            penalty=(TotalVariation(), variation) if variation else None,
-            state=work.take_state(made.shapes),
-            keep=keep,
-            progress=lambda done: report(made.prepared + (1 - made.prepared) * done),
+            stop=until_noise(noise) if noise and iterations is None else None,
+            state=work.take_state(made.source_shape),
+            save=save,
+            progress=lambda done, total: report(made.prepared + (1 - made.prepared) * done / total),
         )
-    for plane, parts in enumerate(zip(solution.values, solution.seen, strict=True)):
-        radiance, light = (made.to_image(part, plane) for part in parts)
+    residual = relative_residual(image, solution.model)
+    for plane in range(len(distances)):
+        radiance, light = (made.to_image(values, plane) for values in (solution.point, steps.seen))
         visible = np.where(light >= LEAST_SEEN, radiance, np.float32(np.nan))
-        yield Solved(visible, solution.iterations, solution.residual, solution.stopped)
+        yield Solved(visible, solution.iterations, residual, bool(solution.stopped))
 
 
 def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str, Any]:
@@ -157,7 +220,7 @@ def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str,
     }
 
 
-def _require_light(image: NDArray[np.float32], noise: Noise | None) -> None:
+def _require_light(image: NDArray[np.float32], noise: PixelNoise | None) -> None:
     """Refuse a capture that no light can have produced, as its sum is not positive."""
     refuse_if(not (image > 0).any(), "capture: none of its pixels is lit: there is nothing to deconvolve")
     negative = int(np.count_nonzero(image < 0))
@@ -172,7 +235,7 @@ def _require_light(image: NDArray[np.float32], noise: Noise | None) -> None:
     )
 
 
-def _softened(image: NDArray[np.float32]) -> NDArray[np.float32]:
+def _softened(image: NDArray[Any]) -> NDArray[Any]:
     """Return pixels as coefficients of a cubic spline, at the pixels' own places; a symmetric map."""
     for axis in (0, 1):
         image = convolve1d(image, [1 / 6, 4 / 6, 1 / 6], axis, mode="reflect")

@@ -66,9 +66,12 @@ class FourierResponse(StoredResponse):
         self._detector = DetectorOperator.of(camera)
         camera = camera.replace(**SHARP)
         self._camera, self._oversample, self._count = camera, oversample, len(distances)
+        columns, rows = (oversample * count for count in camera.bin_count)
+        self.shapes = [(rows, columns)] * len(distances)
+        super().__init__((len(distances) * rows * columns,), camera.shape)
         bins, pixels = np.array(camera.bin_count), np.array(camera.crop_size)
         self._size = tuple(fft.fast_length(float(number)) for number in reversed((pixels + bins - 1).tolist()))
-        super().__init__(len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY)
+        self._store(len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY)
         deepest = max(abs(distance) for distance in distances)
         fine = _fine_camera(camera, wavelength, oversample, deepest)
         self._require_memory(fine, distances)
@@ -88,26 +91,22 @@ class FourierResponse(StoredResponse):
             spectra = self._kernel_spectra(np.asarray(part.sums[0]), fine)
             self._spectra += self._stored([spectra], f"{len(self._spectra)}")
 
-    @property
-    def shapes(self) -> list[tuple[int, int]]:
-        """Rows and columns of the bins of each plane."""
-        columns, rows = (self._oversample * count for count in self._camera.bin_count)
-        return [(rows, columns)] * self._count
-
     def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
-        """Return the values of a plane's bins, which are ordered as in a lens's picture, as an upright image."""
-        return np.ascontiguousarray(values[::-1, ::-1])
+        """Return a plane's bins, of all bins, which are ordered as in a lens's picture, as an upright image."""
+        return np.ascontiguousarray(self.planes_of(values)[plane][::-1, ::-1])
 
     def from_image(self, image: NDArray[Any], plane: int) -> NDArray[np.float32]:
         """Return the transpose of `to_image`, applied to an image."""
-        return np.ascontiguousarray(image[::-1, ::-1], np.float32)
+        values = np.zeros(self.source_shape, np.float32)
+        self.planes_of(values)[plane][::-1, ::-1] = image
+        return values
 
-    def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    def forward(self, values: NDArray[np.float32], /) -> NDArray[np.float32]:
         """Return the image that the detector records of planes."""
         libraries, (rows, columns) = active_backend(), self._size
         total = libraries.arrays.zeros((rows, columns // 2 + 1), np.complex64)
         with fft.resting_drjit():
-            for radiance, spectra in zip(values, self._spectra, strict=True):
+            for radiance, spectra in zip(self.planes_of(values), self._spectra, strict=True):
                 for phase, spectrum in zip(self._phases, spectra, strict=True):
                     total += self._spectrum(radiance[phase]) * libraries.arrays.asarray(spectrum)
             height, width = self._camera.shape
@@ -115,19 +114,17 @@ class FourierResponse(StoredResponse):
             image = libraries.to_host(fft.irfft(found, columns, axis=1)[:, :width])
         return np.asarray(self._detector.forward(np.ascontiguousarray(image)))
 
-    def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    def adjoint(self, image: NDArray[np.float32], /) -> NDArray[np.float32]:
         """Return the transpose of `forward`, applied to an image."""
-        libraries, columns, result = active_backend(), self._size[1], []
+        libraries, columns, result = active_backend(), self._size[1], np.empty(self.source_shape, np.float32)
         width, height = self._camera.bin_count
         with fft.resting_drjit():
             given = self._spectrum(self._detector.adjoint(image))
-            for shape, spectra in zip(self.shapes, self._spectra, strict=True):
-                plane = np.empty(shape, np.float32)
+            for plane, spectra in zip(self.planes_of(result), self._spectra, strict=True):
                 for phase, spectrum in zip(self._phases, spectra, strict=True):
                     back = given * libraries.arrays.asarray(spectrum).conj()
                     back = fft.fft(back, axis=0, inverse=True)[:height]
                     plane[phase] = libraries.to_host(fft.irfft(back, columns, axis=1)[:, :width])
-                result.append(plane)
         return result
 
     @property

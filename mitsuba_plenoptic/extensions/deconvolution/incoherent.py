@@ -53,12 +53,12 @@ def refocus(task: Task) -> list[np.ndarray]:
                 steps=len(channels) * (len(given) + 1) / 2,
             ) as made:
                 by_waves = task.recorded is not None or not camera.lens_data.converges
-                ones = [np.ones(shape, np.float32) for shape in made.shapes]
+                ones = np.ones(made.source_shape, np.float32)
                 white = DetectorOperator.of(camera).forward(made.forward(ones)) if by_waves else white_pixels(camera)
                 white = white if task.passed is None else white * task.passed
                 for channel in channels:
                     pixels = [*(image[..., channel] for image in given), white]
-                    weighed = (made.adjoint(np.ascontiguousarray(each, np.float32))[0] for each in pixels)
+                    weighed = (made.adjoint(np.ascontiguousarray(each, np.float32)) for each in pixels)
                     bins[channel] = [made.to_image(each, 0) for each in weighed]
         *sums, divisor = (np.stack(parts, axis=-1) for parts in zip(*bins, strict=True))
         if camera.lens_data.converges:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
+from ...linear.map import LinearMap
 from ...runtime import Box, Part, active_backend, backend_of, on_all_cores, require_memory_for
 from .cells import BinCells, CellSet
 
@@ -46,13 +47,16 @@ class Kernel:
     blocks: list[SampleBlock]
 
 
-class StoredResponse:
-    """A response whose kernels may lie in a temporary folder.
+class StoredResponse(LinearMap):
+    """A response to the bins of planes, one after the other, whose kernels may lie in a temporary folder.
 
     The folder is removed when the context ends, or else when the response is no longer referenced.
     """
 
-    def __init__(self, several: bool) -> None:
+    # Rows and columns of the bins of each plane.
+    shapes: list[tuple[int, int]]
+
+    def _store(self, several: bool) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="deconvolution-") if several else None
 
     def __enter__(self) -> Self:
@@ -61,6 +65,13 @@ class StoredResponse:
     def __exit__(self, *error: object) -> None:
         if self._folder:
             self._folder.cleanup()
+
+    def planes_of(self, values: NDArray[Any]) -> list[NDArray[Any]]:
+        """Return the bins (rows, columns) of each plane, as views of all bins."""
+        ends = np.cumsum([rows * columns for rows, columns in self.shapes])
+        return [
+            part.reshape(shape) for part, shape in zip(np.split(values.ravel(), ends[:-1]), self.shapes, strict=True)
+        ]
 
     def _stored(self, arrays: list[NDArray[Any]], name: str) -> list[NDArray[Any]]:
         """Return arrays of one type as views of a file in the folder; without a folder unchanged, where they lie.

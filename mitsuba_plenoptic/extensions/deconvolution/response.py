@@ -292,7 +292,7 @@ class Response(StoredResponse):
         asked = self._zones(max(each), unlike)
         owner = np.repeat(np.arange(len(asked)), list(map(len, asked)))[np.argsort(np.concatenate(asked))]
         served = [owner[members[len(members) // 2]] for members in groups]
-        super().__init__(len(distances) > 1 and _LIT * len(asked) * sum(each) > _MEMORY)
+        self._store(len(distances) > 1 and _LIT * len(asked) * sum(each) > _MEMORY)
         # Far too many bins are refused before they are put into batches.
         stored = self._folder is not None
         self._require_memory(len(asked), stored)
@@ -324,6 +324,8 @@ class Response(StoredResponse):
         self._windows = [
             (slice(-top, rows - top), slice(-left, columns - left)) for left, top in (bins.first for bins in self.bins)
         ]
+        self.shapes = [bins.shape for bins in self.bins]
+        super().__init__((sum(math.prod(shape) for shape in self.shapes),), camera.shape)
 
     def _kernels(
         self, distance: float, groups: Sequence[NDArray[np.int64]], job: Job, done: int, total: int
@@ -429,39 +431,32 @@ class Response(StoredResponse):
 
         require_response_memory(memory, self._oversample, self._distances)
 
-    @property
-    def shapes(self) -> list[tuple[int, int]]:
-        """Rows and columns of the bins of each plane."""
-        return [bins.shape for bins in self.bins]
-
     def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
-        """Return the values of a plane's bins as an upright image of a reconstruction's bins."""
-        return np.ascontiguousarray(values[self._windows[plane]])
+        """Return a plane's bins, of all bins, as an upright image of a reconstruction's bins."""
+        return np.ascontiguousarray(self.planes_of(values)[plane][self._windows[plane]])
 
     def from_image(self, image: NDArray[Any], plane: int) -> NDArray[np.float32]:
         """Return the transpose of `to_image`, applied to an image."""
-        values = np.zeros(self.shapes[plane], np.float32)
-        values[self._windows[plane]] = image
+        values = np.zeros(self.source_shape, np.float32)
+        self.planes_of(values)[plane][self._windows[plane]] = image
         return values
 
-    def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    def forward(self, values: NDArray[np.float32], /) -> NDArray[np.float32]:
         """Return the image that the detector records of planes."""
         width, height = self.cells.size
         libraries = active_backend()
         samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
-        for plane, bins, radiance in zip(self.planes, self.bins, values, strict=True):
+        for plane, bins, radiance in zip(self.planes, self.bins, self.planes_of(values), strict=True):
             plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), samples)
         sums = self.cells.join(samples, self._sampled, self._recorder.box)
         return np.asarray(self._detector.forward(self._recorder.record(sums[None])[..., 0]))
 
-    def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    def adjoint(self, image: NDArray[np.float32], /) -> NDArray[np.float32]:
         """Return the transpose of `forward`, applied to an image."""
         sums = self._recorder.spread(self._detector.adjoint(image)[..., None])[0]
         samples = self.cells.split(sums, self._recorder.box, self._sampled)
-        return [
-            (bins.share @ plane.adjoint(samples).ravel()).reshape(bins.shape)
-            for plane, bins in zip(self.planes, self.bins, strict=True)
-        ]
+        planes = zip(self.planes, self.bins, strict=True)
+        return np.concatenate([bins.share @ plane.adjoint(samples).ravel() for plane, bins in planes])
 
 
 def _require_equal_lenses(camera: PlenopticCamera) -> None:

@@ -13,7 +13,6 @@ so that the reverse pass of a step takes one product with A and one with its tra
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -25,6 +24,8 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, refuse_if, require_choice, require_count, require_number, require_wavelength
 from ...fields.optical_system import OpticalSystem
+from ...linear.map import LinearMap
+from ...linear.solve import RichardsonLucy, solve
 from ...optics import guards
 from ...prescription import lens_data
 from ...refocus import (
@@ -47,7 +48,6 @@ from ...refocus_options import FOOTPRINTS
 from ...runtime import active_backend, as_array, check_memory, drjit_array, fft, one_at_a_time, require_pixels
 from ..deconvolution.deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN
 from ..deconvolution.fourier import response_of
-from ..deconvolution.solver import RichardsonLucyStep, Values
 
 
 class RayRefocus:
@@ -437,7 +437,7 @@ class DeconvolvedRefocus:
         )
         wavelength = None if wavelength is None else require_wavelength(wavelength)
         self.response = response_of(camera)(camera, [distance], wavelength=wavelength, oversample=oversample)
-        (light,) = self.response.adjoint(np.ones(camera.shape, np.float32))
+        light = self.response.adjoint(np.ones(camera.shape, np.float32))
         seen = self.response.to_image(light / light.max(), 0)
         # Bins that `reconstruct` leaves unknown are 0.
         self.visible = seen >= LEAST_SEEN
@@ -471,7 +471,7 @@ class DeconvolvedRefocus:
     def at(self, capture: Any) -> RefocusedImage:
         """Return the deconvolved capture with the data for its derivatives."""
         pixels = as_channels(capture, self.camera.shape, "capture")
-        numbers = 4.0 * (pixels.size + 2 * pixels.shape[2] * math.prod(self.response.shapes[0]))
+        numbers = 4.0 * (pixels.size + 2 * pixels.shape[2] * self.response.shape[1])
         what = f"derivatives of {self.iterations} steps in {pixels.shape[2]} channels"
         check_memory(numbers * self.iterations, what)
         return RefocusedImage(self, capture, lambda image: _DeconvolvedChannel(self, image))
@@ -486,22 +486,27 @@ class _Made:
     back: NDArray[np.float32]
 
 
+class _RecordedSteps(RichardsonLucy):
+    """The steps of Richardson and Lucy, which keep what their derivatives need."""
+
+    def __init__(self, response: LinearMap, image: NDArray[np.float32]) -> None:
+        super().__init__(response, image)
+        self.made: list[_Made] = []
+
+    def step(self, point: NDArray[np.float32], model: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the bins after a step from a point whose image is `model`."""
+        self.made.append(_Made(point, model, self.back(model)))
+        return self.scaled(point, self.made[-1].back)
+
+
 class _DeconvolvedChannel:
     """The steps of deconvolving one channel, and their derivatives."""
 
     def __init__(self, refocus: DeconvolvedRefocus, image: NDArray[np.float32]) -> None:
-        response = self._response = refocus.response
-        self._visible = refocus.visible
-        self._step, self._image = RichardsonLucyStep(response, image), image
+        self._response, self._visible, self._image = refocus.response, refocus.visible, image
+        self._step = _RecordedSteps(refocus.response, image)
         refuse_if(not self._step.total, "capture: none of its pixels is lit: there is nothing to deconvolve")
-        values: Values = self._step.start()
-        self._made: list[_Made] = []
-        for _ in range(refocus.iterations):
-            model = response.forward(values)
-            back = response.adjoint(self._step.ratio(model))
-            self._made.append(_Made(values[0], model, back[0]))
-            values = self._step.scaled(values, back)
-        self.bins = self._to_image(values[0])
+        self.bins = self._to_image(solve(self._step, iterations=refocus.iterations).values)
 
     def _to_image(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         return np.asarray(self._response.to_image(values, 0) * self._visible)
@@ -509,15 +514,15 @@ class _DeconvolvedChannel:
     def jvp(self, change: NDArray[Any]) -> NDArray[np.float32]:
         """Return the change of the bins for a change of the pixels."""
         change = np.asarray(change, np.float32)
-        step, (inside,), (weight,) = self._step, self._step.inside, self._step.weight
+        step, inside, weight = self._step, self._step.inside, self._step.weight
         lit, known = self._image > 0, self._image + self._step.shift > 0
         light = float(change[lit].sum(dtype=np.float64))
         moved, shift = np.where(inside, np.float32(light / step.sent), 0), np.float32(light * step.shift_slope)
-        for made in self._made:
+        for made in step.made:
             below, ratio = self._of(made)
-            of_model = np.where(made.model > 0, self._response.forward([moved]), 0)
+            of_model = np.where(made.model > 0, self._response.forward(moved), 0)
             of_ratio = (np.where(known, change + shift, 0) - ratio * (of_model + shift)) / below
-            (of_back,) = self._response.adjoint(of_ratio.astype(np.float32))
+            of_back = self._response.adjoint(of_ratio.astype(np.float32))
             of_back = np.where(made.back > 0, of_back, 0)
             moved = weight * (moved * np.maximum(made.back, 0) + made.point * of_back)
         return self._to_image(moved)
@@ -525,16 +530,16 @@ class _DeconvolvedChannel:
     def vjp(self, bins: NDArray[Any]) -> NDArray[np.float64]:
         """Return the gradient with respect to the pixels, from the gradient with respect to the bins."""
         felt = self._response.from_image(bins * self._visible, 0)
-        step, (inside,), (weight,) = self._step, self._step.inside, self._step.weight
+        step, inside, weight = self._step, self._step.inside, self._step.weight
         lit, known = self._image > 0, self._image + self._step.shift > 0
         total, by_shift = np.zeros(self._image.shape), 0.0
-        for made in reversed(self._made):
+        for made in reversed(step.made):
             below, ratio = self._of(made)
             of_back = np.where(made.back > 0, felt * made.point * weight, 0)
-            of_ratio = self._response.forward([of_back]) / below
+            of_ratio = self._response.forward(of_back) / below
             total += np.where(known, of_ratio, 0)
             by_shift += float((of_ratio * (known - ratio)).sum(dtype=np.float64))
-            (of_model,) = self._response.adjoint(np.where(made.model > 0, of_ratio * ratio, np.float32(0)))
+            of_model = self._response.adjoint(np.where(made.model > 0, of_ratio * ratio, np.float32(0)))
             felt = felt * np.maximum(made.back, 0) * weight - of_model
         return total + lit * (float(felt[inside].sum(dtype=np.float64)) / step.sent + by_shift * step.shift_slope)
 

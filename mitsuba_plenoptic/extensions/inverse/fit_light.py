@@ -14,6 +14,7 @@ from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, put, refuse_if, require_count, require_number, require_wavelength
 from ...fields.optical_system import OpticalSystem
 from ...io import Capture, digest, require_demosaiced, response_of
+from ...linear.noise import PixelNoise
 from ...plugins.other_camera import with_camera
 from ...points import scene_points
 from ...points.pupil_weights import PupilWeights
@@ -34,33 +35,6 @@ _LIGHT = 3.0
 
 _NEGATIVE = 6.0
 """Standard deviations of its dark noise, by no more of which a pixel is below zero."""
-
-
-@dataclass(frozen=True)
-class PixelNoise:
-    r"""Noise of a detector's pixels: photon noise, and the variance of dark pixels.
-
-    The variance of a pixel whose expected value is :math:`v` is :math:`(E v + d) / E^2`.
-
-    Parameters
-    ----------
-    electrons : float
-        Electrons that are counted in a pixel of value 1, E: photons times quantum efficiency.
-    dark_variance : float
-        Variance without light, d, in squared electrons: of dark current, reading and rounding.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
-    """
-
-    electrons: float
-    dark_variance: float = 0.0
-
-    def __post_init__(self) -> None:
-        require_number("electrons", self.electrons, positive=True)
-        require_number("dark_variance", self.dark_variance, minimum=0)
 
 
 def noise_of(capture: Capture) -> tuple[PixelNoise | None, float | None]:
@@ -90,9 +64,7 @@ def noise_of(capture: Capture) -> tuple[PixelNoise | None, float | None]:
     gain, black, dark, unit = response_of(exposure)
     reading, full = (require_number(name, exposure.get(name), minimum=0) for name in ("read_noise", "full_well"))
     largest = (2 ** require_number("bits", exposure.get("bits"), minimum=1, maximum=16) - 1 - black) / gain
-    # Rounding adds a twelfth of the square of a digital number (EMVA Standard 1288).
-    noise = PixelNoise(unit, dark + reading**2 + 1 / (12 * gain**2))
-    return noise, (min(full, largest) - dark - _CLEAR * reading) / unit
+    return PixelNoise.of_exposure(exposure), (min(full, largest) - dark - _CLEAR * reading) / unit
 
 
 @dataclass(frozen=True)

@@ -61,16 +61,16 @@ class StoredOperator(CaptureOperator):
         super().__init__(camera, points, **options)
         self._budget = require_number("budget", budget, positive=True)
         refuse_if(dtype not in ("float32", "float64"), f"dtype = {dtype!r}: it must be float32 or float64")
-        self._dtype = np.dtype(dtype)
+        self.dtype = np.dtype(dtype)
         self._matrices: dict[float, Any] = {}
 
     def _image(self, weights: NDArray[np.float64], job: Job) -> NDArray[Any]:
         """Return the image (rows, columns, channels) of checked weights (n, columns)."""
         matrices = self._computed(job)
         _, matrix = self._channels.mixing(weights.shape[1])
-        pixels = np.zeros((math.prod(self.camera.shape), len(matrix)), self._dtype)
+        pixels = np.zeros((math.prod(self.camera.shape), len(matrix)), self.dtype)
         for part in self._channels.parts(weights.shape[1]):
-            pixels += mix(matrices[part.wavelength] @ (weights @ part.before).astype(self._dtype), part.after)
+            pixels += mix(matrices[part.wavelength] @ (weights @ part.before).astype(self.dtype), part.after)
         return pixels.reshape(*self.camera.shape, -1)
 
     def _products(
@@ -108,11 +108,11 @@ class StoredOperator(CaptureOperator):
         matrices, parts = self._computed(job), list(self._channels.parts(1))
         mixed = [part.after @ part.before.T for part in parts]
         entries = sum(matrices[part.wavelength].nnz * own.size for part, own in zip(parts, mixed, strict=True))
-        require_memory(2.0 * entries * (self._dtype.itemsize + 8), "sparse matrix of all channels and wavelengths")
+        require_memory(2.0 * entries * (self.dtype.itemsize + 8), "sparse matrix of all channels and wavelengths")
         if len(parts) == mixed[0].size == 1:
-            return matrices[parts[0].wavelength] * self._dtype.type(mixed[0].item())
+            return matrices[parts[0].wavelength] * self.dtype.type(mixed[0].item())
         return sum(
-            scipy.sparse.kron(matrices[part.wavelength], own.astype(self._dtype), format="csc")
+            scipy.sparse.kron(matrices[part.wavelength], own.astype(self.dtype), format="csc")
             for part, own in zip(parts, mixed, strict=True)
         )
 
@@ -137,7 +137,7 @@ class StoredOperator(CaptureOperator):
         """
         wavelengths, matrix = self._channels.mixing(1)
         rows, columns = math.prod(self.camera.shape) * len(matrix), len(self.points) * len(wavelengths)
-        require_memory(float(self._dtype.itemsize) * rows * columns, f"dense matrix of {rows} x {columns}")
+        require_memory(float(self.dtype.itemsize) * rows * columns, f"dense matrix of {rows} x {columns}")
         return self.to_sparse(job=job).toarray()
 
     def _computed(self, job: Job | None) -> dict[float, Any]:
@@ -146,7 +146,7 @@ class StoredOperator(CaptureOperator):
             return self._matrices
         job, wavelengths = job or Job(), list(dict.fromkeys(part.wavelength for part in self._channels.parts(1)))
         plans = self._plans.made_by(_SPREADS[self._method])
-        entry, count = self._dtype.itemsize + 4, len(self.points)
+        entry, count = self.dtype.itemsize + 4, len(self.points)
         needed = sum(plans.checked(wavelength, job, 1).pixels for wavelength in wavelengths) * entry / 2**30
         refuse_if(
             needed > self._budget,
@@ -163,10 +163,10 @@ class StoredOperator(CaptureOperator):
     def _matrix(self, spreads: Any) -> Any:
         """Return a matrix (pixels, n) with point spreads as its columns."""
         index = np.arange(math.prod(self.camera.shape), dtype=np.int32).reshape(self.camera.shape)
-        empty = np.zeros(0, np.int32), np.zeros(0, self._dtype)
+        empty = np.zeros(0, np.int32), np.zeros(0, self.dtype)
         columns = [empty] * len(self.points)
         for spread in spreads:
-            column = index[spread.window].ravel(), spread.pixels.ravel().astype(self._dtype, copy=False)
+            column = index[spread.window].ravel(), spread.pixels.ravel().astype(self.dtype, copy=False)
             for point in spread.points.tolist():
                 columns[point] = column
         rows, values = (np.concatenate([column[k] for column in columns] or [empty[k]]) for k in (0, 1))

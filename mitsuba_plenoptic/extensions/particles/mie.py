@@ -1,64 +1,43 @@
-r"""Light that a small sphere scatters, by angle and polarisation (Mie 1908).
+"""Light that a small sphere scatters, by angle and polarisation (Mie 1908).
 
-After Bohren and Huffman 1983, "Absorption and Scattering of Light by Small Particles", chapter 4. With the size
-parameter :math:`x = \pi d n / \lambda` and the relative index m, and the Riccati-Bessel functions :math:`\psi_n` and
-:math:`\xi_n`,
-
-.. math:: a_n = \frac{(D_n(mx) / m + n / x) \psi_n(x) - \psi_{n-1}(x)}
-                     {(D_n(mx) / m + n / x) \xi_n(x) - \xi_{n-1}(x)}
-
-and :math:`b_n` with :math:`m D_n` in the place of :math:`D_n / m` (their equation 4.88). :math:`D_n` is the logarithmic
-derivative of :math:`\psi_n`, which is stable in downward recurrence.
+The package miepython has the coefficients of the series, and equations 4.47 and 4.74 of Bohren and Huffman 1983,
+"Absorption and Scattering of Light by Small Particles", are their sum.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import spherical_jn, spherical_yn
 
-from ...errors import refuse_if
+from ...errors import refuse_if, require_module
 
 LARGEST = 2000.0
 """Size parameter at most: 250 micrometres in water, where rays would do, and the series has 2000 terms."""
 
-_BEYOND = 15
-"""Terms beyond the last one, besides eight times its cube root, from which the downward recurrence starts."""
 
+def coefficients(size: NDArray[np.float64], index: complex) -> NDArray[np.complex128]:
+    """Return the scattering coefficients a and b of spheres by size parameter, (2, terms, spheres), 0 beyond the last.
 
-def coefficients(size: NDArray[np.float64], index: complex) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Return the scattering coefficients a and b of spheres, (terms, spheres), 0 beyond a sphere's own last term.
-
-    Parameters
-    ----------
-    size : float64 array (spheres,)
-        Size parameters, above 0.
-    index : complex
-        Refractive index over that of the medium, with a positive imaginary part where it absorbs.
+    The index, over that of the medium, has a positive imaginary part where it absorbs.
     """
     refuse_if(size.max(initial=0) > LARGEST, f"diameter: a size parameter is {size.max():.4g}, at most {LARGEST:g}")
-    # Wiscombe's criterion of convergence (1980, Applied Optics 19, 1505).
-    last = np.ceil(size + 4.05 * np.cbrt(size) + 2).astype(int)
-    terms = int(last.max(initial=1))
-    inner = index * size
-    derivative = np.zeros((terms + 1, len(size)), complex)
-    current = np.zeros(len(size), complex)
-    largest = max(float(terms), float(np.abs(inner).max(initial=0)))
-    for order in range(int(largest + 8 * largest ** (1 / 3)) + _BEYOND, 0, -1):
-        current = order / inner - 1 / (current + order / inner)
-        if order <= terms + 1:
-            derivative[order - 1] = current
-    orders = np.arange(terms + 1)[:, None]
-    n, found = orders[1:], []
-    with np.errstate(all="ignore"):
-        psi = size * spherical_jn(orders, size)
-        xi = psi + 1j * size * spherical_yn(orders, size)
-        for factor in (1 / index, index):
-            inside = factor * derivative[1:] + n / size
-            found.append((inside * psi[1:] - psi[:-1]) / (inside * xi[1:] - xi[:-1]))
-    # Beyond its last term a small sphere's functions leave what floats hold.
-    a, b = (np.where(n <= last, each, 0) for each in found)
-    return a, b
+    series = [_of_sphere(x, complex(index)) for x in size.tolist()]
+    result = np.zeros((2, max((terms.shape[1] for terms in series), default=1), len(size)), complex)
+    for sphere, terms in enumerate(series):
+        result[:, : terms.shape[1], sphere] = terms
+    return result
+
+
+@lru_cache(maxsize=2**14)
+def _of_sphere(size: float, index: complex) -> NDArray[np.complex128]:
+    """Return the coefficients of one sphere, which captures ask for several times."""
+    miepython = require_module(
+        "miepython", "light scattered by spheres needs a package: pip install 'mitsuba-plenoptic[particles]'"
+    )
+    # There the imaginary part is negative where a sphere absorbs.
+    return np.asarray(miepython.coefficients(index.conjugate(), size))
 
 
 def amplitudes(

@@ -16,6 +16,7 @@ from ...camera import PlenopticCamera, Use, require_support
 from ...errors import refuse_if, require_accuracy, require_count, require_number, require_wavelength, suggest_keywords
 from ...fields.optical_system import OpticalSystem
 from ...lenses.common import inverse_distance
+from ...linear.map import LinearMap
 from ...points.operator import CaptureOperator
 from ...runtime import POINTS, Job, Progress, as_array, counted
 from ..inverse.point_rays import PointRays
@@ -25,7 +26,7 @@ from .voxels import VoxelGrid
 
 
 @suggest_keywords
-class VoxelProjector:
+class VoxelProjector(LinearMap):
     """The image that a camera records of a volume's voxels by waves, as a linear function of their light.
 
     Parameters
@@ -98,6 +99,7 @@ class VoxelProjector:
             if budget is None
             else StoredOperator(camera, at, wavelength=wavelength, accuracy=accuracy, budget=budget)
         )
+        super().__init__((len(points),), camera.shape)
 
     def forward(self, weights: ArrayLike, *, job: Job | None = None) -> NDArray[np.float32]:
         """Return the image (rows, columns) of voxels with the given light, (n,)."""
@@ -109,7 +111,7 @@ class VoxelProjector:
 
 
 @suggest_keywords
-class RayProjector:
+class RayProjector(LinearMap):
     """The image that a camera records of a volume's voxels by rays, without diffraction, as a stored matrix.
 
     Parameters
@@ -143,7 +145,7 @@ class RayProjector:
         require_support(camera, Use.POINT_RAYS)
         wavelength, budget = require_wavelength(wavelength), require_number("budget", budget, positive=True)
         ParticleVolume(grid.lower, grid.upper).before(camera)
-        self._shape, system, points = camera.shape, OpticalSystem(camera, wavelength), grid.points
+        system, points = OpticalSystem(camera, wavelength), grid.points
         pixels, values, size = [], [], 0
         for place in counted(np.split(points, len(points)), progress):
             spread = PointRays(camera, place, wavelength).image(system, np.ones(1)).ravel()
@@ -153,14 +155,15 @@ class RayProjector:
             # Joined, they take as much again.
             refuse_if(2 * size > budget * 2**30, f"budget = {budget:g} GiB: the matrix takes more; take fewer voxels")
         entries = np.concatenate(values), np.concatenate(pixels), np.cumsum([0, *map(len, pixels)])
-        self._matrix = scipy.sparse.csc_array(entries, shape=(camera.shape[0] * camera.shape[1], len(points)))
+        super().__init__((len(points),), camera.shape)
+        self._matrix = scipy.sparse.csc_array(entries, shape=self.shape)
 
     def forward(self, weights: ArrayLike) -> NDArray[np.float32]:
         """Return the image (rows, columns) of voxels with the given light, (n,)."""
-        return np.asarray(self._matrix @ as_array("weights", weights, np.float32, POINTS)).reshape(self._shape)
+        return np.asarray(self._matrix @ as_array("weights", weights, np.float32, POINTS)).reshape(self.image_shape)
 
     def adjoint(self, image: ArrayLike) -> NDArray[np.float32]:
         """Return each voxel's inner product with an image, (n,)."""
         image = as_array("image", image, np.float32)
-        refuse_if(image.shape != self._shape, f"image of shape {image.shape}: the camera has {self._shape}")
+        refuse_if(image.shape != self.image_shape, f"image of shape {image.shape}: the camera has {self.image_shape}")
         return np.asarray(self._matrix.T @ image.ravel())

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import sparse
 
+from ...linear.map import LinearMap
 from ...runtime import require_memory
 from .array_part import ArrayPart
 from .point_patterns import Plane, pixels_across
@@ -24,10 +25,11 @@ _DIM = 0.02
 """Light that is added to both white pictures before they are divided, over that of bright pixels."""
 
 
-class VolumeProjection:
-    """Linear function from voxels (rows, columns, voxels of a lens) to the pixels of a part of the array.
+class VolumeProjection(LinearMap):
+    """Linear map from voxels (rows, columns, voxels of a lens) to a part's pixels: their direct light, and their glow.
 
-    Lenses beyond the part's border by `reach` have voxels, too, as their light falls into the part.
+    The glow is the mean light of a pixel's lens, of which stray light is a fraction. Lenses beyond the part's border by
+    `reach` have voxels, too, as their light falls into the part.
     """
 
     def __init__(self, part: ArrayPart, planes: Sequence[Plane]) -> None:
@@ -37,17 +39,18 @@ class VolumeProjection:
         self.reach = self.planes[0].pictures.shape[0] // self._across // 2
         columns, rows = part.lenses
         voxels = sum(plane.across**2 for plane in self.planes)
-        self.shape = rows + 2 * self.reach, columns + 2 * self.reach, voxels
+        super().__init__((rows + 2 * self.reach, columns + 2 * self.reach, voxels), (2, len(part.pixel)))
+        pictures = sum(plane.pictures.size for plane in planes)
         require_memory(
-            300.0 * len(part.pixel) + 4.0 * sum(plane.pictures.size for plane in planes) + 32.0 * np.prod(self.shape),
-            f"volume of {self.shape[0]} x {self.shape[1]} lenses with {voxels} voxels each",
+            300.0 * len(part.pixel) + 4.0 * pictures + 32.0 * self.shape[1],
+            f"volume of {self.source_shape[0]} x {self.source_shape[1]} lenses with {voxels} voxels each",
         )
         self._kernels = self._made_kernels()
         self._to_pixels = self._interpolation()
         self._to_cells = self._to_pixels.T.tocsr()
         self._weight = np.ones(len(part.pixel), np.float32)
         # Interpolation at sharp borders goes below 0.
-        even = np.maximum(self.direct(np.ones(self.shape, np.float32)), 0)
+        even = np.maximum(self.direct(np.ones(self.source_shape, np.float32)), 0)
         white = np.maximum(part.white, 0) * (even.mean() / part.white.mean())
         dim = _DIM * np.quantile(even, 0.99)
         self._weight = ((white + dim) / (even + dim)).astype(np.float32)
@@ -100,7 +103,7 @@ class VolumeProjection:
         top, left = self.reach - step[0], self.reach - step[1]
         return slice(top, top + rows), slice(left, left + columns)
 
-    def cells(self, volume: np.ndarray) -> np.ndarray:
+    def _cells(self, volume: np.ndarray) -> np.ndarray:
         """Return the light in the cells (lenses, pixels) of the regular array."""
         columns, rows = self.part.lenses
         light = np.zeros((rows * columns, self._across**2), np.float32)
@@ -109,27 +112,33 @@ class VolumeProjection:
             light += np.ascontiguousarray(voxels).reshape(rows * columns, -1) @ kernel
         return light
 
-    def record(self, cells: np.ndarray) -> np.ndarray:
+    def _record(self, cells: np.ndarray) -> np.ndarray:
         """Return the pixels' light from that in the cells of the regular array."""
         return np.asarray(self._weight * (self._to_pixels @ cells.ravel()))
 
     def direct(self, volume: np.ndarray) -> np.ndarray:
         """Return the pixels' light of voxels, without stray light."""
-        return self.record(self.cells(volume))
+        return self._record(self._cells(volume))
 
-    def adjoint(self, pixels: np.ndarray, stray: float) -> np.ndarray:
-        """Return the transpose, with stray light: a part of each lens's mean light is added to the lens's pixels."""
+    def forward(self, volume: np.ndarray, /) -> np.ndarray:
+        """Return the pixels' direct light, and their glow, (2, pixels)."""
+        cells = self._cells(volume)
+        glow = np.broadcast_to(cells.mean(1, keepdims=True), cells.shape)
+        return np.stack([self._record(cells), self._record(glow)])
+
+    def adjoint(self, image: np.ndarray, /) -> np.ndarray:
+        """Return the transpose of `forward`, applied to values of the direct light and of the glow."""
         columns, rows = self.part.lenses
-        cells = (self._to_cells @ (self._weight * pixels)).reshape(rows * columns, -1)
-        cells += np.float32(stray) * cells.mean(1, keepdims=True)
-        volume = np.zeros(self.shape, np.float32)
+        cells, even = ((self._to_cells @ (self._weight * pixels)).reshape(rows * columns, -1) for pixels in image)
+        cells += even.mean(1, keepdims=True)
+        volume = np.zeros(self.source_shape, np.float32)
         for step, kernel in self._kernels.items():
             volume[self._windows(step)][:, :, : len(kernel)] += (cells @ kernel.T).reshape(rows, columns, -1)
         return volume
 
     def split(self, volume: np.ndarray) -> list[np.ndarray]:
         """Return each plane's voxels as an image (rows, columns) in the directions of the picture."""
-        rows, columns, _ = self.shape
+        rows, columns, _ = self.source_shape
         ends = np.cumsum([plane.across**2 for plane in self.planes])[:-1]
         return [
             some.reshape(rows, columns, plane.across, plane.across)
@@ -140,7 +149,7 @@ class VolumeProjection:
 
     def join(self, images: Sequence[np.ndarray]) -> np.ndarray:
         """Return the voxels of planes' images, as `split` made them."""
-        rows, columns, _ = self.shape
+        rows, columns, _ = self.source_shape
         return np.concatenate(
             [
                 image.reshape(rows, plane.across, columns, plane.across)

@@ -12,13 +12,14 @@ import numpy as np
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import put, refuse_if, require_wavelength
 from ...io import Cache, Progress, digest
+from ...linear.noise import dark_variance
 from ..calibrate.photon_transfer import PhotonTransfer, photon_transfer
 from ..calibrate.white_fit import fit_white
 from ..calibrate.white_frames import WhiteFrame, single_channel
 from .array_part import ArrayPart, CameraModel, PartPixels
 from .point_patterns import depths_of, plane_of
 from .projector import VolumeProjection
-from .volume_fit import VolumeFit, fit_volume, recorded
+from .volume_fit import VolumeFit, fit_volume
 from .withheld import TESTS, Ratio, Withheld, by_lens, misfit
 
 LIGHTS = ("waves", "rays")
@@ -235,7 +236,7 @@ class Study:
 
         inputs = [self._given, self.wavelength, ITERATIONS]
         flat = self.stages.image(f"volume_{light}", inputs, fitted)[0].ravel()
-        return flat[:-1].reshape(self.projector(setup).shape), float(flat[-1])
+        return flat[:-1].reshape(self.projector(setup).source_shape), float(flat[-1])
 
     def _fit(
         self,
@@ -259,7 +260,7 @@ class Study:
     def dark_variance(self) -> float:
         """Variance of a dark pixel in electrons squared, with that of rounding."""
         noise = self.pictures.noise
-        return noise.read_noise**2 + 1 / (12 * noise.gain**2)
+        return dark_variance(noise.read_noise, noise.gain)
 
     def electrons(self, simulated: str | None) -> np.ndarray:
         """Return the electrons of the part's pixels, recorded, or simulated by a light."""
@@ -271,7 +272,7 @@ class Study:
         """Return the electrons of a picture of the volume that rays or waves find, simulated with noise."""
         volume, stray = self.volume(light)
         projector = self.projector(Setup("fitted", light))
-        direct, glow = recorded(projector, volume)
+        direct, glow = projector.forward(volume)
         expected = np.maximum(direct + stray * glow, 0).astype(np.float64)
         generator = np.random.default_rng(0)
         noisy = generator.poisson(expected) + generator.normal(0, self.dark_variance**0.5, len(expected))

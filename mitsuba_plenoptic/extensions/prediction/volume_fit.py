@@ -6,8 +6,8 @@ where A has the pixels that are used, L is the light of a voxel on all pixels, a
 a gamma prior of that mean (Lange, Bahn and Little 1987, IEEE Trans. Med. Imaging 6, 106), so that voxels which no used
 pixel sees are those around. Photons and read noise of variance :math:`\sigma^2` are a Poisson law of shifted values
 (Snyder, Hammoud and White 1993, J. Opt. Soc. Am. A 10, 1014). Steps are extrapolated as in
-`deconvolution.solver`. Stray light, the part of a lens's mean light that all of its pixels get, is found by least
-squares on the way.
+`mitsuba_plenoptic.linear.solve`. Stray light, the part of a lens's mean light that all of its pixels get, is found by
+least squares on the way.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from ...linear.solve import solve
 from .projector import VolumeProjection
 
 _NEAR = 0.7
@@ -55,6 +56,50 @@ class _Near:
         return self._blurred(volume * self._seen) / self._whole
 
 
+class _PriorSteps:
+    """Steps of Richardson and Lucy with the prior, in some of which stray light is found."""
+
+    def __init__(
+        self,
+        projector: VolumeProjection,
+        electrons: np.ndarray,
+        used: np.ndarray,
+        dark_variance: float,
+        strength: float,
+    ) -> None:
+        self.operator, self.image, self.stray = projector, electrons, 0.0
+        self._mask, self._shift, self._strength = used.astype(np.float32), np.float32(dark_variance), strength
+        self._shifted = np.maximum(electrons * self._mask + self._shift, 0).astype(np.float32)
+        self._light, self._all_light = self._spread(self._mask), self._spread(np.ones_like(self._mask))
+        self._seen = self._all_light > _UNSEEN * self._all_light.max(axis=(0, 1), keepdims=True)
+        self._near, self._done = _Near(projector, self._seen), 0
+
+    def _spread(self, pixels: np.ndarray) -> np.ndarray:
+        # Interpolation at sharp borders of micro-images goes below 0, where steps would multiply without bounds.
+        return np.maximum(self.operator.adjoint(np.stack([pixels, np.float32(self.stray) * pixels])), 0)
+
+    def start(self) -> np.ndarray:
+        """Return an even volume with the light of the pixels that are used."""
+        electrons = (self.image * self._mask).sum(dtype=np.float64)
+        level = np.float32(electrons / self._light.sum(where=self._seen, dtype=np.float64))
+        return np.where(self._seen, level, np.float32(0))
+
+    def step(self, point: np.ndarray, model: np.ndarray) -> np.ndarray:
+        """Return the volume after a step from a point whose direct light and glow are `model`."""
+        if self._done in _STRAY_STEPS:
+            self.stray = _stray(self.image, self._mask, *model)
+            self._light, self._all_light = self._spread(self._mask), self._spread(np.ones_like(self._mask))
+        self._done += 1
+        back = self._spread(self._mask * self._shifted / (np.maximum(self.predicted(model), 0) + self._shift))
+        prior = np.float32(self._strength) * self._all_light
+        light = self._light + prior + np.float32(1e-20)
+        return np.where(self._seen, (point * back + prior * self._near.of(point)) / light, 0).astype(np.float32)
+
+    def predicted(self, model: np.ndarray) -> np.ndarray:
+        """Return the pixels' light from their direct light and their glow."""
+        return np.asarray(model[0] + np.float32(self.stray) * model[1])
+
+
 def fit_volume(
     projector: VolumeProjection,
     electrons: np.ndarray,
@@ -84,45 +129,9 @@ def fit_volume(
     progress : callable
         Called with the finished and the whole number of steps.
     """
-    mask, shift = used.astype(np.float32), np.float32(dark_variance)
-    given = np.maximum(electrons * mask + shift, 0).astype(np.float32)
-    stray = 0.0
-
-    def spread(pixels: np.ndarray) -> np.ndarray:
-        # Interpolation at sharp borders of micro-images goes below 0, where steps would multiply without bounds.
-        return np.maximum(projector.adjoint(pixels, stray), 0)
-
-    all_light = spread(np.ones_like(mask))
-    seen = all_light > _UNSEEN * all_light.max(axis=(0, 1), keepdims=True)
-    near = _Near(projector, seen)
-    light = spread(mask)
-    level = np.float32((electrons * mask).sum(dtype=np.float64) / light.sum(where=seen, dtype=np.float64))
-    found = np.where(seen, level, np.float32(0))
-    last, momentum = found, 0
-    for step in range(iterations):
-        progress(step, iterations)
-        point = found
-        if momentum:
-            point = np.maximum(found + np.float32(momentum / (momentum + 3)) * (found - last), np.float32(0.5) * found)
-        direct, glow = recorded(projector, point)
-        if step in _STRAY_STEPS:
-            stray = _stray(electrons, mask, direct, glow)
-            light, all_light = spread(mask), spread(np.ones_like(mask))
-        back = spread(mask * given / (np.maximum(direct + stray * glow, 0) + shift))
-        prior = np.float32(strength) * all_light
-        new = np.where(seen, (point * back + prior * near.of(point)) / (light + prior + np.float32(1e-20)), 0)
-        momentum = 0 if float(np.vdot(new - point, new - found)) < 0 else momentum + 1
-        last, found = found, new.astype(np.float32)
-    direct, glow = recorded(projector, found)
-    progress(iterations, iterations)
-    return VolumeFit(found, stray, direct + np.float32(stray) * glow)
-
-
-def recorded(projector: VolumeProjection, volume: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pixels' direct light, and the mean light of their lenses."""
-    cells = projector.cells(volume)
-    even = np.broadcast_to(cells.mean(1, keepdims=True), cells.shape)
-    return projector.record(cells), projector.record(even)
+    steps = _PriorSteps(projector, electrons, used, dark_variance, strength)
+    found = solve(steps, iterations=iterations, accelerate=True, progress=progress)
+    return VolumeFit(found.values, steps.stray, steps.predicted(projector.forward(found.values)))
 
 
 def _stray(electrons: np.ndarray, mask: np.ndarray, direct: np.ndarray, glow: np.ndarray) -> float:

@@ -1,6 +1,6 @@
 """Extension `wavefront`: wavefronts from captures, far sources of light, and elements of HCIPy.
 
-Searches need the extensions `inverse` and `deconvolution`.
+Fits need the extension `inverse`.
 """
 
 from ...extension import Extension

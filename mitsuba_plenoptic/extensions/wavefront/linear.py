@@ -24,11 +24,9 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, require_accuracy, require_count, require_wavelength, suggest_keywords
-from ...fields.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator
-from ...points.units import brightness_at
 from ...runtime import as_array, as_pixels
-from .zone_search import Zone
+from .wavefront_fit import Zone, require_zone
 
 Array = NDArray[np.float64]
 
@@ -88,11 +86,9 @@ class InteractionMatrix:
         """
         count = require_count("modes", modes, minimum=2, maximum=36)
         wavelength = require_wavelength(wavelength)
-        if not isinstance(zone, Zone):
-            raise InputError(f"zone of type {type(zone).__name__}: it must be a Zone")
+        require_zone(zone)
         operator = CaptureOperator(camera, zone.points, wavelength=wavelength, accuracy=require_accuracy(accuracy))
-        system = OpticalSystem(operator.camera.at_wavelength(wavelength), wavelength)
-        weights = zone.weights * brightness_at(system, zone.points)
+        weights = operator.powers(zone.weights)
         image = np.asarray(operator.forward(weights), np.float64)
         refuse_if(not image.sum() > 0, "zone: the detector records no light of it")
         directions = [{"wavefront": term} for term in np.eye(count)[1:]]

@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ...array import make_lattice, turn
+from ...array import make_lattice
 from ...camera import Captures, PlenopticCamera, change_of, parts_of, size_of, with_gradient
 from ...errors import WAVEFRONT_UNIT, InputError, did_you_mean, require_number, short_repr
 from ...fields.microlens_orders import VaryingArrayFactor
@@ -18,7 +18,7 @@ from ...fields.optical_system import OpticalSystem
 from ...lenses.fitted_lens import LENS_NUMBERS, FittedLens, open_area_slopes
 from ...lenses.thin import Wavefront, zernike
 from ...optics.waves import in_millimetres
-from ...runtime import active_backend, array_module, drjit_array, is_zero
+from ...runtime import active_backend, array_module, drjit_array, is_zero, turn
 from ..field_grid import Grid
 from ..patch_factors import Elements
 from ..units import brightness, detector_brightness

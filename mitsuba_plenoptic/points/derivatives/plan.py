@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...array import turn
 from ...camera import PlenopticCamera
 from ...errors import InputError
 from ...fields.optical_system import OpticalSystem
@@ -26,6 +25,7 @@ from ...runtime import (
     add,
     largest_fitting,
     single_threaded_blas,
+    turn,
     work_limit,
 )
 from ..accuracy import derivative_band_for, derivatives_share

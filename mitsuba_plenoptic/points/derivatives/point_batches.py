@@ -12,9 +12,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ...array import turn
 from ...camera import PlenopticCamera
-from ...runtime import Box, Part, active_backend, array_module, backend_of, drjit_array, fft
+from ...runtime import Box, Part, active_backend, array_module, backend_of, drjit_array, fft, turn
 from ..patch import FieldChain, Memory, Parts, PatchBatch
 from ..patch_factors import Fields, PatchFactors
 from ..tile import Copies, CopySum, FieldBatch, reached

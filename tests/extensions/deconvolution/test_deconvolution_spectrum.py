@@ -20,7 +20,7 @@ def transfer(camera, distance, fractions):
     places = places_of(response.bins[0], camera, oversample)
     scale = distance / camera.mla_distance
     size = camera.mla_pitch / oversample * scale
-    white = response.forward([np.ones(places.shape[:2], np.float32)])
+    white = response.forward(np.ones(places.shape[:2], np.float32))
     found = []
     for fraction in fractions:
         # along a direction in which no lattice repeats
@@ -29,7 +29,7 @@ def transfer(camera, distance, fractions):
         power = 0.0
         for phase in (0, np.pi / 2):
             values = np.cos(2 * np.pi * (places @ k) * scale + phase).astype(np.float32)
-            power += (response.forward([values]).astype(np.float64) ** 2).sum() / blur**2
+            power += (response.forward(values).astype(np.float64) ** 2).sum() / blur**2
         # a sinusoid that arrives whole has half the power of the white, its two phases the whole of it
         found.append(np.sqrt(power / (white.astype(np.float64) ** 2).sum()))
     return limit, np.array(found)

@@ -69,7 +69,7 @@ def test_every_bin_has_its_exact_spread(name):
     values = np.zeros((rows, columns), np.float32)
     values[place] = 2
     expected = 2 * exact(camera, oversample, *place, 0.02)
-    assert np.linalg.norm(response.forward([values]) - expected) < 0.01 * np.linalg.norm(expected)
+    assert np.linalg.norm(response.forward(values) - expected) < 0.01 * np.linalg.norm(expected)
 
 
 @pytest.mark.slow
@@ -80,7 +80,7 @@ def test_light_of_deep_planes_is_kept_as_far_as_it_goes():
     values = np.zeros(response.shapes[0], np.float32)
     values[12, 12] = 1
     expected = exact(camera, 1, 12, 12, -0.9, parts=2)
-    found = response.forward([values])
+    found = response.forward(values)
     assert found.sum() == pytest.approx(expected.sum(), rel=2e-3)
     # Four places of the bin do not tell the fringes of several lenses' light evenly.
     assert np.linalg.norm(found - expected) < 0.06 * np.linalg.norm(expected)
@@ -93,17 +93,16 @@ def test_the_adjoint_of_a_volume_is_the_transpose(name):
     camera, oversample = CAMERAS[name]
     response = response_of(camera, [-0.02, 0.01], oversample)
     random = np.random.default_rng(0)
-    values = [random.random(shape).astype(np.float32) for shape in response.shapes]
+    values = random.random(response.source_shape).astype(np.float32)
     image = random.random(camera.shape).astype(np.float32)
-    back = response.adjoint(image)
     forward = np.vdot(response.forward(values), image)
-    assert forward == pytest.approx(sum(np.vdot(a, b) for a, b in zip(values, back, strict=True)), rel=1e-5)
+    assert forward == pytest.approx(np.vdot(values, response.adjoint(image)), rel=1e-5)
 
 
 def test_an_even_object_reads_1():
     """But for what isotropic light has less of in the middle of the stop than on the mean."""
     response = response_of(SMALL, [0.0])
-    image = response.forward([np.ones(response.shapes[0], np.float32)])
+    image = response.forward(np.ones(response.shapes[0], np.float32))
     alpha = LENS.half_angle
     mean = 2 * (1 - math.cos(alpha)) / math.sin(alpha) ** 2
     growth = LENS.magnification / LENS.last_focal_length
@@ -141,7 +140,7 @@ def spectrum_of_the_middle_lens(camera, depth, frequencies):
     point[rows // 2, columns // 2] = 1
     half = round(0.25 / camera.pixel_size)
     middle = np.array(camera.shape) // 2
-    picture = response.forward([point])[middle[0] - half : middle[0] + half, middle[1] - half : middle[1] + half]
+    picture = response.forward(point)[middle[0] - half : middle[0] + half, middle[1] - half : middle[1] + half]
     x = (np.arange(2 * half) - half) * camera.bin_size(0)
     line = picture.sum(axis=0)
     phases = np.exp(-2j * np.pi * np.outer(frequencies, x))

@@ -8,7 +8,7 @@ from refusals import refused, refuses
 
 from mitsuba_plenoptic import Capture, Detector, PlenopticCamera, StoredOperator, expose, fit, volume_points
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays, vector_of
-from mitsuba_plenoptic.fitting import Layers, View, coarse_fit, fit_layers, noise_of
+from mitsuba_plenoptic.fitting import View, coarse_fit, noise_of
 from mitsuba_plenoptic.optimisation import DepthInformation, RefocusedContrast, maximise
 from mitsuba_plenoptic.refocus import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 from mitsuba_plenoptic.views import white_image
@@ -164,18 +164,6 @@ DESIGNS = [
 ]
 
 VOLUMES = [
-    (lambda: Layers([2, 1], [1, 1], GREY, GREY), r"^depths = \[2, 1\]: they must increase$"),
-    (
-        lambda: Layers([1, 2], [1, 1], GREY, GREY[:1]),
-        r"^radiance of shape \(2, 4, 4\) and opacity of shape \(1, 4, 4\)",
-    ),
-    (
-        lambda: Layers([1, 2], [1, 1], GREY[..., None, None], GREY),
-        r"^radiance of shape \(2, 4, 4, 1, 1\) and opacity of shape",
-    ),
-    (lambda: Layers([1, float("nan")], [1, 1], GREY, GREY), "^depth = nan: "),
-    (lambda: Layers([1, 2], [1, 1], GREY, 3 * GREY), "^opacity: it must be from 0 to 1$"),
-    (lambda: fit_layers([], [None], Layers([1, 2], [1, 1], GREY, GREY)), "^captures and to_world: 0 and 1: "),
     (lambda: volume_points(np.ones((2, 2)), (0, 0, 0), (1, 1, 1)), r"values of shape \(2, 2\)"),
     (lambda: volume_points(np.full((1, 1, 1), np.nan), (0, 0, 0), (1, 1, 1)), "it must be finite"),
     (lambda: volume_points("dense", (0, 0, 0), (1, 1, 1)), "values = 'dense': they must be numbers"),
@@ -200,7 +188,6 @@ def test_refusals_of_variants_names_and_memory(monkeypatch):
     with pytest.raises(TypeError, match="did you mean wavelength"):
         StoredOperator(TRUE, POINTS, wavelenght=WAVELENGTH)
     mi.set_variant("llvm_ad_rgb")
-    refuses(r"^radiance of 1 channels: variant llvm_ad_rgb has 3$", Layers([1, 2], [1, 1], GREY, GREY).integrator)
     refocus = DeconvolvedRefocus(CAMERA, 250.0, iterations=4)
     monkeypatch.setattr("mitsuba_plenoptic.runtime.limits.MEMORY_LIMIT", 3e4)
     refuses(r"^derivatives of 4 steps in 1 channels[^\n]*$", refocus.forward, np.ones(CAMERA.shape))

@@ -8,7 +8,7 @@ from cameras import WAVELENGTH, error, small_camera
 
 from mitsuba_plenoptic import reconstruct
 from mitsuba_plenoptic.refocus import CoherentRefocus, DeconvolvedRefocus, RayRefocus
-from mitsuba_plenoptic.refocus.passages import Integrals
+from mitsuba_plenoptic.refocus.bins import Integrals
 
 HEXAGONAL = {"mla_lattice": "hexagonal", "mla_rotation": 7.0, "mla_fill": 0.9}
 CROPPED = {"crop_offset": (20, 40), "crop_size": (90, 70)}, {"distance": float("inf")}

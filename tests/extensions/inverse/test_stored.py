@@ -102,9 +102,9 @@ def test_matrix_is_the_operator_and_scipy_solves_it_to_double_precision():
     assert error(stored.adjoint(image), dense.T @ image.ravel()) < 1e-14
     stored.to_sparse().data[:] = 0
     assert error(stored.forward(weights), image) == 0
-    found = lsqr(stored.as_linear_operator(), image.ravel(), atol=1e-13, btol=1e-13)[0]
+    found = lsqr(stored, image.ravel(), atol=1e-13, btol=1e-13)[0]
     assert error(found, weights) < 1e-10
-    (largest,) = svds(stored.as_linear_operator(), k=1, return_singular_vectors=False, tol=1e-13)
+    (largest,) = svds(stored, k=1, return_singular_vectors=False, tol=1e-13)
     assert largest == pytest.approx(np.linalg.norm(dense, 2), rel=1e-12)
 
 
@@ -114,13 +114,13 @@ def test_scipy_multiplies_several_columns_at_once(kind, monkeypatch):
     for name in ("forward", "adjoint"):
         function = getattr(operator, name)
         monkeypatch.setattr(operator, name, lambda array, f=function: calls.append(np.shape(array)) or f(array))
-    matrix, rng = operator.as_linear_operator(), np.random.default_rng(0)
+    matrix, rng = operator, np.random.default_rng(0)
     weights, pixels = rng.normal(size=(4, 3)), rng.normal(size=(matrix.shape[0], 2))
     made, back = matrix @ weights, matrix.T @ pixels
     assert calls == [(4, 3), (*SMALL.shape, 2)]
     assert error(made, np.stack([matrix @ one for one in weights.T], -1)) < 1e-6
     assert error(back, np.stack([matrix.T @ one for one in pixels.T], -1)) < 1e-6
-    one = kind(SMALL, scattered(4), spectrum=Spectrum((WAVELENGTH,), ((2.0,),))).as_linear_operator()
+    one = kind(SMALL, scattered(4), spectrum=Spectrum((WAVELENGTH,), ((2.0,),)))
     assert error(one @ weights, 2 * made) < 1e-6
 
 

@@ -6,6 +6,7 @@ import pytest
 from cases import facing, film, radiating, scene_of
 from numpy.testing import assert_allclose
 from refusals import refused
+from scattering_cases import needs_miepython
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import particles as pt
@@ -61,6 +62,7 @@ def test_the_light_of_a_bead_is_that_of_the_cone():
         assert_allclose(images.capture(0).metadata["reference"], np.pi / 6 * 0.8**3 * cone, rtol=1e-4)
 
 
+@needs_miepython
 def test_lobes_are_at_the_angles_of_the_rays():
     """In focus behind one lens each pixel sees one direction, that of the sensor's ray through the lens's centre."""
     truth = one_bead((0, 0, 0), diameter=2.0)
@@ -128,6 +130,7 @@ FOURIER = mp.PlenopticCamera(
 )
 
 
+@needs_miepython
 def test_data_sets_of_a_microscope(tmp_path):
     scene = {"generator": "particles", "flow": "uniform", "per_lens": 0.1, "diameter": 0.5, "displacement": 1}
     camera = {"preset": "lfm_water", "detector_width": 0.875, "resolution": [105, 105]}

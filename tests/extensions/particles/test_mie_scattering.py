@@ -1,10 +1,12 @@
-"""Light scattered by spheres against published tables, an arbitrary-precision sum, and miepython."""
+"""Light scattered by spheres against published tables, an arbitrary-precision sum, and miepython's own sum."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from mitsuba_plenoptic.particles import cross_sections
+
+miepython = pytest.importorskip("miepython")
 
 
 def angles(*degrees):
@@ -42,7 +44,6 @@ def test_large_spheres_against_sums_with_sixty_digits():
 
 @pytest.mark.parametrize("index", [1.19, 1.5 + 0.1j, 0.75])
 def test_scattering_against_miepython(index):
-    miepython = pytest.importorskip("miepython")
     diameter, wavelength, at = 7.3, 412.6, angles(0, 20, 70, 90, 135, 180)[0]
     size = np.pi * diameter * 1e3 / wavelength
     first, second = miepython.S1_S2(np.conj(index), size, at)

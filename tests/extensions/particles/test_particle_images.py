@@ -7,6 +7,7 @@ import pytest
 from numpy.polynomial import legendre
 from numpy.testing import assert_allclose
 from refusals import refused, refuses
+from scattering_cases import needs_miepython
 from scipy.special import spherical_jn, spherical_yn
 
 import mitsuba_plenoptic as mp
@@ -76,6 +77,7 @@ def test_sheets_light_what_is_within_them():
     assert_allclose(falls, [1, np.exp(-2)])
 
 
+@needs_miepython
 def test_images_are_where_the_lens_equation_has_them():
     for g in (215.0, 240.0, 270.0):
         place = np.array([0.42, -0.3, g])
@@ -91,6 +93,7 @@ def test_images_are_where_the_lens_equation_has_them():
             assert np.abs(mean - -place[:2] * 120 / g).max() < 0.6 * 0.064, (g, model)
 
 
+@needs_miepython
 def test_the_light_of_a_particle_is_its_cross_section_times_the_solid_angle():
     truth = sequence(count=30.0, diameter=0.05, frames=1)
     images = pt.ParticleImages(truth, wavelength=550, model="ray")
@@ -134,6 +137,7 @@ def mie(diameter, index, wavelength, cosine):
     return series(a, b), series(b, a)
 
 
+@needs_miepython
 @pytest.mark.parametrize(("depth", "diameter"), [(24.3, 3.0), (24.0, 10.0), (23.5, 20.0)])
 def test_images_of_spheres_are_those_of_coherent_points_with_their_amplitudes(depth, diameter):
     """Points around the particle whose light adds coherently to that which S1 and S2 have on the pupil."""
@@ -162,6 +166,7 @@ def test_images_of_spheres_are_those_of_coherent_points_with_their_amplitudes(de
     assert np.linalg.norm(error) < 0.003 * np.linalg.norm(expected / expected.sum())
 
 
+@needs_miepython
 def test_what_a_mirror_sphere_reflects_comes_from_the_mirror_point():
     """Light along x that goes on along -z has been reflected where the surface faces both."""
     place, radius = np.array([0.03, -0.02, 243.0]), 0.03
@@ -175,6 +180,7 @@ def test_what_a_mirror_sphere_reflects_comes_from_the_mirror_point():
     assert errors[0] < 0.1 < 0.3 < min(errors[1:])
 
 
+@needs_miepython
 @pytest.mark.parametrize(
     ("camera", "diameter", "direction"),
     [
@@ -199,6 +205,7 @@ def test_powers_are_integrals_over_the_pupil(camera, diameter, direction):
         assert found == pytest.approx(np.pi * camera.aperture_radius**2 * power.mean(), rel=2e-3)
 
 
+@needs_miepython
 def test_light_over_the_pupil_is_that_of_single_angles():
     # In focus each pixel below the only lens sees one place of the pupil; lobes of 40 micrometres are narrower than it.
     box = pt.ParticleVolume((0.05, 0.05, 239.95), (0.06, 0.06, 240.05))
@@ -221,6 +228,7 @@ def test_light_over_the_pupil_is_that_of_single_angles():
     assert np.abs(flat / flat.sum() - expected / expected.sum()).max() > 0.03
 
 
+@needs_miepython
 @pytest.mark.slow
 def test_waves_against_spreads_of_each_particle_alone():
     truth = sequence(count=25.0, diameter=3.0, frames=1)
@@ -229,6 +237,7 @@ def test_waves_against_spreads_of_each_particle_alone():
     assert np.linalg.norm(images.capture(0).image - exact) < 0.01 * np.linalg.norm(exact)
 
 
+@needs_miepython
 def test_files_hold_sequences(tmp_path):
     truth = sequence(count=5.0, diameter=2.0, spread=0.2, index=1.5 + 0.01j)
     pt.write_netcdf(tmp_path / "truth.nc", truth)
@@ -255,7 +264,7 @@ test_bad_input_is_refused_in_one_line = refused(
     (lambda: pt.LightSheet(direction=(0, 0, 1), thickness=3), "light travels along its sheet, across normal"),
     (lambda: images_of(pt.LightSheet(thickness=1, centre=(0, 0, 300))), "no particle is lit within it"),
     (lambda: pt.ParticleImages(sequence(), wavelength=550, model="ray", accuracy=0.1), "rays take none"),
-    (lambda: pt.ParticleImages(sequence(), wavelength=550).capture(2), "frame = 2: it must be at most 1"),
+    (lambda: pt.ParticleImages(sequence(index=None), wavelength=550).capture(2), "frame = 2: it must be at most 1"),
 )
 
 
@@ -270,6 +279,7 @@ class Jet(pt.Flow):
         return np.where(np.abs(points[:, 1:2] - 0.0875) < 0.05, [[20.0, 0, 0]], 0)
 
 
+@needs_miepython
 def test_data_sets_hold_pairs(tmp_path):
     recipe = {
         "count": 1,
@@ -289,6 +299,7 @@ def test_data_sets_hold_pairs(tmp_path):
     assert "the second capture by rays, with the noise" in (tmp_path / "pairs" / "README.md").read_text()
 
 
+@needs_miepython
 def test_the_command_writes_pairs(run, complaint, tmp_path):
     camera = tmp_path / "camera.json"
     camera.write_text(json.dumps({"detector_width": 0.512, "resolution": [128, 128]}))

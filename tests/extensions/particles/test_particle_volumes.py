@@ -9,19 +9,21 @@ import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import particles as pt
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
+from mitsuba_plenoptic.linear.map import LinearMap
 
 CAMERA = mp.PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 GRID = pt.VoxelGrid((-0.2, -0.2, 236), (0.2, 0.2, 246), (2, 3, 3))
 
 
-class Dense:
+class Dense(LinearMap):
     """A matrix as a projector."""
 
     def __init__(self, matrix, shape):
-        self.matrix, self.shape = matrix, shape
+        super().__init__((matrix.shape[1],), shape, matrix.dtype)
+        self.matrix = matrix
 
     def forward(self, weights):
-        return (self.matrix @ weights).reshape(self.shape)
+        return (self.matrix @ weights).reshape(self.image_shape)
 
     def adjoint(self, image):
         return self.matrix.T @ np.ravel(image)

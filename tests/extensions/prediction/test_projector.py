@@ -57,8 +57,8 @@ def test_every_pixel_belongs_to_one_lens_whose_micro_image_is_near():
 def test_voxels_are_recorded_as_their_points_are(plane):
     """Fine points of one voxel of the middle lens, through the whole turned camera."""
     projector, across = VolumeProjection(PART, [plane]), plane.across
-    volume = np.zeros(projector.shape, np.float32)
-    row, column = projector.shape[0] // 2, projector.shape[1] // 2
+    volume = np.zeros(projector.source_shape, np.float32)
+    row, column = projector.source_shape[0] // 2, projector.source_shape[1] // 2
     voxel = across + 2
     volume[row, column, voxel] = 1
     lens = PART.place[(PART.lenses[1] // 2) * PART.lenses[0] + PART.lenses[0] // 2]
@@ -83,7 +83,7 @@ def test_pictures_with_sharp_borders_are_weighted_evenly():
     model = model_of(CAMERA.replace(detector_blur=0.0), None)
     part = part_of(model)
     projector = VolumeProjection(part, [plane_of(part, 0.0), plane_of(part, 0.012)])
-    even = projector.direct(np.ones(projector.shape, np.float32))
+    even = projector.direct(np.ones(projector.source_shape, np.float32))
     white = part.white * (even.sum() / part.white.sum())
     assert np.abs(even - white).max() < 0.15 * white.max()
     assert np.linalg.norm(even - white) < 0.03 * np.linalg.norm(white)
@@ -91,11 +91,11 @@ def test_pictures_with_sharp_borders_are_weighted_evenly():
 
 def test_the_adjoint_is_the_transpose():
     generator = np.random.default_rng(0)
-    volume, pixels = generator.random(PROJECTOR.shape, np.float32), generator.random(len(PART.pixel), np.float32)
-    cells = PROJECTOR.cells(volume)
-    forward = PROJECTOR.record(cells + np.float32(0.1) * cells.mean(1, keepdims=True))
-    back = PROJECTOR.adjoint(pixels, 0.1)
-    assert np.vdot(forward, pixels) == pytest.approx(np.vdot(volume, back), rel=1e-5)
+    volume, pixels = (generator.random(n, np.float32) for n in (PROJECTOR.source_shape, PROJECTOR.image_shape))
+    assert np.vdot(PROJECTOR.forward(volume), pixels) == pytest.approx(
+        np.vdot(volume, PROJECTOR.adjoint(pixels)), rel=1e-5
+    )
+    assert (PROJECTOR.forward(volume)[0] == PROJECTOR.direct(volume)).all()
     assert (PROJECTOR.join(PROJECTOR.split(volume)) == volume).all()
 
 
@@ -140,7 +140,7 @@ def test_rays_of_a_point_spread_over_lenses_as_the_cone_does():
 def test_withheld_pixels_of_a_simulated_volume_are_predicted():
     """A volume with structure, noise of photons: the residual of pixels that the fit has not seen is that of noise."""
     generator = np.random.default_rng(1)
-    volume = (generator.random(PROJECTOR.shape) ** 8).astype(np.float32)
+    volume = (generator.random(PROJECTOR.source_shape) ** 8).astype(np.float32)
     expected = PROJECTOR.direct(volume)
     electrons = generator.poisson(expected * (400 / expected.mean())).astype(np.float32)
     withheld = Withheld.drawn(PART.pixels, np.ones(len(PART.pixel), bool), 0)

@@ -7,18 +7,15 @@ import pytest
 from refusals import refuses
 from wavefront_cases import ACCURACY, STAR, WAVELENGTH, captured, telescope
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera
+from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, wavefront
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
 from mitsuba_plenoptic.far_sources import star
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
-from mitsuba_plenoptic.fitting import PixelNoise
 from mitsuba_plenoptic.lenses.thin import Wavefront
 from mitsuba_plenoptic.wavefront import (
     InteractionMatrix,
     Slopes,
     Zone,
-    deconvolve_zones,
-    digital_adaptive_optics,
     fit_wavefronts,
     modes_from_slopes,
     spot_slopes,
@@ -150,7 +147,7 @@ def test_a_matrix_is_of_all_points_by_their_weights():
 def test_a_strong_wavefront_is_found_within_its_deviations(rng):
     camera, terms = telescope(), np.r_[0.0, 0.3, -0.2, rng.normal(size=3) * 0.2]
     image = captured(camera, [STAR], 20000, tuple(terms))
-    (found,) = fit_wavefronts(camera, image, Zone([STAR]), modes=6, accuracy=ACCURACY)
+    found = fit_wavefronts(camera, image, Zone([STAR]), modes=6, accuracy=ACCURACY)
     errors = np.array(found.camera.wavefront)[1:] - terms[1:]
     # Chi-squared of five numbers: a hundredth lies beyond 15.1.
     assert errors @ np.linalg.solve(found.covariance, errors) < 15.1
@@ -165,7 +162,7 @@ def test_a_star_beside_the_detector_is_warned_of(beside, recwarn):
     place = 0.0 if not beside else edge + beside
     # Stars upside down: an image at x has its star at -x g / b.
     image = captured(camera, [STAR], 20000)
-    (found,) = fit_wavefronts(
+    found = fit_wavefronts(
         camera, image, Zone([(-place * 1e9 / camera.mla_distance, 0, 1e9)]), modes=3, accuracy=ACCURACY
     )
     tilt = place * camera.aperture_radius / camera.mla_distance / (2 * WAVELENGTH * 1e-6)
@@ -178,22 +175,10 @@ def test_a_star_beside_the_detector_is_warned_of(beside, recwarn):
         assert f"tilt of {tilt:.3g} waves" in said[0]
 
 
-def test_each_zone_has_its_wavefront():
-    # Two lenses apart, where fits that do not subtract the light of the other star are off by 0.013.
-    camera = telescope(lenses=8)
-    angle = camera.mla_pitch / 500 * 1e9
-    stars = [(angle, 0.0, 1e9), (-angle, 0.0, 1e9)]
-    true = [np.r_[0.0, 0.1, 0.0, 0.3], np.r_[0.0, 0.0, -0.1, -0.2]]
-    image = sum(captured(camera, [star], 50000, tuple(terms)) for star, terms in zip(stars, true, strict=True))
-    found = fit_wavefronts(camera, image, [Zone([star]) for star in stars], modes=4, accuracy=ACCURACY)
-    for each, terms in zip(found, true, strict=True):
-        np.testing.assert_allclose(each.camera.wavefront, terms, atol=0.006)
-
-
 def test_fits_start_at_the_wavefront_of_the_camera_and_keep_what_is_not_fitted():
     known = (0.0, 0.1, 0.0, 0.2, 0.0, 0.0, 0.15)
     image = captured(telescope(), [STAR], 50000, (0.0, 0.15, 0.0, 0.25, 0.0, 0.0, 0.15))
-    (found,) = fit_wavefronts(telescope(wavefront=known), image, Zone([STAR]), modes=4, accuracy=ACCURACY)
+    found = fit_wavefronts(telescope(wavefront=known), image, Zone([STAR]), modes=4, accuracy=ACCURACY)
     assert found.camera.wavefront[4:] == known[4:]
     np.testing.assert_allclose(found.camera.wavefront[:4], (0.0, 0.15, 0.0, 0.25), atol=0.006)
 
@@ -201,20 +186,19 @@ def test_fits_start_at_the_wavefront_of_the_camera_and_keep_what_is_not_fitted()
 def test_points_of_a_zone_have_their_brightness():
     stars, weights, terms = [STAR, (1e5, 0.0, 1e9)], [1.0, 4.0], (0.0, 0.05, -0.1, 0.2)
     light = [captured(telescope(), [star], 50000 * w, terms) for star, w in zip(stars, weights, strict=True)]
-    (found,) = fit_wavefronts(telescope(), sum(light), Zone(stars, weights), modes=4, accuracy=ACCURACY)
+    found = fit_wavefronts(telescope(), sum(light), Zone(stars, weights), modes=4, accuracy=ACCURACY)
     np.testing.assert_allclose(found.camera.wavefront, terms, atol=0.006)
 
 
 def test_bad_zones_are_refused():
     camera = telescope()
     refuses("weights", Zone, [STAR], [-1.0])
-    refuses("zones", fit_wavefronts, camera, np.ones(camera.shape), [])
     refuses("the camera records", fit_wavefronts, camera, np.ones((3, 3)), Zone([STAR]))
-    refuses("zones: give at least one Zone, and no other", fit_wavefronts, camera, np.ones(camera.shape), [STAR])
+    refuses("zone of type list: it must be one Zone", fit_wavefronts, camera, np.ones(camera.shape), [Zone([STAR])])
     beside = Zone([(50 * camera.mla_pitch / 500 * 1e9, 0.0, 1e9)])
     with pytest.raises(InputError, match="zone: the detector records no light of it"):
         InteractionMatrix.of(camera, beside, modes=3, accuracy=ACCURACY)
-    refuses("zone of type tuple: it must be a Zone", InteractionMatrix.of, camera, STAR)
+    refuses("zone of type tuple: it must be one Zone", InteractionMatrix.of, camera, STAR)
 
 
 @pytest.mark.parametrize(
@@ -229,8 +213,7 @@ def test_wavefronts_behind_other_lenses_are_refused(main_lens, reason):
         PlenopticCamera(main_lens=main_lens),
         f"^main_lens = .*: centres of micro-images refuse it: .*{reason}",
     )
-    for fitted in (fit_wavefronts, digital_adaptive_optics):
-        refuses(words, fitted, camera, np.ones(camera.shape), [Zone([STAR])])
+    refuses(words, fit_wavefronts, camera, np.ones(camera.shape), Zone([STAR]))
     refuses(words, view_slopes, camera, np.ones(camera.shape), STAR)
 
 
@@ -243,57 +226,9 @@ def test_slopes_that_show_nothing_are_refused():
         spot_slopes(np.ones((4, 4)), pixels_per_lens=2, pixel_size=0.01, focal_length=2.0, magnification=0)
 
 
-COARSE = 0.3
-
-
-def test_terms_come_nearer_in_each_turn():
-    camera, point = telescope(lenses=8, pixels=4, width=2.0), np.array([(0.0, 0.0, 1e9)])
-    true = (0.0, 0.0, 0.0, 0.0, 0.25)
-    image = captured(camera, point, 1e6, true)
-    seen = digital_adaptive_optics(camera, image, [Zone(point)], modes=5, turns=1, accuracy=COARSE)
-    assert len(seen.misfits) == 2
-    assert seen.misfits[1] < 0.5 * seen.misfits[0]
-    np.testing.assert_array_equal(seen.cameras[0].wavefront[:4], 0)
-    assert abs(seen.cameras[0].wavefront[4] - 0.25) < 0.15
-
-
-@pytest.mark.slow
-def test_object_and_wavefront_are_found_together():
-    camera = telescope(lenses=8, pixels=4, width=2.0)
-    step = 1.5 * camera.mla_pitch / 500 * 1e9
-    axis = step * np.arange(-1, 2)
-    points = np.array([(x, y, 1e9) for y in axis for x in axis])
-    lit = np.array([0, 5, 6])
-    true = (0.0, 0.0, 0.0, 0.0, 0.25, -0.2)
-    image = captured(camera, points[lit], 1e6, true)
-    zones, common = [Zone(points)], {"accuracy": COARSE}
-    seen = digital_adaptive_optics(camera, image, zones, modes=6, turns=4, **common)
-    np.testing.assert_array_equal(seen.cameras[0].wavefront[:4], 0)
-    error = np.linalg.norm(np.array(seen.cameras[0].wavefront) - true)
-    assert error < 0.3 * np.linalg.norm(true)
-    assert seen.misfits[-1] < 0.2 * seen.misfits[0]
-    shares = {}
-    cameras = {"before": [camera], "after": seen.cameras, "true": [camera.replace(wavefront=true)]}
-    for name, some in cameras.items():
-        found = deconvolve_zones(some, image, zones, iterations=50, **common)
-        shares[name] = found.weights[0][lit].sum() / found.weights[0].sum()
-    assert shares["before"] < shares["after"]
-    assert shares["after"] == pytest.approx(shares["true"], abs=0.1)
-
-
-def test_noise_of_another_kind_is_refused():
-    camera = telescope()
-    refuses("PixelNoise", digital_adaptive_optics, camera, np.ones(camera.shape), [Zone([(0.0, 0.0, 1e9)])], noise=1.0)
-    with pytest.raises(InputError, match="cameras: give one for each zone, in a list; there are 1"):
-        deconvolve_zones([], np.ones(camera.shape), [Zone([(0.0, 0.0, 1e9)])], noise=PixelNoise(1.0))
-    zone = Zone([(0.0, 0.0, 1e9)])
-    refuses("cameras: give one for each zone", deconvolve_zones, camera, np.ones(camera.shape), [zone])
-    with pytest.raises(InputError, match=r"cameras: one of them records \(24, 24\), not the image's \(48, 48\)"):
-        deconvolve_zones([camera, telescope(lenses=4)], np.ones(camera.shape), [zone, zone])
-
-
-def test_zones_beside_the_detector_are_refused():
-    camera = telescope()
-    beside = Zone([(50 * camera.mla_pitch / 500 * 1e9, 0.0, 1e9)])
-    with pytest.raises(InputError, match="zones: the detector records no light of zone 0"):
-        digital_adaptive_optics(camera, np.ones(camera.shape), beside, modes=5, accuracy=COARSE)
+def test_names_that_are_gone_say_what_serves_instead():
+    line = r"wavefront\.deconvolve_zones: it is gone since version 2\.0; wavefront\.fit_wavefronts fits"
+    with pytest.raises(ImportError, match=line):
+        exec("from mitsuba_plenoptic.wavefront import deconvolve_zones")
+    with pytest.raises(AttributeError, match="has no attribute 'deconvolve'"):
+        _ = wavefront.deconvolve

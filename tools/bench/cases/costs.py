@@ -25,8 +25,8 @@ from mitsuba_plenoptic import (
     reconstruct,
 )
 from mitsuba_plenoptic import render_capture as render
-from mitsuba_plenoptic.points.accuracy import DEFAULT_ACCURACY
 from mitsuba_plenoptic.views import depth_map
+from mitsuba_plenoptic.waves.accuracy import DEFAULT_ACCURACY
 
 from .. import Row, at_most, case, figure, pick
 from ..speed import SCENES, SPEED, ScenePoints

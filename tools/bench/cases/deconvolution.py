@@ -30,10 +30,10 @@ import numpy as np
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, reconstruct
 from mitsuba_plenoptic.design import resolution_limit
-from mitsuba_plenoptic.extensions.deconvolution.deconvolved import MOST_ITERATIONS
+from mitsuba_plenoptic.extensions.deconvolution.deconvolved import MOST_ITERATIONS, until_noise
 from mitsuba_plenoptic.extensions.deconvolution.response import Response
-from mitsuba_plenoptic.extensions.deconvolution.solver import PlaneEstimates, richardson_lucy
-from mitsuba_plenoptic.extensions.deconvolution.variation import Noise
+from mitsuba_plenoptic.linear.noise import PixelNoise
+from mitsuba_plenoptic.linear.solve import RichardsonLucy, Solution, solve
 
 from .. import Row, at_least, at_most, case
 
@@ -181,10 +181,11 @@ class Plane:
         places = [self.distance if distance is None else distance]
         return Response(self.camera, places, wavelength=wavelength, oversample=self.oversample)
 
-    def solved(self, response: Response, image: np.ndarray, **options: Any) -> tuple[np.ndarray, PlaneEstimates]:
+    def solved(self, response: Response, image: np.ndarray, **options: Any) -> tuple[np.ndarray, Solution]:
         """Return the upright bins that explain an image, and the solution that they are of."""
-        found = richardson_lucy(response, np.ascontiguousarray(image, np.float32), **options)
-        return response.to_image(found.values[0], 0), found
+        steps = RichardsonLucy(response, np.ascontiguousarray(image, np.float32))
+        found = solve(steps, accelerate=True, **options)
+        return response.to_image(found.point, 0), found
 
     def rows(self, iterations: int) -> Iterator[Row]:
         """Yield contrasts and errors at each frequency."""
@@ -197,7 +198,8 @@ class Plane:
                 noisy = random.poisson(image * photons).astype(np.float32) / np.float32(photons)
                 ray = reconstruct(image, self.distance, camera=self.camera, oversample=self.oversample).image
                 clean, _ = self.solved(response, image, iterations=iterations)
-                rough, end = self.solved(response, noisy, iterations=MOST_ITERATIONS, misfit=Noise(photons, 0.0).misfit)
+                stop = until_noise(PixelNoise(photons))
+                rough, end = self.solved(response, noisy, iterations=MOST_ITERATIONS, stop=stop)
                 figures = [contrast(made, self.camera, self.distance, waves, number) for made in (ray, clean, rough)]
                 found.append([*np.ravel(figures), end.iterations])
             names = ("ray", "ray_error", "clean", "clean_error", "noisy", "noisy_error", "noisy_iterations")

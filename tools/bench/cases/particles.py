@@ -163,6 +163,7 @@ THREE = "{%s[0]:%s} / {%s[1]:%s} / {%s[2]:%s}"
         "along over across": "{ratio:.0f}", "elongation": "{elongation:.0f}", "rays alone": "{rays_alone}",
     },
     page="docs/guides/particles.md",
+    needs=("miepython",),
     quick={"f_numbers": (4.0,), "pixels": (7,), "seeds": 2, "iterations": 3},
 )  # fmt: skip
 def study(
@@ -202,6 +203,7 @@ def study(
         "error of vectors across the axis (um)": "{across:.1f}", "along it (um)": "{along:.0f}",
     },
     page="docs/guides/particles.md",
+    needs=("miepython",),
     quick={"densities": (0.3,), "iterations": 3},
 )  # fmt: skip
 def density(
@@ -228,6 +230,7 @@ def density(
         "along over across": "{ratio:.0f}", "elongation": "{elongation:.1f}",
     },
     page="docs/guides/particles.md",
+    needs=("miepython",),
     quick={"f_numbers": (4.0,), "seeds": 1, "iterations": 3},
 )  # fmt: skip
 def depth(

@@ -121,6 +121,7 @@ def blurred(camera: PlenopticCamera, places: np.ndarray, lenses: float) -> np.nd
     },
     (at_most("seconds", 60), at_most("memory", 2), at_most("error", 0.01)),
     page="docs/guides/particles.md",
+    needs=("miepython",),
     quick={"count": 200},
 )  # fmt: skip
 def particles(*, count: int = 10000) -> Iterator[Row]:

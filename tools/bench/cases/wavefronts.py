@@ -13,12 +13,7 @@ from numpy.typing import NDArray
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.optics.waves import in_millimetres
-from mitsuba_plenoptic.wavefront import (
-    Zone,
-    fit_wavefronts,
-    modes_from_slopes,
-    view_slopes,
-)
+from mitsuba_plenoptic.wavefront import Zone, fit_wavefronts, modes_from_slopes, view_slopes
 
 from .. import Row, at_most, case
 
@@ -232,7 +227,7 @@ def stars(
                 image, spot_image = (rng.poisson(each * count * lit).astype(float) for each in (mean, spot_mean))
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")  # that chi-square shows the difference of the two programs
-                    (found,) = fit_wavefronts(camera, image, Zone([STAR]), modes=modes, accuracy=accuracy)
+                    found = fit_wavefronts(camera, image, Zone([STAR]), modes=modes, accuracy=accuracy)
                 views = modes_from_slopes(view_slopes(camera, image, STAR), DIAMETER / 2, modes)
                 errors.append(
                     (

@@ -1,0 +1,17 @@
+from . import hexagonal as hexagonal
+from . import square as square
+from .arrangement import APERTURES as APERTURES
+from .arrangement import LATTICES as LATTICES
+from .arrangement import NO_LATTICE as NO_LATTICE
+from .arrangement import Lattice as Lattice
+from .arrangement import make_lattice as make_lattice
+from .arrangement import register as register
+from .conic import Conic as Conic
+from .figure_error import FigureError as FigureError
+from .lens_shifts import Displacement as Displacement
+from .lens_shifts import Lenslet as Lenslet
+from .phase_map import PhaseMap as PhaseMap
+from .sampled import Sampled as Sampled
+from .shape import MicrolensShape as MicrolensShape
+from .shape import Paraboloid as Paraboloid
+from .zone_lens import ZoneLens as ZoneLens

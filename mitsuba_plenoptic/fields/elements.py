@@ -1,0 +1,135 @@
+"""Thin elements that fields pass in the source plane of a step: microlenses, and detector light made to converge."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..optics import rays
+from ..optics.waves import parabola, phasor
+from ..runtime import active_backend, drjit_array, fft
+from .microlenses import is_separable, transmission
+from .steps import Step
+
+
+class Element:
+    """Thin element in the source plane of a step: the product of lines along x and along y, and a function of x and y.
+
+    The function takes Dr.Jit arrays. What is None changes nothing. Rows where the line along y is zero are left out.
+    """
+
+    def __init__(
+        self,
+        step: Step,
+        function: Callable[[Any, Any], Any] | None = None,
+        along_x: fft.Field | None = None,
+        along_y: fft.Field | None = None,
+    ) -> None:
+        self._step, self._function, self.along_x, self.along_y = step, function, along_x, along_y
+        self._lit = np.ones(step.y.count, bool) if along_y is None else active_backend().to_host(along_y) != 0
+
+    @classmethod
+    def separated(cls, step: Step, function: Callable[[Any, Any], Any], point: tuple[float, float]) -> Element:
+        """Return a product of a function of x and one of y, from its values on two lines through a point.
+
+        Its modulus is 1 at that point.
+        """
+        x, y = point
+        line = _evaluate(np.append(step.x.source, x), np.array([y]), function)[0]
+        along_y = _evaluate(np.array([x]), step.y.source, function)[:, 0] * line[-1].conj()
+        return cls(step, None, line[:-1], along_y)
+
+    def lit(self, rows: slice) -> list[slice]:
+        """Return runs of the rows in which the element transmits light."""
+        runs = np.flatnonzero(np.diff(self._lit[rows], prepend=False, append=False)).reshape(-1, 2)
+        return [slice(rows.start + first, rows.start + end) for first, end in runs.tolist()]
+
+    def through(self, rows: slice, samples: fft.Field, out: fft.Field) -> None:
+        """Write rows of a field, multiplied by all factors but the one along y, to `out`."""
+        factor = self._factor(rows)
+        if factor is None:
+            out[...] = samples
+        else:
+            active_backend().arrays.multiply(samples, factor, out=out)
+
+    def back(self, rows: slice, samples: fft.Field, scale: float) -> fft.Field:
+        """Return rows of a field, multiplied by the conjugates of all factors and by a scale."""
+        for factor in (self._factor(rows), None if self.along_y is None else self.along_y[rows, None]):
+            samples = samples if factor is None else samples * factor.conj()
+        return samples * np.float32(scale)
+
+    def _factor(self, rows: slice) -> fft.Field | None:
+        if self._function is None:
+            return self.along_x
+        plane = _evaluate(self._step.x.source, self._step.y.source[rows], self._function)
+        return plane if self.along_x is None else plane * self.along_x
+
+
+def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any]) -> fft.Field:
+    """Return a function of two Dr.Jit arrays at all pairs of coordinates."""
+    types = active_backend().types
+    _, row, column = fft.split(types, dr.arange(types.UInt32, len(x) * len(y)), len(y), len(x))
+    at = [
+        dr.gather(types.Float64, drjit_array(types.Float64, values), index) for values, index in ((x, column), (y, row))
+    ]
+    return fft.as_field(fft.pack(function(*at)), (len(y), len(x)))
+
+
+def microlenses(
+    step: Step, camera: PlenopticCamera, wavelength: float, interleave: int = 1, subset: tuple[int, int] = (0, 0)
+) -> Element:
+    """Return the microlenses of a subset, in the source plane of a step; other lenses are opaque.
+
+    The period of the subset is `interleave` in both lattice indices, and `subset` are the indices' remainders.
+    """
+
+    def lens(x: Any, y: Any) -> Any:
+        light = transmission(camera, wavelength, x, y)
+        return light if interleave == 1 else _of_subset(light, camera.lattice.cell(x, y), interleave, subset)
+
+    if not is_separable(camera):
+        return Element(step, lens)
+    return Element.separated(step, lens, _centre(camera, subset))
+
+
+def converging(
+    step: Step,
+    camera: PlenopticCamera,
+    wavelength: float,
+    interleave: int = 1,
+    subset: tuple[int, int] | None = None,
+) -> Element:
+    """Return the element that makes detector light converge to the centres of all lenses, or of a subset."""
+    b, z = camera.mla_distance, camera.reduced_distance
+
+    def phase(x: Any, y: Any) -> Any:
+        index = camera.lattice.cell(*(rays.chief_point(p, b, z) for p in (x, y)))
+        cx, cy = camera.lattice.centre(*index)
+        light = phasor(parabola((x - cx) ** 2 + (y - cy) ** 2, z, wavelength))
+        return light if subset is None else _of_subset(light, index, interleave, subset)
+
+    if not is_separable(camera):
+        return Element(step, phase)
+    x, y = _centre(camera, subset or (0, 0))
+    # Under the lens's own chief ray, so that it belongs to the lens.
+    return Element.separated(step, phase, (x * (b + z) / b, y * (b + z) / b))
+
+
+def _centre(camera: PlenopticCamera, index: tuple[int, int]) -> tuple[float, float]:
+    """Return the centre of a lens."""
+    x, y = camera.lattice.centre(*map(float, index))
+    return float(x), float(y)
+
+
+def _of_subset(light: Any, index: tuple[Any, Any], interleave: int, subset: tuple[int, int]) -> Any:
+    """Return light with the contributions of lenses outside the subset set to 0."""
+    period = dr.opaque(type(index[0]), interleave)
+    mine = [
+        i - period * dr.floor((i + 0.5) / period) == dr.opaque(type(i), remainder)
+        for i, remainder in zip(index, subset, strict=True)
+    ]
+    return dr.select(mine[0] & mine[1], light, 0)

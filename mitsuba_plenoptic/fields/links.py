@@ -1,0 +1,246 @@
+"""Links of a chain of fields: from the samples in one plane to those in the next, forward, and adjoint.
+
+Fields are passed from link to link in blocks of rows, from the first row to the last. A link transforms incoming rows,
+transposes them into columns, does all work along columns, transposes back and passes on the rows of the next plane.
+Only the columns are stored whole; the next link writes its columns where it has read the last one's. Fourier
+transforms are done on blocks that stay in the processor's cache; dark rows, and frequencies and destination samples
+that are not needed, are left out.
+
+Adjoints are those of inner products over samples, without their areas. The adjoint of free space is free space of the
+opposite length between the same samples; that of an element is its conjugate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..optics.waves import advance, in_millimetres, parabola, phasor
+from ..runtime import active_backend, fft
+from .elements import Element
+from .steps import AxisStep, Directions, LensAxis, Step
+from .workspace import FieldWorkspace, Rows
+
+# Columns that are turned into rows together: more of them would not stay in the first cache.
+_TILE = 512
+
+
+class Link(Protocol):
+    """What a field passes on its way: an element and free space behind it, in blocks of rows."""
+
+    def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
+        """Yield the field behind the link, from the field before it."""
+
+    def adjoint(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
+        """Yield the adjoint before the link, from a field behind it."""
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Links that a field passes one after another."""
+
+    links: Sequence[Link]
+
+    def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
+        """Yield the field behind the last link."""
+        for link in self.links:
+            source = link.forward(source, workspace)
+        return source
+
+    def adjoint(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
+        """Yield the adjoint before the first link."""
+        for link in reversed(self.links):
+            gradient = link.adjoint(gradient, workspace)
+        return gradient
+
+
+@dataclass(frozen=True)
+class FreeSpace:
+    """Free space of a length in mm, for a wavelength in nm in it, with propagation by slopes or by cosines.
+
+    With `beyond_paraxial`, only the non-paraxial part.
+    """
+
+    distance: float
+    wavelength: float
+    paraxial: bool = False
+    beyond_paraxial: bool = False
+
+    @property
+    def back(self) -> FreeSpace:
+        """Free space from the second plane back to the first."""
+        return FreeSpace(-self.distance, self.wavelength, self.paraxial, self.beyond_paraxial)
+
+
+class Hop:
+    """An element, then free space to the destination samples of a step; the carrier is omitted."""
+
+    def __init__(self, step: Step, space: FreeSpace, element: Element | None = None) -> None:
+        self._step, self._space, self._element = step, space, element or Element(step)
+
+    def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
+        """Yield the field at the destination samples, from the field at the source samples."""
+        x, y, space = self._step.x, self._step.y, self._space
+        pitches, shift = (x.window / x.held, y.window / y.held), (x.start - x.first, y.start - y.first)
+
+        def advanced() -> Rows:
+            for mine, spectrum in to_directions(source, self._element, self._step, workspace):
+                yield mine, advance(
+                    spectrum, pitches, space.distance, space.wavelength, shift=shift, part=(mine.start, x.held),
+                    paraxial=space.paraxial, beyond_paraxial=space.beyond_paraxial,
+                )  # fmt: skip
+
+        return from_directions(advanced(), self._step, workspace)
+
+    def adjoint(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
+        """Yield the adjoint at the source samples, from a field at the destination samples."""
+        x, y = self._step.x, self._step.y
+        scale = x.new_padded * y.new_padded / (x.padded * y.padded)
+        for rows, samples in Hop(self._step.reversed, self._space.back).forward(gradient, workspace):
+            yield rows, self._element.back(rows, samples, scale)
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """An element, then the field's directions: lines along y of its lowest frequencies, for some along x together.
+
+    Zero frequency comes first on both axes, negative frequencies last. Transforms are divided by their lengths.
+    """
+
+    step: Step
+    element: Element
+
+    def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
+        """Yield the frequencies, from the field at the source samples."""
+        return to_directions(source, self.element, self.step, workspace)
+
+    def adjoint(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
+        """Yield the adjoint at the source samples, from a field at the frequencies."""
+        scale = 1 / (self.step.x.padded * self.step.y.padded)
+        for rows, samples in from_directions(gradient, self.step.reversed, workspace):
+            yield rows, self.element.back(rows, samples, scale)
+
+
+class Fresnel:
+    """Paraxial free space between two planes as one transform, with the second plane's samples in order.
+
+    The field on the second plane is kept line by line: along its y for each x.
+    """
+
+    def __init__(self, step: Directions, onto: tuple[LensAxis, LensAxis], distance: float, wavelength: float) -> None:
+        wave_path = in_millimetres(wavelength) * distance
+
+        def curved(x: Any, y: Any) -> Any:
+            return phasor(parabola(x * x + y * y, -distance, wavelength))
+
+        self._count, self._positive = step.x.held, (step.y.held + 1) // 2
+        self._spectrum = Spectrum(step, Element.separated(step, curved, (0.0, 0.0)))
+        asarray = active_backend().arrays.asarray
+        self._along_x, self._along_y = (
+            asarray(phasor(samples.samples * (samples.samples / 2 - axis.first) / wave_path))
+            * np.float32(math.sqrt(wave_path) / samples.pitch)
+            for axis, samples in ((step.x, onto[0]), (step.y, onto[1]))
+        )
+
+    def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
+        """Yield lines of the field on the second plane, in any order, from the field on the first."""
+        positive, middle = self._positive, len(self._along_y) - self._positive
+        for mine, part in self._spectrum.forward(source, workspace):
+            lines = workspace.array("lines", (workspace.block, part.shape[1]))[: len(part)]
+            np.multiply(part[:, :positive], self._along_y[middle:], out=lines[:, middle:])
+            np.multiply(part[:, positive:], self._along_y[:middle], out=lines[:, :middle])
+            for own, there in _in_order(mine, self._count):
+                lines[own] *= self._along_x[there, None]
+                yield there, lines[own]
+
+    def adjoint(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
+        """Yield the adjoint on the first plane, from lines of a field on the second."""
+
+        def by_spectrum() -> Rows:
+            for there, lines in gradient:
+                found = lines * self._along_x[there, None].conj()
+                found *= self._along_y.conj()
+                found = workspace.libraries.arrays.roll(found, self._positive - found.shape[1], axis=1)
+                for own, mine in _in_order(there, self._count, -(self._count // 2)):
+                    yield mine, found[own]
+
+        return self._spectrum.adjoint(by_spectrum(), workspace)
+
+
+def to_directions(source: Rows, element: Element, step: Step, workspace: FieldWorkspace) -> Rows:
+    """Yield the lowest frequencies of a field behind an element, as contiguous blocks (some along x, all along y)."""
+    x, y, columns, arrays = step.x, step.y, workspace.columns(step), workspace.libraries.arrays
+    rows_of = workspace.array("rows", (workspace.block, x.padded))
+    low, high = _lowest(x.padded, x.held)
+    end = 0
+    for rows, samples in source:
+        for lit in element.lit(rows):
+            columns[:, end : lit.start] = 0
+            end = lit.stop
+            part = rows_of[: end - lit.start]
+            element.through(lit, samples[lit.start - rows.start : end - rows.start], part[:, : x.count])
+            part[:, x.count :] = 0
+            part = workspace.fft(part)
+            columns[: low.stop, lit] = part[:, low].T
+            columns[low.stop :, lit] = part[:, high].T
+    columns[:, end : y.count] = 0
+    block = workspace.array("rows", (workspace.block, y.padded))
+    spectrum = workspace.array("spectrum", (workspace.block, y.held))
+    low, high = _lowest(y.padded, y.held)
+    for mine in workspace.runs(x.held):
+        part = block[: mine.stop - mine.start]
+        if element.along_y is None:
+            part[:, : y.count] = columns[mine, : y.count]
+        else:
+            arrays.multiply(columns[mine, : y.count], element.along_y, out=part[:, : y.count])
+        part[:, y.count :] = 0
+        part = workspace.fft(part)
+        if y.held < y.padded:
+            cut = spectrum[: mine.stop - mine.start]
+            cut[:, : low.stop], cut[:, low.stop :] = part[:, low], part[:, high]
+            part = cut
+        yield mine, part
+
+
+def from_directions(spectrum: Rows, step: Step, workspace: FieldWorkspace) -> Rows:
+    """Yield the field at the destination samples of a step, from its lowest frequencies as `to_directions` has them."""
+    x, y, columns = step.x, step.y, workspace.columns(step)
+    for mine, part in spectrum:
+        columns[mine, : y.wanted] = _from_lowest(part, y, workspace)
+    block = workspace.array("next rows", (workspace.block, x.held))
+    for rows in workspace.runs(y.wanted):
+        part = block[: rows.stop - rows.start]
+        for first in range(0, x.held, _TILE):
+            tile = slice(first, min(first + _TILE, x.held))
+            part[:, tile] = columns[tile, rows].T
+        yield rows, _from_lowest(part, x, workspace)
+
+
+def _from_lowest(part: fft.Field, axis: AxisStep, workspace: FieldWorkspace) -> fft.Field:
+    """Return the destination samples of rows, from the rows' lowest frequencies."""
+    if axis.held < axis.new_padded:
+        low, high = _lowest(axis.new_padded, axis.held)
+        wide = workspace.array("wide", (len(part), axis.new_padded))
+        wide[:, low.stop : high.start] = 0
+        wide[:, low], wide[:, high] = part[:, : low.stop], part[:, low.stop :]
+        part = wide
+    return workspace.fft(part, inverse=True)[:, : axis.wanted]
+
+
+def _lowest(size: int, held: int) -> tuple[slice, slice]:
+    """Return the slices of the lowest frequencies, nonnegative and negative, in a spectrum with zero first."""
+    positive = (held + 1) // 2
+    return slice(0, positive), slice(size - (held - positive), size)
+
+
+def _in_order(lines: slice, count: int, moved: int | None = None) -> Iterator[tuple[slice, slice]]:
+    """Yield parts of a run of lines, with their numbers after zero frequency is moved to the middle, or back."""
+    first = (lines.start + (count // 2 if moved is None else moved)) % count
+    border = min(lines.stop - lines.start, count - first)
+    yield slice(0, border), slice(first, first + border)
+    if lines.start + border < lines.stop:
+        yield slice(border, lines.stop - lines.start), slice(0, lines.stop - lines.start - border)

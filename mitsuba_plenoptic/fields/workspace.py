@@ -1,0 +1,73 @@
+"""Memory in which fields are transformed, block by block, shared by all links of a chain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+import numpy as np
+
+from ..runtime import active_backend, fft
+from .steps import Step
+
+Rows = Iterable[tuple[slice, fft.Field]]
+"""Blocks of rows of a field, from the first on, with their numbers. What is left out is dark.
+
+A block holds until the next one is asked for.
+"""
+
+# Rows that are transformed together: in the processor's cache, or enough to keep a CUDA device busy.
+_BLOCK, _CUDA_BLOCK = 64, 4096
+
+# Columns whose distance is a multiple of the page size would map to the same few cache lines during transposition.
+_PAGE, _STAGGER = 512, 24
+
+
+class FieldWorkspace:
+    """Memory shared by steps, since fresh memory pages would cost nearly as much as the transforms.
+
+    `report` is called with the number of samples that Fourier transforms have processed.
+    """
+
+    def __init__(self, steps: Iterable[Step], report: Callable[[int], None] = lambda transformed: None) -> None:
+        self.libraries = active_backend()
+        self.block = _CUDA_BLOCK if self.libraries.is_cuda else _BLOCK
+        self._transformed, self._report = 0, report
+        columns, rows = (max(sizes) for sizes in zip(*(step.columns for step in steps), strict=True))
+        self._columns = self.libraries.arrays.empty((columns, rows + -rows % _PAGE + _STAGGER), np.complex64)
+        self._buffers: dict[str, fft.Field] = {}
+
+    def columns(self, step: Step) -> fft.Field:
+        """Return the memory of a step's columns, shared with the last step's columns."""
+        return self._columns[: step.x.held]
+
+    def array(self, name: str, shape: tuple[int, int]) -> fft.Field:
+        """Return an uninitialised array, valid until the same name is requested again."""
+        size = shape[0] * shape[1]
+        if name not in self._buffers or self._buffers[name].size < size:
+            self._buffers[name] = self.libraries.arrays.empty(size, np.complex64)
+        return self._buffers[name][:size].reshape(shape)
+
+    def runs(self, count: int, block: int | None = None) -> Iterator[slice]:
+        """Yield slices of rows that are processed together."""
+        block = block or self.block
+        for first in range(0, count, block):
+            yield slice(first, min(first + block, count))
+
+    def blocks(self, field: fft.Field) -> Rows:
+        """Yield all rows of a field in blocks, which are views of the field."""
+        for rows in self.runs(len(field)):
+            yield rows, field[rows]
+
+    def whole(self, blocks: Rows, shape: tuple[int, int]) -> fft.Field:
+        """Return a field gathered from all its rows."""
+        field = self.libraries.arrays.empty(shape, np.complex64)
+        for rows, samples in blocks:
+            field[rows] = samples
+        return field
+
+    def fft(self, field: fft.Field, *, inverse: bool = False) -> fft.Field:
+        """Transform rows in place; forward transforms are divided by the length, inverse ones are not."""
+        found = fft.fft(field, axis=1, inverse=inverse, norm="forward")
+        self._transformed += field.size
+        self._report(self._transformed)
+        return found

@@ -1,0 +1,45 @@
+"""Linear maps between arrays, which are linear operators of SciPy between flat arrays."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator
+
+
+class LinearMap(LinearOperator):
+    """A linear map from arrays of light to images, with its transpose: a `scipy.sparse.linalg.LinearOperator`.
+
+    A subclass defines `forward` and `adjoint`. Between flat arrays SciPy's solvers take it, and PyLops; sums, products,
+    ``@`` and ``.T`` are SciPy's.
+
+    Parameters
+    ----------
+    source_shape : tuple of int
+        Shape of the arrays that `forward` takes.
+    image_shape : tuple of int
+        Shape of the arrays that `adjoint` takes.
+    dtype : dtype
+        Type of the images.
+    """
+
+    def __init__(self, source_shape: tuple[int, ...], image_shape: tuple[int, ...], dtype: Any = np.float32) -> None:
+        super().__init__(dtype, (math.prod(image_shape), math.prod(source_shape)))
+        self.source_shape, self.image_shape = source_shape, image_shape
+
+    def forward(self, source: Any, /) -> NDArray[Any]:
+        """Return the image of light."""
+        raise NotImplementedError
+
+    def adjoint(self, image: Any, /) -> NDArray[Any]:
+        """Return the transpose of `forward`, applied to an image."""
+        raise NotImplementedError
+
+    def _matvec(self, source: NDArray[Any]) -> NDArray[Any]:
+        return self.forward(source.reshape(self.source_shape)).ravel()
+
+    def _rmatvec(self, image: NDArray[Any]) -> NDArray[Any]:
+        return self.adjoint(image.reshape(self.image_shape)).ravel()

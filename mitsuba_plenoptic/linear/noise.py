@@ -1,0 +1,75 @@
+"""The noise of pixels that count electrons."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import refuse_if, require_number
+from ..io import response_of
+
+_DARKEST = 0.01
+"""Variance, over the mean one, that is added to every pixel's where residuals are weighted."""
+
+
+def dark_variance(read_noise: float, gain: float, dark_electrons: float = 0.0) -> float:
+    """Return the variance of a dark pixel in squared electrons: of dark current, reading and rounding.
+
+    EMVA Standard 1288, Release 4.0 Linear, equation for the digital number: rounding adds a twelfth of its square.
+    """
+    return dark_electrons + read_noise**2 + 1 / (12 * gain**2)
+
+
+@dataclass(frozen=True)
+class PixelNoise:
+    r"""Noise of a detector's pixels: photon noise, and the variance of dark pixels.
+
+    The variance of a pixel whose expected value is :math:`v` is :math:`(E v + d) / E^2`.
+
+    Parameters
+    ----------
+    electrons : float
+        Electrons that are counted in a pixel of value 1, E: photons times quantum efficiency.
+    dark_variance : float
+        Variance without light, d, in squared electrons: of dark current, reading and rounding.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
+
+    electrons: float
+    dark_variance: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_number("electrons", self.electrons, positive=True)
+        require_number("dark_variance", self.dark_variance, minimum=0)
+
+    @classmethod
+    def of_exposure(cls, exposure: dict[str, Any]) -> PixelNoise:
+        """Return the noise of a capture from the record that `expose` makes; refuse one that is damaged."""
+        refuse_if(not isinstance(exposure, dict), "exposure of the capture: it is not one that 'expose' writes")
+        gain, _, dark, electrons = response_of(exposure)
+        reading = require_number("read_noise", exposure.get("read_noise"), minimum=0)
+        return cls(electrons, dark_variance(reading, gain, dark))
+
+    @property
+    def shift(self) -> float:
+        """Variance of a dark pixel divided by the value of one electron."""
+        return self.dark_variance / self.electrons
+
+    def misfit(self, image: NDArray[np.float32], model: NDArray[np.float32]) -> float:
+        """Return the squared residual, weighted by the pixels' variances, divided by its expectation for noise alone.
+
+        This is Pearson's statistic, of expectation 1. Pixels that should be nearly dark get a lower weight than
+        Pearson's, since otherwise one photon of light unknown to the model would outweigh all pixels.
+        """
+        dark = np.float32(self.dark_variance / self.electrons**2)
+        variance = np.maximum(model, 0) / np.float32(self.electrons) + dark
+        weight = 1 / (variance + np.float32(_DARKEST * float(variance.mean()) + 1e-30))
+        residual = float(((image - model) ** 2 * weight).sum(dtype=np.float64))
+        return residual / max(float((variance * weight).sum(dtype=np.float64)), 1e-30)
