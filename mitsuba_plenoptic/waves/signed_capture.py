@@ -124,9 +124,9 @@ class SignedCapture:
         The functions allow the memory of one sum to be freed before the next is made. By default, light and nodes are
         those of the capture.
         """
-        used = light or self.light, self.nodes if nodes is None else nodes
+        light_and_nodes = light or self.light, self.nodes if nodes is None else nodes
         return [
-            self._sum(kind, *used, spp=-(-spp // runs), seed=of_run)
+            self._sum(kind, *light_and_nodes, spp=-(-spp // runs), seed=of_run)
             # Captures with neighbouring seeds must not share runs.
             for of_run in np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
         ]
@@ -157,17 +157,17 @@ class SignedCapture:
             tasks = [keep_spread(task, self.camera) for task in tasks]
         channels = self.spectrum.channels
         shape = (*self.camera.shape, channels * (3 if noise else 1))
-        every = sum(task.items for task in tasks)
+        items_of_all = sum(task.items for task in tasks)
         reached = {"traced": 0.0, "convolved": 0.0}
 
         def report(what: str, count: float) -> None:
             reached[what] = count
             reached["traced"] = max(reached.values())
             if progress:
-                progress(round(_TRACING * reached["traced"] + (1 - _TRACING) * reached["convolved"]), every)
+                progress(round(_TRACING * reached["traced"] + (1 - _TRACING) * reached["convolved"]), items_of_all)
 
         progress, job = job.progress, replace(job, progress=lambda done, _: report("convolved", done))
-        image = job.run(tasks, shape, every, {"scene_digest": lambda: digest(first.probe())})
+        image = job.run(tasks, shape, items_of_all, {"scene_digest": lambda: digest(first.probe())})
         if not image.any():
             warn(
                 "plenoptic_wave: none of the rays meets anything that shines; plain BSDFs are black from "
