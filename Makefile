@@ -3,7 +3,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test test-tensors coverage slow examples pictures package docs lint clean llvm
+.PHONY: help demo test test-tensors coverage slow examples pictures package release docs lint clean llvm
 
 help:
 	@echo "make demo   capture and refocus the letters by rays and by waves; demo/report.html (a few minutes)"
@@ -14,6 +14,7 @@ help:
 	@echo "make examples   render the captures of mp.example from the built-in scenes (20 s)"
 	@echo "make pictures   make the pictures of the site (some minutes; needs Chromium, and the notebooks of 'make docs')"
 	@echo "make package   build wheel and sdist from a fresh clone, and try the wheel in an empty environment"
+	@echo "make release   do that, try every Python that is on PATH, and check what an index asks for: dist/, ready to upload"
 	@echo "make docs   build the site with its notebooks executed: build/docs/index.html (some minutes)"
 	@echo "make lint   check format, style, types and directions of imports"
 	@echo "make clean  remove what make made"
@@ -53,6 +54,13 @@ pictures: $(VENV)/.ready llvm
 
 package: $(VENV)/.ready llvm
 	$(BIN)/python tools/check_release.py
+
+# All of a release but the upload.
+release: $(VENV)/.ready llvm
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet --editable '.[release]'
+	rm -rf dist
+	$(BIN)/python tools/check_release.py --keep dist --everywhere
+	$(BIN)/python -m twine check --strict dist/*
 
 # EXECUTE=off leaves the notebooks' cells and the pages' blocks unexecuted, as .ci/run has it.
 docs: $(VENV)/.docs-ready

@@ -127,9 +127,9 @@ def content_of(path: Path) -> str:
     with path.open("rb") as file:
         first = file.read(2**20)
     text = first.decode("utf-8-sig", errors="replace").strip()
-    found = [kind for begins, kind in _BEGINNINGS.items() if first.startswith(begins)]
-    if found or not text or "\0" in text or "\ufffd" in text[:64]:
-        return found[0] if found else "binary data" if text else "an empty file"
+    kinds = [kind for begins, kind in _BEGINNINGS.items() if first.startswith(begins)]
+    if kinds or not text or "\0" in text or "\ufffd" in text[:64]:
+        return kinds[0] if kinds else "binary data" if text else "an empty file"
     root = re.search(r"<([^\W\d][\w:.-]*)", re.sub(r"(?s)<!--.*?-->", "", text)) if text[0] == "<" else None
     if text[0] == "{":
         return "text in JSON"
@@ -215,19 +215,19 @@ def suggest_keywords(
         constructor = function.__init__  # type: ignore[misc]
         type.__setattr__(function, "__init__", suggest_keywords(constructor, others, gone, absent))
         return cast(_Call, function)
-    known = {*inspect.signature(function).parameters, *others}
+    keywords = {*inspect.signature(function).parameters, *others}
 
     @functools.wraps(function)
     def called(*arguments: Any, **options: Any) -> Any:
         for name in options:
             if gone and name in gone:
                 raise InputError(f"{name}: it is gone since version 2.0; use {gone[name]}")
-            if name not in known and absent(name):
+            if name not in keywords and absent(name):
                 raise InputError(absent(name))
-            if name not in known:
+            if name not in keywords:
                 raise TypeError(
                     f"{function.__qualname__.removesuffix('.__init__')}() got an unexpected keyword argument '{name}'"
-                    f"{did_you_mean(name, known)}"
+                    f"{did_you_mean(name, keywords)}"
                 )
         import numpy as np
 
@@ -251,20 +251,20 @@ def require_number(
     if _is_flag(value) or isinstance(value, (str, bytes, bytearray)) or value is None:
         raise InputError(f"{name} = {short_repr(value)}: it must be a number")
     try:
-        number = float(value)
+        result = float(value)
     except OverflowError:
         raise InputError(f"{name} = {short_repr(value)}: it must be finite") from None
     except (TypeError, ValueError):
         raise InputError(f"{name} = {short_repr(value)}: it must be a number") from None
-    if math.isnan(number) or (finite and math.isinf(number)):
-        raise InputError(f"{name} = {number:g}: it must be finite")
-    if positive and number <= 0:
-        raise InputError(f"{name} = {number:g}: it must be greater than 0")
-    if minimum is not None and number < minimum:
-        raise InputError(f"{name} = {number:g}: it must be at least {minimum:g}")
-    if maximum is not None and maximum < number < math.inf:
-        raise InputError(f"{name} = {number:g}: it must be at most {maximum:g}")
-    return number
+    if math.isnan(result) or (finite and math.isinf(result)):
+        raise InputError(f"{name} = {result:g}: it must be finite")
+    if positive and result <= 0:
+        raise InputError(f"{name} = {result:g}: it must be greater than 0")
+    if minimum is not None and result < minimum:
+        raise InputError(f"{name} = {result:g}: it must be at least {minimum:g}")
+    if maximum is not None and maximum < result < math.inf:
+        raise InputError(f"{name} = {result:g}: it must be at most {maximum:g}")
+    return result
 
 
 def require_choice(name: str, value: Any, choices: Any) -> str:
@@ -334,14 +334,14 @@ def require_module(name: str, message: str) -> Any:
 
 def require_count(name: str, value: Any, *, minimum: int = 1, maximum: int | None = None) -> int:
     """Return an integer within bounds as an int."""
-    number = require_number(name, value)
-    if number != int(number):
+    count = require_number(name, value)
+    if count != int(count):
         raise InputError(f"{name} = {short_repr(value)}: it must be a whole number")
-    if number < minimum:
-        raise InputError(f"{name} = {short_repr(int(number))}: it must be at least {minimum}")
-    if maximum is not None and number > maximum:
-        raise InputError(f"{name} = {short_repr(int(number))}: it must be at most {maximum}")
-    return int(number)
+    if count < minimum:
+        raise InputError(f"{name} = {short_repr(int(count))}: it must be at least {minimum}")
+    if maximum is not None and count > maximum:
+        raise InputError(f"{name} = {short_repr(int(count))}: it must be at most {maximum}")
+    return int(count)
 
 
 SHORTEST = 1e-9
@@ -403,22 +403,22 @@ STEEPEST_CHIEF_RAY = 80.0
 
 def require_wavelength(value: Any, name: str = "wavelength") -> float:
     """Return a wavelength in nanometres, from 200 to 2500, as a float; other units are recognised."""
-    number, (low, high) = require_number(name, value, positive=True), WAVELENGTHS
-    if low <= number <= high:
-        return number
+    wavelength, (low, high) = require_number(name, value, positive=True), WAVELENGTHS
+    if low <= wavelength <= high:
+        return wavelength
     looks = [
-        f"; it looks like {unit}, {number * size:.6g} nm"
+        f"; it looks like {unit}, {wavelength * size:.6g} nm"
         for unit, size in _UNITS.items()
-        if low <= number * size <= high
+        if low <= wavelength * size <= high
     ]
-    raise InputError(f"{name} = {number:g}: it must be from {low:g} to {high:g} nm{''.join(looks)}")
+    raise InputError(f"{name} = {wavelength:g}: it must be from {low:g} to {high:g} nm{''.join(looks)}")
 
 
 def require_accuracy(accuracy: Any, name: str = "accuracy") -> float:
     """Return an allowed error as a float; refuse values that no computation can keep."""
-    number = require_number(name, accuracy)
-    refuse_if(not 0 <= number < 1, f"{name} = {accuracy!r}: it must be from 0 (exact) to below 1")
-    return number
+    error = require_number(name, accuracy)
+    refuse_if(not 0 <= error < 1, f"{name} = {accuracy!r}: it must be from 0 (exact) to below 1")
+    return error
 
 
 def require_length(name: str, value: Any, *, finite: bool = True) -> float:
@@ -429,7 +429,7 @@ def require_length(name: str, value: Any, *, finite: bool = True) -> float:
 def require_lengths(name: str, value: Any) -> tuple[float, ...]:
     """Return one or several lengths as a tuple."""
     value = _plain(value)
-    return tuple(require_length(name, number) for number in (value if isinstance(value, (tuple, list)) else [value]))
+    return tuple(require_length(name, length) for length in (value if isinstance(value, (tuple, list)) else [value]))
 
 
 def require_pitches(name: str, value: Any) -> tuple[float, float]:
@@ -454,7 +454,7 @@ def require_pixels(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
 def require_place(name: str, value: Any) -> tuple[float, float]:
     """Return a position in mm in the plane of the microlenses, a pair of coordinates within 1e9 of the axis."""
     pair = require_pair(name, value, "(x, y)")
-    x, y = (require_number(name, number, minimum=-LONGEST, maximum=LONGEST) for number in pair)
+    x, y = (require_number(name, coordinate, minimum=-LONGEST, maximum=LONGEST) for coordinate in pair)
     return x, y
 
 
@@ -513,7 +513,7 @@ def require_numbers(
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) != count:
         raise InputError(f"{name} = {short_repr(value)}: it must be {count} numbers")
-    return tuple(require_number(name, number, minimum=minimum, maximum=maximum) for number in value)
+    return tuple(require_number(name, item, minimum=minimum, maximum=maximum) for item in value)
 
 
 def _is_flag(value: Any) -> bool:

@@ -1,11 +1,12 @@
 """Build sdist and wheel from a fresh clone, install the wheel into an empty environment, and run the start page there.
 
-    python tools/check_release.py [--keep FOLDER]
+    python tools/check_release.py [--keep FOLDER] [--everywhere]
 
 The clone has neither tags nor history. Both distributions are built straight from it, and the wheel a second time from
 the sdist; they must hold every file of the repository that belongs there. The environment holds nothing but the wheel
 and its dependencies. In a folder outside the clone, on the files that the documentation's start page gives, the
-commands of that page are run, then the Python code of the README.
+commands of that page are run, then the Python code of the README. With ``--everywhere`` wheel and sdist are installed
+into empty environments of every Python that pyproject.toml names and PATH offers, and each refocuses a capture.
 """
 
 from __future__ import annotations
@@ -26,6 +27,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "start" / "index.md"
 README = ROOT / "README.md"
+TRIAL = """
+import mitsuba_plenoptic as mp
+capture = mp.example("letters-wave")
+assert mp.reconstruct(capture, 240, method="coherent").image.max() > 0
+"""
+"""What a new installation must be able to do."""
+
 CLONE = "."
 """The argument of the start page's ``pip install``."""
 
@@ -118,10 +126,30 @@ def run_pages(wheel: Path, folder: Path) -> None:
                 raise SystemExit(f"{command}: it wrote no {output}")
 
 
+def try_everywhere(distributions: list[Path], folder: Path) -> None:
+    """Install wheel and sdist with each Python of the classifiers that is on PATH, and refocus a capture."""
+    stated = re.findall(r"Programming Language :: Python :: (3\.\d+)", (ROOT / "pyproject.toml").read_text())
+    for number in stated:
+        program = shutil.which(f"python{number}")
+        # Version managers put programs on PATH that only say that their version is not active.
+        command = [program or "", "-c", "import venv"]
+        if program is None or subprocess.run(command, capture_output=True, check=False).returncode:
+            print(f"Python {number}: not on PATH, not tried")
+            continue
+        for distribution in distributions:
+            environment = folder / "trial"
+            subprocess.run([program, "-m", "venv", "--clear", str(environment)], check=True)
+            python = str(environment / "bin" / "python")
+            subprocess.run([python, "-m", "pip", "install", "--quiet", str(distribution)], check=True)
+            subprocess.run([python, "-c", TRIAL], check=True, cwd=folder)
+            print(f"Python {number}: {distribution.name} works", flush=True)
+
+
 def main() -> int:
     """Build, and try what was built."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--keep", type=Path, help="folder for wheel and sdist, if they are to be kept")
+    parser.add_argument("--everywhere", action="store_true", help="try every Python that pyproject.toml names")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -131,6 +159,8 @@ def main() -> int:
         (second,) = build(next((folder / "unpacked").iterdir()), folder / "second", "--wheel")
         check_files(tracked, wheel, sdist, second)
         run_pages(wheel, folder)
+        if arguments.everywhere:
+            try_everywhere([wheel, sdist], folder)
         if arguments.keep:
             shutil.copytree(folder / "dist", arguments.keep, dirs_exist_ok=True)
     print(f"{wheel.name} and {sdist.name} are complete; the start page and the README's Python code work")

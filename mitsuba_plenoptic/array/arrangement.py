@@ -257,7 +257,9 @@ class Lattice(abc.ABC):
             moved = [self.displacement.smooth(x, y)]
             if self.displacement.deviation:
                 moved.append(self.displacement.irregular(i, j))
-            x, y = (place + sum(shifts) for place, shifts in zip((x, y), zip(*moved, strict=True), strict=True))
+            x, y = (
+                coordinate + sum(shifts) for coordinate, shifts in zip((x, y), zip(*moved, strict=True), strict=True)
+            )
         return x, y
 
     def in_regular_array(self, x: Any, y: Any) -> tuple[Any, Any]:
@@ -266,8 +268,8 @@ class Lattice(abc.ABC):
             return x, y
         index = self.cell(x, y)
         return tuple(
-            place - now + before
-            for place, now, before in zip((x, y), self.centre(*index), self.regular.centre(*index), strict=True)
+            coordinate - now + before
+            for coordinate, now, before in zip((x, y), self.centre(*index), self.regular.centre(*index), strict=True)
         )
 
     def axis_cell(self, coordinate: Any, axis: int) -> Any:

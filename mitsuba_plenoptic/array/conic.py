@@ -48,13 +48,16 @@ class Conic(MicrolensShape):
     glass: Any = 1.5
 
     def __post_init__(self) -> None:
-        given = self.coefficients
-        refuse_if(not hasattr(given, "__len__") or isinstance(given, str), f"coefficients = {given}: it must be a list")
+        coefficients = self.coefficients
+        refuse_if(
+            not hasattr(coefficients, "__len__") or isinstance(coefficients, str),
+            f"coefficients = {coefficients}: it must be a list",
+        )
         put(
             self,
             curvature_radius=require_number("curvature_radius", self.curvature_radius, positive=True),
             conic=require_number("conic", self.conic),
-            coefficients=tuple(require_number("coefficients", number) for number in given),
+            coefficients=tuple(require_number("coefficients", coefficient) for coefficient in coefficients),
             glass=known_index("glass", self.glass),
         )
 

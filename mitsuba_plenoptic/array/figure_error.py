@@ -54,12 +54,12 @@ class FigureError:
             # In tables, other numbers need no other kernel.
             tables = [drjit_array(type(x), row) for row in rows]
             rows = [[dr.gather(type(x), table, k) for k in range(len(self.phases))] for table in tables]
-        found = []
+        cosines = []
         for u, v, phase in zip(*rows, strict=True):
             turns = u * x + v * y + phase
             turns = 2 * math.pi * (turns - module.floor(turns))
-            found.append((module.cos(turns), module.sin(turns), u, v))
-        return found
+            cosines.append((module.cos(turns), module.sin(turns), u, v))
+        return cosines
 
 
 @functools.lru_cache(maxsize=4)

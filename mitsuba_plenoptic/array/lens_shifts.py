@@ -67,8 +67,8 @@ class Displacement:
         right, up = self._to_chief_rays(x, y) if self.chief_rays else (0.0, 0.0)
         if self.warp:
             terms = monomials(x, y, WARP_POWERS)
-            right += sum(number * term for number, term in zip(self.warp[: len(terms)], terms, strict=True))
-            up += sum(number * term for number, term in zip(self.warp[len(terms) :], terms, strict=True))
+            right += sum(coefficient * term for coefficient, term in zip(self.warp[: len(terms)], terms, strict=True))
+            up += sum(coefficient * term for coefficient, term in zip(self.warp[len(terms) :], terms, strict=True))
         return right, up
 
     def regular(self, x: Any, y: Any) -> tuple[Any, Any]:
@@ -130,19 +130,19 @@ class Displacement:
 def deviates(seed: int, i: Any, j: Any) -> tuple[Any, Any, Any]:
     """Return three normal deviates, clipped at `MOST_DEVIATIONS`, for each lens of an array with a given seed."""
     start = int(hashed(np.array([seed], np.uint32))[0])
-    module, found = module_of(i), []
+    module, deviates = module_of(i), []
     # Single numbers of NumPy warn where arrays of them wrap round.
     with np.errstate(over="ignore"):
         lens = hashed(hashed(_words(i) ^ start) ^ _words(j))
-        drawn = [hashed(lens ^ (0x9E3779B9 * (number + 1) & 0xFFFFFFFF)) >> 9 for number in range(6)]
-    for words in zip(drawn[::2], drawn[1::2], strict=True):
+        integers = [hashed(lens ^ (0x9E3779B9 * (stream + 1) & 0xFFFFFFFF)) >> 9 for stream in range(6)]
+    for words in zip(integers[::2], integers[1::2], strict=True):
         # Two uniform numbers make a normal one (Box and Muller 1958).
         if module is dr:
             words = tuple(dr.float32_array_t(type(word))(word) for word in words)
         first, second = ((word + 0.5) * 2.0**-23 for word in words)
         deviate = module.sqrt(-2 * module.log(first)) * module.cos(2 * math.pi * second)
-        found.append(module.clip(deviate, -MOST_DEVIATIONS, MOST_DEVIATIONS))
-    x, y, f = found
+        deviates.append(module.clip(deviate, -MOST_DEVIATIONS, MOST_DEVIATIONS))
+    x, y, f = deviates
     return x, y, f
 
 

@@ -69,10 +69,10 @@ class PhaseMap(MicrolensShape):
         relief = require_flag("relief", self.relief)
         refuse_if(relief and len(wavelengths) > 1, "relief: it has one design wavelength; give one")
         units = [phases(wavelength * MM_PER_NM) for wavelength in wavelengths]
-        known = np.stack([known_samples("phase", *each) for each in zip(maps, units, strict=True)])
+        samples = np.stack([known_samples("phase", *pair) for pair in zip(maps, units, strict=True)])
         put(
             self,
-            phase=known,
+            phase=samples,
             width=require_number("width", self.width, positive=True),
             wavelengths=wavelengths,
             relief=relief,
@@ -91,7 +91,7 @@ class PhaseMap(MicrolensShape):
 
     @cached_property
     def _grids(self) -> list[SampledGrid]:
-        return [SampledGrid(each, self.width) for each in self._smooth]
+        return [SampledGrid(samples, self.width) for samples in self._smooth]
 
     @property
     def _given(self) -> tuple[float, ...]:
@@ -100,9 +100,9 @@ class PhaseMap(MicrolensShape):
 
     def _parts(self, wavelength: float) -> list[tuple[int, float]]:
         """Return the maps between which a wavelength lies, and their weights."""
-        place = float(np.interp(wavelength, self._given, np.arange(len(self._given))))
-        low = min(int(place), max(len(self._given) - 2, 0))
-        return [(low + end, weight) for end, weight in enumerate((1 - place + low, place - low)) if weight]
+        position = float(np.interp(wavelength, self._given, np.arange(len(self._given))))
+        low = min(int(position), max(len(self._given) - 2, 0))
+        return [(low + end, weight) for end, weight in enumerate((1 - position + low, position - low)) if weight]
 
     def waves(self, x: Any, y: Any, wavelength: float) -> Any:
         """Return the phase in waves; see `MicrolensShape.waves`."""
@@ -110,12 +110,14 @@ class PhaseMap(MicrolensShape):
             (grid,) = self._grids
             jumps = np.rint(self._smooth[0] - self.phase[0])
             return (grid.at(x, y) - grid.nearest(jumps, x, y)) * (self._given[0] / wavelength)
-        return sum(self._grids[number].at(x, y) * weight for number, weight in self._parts(wavelength))
+        return sum(self._grids[index].at(x, y) * weight for index, weight in self._parts(wavelength))
 
     def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Return the gradient of the path; see `MicrolensShape.slopes`."""
-        parts = [(*self._grids[number].slopes(x, y), weight) for number, weight in self._parts(LINE_D)]
-        along, across = (sum(part[axis] * part[2] for part in parts) * (LINE_D * MM_PER_NM) for axis in (0, 1))
+        parts = [(*self._grids[index].slopes(x, y), weight) for index, weight in self._parts(LINE_D)]
+        along, across = (
+            sum(weighted[axis] * weighted[2] for weighted in parts) * (LINE_D * MM_PER_NM) for axis in (0, 1)
+        )
         return along, across
 
     def strength(self, wavelength: float) -> float:
@@ -128,7 +130,7 @@ class PhaseMap(MicrolensShape):
         return self._power(LINE_D)
 
     def _power(self, wavelength: float) -> float:
-        phase = sum(self._smooth[number] * weight for number, weight in self._parts(wavelength))
+        phase = sum(self._smooth[index] * weight for index, weight in self._parts(wavelength))
         return fitted_power(np.asarray(phase) * (wavelength * MM_PER_NM), self._grids[0])
 
     def covers(self, x: Any, y: Any) -> Any:

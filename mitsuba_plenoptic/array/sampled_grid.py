@@ -41,9 +41,9 @@ def known_samples(name: str, value: Any, units: Mapping[str, float]) -> NDArray[
         f"{name} of shape {samples.shape}: it must be {low} to {high} rows of as many columns",
     )
     refuse_if(not np.isfinite(samples).all(), f"{name}: its numbers must be finite")
-    held = np.array([[float(str(number)) for number in row] for row in samples])
-    held.flags.writeable = False
-    return held
+    values = np.array([[float(str(sample)) for sample in row] for row in samples])
+    values.flags.writeable = False
+    return values
 
 
 def read_samples(name: str, value: Any, units: Mapping[str, float] | None) -> NDArray[np.float64]:
@@ -61,8 +61,11 @@ def read_samples(name: str, value: Any, units: Mapping[str, float] | None) -> ND
     # Symbols of units differ by case.
     plain = unit if len(unit) < 3 else unit.lower().removesuffix("s")
     if units is not None and plain not in ("", "1", "dimensionless"):
-        known = ", ".join(each for each in units if each.isascii() and len(each) < 5) or "numbers without unit"
-        refuse_if(plain not in units, f"{name} in {unit!r}: it must be in {known}")
+        short_units = (
+            ", ".join(name_of_unit for name_of_unit in units if name_of_unit.isascii() and len(name_of_unit) < 5)
+            or "numbers without unit"
+        )
+        refuse_if(plain not in units, f"{name} in {unit!r}: it must be in {short_units}")
         if plain in _ANGLES and "WAVELEN" in header:
             nanometres = 1e9 * require_number("WAVELEN", header["WAVELEN"])
             samples *= require_wavelength(nanometres, "WAVELEN") * units["nm"]
@@ -142,13 +145,13 @@ class SampledGrid:
 
     def _places(self, x: Any, y: Any) -> list[tuple[Any, Any]]:
         """Return column and row of the sample before each offset, and the distances from this sample in samples."""
-        found = []
-        for place, size in zip((x, y), self._samples.shape[::-1], strict=True):
-            module = module_of(place)
-            scaled = module.minimum(module.maximum(place / self._step + (size - 1) / 2, 0), size - 1)
+        places = []
+        for coordinate, size in zip((x, y), self._samples.shape[::-1], strict=True):
+            module = module_of(coordinate)
+            scaled = module.minimum(module.maximum(coordinate / self._step + (size - 1) / 2, 0), size - 1)
             below = module.minimum(module.floor(scaled), size - 2)
-            found.append((below, scaled - below))
-        return found
+            places.append((below, scaled - below))
+        return places
 
     def _sum(self, x: Any, y: Any, derivative: tuple[int, int]) -> Any:
         (column, u), (row, v) = self._places(x, y)
@@ -157,8 +160,8 @@ class SampledGrid:
         for down in (0, 1):
             for right in (0, 1):
                 index = (row + down) * self._samples.shape[1] + column + right
-                for part, (by_row, by_column) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):
-                    value = take(self._corners[..., part].ravel(), index)
+                for corner, (by_row, by_column) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):
+                    value = take(self._corners[..., corner].ravel(), index)
                     total = total + value * across[right, by_column] * up[down, by_row]
         return total
 

@@ -179,18 +179,18 @@ def per_millimetre(wavelength: float) -> float:
     return 1 / (require_wavelength(wavelength) * MM_PER_NM)
 
 
-def focal_length_of(shape: MicrolensShape, medium: float, given: Sequence[float] | None) -> float:
+def focal_length_of(shape: MicrolensShape, medium: float, stated: Sequence[float] | None) -> float:
     """Return a shape's focal length in a medium, in mm; refuse a negative one, and a different given one."""
     refuse_if(
         not shape.power > 0,
         f"mla_shape: its power is {shape.power:.4g} per mm: it must focus light, with a power greater than 0",
     )
-    own = medium / shape.power
+    focal_length = medium / shape.power
     refuse_if(
-        given is not None and not all(math.isclose(own, each, rel_tol=SINGLE) for each in given),
-        f"mla_focal_length = {short_repr(given)}: with this mla_shape it is {own:.7g}; leave it out",
+        stated is not None and not all(math.isclose(focal_length, length, rel_tol=SINGLE) for length in stated),
+        f"mla_focal_length = {short_repr(stated)}: with this mla_shape it is {focal_length:.7g}; leave it out",
     )
-    return own
+    return focal_length
 
 
 def require_cover(shape: MicrolensShape, lattice: Lattice) -> None:

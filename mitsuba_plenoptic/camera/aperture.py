@@ -90,20 +90,20 @@ class Blades:
 
     def power(self, x: Any, y: Any) -> Any:
         """Return 1 within the polygon."""
-        module, part = module_of(x), 2 * math.pi / self.count
+        module, sector = module_of(x), 2 * math.pi / self.count
         angle = (dr.atan2 if module is dr else np.arctan2)(y, x) - math.radians(self.angle)
         # From the middle of the nearest side.
-        angle = angle - (module.floor(angle / part) + 0.5) * part
-        return select(module.sqrt(x * x + y * y) * module.cos(angle) <= math.cos(part / 2), 1.0, 0.0)
+        angle = angle - (module.floor(angle / sector) + 0.5) * sector
+        return select(module.sqrt(x * x + y * y) * module.cos(angle) <= math.cos(sector / 2), 1.0, 0.0)
 
     def draws(self) -> Callable[[Any], tuple[Any, Any]]:
         """Return a map from the unit square to the triangles between the centre and the sides."""
-        part, first = 2 * math.pi / self.count, math.radians(self.angle)
+        sector, first = 2 * math.pi / self.count, math.radians(self.angle)
 
         def drawn(sample: Any) -> tuple[Any, Any]:
             scaled, radius = mi.Float(sample[0]) * self.count, dr.sqrt(sample[1])
             side = dr.minimum(dr.floor(scaled), self.count - 1)
-            ends = [dr.sincos(first + part * (side + step)) for step in (0, 1)]
+            ends = [dr.sincos(first + sector * (side + step)) for step in (0, 1)]
             x, y = (radius * dr.lerp(ends[0][axis], ends[1][axis], scaled - side) for axis in (1, 0))
             return x, y
 
@@ -189,7 +189,8 @@ class Aperture(PlainData):
         """
         count, module = len(self.transmission), module_of(x)
         column, row = (
-            module.minimum(module.maximum(module.floor((place + 1) * (count / 2)), 0), count - 1) for place in (x, y)
+            module.minimum(module.maximum(module.floor((coordinate + 1) * (count / 2)), 0), count - 1)
+            for coordinate in (x, y)
         )
         return select(x * x + y * y <= 1, take(self.transmission.ravel(), row * count + column), 0.0)
 
@@ -199,7 +200,7 @@ class Aperture(PlainData):
 
         def drawn(sample: Any) -> tuple[Any, Any]:
             cell, _, within = density.sample(sample)
-            x, y = ((mi.Float(index) + part) * scale - 1 for index, part in zip(cell, within, strict=True))
+            x, y = ((mi.Float(index) + inside) * scale - 1 for index, inside in zip(cell, within, strict=True))
             return x, y
 
         return drawn
@@ -276,9 +277,9 @@ known_image = partial(known_record, Aperture, "aperture_image")
 
 def require_alone(camera: Any) -> None:
     """Refuse several descriptions of a pupil, and any that the camera's main lens does not have."""
-    given = {name: value for name in NOT_ROUND if (value := getattr(camera, name)) != NOT_ROUND[name]}
-    refuse_if(len(given) > 1, f"{', '.join(given)}: give one of them")
-    for name, value in given.items():
+    uneven = {name: value for name in NOT_ROUND if (value := getattr(camera, name)) != NOT_ROUND[name]}
+    refuse_if(len(uneven) > 1, f"{', '.join(uneven)}: give one of them")
+    for name, value in uneven.items():
         if name == "pupil_apodisation":
             images = camera.lens_data.images_stop
             refuse_if(images, f"{name} = {value}: the array is in the image of the stop; leave it out")

@@ -48,8 +48,8 @@ def stated_and_record(source: str | Path) -> tuple[dict[str, Any], Any]:
     path = Path(source)
     if states_camera(source):
         text = json.dumps(_stated(str(source)))
-    elif not (what := content_of(require_size(path, _LARGEST_FILE))).startswith("text"):
-        raise InputError(f"{path}: it is {what}; a camera's file has its parameters by name, in JSON or YAML")
+    elif not (content := content_of(require_size(path, _LARGEST_FILE))).startswith("text"):
+        raise InputError(f"{path}: it is {content}; a camera's file has its parameters by name, in JSON or YAML")
     elif path.suffix.lower() in (".yaml", ".yml"):
         with refusing(f"{path}: it must be camera parameters by name:", *NO_RECORD):
             text = json.dumps(read_yaml(path))
@@ -81,14 +81,14 @@ def _with_files(values: dict[str, Any], folder: Path) -> dict[str, Any]:
                 return str(beside)
         return name
 
-    found = dict(values)
+    read = dict(values)
     for name, value in values.items():
         form = PARAMETERS[name].form if name in PARAMETERS else None
         if form in FILE_READERS and isinstance(value, str):
-            found[name] = FILE_READERS[form][0](value, resolve)
+            read[name] = FILE_READERS[form][0](value, resolve)
         elif form is Form.RESPONSE and isinstance(value, str):
-            found[name] = resolve(value)
-    return found
+            read[name] = resolve(value)
+    return read
 
 
 def states_camera(source: str | Path) -> bool:
@@ -106,7 +106,7 @@ def _stated(text: str) -> dict[str, Any]:
         refuse_if(name in values, f"{name} is given twice")
         value = re.sub(r"^\s*\((.*)\)\s*$", r"[\1]", value)
         bracketed = value.lstrip().startswith("[")
-        parts = [parse_yaml(part) for part in ([value] if bracketed else value.split(","))]
+        parts = [parse_yaml(item) for item in ([value] if bracketed else value.split(","))]
         refuse_if(None in parts, f"{name} = {value}: it must be a value, or several with commas between them")
         values[name] = parts[0] if len(parts) == 1 else parts
     return values

@@ -20,9 +20,9 @@ _FLAGS = {Captures.RAYS: "|differentiable|", Captures.EDGES: "|discontinuous|"}
 def signature() -> inspect.Signature:
     """Return the signature of the camera's constructor."""
     keyword = inspect.Parameter.KEYWORD_ONLY
-    own = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    first = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
     others = (inspect.Parameter(name, keyword, default=entry.default) for name, entry in PARAMETERS.items())
-    return inspect.Signature([own, *others])
+    return inspect.Signature([first, *others])
 
 
 def numpy_section() -> str:

@@ -76,13 +76,13 @@ class CameraGeometry(CameraParameters):
         """Whether all of the pupil's disc is equally open to all places of the array."""
         return self.aperture == Round() and self.vignetting is None
 
-    def pupil_power(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> Any:
+    def pupil_power(self, pupil: tuple[Any, Any], position: tuple[Any, Any]) -> Any:
         """Return the part of the power that passes pupil points, over its radius, to places of the array.
 
         It is the product of all layers: blades, a picture or an apodisation, and vignetting.
         """
         power = self.aperture.power(*pupil)
-        return power if self.vignetting is None else power * self.vignetting.power(*pupil, *place)
+        return power if self.vignetting is None else power * self.vignetting.power(*pupil, *position)
 
     @property
     def f_number(self) -> float:
@@ -190,7 +190,7 @@ class CameraGeometry(CameraParameters):
             Distance in mm from the array to the detector, over which `mla_cra` is kept.
         """
         self.require_array("displacement")
-        found = Displacement(
+        displacement = Displacement(
             warp=self.mla_warp,
             chief_rays=self.mla_cra,
             distance=detector_distance,
@@ -198,7 +198,7 @@ class CameraGeometry(CameraParameters):
             deviation=self.mla_jitter[0],
             seed=self.mla_seed,
         )
-        return found if found.is_smooth or found.deviation else None
+        return displacement if displacement.is_smooth or displacement.deviation else None
 
     @cached_property
     def most_displaced(self) -> tuple[float, float]:
@@ -212,10 +212,10 @@ class CameraGeometry(CameraParameters):
         across, up = np.abs(np.tan(np.deg2rad(self.mla_tilt)))
         rise = float(self.detector_width * across + self.detector_height * up) / 2
         # Where the array is far from the detector, micro-images are larger.
-        found = reach * rise / self.detector_distance
+        change = reach * rise / self.detector_distance
         if (moved := self.lattice.displacement) is None:
-            return found
-        return found + moved.farthest_irregular + self.most_displaced[1] * (reach + self.lattice.cell_reach)
+            return change
+        return change + moved.farthest_irregular + self.most_displaced[1] * (reach + self.lattice.cell_reach)
 
     @property
     def lenses_like_bins(self) -> bool:

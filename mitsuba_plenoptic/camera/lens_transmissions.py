@@ -62,9 +62,9 @@ class LensTransmissions(PlainData):
             f"values of shape {values.shape}: it must have 1 to {_LARGEST} rows and columns",
         )
         refuse_if(values.min() < 0 or values.max() > _BRIGHTEST, f"values: they must be from 0 to {_BRIGHTEST:g}")
-        given = (-(columns // 2), -(rows // 2)) if self.first is None else self.first
-        pair = require_pair("first", given, "(column, row)")
-        first = tuple(require_count("first", number, minimum=-_FARTHEST, maximum=_FARTHEST) for number in pair)
+        first_lens = (-(columns // 2), -(rows // 2)) if self.first is None else self.first
+        pair = require_pair("first", first_lens, "(column, row)")
+        first = tuple(require_count("first", index, minimum=-_FARTHEST, maximum=_FARTHEST) for index in pair)
         values = values.round(_DECIMALS)
         values.flags.writeable = False
         put(self, values=values, first=first)

@@ -37,9 +37,9 @@ _SQUARE = 0.01
 """Relative difference of a pixel's sides up to which rounded figures of a data sheet state square pixels."""
 
 
-def missing_from(given: dict[str, Any]) -> list[str]:
+def missing_from(sheet: dict[str, Any]) -> list[str]:
     """Return what an incomplete data sheet lacks."""
-    has = {name for name, value in given.items() if value is not None}
+    has = {name for name, value in sheet.items() if value is not None}
     missing = [] if "f_number" in has else ["f_number"]
     missing += [] if has & {"lenses", "resolution", "sensor_size"} else ["lenses, resolution or sensor_size"]
     missing += [] if has & {"pixels_per_lens", "mla_pitch"} else ["pixels_per_lens or mla_pitch"]
@@ -48,10 +48,10 @@ def missing_from(given: dict[str, Any]) -> list[str]:
     return missing + ([] if has & {"focus_distance", "mla_distance"} else ["focus_distance or mla_distance"])
 
 
-def require_enough(given: dict[str, Any]) -> None:
+def require_enough(sheet: dict[str, Any]) -> None:
     """Refuse missing arguments of a matched camera, and an argument that follows from the others."""
-    has = {name for name, value in given.items() if value is not None}
-    missing = missing_from(given)
+    has = {name for name, value in sheet.items() if value is not None}
+    missing = missing_from(sheet)
     refuse_if(missing, f"{', '.join(missing)}: missing; a camera of {', '.join(MATCHED)} needs it")
     for names in (
         ("pixels_per_lens", "mla_pitch"),
@@ -62,7 +62,7 @@ def require_enough(given: dict[str, Any]) -> None:
         refuse_if(has.issuperset(names), f"{', '.join(names)}: one of them follows from the others; leave it out")
     for name, others in FOLLOWING.items():
         if name in has:
-            raise InputError(f"{name} = {short_repr(given[name])}: it follows from {others}; leave it out")
+            raise InputError(f"{name} = {short_repr(sheet[name])}: it follows from {others}; leave it out")
 
 
 def behind_pupil(
@@ -89,11 +89,11 @@ def behind_pupil(
         size = require_length("pixel_size", pixel_size)
     else:
         assert sides is not None and pixels is not None
-        size, other = (side / count for side, count in zip(sides, pixels, strict=True))
+        size, height = (side / count for side, count in zip(sides, pixels, strict=True))
         refuse_if(
-            abs(other / size - 1) > _SQUARE,
-            f"sensor_size = {short_repr(sensor_size)}: with resolution = {pixels} pixels are {size:.4g} by {other:.4g} "
-            "mm: they must be square",
+            abs(height / size - 1) > _SQUARE,
+            f"sensor_size = {short_repr(sensor_size)}: with resolution = {pixels} pixels are {size:.4g} by "
+            f"{height:.4g} mm: they must be square",
         )
     if mla_pitch is None:
         micro_image = size * require_number("pixels_per_lens", pixels_per_lens, minimum=1, maximum=MOST_PIXELS)

@@ -560,7 +560,9 @@ else:
     )
     CameraParameters.__doc__ = "The whole table; an instance holds one camera's values, which `PlenopticCamera` checks."
 
-PARAMETERS = {entry.name: entry for entry in (cast(Parameter, each.default) for each in fields(CameraParameters))}
+PARAMETERS = {
+    entry.name: entry for entry in (cast(Parameter, parameter.default) for parameter in fields(CameraParameters))
+}
 """The entries of the table by the names of the constructor's arguments."""
 
 FILE_READERS: dict[Form, tuple[Callable[..., Any], str]] = {

@@ -46,14 +46,14 @@ _PLACES = 33
 """Places across a crop at which shifts to chief rays are fitted."""
 
 
-def checked_values(given: dict[str, Any]) -> dict[str, Any]:
+def checked_values(stated: dict[str, Any]) -> dict[str, Any]:
     """Return all parameters of a camera by attribute: given ones after their checks, otherwise defaults."""
     values: dict[str, Any] = {}
     lattice = PARAMETERS["mla_lattice"]
-    has_array = lattice.check(lattice.name, given.get(lattice.name, lattice.default)) != NO_LATTICE
+    has_array = lattice.check(lattice.name, stated.get(lattice.name, lattice.default)) != NO_LATTICE
     for name, entry in PARAMETERS.items():
         without = entry.of_array and not has_array
-        value = given.get(name, None if without else entry.default)
+        value = stated.get(name, None if without else entry.default)
         if without and value is not None:
             raise InputError(f"{name} = {short_repr(value)}: {NO_ARRAY_HERE}; leave it out")
         missing = value is None and (without or entry.default is None)
@@ -61,17 +61,17 @@ def checked_values(given: dict[str, Any]) -> dict[str, Any]:
 
     # The main lens, and the distance of the array from it.
     data, focus = values["main_lens"] or THIN, values["focus_distance"]
-    for name, number in zip(("focal_length", "aperture_radius"), data.own_numbers(values["focal_length"]), strict=True):
+    for name, length in zip(("focal_length", "aperture_radius"), data.own_numbers(values["focal_length"]), strict=True):
         if values[name] is None:
-            values[name] = PARAMETERS[name].check(name, number)
+            values[name] = PARAMETERS[name].check(name, length)
     if focus is not None:
         if values["mla_distance"] is not None:
             raise InputError(
                 f"mla_distance = {values['mla_distance']:g} and focus_distance = {focus:g}: give one of the two"
             )
         data.require_focusable(focus)
-        found = image_distance(values["focal_length"], focus, name="focus_distance")
-        values["mla_distance"] = PARAMETERS["mla_distance"].check("mla_distance", found)
+        conjugate = image_distance(values["focal_length"], focus, name="focus_distance")
+        values["mla_distance"] = PARAMETERS["mla_distance"].check("mla_distance", conjugate)
     elif values["mla_distance"] is None:
         values["mla_distance"] = data.array_distance()
     values |= data.settled({name: values[name] for name in ("focal_length", "aperture_radius", "mla_distance")})
@@ -84,8 +84,8 @@ def checked_values(given: dict[str, Any]) -> dict[str, Any]:
     # The crop window, by default the part of the detector beyond its offset.
     resolution, offset, size = values["resolution"], values["crop_offset"], values["crop_size"]
     if size is None:
-        rest = tuple(count - first for count, first in zip(resolution, offset, strict=True))
-        size = values["crop_size"] = PARAMETERS["crop_size"].check("crop_size", rest)
+        remaining = tuple(count - first for count, first in zip(resolution, offset, strict=True))
+        size = values["crop_size"] = PARAMETERS["crop_size"].check("crop_size", remaining)
     refuse_if(
         any(first + recorded > count for count, first, recorded in zip(resolution, offset, size, strict=True)),
         f"crop_offset = {offset} with crop_size = {size}: the window must lie within the resolution {resolution}",
@@ -93,10 +93,12 @@ def checked_values(given: dict[str, Any]) -> dict[str, Any]:
     return values
 
 
-def _numbers_of_lens(given: dict[str, Any]) -> frozenset[str]:
+def _numbers_of_lens(stated: dict[str, Any]) -> frozenset[str]:
     """Return which of focal length, aperture and distance parameters give, `focus_distance` in place of a distance."""
     names = {
-        PARAMETERS[name].instead_of or name for name, value in given.items() if value is not None and name in PARAMETERS
+        PARAMETERS[name].instead_of or name
+        for name, value in stated.items()
+        if value is not None and name in PARAMETERS
     }
     return frozenset(names & {"focal_length", "aperture_radius", "mla_distance"})
 
@@ -105,13 +107,13 @@ def _settled_array(values: dict[str, Any]) -> dict[str, Any]:
     """Return a camera's focal lengths and detector distance of the microlenses; refuse a contradictory array."""
     focal_lengths = values["mla_focal_lengths"] or (0.512,)
     if values["mla_shape"] is not None:
-        own = focal_length_of(values["mla_shape"], values["mla_medium"], values["mla_focal_lengths"])
-        focal_lengths = PARAMETERS["mla_focal_length"].check("mla_focal_length", own)
+        focal_length = focal_length_of(values["mla_shape"], values["mla_medium"], values["mla_focal_lengths"])
+        focal_lengths = PARAMETERS["mla_focal_length"].check("mla_focal_length", focal_length)
         refuse_if(values["mla_glass"] is not None, "mla_glass: an mla_shape brings its own material; leave it out")
     types = LATTICES[values["mla_lattice"]].lens_types
     if len(focal_lengths) not in (1, types):
-        several = ", ".join(name for name, each in LATTICES.items() if each.lens_types > 1)
-        rule = f"one number or {types}" if types > 1 else f"one number; several need mla_lattice = {several}"
+        of_types = ", ".join(name for name, lattice in LATTICES.items() if lattice.lens_types > 1)
+        rule = f"one number or {types}" if types > 1 else f"one number; several need mla_lattice = {of_types}"
         raise InputError(f"mla_focal_length = {short_repr(focal_lengths)}: it must be {rule}")
     size, length = values["mla_figure_error"]
     refuse_if(
@@ -303,12 +305,12 @@ class PlenopticCamera(CameraGeometry, Displayed):
             behind = behind.replace(aperture_radius=behind.focal_length / (2 * number))
         kinds = cls(**{name: others[name] for name in ("mla_lattice", "mla_medium") if name in others})
         kinds.require_array("matched")
-        found = behind_pupil(
+        lengths = behind_pupil(
             behind.pupil_distance, behind.pupil_radius, **sheet, lattice=kinds.mla_lattice, medium=kinds.mla_medium
         )
         if others.get("mla_shape") is not None:
-            found.pop("mla_focal_length")  # a shape brings its own
-        return cls(**others | {"aperture_radius": behind.aperture_radius} | found)
+            lengths.pop("mla_focal_length")  # a shape brings its own
+        return cls(**others | {"aperture_radius": behind.aperture_radius} | lengths)
 
     @classmethod
     def from_sensor(cls, sensor: Any) -> PlenopticCamera:
@@ -326,8 +328,8 @@ class PlenopticCamera(CameraGeometry, Displayed):
         """
         camera = getattr(sensor, "camera", None)
         if not isinstance(camera, cls):
-            found = getattr(sensor, "class_name", lambda: type(sensor).__name__)()
-            raise InputError(f"sensor of type {found}: a plenoptic camera needs a sensor of type 'plenoptic'")
+            class_name = getattr(sensor, "class_name", lambda: type(sensor).__name__)()
+            raise InputError(f"sensor of type {class_name}: a plenoptic camera needs a sensor of type 'plenoptic'")
         return camera
 
     @classmethod
@@ -395,18 +397,18 @@ class PlenopticCamera(CameraGeometry, Displayed):
             raise InputError(f"camera = {short_repr(values)}: it must be camera parameters by name")
         of_sheet = [name for name in MATCHED if name in values]
         # A single one of them is rather meant for a camera that has its other parameters.
-        known = {*PARAMETERS, *MATCHED} if len(of_sheet) > 1 else PARAMETERS
-        for name in sorted(set(values) - set(known)):
+        allowed = {*PARAMETERS, *MATCHED} if len(of_sheet) > 1 else PARAMETERS
+        for name in sorted(set(values) - set(allowed)):
             raise InputError(
-                missing("parameters", name) or f"{name}: it is not a camera parameter{did_you_mean(name, known)}"
+                missing("parameters", name) or f"{name}: it is not a camera parameter{did_you_mean(name, allowed)}"
             )
         if of_sheet:
             return cls.matched(**values)
         camera = cls(**values)
         # Files state all numbers: those that the camera has without them count as not given.
-        own = dict(zip(("focal_length", "aperture_radius"), camera.lens_data.own_numbers(None), strict=True))
-        own["mla_distance"] = camera.lens_data.array_distance()
-        put(camera, _given=frozenset(name for name in camera._given if getattr(camera, name) != own[name]))
+        of_lens = dict(zip(("focal_length", "aperture_radius"), camera.lens_data.own_numbers(None), strict=True))
+        of_lens["mla_distance"] = camera.lens_data.array_distance()
+        put(camera, _given=frozenset(name for name in camera._given if getattr(camera, name) != of_lens[name]))
         return camera
 
     def to_sensor(self, to_world: Any = None, pixel_format: str = "luminance") -> dict[str, Any]:
@@ -470,18 +472,18 @@ class PlenopticCamera(CameraGeometry, Displayed):
         """
 
         def element(tag: str, values: dict[str, Any], **attributes: str) -> ElementTree.Element:
-            made = ElementTree.Element(tag, {"type": values["type"], **attributes})
+            node = ElementTree.Element(tag, {"type": values["type"], **attributes})
             for name, value in values.items():
                 if isinstance(value, dict):
-                    made.append(element(name, value))
+                    node.append(element(name, value))
                 elif name != "type":
                     kind = {int: "integer", float: "float", str: "string"}[type(value)]
-                    ElementTree.SubElement(made, kind, name=name, value=str(value))
-            return made
+                    ElementTree.SubElement(node, kind, name=name, value=str(value))
+            return node
 
         tree = element("sensor", self.to_sensor(pixel_format=pixel_format), id="camera")
         if to_world is not None:
-            place = ElementTree.Element("transform", name="to_world")
+            transform = ElementTree.Element("transform", name="to_world")
             with refusing(f"to_world = {short_repr(to_world)}: it must be a transform, 4 x 4 numbers", *NO_ARRAY):
                 matrix = np.array(getattr(to_world, "matrix", to_world), np.float64).squeeze()
             refuse_if(matrix.shape != (4, 4), f"to_world of shape {matrix.shape}: it must be a transform, 4 x 4")
@@ -494,8 +496,8 @@ class PlenopticCamera(CameraGeometry, Displayed):
                 not rigid,
                 "to_world: it must be a rotation and a translation, without scale; give lengths in scene units instead",
             )
-            ElementTree.SubElement(place, "matrix", value=" ".join(map(repr, matrix.ravel().tolist())))
-            tree.insert(0, place)
+            ElementTree.SubElement(transform, "matrix", value=" ".join(map(repr, matrix.ravel().tolist())))
+            tree.insert(0, transform)
         ElementTree.indent(tree, "    ")
         return ElementTree.tostring(tree, encoding="unicode") + "\n"
 
@@ -545,7 +547,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     def _following(self, lens: LensData) -> set[str]:
         """Return the names of numbers that follow from another main lens or focal length, and are not kept."""
-        old, new = ({*each.sets, *(() if each.converges else ("mla_distance",))} for each in (self.lens_data, lens))
+        old, new = ({*data.sets, *(() if data.converges else ("mla_distance",))} for data in (self.lens_data, lens))
         widest = self.lens_data.own_numbers(self.focal_length)[1]
         if self.prescription is not None and math.isclose(self.aperture_radius, widest, rel_tol=SINGLE):
             old.add("aperture_radius")
@@ -561,11 +563,11 @@ class PlenopticCamera(CameraGeometry, Displayed):
         if not self.mla_cra:
             return self
         edges = (self.pixel_coordinates(axis)[[0, -1]] + 0.5 * self.pixel_size * np.array([-1, 1]) for axis in (0, 1))
-        place = np.stack(np.meshgrid(*(np.linspace(low, high, _PLACES) for low, high in edges)))
+        grid = np.stack(np.meshgrid(*(np.linspace(low, high, _PLACES) for low, high in edges)))
         shifts = Displacement(chief_rays=self.mla_cra, distance=self.detector_distance, medium=self.mla_medium)
-        shift = np.stack(shifts.smooth(*place))
-        middle, moved = place.mean((1, 2)), shift.mean((1, 2))
-        about = place - middle[:, None, None]
+        shift = np.stack(shifts.smooth(*grid))
+        middle, moved = grid.mean((1, 2)), shift.mean((1, 2))
+        about = grid - middle[:, None, None]
         stretch = 1 + (about * shift).sum() / (about**2).sum()
         return self.replace(
             mla_cra=(),
@@ -577,9 +579,9 @@ class PlenopticCamera(CameraGeometry, Displayed):
     def is_dispersive(self) -> bool:
         """Whether paths of rays through the camera depend on the wavelength."""
         glasses = self.glass, self.mla_glass
-        own = any(glass is not None and glass.form != "index" for glass in glasses)
+        by_wavelength = any(glass is not None and glass.form != "index" for glass in glasses)
         shaped = self.mla_shape is not None and self.mla_shape.disperses
-        return own or shaped or self.lens_data.disperses
+        return by_wavelength or shaped or self.lens_data.disperses
 
     def at_wavelength(self, wavelength: float) -> PlenopticCamera:
         """Return the camera with the focal lengths of its thin lenses at one wavelength, and without their glasses.
@@ -624,6 +626,6 @@ def film_numbers(film: Any) -> dict[str, Any]:
     }
 
 
-def are_alike(one: PlenopticCamera, other: PlenopticCamera | None) -> bool:
+def are_alike(first: PlenopticCamera, second: PlenopticCamera | None) -> bool:
     """Return whether two cameras are equal apart from `lens_model`, so that their pixels and views correspond."""
-    return one == other or (other is not None and one == other.replace(lens_model=one.lens_model))
+    return first == second or (second is not None and first == second.replace(lens_model=first.lens_model))

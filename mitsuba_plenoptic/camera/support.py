@@ -419,8 +419,8 @@ def refusal(name: str, value: Any, use: Use, entry: Support) -> str:
     if entry.where is _NO_ARRAY:
         return f"{use.words}: {NO_ARRAY_HERE}"
     instead = f"use {entry.instead}, or leave it out" if entry.instead else "leave it out"
-    shown = value.label if name == "main_lens" else value if isinstance(value, str) else short_repr(value)
-    return f"{name} = {shown}: {use.words} refuse it: {entry.words}; {instead}"
+    text = value.label if name == "main_lens" else value if isinstance(value, str) else short_repr(value)
+    return f"{name} = {text}: {use.words} refuse it: {entry.words}; {instead}"
 
 
 def support_table() -> str:

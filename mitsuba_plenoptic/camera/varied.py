@@ -39,7 +39,7 @@ def varied_camera(stated: Mapping[str, Any], varied: Mapping[str, Any]) -> Pleno
 
 def _joined(stated: Mapping[str, Any], varied: Mapping[str, Any]) -> dict[str, Any]:
     """Return stated values with varied ones in place of those that they replace."""
-    replaced = {other for one, two in _EITHER for name, other in ((one, two), (two, one)) if name in varied}
+    replaced = {partner for first, two in _EITHER for name, partner in ((first, two), (two, first)) if name in varied}
     if "crop_size" in stated and tuple(stated["crop_size"]) == _resolution(stated):
         replaced.add("crop_size")
     return {name: value for name, value in stated.items() if name not in replaced} | dict(varied)

@@ -95,17 +95,17 @@ class CameraVector:
 
         The piston of aberrations is left out.
         """
-        found = []
+        components = []
         for name in names:
             count, entry = len(parts_of(camera, name)), PARAMETERS[name]
             if entry.form is Form.SEVERAL and len(shortest_parts(camera, name)) == 1:
-                found.append(Component(name, tuple(range(count)), name))
+                components.append(Component(name, tuple(range(count)), name))
                 continue
             rule = "the camera has no coefficients to start from; give it some, zeros too"
             refuse_if(count <= entry.unseen, f"{name}: {rule}")
-            labels = [f"{name}.{part + 1}" for part in range(count)] if count > 1 else [name]
-            found += [Component(name, (part,), labels[part]) for part in range(entry.unseen, count)]
-        return cls(camera, tuple(found))
+            labels = [f"{name}.{index + 1}" for index in range(count)] if count > 1 else [name]
+            components += [Component(name, (index,), labels[index]) for index in range(entry.unseen, count)]
+        return cls(camera, tuple(components))
 
     def of(self, camera: PlenopticCamera) -> CameraVector:
         """Return the vector of the same components for another camera."""
@@ -114,27 +114,27 @@ class CameraVector:
     def keep(self, labels: Iterable[str]) -> CameraVector:
         """Return the components with the given labels, in their order in this vector."""
         chosen = set(labels)
-        return replace(self, components=tuple(each for each in self.components if each.label in chosen))
+        return replace(self, components=tuple(component for component in self.components if component.label in chosen))
 
     @property
     def labels(self) -> list[str]:
         """Names of the components: the parameter and, if it has several components, the index from 1."""
-        return [each.label for each in self.components]
+        return [component.label for component in self.components]
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters, without repetitions."""
-        return tuple(dict.fromkeys(each.name for each in self.components))
+        return tuple(dict.fromkeys(component.name for component in self.components))
 
     @property
     def values(self) -> Array:
         """Values of the components, in the units of the parameters."""
-        return np.array([parts_of(self.camera, each.name)[each.parts[0]] for each in self.components])
+        return np.array([parts_of(self.camera, component.name)[component.parts[0]] for component in self.components])
 
     @property
     def scales(self) -> Array:
         """Steps of a fit, one for each component: a hundredth of its value, a degree, a pitch, or a wave."""
-        scales = (PARAMETERS[each.name].scale for each in self.components)
+        scales = (PARAMETERS[component.name].scale for component in self.components)
         pairs = zip(scales, self.values, strict=True)
         return np.array([scale(self.camera) if scale else abs(value) / 100 for scale, value in pairs])
 
@@ -145,11 +145,13 @@ class CameraVector:
         """
         labels, start = self.labels, self.values
         low, high = start - _FARTHEST * self.scales, start + _FARTHEST * self.scales
-        for index, each in enumerate(self.components):
-            highest = PARAMETERS[each.name].highest
+        for index, component in enumerate(self.components):
+            highest = PARAMETERS[component.name].highest
             high[index] = high[index] if highest is None else highest
         for name, pair in (bounds or {}).items():
-            where = [index for index, each in enumerate(self.components) if name in (each.label, each.name)]
+            where = [
+                index for index, component in enumerate(self.components) if name in (component.label, component.name)
+            ]
             if not where:
                 raise InputError(
                     f"bounds: {short_repr(name)} is not fitted; there are {', '.join(labels)}"
@@ -170,19 +172,19 @@ class CameraVector:
     def at(self, values: Array) -> PlenopticCamera:
         """Return the camera with other values of the components."""
         parts: Values = {}
-        for each, value in zip(self.components, values.tolist(), strict=True):
-            parts.setdefault(each.name, parts_of(self.camera, each.name))[list(each.parts)] = value
+        for component, value in zip(self.components, values.tolist(), strict=True):
+            parts.setdefault(component.name, parts_of(self.camera, component.name))[list(component.parts)] = value
         return with_parts(self.camera, parts)
 
     def directions(self) -> list[Values]:
         """Return the change of the parameters for a unit change of each component."""
         changes = []
-        for each in self.components:
-            change = np.zeros(size_of(self.camera, each.name))
-            change[list(each.parts)] = 1
-            changes.append({each.name: change})
+        for component in self.components:
+            change = np.zeros(size_of(self.camera, component.name))
+            change[list(component.parts)] = 1
+            changes.append({component.name: change})
         return changes
 
     def slopes(self, gradient: Mapping[str, Array]) -> Array:
         """Return the derivatives with respect to this vector, from derivatives by all components of the parameters."""
-        return np.array([gradient[each.name][list(each.parts)].sum() for each in self.components])
+        return np.array([gradient[component.name][list(component.parts)].sum() for component in self.components])

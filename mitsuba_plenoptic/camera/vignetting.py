@@ -75,10 +75,10 @@ class Vignetting(PlainData):
     def __post_init__(self) -> None:
         put(self, scale=require_length("scale", self.scale))
         for name in VIGNETTING_NUMBERS:
-            given = getattr(self, name)
-            values = (given,) if isinstance(given, (int, float)) else tuple(given) if hasattr(given, "__iter__") else ()
+            value = getattr(self, name)
+            values = (value,) if isinstance(value, (int, float)) else tuple(value) if hasattr(value, "__iter__") else ()
             counts = ", ".join(map(str, _DEGREES))
-            refuse_if(len(values) not in _DEGREES, f"{name} = {short_repr(given)}: it has {counts} coefficients")
+            refuse_if(len(values) not in _DEGREES, f"{name} = {short_repr(value)}: it has {counts} coefficients")
             put(self, **{name: require_numbers(name, values, count=len(values), minimum=-_LARGEST, maximum=_LARGEST)})
 
     def at(self, x: Any, y: Any) -> dict[str, Any]:

@@ -180,10 +180,10 @@ def _behind_lens(source: str) -> PlenopticCamera:
         focal_length, _ = lens.own_numbers(None)
     except InputError as error:
         raise InputError(f"{source}: {str(error).removeprefix('main_lens: ')}") from None
-    own = PlenopticCamera().detector_width / THIN.own_numbers(None)[0] * focal_length
+    width = PlenopticCamera().detector_width / THIN.own_numbers(None)[0] * focal_length
     for distance in (math.inf, 2 * focal_length):
         with contextlib.suppress(InputError):
-            return PlenopticCamera(main_lens=lens, focus_distance=distance, detector_width=own, mla_lattice="none")
+            return PlenopticCamera(main_lens=lens, focus_distance=distance, detector_width=width, mla_lattice="none")
     raise InputError(
         f"{source}: the images of objects at infinity and at twice its focal length, {focal_length:.4g} mm, lie within "
         "the lens or before its exit pupil: no detector can stand there"

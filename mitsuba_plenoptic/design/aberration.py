@@ -44,9 +44,12 @@ def parabolic_aberration(camera: PlenopticCamera, wavelength: float) -> float:
     wavelength = require_wavelength(wavelength)
     if camera.main_lens is not None:
         return 0.0
-    seen = camera.at_wavelength(wavelength)
-    distances = [g for g in best_distances(seen) if g > seen.focal_length]
-    return max((_peak_to_valley(seen, min(g, _FAR * seen.mla_distance), wavelength) for g in distances), default=0.0)
+    at_wavelength = camera.at_wavelength(wavelength)
+    distances = [g for g in best_distances(at_wavelength) if g > at_wavelength.focal_length]
+    return max(
+        (_peak_to_valley(at_wavelength, min(g, _FAR * at_wavelength.mla_distance), wavelength) for g in distances),
+        default=0.0,
+    )
 
 
 def _peak_to_valley(camera: PlenopticCamera, distance: float, wavelength: float) -> float:
@@ -62,10 +65,10 @@ def _peak_to_valley(camera: PlenopticCamera, distance: float, wavelength: float)
         main_lens(camera, wavelength, model=model).path((x, y), point, wavelength) for model in ("parabolic", "ideal")
     )
     scale = np.sqrt(weights)[:, None]
-    own = np.stack([np.ones_like(x), x, y], axis=1)
+    plane = np.stack([np.ones_like(x), x, y], axis=1)
 
     def rest(values: np.ndarray) -> np.ndarray:
-        return values - own @ np.linalg.lstsq(scale * own, scale * values, rcond=None)[0]
+        return values - plane @ np.linalg.lstsq(scale * plane, scale * values, rcond=None)[0]
 
     path, defocus = rest((parabolic - ideal).T), rest((x * x + y * y)[:, None])
     path -= defocus * (weights @ (path * defocus)).sum() / (_HEIGHTS * (weights @ defocus**2).sum())

@@ -163,13 +163,13 @@ def microscope_findings(camera: PlenopticCamera, wavelength: float | None = None
                 (("take narrower lenses", {"mla_pitch": narrower}),),
             )
     else:
-        part = camera.micro_image_diameter / camera.mla_pitch
+        fill = camera.micro_image_diameter / camera.mla_pitch
         matching = f"a microlens of {lens.magnification / (2 * lens.numerical_aperture):.3g} times its pitch suits"
-        remedy = (matching, detector_at(camera, camera.reduced_distance / part))
-        if part > 1.05:
-            yield Finding(f"micro-images overlap: their diameter is {part:.3g} of their pitch", (remedy,))
-        elif part < 0.5:
-            yield Finding(f"pixels are wasted: micro-images fill {part:.0%} of their pitch", (remedy,))
+        remedy = (matching, detector_at(camera, camera.reduced_distance / fill))
+        if fill > 1.05:
+            yield Finding(f"micro-images overlap: their diameter is {fill:.3g} of their pitch", (remedy,))
+        elif fill < 0.5:
+            yield Finding(f"pixels are wasted: micro-images fill {fill:.0%} of their pitch", (remedy,))
     if wavelength is not None:
         spot = in_millimetres(wavelength) * camera.reduced_distance / camera.lattice.aperture_width
         if camera.pixel_size > spot / 2 * (1 + SINGLE):

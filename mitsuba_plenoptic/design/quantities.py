@@ -326,10 +326,10 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
         infinite.
     """
     camera.require_lens("the range of depths")
-    found: list[tuple[float, float] | None] = []
+    ranges: list[tuple[float, float] | None] = []
     for focus, a in zip(focus_types(camera), mla_object_distances(camera), strict=True):
         if focus == "unfocused":
-            found.append(refocus_range(camera, wavelength))
+            ranges.append(refocus_range(camera, wavelength))
             continue
         side = math.copysign(1, a)
         # The cone of a point is a lens pitch wide at |s| = D2 / D1, with s = -a / (b - a).
@@ -342,8 +342,8 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
             math.inf if image <= camera.focal_length else conjugate_distance(camera.focal_length, image)
             for image in reversed(images)
         ]
-        found.append((objects[0], objects[1]) if near <= far and objects[0] < math.inf else None)
-    return found
+        ranges.append((objects[0], objects[1]) if near <= far and objects[0] < math.inf else None)
+    return ranges
 
 
 def sharp_images(camera: PlenopticCamera, a: float, covering: float, wavelength: float | None) -> tuple[float, float]:

@@ -86,10 +86,10 @@ def finer_pixels(camera: PlenopticCamera, factor: float) -> Changes:
     def several(pair: tuple[int, int]) -> tuple[int, int]:
         return count * pair[0], count * pair[1]
 
-    found = {"resolution": several(camera.resolution)}
+    changes = {"resolution": several(camera.resolution)}
     if camera.is_cropped:
-        found |= {"crop_offset": several(camera.crop_offset), "crop_size": several(camera.crop_size)}
-    return found
+        changes |= {"crop_offset": several(camera.crop_offset), "crop_size": several(camera.crop_size)}
+    return changes
 
 
 def in_millimetres(camera: PlenopticCamera) -> Changes:
@@ -97,7 +97,7 @@ def in_millimetres(camera: PlenopticCamera) -> Changes:
     of_length = [name for name, entry in PARAMETERS.items() if entry.unit == "mm" and not entry.instead_of]
     values = {name: getattr(camera, PARAMETERS[name].attribute) for name in of_length}
     return {
-        name: tuple(1000 * one for one in value) if isinstance(value, tuple) else 1000 * value
+        name: tuple(1000 * length for length in value) if isinstance(value, tuple) else 1000 * value
         for name, value in values.items()
         if value is not None
     }

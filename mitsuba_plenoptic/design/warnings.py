@@ -70,14 +70,14 @@ def mended(camera: PlenopticCamera, wavelength: float | None = None) -> Plenopti
     best, fewest = camera, math.inf
     tried = [camera]
     # The list grows as it is gone through: all cameras of one change come before those of two.
-    for each in tried:
-        findings = list(_findings(each, wavelength))
+    for candidate in tried:
+        findings = list(_findings(candidate, wavelength))
         if len(findings) < fewest:
-            best, fewest = each, len(findings)
+            best, fewest = candidate, len(findings)
         if not findings:
             break
         for finding in findings:
-            for _, changed in finding.mended(each):
+            for _, changed in finding.mended(candidate):
                 if changed not in tried and len(tried) < _MOST_CAMERAS:
                     tried.append(changed)
     return best
@@ -144,8 +144,8 @@ def _sizes(camera: PlenopticCamera) -> Iterator[Finding]:
     elif focus_type(camera) != "unfocused" and _rims_overlap(camera):
         z, radius, fill = camera.reduced_distance, camera.aperture_radius, camera.mla_fill
 
-        def apart(other: PlenopticCamera) -> bool:
-            return not _rims_overlap(other)
+        def apart(changed: PlenopticCamera) -> bool:
+            return not _rims_overlap(changed)
 
         yield Finding(
             "micro-images overlap at their rims, which a lens that is in focus on the object blurs: light of "
@@ -206,13 +206,13 @@ def _seeing_farther(camera: PlenopticCamera) -> Changes:
         # Of several types one sees the main lens where it is in focus, and farther than all where it nearly is.
         blurs = (sign * blur for blur in (1.5, 3, 6, 12) for sign in (1, -1))
         shares = (1 + blur * camera.pixel_size / camera.lattice.aperture_width for blur in blurs)
-        found = [share * camera.detector_distance for share in shares if share > 0]
+        distances = [share * camera.detector_distance for share in shares if share > 0]
     else:
         width = camera.aperture_diameter * (1 - SINGLE)
         reach = math.copysign(pitch * camera.mla_distance / (width + math.copysign(pitch, a)), a)
         power = 1 / camera.reduced_focal_lengths[0] - 1 / reach
-        found = [camera.mla_medium / power] if power > 0 and reach * a > 0 else []
-    for distance in found:
+        distances = [camera.mla_medium / power] if power > 0 and reach * a > 0 else []
+    for distance in distances:
         changed = changed_camera(camera, {"detector_distance": distance})
         if changed is not None and not _gaps(changed):
             return {"detector_distance": distance}

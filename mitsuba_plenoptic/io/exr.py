@@ -65,7 +65,9 @@ def write_exr_parts(
     full_size: tuple[int, int] | None = None,
 ) -> None:
     """Write the parts of an OpenEXR file, each of channels (rows, columns) by name; the first has attributes."""
-    floats = [{key: np.ascontiguousarray(plane, np.float32) for key, plane in part.items()} for part in parts.values()]
+    floats = [
+        {key: np.ascontiguousarray(plane, np.float32) for key, plane in channels.items()} for channels in parts.values()
+    ]
     shapes = [next(iter(planes.values())).shape for planes in floats]
     # All parts of a file must share one display window.
     display = _window(0, 0, *(full_size or (max(columns for _, columns in shapes), max(rows for rows, _ in shapes))))
@@ -152,24 +154,24 @@ def read_pixels(path: str | Path, camera: PlenopticCamera | None = None) -> np.n
     path = require_file(path)
     parts = read_parts(path)
     with _undamaged(path):
-        part, names = _only_layer(parts)
-        (left, top), (right, bottom) = (map(int, corner) for corner in part.header["displayWindow"])
+        layer, names = _only_layer(parts)
+        (left, top), (right, bottom) = (map(int, corner) for corner in layer.header["displayWindow"])
         size = (right - left + 1, bottom - top + 1)
-        top = top - part.origin[1]
-        left = left - part.origin[0]
+        top = top - layer.origin[1]
+        left = left - layer.origin[0]
         if camera is not None and size == camera.resolution:
             left = left + camera.crop_offset[0]
             top = top + camera.crop_offset[1]
             size = camera.crop_size
         refuse_if(
-            min(left, top) < 0 or left + size[0] > part.columns or top + size[1] > part.rows,
-            f"{path}: its data window of {part.columns} x {part.rows} pixels at {part.origin} does not cover the "
+            min(left, top) < 0 or left + size[0] > layer.columns or top + size[1] > layer.rows,
+            f"{path}: its data window of {layer.columns} x {layer.rows} pixels at {layer.origin} does not cover the "
             f"{size[0]} x {size[1]} of the detector: write all, or give a camera with crop_offset and crop_size",
         )
         with _opened(path, parts) as file:
-            channels = file.parts[parts.index(part)].channels
+            channels = file.parts[parts.index(layer)].channels
             planes = [channels[name].pixels for name in names]
-            if any(plane.dtype.kind != "f" or plane.shape != (part.rows, part.columns) for plane in planes):
+            if any(plane.dtype.kind != "f" or plane.shape != (layer.rows, layer.columns) for plane in planes):
                 raise ValueError("its channels must be of half or single precision, with a sample for each pixel")
             cut = np.s_[top : top + size[1], left : left + size[0]]
             image = np.stack([plane[cut] for plane in planes], -1, dtype=np.float32)
@@ -206,14 +208,14 @@ def read_attributes(path: str | Path) -> dict[str, Any]:
         return _attributes(path, parts[0]) if ATTRIBUTE in parts[0].header else {}
 
 
-def _attributes(path: Path, part: ExrPart) -> dict[str, Any]:
+def _attributes(path: Path, layer: ExrPart) -> dict[str, Any]:
     """Return the content of this package's attribute in an OpenEXR header."""
     refuse_if(
-        ATTRIBUTE not in part.header,
+        ATTRIBUTE not in layer.header,
         f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; give "
         + advice(python="camera", shell="--camera, where a command has it"),
     )
-    attributes = json.loads(part.header[ATTRIBUTE])
+    attributes = json.loads(layer.header[ATTRIBUTE])
     if not isinstance(attributes, dict):
         raise ValueError(f"attribute '{ATTRIBUTE}' is not a JSON object")
     return attributes
@@ -232,11 +234,11 @@ def read_parts(path: Path) -> list[ExrPart]:
         native_output_dropped(),
         OpenEXR.File(str(path), separate_channels=True, header_only=True) as opened,
     ):
-        for part in opened.parts:
-            (left, top), (right, bottom) = (map(int, corner) for corner in part.header["dataWindow"])
-            names = tuple(channel.name for channel in part.header["channels"])
+        for layer in opened.parts:
+            (left, top), (right, bottom) = (map(int, corner) for corner in layer.header["dataWindow"])
+            names = tuple(channel.name for channel in layer.header["channels"])
             # Closing the file empties its own dictionary.
-            parts.append(ExrPart((left, top), right - left + 1, bottom - top + 1, names, dict(part.header)))
+            parts.append(ExrPart((left, top), right - left + 1, bottom - top + 1, names, dict(layer.header)))
     return parts
 
 

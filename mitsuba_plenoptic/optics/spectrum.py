@@ -347,13 +347,13 @@ def _nodes(
         del parts[first, last]
         parts |= {interval: errors(*interval) for interval in ((first, between), (between, last))}
     rules = [rule(edges[first], edges[last]) for first, last in sorted(parts)]
-    found = np.concatenate([nodes for nodes, _ in rules]), np.concatenate([weights for _, weights in rules])
+    result = np.concatenate([nodes for nodes, _ in rules]), np.concatenate([weights for _, weights in rules])
     refuse_if(
-        len(found[0]) > MOST_WAVELENGTHS,
+        len(result[0]) > MOST_WAVELENGTHS,
         f"spectrum: the spectra of the scene and the responses need more than {MOST_WAVELENGTHS} wavelengths: "
         "sample them more coarsely",
     )
-    return found
+    return result
 
 
 def _gauss_nodes(wavelengths: NDArray[np.float64], weights: NDArray[np.float64], count: int) -> NDArray[np.float64]:

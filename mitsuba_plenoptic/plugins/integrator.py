@@ -46,8 +46,10 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
         # Attributes of shapes, such as colours and opacities, move nothing.
         moves = isinstance(node, mi.Shape) and not (node.has_attribute(name) or name == "vertex_texcoords")
         if moves or name == "to_world":
-            held = "places of shapes and cameras are held; differentiate captures by rays, through the sensor plenoptic"
-            raise InputError(f"plenoptic_wave: {key}: it has no gradient: {held}")
+            reason = (
+                "places of shapes and cameras are held; differentiate captures by rays, through the sensor plenoptic"
+            )
+            raise InputError(f"plenoptic_wave: {key}: it has no gradient: {reason}")
         if isinstance(node, (mi.Sensor, mi.Film)):
             refuse_if(
                 name not in with_gradient(Captures.POINTS),
@@ -239,8 +241,8 @@ def make_class() -> type:
             shape = *gradients.capture.camera.shape, gradients.capture.spectrum.channels
             with guards.watch():
                 back = develop_back(sensor.film(), grad_in, shape)
-                found = gradients.backward(back, names)
-            for name, gradient in found.items():
+                gradient_of = gradients.backward(back, names)
+            for name, gradient in gradient_of.items():
                 accumulate(sensor, name, gradient)
 
         def _gradients(
@@ -283,8 +285,8 @@ def make_class() -> type:
             """Return the spectrum that a sensor's film records; None if each channel has one wavelength."""
             # Signed rays draw their wavelengths, so they miss no line; in rgb and mono variants spectra are smooth.
             # Signed rays draw their wavelengths, so they miss no line; in rgb and mono variants spectra are smooth.
-            drawn = self.method == SIGNED_RAYS
-            tables = [] if drawn or not mi.is_spectral else colour.tables_of(scene)
+            samples_wavelengths = self.method == SIGNED_RAYS
+            tables = [] if samples_wavelengths or not mi.is_spectral else colour.tables_of(scene)
             return self._spectrum(sensor.film().base_channels_count(), tables)
 
         def _capture(self, scene: Any, sensor: Any) -> SignedCapture | PointsCapture:

@@ -59,11 +59,13 @@ def with_camera(scene: mi.Scene, camera: PlenopticCamera, sensor: int | None = N
     """
     require_active("scene", scene, mi.Scene)
     require_camera(camera)
-    own = [each for each in scene.sensors() if each.get_shape() is None]
+    perspective = [each for each in scene.sensors() if each.get_shape() is None]
     if sensor is None:
         # Other sensors are meters: they measure along a line, say, whatever place a camera of the scene has.
-        cameras = [each for each in own if isinstance(each, mi.ProjectiveCamera) or hasattr(type(each), "camera")]
-        old = next(iter([*cameras, *own]), None)
+        cameras = [
+            each for each in perspective if isinstance(each, mi.ProjectiveCamera) or hasattr(type(each), "camera")
+        ]
+        old = next(iter([*cameras, *perspective]), None)
     else:
         old = numbered_sensor(scene, sensor)
     described = camera.to_sensor()
@@ -83,8 +85,8 @@ def with_camera(scene: mi.Scene, camera: PlenopticCamera, sensor: int | None = N
         if old.film().class_name() == "SpecFilm":
             warn("film of type specfilm: the camera in its place records rgb; its bands are responses of wave captures")
     with loading():
-        made = mi.load_dict(described, parallel=False)
-        made.set_id((old.id() if old is not None else "") or "camera")
-        seen = with_objects(scene, [made], own)
-    warn_of_metres(seen, made)
-    return seen
+        plenoptic = mi.load_dict(described, parallel=False)
+        plenoptic.set_id((old.id() if old is not None else "") or "camera")
+        changed = with_objects(scene, [plenoptic], perspective)
+    warn_of_metres(changed, plenoptic)
+    return changed

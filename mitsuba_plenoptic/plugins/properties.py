@@ -66,12 +66,12 @@ def _plain(value: Any) -> Any:
 def read_camera(props: Any, plugin: str, film: Any) -> tuple[PlenopticCamera, dict[str, Any]]:
     """Return the camera described by a plugin's properties and by its film, the detector, and what they state."""
     with naming(plugin):
-        given = {
+        values = {
             name: _read_parameter(_plain(props[name]), name, entry.form)
             for name, entry in PARAMETERS.items()
             if name in props and entry.form is not Form.FILM
         }
-        stated = given | film_numbers(film)
+        stated = values | film_numbers(film)
         camera = PlenopticCamera(**stated)
         require_support(camera, Use.RAYS)
     return camera, stated
@@ -87,15 +87,15 @@ def _read_parameter(value: Any, name: str, form: Form) -> Any:
     if form in (Form.SEVERAL, Form.NUMBERS, Form.PLACE):
         if is_text:
             with refusing(f"{name} = {value!r}: it must be a number, or several with commas between them", ValueError):
-                value = [float(part) for part in value.split(",")]
+                value = [float(item) for item in value.split(",")]
         elif not hasattr(value, "__len__"):
             value = [value]
-        numbers = tuple(require_number(name, _plain(number)) for number in value)
+        numbers = tuple(require_number(name, _plain(item)) for item in value)
         # Points and vectors have a z.
         return numbers[:2] if form is Form.PLACE and len(numbers) == 3 and numbers[2] == 0 else numbers
     if form in FILE_READERS:
-        read, what = FILE_READERS[form]
-        refuse_if(not is_text, f"{name} = {value!r}: it must be text: {what}")
+        read, rule = FILE_READERS[form]
+        refuse_if(not is_text, f"{name} = {value!r}: it must be text: {rule}")
         return read(value, resolved)
     if form is Form.GLASS and is_object:
         with refusing(f"{name}: it must be a JSON object:", *NO_RECORD):

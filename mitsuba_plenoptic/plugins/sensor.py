@@ -326,5 +326,5 @@ def _plain(values: Any, written: float | tuple[float, ...]) -> list[float]:
     """Return single-precision values as first given, or as their shortest decimals: 0.512 for 0.5120000243."""
     numbers = np.ravel(written).tolist()
     # Points and vectors come in single precision.
-    known = {np.float32(number): number for number in numbers if float(np.float32(number)) != number}
-    return [known.get(value, float(str(value))) for value in np.ravel(dr.detach(values)).astype(np.float32)]
+    in_double = {np.float32(number): number for number in numbers if float(np.float32(number)) != number}
+    return [in_double.get(value, float(str(value))) for value in np.ravel(dr.detach(values)).astype(np.float32)]

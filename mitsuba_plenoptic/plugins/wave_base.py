@@ -64,8 +64,8 @@ def read_wavelengths(props: Any) -> tuple[float, ...]:
         f"{NAME}: wavelength = {short_repr(value)}: it must be nanometres, or three of them separated by commas",
         ValueError,
     ):
-        parts = [float(part) if isinstance(part, str) else part for part in parts]
-    wavelengths = tuple(require_wavelength(part, f"{NAME}: wavelength") for part in parts)
+        parts = [float(item) if isinstance(item, str) else item for item in parts]
+    wavelengths = tuple(require_wavelength(item, f"{NAME}: wavelength") for item in parts)
     if len(wavelengths) == 1 and mi.is_rgb:
         wavelengths *= 3
     channels = 3 if mi.is_rgb else 1

@@ -27,6 +27,7 @@ from .mixing import SpectralSum, WavelengthPlans, WeightChannels, mix
 from .patch_plan import PatchPlan
 from .pupil_weights import PupilWeights
 from .sampling import check_positions
+from .units import brightness_at
 
 PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan}
 """Methods of computing point spreads at one wavelength, by name: the types of their plans.
@@ -172,6 +173,17 @@ class CaptureOperator(CoherentPoints, LinearMap):
         refuse_if(self._pupil_weights is not None, "pupil_weights: coherent fields take none")
         make = hook("coherent fields", "field")
         return make(self._plans.system_at(wavelengths[0]), self.points)
+
+    def powers(self, light: Any) -> NDArray[np.float64]:
+        """Return the weights with which images have the unit of captures of scenes, for one wavelength.
+
+        Parameters
+        ----------
+        light : array (n,)
+            Radiance of each point times the solid angle that it covers, seen from the main lens's image side.
+        """
+        (wavelength,) = {part.wavelength for part in self._channels.parts(1)}
+        return np.asarray(brightness_at(self._plans.system_at(wavelength), self.points) * light)
 
     @one_at_a_time
     def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[np.float32]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import NOT_ROUND, PlenopticCamera, Round, Use, require_camera, require_support
+from ..detector.operator import DetectorOperator
 from ..errors import InputError, refuse_if, require_choice, require_wavelength, suggest_keywords
 from ..fields.optical_system import OpticalSystem
 from ..optics import guards
@@ -18,6 +19,9 @@ from .operator import CaptureOperator
 from .pupil_weights import PupilWeights
 from .ray_spread import ray_spread
 from .sampling import check_positions
+from .scene_points import sample_pairs
+
+_RAYS = 2**21
 
 
 @suggest_keywords
@@ -70,7 +74,9 @@ def point_spread_function(
     point = _check(camera, position)
     require_choice("model", model, ("wave", "ray"))
     if model == "ray":
-        return ray_spread(camera if wavelength is None else camera.at_wavelength(require_wavelength(wavelength)), point)
+        camera = camera if wavelength is None else camera.at_wavelength(require_wavelength(wavelength))
+        spread = ray_spread(camera, point, 2 * sample_pairs(_RAYS)[:, :2] - 1).astype(np.float32)
+        return np.asarray(DetectorOperator.of(camera).forward(spread))
     if wavelength is None:
         raise InputError("wavelength = None: waves need one")
     operator = CaptureOperator(camera, point[None], wavelength=wavelength, method=method, accuracy=0)

@@ -1,4 +1,4 @@
-"""The point spread of a scene point by rays: quasi-random rays through the pupil, followed to the detector."""
+"""The point spread of a scene point by rays: samples of the pupil, followed to the detector."""
 
 from __future__ import annotations
 
@@ -9,30 +9,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Use, require_support
-from ..detector.operator import DetectorOperator
 from ..fields.microlenses import has_response
 from ..fields.optical_system import OpticalSystem
 from ..optics.rays import second_leg
 from ..rays.tracer import Passage, Walk
-from .scene_points import sample_pairs
 
-_RAYS = 2**21
 _TOGETHER = 2**18
 
 
-def ray_spread(camera: PlenopticCamera, point: NDArray[np.float64]) -> NDArray[np.float32]:
+def ray_spread(
+    camera: PlenopticCamera, point: NDArray[np.float64], pupil_samples: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Return the fractions (rows, columns) of the light of a point (3,) through the pupil that rays bring to pixels.
 
-    The point radiates evenly in all directions, as that of waves does.
+    The point radiates evenly in all directions, as that of waves does. Samples (n, 2) are in radii of the pupil. The
+    detector's blur is left out.
     """
     require_support(camera, Use.RAY_SPREADS)
     lens = OpticalSystem.by_design(camera).lens.waves_of(point[None])
     light, walk = lens.bind(point[None]), Walk.of(camera, lens) if camera.has_array else None
     counts = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, np.ndarray)
-    places = 2 * sample_pairs(_RAYS)[:, :2] - 1
     rows, columns = camera.shape
     image, emitted = np.zeros(rows * columns), 0.0
-    for some in np.array_split(places, _RAYS // _TOGETHER):
+    for some in np.array_split(pupil_samples, math.ceil(len(pupil_samples) / _TOGETHER)):
         pupil = some[:, 0] * lens.reach, some[:, 1] * lens.reach
         x, y, z = (np.full(len(some), value) for value in point)
         seen = pupil[0] / camera.pupil_radius, pupil[1] / camera.pupil_radius
@@ -58,5 +57,4 @@ def ray_spread(camera: PlenopticCamera, point: NDArray[np.float64]) -> NDArray[n
         )
         inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
         image += np.bincount((row * columns + column)[inside], power[inside], rows * columns)
-    on_pixels = (image / max(emitted, math.ulp(0))).reshape(rows, columns).astype(np.float32)
-    return np.asarray(DetectorOperator.of(camera).forward(on_pixels))
+    return np.asarray(image / max(emitted, math.ulp(0))).reshape(rows, columns)

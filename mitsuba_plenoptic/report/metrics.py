@@ -90,7 +90,7 @@ def image_metrics(image: np.ndarray, reference: np.ndarray) -> ImageMetrics:
 
 def relative_error(image: np.ndarray, reference: np.ndarray) -> float:
     """Return the root of the summed squared differences over the root of the reference's squared sum."""
-    image, reference = (as_array(*each, np.float64) for each in (("image", image), ("reference", reference)))
+    image, reference = (as_array(*named, np.float64) for named in (("image", image), ("reference", reference)))
     return float(np.linalg.norm(image - reference) / np.linalg.norm(reference))
 
 

@@ -144,7 +144,7 @@ def orbit(lf: xr.DataArray) -> list[tuple[int, int]]:
     return list(dict.fromkeys(near))
 
 
-def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMATIC) -> None:
+def write_depth(path: str | Path, depth: xr.Dataset, drawing: Drawing = _AUTOMATIC) -> None:
     """Write a depth map: depth, disparity, confidence and the all-in-focus image as parts, or as PNG.
 
     The true depth is a part, too, if it is known.
@@ -154,7 +154,7 @@ def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMAT
     """
     if drawing.scale is None and Path(path).suffix.lower() == ".png":
         drawing = replace(drawing, figure=True)
-    parts = {str(name): np.asarray(values) for name, values in found.items()}
+    parts = {str(name): np.asarray(values) for name, values in depth.items()}
     # Even steps of disparity are what the eye would see.
     low = float(parts["disparity"].min())
     high = float(parts["disparity"].max())
@@ -165,7 +165,7 @@ def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMAT
         maps = [entry if entry.ndim == 3 else np.repeat(entry[..., None], 3, axis=2) for entry in maps]
     picture = np.concatenate(maps, axis=1)
     stored = as_parts(**parts)
-    write_drawn(path, "depth", found, stored, picture, 1.0, drawing, lambda: _plots().depth_figure(found, white))
+    write_drawn(path, "depth", depth, stored, picture, 1.0, drawing, lambda: _plots().depth_figure(depth, white))
 
 
 def write_drawn(

@@ -176,20 +176,20 @@ def depth_map(
     )
 
 
-def beyond_search(found: xr.Dataset) -> tuple[float, float]:
+def beyond_search(depth: xr.Dataset) -> tuple[float, float]:
     """Return the fractions of bins that probably see points nearer, and farther, than the range of a depth search.
 
     Their confidence is 0, and their views agree best within twice the tolerance of the nearest or the farthest plane.
     """
-    unknown = found.confidence.values == 0
+    unknown = depth.confidence.values == 0
     reach = 1 + 2 * RIGHT
-    near = found.attrs["near"]
-    far = found.attrs["far"]
-    position = found.disparity.values
-    if "depth" in found:
+    near = depth.attrs["near"]
+    far = depth.attrs["far"]
+    position = depth.disparity.values
+    if "depth" in depth:
         near = near * reach
         far = far / reach
-        position = distance_of(found.disparity.assign_attrs(found.attrs), position)
+        position = distance_of(depth.disparity.assign_attrs(depth.attrs), position)
     else:
         near = near + 2 * _RIGHT_SHIFT
         far = far - 2 * _RIGHT_SHIFT
@@ -244,13 +244,13 @@ def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> 
     counts = [float(steps(high) - steps(low)) for _, low, high in sides]
     hole = len(sides) == 2
     total = (planes or max(64, math.ceil(sum(counts)) + 1)) - hole
-    found = [np.zeros(1)] if hole else []
+    slopes = [np.zeros(1)] if hole else []
     left = total
     for index, ((sign, low, high), count) in enumerate(zip(sides, counts, strict=True)):
         of_side = left if index == len(sides) - 1 else min(max(1, round(total * count / sum(counts))), total - 1)
         left -= of_side
-        found.append(sign * np.interp(np.linspace(steps(low), steps(high), of_side), steps(fine), fine))
-    return np.sort(np.concatenate(found))
+        slopes.append(sign * np.interp(np.linspace(steps(low), steps(high), of_side), steps(fine), fine))
+    return np.sort(np.concatenate(slopes))
 
 
 def is_focused(lf: xr.DataArray) -> bool:

@@ -146,12 +146,12 @@ class _AsRecorded(LinearMap):
         super().__init__(response.source_shape, response.image_shape)
         self._response, self._passed, self._soft = response, passed, soft
 
-    def forward(self, values: NDArray[np.float32], /) -> NDArray[np.float32]:
+    def forward(self, values: NDArray[Any], /) -> NDArray[Any]:
         """Return the pixels lit by bins."""
         image = self._response.forward(values) * self._passed
         return _softened(image) if self._soft else image
 
-    def adjoint(self, image: NDArray[np.float32], /) -> NDArray[np.float32]:
+    def adjoint(self, image: NDArray[Any], /) -> NDArray[Any]:
         """Return the transpose of `forward`, applied to pixels."""
         return self._response.adjoint((_softened(image) if self._soft else image) * self._passed)
 
@@ -235,7 +235,7 @@ def _require_light(image: NDArray[np.float32], noise: PixelNoise | None) -> None
     )
 
 
-def _softened(image: NDArray[np.float32]) -> NDArray[np.float32]:
+def _softened(image: NDArray[Any]) -> NDArray[Any]:
     """Return pixels as coefficients of a cubic spline, at the pixels' own places; a symmetric map."""
     for axis in (0, 1):
         image = convolve1d(image, [1 / 6, 4 / 6, 1 / 6], axis, mode="reflect")

@@ -67,7 +67,6 @@ class WaveModel:
     ) -> None:
         self._camera, self._views = camera, views
         self._system = OpticalSystem(camera.at_wavelength(wavelength), wavelength)
-        self._weights = [brightness_at(self._system, view.points) * view.weights for view in views]
         self._operators = [
             CaptureOperator(
                 camera,
@@ -80,6 +79,8 @@ class WaveModel:
             )
             for view in views
         ]
+        pairs = zip(self._operators, views, strict=True)
+        self._weights = [operator.powers(view.weights) for operator, view in pairs]
 
     def images(self) -> NDArray[np.float64]:
         """Return the expected pixels of all views, (views, rows, columns)."""

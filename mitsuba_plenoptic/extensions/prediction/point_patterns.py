@@ -16,10 +16,9 @@ from scipy.ndimage import gaussian_filter
 from ...camera import PlenopticCamera, Vignetting
 from ...detector.operator import SHARP
 from ...errors import InputError
-from ...fields.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator
+from ...points.ray_spread import ray_spread
 from ...prescription.objective import Objective
-from ...rays.tracer import Passage, Walk
 from .array_part import ArrayPart
 
 _FIRST, _GROWTH, _WIDEST = 0.75, 1.12, 14.0
@@ -36,9 +35,6 @@ _RAYS = 8
 
 _DIFFRACTED = 0.6
 """Light of a point beyond its blur's border, in lenses, that counts."""
-
-_ANY_WAVELENGTH = 550.0
-"""Wavelength of rays through an objective, which do not depend on it."""
 
 
 @dataclass(frozen=True)
@@ -143,31 +139,12 @@ def _by_waves(camera: PlenopticCamera, points: np.ndarray, wavelength: float) ->
 
 def _by_rays(camera: PlenopticCamera, points: np.ndarray) -> np.ndarray:
     """Return the pictures of voxels, each of several points, by an even grid of rays through the pupil."""
-    lens = OpticalSystem(camera, _ANY_WAVELENGTH).waves_of(np.empty((0, 3)))
-    walk, light, radius = Walk.of(camera, lens), lens.bind(np.empty((0, 3))), float(lens.pupil.radius)
     across, generator = _RAYS * round(camera.mla_pitch / camera.pixel_size), np.random.default_rng(0)
-    rows, columns = camera.shape
-    pictures = np.zeros((len(points), rows * columns), np.float32)
-    for picture, some in zip(pictures, points, strict=True):
-        for point in some:
-            # Places of the grid differ, so that borders of lenses fall between rays by chance.
-            aside = generator.random((2, 1))
-            x, y = (each.ravel() for each in np.meshgrid(*((np.arange(across) + aside) * (2 / across) - 1)))
-            within = np.hypot(x, y) < 1
-            x, y = x[within], y[within]
-            pupil = x * radius, y * radius
-            seen = np.full_like(x, point[0]), np.full_like(x, point[1]), np.full_like(x, point[2])
-            place = light.land(pupil, seen)
-            power = light.amplitude(pupil, seen) ** 2
-            if camera.vignetting is not None:
-                power = power * camera.vignetting.power(x, y, *place)
-            passage = Passage(place, walk.lenslet(*camera.lattice.cell(*place)))
-            landed, _ = walk.onto_detector(pupil, passage)
-            column, row = (
-                np.floor(q / camera.pixel_size + size / 2).astype(int)
-                for q, size in zip(landed, (columns, rows), strict=True)
-            )
-            inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-            lit = np.bincount((row * columns + column)[inside], power[inside], minlength=rows * columns)
-            picture += lit / (power.sum() * len(some))
-    return np.moveaxis(pictures.reshape(-1, rows, columns), 0, -1)
+
+    def picture(point: np.ndarray) -> np.ndarray:
+        # Places of the grid differ, so that borders of lenses fall between rays by chance.
+        aside = generator.random((2, 1))
+        samples = np.meshgrid(*((np.arange(across) + aside) * (2 / across) - 1))
+        return ray_spread(camera, point, np.stack(samples, -1).reshape(-1, 2))
+
+    return np.stack([np.mean([picture(point) for point in some], axis=0) for some in points], -1).astype(np.float32)

@@ -167,13 +167,13 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
         refuse_if(stored is None, "it has no variable LF")
         # HDF5 lists MATLAB's dimensions in the opposite order.
         _check(stored.shape[::-1])
-        found: dict[str, Any] = {"LF": np.transpose(stored[()])}
+        variables: dict[str, Any] = {"LF": np.transpose(stored[()])}
         largest = stored_array(file, "MaxLum")
         if largest is not None:
-            found["MaxLum"] = float(largest[0, 0])
+            variables["MaxLum"] = float(largest[0, 0])
         if "LensletGridModel" in file:
-            found["LensletGridModel"] = _read_model(file["LensletGridModel"])
-    return found
+            variables["LensletGridModel"] = _read_model(file["LensletGridModel"])
+    return variables
 
 
 def _read_model(group: Any) -> dict[str, Any]:

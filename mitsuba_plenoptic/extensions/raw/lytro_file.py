@@ -56,9 +56,9 @@ class _Picture:
 
     def entry(self, name: str) -> Any:
         """Return an entry of the metadata by its path, such as ``devices.mla.lensPitch``."""
-        found = _within(self.metadata, *name.split("."))
-        refuse_if(found is None, f"its metadata have no {name}")
-        return found
+        value = _within(self.metadata, *name.split("."))
+        refuse_if(value is None, f"its metadata have no {name}")
+        return value
 
     def number(self, name: str, **rules: Any) -> float:
         """Return a number of the metadata by its name."""
@@ -133,15 +133,15 @@ def nearest_white(folder: str | Path, capture: Capture) -> Path:
         zoom, focus = _Picture(recording_of(capture), b"").steps
     folder = Path(folder)
     refuse_if(not folder.is_dir(), f"{folder}: there is no such folder")
-    found: dict[tuple[float, float], list[Path]] = {}
+    pictures: dict[tuple[float, float], list[Path]] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() in SUFFIXES:
             picture = _read(path)
             with naming(path):
                 steps = picture.steps
-            found.setdefault((abs(steps[0] - zoom), abs(steps[1] - focus)), []).append(path)
-    refuse_if(not found, f"{folder}: it has no white pictures, .raw with .txt, .lfp or .lfr")
-    nearest = found[min(found)]
+            pictures.setdefault((abs(steps[0] - zoom), abs(steps[1] - focus)), []).append(path)
+    refuse_if(not pictures, f"{folder}: it has no white pictures, .raw with .txt, .lfp or .lfr")
+    nearest = pictures[min(pictures)]
     return nearest[0] if len(nearest) == 1 else max(nearest, key=_brightness)
 
 
@@ -207,11 +207,11 @@ def _json(data: bytes) -> dict[str, Any]:
 
     refuse_if(len(data) > _LARGEST_TEXT, f"its metadata have {len(data)} bytes: they may have at most {_LARGEST_TEXT}")
     try:
-        found = json.loads(data, parse_constant=refuse)
+        document = json.loads(data, parse_constant=refuse)
     except (ValueError, RecursionError) as error:
         raise InputError(f"its metadata are not JSON: {error}") from None
-    refuse_if(not isinstance(found, dict), f"its metadata = {short_repr(found)}: they must be entries by name")
-    return dict(found)
+    refuse_if(not isinstance(document, dict), f"its metadata = {short_repr(document)}: they must be entries by name")
+    return dict(document)
 
 
 def _within(value: Any, *names: str | int) -> Any:
@@ -241,9 +241,9 @@ def _capture_of(picture: _Picture) -> Capture:
     saturated = 0
     image = np.empty((rows, columns), np.float32)
     for j, i in np.ndindex(2, 2):
-        own = numbers[j::2, i::2]
-        image[j::2, i::2] = (own - black[j, i]) / (white[j, i] - black[j, i])
-        saturated += int(np.count_nonzero(own >= white[j, i]))
+        plane = numbers[j::2, i::2]
+        image[j::2, i::2] = (plane - black[j, i]) / (white[j, i] - black[j, i])
+        saturated += int(np.count_nonzero(plane >= white[j, i]))
     mosaic = "".join(name[-1] if name in ("r", "b") else "g" for name in tile.flat).upper()
     record = {
         "mosaic": mosaic,

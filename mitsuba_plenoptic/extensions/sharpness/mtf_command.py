@@ -52,9 +52,9 @@ def mtf(
 
       mitsuba-plenoptic mtf photograph.exr
     """
-    known = inputs.named_camera(camera)
+    named_camera = inputs.named_camera(camera)
     if distance is not None:
-        inputs.require_in_sight(source, known, distance)
+        inputs.require_in_sight(source, named_camera, distance)
 
     # Brings libraries that take a while to load.
     from ...io import read_capture
@@ -66,22 +66,22 @@ def mtf(
     if distance is None:
         for name, value in given.items():
             refuse_if(value is not None, f"--{name}: it is for captures, with --distance; leave it out")
-        seen = _photograph(source) or read_reconstruction(source)
+        image = _photograph(source) or read_reconstruction(source)
     else:
-        recorded = read_capture(source, camera=known, linear=linear)
-        (seen,) = refocus(recorded, [distance], method=method or "ray", oversample=oversample or 1)
-    left, top, width, height = _parsed(region, seen)
+        recorded = read_capture(source, camera=named_camera, linear=linear)
+        (image,) = refocus(recorded, [distance], method=method or "ray", oversample=oversample or 1)
+    left, top, width, height = _parsed(region, image)
     with naming(source):
-        found = edge_sharpness(seen.image[top : top + height, left : left + width])
-    where = f"row {found.row + top:.4g}, column {found.column + left:.4g}"
-    nearer = "columns" if found.upright else "rows"
-    typer.echo(f"edge at {where}, {found.length} bins long, turned by {found.angle:.3g} degrees from the {nearer}")
-    unit, per_bin = "rad" if math.isinf(seen.distance) else "mm", 1 / seen.bin_size
-    typer.echo(f"width, 10 to 90 %: {found.width:.3g} bins, {found.width * seen.bin_size:.4g} {unit}")
-    typer.echo(f"half the contrast at {found.mtf50:.3g} cycles per bin, {found.mtf50 * per_bin:.4g} per {unit}")
+        edge = edge_sharpness(image.image[top : top + height, left : left + width])
+    where = f"row {edge.row + top:.4g}, column {edge.column + left:.4g}"
+    nearer = "columns" if edge.upright else "rows"
+    typer.echo(f"edge at {where}, {edge.length} bins long, turned by {edge.angle:.3g} degrees from the {nearer}")
+    unit, per_bin = "rad" if math.isinf(image.distance) else "mm", 1 / image.bin_size
+    typer.echo(f"width, 10 to 90 %: {edge.width:.3g} bins, {edge.width * image.bin_size:.4g} {unit}")
+    typer.echo(f"half the contrast at {edge.mtf50:.3g} cycles per bin, {edge.mtf50 * per_bin:.4g} per {unit}")
     for tenth in range(1, 11):
         frequency = tenth / 20
-        typer.echo(f"{frequency:.2f} cycles per bin  {frequency * per_bin:9.4g} per {unit}  {found.at(frequency):.3f}")
+        typer.echo(f"{frequency:.2f} cycles per bin  {frequency * per_bin:9.4g} per {unit}  {edge.at(frequency):.3f}")
 
 
 def _photograph(source: Path) -> Reconstruction | None:
@@ -98,14 +98,14 @@ def _photograph(source: Path) -> Reconstruction | None:
     return Reconstruction(capture.image, focus, camera.pixel_in_object(focus), "none", camera)
 
 
-def _parsed(region: str | None, seen: Reconstruction) -> tuple[int, int, int, int]:
+def _parsed(region: str | None, image: Reconstruction) -> tuple[int, int, int, int]:
     """Return left, top, width and height, in bins, of the region that an option states."""
-    rows, columns = seen.image.shape[:2]
+    rows, columns = image.image.shape[:2]
     if region is None:
         return 0, 0, columns, rows
     parts = region.split(",")
     rule = f"--region {region}: it must be LEFT,TOP,WIDTH,HEIGHT in bins, within {columns} x {rows}"
-    refuse_if(len(parts) != 4 or not all(part.strip().isdecimal() and len(part) < 8 for part in parts), rule)
+    refuse_if(len(parts) != 4 or not all(bound.strip().isdecimal() and len(bound) < 8 for bound in parts), rule)
     left, top, width, height = map(int, parts)
     refuse_if(not width or not height or left + width > columns or top + height > rows, rule)
     return left, top, width, height

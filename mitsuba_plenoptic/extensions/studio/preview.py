@@ -73,8 +73,8 @@ def preview_of(scene: Any, camera: PlenopticCamera) -> Preview:
     picture = view.take(scene, size, _SPP if camera.objective is None else _OBJECTIVE_SPP)
     rays, to_world = view.sight(scene, size)
     hit = scene.ray_intersect(rays)
-    seen = to_world.inverse() @ hit.p
-    points = np.array(dr.select(hit.is_valid(), seen, dr.nan), dtype=np.float64).T.reshape(size[1], size[0], 3)
+    point = to_world.inverse() @ hit.p
+    points = np.array(dr.select(hit.is_valid(), point, dr.nan), dtype=np.float64).T.reshape(size[1], size[0], 3)
     return Preview(picture, points, view)
 
 

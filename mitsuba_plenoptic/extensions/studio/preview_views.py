@@ -50,7 +50,7 @@ class LensView:
 
     def sharp_range(self) -> tuple[float, float]:
         """Return the nearest and farthest distance that some microlenses show sharply when refocused; NaN for none."""
-        ranges = [found for found in design.depth_ranges(self.camera) if found is not None]
+        ranges = [depth_range for depth_range in design.depth_ranges(self.camera) if depth_range is not None]
         return (min(near for near, _ in ranges), max(far for _, far in ranges)) if ranges else (math.nan, math.nan)
 
     def take(self, scene: Any, size: tuple[int, int], spp: int) -> np.ndarray:
@@ -147,11 +147,11 @@ class MicroscopeView(LensView):
             sampler.seed(index, dr.width(x))
             jitter = sampler.next_2d()
             stop = mi.warp.square_to_uniform_disk_concentric(sampler.next_2d())
-            place = x + (jitter.x - 0.5) / size[0], y + (jitter.y - 0.5) / size[1]
+            position = x + (jitter.x - 0.5) / size[0], y + (jitter.y - 0.5) / size[1]
             radius = self.camera.aperture_radius
-            rays, _ = self._rays(scene, place, (radius * stop.x, radius * stop.y))
-            light, found = integrator.sample(scene, sampler, rays)[:2]
-            value = [dr.select(found, light[channel], 0.0).numpy() for channel in range(channels)]
+            rays, _ = self._rays(scene, position, (radius * stop.x, radius * stop.y))
+            light, valid = integrator.sample(scene, sampler, rays)[:2]
+            value = [dr.select(valid, light[channel], 0.0).numpy() for channel in range(channels)]
             total += np.array(value, dtype=np.float64).reshape(*total.shape, together).mean(axis=-1) / passes
         return total[0] if channels == 1 else np.moveaxis(total, 0, -1)
 
@@ -185,14 +185,14 @@ class MicroscopeView(LensView):
     def _objective(self) -> Any:
         return self.camera.objective
 
-    def _rays(self, scene: Any, place: tuple[Any, Any], stop: tuple[Any, Any]) -> Any:
+    def _rays(self, scene: Any, position: tuple[Any, Any], stop: tuple[Any, Any]) -> Any:
         """Return the rays through points of the native object plane and of the stop, in fractions of both."""
         lens = TelecentricLens(self._objective)
         # The objective's picture is turned back, so that +x, to the left in the scene, is to the left in the picture.
         width, height = (self._objective.magnification * extent for extent in self.field(0.0))
-        origin, slope, _ = lens.ray(stop, ((place[0] - 0.5) * width, (place[1] - 0.5) * height))
+        origin, slope, _ = lens.ray(stop, ((position[0] - 0.5) * width, (position[1] - 0.5) * height))
         to_world = scene.sensors()[0].world_transform()
-        rays = dr.zeros(mi.RayDifferential3f, dr.width(place[0]))
+        rays = dr.zeros(mi.RayDifferential3f, dr.width(position[0]))
         rays.o = to_world @ mi.Point3f(*origin)
         rays.d = dr.normalize(to_world @ mi.Vector3f(slope[0], slope[1], 1))
         rays.maxt = dr.inf

@@ -116,13 +116,15 @@ class Points:
         roots = check_scene_file(scene if scene.is_file() else scene_path(spec.scene), spec.parameters)
         elements = [element for root in roots for element in root.iter()]
         of_scene = set[str]().union(*map(names_in, elements))
-        known = (*PARAMETERS, *MATCHED)
+        of_cameras = (*PARAMETERS, *MATCHED)
         # The scene's own parameters come first, unless another camera takes the place of its camera.
-        self.of_camera = [name for name in self.axes if name in known and (spec.camera or name not in of_scene)]
+        self.of_camera = [name for name in self.axes if name in of_cameras and (spec.camera or name not in of_scene)]
         for name in self.axes:
             # Mitsuba also replaces what longer names begin with.
-            if name not in (WAVELENGTH, *self.of_camera) and not any(each.startswith(name) for each in of_scene):
-                similar = did_you_mean(name, (*scene_defaults(roots), *known, WAVELENGTH, DISTANCE))
+            if name not in (WAVELENGTH, *self.of_camera) and not any(
+                parameter.startswith(name) for parameter in of_scene
+            ):
+                similar = did_you_mean(name, (*scene_defaults(roots), *of_cameras, WAVELENGTH, DISTANCE))
                 raise InputError(f"parameter {name}: the scene {spec.scene} has none of that name{similar}")
             refuse_if(
                 name in OWN_NAMES and name not in self.of_camera,

@@ -55,14 +55,14 @@ def view(
     require_apart(target, *sources, white)
     camera_of_option = inputs.named_camera(camera)
     with progress_bar("Making the page"):
-        shown = [
+        reconstructions = [
             read_source(source, white=white, views=view_count, linear=linear, camera=camera_of_option)
             for source in sources
         ]
-        has_recording = any(isinstance(item, Recording) for item in shown)
+        has_recording = any(isinstance(item, Recording) for item in reconstructions)
         for name, value in {"white": white, "view-count": view_count, "camera": camera}.items():
             refuse_if(
                 value is not None and not has_recording, f"--{name} {value}: of no use without a capture or light field"
             )
-        make_page(*shown).save(target)
+        make_page(*reconstructions).save(target)
     typer.echo(f"{target}: {target.stat().st_size / 2**20:.1f} MiB; open it in a browser")

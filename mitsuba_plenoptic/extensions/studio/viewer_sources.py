@@ -60,7 +60,7 @@ def _stack(path: Path) -> xr.DataArray:
     distances = attributes.get("coordinates", {}).get("distance")
     if not isinstance(distances, list) or len(distances) != len(parts):
         raise InputError("its header does not state the distance of each image")
-    return _planes([_image(part) for part in parts.values()], distances, "shifted views")
+    return _planes([_image(image) for image in parts.values()], distances, "shifted views")
 
 
 def _reconstruction(path: Path) -> xr.DataArray:

@@ -24,9 +24,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, require_accuracy, require_count, require_wavelength, suggest_keywords
-from ...fields.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator
-from ...points.units import brightness_at
 from ...runtime import as_array, as_pixels
 from .wavefront_fit import Zone, require_zone
 
@@ -90,8 +88,7 @@ class InteractionMatrix:
         wavelength = require_wavelength(wavelength)
         require_zone(zone)
         operator = CaptureOperator(camera, zone.points, wavelength=wavelength, accuracy=require_accuracy(accuracy))
-        system = OpticalSystem(operator.camera.at_wavelength(wavelength), wavelength)
-        weights = zone.weights * brightness_at(system, zone.points)
+        weights = operator.powers(zone.weights)
         image = np.asarray(operator.forward(weights), np.float64)
         refuse_if(not image.sum() > 0, "zone: the detector records no light of it")
         directions = [{"wavefront": term} for term in np.eye(count)[1:]]

@@ -24,11 +24,9 @@ from ...errors import (
     suggest_keywords,
     warn,
 )
-from ...fields.optical_system import OpticalSystem
 from ...lenses.common import main_lens
 from ...points.operator import CaptureOperator
 from ...points.sampling import check_positions
-from ...points.units import brightness_at
 from ...runtime import as_array
 from ..inverse.fit_light import Pixels, check_views
 from ..inverse.fitting import Fit, PixelNoise, View, fit
@@ -194,8 +192,7 @@ def _terms(camera: PlenopticCamera, count: int) -> Array:
 def _expected(camera: PlenopticCamera, zone: Zone, wavelength: float, accuracy: float) -> Array:
     """Return the expected capture of a zone whose points have a total weight of 1, in units of `View`."""
     operator = CaptureOperator(camera, zone.points, wavelength=wavelength, accuracy=accuracy)
-    system = OpticalSystem(operator.camera.at_wavelength(wavelength), wavelength)
-    return np.asarray(operator.forward(brightness_at(system, zone.points) * zone.weights), np.float64)
+    return np.asarray(operator.forward(operator.powers(zone.weights)), np.float64)
 
 
 def _light(view: View, expected: Array, before: Array) -> float:

@@ -1,0 +1,179 @@
+"""The size of the house, by figures that packing lines cannot shrink: each stays at its goal or the value reached."""
+
+import ast
+import io
+import re
+import subprocess
+import sys
+import tokenize
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "mitsuba_plenoptic"
+
+VAGUE = set(
+    re.findall(
+        r"\w+",
+        """part found each own given kept used taken made wanted asked seen told brought felt drawn shown served shipped
+        held number known every one other what which these those several whole rest place""",
+    )
+)
+"""Names of bindings that do not say what they hold."""
+
+LAYOUT = {
+    *(tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
+    *(tokenize.ENDMARKER, tokenize.ENCODING),
+}
+
+GOALS = {
+    "lines": 55_000,
+    "lines of the core": 35_000,
+    "tokens": 425_000,
+    "tokens of the core": 268_000,
+    "functions": 2_800,
+    "percentage of functions of at most three statements": 40,
+    "checks and raises": 1_000,
+    "definitions of checks": 45,
+    "names of the core that extensions import": 130,
+    "modules of the core that extensions import": 15,
+    "percentage of vague bindings": 1,
+    "packings": 250,
+    "constants of modules": 450,
+    "lines of tests": 28_500,
+    "lines of tools": 10_000,
+    "words of docs": 52_000,
+    "words of the changelog": 1_800,
+    "modules that a ray capture loads": 75,
+    "lines that a ray capture loads": 14_000,
+    "modules that a wave capture loads": 120,
+    "lines that a wave capture loads": 24_000,
+}
+
+REACHED = {}
+"""Values where the goal is not reached."""
+
+CAPTURE = """
+import sys, mitsuba as mi, mitsuba_plenoptic as mp
+mi.set_variant("llvm_ad_mono")
+small = {"resolution": "256", "detector_width": ".512", "letter_scale": ".125"}
+mp.render_capture(mp.load_scene("letters", parameters=small), model=sys.argv[1], spp=2)
+ours = [module.__file__ for name, module in sys.modules.items() if name.partition(".")[0] == "mitsuba_plenoptic"]
+print(len(ours), sum(open(name).read().count("\\n") for name in ours))
+"""
+
+
+def lines_of(files):
+    return sum(path.read_text().count("\n") for path in files)
+
+
+def is_extension(path):
+    return "extensions" in path.parts
+
+
+def tokens_of(tree, path):
+    """Return the count of tokens without comments, docstrings and line ends."""
+    docstrings = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            docstrings |= set(range(node.lineno, node.end_lineno + 1))
+    tokens = tokenize.tokenize(io.BytesIO(path.read_bytes()).readline)
+    return sum(token.type not in LAYOUT and token.start[0] not in docstrings for token in tokens)
+
+
+def imported_of_core(trees):
+    """Return names, with their modules, that extensions import from the core."""
+    names = set()
+    for path, tree in trees.items():
+        if not is_extension(path):
+            continue
+        here = path.relative_to(ROOT).parts
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom):
+                base = list(here[: len(here) - node.level]) if node.level else []
+                module = ".".join(base + (node.module or "").split("."))
+                if module.startswith("mitsuba_plenoptic") and ".extensions" not in module:
+                    names |= {(module, alias.name) for alias in node.names}
+    return names
+
+
+def figures():
+    trees = {path: ast.parse(path.read_text()) for path in sorted(PACKAGE.rglob("*.py"))}
+    core = [path for path in trees if not is_extension(path)]
+    tokens = {path: tokens_of(tree, path) for path, tree in trees.items()}
+    nodes = [node for tree in trees.values() for node in ast.walk(tree)]
+    functions = [node for node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+    small = [
+        function
+        for function in functions
+        if sum(isinstance(node, ast.stmt) for node in ast.walk(function)) - 1 - bool(ast.get_docstring(function)) <= 3
+    ]
+    bound = [node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)]
+    bound += [
+        argument.arg
+        for function in functions
+        for argument in (*function.args.args, *function.args.kwonlyargs)
+        if argument.arg not in ("self", "cls")
+    ]
+    packings = [
+        node
+        for node in nodes
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Tuple) and isinstance(node.targets[0], ast.Tuple)
+    ]
+    top = [node for tree in trees.values() for node in tree.body if isinstance(node, ast.Assign | ast.AnnAssign)]
+    targets = [node.targets if isinstance(node, ast.Assign) else [node.target] for node in top]
+    constants = [
+        names for names in targets if any(re.fullmatch(r"_?[A-Z][A-Z0-9_]+", getattr(name, "id", "")) for name in names)
+    ]
+    called = [getattr(node.func, "attr", getattr(node.func, "id", "")) for node in nodes if isinstance(node, ast.Call)]
+    checks = [name for name in called if re.match(r"(require|refuse|known_to|check_)", name)]
+    imported = imported_of_core(trees)
+    docs = [path for kind in ("*.md", "*.rst") for path in (ROOT / "docs").rglob(kind)]
+    loaded = {
+        model: [
+            int(word)
+            for word in subprocess.run(
+                [sys.executable, "-c", CAPTURE, model], capture_output=True, text=True, check=True
+            ).stdout.split()
+        ]
+        for model in ("ray", "wave")
+    }
+    return {
+        "lines": lines_of(trees),
+        "lines of the core": lines_of(core),
+        "tokens": sum(tokens.values()),
+        "tokens of the core": sum(tokens[path] for path in core),
+        "functions": len(functions),
+        "percentage of functions of at most three statements": 100 * len(small) / len(functions),
+        "checks and raises": len(checks) + sum(isinstance(node, ast.Raise) for node in nodes),
+        "definitions of checks": sum(
+            bool(re.match(r"_?(require|refuse|known_to)", function.name)) for function in functions
+        ),
+        "names of the core that extensions import": len(imported),
+        "modules of the core that extensions import": len({module for module, _ in imported}),
+        "percentage of vague bindings": 100 * sum(name.strip("_") in VAGUE for name in bound) / len(bound),
+        "packings": len(packings),
+        "constants of modules": len(constants),
+        "lines of tests": lines_of((ROOT / "tests").rglob("*.py")),
+        "lines of tools": lines_of((ROOT / "tools").rglob("*.py")),
+        "words of docs": sum(len(path.read_text().split()) for path in docs),
+        "words of the changelog": len((ROOT / "CHANGELOG.md").read_text().split()),
+        **{
+            f"{what} that a {model} capture loads": count
+            for model, counts in loaded.items()
+            for what, count in zip(("modules", "lines"), counts, strict=True)
+        },
+    }
+
+
+def test_the_house_does_not_grow():
+    values = figures()
+    limits = GOALS | REACHED
+    assert set(values) == set(limits)
+    assert {name: value for name, value in values.items() if value > limits[name]} == {}
+
+
+def test_the_files_of_ideas_exist():
+    page = (ROOT / "docs" / "reference" / "develop" / "ideas.md").read_text()
+    rows = re.findall(r"^\| [^*-].*\| `(\S+)` \|$", page, flags=re.MULTILINE)
+    assert 40 < len(rows) <= 65
+    assert [name for name in rows if not (PACKAGE / name).is_file()] == []
