@@ -81,7 +81,7 @@ class Extension:
     hooks : mapping of str to str
         Places of functions that the core calls where they are installed: ``small lenses``, the wave capture of a
         camera, its light, the colours and the accuracy; ``libpleno``, the camera of the object in such a file;
-        ``--real``, what ``compare`` does with a real light field.
+        ``--real``, what ``compare`` does with a real light field; ``coherent fields``, those of a wave camera's points.
     formats : mapping of str to FileFormat
         Suffixes of files, such as ``.lfr``, or the name of a file in each folder, such as ``parameters.cfg``, and how
         they are read and written.
@@ -177,6 +177,8 @@ GONE = {
     "--overview": "napari and ImageJ show the file of the volume",
     "fitting.Layers": "mi.render fits textures (docs/guides/inverse_problems.md)",
     "fitting.fit_layers": "mi.render fits textures (docs/guides/inverse_problems.md)",
+    "particles.read_netcdf": "xarray.load_dataset reads the files",
+    "particles.write_netcdf": "the method to_netcdf of xarray.Dataset writes the files",
     "wavefront.CorrectedObject": "wavefront.fit_wavefronts fits the wavefront of known points",
     "wavefront.deconvolve_zones": "wavefront.fit_wavefronts fits the wavefront of known points",
     "wavefront.digital_adaptive_optics": "wavefront.fit_wavefronts fits the wavefront of known points",
@@ -208,7 +210,7 @@ SHIPPED = {
         "fit", "StoredOperator", "volume_points", "refocus.CoherentRefocus", "refocus.DeconvolvedRefocus",
         "refocus.RayRefocus", "fitting", "optimisation", "array_functions", "scene_functions", "torch", "jax",
     ),
-    "laser": ("laser", "plenoptic_laser"),
+    "laser": ("laser", "plenoptic_laser", "coherent fields"),
     "lensdesign": ("focus_by_group", ".zmx", ".seq"),
     "onchip": (
         "bank_disparity", "dual_pixel", "half_disparity", "match_halves", "psf_bank", "onchip", "dual", "small lenses",

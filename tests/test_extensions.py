@@ -109,6 +109,7 @@ ASKED = {
     "mp.reconstruct(np.ones((32, 32)), 240, camera=camera, method='deconvolved', wavelength=633)":
         "method = deconvolved: extension deconvolution",
     "mp.read_prescription('triplet.zmx')": "triplet.zmx: .zmx: extension lensdesign",
+    "mp.CaptureOperator(camera, [(0, 0, 240)], wavelength=633).field([1])": "field: coherent fields: extension laser",
     "mp.refocus.CoherentRefocus": "refocus.CoherentRefocus: extension inverse",
     "mp.load_scene('speckle')": "speckle.xml, line 42, col 6: plenoptic_laser: extension laser",
 }  # fmt: skip

@@ -53,6 +53,7 @@ METHODS = {
 }
 
 NEEDS = {
+    "coherent field": "laser",
     "incoherent": "deconvolution",
     "deconvolved": "deconvolution",
     "RayRefocus": "inverse",

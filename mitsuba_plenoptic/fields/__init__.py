@@ -1,7 +1,7 @@
 """Fields of light on their way through a camera, as chains of links with forward and adjoint.
 
 A chain leads a sampled field from plane to plane: from the exit pupil to the array and the detector, for scene points
-(`points.full_field`) and their coherent sums (`points.coherent`), and from the detector back to the array, the main
+(`points.full_field`) and their coherent sums (extension `laser`), and from the detector back to the array, the main
 lens and the object planes (`refocus.wave_methods`). Each link is an element, such as the microlenses, and free space
 behind it. A field runs through all links in blocks of rows, in memory that the links share.
 

@@ -38,7 +38,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,17 +68,24 @@ _FLOOR = 1e-3
 """Least value of pixels and of their model, over the mean of the image, for SMART's logarithm."""
 
 
-class Steps(Protocol):
-    """The steps of a method towards the light of an image."""
+class Steps:
+    """The steps of a method towards the light of an image; elements of less than the fraction `least` count as dark."""
 
-    operator: LinearMap
-    image: Array
+    def __init__(self, operator: LinearMap, image: Array, least: float) -> None:
+        self.operator, self.image = operator, image
+        # What each element sends to the detector, and the mask of those that are not dark.
+        self.light = operator.adjoint(np.ones(image.shape, np.float32))
+        self.inside = self.light > least * float(self.light.max())
+        self.total = float(np.maximum(image, 0).sum(dtype=np.float64))
+        self.sent = float(self.light.sum(where=self.inside, dtype=np.float64))
 
     def start(self) -> Array:
-        """Return the light from which the first step starts."""
+        """Return uniform light that sends as much to the detector as the image has."""
+        return np.where(self.inside, self.total / self.sent, 0.0).astype(self.light.dtype)
 
     def step(self, point: Array, model: Array) -> Array:
         """Return the light after a step from a point whose image is `model`."""
+        raise NotImplementedError
 
 
 @dataclass
@@ -166,25 +173,7 @@ def solve(
     save: Callable[[SolverState], None] | None = None,
     progress: Progress | None = None,
 ) -> Solution:
-    """Return the light that explains an image.
-
-    Parameters
-    ----------
-    steps : Steps
-        The method with its operator and image.
-    iterations : int
-        Steps at most.
-    accelerate : bool
-        Whether steps start from extrapolated points.
-    stop : StopRule, optional
-        Where steps end earlier.
-    state : SolverState, optional
-        The state from which the iteration goes on.
-    save : callable, optional
-        Called with the state after each step.
-    progress : callable, optional
-        Called with the numbers of steps done and of all.
-    """
+    """Return the light that explains an image, after steps that `stop` may end, and that go on from a saved `state`."""
     if state is None:
         start = steps.start()
         state = SolverState(start, start)
@@ -218,10 +207,10 @@ def solve(
     return Solution(state.values, point, model, state.done, stopped)
 
 
-class RichardsonLucy:
+class RichardsonLucy(Steps):
     """The steps of Richardson and Lucy; `shift` is the variance of a dark pixel over the value of one electron.
 
-    A `penalty` returns from the light, and from the mask of what is not dark, the gradient that divides each step.
+    A `penalty` returns, from the light and the mask of what is not dark, the gradient that divides each step.
     """
 
     def __init__(
@@ -231,63 +220,43 @@ class RichardsonLucy:
         shift: float = 0.0,
         penalty: Callable[[Array, NDArray[np.bool_]], Array] | None = None,
     ) -> None:
-        self.operator, self.image, self._penalty = operator, image, penalty
-        self.total = float(np.maximum(image, 0).sum(dtype=np.float64))
+        super().__init__(operator, image, _LEAST_SEEN)
+        self._penalty = penalty
         floor = _ADDED / max(1, int((image > 0).sum()))
         # Added to every pixel and its model; and how much it grows with the light of the image.
         self.shift = np.float32(max(shift, floor * self.total))
         self.shift_slope = floor if shift < floor * self.total else 0.0
         self._shifted = np.maximum(image + self.shift, 0)
-        light = operator.adjoint(np.ones_like(image))
-        best = float(light.max())
-        # Light on the detector over that of the best element, and the mask of what is not dark.
-        self.seen = np.asarray(np.maximum(light, 0) / best, np.float32)
-        self.inside = self.seen > _LEAST_SEEN
-        self.weight = np.where(self.inside, 1 / np.maximum(self.seen * best, 1e-30), 0).astype(np.float32)
+        self.weight = np.divide(1, self.light, out=np.zeros_like(self.light), where=self.inside)
         # Pixels that hardly any light reaches explain nothing: interpolation may leave less than none there.
         white = operator.forward(np.asarray(self.inside, np.float32))
         self.lit = white > _LEAST_LIT * white.max()
-        # What reaches the detector of light that is 1 everywhere.
-        self.sent = float((light * self.inside).sum(dtype=np.float64))
-
-    def start(self) -> Array:
-        """Return uniform light that sends as much to the detector as the image has."""
-        return np.where(self.inside, np.float32(self.total / self.sent), np.float32(0))
 
     def ratio(self, model: Array) -> Array:
         """Return the image divided by the model, both with the added light."""
         return np.where(self.lit, self._shifted / (np.maximum(model, 0) + self.shift), np.float32(1))
 
-    def back(self, model: Array) -> Array:
-        """Return the transpose of the operator, applied to the ratio."""
-        return self.operator.adjoint(self.ratio(model))
-
     def scaled(self, point: Array, back: Array) -> Array:
-        """Return light times what `back` returned, over what the light sends to the detector."""
+        """Return light times the transpose of a ratio, over what the light sends to the detector."""
         return point * np.maximum(back, 0) * self.weight
 
     def step(self, point: Array, model: Array) -> Array:
         """Return the light after a step from a point whose image is `model`."""
-        values = self.scaled(point, self.back(model))
+        values = self.scaled(point, self.operator.adjoint(self.ratio(model)))
         return values if self._penalty is None else values / (1 + self._penalty(point, self.inside))
 
 
-class _Averages:
-    """The averages over pixels that SMART and SIRT take."""
+class _Averages(Steps):
+    """Steps by averages over the pixels of each element, in double precision."""
 
     def __init__(self, operator: LinearMap, image: Array, relaxation: float) -> None:
-        self.operator, self.image, self._relaxation = operator, image, relaxation
-        self.seen = np.asarray(operator.adjoint(np.ones(image.shape, np.float32)), np.float64)
-        self._lit = self.seen > _LEAST_AVERAGED * float(self.seen.max())
-
-    def start(self) -> Array:
-        """Return uniform light that sends as much to the detector as the image has."""
-        return np.where(self._lit, self.image.sum() / self.seen[self._lit].sum(), 0.0)
+        super().__init__(operator, image, _LEAST_AVERAGED)
+        self.light, self._relaxation = self.light.astype(np.float64), relaxation
 
     def _averaged(self, image: Array) -> Array:
         """Return the relaxed mean of an image over the pixels of each element, weighted by its light; 0 in the dark."""
-        sums = np.where(self._lit, self.operator.adjoint(image.astype(np.float32)), 0)
-        return self._relaxation * (sums / np.where(self._lit, self.seen, 1))
+        sums = np.where(self.inside, self.operator.adjoint(image.astype(np.float32)), 0)
+        return self._relaxation * (sums / np.where(self.inside, self.light, 1))
 
 
 class Smart(_Averages):
@@ -306,7 +275,7 @@ class Sirt(_Averages):
     @cached_property
     def _covered(self) -> Array:
         """Image of light that is 1 everywhere."""
-        return np.asarray(self.operator.forward(np.ones(self.seen.shape)), np.float64)
+        return np.asarray(self.operator.forward(np.ones(self.light.shape)), np.float64)
 
     def step(self, point: Array, model: Array) -> Array:
         """Return the light after a step from a point whose image is `model`."""

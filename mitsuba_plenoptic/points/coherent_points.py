@@ -1,4 +1,4 @@
-"""Complex fields of mutually coherent points, and their adjoints, as a part of `CaptureOperator`."""
+"""Complex fields of mutually coherent points, and their adjoints: what `CaptureOperator` has of extension `laser`."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import require_choice
+from ..errors import refuse_if, require_choice
 from ..optics import guards
-from ..runtime import active_backend, one_at_a_time
+from ..runtime import active_backend, as_array, one_at_a_time
 from .arrival import SampledField
-from .coherent import PLANES, complex_array
+
+PLANES = ("pupil", "array", "detector")
+"""Planes in which fields are computed: just behind the main lens, just before the microlenses, and on the detector."""
 
 
 class CoherentPoints:
@@ -62,7 +64,7 @@ class CoherentPoints:
         >>> operator.field_adjoint(field.samples, plane="array").shape
         (2,)
         """
-        given = complex_array("amplitudes", amplitudes, (len(self.points),), "one complex number for each point")
+        given = _complex("amplitudes", amplitudes, (len(self.points),), "one complex number for each point")
         with guards.watch():
             found = self.coherent_fields.at(given, require_choice("plane", plane, PLANES))
         return SampledField(active_backend().to_host(found.samples), found.origin, found.pitch)
@@ -90,5 +92,13 @@ class CoherentPoints:
         """
         fields = self.coherent_fields
         shape = fields.shape(require_choice("plane", plane, PLANES))
-        given = complex_array("samples", samples, shape, f"the samples of a field in the plane {plane}")
+        given = _complex("samples", samples, shape, f"the samples of a field in the plane {plane}")
         return fields.adjoint(given, plane)
+
+
+def _complex(name: str, values: Any, shape: tuple[int, ...], meaning: str) -> NDArray[np.complex64]:
+    """Return values as a complex array of a shape; refuse anything else."""
+    array = as_array(name, values, np.complex64, rule="they must be complex numbers")
+    refuse_if(array.shape != shape, f"{name} of shape {array.shape}: it must be {shape}, {meaning}")
+    refuse_if(not np.isfinite(array).all(), f"{name}: all must be finite")
+    return np.ascontiguousarray(array)

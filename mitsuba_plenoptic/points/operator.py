@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..camera import NOT_ROUND, PlenopticCamera, Round, Use, require_support
 from ..detector.operator import SHARP, DetectorOperator
 from ..errors import InputError, refuse_if, require_choice, require_flag, require_wavelength, suggest_keywords
+from ..extension import hook
 from ..fields.optical_system import OpticalSystem
 from ..io import digest
 from ..linear.map import LinearMap
@@ -19,7 +20,6 @@ from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime import Cost, Job, LongSum, SumTask, one_at_a_time
 from .accuracy import chosen_accuracy
-from .coherent import CoherentFields
 from .coherent_points import CoherentPoints
 from .derivatives import DerivativePlan, Differentials, check_changes, check_names
 from .full_field import FullFieldPlan
@@ -161,7 +161,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
         )
 
     @cached_property
-    def coherent_fields(self) -> CoherentFields:
+    def coherent_fields(self) -> Any:
         """The fields of the points at the operator's only wavelength; several wavelengths are refused."""
         wavelengths = [part.wavelength for part in self._channels.parts(1)]
         refuse_if(len(wavelengths) > 1, f"spectrum of {len(wavelengths)} wavelengths: a coherent field has one")
@@ -171,7 +171,8 @@ class CaptureOperator(CoherentPoints, LinearMap):
         )
         require_support(self.camera, Use.COHERENT_POINTS)
         refuse_if(self._pupil_weights is not None, "pupil_weights: coherent fields take none")
-        return CoherentFields(self._plans.system_at(wavelengths[0]), self.points)
+        make = hook("coherent fields", "field")
+        return make(self._plans.system_at(wavelengths[0]), self.points)
 
     def powers(self, light: Any) -> NDArray[np.float64]:
         """Return the weights with which images have the unit of captures of scenes, for one wavelength.

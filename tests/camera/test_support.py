@@ -173,6 +173,8 @@ def scene_gradient(camera):
     return np.ravel(np.array(dr.grad(params[key])))
 
 
+NEEDS_LASER = pytest.mark.needs_extension("laser")
+
 RESULTS = {
     Use.RAYS: captured("ray", 16),
     Use.SCENES: captured("wave", 8, wavelength=GREEN),
@@ -253,7 +255,18 @@ def test_refused_uses_say_what_the_table_says(name, uses):
 
 @pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")
 @pytest.mark.parametrize(
-    "use", [pytest.param(use, marks=[] if use in FAST else pytest.mark.slow, id=use.name) for use in RESULTS]
+    "use",
+    [
+        pytest.param(
+            use,
+            marks=[
+                *([] if use in FAST else [pytest.mark.slow]),
+                *([NEEDS_LASER] if use is Use.COHERENT_POINTS else []),
+            ],
+            id=use.name,
+        )
+        for use in RESULTS
+    ],
 )
 @pytest.mark.parametrize("name", ROWS)
 def test_parameters_change_results_or_the_table_says_why_not(name, use):

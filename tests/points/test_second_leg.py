@@ -74,6 +74,7 @@ def test_adjoint_and_cost():
 
 
 @pytest.mark.slow
+@pytest.mark.needs_extension("laser")
 def test_coherent_fields_have_an_adjoint():
     fields = mp.CaptureOperator(small_camera(2, **BEHIND), [POINT], wavelength=550.0, method="full_field")
     rng, shape = np.random.default_rng(0), fields.coherent_fields.shape("detector")

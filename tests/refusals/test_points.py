@@ -30,6 +30,9 @@ FAR = np.column_stack([np.random.default_rng(0).uniform(-2e5, 2e5, (100, 2)), np
 """Their blur of 5 mm covers 2,500 pixels; a few are allowed."""
 
 
+NEEDS_LASER = pytest.mark.needs_extension("laser")
+
+
 def pane(bsdf):
     return {"type": "rectangle", "bsdf": bsdf}
 
@@ -148,13 +151,21 @@ def field(amplitudes=(1,) * 12, points=NEAR, camera=None, plane="detector", **op
         (lambda: field(np.full(12, np.nan)), "amplitudes: all must be finite"),
         (lambda: field(["a"] * 12), "amplitudes: they must be complex numbers"),
         (lambda: field(plane="mla"), "plane = 'mla'"),
-        (lambda: waves(SMALL, NEAR).field_adjoint(np.ones((2, 2))), r"samples of shape \(2, 2\)"),
-        (lambda: waves(SMALL, np.empty((0, 3))).field_adjoint([[1]]), "points: coherent fields need at least one"),
+        pytest.param(
+            lambda: waves(SMALL, NEAR).field_adjoint(np.ones((2, 2))), r"samples of shape \(2, 2\)", marks=NEEDS_LASER
+        ),
+        pytest.param(
+            lambda: waves(SMALL, np.empty((0, 3))).field_adjoint([[1]]),
+            "points: coherent fields need at least one",
+            marks=NEEDS_LASER,
+        ),
         (lambda: field(wavelength=None, spectrum=mp.Spectrum([500, 600], [[1, 1]])), "spectrum of 2 wavelengths"),
         (lambda: field(wavelength=None, spectrum=mp.Spectrum([500], [[0.5]])), "no channels and no response"),
         (lambda: field(camera=mp.PlenopticCamera.preset("shack_hartmann")), "main_lens = collimator: coherent fields"),
         (lambda: field(method="patch", pupil_weights=np.ones((12, 4, 4))), "pupil_weights: coherent fields take none"),
-        (lambda: field([1], [(0, 0, 120.0)], WIDE), "coherent field of 1 points: it would need"),
+        pytest.param(
+            lambda: field([1], [(0, 0, 120.0)], WIDE), "coherent field of 1 points: it would need", marks=NEEDS_LASER
+        ),
     ],
 )
 def test_refused(call, words):

@@ -61,7 +61,14 @@ def test_points_by_full_fields():
     bright = plain.forward([1.0])
     assert found.forward([1.0]).sum() / bright.sum() == pytest.approx(0.3, abs=0.04)
     assert even.forward([1.0]) == pytest.approx(0.25 * bright, abs=1e-5 * float(bright.max()))
-    coherent, rng = found.coherent_fields, np.random.default_rng(0)
+
+
+@pytest.mark.slow
+@pytest.mark.needs_extension("laser")
+def test_coherent_fields_have_an_adjoint():
+    camera = PLAIN.replace(resolution=(32, 32), detector_width=0.128, mla_transmissions=[[1, 1], [1, 0.3]])
+    coherent = mp.CaptureOperator(camera, [(-0.064, -0.064, 240)], wavelength=633, method="full_field").coherent_fields
+    rng = np.random.default_rng(0)
     amplitudes, shape = np.array([1 + 2j], np.complex64), coherent.shape("detector")
     other = (rng.normal(size=shape) + 1j * rng.normal(size=shape)).astype(np.complex64)
     inner = np.vdot(other, coherent.at(amplitudes, "detector").samples)

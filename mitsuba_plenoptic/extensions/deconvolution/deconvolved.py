@@ -7,7 +7,7 @@ residual over noise hardly falls any more.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -62,9 +62,10 @@ def refocus(task: Task, **options: Any) -> list[Found]:
                 distance in task.distances[:index],
                 f"distance = {distance:g}: it is given twice; the planes of a volume are different ones",
             )
-    channels, planes, stored = task.image.shape[2], len(task.distances), None
+    channels, planes = task.image.shape[2], len(task.distances)
+    arrays: Mapping[str, NDArray[Any]] = {}
     if task.checkpoint:
-        stored = task.checkpoint.begin_arrays(
+        begun = task.checkpoint.begin_arrays(
             capture=digest(task.image),
             camera=task.camera.to_dict(),
             distances=list(task.distances),
@@ -73,15 +74,22 @@ def refocus(task: Task, **options: Any) -> list[Found]:
             exposure=task.exposure,
             options=options,
         )
-    work = Work.of(stored or {})
-    count, done = channels * planes, len(work.solved)
+        arrays = begun or {}
+    with refusing("checkpoint: it is damaged:", KeyError, ValueError):
+        solved = [
+            Solved(arrays[f"image.{index}"], int(done), float(left), bool(stopped))
+            for index, (done, left, stopped) in enumerate(arrays.get("solved", np.zeros((0, 3))))
+        ]
+    count, done = channels * planes, len(solved)
     refuse_if(done > count or done % len(groups[0]), f"checkpoint: it is damaged: {done} planes are no part of {count}")
     works = np.repeat(work_of(task.wavelengths) or [1.0] * channels, len(groups)).tolist()
     for index in range(done // len(groups[0]), channels * len(groups)):
         channel, group = divmod(index, len(groups))
         report = portion(task.progress, index, works)
-        work.solved += list(_solve(task, groups[group], channel, options, noise, work, report))
-    found = [[work.solved[channel * planes + plane] for channel in range(channels)] for plane in range(planes)]
+        solved += list(_solve(task, groups[group], channel, options, noise, solved, arrays, report))
+        # Only the first of them had been begun.
+        arrays = {}
+    found = [[solved[channel * planes + plane] for channel in range(channels)] for plane in range(planes)]
     return [
         Found(np.stack([one.image for one in of_plane], axis=-1), _facts(task, distance, of_plane))
         for distance, of_plane in zip(task.distances, found, strict=True)
@@ -110,35 +118,6 @@ class Solved:
     stopped: bool
 
 
-@dataclass
-class Work:
-    """The channels and planes already solved, and the arrays of an unfinished iteration; a checkpoint stores it."""
-
-    solved: list[Solved] = field(default_factory=list)
-    unfinished: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, arrays: Mapping[str, NDArray[Any]]) -> Work:
-        """Return the work stored in arrays by name; empty work for no arrays."""
-        with refusing("checkpoint: it is damaged:", KeyError, ValueError):
-            solved = [
-                Solved(arrays[f"image.{index}"], int(done), float(left), bool(stopped))
-                for index, (done, left, stopped) in enumerate(arrays.get("solved", np.zeros((0, 3))))
-            ]
-        return cls(solved, arrays)
-
-    def arrays(self, state: SolverState) -> dict[str, NDArray[Any]]:
-        """Return the work and the state of the next iteration as arrays by name."""
-        facts = [[one.iterations, one.residual, one.stopped] for one in self.solved]
-        images = {f"image.{index}": one.image for index, one in enumerate(self.solved)}
-        return {"solved": np.array(facts, np.float64).reshape(-1, 3), **images, **state.arrays()}
-
-    def take_state(self, shape: tuple[int, ...]) -> SolverState | None:
-        """Return the state of the unfinished iteration, only once; refuse a state of bins of another shape."""
-        unfinished, self.unfinished = self.unfinished, {}
-        return SolverState.of(unfinished, shape)
-
-
 class _AsRecorded(LinearMap):
     """A response of the pixels of a straightened capture: with the light that they have, and softened."""
 
@@ -162,17 +141,21 @@ def _solve(
     channel: int,
     options: dict[str, Any],
     noise: PixelNoise | None,
-    work: Work,
+    solved: Sequence[Solved],
+    arrays: Mapping[str, NDArray[Any]],
     report: Progress,
 ) -> Iterator[Solved]:
-    """Yield the result of each plane for one channel."""
+    """Yield the result of each plane for one channel, from the state in a checkpoint's arrays if there is one."""
     image = np.ascontiguousarray(task.image[..., channel])
     iterations, variation = options["iterations"], options["variation"]
     most = iterations or (MOST_ITERATIONS if noise else DEFAULT_ITERATIONS)
 
+    facts = np.array([[one.iterations, one.residual, one.stopped] for one in solved], np.float64).reshape(-1, 3)
+    images = {f"image.{index}": one.image for index, one in enumerate(solved)}
+
     def save(state: SolverState) -> None:
         if task.checkpoint:
-            task.checkpoint.save_arrays(lambda: work.arrays(state))
+            task.checkpoint.save_arrays(lambda: {"solved": facts, **images, **state.arrays()})
 
     with response_of(task.camera)(
         task.camera,
@@ -196,13 +179,14 @@ def _solve(
             iterations=most,
             accelerate=options["accelerate"],
             stop=until_noise(noise) if noise and iterations is None else None,
-            state=work.take_state(made.source_shape),
+            state=SolverState.of(arrays, made.source_shape),
             save=save,
             progress=lambda done, total: report(made.prepared + (1 - made.prepared) * done / total),
         )
     residual = relative_residual(image, solution.model)
+    seen = steps.light / steps.light.max()
     for plane in range(len(distances)):
-        radiance, light = (made.to_image(values, plane) for values in (solution.point, steps.seen))
+        radiance, light = (made.to_image(values, plane) for values in (solution.point, seen))
         visible = np.where(light >= LEAST_SEEN, radiance, np.float32(np.nan))
         yield Solved(visible, solution.iterations, residual, bool(solution.stopped))
 

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,138 +130,6 @@ ONCE = "derivatives of derivatives: captures by a camera's parameters, refocusin
 def working_array(array: Array) -> Array:
     """Return an array in single or double precision; half precision becomes single."""
     return array if array.dtype in (np.float32, np.float64) else array.astype(np.float32)
-
-
-# -- documentation -----------------------------------------------------------------------------------
-
-_SECTIONS = {
-    "forward": """
-A `StoredOperator` computes its point spreads once; forward and reverse passes are then products with its matrix.
-Other operators compute them in each pass.
-
-Parameters
-----------
-operator : CaptureOperator
-    The points before a camera.
-weights : ARRAY (..., n)
-    Weights of the points. With a spectrum (..., wavelengths, n).
-
-Returns
--------
-ARRAY (..., rows, columns)
-    The images. With a spectrum (..., channels, rows, columns).
-
-Raises
-------
-InputError
-    If the weights have a wrong shape, or as `CaptureOperator.forward` does.
-""",
-    "adjoint": """
-Parameters
-----------
-operator : CaptureOperator
-    The points before a camera.
-images : ARRAY (..., rows, columns)
-    The images. With a spectrum (..., channels, rows, columns).
-
-Returns
--------
-ARRAY (..., n)
-    Products with the spreads. With a spectrum (..., wavelengths, n).
-
-Raises
-------
-InputError
-    If the images have a wrong shape, or as `CaptureOperator.adjoint` does.
-""",
-    "capture": """
-The derivatives are those of `CaptureOperator.gradient`: the points and the power through the pupil are fixed.
-
-Parameters
-----------
-make : callable
-    Returns the operator for a camera, such as ``lambda camera: CaptureOperator(camera, points, wavelength=633)``.
-    Return a `StoredOperator` if the gradient by the weights is needed, which then computes no spread again.
-camera : PlenopticCamera
-    The camera, of which `parameters` replace some.
-parameters : mapping of str to ARRAY
-    Values by name: one number, or as many as the camera has. All that `CaptureOperator.gradient` returns can be
-    given, except for the wavelength.
-weights : ARRAY
-    As for `forward`.
-
-Returns
--------
-ARRAY
-    As from `forward`, of the type of the weights.
-
-Raises
-------
-InputError
-    If a parameter has no derivative or is out of range, or as `CaptureOperator.forward` and `gradient` do.
-""",
-    "refocus": """
-For the reverse pass, a coherent refocus stores the fields, and a deconvolution the images of all steps, of every
-capture in a batch (in JAX the latest one).
-
-Parameters
-----------
-by : RayRefocus, CoherentRefocus or DeconvolvedRefocus
-    The camera, distance and method.
-captures : ARRAY (..., rows, columns)
-    The recorded pixels.
-
-Returns
--------
-ARRAY (..., rows, columns)
-    The images, with 0 in bins that `reconstruct` leaves unknown.
-
-Raises
-------
-InputError
-    If the captures have a wrong shape.
-""",
-    "render": """
-Captures by ``plenoptic_wave`` have the derivatives with respect to scene and camera that its documentation lists.
-The scene keeps the given values; derivatives restore them first.
-
-Parameters
-----------
-scene : mitsuba.Scene
-    The scene, loaded in a variant with derivatives (such as ``llvm_ad_mono``).
-values : mapping of str to ARRAY
-    Values by the names of ``mi.traverse(scene)``, of the shape that NumPy shows them in.
-integrator : mitsuba.Integrator, optional
-    Default: that of the scene.
-spp : int
-    Samples per pixel. 0: those of the scene's sampler.
-seed : int
-    Seed of the random numbers. Derivatives draw others.
-
-Returns
--------
-ARRAY (rows, columns, channels)
-    The film's image, computed in single precision; in JAX of the type of the first value.
-
-Raises
-------
-InputError
-    If no value is given, a name is unknown, a value has another shape, or the scene is of another variant.
-""",
-}
-"""What the docstrings of the functions of every library say after their first sentence; ARRAY is the library's type."""
-
-Documented = TypeVar("Documented", bound=Callable[..., Any])
-
-
-def documented(array: str) -> Callable[[Documented], Documented]:
-    """Return the decorator that completes the docstring of a library's function, whose arrays are called `array`."""
-
-    def complete(function: Documented) -> Documented:
-        function.__doc__ = f"{function.__doc__}\n{_SECTIONS[function.__name__].replace('ARRAY', array)}"
-        return function
-
-    return complete
 
 
 # -- points ------------------------------------------------------------------------------------------

@@ -495,7 +495,7 @@ class _RecordedSteps(RichardsonLucy):
 
     def step(self, point: NDArray[np.float32], model: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the bins after a step from a point whose image is `model`."""
-        self.made.append(_Made(point, model, self.back(model)))
+        self.made.append(_Made(point, model, self.operator.adjoint(self.ratio(model))))
         return self.scaled(point, self.made[-1].back)
 
 

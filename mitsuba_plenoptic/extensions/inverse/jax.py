@@ -1,8 +1,9 @@
 """Captures and reconstructions as differentiable functions of JAX's arrays (extra ``jax``).
 
-Leading axes beyond those that a function names are a batch. Results have the type of the input, which must be floating
-point. The functions run on the CPU as host callbacks: they can be used inside ``jax.jit`` and ``jax.vmap``, and
-differentiated in reverse and in forward mode.
+Arguments and results are those of the functions of the same names in `mitsuba_plenoptic.torch`. Leading axes beyond
+those that a function names are a batch, of which derivatives of `refocus` keep the latest one. Results have the type of
+the input, which must be floating point. The functions run on the CPU as host callbacks: they can be used inside
+``jax.jit`` and ``jax.vmap``, and differentiated in reverse and in forward mode.
 """
 
 from __future__ import annotations
@@ -26,7 +27,6 @@ from .array_functions import (
     LinearFunction,
     Refocus,
     SmoothFunction,
-    documented,
     points,
     refocusing,
     working_array,
@@ -43,32 +43,34 @@ except ImportError:
 __all__ = ["adjoint", "capture", "forward", "refocus", "render"]
 
 
-@documented("Array")
 def forward(operator: CaptureOperator, weights: Any) -> Any:
     """Return captures of weighted points, as `CaptureOperator.forward` does; differentiable any number of times."""
     return _linear.bind(_required("weights", weights), function=points(operator))
 
 
-@documented("Array")
 def adjoint(operator: CaptureOperator, images: Any) -> Any:
     """Return images correlated with point spreads, as `CaptureOperator.adjoint`; differentiable any number of times."""
     return _linear.bind(_required("images", images), function=points(operator).T)
 
 
-@documented("Array")
 def capture(
     make: Callable[[PlenopticCamera], CaptureOperator],
     camera: PlenopticCamera,
     parameters: Mapping[str, Any],
     weights: Any,
 ) -> Any:
-    """Return captures of points by a camera, differentiable once with respect to given parameters and the weights."""
+    """Return captures of points by a camera, differentiable once with respect to given parameters and the weights.
+
+    Parameters
+    ----------
+    make, camera, parameters, weights
+        As for `torch.capture`.
+    """
     function = _latest(CameraCapture(make, camera, tuple(parameters)))
     values = (_required(name, value) for name, value in parameters.items())
     return _smooth.bind(_required("weights", weights), *values, function=function)
 
 
-@documented("Array")
 def refocus(by: Refocus, captures: Any) -> Any:
     """Return refocused captures; differentiable any number of times with the ray model, once with other methods."""
     captures = _required("captures", captures)
@@ -78,9 +80,16 @@ def refocus(by: Refocus, captures: Any) -> Any:
     return _smooth.bind(captures, function=_latest(function))
 
 
-@documented("Array")
 def render(scene: Any, values: Mapping[str, Any], *, integrator: Any = None, spp: int = 0, seed: int = 0) -> Any:
-    """Return the image of a scene with given parameters, as ``mi.render`` does, with first derivatives by them."""
+    """Return the image of a scene with given parameters, as ``mi.render`` does, with first derivatives by them.
+
+    The image has the type of the first value.
+
+    Parameters
+    ----------
+    scene, values, integrator, spp, seed
+        As for `torch.render`.
+    """
     given = [_required(name, value) for name, value in values.items()]
     shapes = {name: value.shape for name, value in zip(values, given, strict=True)}
     return _smooth.bind(*given, function=_latest(Rendering(scene, shapes, integrator=integrator, spp=spp, seed=seed)))

@@ -27,7 +27,6 @@ from .array_functions import (
     LinearFunction,
     Refocus,
     SmoothFunction,
-    documented,
     points,
     refocusing,
     working_array,
@@ -44,44 +43,125 @@ except ImportError:
 __all__ = ["adjoint", "capture", "forward", "refocus", "render"]
 
 
-@documented("Tensor")
 def forward(operator: CaptureOperator, weights: torch.Tensor) -> torch.Tensor:
-    """Return captures of weighted points, as `CaptureOperator.forward` does; differentiable any number of times."""
+    """Return captures of weighted points, as `CaptureOperator.forward` does; differentiable any number of times.
+
+    A `StoredOperator` computes its point spreads once; forward and reverse passes are then products with its matrix.
+
+    Parameters
+    ----------
+    operator : CaptureOperator
+        The points before a camera.
+    weights : Tensor (..., n)
+        Weights of the points; with a spectrum (..., wavelengths, n).
+
+    Returns
+    -------
+    Tensor (..., rows, columns)
+        The images; with a spectrum (..., channels, rows, columns).
+    """
     return _Linear.apply(weights, points(operator))
 
 
-@documented("Tensor")
 def adjoint(operator: CaptureOperator, images: torch.Tensor) -> torch.Tensor:
-    """Return images correlated with point spreads, as `CaptureOperator.adjoint`; differentiable any number of times."""
+    """Return images correlated with point spreads, as `CaptureOperator.adjoint`; differentiable any number of times.
+
+    Parameters
+    ----------
+    operator : CaptureOperator
+        The points before a camera.
+    images : Tensor (..., rows, columns)
+        The images; with a spectrum (..., channels, rows, columns).
+
+    Returns
+    -------
+    Tensor (..., n)
+        Products with the spreads; with a spectrum (..., wavelengths, n).
+    """
     return _Linear.apply(images, points(operator).T)
 
 
-@documented("Tensor")
 def capture(
     make: Callable[[PlenopticCamera], CaptureOperator],
     camera: PlenopticCamera,
     parameters: Mapping[str, torch.Tensor],
     weights: torch.Tensor,
 ) -> torch.Tensor:
-    """Return captures of points by a camera, differentiable once with respect to given parameters and the weights."""
+    """Return captures of points by a camera, differentiable once with respect to given parameters and the weights.
+
+    The derivatives are those of `CaptureOperator.gradient`: the points and the power through the pupil are fixed.
+
+    Parameters
+    ----------
+    make : callable
+        Returns the operator for a camera, such as ``lambda camera: CaptureOperator(camera, points, wavelength=633)``;
+        a `StoredOperator` computes no spread again for the gradient by the weights.
+    camera : PlenopticCamera
+        The camera, of which `parameters` replace some.
+    parameters : mapping of str to Tensor
+        Values by name: one number, or as many as the camera has. All that `CaptureOperator.gradient` returns can be
+        given, except for the wavelength.
+    weights : Tensor
+        As for `forward`.
+
+    Returns
+    -------
+    Tensor
+        As from `forward`, of the type of the weights.
+    """
     values = map(_required, parameters.values())
     return _Smooth.apply(_latest(CameraCapture(make, camera, tuple(parameters))), _required(weights), *values)
 
 
-@documented("Tensor")
 def refocus(by: Refocus, captures: torch.Tensor) -> torch.Tensor:
-    """Return refocused captures; differentiable any number of times with the ray model, once with other methods."""
+    """Return refocused captures; differentiable any number of times with the ray model, once with other methods.
+
+    For the reverse pass, a coherent refocus stores the fields, and a deconvolution the images of all steps, of every
+    capture in a batch.
+
+    Parameters
+    ----------
+    by : RayRefocus, CoherentRefocus or DeconvolvedRefocus
+        The camera, distance and method.
+    captures : Tensor (..., rows, columns)
+        The recorded pixels.
+
+    Returns
+    -------
+    Tensor (..., rows, columns)
+        The images, with 0 in bins that `reconstruct` leaves unknown.
+    """
     function = refocusing(by)
     if isinstance(function, LinearFunction):
         return _Linear.apply(captures, function)
     return _Smooth.apply(_latest(function), _required(captures))
 
 
-@documented("Tensor")
 def render(
     scene: Any, values: Mapping[str, torch.Tensor], *, integrator: Any = None, spp: int = 0, seed: int = 0
 ) -> torch.Tensor:
-    """Return the image of a scene with given parameters, as ``mi.render`` does, with first derivatives by them."""
+    """Return the image of a scene with given parameters, as ``mi.render`` does, with first derivatives by them.
+
+    The scene keeps the given values; derivatives restore them first.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        The scene, loaded in a variant with derivatives (such as ``llvm_ad_mono``).
+    values : mapping of str to Tensor
+        Values by the names of ``mi.traverse(scene)``, of the shape that NumPy shows them in.
+    integrator : mitsuba.Integrator, optional
+        Default: that of the scene.
+    spp : int
+        Samples per pixel. 0: those of the scene's sampler.
+    seed : int
+        Seed of the random numbers. Derivatives draw others.
+
+    Returns
+    -------
+    Tensor (rows, columns, channels)
+        The film's image, computed in single precision.
+    """
     shapes = {name: tuple(_required(value).shape) for name, value in values.items()}
     function = Rendering(scene, shapes, integrator=integrator, spp=spp, seed=seed)
     remembering = Latest(function, torch.clone, torch.equal, _drjit)

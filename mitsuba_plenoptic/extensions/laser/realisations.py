@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from ...errors import InputError, refuse_if, require_count, suggest_keywords
 from ...io import digest
 from ...optics import guards
-from ...points.coherent import CoherentFields
 from ...points.full_field import recorded_pixels
 from ...points.operator import CaptureOperator
 from ...runtime import POINTS, Job, Part, PartialSum, SumTask, as_array, one_at_a_time
+from .coherent import CoherentFields
 
 _BRIGHTEST = 1e30
 """Largest power of a point, whose intensities are held in single precision."""

@@ -17,9 +17,17 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import RegularGridInterpolator
 
-from ...errors import InputError, put, refuse_if, require_choice, require_length, require_number, require_numbers
-from ...runtime import MILLIMETRES, as_array, require_units
-from .labelled_files import read_netcdf
+from ...errors import (
+    InputError,
+    put,
+    refuse_if,
+    refusing,
+    require_choice,
+    require_length,
+    require_number,
+    require_numbers,
+)
+from ...runtime import MILLIMETRES, as_array, require_file, require_units
 
 Points = NDArray[np.float64]
 """Positions or velocities, (n, 3)."""
@@ -299,8 +307,11 @@ class ImportedFlow(Flow):
     field: str | Path | xr.Dataset
 
     def __post_init__(self) -> None:
-        name = str(self.field) if isinstance(self.field, (str, Path)) else "field"
-        data = read_netcdf(self.field, "a velocity field") if isinstance(self.field, (str, Path)) else self.field
+        name, data = "field", self.field
+        if isinstance(self.field, (str, Path)):
+            name = str(self.field)
+            with refusing(f"{name}: it cannot be read as a velocity field:"):
+                data = xr.load_dataset(require_file(self.field))
         refuse_if(
             not isinstance(data, xr.Dataset) or any(part not in data for part in "uvwxyz"),
             f"{name}: it must be a data set with u, v and w on x, y and z",

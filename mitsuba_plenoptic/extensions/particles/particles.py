@@ -5,9 +5,11 @@
 `locate_particles`, `refine_particles` and `match_particles` those of single particles.
 """
 
+from typing import NoReturn
+
+from ...extension import without
 from .correlation import correlate_volumes
 from .flows import FLOWS, Flow, HillVortex, ImportedFlow, LambOseen, Shear, TaylorGreen, Uniform
-from .labelled_files import read_netcdf, write_netcdf
 from .mie import cross_sections
 from .particle_images import ParticleImages
 from .projection import RayProjector, VoxelProjector
@@ -42,8 +44,10 @@ __all__ = [
     "match_particles",
     "particle_sequence",
     "quality",
-    "read_netcdf",
     "reconstruct_volume",
     "refine_particles",
-    "write_netcdf",
 ]
+
+
+def __getattr__(name: str) -> NoReturn:
+    raise without(__name__, name)

@@ -83,8 +83,8 @@ def particles(
     from ...camera import PlenopticCamera
     from ...detector.record import Detector, expose
     from ...io import write_capture
+    from ...runtime import atomic_output
     from .flows import FLOWS
-    from .labelled_files import write_netcdf
     from .particle_images import ParticleImages
     from .seeding import LightSheet, ParticleVolume, Seeding
     from .sequence import particle_sequence
@@ -105,7 +105,8 @@ def particles(
     images = ParticleImages(truth, wavelength=wavelength, model=model, accuracy=accuracy)
     with refusing(f"{output}: no folder can be made there", OSError):
         output.mkdir(parents=True, exist_ok=True)
-    write_netcdf(output / _FILE, truth)
+    with atomic_output(output / _FILE) as temporary:
+        truth.to_netcdf(temporary, engine="scipy")
     lit = int((truth["inside"][0].values * (truth["irradiance"][0].values > 0)).sum())
     typer.echo(f"{output / _FILE}: {truth.sizes['particle']} particles, {lit} of them lit in the first frame")
     for frame in range(frames):

@@ -82,8 +82,8 @@ def reconstruct_volume(
     aim = 0.0 if noise is None else require_number("noise", noise, positive=True) / scale
     steps = METHODS[method](operator, image, relaxation)
     voxels = math.prod(grid.shape)
-    refuse_if(steps.seen.shape != (voxels,), f"grid of {voxels} voxels: the operator's differ")
-    refuse_if(steps.seen.max() <= 0, "grid: no light of its voxels reaches the detector")
+    refuse_if(steps.light.shape != (voxels,), f"grid of {voxels} voxels: the operator's differ")
+    refuse_if(steps.light.max() <= 0, "grid: no light of its voxels reaches the detector")
     facts = {"method": method, "relaxation": relaxation, "grid": vars(grid), "image": digest(image)}
     stored = checkpoint.begin_arrays(**facts) if checkpoint else None
 

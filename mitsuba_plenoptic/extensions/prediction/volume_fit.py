@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from ...linear.solve import solve
+from ...linear.solve import Steps, solve
 from .projector import VolumeProjection
 
 _NEAR = 0.7
@@ -56,7 +56,7 @@ class _Near:
         return self._blurred(volume * self._seen) / self._whole
 
 
-class _PriorSteps:
+class _PriorSteps(Steps):
     """Steps of Richardson and Lucy with the prior, in some of which stray light is found."""
 
     def __init__(
@@ -110,25 +110,7 @@ def fit_volume(
     iterations: int,
     progress: Callable[[int, int], None],
 ) -> VolumeFit:
-    """Fit a volume to the pixels that are used.
-
-    Parameters
-    ----------
-    projector : VolumeProjection
-        The volume and its part of the array.
-    electrons : (m,) array
-        Recorded electrons of the pixels.
-    used : (m,) bool array
-        Pixels that the fit sees.
-    dark_variance : float
-        Variance of a dark pixel, in electrons squared.
-    strength : float
-        Weight of the prior, beta.
-    iterations : int
-        Number of steps.
-    progress : callable
-        Called with the finished and the whole number of steps.
-    """
+    """Return the volume that explains electrons (m,) of the pixels that are used; the weight of the prior is beta."""
     steps = _PriorSteps(projector, electrons, used, dark_variance, strength)
     found = solve(steps, iterations=iterations, accelerate=True, progress=progress)
     return VolumeFit(found.values, steps.stray, steps.predicted(projector.forward(found.values)))

@@ -183,7 +183,7 @@ def test_dim_areas_of_a_plane_stay_as_bright_as_they_are():
     x = places_of(response.bins[0], SMALL, 2)[..., 0]
     steps = RichardsonLucy(response, response.forward(np.where(x < 0, 0.05, 1).astype(np.float32)))
     found = solve(steps, iterations=30, accelerate=True)
-    dim = found.point.reshape(x.shape)[(x < -0.05) & (steps.seen.reshape(x.shape) > 0.3)]
+    dim = found.point.reshape(x.shape)[(x < -0.05) & (steps.light.reshape(x.shape) > 0.3 * steps.light.max())]
     assert dim.min() > 0.01 and dim.max() < 0.1
     assert relative_residual(steps.image, found.model) < 0.005
 

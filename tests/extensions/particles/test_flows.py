@@ -82,7 +82,7 @@ def test_a_field_in_a_file_is_followed_as_the_flow_it_was_sampled_from(tmp_path,
     nodes = np.stack(np.meshgrid(*axes.values(), indexing="ij"), -1)
     velocity = flow.velocity(nodes.reshape(-1, 3)).reshape(nodes.shape)
     parts = {name: (("x", "y", "z"), velocity[..., index]) for index, name in enumerate("uvw")}
-    pt.write_netcdf(tmp_path / "field.nc", xr.Dataset(parts, axes).transpose("z", "y", "x"))
+    xr.Dataset(parts, axes).transpose("z", "y", "x").to_netcdf(tmp_path / "field.nc")
     imported = pt.ImportedFlow(tmp_path / "field.nc")
     # Linear interpolation is exact for a linear field.
     assert_allclose(imported.advected(points, 0.3), flow.advected(points, 0.3), atol=1e-9)
@@ -101,6 +101,7 @@ test_bad_flows_are_refused_in_one_line = refused(
     (lambda: pt.Uniform((1, 2)), r"speed = \(1, 2\): it must be 3 numbers"),
     (lambda: pt.ImportedFlow(still(v="m/s")), "field: v is in m/s: it must be in mm/s"),
     (lambda: pt.ImportedFlow(still(z="m")), "field: z is in m: it must be in mm"),
+    (lambda: pt.ImportedFlow(__file__), "test_flows.py: it cannot be read as a velocity field: "),
     (lambda: pt.ImportedFlow(xr.Dataset()), "field: it must be a data set with u, v and w on x, y and z"),
 )
 

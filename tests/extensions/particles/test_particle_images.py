@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import xarray as xr
 from numpy.polynomial import legendre
 from numpy.testing import assert_allclose
 from refusals import refused, refuses
@@ -240,8 +241,8 @@ def test_waves_against_spreads_of_each_particle_alone():
 @needs_miepython
 def test_files_hold_sequences(tmp_path):
     truth = sequence(count=5.0, diameter=2.0, spread=0.2, index=1.5 + 0.01j)
-    pt.write_netcdf(tmp_path / "truth.nc", truth)
-    again = pt.read_netcdf(tmp_path / "truth.nc", "particles")
+    truth.to_netcdf(tmp_path / "truth.nc")
+    again = xr.load_dataset(tmp_path / "truth.nc")
     capture, other = (pt.ParticleImages(each, wavelength=550, model="ray").capture(1) for each in (truth, again))
     assert (capture.image == other.image).all()
     mp.write_capture(tmp_path / "frame.exr", capture)
@@ -309,7 +310,7 @@ def test_the_command_writes_pairs(run, complaint, tmp_path):
     run(*common, "--model", "ray", "--photons", "1e5")
     names = ["particles.nc", "ray_0000.exr", "ray_0001.exr", "wave_0000.exr", "wave_0001.exr"]
     assert sorted(path.name for path in (tmp_path / "pair").iterdir()) == names
-    truth = pt.read_netcdf(tmp_path / "pair" / "particles.nc", "particles")
+    truth = xr.load_dataset(tmp_path / "pair" / "particles.nc")
     assert json.loads(truth.attrs["particles"])["flow"]["centre"] == [0, 0, 240]
     assert mp.read_capture(tmp_path / "pair" / "ray_0001.exr").metadata["exposure"]["photons"] == 1e5
     assert complaint(*common[:-4], "--flow", "hil", "--interval", "0.1").endswith("did you mean hill?")

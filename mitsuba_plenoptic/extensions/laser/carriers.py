@@ -27,10 +27,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..lenses.thin import ThinLens
-from ..optics.waves import in_millimetres, phasor
-from ..runtime import active_backend, array_module, backend_of, fft, on_cuda
-from .arrival import blocks
+from ...lenses.thin import ThinLens
+from ...optics.waves import in_millimetres, phasor
+from ...points.arrival import blocks
+from ...runtime import active_backend, array_module, backend_of, fft, on_cuda
 from .nonuniform import PlaneWaves
 
 _FADED = 0.3

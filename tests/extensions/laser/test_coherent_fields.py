@@ -5,8 +5,8 @@ import pytest
 from cameras import HALF, WAVELENGTH, error, scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
-from mitsuba_plenoptic.points import pupil_sums
-from mitsuba_plenoptic.points.nonuniform import PlaneWaves
+from mitsuba_plenoptic.extensions.laser import pupil_sums
+from mitsuba_plenoptic.extensions.laser.nonuniform import PlaneWaves
 from mitsuba_plenoptic.points.point_spread import point_fields
 
 CAMERA = small_camera(4, **HALF)

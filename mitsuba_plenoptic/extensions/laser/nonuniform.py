@@ -19,8 +19,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..runtime import active_backend, backend_of, fft
-from .arrival import blocks
+from ...points.arrival import blocks
+from ...runtime import active_backend, backend_of, fft
 
 _WIDTH = 8
 """Frequencies of the fine grid, along an axis, over which a plane wave is spread."""

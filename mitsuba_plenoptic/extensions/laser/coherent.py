@@ -1,7 +1,7 @@
 """The complex field of many mutually coherent points in the planes of the camera, and the adjoint.
 
 The field on the pupil is a sum over layers of distance (see `pupil_sums`). It propagates through the camera like a
-single point's field (see `full_field`): by its angular spectrum to the array, through the microlenses by their
+single point's field (see `points.full_field`): by its angular spectrum to the array, through the microlenses by their
 diffraction orders, and by its angular spectrum to the detector. All steps are linear; the adjoint applies their
 adjoints in opposite order, with conjugated transfer functions and transmissions.
 """
@@ -16,20 +16,17 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import refuse_if
-from ..fields.optical_system import OpticalSystem
-from ..lenses.main_lens import MainLens
-from ..optics.waves import advance
-from ..runtime import active_backend, as_array, check_memory, fft
-from .arrival import FieldGrids, SampledField, at_mla, blocks, grids_around
+from ...errors import refuse_if
+from ...fields.optical_system import OpticalSystem
+from ...lenses.main_lens import MainLens
+from ...optics.waves import advance
+from ...points.arrival import FieldGrids, SampledField, at_mla, blocks, grids_around
+from ...points.full_field import detector_spectrum, pass_brightness, pass_microlenses, pass_pixels, pixel_integrals
+from ...points.sampling import Footprint, footprint
+from ...runtime import active_backend, check_memory, fft
 from .carriers import PupilGrid
-from .full_field import detector_spectrum, pass_brightness, pass_microlenses, pass_pixels, pixel_integrals
 from .nonuniform import POINT_BYTES, embedded, taken
 from .pupil_sums import Layer, carrier_type, layers
-from .sampling import Footprint, footprint
-
-PLANES = ("pupil", "array", "detector")
-"""Planes in which fields are computed: just behind the main lens, just before the microlenses, and on the detector."""
 
 _TOGETHER = 2**14
 """Number of points whose rays are traced together."""
@@ -145,11 +142,3 @@ def _whole_spectrum(field: fft.Field, grids: FieldGrids, axis: int) -> fft.Field
         kept = taken(spectrum, 0, count - negative, axis), taken(spectrum, -negative, negative, axis)
         parts.append(arrays.concatenate(kept, axis))
     return arrays.ascontiguousarray(arrays.concatenate(parts, 1 - axis))
-
-
-def complex_array(name: str, values: Any, shape: tuple[int, ...], meaning: str) -> NDArray[np.complex64]:
-    """Return values as a complex array of a shape; refuse anything else."""
-    array = as_array(name, values, np.complex64, rule="they must be complex numbers")
-    refuse_if(array.shape != shape, f"{name} of shape {array.shape}: it must be {shape}, {meaning}")
-    refuse_if(not np.isfinite(array).all(), f"{name}: all must be finite")
-    return np.ascontiguousarray(array)

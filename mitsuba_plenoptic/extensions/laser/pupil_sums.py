@@ -24,12 +24,12 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
-from ..fields.optical_system import OpticalSystem
-from ..lenses.thin import ThinLens
-from ..optics.waves import in_millimetres, phasor, soft_edge
-from ..runtime import active_backend, array_module, fft
-from .arrival import blocks
+from ...errors import InputError
+from ...fields.optical_system import OpticalSystem
+from ...lenses.thin import ThinLens
+from ...optics.waves import in_millimetres, phasor, soft_edge
+from ...points.arrival import blocks
+from ...runtime import active_backend, array_module, fft
 from .carriers import Carrier, PupilGrid, Spheres, Tilts
 
 _LAYER = 2.0
