@@ -204,15 +204,6 @@ class SignedCapture:
         return Cost(0, 0, seconds, memory_of(pixels, rays * pixels, self.nodes))
 
 
-class SignedRayAdjoint(SignedRaySum):
-    """The reverse pass of a signed-ray capture; its light is a `ReplayedLight`."""
-
-    def backward(self, gradient: Sequence[NDArray[np.float32]]) -> None:
-        """Propagate the gradient of the sum, by channel (rows, columns), to Dr.Jit's gradients of scene parameters."""
-        for _ in self._propagate(gradient):
-            self._light.propagate()
-
-
 @dataclass(frozen=True)
 class SignedGradients:
     """The derivatives of a signed-ray capture, with the rays that `compute` draws."""
@@ -245,7 +236,9 @@ class SignedGradients:
             for channel, projection in self.capture.projections(self._image(SignedRaySum)).items():
                 linear[channel] = projection.backward(linear[channel])
             if self.light is not None:
-                self._sum(SignedRayAdjoint, ReplayedLight(self.light)).backward(linear)
+                light = ReplayedLight(self.light)
+                for _ in self._sum(SignedRaySum, light).propagate(linear):
+                    light.propagate()
             return self._sum(partial(CameraAdjoint, names=names)).backward(linear) if names else {}
 
     def _sum(self, kind: Callable[..., Sum], light: Callable[..., list[Any]] | None = None) -> Sum:

@@ -352,7 +352,7 @@ class SignedRaySum:
         )
         return np.asarray(rows[:, None] | columns)
 
-    def _propagate(self, gradient: Sequence[Array]) -> Iterator[None]:
+    def propagate(self, gradient: Sequence[Array]) -> Iterator[None]:
         """Propagate the gradient of the sum, by channel (rows, columns), to what `estimate` depends on.
 
         None is yielded after each part of the rays.
@@ -387,7 +387,8 @@ class SignedRaySum:
                         ]
                         if products:
                             dr.backward(sum(products))
-                    yield
+                    if products:
+                        yield
 
     def _product(self, images: Array, values: list[Any], number: int, kind: int, node: CellMeans) -> Any:
         """Return the product of adjoint images (kernels, pixels) with the images of a node's values, with gradients."""
