@@ -91,13 +91,15 @@ class LaserScene:
         search = np.random.default_rng([seed, 1])
         # What is small, or so far out of focus that only its blur reaches the detector, may be beside these rays.
         towards = np.concatenate([wide, self._laser_images(search), self._pupil_images(middle, half, search)])
-        lit, _, _ = self._lit(np.concatenate([towards, *self._small_shapes(2 * half * _WIDER / _COARSE)]), seed)
-        if not len(lit):
-            lit = self._seen(wide)
-        if not len(lit):
+        surfaces, _, _ = self._lit(np.concatenate([towards, *self._small_shapes(2 * half * _WIDER / _COARSE)]), seed)
+        if not len(surfaces):
+            # Surfaces, lit or not, whose blur may bring light.
+            hit = self._hit(wide)
+            surfaces = self._in_camera(hit)[hit.is_valid().numpy()]
+        if not len(surfaces):
             return LitPoints(np.empty((0, 3)), np.empty(0))
-        blur = self._blur(lit)
-        reaches = (np.abs(lens.images(lit) - middle) <= half + blur[:, None]).all(1)
+        blur = self._blur(surfaces)
+        reaches = (np.abs(lens.images(surfaces) - middle) <= half + blur[:, None]).all(1)
         if not reaches.any():
             return LitPoints(np.empty((0, 3)), np.empty(0))
         half = half + blur[reaches].max()
@@ -137,11 +139,6 @@ class LaserScene:
             target = self.sensor.world_transform() @ mi.Point3f(float(x), float(y), 0)
             hidden += self.scene.ray_test(hit.spawn_ray_to(target)).numpy() / _RIM
         return positions, radiance[lit], hidden
-
-    def _seen(self, positions_on_array: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the points, lit or not, where chief rays through points (n, 2) of the array meet surfaces."""
-        hit = self._hit(positions_on_array)
-        return self._in_camera(hit)[hit.is_valid().numpy()]
 
     def _hit(self, positions_on_array: NDArray[np.float64], pupil: NDArray[np.float64] | None = None) -> Any:
         """Return Mitsuba's intersections of chief rays, or of rays through given points (2, n) of the pupil."""
