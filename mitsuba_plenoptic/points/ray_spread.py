@@ -31,23 +31,23 @@ def ray_spread(
     counts = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, np.ndarray)
     rows, columns = camera.shape
     image, emitted = np.zeros(rows * columns), 0.0
-    for some in np.array_split(pupil_samples, math.ceil(len(pupil_samples) / _TOGETHER)):
-        pupil = some[:, 0] * lens.reach, some[:, 1] * lens.reach
-        x, y, z = (np.full(len(some), value) for value in point)
-        seen = pupil[0] / camera.pupil_radius, pupil[1] / camera.pupil_radius
+    for samples in np.array_split(pupil_samples, math.ceil(len(pupil_samples) / _TOGETHER)):
+        pupil = samples[:, 0] * lens.reach, samples[:, 1] * lens.reach
+        x, y, z = (np.full(len(samples), value) for value in point)
+        radii = pupil[0] / camera.pupil_radius, pupil[1] / camera.pupil_radius
         power = np.where(light.is_open(pupil), light.amplitude(pupil, (x, y, z)) ** 2, 0.0).ravel()
-        power *= camera.aperture.power(*seen)
+        power *= camera.aperture.power(*radii)
         emitted += power.sum()
-        place = tuple(np.ravel(each) for each in light.land(pupil, (x, y, z)))
+        on_array = tuple(np.ravel(axis) for axis in light.land(pupil, (x, y, z)))
         if camera.vignetting is not None:
-            power *= camera.vignetting.power(*seen, *place)
-        landed: Any = place
+            power *= camera.vignetting.power(*radii, *on_array)
+        landed: Any = on_array
         before, depth = pupil, lens.pupil.distance
         if walk is not None:
-            lenslet = walk.lenslet(*walk.lattice.cell(*place))
+            lenslet = walk.lenslet(*walk.lattice.cell(*on_array))
             x, y = lenslet.centre
-            power *= lenslet.gain * walk.lattice.in_aperture(place[0] - x, place[1] - y)
-            before, depth = (place[0], place[1]), camera.detector_distance
+            power *= lenslet.gain * walk.lattice.in_aperture(on_array[0] - x, on_array[1] - y)
+            before, depth = (on_array[0], on_array[1]), camera.detector_distance
             landed, _ = walk.onto_detector(pupil, Passage(before, lenslet))
         if has_response(camera):
             power *= counts(np.hypot(landed[0] - before[0], landed[1] - before[1]), depth)

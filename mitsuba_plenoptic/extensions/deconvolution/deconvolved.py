@@ -184,9 +184,9 @@ def _solve(
             progress=lambda done, total: report(made.prepared + (1 - made.prepared) * done / total),
         )
     residual = relative_residual(image, solution.model)
-    seen = steps.light / steps.light.max()
+    brightness = steps.light / steps.light.max()
     for plane in range(len(distances)):
-        radiance, light = (made.to_image(values, plane) for values in (solution.point, seen))
+        radiance, light = (made.to_image(values, plane) for values in (solution.point, brightness))
         visible = np.where(light >= LEAST_SEEN, radiance, np.float32(np.nan))
         yield Solved(visible, solution.iterations, residual, bool(solution.stopped))
 

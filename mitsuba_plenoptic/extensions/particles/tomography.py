@@ -91,7 +91,7 @@ def reconstruct_volume(
         if checkpoint:
             checkpoint.save_arrays(state.arrays)
 
-    found = solve(
+    solution = solve(
         steps,
         iterations=iterations,
         stop=StopRule(relative_residual, aim, 1, 1 - tolerance if tolerance else math.inf),
@@ -100,9 +100,9 @@ def reconstruct_volume(
         progress=progress,
     )
     return grid.labelled(
-        found.values,
+        solution.values,
         method=method,
-        iterations=found.iterations,
-        residual=relative_residual(image, found.model),
-        stopped=found.stopped or "iterations",
+        iterations=solution.iterations,
+        residual=relative_residual(image, solution.model),
+        stopped=solution.stopped or "iterations",
     )

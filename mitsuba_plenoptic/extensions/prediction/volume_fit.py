@@ -112,8 +112,8 @@ def fit_volume(
 ) -> VolumeFit:
     """Return the volume that explains electrons (m,) of the pixels that are used; the weight of the prior is beta."""
     steps = _PriorSteps(projector, electrons, used, dark_variance, strength)
-    found = solve(steps, iterations=iterations, accelerate=True, progress=progress)
-    return VolumeFit(found.values, steps.stray, steps.predicted(projector.forward(found.values)))
+    solution = solve(steps, iterations=iterations, accelerate=True, progress=progress)
+    return VolumeFit(solution.values, steps.stray, steps.predicted(projector.forward(solution.values)))
 
 
 def _stray(electrons: np.ndarray, mask: np.ndarray, direct: np.ndarray, glow: np.ndarray) -> float:
