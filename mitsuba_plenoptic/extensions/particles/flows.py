@@ -314,7 +314,7 @@ class ImportedFlow(Flow):
 
     def __post_init__(self) -> None:
         name = "field"
-        data = self.field
+        data: Any = self.field
         if isinstance(self.field, (str, Path)):
             name = str(self.field)
             with refusing(f"{name}: it cannot be read as a velocity field:"):
