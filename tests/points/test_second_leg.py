@@ -34,7 +34,8 @@ def test_patches_against_full_fields(camera):
     full = spread(camera, method="full_field")
     assert error(spread(camera), full) < 0.005
     clear = camera.replace(pixel_response=(), **{"mla_absorption": 0.0} if camera.has_array else {})
-    assert full.sum() < 0.75 * spread(clear).sum()
+    # The detector of the camera without lenses takes the middle of the blurred image, whose light is less oblique.
+    assert full.sum() < (0.75 if camera.has_array else 0.8) * spread(clear).sum()
 
 
 @pytest.mark.parametrize("changes", [ABSORBING, RESPONSE], ids=["absorption", "response"])
