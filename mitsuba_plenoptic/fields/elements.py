@@ -12,24 +12,28 @@ from ..camera import PlenopticCamera
 from ..optics import rays
 from ..optics.waves import parabola, phasor
 from ..runtime import active_backend, drjit_array, fft
+from .microlens_orders import MicrolensArray
 from .microlenses import is_separable, transmission
 from .steps import Step
 
 
 class Element:
-    """Thin element in the source plane of a step: the product of lines along x and along y, and a function of x and y.
+    """Thin element in the source plane of a step: lines along x and y, or a function of x and y, or samples.
 
-    The function takes Dr.Jit arrays. What is None changes nothing. Rows where the line along y is zero are left out.
+    The function takes Dr.Jit arrays. Rows where the line along y is zero are left out.
     """
 
     def __init__(
         self,
         step: Step,
         function: Callable[[Any, Any], Any] | None = None,
+        *,
         along_x: fft.Field | None = None,
         along_y: fft.Field | None = None,
+        samples: fft.Field | None = None,
     ) -> None:
-        self._step, self._function, self.along_x, self.along_y = step, function, along_x, along_y
+        self._step, self._function, self._samples = step, function, samples
+        self.along_x, self.along_y = along_x, along_y
         self._lit = np.ones(step.y.count, bool) if along_y is None else active_backend().to_host(along_y) != 0
 
     @classmethod
@@ -41,7 +45,20 @@ class Element:
         x, y = point
         line = _evaluate(np.append(step.x.source, x), np.array([y]), function)[0]
         along_y = _evaluate(np.array([x]), step.y.source, function)[:, 0] * line[-1].conj()
-        return cls(step, None, line[:-1], along_y)
+        return cls(step, along_x=line[:-1], along_y=along_y)
+
+    @classmethod
+    def by_orders(cls, step: Step, array: MicrolensArray, cosine: float) -> Element:
+        """Return the microlenses without the diffraction orders beyond a direction, which the samples would alias."""
+        lines, plane = {}, None
+        for factor in array.factors(cosine):
+            if len(factor.axes) == 2:
+                plane = factor.at
+            else:
+                places = (step.x, step.y)[factor.axes[0]].source
+                line = factor.at(drjit_array(active_backend().types.Float64, places))
+                lines[factor.axes[0]] = fft.as_field(fft.pack(line), (len(places),))
+        return cls(step, plane, along_x=lines.get(0), along_y=lines.get(1))
 
     def lit(self, rows: slice) -> list[slice]:
         """Return runs of the rows in which the element transmits light."""
@@ -50,7 +67,7 @@ class Element:
 
     def through(self, rows: slice, samples: fft.Field, out: fft.Field) -> None:
         """Write rows of a field, multiplied by all factors but the one along y, to `out`."""
-        factor = self._factor(rows)
+        factor = self.factor(rows)
         if factor is None:
             out[...] = samples
         else:
@@ -58,15 +75,17 @@ class Element:
 
     def back(self, rows: slice, samples: fft.Field, scale: float) -> fft.Field:
         """Return rows of a field, multiplied by the conjugates of all factors and by a scale."""
-        for factor in (self._factor(rows), None if self.along_y is None else self.along_y[rows, None]):
+        for factor in (self.factor(rows), None if self.along_y is None else self.along_y[rows, None]):
             samples = samples if factor is None else samples * factor.conj()
         return samples * np.float32(scale)
 
-    def _factor(self, rows: slice) -> fft.Field | None:
+    def factor(self, rows: slice) -> Any:
+        """Return the factors of rows but for the one along y; None if they are 1."""
+        if self._samples is not None:
+            return self._samples[rows]
         if self._function is None:
             return self.along_x
-        plane = _evaluate(self._step.x.source, self._step.y.source[rows], self._function)
-        return plane if self.along_x is None else plane * self.along_x
+        return _evaluate(self._step.x.source, self._step.y.source[rows], self._function)
 
 
 def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any]) -> fft.Field:

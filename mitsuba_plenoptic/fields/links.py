@@ -13,8 +13,8 @@ opposite length between the same samples; that of an element is its conjugate.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,6 +23,7 @@ from ..optics.waves import advance, in_millimetres, parabola, phasor
 from ..runtime import active_backend, fft
 from .elements import Element
 from .steps import AxisStep, Directions, LensAxis, Step
+from .watch import Watch
 from .workspace import FieldWorkspace, Rows
 
 # Columns that are turned into rows together: more of them would not stay in the first cache.
@@ -30,7 +31,11 @@ _TILE = 512
 
 
 class Link(Protocol):
-    """What a field passes on its way: an element and free space behind it, in blocks of rows."""
+    """What a field passes on its way, in blocks of rows, such as an element and the free space behind it."""
+
+    @property
+    def step(self) -> Step:
+        """The step, for which a workspace needs memory."""
 
     def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
         """Yield the field behind the link, from the field before it."""
@@ -44,6 +49,11 @@ class Chain:
     """Links that a field passes one after another."""
 
     links: Sequence[Link]
+
+    @property
+    def steps(self) -> list[Step]:
+        """Steps of all links."""
+        return [link.step for link in self.links]
 
     def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
         """Yield the field behind the last link."""
@@ -62,45 +72,58 @@ class Chain:
 class FreeSpace:
     """Free space of a length in mm, for a wavelength in nm in it, with propagation by slopes or by cosines.
 
-    With `beyond_paraxial`, only the non-paraxial part.
+    With `beyond_paraxial`, only the non-paraxial part. `response` is an amplitude of plane waves, a function of the two
+    direction cosines, such as that of pixels behind the space.
     """
 
     distance: float
     wavelength: float
     paraxial: bool = False
     beyond_paraxial: bool = False
+    response: Callable[[Any, Any], Any] | None = None
 
     @property
     def back(self) -> FreeSpace:
         """Free space from the second plane back to the first."""
-        return FreeSpace(-self.distance, self.wavelength, self.paraxial, self.beyond_paraxial)
+        return replace(self, distance=-self.distance)
 
 
 class Hop:
-    """An element, then free space to the destination samples of a step; the carrier is omitted."""
+    """An element, then free space to the destination samples of a step; the carrier is omitted.
 
-    def __init__(self, step: Step, space: FreeSpace, element: Element | None = None) -> None:
-        self._step, self._space, self._element = step, space, element or Element(step)
+    `check` is called with what was watched, before the field goes on.
+    """
+
+    def __init__(
+        self,
+        step: Step,
+        space: FreeSpace,
+        element: Element | None = None,
+        check: Callable[[Watch], None] | None = None,
+    ) -> None:
+        self.step, self._space, self._element, self._check = step, space, element or Element(step), check
 
     def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
         """Yield the field at the destination samples, from the field at the source samples."""
-        x, y, space = self._step.x, self._step.y, self._space
+        x, y, space = self.step.x, self.step.y, self._space
         pitches, shift = (x.window / x.held, y.window / y.held), (x.start - x.first, y.start - y.first)
+        directions = to_directions(source, self._element, self.step, workspace)
+        watch = self._check and Watch(self.step, self._check)
 
         def advanced() -> Rows:
-            for mine, spectrum in to_directions(source, self._element, self._step, workspace):
+            for mine, spectrum in watch.watched(directions) if watch else directions:
                 yield mine, advance(
                     spectrum, pitches, space.distance, space.wavelength, shift=shift, part=(mine.start, x.held),
-                    paraxial=space.paraxial, beyond_paraxial=space.beyond_paraxial,
+                    paraxial=space.paraxial, beyond_paraxial=space.beyond_paraxial, response=space.response,
                 )  # fmt: skip
 
-        return from_directions(advanced(), self._step, workspace)
+        return from_directions(advanced(), self.step, workspace, watch)
 
     def adjoint(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
         """Yield the adjoint at the source samples, from a field at the destination samples."""
-        x, y = self._step.x, self._step.y
+        x, y = self.step.x, self.step.y
         scale = x.new_padded * y.new_padded / (x.padded * y.padded)
-        for rows, samples in Hop(self._step.reversed, self._space.back).forward(gradient, workspace):
+        for rows, samples in Hop(self.step.reversed, self._space.back).forward(gradient, workspace):
             yield rows, self._element.back(rows, samples, scale)
 
 
@@ -125,6 +148,25 @@ class Spectrum:
             yield rows, self.element.back(rows, samples, scale)
 
 
+class FromSpectrum:
+    """The way back of `Spectrum`, to the destination samples of a step; `check` is called as by `Hop`."""
+
+    def __init__(self, step: Step, check: Callable[[Watch], None]) -> None:
+        self.step, self._check = step, check
+
+    def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
+        """Yield the field at the destination samples, from its frequencies."""
+        watch = Watch(self.step, self._check)
+        return from_directions(watch.watched(source), self.step, workspace, watch)
+
+    def adjoint(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
+        """Yield the adjoint at the frequencies, from a field at the destination samples."""
+        back = self.step.reversed
+        scale = np.float32(back.x.padded * back.y.padded)
+        for lines, spectrum in to_directions(gradient, Element(back), back, workspace):
+            yield lines, spectrum * scale
+
+
 class Fresnel:
     """Paraxial free space between two planes as one transform, with the second plane's samples in order.
 
@@ -137,7 +179,7 @@ class Fresnel:
         def curved(x: Any, y: Any) -> Any:
             return phasor(parabola(x * x + y * y, -distance, wavelength))
 
-        self._count, self._positive = step.x.held, (step.y.held + 1) // 2
+        self.step, self._count, self._positive = step, step.x.held, (step.y.held + 1) // 2
         self._spectrum = Spectrum(step, Element.separated(step, curved, (0.0, 0.0)))
         asarray = active_backend().arrays.asarray
         self._along_x, self._along_y = (
@@ -206,29 +248,34 @@ def to_directions(source: Rows, element: Element, step: Step, workspace: FieldWo
         yield mine, part
 
 
-def from_directions(spectrum: Rows, step: Step, workspace: FieldWorkspace) -> Rows:
+def from_directions(spectrum: Rows, step: Step, workspace: FieldWorkspace, watch: Watch | None = None) -> Rows:
     """Yield the field at the destination samples of a step, from its lowest frequencies as `to_directions` has them."""
     x, y, columns = step.x, step.y, workspace.columns(step)
     for mine, part in spectrum:
-        columns[mine, : y.wanted] = _from_lowest(part, y, workspace)
+        whole = _from_lowest(part, y, workspace)
+        if watch:
+            watch.see_window(whole)
+        columns[mine, : y.wanted] = whole[:, : y.wanted]
+    if watch:
+        watch.check()
     block = workspace.array("next rows", (workspace.block, x.held))
     for rows in workspace.runs(y.wanted):
         part = block[: rows.stop - rows.start]
         for first in range(0, x.held, _TILE):
             tile = slice(first, min(first + _TILE, x.held))
             part[:, tile] = columns[tile, rows].T
-        yield rows, _from_lowest(part, x, workspace)
+        yield rows, _from_lowest(part, x, workspace)[:, : x.wanted]
 
 
 def _from_lowest(part: fft.Field, axis: AxisStep, workspace: FieldWorkspace) -> fft.Field:
-    """Return the destination samples of rows, from the rows' lowest frequencies."""
+    """Return rows all over the destination's window, from the rows' lowest frequencies."""
     if axis.held < axis.new_padded:
         low, high = _lowest(axis.new_padded, axis.held)
         wide = workspace.array("wide", (len(part), axis.new_padded))
         wide[:, low.stop : high.start] = 0
         wide[:, low], wide[:, high] = part[:, : low.stop], part[:, low.stop :]
         part = wide
-    return workspace.fft(part, inverse=True)[:, : axis.wanted]
+    return workspace.fft(part, inverse=True)
 
 
 def _lowest(size: int, held: int) -> tuple[slice, slice]:

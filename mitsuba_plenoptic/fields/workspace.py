@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..runtime import active_backend, fft
 from .steps import Step
@@ -12,7 +16,7 @@ from .steps import Step
 Rows = Iterable[tuple[slice, fft.Field]]
 """Blocks of rows of a field, from the first on, with their numbers. What is left out is dark.
 
-A block holds until the next one is asked for.
+A block holds until the next one is asked for, and who takes it may overwrite it.
 """
 
 # Rows that are transformed together: in the processor's cache, or enough to keep a CUDA device busy.
@@ -22,19 +26,29 @@ _BLOCK, _CUDA_BLOCK = 64, 4096
 _PAGE, _STAGGER = 512, 24
 
 
+_RETAINED = 2**29
+"""Bytes of a thread's memory, at most, that wait for its next field."""
+
+
 class FieldWorkspace:
     """Memory shared by steps, since fresh memory pages would cost nearly as much as the transforms.
 
-    `report` is called with the number of samples that Fourier transforms have processed.
+    `report` is called with the number of samples that Fourier transforms have processed. `buffers` are arrays of
+    another workspace that is not used any more.
     """
 
-    def __init__(self, steps: Iterable[Step], report: Callable[[int], None] = lambda transformed: None) -> None:
+    def __init__(
+        self,
+        steps: Iterable[Step],
+        report: Callable[[int], None] = lambda transformed: None,
+        buffers: dict[str, fft.Field] | None = None,
+    ) -> None:
         self.libraries = active_backend()
         self.block = _CUDA_BLOCK if self.libraries.is_cuda else _BLOCK
         self._transformed, self._report = 0, report
+        self._buffers = {} if buffers is None else buffers
         columns, rows = (max(sizes) for sizes in zip(*(step.columns for step in steps), strict=True))
-        self._columns = self.libraries.arrays.empty((columns, rows + -rows % _PAGE + _STAGGER), np.complex64)
-        self._buffers: dict[str, fft.Field] = {}
+        self._columns = self.array("columns", (columns, rows + -rows % _PAGE + _STAGGER))
 
     def columns(self, step: Step) -> fft.Field:
         """Return the memory of a step's columns, shared with the last step's columns."""
@@ -53,10 +67,18 @@ class FieldWorkspace:
         for first in range(0, count, block):
             yield slice(first, min(first + block, count))
 
-    def blocks(self, field: fft.Field) -> Rows:
-        """Yield all rows of a field in blocks, which are views of the field."""
+    def blocks(self, field: fft.Field, first: int = 0) -> Rows:
+        """Yield all rows of a field in blocks, which are views of the field; `first` is the number of its first row."""
         for rows in self.runs(len(field)):
-            yield rows, field[rows]
+            yield slice(rows.start + first, rows.stop + first), field[rows]
+
+    def repeated(self, pixels: NDArray[np.float32], count: int) -> Rows:
+        """Yield the rows of pixels that are repeated `count` times along both axes."""
+        for rows in self.runs(len(pixels), max(1, self.block // count)):
+            part: Any = pixels[rows]
+            for axis in (0, 1) if count > 1 else ():
+                part = self.libraries.arrays.repeat(part, count, axis)
+            yield slice(rows.start * count, rows.stop * count), part
 
     def whole(self, blocks: Rows, shape: tuple[int, int]) -> fft.Field:
         """Return a field gathered from all its rows."""
@@ -71,3 +93,21 @@ class FieldWorkspace:
         self._transformed += field.size
         self._report(self._transformed)
         return found
+
+
+_of_thread = threading.local()
+
+
+@contextmanager
+def retained_workspace(steps: Iterable[Step]) -> Iterator[FieldWorkspace]:
+    """Provide a workspace in the memory of this thread's last one, which is retained unless there is much of it.
+
+    On CUDA, CuPy retains memory by itself.
+    """
+    if active_backend().is_cuda:
+        yield FieldWorkspace(steps)
+        return
+    buffers: dict[str, fft.Field] = _of_thread.__dict__.pop("buffers", {})
+    yield FieldWorkspace(steps, buffers=buffers)
+    if sum(buffer.nbytes for buffer in buffers.values()) <= _RETAINED:
+        _of_thread.buffers = buffers

@@ -12,6 +12,7 @@ that is wide enough.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
@@ -67,18 +68,18 @@ def smooth_edge(samples: Any) -> Any:
     return passed * passed * (3 - 2 * passed)
 
 
-_EDGE = 1 / 8
+EDGE = 1 / 8
 """Outer fraction of a window or spectrum that should be dark; a uniform field has 23 % of its power there."""
 
 
 def power(field: fft.Field) -> float:
     """Return the sum of the squared moduli of a field."""
-    return float(_power_by_row(field).sum())
+    return float(power_by_row(field).sum())
 
 
 def rim(size: int) -> int:
     """Return the width in samples of a window's rim, on one side."""
-    return max(1, round(size * _EDGE / 2))
+    return max(1, round(size * EDGE / 2))
 
 
 def band_edge_fraction(
@@ -89,7 +90,7 @@ def band_edge_fraction(
     `spectrum` has the shape (rows, columns); `frequencies` and `weight` have one value for each row.
     """
     rows = frequencies_of(len(spectrum)) if frequencies is None else frequencies
-    outer, high = np.abs(rows) > 1 - _EDGE, np.flatnonzero(np.abs(frequencies_of(spectrum.shape[1])) > 1 - _EDGE)
+    outer, high = np.abs(rows) > 1 - EDGE, np.flatnonzero(np.abs(frequencies_of(spectrum.shape[1])) > 1 - EDGE)
     # The high frequencies are in the middle of the columns.
     columns = spectrum[:, int(high[0]) : int(high[-1]) + 1] if high.size else spectrum[:, :0]
     edge = weighted(weight * outer, spectrum) + weighted(weight * ~outer, columns)
@@ -108,10 +109,10 @@ def fraction(share: float, total: float) -> float:
 
 def weighted(weight: np.ndarray, field: fft.Field) -> float:
     """Return the sum of the power of rows, each multiplied by a weight."""
-    return float((backend_of(field).arrays.asarray(weight.astype(np.float64)) * _power_by_row(field)).sum())
+    return float((backend_of(field).arrays.asarray(weight.astype(np.float64)) * power_by_row(field)).sum())
 
 
-def _power_by_row(field: fft.Field) -> NDArray[np.float64]:
+def power_by_row(field: fft.Field) -> NDArray[np.float64]:
     """Return the sum of squared moduli of each row, computed on the field's device."""
     arrays = backend_of(field).arrays
     # CuPy's transforms along the first axis leave columns contiguous, and not rows.
@@ -257,16 +258,19 @@ def advance(
     part: tuple[int, int] | None = None,
     paraxial: bool = False,
     beyond_paraxial: bool = False,
+    response: Callable[[Any, Any], Any] | None = None,
 ) -> fft.Field:
     r"""Return a field's spectrum multiplied by free space's transfer function :math:`\exp(i (k_z - k) d)`.
 
     The spectrum has zero frequency first. `shift` is the displacement (down, across) of the new samples from the old
     ones, in millimetres. `part` describes a block of rows: the index of its first row, and the number of rows of the
-    whole spectrum. `paraxial` and `beyond_paraxial` are as in `transfer`.
+    whole spectrum. `paraxial` and `beyond_paraxial` are as in `transfer`. `response` is an amplitude of plane waves, a
+    function of their direction cosines across and down.
     """
     packed = drjit_array(array_module().UInt64, fft.as_words(spectrum))
     how = {"shift": shift, "paraxial": paraxial, "beyond_paraxial": beyond_paraxial}
-    return fft.as_field(_advance(packed, spectrum.shape, pitch, distance, wavelength, part, **how), spectrum.shape)
+    packed = _advance(packed, spectrum.shape, pitch, distance, wavelength, part, response, **how)
+    return fft.as_field(packed, spectrum.shape)
 
 
 def _advance(
@@ -276,6 +280,7 @@ def _advance(
     distance: float,
     wavelength: float,
     part: tuple[int, int] | None = None,
+    response: Callable[[Any, Any], Any] | None = None,
     **how: Any,
 ) -> Any:
     """Multiply a packed spectrum, zero frequency first, by the transfer function of free space; see `transfer`."""
@@ -286,7 +291,8 @@ def _advance(
     sx = direction_cosine(types, column, columns, across, wavelength)
     first, all_rows = part or (0, rows)
     sy = direction_cosine(types, row + dr.opaque(types.UInt32, first), all_rows, down, wavelength)
-    return fft.pack(fft.unpack(packed) * transfer(sx, sy, distance, wavelength, **how))
+    factor = transfer(sx, sy, distance, wavelength, **how)
+    return fft.pack(fft.unpack(packed) * (factor if response is None else factor * response(sx, sy)))
 
 
 def transfer(

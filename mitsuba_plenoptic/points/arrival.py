@@ -13,15 +13,18 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Vignetting
 from ..errors import refuse_if
+from ..fields.links import FreeSpace, FromSpectrum, Hop, Link
 from ..fields.microlenses import diffraction, scattering
 from ..fields.optical_system import OpticalSystem, is_paraxial
+from ..fields.steps import AxisStep, Step
+from ..fields.watch import Watch
 from ..lenses.closed_lens import ClosedLens
 from ..lenses.common import cone
 from ..lenses.main_lens import PointLight
 from ..lenses.pupil_fit import ExitPupil
 from ..lenses.thin import ThinLens
 from ..optics import guards
-from ..optics.waves import advance, band_edge_fraction, fraction, in_millimetres, phasor, power, rim, soft_edge
+from ..optics.waves import band_edge_fraction, in_millimetres, phasor, power, power_by_row, soft_edge
 from ..runtime import active_backend, check_memory, fft
 from .pupil_weights import PupilWeights
 from .sampling import Footprint, bundle_footprint, footprint
@@ -68,6 +71,41 @@ class FieldGrids:
     count: tuple[int, int]  # samples of the detector's window
     bend: float  # largest change of direction cosine by a microlens that the grid represents
     margin: int  # pixels between the window's edge and the first recorded pixel
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """Camera-frame x and y of the first sample of the detector's window."""
+        left, top = (start + index * self.pitch for start, index in zip(self.wide_origin, self.offset, strict=True))
+        return left, top
+
+    @property
+    def pupil_pitch(self) -> float:
+        """Distance between samples of the wide window at the pupil."""
+        return self.pitch * self.wide_mla / self.wide_pupil
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the detector's window."""
+        return self.count[1], self.count[0]
+
+    def to_array(self, columns: slice = slice(None), rows: slice = slice(None)) -> Step:
+        """Return the step to the detector's window on the array, from some columns and rows of the wide window."""
+        pitch, wide = self.pupil_pitch, self.wide_pupil
+        across, down = (
+            AxisStep(first + part[0] * pitch, pitch, len(part), wide, self.wide_mla, start, count)
+            for first, part, start, count in zip(
+                self.wide_origin, (range(wide)[columns], range(wide)[rows]), self.origin, self.count, strict=True
+            )
+        )
+        return Step(across, down)
+
+    def to_detector(self, finer: int = 1) -> Step:
+        """Return the step from the window on the array to the same on the detector, where samples may be finer."""
+        across, down = (
+            AxisStep(first, self.pitch, count, count, finer * count, first, finer * count)
+            for first, count in zip(self.origin, self.count, strict=True)
+        )
+        return Step(across, down)
 
 
 def field_grids(
@@ -182,6 +220,39 @@ def interpolated(field: SampledField, origin: tuple[float, float], pitch: float,
     return arrays.ascontiguousarray(rows @ arrays.asarray(field.samples.astype(np.complex64)) @ columns.T)
 
 
+@dataclass(frozen=True)
+class Arrival:
+    """The way of light to the array: what enters the first link, the number of its first row, and the links.
+
+    Without links the light enters on the array.
+    """
+
+    source: fft.Field
+    first: int
+    links: tuple[Link, ...]
+
+
+def arrival(
+    system: OpticalSystem,
+    position: NDArray[np.float64],
+    grids: FieldGrids,
+    weights: PupilWeights | None = None,
+    incident: SampledField | None = None,
+) -> tuple[SampledField, Arrival]:
+    """Return the light of a scene point (3,) on the pupil, and to the array, with the parameters of `full_field`."""
+    camera, wavelength, lens = system.camera, system.wavelength, system.lens
+    if not lens.pupil.finite:
+        closed = cast(ClosedLens, lens)
+        if lens.pupil.swap is not None:
+            return stop_image_arrival(closed, position, wavelength, grids, weights, incident)
+        return telecentric_arrival(closed, position, wavelength, grids, weights, camera.vignetting)
+    pupil = pupil_field(system, position, grids, weights, incident)
+    lit = np.flatnonzero(active_backend().to_host(power_by_row(pupil.samples)))
+    paraxial = incident is not None and is_paraxial(camera)
+    hop = to_array(camera, wavelength, grids.to_array(), paraxial)
+    return pupil, Arrival(pupil.samples[lit[0] : lit[-1] + 1], int(lit[0]), (hop,))
+
+
 def pupil_field(
     system: OpticalSystem,
     position: NDArray[np.float64],
@@ -192,7 +263,7 @@ def pupil_field(
     """Return the field of a scene point behind the exit pupil, with the parameters of `full_field`."""
     types = active_backend().types
     count = grids.wide_pupil
-    pitch = grids.pitch * grids.wide_mla / count
+    pitch = grids.pupil_pitch
     row, column = fft.rows_and_columns(types, count, count)
     step = dr.opaque(types.Float64, pitch)
     Px = types.Float64(column) * step + dr.opaque(types.Float64, grids.wide_origin[0])
@@ -232,58 +303,20 @@ def pupil_field(
     return SampledField(fft.as_field(fft.pack(field), (count, count)), grids.wide_origin, pitch)
 
 
-def at_mla(
-    camera: PlenopticCamera, wavelength: float, grids: FieldGrids, pupil: SampledField, paraxial: bool = False
-) -> SampledField:
-    """Return a field propagated to the finer grid at the MLA, and cropped to the detector's window."""
-    spectrum = active_backend().empty(pupil.samples.shape, np.complex64)
-    spectrum[...] = pupil.samples
-    with fft.resting_drjit():
-        spectrum = fft.fft2(spectrum)
-    guards.check(guards.UNDERSAMPLED, band_edge_fraction(spectrum))
-    spectrum = advance(spectrum, pupil.pitch, camera.pupil_distance, wavelength, paraxial=paraxial)
-    return onto_window(spectrum, grids)
+def to_array(camera: PlenopticCamera, wavelength: float, step: Step, paraxial: bool = False) -> Hop:
+    """Return the way from the pupil to the array, whose guards look at the window's border along y."""
+    return Hop(step, FreeSpace(camera.pupil_distance, wavelength, paraxial), check=_check_window)
 
 
-def onto_window(spectrum: fft.Field, grids: FieldGrids) -> SampledField:
-    """Return the field at the MLA on the finer grid, cropped to the detector's window, from the field's spectrum."""
-    (left, top), (columns, rows) = grids.offset, grids.count
-    samples = active_backend().empty((rows, columns), np.complex64)
-    with fft.resting_drjit():
-        # one axis at a time, so that rows and columns outside the spectrum and the window are not transformed
-        partial = active_backend().arrays.empty((rows, spectrum.shape[1]), np.complex64)
-        width, in_rim = rim(grids.wide_mla), 0.0
-        for block in blocks(spectrum.shape[1]):
-            tall = interpolate(spectrum[:, block], grids.wide_mla, axis=0)
-            partial[:, block] = tall[top : top + rows]
-            in_rim += power(tall[:width]) + power(tall[-width:])
-        for block in blocks(rows):
-            wide = interpolate(partial[block], grids.wide_mla, axis=1)
-            samples[block] = wide[:, left : left + columns]
-    guards.check_window(fraction(in_rim, power(spectrum) * grids.wide_mla / spectrum.shape[0] ** 2))
-    origin = (grids.wide_origin[0] + left * grids.pitch, grids.wide_origin[1] + top * grids.pitch)
-    return SampledField(samples, origin, grids.pitch)
+def _check_window(watch: Watch) -> None:
+    guards.check(guards.UNDERSAMPLED, watch.band_edge)
+    guards.check_window(watch.in_rim)
 
 
 def blocks(count: int) -> Iterator[slice]:
     """Yield slices of a range, which limit the memory of intermediate results."""
     for start in range(0, count, BLOCK):
         yield slice(start, min(count, start + BLOCK))
-
-
-def interpolate(spectrum: fft.Field, count: int, axis: int) -> fft.Field:
-    """Return a spectrum's transform back along one axis, with `count` samples in the same window by zero padding."""
-    size = spectrum.shape[axis]
-    shape = list(spectrum.shape)
-    shape[axis] = count
-    arrays = active_backend().arrays
-    padded = arrays.zeros(shape, np.complex64)
-    source, target = arrays.moveaxis(spectrum, axis, 0), arrays.moveaxis(padded, axis, 0)
-    positive = (size + 1) // 2
-    target[:positive] = source[:positive]
-    target[count - (size - positive) :] = source[positive:]
-    padded *= np.float32(count / size)
-    return fft.fft(padded, axis=axis, inverse=True)
 
 
 def telecentric_arrival(
@@ -293,38 +326,37 @@ def telecentric_arrival(
     grids: FieldGrids,
     weights: PupilWeights | None = None,
     vignetting: Vignetting | None = None,
-) -> tuple[SampledField, SampledField]:
-    """Return the fields of a scene point (3,) on the stop and in the native image directly before the microlenses.
+) -> tuple[SampledField, Arrival]:
+    """Return the light of a scene point (3,) on the stop, and in the native image directly before the microlenses.
 
     Both have the power 1, except for light that misses the detector's window or that vignetting takes.
     """
     types, count = active_backend().types, grids.wide_pupil
-    pitch = grids.pitch * grids.wide_mla / count
+    pitch = grids.pupil_pitch
     step = in_millimetres(wavelength) / (count * pitch)
     frequencies = []
-    row, column = fft.rows_and_columns(types, count, count)
-    for sample in (column, row):
+    # Lines of the spectrum are along y.
+    for sample in fft.rows_and_columns(types, count, count):
         # Zero frequency comes first, as in transforms.
         index = types.Float64(sample)
         frequencies.append(dr.select(index < (count + 1) // 2, index, index - count))
     reach = lens.pupil.distance * step
     pupil = -frequencies[0] * dr.opaque(types.Float64, reach), -frequencies[1] * dr.opaque(types.Float64, reach)
     field = _stop_field(lens, position, wavelength, pupil, reach, weights, vignetting)
-    # The first sample is at the corner of the grid.
-    to_corner = [dr.opaque(types.Float64, start / (count * pitch)) for start in grids.wide_origin]
+    # The first sample is at the corner of the detector's window.
+    to_corner = [dr.opaque(types.Float64, start / (count * pitch)) for start in grids.origin]
     spectrum = field * phasor(frequencies[0] * to_corner[0] + frequencies[1] * to_corner[1])
     # The field on the stop is a density in position; the density in direction is larger by the focal length.
-    scale = lens.pupil.distance * in_millimetres(wavelength) / pitch**2
+    scale = lens.pupil.distance * in_millimetres(wavelength) / (pitch * count) ** 2
     shape = count, count
-    packed = fft.as_field(fft.pack(spectrum * types.Float(scale)), shape)
-    guards.check(guards.UNDERSAMPLED, band_edge_fraction(packed))
-    mla = onto_window(packed, grids)
+    source = fft.as_field(fft.pack(spectrum * types.Float(scale)), shape)
     # Zero frequency in the middle.
-    stop = active_backend().arrays.roll(fft.as_field(fft.pack(field), shape), (count // 2, count // 2), (0, 1))[
+    stop = active_backend().arrays.roll(fft.as_field(fft.pack(field), shape).T, (count // 2, count // 2), (0, 1))[
         ::-1, ::-1
     ]
     half = (count - 1) // 2
-    return SampledField(stop, (-half * reach, -half * reach), reach), mla
+    link = FromSpectrum(grids.to_array(), _check_window)
+    return SampledField(stop, (-half * reach, -half * reach), reach), Arrival(source, 0, (link,))
 
 
 def stop_image_arrival(
@@ -334,11 +366,10 @@ def stop_image_arrival(
     grids: FieldGrids,
     weights: PupilWeights | None = None,
     incident: SampledField | None = None,
-) -> tuple[SampledField, SampledField]:
-    """Return the fields of `telecentric_arrival` for an array in the image of the stop."""
+) -> tuple[SampledField, Arrival]:
+    """Return the light of `telecentric_arrival` for an array in the image of the stop."""
     types, (columns, rows) = active_backend().types, grids.count
-    scale = lens.pupil.stop_scale
-    origin = tuple(start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
+    scale, origin = lens.pupil.stop_scale, grids.origin
     row, column = fft.rows_and_columns(types, rows, columns)
     pupil = tuple(
         (types.Float64(sample) * dr.opaque(types.Float64, grids.pitch) + dr.opaque(types.Float64, start)) * scale
@@ -354,13 +385,12 @@ def stop_image_arrival(
         field = turned * interpolated(incident, first, pitch, (rows, columns)) / np.float32(incident.power**0.5)
         with fft.resting_drjit():
             guards.check(guards.UNDERSAMPLED, band_edge_fraction(fft.fft2(field.copy())))
-    mla = SampledField(field * np.float32(abs(scale)), (origin[0], origin[1]), grids.pitch)
     stop = SampledField(
         field[::-1, ::-1],
         (origin[0] * scale - (columns - 1) * sample, origin[1] * scale - (rows - 1) * sample),
         sample,
     )
-    return stop, mla
+    return stop, Arrival(field * np.float32(abs(scale)), 0, ())
 
 
 def _stop_field(

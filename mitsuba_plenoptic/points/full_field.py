@@ -17,34 +17,29 @@ intensity's spectrum times the sinc of the pixel.
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..fields.elements import Element
+from ..fields.links import Chain, FreeSpace, Hop
 from ..fields.microlenses import has_response, recorded_amplitude, transmission
-from ..fields.optical_system import OpticalSystem, is_paraxial
-from ..lenses.closed_lens import ClosedLens
+from ..fields.optical_system import OpticalSystem
+from ..fields.steps import Step
+from ..fields.watch import Watch
+from ..fields.workspace import FieldWorkspace, Rows, retained_workspace
 from ..optics import guards
-from ..optics.waves import advance, direction_cosine, in_millimetres, power
+from ..optics.waves import in_millimetres, power
 from ..runtime import BatchMap, Box, Cost, Job, Part, PartialSum, active_backend, check_memory, fft
-from .arrival import (
-    FieldGrids,
-    SampledField,
-    at_mla,
-    blocks,
-    field_grids,
-    interpolate,
-    pupil_field,
-    stop_image_arrival,
-    telecentric_arrival,
-)
+from .arrival import Arrival, FieldGrids, SampledField, arrival, blocks, field_grids
 from .pupil_weights import PupilWeights
 
 _FINER = 6
@@ -89,13 +84,8 @@ def full_field(
     be the light of many far points, for which an ideal thin lens is a parabola in paraxial propagation to the array.
     """
     grids = grids or field_grids(system, position, refinement, growth)
-    paraxial = incident is not None and is_paraxial(system.camera)
-    _, mla = _arrival(system, position, grids, pupil_weights, incident, paraxial)
-    # Microlenses are thin phases of direction cosines, whatever the main lens is.
-    spectrum = detector_spectrum(system, grids, mla.samples, microlenses)
-    del mla
-    dr.flush_malloc_cache()
-    return active_backend().to_host(pixel_integrals(system.camera, spectrum, grids))
+    _, light = arrival(system, position, grids, pupil_weights, incident)
+    return intensity(system, grids, light, microlenses)
 
 
 def point_fields(
@@ -107,86 +97,86 @@ def point_fields(
 ) -> PointFields:
     """Return one scene point's field at every plane, propagated as by `full_field`."""
     grids = field_grids(system, position, 1.0, 1.0)
-    pupil, mla = _arrival(system, position, grids, pupil_weights)
-    spectrum = detector_spectrum(system, grids, mla.samples.copy(), microlenses)
-    with fft.resting_drjit():
-        detector = fft.fft2(spectrum, inverse=True)
-    planes = (pupil, mla, SampledField(detector, mla.origin, mla.pitch))
+    pupil, light = arrival(system, position, grids, pupil_weights)
+    array, detector = Chain(light.links), to_detector(system, grids, microlenses)
+    with retained_workspace([*array.steps, *detector.steps]) as workspace, fft.resting_drjit():
+        mla = workspace.whole(array.forward(workspace.blocks(light.source, light.first), workspace), grids.shape)
+        seen = workspace.whole(detector.forward(workspace.blocks(mla), workspace), grids.shape)
+    planes = pupil, *(SampledField(samples, grids.origin, grids.pitch) for samples in (mla, seen))
     return PointFields(*(SampledField(active_backend().to_host(p.samples), p.origin, p.pitch) for p in planes))
 
 
-def _arrival(
-    system: OpticalSystem,
-    position: NDArray[np.float64],
-    grids: FieldGrids,
-    weights: PupilWeights | None = None,
-    incident: SampledField | None = None,
-    paraxial: bool = False,
-) -> tuple[SampledField, SampledField]:
-    """Return the field behind the pupil, and the field before the MLA."""
-    lens = system.lens
-    if not lens.pupil.finite:
-        closed, wavelength = cast(ClosedLens, lens), system.wavelength
-        if lens.pupil.swap is not None:
-            return stop_image_arrival(closed, position, wavelength, grids, weights, incident)
-        return telecentric_arrival(closed, position, wavelength, grids, weights, system.camera.vignetting)
-    pupil = pupil_field(system, position, grids, weights, incident)
-    return pupil, at_mla(system.camera, system.wavelength, grids, pupil, paraxial)
+def intensity(
+    system: OpticalSystem, grids: FieldGrids, light: Arrival, microlenses: bool = True
+) -> NDArray[np.float32]:
+    """Return the intensity integrated over each recorded pixel, of light on its way to the array."""
+    # The intensity has twice the directions of the field.
+    chain = Chain([*light.links, *to_detector(system, grids, microlenses, finer=2).links])
+    with retained_workspace(chain.steps) as workspace, fft.resting_drjit():
+        field = chain.forward(workspace.blocks(light.source, light.first), workspace)
+        return active_backend().to_host(pixel_integrals(system.camera, field, grids))
 
 
-def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: fft.Field, microlenses: bool) -> fft.Field:
-    """Return the spectrum, on the detector, of the field that reaches the MLA, whose memory is reused."""
-    if microlenses and system.microlenses.axes:
-        pass_brightness(system, grids, samples)
-        before = _passed_power(system, grids, samples)
-        pass_microlenses(system, grids, samples)
-        if before > 0:
-            guards.check(guards.MICROLENS, 1 - power(samples) / before)
-    with fft.resting_drjit():
-        spectrum = fft.fft2(samples)
-    camera, wavelength = system.camera, system.camera.medium_wavelength(system.wavelength)
-    spectrum = advance(spectrum, grids.pitch, camera.space_behind[0], wavelength)
-    pass_pixels(camera, wavelength, grids, spectrum)
-    return spectrum
+def to_detector(system: OpticalSystem, grids: FieldGrids, microlenses: bool = True, finer: int = 1) -> Chain:
+    """Return the way from the window before the array to the same on the detector, with its samples or finer ones.
+
+    Microlenses are thin phases of direction cosines, whatever the main lens is.
+    """
+    camera, step = system.camera, grids.to_detector(finer)
+    response = functools.partial(recorded_amplitude, camera) if has_response(camera) else None
+    space = FreeSpace(camera.space_behind[0], camera.medium_wavelength(system.wavelength), response=response)
+    if not (microlenses and system.microlenses.axes):
+        return Chain([Hop(step, space)])
+    opened = Apertures(system, step)
+    if any(map(any, (camera.mla_jitter, camera.mla_figure_error))):
+        lenses = Element(step, samples=_irregular(system, grids))
+    else:
+        lenses = Element.by_orders(step, system.microlenses, grids.bend)
+
+    def check(watch: Watch) -> None:
+        if opened.power > 0:
+            guards.check(guards.MICROLENS, 1 - watch.power / opened.power)
+
+    return Chain([opened, Hop(step, space, lenses, check)])
 
 
-def pass_pixels(camera: PlenopticCamera, wavelength: float, grids: FieldGrids, spectrum: fft.Field) -> None:
-    """Multiply a spectrum on the detector, in place, by the root of what pixels record of each direction."""
-    if not has_response(camera):
-        return
-    types, (columns, rows) = active_backend().types, grids.count
-    for block in blocks(rows):
-        row, column = fft.rows_and_columns(types, block.stop - block.start, columns)
-        sx = direction_cosine(types, column, columns, grids.pitch, wavelength)
-        sy = direction_cosine(types, row + dr.opaque(types.UInt32, block.start), rows, grids.pitch, wavelength)
-        amplitude = active_backend().from_drjit(recorded_amplitude(camera, sx, sy))
-        spectrum[block] *= amplitude.reshape(spectrum[block].shape)
+class Apertures:
+    """The root of the brightness of the microlenses, before the array: a link that sums the power in their apertures.
+
+    `power` is in units of a sample, of the last field.
+    """
+
+    def __init__(self, system: OpticalSystem, step: Step) -> None:
+        array, lattice, table = system.microlenses, system.lattice, system.camera.mla_transmissions
+        cosine = in_millimetres(system.wavelength) / (2 * step.x.pitch)
+        self.step, self.power = step, 0.0
+        self._brightness = self._openings = None
+        if table is not None:
+            self._brightness = Element(step, lambda x, y: _complex(dr.sqrt(table.at(lattice, *lattice.cell(x, y)))))
+        if not array.fills:
+            self._openings = Element(step, lambda x, y: _complex(array.open_fraction(cosine, x, y)))
+
+    def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
+        """Yield the field behind the brightness."""
+        self.power = 0.0
+        for rows, samples in self.adjoint(source, workspace):
+            if self._openings is None:
+                self.power += power(samples)
+            else:
+                passing = abs(samples) ** 2 * self._openings.factor(rows).real
+                self.power += float(passing.sum(dtype=np.float64))
+            yield rows, samples
+
+    def adjoint(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
+        """Yield the field multiplied by the same real factor."""
+        for rows, samples in gradient:
+            yield rows, samples if self._brightness is None else samples * self._brightness.factor(rows)
 
 
-def pass_brightness(system: OpticalSystem, grids: FieldGrids, samples: fft.Field) -> None:
-    """Multiply a field before the array, in place, by the square root of the brightness of the lenses it meets."""
-    table, lattice = system.camera.mla_transmissions, system.lattice
-    if table is not None:
-        for block, x, y in _places(grids):
-            amplitude = dr.sqrt(table.at(lattice, *lattice.cell(x, y)))
-            samples[block] *= active_backend().from_drjit(amplitude).reshape(samples[block].shape).astype(np.float32)
-
-
-def pass_microlenses(system: OpticalSystem, grids: FieldGrids, samples: fft.Field) -> None:
-    """Multiply a field directly before the array, in place, by the transmission of the microlenses."""
-    if any(map(any, (system.camera.mla_jitter, system.camera.mla_figure_error))):
-        samples *= _irregular(system, grids)
-        return
-    for factor in system.microlenses.factors(grids.bend):
-        if len(factor.axes) == 2:
-            for block, x, y in _places(grids):
-                samples[block] *= fft.as_field(fft.pack(factor.at(x, y)), samples[block].shape)
-            continue
-        (axis,) = factor.axes
-        count, start = grids.count[axis], grids.wide_origin[axis] + grids.offset[axis] * grids.pitch
-        position = active_backend().types.Float64(dr.arange(active_backend().types.UInt32, count)) * grids.pitch + start
-        line = fft.as_field(fft.pack(factor.at(position)), (count,))
-        samples *= line if axis == 0 else line[:, None]
+def _complex(values: Any) -> Any:
+    """Return real values as the factor of an element."""
+    types = fft.array_types(values)
+    return types.Complex2f(types.Float(values), 0)
 
 
 def _irregular(system: OpticalSystem, grids: FieldGrids) -> fft.Field:
@@ -194,7 +184,7 @@ def _irregular(system: OpticalSystem, grids: FieldGrids) -> fft.Field:
     types, (columns, rows) = active_backend().types, grids.count
     pitch, shape = grids.pitch / _FINER, (_FINER * rows, _FINER * columns)
     check_memory(40.0 * math.prod(shape), f"irregular array of {columns} x {rows} samples")
-    left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
+    left, top = grids.origin
     row, column = fft.rows_and_columns(types, *shape)
     x, y = types.Float64(column) * pitch + left, types.Float64(row) * pitch + top
     fine = fft.as_field(fft.pack(transmission(system.camera, system.wavelength, x, y)), shape)
@@ -212,45 +202,17 @@ def _irregular(system: OpticalSystem, grids: FieldGrids) -> fft.Field:
         return fft.fft2(active_backend().arrays.ascontiguousarray(spectrum), inverse=True) / np.float32(_FINER**2)
 
 
-def _passed_power(system: OpticalSystem, grids: FieldGrids, samples: fft.Field) -> float:
-    """Return the power, in units of a sample, of the part of a field within the microlenses' apertures."""
-    if system.lattice.fills:
-        return power(samples)
-    total, cosine = 0.0, in_millimetres(system.wavelength) / (2 * grids.pitch)
-    for block, x, y in _places(grids):
-        passed = active_backend().from_drjit(system.microlenses.open_fraction(cosine, x, y))
-        intensity = active_backend().arrays.abs(samples[block]).reshape(-1) ** 2
-        total += float((intensity * passed).sum(dtype=np.float64))
-    return total
-
-
-def _places(grids: FieldGrids) -> Iterator[tuple[slice, Any, Any]]:
-    """Yield blocks of rows of the detector's window, with x and y of their samples."""
-    types = active_backend().types
-    left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
-    columns = grids.count[0]
-    for block in blocks(grids.count[1]):
-        row, column = fft.rows_and_columns(types, block.stop - block.start, columns)
-        x = types.Float64(column) * grids.pitch + dr.opaque(types.Float64, left)
-        y = types.Float64(row) * grids.pitch + dr.opaque(types.Float64, top + block.start * grids.pitch)
-        yield block, x, y
-
-
-def pixel_integrals(camera: PlenopticCamera, spectrum: fft.Field, grids: FieldGrids) -> NDArray[np.float32]:
-    """Return the intensity integrated over each recorded pixel, exactly for the band-limited field."""
-    arrays = active_backend().arrays
-    height, width = camera.shape
-    with fft.resting_drjit():
-        partial = interpolate(spectrum, 2 * spectrum.shape[0], axis=0)
-        rows = arrays.empty((partial.shape[0], width), np.float32)
-        for block in blocks(partial.shape[0]):
-            parts = interpolate(partial[block], 2 * partial.shape[1], axis=1).view(np.float32)
-            arrays.multiply(parts, parts, out=parts)
-            rows[block] = _along_pixels(parts[:, 0::2] + parts[:, 1::2], grids, width)
-        del partial
-        psf = arrays.empty((height, width), np.float32)
-        for block in blocks(width):
-            psf[:, block] = _along_pixels(arrays.ascontiguousarray(rows[:, block].T), grids, height).T
+def pixel_integrals(camera: PlenopticCamera, field: Rows, grids: FieldGrids) -> NDArray[np.float32]:
+    """Return the intensity integrated over each recorded pixel, exactly for the band-limited field on finer samples."""
+    arrays, (height, width) = active_backend().arrays, camera.shape
+    rows = arrays.empty((2 * grids.count[1], width), np.float32)
+    for block, samples in field:
+        parts = samples.view(np.float32)
+        arrays.multiply(parts, parts, out=parts)
+        rows[block] = _along_pixels(parts[:, 0::2] + parts[:, 1::2], grids, width)
+    psf = arrays.empty((height, width), np.float32)
+    for block in blocks(width):
+        psf[:, block] = _along_pixels(arrays.ascontiguousarray(rows[:, block].T), grids, height).T
     return psf
 
 

@@ -9,6 +9,8 @@ fields. With c the centre of the cell, :math:`X_0 = -c g / b` the centre of its 
           e^{i k (|P - c| + |P - X_0| - P^2 / 2 f_1)} \sum_\mu e^{-i k (P - c) \cdot \mu / b} \,
           e^{i k \mu^2 / 2 b} \, u(c + \mu)
 
+The fields u of all cells come from the detector at once, by the first link of full fields.
+
 The phase between the centres is exact and carries the aberrations; the terms linear in the offsets are paraxial
 (Goodman, "Introduction to Fourier Optics", section 5.3), and the one quadratic in :math:`\xi` drops out of the
 intensity. The pupil is sampled as finely as the object patch is wide.
@@ -22,7 +24,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,13 +33,17 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..design import focus_type
+from ..fields.elements import converging
+from ..fields.links import FreeSpace, Hop
 from ..fields.optical_system import OpticalSystem, is_paraxial
+from ..fields.steps import Step
+from ..fields.workspace import retained_workspace
 from ..optics import guards, rays
-from ..optics.waves import advance, in_millimetres, parabola, phasor, soft_edge
+from ..optics.waves import in_millimetres, parabola, phasor, soft_edge
 from ..runtime import active_backend, check_memory, drjit_array, fft, single_threaded_blas
 from .conjugates import Conjugates, ThinConjugates, behind_thin_lens
 from .methods import Progress
-from .planning import GUARD, check_pupil_diffraction, field_subsamples
+from .planning import GUARD, check_pupil_diffraction, detector_step, field_subsamples
 
 # Samples that are transformed together, on the processor and on a CUDA device.
 _BATCH_SAMPLES, _CUDA_BATCH_SAMPLES = 2**20, 2**25
@@ -119,35 +125,14 @@ class LensTile:
 
     @cached_property
     def cell(self) -> np.ndarray:
-        """MLA coordinates in mm, from a lens's centre, within its aperture's extent."""
+        """MLA coordinates in mm, from a lens's centre, that contain its aperture wherever samples lie."""
         count = self.cell_samples
         return (np.arange(count) - (count - 1) / 2) * self.pitch
 
     @property
     def cell_samples(self) -> int:
-        """Number of samples across an aperture."""
-        return math.ceil(self.lens_width / self.pitch - 1e-6)
-
-    @cached_property
-    def pixels(self) -> int:
-        """Largest number of pixels, along an axis, that belong to one lens."""
-        growth = self.camera.micro_image_pitch / self.camera.mla_pitch
-        return math.ceil(self.cell_width * growth / self.camera.pixel_size) + 1
-
-    @cached_property
-    def padded(self) -> int:
-        """Number of samples of the window from detector to MLA, in which light that wraps round misses the cell."""
-        source = self.pixels * self.camera.pixel_size + self._chief_shift
-        spread = self.camera.reduced_distance * in_millimetres(self.wavelength) / (2 * self.pitch)
-        window = (source + self.cell_width) / 2 + self._chief_shift + spread
-        # The pixels themselves must have room.
-        return fft.fast_length(max(window / self.pitch, self.pixels * self.subsamples))
-
-    @property
-    def _chief_shift(self) -> float:
-        """Distance in mm between micro-images at the rim of the detector and their lenses."""
-        half_field = max(self.camera.detector_width, self.camera.detector_height) / 2
-        return half_field * self.camera.reduced_distance / self.camera.mla_distance
+        """Number of samples across an aperture, and one more."""
+        return math.ceil(self.lens_width / self.pitch - 1e-6) + 1
 
     @cached_property
     def samples(self) -> int:
@@ -189,32 +174,24 @@ class LensTile:
         matrix = phasor(np.outer(self.pupil, self.cell) / -wave_path) * np.float32(self.pitch / math.sqrt(wave_path))
         return active_backend().arrays.asarray(matrix)
 
-    @cached_property
-    def transfer(self) -> fft.Field:
-        """Transfer function from detector to MLA."""
-        ones = active_backend().arrays.ones((self.padded, self.padded), np.complex64)
-        z, wavelength = self.camera.detector_distance, self.camera.medium_wavelength(self.wavelength)
-        return advance(ones, self.pitch, z, wavelength, paraxial=is_paraxial(self.camera))
-
     @property
     def transformed(self) -> int:
         """Number of samples in all Fourier transforms for one lens; matrix products count by their time."""
         cell, pupil, image = self.cell_samples, self.pupil.size, self.object_samples
         products = cell * pupil * (cell + pupil)
-        return 4 * self.padded**2 + pupil**2 + 2 * image**2 + products // _PRODUCTS
+        return 4 * cell**2 + pupil**2 + 2 * image**2 + products // _PRODUCTS
 
     @property
     def memory(self) -> float:
-        """Bytes of the intermediate fields of one batch, and of the matrices shared by all batches."""
-        pupil = self.pupil.size
-        matrices = 32.0 * self.cell_samples * pupil + 16.0 * self.padded**2
-        return matrices + self.batch * (16.0 * self.padded**2 + 24.0 * max(self.object_samples, pupil) ** 2)
+        """Bytes of the intermediate fields of a batch, and of the matrices shared by all batches."""
+        pupil, cell = self.pupil.size, self.cell_samples
+        return 32.0 * cell * pupil + self.batch * (16.0 * cell**2 + 24.0 * max(self.object_samples, pupil) ** 2)
 
     @property
     def batch(self) -> int:
         """Number of lenses that are transformed together."""
         samples = _CUDA_BATCH_SAMPLES if active_backend().is_cuda else _BATCH_SAMPLES
-        return max(1, samples // max(self.object_samples, self.pupil.size, self.padded) ** 2)
+        return max(1, samples // max(self.object_samples, self.pupil.size, self.cell_samples) ** 2)
 
 
 def fine_bins(system: OpticalSystem, oversample: int) -> int:
@@ -227,34 +204,26 @@ def fine_bins(system: OpticalSystem, oversample: int) -> int:
     return LensTile(camera, system.wavelength, 1, oversample).samples // oversample
 
 
-_LIT_BATCH = 512
-"""Lenses that are searched for light together."""
-
-_PARTS = 4
-"""Parts of a sample along an axis, of which those in the aperture are counted."""
+_BLOCK_WIDTH = 2**10
+"""Samples across the lenses whose light comes from the detector at once."""
 
 
 @dataclass(frozen=True)
 class LensBatch:
-    """Some lenses with the factors of their fields, in shapes that multiply fields (n, y, x).
+    """Some lenses with their windows in a field on the array.
 
     `bin` (n, 2) are column and row, among the bins of all lenses, of the bin that contains each lens's image, and
-    `aside` (n, 2) the offset in bins of the lens's centre from the middle of that bin. `row` (n, samples, 1) and
-    `column` (n, 1, samples) are the recorded pixels of the samples on the detector. `source` makes the samples' light
-    converge, and is zero for samples of other lenses. `shift` moves spectra from the pixels to the lenses' centres;
-    `tilt` (n, cell) acts in the cells along y and along x, and so does `aperture`, None where all light passes.
+    `aside` (n, 2) the offset in bins of the window's middle from the middle of that bin. `rows` and `columns` (n, cell)
+    are the samples of the windows, and `offset` their distances (2, n, cell) from the lens's centre along x and y.
     """
 
     bin: np.ndarray
     aside: np.ndarray
     centre: np.ndarray
-    row: np.ndarray
-    column: np.ndarray
-    source: list[np.ndarray]
-    shift: list[fft.Field]
-    tilt: list[fft.Field]
+    rows: np.ndarray
+    columns: np.ndarray
+    offset: np.ndarray
     focal_length: np.ndarray
-    aperture: np.ndarray | None
 
 
 class LensSet:
@@ -278,108 +247,91 @@ class LensSet:
         self.first = int(bins[:, 0].min()), int(bins[:, 1].min())
         self.bin = bins - np.array(self.first)
         self.bins = int(self.bin[:, 0].max()) + 1, int(self.bin[:, 1].max()) + 1
-        # A lens that fills its bin is never wider than its cell.
-        self._aperture = None if camera.lenses_are_bins else _aperture(tile)
 
     def find(self, i: float, j: float) -> int:
         """Return the position in this set of the lens with given lattice indices."""
         return int(np.flatnonzero((self._index == (int(i), int(j))).all(1))[0])
 
+    def pixels(self, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the first recorded column and row (n, 2) that may belong to lenses, and those after the last."""
+        camera, half = self.tile.camera, self.tile.cell_width / 2
+        low, high = (
+            rays.chief_detector_point(self.centre[which] + side, camera.mla_distance, camera.reduced_distance)
+            / camera.pixel_size
+            + np.array(camera.resolution) / 2
+            - camera.crop_offset
+            for side in (-half, half)
+        )
+        ends = np.floor(low + 1e-9).astype(np.int64), np.ceil(high - 1e-9).astype(np.int64)
+        first, end = (np.clip(end, 0, camera.crop_size) for end in ends)
+        return first, end
+
+    def light_of(self, image: np.ndarray, number: int) -> float:
+        """Return the sum of an image's pixels whose chief rays pass one lens."""
+        camera = self.tile.camera
+        (left, top), (right, bottom) = (ends[0].tolist() for ends in self.pixels(np.array([number])))
+        x, y = (
+            rays.chief_point(camera.pixel_coordinates(axis)[pixels], camera.mla_distance, camera.reduced_distance)
+            for axis, pixels in enumerate((slice(left, right), slice(top, bottom)))
+        )
+        own = np.all(np.stack(camera.lattice.cell(*np.meshgrid(x, y)), -1) == self._index[number], -1)
+        return float(image[top:bottom, left:right][own].sum(dtype=np.float64))
+
     def lit(self, image: np.ndarray) -> np.ndarray:
         """Return the indices, in this set, of lenses whose pixels contain light, an int64 array (n,)."""
-        lit, n = np.zeros(len(self._index), bool), self.tile.subsamples
-        for start in range(0, len(lit), _LIT_BATCH):
-            which = np.arange(start, min(start + _LIT_BATCH, len(lit)))
-            x, y = self._samples(which)
-            row, column = y.pixel[:, ::n, None], x.pixel[:, None, ::n]
-            own = image[row, column] > 0
-            for factor in self._own(which, x, y):
-                # A subsampled pixel at the border of two cells may belong to both.
-                sizes = [part for size in factor.shape[1:] for part in ((size // n, n) if size > 1 else (1, 1))]
-                own &= factor.reshape(-1, *sizes).any((2, 4))
-            lit[which] = own.any((1, 2))
+        counts = np.pad((image > 0).cumsum(0, np.int32).cumsum(1, np.int32), ((1, 0), (1, 0)))
+        (left, top), (right, bottom) = (ends.T for ends in self.pixels(np.arange(len(self._index))))
+        lit = counts[bottom, right] - counts[top, right] - counts[bottom, left] + counts[top, left]
         return np.flatnonzero(lit)
 
-    def batch(self, which: np.ndarray) -> LensBatch:
-        """Return the batch of the lenses at the given positions."""
-        tile, camera, centre = self.tile, self.tile.camera, self.centre[which]
-        z = camera.reduced_distance
-        axes = x, y = self._samples(which)
-        along_x, along_y = (
-            phasor(parabola((axis.coordinate - c[:, None]) ** 2, z, tile.wavelength))
-            for axis, c in zip(axes, centre.T, strict=True)
+    def blocks(self, which: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield the lenses in square blocks, whose light comes from the detector at once."""
+        width = max(_BLOCK_WIDTH * self.tile.pitch, 4 * self.tile.cell_width)
+        column, row = ((self.centre[which] - self.centre.min(0)) // width).T
+        number = row * (column.max(initial=0) + 1) + column
+        for block in np.unique(number):
+            yield which[number == block]
+
+    def to_array(self, which: np.ndarray) -> Step:
+        """Return the step from the pixels around some lenses to samples on the array, which hold their windows."""
+        tile, (first, end) = self.tile, self.pixels(which)
+        low, high = first.min(0) + tile.camera.crop_offset, end.max(0) + tile.camera.crop_offset
+        across, down = (
+            detector_step(tile.camera, tile.wavelength, axis, span, tile.pitch, tile.cell_samples)
+            for axis, span in enumerate(zip(low.tolist(), high.tolist(), strict=True))
         )
-        own, converging = self._own(which, x, y), [along_y[:, :, None], along_x[:, None, :]]
-        # From a lens's first pixel to the start of its cell.
-        ways = [c + tile.cell[0] - axis.coordinate[:, 0] for axis, c in zip(axes, centre.T, strict=True)]
-        shift = [phasor(np.outer(way, np.fft.fftfreq(tile.padded, tile.pitch))) for way in ways]
-        wave_path = in_millimetres(tile.wavelength) * camera.mla_distance
+        return Step(across, down)
+
+    def on_array(self, amplitude: np.ndarray, which: np.ndarray) -> tuple[fft.Field, Step]:
+        """Return the field on the array from the pixels around some lenses, and the step to its samples.
+
+        Light that strays from another lens's pixels into a cell is deflected by a micro-image and misses the main lens.
+        """
+        tile, camera, step = self.tile, self.tile.camera, self.to_array(which)
+        space = FreeSpace(camera.detector_distance, camera.medium_wavelength(tile.wavelength), is_paraxial(camera))
+        hop = Hop(step, space, converging(step, camera, tile.wavelength))
+        first, end = self.pixels(which)
+        (left, top), (right, bottom) = first.min(0).tolist(), end.max(0).tolist()
+        with retained_workspace([step]) as workspace, fft.resting_drjit():
+            pixels = workspace.repeated(amplitude[top:bottom, left:right], tile.subsamples)
+            return workspace.whole(hop.forward(pixels, workspace), step.shape), step
+
+    def batch(self, which: np.ndarray, step: Step) -> LensBatch:
+        """Return the batch of the lenses at the given positions, with their windows in the samples of a step."""
+        tile, centre = self.tile, self.centre[which]
+        start = np.array([step.x.start, step.y.start])
+        first = np.rint((centre + tile.cell[0] - start) / tile.pitch).astype(np.int64)
+        aside = start + first * tile.pitch - (centre + tile.cell[0])
+        columns, rows = (index[:, None] + np.arange(tile.cell_samples) for index in first.T)
         return LensBatch(
             bin=self.bin[which],
-            aside=self._aside[which],
+            aside=self._aside[which] + aside / tile.camera.mla_pitch,
             centre=centre,
-            row=y.pixel[:, :, None],
-            column=x.pixel[:, None, :],
-            source=[*own, *converging] if len(own) == 1 else [a * b for a, b in zip(own, converging, strict=True)],
-            shift=[shift[1][:, :, None], shift[0][:, None, :]],
-            # Without the direction to the main lens's centre, and without its curvature.
-            tilt=[phasor((c[:, None] * tile.cell + tile.cell**2 / 2) / wave_path) for c in centre.T[::-1]],
-            focal_length=np.broadcast_to(camera.lenslet(*self._index[which].T).focal_length, len(which)),
-            aperture=self._aperture,
+            rows=rows,
+            columns=columns,
+            offset=aside.T[:, :, None] + tile.cell,
+            focal_length=np.broadcast_to(tile.camera.lenslet(*self._index[which].T).focal_length, len(which)),
         )
-
-    def _samples(self, which: np.ndarray) -> list[_DetectorSamples]:
-        """Return the detector samples of some lenses along x and y."""
-        return [_DetectorSamples.of(self.centre[which, axis], self.tile, axis) for axis in (0, 1)]
-
-    def _own(self, which: np.ndarray, x: _DetectorSamples, y: _DetectorSamples) -> list[np.ndarray]:
-        """Return a mask of samples that are recorded and belong, by their chief rays, to the lens."""
-        lattice, (i, j) = self.tile.camera.lattice, self._index[which].T[..., None]
-        if lattice.axis_aligned:
-            own = [
-                axis.recorded & (lattice.axis_cell(axis.chief, k) == n) for k, (axis, n) in enumerate(((x, i), (y, j)))
-            ]
-            return [own[1][:, :, None], own[0][:, None, :]]
-        cell = lattice.cell(*np.broadcast_arrays(x.chief[:, None, :], y.chief[:, :, None]))
-        recorded = y.recorded[:, :, None] & x.recorded[:, None, :]
-        return [recorded & (cell[0] == i[..., None]) & (cell[1] == j[..., None])]
-
-
-@dataclass(frozen=True)
-class _DetectorSamples:
-    """Detector samples, along an axis, that cover the pixels of some lenses; arrays (lenses, samples).
-
-    `pixel` are pixel indices, clipped to the image; `recorded` states whether the pixels are recorded. `chief` is the
-    position on the array at which the samples' chief rays pass.
-    """
-
-    pixel: np.ndarray
-    recorded: np.ndarray
-    coordinate: np.ndarray
-    chief: np.ndarray
-
-    @classmethod
-    def of(cls, centre: np.ndarray, tile: LensTile, axis: int) -> _DetectorSamples:
-        """Return the samples of lenses with given centres."""
-        camera, n = tile.camera, tile.subsamples
-        b, z = camera.mla_distance, camera.reduced_distance
-        offset, size, half = camera.crop_offset[axis], camera.crop_size[axis], camera.resolution[axis] / 2
-        edge = rays.chief_detector_point(centre - tile.cell_width / 2, b, z)
-        pixel = np.floor(edge / camera.pixel_size + half + 1e-9).astype(np.int64)[:, None] + np.arange(tile.pixels)
-        parts = (np.arange(n) + 0.5) / n
-        coordinate = ((pixel[..., None] + parts).reshape(len(centre), -1) - half) * camera.pixel_size
-        pixel = np.repeat(pixel - offset, n, axis=1)
-        recorded = (pixel >= 0) & (pixel < size)
-        return cls(np.clip(pixel, 0, size - 1), recorded, coordinate, rays.chief_point(coordinate, b, z))
-
-
-def _aperture(tile: LensTile) -> np.ndarray:
-    """Return the fraction of each sample of a cell that lies in the aperture."""
-    parts = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5) * tile.pitch
-    fine = (tile.cell[:, None] + parts).ravel()
-    inside = tile.camera.lattice.in_aperture(*np.meshgrid(fine, fine))
-    size = tile.cell.size
-    return inside.reshape(size, _PARTS, size, _PARTS).mean((1, 3), dtype=np.float32)
 
 
 @single_threaded_blas()  # a lens's products are too small for threads, which would wait for each other actively
@@ -400,24 +352,31 @@ def reconstruct_lens_by_lens(
     lenses = LensSet(tile)
     # Every lens puts its patch among the samples of all lenses, and a margin for those at the edge.
     shape = [(count + tile.lenses - 1) * tile.samples for count in lenses.bins[::-1]]
-    # The sum of each plane, and its spectrum while one is integrated.
-    check_memory(tile.memory + 4.0 * math.prod(shape) * (len(distances) + 2), "wave reconstruction lens by lens")
-    conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
     lit = lenses.lit(image)
+    blocks = list(lenses.blocks(lit))
+    light = max((16.0 * math.prod(lenses.to_array(block).columns) for block in blocks), default=0.0)
+    # The sum of each plane, and its spectrum while one is integrated.
+    sums = 4.0 * math.prod(shape) * (len(distances) + 2)
+    check_memory(tile.memory + light + sums, "wave reconstruction lens by lens")
+    conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
     arrays = active_backend().arrays
     amplitude = arrays.sqrt(arrays.asarray(image))
     totals = [arrays.zeros(shape) for _ in distances]
+    done = 0
     # Stopped once, as stopping takes as long as the transforms of a lens.
     with fft.resting_drjit():
-        for position in range(0, len(lit), tile.batch):
-            batch = lenses.batch(lit[position : position + tile.batch])
-            fields = pupil_fields(amplitude, tile, batch, relay=relay)
-            for total, distance in zip(totals, distances, strict=True):
-                patches = object_patches(fields, tile, batch, distance, conjugates)
-                for column, row, patch in zip(*batch.bin.T, patches, strict=True):
-                    top, left = row * tile.samples, column * tile.samples
-                    total[top : top + patch.shape[0], left : left + patch.shape[1]] += patch
-            progress((position + len(batch.bin)) / len(lit))
+        for block in blocks:
+            field, step = lenses.on_array(amplitude, block)
+            for position in range(0, len(block), tile.batch):
+                batch = lenses.batch(block[position : position + tile.batch], step)
+                fields = pupil_fields(field, tile, batch, relay=relay)
+                for total, distance in zip(totals, distances, strict=True):
+                    patches = object_patches(fields, tile, batch, distance, conjugates)
+                    for column, row, patch in zip(*batch.bin.T, patches, strict=True):
+                        top, left = row * tile.samples, column * tile.samples
+                        total[top : top + patch.shape[0], left : left + patch.shape[1]] += patch
+                done += len(batch.bin)
+                progress(done / len(lit))
     if checked and len(lit):
         guards.check(guards.PUPIL, 1 - float(totals[0].sum()) / float(image.sum(dtype=np.float64)))
         for distance in distances:
@@ -425,29 +384,24 @@ def reconstruct_lens_by_lens(
     return [on_bins(total, lenses) for total in totals]
 
 
-def pupil_fields(amplitude: np.ndarray, tile: LensTile, batch: LensBatch, *, relay: bool) -> fft.Field:
+def pupil_fields(light: fft.Field, tile: LensTile, batch: LensBatch, *, relay: bool) -> fft.Field:
     """Return the fields of some lenses at the main lens, relative to a spherical wave from the lens's centre.
 
-    They start from a capture's square root; complex64 (n, pupil, pupil). The microlenses act with `relay` only.
+    They start from a field on the array; complex64 (n, pupil, pupil). The microlenses act with `relay` only.
     """
-    arrays = active_backend().arrays
-    count, size = len(batch.bin), batch.row.shape[1]
-    field = arrays.zeros((count, tile.padded, tile.padded), np.complex64)
-    field[:, :size, :size] = amplitude[arrays.asarray(batch.row), arrays.asarray(batch.column)]
-    for factor in batch.source:
-        field[:, :size, :size] *= arrays.asarray(factor)
-    with fft.resting_drjit():
-        field = fft.fft2(field)
-        for factor in (tile.transfer, *batch.shift):
-            field *= arrays.asarray(factor)
-        cell = fft.fft2(field, inverse=True)[:, : tile.cell.size, : tile.cell.size]
-        lens = phasor(parabola(tile.cell**2, batch.focal_length[:, None], tile.wavelength)) if relay else np.float32(1)
-        cell = cell * arrays.asarray(batch.tilt[0] * lens)[:, :, None]
-        cell *= arrays.asarray(batch.tilt[1] * lens)[:, None, :]
-        if batch.aperture is not None:
-            cell *= arrays.asarray(batch.aperture)
-        fields = _product(_product(cell, tile.to_pupil), tile.to_pupil)
-    return arrays.ascontiguousarray(fields)
+    arrays, (x, y) = active_backend().arrays, batch.offset
+    cell = light[arrays.asarray(batch.rows)[:, :, None], arrays.asarray(batch.columns)[:, None, :]]
+    inset = tile.camera.lattice.aperture_inset(x[:, None, :], y[:, :, None])
+    cell *= arrays.asarray(soft_edge(inset / tile.pitch).astype(np.float32))
+    wave_path = in_millimetres(tile.wavelength) * tile.camera.mla_distance
+    for axis, shape in ((0, (slice(None), None)), (1, (slice(None), slice(None), None))):
+        offset, centre = batch.offset[axis], batch.centre[:, axis, None]
+        # Without the direction to the main lens's centre, and without its curvature.
+        waves = (centre * offset + offset**2 / 2) / wave_path
+        if relay:
+            waves = waves + parabola(offset**2, batch.focal_length[:, None], tile.wavelength)
+        cell *= arrays.asarray(phasor(waves))[shape]
+    return arrays.ascontiguousarray(_product(_product(cell, tile.to_pupil), tile.to_pupil))
 
 
 def _product(fields: fft.Field, matrix: fft.Field) -> fft.Field:

@@ -179,10 +179,10 @@ def _plan(
     """Return the plan of grids for a given number of strips."""
     subsamples = field_subsamples(camera, wavelength)
     pitch = camera.pixel_size / subsamples
-    across = _detector_step(camera, wavelength, 0, lit[0], pitch)
+    across = detector_step(camera, wavelength, 0, lit[0], pitch)
     borders = [lit[1][0] + (lit[1][1] - lit[1][0]) * index // count for index in range(count + 1)]
     spans = list(itertools.pairwise(borders))
-    down = [_detector_step(camera, wavelength, 1, span, pitch) for span in spans]
+    down = [detector_step(camera, wavelength, 1, span, pitch) for span in spans]
     on_array, pupil, to_objects = [], [], []
     for axis, steps in enumerate(([across], down)):
         ways, samples, directions = _main_lens_steps(camera, wavelength, distances, axis, lit[axis], steps, oversample)
@@ -224,17 +224,19 @@ def require_feasible(made: FieldPlan) -> None:
     )
 
 
-def _detector_step(camera: PlenopticCamera, wavelength: float, axis: int, lit: Span, pitch: float) -> AxisStep:
+def detector_step(
+    camera: PlenopticCamera, wavelength: float, axis: int, lit: Span, pitch: float, beside: int = 0
+) -> AxisStep:
     """Return the step from pixels to the cells of their lenses; light that leaves these cells misses the pupil.
 
-    The window has room for all directions on both sides.
+    The window has room for all directions on both sides. `beside` are more samples beside the cells.
     """
     b, z = camera.mla_distance, camera.reduced_distance
     count = round((lit[1] - lit[0]) * camera.pixel_size / pitch)
     first = (lit[0] - camera.resolution[axis] / 2) * camera.pixel_size + pitch / 2
     spread = math.ceil(z * in_millimetres(wavelength) / (2 * pitch) / pitch)
     low, high = _cells(camera, rays.chief_point(first + pitch * np.array([0, count - 1.0]), b, z), axis)
-    wanted = math.ceil((high - low) / pitch - 1e-6)  # the width of cells is often a multiple of the pitch
+    wanted = math.ceil((high - low) / pitch - 1e-6) + 2 * beside  # the width of cells is often a multiple of the pitch
     start = (low + high) / 2 - (wanted - 1) / 2 * pitch
     # Few pixels may belong to wide cells.
     padded = fft.fast_length(max(count + 2 * spread, wanted))

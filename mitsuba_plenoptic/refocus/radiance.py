@@ -350,8 +350,9 @@ def _throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> floa
     for step in range(len(camera.mla_focal_lengths)):
         image, seen = _micro_image(around, (i + step, j))
         sent += float(image[seen <= camera.lit_radius].sum()) * camera.pixel_size**2
-        batch = lenses.batch(np.array([lenses.find(i + step, j)]))
-        (field,) = pupil_fields(arrays.asarray(np.sqrt(image).astype(np.float32)), tile, batch, relay=relay)
+        which = np.array([lenses.find(i + step, j)])
+        light, samples = lenses.on_array(arrays.asarray(np.sqrt(image).astype(np.float32)), which)
+        (field,) = pupil_fields(light, tile, lenses.batch(which, samples), relay=relay)
         back += float((abs(field) ** 2 * arrays.asarray(inside)).sum()) * tile.pupil_pitch**2
     refuse_if(
         not min(back, sent) > 0,
@@ -383,10 +384,11 @@ def _traced_throughput(
     amplitude = libraries.arrays.asarray(np.sqrt(white))
     found = []
     for number in chosen:
-        batch = lenses.batch(lit[number : number + 1])
-        fields = pupil_fields(amplitude, tile, batch, relay=relay)
-        own = np.logical_and.reduce(np.broadcast_arrays(*(factor != 0 for factor in batch.source)))
-        sent = float((counted[batch.row, batch.column] * own).sum(dtype=np.float64)) / tile.subsamples**2
+        which = lit[number : number + 1]
+        light, samples = lenses.on_array(amplitude, which)
+        batch = lenses.batch(which, samples)
+        fields = pupil_fields(light, tile, batch, relay=relay)
+        sent = lenses.light_of(counted, which[0])
         passed = passing_power(fields, tile, batch, conjugates.distance(distance), conjugates)
         if sent > 0:
             found.append((float(np.hypot(*batch.centre[0])), passed / (sent * camera.pixel_size**2), sent))
@@ -408,9 +410,11 @@ def _lens_patches(
     """
     around, count, libraries = _around_axis(camera, 2), tile_lenses(camera, [distance]), active_backend()
     lenses = LensSet(LensTile(around, wavelength, count, oversample))
-    batch = lenses.batch(np.array([lenses.find(0, 0)]))
+    which = np.array([lenses.find(0, 0)])
     amplitude = libraries.arrays.asarray(np.sqrt(_micro_image(around, (0, 0))[0]).astype(np.float32))
-    fields = pupil_fields(amplitude, lenses.tile, batch, relay=relay)
+    light, step = lenses.on_array(amplitude, which)
+    batch = lenses.batch(which, step)
+    fields = pupil_fields(light, lenses.tile, batch, relay=relay)
     thin = ThinConjugates(OpticalSystem(around, wavelength))
     patch = libraries.to_host(object_patches(fields, lenses.tile, batch, distance, thin)[0]).astype(np.float64)
     everywhere = LensSet(LensTile(camera, wavelength, count, oversample))

@@ -395,22 +395,13 @@ class BackwardFields:
         Light that strays from another lens's pixels into a cell is deflected by a micro-image and misses the main lens.
         So the light of all lenses may propagate to the MLA at once; a subset is the light that passes its lenses.
         """
-        return self._to_array(strip, subset).forward(self._samples(amplitude[strip.rows]), self._workspace)
+        pixels = self._workspace.repeated(amplitude[strip.rows], self._grids.subsamples)
+        return self._to_array(strip, subset).forward(pixels, self._workspace)
 
     def _to_array(self, strip: Strip, subset: tuple[int, int] | None) -> Hop:
         """Return the way from a strip of the detector to the array, for the light of all lenses or of a subset."""
         light = converging(strip.to_mla, self._camera, self._wavelength, self._interleave, subset)
         return Hop(strip.to_mla, self._to_mla, light)
-
-    def _samples(self, amplitude: NDArray[np.float32]) -> Iterator[tuple[slice, Any]]:
-        """Yield pixels repeated at each sample, in blocks of rows."""
-        arrays, n = self._workspace.libraries.arrays, self._grids.subsamples
-        together = max(1, self._workspace.block // n)
-        for rows in self._workspace.runs(len(amplitude), together):
-            part = amplitude[rows]
-            for axis in (0, 1) if n > 1 else ():
-                part = arrays.repeat(part, n, axis)
-            yield slice(rows.start * n, rows.stop * n), part
 
     def _add_within(self, field: fft.Field, blocks: Rows) -> None:
         """Add lines to a field within the pupil, with the pupil's edge softened over one sample."""

@@ -157,10 +157,10 @@ class ArrayKernels(LensWaves):
         scale = in_millimetres(self.wavelength) * kind.distance
         fine = self.lattice.pitches[0] / USUAL.pitch_lags
         farthest = min(2 * USUAL.pitch_lags, int(scale / (2 * self.camera.pixel_size * fine)))
-        every = max(1, farthest // USUAL.coarse_lags)
-        lags = np.arange(-USUAL.coarse_lags, USUAL.coarse_lags + 1) * every
+        stride = max(1, farthest // USUAL.coarse_lags)
+        lags = np.arange(-USUAL.coarse_lags, USUAL.coarse_lags + 1) * stride
         weights = np.sinc(lags * (fine * self.camera.pixel_size / scale))
-        transfer = self._transfer(USUAL.coarse_lags, every, kind, polynomials, coefficients, cosines)
+        transfer = self._transfer(USUAL.coarse_lags, stride, kind, polynomials, coefficients, cosines)
         spectra = transfer * (weights[:, None] * weights)
         return np.concatenate([spectra.real, spectra.imag], axis=1).reshape(len(spectra), -1)
 
@@ -229,18 +229,18 @@ class ArrayKernels(LensWaves):
         """Return the sampling of `kernels`: lag step in fine samples, number of lags, samples on either side."""
         scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
         fine = self.lattice.pitches[0] / USUAL.pitch_lags
-        every = max(1, int(scale / (2 * fine * reach)))
+        stride = max(1, int(scale / (2 * fine * reach)))
         # Pairs in neighbouring lenses are less than two cell widths apart; the grid resolves half a cycle per step.
-        farthest = int(min(2 * USUAL.pitch_lags, scale / (2 * step * fine))) // every
-        return every, farthest, math.ceil((scale / (fine * every * step) + USUAL.border) / 2)
+        farthest = int(min(2 * USUAL.pitch_lags, scale / (2 * step * fine))) // stride
+        return stride, farthest, math.ceil((scale / (fine * stride * step) + USUAL.border) / 2)
 
     @single_threaded_blas()
     def sampled_kernels(self, step: float, samples: tuple[int, int, int], kind: int = 0) -> NDArray[np.float64]:
         """Return `kernels` with a given sampling, even where another sampling would suit better."""
-        every, farthest, count = samples
+        stride, farthest, count = samples
         functions, oblique = self.functions, self.oblique
-        transfer = self._transfer(farthest, every, self.kinds[kind], functions, functions.duals)
-        kernels = self._placed(transfer, every, step, count, kind)
+        transfer = self._transfer(farthest, stride, self.kinds[kind], functions, functions.duals)
+        kernels = self._placed(transfer, stride, step, count, kind)
         if not oblique.count:
             return kernels
         parts = np.einsum("rnk,kd->drn", oblique.kernels, changes(oblique.degree))
@@ -250,7 +250,7 @@ class ArrayKernels(LensWaves):
             [
                 self._transfer(
                     farthest // coarser,
-                    every * coarser,
+                    stride * coarser,
                     self.kinds[kind],
                     functions,
                     functions.duals @ combination.T,
@@ -261,16 +261,16 @@ class ArrayKernels(LensWaves):
             axis=0,
         )
         # Their period is shorter, but not the border of their windows.
-        small = self._placed(transfer, every * coarser, step, min(count, count // coarser + USUAL.border // 2), kind)
+        small = self._placed(transfer, stride * coarser, step, min(count, count // coarser + USUAL.border // 2), kind)
         aside = (kernels.shape[1] - small.shape[1]) // 2
         return np.concatenate([kernels, np.pad(small, [(0, 0), (aside, aside), (aside, aside)])])
 
     def _placed(
-        self, transfer: NDArray[np.complex64], every: int, step: float, count: int, kind: int
+        self, transfer: NDArray[np.complex64], stride: int, step: float, count: int, kind: int
     ) -> NDArray[np.float64]:
-        """Return kernels of `count` samples on either side, from transfer functions `every` steps apart."""
+        """Return kernels of `count` samples on either side, from transfer functions `stride` steps apart."""
         scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
-        apart = self.lattice.pitches[0] / USUAL.pitch_lags * every
+        apart = self.lattice.pitches[0] / USUAL.pitch_lags * stride
         farthest = transfer.shape[1] // 2
         position, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * apart
         # All repetitions of the window add up to 1, so that a kernel has the transfer function at each lag.
@@ -325,7 +325,7 @@ class ArrayKernels(LensWaves):
     def _transfer(
         self,
         farthest: int,
-        every: int,
+        stride: int,
         kind: Kind,
         polynomials: LensFunctions,
         coefficients: NDArray[np.float64],
@@ -333,14 +333,14 @@ class ArrayKernels(LensWaves):
     ) -> NDArray[np.complex64]:
         """Return the integrals over a cell of combinations of polynomials, times T T*, at lags along y and x.
 
-        Along either axis there are `farthest` lags on either side, `every` steps of the pitch over `pitch_lags`
+        Along either axis there are `farthest` lags on either side, `stride` steps of the pitch over `pitch_lags`
         apart, and two points for each step. `coefficients` (polynomials, n) define the combinations. Light has given
         direction cosines.
         """
         lattice = self.lattice
         # A lag of whole steps moves both points of a pair to points of the grid.
         step = lattice.pitches[0] / USUAL.pitch_lags / 2
-        reach = math.ceil(lattice.cell_reach / step) + farthest * every + 1
+        reach = math.ceil(lattice.cell_reach / step) + farthest * stride + 1
         along = (np.arange(-reach, reach) + 0.5) * step
         y, x = np.meshgrid(along, along, indexing="ij")
         (x, y), T, share = self.transmission((x, y), kind, cosines)
@@ -365,19 +365,19 @@ class ArrayKernels(LensWaves):
             weight = 2 * weight[: bottom - top]
         weight = weight.reshape(-1, coefficients.shape[1])
         weights = weight[:, real], weight[:, imaginary]
-        count, most = 2 * farthest + 1, farthest * every
+        count, most = 2 * farthest + 1, farthest * stride
         # One symmetry gives the lags on one side from those on the other.
         first = 0 if across is None and up is None else farthest
         result = np.zeros((coefficients.shape[1], count, count), np.complex64)
         # Views (column, row, place) of T, from each column on.
         lines = np.lib.stride_tricks.sliding_window_view(T, width, axis=1).transpose(1, 0, 2)
-        after, before = lines[left - most : left + most + 1 : every], lines[left + most : left - most - 1 : -every]
+        after, before = lines[left - most : left + most + 1 : stride], lines[left + most : left - most - 1 : -stride]
         after, before = after[first:], before[first:]
 
         def integrate(lags: NDArray[np.int64]) -> None:
             product = np.empty((count - first, bottom - top, width), np.complex64)
             for lag in lags.tolist():
-                b = lag * every
+                b = lag * stride
                 np.conjugate(before[:, top - b : bottom - b], out=product)
                 product *= after[:, top + b : bottom + b]
                 flat = product.reshape(len(product), -1)
@@ -401,10 +401,10 @@ class ArrayKernels(LensWaves):
 
         Shapes: the result (n, 1, 1), `weight` (rows, columns, n).
         """
-        other = np.flip(weight, axis)
-        signs = np.where((other * weight).sum((0, 1)) < 0, np.float32(-1), np.float32(1))
+        mirror = np.flip(weight, axis)
+        signs = np.where((mirror * weight).sum((0, 1)) < 0, np.float32(-1), np.float32(1))
         even = np.allclose(T, np.flip(T, axis), rtol=0, atol=USUAL.mirrored)
-        even = even and np.allclose(weight, signs * other, rtol=0, atol=USUAL.mirrored * np.abs(weight).max((0, 1)))
+        even = even and np.allclose(weight, signs * mirror, rtol=0, atol=USUAL.mirrored * np.abs(weight).max((0, 1)))
         return signs[:, None, None] if even else None
 
 

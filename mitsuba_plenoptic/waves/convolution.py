@@ -68,11 +68,11 @@ class Convolution:
         """Return the sum (rows, columns) of all images (ranks, rows, columns), each convolved with its kernel."""
         box, m = box or self.box, self._margin
         pixels = pixels or self.reached(self.box)
-        wanted = Box(self._window.left + pixels.left, self._window.top + pixels.top, pixels.columns, pixels.rows)
+        recorded = Box(self._window.left + pixels.left, self._window.top + pixels.top, pixels.columns, pixels.rows)
         # Other processes import the libraries of the spectra's arrays themselves.
         libraries = backend_of(self._spectra)
         arrays, transforms = libraries.arrays, libraries.transforms
-        result = arrays.zeros((1, wanted.rows, wanted.columns), np.float32)
+        result = arrays.zeros((1, recorded.rows, recorded.columns), np.float32)
 
         def convolved(tile: tuple[slice, slice]) -> Part:
             rows, columns = tile
@@ -90,7 +90,7 @@ class Convolution:
 
         with fft.resting_drjit():
             for tile in on_all_cores(convolved, self._tiles(box)):
-                add(tile, wanted, result)
+                add(tile, recorded, result)
         return result[0]
 
     def adjoint(self, pixels: NDArray[np.float32], box: Box | None = None) -> list[NDArray[np.float32]]:

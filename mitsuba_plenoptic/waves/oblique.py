@@ -93,11 +93,11 @@ class Oblique:
         """
         degree = 2 if len(images) == len(directions(2)) else 4
         change = np.einsum("kd,dnx->nkx", changes(degree), images)
-        every = _values(cosines, degree)
-        moments = every.T @ every / len(every)
+        of_rays = _values(cosines, degree)
+        moments = of_rays.T @ of_rays / len(of_rays)
         odd_terms = [(i % 2 == 1, j % 2 == 1) for i, j in exponents(degree, lowest=1)]
         both = np.einsum("nm,kl->nkml", light, moments[1:, 1:])
-        whole = float(np.einsum("nm,nx,mx->", light, images[0], images[0]))
+        in_all = float(np.einsum("nm,nx,mx->", light, images[0], images[0]))
         shape, candidates = change.shape[:2], []
         for parity in itertools.product((False, True), repeat=2):
             pairs = [
@@ -116,11 +116,11 @@ class Oblique:
                 pair[:, rows, columns] = factors[:, number], kernels[:, number]
                 candidates.append((float(value) ** 2, pair))
         candidates.sort(key=lambda candidate: -candidate[0])
-        rest = np.cumsum([value for value, _ in candidates][::-1])[::-1]
-        count = min(int(np.count_nonzero(rest > tolerance**2 * whole)), most)
-        used = np.array([pair for _, pair in candidates[:count]]).reshape(count, 2, *shape)
+        left_out = np.cumsum([value for value, _ in candidates][::-1])[::-1]
+        count = min(int(np.count_nonzero(left_out > tolerance**2 * in_all)), most)
+        combinations = np.array([pair for _, pair in candidates[:count]]).reshape(count, 2, *shape)
         basis = np.asarray(np.linalg.cholesky(moments + USUAL.added_variance * np.diag(moments.diagonal())))
-        return cls(largest, used[:, 0], used[:, 1], basis)
+        return cls(largest, combinations[:, 0], combinations[:, 1], basis)
 
     @property
     def count(self) -> int:
@@ -176,8 +176,8 @@ def changes(degree: int) -> NDArray[np.float64]:
 
 def moved(step: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
     """Return the matrix from (1, terms) of direction cosines to (1, terms) of cosines a step (2,) further."""
-    every = directions(degree)
-    return np.asarray(np.linalg.lstsq(_values(every, degree), _values(every + step, degree), rcond=None)[0].T)
+    cosines = directions(degree)
+    return np.asarray(np.linalg.lstsq(_values(cosines, degree), _values(cosines + step, degree), rcond=None)[0].T)
 
 
 def _values(cosines: NDArray[np.float64], degree: int) -> NDArray[np.float64]:

@@ -170,8 +170,8 @@ class PhaseSpace(ArrayKernels):
             distance, inner = (radius * (1 - (1 - max(r, 0) / self.radial) ** 2) for r in (index, index - 1))
             spread = USUAL.window_spreads * reach / max(radius - distance, 1e-9 * radius)
             least = (USUAL.least_window - (spread <= USUAL.narrow_spread * unit)) * unit
-            wanted = min(self.window * unit, max(least, unit + spread))
-            sides = tuple(math.ceil(wanted / period - 1e-6) * period for period in self.lattice.period())
+            width = min(self.window * unit, max(least, unit + spread))
+            sides = tuple(math.ceil(width / period - 1e-6) * period for period in self.lattice.period())
             # The largest lag is perpendicular to the radius.
             step = least_reach / (2 * oversampling * 2 * math.sqrt(radius**2 - inner**2))
             step = max(step, pitch / USUAL.most_samples)
@@ -221,8 +221,8 @@ class PhaseSpace(ArrayKernels):
         arrays = [np.empty(shape, np.float32) for shape in self.shapes] if table is None else table
         radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
         u, v, inside = self.aperture_grid(USUAL.spectrum_samples)
-        used = np.ix_(*(np.flatnonzero(inside.any(axis)) for axis in (1, 0)))
-        u, v, inside = u[used], v[used], inside[used]
+        around = np.ix_(*(np.flatnonzero(inside.any(axis)) for axis in (1, 0)))
+        u, v, inside = u[around], v[around], inside[around]
         functions = self.functions
         values = np.where(inside[..., None], functions.values(u, v) @ functions.functions, 0) * (u[0, 1] - u[0, 0]) ** 2
 
@@ -242,15 +242,15 @@ class PhaseSpace(ArrayKernels):
             spectra = np.einsum("ay,yxn,bx->nba", orders[1], values.astype(np.float32), orders[0], optimize=True)
             spectra *= gains[0][:, None] * gains[1]
             size, below = node.counts, len(gains[0]) // 2
-            whole = np.zeros((functions.count, size[0], size[1] // 2 + 1), np.complex64)
+            spectrum = np.zeros((functions.count, size[0], size[1] // 2 + 1), np.complex64)
             for angle in range(node.angular + 1):
                 angle_step = math.pi / 2 / node.angular
                 passed = spectra * self._overlap(
                     radial, angle * angle_step, angle_step, lags[0][:, None], lags[1], radius
                 )
-                whole[:, : below + 1, : passed.shape[2]] = passed[:, below:]
-                whole[:, size[0] - below :, : passed.shape[2]] = passed[:, :below]
-                coefficients[angle] = scipy.fft.irfft2(whole, size, workers=1).T
+                spectrum[:, : below + 1, : passed.shape[2]] = passed[:, below:]
+                spectrum[:, size[0] - below :, : passed.shape[2]] = passed[:, :below]
+                coefficients[angle] = scipy.fft.irfft2(spectrum, size, workers=1).T
 
         on_all_cores(fill, range(len(self.nodes)))
         return arrays
@@ -270,8 +270,8 @@ class PhaseSpace(ArrayKernels):
         aside, weights = (abscissae + 1) / 2, weights * (1 - (abscissae + 1) / 2)
         steps = np.concatenate([-aside, aside])
         weights = np.concatenate([weights, weights])
-        rest = np.float32(radius**2) - (lag_u**2 + lag_v**2) / 4
-        total, scale = np.zeros_like(rest), 0.0
+        limit = np.float32(radius**2) - (lag_u**2 + lag_v**2) / 4
+        total, scale = np.zeros_like(limit), 0.0
         for step, weight in zip(steps, weights, strict=True):
             t = 1 - (radial + step) / self.radial
             if not 0 <= t <= 1:
@@ -282,7 +282,7 @@ class PhaseSpace(ArrayKernels):
             for angle_part, share in zip(steps, weights, strict=True):
                 Pu, Pv = (np.float32(distance * f(angle + angle_part * angle_step)) for f in (math.cos, math.sin))
                 # Both points P + lag / 2 and P - lag / 2 are within the pupil.
-                both: Any = np.abs(Pu * lag_u + Pv * lag_v) <= rest - np.float32(distance**2)
+                both: Any = np.abs(Pu * lag_u + Pv * lag_v) <= limit - np.float32(distance**2)
                 power = 1.0
                 if not even:
                     ends = [
@@ -341,14 +341,14 @@ def tabulate(plans: Sequence[PhaseSpace]) -> None:
 
     Tables with the same places lie side by side, so that rays find the coefficients of all wavelengths in one place.
     """
-    wanted = {plan.key: plan for plan in plans}
+    by_key = {plan.key: plan for plan in plans}
     alike: dict[Any, list[tuple[Any, PhaseSpace]]] = {}
-    for key, plan in wanted.items():
+    for key, plan in by_key.items():
         if key not in _tables:
             alike.setdefault(plan.layout, []).append((key, plan))
     for some in alike.values():
         tables = Table.side_by_side([plan.shapes for _, plan in some])
-        for key in [key for key in _tables if key not in wanted]:
+        for key in [key for key in _tables if key not in by_key]:
             if sum(table.size for table in (*tables, *_tables.values())) > _BYTES:
                 del _tables[key]
         for (key, plan), table in zip(some, tables, strict=True):
@@ -392,16 +392,19 @@ class Table(list[NDArray[Any]]):
         ends = np.cumsum([math.prod(shape[:-1]) for shape in shapes])
         if memory is None:
             memory = empty_packets((int(ends[-1]) + 1, self.packets * _PACKET), np.float16)
-        self.memory, whole = memory, memory[:, first * _PACKET : (first + self.packets) * _PACKET]
-        columns, whole[:, shapes[0][-1] :], whole[-1] = whole[:, : shapes[0][-1]], 0, 0
+        self.memory, packets = memory, memory[:, first * _PACKET : (first + self.packets) * _PACKET]
+        columns, packets[:, shapes[0][-1] :], packets[-1] = packets[:, : shapes[0][-1]], 0, 0
         super().__init__(rows.reshape(shape) for rows, shape in zip(np.split(columns, ends)[:-1], shapes, strict=True))
 
     @classmethod
-    def side_by_side(cls, every: Sequence[Sequence[tuple[int, ...]]]) -> list[Table]:
+    def side_by_side(cls, tables_of_shapes: Sequence[Sequence[tuple[int, ...]]]) -> list[Table]:
         """Return zero tables of given shapes with the same places, in one memory."""
-        whole = [(*shape[:-1], sum(-(-shapes[0][-1] // _PACKET) * _PACKET for shapes in every)) for shape in every[0]]
-        memory, tables, first = cls(whole).memory, [], 0
-        for shapes in every:
+        together = [
+            (*shape[:-1], sum(-(-shapes[0][-1] // _PACKET) * _PACKET for shapes in tables_of_shapes))
+            for shape in tables_of_shapes[0]
+        ]
+        memory, tables, first = cls(together).memory, [], 0
+        for shapes in tables_of_shapes:
             tables.append(cls(shapes, memory, first))
             first += tables[-1].packets
         return tables
@@ -427,10 +430,10 @@ class RayCoefficients:
 
     def __init__(self, plan: PhaseSpace, table: Sequence[NDArray[Any]]) -> None:
         self.plan = plan
-        self.layout, whole = plan.layout, Table.of(table)
-        self._table = drjit_array(mi.Float16, whole.memory)
-        self._packets = range(whole.first, whole.first + whole.packets)
-        self._wide = whole.memory.shape[1] // _PACKET
+        self.layout, packed = plan.layout, Table.of(table)
+        self._table = drjit_array(mi.Float16, packed.memory)
+        self._packets = range(packed.first, packed.first + packed.packets)
+        self._wide = packed.memory.shape[1] // _PACKET
         *first, self._nowhere = np.cumsum([0] + [math.prod(array.shape[:3]) for array in table]).tolist()
         self._first = drjit_array(mi.Int, np.array(first))
         sides, counts = np.array([n.sides for n in plan.nodes]), np.array([n.counts for n in plan.nodes])

@@ -73,8 +73,8 @@ class PixelKernels:
         decompositions = [np.linalg.svd(factor @ root, full_matrices=False)[:2] for factor in products[1:]]
         square = np.square([values for _, values in decompositions])
         least = np.argsort(square, axis=None)
-        whole = np.square(root.T @ factors[:functions].reshape(len(root), -1)).sum()
-        missing = np.cumsum(square.flat[least]) <= (USUAL.missing_products * tolerance) ** 2 * whole
+        in_all = np.square(root.T @ factors[:functions].reshape(len(root), -1)).sum()
+        missing = np.cumsum(square.flat[least]) <= (USUAL.missing_products * tolerance) ** 2 * in_all
         self._term, component = np.divmod(np.sort(least[~missing]), square.shape[1])
         of_sums = np.array([decompositions[k][0][:, number] for k, number in zip(self._term, component, strict=True)])
         of_sums = of_sums.reshape(-1, len(self.kernels))
@@ -90,19 +90,19 @@ class PixelKernels:
 
         `terms` (terms, pixels) are the terms of the direction in which light meets the lenses.
         """
-        held, count = backend_of(values).arrays.asarray, len(self.kernels)
-        both = held(self._factors) @ values.reshape(len(values), -1).T
+        asarray, count = backend_of(values).arrays.asarray, len(self.kernels)
+        both = asarray(self._factors) @ values.reshape(len(values), -1).T
         images, sums = both[:count], both[count:]
         if len(sums):
-            sums *= terms[held(self._term)]
-            images += held(self._of_sums) @ sums
+            sums *= terms[asarray(self._term)]
+            images += asarray(self._of_sums) @ sums
         return images
 
     def turned(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the part of the images that is proportional to the terms of direction; see `combined`."""
-        held = backend_of(values).arrays.asarray
-        sums = held(self._factors[len(self.kernels) :]) @ values.reshape(len(values), -1).T
-        return held(held(self._of_sums) @ (terms[held(self._term)] * sums))
+        asarray = backend_of(values).arrays.asarray
+        sums = asarray(self._factors[len(self.kernels) :]) @ values.reshape(len(values), -1).T
+        return asarray(asarray(self._of_sums) @ (terms[asarray(self._term)] * sums))
 
     @single_threaded_blas()
     def adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -143,14 +143,14 @@ def _patterns(kernels: NDArray[np.float64], covariance: NDArray[np.float64], tol
     first = (even / (np.linalg.norm(even) or 1.0))[None]
     # Of all light, that which differs from cell to cell needs the most patterns.
     random = np.tensordot(_root(covariance), kernels, (0, 0)).reshape(-1, even.size)
-    whole = np.square(random).sum()
+    in_all = np.square(random).sum()
     random -= (random @ first.T) @ first
     by_rows = len(random) < even.size
     removed, vectors = np.linalg.eigh(random @ random.T if by_rows else random.T @ random)
-    used = np.cumsum(np.maximum(removed, 0)) > tolerance**2 * whole
-    others = vectors[:, used].T
+    needed = np.cumsum(np.maximum(removed, 0)) > tolerance**2 * in_all
+    others = vectors[:, needed].T
     if by_rows:
-        others = others @ random / np.sqrt(removed[used])[:, None]
+        others = others @ random / np.sqrt(removed[needed])[:, None]
     return np.concatenate([first, others[::-1]])
 
 

@@ -85,11 +85,13 @@ class PupilDiffraction:
     @cached_property
     def _in_kernels(self) -> NDArray[np.float64]:
         """Coefficients of the aberrations that the kernels contain."""
-        every = np.array(self.camera.wavefront, float)
-        number = np.arange(1, len(every) + 1)
-        if self.is_coarse or np.linalg.norm(every[_SECOND:]) > USUAL.most_aberration:
-            return np.zeros(len(every))
-        return np.where(number > (3 if np.linalg.norm(every[3:]) <= USUAL.small_aberration else _SECOND), every, 0)
+        coefficients = np.array(self.camera.wavefront, float)
+        index = np.arange(1, len(coefficients) + 1)
+        if self.is_coarse or np.linalg.norm(coefficients[_SECOND:]) > USUAL.most_aberration:
+            return np.zeros(len(coefficients))
+        return np.where(
+            index > (3 if np.linalg.norm(coefficients[3:]) <= USUAL.small_aberration else _SECOND), coefficients, 0
+        )
 
     @property
     def unit(self) -> float:
@@ -220,14 +222,14 @@ class PupilDiffraction:
         count = 2 * math.ceil(USUAL.coarse_reach * self.unit / step) + 1
         fine = step / parts
         spectra = scipy.fft.fft2(scipy.fft.ifftshift(self._sampled(fine / self.unit, count * parts // 2), (1, 2)))
-        known = spectra[0]
+        spread = spectra[0]
         if self.shortest not in (None, self.wavelength):
             shortest = replace(self, wavelength=self.shortest, shortest=None)
-            known = scipy.fft.fft2(scipy.fft.ifftshift(shortest._sampled(fine / shortest.unit, count * parts // 2)[0]))
+            spread = scipy.fft.fft2(scipy.fft.ifftshift(shortest._sampled(fine / shortest.unit, count * parts // 2)[0]))
         # The lowest frequencies, which the grid of pixels can represent.
         order = scipy.fft.ifftshift(np.arange(count) - count // 2)
         low = np.ix_(order, order)
-        passed = known[low]
+        passed = spread[low]
         # Where hardly anything passes, noise would be amplified.
         ratio = np.stack([spectrum[low] for spectrum in spectra]) * passed.conj()
         ratio /= np.maximum(np.abs(passed) ** 2, USUAL.least_transfer * np.abs(passed))

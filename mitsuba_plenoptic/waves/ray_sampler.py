@@ -63,9 +63,9 @@ class Pixels:
         """A distinct number for each pair of a pixel and a lens."""
         return self.lens * dr.opaque(mi.UInt32, self.box.rows * self.box.columns) + self.index
 
-    def take(self, which: Any) -> Pixels:
+    def take(self, indices: Any) -> Pixels:
         """Return a selection of the pairs of a pixel and a lens."""
-        index, lens = (dr.gather(mi.UInt32, numbers, which) for numbers in (self.index, self.lens))
+        index, lens = (dr.gather(mi.UInt32, numbers, indices) for numbers in (self.index, self.lens))
         return replace(self, index=index, lens=lens)
 
 

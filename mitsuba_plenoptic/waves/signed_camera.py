@@ -185,7 +185,7 @@ class CameraAdjoint(CameraSum):
 
     def backward(self, gradient: Sequence[Array]) -> Values:
         """Return the gradient with respect to each parameter component, from gradients by channel (rows, columns)."""
-        for _ in self._propagate(gradient):
+        for _ in self.propagate(gradient):
             pass
         with dr.resume_grad():
             gradients = {name: [dr.grad(value) for value in self._varying[name]] for name in self._names}

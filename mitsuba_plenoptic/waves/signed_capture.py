@@ -124,9 +124,9 @@ class SignedCapture:
         The functions allow the memory of one sum to be freed before the next is made. By default, light and nodes are
         those of the capture.
         """
-        used = light or self.light, self.nodes if nodes is None else nodes
+        light_and_nodes = light or self.light, self.nodes if nodes is None else nodes
         return [
-            self._sum(kind, *used, spp=-(-spp // runs), seed=of_run)
+            self._sum(kind, *light_and_nodes, spp=-(-spp // runs), seed=of_run)
             # Captures with neighbouring seeds must not share runs.
             for of_run in np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
         ]
@@ -157,17 +157,17 @@ class SignedCapture:
             tasks = [keep_spread(task, self.camera) for task in tasks]
         channels = self.spectrum.channels
         shape = (*self.camera.shape, channels * (3 if noise else 1))
-        every = sum(task.items for task in tasks)
+        items_of_all = sum(task.items for task in tasks)
         reached = {"traced": 0.0, "convolved": 0.0}
 
         def report(what: str, count: float) -> None:
             reached[what] = count
             reached["traced"] = max(reached.values())
             if progress:
-                progress(round(_TRACING * reached["traced"] + (1 - _TRACING) * reached["convolved"]), every)
+                progress(round(_TRACING * reached["traced"] + (1 - _TRACING) * reached["convolved"]), items_of_all)
 
         progress, job = job.progress, replace(job, progress=lambda done, _: report("convolved", done))
-        image = job.run(tasks, shape, every, {"scene_digest": lambda: digest(first.probe())})
+        image = job.run(tasks, shape, items_of_all, {"scene_digest": lambda: digest(first.probe())})
         if not image.any():
             warn(
                 "plenoptic_wave: none of the rays meets anything that shines; plain BSDFs are black from "
@@ -204,15 +204,6 @@ class SignedCapture:
         return Cost(0, 0, seconds, memory_of(pixels, rays * pixels, self.nodes))
 
 
-class SignedRayAdjoint(SignedRaySum):
-    """The reverse pass of a signed-ray capture; its light is a `ReplayedLight`."""
-
-    def backward(self, gradient: Sequence[NDArray[np.float32]]) -> None:
-        """Propagate the gradient of the sum, by channel (rows, columns), to Dr.Jit's gradients of scene parameters."""
-        for _ in self._propagate(gradient):
-            self._light.propagate()
-
-
 @dataclass(frozen=True)
 class SignedGradients:
     """The derivatives of a signed-ray capture, with the rays that `compute` draws."""
@@ -245,7 +236,9 @@ class SignedGradients:
             for channel, projection in self.capture.projections(self._image(SignedRaySum)).items():
                 linear[channel] = projection.backward(linear[channel])
             if self.light is not None:
-                self._sum(SignedRayAdjoint, ReplayedLight(self.light)).backward(linear)
+                light = ReplayedLight(self.light)
+                for _ in self._sum(SignedRaySum, light).propagate(linear):
+                    light.propagate()
             return self._sum(partial(CameraAdjoint, names=names)).backward(linear) if names else {}
 
     def _sum(self, kind: Callable[..., Sum], light: Callable[..., list[Any]] | None = None) -> Sum:

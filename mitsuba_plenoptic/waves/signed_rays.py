@@ -237,8 +237,8 @@ class SignedRaySum:
         traced: Callable[[float], None] | None = None,
     ) -> list[Array]:
         """Return images (kernels, pixels) of each channel of each node, in `images` if given, from rays of a box."""
-        every = dr.width(pixels)
-        sums = [image[:, :every] for image in images or self._empty(every)]
+        count = dr.width(pixels)
+        sums = [image[:, :count] for image in images or self._empty(count)]
         for image in sums:
             image[:] = 0
         dr.eval(pixels)
@@ -252,7 +252,7 @@ class SignedRaySum:
                     self._add(*before, sums)
                 before = batch, means
                 if traced:
-                    traced(batch.share * every)
+                    traced(batch.share * count)
             dr.sync_thread()
         if before:
             self._add(*before, sums)
@@ -278,10 +278,10 @@ class SignedRaySum:
             # The pixels of a lens are in order, and each is contained once until the next lens; a device adds them all.
             starts = [] if libraries.is_cuda else (1 + np.flatnonzero(index[1:] <= index[:-1])).tolist()
             totals = [image[rows[0].start : rows[-1].stop] for image in of_node]
-            every = [shared(values).reshape(len(index), self._parts**2, -1) for values in node.values]
+            values_of_images = [shared(values).reshape(len(index), self._parts**2, -1) for values in node.values]
             for few in kernels[0].portions([0, *starts, len(index)]):
                 terms = self._nodes[number].plan.oblique.terms(cosines[:, few])
-                for total, values in zip(totals, every, strict=True):
+                for total, values in zip(totals, values_of_images, strict=True):
                     light = self._combined(kernels, values[few], terms, cosines[:, few], number)
                     if libraries.is_cuda:
                         arrays.add.at(total, (slice(None), index[few]), light)
@@ -301,7 +301,7 @@ class SignedRaySum:
     def _ray_batches(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> Iterator[RayBatch]:
         """Yield, in batches, the pixels of a box with each lens that lights them."""
         size, sampler = max(1, _LANES // self._together), self._sampler
-        used: Any = True
+        has_rays: Any = True
         if (far := self._far(box)).any():
             # Near pixels, and one of each square of the others, have rays.
             shape = -(-box.rows // _THINNED), -(-box.columns // _THINNED)
@@ -309,14 +309,16 @@ class SignedRaySum:
             row, column = np.ogrid[: box.rows, : box.columns]
             within = row % _THINNED * _THINNED + column % _THINNED
             near = ~far | (chosen[row // _THINNED, column // _THINNED] == within)
-            used = drjit_array(mi.UInt32, near.ravel()[pixels.numpy()]) != 0
+            has_rays = drjit_array(mi.UInt32, near.ravel()[pixels.numpy()]) != 0
         lit: list[list[Any]] = [[] for _ in sampler.enlargements]
         count = len(sampler.choice.lenses)
         for first in range(0, count, _MASKS):
             # Always as many, as other numbers would compile kernels again.
             lenses = [dr.opaque(mi.UInt32, min(first + number, count - 1)) for number in range(_MASKS)]
             views = [sampler.lenses(Pixels(box, pixels, lens)) for lens in lenses]
-            masks = [[used & sampler.lights(view) & (view.kind == kind) for kind in range(len(lit))] for view in views]
+            masks = [
+                [has_rays & sampler.lights(view) & (view.kind == kind) for kind in range(len(lit))] for view in views
+            ]
             dr.eval(masks)
             for lens, kinds in zip(lenses[: count - first], masks, strict=False):
                 for of_kind, mask in zip(lit, kinds, strict=True):
@@ -328,10 +330,10 @@ class SignedRaySum:
             if not of_kind:
                 continue
             # Batches of all lenses together, since those at the rims of micro-images light few pixels.
-            every, lenses = (dr.concat(list(arrays)) for arrays in zip(*of_kind, strict=True))
-            for start in range(0, dr.width(every), size):
-                lane = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, min(size, dr.width(every) - start))
-                index = dr.gather(mi.UInt32, every, lane)
+            lit_pixels, lenses = (dr.concat(list(arrays)) for arrays in zip(*of_kind, strict=True))
+            for start in range(0, dr.width(lit_pixels), size):
+                lane = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, min(size, dr.width(lit_pixels) - start))
+                index = dr.gather(mi.UInt32, lit_pixels, lane)
                 pairs = Pixels(box, dr.gather(mi.UInt32, pixels, index), dr.gather(mi.UInt32, lenses, lane))
                 seed, *others = seeds.spawn(1)[0].generate_state(1 + self._passes).tolist()
                 for number, of_pass in enumerate(others):
@@ -350,13 +352,13 @@ class SignedRaySum:
         )
         return np.asarray(rows[:, None] | columns)
 
-    def _propagate(self, gradient: Sequence[Array]) -> Iterator[None]:
+    def propagate(self, gradient: Sequence[Array]) -> Iterator[None]:
         """Propagate the gradient of the sum, by channel (rows, columns), to what `estimate` depends on.
 
         None is yielded after each part of the rays.
         """
         for number, bins in enumerate(self._blocks):
-            convolutions, every = iter(self._convolutions), bins.rows * bins.columns
+            convolutions, count = iter(self._convolutions), bins.rows * bins.columns
             adjoint = [
                 [
                     np.stack(
@@ -364,7 +366,7 @@ class SignedRaySum:
                             active_backend().to_host(image)
                             for image in next(convolutions).adjoint(gradient[channel], bins)
                         ]
-                    ).reshape(-1, every)
+                    ).reshape(-1, count)
                     for channel in node.channels
                 ]
                 for node in self._nodes
@@ -373,7 +375,7 @@ class SignedRaySum:
             for images in itertools.chain.from_iterable(adjoint):
                 images[:, far] *= _THINNED**2
             seeds = np.random.SeedSequence([self._seed, number])
-            for batch in self._ray_batches(bins, dr.arange(mi.UInt32, every), seeds):
+            for batch in self._ray_batches(bins, dr.arange(mi.UInt32, count), seeds):
                 for group in range(len(self._groups)):
                     with dr.resume_grad():
                         means = self.estimate(batch, group)
@@ -385,7 +387,8 @@ class SignedRaySum:
                         ]
                         if products:
                             dr.backward(sum(products))
-                    yield
+                    if products:
+                        yield
 
     def _product(self, images: Array, values: list[Any], number: int, kind: int, node: CellMeans) -> Any:
         """Return the product of adjoint images (kernels, pixels) with the images of a node's values, with gradients."""
@@ -396,8 +399,8 @@ class SignedRaySum:
 
     def probe(self) -> Array:
         """Return the light of some pixels, a fingerprint of a scene and its camera."""
-        every = self._bins.rows * self._bins.columns
-        pixels = drjit_array(mi.UInt32, np.linspace(0, every - 1, min(_PROBES // self._parts**2, every)))
+        count = self._bins.rows * self._bins.columns
+        pixels = drjit_array(mi.UInt32, np.linspace(0, count - 1, min(_PROBES // self._parts**2, count)))
         traced = self._trace(self._bins, pixels, np.random.SeedSequence(0))
         return np.concatenate([active_backend().to_host(image).ravel() for image in traced])
 
@@ -426,10 +429,10 @@ class SignedRaySum:
         ray = samples.ray
         start, slope, _ = walk.through_pupil(ray.P, ray.m, samples.lens.height)
         # Outside the aperture, surfaces may reflect rays totally, whose values are not finite then.
-        seen = ray.valid & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
+        valid = ray.valid & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
         if colours is None:
-            return start, slope, seen, seed
-        return start, slope, seen, seed, [dr.gather(mi.Float, value, samples.pixel) for value in colours.wavelengths]
+            return start, slope, valid, seed
+        return start, slope, valid, seed, [dr.gather(mi.Float, value, samples.pixel) for value in colours.wavelengths]
 
     def estimate(self, batch: RayBatch, only: int | None = None) -> list[CellMeans | None]:
         """Return each node's mean values over the rays of the cells of a batch, to be evaluated; None without light.
@@ -487,8 +490,12 @@ class SignedRaySum:
         # Computed before the recorded loop, so as not to become a part of it.
         pixel, first, start = self._cells_of(pixels)
         lights = [
-            ([radiance[i] for i in used], _of_cells([controls[i] for i in used], pixel), _of_cells(weights, pixel))
-            for used, weights in mixtures
+            (
+                [radiance[i] for i in indices],
+                _of_cells([controls[i] for i in indices], pixel),
+                _of_cells(weights, pixel),
+            )
+            for indices, weights in mixtures
         ]
 
         def add(k: Any, means: list[list[list[Any]]]) -> tuple[Any, list[list[list[Any]]]]:

@@ -102,9 +102,11 @@ class Node:
     def mixture(self, rays: RayWavelengths | None = None) -> tuple[list[int], list[list[Any]]]:
         """Return the indices of the values used, and their weights for each channel; by cell, for drawn wavelengths."""
         if rays is None:
-            used = np.flatnonzero(self.weights.any(0)).tolist()
+            indices = np.flatnonzero(self.weights.any(0)).tolist()
             # Opaque values are kernel inputs, so that other values do not compile the kernels again.
-            return used, [[dr.opaque(mi.Float, weight) for weight in row] for row in self.weights[:, used].tolist()]
+            return indices, [
+                [dr.opaque(mi.Float, weight) for weight in row] for row in self.weights[:, indices].tolist()
+            ]
         mixtures = []
         for row in self.weights:
             table = drjit_array(mi.Float, row)

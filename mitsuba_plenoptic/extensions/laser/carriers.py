@@ -86,7 +86,8 @@ class Tilts:
     """Plane waves relative to the path of the middle of a layer's points (n, 3)."""
 
     def __init__(self, lens: ThinLens, wavelength: float, points: NDArray[np.float64], grid: PupilGrid) -> None:
-        self._lens, self._wavelength = lens, wavelength
+        self._lens = lens
+        self._wavelength = wavelength
         vergence = 1 / points[:, 2]
         middle = (vergence.min() + vergence.max()) / 2
         distance = _finite_inverse(middle)
@@ -95,7 +96,8 @@ class Tilts:
         self._frequencies = self._cosines(points) - self._cosines(self.middle[None])
         self._frequencies /= in_millimetres(wavelength)
         waves = PlaneWaves(self._frequencies * grid.pitch, grid.count)
-        self.forward, self.adjoint = waves.forward, waves.adjoint
+        self.forward = waves.forward
+        self.adjoint = waves.adjoint
         self.shift = np.exp(2j * math.pi * (self._frequencies @ grid.middle))
 
     @staticmethod
@@ -124,7 +126,9 @@ class Spheres:
     """Spherical waves towards the images of points (n, 3) by an ideal lens, with the images moved into one plane."""
 
     def __init__(self, lens: ThinLens, wavelength: float, points: NDArray[np.float64], grid: PupilGrid) -> None:
-        self._lens, self._wavelength, self._grid = lens, wavelength, grid
+        self._lens = lens
+        self._wavelength = wavelength
+        self._grid = grid
         self._distance, self._images = _images(lens, points)
         self._reach = _reach(self._images, grid)
         # What is beyond the window is faded out there, so that nothing comes in on the other side.
@@ -143,8 +147,8 @@ class Spheres:
         """Return an upper bound, in bytes, of the memory of the sums, apart from memory that grows with the points."""
         count = fft.fast_length(cls.window(lens, points, grid))
         # The points' plane is a part of the window, as wide as the images.
-        held = 2 * (2 * _reach(_images(lens, points)[1], grid) - grid.count) / count
-        return 8.0 * count * (grid.count + count / 2) + PlaneWaves.memory(count, min(1.0, held / 2))
+        band = 2 * (2 * _reach(_images(lens, points)[1], grid) - grid.count) / count
+        return 8.0 * count * (grid.count + count / 2) + PlaneWaves.memory(count, min(1.0, band / 2))
 
     def forward(self, amplitudes: fft.Field) -> Iterator[tuple[slice, fft.Field]]:
         """Yield blocks of rows of the sum of the waves with these amplitudes (n,) on the samples of the pupil."""
@@ -153,11 +157,11 @@ class Spheres:
         for rows, spectrum in self._waves.forward(amplitudes):
             spectrum *= self._kernel(rows)
             wide[rows] = _to_samples(spectrum, 1)[:, self._inner]
-        found = arrays.empty((self._grid.count,) * 2, np.complex64)
+        samples = arrays.empty((self._grid.count,) * 2, np.complex64)
         for columns in blocks(self._grid.count):
-            found[:, columns] = _to_samples(wide[:, columns], 0)[self._inner]
+            samples[:, columns] = _to_samples(wide[:, columns], 0)[self._inner]
         for rows in blocks(self._grid.count):
-            yield rows, found[rows]
+            yield rows, samples[rows]
 
     def adjoint(self, samples: Iterator[tuple[slice, fft.Field]]) -> fft.Field:
         """Return each wave's inner product with samples, which come in blocks of rows."""
@@ -219,14 +223,15 @@ def _spectrum(count: int, pitch: float, reach: float, radius: float, wavelength:
     """
     step = np.arange(count // 2 + 1)
     # The edge is so wide that it holds no steeper light than the samples do.
-    middle, scale = 1 + _FADED / 2, math.sqrt(2) * _FADED / (2 * _SIGMAS)
+    middle = 1 + _FADED / 2
+    scale = math.sqrt(2) * _FADED / (2 * _SIGMAS)
     edge = scipy.special.erfc((step / reach - middle) / scale) / (2 * count)
     square = (step * pitch) ** 2
     quarter = np.empty((len(step),) * 2, np.complex64)
     for rows in blocks(len(step)):
         quarter[rows] = phasor(-_sphere(square[rows, None] + square, radius, wavelength)) * (edge[rows, None] * edge)
-    for part in (quarter.real, quarter.imag):
-        part[...] = scipy.fft.dctn(part, type=1)
+    for component in (quarter.real, quarter.imag):
+        component[...] = scipy.fft.dctn(component, type=1)
     return active_backend().arrays.asarray(quarter)
 
 
@@ -249,11 +254,13 @@ def _reach(images: NDArray[np.float64], grid: PupilGrid) -> float:
 
 def _to_samples(spectrum: fft.Field, axis: int) -> fft.Field:
     """Return the inverse transform along an axis whose zero is in the middle, without a factor."""
-    roll, half = backend_of(spectrum).arrays.roll, spectrum.shape[axis] // 2
+    roll = backend_of(spectrum).arrays.roll
+    half = spectrum.shape[axis] // 2
     return roll(fft.fft(roll(spectrum, -half, axis), axis=axis, inverse=True, norm="forward"), half, axis)
 
 
 def _to_frequencies(samples: fft.Field, axis: int) -> fft.Field:
     """Return the adjoint of `_to_samples`."""
-    roll, half = backend_of(samples).arrays.roll, samples.shape[axis] // 2
+    roll = backend_of(samples).arrays.roll
+    half = samples.shape[axis] // 2
     return roll(fft.fft(roll(samples, -half, axis), axis=axis), half, axis)

@@ -1,9 +1,7 @@
 """The complex field of many mutually coherent points in the planes of the camera, and the adjoint.
 
-The field on the pupil is a sum over layers of distance (see `pupil_sums`). It propagates through the camera like a
-single point's field (see `points.full_field`): by its angular spectrum to the array, through the microlenses by their
-diffraction orders, and by its angular spectrum to the detector. All steps are linear; the adjoint applies their
-adjoints in opposite order, with conjugated transfer functions and transmissions.
+The field on the pupil is a sum over layers of distance (see `pupil_sums`). It propagates through the camera by the
+same chain as a single point's field (see `points.full_field`), and so does the adjoint back.
 """
 
 from __future__ import annotations
@@ -12,20 +10,20 @@ import dataclasses
 from functools import cached_property
 from typing import Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import refuse_if
+from ...fields.links import Chain
 from ...fields.optical_system import OpticalSystem
+from ...fields.workspace import retained_workspace
 from ...lenses.main_lens import MainLens
-from ...optics.waves import advance
-from ...points.arrival import FieldGrids, SampledField, at_mla, blocks, grids_around
-from ...points.full_field import detector_spectrum, pass_brightness, pass_microlenses, pass_pixels, pixel_integrals
+from ...points.arrival import Arrival, SampledField, grids_around, to_array
+from ...points.full_field import intensity, to_detector
 from ...points.sampling import Footprint, footprint
 from ...runtime import active_backend, check_memory, fft
 from .carriers import PupilGrid
-from .nonuniform import POINT_BYTES, embedded, taken
+from .nonuniform import POINT_BYTES
 from .pupil_sums import Layer, carrier_type, layers
 
 _TOGETHER = 2**14
@@ -44,7 +42,7 @@ class CoherentFields:
         self.system, self._lens, self._points = system, lens, points
         what = f"coherent field of {len(points)} points"
         self.grids = grids_around(system, lens, _footprint(lens, points), points, what)
-        self._pupil = PupilGrid(lens, self.grids.wide_origin, self._pupil_pitch)
+        self._pupil = PupilGrid(lens, self.grids.wide_origin, self.grids.pupil_pitch)
         self._parts = layers(system, lens, points)
         kinds = [carrier_type(lens, points[part], self._pupil) for part in self._parts]
         # An upper bound of the memory of a layer's field, without that of each point.
@@ -53,72 +51,59 @@ class CoherentFields:
 
     def at(self, amplitudes: NDArray[np.complex64], plane: str) -> SampledField:
         """Return the field of points with these amplitudes in one of the planes, on the backend's device."""
-        grid, arrays = self._pupil, active_backend().arrays
-        inner = arrays.zeros((grid.count, grid.count), np.complex64)
-        for part, layer in self._layers:
-            layer.add(arrays.asarray(amplitudes[part]), inner)
-        field = arrays.zeros(self.shape("pupil"), np.complex64)
-        field[grid.rows, grid.columns] = inner
-        pupil = SampledField(field, self.grids.wide_origin, self._pupil_pitch)
+        grid, arrays, inner = self._pupil, active_backend().arrays, self._inner(amplitudes)
         if plane == "pupil":
-            return pupil
-        array = at_mla(self.system.camera, self.system.wavelength, self.grids, pupil)
-        if plane == "array":
-            return array
-        spectrum = detector_spectrum(self.system, self.grids, array.samples, microlenses=True)
-        with fft.resting_drjit():
-            return SampledField(fft.fft2(spectrum, inverse=True), array.origin, array.pitch)
+            field = arrays.zeros(self.shape("pupil"), np.complex64)
+            field[grid.rows, grid.columns] = inner
+            return SampledField(field, self.grids.wide_origin, self.grids.pupil_pitch)
+        chain = self._to(plane)
+        with retained_workspace(chain.steps) as workspace, fft.resting_drjit():
+            light = workspace.blocks(inner, grid.rows.start)
+            field = workspace.whole(chain.forward(light, workspace), self.shape(plane))
+        return SampledField(field, self.grids.origin, self.grids.pitch)
 
     def intensity(self, amplitudes: NDArray[np.complex64]) -> NDArray[np.float32]:
         """Return the intensity of the field on the detector, integrated over each recorded pixel."""
-        array = self.at(amplitudes, "array")
-        spectrum = detector_spectrum(self.system, self.grids, array.samples, microlenses=True)
-        del array
-        dr.flush_malloc_cache()
-        return active_backend().to_host(pixel_integrals(self.system.camera, spectrum, self.grids))
+        light = Arrival(self._inner(amplitudes), self._pupil.rows.start, tuple(self._to("array").links))
+        return intensity(self.system, self.grids, light)
 
     def adjoint(self, samples: Any, plane: str) -> NDArray[np.complex64]:
         """Return the inner product of each point's field with samples of one of the planes."""
-        camera, grids = self.system.camera, self.grids
-        field: fft.Field = active_backend().arrays.array(samples, np.complex64)
-        if plane == "detector":
-            # Back to the array, and through the microlenses.
-            with fft.resting_drjit():
-                spectrum = fft.fft2(field)
-            wavelength = camera.medium_wavelength(self.system.wavelength)
-            spectrum = advance(spectrum, grids.pitch, -camera.space_behind[0], wavelength)
-            pass_pixels(camera, wavelength, grids, spectrum)
-            with fft.resting_drjit():
-                field = fft.fft2(spectrum, inverse=True).conj()
-            pass_microlenses(self.system, grids, field)
-            pass_brightness(self.system, grids, field)
-            field = field.conj()
-        if plane != "pupil":
-            # Back from the array to the pupil.
-            with fft.resting_drjit():
-                spectrum = _whole_spectrum(_whole_spectrum(field, grids, axis=1), grids, axis=0)
-            spectrum = advance(spectrum, self._pupil_pitch, -camera.pupil_distance, self.system.wavelength)
-            with fft.resting_drjit():
-                field = fft.fft2(spectrum, inverse=True)
-        field = active_backend().arrays.ascontiguousarray(field[self._pupil.rows, self._pupil.columns])
+        arrays, grid = active_backend().arrays, self._pupil
+        field: fft.Field = arrays.asarray(samples, np.complex64)
+        if plane == "pupil":
+            field = arrays.ascontiguousarray(field[grid.rows, grid.columns])
+        else:
+            chain = self._to(plane, grid.rows)
+            with retained_workspace(chain.steps) as workspace, fft.resting_drjit():
+                field = workspace.whole(chain.adjoint(workspace.blocks(field), workspace), (grid.count, grid.count))
         result = np.empty(len(self._points), np.complex64)
         for part, layer in self._layers:
             result[part] = active_backend().to_host(layer.adjoint(field))
         return result
 
+    def _inner(self, amplitudes: NDArray[np.complex64]) -> fft.Field:
+        """Return the field on those samples that contain the pupil."""
+        arrays, count = active_backend().arrays, self._pupil.count
+        inner = arrays.zeros((count, count), np.complex64)
+        for part, layer in self._layers:
+            layer.add(arrays.asarray(amplitudes[part]), inner)
+        return inner
+
+    def _to(self, plane: str, rows: slice = slice(None)) -> Chain:
+        """Return the way from the columns of the pupil, in some rows of the wide window, to another plane."""
+        step = self.grids.to_array(self._pupil.columns, rows)
+        on = to_detector(self.system, self.grids).links if plane == "detector" else ()
+        return Chain([to_array(self.system.camera, self.system.wavelength, step), *on])
+
     def shape(self, plane: str) -> tuple[int, int]:
         """Return the rows and columns of the samples in a plane."""
-        columns, rows = (self.grids.wide_pupil,) * 2 if plane == "pupil" else self.grids.count
-        return rows, columns
+        return (self.grids.wide_pupil,) * 2 if plane == "pupil" else self.grids.shape
 
     @property
     def transforms(self) -> int:
         """Number of transforms of the pupil that a field takes, in all layers together."""
         return sum(layer.rank for _, layer in self._layers)
-
-    @property
-    def _pupil_pitch(self) -> float:
-        return self.grids.pitch * self.grids.wide_mla / self.grids.wide_pupil
 
     @cached_property
     def _layers(self) -> list[tuple[NDArray[np.int64], Layer]]:
@@ -130,15 +115,3 @@ def _footprint(lens: MainLens, points: NDArray[np.float64]) -> Footprint:
     parts = [footprint(lens, points[first : first + _TOGETHER]) for first in range(0, len(points), _TOGETHER)]
     names = [field.name for field in dataclasses.fields(Footprint)]
     return Footprint(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
-
-def _whole_spectrum(field: fft.Field, grids: FieldGrids, axis: int) -> fft.Field:
-    """Return the wide window's spectrum along one axis, from the detector's window: adjoint of `onto_window`."""
-    arrays, count = active_backend().arrays, grids.wide_pupil
-    negative, parts = count // 2, []
-    for block in blocks(field.shape[1 - axis]):
-        part = field[block] if axis == 1 else field[:, block]
-        spectrum = fft.fft(embedded(part, grids.offset[1 - axis], grids.wide_mla, axis), axis=axis)
-        kept = taken(spectrum, 0, count - negative, axis), taken(spectrum, -negative, negative, axis)
-        parts.append(arrays.concatenate(kept, axis))
-    return arrays.ascontiguousarray(arrays.concatenate(parts, 1 - axis))

@@ -138,9 +138,9 @@ def make_class() -> type:
             lasers = self._require(scene, sensor)
             with guards.watch():
                 image = self._laser(scene, sensor, lasers, seed, job or Job())
-            rest = with_objects(scene, (), lasers)
-            if rest.emitters():
-                image = image + np.array(self.child.render(rest, sensor, seed=seed, spp=spp), np.float32)[..., :1]
+            unlit = with_objects(scene, (), lasers)
+            if unlit.emitters():
+                image = image + np.array(self.child.render(unlit, sensor, seed=seed, spp=spp), np.float32)[..., :1]
             wave_base.put(sensor.film(), image, 1)
             return sensor.film()
 
@@ -195,8 +195,8 @@ def make_class() -> type:
                 return self.modes or 1
             distance = float(np.average(points.positions[:, 2], weights=points.weights))
             with naming(NAME):
-                found = mode_count(camera, wavelength=self.wavelengths[0], distance=distance, **self.source)
-            return max(1, round(found))
+                count = mode_count(camera, wavelength=self.wavelengths[0], distance=distance, **self.source)
+            return max(1, round(count))
 
     return PlenopticLaserIntegrator
 

@@ -49,7 +49,8 @@ _DEPTHS = 9
 _RIM = 12
 """Points on the edge of the pupil that must see the lit points."""
 
-_RINGS, _SPOKES = 8, 32
+_RINGS = 8
+_SPOKES = 32
 """Points of the pupil whose rays determine the width of the blur."""
 
 _LANES = 2**20
@@ -80,21 +81,25 @@ class LaserScene:
 
     def points(self, per_spot: float, seed: int) -> LitPoints:
         """Return lit points of the scene, with a given number in each square of side lambda b / D on the array."""
-        lens, rng = self.system.lens, np.random.default_rng(seed)
+        lens = self.system.lens
+        rng = np.random.default_rng(seed)
         window = LensWindow.of(self.system)
-        middle, half = (window.low + window.high) / 2, (window.high - window.low) / 2
+        middle = (window.low + window.high) / 2
+        half = (window.high - window.low) / 2
         coarse = np.stack(np.meshgrid(*[(np.arange(_COARSE) + 0.5) * 2 / _COARSE - 1] * 2), -1).reshape(-1, 2)
         wide = middle + coarse * half * _WIDER
         search = np.random.default_rng([seed, 1])
         # What is small, or so far out of focus that only its blur reaches the detector, may be beside these rays.
         towards = np.concatenate([wide, self._laser_images(search), self._pupil_images(middle, half, search)])
-        found, _, _ = self._lit(np.concatenate([towards, *self._small_shapes(2 * half * _WIDER / _COARSE)]), seed)
-        if not len(found):
-            found = self._seen(wide)
-        if not len(found):
+        surfaces, _, _ = self._lit(np.concatenate([towards, *self._small_shapes(2 * half * _WIDER / _COARSE)]), seed)
+        if not len(surfaces):
+            # Surfaces, lit or not, whose blur may bring light.
+            hit = self._hit(wide)
+            surfaces = self._in_camera(hit)[hit.is_valid().numpy()]
+        if not len(surfaces):
             return LitPoints(np.empty((0, 3)), np.empty(0))
-        blur = self._blur(found)
-        reaches = (np.abs(lens.images(found) - middle) <= half + blur[:, None]).all(1)
+        blur = self._blur(surfaces)
+        reaches = (np.abs(lens.images(surfaces) - middle) <= half + blur[:, None]).all(1)
         if not reaches.any():
             return LitPoints(np.empty((0, 3)), np.empty(0))
         half = half + blur[reaches].max()
@@ -106,21 +111,22 @@ class LaserScene:
         parts = []
         for first in range(0, total, _LANES):
             index = np.arange(first, min(first + _LANES, total))
-            place = np.stack([index % count[0], index // count[0]], 1) + rng.random((len(index), 2))
-            parts.append(self._lit(middle - half + place * cell, int(rng.integers(2**32))))
-        positions, power, hidden = (np.concatenate(each) for each in zip(*parts, strict=True))
+            cells = np.stack([index % count[0], index // count[0]], 1) + rng.random((len(index), 2))
+            parts.append(self._lit(middle - half + cells * cell, int(rng.integers(2**32))))
+        positions, power, hidden = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         if power.sum() > 0:
             guards.check(guards.HIDDEN, float(power @ hidden / power.sum()))
         return LitPoints(positions, power * radiance_weight(self.system.camera, lens, float(cell.prod())))
 
     def _lit(
-        self, place: NDArray[np.float64], seed: int
+        self, positions_on_array: NDArray[np.float64], seed: int
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return lit points on chief rays, their radiance, and the fraction of the pupil's rim hidden from each.
 
-        `place` are points (n, 2) of the array.
+        `positions_on_array` are (n, 2).
         """
-        hit, lens = self._hit(place), self.system.lens
+        hit = self._hit(positions_on_array)
+        lens = self.system.lens
         radiance = self._radiance(hit, seed)
         lit = np.flatnonzero(radiance > 0)
         if not len(lit):
@@ -134,15 +140,10 @@ class LaserScene:
             hidden += self.scene.ray_test(hit.spawn_ray_to(target)).numpy() / _RIM
         return positions, radiance[lit], hidden
 
-    def _seen(self, place: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the points, lit or not, where chief rays through points (n, 2) of the array meet surfaces."""
-        hit = self._hit(place)
-        return self._in_camera(hit)[hit.is_valid().numpy()]
-
-    def _hit(self, place: NDArray[np.float64], pupil: NDArray[np.float64] | None = None) -> Any:
+    def _hit(self, positions_on_array: NDArray[np.float64], pupil: NDArray[np.float64] | None = None) -> Any:
         """Return Mitsuba's intersections of chief rays, or of rays through given points (2, n) of the pupil."""
-        q = tuple(drjit_array(mi.Float, place[:, axis]) for axis in (0, 1))
-        zero = dr.zeros(mi.Float, len(place))
+        q = tuple(drjit_array(mi.Float, positions_on_array[:, axis]) for axis in (0, 1))
+        zero = dr.zeros(mi.Float, len(positions_on_array))
         through = (zero, zero) if pupil is None else tuple(drjit_array(mi.Float, axis) for axis in pupil)
         point, slope, _ = self.system.lens.ray(through, q)
         return self.scene.ray_intersect(world_ray(self.sensor, (point[0], point[1], point[2] + zero), slope))
@@ -170,12 +171,14 @@ class LaserScene:
     ) -> NDArray[np.float64]:
         """Return array positions of the chief rays of all points that recorded lenses can see through the pupil."""
         position = (middle + half * (2 * rng.random((_SEARCH, 2)) - 1)).T
-        radius, angle = self.system.lens.reach * np.sqrt(rng.random(_SEARCH)), 2 * math.pi * rng.random(_SEARCH)
+        radius = self.system.lens.reach * np.sqrt(rng.random(_SEARCH))
+        angle = 2 * math.pi * rng.random(_SEARCH)
         return self._images(self._hit(position.T, radius * np.stack([np.cos(angle), np.sin(angle)])))
 
     def _small_shapes(self, step: NDArray[np.float64]) -> list[NDArray[np.float64]]:
         """Return chief rays through the images of small shapes, a few `step` wide, one array per shape."""
-        to_camera, found = self.sensor.world_transform().inverse(), []
+        to_camera = self.sensor.world_transform().inverse()
+        rays = []
         grid = np.stack(np.meshgrid(*[(np.arange(_ACROSS) + 0.5) / _ACROSS] * 2), -1).reshape(-1, 2)
         for shape in self.scene.shapes():
             box = shape.bbox()
@@ -184,10 +187,11 @@ class LaserScene:
             corners = (to_camera @ world).numpy().T.astype(float)
             if corners[:, 2].min() > 0:
                 images = self.system.lens.images(corners)
-                low, high = images.min(0), images.max(0)
+                low = images.min(0)
+                high = images.max(0)
                 if (high - low < _ACROSS * step).all():
-                    found.append(low + (high - low) * grid)
-        return found
+                    rays.append(low + (high - low) * grid)
+        return rays
 
     def _blur(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the distance on the array, in mm, between the chief ray and other rays of each point (n, 3).
@@ -204,13 +208,15 @@ class LaserScene:
         steps = np.linspace(inverse.min(), inverse.max(), _DEPTHS)
         axial = ((0.0, 0.0, 1 / step) for step in steps)
         moved = (np.array(lens.land(pupil, point)).T - lens.land((0.0, 0.0), point) for point in axial)
-        return np.interp(inverse, steps, [np.hypot(*each.T).max() for each in moved])
+        return np.interp(inverse, steps, [np.hypot(*displacement.T).max() for displacement in moved])
 
     def _radiance(self, hit: Any, seed: int) -> NDArray[np.float64]:
         """Return the radiance at hits: the squared modulus of the sum of the lasers' fields."""
         sampler = random_numbers(seed, dr.width(hit.t))
-        context, bsdf, total = mi.BSDFContext(), hit.bsdf(), np.zeros(dr.width(hit.t), np.complex128)
-        place = hit.p.numpy().T.astype(np.float64)
+        context = mi.BSDFContext()
+        bsdf = hit.bsdf()
+        total = np.zeros(dr.width(hit.t), np.complex128)
+        positions = hit.p.numpy().T.astype(np.float64)
         for laser in self.lasers:
             sample, arriving = laser.sample_direction(hit, sampler.next_2d(), hit.is_valid())
             active = hit.is_valid() & (sample.pdf > 0) & ~self.scene.ray_test(hit.spawn_ray_to(sample.p))
@@ -225,38 +231,38 @@ class LaserScene:
                 light.min(initial=0) < 0,
                 f"lasers = {laser.id()}: a surface that it lights has a negative reflectance; it must be at least 0",
             )
-            total += np.sqrt(light) * np.exp(2j * math.pi * self._path(laser, sample, place))
+            total += np.sqrt(light) * np.exp(2j * math.pi * self._path(laser, sample, positions))
         return np.asarray(np.abs(total) ** 2)
 
-    def _path(self, laser: Any, sample: Any, place: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _path(self, laser: Any, sample: Any, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the path from a laser to points (n, 3) of the world, in waves modulo 1."""
         if mi.has_flag(laser.flags(), mi.EmitterFlags.DeltaDirection):
-            towards = np.broadcast_to(sample.d.numpy().T.astype(np.float64), place.shape)
-            path = -(place * towards).sum(1)
+            towards = np.broadcast_to(sample.d.numpy().T.astype(np.float64), positions.shape)
+            path = -(positions * towards).sum(1)
         else:
-            path = np.linalg.norm(place - sample.p.numpy().T.astype(np.float64), axis=1)
+            path = np.linalg.norm(positions - sample.p.numpy().T.astype(np.float64), axis=1)
         return np.asarray(np.fmod(path / in_millimetres(self.system.wavelength), 1))
 
 
-def named_lasers(scene: Any, names: Sequence[str], what: str) -> list[Any]:
+def named_lasers(scene: Any, names: Sequence[str], plugin: str) -> list[Any]:
     """Return the emitters with given ids; refuse emitters that cannot be lasers."""
-    known = {emitter.id(): emitter for emitter in scene.emitters()}
-    found = []
+    emitters = {emitter.id(): emitter for emitter in scene.emitters()}
+    lasers = []
     for name in names:
-        refuse_if(names.count(name) > 1, f"{what}: lasers = {name}: it is given more than once")
-        if name not in known:
+        refuse_if(names.count(name) > 1, f"{plugin}: lasers = {name}: it is given more than once")
+        if name not in emitters:
             raise InputError(
-                f"{what}: lasers = {name}: the scene has no emitter of this id ({', '.join(sorted(known))})"
-                f"{did_you_mean(name, known)}"
+                f"{plugin}: lasers = {name}: the scene has no emitter of this id ({', '.join(sorted(emitters))})"
+                f"{did_you_mean(name, emitters)}"
             )
-        flags = known[name].flags()
+        flags = emitters[name].flags()
         delta = mi.has_flag(flags, mi.EmitterFlags.DeltaPosition) or mi.has_flag(flags, mi.EmitterFlags.DeltaDirection)
         # Mitsuba cannot sample the directional ones among the surfaces that radiate.
         extended = mi.has_flag(flags, mi.EmitterFlags.Surface)
         refuse_if(
             extended or not delta,
-            f"{what}: lasers = {name}: an emitter of type {known[name].class_name()} is extended; a laser is a point, "
-            "spot, projector or directional emitter",
+            f"{plugin}: lasers = {name}: an emitter of type {emitters[name].class_name()} is extended; a laser is a "
+            "point, spot, projector or directional emitter",
         )
-        found.append(known[name])
-    return found
+        lasers.append(emitters[name])
+    return lasers

@@ -45,12 +45,14 @@ class PlaneWaves:
         libraries = active_backend()
         self.count = count
         self._length = length(count)
-        place = frequencies * self._length
-        first = np.ceil(place - _WIDTH / 2).astype(np.int64)
-        low, high = first.min(0), first.max(0) + _WIDTH
-        self._low, self._shape = low, (int(high[1] - low[1]), int(high[0] - low[0]))
+        position = frequencies * self._length
+        first = np.ceil(position - _WIDTH / 2).astype(np.int64)
+        low = first.min(0)
+        high = first.max(0) + _WIDTH
+        self._low = low
+        self._shape = (int(high[1] - low[1]), int(high[0] - low[0]))
         steps = np.arange(_WIDTH)
-        distances = (place[:, axis, None] - (first[:, axis, None] + steps) for axis in (0, 1))
+        distances = (position[:, axis, None] - (first[:, axis, None] + steps) for axis in (0, 1))
         inside = (np.sqrt(np.maximum(0, 1 - (2 * distance / _WIDTH) ** 2)) for distance in distances)
         i0 = scipy.special.i0
         weights = [(i0(_SHAPE * root) / i0(_SHAPE)).astype(np.float32) for root in inside]
@@ -74,8 +76,8 @@ class PlaneWaves:
 
         `band` is the occupied part, along each axis, of the frequencies from -1/2 to 1/2.
         """
-        held = band * length(count) + 2 * _WIDTH
-        return 8.0 * held * (2.0 * count + held)
+        frequencies = band * length(count) + 2 * _WIDTH
+        return 8.0 * frequencies * (2.0 * count + frequencies)
 
     def forward(self, amplitudes: fft.Field) -> Iterator[tuple[slice, fft.Field]]:
         """Yield blocks of rows of the sum of plane waves with given amplitudes (n,)."""
@@ -90,8 +92,8 @@ class PlaneWaves:
         arrays = backend_of(self._correction).arrays
         tall = arrays.empty((self.count, self._shape[1]), np.complex64)
         for rows, block in samples:
-            given = block * self._correction
-            tall[rows] = _to_frequencies(given, self._low[0], self._length, self._shape[1], 1)
+            corrected = block * self._correction
+            tall[rows] = _to_frequencies(corrected, self._low[0], self._length, self._shape[1], 1)
         tall *= self._correction[:, None]
         spread = _to_frequencies(tall, self._low[1], self._length, self._shape[0], 0)
         parts = self._spread @ arrays.ascontiguousarray(spread).reshape(-1).view(np.float32).reshape(-1, 2)
@@ -105,14 +107,14 @@ def length(count: int) -> int:
 
 def _to_samples(spectrum: fft.Field, first: int, size: int, count: int, axis: int) -> fft.Field:
     """Return `count` samples around the origin along an axis; `first` is the index of the lowest frequency given."""
-    whole = fft.fft(embedded(spectrum, first, size, axis), axis=axis, inverse=True, norm="forward")
-    return taken(whole, -(count // 2), count, axis)
+    samples = fft.fft(embedded(spectrum, first, size, axis), axis=axis, inverse=True, norm="forward")
+    return taken(samples, -(count // 2), count, axis)
 
 
 def _to_frequencies(samples: fft.Field, first: int, size: int, count: int, axis: int) -> fft.Field:
     """Return the adjoint of `_to_samples`, with `count` frequencies."""
-    whole = fft.fft(embedded(samples, -(samples.shape[axis] // 2), size, axis), axis=axis)
-    return taken(whole, first, count, axis)
+    frequencies = fft.fft(embedded(samples, -(samples.shape[axis] // 2), size, axis), axis=axis)
+    return taken(frequencies, first, count, axis)
 
 
 def taken(values: fft.Field, first: int, count: int, axis: int) -> fft.Field:
@@ -126,8 +128,8 @@ def embedded(values: fft.Field, first: int, size: int, axis: int) -> fft.Field:
     shape = list(values.shape)
     shape[axis] = size
     padded = backend_of(values).arrays.zeros(shape, np.complex64)
-    for given, there in _runs(first, values.shape[axis], size):
-        padded[(slice(None),) * axis + (there,)] = values[(slice(None),) * axis + (given,)]
+    for here, there in _runs(first, values.shape[axis], size):
+        padded[(slice(None),) * axis + (there,)] = values[(slice(None),) * axis + (here,)]
     return padded
 
 

@@ -65,7 +65,8 @@ _ADDED = 256
 _WIDEST = 4.0
 """Largest width of the window in which spheres are summed, over that of the pupil."""
 
-_RINGS, _SPOKES = 8, 24
+_RINGS = 8
+_SPOKES = 24
 """Positions on the pupil at which the power of a point's light is summed: exact for polynomials of degree 15."""
 
 
@@ -73,13 +74,15 @@ class Layer:
     """Points (n, 3) of similar distance, each with unit power through the pupil, on the samples of a grid."""
 
     def __init__(self, system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> None:
-        self._lens, self._wavelength, self._grid = lens, system.wavelength, grid
-        made: Carrier = carrier_type(lens, points, grid)(lens, system.wavelength, points, grid)
-        self._carrier = made
+        self._lens = lens
+        self._wavelength = system.wavelength
+        self._grid = grid
+        carrier: Carrier = carrier_type(lens, points, grid)(lens, system.wavelength, points, grid)
+        self._carrier = carrier
         nodes = self._nodes(points)
-        held = active_backend().arrays.asarray
-        self._interpolation = [held(_interpolation(nodes, grid.along(axis) / self._half)) for axis in (0, 1)]
-        x, y = (part.ravel() * self._half for part in np.meshgrid(nodes, nodes))
+        on_device = active_backend().arrays.asarray
+        self._interpolation = [on_device(_interpolation(nodes, grid.along(axis) / self._half)) for axis in (0, 1)]
+        x, y = (mesh.ravel() * self._half for mesh in np.meshgrid(nodes, nodes))
         some = np.linspace(0, len(points) - 1, min(len(points), _BASIS)).astype(int)
         # Orthonormal functions that represent the factors of some points within the tolerance.
         basis, strength, _ = np.linalg.svd(self._remainder(x, y, points, some), full_matrices=False)
@@ -88,16 +91,16 @@ class Layer:
         parts = []
         step = max(1, _TOGETHER // len(x))
         for first in range(0, len(points), step):
-            part = slice(first, first + step)
-            factors = self._remainder(x, y, points, part)
-            basis, found = _completed(basis, factors)
-            parts.append(found)
+            some_points = slice(first, first + step)
+            factors = self._remainder(x, y, points, some_points)
+            basis, coefficients = _completed(basis, factors)
+            parts.append(coefficients)
         self.rank = basis.shape[1]
         by_nodes = np.ascontiguousarray(basis.T).reshape(self.rank, len(nodes), len(nodes)).astype(np.complex64)
-        self._on_pupil = list(held(by_nodes))
+        self._on_pupil = list(on_device(by_nodes))
         # Points before the last completion do without the products that came later.
-        padded = [np.pad(part, ((0, self.rank - len(part)), (0, 0))) for part in parts]
-        self._of_points = list(held((np.concatenate(padded, 1) * self._carrier.shift).astype(np.complex64)))
+        padded = [np.pad(rows, ((0, self.rank - len(rows)), (0, 0))) for rows in parts]
+        self._of_points = list(on_device((np.concatenate(padded, 1) * self._carrier.shift).astype(np.complex64)))
 
     def add(self, amplitudes: fft.Field, field: fft.Field) -> None:
         """Add the field of points with given amplitudes (n,) to samples of the grid."""
@@ -110,13 +113,13 @@ class Layer:
 
     def adjoint(self, field: fft.Field) -> fft.Field:
         """Return the inner product of each point's field with samples of the grid."""
-        given = self._common().conj() * field
+        smooth = self._common().conj() * field
         total = active_backend().arrays.zeros(self._of_points[0].shape, np.complex64)
         for on_pupil, of_points in zip(self._on_pupil, self._of_points, strict=True):
 
             def products(on_pupil: fft.Field = on_pupil) -> Iterator[tuple[slice, fft.Field]]:
                 for rows in blocks(self._grid.count):
-                    yield rows, given[rows] * self._values(on_pupil, rows).conj()
+                    yield rows, smooth[rows] * self._values(on_pupil, rows).conj()
 
             total += of_points.conj() * self._carrier.adjoint(products())
         return total
@@ -128,7 +131,8 @@ class Layer:
 
     def _common(self) -> fft.Field:
         """Return the common factor of all points' fields on the samples, of modulus 1 in the pupil."""
-        types, grid = array_module(), self._grid
+        types = array_module()
+        grid = self._grid
         row, column = fft.rows_and_columns(types, grid.count, grid.count)
         x, y = (
             (types.Float64(index) - grid.count // 2) * dr.opaque(types.Float64, grid.pitch)
@@ -154,16 +158,17 @@ class Layer:
         radius = np.sqrt((np.arange(_TRIED) + 0.5) / _TRIED)
         # A sunflower's pattern covers the pupil evenly.
         angle = np.arange(_TRIED) * (math.pi * (3 - math.sqrt(5)))
-        x, y = radius * np.cos(angle), radius * np.sin(angle)
+        x = radius * np.cos(angle)
+        y = radius * np.sin(angle)
         exact = self._remainder(x * self._lens.pupil.radius, y * self._lens.pupil.radius, points, some)
         scale = self._lens.pupil.radius / self._half
         for count in _NODES:
             nodes = np.cos((np.arange(count) + 0.5) * (math.pi / count))
-            given = [part.ravel() * self._half for part in np.meshgrid(nodes, nodes)]
-            factors = self._remainder(given[0], given[1], points, some)
-            across, down = (_interpolation(nodes, place * scale, np.float64) for place in (x, y))
-            found = np.einsum("pj,pi,jin->pn", down, across, factors.reshape(count, count, -1), optimize=True)
-            if np.all(np.abs(found - exact) <= _TOLERANCE * np.abs(exact).max(0)):
+            at = [mesh.ravel() * self._half for mesh in np.meshgrid(nodes, nodes)]
+            factors = self._remainder(at[0], at[1], points, some)
+            across, down = (_interpolation(nodes, position * scale, np.float64) for position in (x, y))
+            interpolated = np.einsum("pj,pi,jin->pn", down, across, factors.reshape(count, count, -1), optimize=True)
+            if np.all(np.abs(interpolated - exact) <= _TOLERANCE * np.abs(exact).max(0)):
                 return nodes
         x, y, g = points.mean(0)
         raise InputError(
@@ -195,8 +200,8 @@ def layers(system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64]) -
     order = np.argsort(defocus, kind="stable")
     span = defocus[order] - defocus[order[0]]
     count = max(1, math.ceil(span[-1] / _LAYER))
-    which = np.minimum(span * (count / max(span[-1], 1e-300)), count - 1).astype(int)
-    return np.split(order, np.flatnonzero(np.diff(which)) + 1)
+    layer = np.minimum(span * (count / max(span[-1], 1e-300)), count - 1).astype(int)
+    return np.split(order, np.flatnonzero(np.diff(layer)) + 1)
 
 
 def passed_power(lens: ThinLens, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -219,13 +224,13 @@ def _completed(
     """
     power = _squares(factors)
     while True:
-        found = basis.conj().T @ factors
-        error = 1 - _squares(found) / power
+        coefficients = basis.conj().T @ factors
+        error = 1 - _squares(coefficients) / power
         worst = np.argsort(error)[-_ADDED:]
         worst = worst[error[worst] > _MISSED**2]
         if not len(worst):
-            return basis, found
-        missed = factors[:, worst] - basis @ found[:, worst]
+            return basis, coefficients
+        missed = factors[:, worst] - basis @ coefficients[:, worst]
         added, strength, _ = np.linalg.svd(missed, full_matrices=False)
         added = added[:, strength > 0.5 * _MISSED * math.sqrt(power[worst].min())]
         # Orthogonal to the others in spite of rounding; those stay as they are.

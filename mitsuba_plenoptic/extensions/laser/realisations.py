@@ -84,20 +84,21 @@ def coherent_capture(
     """
     if not isinstance(operator, CaptureOperator):
         raise InputError(f"operator of type {type(operator).__name__}: it must be a CaptureOperator")
-    given = _real("weights", weights, len(operator.points))
-    refuse_if((given < 0).any(), f"weights: {given.min(initial=0):g} is among them: powers must be at least 0")
-    refuse_if((given > _BRIGHTEST).any(), f"weights: {given.max(initial=0):g} is among them: at most {_BRIGHTEST:g}")
+    powers = _real("weights", weights, len(operator.points))
+    refuse_if((powers < 0).any(), f"weights: {powers.min(initial=0):g} is among them: powers must be at least 0")
+    refuse_if((powers > _BRIGHTEST).any(), f"weights: {powers.max(initial=0):g} is among them: at most {_BRIGHTEST:g}")
     count = require_count("modes", modes)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
-    fields, job = operator.coherent_fields, job or Job()
+    fields = operator.coherent_fields
+    job = job or Job()
     refuse_if(job.batch_map is not None, "batch_map: a coherent capture takes none: all threads compute each mode")
-    work = _Realisations(fields, np.sqrt(given), count, seed)
+    work = _Realisations(fields, np.sqrt(powers), count, seed)
     facts = {
         "camera": operator.camera.to_dict(),
         "wavelength": fields.system.wavelength,
         "modes": count,
         "seed": seed,
-        "points_digest": digest(operator.points, given),
+        "points_digest": digest(operator.points, powers),
     }
     with guards.watch():
         tasks = [SumTask(count, lambda: work, lambda image: image)]
@@ -134,8 +135,11 @@ class _Realisations:
     arrays: Any = np
 
     def __init__(self, fields: CoherentFields, moduli: NDArray[np.float64], count: int, seed: int) -> None:
-        self._fields, self._moduli, self._seed = fields, moduli, seed
-        self.box, self.items = recorded_pixels(fields.system.camera), np.ones(count, np.int64)
+        self._fields = fields
+        self._moduli = moduli
+        self._seed = seed
+        self.box = recorded_pixels(fields.system.camera)
+        self.items = np.ones(count, np.int64)
 
     def batches(self, first: int) -> Iterator[_Realisation]:
         """Yield one batch for each realisation."""

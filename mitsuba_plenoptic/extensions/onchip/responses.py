@@ -27,7 +27,7 @@ from ...errors import refuse_if
 from ...lenses.pupil import Pair
 from ...rays.tracer import walks_of
 from ...runtime import Box, Part, PartialSum, drjit_array, fft
-from ...scene.radiance import SceneLight, require_finite
+from ...scene.radiance import require_finite
 from ...waves.control_variate import mean_of_half, of_other_half
 from ...waves.phase_space import FINE
 from ...waves.signed_capture import SignedCapture
@@ -364,7 +364,7 @@ class ResponseCapture(SignedCapture):
         return nodes
 
     def _sum(
-        self, kind: Callable[..., Any], light: SceneLight, nodes: list[Node], *, spp: int, seed: int
+        self, kind: Callable[..., Any], light: Callable[..., list[Any]], nodes: list[Node], *, spp: int, seed: int
     ) -> Callable[[], Any]:
         """Return a function that constructs the sum of a capture; there is only one kind of sum."""
         return partial(ResponseSum, self.camera, light, nodes, spp=spp, seed=seed)

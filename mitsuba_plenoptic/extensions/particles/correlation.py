@@ -22,7 +22,8 @@ from ...errors import refuse_if, require_count, require_number, require_numbers,
 from ...runtime import Progress, counted
 from .voxels import values_of
 
-MEDIAN_LIMIT, MEDIAN_FLOOR = 2.0, 0.1
+MEDIAN_LIMIT = 2.0
+MEDIAN_FLOOR = 0.1
 """Residual over that of the neighbours above which a vector is an outlier, and voxels that are added to the latter."""
 
 _LEAST_OVERLAP = 0.25
@@ -66,35 +67,36 @@ def correlate_volumes(
     InputError
         If the volumes differ in their grid, are empty, or are smaller than a window.
     """
-    one, other = values_of(first, second)
+    before, after = values_of(first, second)
     axes = [first[axis].values for axis in "zyx"]
     size = np.array([require_count("window", n, minimum=4) for n in require_numbers("window", window, count=3)])
     overlap = require_number("overlap", overlap, minimum=0, maximum=0.9)
     passes = require_count("passes", passes, maximum=10)
-    refuse_if((size > one.shape).any(), f"window = {tuple(size.tolist())}: the volumes have {one.shape} voxels")
-    for name, values in (("first", one), ("second", other)):
+    refuse_if((size > before.shape).any(), f"window = {tuple(size.tolist())}: the volumes have {before.shape} voxels")
+    for name, values in (("first", before), ("second", after)):
         refuse_if(not values.any(), f"{name}: the volume is empty")
     step = np.maximum(1, np.rint(size * (1 - overlap))).astype(int)
-    starts = [np.arange(0, count - width + 1, by) for count, width, by in zip(one.shape, size, step, strict=True)]
+    starts = [np.arange(0, count - width + 1, by) for count, width, by in zip(before.shape, size, step, strict=True)]
     counts = tuple(map(len, starts))
-    found, best = np.zeros((*counts, 3)), np.zeros(counts)
+    displacement = np.zeros((*counts, 3))
+    best = np.zeros(counts)
     outlier = np.zeros(counts, bool)
     corners = list(itertools.product(*starts))
     indices = list(np.ndindex(counts))
-    for number in range(passes):
-        guess = np.rint(np.nan_to_num(found)).astype(int)
-        shown = None if progress is None else _part_of(progress, number, passes)
-        for index, corner in zip(indices, counted(corners, shown), strict=False):
+    for number_of_pass in range(passes):
+        guess = np.rint(np.nan_to_num(displacement)).astype(int)
+        report = None if progress is None else _part_of(progress, number_of_pass, passes)
+        for index, corner in zip(indices, counted(corners, report), strict=False):
             start = np.array(corner)
-            moved = np.clip(start + guess[index], 0, np.array(one.shape) - size)
+            moved = np.clip(start + guess[index], 0, np.array(before.shape) - size)
             windows = (
-                each[tuple(slice(low, low + width) for low, width in zip(at, size, strict=True))]
-                for each, at in ((one, start), (other, moved))
+                volume[tuple(slice(low, low + width) for low, width in zip(at, size, strict=True))]
+                for volume, at in ((before, start), (after, moved))
             )
             shift, best[index] = _displacement(*windows)
-            found[index] = moved - start + shift
-        outlier = is_outlier(found)
-        found = np.where(outlier[..., None], _expected(found)[0], found)
+            displacement[index] = moved - start + shift
+        outlier = is_outlier(displacement)
+        displacement = np.where(outlier[..., None], _expected(displacement)[0], displacement)
     voxel = np.array([axis[1] - axis[0] for axis in axes])
     centres = {
         name: axis[0] + (start + (width - 1) / 2) * spacing
@@ -102,7 +104,7 @@ def correlate_volumes(
     }
     return xr.Dataset(
         {
-            "displacement": (("z", "y", "x", "axis"), (found * voxel)[..., ::-1], {"units": "mm"}),
+            "displacement": (("z", "y", "x", "axis"), (displacement * voxel)[..., ::-1], {"units": "mm"}),
             "outlier": (("z", "y", "x"), outlier.astype(np.int8)),
             "correlation": (("z", "y", "x"), best),
         },
@@ -115,16 +117,17 @@ def _part_of(progress: Progress, number: int, passes: int) -> Progress:
     return lambda done, total: progress(number * total + done, passes * total)
 
 
-def _displacement(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def _displacement(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Return the displacement in voxels of one window's content in the other, and their correlation coefficient.
 
     If a window is empty, they are NaN and 0.
     """
-    size = np.array(one.shape)
+    size = np.array(before.shape)
     shape = [scipy.fft.next_fast_len(int(2 * n), real=True) for n in size]
-    a, b = one - one.mean(), other - other.mean()
-    whole = float(np.linalg.norm(a) * np.linalg.norm(b))
-    if not whole:
+    a = before - before.mean()
+    b = after - after.mean()
+    norm = float(np.linalg.norm(a) * np.linalg.norm(b))
+    if not norm:
         return np.full(3, np.nan), 0.0
     spectrum = np.conj(scipy.fft.rfftn(a, shape)) * scipy.fft.rfftn(b, shape)
     products = scipy.fft.irfftn(spectrum, shape)
@@ -132,7 +135,7 @@ def _displacement(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple
     lags = [np.arange(-most, most + 1) for most in reach]
     products = products[np.ix_(*lags)]
     peak = np.array(np.unravel_index(int(products.argmax()), products.shape))
-    coefficient = float(products[tuple(peak)]) / whole
+    coefficient = float(products[tuple(peak)]) / norm
     # Fewer voxels meet at a displacement, which draws the peak towards 0.
     for axis, (lag, n) in enumerate(zip(lags, size, strict=True)):
         products = products / np.expand_dims(1 - np.abs(lag) / n, [i for i in range(3) if i != axis])

@@ -40,10 +40,11 @@ class EntrancePupil:
         if self.objective is None:
             away = np.stack([x, y, np.full(len(x), self.place)], -1) - positions[:, None]
             return np.asarray(away / np.linalg.norm(away, axis=-1, keepdims=True))
-        x, y = (each / (self.objective.immersion * self.objective.focal_length) for each in (x, y))
+        x, y = (coordinate / (self.objective.immersion * self.objective.focal_length) for coordinate in (x, y))
         # The corners of the square around the pupil may lie beyond the horizon.
         within = np.minimum(1, _HORIZON / np.maximum(np.hypot(x, y), 1e-300))
-        x, y = within * x, within * y
+        x = within * x
+        y = within * y
         lines = np.stack([x, y, -np.sqrt(1 - x * x - y * y)], -1)
         return np.broadcast_to(lines, (len(positions), *lines.shape))
 

@@ -81,7 +81,7 @@ class Flow:
         """
         if time == 0 or not len(points):
             return points.copy()
-        found = solve_ivp(
+        paths = solve_ivp(
             lambda _, state: self.velocity(state.reshape(-1, 3)).ravel(),
             (0.0, time),
             points.ravel(),
@@ -89,8 +89,8 @@ class Flow:
             rtol=_TOLERANCE,
             atol=_TOLERANCE,
         )
-        refuse_if(not found.success, f"flow: paths over {time:g} s cannot be followed: {found.message}")
-        return np.asarray(found.y[:, -1].reshape(-1, 3))
+        refuse_if(not paths.success, f"flow: paths over {time:g} s cannot be followed: {paths.message}")
+        return np.asarray(paths.y[:, -1].reshape(-1, 3))
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,8 @@ class Shear(Flow):
 
     def velocity(self, points: Points) -> Points:
         """Return the velocities at positions."""
-        result, across = np.zeros(points.shape), _AXES.index(self.across)
+        result = np.zeros(points.shape)
+        across = _AXES.index(self.across)
         result[:, _AXES.index(self.along)] = self.rate * (points[:, across] - self.centre[across])
         return result
 
@@ -213,7 +214,8 @@ class LambOseen(Flow):
 
     def __post_init__(self) -> None:
         require_choice("axis", self.axis, tuple(_AXES))
-        circulation, core = _speed("circulation", self.circulation), require_length("core", self.core)
+        circulation = _speed("circulation", self.circulation)
+        core = require_length("core", self.core)
         put(self, circulation=circulation, core=core, centre=_centre(self.centre))
 
     def _turning(self, p: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -227,15 +229,18 @@ class LambOseen(Flow):
         """Return the velocities at positions."""
         first, second, _ = _cylinder(self.axis)
         p, q = (points[:, i] - self.centre[i] for i in (first, second))
-        turning, result = self._turning(p, q), np.zeros(points.shape)
-        result[:, first], result[:, second] = -turning * q, turning * p
+        turning = self._turning(p, q)
+        result = np.zeros(points.shape)
+        result[:, first] = -turning * q
+        result[:, second] = turning * p
         return result
 
     def advected(self, points: Points, time: float) -> Points:
         """Return where particles at some positions are after a time in seconds: on circles about the axis."""
         first, second, _ = _cylinder(self.axis)
         p, q = (points[:, i] - self.centre[i] for i in (first, second))
-        angle, result = time * self._turning(p, q), points.copy()
+        angle = time * self._turning(p, q)
+        result = points.copy()
         result[:, first] = self.centre[first] + p * np.cos(angle) - q * np.sin(angle)
         result[:, second] = self.centre[second] + p * np.sin(angle) + q * np.cos(angle)
         return result
@@ -280,7 +285,8 @@ class HillVortex(Flow):
         outer = 1.5 * self.speed / distance**5
         bent = np.where(within, 1.5 * self.speed, outer) * along
         result = np.empty(points.shape)
-        result[:, first], result[:, second] = bent * p, bent * q
+        result[:, first] = bent * p
+        result[:, second] = bent * q
         stream = -self.speed * (1 - distance**-3.0) - outer * square
         result[:, last] = np.where(within, 1.5 * self.speed * (1 - 2 * square - along * along), stream)
         return result
@@ -307,18 +313,21 @@ class ImportedFlow(Flow):
     field: str | Path | xr.Dataset
 
     def __post_init__(self) -> None:
-        name, data = "field", self.field
+        name = "field"
+        data: Any = self.field
         if isinstance(self.field, (str, Path)):
             name = str(self.field)
             with refusing(f"{name}: it cannot be read as a velocity field:"):
                 data = xr.load_dataset(require_file(self.field))
         refuse_if(
-            not isinstance(data, xr.Dataset) or any(part not in data for part in "uvwxyz"),
+            not isinstance(data, xr.Dataset) or any(component not in data for component in "uvwxyz"),
             f"{name}: it must be a data set with u, v and w on x, y and z",
         )
         try:
             axes = [as_array(axis, data[axis], np.float64) for axis in _AXES]
-            parts = [as_array(part, data[part].transpose(*_AXES), np.float64, tuple(_AXES)) for part in "uvw"]
+            parts = [
+                as_array(component, data[component].transpose(*_AXES), np.float64, tuple(_AXES)) for component in "uvw"
+            ]
         except ValueError:
             raise InputError(f"{name}: u, v and w must have the dimensions x, y and z, and no other") from None
         require_units(name, data, dict.fromkeys("uvw", _SPEEDS) | dict.fromkeys(_AXES, MILLIMETRES))

@@ -48,17 +48,19 @@ def amplitudes(
     Parameters are those of `cross_sections`. Phases are those of light that travels as exp(i k r).
     """
     a, b = coefficients(np.pi * diameters / (wavelength * 1e-3), index)
-    found = np.zeros((2, *cosines.shape), complex)
+    scattered = np.zeros((2, *cosines.shape), complex)
     # Angular functions pi and tau, Bohren and Huffman's equation 4.47.
-    before, pi = np.zeros(cosines.shape), np.ones(cosines.shape)
+    before = np.zeros(cosines.shape)
+    pi = np.ones(cosines.shape)
     for n in range(1, len(a) + 1):
         tau = n * cosines * pi - (n + 1) * before
         weight = (2 * n + 1) / (n * (n + 1))
-        own_a, own_b = weight * a[n - 1, :, None], weight * b[n - 1, :, None]
-        found[0] += own_a * pi + own_b * tau
-        found[1] += own_a * tau + own_b * pi
+        own_a = weight * a[n - 1, :, None]
+        own_b = weight * b[n - 1, :, None]
+        scattered[0] += own_a * pi + own_b * tau
+        scattered[1] += own_a * tau + own_b * pi
         before, pi = pi, ((2 * n + 1) * cosines * pi - (n + 1) * before) / n
-    return found
+    return scattered
 
 
 def cross_sections(

@@ -41,7 +41,8 @@ from .sequence import settings_of
 ACCURACY = 0.01
 """Allowed relative error of images by waves."""
 
-_PER_WAVE, _FEWEST = 8.0, 4
+_PER_WAVE = 8.0
+_FEWEST = 4
 """Cells of the pupil across a period of the amplitude of the widest sphere's rim, and across the pupil at least."""
 
 _ANGLES_PER_CELL = 3
@@ -92,10 +93,14 @@ class ScatteredLight:
         The sum of their squared moduli is the differential cross-section in square micrometres per steradian.
         """
         assert self.seeding.index is not None
-        count, medium = len(self.positions), self.seeding.medium
-        index, wavelength = complex(self.seeding.index) / medium, self.wavelength / medium
-        result, steps = np.empty((4, count, len(x)), complex), np.linspace(0, 1, _ANGLES_PER_CELL * (self.cells + 2))
-        light, axis = np.array(self.direction), np.array([0.0, 0.0, -1.0])
+        count = len(self.positions)
+        medium = self.seeding.medium
+        index = complex(self.seeding.index) / medium
+        wavelength = self.wavelength / medium
+        result = np.empty((4, count, len(x)), complex)
+        steps = np.linspace(0, 1, _ANGLES_PER_CELL * (self.cells + 2))
+        light = np.array(self.direction)
+        axis = np.array([0.0, 0.0, -1.0])
         across = np.cross(light, axis) if np.hypot(*light[:2]) > 1e-9 else np.array([1.0, 0, 0])
         across /= np.linalg.norm(across)
         together = max(1, _TOGETHER // len(x))
@@ -103,21 +108,23 @@ class ScatteredLight:
             towards = self.pupil.towards(self.positions[some], x, y)
             angle = np.arccos(np.clip(towards @ light, -1, 1))
             # Few angles, between which the many of the points are interpolated.
-            low, high = angle.min(1)[:, None], angle.max(1)[:, None]
-            known = low + steps * (high - low)
-            scattered = amplitudes(self.diameters[some], index, wavelength, np.cos(known))
-            rows = zip(known, scattered.swapaxes(0, 1), angle, strict=True)
-            s1, s2 = np.stack([CubicSpline(given, values, axis=1)(wanted) for given, values, wanted in rows], 1)
+            low = angle.min(1)[:, None]
+            high = angle.max(1)[:, None]
+            nodes = low + steps * (high - low)
+            scattered = amplitudes(self.diameters[some], index, wavelength, np.cos(nodes))
+            rows = zip(nodes, scattered.swapaxes(0, 1), angle, strict=True)
+            s1, s2 = np.stack([CubicSpline(tabulated, values, axis=1)(angles) for tabulated, values, angles in rows], 1)
             # Across the plane of scattering; straight on and back any direction will do.
             normal = np.cross(light, towards) + 1e-12 * across
             normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-            first, second = np.cross(normal, light), np.cross(normal, towards)
+            first = np.cross(normal, light)
+            second = np.cross(normal, towards)
             parts = itertools.product((across, np.cross(across, light)), (across, np.cross(across, axis)))
-            for number, (incident, seen) in enumerate(parts):
+            for pair, (incident, leaving) in enumerate(parts):
                 # The lens turns light to the axis, with its polarisation.
-                turned = seen - (towards @ seen)[..., None] / (1 + towards @ axis)[..., None] * (towards + axis)
-                own = s1 * (normal @ incident) * (normal * turned).sum(-1)
-                result[number, some] = own + s2 * (first @ incident) * (second * turned).sum(-1)
+                turned = leaving - (towards @ leaving)[..., None] / (1 + towards @ axis)[..., None] * (towards + axis)
+                across_plane = s1 * (normal @ incident) * (normal * turned).sum(-1)
+                result[pair, some] = across_plane + s2 * (first @ incident) * (second * turned).sum(-1)
         return result * (wavelength * 1e-3 / (2 * np.pi * np.sqrt(2)))
 
     @cached_property
@@ -127,7 +134,7 @@ class ScatteredLight:
         nodes, weights = np.polynomial.legendre.leggauss(self.cells // 2 + 4)
         turn = 2 * np.pi * (np.arange(self.cells + 12) + 0.5) / (self.cells + 12)
         radius = self.pupil.radius * np.sqrt((nodes + 1) / 2)
-        x, y = ((radius[:, None] * part(turn)).ravel() for part in (np.cos, np.sin))
+        x, y = ((radius[:, None] * function(turn)).ravel() for function in (np.cos, np.sin))
         areas = np.repeat(np.pi * self.pupil.radius**2 * weights / 2 / len(turn), len(turn))
         solid_angles = self.pupil.solid_angles(self.positions, x, y) * areas
         if self.seeding.index is None:
@@ -139,20 +146,22 @@ class ScatteredLight:
         """Return the powers of the amplitudes that count, (k, n), and these amplitudes, one after the other."""
         if self.seeding.index is None or not len(self.positions):
             return self.powers, None
-        count, cells = len(self.positions), self.cells
+        count = len(self.positions)
+        cells = self.cells
         require_memory(300.0 * count * (cells + 2 * BORDER) ** 2, f"{count} particles over {cells} x {cells} cells")
-        whole = self.powers.sum(0)
-        kept = self.powers.sum(1) > max(_NEGLIGIBLE * accuracy, 1e-7) * whole.sum()
+        total = self.powers.sum(0)
+        strong = self.powers.sum(1) > max(_NEGLIGIBLE * accuracy, 1e-7) * total.sum()
         # Splines through the centres of cells, and two more places at each border, beyond which there may be no light.
         at = np.concatenate([[0, 0.25], np.arange(cells) + 0.5, [cells - 0.25, cells]])
         knots = np.arange(-3.5, cells + 4)
-        x, y = (self.pupil.radius * (2 / cells * part.ravel() - 1) for part in np.meshgrid(at, at))
-        table = self._amplitudes(x, y)[kept].reshape(-1, len(at), len(at))
+        x, y = (self.pupil.radius * (2 / cells * mesh.ravel() - 1) for mesh in np.meshgrid(at, at))
+        table = self._amplitudes(x, y)[strong].reshape(-1, len(at), len(at))
         for _ in "yx":
             table = make_interp_spline(at, table, t=knots, axis=1).c.transpose(1, 2, 0)
-        table, powers = table.astype(np.complex64), self.powers[kept]
+        table = table.astype(np.complex64)
+        powers = self.powers[strong]
         weights = PupilWeights(table, np.arange(len(table)), np.zeros((len(table), 2)), sampled=True)
-        return powers * (whole / powers.sum(0)), weights
+        return powers * (total / powers.sum(0)), weights
 
 
 def scattered_light(truth: xr.Dataset, frame: int, wavelength: float, camera: PlenopticCamera) -> ScatteredLight:
@@ -217,8 +226,10 @@ class ParticleImages:
         camera: PlenopticCamera | None = None,
         accuracy: float | None = None,
     ) -> None:
-        self.truth, self.model = truth, require_choice("model", model, choices.MODELS)
-        self.wavelength, self._settings = require_wavelength(wavelength), settings_of(truth)
+        self.truth = truth
+        self.model = require_choice("model", model, choices.MODELS)
+        self.wavelength = require_wavelength(wavelength)
+        self._settings = settings_of(truth)
         refuse_if(model == "ray" and accuracy is not None, f"accuracy = {accuracy}: rays take none; leave it out")
         self._accuracy = ACCURACY if accuracy is None else accuracy
         self.camera = camera or PlenopticCamera.from_dict(self._settings["camera"])
@@ -256,10 +267,12 @@ class ParticleImages:
         require_count("frame", frame, minimum=0, maximum=self.truth.sizes["frame"] - 1)
         light = scattered_light(self.truth, frame, self.wavelength, self.camera)
         # Operators take no further weights where the aperture has its own; the mean over the pupil then counts.
-        powers, over_pupil = light.powers.sum(0)[None], None
+        powers = light.powers.sum(0)[None]
+        over_pupil = None
         if self.camera.aperture == Round():
             powers, over_pupil = light.followed(self._accuracy)
-        points, weights = np.tile(light.positions, (len(powers), 1)), powers.ravel() / self._reference
+        points = np.tile(light.positions, (len(powers), 1))
+        weights = powers.ravel() / self._reference
         image: NDArray[Any] = np.zeros(self.camera.shape, np.float32)
         if not len(points):
             pass

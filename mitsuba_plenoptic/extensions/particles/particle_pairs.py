@@ -90,7 +90,8 @@ class ParticlePairs:
             values[_SIZE[self.flow]] = random.uniform(*_VORTEX) * float(volume.size.min())
         trial = FLOWS[self.flow](**values)
         places = random.uniform(volume.lower, volume.upper, (_NODES, 3))
-        factor, strength = largest / float(np.linalg.norm(trial.velocity(places), axis=1).max()), _STRENGTH[self.flow]
+        factor = largest / float(np.linalg.norm(trial.velocity(places), axis=1).max())
+        strength = _STRENGTH[self.flow]
         grown = factor * np.array(getattr(trial, strength))
         return FLOWS[self.flow](**values | {strength: grown.tolist() if grown.ndim else float(grown)})
 
@@ -99,7 +100,8 @@ class ParticlePairs:
     ) -> tuple[dict[str, Capture], dict[str, np.ndarray]]:
         """Return both captures by each model, and the particles."""
         focus = camera.focus_distance
-        near, far = (0.95 * focus if self.near is None else self.near), (1.05 * focus if self.far is None else self.far)
+        near = 0.95 * focus if self.near is None else self.near
+        far = 1.05 * focus if self.far is None else self.far
         refuse_if(
             camera.objective is not None and None in (self.near, self.far),
             f"main_lens = {camera.lens_data.label}: give near and far, in mm beyond the native object plane",
@@ -115,15 +117,15 @@ class ParticlePairs:
         seeding = Seeding(per_lens=self.per_lens, diameter=self.diameter, spread=self.spread)
         seed = int(random.integers(2**32))
         truth = particle_sequence(camera, volume, seeding, flow, interval=1.0, sheet=LightSheet(), seed=seed)
-        made: dict[str, Capture] = {}
-        for model, given in options.items():
-            light = {"accuracy": given["accuracy"]} if "accuracy" in given else {}
-            images = ParticleImages(truth, wavelength=given.get("wavelength", _WAVELENGTH), model=model, **light)
-            made |= {model: images.capture(0), f"{model}_next": images.capture(1)}
+        frames: dict[str, Capture] = {}
+        for model, of_model in options.items():
+            light = {"accuracy": of_model["accuracy"]} if "accuracy" in of_model else {}
+            images = ParticleImages(truth, wavelength=of_model.get("wavelength", _WAVELENGTH), model=model, **light)
+            frames |= {model: images.capture(0), f"{model}_next": images.capture(1)}
         inside = truth["inside"].values[..., None] == 1
         arrays = {
             "particle_position": np.where(inside, truth["position"], np.nan),
             "particle_displacement": np.where(inside, truth["displacement"], np.nan),
             "particle_diameter": truth["diameter"].values,
         }
-        return made, {name: values.astype(np.float32) for name, values in arrays.items()}
+        return frames, {name: values.astype(np.float32) for name, values in arrays.items()}

@@ -125,7 +125,7 @@ def _numbers(name: str, text: str, count: int) -> tuple[float, ...]:
     """Return the numbers of an option, separated by commas."""
     rule = f"{name} = {short_repr(text)}: it must be {count} numbers, separated by commas"
     with refusing(rule, ValueError):
-        values = tuple(float(part) for part in text.split(","))
+        values = tuple(float(number) for number in text.split(","))
     refuse_if(len(values) != count, rule)
     return values
 
@@ -135,18 +135,18 @@ def _flow(text: str, flows: Mapping[str, Callable[..., Flow]], centre: tuple[flo
 
     Where the option states no centre, it is the given one.
     """
-    name, _, rest = text.partition(":")
+    name, _, settings = text.partition(":")
     kind = flows[require_choice("flow", name, tuple(flows))]
     if name == "file":
-        return kind(rest)
-    known = tuple(inspect.signature(kind).parameters)
-    values: dict[str, Any] = {"centre": centre} if "centre" in known else {}
-    for part in filter(None, rest.split(",")):
-        key, equals, value = part.partition("=")
+        return kind(settings)
+    names = tuple(inspect.signature(kind).parameters)
+    values: dict[str, Any] = {"centre": centre} if "centre" in names else {}
+    for setting in filter(None, settings.split(",")):
+        key, equals, value = setting.partition("=")
         refuse_if(not equals, f"flow = {short_repr(text)}: write it as NAME:KEY=VALUE,KEY=VALUE")
-        require_known(f"flow: {name}: ", [key], known)
+        require_known(f"flow: {name}: ", [key], names)
         try:
-            numbers = [float(each) for each in value.split("/")]
+            numbers = [float(number) for number in value.split("/")]
             values[key] = numbers[0] if len(numbers) == 1 else tuple(numbers)
         except ValueError:
             values[key] = value

@@ -73,7 +73,8 @@ class VoxelProjector(LinearMap):
         budget: float | None = None,
     ) -> None:
         require_support(camera, Use.POINTS)
-        wavelength, per_lens = require_wavelength(wavelength), require_count("per_lens", per_lens, maximum=32)
+        wavelength = require_wavelength(wavelength)
+        per_lens = require_count("per_lens", per_lens, maximum=32)
         ParticleVolume(grid.lower, grid.upper).before(camera)
         points = grid.points
         lens = OpticalSystem(camera, wavelength).waves_of(points)
@@ -143,12 +144,16 @@ class RayProjector(LinearMap):
         progress: Progress | None = None,
     ) -> None:
         require_support(camera, Use.POINT_RAYS)
-        wavelength, budget = require_wavelength(wavelength), require_number("budget", budget, positive=True)
+        wavelength = require_wavelength(wavelength)
+        budget = require_number("budget", budget, positive=True)
         ParticleVolume(grid.lower, grid.upper).before(camera)
-        system, points = OpticalSystem(camera, wavelength), grid.points
-        pixels, values, size = [], [], 0
-        for place in counted(np.split(points, len(points)), progress):
-            spread = PointRays(camera, place, wavelength).image(system, np.ones(1)).ravel()
+        system = OpticalSystem(camera, wavelength)
+        points = grid.points
+        pixels = []
+        values = []
+        size = 0
+        for point in counted(np.split(points, len(points)), progress):
+            spread = PointRays(camera, point, wavelength).image(system, np.ones(1)).ravel()
             pixels.append(np.flatnonzero(spread).astype(np.int32))
             values.append(spread[pixels[-1]].astype(np.float32))
             size += pixels[-1].nbytes + values[-1].nbytes

@@ -64,7 +64,9 @@ class ParticleVolume:
 
     def before(self, camera: PlenopticCamera) -> None:
         """Refuse a volume that is not in front of a camera's main lens, or reaches its focal plane."""
-        near, far, nearest = self.lower[2], self.upper[2], camera.lens_data.nearest
+        near = self.lower[2]
+        far = self.upper[2]
+        nearest = camera.lens_data.nearest
         if nearest is not None:
             refuse_if(
                 near <= nearest,
@@ -117,10 +119,10 @@ class LightSheet:
 
     def __post_init__(self) -> None:
         for name in ("direction", "normal"):
-            given = np.array(require_numbers(name, getattr(self, name), count=3, minimum=-1e9, maximum=1e9))
-            length = float(np.linalg.norm(given))
+            vector = np.array(require_numbers(name, getattr(self, name), count=3, minimum=-1e9, maximum=1e9))
+            length = float(np.linalg.norm(vector))
             refuse_if(length == 0, f"{name} = {getattr(self, name)}: it must not be 0")
-            put(self, **{name: tuple((given / length).tolist())})
+            put(self, **{name: tuple((vector / length).tolist())})
         require_choice("profile", self.profile, PROFILES)
         if self.thickness is not None:
             put(self, thickness=require_length("thickness", self.thickness))
@@ -178,9 +180,9 @@ class Seeding:
     medium: float = 1.333
 
     def __post_init__(self) -> None:
-        given = [name for name in ("per_lens", "per_volume", "count") if getattr(self, name) is not None]
-        refuse_if(len(given) != 1, f"per_lens, per_volume, count: give one of them, not {len(given)}")
-        put(self, **{given[0]: require_number(given[0], getattr(self, given[0]), positive=True)})
+        stated = [name for name in ("per_lens", "per_volume", "count") if getattr(self, name) is not None]
+        refuse_if(len(stated) != 1, f"per_lens, per_volume, count: give one of them, not {len(stated)}")
+        put(self, **{stated[0]: require_number(stated[0], getattr(self, stated[0]), positive=True)})
         put(
             self,
             diameter=require_number("diameter", self.diameter, minimum=0.01, maximum=250),

@@ -17,7 +17,9 @@ from .seeding import MOST, LightSheet, ParticleVolume, Seeding
 
 MOST_FRAMES = 10000
 
-_PLACES, _STEP, _CHANGE = 1000, 1e-4, 0.05
+_PLACES = 1000
+_STEP = 1e-4
+_CHANGE = 0.05
 """Places of the volume at which divergence is looked for, by differences over a part of its size; and the part of
 particles by which their density may change."""
 
@@ -75,13 +77,14 @@ def particle_sequence(
     interval = require_number("interval", interval, positive=True, maximum=1e9)
     frames = require_count("frames", frames, minimum=1, maximum=MOST_FRAMES)
     volume.before(camera)
-    sheet, density = sheet or LightSheet(), seeding.density(volume, camera)
+    sheet = sheet or LightSheet()
+    density = seeding.density(volume, camera)
     random = np.random.default_rng(require_count("seed", seed, minimum=0))
     expected = density * float(volume.size.prod())
     first = random.uniform(volume.lower, volume.upper, (random.poisson(expected), 3))
     if frames > 1:
         _check_motion(flow, volume, interval, frames, first)
-    found = []
+    entering = []
     for frame in range(frames):
         # Particles are even in any frame; of those of a later one, the others are followed already.
         there = random.uniform(volume.lower, volume.upper, (random.poisson(expected), 3)) if frame else first
@@ -92,10 +95,12 @@ def particle_sequence(
             paths = [path[enters] for path in (before, *paths)]
         for _ in range(frame, frames):
             paths.append(flow.advected(paths[-1], interval))
-        found.append(np.stack(paths))
-    followed = np.concatenate(found, axis=1)
-    position, moved = followed[:-1], np.diff(followed, axis=0)
-    diameters, inside = seeding.diameters(position.shape[1], random), volume.contains(position)
+        entering.append(np.stack(paths))
+    followed = np.concatenate(entering, axis=1)
+    position = followed[:-1]
+    moved = np.diff(followed, axis=0)
+    diameters = seeding.diameters(position.shape[1], random)
+    inside = volume.contains(position)
     _within(volume, interval, moved[:-1][inside[:-1]])
     index = seeding.index
     settings = {

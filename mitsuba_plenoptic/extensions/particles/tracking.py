@@ -25,7 +25,8 @@ _STEP = 0.02
 _LARGEST_STEP = 0.5
 """Lateral motion in a step of least squares at most, over the same width."""
 
-_DAMPING, _MOST_DAMPING = 0.03, 10.0
+_DAMPING = 0.03
+_MOST_DAMPING = 10.0
 """Damping of the first step, over the mean derivative, and that above which no step is tried any more."""
 
 _BUDGET = 8.0
@@ -61,16 +62,17 @@ def locate_particles(
     peaks = np.argwhere((ranked == maximum_filter(ranked, box)) & (values >= threshold * values.max()))
     half = [n // 2 for n in box]
     padded = np.pad(values, [(n, n) for n in half])
-    positions, light = np.empty((len(peaks), 3)), np.empty(len(peaks))
+    positions = np.empty((len(peaks), 3))
+    light = np.empty(len(peaks))
     axes = [volume[name].values for name in "zyx"]
-    for number, peak in enumerate(peaks):
-        part = padded[tuple(slice(n, n + width) for n, width in zip(peak, box, strict=True))]
-        light[number] = part.sum()
+    for index, peak in enumerate(peaks):
+        around = padded[tuple(slice(n, n + width) for n, width in zip(peak, box, strict=True))]
+        light[index] = around.sum()
         for axis, (name, places) in enumerate(zip("zyx", axes, strict=True)):
             spacing = places[1] - places[0] if len(places) > 1 else 0.0
-            profile = part.sum(axis=tuple(i for i in range(3) if i != axis))
+            profile = around.sum(axis=tuple(i for i in range(3) if i != axis))
             offset = profile @ (np.arange(box[axis]) - half[axis]) / profile.sum()
-            positions[number, "xyz".index(name)] = places[peak[axis]] + offset * spacing
+            positions[index, "xyz".index(name)] = places[peak[axis]] + offset * spacing
     return positions, light
 
 
@@ -118,14 +120,16 @@ def refine_particles(
     InputError
         If there is no particle, or the point spreads take more than 8 GiB.
     """
-    iterations, positions = require_count("iterations", iterations), require_points("positions", positions)
+    iterations = require_count("iterations", iterations)
+    positions = require_points("positions", positions)
     count = len(positions)
     wavelength = require_wavelength(capture.wavelength if wavelength is None else wavelength)
     refuse_if(not count, "positions: there is none to start from")
     refuse_if(np.shape(light) != (count,), f"light of shape {np.shape(light)}: there are {count} positions")
     positions = as_array("positions", positions, np.float64, POINTS, units=MILLIMETRES)
     light = as_array("light", light, np.float64, POINTS)
-    camera, damping = capture.camera, _DAMPING
+    camera = capture.camera
+    damping = _DAMPING
     levels = [level for level in bins for _ in range(iterations)]
     for step, level in enumerate(levels):
         if progress:
@@ -134,9 +138,9 @@ def refine_particles(
         scale = np.stack([lens, lens, lens * [elongation(camera, g) for g in positions[:, 2]]], -1)
         summed = _summed(camera.shape, require_count("bins", level))
         image = summed @ np.asarray(capture.image, np.float64).ravel()
-        own, slopes = _slopes(camera, positions, scale, wavelength)
-        jacobian = scipy.sparse.hstack([summed @ own, *(summed @ slope * light for slope in slopes)], format="csc")
-        error = image - summed @ (own @ light)
+        unmoved, slopes = _slopes(camera, positions, scale, wavelength)
+        jacobian = scipy.sparse.hstack([summed @ unmoved, *(summed @ slope * light for slope in slopes)], format="csc")
+        error = image - summed @ (unmoved @ light)
         while True:
             change = scipy.sparse.linalg.lsqr(
                 jacobian, error, damp=damping * float(np.sqrt(jacobian.power(2).sum() / (4 * count)))
@@ -147,7 +151,8 @@ def refine_particles(
             better = np.linalg.norm(image - summed @ (spreads @ lit)) < np.linalg.norm(error)
             damping = max(damping / 3, 1e-4) if better else damping * 4
             if better:
-                positions, light = moved, lit
+                positions = moved
+                light = lit
             if better or damping > _MOST_DAMPING:
                 damping = min(damping, 1.0)
                 break
@@ -172,8 +177,8 @@ def _slopes(
     spreads = StoredOperator(
         camera, np.concatenate(places), wavelength=wavelength, accuracy=0, budget=_BUDGET
     ).to_sparse()
-    own, *sides = (spreads[:, part * len(positions) : (part + 1) * len(positions)] for part in range(7))
-    return own, [(sides[2 * axis] - sides[2 * axis + 1]) / (2 * _STEP) for axis in range(3)]
+    unmoved, *sides = (spreads[:, motion * len(positions) : (motion + 1) * len(positions)] for motion in range(7))
+    return unmoved, [(sides[2 * axis] - sides[2 * axis + 1]) / (2 * _STEP) for axis in range(3)]
 
 
 def match_particles(
@@ -193,8 +198,10 @@ def match_particles(
         to that one.
     """
     semi_axes = np.array(require_numbers("reach", reach, count=3, minimum=1e-9))
-    first, second = require_points("first", first), require_points("second", second)
-    expected, there = (first + require_points("predicted", predicted)) / semi_axes, second / semi_axes
+    first = require_points("first", first)
+    second = require_points("second", second)
+    expected = (first + require_points("predicted", predicted)) / semi_axes
+    there = second / semi_axes
     if not len(first) or not len(second):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     away, nearest = cKDTree(there).query(expected)

@@ -51,10 +51,10 @@ class CameraModel:
     brightness: np.ndarray
 
     @classmethod
-    def fitted(cls, found: WhiteFit) -> CameraModel:
+    def fitted(cls, fit: WhiteFit) -> CameraModel:
         """Return the model of a fit to a white picture."""
-        bright = found.brightness / np.nanmean(found.brightness)
-        return cls(found.camera, found.wavelength, found.array, found.field, found.lens, bright)
+        bright = fit.brightness / np.nanmean(fit.brightness)
+        return cls(fit.camera, fit.wavelength, fit.array, fit.field, fit.lens, bright)
 
     def as_known(self, camera: PlenopticCamera) -> CameraModel:
         """Return the model of the camera before the fit: of its places, only pitch, rotation and offset are found.
@@ -96,7 +96,8 @@ class CameraModel:
             plain["field"]["scale"],
             {name: np.array(some) for name, some in plain["field"]["coefficients"].items()},
         )
-        lens, bright = np.array(plain["lens"]), np.array(plain["brightness"])
+        lens = np.array(plain["lens"])
+        bright = np.array(plain["brightness"])
         return cls(camera, plain["wavelength"], array, field, lens, bright)
 
     @property
@@ -146,8 +147,8 @@ class PartPixels:
             not model.camera.lattice.rectangular,
             f"mla_lattice = {model.camera.mla_lattice}: light fields are predicted behind square arrays",
         )
-        place = model.places(model.lens)
-        inside = ((place > box[:2]) & (place < box[2:])).all(1)
+        centres = model.places(model.lens)
+        inside = ((centres > box[:2]) & (centres < box[2:])).all(1)
         refuse_if(not inside.any(), "part: no micro-image lies in it")
         first, last = (np.rint(find(model.lens[inside], axis=0)).astype(int) for find in (np.min, np.max))
         across, down = (last - first + 1).tolist()
@@ -157,19 +158,23 @@ class PartPixels:
         )
         rows, columns = (index.ravel() for index in np.mgrid[:down, :across])
         lens = first + np.stack([columns, rows], axis=-1)
-        size, half = model.camera.resolution, int(np.ceil(model.pitch.max() / np.sqrt(2))) + 1
-        base, window = np.rint(model.places(lens)).astype(int), np.arange(-half, half + 1)
-        column, row, which = np.broadcast_arrays(
+        size = model.camera.resolution
+        half = int(np.ceil(model.pitch.max() / np.sqrt(2))) + 1
+        base = np.rint(model.places(lens)).astype(int)
+        window = np.arange(-half, half + 1)
+        column, row, of_lens = np.broadcast_arrays(
             base[:, 0, None, None] + window,
             base[:, 1, None, None] + window[:, None],
             np.arange(len(lens))[:, None, None],
         )
         on_picture = (column >= 0) & (column < size[0]) & (row >= 0) & (row < size[1])
-        column, row, which = column[on_picture], row[on_picture], which[on_picture]
-        near = abs(model.within(np.stack([column, row], axis=-1) - model.places(lens)[which])).max(1) < 0.5
+        column = column[on_picture]
+        row = row[on_picture]
+        of_lens = of_lens[on_picture]
+        near = abs(model.within(np.stack([column, row], axis=-1) - model.places(lens)[of_lens])).max(1) < 0.5
         # Cells of a warped array overlap by parts of a pixel.
         pixel, only = np.unique((row * size[0] + column)[near], return_index=True)
-        return cls(lens, (across, down), pixel, which[near][only])
+        return cls(lens, (across, down), pixel, of_lens[near][only])
 
 
 class ArrayPart:
@@ -191,15 +196,18 @@ class ArrayPart:
     """
 
     def __init__(self, model: CameraModel, pixels: PartPixels) -> None:
-        self.model, self.pixels = model, pixels
-        self.lenses, self.pixel, self.lens_of = pixels.lenses, pixels.pixel, pixels.lens_of
+        self.model = model
+        self.pixels = pixels
+        self.lenses = pixels.lenses
+        self.pixel = pixels.pixel
+        self.lens_of = pixels.lens_of
         self.place = model.places(pixels.lens)
         row, column = np.divmod(self.pixel, model.camera.resolution[0])
         self._offset = np.stack([column, row], axis=-1) - self.place[self.lens_of]
         self.within = model.within(self._offset)
         index = np.rint(model.lens).astype(int).tolist()
-        known = {tuple(one): light for one, light in zip(index, model.brightness, strict=True)}
-        self._bright = np.array([known.get(tuple(one), 1.0) for one in pixels.lens.tolist()])
+        brightness = {tuple(lens): light for lens, light in zip(index, model.brightness, strict=True)}
+        self._bright = np.array([brightness.get(tuple(lens), 1.0) for lens in pixels.lens.tolist()])
 
     @property
     def middle(self) -> tuple[float, float]:
@@ -221,7 +229,8 @@ class ArrayPart:
         micro = MicroImageModel(camera, self.model.wavelength)
         numbers = self.model.field.values(self.place)
         numbers[:, NUMBERS.index("stray")] = 0.0
-        column, row = self.lens_of % self.lenses[0], self.lens_of // self.lenses[0]
+        column = self.lens_of % self.lenses[0]
+        row = self.lens_of // self.lenses[0]
         zone = (row // _ZONE) * self.lenses[0] + column // _ZONE
         order = np.argsort(zone, kind="stable")
         light = np.empty(len(self.pixel))

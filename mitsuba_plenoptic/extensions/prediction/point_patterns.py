@@ -21,10 +21,14 @@ from ...points.ray_spread import ray_spread
 from ...prescription.objective import Objective
 from .array_part import ArrayPart
 
-_FIRST, _GROWTH, _WIDEST = 0.75, 1.12, 14.0
+_FIRST = 0.75
+_GROWTH = 1.12
+_WIDEST = 14.0
 """Blur of the first plane beyond the focus in lenses, factor by which steps grow, and blur of the last plane."""
 
-_FINE, _COARSE, _FINE_BLUR = 4, 3, 6.5
+_FINE = 4
+_COARSE = 3
+_FINE_BLUR = 6.5
 """Voxels along a lens's side, and the blur in lenses from which on they are coarse."""
 
 _PARTS = 2
@@ -105,7 +109,8 @@ def plane_of(part: ArrayPart, depth: float) -> Plane:
 
 def _regular(part: ArrayPart, lenses: int) -> PlenopticCamera:
     """Return a camera of a few lenses that are those in the middle of a part, without displacements."""
-    camera, across = part.model.camera, pixels_across(part)
+    camera = part.model.camera
+    across = pixels_across(part)
     pupil = None
     if camera.vignetting is not None:
         here = camera.vignetting.at(*part.middle)
@@ -139,7 +144,8 @@ def _by_waves(camera: PlenopticCamera, points: np.ndarray, wavelength: float) ->
 
 def _by_rays(camera: PlenopticCamera, points: np.ndarray) -> np.ndarray:
     """Return the pictures of voxels, each of several points, by an even grid of rays through the pupil."""
-    across, generator = _RAYS * round(camera.mla_pitch / camera.pixel_size), np.random.default_rng(0)
+    across = _RAYS * round(camera.mla_pitch / camera.pixel_size)
+    generator = np.random.default_rng(0)
 
     def picture(point: np.ndarray) -> np.ndarray:
         # Places of the grid differ, so that borders of lenses fall between rays by chance.

@@ -81,10 +81,11 @@ def write_page(path: Path, study: Study, answer: Answer) -> None:
 def pictures(study: Study) -> plots.Plot:
     """Return a figure of recorded and predicted pixels, their differences, and a line of pixels through them."""
     part = study.part(Setup("fitted", "waves"))
-    recorded, predicted = _picture(study, part, study.electrons(None)), {}
+    recorded = _picture(study, part, study.electrons(None))
+    predicted = {}
     for light in LIGHTS:
-        found = study.predicted(Setup("fitted", light), 0, study.strength(light, "pixels"), None)
-        predicted[light] = _picture(study, part, found)
+        electrons = study.predicted(Setup("fitted", light), 0, study.strength(light, "pixels"), None)
+        predicted[light] = _picture(study, part, electrons)
     rows, columns = _most_structured(recorded, int(_SHOWN * part.model.pitch.max()))
     peak = float(np.nanquantile(recorded[rows, columns], _BRIGHT))
     plot = plots.Plot(11.7)
@@ -92,21 +93,21 @@ def pictures(study: Study) -> plots.Plot:
     plots.show(first, recorded[rows, columns], "Recorded", peak=peak)
     for light, simulated, difference in zip(LIGHTS, above, below, strict=True):
         plots.show(simulated, predicted[light][rows, columns], f"Simulated by {light}", peak=peak)
-        drawn = plots.show_difference(difference, ((recorded - predicted[light]) / peak)[rows, columns], _STRONGEST)
+        shades = plots.show_difference(difference, ((recorded - predicted[light]) / peak)[rows, columns], _STRONGEST)
         plots.annotate(difference, title=f"Recorded less {light}")
-    plot.colour_bar(drawn, below, "of bright pixels")
+    plot.colour_bar(shades, below, "of bright pixels")
     axes.set_frame_on(True)
     row = (rows.start + rows.stop) // 2
     across = np.arange(columns.start, columns.stop) - columns.start
-    shown = across < 4 * part.model.pitch.max()
+    within = across < 4 * part.model.pitch.max()
     for name, image, colour in (
         ("recorded", recorded, "#8a94a3"),
         ("waves", predicted["waves"], plots.INK),
         ("rays", predicted["rays"], "#d1495b"),
     ):
         style = "o" if name == "recorded" else "-"
-        axes.plot(across[shown], image[row, columns][shown] / peak, style, color=colour, markersize=3, label=name)
-    axes.set(xticks=np.arange(0, across[shown][-1] + 1, 25), yticks=[0, 0.5, 1], ylim=(0, None))
+        axes.plot(across[within], image[row, columns][within] / peak, style, color=colour, markersize=3, label=name)
+    axes.set(xticks=np.arange(0, across[within][-1] + 1, 25), yticks=[0, 0.5, 1], ylim=(0, None))
     axes.tick_params(labelsize=8)
     axes.legend(frameon=False, fontsize=8)
     plots.annotate(axes, title="A line of pixels", foot="pixels")

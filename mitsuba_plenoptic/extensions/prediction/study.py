@@ -113,9 +113,9 @@ class Answer:
             return "The test cannot tell simulated pictures by rays from those by waves: it says nothing."
         said = []
         for test in TESTS:
-            found = self.ratios["fitted"][test]
-            by = f"{found.ratio:.3f} times (95 %: {found.low:.3f} to {found.high:.3f})"
-            better = {"neither": "neither is better"}.get(found.better, f"{found.better} are better")
+            ratio = self.ratios["fitted"][test]
+            by = f"{ratio.ratio:.3f} times (95 %: {ratio.low:.3f} to {ratio.high:.3f})"
+            better = {"neither": "neither is better"}.get(ratio.better, f"{ratio.better} are better")
             said.append(f"of withheld {test}, {better}: the residual by rays is {by} that by waves")
         return "In predictions " + "; ".join(said) + "."
 
@@ -164,7 +164,11 @@ class Study:
         require_support(camera, Use.POINTS | Use.RAY_SPREADS | Use.ROUND_PUPILS)
         for side in (-BAND, BAND):
             require_wavelength(wavelength + side, f"wavelength = {wavelength:g}, which is also tried {side:+g} nm off")
-        self.pictures, self.camera, self.wavelength, self.box, self.stages = pictures, camera, wavelength, box, stages
+        self.pictures = pictures
+        self.camera = camera
+        self.wavelength = wavelength
+        self.box = box
+        self.stages = stages
         # What is found once serves all runs; a projection takes so much memory that the last one alone is kept.
         self.model, self.predicted, self.volume = cache(self._model), cache(self._predicted), cache(self._volume)
         self.simulated, self.strength = cache(self._simulated), cache(self._strength)
@@ -182,8 +186,8 @@ class Study:
 
         def fitted(progress: Progress) -> dict[str, Any]:
             pictures = self.pictures
-            found = fit_white(pictures.white, self.camera, dark=pictures.dark, wavelength=length, progress=progress)
-            return CameraModel.fitted(found).to_plain()
+            fit = fit_white(pictures.white, self.camera, dark=pictures.dark, wavelength=length, progress=progress)
+            return CameraModel.fitted(fit).to_plain()
 
         name = "_".join(["camera", setup.light, *([] if setup.wavelength is None else [f"{setup.wavelength:g}nm"])])
         # A fit serves all parts of the picture.
@@ -230,7 +234,8 @@ class Study:
         setup = Setup("fitted", light)
 
         def fitted(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
-            used, strength = self.pictures.good[self._pixels.pixel], self.strength(light, "pixels")
+            used = self.pictures.good[self._pixels.pixel]
+            strength = self.strength(light, "pixels")
             fit = self._fit(setup, self.electrons(None), used, strength, progress)
             return np.append(fit.volume.ravel(), np.float32(fit.stray))[None], {}
 
@@ -280,7 +285,8 @@ class Study:
 
     def _strength(self, light: str, test: str) -> float:
         """Return the strength that the pixels withheld for it choose, with the fitted camera."""
-        chosen, electrons = self.withheld(0).choosing[test], self.electrons(None)
+        chosen = self.withheld(0).choosing[test]
+        electrons = self.electrons(None)
 
         def residual(strength: float) -> float:
             predicted = self.predicted(Setup("fitted", light), 0, strength, None)
@@ -298,7 +304,8 @@ class Study:
 
     def relative(self, setup: Setup, test: str) -> float:
         """Return the root mean square of withheld differences over that of the recorded pixels."""
-        electrons, totals = self.electrons(None), np.zeros(2)
+        electrons = self.electrons(None)
+        totals = np.zeros(2)
         for seed in range(SEEDS):
             chosen = self.withheld(seed).tested[test]
             away = electrons - self.predicted(setup, seed, self.strength(setup.light, test), None)
@@ -308,7 +315,8 @@ class Study:
     def answer(self) -> Answer:
         """Run what has not been run, and return the answer."""
         squares: dict[tuple[str, str, str], np.ndarray] = {}
-        strengths, volumes = {}, {}
+        strengths = {}
+        volumes = {}
         # All runs of one projection follow each other.
         for light in LIGHTS:
             strengths[light] = {test: self.strength(light, test) for test in TESTS}
@@ -316,8 +324,8 @@ class Study:
             self.simulated(light)
             for camera in CAMERAS:
                 for test in TESTS:
-                    each = [self.squares(Setup(camera, light), test, seed) for seed in range(SEEDS)]
-                    squares[camera, light, test] = np.sum(each, axis=0)
+                    sums_of_seeds = [self.squares(Setup(camera, light), test, seed) for seed in range(SEEDS)]
+                    squares[camera, light, test] = np.sum(sums_of_seeds, axis=0)
         relative = {
             camera: {light: {test: self.relative(Setup(camera, light), test) for test in TESTS} for light in LIGHTS}
             for camera in CAMERAS
@@ -331,8 +339,8 @@ class Study:
         }
         near = {}
         for length in (self.wavelength - BAND, self.wavelength, self.wavelength + BAND):
-            other = None if length == self.wavelength else length
-            sums = self.squares(Setup("fitted", "waves", other), "pixels", 0)
+            another_wavelength = None if length == self.wavelength else length
+            sums = self.squares(Setup("fitted", "waves", another_wavelength), "pixels", 0)
             near[length] = float(np.sqrt(sums[0].sum() / sums[1].sum()))
         return Answer(
             ratios=ratios,

@@ -20,7 +20,8 @@ _CHOOSING = 0.05
 _BORDER = 2
 """Lenses from the part's border that are not judged: they see what lies outside."""
 
-_DRAWS, _LEVEL = 1000, 0.95
+_DRAWS = 1000
+_LEVEL = 0.95
 """Draws of lenses that give an interval, and its level."""
 
 
@@ -37,7 +38,8 @@ class Withheld:
         """Draw pixels of a part at random, of those that are good."""
         generator = np.random.default_rng(seed)
         columns, rows = part.lenses
-        column, row = part.lens_of % columns, part.lens_of // columns
+        column = part.lens_of % columns
+        row = part.lens_of // columns
         inner = np.minimum(np.minimum(column, columns - 1 - column), np.minimum(row, rows - 1 - row)) >= _BORDER
         draw = {
             "pixels": generator.random(len(part.pixel)),
@@ -94,9 +96,10 @@ class Ratio:
     @classmethod
     def of(cls, waves: np.ndarray, rays: np.ndarray) -> Ratio:
         """Return the ratio of squared differences by lens (2, lenses), as `by_lens` sums them over all seeds."""
-        generator, count = np.random.default_rng(0), waves.shape[1]
-        drawn = generator.multinomial(count, np.full(count, 1 / count), _DRAWS)
-        ratios = np.sqrt((drawn @ rays[0]) / (drawn @ waves[0]))
+        generator = np.random.default_rng(0)
+        count = waves.shape[1]
+        counts = generator.multinomial(count, np.full(count, 1 / count), _DRAWS)
+        ratios = np.sqrt((counts @ rays[0]) / (counts @ waves[0]))
         low, high = np.quantile(ratios, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2]).tolist()
         by_waves, by_rays = (float(np.sqrt(some[0].sum() / some[1].sum())) for some in (waves, rays))
         return cls(by_waves, by_rays, low, high)

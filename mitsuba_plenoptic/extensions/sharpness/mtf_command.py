@@ -62,9 +62,9 @@ def mtf(
     from ...refocus import reconstruct as refocus
     from ...report import edge_sharpness
 
-    given = {"method": method, "oversample": oversample, "camera": camera, "linear": linear or None}
+    of_captures = {"method": method, "oversample": oversample, "camera": camera, "linear": linear or None}
     if distance is None:
-        for name, value in given.items():
+        for name, value in of_captures.items():
             refuse_if(value is not None, f"--{name}: it is for captures, with --distance; leave it out")
         image = _photograph(source) or read_reconstruction(source)
     else:
@@ -76,7 +76,8 @@ def mtf(
     where = f"row {edge.row + top:.4g}, column {edge.column + left:.4g}"
     nearer = "columns" if edge.upright else "rows"
     typer.echo(f"edge at {where}, {edge.length} bins long, turned by {edge.angle:.3g} degrees from the {nearer}")
-    unit, per_bin = "rad" if math.isinf(image.distance) else "mm", 1 / image.bin_size
+    unit = "rad" if math.isinf(image.distance) else "mm"
+    per_bin = 1 / image.bin_size
     typer.echo(f"width, 10 to 90 %: {edge.width:.3g} bins, {edge.width * image.bin_size:.4g} {unit}")
     typer.echo(f"half the contrast at {edge.mtf50:.3g} cycles per bin, {edge.mtf50 * per_bin:.4g} per {unit}")
     for tenth in range(1, 11):
@@ -92,7 +93,8 @@ def _photograph(source: Path) -> Reconstruction | None:
     if source.suffix.lower() != ".exr" or read_attributes(source).get("kind") != "capture":
         return None
     capture = read_capture(source)
-    camera, focus = capture.camera, capture.camera.focus_distance
+    camera = capture.camera
+    focus = capture.camera.focus_distance
     if camera.refocuses:
         return None
     return Reconstruction(capture.image, focus, camera.pixel_in_object(focus), "none", camera)

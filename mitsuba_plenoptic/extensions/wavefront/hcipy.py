@@ -85,7 +85,8 @@ class CameraOptics(hcipy.OpticalElement):
         if not isinstance(wavefront, hcipy.Wavefront):
             raise InputError(f"wavefront of type {type(wavefront).__name__}: it must be of HCIPy")
         incident = _sampled(wavefront.electric_field)
-        power, wavelength = float(wavefront.total_power), _nanometres(wavefront.wavelength)
+        power = float(wavefront.total_power)
+        wavelength = _nanometres(wavefront.wavelength)
         refuse_if(not 0 < power < math.inf, f"wavefront of the power {power:g}: it must be greater than 0")
         system = OpticalSystem(self.camera.at_wavelength(wavelength), wavelength)
         with guards.watch():
@@ -121,7 +122,8 @@ def phase_screen(phase: Any, wavelength: float) -> PhaseScreen:
     >>> phase_screen(layer.phase_for(633e-9), 633e-9)
     PhaseScreen(64 x 64 samples, width=11.8125)
     """
-    field, waves = _sampled(phase), _nanometres(wavelength) / WAVEFRONT_UNIT
+    field = _sampled(phase)
+    waves = _nanometres(wavelength) / WAVEFRONT_UNIT
     refuse_if(np.iscomplexobj(field.samples), "phase: its values are complex; give the phase of the field, in radians")
     rows, columns = field.samples.shape
     middle = [start + (count - 1) / 2 * field.pitch for start, count in zip(field.origin, (columns, rows), strict=True)]

@@ -118,24 +118,25 @@ class InteractionMatrix:
         InputError
             If an input has a wrong shape or value, or both `prior` and `rank` are given.
         """
-        seen = as_pixels("image", image, np.float64)
+        pixels = as_pixels("image", image, np.float64)
         refuse_if(
-            seen.shape != self.reference.shape, f"image of shape {seen.shape}: the matrix is of {self.reference.shape}"
+            pixels.shape != self.reference.shape,
+            f"image of shape {pixels.shape}: the matrix is of {self.reference.shape}",
         )
-        photons = float(seen.sum())
+        photons = float(pixels.sum())
         refuse_if(photons <= 0, "image: it is black: nothing can be found by it")
         refuse_if(prior is not None and rank is not None, "prior, rank: give one of the two")
         count = len(self.responses)
         weight = photons / np.sqrt(np.maximum(photons * self.reference, _LEAST_COUNT))
         rows = (self.responses * weight).reshape(count, -1).T
-        misfit = ((seen / photons - self.reference) * weight).ravel()
+        misfit = ((pixels / photons - self.reference) * weight).ravel()
         left, singular, right = np.linalg.svd(rows, full_matrices=False)
         if prior is None:
-            kept = require_count("rank", count if rank is None else rank, maximum=count)
-            found = right[:kept].T @ (left.T[:kept] @ misfit / singular[:kept])
+            directions = require_count("rank", count if rank is None else rank, maximum=count)
+            terms = right[:directions].T @ (left.T[:directions] @ misfit / singular[:directions])
         else:
             deviation = as_array("prior", prior, np.float64)
             if deviation.shape not in ((), (count,)) or not (np.isfinite(deviation) & (deviation > 0)).all():
                 raise InputError(f"prior of shape {deviation.shape}: it must be positive, one or {count} numbers")
-            found = np.linalg.solve(rows.T @ rows + np.diag(np.ones(count) / deviation**2), rows.T @ misfit)
-        return np.concatenate([[0.0], found])
+            terms = np.linalg.solve(rows.T @ rows + np.diag(np.ones(count) / deviation**2), rows.T @ misfit)
+        return np.concatenate([[0.0], terms])

@@ -77,18 +77,19 @@ def view_slopes(camera: PlenopticCamera, image: Any, point: Any) -> Slopes:
         If an input has a wrong shape or value, or the capture is black.
     """
     require_support(camera, Use.LENS_CENTRES)
-    seen = _known_image(image, camera)
-    place = main_lens(camera).images(check_positions([point], camera))[0]
+    pixels = _known_image(image, camera)
+    image_of_point = main_lens(camera).images(check_positions([point], camera))[0]
     lens, pupil = lenses_of_pixels(camera)
     inside = np.hypot(pupil[..., 0], pupil[..., 1]) <= camera.aperture_radius
-    light, moved = seen[inside], (lens - place)[inside] / camera.mla_distance
+    light = pixels[inside]
+    moved = (lens - image_of_point)[inside] / camera.mla_distance
     refuse_if(not light.any(), "image: it is black where the pupil is seen: nothing can be found by it")
     # Views as far apart as pixels, which are not at the same pupil points behind all lenses.
     cells, index = np.unique(np.rint(pupil[inside] / camera.pupil_step), axis=0, return_inverse=True)
     total = np.bincount(index, light, len(cells)).astype(np.float64)
     lit = total > 0
     both = np.hstack([pupil[inside], moved])
-    means = np.stack([np.bincount(index, light * part, len(cells)) for part in both.T], -1)[lit] / total[lit, None]
+    means = np.stack([np.bincount(index, light * column, len(cells)) for column in both.T], -1)[lit] / total[lit, None]
     return Slopes(means[:, :2], means[:, 2:], total[lit])
 
 
@@ -125,15 +126,17 @@ def spot_slopes(
     InputError
         If an input has a wrong shape or value, or the capture is black.
     """
-    seen = _known_image(image)
-    n, size = require_count("pixels_per_lens", pixels_per_lens), require_length("pixel_size", pixel_size)
-    rows, columns = seen.shape
+    pixels = _known_image(image)
+    n = require_count("pixels_per_lens", pixels_per_lens)
+    size = require_length("pixel_size", pixel_size)
+    rows, columns = pixels.shape
     refuse_if(
-        bool(rows % n or columns % n), f"image of shape {seen.shape}: its sides must be multiples of {n} pixels a lens"
+        bool(rows % n or columns % n),
+        f"image of shape {pixels.shape}: its sides must be multiples of {n} pixels a lens",
     )
     growth = require_number("magnification", magnification)
     refuse_if(not SHORTEST <= abs(growth) <= LONGEST, f"magnification = {growth:g}: it must be a ratio other than 0")
-    spots = seen.reshape(rows // n, n, columns // n, n)
+    spots = pixels.reshape(rows // n, n, columns // n, n)
     light = spots.sum((1, 3))
     refuse_if(not light.any(), "image: it is black: nothing can be found by it")
     lit = light > 0
@@ -186,14 +189,14 @@ def modes_from_slopes(slopes: Slopes, radius: float, modes: int) -> Array:
     count = require_count("modes", modes, minimum=2)
     if slopes.slope.size < count:
         raise InputError(f"modes = {count}: {slopes.slope.size} slopes cannot determine them")
-    known = all(np.isfinite(part).all() for part in (slopes.pupil, slopes.slope, slopes.light))
-    refuse_if(not (known and np.any(slopes.light > 0)), "slopes: they must be finite, and have some light")
-    rows, seen = _mean_slopes(slopes, require_length("radius", radius), count)
-    weight = np.sqrt(slopes.light * seen)
-    found, *_ = np.linalg.lstsq(
+    finite = all(np.isfinite(values).all() for values in (slopes.pupil, slopes.slope, slopes.light))
+    refuse_if(not (finite and np.any(slopes.light > 0)), "slopes: they must be finite, and have some light")
+    rows, within = _mean_slopes(slopes, require_length("radius", radius), count)
+    weight = np.sqrt(slopes.light * within)
+    terms, *_ = np.linalg.lstsq(
         (rows * weight[:, None]).reshape(count - 1, -1).T, (slopes.slope * weight[:, None]).ravel(), rcond=None
     )
-    return np.concatenate([[0.0], found])
+    return np.concatenate([[0.0], terms])
 
 
 _POINTS = 16
@@ -221,7 +224,8 @@ def mode_slopes(pupil: Array, radius: float, modes: int) -> Array:
 
 def lenses_of_pixels(camera: PlenopticCamera) -> tuple[Array, Array]:
     """Return the centre of each pixel's lens, and the pupil point seen through that centre, each (rows, columns, 2)."""
-    b, z = camera.mla_distance, camera.reduced_distance
+    b = camera.mla_distance
+    z = camera.reduced_distance
     detector = np.stack(np.meshgrid(camera.pixel_coordinates(0), camera.pixel_coordinates(1)), -1)
     chief = rays.chief_point(detector, b, z)
     lens = np.stack(camera.lattice.centre(*camera.lattice.cell(chief[..., 0], chief[..., 1])), -1)
@@ -230,8 +234,8 @@ def lenses_of_pixels(camera: PlenopticCamera) -> tuple[Array, Array]:
 
 def _known_image(image: Any, camera: PlenopticCamera | None = None) -> Array:
     """Return a capture of one channel with negative pixels set to 0; refuse other captures."""
-    seen = as_pixels("image", image, np.float64)
-    refuse_if(seen.ndim != 2, f"image of shape {seen.shape}: wavefronts are measured in images of one channel")
+    pixels = as_pixels("image", image, np.float64)
+    refuse_if(pixels.ndim != 2, f"image of shape {pixels.shape}: wavefronts are measured in images of one channel")
     if camera is not None:
-        refuse_if(seen.shape != camera.shape, f"image of shape {seen.shape}: the camera records {camera.shape}")
-    return np.maximum(seen, 0)
+        refuse_if(pixels.shape != camera.shape, f"image of shape {pixels.shape}: the camera records {camera.shape}")
+    return np.maximum(pixels, 0)

@@ -46,7 +46,8 @@ _SETTLED = 0.1
 _SAME_LIGHT = 1e-3
 """Relative change of the light below which it has settled."""
 
-_RINGS, _SPOKES = 8, 32
+_RINGS = 8
+_SPOKES = 32
 """Points of the pupil whose rays find whether the detector records light of a zone."""
 
 
@@ -134,7 +135,8 @@ def fit_wavefronts(
     require_support(require_camera(camera), Use.LENS_CENTRES)
     require_zone(zone)
     count = require_count("modes", modes, minimum=2, maximum=66)
-    wavelength, accuracy = require_wavelength(wavelength), require_accuracy(accuracy)
+    wavelength = require_wavelength(wavelength)
+    accuracy = require_accuracy(accuracy)
     refuse_if(noise is None, "noise: give that of the capture")
     view = View(image, zone.points, zone.weights, noise)
     check_views(camera, [view])
@@ -150,7 +152,8 @@ def fit_wavefronts(
     expected = _expected(fitted, zone, wavelength, accuracy)
     light = _light(view, expected, pixels)
     for _ in range(_MOST_FITS):
-        before, light_before = fitted, light
+        before = fitted
+        light_before = light
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             fit_of_terms = fit(
@@ -206,10 +209,12 @@ def _light(view: View, expected: Array, before: Array) -> float:
 def _distance_beside(camera: PlenopticCamera, zone: Zone) -> float:
     """Return the distance in mm between the recorded lenses and a zone's nearest ray, with the camera's wavefront."""
     lens = main_lens(camera)
-    radius, angle = np.linspace(0, lens.pupil.radius, _RINGS), 2 * np.pi * np.arange(_SPOKES) / _SPOKES
+    radius = np.linspace(0, lens.pupil.radius, _RINGS)
+    angle = 2 * np.pi * np.arange(_SPOKES) / _SPOKES
     pupil = np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()
     arrives = np.stack([lens.land(pupil, tuple(point)) for point in zone.points[zone.weights > 0]], -1)
     centres = lenses_of_pixels(camera)[0].reshape(-1, 2).T[..., None, None]
     # Diffraction brings light to the lens beside.
-    low, high = centres.min(1) - 1.5 * max(camera.mla_pitches), centres.max(1) + 1.5 * max(camera.mla_pitches)
+    low = centres.min(1) - 1.5 * max(camera.mla_pitches)
+    high = centres.max(1) + 1.5 * max(camera.mla_pitches)
     return float(np.hypot(*np.maximum(np.maximum(low - arrives, arrives - high), 0)).min())

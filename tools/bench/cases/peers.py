@@ -17,10 +17,11 @@ from cases import agreement, relative
 from scipy.ndimage import map_coordinates, shift
 
 from mitsuba_plenoptic import PlenopticCamera, decode, load_scene, render_capture
+from mitsuba_plenoptic.fields.elements import Element
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
+from mitsuba_plenoptic.fields.steps import AxisStep
+from mitsuba_plenoptic.fields.steps import Step as FieldStep
 from mitsuba_plenoptic.optics.waves import propagate
-from mitsuba_plenoptic.points.arrival import FieldGrids
-from mitsuba_plenoptic.points.full_field import pass_microlenses
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.views import LensGrid, focal_stack, white_image
 from mitsuba_plenoptic.views.coordinates import disparity
@@ -249,10 +250,16 @@ def microlenses(*, sizes: tuple[int, ...] = (1024, 2048), repeats: int = 5) -> I
 def _microlenses(size: int, pitch: float, repeats: int) -> list[Row]:
     camera = PlenopticCamera(detector_width=2.048, resolution=(1024, 1024))
     first, wide = (pitch - 2.048) / 2, (size, size)
-    grids = FieldGrids(pitch, 1, (first, first), size, size, (0, 0), wide, WAVE / (2 * pitch), 0)
+    axis = AxisStep(first, pitch, size, size, size, first, size)
     system = OpticalSystem(camera, WAVELENGTH)
-    plane, mine = np.ones(wide, np.complex64), np.ones(wide, np.complex64)
-    pass_microlenses(system, grids, mine)
+    plane, mine = np.ones(wide, np.complex64), np.empty(wide, np.complex64)
+
+    def ours() -> None:
+        lenses = Element.by_orders(FieldStep(axis, axis), system.microlenses, WAVE / (2 * pitch))
+        lenses.through(slice(0, size), plane, mine)
+        np.multiply(mine, lenses.along_y[:, None], out=mine)
+
+    ours()
     highest = math.ceil(camera.mla_pitch / pitch / 2) - 1
     numbers = np.arange(-highest, highest + 1)
     line = closed_form_orders(numbers, camera.mla_pitch**2 / (WAVE * camera.mla_focal_length))
@@ -276,10 +283,6 @@ def _microlenses(size: int, pitch: float, repeats: int) -> list[Row]:
         return Peer(
             work, {"difference": off(work()), "limit": 0.05}, "`MicroLensArray`, reused; the phase at the samples"
         )
-
-    def ours() -> None:
-        samples = plane.copy()
-        pass_microlenses(system, grids, samples)
 
     what = f"{size} x {size}, {1e3 * pitch:g} µm"
     own = {"what": what, "peer": "ours", "difference": off(mine), "limit": 1e-5}
