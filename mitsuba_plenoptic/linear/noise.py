@@ -62,14 +62,15 @@ class PixelNoise:
         """Variance of a dark pixel divided by the value of one electron."""
         return self.dark_variance / self.electrons
 
-    def misfit(self, image: NDArray[np.float32], model: NDArray[np.float32]) -> float:
-        """Return the squared residual, weighted by the pixels' variances, divided by its expectation for noise alone.
 
-        This is Pearson's statistic, of expectation 1. Pixels that should be nearly dark get a lower weight than
-        Pearson's, since otherwise one photon of light unknown to the model would outweigh all pixels.
-        """
-        dark = np.float32(self.dark_variance / self.electrons**2)
-        variance = np.maximum(model, 0) / np.float32(self.electrons) + dark
-        weight = 1 / (variance + np.float32(_DARKEST * float(variance.mean()) + 1e-30))
-        residual = float(((image - model) ** 2 * weight).sum(dtype=np.float64))
-        return residual / max(float((variance * weight).sum(dtype=np.float64)), 1e-30)
+def misfit(noise: PixelNoise, image: NDArray[np.float32], model: NDArray[np.float32]) -> float:
+    """Return the squared residual, weighted by the pixels' variances, divided by its expectation for noise alone.
+
+    This is Pearson's statistic, of expectation 1. Pixels that should be nearly dark get a lower weight than
+    Pearson's, since otherwise one photon of light unknown to the model would outweigh all pixels.
+    """
+    dark = np.float32(noise.dark_variance / noise.electrons**2)
+    variance = np.maximum(model, 0) / np.float32(noise.electrons) + dark
+    weight = 1 / (variance + np.float32(_DARKEST * float(variance.mean()) + 1e-30))
+    residual = float(((image - model) ** 2 * weight).sum(dtype=np.float64))
+    return residual / max(float((variance * weight).sum(dtype=np.float64)), 1e-30)

@@ -152,9 +152,16 @@ class Solution:
 
     values: Array
     point: Array
-    model: Array
     iterations: int
     stopped: str
+    operator: LinearMap
+    # The image of the point, if a stop rule asked for it.
+    computed: Array | None = None
+
+    @property
+    def model(self) -> Array:
+        """Image of the point."""
+        return self.operator.forward(self.point) if self.computed is None else self.computed
 
 
 def relative_residual(image: Array, model: Array) -> float:
@@ -179,7 +186,7 @@ def solve(
         state = SolverState(start, start)
     if not state.values.any():
         # Steps multiply, so that there is nothing to do.
-        return Solution(state.values, state.values, np.zeros_like(steps.image), 0, "")
+        return Solution(state.values, state.values, 0, "", steps.operator)
     while True:
         if progress:
             progress(state.done, iterations)
@@ -187,8 +194,9 @@ def solve(
         if accelerate and state.momentum:
             ahead = state.values + state.momentum / (state.momentum + 3) * (state.values - state.last)
             point = np.maximum(ahead, _HALVED * state.values)
-        model = steps.operator.forward(point)
-        stopped = ""
+        if state.done == iterations and stop is None:
+            return Solution(state.values, point, state.done, "", steps.operator)
+        model, stopped = steps.operator.forward(point), ""
         if stop is not None:
             state.residuals = [*state.residuals[-stop.steps :], stop.residual(steps.image, model)]
             stopped = stop.reason(state.residuals)
@@ -204,7 +212,7 @@ def solve(
             save(state)
     if progress and state.done < iterations:
         progress(iterations, iterations)
-    return Solution(state.values, point, model, state.done, stopped)
+    return Solution(state.values, point, state.done, stopped, steps.operator, model)
 
 
 class RichardsonLucy(Steps):

@@ -5,7 +5,7 @@ import pytest
 
 from mitsuba_plenoptic.extensions.deconvolution.deconvolved import until_noise
 from mitsuba_plenoptic.linear.map import LinearMap
-from mitsuba_plenoptic.linear.noise import PixelNoise
+from mitsuba_plenoptic.linear.noise import PixelNoise, misfit
 from mitsuba_plenoptic.linear.solve import RichardsonLucy, SolverState, relative_residual, solve
 
 pytestmark = pytest.mark.needs_extension("deconvolution")
@@ -84,7 +84,7 @@ def test_iteration_stops_at_the_noise():
     further = solve(RichardsonLucy(BLUR, image), **options)
     assert not further.stopped
     assert relative_residual(image, further.model) < relative_residual(image, found.model)
-    assert noise.misfit(image, BLUR.forward(found.point)) <= 1 < noise.misfit(image, BLUR.forward(truth * 50))
+    assert misfit(noise, image, BLUR.forward(found.point)) <= 1 < misfit(noise, image, BLUR.forward(truth * 50))
     # Light that the bins cannot make does not keep it going.
     image[::2] *= 3
     assert solve(RichardsonLucy(BLUR, image), stop=until_noise(noise), **options).iterations < 100

@@ -18,7 +18,7 @@ from ...design import resolution_limit
 from ...errors import InputError, argument, refuse_if, refusing, require_number
 from ...io import digest
 from ...linear.map import LinearMap
-from ...linear.noise import PixelNoise
+from ...linear.noise import PixelNoise, misfit
 from ...linear.solve import RichardsonLucy, SolverState, StopRule, relative_residual, solve
 from ...refocus import Found, Progress, Task, method, portion, work_of
 from ...runtime import Job
@@ -105,7 +105,7 @@ def noise_of(exposure: dict[str, Any] | None, photons: float | None) -> PixelNoi
 
 def until_noise(noise: PixelNoise) -> StopRule:
     """Return the rule that ends steps where only noise is left, or where what is above it hardly falls any more."""
-    return StopRule(lambda image, model: noise.misfit(image, model) - 1, 0.0, _SPAN, _LEAST_FALL)
+    return StopRule(lambda image, model: misfit(noise, image, model) - 1, 0.0, _SPAN, _LEAST_FALL)
 
 
 @dataclass(frozen=True, eq=False)
