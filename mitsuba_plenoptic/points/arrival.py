@@ -172,7 +172,7 @@ def grids_around(
     coarse = min(wide, fft.fast_length(wide * pitch * finest * refinement))
     detector_samples = pixels[0] * pixels[1] * per_pixel**2
     check_memory(
-        # at the pupil, during propagation to the MLA, or with the doubled grid of the detector
+        # at the pupil, with the columns of the step to the MLA, or with those of the doubled grid of the detector
         8.0 * max(4 * coarse**2, 2 * coarse**2 + pixels[1] * per_pixel * coarse, 5 * detector_samples)
         + 32.0 * BLOCK * wide,
         what,
