@@ -191,10 +191,10 @@ class Fresnel:
     def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
         """Yield lines of the field on the second plane, in any order, from the field on the first."""
         positive, middle = self._positive, len(self._along_y) - self._positive
-        for mine, part in self._spectrum.forward(source, workspace):
-            lines = workspace.array("lines", (workspace.block, part.shape[1]))[: len(part)]
-            np.multiply(part[:, :positive], self._along_y[middle:], out=lines[:, middle:])
-            np.multiply(part[:, positive:], self._along_y[:middle], out=lines[:, :middle])
+        for mine, rows_of in self._spectrum.forward(source, workspace):
+            lines = workspace.array("lines", (workspace.block, rows_of.shape[1]))[: len(rows_of)]
+            np.multiply(rows_of[:, :positive], self._along_y[middle:], out=lines[:, middle:])
+            np.multiply(rows_of[:, positive:], self._along_y[:middle], out=lines[:, :middle])
             for own, there in _in_order(mine, self._count):
                 lines[own] *= self._along_x[there, None]
                 yield there, lines[own]
@@ -204,11 +204,11 @@ class Fresnel:
 
         def by_spectrum() -> Rows:
             for there, lines in gradient:
-                found = lines * self._along_x[there, None].conj()
-                found *= self._along_y.conj()
-                found = workspace.libraries.arrays.roll(found, self._positive - found.shape[1], axis=1)
+                product = lines * self._along_x[there, None].conj()
+                product *= self._along_y.conj()
+                product = workspace.libraries.arrays.roll(product, self._positive - product.shape[1], axis=1)
                 for own, mine in _in_order(there, self._count, -(self._count // 2)):
-                    yield mine, found[own]
+                    yield mine, product[own]
 
         return self._spectrum.adjoint(by_spectrum(), workspace)
 
@@ -223,36 +223,36 @@ def to_directions(source: Rows, element: Element, step: Step, workspace: FieldWo
         for lit in element.lit(rows):
             columns[:, end : lit.start] = 0
             end = lit.stop
-            part = rows_of[: end - lit.start]
-            element.through(lit, samples[lit.start - rows.start : end - rows.start], part[:, : x.count])
-            part[:, x.count :] = 0
-            part = workspace.fft(part)
-            columns[: low.stop, lit] = part[:, low].T
-            columns[low.stop :, lit] = part[:, high].T
+            rows_cut = rows_of[: end - lit.start]
+            element.through(lit, samples[lit.start - rows.start : end - rows.start], rows_cut[:, : x.count])
+            rows_cut[:, x.count :] = 0
+            rows_cut = workspace.fft(rows_cut)
+            columns[: low.stop, lit] = rows_cut[:, low].T
+            columns[low.stop :, lit] = rows_cut[:, high].T
     columns[:, end : y.count] = 0
     block = workspace.array("rows", (workspace.block, y.padded))
     spectrum = workspace.array("spectrum", (workspace.block, y.held))
     low, high = _lowest(y.padded, y.held)
     for mine in workspace.runs(x.held):
-        part = block[: mine.stop - mine.start]
+        rows_cut = block[: mine.stop - mine.start]
         if element.along_y is None:
-            part[:, : y.count] = columns[mine, : y.count]
+            rows_cut[:, : y.count] = columns[mine, : y.count]
         else:
-            arrays.multiply(columns[mine, : y.count], element.along_y, out=part[:, : y.count])
-        part[:, y.count :] = 0
-        part = workspace.fft(part)
+            arrays.multiply(columns[mine, : y.count], element.along_y, out=rows_cut[:, : y.count])
+        rows_cut[:, y.count :] = 0
+        rows_cut = workspace.fft(rows_cut)
         if y.held < y.padded:
             cut = spectrum[: mine.stop - mine.start]
-            cut[:, : low.stop], cut[:, low.stop :] = part[:, low], part[:, high]
-            part = cut
-        yield mine, part
+            cut[:, : low.stop], cut[:, low.stop :] = rows_cut[:, low], rows_cut[:, high]
+            rows_cut = cut
+        yield mine, rows_cut
 
 
 def from_directions(spectrum: Rows, step: Step, workspace: FieldWorkspace, watch: Watch | None = None) -> Rows:
     """Yield the field at the destination samples of a step, from its lowest frequencies as `to_directions` has them."""
     x, y, columns = step.x, step.y, workspace.columns(step)
-    for mine, part in spectrum:
-        whole = _from_lowest(part, y, workspace)
+    for mine, rows_cut in spectrum:
+        whole = _from_lowest(rows_cut, y, workspace)
         if watch:
             watch.see_window(whole)
         columns[mine, : y.wanted] = whole[:, : y.wanted]
@@ -260,28 +260,28 @@ def from_directions(spectrum: Rows, step: Step, workspace: FieldWorkspace, watch
         watch.check()
     block = workspace.array("next rows", (workspace.block, x.held))
     for rows in workspace.runs(y.wanted):
-        part = block[: rows.stop - rows.start]
+        rows_cut = block[: rows.stop - rows.start]
         for first in range(0, x.held, _TILE):
             tile = slice(first, min(first + _TILE, x.held))
-            part[:, tile] = columns[tile, rows].T
-        yield rows, _from_lowest(part, x, workspace)[:, : x.wanted]
+            rows_cut[:, tile] = columns[tile, rows].T
+        yield rows, _from_lowest(rows_cut, x, workspace)[:, : x.wanted]
 
 
-def _from_lowest(part: fft.Field, axis: AxisStep, workspace: FieldWorkspace) -> fft.Field:
+def _from_lowest(rows_cut: fft.Field, axis: AxisStep, workspace: FieldWorkspace) -> fft.Field:
     """Return rows all over the destination's window, from the rows' lowest frequencies."""
     if axis.held < axis.new_padded:
         low, high = _lowest(axis.new_padded, axis.held)
-        wide = workspace.array("wide", (len(part), axis.new_padded))
+        wide = workspace.array("wide", (len(rows_cut), axis.new_padded))
         wide[:, low.stop : high.start] = 0
-        wide[:, low], wide[:, high] = part[:, : low.stop], part[:, low.stop :]
-        part = wide
-    return workspace.fft(part, inverse=True)
+        wide[:, low], wide[:, high] = rows_cut[:, : low.stop], rows_cut[:, low.stop :]
+        rows_cut = wide
+    return workspace.fft(rows_cut, inverse=True)
 
 
-def _lowest(size: int, held: int) -> tuple[slice, slice]:
+def _lowest(size: int, count: int) -> tuple[slice, slice]:
     """Return the slices of the lowest frequencies, nonnegative and negative, in a spectrum with zero first."""
-    positive = (held + 1) // 2
-    return slice(0, positive), slice(size - (held - positive), size)
+    positive = (count + 1) // 2
+    return slice(0, positive), slice(size - (count - positive), size)
 
 
 def _in_order(lines: slice, count: int, moved: int | None = None) -> Iterator[tuple[slice, slice]]:

@@ -93,21 +93,21 @@ class ArrayFactor(ABC):
             self._tables[parameter] = self._table(self.orders(parameter))
         table = types.UInt64(self._tables[parameter])
         places = tuple(
-            place - dr.opaque(types.Float64, camera.mla_offset[axis])
-            for place, axis in zip(coordinates, self.axes, strict=True)
+            coordinate - dr.opaque(types.Float64, camera.mla_offset[axis])
+            for coordinate, axis in zip(coordinates, self.axes, strict=True)
         )
         if len(places) == 2 and camera.mla_rotation != 0:
             places = turn(*places, dr.opaque(types.Float64, -camera.mla_rotation))
-        nodes = [_node(*each) for each in zip(places, self.periods, self._shape[::-1], strict=True)]
+        nodes = [_node(*axis_numbers) for axis_numbers in zip(places, self.periods, self._shape[::-1], strict=True)]
         terms: list[Any] = [(0, 1)]
-        for (node, part), count in zip(nodes[::-1], self._shape, strict=True):
-            row_length, rest = dr.opaque(types.UInt32, count + 2), 1 - part
-            weights = enumerate((rest**2 / 2, 0.5 + part * rest, part**2 / 2))
+        for (node, fraction), count in zip(nodes[::-1], self._shape, strict=True):
+            row_length, remainder = dr.opaque(types.UInt32, count + 2), 1 - fraction
+            weights = enumerate((remainder**2 / 2, 0.5 + fraction * remainder, fraction**2 / 2))
             terms = [
-                (place * row_length + node + step, share * weight)
-                for (place, share), (step, weight) in itertools.product(terms, weights)
+                (coordinate * row_length + node + step, share * weight)
+                for (coordinate, share), (step, weight) in itertools.product(terms, weights)
             ]
-        return sum(fft.unpack(dr.gather(types.UInt64, table, place)) * share for place, share in terms)
+        return sum(fft.unpack(dr.gather(types.UInt64, table, coordinate)) * share for coordinate, share in terms)
 
     def _table(self, amplitudes: NDArray[Any]) -> Any:
         """Return one period of a sum of orders as 64-bit words, with its last sample before it and its first after it.
@@ -117,9 +117,9 @@ class ArrayFactor(ABC):
         """
         orders = [np.arange(-(size // 2), size // 2 + 1) for size in amplitudes.shape]
         parts = [order / size for order, size in zip(orders, self._shape, strict=True)]
-        kept = [np.sinc(part) ** 3 * np.exp(-1j * math.pi * part) for part in parts]
+        windows = [np.sinc(part) ** 3 * np.exp(-1j * math.pi * part) for part in parts]
         spectrum: NDArray[Any] = np.zeros(self._shape, self._precision)
-        spectrum[np.ix_(*orders)] = amplitudes / functools.reduce(np.multiply.outer, kept)
+        spectrum[np.ix_(*orders)] = amplitudes / functools.reduce(np.multiply.outer, windows)
         table = scipy.fft.ifftn(spectrum, norm="forward", overwrite_x=True, workers=fft.worker_count())
         padded = empty_packets(tuple(size + 2 for size in table.shape), np.complex64)
         padded[(slice(1, -1),) * table.ndim] = table
@@ -176,9 +176,9 @@ def axis_orders(
     low, high = (
         np.exp(-1j * math.pi * (side * width / 2) ** 2 / area - 1j * math.pi * q * side * width) for side in (-1, 1)
     )
-    part = 1j * area / (2 * math.pi)
-    first = part * (high - low) - shift * centred
-    second = part * ((high + low) * width / 2 - centred) - shift * first
+    factor = 1j * area / (2 * math.pi)
+    first = factor * (high - low) - shift * centred
+    second = factor * ((high + low) * width / 2 - centred) - shift * first
     sign = np.where(q % 2, -1, 1)
     return centred * sign, -1j * math.pi * second * sign, (high + low) / 2 * sign
 
@@ -212,9 +212,9 @@ class PlaneFactor(ArrayFactor):
             return -1j * math.pi * self._moment(axis, 2, lens_type)
         camera, pitch = self._camera, self._camera.mla_pitches[axis]
         result = plain - self._by_position(self._moment(axis, 1, None), axis) / (self.periods[axis] / pitch)
-        for each, length in enumerate(camera.reduced_focal_lengths):
+        for type_index, length in enumerate(camera.reduced_focal_lengths):
             fresnel = pitch**2 / (in_millimetres(self._wavelength) * length)
-            result = result - 2j * math.pi * fresnel * self._moment(axis, 2, each)
+            result = result - 2j * math.pi * fresnel * self._moment(axis, 2, type_index)
         return result / (camera.lattice.aperture_widths[axis] / pitch)
 
     def _moment(self, axis: int, power: int, lens_type: int | None) -> NDArray[np.complex64]:
@@ -240,16 +240,16 @@ class PlaneFactor(ArrayFactor):
         order = [np.arange(-count, count + 1) for count in self._counts]
         # Samples are at cell centres, which is half a step from the start of the period.
         waves = order[0][:, None] / (2 * shape[0]) + order[1] / (2 * shape[1])
-        held = np.hypot(order[0][:, None] / sides[1], order[1] / sides[0]) * wave <= self._cosine
-        return (spectrum[np.ix_(*order)] * np.exp(-2j * math.pi * waves) * held).astype(np.complex64)
+        inside = np.hypot(order[0][:, None] / sides[1], order[1] / sides[0]) * wave <= self._cosine
+        return (spectrum[np.ix_(*order)] * np.exp(-2j * math.pi * waves) * inside).astype(np.complex64)
 
     def _samples(self, shape: list[int], axis: int, power: int, lens_type: int | None) -> fft.Field:
         """Return samples of one period of the transmission, at the centres of equal rectangles, on the host."""
         types = array_module()
         _, row, column = fft.split(types, dr.arange(types.UInt32, shape[0] * shape[1]), *shape)
         x, y = (
-            (types.Float64(place) + 0.5) * dr.opaque(types.Float64, side / count)
-            for place, side, count in zip((column, row), self.periods, shape[::-1], strict=True)
+            (types.Float64(coordinate) + 0.5) * dr.opaque(types.Float64, side / count)
+            for coordinate, side, count in zip((column, row), self.periods, shape[::-1], strict=True)
         )
         centred = self._camera.replace(
             mla_rotation=0.0, mla_offset=(0.0, 0.0), mla_warp=(), mla_cra=(), mla_jitter=(0.0, 0.0)
@@ -342,26 +342,26 @@ class VaryingArrayFactor:
         """Return the factor at Dr.Jit float64 coordinates along its axes, as Complex2f."""
         numbers: dict[ArrayParameter, Any] = {}
         periods = self.lattice.period(len(self.focal_lengths))
-        for axis, place in zip(self.axes, coordinates, strict=True):
+        for axis, coordinate in zip(self.axes, coordinates, strict=True):
             pitch = self.lattice.pitches[axis]
-            numbers[ArrayParameter("position", axis)] = (place - self.lattice.offset[axis]) / periods[axis]
+            numbers[ArrayParameter("position", axis)] = (coordinate - self.lattice.offset[axis]) / periods[axis]
             numbers[ArrayParameter("width", axis)] = self.lattice.aperture_widths[axis] / pitch
             for lens_type, length in enumerate(self.focal_lengths):
                 area = in_millimetres(self.wavelength) * length
                 numbers[ArrayParameter("fresnel", axis, lens_type)] = pitch * pitch / area
-        places = [dr.detach(place) for place in coordinates]
+        places = [dr.detach(coordinate) for coordinate in coordinates]
         value = self.factor.at(*places)
-        for parameter, number in numbers.items():
-            if dr.grad_enabled(number):
-                change = fft.array_types(value.real).Float(number - dr.detach(number))
+        for parameter, parameter_value in numbers.items():
+            if dr.grad_enabled(parameter_value):
+                change = fft.array_types(value.real).Float(parameter_value - dr.detach(parameter_value))
                 value = value + self.factor.at(*places, parameter=parameter) * change
         return value
 
 
-def _node(place: Any, period: float, count: int) -> tuple[Any, Any]:
+def _node(coordinate: Any, period: float, count: int) -> tuple[Any, Any]:
     """Return the index of the sample before a position in periods, and the distance from it in samples."""
-    types = fft.array_types(place)
-    scaled = place * dr.opaque(types.Float64, 1 / period)
+    types = fft.array_types(coordinate)
+    scaled = coordinate * dr.opaque(types.Float64, 1 / period)
     scaled = (scaled - dr.floor(scaled)) * dr.opaque(types.Float64, count)
     node = dr.minimum(types.UInt32(scaled), dr.opaque(types.UInt32, count - 1))
     return node, types.Float(scaled - types.Float64(node))

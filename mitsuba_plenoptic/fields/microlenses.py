@@ -80,8 +80,8 @@ def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> 
 
 def opaque_lattice(camera: PlenopticCamera, types: Any) -> Lattice:
     """Return the lattice with numbers that are not compiled into kernels, for positions in Dr.Jit arrays."""
-    given = [*camera.mla_pitches, camera.mla_rotation, *camera.mla_offset, camera.mla_fill]
-    along, across, rotation, x, y, fill = (dr.opaque(types.Float64, number) for number in given)
+    numbers = [*camera.mla_pitches, camera.mla_rotation, *camera.mla_offset, camera.mla_fill]
+    along, across, rotation, x, y, fill = (dr.opaque(types.Float64, value) for value in numbers)
     return make_lattice(
         camera.mla_lattice,
         # One array stands for equal pitches.

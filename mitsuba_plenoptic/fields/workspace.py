@@ -89,10 +89,10 @@ class FieldWorkspace:
 
     def fft(self, field: fft.Field, *, inverse: bool = False) -> fft.Field:
         """Transform rows in place; forward transforms are divided by the length, inverse ones are not."""
-        found = fft.fft(field, axis=1, inverse=inverse, norm="forward")
+        result = fft.fft(field, axis=1, inverse=inverse, norm="forward")
         self._transformed += field.size
         self._report(self._transformed)
-        return found
+        return result
 
 
 _of_thread = threading.local()

@@ -190,15 +190,19 @@ def find_patterns(
         off = lens_type[first] - camera.lattice.lens_type(*middle.T).astype(np.int64)
         middle[:, 0] += (off + 1) % types - 1
     count = np.bincount(pattern)
-    position = np.column_stack([np.bincount(pattern, part) for part in (image - cell).T]) / count[:, None] + middle
+    position = (
+        np.column_stack([np.bincount(pattern, coordinate) for coordinate in (image - cell).T]) / count[:, None] + middle
+    )
     mean = np.bincount(pattern, inverse_distance(lens, positions)) / count
     slant = None
     if pupil_weights is not None:
-        slant = np.column_stack([np.bincount(pattern, part) for part in pupil_weights.slant.T]) / count[:, None]
+        slant = (
+            np.column_stack([np.bincount(pattern, coordinate) for coordinate in pupil_weights.slant.T]) / count[:, None]
+        )
     # If a pattern is shared by diverging and converging light, their mean may be collimated.
     nearness = np.where(np.abs(mean) > 1 / _FARTHEST, mean, 1 / _FARTHEST)
-    found = lens.points(_in_pitches(camera, position) * camera.mla_pitch, nearness)
-    return Patterns(found, slant, pattern, cell - middle[pattern])
+    centres = lens.points(_in_pitches(camera, position) * camera.mla_pitch, nearness)
+    return Patterns(centres, slant, pattern, cell - middle[pattern])
 
 
 def _lattice_steps(camera: PlenopticCamera, position: NDArray[np.float64]) -> NDArray[np.float64]:

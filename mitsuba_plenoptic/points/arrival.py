@@ -121,8 +121,8 @@ def field_grids(
         image = bundle_footprint(positions.T[:, None], cosines.T[:, None], lens.pupil.distance)
     else:
         image = footprint(system.lens, position[None])
-    what = f"full field of position = ({position[0]:g}, {position[1]:g}, {position[2]:g})"
-    return grids_around(system, lens, image, position[None], what, refinement, growth)
+    label = f"full field of position = ({position[0]:g}, {position[1]:g}, {position[2]:g})"
+    return grids_around(system, lens, image, position[None], label, refinement, growth)
 
 
 def grids_around(
@@ -130,7 +130,7 @@ def grids_around(
     lens: PointLight,
     image: Footprint,
     positions: NDArray[np.float64],
-    what: str,
+    label: str,
     refinement: float = 1.0,
     growth: float = 1.0,
 ) -> FieldGrids:
@@ -165,8 +165,8 @@ def grids_around(
         # edge over one sample reduces the light that the edge diffracts far from the point's image.
         blur = _WINDOW_PER_BLUR * float(image.half_width.max())
         diffracted = max(_PUPIL_SAMPLES * lam / cone(system.lens, positions[:, 2]), blur)
-    held = max(_WINDOW_MARGIN * float((high - low).max()), diffracted)
-    wide = fft.fast_length(growth * held / pitch + per_pixel, per_pixel)
+    extent = max(_WINDOW_MARGIN * float((high - low).max()), diffracted)
+    wide = fft.fast_length(growth * extent / pitch + per_pixel, per_pixel)
     before = np.floor((start - (low + high - wide * pitch) / 2) / p).astype(int)
     finest = max(2 * _PUPIL_BAND * steepest / lam, _PUPIL_SAMPLES / radius)
     coarse = min(wide, fft.fast_length(wide * pitch * finest * refinement))
@@ -175,7 +175,7 @@ def grids_around(
         # at the pupil, with the columns of the step to the MLA, or with those of the doubled grid of the detector
         8.0 * max(4 * coarse**2, 2 * coarse**2 + pixels[1] * per_pixel * coarse, 5 * detector_samples)
         + 32.0 * BLOCK * wide,
-        what,
+        label,
     )
     return FieldGrids(
         pitch=pitch,
@@ -214,8 +214,8 @@ def interpolated(field: SampledField, origin: tuple[float, float], pitch: float,
     # Along y, then along x.
     matrices = []
     for start, first, size, count in zip(origin[::-1], field.origin[::-1], shape, field.samples.shape, strict=True):
-        at, given = start + pitch * np.arange(size), first + field.pitch * np.arange(count)
-        matrices.append(arrays.asarray(np.sinc((at[:, None] - given) / field.pitch).astype(np.float32)))
+        at, samples_at = start + pitch * np.arange(size), first + field.pitch * np.arange(count)
+        matrices.append(arrays.asarray(np.sinc((at[:, None] - samples_at) / field.pitch).astype(np.float32)))
     rows, columns = matrices
     return arrays.ascontiguousarray(rows @ arrays.asarray(field.samples.astype(np.complex64)) @ columns.T)
 
@@ -288,8 +288,8 @@ def pupil_field(
     bright = types.Float(lens.amplitude(pupil, point))
     density = types.Float64(bright * bright * cover)
     if (vignetting := system.camera.vignetting) is not None:
-        seen = SeenPupil(vignetting, system.lens.bind(position[None]), lens.pupil.radius)
-        cover = types.Float(seen.amplitude(pupil, point, soften))
+        seen_pupil = SeenPupil(vignetting, system.lens.bind(position[None]), lens.pupil.radius)
+        cover = types.Float(seen_pupil.amplitude(pupil, point, soften))
     if weights is not None:
         passed, amplitude = weights.at(dr.zeros(types.UInt32, count * count), Px, Py, lens.pupil.radius, step)
         density *= types.Float64(passed)

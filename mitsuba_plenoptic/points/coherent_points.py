@@ -64,10 +64,10 @@ class CoherentPoints:
         >>> operator.field_adjoint(field.samples, plane="array").shape
         (2,)
         """
-        given = _complex("amplitudes", amplitudes, (len(self.points),), "one complex number for each point")
+        amplitude = _complex("amplitudes", amplitudes, (len(self.points),), "one complex number for each point")
         with guards.watch():
-            found = self.coherent_fields.at(given, require_choice("plane", plane, PLANES))
-        return SampledField(active_backend().to_host(found.samples), found.origin, found.pitch)
+            field = self.coherent_fields.at(amplitude, require_choice("plane", plane, PLANES))
+        return SampledField(active_backend().to_host(field.samples), field.origin, field.pitch)
 
     @one_at_a_time
     def field_adjoint(self, samples: Any, *, plane: str = "detector") -> NDArray[np.complex64]:
@@ -92,8 +92,8 @@ class CoherentPoints:
         """
         fields = self.coherent_fields
         shape = fields.shape(require_choice("plane", plane, PLANES))
-        given = _complex("samples", samples, shape, f"the samples of a field in the plane {plane}")
-        return fields.adjoint(given, plane)
+        field = _complex("samples", samples, shape, f"the samples of a field in the plane {plane}")
+        return fields.adjoint(field, plane)
 
 
 def _complex(name: str, values: Any, shape: tuple[int, ...], meaning: str) -> NDArray[np.complex64]:

@@ -171,9 +171,9 @@ class Placement:
     first: NDArray[np.int64]  # index of the first direction from the pupil
     last: NDArray[np.int64]  # index of the last direction
 
-    def take(self, which: NDArray[Any]) -> Placement:
+    def take(self, points: NDArray[Any]) -> Placement:
         """Return a selection of the patches."""
-        return Placement(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+        return Placement(**{field.name: getattr(self, field.name)[points] for field in fields(self)})
 
 
 def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
@@ -182,7 +182,10 @@ def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     starts = range(0, max(1, len(positions)), _BLOCK)
     parts = [_place(grid, positions[start : start + _BLOCK]) for start in starts]
     return Placement(
-        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Placement)}
+        **{
+            field.name: np.concatenate([getattr(placement, field.name) for placement in parts])
+            for field in fields(Placement)
+        }
     )
 
 

@@ -244,8 +244,8 @@ class _FullField:
     def prepare(self) -> Callable[[], Part]:
         """Return a function that computes the whole batch."""
         psf = full_field(self.system, self.position, pupil_weights=self.pupil_weights)
-        part = Part(recorded_pixels(self.system.camera), self.factors[:, None, None] * psf)
-        return lambda: part
+        pixels = Part(recorded_pixels(self.system.camera), self.factors[:, None, None] * psf)
+        return lambda: pixels
 
 
 def recorded_pixels(camera: PlenopticCamera) -> Box:
@@ -281,9 +281,9 @@ class FullFieldPlan:
 
     def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
         """Return each point spread's inner product with an image; see `PatchPlan.gather`."""
-        one, count = np.ones(1, np.float32), len(self._points)
-        batches = (self.batch(point, one) for point in range(count))
-        spreads = (part.sums[0] for part in job.each(batches, [1] * count, done, total))
+        unit, count = np.ones(1, np.float32), len(self._points)
+        batches = (self.batch(point, unit) for point in range(count))
+        spreads = (batch_sum.sums[0] for batch_sum in job.each(batches, [1] * count, done, total))
         return np.array([np.tensordot(psf, image, 2) for psf in spreads], np.float64).reshape(-1, image.shape[2])
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:

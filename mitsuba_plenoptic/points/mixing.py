@@ -36,9 +36,9 @@ class SpectralSum:
 
         `errors` are the allowed root sum square errors of the weights in each channel of the image.
         """
-        given = weights @ self.before
+        channels = weights @ self.before
         # The order is fixed, because a checkpoint of a sum in progress refers to these very columns.
-        powers, vectors = np.linalg.eigh(np.einsum("ni,nj->ij", given, given))
+        powers, vectors = np.linalg.eigh(np.einsum("ni,nj->ij", channels, channels))
         left = np.cumsum(np.maximum(powers, 0) * (self.after.astype(np.float64) @ vectors) ** 2, axis=1)
         dropped = int(np.argmin(np.append(np.all(np.sqrt(left) <= errors[:, None], axis=0), False)))
         retained = vectors[:, min(dropped, len(vectors) - 1) :]
@@ -87,10 +87,14 @@ class WeightChannels:
     def reduced_parts(self, weights: NDArray[np.float64], accuracy: float) -> Iterator[SpectralSum]:
         """Yield the sums for weights (n, columns), simplified at nodes within an allowed error."""
         _, matrix = self.mixing(weights.shape[1])
-        whole = np.sqrt(np.square(weights @ matrix.T.astype(np.float64)).sum(0))
-        errors = max(_LEFT_OUT * accuracy, _ROUNDING) / self.sums * whole
-        for part in self.parts(weights.shape[1]):
-            yield part.reduced(weights, errors) if self.spectrum is not None and self.spectrum.nodes else part
+        total = np.sqrt(np.square(weights @ matrix.T.astype(np.float64)).sum(0))
+        errors = max(_LEFT_OUT * accuracy, _ROUNDING) / self.sums * total
+        for spectral_sum in self.parts(weights.shape[1]):
+            yield (
+                spectral_sum.reduced(weights, errors)
+                if self.spectrum is not None and self.spectrum.nodes
+                else spectral_sum
+            )
 
     def check_image(self, image: Any, shape: tuple[int, int], dtype: Any = np.float32) -> NDArray[Any]:
         """Return an image of shape (rows, columns, ...) as (rows, columns, channels); refuse other shapes."""
@@ -170,4 +174,4 @@ def mix(image: NDArray[Any], matrix: NDArray[np.float32]) -> NDArray[Any]:
 def groups(wavelengths: tuple[float, ...]) -> Iterator[tuple[float, list[int]]]:
     """Yield each distinct wavelength and its columns, which share point spreads."""
     for wavelength in dict.fromkeys(wavelengths):
-        yield wavelength, [column for column, other in enumerate(wavelengths) if other == wavelength]
+        yield wavelength, [column for column, candidate in enumerate(wavelengths) if candidate == wavelength]

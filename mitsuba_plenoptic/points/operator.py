@@ -163,7 +163,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
     @cached_property
     def coherent_fields(self) -> Any:
         """The fields of the points at the operator's only wavelength; several wavelengths are refused."""
-        wavelengths = [part.wavelength for part in self._channels.parts(1)]
+        wavelengths = [spectral_sum.wavelength for spectral_sum in self._channels.parts(1)]
         refuse_if(len(wavelengths) > 1, f"spectrum of {len(wavelengths)} wavelengths: a coherent field has one")
         refuse_if(
             self.spectrum is not None and self.spectrum.matrix().tolist() != [[1]],
@@ -182,7 +182,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
         light : array (n,)
             Radiance of each point times the solid angle that it covers, seen from the main lens's image side.
         """
-        (wavelength,) = {part.wavelength for part in self._channels.parts(1)}
+        (wavelength,) = {spectral_sum.wavelength for spectral_sum in self._channels.parts(1)}
         return np.asarray(brightness_at(self._plans.system_at(wavelength), self.points) * light)
 
     @one_at_a_time
@@ -257,8 +257,8 @@ class CaptureOperator(CoherentPoints, LinearMap):
         result = np.zeros((len(self.points), len(wavelengths)))
         with guards.watch():
             parts = self._channels.parts(channels.shape[2])
-            for part, products in self._products(channels, parts, job or Job()):
-                result += products @ part.before.T
+            for spectral_sum, products in self._products(channels, parts, job or Job()):
+                result += products @ spectral_sum.before.T
         return result[:, 0] if np.ndim(image) == 2 and len(wavelengths) == 1 else result
 
     def _products(
@@ -266,10 +266,10 @@ class CaptureOperator(CoherentPoints, LinearMap):
     ) -> Iterator[tuple[SpectralSum, NDArray[Any]]]:
         """Yield the products (n, k) of an image (rows, columns, channels) with the point spreads of each sum."""
         count = len(self.points)
-        for number, part in enumerate(parts):
-            given = mix(image, part.after.T)
-            plan = self._plans.checked(part.wavelength, job, given.shape[2])
-            yield part, plan.gather(given, job, number * count, self.sums * count)
+        for index, spectral_sum in enumerate(parts):
+            channels = mix(image, spectral_sum.after.T)
+            plan = self._plans.checked(spectral_sum.wavelength, job, channels.shape[2])
+            yield spectral_sum, plan.gather(channels, job, index * count, self.sums * count)
 
     @one_at_a_time
     def derivative(self, weights: Any, changes: dict[str, Any], *, job: Job | None = None) -> NDArray[np.float32]:
@@ -334,9 +334,9 @@ class CaptureOperator(CoherentPoints, LinearMap):
         wavelengths, matrix = self._channels.mixing(factors.shape[1])
         image = self._for_derivatives().jvp(factors, checked, wavelengths, matrix, job or Job())
         image = self._detector.forward(image.reshape(*self.camera.shape, -1))
-        made = np.moveaxis(image.reshape(*self.camera.shape, len(checked), len(matrix)), 2, 0)
+        columns = np.moveaxis(image.reshape(*self.camera.shape, len(checked), len(matrix)), 2, 0)
         flat = np.ndim(weights) == 1 and len(matrix) == 1
-        return np.ascontiguousarray(made[..., 0] if flat else made)
+        return np.ascontiguousarray(columns[..., 0] if flat else columns)
 
     @one_at_a_time
     def gradient(
@@ -406,7 +406,10 @@ class CaptureOperator(CoherentPoints, LinearMap):
         PhysicsError
             If too much of the light would be lost.
         """
-        wavelengths, workers = sorted(each.wavelength for each in self._channels.parts(1)), (job or Job()).workers
+        wavelengths, workers = (
+            sorted(spectral_sum.wavelength for spectral_sum in self._channels.parts(1)),
+            (job or Job()).workers,
+        )
         wavelength = wavelengths[len(wavelengths) // 2]
         cost = self._plans.at(wavelength).cost(workers)
         return Cost(self.sums * cost.points, self.sums * cost.patterns, self.sums * cost.seconds, cost.memory)
@@ -434,13 +437,13 @@ class CaptureOperator(CoherentPoints, LinearMap):
 
     def tasks(self, weights: NDArray[np.float64], job: Job) -> Iterator[SumTask]:
         """Yield the sum at each distinct wavelength, for weights (n, channels or wavelengths)."""
-        for part in self._channels.reduced_parts(weights, self._accuracy):
+        for spectral_sum in self._channels.reduced_parts(weights, self._accuracy):
 
-            def plan(part: SpectralSum = part) -> LongSum:
-                given = weights @ part.before
-                return self._plans.checked(part.wavelength, job, given.shape[1]).sum(given)
+            def plan(spectral_sum: SpectralSum = spectral_sum) -> LongSum:
+                channels = weights @ spectral_sum.before
+                return self._plans.checked(spectral_sum.wavelength, job, channels.shape[1]).sum(channels)
 
-            yield SumTask(len(self.points), plan, partial(mix, matrix=part.after))
+            yield SumTask(len(self.points), plan, partial(mix, matrix=spectral_sum.after))
 
     def _check(self, weights: Any) -> NDArray[np.float64]:
         """Return weights as an array (n, columns); refuse anything else."""

@@ -84,10 +84,15 @@ class PatchBatch:
     def __init__(self, fields: Fields, amplitudes: NDArray[np.float64]) -> None:
         self.libraries = active_backend()
         self.sizes = _CUDA if self.libraries.is_cuda else _PROCESSOR
-        self.factors = made = PatchFactors(fields, amplitudes)
-        self.samples, self.mla_samples, self.corner = made.samples, made.mla_samples, fields.placement.corner
+        self.factors = factors_of_points = PatchFactors(fields, amplitudes)
+        self.samples, self.mla_samples, self.corner = (
+            factors_of_points.samples,
+            factors_of_points.mla_samples,
+            fields.placement.corner,
+        )
         self.parts: list[fft.Field] = [
-            fft.as_field(fft.pack(value), shape) for value, shape in zip(made.values(), made.shapes, strict=True)
+            fft.as_field(fft.pack(value), shape)
+            for value, shape in zip(factors_of_points.values(), factors_of_points.shapes, strict=True)
         ]
 
     @property
@@ -135,7 +140,7 @@ class PatchBatch:
 
     def _through_axes(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[slice, fft.Field]]:
         """Yield columns of the fields, spectra along x, behind microlenses that are a product of two axes."""
-        count, (along_x, along_y) = stop - start, (part[start:stop, None] for part in self.parts[1:-1])
+        count, (along_x, along_y) = stop - start, (factor[start:stop, None] for factor in self.parts[1:-1])
         rows = _to_array(self.pupil[start:stop], work.rows[:count])
         rows *= along_x
         rows = forward_along(rows, axis=2)
@@ -147,7 +152,7 @@ class PatchBatch:
     def _through_plane(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[slice, fft.Field]]:
         """Yield columns of the fields, spectra along x, behind microlenses that are a function of both axes."""
         count, n, m = stop - start, self.samples, self.mla_samples
-        along_x, along_y, plane = (part[start:stop] for part in self.parts[1:-1])
+        along_x, along_y, plane = (factor[start:stop] for factor in self.parts[1:-1])
         rows = _to_array(self.pupil[start:stop].transpose(0, 2, 1), work.rows[:count])
         rows *= along_y[:, None]
         for block in _blocks(m, m, self.sizes.block):
@@ -171,7 +176,7 @@ def _to_array(spectra: fft.Field, work: fft.Field) -> fft.Field:
 def _blocks(count: int, length: int, samples: int) -> Iterator[slice]:
     """Yield slices that cut `count` rows of a given length into blocks of about `samples` samples."""
     parts = max(1, round(count * length / samples))
-    edges = [count * part // parts for part in range(parts + 1)]
+    edges = [count * block // parts for block in range(parts + 1)]
     return (slice(*pair) for pair in itertools.pairwise(edges))
 
 
@@ -204,21 +209,21 @@ class Memory:
     @contextmanager
     def lent(self) -> Iterator[None]:
         """Release the memory taken in the context at its end, since few reused fields stay in the processor's cache."""
-        used = self._used.copy()
+        in_use = self._used.copy()
         yield
-        self._used = used
+        self._used = in_use
 
     def take(self, shape: tuple[int, ...]) -> fft.Field:
         """Return an uninitialised complex64 array."""
-        fields, used = self._fields.setdefault(shape, []), self._used[shape]
-        if used == len(fields):
+        fields, in_use = self._fields.setdefault(shape, []), self._used[shape]
+        if in_use == len(fields):
             fields.append(self.arrays.empty(shape, np.complex64))
         self._used[shape] += 1
-        return fields[used]
+        return fields[in_use]
 
-    def product(self, one: fft.Field, other: fft.Field) -> fft.Field:
+    def product(self, first: fft.Field, second: fft.Field) -> fft.Field:
         """Return the product of two arrays."""
-        return self.arrays.multiply(one, other, out=self.take(np.broadcast_shapes(one.shape, other.shape)))
+        return self.arrays.multiply(first, second, out=self.take(np.broadcast_shapes(first.shape, second.shape)))
 
     def conjugate_product(self, factor: fft.Field, field: fft.Field) -> fft.Field:
         """Return the product of the conjugate of an array and a field of the same shape."""
@@ -231,7 +236,7 @@ class Memory:
         shape[axis] = length
         wide = self.take(tuple(shape))
         count = field.shape[axis]
-        along: Any = [(..., part, *[slice(None)] * (-1 - axis)) for part in (slice(count), slice(count, None))]
+        along: Any = [(..., half, *[slice(None)] * (-1 - axis)) for half in (slice(count), slice(count, None))]
         wide[along[0]], wide[along[1]] = field, 0
         return wide
 
@@ -268,7 +273,7 @@ class FieldChain:
         self._directions, self._samples = pupil.shape[-1], self._transfer.shape[-1]
         # Fields have x along the last axis.
         index: dict[tuple[int, ...], Any] = {(0,): (slice(None), None), (1,): (Ellipsis, None)}
-        upright = [lens[index.get(own, Ellipsis)] for own, lens in zip(axes, lenses, strict=True)]
+        upright = [lens[index.get(rows, Ellipsis)] for rows, lens in zip(axes, lenses, strict=True)]
         named: list[_Factor] = list(zip(axes, upright, strict=True))
         self._stages = [((-1, -2), named)] if len(named) > 2 else [((-1,), named[:1]), ((-2,), named[1:])]
         self._size, self._spectrum = lenses[0].shape[-1], pupil
@@ -312,12 +317,12 @@ class FieldChain:
         """
         memory, arrays, spectrum = self._memory, self._arrays, self._from_detector(gradient)
         parts: list[fft.Field | None] = [memory.conjugate_product(self._spectrum, spectrum) if varies[-1] else None]
-        field, wanted = self._before_space(spectrum), list(varies[1:-1])
+        field, varying = self._before_space(spectrum), list(varies[1:-1])
         for (axes, factors), before in zip(self._stages[::-1], self._before[::-1], strict=True):
             field = self._inverse(field, self._size, axes)
             product = arrays.multiply(arrays.conj(before, out=before), field, out=before)
-            for which in reversed(range(len(factors))):
-                parts.append(self._cotangent(product, factors, which) if wanted.pop() else None)
+            for index in reversed(range(len(factors))):
+                parts.append(self._cotangent(product, factors, index) if varying.pop() else None)
             for _, factor in factors:
                 field *= arrays.conj(factor, out=memory.take(factor.shape))
             field = _forward(field, self._directions, axes)
@@ -330,14 +335,14 @@ class FieldChain:
 
     def _moved(self, changes: Parts) -> fft.Field | None:
         """Return the change of the spectrum for changes of all factors before free space."""
-        moved, own = changes[0], list(changes[1:-1])
+        moved, factor_changes = changes[0], list(changes[1:-1])
         for (axes, factors), before in zip(self._stages, self._before, strict=True):
             total = None if moved is None else self._product(self._inverse(moved, self._size, axes), factors)
-            for which, (_, factor) in enumerate(factors):
-                if (change := own.pop(0)) is not None:
-                    others = factors[:which] + factors[which + 1 :]
-                    part = self._product(self._memory.product(before, change.reshape(factor.shape)), others)
-                    total = _total(total, part)
+            for index, (_, factor) in enumerate(factors):
+                if (change := factor_changes.pop(0)) is not None:
+                    others = factors[:index] + factors[index + 1 :]
+                    change_of_field = self._product(self._memory.product(before, change.reshape(factor.shape)), others)
+                    total = _total(total, change_of_field)
             moved = None if total is None else _forward(total, self._samples, axes)
         return moved
 
@@ -347,12 +352,12 @@ class FieldChain:
             field = self._memory.product(field, factor)
         return field
 
-    def _cotangent(self, product: fft.Field, factors: list[_Factor], which: int) -> fft.Field:
+    def _cotangent(self, product: fft.Field, factors: list[_Factor], index: int) -> fft.Field:
         """Return the cotangent of one factor of a stage from the cotangent of the product of all its factors."""
-        for _, factor in factors[:which] + factors[which + 1 :]:
+        for _, factor in factors[:index] + factors[index + 1 :]:
             product = self._memory.product(product, self._arrays.conj(factor))
         # The camera's axis 0 is along the last axis of fields, so that a factor along x is summed over rows.
-        axes, _ = factors[which]
+        axes, _ = factors[index]
         return product.sum(axes[0] - 2) if len(axes) == 1 else product
 
     def _intensity_change(self, spectrum: fft.Field) -> Any:
@@ -386,12 +391,12 @@ class FieldChain:
         return field
 
 
-def _total(one: fft.Field | None, other: fft.Field | None) -> fft.Field | None:
+def _total(first: fft.Field | None, second: fft.Field | None) -> fft.Field | None:
     """Return the sum of two changes, in the memory of the first."""
-    if one is None or other is None:
-        return other if one is None else one
-    one += other
-    return one
+    if first is None or second is None:
+        return second if first is None else first
+    first += second
+    return first
 
 
 def _forward(field: fft.Field, count: int, axes: tuple[int, ...]) -> fft.Field:

@@ -139,8 +139,8 @@ class PatchFactors:
 
     def of_points(self, parts: Sequence[Any], points: slice) -> list[Any]:
         """Return some points' part of each factor, or of data of equal layout; None where a factor is None."""
-        *own, transfer = parts
-        mine = [None if part is None else part[points] for part in own]
+        *factors, transfer = parts
+        mine = [None if factor is None else factor[points] for factor in factors]
         return [*mine, None if transfer is None else self.directions_of(transfer, points)]
 
     def directions_of(self, transfer: fft.Field, points: slice) -> fft.Field:
@@ -222,9 +222,9 @@ class PatchFactors:
         power = types.Float64(bright * bright * cover)
         if grid.camera.vignetting is not None:
             # The light is dimmed: its power is that before.
-            seen = SeenPupil(grid.camera.vignetting, cast(Light, light), lens.pupil.radius)
+            seen_pupil = SeenPupil(grid.camera.vignetting, cast(Light, light), lens.pupil.radius)
             scene_point = (*self._in_camera(elements, X, Y), point[2])
-            cover = types.Float(seen.amplitude(self._in_camera(elements, *pupil), scene_point, soften))
+            cover = types.Float(seen_pupil.amplitude(self._in_camera(elements, *pupil), scene_point, soften))
         if self._weights is not None:
             in_camera = self._in_camera(elements, *pupil)
             passed, amplitude = self._weights.at(patch, *in_camera, lens.pupil.radius, sample)
@@ -285,8 +285,8 @@ class PatchFactors:
         lens = elements.lens()
         b = self._constant(lens.pupil.distance)
         square = self._each((placement.image**2).sum(1), patch) * growth * growth + b * b
-        own = image * image * growth * growth
-        spread = (1 - own / square) / (2 * self._constant(in_millimetres(elements.wavelength)))
+        radius = image * image * growth * growth
+        spread = (1 - radius / square) / (2 * self._constant(in_millimetres(elements.wavelength)))
         curvature = spread * (lens.pupil.finite / dr.sqrt(square))
         shift = ((placement.first - self.chief)[:, axis] + self.samples // 2) / self.mla_samples
         product = phasor(mu * mu * curvature + types.Float64(sample) * self._each(shift, patch))

@@ -88,11 +88,11 @@ class PatchPlan:
         order = np.flatnonzero(((high > start) & (low < start + size)).all(1))
         self._order = order = order[np.argsort(patterns.pattern[order], kind="stable")]
         self._shifts = shifts[order]
-        used, self._first = np.unique(patterns.pattern[order], return_index=True)
+        pattern_numbers, self._first = np.unique(patterns.pattern[order], return_index=True)
         self._last = np.append(self._first[1:], len(order))
-        self._positions, self._placement = patterns.positions[used], placement.take(used)
+        self._positions, self._placement = patterns.positions[pattern_numbers], placement.take(pattern_numbers)
         self._passed = passed_part(camera.vignetting, self._grid.lens, points)
-        self._slant = None if patterns.slant is None else patterns.slant[used]
+        self._slant = None if patterns.slant is None else patterns.slant[pattern_numbers]
         self._chunks = self._sort()
 
     def _sort(self) -> list[NDArray[np.int64]]:
@@ -123,13 +123,13 @@ class PatchPlan:
 
         Copies are weighted relative to these. Patterns without weight are omitted, but not those whose weights cancel.
         """
-        used, amplitudes, copies = [], [], []
+        scattered, amplitudes, copies = [], [], []
         for pattern, shifts, factors in self._lit_copies(chunk, weights):
             largest = float(np.abs(factors).max()) or 1.0
-            used.append(pattern)
+            scattered.append(pattern)
             amplitudes.append((largest * self.gain) ** 0.5)
             copies.append(Copies(shifts, (factors / largest).astype(np.float32)))
-        return Scatter(self._fields(np.array(used, np.int64)), np.array(amplitudes), copies)
+        return Scatter(self._fields(np.array(scattered, np.int64)), np.array(amplitudes), copies)
 
     def _lit_copies(
         self, chunk: NDArray[np.int64], weights: NDArray[np.float64]
@@ -137,13 +137,13 @@ class PatchPlan:
         """Yield each pattern of a chunk that has nonzero weights, with the shifts and summed weights of its copies."""
         for pattern in chunk.tolist():
             members = slice(self._first[pattern], self._last[pattern])
-            given = weights[self._order[members]]
-            if len(given) == 1 and given.any():
-                yield pattern, self._shifts[members], given  # as most are, more quickly
-            elif given.any():
+            members_weights = weights[self._order[members]]
+            if len(members_weights) == 1 and members_weights.any():
+                yield pattern, self._shifts[members], members_weights  # as most are, more quickly
+            elif members_weights.any():
                 shifts, copy = np.unique(self._shifts[members], axis=0, return_inverse=True)
                 factors = np.zeros((len(shifts), weights.shape[1]))
-                np.add.at(factors, copy.reshape(-1), given)
+                np.add.at(factors, copy.reshape(-1), members_weights)
                 yield pattern, shifts, factors
 
     @cached_property
@@ -171,12 +171,12 @@ class PatchPlan:
             groups += chunks_of(self._grid, self._placement, patterns[samples == size], _CHUNK)
         return groups
 
-    def _fields(self, which: NDArray[np.int64], grid: Grid | None = None) -> Fields:
+    def _fields(self, points: NDArray[np.int64], grid: Grid | None = None) -> Fields:
         """Return the data of the fields of a selection of patterns, by default on the plan's grid."""
-        weights = self._pupil_weights and self._pupil_weights.take(self._order[self._first[which]])
+        weights = self._pupil_weights and self._pupil_weights.take(self._order[self._first[points]])
         if weights is not None and self._slant is not None:
-            weights = replace(weights, slant=self._slant[which])
-        return Fields(grid or self._grid, self._placement.take(which), self._positions[which], weights)
+            weights = replace(weights, slant=self._slant[points])
+        return Fields(grid or self._grid, self._placement.take(points), self._positions[points], weights)
 
     def lit_chunks(self, weights: NDArray[np.float64]) -> tuple[list[NDArray[np.int64]], NDArray[np.int64]]:
         """Return the chunks that have nonzero weights, and the number of points in each of them."""
@@ -218,9 +218,9 @@ class PatchPlan:
         """Return the part of the sum due to a chunk, and the seconds that its computation took."""
         active_backend().synchronize()
         start = time.perf_counter()
-        part = self._sum_of(chunk, weights)
+        partial_sum = self._sum_of(chunk, weights)
         active_backend().synchronize()
-        return part, time.perf_counter() - start
+        return partial_sum, time.perf_counter() - start
 
     def _sent(self, chunks: list[NDArray[np.int64]], weights: NDArray[np.float64]) -> float:
         """Return the sum of all samples if all power through the apertures fell on the patches."""
@@ -270,11 +270,11 @@ class PatchPlan:
 
     def _tile(self, samples: NDArray[np.float32], box: Box) -> NDArray[np.float32]:
         """Return a rectangle of recorded samples (channels, rows, columns), padded with zeros, where they lie."""
-        own = self._recorder.box
+        recorded = self._recorder.box
         tile: NDArray[np.float32] = backend_of(samples).arrays.zeros((len(samples), box.rows, box.columns), np.float32)
-        top, left = box.top - own.top, box.left - own.left
-        rows = slice(max(top, 0), min(top + box.rows, own.rows))
-        columns = slice(max(left, 0), min(left + box.columns, own.columns))
+        top, left = box.top - recorded.top, box.left - recorded.left
+        rows = slice(max(top, 0), min(top + box.rows, recorded.rows))
+        columns = slice(max(left, 0), min(left + box.columns, recorded.columns))
         if rows.start < rows.stop and columns.start < columns.stop:
             inner = slice(rows.start - top, rows.stop - top), slice(columns.start - left, columns.stop - left)
             tile[(slice(None), *inner)] = samples[:, rows, columns]
@@ -299,12 +299,12 @@ class PatchPlan:
         """Return the bytes of a sum; refuse sums too large for the memory."""
         memory = self.memory(batch_map, channels)
         largest, patterns = int(self._placement.samples.max(initial=0)), len(self._positions)
-        what = f"{self._count} points by patches of {largest} x {largest} samples"
-        check_memory(memory, what)
-        each = 8.0 * largest**2
-        if patterns > _CHUNK and each > _PATCH_LIMIT:
+        label = f"{self._count} points by patches of {largest} x {largest} samples"
+        check_memory(memory, label)
+        bytes_of_field = 8.0 * largest**2
+        if patterns > _CHUNK and bytes_of_field > _PATCH_LIMIT:
             raise InputError(
-                f"{what}: {patterns} patches, the largest of {each / 2**30:.2f} GiB, {memory / 2**30:.1f} GiB at a "
+                f"{label}: {patterns} patches, the largest of {bytes_of_field / 2**30:.2f} GiB, {memory / 2**30:.1f} GiB at a "
                 f"time; for more than {_CHUNK} patches each may take {_PATCH_LIMIT / 2**30:.2f} GiB"
             )
         return memory
@@ -320,16 +320,16 @@ class PatchPlan:
             upto = np.cumsum([len(chunk) for chunk in of_size])
             chunk = of_size[int(np.searchsorted(upto, upto[-1] / 2))]  # the chunk of the median pattern
             self._timed(chunk[:_FIRST], ones)  # compiles the kernels, which differ from those of a single pattern
-            _, taken = self._timed(chunk[:_FIRST], ones)
+            _, elapsed = self._timed(chunk[:_FIRST], ones)
             # Overheads of a chunk are small relative to a whole chunk.
-            some = chunk[: max(_FIRST, math.ceil(_FIRST * _TRIAL_SECONDS / taken))]
-            part, taken = self._timed(some, ones)
+            some = chunk[: max(_FIRST, math.ceil(_FIRST * _TRIAL_SECONDS / elapsed))]
+            partial_sum, elapsed = self._timed(some, ones)
             if has_response(self._camera):
                 arrived += self.gain * self._arrived(some, ones)
             else:
-                arrived += float(part.sums.sum(dtype=np.float64))
+                arrived += float(partial_sum.sums.sum(dtype=np.float64))
             sent += self._sent([some], ones)
-            seconds += taken / len(some) * int(upto[-1]) / batch_map.workers
+            seconds += elapsed / len(some) * int(upto[-1]) / batch_map.workers
         guards.require(guards.PATCH, 1 - arrived / (self.gain * sent) if sent else 0.0)
         return Cost(len(self._order), len(samples), seconds, memory)
 

@@ -51,7 +51,7 @@ class PixelAxis:
         edges = (self.start + np.arange(self.count + 1) * self.pixel_size) / self.pitch + 0.5
         first = np.floor(edges).astype(np.int64) - (_BORDERS // 2 - 1)
         at, places = edges - first, np.arange(_BORDERS)
-        others = [np.delete(places, place) for place in places]
+        others = [np.delete(places, edge_place) for edge_place in places]
         share = np.stack(
             [np.prod((at[:, None] - o) / (p - o), axis=1) for p, o in zip(places, others, strict=True)], -1
         )
@@ -62,8 +62,8 @@ class PixelAxis:
         sample = first[:-1, None] - 1 + reach
 
         def up_to(edge: NDArray[np.int64]) -> NDArray[np.float64]:
-            place = sample + 1 - first[edge]
-            return np.where(place < _BORDERS, beyond[edge, np.clip(place, 0, _BORDERS - 1)], 0.0)
+            index = sample + 1 - first[edge]
+            return np.where(index < _BORDERS, beyond[edge, np.clip(index, 0, _BORDERS - 1)], 0.0)
 
         values = (up_to(pixel + 1) - up_to(pixel)) * self.pitch
         return _matrix(values, np.broadcast_to(pixel, values.shape), sample, (self.count, self.samples))
@@ -109,8 +109,8 @@ def _matrix(
     values: NDArray[np.float64], rows: NDArray[np.int64], columns: NDArray[np.int64], shape: tuple[int, int]
 ) -> scipy.sparse.csr_array:
     """Return a sparse matrix of values; values at the same place are added."""
-    held = (columns >= 0) & (columns < shape[1])
-    matrix = scipy.sparse.coo_array((values[held], (rows[held], columns[held])), shape=shape)
+    inside = (columns >= 0) & (columns < shape[1])
+    matrix = scipy.sparse.coo_array((values[inside], (rows[inside], columns[inside])), shape=shape)
     return matrix.tocsr().astype(np.float32)
 
 
@@ -270,13 +270,18 @@ class TurnedSamples:
         types = libraries.types
         sums = dr.zeros(types.Float, self._padded[0] * self._padded[1])
         for lines, active, across, visit in self._visited(libraries):
-            given = drjit_array(types.Float, samples[lines])
+            line_samples = drjit_array(types.Float, samples[lines])
 
             def spread(
-                row: Any, weight: Any, total: Any, active: Any = active, across: Any = across, given: Any = given
+                row: Any,
+                weight: Any,
+                total: Any,
+                active: Any = active,
+                across: Any = across,
+                line_samples: Any = line_samples,
             ) -> Any:
                 for k in range(_TAPS):
-                    dr.scatter_add(sums, given * weight * across[k], row + k, active)
+                    dr.scatter_add(sums, line_samples * weight * across[k], row + k, active)
                 return total
 
             dr.eval(visit(spread, types.Float(0)), sums)
@@ -294,7 +299,7 @@ class TurnedSamples:
         height, width = self._shape
         together = max(1, _BLOCK // width)
         # Opaque, so that other cameras do not compile kernels of their own.
-        step, degrees = (dr.opaque(types.Float64, float(number)) for number in (self._new_pitch, -self._degrees))
+        step, degrees = (dr.opaque(types.Float64, float(value)) for value in (self._new_pitch, -self._degrees))
         ends = [dr.opaque(types.Float64, float(HALF_WIDTH + size)) for size in (columns, rows)]
         for top in range(0, height, together):
             lines = slice(top, min(height, top + together))

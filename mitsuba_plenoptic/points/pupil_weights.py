@@ -80,10 +80,10 @@ class PupilWeights:
         table = np.unpackbits(rows, axis=1, count=cells * cells).astype(np.float32)
         return cls(table.reshape(-1, cells, cells), index.reshape(-1), np.zeros((len(bits), 2)))
 
-    def take(self, which: NDArray[Any] | slice) -> PupilWeights:
+    def take(self, points: NDArray[Any] | slice) -> PupilWeights:
         """Return the weights of a selection of points."""
-        used, index = np.unique(self.index[which], return_inverse=True)
-        return replace(self, table=self.table[used], index=index.reshape(-1), slant=self.slant[which])
+        tables, index = np.unique(self.index[points], return_inverse=True)
+        return replace(self, table=self.table[tables], index=index.reshape(-1), slant=self.slant[points])
 
     def lit(self) -> NDArray[np.bool_]:
         """Return, for each point, whether any light passes the pupil."""
@@ -112,9 +112,10 @@ class PupilWeights:
                 low, high = (dr.floor(dr.clip(position + side * half, 0, cells - 1)) for side in (-1, 1))
                 beyond = dr.clip((position + half - high) / (2 * half), 0, 1)
                 near = [(low, 1 - beyond), (high, beyond)]
-            sides.append([(UInt32(dr.clip(cell + border, 0, size - 1)), Float(part)) for cell, part in near])
+            sides.append([(UInt32(dr.clip(cell + border, 0, size - 1)), Float(values_at)) for cell, values_at in near])
         tables = [
-            drjit_array(Float, part) for part in ([self.table.real, self.table.imag] if complex_ else [self.table])
+            drjit_array(Float, values_at)
+            for values_at in ([self.table.real, self.table.imag] if complex_ else [self.table])
         ]
         sums, amplitude = [dr.zeros(Float) for _ in tables], dr.zeros(Float)
         for (column, across), (row, down) in itertools.product(*sides):
@@ -126,7 +127,7 @@ class PupilWeights:
             power, amplitude = sums[0] ** 2 + sums[1] ** 2, fft.array_types(point).Complex2f(*sums)
         elif self.sampled:
             amplitude = dr.sqrt(power)
-        slant = [dr.gather(Float, drjit_array(Float, part), point) for part in self.slant.T]
+        slant = [dr.gather(Float, drjit_array(Float, values_at), point) for values_at in self.slant.T]
         cosine = Float(dr.maximum(1 + (slant[0] * Float(Px) + slant[1] * Float(Py)) / radius, 0))
         return power * cosine, amplitude * dr.sqrt(cosine)
 
@@ -137,7 +138,7 @@ def _splines(position: Any) -> list[tuple[Any, Any]]:
     right = position - 0.5 - before
     left = 1 - right
     parts = left**3 / 6, 2 / 3 - right**2 + right**3 / 2, 2 / 3 - left**2 + left**3 / 2, right**3 / 6
-    return [(before + step, part) for step, part in zip(range(-1, 3), parts, strict=True)]
+    return [(before + step, weight) for step, weight in zip(range(-1, 3), parts, strict=True)]
 
 
 def slants(normals: NDArray[np.floating[Any]], positions: NDArray[np.float64], radius: float) -> NDArray[np.float64]:

@@ -33,9 +33,9 @@ class Recorder:
         grid: Grid,
         low: NDArray[np.int64],
         high: NDArray[np.int64],
-        whole: Recorder | None = None,
+        parent: Recorder | None = None,
     ) -> None:
-        self._camera, self._grid, self._whole = camera, grid, whole
+        self._camera, self._grid, self._whole = camera, grid, parent
         pitch, p = grid.pitch, camera.pixel_size
         start = np.array(camera.crop_offset)
         stop = start + np.array(camera.crop_size)
@@ -43,9 +43,9 @@ class Recorder:
             reached = self._turned(low.min(0) * pitch, high.max(0) * pitch, grid.rotation)
             start = np.clip(np.floor(reached[0] / p).astype(np.int64) - _EDGE, start, stop)
             stop = np.clip(np.ceil(reached[1] / p).astype(np.int64) + _EDGE, start, stop)
-        felt = self._turned(start * p, stop * p, -grid.rotation)
-        first = np.floor(felt[0] / pitch).astype(np.int64) - _EDGE
-        last = np.ceil(felt[1] / pitch).astype(np.int64) + _EDGE
+        reach = self._turned(start * p, stop * p, -grid.rotation)
+        first = np.floor(reach[0] / pitch).astype(np.int64) - _EDGE
+        last = np.ceil(reach[1] / pitch).astype(np.int64) + _EDGE
         self._pixels, self.box = Box.between(start, stop), Box.between(first, last)
 
     def _turned(
@@ -134,8 +134,8 @@ class Recorder:
     @cached_property
     def _integrals(self) -> PixelIntegrals:
         if self._whole is not None and self._grid.rotation == 0:
-            whole = self._whole
-            return whole._integrals.cut(_slices(self._pixels, whole._pixels), _slices(self.box, whole.box))
+            parent = self._whole
+            return parent._integrals.cut(_slices(self._pixels, parent._pixels), _slices(self.box, parent.box))
         x, y = self._grid.pitch.tolist()
         pitch, origin, samples = (x, y), self._origin, (self.box.rows, self.box.columns)
         if self._grid.rotation != 0:
@@ -175,7 +175,7 @@ class Recorder:
         return self._edge[0] - _EDGE * step, self._edge[1] - _EDGE * step
 
 
-def _slices(part: Box, whole: Box) -> tuple[slice, slice]:
+def _slices(inner: Box, outer: Box) -> tuple[slice, slice]:
     """Return a rectangle's rows and columns within another rectangle."""
-    top, left = part.top - whole.top, part.left - whole.left
-    return slice(top, top + part.rows), slice(left, left + part.columns)
+    top, left = inner.top - outer.top, inner.left - outer.left
+    return slice(top, top + inner.rows), slice(left, left + inner.columns)

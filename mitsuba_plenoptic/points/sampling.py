@@ -52,8 +52,8 @@ def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
     is_open = np.broadcast_to(light.is_open((P[:, 0], P[:, 1])), (len(positions), len(P)))
     pupil = np.broadcast_to(P.T[:, None], (2, len(positions), len(P)))
     if not is_open.all():
-        drawn = _drawn_in(light, np.broadcast_to(P, (len(positions), *P.shape)), is_open)
-        pupil = np.moveaxis(drawn, -1, 0)
+        positions_in = _drawn_in(light, np.broadcast_to(P, (len(positions), *P.shape)), is_open)
+        pupil = np.moveaxis(positions_in, -1, 0)
     cosine = np.stack(np.broadcast_arrays(*light.cosines((pupil[0], pupil[1]), point)))
     square = (cosine**2).sum(0)
     if np.any(square >= 1):
@@ -89,13 +89,13 @@ def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) 
 
 def bundle_footprint(pupil: NDArray[np.float64], cosine: NDArray[np.float64], distance: float) -> Footprint:
     """Return the footprint on the MLA of rays from the exit pupil; both arrays have the shape (2, n, rays)."""
-    place = pupil + distance * cosine / np.sqrt(1 - (cosine**2).sum(0))
-    return _bounds(place, cosine)
+    landing = pupil + distance * cosine / np.sqrt(1 - (cosine**2).sum(0))
+    return _bounds(landing, cosine)
 
 
-def _bounds(place: NDArray[np.float64], cosine: NDArray[np.float64]) -> Footprint:
+def _bounds(landing: NDArray[np.float64], cosine: NDArray[np.float64]) -> Footprint:
     """Return the bounding boxes of positions and direction cosines, (2, n, rays)."""
-    low, high, first, last = place.min(-1).T, place.max(-1).T, cosine.min(-1).T, cosine.max(-1).T
+    low, high, first, last = landing.min(-1).T, landing.max(-1).T, cosine.min(-1).T, cosine.max(-1).T
     return Footprint((low + high) / 2, (high - low) / 2, (first + last) / 2, (last - first) / 2)
 
 
@@ -120,11 +120,11 @@ def check_positions(
     if camera is not None and len(points):
         # A point far within the focal length, such as one given in metres, has light that exceeds any memory.
         closest = points[np.abs(points[:, 2]).argmin()]
-        depth, (what, width) = float(closest[2]), camera.image_samples
+        depth, (image, width) = float(closest[2]), camera.image_samples
         blur = 2 * camera.aperture_radius * abs(1 + camera.mla_distance * (1 / depth - 1 / camera.focal_length))
         if abs(depth) < camera.focal_length and blur > _WIDEST * width:
             raise InputError(
-                f"position = {_format(closest)}: its light would cover {blur / width:.3g} {what} across, "
+                f"position = {_format(closest)}: its light would cover {blur / width:.3g} {image} across, "
                 f"as it is within the focal length of {camera.focal_length:g} mm: lengths are millimetres; are the "
                 "points in metres?"
             )

@@ -77,25 +77,25 @@ def sample_pairs(count: int, seed: int = 0) -> NDArray[np.float64]:
 
 def require_matte(scene: Any, sensor: Any, integrator: Any) -> None:
     """Refuse a scene unless all light comes directly from matte or emitting surfaces."""
-    what = "method = points"
+    label = "method = points"
     if sensor.shutter_open_time() > 0:
-        raise InputError(f"{what}: the shutter is open for {sensor.shutter_open_time():g}: it needs a scene at rest")
+        raise InputError(f"{label}: the shutter is open for {sensor.shutter_open_time():g}: it needs a scene at rest")
     if getattr(integrator, "hide_emitters", False):
         raise InputError(
-            f"{what}: nested {integrator.class_name()}: hide_emitters lets rays pass emitters; leave it out"
+            f"{label}: nested {integrator.class_name()}: hide_emitters lets rays pass emitters; leave it out"
         )
     if scene.environment() is not None:
-        raise InputError(f"{what}: emitter {scene.environment().id()} is infinitely far: it needs surfaces")
+        raise InputError(f"{label}: emitter {scene.environment().id()} is infinitely far: it needs surfaces")
     if sensor.get_medium() is not None:
-        raise InputError(f"{what}: the sensor is in a medium: it needs empty space")
-    require_matte_surfaces(scene, what)
+        raise InputError(f"{label}: the sensor is in a medium: it needs empty space")
+    require_matte_surfaces(scene, label)
 
 
-def require_matte_surfaces(scene: Any, what: str) -> None:
+def require_matte_surfaces(scene: Any, label: str) -> None:
     """Refuse a scene with surfaces that are not matte, with media or with instances."""
     bent = mi.BSDFFlags.Glossy, mi.BSDFFlags.Delta, mi.BSDFFlags.Delta1D
     for shape in scene.shapes():
-        name = f"{what}: surface {shape.id()}"
+        name = f"{label}: surface {shape.id()}"
         refuse_if(
             shape.class_name() == "Instance",
             f"{name} is an instance, whose materials are not known: place the shapes themselves",
@@ -114,19 +114,19 @@ def find_points(
     system = OpticalSystem.by_design(camera)
     window = LensWindow.of(system)
     lenses = len(window.index)
-    what = f"spp = {count}: {count} points in each of {lenses} lenses"
+    label = f"spp = {count}: {count} points in each of {lenses} lenses"
     require_memory_for(
-        lambda number: float(_POINT_BYTES) * number * lenses, count, what, "spp = {}".format, computed=True
+        lambda number: float(_POINT_BYTES) * number * lenses, count, label, "spp = {}".format, computed=True
     )
     pairs = sample_pairs(count, seed)
     finder = _Finder(lights, system, window, pairs, paths)
     total, step = len(window.index) * count, max(1, _LANES // max(paths, _CELLS**2))
     seeds = np.random.SeedSequence(seed).generate_state(-(-total // step)).tolist()
-    found = [
-        finder.find(np.arange(start, min(start + step, total)), own)
-        for start, own in zip(range(0, total, step), seeds, strict=True)
+    batches = [
+        finder.find(np.arange(start, min(start + step, total)), seed_of_batch)
+        for start, seed_of_batch in zip(range(0, total, step), seeds, strict=True)
     ]
-    positions, radiance, slant, bits, cell, tried = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    positions, radiance, slant, bits, cell, tried = (np.concatenate(parts) for parts in zip(*batches, strict=True))
     weights = None
     if len(positions) and not ((bits == 255).all() and (np.abs(slant) < _EVEN).all()):
         masks = PupilWeights.from_bits(bits, _CELLS)
@@ -196,7 +196,9 @@ class _Finder:
         lane = dr.arange(mi.UInt32, dr.width(point[0]) * self.paths) // self.paths
         start, direction = (tuple(dr.gather(mi.Float, x, lane) for x in xs) for xs in (point, slope))
         # The same random numbers give light of all wavelengths the same paths.
-        channels = [part for light in self.lights for part in light(start, direction, mi.Bool(True), seed)]
+        channels = [
+            channel_light for light in self.lights for channel_light in light(start, direction, mi.Bool(True), seed)
+        ]
         means = [dr.block_sum(channel, self.paths).numpy() / self.paths for channel in channels]
         radiance = np.stack(means, axis=1).astype(np.float64)
         refuse_if(
@@ -213,13 +215,13 @@ class _Finder:
         x, y = drjit_array(mi.Float, x * inward), drjit_array(mi.Float, y * inward)
         count = len(entrances.pupil)
         lane = dr.arange(mi.UInt32, count * _CELLS**2)
-        which, cell = lane // _CELLS**2, lane % _CELLS**2
-        target = entrances.at(dr.gather(mi.Float, x, cell), dr.gather(mi.Float, y, cell), which)
-        towards = dr.gather(type(hit), hit, which).spawn_ray_to(self.lights[0].sensor.world_transform() @ target)
-        seen = ~self.lights[0].scene.ray_test(towards).numpy().reshape(count, -1)
+        point, cell = lane // _CELLS**2, lane % _CELLS**2
+        target = entrances.at(dr.gather(mi.Float, x, cell), dr.gather(mi.Float, y, cell), point)
+        towards = dr.gather(type(hit), hit, point).spawn_ray_to(self.lights[0].sensor.world_transform() @ target)
+        visible = ~self.lights[0].scene.ray_test(towards).numpy().reshape(count, -1)
         column, row = np.clip(((entrances.pupil.T / radius + 1) / 2 * _CELLS).astype(int), 0, _CELLS - 1)
-        seen[np.arange(count), row * _CELLS + column] = True
-        return np.packbits(seen, axis=1)
+        visible[np.arange(count), row * _CELLS + column] = True
+        return np.packbits(visible, axis=1)
 
 
 def _landing(

@@ -38,8 +38,8 @@ class SeenPupil:
 
         `soften` makes of distances in mm from the pupil's rim or the outline, positive inside, what an edge transmits.
         """
-        place, radius = self.light.land(pupil, point), self.pupil_radius
-        outline, passed = self.vignetting.outline(pupil[0] / radius, pupil[1] / radius, *place)
+        landing, radius = self.light.land(pupil, point), self.pupil_radius
+        outline, passed = self.vignetting.outline(pupil[0] / radius, pupil[1] / radius, *landing)
         return soften(dr.minimum(outline * radius, self.light.inside(pupil))) * dr.sqrt(passed)
 
 
@@ -52,6 +52,6 @@ def passed_part(vignetting: Vignetting | None, lens: MainLens, points: NDArray[n
     parts = []
     for first in range(0, len(points), _TOGETHER):
         some = points[first : first + _TOGETHER]
-        place = lens.bind(some).land((x, y), (some[:, :1], some[:, 1:2], some[:, 2:]))
-        parts.append(vignetting.power(x / lens.pupil.radius, y / lens.pupil.radius, *place).mean(1))
+        landing = lens.bind(some).land((x, y), (some[:, :1], some[:, 1:2], some[:, 2:]))
+        parts.append(vignetting.power(x / lens.pupil.radius, y / lens.pupil.radius, *landing).mean(1))
     return np.concatenate([np.zeros(0), *parts])

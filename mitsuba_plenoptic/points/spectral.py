@@ -66,10 +66,10 @@ def with_enough_nodes(
 def _recording(camera: PlenopticCamera, images: list[NDArray[np.float32]]) -> tuple[PlenopticCamera, slice, slice]:
     """Return a crop of the camera that records all light of the images, and the rows and columns of the crop."""
     lit = np.any([image.any(2) for image in images], axis=0)
-    found = [np.flatnonzero(lit.any(axis)) for axis in (1, 0)]
+    lit_lines = [np.flatnonzero(lit.any(axis)) for axis in (1, 0)]
     rows, columns = (
         slice(int(some[0]), int(some[-1]) + 1) if len(some) else slice(0, size)
-        for some, size in zip(found, camera.shape, strict=True)
+        for some, size in zip(lit_lines, camera.shape, strict=True)
     )
     offset = camera.crop_offset[0] + columns.start, camera.crop_offset[1] + rows.start
     size = columns.stop - columns.start, rows.stop - rows.start

@@ -49,12 +49,12 @@ class CopyCells:
 
         `shifts` has an array (copies, 2) for each pattern, along x and y.
         """
-        every = np.concatenate([shift - shift[0] for shift in shifts])
-        width = np.gcd.reduce(every, axis=0)
+        offsets = np.concatenate([shift - shift[0] for shift in shifts])
+        width = np.gcd.reduce(offsets, axis=0)
         # Along an axis without motion, one cell contains the pattern.
         width = np.where(width > 0, width, samples).astype(np.int64)
         count = (samples + 2 * width - 2) // width
-        pays = len(every) >= _FEWEST_COPIES * len(shifts) and width.prod() >= _SMALLEST_CELL
+        pays = len(offsets) >= _FEWEST_COPIES * len(shifts) and width.prod() >= _SMALLEST_CELL
         return cls(width, count) if pays and (count * width).prod() <= _MOST_PADDING * samples**2 else None
 
     def sum(self, size: NDArray[np.int64], channels: int, patterns: int) -> CellSum:
@@ -93,14 +93,14 @@ class CellSum:
         index identifies it.
         """
         if pattern not in self._held:
-            self._held[pattern] = number = len(self._held)
+            self._held[pattern] = entry = len(self._held)
             # The copies of the plane in the matrix.
             inner = np.indices(self._cells.count.tolist()).reshape(2, -1)
             x, y = (positions // self._cells.width).T[..., None] + inner[:, None]
             copy, channel = np.nonzero(weights)
             # The channels of a cell are adjacent, so that the cell they are added from stays in the processor's cache.
             rows = (x[copy] * self._shape[1] + y[copy]) * self._channels + channel[:, None]
-            columns = np.broadcast_to(number * inner.shape[1] + np.arange(inner.shape[1]), rows.shape)
+            columns = np.broadcast_to(entry * inner.shape[1] + np.arange(inner.shape[1]), rows.shape)
             values = np.broadcast_to(weights[copy, channel][:, None], rows.shape)
             self._entries.append((rows.ravel(), columns.ravel(), values.ravel()))
         x, y = (positions[0] % self._cells.width).tolist()
@@ -116,14 +116,14 @@ class CellSum:
         if not self._held:
             return
         rows, columns, values = (np.concatenate(entries) for entries in zip(*self._entries, strict=True))
-        held = len(self._held)
-        shape = len(self._sums), held * int(self._cells.count.prod())
+        count = len(self._held)
+        shape = len(self._sums), count * int(self._cells.count.prod())
         matrix: Any = scipy.sparse.csr_array((values, (rows, columns)), shape=shape)
         libraries = active_backend()
         if libraries.is_cuda:
             matrix = libraries.sparse.csr_matrix(matrix)
-        self._sums += matrix @ self._cells.cut(self.planes[:held])
-        self.planes[:held] = 0
+        self._sums += matrix @ self._cells.cut(self.planes[:count])
+        self.planes[:count] = 0
         self._held, self._entries = {}, []
 
     def total(self) -> Any:
@@ -159,7 +159,7 @@ class CopySum:
     ) -> None:
         self._places, self._weights, self._together, self._last = (
             positions,
-            [own.weights for own in copies],
+            [copy.weights for copy in copies],
             together,
             0,
         )
@@ -176,36 +176,36 @@ class CopySum:
         elif backend_of(intensity).is_cuda:
             some = slice(first, first + len(intensity))
             copies, weights = Windows.of(self._places[some]), np.concatenate(self._weights[some])
-            moved = replace(copies, start=copies.start + [each.start for each in part])
+            moved = replace(copies, start=copies.start + [along.start for along in part])
             self._sums = add_on_device(self._sums, intensity, moved, weights)
         else:
-            for pattern, own in enumerate(intensity):
+            for pattern, spread in enumerate(intensity):
                 places = zip(self._places[first + pattern].tolist(), self._weights[first + pattern], strict=True)
                 for position, weights in places:
                     window = tuple(
-                        slice(low + own.start, low + own.stop) for low, own in zip(position, part, strict=True)
+                        slice(low + spread.start, low + spread.stop) for low, spread in zip(position, part, strict=True)
                     )
                     for channel in np.flatnonzero(weights).tolist():
                         target, weight = self._sums[(channel, *window)], weights[channel]
                         buffer = None if work is None else work[pattern]
-                        target += own if weight == 1 else np.multiply(own, weight, out=buffer)
+                        target += spread if weight == 1 else np.multiply(spread, weight, out=buffer)
 
-    def _hold(self, cells: CellSum, patterns: range, part: tuple[slice, slice], intensity: Any) -> None:
+    def _hold(self, cells: CellSum, patterns: range, window: tuple[slice, slice], intensity: Any) -> None:
         """Write a part of patterns into the buffer of cells, all at once on a device."""
         if patterns[0] // self._together != self._last and cells.free < self._together:
             cells.add()
         self._last = patterns[0] // self._together
-        held = np.array([cells.hold(pattern, self._places[pattern], self._weights[pattern]) for pattern in patterns])
+        entries = np.array([cells.hold(pattern, self._places[pattern], self._weights[pattern]) for pattern in patterns])
         if backend_of(intensity).is_cuda:
             along_x, along_y = (
-                self._arrays.asarray(start[:, None] + np.arange(each.start, each.stop))
-                for start, each in zip(held[:, 1:].T, part, strict=True)
+                self._arrays.asarray(start[:, None] + np.arange(along.start, along.stop))
+                for start, along in zip(entries[:, 1:].T, window, strict=True)
             )
-            planes = self._arrays.asarray(held[:, 0])
+            planes = self._arrays.asarray(entries[:, 0])
             cells.planes[planes[:, None, None], along_x[:, :, None], along_y[:, None]] = intensity
         else:
-            for (plane, x, y), own in zip(held.tolist(), intensity, strict=True):
-                cells.planes[plane, x:, y:][part] = own
+            for (plane, x, y), spread in zip(entries.tolist(), intensity, strict=True):
+                cells.planes[plane, x:, y:][window] = spread
 
     def total(self) -> Any:
         """Return the sum, (channels, ...)."""
@@ -231,8 +231,8 @@ class PatchTile:
         """Return the sum of the weighted intensities of all copies."""
         size, together = np.array([self.box.columns, self.box.rows]), self._batch.together
         sums = CopySum(self._copies, self._places, self._batch.samples, size, together)
-        for first, part, intensity, weighted in self._intensities():
-            sums.add(first, part, intensity, weighted)
+        for first, window, intensity, weighted in self._intensities():
+            sums.add(first, window, intensity, weighted)
         return Part(self.box, sums.total().transpose(0, 2, 1))
 
     def products(self, samples: NDArray[np.float32]) -> list[NDArray[np.float64]]:
@@ -244,19 +244,19 @@ class PatchTile:
         for first, (along_x, along_y), intensities, _ in self._intensities():
             for point, intensity in enumerate(intensities, first):
                 for copy, (x, y) in enumerate(self._places[point].tolist()):
-                    part = turned[:, x + along_x.start : x + along_x.stop, y + along_y.start : y + along_y.stop]
+                    region = turned[:, x + along_x.start : x + along_x.stop, y + along_y.start : y + along_y.stop]
                     # Only rows are summed in single precision, which limits rounding errors.
-                    products[point][copy] += np.einsum("cij,ij->ci", part, intensity).sum(1, dtype=np.float64)
+                    products[point][copy] += np.einsum("cij,ij->ci", region, intensity).sum(1, dtype=np.float64)
         return products
 
     def _products_on_device(self, turned: NDArray[np.float32]) -> list[NDArray[np.float64]]:
         """Return the products with the tile's samples (channels, along x, along y), which leave the device at once."""
-        found = []
+        products = []
         for first, _, intensity, _ in self._intensities():
             windows = Windows.of(self._places[first : first + len(intensity)])
-            found.append(products_on_device(turned, intensity, windows))
-        every = self._batch.libraries.to_host(self._arrays.concatenate(found))
-        return np.split(every, np.cumsum([len(positions) for positions in self._places])[:-1])
+            products.append(products_on_device(turned, intensity, windows))
+        joined = self._batch.libraries.to_host(self._arrays.concatenate(products))
+        return np.split(joined, np.cumsum([len(positions) for positions in self._places])[:-1])
 
     def powers(self) -> NDArray[np.float64]:
         """Return the sum of the samples of each point's intensity, (points,)."""
@@ -280,10 +280,10 @@ class PatchTile:
                 for points, along_x in itertools.product(
                     _runs(count, max(1, self._block // (rows * width))), _runs(length, rows)
                 ):
-                    part = fields[points, along_x]
-                    intensity, weighted = self._scratch[:, : part.size].reshape(2, *part.shape)
-                    squares = self._squares[: 2 * part.size].reshape(*part.shape[:2], -1)
-                    arrays.copyto(squares.view(np.complex64), part)
+                    field = fields[points, along_x]
+                    intensity, weighted = self._scratch[:, : field.size].reshape(2, *field.shape)
+                    squares = self._squares[: 2 * field.size].reshape(*field.shape[:2], -1)
+                    arrays.copyto(squares.view(np.complex64), field)
                     arrays.multiply(squares, squares, out=squares)
                     arrays.add(squares[..., ::2], squares[..., 1::2], out=intensity)
                     yield first + points.start, (along_x, along_y), intensity, weighted
@@ -345,10 +345,10 @@ class Gather(FieldBatch):
 
 def arrived_power(fields: Fields) -> NDArray[np.float64]:
     """Return the sum (n,) of the samples of the intensity of each point, of unit power."""
-    whole = Copies(np.zeros((1, 2), np.int64), np.ones((1, 1), np.float32))
+    everything = Copies(np.zeros((1, 2), np.int64), np.ones((1, 1), np.float32))
     count = len(fields.positions)
     with fft.resting_drjit():
-        return PatchTile(PatchBatch(fields, np.ones(count)), [whole] * count).powers()
+        return PatchTile(PatchBatch(fields, np.ones(count)), [everything] * count).powers()
 
 
 def aperture_power(fields: Fields) -> NDArray[np.float64]:
@@ -376,11 +376,11 @@ def aperture_power(fields: Fields) -> NDArray[np.float64]:
                 (grid.origin + batch.corner[points] * grid.pitch).T, (column, row), pitch, strict=True
             )
         )
-        part = types.Float64(grid.brightness(x, y, pitch) ** 2)
+        power = types.Float64(grid.brightness(x, y, pitch) ** 2)
         if not grid.microlenses.fills:
-            part = grid.microlenses.open_fraction(cosine, x, y) * part
-        part = part + dr.zeros(types.Float64, dr.width(patch))
-        passed = intensity * batch.libraries.from_drjit(part).reshape(intensity.shape)
+            power = grid.microlenses.open_fraction(cosine, x, y) * power
+        power = power + dr.zeros(types.Float64, dr.width(patch))
+        passed = intensity * batch.libraries.from_drjit(power).reshape(intensity.shape)
         fraction = passed.sum((1, 2), dtype=np.float64) / intensity.sum((1, 2), dtype=np.float64)
         result[points] = batch.libraries.to_host(fraction)
     return result

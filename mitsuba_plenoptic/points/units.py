@@ -40,10 +40,10 @@ def brightness_of(camera: PlenopticCamera, lens: MainLens) -> float:
 
 def brightness_at(system: OpticalSystem, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return `brightness_of` a system with the open part of the pupil for each point, (n,)."""
-    lens, whole = system.waves_of(points), brightness_of(system.camera, system.lens)
+    lens, mean_brightness = system.waves_of(points), brightness_of(system.camera, system.lens)
     if lens.is_uniform:
-        return np.full(len(points), whole)
-    return whole * (open_area(cast(FittedLens, lens), points) / (math.pi * lens.reach**2))
+        return np.full(len(points), mean_brightness)
+    return mean_brightness * (open_area(cast(FittedLens, lens), points) / (math.pi * lens.reach**2))
 
 
 def radiance_weight(camera: PlenopticCamera, lens: MainLens, area: float) -> float:

@@ -30,7 +30,7 @@ class Windows:
     @classmethod
     def of(cls, starts: list[NDArray[np.int64]]) -> Windows:
         """Return the windows from the rows and columns of each patch's windows."""
-        return cls(np.repeat(np.arange(len(starts)), [len(each) for each in starts]), np.concatenate(starts))
+        return cls(np.repeat(np.arange(len(starts)), [len(run) for run in starts]), np.concatenate(starts))
 
 
 def part_of(table: fft.Field, starts: NDArray[np.int64], size: tuple[int, int]) -> fft.Field:
@@ -56,17 +56,17 @@ def add_on_device(
     libraries, types = backend_of(sums), backend_of(sums).types
     _, height, width = sums.shape
     _, rows, columns = values.shape
-    target, given = (drjit_array(types.Float, array) for array in (sums, values))
-    every, channels = np.nonzero(weights)
-    for first in range(0, len(every), step := max(1, _LANES // (rows * columns))):
-        window, channel = every[first : first + step], channels[first : first + step]
+    target, source_values = (drjit_array(types.Float, array) for array in (sums, values))
+    row_index, channels = np.nonzero(weights)
+    for first in range(0, len(row_index), step := max(1, _LANES // (rows * columns))):
+        window, channel = row_index[first : first + step], channels[first : first + step]
         entry, row, column = fft.split(types, dr.arange(types.UInt32, len(window) * rows * columns), rows, columns)
         places = (channel * height + windows.start[window, 0]) * width + windows.start[window, 1]
-        place = _each(types, places, entry) + row * dr.opaque(types.UInt32, width) + column
+        address = _each(types, places, entry) + row * dr.opaque(types.UInt32, width) + column
         source = _each(types, windows.patch[window] * (rows * columns), entry)
         source += row * dr.opaque(types.UInt32, columns) + column
         factor = dr.gather(types.Float, drjit_array(types.Float, weights[window, channel]), entry)
-        dr.scatter_add(target, dr.gather(types.Float, given, source) * factor, place)
+        dr.scatter_add(target, dr.gather(types.Float, source_values, source) * factor, address)
     dr.eval(target)
     return libraries.from_drjit(target).reshape(sums.shape)
 
@@ -76,11 +76,11 @@ def products_on_device(planes: NDArray[np.float32], values: NDArray[np.float32],
     libraries, types = backend_of(planes), backend_of(planes).types
     channels, height, width = planes.shape
     _, rows, columns = values.shape
-    given, patches = (drjit_array(types.Float, array) for array in (planes, values))
+    source_planes, patches = (drjit_array(types.Float, array) for array in (planes, values))
     count = len(windows.patch) * channels
     _, entry, row = fft.split(types, dr.arange(types.UInt32, count * rows), count, rows)
     first = (np.arange(channels) * height + windows.start[:, :1]) * width + windows.start[:, 1:]
-    place = _each(types, first.ravel(), entry) + row * dr.opaque(types.UInt32, width)
+    address = _each(types, first.ravel(), entry) + row * dr.opaque(types.UInt32, width)
     source = _each(types, np.repeat(windows.patch * (rows * columns), channels), entry)
     source += row * dr.opaque(types.UInt32, columns)
     # Only rows are summed in single precision, which limits rounding errors.
@@ -89,7 +89,7 @@ def products_on_device(planes: NDArray[np.float32], values: NDArray[np.float32],
         dr.zeros(types.UInt32, count * rows),
         dr.opaque(types.UInt32, columns),
         [dr.zeros(types.Float, count * rows)],
-        lambda k: [dr.gather(types.Float, given, place + k) * dr.gather(types.Float, patches, source + k)],
+        lambda k: [dr.gather(types.Float, source_planes, address + k) * dr.gather(types.Float, patches, source + k)],
     )
     (sums,) = _evaluated(libraries, total)
     return sums.reshape(len(windows.patch), channels, rows).sum(2, dtype=np.float64)
@@ -109,10 +109,10 @@ def gathered_on_device(
     libraries, types = backend_of(planes), backend_of(planes).types
     _, height, width = planes.shape
     rows, columns = size
-    given = drjit_array(types.Float, planes)
+    source = drjit_array(types.Float, planes)
     window, channel = np.nonzero(weights)
     places = (channel * height + windows.start[window, 0]) * width + windows.start[window, 1]
-    place = drjit_array(types.UInt32, places.astype(np.uint32))
+    address = drjit_array(types.UInt32, places.astype(np.uint32))
     factors = [drjit_array(types.Float, row[window] * weights[window, channel]) for row in moments]
     count = int(windows.patch[-1]) + 1
     ends = np.searchsorted(windows.patch[window], np.arange(count + 1))
@@ -120,12 +120,12 @@ def gathered_on_device(
     inside = row * dr.opaque(types.UInt32, width) + column
 
     def step(k: Any) -> list[Any]:
-        value = dr.gather(types.Float, given, dr.gather(types.UInt32, place, k) + inside)
+        value = dr.gather(types.Float, source, dr.gather(types.UInt32, address, k) + inside)
         return [value * dr.gather(types.Float, factor, k) for factor in factors]
 
     none = [dr.zeros(types.Float, count * rows * columns) for _ in moments]
     sums = _loop(types, _each(types, ends[:-1], patch), _each(types, ends[1:], patch), none, step)
-    return [part.reshape(count, rows, columns) for part in _evaluated(libraries, sums)]
+    return [rows_of.reshape(count, rows, columns) for rows_of in _evaluated(libraries, sums)]
 
 
 def _each(types: Any, numbers: NDArray[np.int64], entry: Any) -> Any:
@@ -137,7 +137,7 @@ def _loop(types: Any, first: Any, last: Any, totals: list[Any], step: Callable[[
     """Return totals with the results of a step added for each index from `first` up to `last`, which is excluded."""
 
     def body(k: Any, last: Any, *totals: Any) -> tuple[Any, ...]:
-        return k + 1, last, *(total + part for total, part in zip(totals, step(k), strict=True))
+        return k + 1, last, *(total + term for total, term in zip(totals, step(k), strict=True))
 
     last = last + dr.zeros(types.UInt32, dr.width(first))
     return list(dr.while_loop((first, last, *totals), lambda k, last, *totals: k < last, body)[2:])

@@ -53,8 +53,8 @@ class LensWindow:
         low, high = recorded[0] - margin * (1 - _ROUNDING), recorded[1] + margin * (1 + _ROUNDING)
         index = lattice.lenses_within(tuple(low), tuple(high))
         # No point that lies nearer to the recorded part than this is in the cell of a lens beyond the window.
-        whole = (_MARGIN - 1) * pitch
-        return cls(lattice, index, recorded[0] - whole, recorded[1] + whole)
+        inner = (_MARGIN - 1) * pitch
+        return cls(lattice, index, recorded[0] - inner, recorded[1] + inner)
 
     def position(self, i: Any, j: Any) -> tuple[Any, Any]:
         """Return the MLA point at i and j steps along the lattice vectors from the first corner of cell (0, 0)."""
@@ -94,7 +94,7 @@ class Entrances:
     # Slopes of these rays towards the scene along x and y, an array (n, 2).
     slope: NDArray[np.float64]
 
-    def at(self, x: Any, y: Any, which: Any) -> Any:
+    def at(self, x: Any, y: Any, lanes: Any) -> Any:
         """Return points in the camera frame through which light goes to points (x, y) of the exit pupil."""
         front = self.front
         if front == Entrance():
@@ -105,7 +105,7 @@ class Entrances:
         fraction = (front.front - front.pupil) / depth
 
         def value(column: NDArray[np.float64]) -> Any:
-            return dr.gather(mi.Float, drjit_array(mi.Float, column), which)
+            return dr.gather(mi.Float, drjit_array(mi.Float, column), lanes)
 
         t = value(fraction)
         ends = [

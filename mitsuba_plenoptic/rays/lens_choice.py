@@ -96,9 +96,9 @@ class LensChoice:
         refuse_if(len(lenses) > _MOST_LENSES, f"{many}; waves of scenes are captured through at most {_MOST_LENSES}")
         return cls(tuple(map(tuple, lenses.tolist())), [drjit_array(mi.Float, column) for column in lenses.T])
 
-    def at(self, chief: Pair, number: Any) -> Pair:
+    def at(self, chief: Pair, lens_number: Any) -> Pair:
         """Return the indices of lenses by their numbers, from those of the chief rays' lenses."""
-        i, j = (index + dr.gather(mi.Float, step, number) for index, step in zip(chief, self.steps, strict=True))
+        i, j = (index + dr.gather(mi.Float, step, lens_number) for index, step in zip(chief, self.steps, strict=True))
         return i, j
 
     def is_near(self, walk: Walk, chief: Pair, i: Any, j: Any) -> Any:
@@ -128,12 +128,12 @@ class LensChoice:
             near += [self.is_near(walk, chief, *self.at(cell, mi.UInt32(number))) for number in range(1, count)]
             tried = sum((dr.select(mask, 1, 0) for mask in near), mi.Float(0))
         scaled = within * tried
-        whole = dr.minimum(dr.floor(scaled), tried - 1)
-        number, passed = mi.UInt32(whole), mi.Float(0)
+        chosen = dr.minimum(dr.floor(scaled), tried - 1)
+        number, passed = mi.UInt32(chosen), mi.Float(0)
         for index, is_tried in enumerate(near):
-            number = dr.select(is_tried & (passed == whole), index, number)
+            number = dr.select(is_tried & (passed == chosen), index, number)
             passed += dr.select(is_tried, 1, 0)
-        return self.at(cell, number), scaled - whole, number, tried
+        return self.at(cell, number), scaled - chosen, number, tried
 
 
 CHIEF = LensChoice(((0, 0),))

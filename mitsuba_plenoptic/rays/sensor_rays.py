@@ -95,9 +95,9 @@ class Dispersion:
                 return first + fraction * (second - first)
         else:
             scaled = mi.Float(sample[0]) * 3
-            whole = dr.minimum(dr.floor(scaled), 2)
-            channel = mi.UInt32(whole)
-            sample = mi.Point2f(scaled - whole, sample[1])
+            channel_index = dr.minimum(dr.floor(scaled), 2)
+            channel = mi.UInt32(channel_index)
+            sample = mi.Point2f(scaled - channel_index, sample[1])
             share = mi.UnpolarizedSpectrum(*(dr.select(channel == i, mi.Float(3), 0) for i in range(3)))
 
             def at(table: Any) -> Any:
@@ -147,11 +147,11 @@ class PupilRays:
             middle = plain.pupil_middle(heights)
             middles = drjit_array(mi.Float, np.append(0, middle[1:] / heights[1:]))
             tables = [] if dispersion is None else [np.atleast_1d(index)[[0, -1]] for index in dispersion.indices or ()]
-            seen = [replace(plain, indices=ends) for ends in np.transpose(tables).tolist()] or [plain]
-            aside = max(np.abs(lens_at_end.pupil_middle(heights) - middle).max() for lens_at_end in seen)
+            variants = [replace(plain, indices=ends) for ends in np.transpose(tables).tolist()] or [plain]
+            aside = max(np.abs(lens_at_end.pupil_middle(heights) - middle).max() for lens_at_end in variants)
             # Rounding of the surfaces' coordinates moves rays at the pupil's edge.
             radius = (
-                max(lens_at_end.pupil_reach(corner, about_middle=True) for lens_at_end in seen)
+                max(lens_at_end.pupil_reach(corner, about_middle=True) for lens_at_end in variants)
                 + aside
                 + 4 * SINGLE * corner
             )
@@ -248,10 +248,10 @@ class LensRays:
 
     def _pass(self, pixel: Pair, sample: Any, choice: LensChoice) -> tuple[Passage, Any, Any]:
         """Return random points of random lenses, the lenses' numbers in the choice, and the rays' weights."""
-        (i, j), within, number, tried = choice.draw(self.walk, pixel, sample[0])
+        (i, j), within, lens_number, tried = choice.draw(self.walk, pixel, sample[0])
         lens = self.walk.lenslet(i, j)
         dx, dy = self.walk.lattice.aperture_point(within, sample[1])
-        return Passage((lens.centre[0] + dx, lens.centre[1] + dy), lens), number, tried * lens.gain
+        return Passage((lens.centre[0] + dx, lens.centre[1] + dy), lens), lens_number, tried * lens.gain
 
     def sample(self, pixel: Pair, sample: Any, dispersion: Dispersion | None) -> tuple[Ray, Passage]:
         """Return rays through random points of lenses, which are drawn from those around chief rays."""
@@ -275,18 +275,18 @@ class LensRays:
         walk, index, side, within = self.walk, [], [], []
         for axis, p in enumerate(pixel):
             position = (p - walk.lattice.offset[axis]) / pixel_size
-            whole = dr.floor(position)
-            index.append(dr.floor((whole + 0.5) / 2))
-            side.append(whole - 2 * index[axis])
-            within.append(position - whole)
+            cell = dr.floor(position)
+            index.append(dr.floor((cell + 0.5) / 2))
+            side.append(cell - 2 * index[axis])
+            within.append(position - cell)
         lens = walk.lenslet(*index)
         dx, dy = walk.lattice.aperture_point(*within)
         m, radius = (lens.centre[0] + dx, lens.centre[1] + dy), walk.lens.reach
         x, y = (radius * P for P in mi.warp.square_to_uniform_disk(sample))
         behind = walk.lens.pupil.slope(x, m[0]), walk.lens.pupil.slope(y, m[1])
         # A pixel sees this square of the pupil through an ideal lens.
-        seen = dr.square(pixel_size * walk.lens.pupil.distance * walk.medium / walk.detector_distance)
-        weight = math.pi * radius**2 / seen * walk.transmittance((x, y), m) * lens.gain
+        area = dr.square(pixel_size * walk.lens.pupil.distance * walk.medium / walk.detector_distance)
+        weight = math.pi * radius**2 / area * walk.transmittance((x, y), m) * lens.gain
         origin, slope, valid = walk.lens.trace(m, behind)
         return Ray(pixel, m, (x, y), weight, valid, origin, slope), (side[0], side[1]), behind
 
@@ -307,12 +307,12 @@ class LensRays:
         """Return the part of the light of detector points through lenses that are not tried, by one ray from each."""
         walk = self.walk
         around = replace(LensChoice.of_points(self.ends, beyond=max(walk.camera.mla_pitches)), limits=None)
-        passage, number, _ = self._pass(pixel, sample, around)
+        passage, lens_number, _ = self._pass(pixel, sample, around)
         _, _, valid = self.trace(pixel, passage)
         beyond = mi.Bool([lens not in self.choice.lenses for lens in around.lenses])
         chief, cell = walk.chief_cell(pixel)
-        near = self.choice.is_near(walk, chief, *around.at(cell, number))
-        missed = dr.gather(mi.Bool, beyond, number) | ~near
+        near = self.choice.is_near(walk, chief, *around.at(cell, lens_number))
+        missed = dr.gather(mi.Bool, beyond, lens_number) | ~near
         return int(dr.count(valid & missed)[0]) / max(1, int(dr.count(valid)[0]))
 
     def steps(self, x: float, y: float) -> tuple[Pair, Pair]:

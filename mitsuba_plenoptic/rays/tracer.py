@@ -207,12 +207,12 @@ def deflects_cosines(camera: PlenopticCamera) -> bool:
 def walks_of(systems: Iterable[OpticalSystem]) -> list[tuple[Walk, list[int]]]:
     """Return one walk for each group of systems whose rays from the pupil follow the same paths, and their indices."""
     groups: dict[float, tuple[Walk, list[int]]] = {}
-    for number, system in enumerate(systems):
+    for index, system in enumerate(systems):
         # Glasses refract the rays of each wavelength in their own way; other lenses are known by their focal length.
         camera = system.camera
         refraction = system.wavelength if camera.lens_data.disperses else camera.focal_length
         walk = Walk(system.camera, system.lens.opaque(functools.partial(dr.opaque, mi.Float)))
-        groups.setdefault(refraction, (walk, []))[1].append(number)
+        groups.setdefault(refraction, (walk, []))[1].append(index)
     return list(groups.values())
 
 

@@ -187,7 +187,7 @@ def reconstruct(
     image = straightened_image(np.atleast_3d(capture.image), tilted, soft=soft)
     camera = straightened(tilted)
     capture = dataclasses.replace(capture, camera=camera, image=image.reshape(capture.image.shape))
-    used = used_by(
+    options_used = used_by(
         chosen,
         white=white,
         wavelength=wavelength,
@@ -195,8 +195,10 @@ def reconstruct(
         checkpoint=checkpoint,
         batch_map=batch_map,
     )
-    white, wavelength = used["white"], used["wavelength"]
-    settings = {name: require_option(option, name, used[name], camera) for name, option in chosen.options.items()}
+    white, wavelength = options_used["white"], options_used["wavelength"]
+    settings = {
+        name: require_option(option, name, options_used[name], camera) for name, option in chosen.options.items()
+    }
     if "response" in settings:
         settings["response"] = require_response(settings["response"], capture, wavelength)
     oversample = require_count("oversample", oversample)
@@ -241,28 +243,28 @@ def reconstruct(
             passed=passed_light(tilted),
             recorded=recorded_at,
             exposure=capture.metadata.get("exposure"),
-            checkpoint=used["checkpoint"],
-            batch_map=used["batch_map"],
+            checkpoint=options_used["checkpoint"],
+            batch_map=options_used["batch_map"],
             softened=soft,
         )
         images = [
-            dataclasses.replace(made, image=displaced_image(made.image, tilted, oversample))
-            for made in _refocused(task, chosen, settings)
+            dataclasses.replace(image_at, image=displaced_image(image_at.image, tilted, oversample))
+            for image_at in _refocused(task, chosen, settings)
         ]
     settings |= {"oversample": oversample} | ({"wavelength": wavelengths} if waves else {})
     settings |= {"white": "capture"} if reference is not None else {}
     results = [
         Reconstruction(
-            image=made.image.reshape(*made.image.shape[:2], *capture.image.shape[2:]),
+            image=image_at.image.reshape(*image_at.image.shape[:2], *capture.image.shape[2:]),
             distance=value,
             bin_size=camera.bin_size(1.0 if math.isinf(value) else value) / oversample,
             method=method,
             camera=camera,
             options=settings,
             guards=found,
-            facts=made.facts,
+            facts=image_at.facts,
         )
-        for value, made in zip(distances, images, strict=True)
+        for value, image_at in zip(distances, images, strict=True)
     ]
     return results[0] if np.ndim(distance) == 0 else results
 
@@ -286,15 +288,15 @@ def _refocused(task: Task, chosen: RegisteredMethod, settings: dict[str, Any]) -
             )
             for channel, wavelength in enumerate(wavelengths)
         ] or tasks
-    found = [
-        [made if isinstance(made, Found) else Found(made) for made in chosen.refocus(part, **settings)]
-        for part in tasks
+    by_task = [
+        [plane if isinstance(plane, Found) else Found(plane) for plane in chosen.refocus(task_of_channel, **settings)]
+        for task_of_channel in tasks
     ]
-    if len(found) == 1:
-        return found[0]
+    if len(by_task) == 1:
+        return by_task[0]
     return [
         dataclasses.replace(
-            of_distance[0], image=np.concatenate([np.atleast_3d(made.image) for made in of_distance], 2)
+            of_distance[0], image=np.concatenate([np.atleast_3d(plane.image) for plane in of_distance], 2)
         )
-        for of_distance in zip(*found, strict=True)
+        for of_distance in zip(*by_task, strict=True)
     ]

@@ -73,7 +73,7 @@ class Integrals:
     def forward(self, values: Any, lines: slice = slice(None)) -> Any:
         """Return integrals over bins, (lines, bins), of sampled lines, (lines, count), or of a field's power."""
         arrays = active_backend().arrays
-        found = arrays.empty((len(values), self._shape[1]))
+        lines_of = arrays.empty((len(values), self._shape[1]))
         start = lines.indices(self._shape[0])[0]
         for block in self._blocks(lines):
             mine, (before, f) = slice(block.start - start, block.stop - start), self._places(block)
@@ -85,8 +85,8 @@ class Integrals:
             total = arrays.where(upwards[:, 1:] > upwards[:, :-1], sums[:, :-1], 0)[:, ::-1]
             near = [parts * (row + before + offset) for offset in _NEAR]
             beyond = _beyond(f, *(flat[at] + flat[at + 1] if parts == 2 else flat[at] for at in near))
-            found[mine] = total + beyond[:, :-1] - beyond[:, 1:]
-        return found
+            lines_of[mine] = total + beyond[:, :-1] - beyond[:, 1:]
+        return lines_of
 
     def _padded(self, values: Any) -> tuple[Any, int]:
         """Return lines with ordered samples and dark margins, and the number of values per sample."""
@@ -101,14 +101,14 @@ class Integrals:
             return self._buffer, 1
         numbers = self._buffer.view(values.real.dtype)
         for source, there in places:
-            given = values[:, source].view(numbers.dtype)
-            arrays.multiply(given, given, out=numbers[:, 2 * there.start : 2 * there.stop])
+            selected = values[:, source].view(numbers.dtype)
+            arrays.multiply(selected, selected, out=numbers[:, 2 * there.start : 2 * there.stop])
         return numbers, 2
 
     def vjp(self, bins: Any) -> Any:
         """Return the transpose of `forward`, from (lines, bins) to (lines, count), for all lines."""
         arrays = active_backend().arrays
-        found = arrays.empty((self._shape[0], self._size - 2 * _MARGIN))
+        rows = arrays.empty((self._shape[0], self._size - 2 * _MARGIN))
         for block in self._blocks(slice(None)):
             (before, f), mine = self._places(block), bins[block]
             total = arrays.pad(mine, ((0, 0), (0, 1))) - arrays.pad(mine, ((0, 0), (1, 0)))
@@ -120,8 +120,8 @@ class Integrals:
             padded = arrays.cumsum(scattered(first, total)[:, ::-1], axis=1)[:, ::-1].copy()
             for offset, unit in zip(_NEAR, np.eye(len(_NEAR)), strict=True):
                 padded += scattered(first + offset, _beyond(f, *unit) * total)
-            found[block] = arrays.roll(padded[:, _MARGIN:-_MARGIN], -self._half, axis=1)
-        return found
+            rows[block] = arrays.roll(padded[:, _MARGIN:-_MARGIN], -self._half, axis=1)
+        return rows
 
 
 class BinSums:
@@ -162,8 +162,8 @@ class BinSums:
         """Return the sums over bins of blocks of power, or of a field's power, (directions along y, along x)."""
         arrays = active_backend().arrays
         along_x = arrays.empty(self._shape)
-        for lines, part in power:
-            along_x[lines] = self._along_x.forward(part, lines)
+        for lines, rows in power:
+            along_x[lines] = self._along_x.forward(rows, lines)
         self._lit_x = along_x > 0
         sums = self._along_y.forward(arrays.maximum(along_x, 0, out=along_x).T)
         self._lit = sums > 0

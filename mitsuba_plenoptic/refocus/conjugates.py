@@ -156,28 +156,28 @@ class RealConjugates:
         fields = [abs(pupils.magnification) / behind]
         fields += [min(g, FAR) * near / b for g, near in zip(distances, inverse_distance, strict=True)]
         lens = real.over_field(corner * max(fields), (min(inverse_distance), max(inverse_distance)))
-        seen = behind_thin_lens(system)
+        behind_thin = behind_thin_lens(system)
         wider = max(1.0, *(float(lens.image_stretch(camera, distance).ratio.max()) for distance in distances))
         # Pixels on each side that are not recorded.
-        more = math.ceil((wider - 1) / 2 * max(seen.resolution) - 1e-6)
-        seen = seen.replace(
-            detector_width=seen.detector_width + 2 * more * seen.pixel_size,
-            resolution=tuple(size + 2 * more for size in seen.resolution),
-            crop_offset=tuple(first + more for first in seen.crop_offset),
-            crop_size=seen.crop_size,
+        more = math.ceil((wider - 1) / 2 * max(behind_thin.resolution) - 1e-6)
+        behind_thin = behind_thin.replace(
+            detector_width=behind_thin.detector_width + 2 * more * behind_thin.pixel_size,
+            resolution=tuple(size + 2 * more for size in behind_thin.resolution),
+            crop_offset=tuple(first + more for first in behind_thin.crop_offset),
+            crop_size=behind_thin.crop_size,
         )
-        return cls(seen, lens, system.wavelength, _ZONE_BLUR * camera.mla_pitch / oversample)
+        return cls(behind_thin, lens, system.wavelength, _ZONE_BLUR * camera.mla_pitch / oversample)
 
     def distance(self, distance: float) -> float:
         """Return the distance of an object plane from the thin lens of `camera`."""
         pupils = self.lens.fitted.pupils
         return math.inf if math.isinf(distance) else pupils.magnification**2 * (distance - pupils.entrance)
 
-    def _bound(self, positions: NDArray[np.float64], distance: float, which: Any = None) -> Light:
+    def _bound(self, positions: NDArray[np.float64], distance: float, index: Any = None) -> Light:
         """Return the light of the conjugates of points on the MLA; points beyond the field receive no light."""
         inverse_distance = self.lens.fitted.pupils.magnification**2 / min(distance, FAR)
         points = self.lens.points(self.lens.within(positions), np.full(len(positions), inverse_distance))
-        return self.lens.bind(points, which)
+        return self.lens.bind(points, index)
 
     def at(self, x: Any, y: Any, positions: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:
         """Return the conjugates of the centres of some lenses, as `ThinConjugates.at` does."""
@@ -204,8 +204,8 @@ class RealConjugates:
 
     def _blur(self, width: NDArray[np.float64], count: int, distance: float) -> float:
         """Return the displacement in mm, on the MLA, of zones' corner rays by the path of the zone's middle."""
-        number = (np.arange(count) + 0.5) / count - 0.5
-        x, y = (values.ravel() * count for values in np.meshgrid(number * width[0], number * width[1]))
+        offset = (np.arange(count) + 0.5) / count - 0.5
+        x, y = (values.ravel() * count for values in np.meshgrid(offset * width[0], offset * width[1]))
         middles = np.stack([x, y], axis=-1)
         angle = np.pi * np.arange(8) / 4
         pupil = tuple(self.camera.pupil_radius * f(angle)[None] for f in (np.cos, np.sin))
@@ -247,12 +247,14 @@ def undistorted(
     power: NDArray[np.float64], conjugates: RealConjugates, camera: PlenopticCamera, distance: float, fine: int
 ) -> tuple[NDArray[np.float64], float]:
     """Return power moved from bins of chief rays on the array to bins of the object plane."""
-    found = conjugates.lens.image_stretch(camera, distance)
+    stretched = conjugates.lens.image_stretch(camera, distance)
     columns, rows = (count * fine for count in camera.bin_count)
     step = camera.mla_pitch / fine
     x, y = ((np.arange(count) - (count - 1) / 2) * step for count in (columns, rows))
     away = np.hypot(x, y[:, None])
-    stretch = np.interp(away, found.places, found.ratio) / step
+    stretch = np.interp(away, stretched.places, stretched.ratio) / step
     at = [y[:, None] * stretch + (power.shape[0] - 1) / 2, x * stretch + (power.shape[1] - 1) / 2]
-    moved = ndimage.map_coordinates(power, at, order=1, mode="constant") * np.interp(away, found.places, found.area)
-    return np.where(away <= found.places[-1], moved, 0), 1 / float(found.ratio[0])
+    moved = ndimage.map_coordinates(power, at, order=1, mode="constant") * np.interp(
+        away, stretched.places, stretched.area
+    )
+    return np.where(away <= stretched.places[-1], moved, 0), 1 / float(stretched.ratio[0])

@@ -145,22 +145,22 @@ def displacements(
     tilted: Sequence[NDArray[np.float64]], slope: float, camera: PlenopticCamera, oversample: int
 ) -> list[NDArray[np.float64]]:
     """Return the displacements in bins, along x and y, from which bins' light comes; 0 without light."""
-    found = []
+    moved = []
     for axis, image in enumerate(tilted):
         count = image.shape[1 - axis]
-        own = (np.arange(count) - (count - 1) / 2).reshape((1, -1, 1) if axis == 0 else (-1, 1, 1))
+        axis_offset = (np.arange(count) - (count - 1) / 2).reshape((1, -1, 1) if axis == 0 else (-1, 1, 1))
         position = (image - 1) / slope * (oversample / camera.mla_pitch)
         farthest = _FARTHEST * oversample
-        found.append(np.nan_to_num(position - own).clip(-farthest, farthest))
-    return found
+        moved.append(np.nan_to_num(position - axis_offset).clip(-farthest, farthest))
+    return moved
 
 
 def brought_back(
     image: NDArray[np.float64], moved: Sequence[NDArray[np.float64]], weights: NDArray[np.float64], reach: int
 ) -> NDArray[np.float64]:
     """Return an image corrected for the displacements of its bins, by weighted fits to `reach` bins on each side."""
-    known = np.isfinite(image)
-    values, light = np.where(known, image, 0.0), np.where(known, weights, 0.0)
+    finite = np.isfinite(image)
+    values, light = np.where(finite, image, 0.0), np.where(finite, weights, 0.0)
     rows, columns = image.shape[:2]
     terms = (
         moved[0] + (np.arange(columns) - columns / 2)[:, None],

@@ -316,21 +316,21 @@ class LensSet:
             pixels = workspace.repeated(amplitude[top:bottom, left:right], tile.subsamples)
             return workspace.whole(hop.forward(pixels, workspace), step.shape), step
 
-    def batch(self, which: np.ndarray, step: Step) -> LensBatch:
+    def batch(self, lenses: np.ndarray, step: Step) -> LensBatch:
         """Return the batch of the lenses at the given positions, with their windows in the samples of a step."""
-        tile, centre = self.tile, self.centre[which]
+        tile, centre = self.tile, self.centre[lenses]
         start = np.array([step.x.start, step.y.start])
         first = np.rint((centre + tile.cell[0] - start) / tile.pitch).astype(np.int64)
         aside = start + first * tile.pitch - (centre + tile.cell[0])
         columns, rows = (index[:, None] + np.arange(tile.cell_samples) for index in first.T)
         return LensBatch(
-            bin=self.bin[which],
-            aside=self._aside[which] + aside / tile.camera.mla_pitch,
+            bin=self.bin[lenses],
+            aside=self._aside[lenses] + aside / tile.camera.mla_pitch,
             centre=centre,
             rows=rows,
             columns=columns,
             offset=aside.T[:, :, None] + tile.cell,
-            focal_length=np.broadcast_to(tile.camera.lenslet(*self._index[which].T).focal_length, len(which)),
+            focal_length=np.broadcast_to(tile.camera.lenslet(*self._index[lenses].T).focal_length, len(lenses)),
         )
 
 
@@ -418,8 +418,8 @@ def object_patches(
     size, arrays = tile.object_samples, active_backend().arrays
     folded = arrays.zeros((len(fields), size, size), np.complex64)
     for top, left in itertools.product(range(0, tile.pupil.size, size), repeat=2):
-        part = focused[:, top : top + size, left : left + size]
-        folded[:, : part.shape[1], : part.shape[2]] += part
+        patch = focused[:, top : top + size, left : left + size]
+        folded[:, : patch.shape[1], : patch.shape[2]] += patch
     lit = min(size, tile.pupil.size)
     with fft.resting_drjit():
         folded[:, :lit] = fft.fft(folded[:, :lit], axis=2)
@@ -516,5 +516,5 @@ def integrated(power: np.ndarray, tile: LensTile, axis: int) -> np.ndarray:
         spectrum = fft.rfft(power, axis=axis) * active_backend().arrays.asarray(
             (response * (bins / count)).astype(np.complex64)
         )
-        found = fft.irfft(spectrum, bins, axis=axis)
-    return found[(slice(None),) * axis + (slice(None, None, round(per_bin) if per_bin > 1 else 1),)]
+        integrals = fft.irfft(spectrum, bins, axis=axis)
+    return integrals[(slice(None),) * axis + (slice(None, None, round(per_bin) if per_bin > 1 else 1),)]

@@ -46,12 +46,12 @@ def once_a_camera(function: _F) -> _F:
 
     @functools.wraps(function)
     def known(camera: PlenopticCamera, *given: Any) -> Any:
-        own = _results.setdefault(camera, {}).setdefault(function.__name__, {})
-        if given not in own:
-            if len(own) == _MOST_RESULTS:
-                del own[next(iter(own))]
-            own[given] = function(camera, *given)
-        return own[given]
+        results = _results.setdefault(camera, {}).setdefault(function.__name__, {})
+        if given not in results:
+            if len(results) == _MOST_RESULTS:
+                del results[next(iter(results))]
+            results[given] = function(camera, *given)
+        return results[given]
 
     return cast(_F, known)
 
@@ -126,10 +126,10 @@ class Found:
     facts: dict[str, Any] = field(default_factory=dict)
 
 
-def portion(progress: Progress, number: int, works: Sequence[float]) -> Progress:
+def portion(progress: Progress, index: int, works: Sequence[float]) -> Progress:
     """Return a progress callback for one of several parts of a computation, weighted by their amounts of work."""
-    before, own, total = sum(works[:number]), works[number], sum(works)
-    return lambda done: progress((before + own * done) / total)
+    before, work, total = sum(works[:index]), works[index], sum(works)
+    return lambda done: progress((before + work * done) / total)
 
 
 def work_of(wavelengths: Sequence[float]) -> list[float]:
@@ -186,7 +186,7 @@ def used_by(chosen: RegisteredMethod, **given: Any) -> dict[str, Any]:
     """Return options, with None for options that the method ignores; one warning names them."""
     unused = [name for name, value in given.items() if value is not None and not chosen.takes(name)]
     if unused:
-        takers = {name: " and ".join(one.name for one in METHODS.values() if one.takes(name)) for name in unused}
+        takers = {name: " and ".join(entry.name for entry in METHODS.values() if entry.takes(name)) for name in unused}
         named = ", ".join(f"{argument(name)} (of {takers[name]})" for name in unused)
         warn(f"method {chosen.name} has no use for {named}")
     return {**given, **dict.fromkeys(unused)}
@@ -221,10 +221,10 @@ def method(
     soft : bool
         Whether micro-images that are moved shall be smoothed; the task says whether they are.
     """
-    taken = {option: all_options()[option] for option in options} | options_of_methods().get(name, {})
+    accepted = {option: all_options()[option] for option in options} | options_of_methods().get(name, {})
 
     def register(refocus: Refocus) -> Refocus:
-        METHODS[name] = RegisteredMethod(name, refocus, taken, waves, as_it_is, long, white, soft)
+        METHODS[name] = RegisteredMethod(name, refocus, accepted, waves, as_it_is, long, white, soft)
         return refocus
 
     return register
@@ -245,14 +245,14 @@ def as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) ->
 def require_distances(distance: Any, camera: PlenopticCamera) -> list[float]:
     """Return the distances; refuse one that does not lie before the camera."""
     try:
-        several = np.ndim(distance) > 0
+        is_list = np.ndim(distance) > 0
     except ValueError:
         # Lists of several lengths.
-        several = None
-    if several is None or isinstance(distance, (str, bytes)):
+        is_list = None
+    if is_list is None or isinstance(distance, (str, bytes)):
         raise InputError(f"distance = {short_repr(distance)}: it must be a number or several")
-    given = distance if several else [distance]
-    distances = [require_number("distance", value, finite=False) for value in given]
+    values = distance if is_list else [distance]
+    distances = [require_number("distance", value, finite=False) for value in values]
     for value in distances:
         camera.lens_data.require_distance(camera, value)
     refuse_if(not distances, "distance = []: give at least one")
@@ -282,23 +282,23 @@ def require_response(response: str | None, capture: Capture, wavelength: Any) ->
 
 def require_wavelengths(capture: Capture, wavelength: Any, channels: int, camera: PlenopticCamera) -> list[float]:
     """Return the wavelength of each channel; refuse lenses too narrow for scalar waves."""
-    given: Any = capture.wavelength if wavelength is None else wavelength
-    if given is None:
+    value_s: Any = capture.wavelength if wavelength is None else wavelength
+    if value_s is None:
         raise InputError(
             f"wavelength = None: a wave method needs one, and the capture has none; give {argument('wavelength')}"
         )
-    values = [given] * channels if np.ndim(given) == 0 else list(given)
+    values = [value_s] * channels if np.ndim(value_s) == 0 else list(value_s)
     refuse_if(
         len(values) != channels,
-        f"wavelength = {short_repr(given)}: the capture has {channels} channels; give one, or one for each",
+        f"wavelength = {short_repr(value_s)}: the capture has {channels} channels; give one, or one for each",
     )
-    found = [require_wavelength(value) for value in values]
-    if in_millimetres(max(found)) >= min(camera.mla_pitches):
+    checked = [require_wavelength(value) for value in values]
+    if in_millimetres(max(checked)) >= min(camera.mla_pitches):
         raise InputError(
-            f"wavelength = {max(found):g} nm: it must be less than the pitch of the microlenses, "
+            f"wavelength = {max(checked):g} nm: it must be less than the pitch of the microlenses, "
             f"{min(camera.mla_pitches):g} mm"
         )
-    return found
+    return checked
 
 
 def require_image_memory(
@@ -314,5 +314,5 @@ def require_image_memory(
         fits = 20 * 8 * channels * across * down if drawn_back else 0
         return 4 * channels * across * (down * (len(distances) + 1) + height) + 12 * across * down + fits
 
-    what = f"images of {columns * oversample} x {rows * oversample} bins at {len(distances)} distances"
-    require_memory_for(memory, oversample, what, lambda largest: f"{argument('oversample')} = {largest}")
+    label = f"images of {columns * oversample} x {rows * oversample} bins at {len(distances)} distances"
+    require_memory_for(memory, oversample, label, lambda largest: f"{argument('oversample')} = {largest}")

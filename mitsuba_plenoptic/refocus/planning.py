@@ -163,14 +163,14 @@ def plan(
 ) -> FieldPlan:
     """Return the grids for a capture and object distances, with as few strips as the memory allows."""
     rows = lit[1][1] - lit[1][0]
-    count, made = 1, _plan(camera, wavelength, distances, lit, oversample, 1)
-    while made.memory > min(_STRIPS_MEMORY, work_limit(made.memory)) and 2 * count <= rows:
+    count, chosen = 1, _plan(camera, wavelength, distances, lit, oversample, 1)
+    while chosen.memory > min(_STRIPS_MEMORY, work_limit(chosen.memory)) and 2 * count <= rows:
         count *= 2
         finer = _plan(camera, wavelength, distances, lit, oversample, count)
-        if finer.memory >= made.memory:
+        if finer.memory >= chosen.memory:
             break
-        made = finer
-    return made
+        chosen = finer
+    return chosen
 
 
 def _plan(
@@ -214,13 +214,13 @@ def check_pupil_diffraction(camera: PlenopticCamera, wavelength: float, distance
     guards.check(guards.OBJECT, float(j0(edge) ** 2 + j1(edge) ** 2))
 
 
-def require_feasible(made: FieldPlan) -> None:
+def require_feasible(field_plan: FieldPlan) -> None:
     """Refuse a plan that needs too much memory or too much work."""
-    what = f"camera with {made.subsamples} field samples a pixel; its wave reconstruction"
-    check_memory(made.memory, what, most=FIELD_MEMORY)
+    label = f"camera with {field_plan.subsamples} field samples a pixel; its wave reconstruction"
+    check_memory(field_plan.memory, label, most=FIELD_MEMORY)
     refuse_if(
-        made.transformed > _MOST_TRANSFORMED,
-        f"{what}: {made.transformed:.2g} samples would be transformed, at most {_MOST_TRANSFORMED:.2g} are",
+        field_plan.transformed > _MOST_TRANSFORMED,
+        f"{label}: {field_plan.transformed:.2g} samples would be transformed, at most {_MOST_TRANSFORMED:.2g} are",
     )
 
 
@@ -272,9 +272,9 @@ def _main_lens_steps(
     samples = _DIRECTION_SAMPLES if oversample == 1 else _FINE_DIRECTION_SAMPLES
     padded = fft.fast_length(max(samples * 2 * radius / pitch, count))
     cosine = wave / (padded * pitch)
-    most = [min(math.ceil(max(map(abs, seen)) / cosine) + 2, (padded - 1) // 2) for _, seen in extents]
+    most = [min(math.ceil(max(map(abs, extent)) / cosine) + 2, (padded - 1) // 2) for _, extent in extents]
     start = -half * pitch
-    directions = [AxisStep(start, pitch, count, padded, 2 * held + 1, start, count) for held in most]
+    directions = [AxisStep(start, pitch, count, padded, 2 * half_count + 1, start, count) for half_count in most]
     return list(zip(ways, onto, strict=True)), LensAxis(count, pitch), directions
 
 
@@ -291,10 +291,10 @@ def _beyond_paraxial(
     padded = fft.fast_length(count + more / pitch)
     new_padded = min(fft.fast_length(padded * pitch * 2 * steepest / wave), padded)
     new_pitch = padded * pitch / new_padded
-    wanted = min(math.ceil((on_array.wanted * pitch + more) / new_pitch), new_padded)
+    samples = min(math.ceil((on_array.wanted * pitch + more) / new_pitch), new_padded)
     middle = on_array.start + (on_array.wanted - 1) / 2 * pitch
-    start = middle - (wanted - 1) / 2 * new_pitch
-    return AxisStep(on_array.start, pitch, on_array.wanted, padded, new_padded, start, wanted)
+    start = middle - (samples - 1) / 2 * new_pitch
+    return AxisStep(on_array.start, pitch, on_array.wanted, padded, new_padded, start, samples)
 
 
 def _cells(camera: PlenopticCamera, ends: np.ndarray, axis: int) -> tuple[float, float]:

@@ -144,23 +144,23 @@ def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.
         return np.zeros((down, across, channels), np.float32)
     values = drjit_array(types.Float, image)
     thread = dr.arange(types.UInt32, rows * across * channels)
-    row, rest = thread // (across * channels), thread % (across * channels)
+    row, remainder = thread // (across * channels), thread % (across * channels)
     limit = drjit_array(types.Float, radius**2 - y.pupil**2)
-    base = row * dr.opaque(types.UInt32, columns * channels) + rest % channels
-    by_row = _sums(types, values, x, rest // channels, base, channels, dr.gather(types.Float, limit, row))
+    base = row * dr.opaque(types.UInt32, columns * channels) + remainder % channels
+    by_row = _sums(types, values, x, remainder // channels, base, channels, dr.gather(types.Float, limit, row))
     width = across * channels
     thread = dr.arange(types.UInt32, down * width)
     sums = _sums(types, by_row, y, thread // width, thread % width, width)
     return np.asarray(sums.numpy()).reshape(down, across, channels)
 
 
-def _sums(types: Any, values: Any, bins: AxisBins, number: Any, base: Any, stride: int, limit: Any = None) -> Any:
+def _sums(types: Any, values: Any, bins: AxisBins, index: Any, base: Any, stride: int, limit: Any = None) -> Any:
     """Return the summed values, `stride` apart, of each bin's pixels with squared pupil coordinates within a limit."""
     Float, UInt32 = types.Float, types.UInt32
-    start, pixel = (drjit_array(UInt32, part) for part in (bins.weights.indptr, bins.weights.indices))
+    start, pixel = (drjit_array(UInt32, array) for array in (bins.weights.indptr, bins.weights.indices))
     weight = drjit_array(Float, bins.weights.data)
     square = drjit_array(Float, bins.pupil[bins.weights.indices] ** 2)
-    entry, end = dr.gather(UInt32, start, number), dr.gather(UInt32, start, number + 1)
+    entry, end = dr.gather(UInt32, start, index), dr.gather(UInt32, start, index + 1)
     if limit is not None:
         # A row beyond the pupil's edge is dark whatever its columns.
         end = dr.select(limit >= 0, end, entry)

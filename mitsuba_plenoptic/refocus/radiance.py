@@ -90,14 +90,14 @@ def captures(task: Task) -> Iterator[tuple[np.ndarray, Sequence[float], Progress
     They are the capture, the white capture if there is one and, if displacements are known, two images made from the
     white capture for every distance.
     """
-    whole = [task.image] if task.white is None else [task.image, task.white]
+    pictures = [task.image] if task.white is None else [task.image, task.white]
     # The ways to the main lens and from there to a plane take about equally long.
-    works = [1 + len(task.distances)] * len(whole)
-    made: Iterator[tuple[np.ndarray, Sequence[float]]] = ((image, task.distances) for image in whole)
+    works = [1 + len(task.distances)] * len(pictures)
+    pairs: Iterator[tuple[np.ndarray, Sequence[float]]] = ((image, task.distances) for image in pictures)
     if task.white is not None and is_known(task.camera):
         works += [2] * (2 * len(task.distances))
-        made = itertools.chain(made, rising(task.white, task.camera, task.distances, task.recorded))
-    for done, (image, distances) in enumerate(made):
+        pairs = itertools.chain(pairs, rising(task.white, task.camera, task.distances, task.recorded))
+    for done, (image, distances) in enumerate(pairs):
         yield image, distances, portion(task.progress, done, works)
 
 
@@ -129,7 +129,7 @@ def to_radiance(
         divisor, reached = divisors(divisor, hits, distance, computed=task.white is None)
         image = _divided(total, divisor, reached)
         if others:
-            rising = [_divided(found, divisor, reached) for (found,) in others[2 * index : 2 * index + 2]]
+            rising = [_divided(quantity, divisor, reached) for (quantity,) in others[2 * index : 2 * index + 2]]
             moved = displacements(rising, tilt(task.camera, distance)[0], task.camera, task.oversample)
             image = brought_back(image, moved, np.broadcast_to(divisor, image.shape), task.oversample)
         images.append(image.astype(np.float32, copy=False))
@@ -186,9 +186,9 @@ class LensSpread:
     def vjp(self, bins: np.ndarray) -> np.ndarray:
         """Return the transpose of `forward`, applied to bins."""
         fine = bins.repeat(self._fine, 0).repeat(self._fine, 1)
-        whole = fft.convolve(fine, self._aperture[::-1, ::-1])
+        convolved = fft.convolve(fine, self._aperture[::-1, ::-1])
         rows, columns = (k - 1 - (k - 1) // 2 for k in self._aperture.shape)
-        return whole[rows : rows + fine.shape[0], columns : columns + fine.shape[1]]
+        return convolved[rows : rows + fine.shape[0], columns : columns + fine.shape[1]]
 
 
 def over_lenses(
@@ -348,8 +348,8 @@ def _throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> floa
     i, j = around.lattice.cell(0.0, 0.0)
     # Among the lenses next to the axis there is one of every type.
     for step in range(len(camera.mla_focal_lengths)):
-        image, seen = _micro_image(around, (i + step, j))
-        sent += float(image[seen <= camera.lit_radius].sum()) * camera.pixel_size**2
+        image, visible = _micro_image(around, (i + step, j))
+        sent += float(image[visible <= camera.lit_radius].sum()) * camera.pixel_size**2
         which = np.array([lenses.find(i + step, j)])
         light, samples = lenses.on_array(arrays.asarray(np.sqrt(image).astype(np.float32)), which)
         (field,) = pupil_fields(light, tile, lenses.batch(which, samples), relay=relay)
@@ -382,7 +382,7 @@ def _traced_throughput(
     order = np.argsort(np.hypot(*lenses.centre[lit].T), kind="stable")
     chosen = order[np.unique(np.linspace(0, len(order) - 1, _HEIGHTS).round().astype(int))]
     amplitude = libraries.arrays.asarray(np.sqrt(white))
-    found = []
+    throughputs = []
     for number in chosen:
         which = lit[number : number + 1]
         light, samples = lenses.on_array(amplitude, which)
@@ -391,11 +391,11 @@ def _traced_throughput(
         sent = lenses.light_of(counted, which[0])
         passed = passing_power(fields, tile, batch, conjugates.distance(distance), conjugates)
         if sent > 0:
-            found.append((float(np.hypot(*batch.centre[0])), passed / (sent * camera.pixel_size**2), sent))
-    positions, shares, light = np.array(found).T
+            throughputs.append((float(np.hypot(*batch.centre[0])), passed / (sent * camera.pixel_size**2), sent))
+    positions, shares, light = np.array(throughputs).T
     # Lenses whose micro-images are recorded in small part only say little.
-    whole = light > _WHOLE * light.max()
-    return positions[whole], shares[whole]
+    full = light > _WHOLE * light.max()
+    return positions[full], shares[full]
 
 
 @single_threaded_blas()
@@ -433,14 +433,14 @@ def _micro_image(camera: PlenopticCamera, index: tuple[float, float]) -> tuple[n
     b, z = camera.mla_distance, camera.reduced_distance
     centre = [rays.chief_detector_point(c, b, z) for c in camera.lattice.centre(*index)]
     Px, Py = ((c - camera.pixel_coordinates(axis)) * (b / z) for axis, c in enumerate(centre))
-    seen = np.hypot(Px, Py[:, None])
+    radius = np.hypot(Px, Py[:, None])
     if not DetectorOperator.of(camera).is_identity:
         # It mixes the light of neighbours.
-        return white_pixels(camera), seen
+        return white_pixels(camera), radius
     if camera.lenses_are_bins and focus_type(camera) == "unfocused":
-        return soft_edge((camera.aperture_radius - seen) / camera.pupil_step), seen
+        return soft_edge((camera.aperture_radius - radius) / camera.pupil_step), radius
     lens_type = int(camera.lattice.lens_type(*index)) if len(camera.mla_focal_lengths) > 1 else 0
-    return PupilFraction(camera, lens_type)(*np.broadcast_arrays(Px, Py[:, None])), seen
+    return PupilFraction(camera, lens_type)(*np.broadcast_arrays(Px, Py[:, None])), radius
 
 
 def _around_axis(camera: PlenopticCamera, lenses: int) -> PlenopticCamera:

@@ -249,12 +249,12 @@ class Volume:
         grey = np.nan_to_num(self.values if self.values.ndim == 3 else self.values.mean(-1), nan=-np.inf)
         brightest = np.unravel_index(int(grey.argmax()), grey.shape)
         position = []
-        for name, given, best, count in zip(
+        for name, value, best, count in zip(
             ("plane", "row", "column"), (plane, row, column), brightest, grey.shape, strict=True
         ):
-            if given is not None and not (isinstance(given, (int, np.integer)) and 0 <= given < count):
-                raise InputError(f"{name} = {given!r}: the volume's are numbered from 0 to {count - 1}")
-            position.append(int(best if given is None else given))
+            if value is not None and not (isinstance(value, (int, np.integer)) and 0 <= value < count):
+                raise InputError(f"{name} = {value!r}: the volume's are numbered from 0 to {count - 1}")
+            position.append(int(best if value is None else value))
         return self.values[position[0]], self.values[:, position[1]], self.values[:, :, position[2]]
 
     def to_xarray(self) -> xr.DataArray:
@@ -348,6 +348,6 @@ def _interpolated(image: NDArray[np.float32], axis: int, width: float, count: in
     share = np.expand_dims((position - low).astype(np.float32), tuple(range(1, image.ndim - axis)))
     below, above = (np.take(image, np.minimum(some, bins - 1), axis) for some in (low, low + 1))
     # A bin that has no part in a voxel may be NaN.
-    found = np.where(share > 0, (1 - share) * below + share * above, below)
-    found[(slice(None),) * axis + (outside,)] = np.nan
-    return np.asarray(found, np.float32)
+    result = np.where(share > 0, (1 - share) * below + share * above, below)
+    result[(slice(None),) * axis + (outside,)] = np.nan
+    return np.asarray(result, np.float32)

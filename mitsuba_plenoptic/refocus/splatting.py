@@ -85,8 +85,8 @@ class Splat:
             first = margin - taps.shape[0] // 2
             for out, weights in zip(total, values.T, strict=True):
                 samples = np.bincount(self.place[mine], weights[mine], down * across * self.fine**2)
-                part = _spread(samples.reshape(down, across, self.fine**2), taps)
-                out[first : first + part.shape[0], first : first + part.shape[1]] += part
+                spread = _spread(samples.reshape(down, across, self.fine**2), taps)
+                out[first : first + spread.shape[0], first : first + spread.shape[1]] += spread
         return np.moveaxis(total[:, 2 * margin : down, 2 * margin : across], 0, -1)
 
     def vjp(self, bins: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -178,7 +178,7 @@ def _landing(
 
     Samples are counted bin by bin; the middle of the bins, rows and columns, is on the axis.
     """
-    lattice, columns, found = camera.lattice, camera.crop_size[0], []
+    lattice, columns, places = camera.lattice, camera.crop_size[0], []
     traced = thin_places(camera, distance, radius) if camera.lens_data.is_thin else traced_places(camera, distance)
     for rows, *position, is_lit in traced:
         lit = np.flatnonzero(is_lit)
@@ -195,8 +195,8 @@ def _landing(
             pixel = camera.pixel_coordinates(0)[lit % columns], camera.pixel_coordinates(1)[rows][lit // columns]
             b, z = camera.pupil_distance, camera.reduced_distance
             lens_type = lattice.lens_type(*lattice.cell(*(rays.chief_point(p, b, z) for p in pixel))).astype(np.int8)
-        found.append([sample, lens_type, lit + rows.start * columns])
-    sample, lens_type, pixels = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        places.append([sample, lens_type, lit + rows.start * columns])
+    sample, lens_type, pixels = (np.concatenate(parts) for parts in zip(*places, strict=True))
     return sample, lens_type, pixels
 
 

@@ -100,24 +100,24 @@ def _moved(image: NDArray[np.float32], camera: PlenopticCamera, soft: bool = Fal
     """Return an image (rows, columns, channels) with each micro-image where the `straightened` camera has it."""
     if not moves_images(camera):
         return image
-    regular, found = straightened(camera), np.empty_like(image)
+    regular, moved = straightened(camera), np.empty_like(image)
     channels = np.moveaxis(image.astype(np.float64), -1, 0)
     splines = channels if soft else [spline_filter(channel, _ORDER) for channel in channels]
     for rows, x, y in _seen(camera, regular):
         for channel, spline in enumerate(splines):
-            found[rows, :, channel] = map_coordinates(spline, (y, x), order=_ORDER, mode="nearest", prefilter=False)
+            moved[rows, :, channel] = map_coordinates(spline, (y, x), order=_ORDER, mode="nearest", prefilter=False)
         if soft:
             continue
         row, column = np.indices(x.shape)
         still = np.maximum(abs(x - column), abs(y - row - rows.start)) < _NEAR
-        found[rows][still] = image[rows][still]
+        moved[rows][still] = image[rows][still]
     # Splines overshoot at the edges of micro-images, which keep their light.
     least = image.min()
-    clipped = found.clip(least, None)
+    clipped = moved.clip(least, None)
     if least < 0 or soft:
         return clipped
     size = max(1, round(camera.micro_image_pitch / camera.pixel_size))
-    light, more = (uniform_filter(each, size, mode="nearest", axes=(0, 1)) for each in (found, clipped))
+    light, more = (uniform_filter(picture, size, mode="nearest", axes=(0, 1)) for picture in (moved, clipped))
     return clipped * np.divide(light, more, out=np.ones_like(more), where=more > 0).clip(0.5, 1)
 
 
@@ -128,10 +128,10 @@ def evening(camera: PlenopticCamera) -> tuple[NDArray[np.float32], NDArray[np.fl
     The light, over that of the even camera, is 1 but where vignetting leaves hardly any.
     """
     white, even = white_image(camera), white_image(camera.replace(**_EVEN))
-    known = (white > 0) & (white > _DARKEST * even)
-    missing = ~known & (even > 0)
+    lit = (white > 0) & (white > _DARKEST * even)
+    missing = ~lit & (even > 0)
     return (
-        np.where(known, even / np.where(known, white, 1), 1).astype(np.float32),
+        np.where(lit, even / np.where(lit, white, 1), 1).astype(np.float32),
         np.where(missing, white / np.where(missing, even, 1), 1).astype(np.float32),
     )
 
@@ -161,8 +161,8 @@ def _seen(camera: PlenopticCamera, regular: PlenopticCamera) -> Iterator[tuple[s
             for q, c, before in zip(p, lens.centre, regular.lattice.centre(*cells), strict=True)
         ]
         x, y = (
-            place / camera.pixel_size + camera.resolution[axis] / 2 - 0.5 - camera.crop_offset[axis]
-            for axis, place in enumerate(places)
+            coordinate / camera.pixel_size + camera.resolution[axis] / 2 - 0.5 - camera.crop_offset[axis]
+            for axis, coordinate in enumerate(places)
         )
         yield slice(first, first + len(x)), x, y
 
@@ -182,6 +182,9 @@ def displaced_image(image: NDArray[np.float32], camera: PlenopticCamera, oversam
     if moved.most_smooth(-half, half)[0] <= _ASIDE * camera.mla_pitch:
         return image
     x, y = np.meshgrid(*((np.arange(size) - (size - 1) / 2) * pitch for size in (columns, rows)))
-    x, y = (place / pitch + (size - 1) / 2 for place, size in zip(moved.regular(x, y), (columns, rows), strict=True))
-    channels = [map_coordinates(each, (y, x), order=1, mode="nearest") for each in np.moveaxis(image, -1, 0)]
+    x, y = (
+        coordinate / pitch + (size - 1) / 2
+        for coordinate, size in zip(moved.regular(x, y), (columns, rows), strict=True)
+    )
+    channels = [map_coordinates(channel, (y, x), order=1, mode="nearest") for channel in np.moveaxis(image, -1, 0)]
     return np.stack(channels, axis=-1)

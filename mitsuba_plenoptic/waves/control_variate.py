@@ -44,7 +44,7 @@ def means_of_halves(values: list[Any], valid: Any, count: int, rays: int) -> tup
 
 def mean_of_half(sums: Sequence[Any], counts: Sequence[Any]) -> Pair:
     """Return the means over each half of the rays from sums and counts; 0 without rays."""
-    first, second = (dr.select(number > 0, total / number, 0) for total, number in zip(sums, counts, strict=True))
+    first, second = (dr.select(count > 0, total / count, 0) for total, count in zip(sums, counts, strict=True))
     return first, second
 
 

@@ -133,8 +133,8 @@ class FittedPupil:
     def _drawn(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Density (n, n) of all rays, and the shares (shares, n, n) that the parts have: their density over it."""
         parts = np.stack(self.densities)
-        whole = parts[0] if self.closed is None else (1 - CLOSED) * parts[0] + CLOSED * parts[1]
-        return whole, parts / np.where(whole > 0, whole, 1)
+        combined = parts[0] if self.closed is None else (1 - CLOSED) * parts[0] + CLOSED * parts[1]
+        return combined, parts / np.where(combined > 0, combined, 1)
 
     # -- functions -----------------------------------------------------------------------------------
 
@@ -151,8 +151,8 @@ class FittedPupil:
     @cached_property
     def covariance(self) -> NDArray[np.float64]:
         """Covariance of the functions' integrals over light with random edges."""
-        whole, shares = self._drawn
-        x, y = (coordinate[:: USUAL.fitted_every] for coordinate in spread_points(whole))
+        combined, shares = self._drawn
+        x, y = (coordinate[:: USUAL.fitted_every] for coordinate in spread_points(combined))
         column, row = (np.asarray((coordinate + 1) * (_SAMPLES / 2), int) for coordinate in (x, y))
         values = self.functions.values(*self._boxed(x, y), shares[:, row, column])
         return edge_covariance(values, x, y, 1.0)
@@ -164,9 +164,9 @@ class FittedPupil:
         y, x = _frequencies()
         along_y, along_x = (np.exp(-2j * np.pi * np.outer(places, frequency)) for frequency in (y, x))
         # The other half plane of frequencies has the conjugate spectrum.
-        whole = ((along_y * np.where(y > 0, 2, 1)) @ self._spectra @ along_x.T).real / USUAL.unit_frequencies**2
+        combined = ((along_y * np.where(y > 0, 2, 1)) @ self._spectra @ along_x.T).real / USUAL.unit_frequencies**2
         fall = (np.hypot(places, places[:, None]) / (USUAL.unit_frequencies / 2) - USUAL.taper) / (1 - USUAL.taper)
-        return np.asarray(whole * np.cos(np.pi / 2 * np.clip(fall, 0, 1)) ** 2)
+        return np.asarray(combined * np.cos(np.pi / 2 * np.clip(fall, 0, 1)) ** 2)
 
     @cached_property
     def _spectra(self) -> NDArray[np.complex128]:
@@ -214,8 +214,8 @@ class FittedPupil:
         tilted = np.exp(1j * np.pi * (light.x * x + light.y * x[:, None]))
         first, second = (scipy.fft.fft2(light_field, size) for light_field in (bent * tilted, bent * tilted.conj()))
         steps = [np.round(frequency * _SAMPLES / 2).astype(int) for frequency in _frequencies()]
-        whole = scipy.fft.ifft2(first * second.conj())[np.ix_(*steps)]
-        return np.asarray(whole / means(self.samples.power, _SAMPLES).sum(), np.complex64)
+        correlation = scipy.fft.ifft2(first * second.conj())[np.ix_(*steps)]
+        return np.asarray(correlation / means(self.samples.power, _SAMPLES).sum(), np.complex64)
 
 
 class _Light(NamedTuple):

@@ -110,9 +110,9 @@ class LensFunctions:
             own_products, root = products[np.ix_(alike, alike)], np.linalg.cholesky(expected[np.ix_(alike, alike)])
             removed, directions = np.linalg.eigh(root.T @ own_products @ root)
             for error, function in zip(removed, (own_products @ root @ directions).T, strict=True):
-                whole = np.zeros(len(odd))
-                whole[alike] = function / np.linalg.norm(function)
-                candidates.append((float(error), parity, whole))
+                full = np.zeros(len(odd))
+                full[alike] = function / np.linalg.norm(function)
+                candidates.append((float(error), parity, full))
         candidates.sort(key=lambda candidate: -candidate[0])
         errors = np.array([error for error, _, _ in candidates])
         left = np.append(np.cumsum(errors[::-1])[::-1], 0)
@@ -122,7 +122,7 @@ class LensFunctions:
         enough = allowed[left[allowed] <= tolerance**2 * 2 * np.pi * (_covariance(expected) * products).sum()]
         most = int(enough[0] if len(enough) else allowed[-1])
         first = np.eye(len(odd))[:, :1]
-        functions = np.column_stack([first, *(whole for _, _, whole in candidates[:most])])
+        functions = np.column_stack([first, *(full for _, _, full in candidates[:most])])
         others = functions[:, 1:]
         duals = np.column_stack([first, expected @ others @ np.linalg.inv(others.T @ expected @ others)])
         parities = [(False, False), *(parity for _, parity, _ in candidates[:most])]
@@ -182,6 +182,6 @@ def _differing(
 def _covariance(expected: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the covariance of the polynomials' coefficients for light that has, on average, one edge on a lens."""
     # An edge is between two points with a probability in proportion to their distance.
-    whole = expected / (2 * np.pi)
-    whole[0, 0] += _MEAN_SQUARE
-    return np.asarray(whole)
+    full = expected / (2 * np.pi)
+    full[0, 0] += _MEAN_SQUARE
+    return np.asarray(full)

@@ -111,9 +111,9 @@ class Oblique:
             root = np.linalg.cholesky(matrix + added * np.eye(len(matrix)))
             left, values, _ = np.linalg.svd(root.T @ change[rows, columns], full_matrices=False)
             factors, kernels = np.linalg.solve(root.T, left), root @ left
-            for number, value in enumerate(values):
+            for index, value in enumerate(values):
                 pair = np.zeros((2, *shape))
-                pair[:, rows, columns] = factors[:, number], kernels[:, number]
+                pair[:, rows, columns] = factors[:, index], kernels[:, index]
                 candidates.append((float(value) ** 2, pair))
         candidates.sort(key=lambda candidate: -candidate[0])
         left_out = np.cumsum([value for value, _ in candidates][::-1])[::-1]

@@ -320,13 +320,13 @@ class PhaseSpace(ArrayKernels):
         plan.take_basis(self)
         return plan
 
-    def take_basis(self, other: PhaseSpace) -> None:
+    def take_basis(self, source: PhaseSpace) -> None:
         """Use the functions of another plan and its nodes of the table, which grow with the lattice."""
-        scales = [after / before for after, before in zip(self.lattice.period(), other.lattice.period(), strict=True)]
-        vars(self)["functions"] = replace(other.functions, scale=other.functions.scale * scales[0])
-        vars(self)["oblique"] = other.oblique
+        scales = [after / before for after, before in zip(self.lattice.period(), source.lattice.period(), strict=True)]
+        vars(self)["functions"] = replace(source.functions, scale=source.functions.scale * scales[0])
+        vars(self)["oblique"] = source.oblique
         vars(self)["nodes"] = [
-            node._replace(sides=(node.sides[0] * scales[0], node.sides[1] * scales[1])) for node in other.nodes
+            node._replace(sides=(node.sides[0] * scales[0], node.sides[1] * scales[1])) for node in source.nodes
         ]
 
 

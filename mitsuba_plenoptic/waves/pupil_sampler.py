@@ -68,11 +68,11 @@ class PupilSampler(DetectorGrid):
         aside = dr.hypot(*(P - p for P, p in zip(ray.P, ray.p, strict=True)))
         return self._response(aside, mi.Float(self._camera.pupil_distance)) * dr.opaque(mi.Float, share)
 
-    def draw(self, pixels: Pixels, pixel: Any, number: Any, cell: Any, seed: Any) -> RaySamples:
+    def draw(self, pixels: Pixels, pixel: Any, ray_index: Any, cell: Any, seed: Any) -> RaySamples:
         """Return rays drawn for pixels; rays of even and of odd numbers are independent. See `LensSampler.draw`."""
         lenses, index = self._cells(self.lenses(pixels).at(pixel), pixel, cell)
         lane = dr.gather(mi.UInt32, pixels.number, pixel)
-        random = low_discrepancy(lane, seed ^ ((number & 1) << 3), number >> 1, 6)
+        random = low_discrepancy(lane, seed ^ ((ray_index & 1) << 3), ray_index >> 1, 6)
         if self._plan.is_coarse:
             x, y = self._displacement(random[4:])
             aside = (random[2] - 0.5) * self._step - x, (random[3] - 0.5) * self._step - y
@@ -85,9 +85,9 @@ class PupilSampler(DetectorGrid):
         round_pupil = self.walk.round_pupil(pupil, start)
         valid = dr.square(round_pupil[0]) + dr.square(round_pupil[1]) <= self._camera.pupil_radius**2
         ray = Ray(start, start, pupil, dr.ones(mi.Float, dr.width(pixel)), valid)
-        chance = chances_of(lane, seed ^ (number << 4))
+        chance = chances_of(lane, seed ^ (ray_index << 4))
         lenses = lenses._replace(height=0.0)
-        return RaySamples(ray, round_pupil, start, lenses, chance, pixel, index, number)
+        return RaySamples(ray, round_pupil, start, lenses, chance, pixel, index, ray_index)
 
     def _in_pupil(self, first: Any, second: Any) -> Pair:
         """Return random points of the pupil over its radius: a part of them may be in closed parts."""
@@ -100,7 +100,7 @@ class PupilSampler(DetectorGrid):
         cell, _, within = density.sample(sample)
         coordinates = [(mi.Float(index) + r) * (2 / count) - 1 for index, r in zip(cell, within, strict=True)]
         x, y = (
-            dr.select(is_closed, closed, other) for closed, other in zip(coordinates, self._open(sample), strict=True)
+            dr.select(is_closed, closed, opened) for closed, opened in zip(coordinates, self._open(sample), strict=True)
         )
         return x, y
 

@@ -128,7 +128,7 @@ class DetectorGrid:
         camera = self._camera
         # Opaque values are kernel inputs, so that other values do not compile the kernels again.
         columns = dr.opaque(mi.UInt32, pixels.box.columns)
-        left, top = (dr.opaque(mi.Int32, number) for number in (pixels.box.left, pixels.box.top))
+        left, top = (dr.opaque(mi.Int32, corner) for corner in (pixels.box.left, pixels.box.top))
         row = quotient(pixels.index, pixels.box.columns)
         x, y = (
             (mi.Float(mi.Int32(index) + low) + 0.5 - 0.5 * camera.resolution[axis]) * camera.pixel_size
@@ -163,8 +163,8 @@ class LensSampler(DetectorGrid):
         super().__init__(camera, parts)
         self._lens = plans[0].system.lens
         # Of opaque lengths, so that a camera of other ones does not compile the kernels again.
-        walk, number = Walk.of(camera, self._lens), functools.partial(dr.opaque, mi.Float)
-        self.walk = replace(walk, lens=self._lens.opaque(number), detector_distance=number(walk.detector_distance))
+        walk, opaque = Walk.of(camera, self._lens), functools.partial(dr.opaque, mi.Float)
+        self.walk = replace(walk, lens=self._lens.opaque(opaque), detector_distance=opaque(walk.detector_distance))
         self.kinds = LensKinds(camera)
         # With these plans the pupil point of a ray follows from its own point of the lens, not from the lens's centre.
         self.lands_by_point = plans[0].lands_by_point
@@ -275,7 +275,7 @@ class LensSampler(DetectorGrid):
         scale = camera.mla_medium / (camera.detector_distance * self.enlargements[kind])
         return np.column_stack(camera.lattice.to_frame(x, y)) * scale
 
-    def draw(self, pixels: Pixels, pixel: Any, number: Any, cell: Any, seed: Any) -> RaySamples:
+    def draw(self, pixels: Pixels, pixel: Any, ray_index: Any, cell: Any, seed: Any) -> RaySamples:
         """Return rays drawn for pixels; rays of even and of odd numbers are independent.
 
         For each ray, `pixel` is the index of its pixel among the pixels, `number` its own in the pixel, and `cell` that
@@ -283,20 +283,20 @@ class LensSampler(DetectorGrid):
         """
         (lenses, index), lattice = self._cells(self.lenses(pixels).at(pixel), pixel, cell), self._camera.lattice
         lane = dr.gather(mi.UInt32, pixels.number, pixel)
-        random = low_discrepancy(lane, seed ^ ((number & 1) << 3), number >> 1, 4)
-        chance = chances_of(lane, seed ^ (number << 4))
+        random = low_discrepancy(lane, seed ^ ((ray_index & 1) << 3), ray_index >> 1, 4)
+        chance = chances_of(lane, seed ^ (ray_index << 4))
         within = [r - 0.5 if self.lands_by_point else tent(r) for r in random[2:]]
         x, y = (p + r * self._step for p, r in zip(lenses.position, within, strict=True))
         pupil = self.seen((x, y), lenses)
         if self.lands_by_point:
             # Diffraction at the whole pupil displaces light on the array by the Airy pattern.
-            first, second = (mi.sample_tea_float32(lane, seed ^ (number << 4) ^ word) for word in (11, 12))
+            first, second = (mi.sample_tea_float32(lane, seed ^ (ray_index << 4) ^ word) for word in (11, 12))
             energy = first * (_AIRY - 1)
             low = mi.UInt32(energy)
             ends = (dr.gather(mi.Float, self._airy, step) for step in (low, low + 1))
             radius, (sine, cosine) = dr.lerp(*ends, energy - low), dr.sincos(2 * math.pi * second)
             point, aside = lattice.aperture_point(*random[:2]), (radius * cosine, radius * sine)
-            weight = dr.ones(mi.Float, dr.width(number))
+            weight = dr.ones(mi.Float, dr.width(ray_index))
             growth = dr.gather(mi.Float, self._pupil_shifts, lenses.kind)
             pupil = tuple(P + growth * m for P, m in zip(pupil, point, strict=True))
             round_pupil = self.walk.round_pupil(pupil, lenses.centre)
@@ -306,7 +306,7 @@ class LensSampler(DetectorGrid):
         valid = dr.square(round_pupil[0]) + dr.square(round_pupil[1]) <= self._camera.pupil_radius**2
         position = tuple(c + m - step for c, m, step in zip(lenses.centre, point, aside, strict=True))
         ray = Ray((x, y), position, pupil, weight, valid)
-        return RaySamples(ray, round_pupil, point, lenses, chance, pixel, index, number)
+        return RaySamples(ray, round_pupil, point, lenses, chance, pixel, index, ray_index)
 
     @cached_property
     def _airy(self) -> Any:
@@ -360,11 +360,11 @@ class LensPoints:
         index = dr.gather(mi.UInt32, self._first, radial) + self._nodes.around(Pu, Pv, radial, chance[1])
         offsets, weight = [], mi.Float(1 / float(lattice.lens_area))
         for axis, edges in ((1, self._rows), (0, self._columns)):
-            number = mi.UInt32(random[axis] * _CELLS)
-            index = index * _CELLS + number
+            ray_index = mi.UInt32(random[axis] * _CELLS)
+            index = index * _CELLS + ray_index
             low, high = dr.gather(mi.Vector2f, edges, index)
             side = dr.gather(mi.Float, self._sides[axis], radial)
-            offsets.append(dr.lerp(low, high, random[axis] * _CELLS - mi.Float(number)) * side)
+            offsets.append(dr.lerp(low, high, random[axis] * _CELLS - mi.Float(ray_index)) * side)
             weight *= (high - low) * side * _CELLS
         v, u = (dr.select(P < 0, -offset, offset) for P, offset in zip((Pv, Pu), offsets, strict=True))
         return lattice.from_frame(u, v), weight

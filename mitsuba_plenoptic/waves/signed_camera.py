@@ -119,7 +119,7 @@ class CameraSum(SignedRaySum):
         slopes = {name: kernel_slopes(plan, name, self._step, kind) for name, _ in self._of_kernels}
         return [*displaced(kernels), *(slopes[name][i] for name, i in self._of_kernels)]
 
-    def _arguments(self, samples: RaySamples, walk: Walk, number: int) -> list[Any]:
+    def _arguments(self, samples: RaySamples, walk: Walk, node_index: int) -> list[Any]:
         """Return the arguments of the coefficients of rays, and the rays' changes."""
         _, slope, _ = walk.through_pupil(samples.ray.P, samples.ray.m, samples.lens.height)
         with dr.resume_grad():
@@ -129,13 +129,13 @@ class CameraSum(SignedRaySum):
             changes = [self._change(value) + dr.zeros(mi.Float, dr.width(samples.number)) for value in quantities]
         return [*samples.lens_point, *samples.round_pupil, *samples.chance, samples.ray.valid, *changes]
 
-    def _values(self, number: int, arguments: list[Any]) -> list[tuple[list[Any], Any]]:
+    def _values(self, node_index: int, arguments: list[Any]) -> list[tuple[list[Any], Any]]:
         """Return the changes of a ray's coefficients, these times its displacements on the detector, and themselves."""
         x, y, X, Y, *chance = arguments[:8]
         valid, du, dv, dx, dy, measure, density, width = arguments[8:16]
-        ray, table = ((x, y), (X, Y), tuple(chance), valid), self._coefficients[number]
+        ray, table = ((x, y), (X, Y), tuple(chance), valid), self._coefficients[node_index]
         assert isinstance(table, RayCoefficients)  # others are refused
-        values, (by_u, by_v), by_width = table(*ray), table.slopes(*ray), self._by_width[number](*ray)
+        values, (by_u, by_v), by_width = table(*ray), table.slopes(*ray), self._by_width[node_index](*ray)
         change = [
             a * measure + u * du + v * dv + q * width for a, u, v, q in zip(values, by_u, by_v, by_width, strict=True)
         ]
@@ -168,14 +168,16 @@ class CameraTangents(CameraSum):
         change = dr.forward_to(value, flags=dr.ADFlag.ClearInterior) if dr.grad_enabled(value) else mi.Float(0)
         return dr.detach(change)
 
-    def _combined(self, kernels: list[PixelKernels], values: Array, terms: Array, cosines: Array, number: int) -> Array:
+    def _combined(
+        self, kernels: list[PixelKernels], values: Array, terms: Array, cosines: Array, node_index: int
+    ) -> Array:
         """Return the images made from all sets of values; see `_values`."""
         sets, bent = values[..., :-2], values[..., -2:]
         *others, coefficients = self.arrays.split(sets, self._sets, axis=-1)
         changed = (float(self._changes[name][i]) * coefficients for name, i in self._of_kernels)
         sets = self.arrays.concatenate([*others, *changed], axis=-1)
-        images = super()._combined(kernels, sets, terms, cosines, number)
-        turned = self.arrays.einsum("atx,xa->tx", self._nodes[number].plan.oblique.slopes(cosines), bent.mean(1))
+        images = super()._combined(kernels, sets, terms, cosines, node_index)
+        turned = self.arrays.einsum("atx,xa->tx", self._nodes[node_index].plan.oblique.slopes(cosines), bent.mean(1))
         images[: len(kernels[0].kernels)] += kernels[0].turned(coefficients, turned)
         return images
 
@@ -194,10 +196,10 @@ class CameraAdjoint(CameraSum):
     def _change(self, value: Any) -> Any:
         return value - dr.detach(value)
 
-    def _product(self, images: Array, values: list[Any], number: int, kind: int, node: CellMeans) -> Any:
+    def _product(self, images: Array, values: list[Any], node_index: int, kind: int, node: CellMeans) -> Any:
         """Return the product of adjoint images with those of `CameraTangents._combined`, with gradients."""
-        oblique, cosines = self._nodes[number].plan.oblique, np.array([cosine.numpy() for cosine in node.cosines])
-        terms, kernels, rows = oblique.terms(cosines), self._kernels[number][kind], self._rows(number, kind)
+        oblique, cosines = self._nodes[node_index].plan.oblique, np.array([cosine.numpy() for cosine in node.cosines])
+        terms, kernels, rows = oblique.terms(cosines), self._kernels[node_index][kind], self._rows(node_index, kind)
         dr.eval(values)
         count = (len(values) - 2) // self._sets
         coefficients = np.stack([dr.detach(value).numpy() for value in values[-2 - count : -2]], axis=-1)

@@ -160,8 +160,8 @@ class SignedCapture:
         items_of_all = sum(task.items for task in tasks)
         reached = {"traced": 0.0, "convolved": 0.0}
 
-        def report(what: str, count: float) -> None:
-            reached[what] = count
+        def report(label: str, count: float) -> None:
+            reached[label] = count
             reached["traced"] = max(reached.values())
             if progress:
                 progress(round(_TRACING * reached["traced"] + (1 - _TRACING) * reached["convolved"]), items_of_all)

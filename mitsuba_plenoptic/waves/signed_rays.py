@@ -164,8 +164,8 @@ class SignedRaySum:
         """Yield the images of the blocks from index `first`, which are to be convolved, after tracing their rays."""
         # Arrays of convolved blocks serve again: new ones take longer to fill, as the system has yet to map them.
         free: list[list[Array]] = []
-        for number, bins in enumerate(self._blocks[first:], first):
-            seeds = np.random.SeedSequence([self._seed, number])
+        for block_index, bins in enumerate(self._blocks[first:], first):
+            seeds = np.random.SeedSequence([self._seed, block_index])
             sums = free.pop() if free else self._empty(int(self.items[0]))
             traced = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds, sums, self.traced)
             images = [image.reshape(-1, bins.rows, bins.columns) for image in traced]
@@ -213,9 +213,9 @@ class SignedRaySum:
         """Flat list of the kernels of each node's images."""
         return [[kernel for sets in kinds for of_set in sets for kernel in of_set.kernels] for kinds in self._kernels]
 
-    def _rows(self, number: int, kind: int) -> list[slice]:
+    def _rows(self, node_index: int, kind: int) -> list[slice]:
         """Return, for each set of values of a kind of lenses, the slice of a node's images that it fills."""
-        counts = [[len(of_set.kernels) for of_set in sets] for sets in self._kernels[number]]
+        counts = [[len(of_set.kernels) for of_set in sets] for sets in self._kernels[node_index]]
         ends = sum(map(sum, counts[:kind])) + np.cumsum([0, *counts[kind]])
         return [slice(*pair) for pair in itertools.pairwise(ends.tolist())]
 
@@ -269,20 +269,20 @@ class SignedRaySum:
         libraries = active_backend()
         arrays, shared = self.arrays, libraries.from_drjit
         images = iter(sums)
-        for number, node in enumerate(means):
-            of_node = [next(images) for _ in self._nodes[number].channels]
+        for node_index, node in enumerate(means):
+            of_node = [next(images) for _ in self._nodes[node_index].channels]
             if node is None:
                 continue
-            kernels, rows = self._kernels[number][batch.kind], self._rows(number, batch.kind)
+            kernels, rows = self._kernels[node_index][batch.kind], self._rows(node_index, batch.kind)
             index, cosines = shared(node.index).astype(np.intp), arrays.stack([shared(s) for s in node.cosines])
             # The pixels of a lens are in order, and each is contained once until the next lens; a device adds them all.
             starts = [] if libraries.is_cuda else (1 + np.flatnonzero(index[1:] <= index[:-1])).tolist()
             totals = [image[rows[0].start : rows[-1].stop] for image in of_node]
             values_of_images = [shared(values).reshape(len(index), self._parts**2, -1) for values in node.values]
             for few in kernels[0].portions([0, *starts, len(index)]):
-                terms = self._nodes[number].plan.oblique.terms(cosines[:, few])
+                terms = self._nodes[node_index].plan.oblique.terms(cosines[:, few])
                 for total, values in zip(totals, values_of_images, strict=True):
-                    light = self._combined(kernels, values[few], terms, cosines[:, few], number)
+                    light = self._combined(kernels, values[few], terms, cosines[:, few], node_index)
                     if libraries.is_cuda:
                         arrays.add.at(total, (slice(None), index[few]), light)
                     else:
@@ -290,7 +290,9 @@ class SignedRaySum:
                         for row, light_of_row in zip(total, light, strict=True):
                             arrays.add.at(row, index[few], light_of_row)
 
-    def _combined(self, kernels: list[PixelKernels], values: Array, terms: Array, cosines: Array, number: int) -> Array:
+    def _combined(
+        self, kernels: list[PixelKernels], values: Array, terms: Array, cosines: Array, node_index: int
+    ) -> Array:
         """Return the images (n, pixels) from a node's values (pixels, places, values) of cells, for all sets of values.
 
         `terms` (terms, pixels) are those of the direction cosines (2, pixels) of the pixels' light.
@@ -390,10 +392,10 @@ class SignedRaySum:
                     if products:
                         yield
 
-    def _product(self, images: Array, values: list[Any], number: int, kind: int, node: CellMeans) -> Any:
+    def _product(self, images: Array, values: list[Any], node_index: int, kind: int, node: CellMeans) -> Any:
         """Return the product of adjoint images (kernels, pixels) with the images of a node's values, with gradients."""
-        terms = self._nodes[number].plan.oblique.terms(np.array([cosine.numpy() for cosine in node.cosines]))
-        sets = zip(self._kernels[number][kind], self._rows(number, kind), strict=True)
+        terms = self._nodes[node_index].plan.oblique.terms(np.array([cosine.numpy() for cosine in node.cosines]))
+        sets = zip(self._kernels[node_index][kind], self._rows(node_index, kind), strict=True)
         adjoint = np.concatenate([kernels.adjoint(images[rows], terms) for kernels, rows in sets], axis=-1)
         return dr.sum(mixed([drjit_array(mi.Float, column) for column in adjoint.reshape(-1, len(values)).T], values))
 
@@ -530,14 +532,14 @@ class SignedRaySum:
         rays = mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes))
         return [[[value / rays for value in values] for values in images] for images in sums]
 
-    def _arguments(self, samples: RaySamples, walk: Walk, number: int) -> list[Any]:
+    def _arguments(self, samples: RaySamples, walk: Walk, node_index: int) -> list[Any]:
         """Return the arguments of `_values` for rays."""
         ray = samples.ray
-        return self._coefficients[number].places(samples.lens_point, samples.round_pupil, samples.chance, ray.valid)
+        return self._coefficients[node_index].places(samples.lens_point, samples.round_pupil, samples.chance, ray.valid)
 
-    def _values(self, number: int, arguments: list[Any]) -> list[tuple[list[Any], Any]]:
+    def _values(self, node_index: int, arguments: list[Any]) -> list[tuple[list[Any], Any]]:
         """Return sets of values of a ray for each function, and the known mean of the first one; None for 1."""
-        return [(self._coefficients[number].read(*arguments), None)]
+        return [(self._coefficients[node_index].read(*arguments), None)]
 
     def _cells_of(self, pixels: Any) -> tuple[Any, Any, Any]:
         """Return, for each cell of some pixels, its pixel and its first ray, among all rays and among the pixel's."""

@@ -143,20 +143,20 @@ class BinCells:
         """Return the samples of a box divided into cells; samples beyond the box are zero."""
         arrays, (width, height) = backend_of(samples).arrays, self.size
         result: NDArray[np.float32] = arrays.zeros((len(cells), height, width), np.float32)
-        for number, part, inside, position in self._strips(box, cells):
+        for cell_index, region, inside, position in self._strips(box, cells):
             strip = samples[position]
-            if strip.shape != (height, part * width):
-                strip = arrays.zeros((height, part * width), np.float32)
+            if strip.shape != (height, region * width):
+                strip = arrays.zeros((height, region * width), np.float32)
                 strip[inside] = samples[position]
-            result[number : number + part] = strip.reshape(height, part, width).transpose(1, 0, 2)
+            result[cell_index : cell_index + region] = strip.reshape(height, region, width).transpose(1, 0, 2)
         return result
 
     def join(self, values: NDArray[np.float32], cells: CellSet, box: Box) -> NDArray[np.float32]:
         """Return the samples of cells, put together on a box; the adjoint of `split`."""
         width, height = self.size
         result: NDArray[np.float32] = backend_of(values).arrays.zeros((box.rows, box.columns), np.float32)
-        for number, part, inside, position in self._strips(box, cells):
-            strip = values[number : number + part].transpose(1, 0, 2).reshape(height, part * width)
+        for cell_index, region, inside, position in self._strips(box, cells):
+            strip = values[cell_index : cell_index + region].transpose(1, 0, 2).reshape(height, region * width)
             result[position] = strip[inside]
         return result
 
@@ -164,7 +164,7 @@ class BinCells:
         """Return, per row of cells, the index of the first cell, the count, and the overlap of the row with the box."""
         width, height = self.size
         strips = []
-        for row, (number, first, count) in enumerate(zip(cells.start, cells.first, cells.count, strict=True)):
+        for row, (cell_index, first, count) in enumerate(zip(cells.start, cells.first, cells.count, strict=True)):
             J = cells.top + row
             left = int(self.first_sample[0] + first * width + J * self.samples[1, 0]) - box.left
             top = int(self.first_sample[1] + J * height) - box.top
@@ -172,7 +172,7 @@ class BinCells:
             down = slice(max(0, top), min(box.rows, top + height))
             if along.start < along.stop and down.start < down.stop:
                 inside = slice(down.start - top, down.stop - top), slice(along.start - left, along.stop - left)
-                strips.append((int(number), int(count), inside, (down, along)))
+                strips.append((int(cell_index), int(count), inside, (down, along)))
         return strips
 
 
@@ -215,8 +215,8 @@ class UprightBins:
             """Return where chief rays from the object points that bins assign to x, y meet the array, (2, ...)."""
             if cells.grid.lens.is_uniform:
                 return np.stack([x, y])
-            found = cast(FittedLens, cells.grid.lens).image_stretch(camera, distance)
-            ratio = np.interp(np.hypot(x, y), found.places, found.ratio)
+            stretch = cast(FittedLens, cells.grid.lens).image_stretch(camera, distance)
+            ratio = np.interp(np.hypot(x, y), stretch.places, stretch.ratio)
             return np.stack([x * ratio, y * ratio])
 
         corners = (lit.index[:, None] + np.indices((2, 2)).reshape(2, 4).T) @ cells.vectors
@@ -231,7 +231,7 @@ class UprightBins:
             for start, stop, half in zip(low, high, middle, strict=True)
         )
         columns, rows = (high - low).tolist()
-        number = np.repeat(np.arange(columns), inside.size)
+        cell_column = np.repeat(np.arange(columns), inside.size)
         shares = []
         for line in np.split(y, rows):
             places = np.meshgrid(x, line)
@@ -247,11 +247,11 @@ class UprightBins:
                     cell = lit.find(np.stack([column // across, J], axis=-1))
                     weights.append(np.where(cell < len(lit), area * along_y * along_x, 0))
                     bins.append((np.minimum(cell, len(lit) - 1) * down + row % down) * across + column % across)
-            size, targets = (columns, len(lit) * down * across), np.broadcast_to(number, np.shape(bins))
-            made = csr_array((np.ravel(weights), (targets.ravel(), np.ravel(bins))), shape=size)
-            made.data[abs(made.data) < _NO_SHARE] = 0
-            made.eliminate_zeros()
-            shares.append(made.astype(np.float32))
+            size, targets = (columns, len(lit) * down * across), np.broadcast_to(cell_column, np.shape(bins))
+            matrix = csr_array((np.ravel(weights), (targets.ravel(), np.ravel(bins))), shape=size)
+            matrix.data[abs(matrix.data) < _NO_SHARE] = 0
+            matrix.eliminate_zeros()
+            shares.append(matrix.astype(np.float32))
         return cls((int(low[0]), int(low[1])), (rows, columns), vstack(shares, "csr"))
 
 

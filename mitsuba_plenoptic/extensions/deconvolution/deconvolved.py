@@ -89,10 +89,10 @@ def refocus(task: Task, **options: Any) -> list[Found]:
         solved += list(_solve(task, groups[group], channel, options, noise, solved, arrays, report))
         # Only the first of them had been begun.
         arrays = {}
-    found = [[solved[channel * planes + plane] for channel in range(channels)] for plane in range(planes)]
+    by_plane = [[solved[channel * planes + plane] for channel in range(channels)] for plane in range(planes)]
     return [
-        Found(np.stack([one.image for one in of_plane], axis=-1), _facts(task, distance, of_plane))
-        for distance, of_plane in zip(task.distances, found, strict=True)
+        Found(np.stack([plane_image.image for plane_image in of_plane], axis=-1), _facts(task, distance, of_plane))
+        for distance, of_plane in zip(task.distances, by_plane, strict=True)
     ]
 
 
@@ -164,29 +164,31 @@ def _solve(
         oversample=task.oversample,
         job=Job(progress=lambda done, total: report(done / total), batch_map=task.batch_map),
         steps=most,
-    ) as made:
+    ) as checkpoint_arrays:
         # Light that vignetting keeps out is no part of the response.
         passed = 1.0 if task.passed is None else task.passed
         as_recorded = task.softened or task.passed is not None
         steps = RichardsonLucy(
-            _AsRecorded(made, passed, task.softened) if as_recorded else made,
+            _AsRecorded(checkpoint_arrays, passed, task.softened) if as_recorded else checkpoint_arrays,
             image,
             noise.shift if noise else 0.0,
-            TotalVariation(made.planes_of, variation) if variation else None,
+            TotalVariation(checkpoint_arrays.planes_of, variation) if variation else None,
         )
         solution = solve(
             steps,
             iterations=most,
             accelerate=options["accelerate"],
             stop=until_noise(noise) if noise and iterations is None else None,
-            state=SolverState.of(arrays, made.source_shape),
+            state=SolverState.of(arrays, checkpoint_arrays.source_shape),
             save=save,
-            progress=lambda done, total: report(made.prepared + (1 - made.prepared) * done / total),
+            progress=lambda done, total: report(
+                checkpoint_arrays.prepared + (1 - checkpoint_arrays.prepared) * done / total
+            ),
         )
     residual = relative_residual(image, solution.model)
     brightness = steps.light / steps.light.max()
     for plane in range(len(distances)):
-        radiance, light = (made.to_image(values, plane) for values in (solution.point, brightness))
+        radiance, light = (checkpoint_arrays.to_image(values, plane) for values in (solution.point, brightness))
         visible = np.where(light >= LEAST_SEEN, radiance, np.float32(np.nan))
         yield Solved(visible, solution.iterations, residual, bool(solution.stopped))
 
@@ -196,9 +198,9 @@ def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str,
     wavelengths: Sequence[float | None] = task.wavelengths or [None]
     limits = [resolution_limit(task.camera, distance, wavelength) for wavelength in wavelengths]
     return {
-        "iterations": max(one.iterations for one in of_plane),
-        "residual": max(one.residual for one in of_plane),
-        "stopped_by_noise": all(one.stopped for one in of_plane),
+        "iterations": max(channel.iterations for channel in of_plane),
+        "residual": max(channel.residual for channel in of_plane),
+        "stopped_by_noise": all(channel.stopped for channel in of_plane),
         "resolution_limit": min(limit.frequency for limit in limits),
         "in_focus": any(limit.in_focus for limit in limits),
     }

@@ -70,7 +70,7 @@ class FourierResponse(StoredResponse):
         self.shapes = [(rows, columns)] * len(distances)
         super().__init__((len(distances) * rows * columns,), camera.shape)
         bins, pixels = np.array(camera.bin_count), np.array(camera.crop_size)
-        self._size = tuple(fft.fast_length(float(number)) for number in reversed((pixels + bins - 1).tolist()))
+        self._size = tuple(fft.fast_length(float(length)) for length in reversed((pixels + bins - 1).tolist()))
         self._store(len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY)
         deepest = max(abs(distance) for distance in distances)
         fine = _fine_camera(camera, wavelength, oversample, deepest)
@@ -81,14 +81,14 @@ class FourierResponse(StoredResponse):
         points = np.array([[x, y, depth] for depth in distances])
         system = OpticalSystem(fine.at_wavelength(wavelength), wavelength)
         self._lens, plan = system.lens, FullFieldPlan(system, points, None, 0.0)
-        one = np.ones(1, np.float32)
-        batches = [plan.batch(plane, one) for plane in range(len(distances))]
+        unit = np.ones(1, np.float32)
+        batches = [plan.batch(plane, unit) for plane in range(len(distances))]
         self._spectra: list[fft.Field] = []
         spreads = _SPREAD_TIME * len(batches) * math.prod(fine.resolution)
         self.prepared = spreads / (spreads + steps * len(batches) * oversample**2 * math.prod(self._size))
         total = math.ceil(_PROGRESS * len(batches) / self.prepared)
-        for part in (job or Job()).each(batches, [_PROGRESS] * len(batches), 0, total):
-            spectra = self._kernel_spectra(np.asarray(part.sums[0]), fine)
+        for partial_sum in (job or Job()).each(batches, [_PROGRESS] * len(batches), 0, total):
+            spectra = self._kernel_spectra(np.asarray(partial_sum.sums[0]), fine)
             self._spectra += self._stored([spectra], f"{len(self._spectra)}")
 
     def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
@@ -110,8 +110,8 @@ class FourierResponse(StoredResponse):
                 for phase, spectrum in zip(self._phases, spectra, strict=True):
                     total += self._spectrum(radiance[phase]) * libraries.arrays.asarray(spectrum)
             height, width = self._camera.shape
-            found = fft.fft(total, axis=0, inverse=True)[:height]
-            image = libraries.to_host(fft.irfft(found, columns, axis=1)[:, :width])
+            rows_of = fft.fft(total, axis=0, inverse=True)[:height]
+            image = libraries.to_host(fft.irfft(rows_of, columns, axis=1)[:, :width])
         return np.asarray(self._detector.forward(np.ascontiguousarray(image)))
 
     def adjoint(self, image: NDArray[np.float32], /) -> NDArray[np.float32]:
@@ -119,10 +119,10 @@ class FourierResponse(StoredResponse):
         libraries, columns, result = active_backend(), self._size[1], np.empty(self.source_shape, np.float32)
         width, height = self._camera.bin_count
         with fft.resting_drjit():
-            given = self._spectrum(self._detector.adjoint(image))
+            image_spectrum = self._spectrum(self._detector.adjoint(image))
             for plane, spectra in zip(self.planes_of(result), self._spectra, strict=True):
                 for phase, spectrum in zip(self._phases, spectra, strict=True):
-                    back = given * libraries.arrays.asarray(spectrum).conj()
+                    back = image_spectrum * libraries.arrays.asarray(spectrum).conj()
                     back = fft.fft(back, axis=0, inverse=True)[:height]
                     plane[phase] = libraries.to_host(fft.irfft(back, columns, axis=1)[:, :width])
         return result
@@ -170,14 +170,14 @@ class FourierResponse(StoredResponse):
 
     def _wrapped(self, kernel: NDArray[np.float32], low: Sequence[int]) -> NDArray[np.float32]:
         """Return a kernel placed around the first corner of the period; its first sample lies at `low`."""
-        positions, taken = [], []
+        positions, sources = [], []
         for axis, first in enumerate(low):
             steps = np.arange(kernel.shape[axis]) + first
             inside = (steps > -self._camera.bin_count[1 - axis]) & (steps < self._camera.shape[axis])
             positions.append(steps[inside] % self._size[axis])
-            taken.append(inside)
+            sources.append(inside)
         result = np.zeros(self._size, np.float32)
-        result[np.ix_(*positions)] = kernel[np.ix_(*taken)]
+        result[np.ix_(*positions)] = kernel[np.ix_(*sources)]
         return result
 
     def _spectra_memory(self, oversample: int) -> float:

@@ -37,8 +37,8 @@ def refocus(task: Task) -> list[np.ndarray]:
     """
     camera, lights, images = task.camera, sorted(set(task.wavelengths)), []
     for plane, distance in enumerate(task.distances):
-        own = dataclasses.replace(task, distances=[distance])
-        given = [image for image, _, _ in captures(own)]
+        plane_task = dataclasses.replace(task, distances=[distance])
+        images_of_plane = [image for image, _, _ in captures(plane_task)]
         # For each channel the bins of the captures and of white.
         bins: list[list[np.ndarray]] = [[] for _ in task.wavelengths]
         for index, wavelength in enumerate(lights):
@@ -46,25 +46,29 @@ def refocus(task: Task) -> list[np.ndarray]:
             progress = portion(portion(task.progress, plane, [1] * len(task.distances)), index, work_of(lights))
             with response_of(camera)(
                 camera.replace(**SHARP),
-                own.distances,
+                plane_task.distances,
                 wavelength=wavelength,
                 oversample=task.oversample,
                 job=Job(progress=lambda done, total, progress=progress: progress(done / total)),  # type: ignore[misc]
-                steps=len(channels) * (len(given) + 1) / 2,
-            ) as made:
+                steps=len(channels) * (len(images_of_plane) + 1) / 2,
+            ) as response:
                 by_waves = task.recorded is not None or not camera.lens_data.converges
-                ones = np.ones(made.source_shape, np.float32)
-                white = DetectorOperator.of(camera).forward(made.forward(ones)) if by_waves else white_pixels(camera)
+                ones = np.ones(response.source_shape, np.float32)
+                white = (
+                    DetectorOperator.of(camera).forward(response.forward(ones)) if by_waves else white_pixels(camera)
+                )
                 white = white if task.passed is None else white * task.passed
                 for channel in channels:
-                    pixels = [*(image[..., channel] for image in given), white]
-                    weighed = (made.adjoint(np.ascontiguousarray(each, np.float32)) for each in pixels)
-                    bins[channel] = [made.to_image(each, 0) for each in weighed]
+                    pixels = [*(image[..., channel] for image in images_of_plane), white]
+                    weighed = (
+                        response.adjoint(np.ascontiguousarray(channel_image, np.float32)) for channel_image in pixels
+                    )
+                    bins[channel] = [response.to_image(channel_image, 0) for channel_image in weighed]
         *sums, divisor = (np.stack(parts, axis=-1) for parts in zip(*bins, strict=True))
         if camera.lens_data.converges:
             # As for all methods, bins that hardly any ray reaches are NaN, though light is diffracted there.
             seen = white_sums(camera, distance, camera.lit_radius, "lens", task.oversample)
         else:
             seen = divisor.mean(-1)
-        images += to_radiance(own, [[total] for total in sums], [divisor], [seen])
+        images += to_radiance(plane_task, [[total] for total in sums], [divisor], [seen])
     return images

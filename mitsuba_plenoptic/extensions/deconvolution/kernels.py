@@ -70,7 +70,7 @@ class StoredResponse(LinearMap):
         """Return the bins (rows, columns) of each plane, as views of all bins."""
         ends = np.cumsum([rows * columns for rows, columns in self.shapes])
         return [
-            part.reshape(shape) for part, shape in zip(np.split(values.ravel(), ends[:-1]), self.shapes, strict=True)
+            plane.reshape(shape) for plane, shape in zip(np.split(values.ravel(), ends[:-1]), self.shapes, strict=True)
         ]
 
     def _stored(self, arrays: list[NDArray[Any]], name: str) -> list[NDArray[Any]]:
@@ -97,26 +97,26 @@ class StoredResponse(LinearMap):
 def require_response_memory(memory: Callable[[int], float], oversample: int, distances: Sequence[float]) -> None:
     """Refuse a response that does not fit into memory before anything is allocated; `memory` gives its bytes."""
     planes = f"{len(distances)} planes" if len(distances) > 1 else f"the plane at {distances[0]:g}"
-    what = f"oversample = {oversample}: deconvolution of {planes}"
-    require_memory_for(memory, oversample, what, "oversample = {}".format, computed=True)
+    label = f"oversample = {oversample}: deconvolution of {planes}"
+    require_memory_for(memory, oversample, label, "oversample = {}".format, computed=True)
 
 
 def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list[Part]], together: int = 1) -> Kernel:
     """Return the kernel of a cell's bins from point spreads; `together` x `together` samples are merged into one."""
-    arrays, found = active_backend().arrays, []
-    for number, parts in enumerate(spreads):
-        for part in parts:
-            box, sums = merged(part.box, arrays.asarray(part.sums)[0], together)
+    arrays, entries = active_backend().arrays, []
+    for spread_index, parts in enumerate(spreads):
+        for patch in parts:
+            box, sums = merged(patch.box, arrays.asarray(patch.sums)[0], together)
             reached = cells.holding(box)
             values = cells.split(sums, box, reached)
-            found.append((number, reached.index - cell, values))
-    low = np.min([index.min(0) for _, index, _ in found], axis=0)
-    high = np.max([index.max(0) for _, index, _ in found], axis=0)
+            entries.append((spread_index, reached.index - cell, values))
+    low = np.min([index.min(0) for _, index, _ in entries], axis=0)
+    high = np.max([index.max(0) for _, index, _ in entries], axis=0)
     size = high - low + 1
-    count = len({number for number, _, _ in found})
-    dense = arrays.zeros((int(size.prod()), count, *found[0][2].shape[1:]), np.float32)
-    for number, index, values in found:
-        dense[arrays.asarray((index - low) @ [1, size[0]]), number] += values
+    count = len({spread_index for spread_index, _, _ in entries})
+    dense = arrays.zeros((int(size.prod()), count, *entries[0][2].shape[1:]), np.float32)
+    for spread_index, index, values in entries:
+        dense[arrays.asarray((index - low) @ [1, size[0]]), spread_index] += values
     steps = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1).reshape(-1, 2) + low
     return sparse_kernel(steps, dense)
 
@@ -128,10 +128,10 @@ def merged(box: Box, samples: NDArray[np.float32], together: int) -> tuple[Box, 
     left, top = box.left // together, box.top // together
     columns, rows = (-(-end // together) for end in (box.left + box.columns, box.top + box.rows))
     before = box.top - top * together, box.left - left * together
-    whole = backend_of(samples).arrays.zeros(((rows - top) * together, (columns - left) * together), np.float32)
-    whole[before[0] : before[0] + box.rows, before[1] : before[1] + box.columns] = samples
+    combined = backend_of(samples).arrays.zeros(((rows - top) * together, (columns - left) * together), np.float32)
+    combined[before[0] : before[0] + box.rows, before[1] : before[1] + box.columns] = samples
     # Plane by plane, which takes a fraction of the time of a sum along two short axes.
-    total = sum(whole[row::together, column::together] for row, column in np.ndindex(together, together))
+    total = sum(combined[row::together, column::together] for row, column in np.ndindex(together, together))
     return Box(left, top, columns - left, rows - top), total / np.float32(together**2)
 
 
@@ -153,15 +153,15 @@ def sparse_kernel(steps: NDArray[np.int64], dense: NDArray[np.float32]) -> Kerne
     dark = int(np.searchsorted(upto, LEAST * upto[-1]))
     least = order[dark]
     scale = np.float32(upto[-1] / (upto[-1] - (upto[dark - 1] if dark else 0)))
-    blocks, used = [], power >= least
-    retained = np.flatnonzero(used.any(axis=0))
-    number = np.cumsum(used.any(axis=0)) - 1
-    for (rows, columns), some in zip(parts, used, strict=True):
+    blocks, bright = [], power >= least
+    retained = np.flatnonzero(bright.any(axis=0))
+    column_of = np.cumsum(bright.any(axis=0)) - 1
+    for (rows, columns), some in zip(parts, bright, strict=True):
         which = np.flatnonzero(some)
         if len(which):
             lit = dense[libraries.arrays.asarray(which)][:, :, rows, columns]
             matrix = lit.reshape(len(which) * dense.shape[1], -1) * scale
-            blocks.append(SampleBlock(rows, columns, number[which], matrix))
+            blocks.append(SampleBlock(rows, columns, column_of[which], matrix))
     return Kernel(steps[retained], blocks)
 
 
@@ -175,7 +175,7 @@ def zones(cells: CellSet, width: int) -> list[NDArray[np.int64]]:
     along, down = (-(-int(count) // width) for count in (cells.count.max(), len(cells.count)))
     # as even as they can be
     zone = row * down // len(cells.count) * along + np.minimum(column * along // int(cells.count.max()), along - 1)
-    return [np.flatnonzero(zone == number) for number in np.unique(zone)]
+    return [np.flatnonzero(zone == zone_index) for zone_index in np.unique(zone)]
 
 
 class PlaneResponse:
@@ -225,8 +225,8 @@ class PlaneResponse:
         def work(zone: _Placed) -> Any:
             around = arrays.zeros((*zone.sources.shape, bins), np.float32)
             for block, steps in zip(zone.blocks, zone.steps, strict=True):
-                part = samples[zone.members, block.rows, block.columns].reshape(len(around), -1)
-                light = part @ arrays.asarray(block.matrix).T
+                block_samples = samples[zone.members, block.rows, block.columns].reshape(len(around), -1)
+                light = block_samples @ arrays.asarray(block.matrix).T
                 around[:, steps] += light.reshape(len(around), len(block.steps), -1)
             return around
 

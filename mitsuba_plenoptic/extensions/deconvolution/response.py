@@ -69,11 +69,11 @@ def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: f
     points, system = np.array([[0.0, 0.0, depth] for depth in depths]), OpticalSystem(camera, wavelength)
     if not system.lens.is_uniform:
         points = np.concatenate([points, cast(RealLens, system.lens).farthest(depths)])
-    given = system, band_for(_ACCURACY, _MANY), points
-    grid, together = Grid.of(*given), 1
+    arguments = system, band_for(_ACCURACY, _MANY), points
+    grid, together = Grid.of(*arguments), 1
     if grid.rotation == 0:
         together = max(1, int(camera.pixel_size / (_PIXEL_SAMPLES * float(grid.pitch.max()))))
-    return Grid.of(*given, together), together
+    return Grid.of(*arguments, together), together
 
 
 def wave_batches(
@@ -202,8 +202,8 @@ def _trace(batch: RayBatch) -> Part:
     for right in (0, 1):
         for down in (0, 1):
             weight = np.abs(1 - right - over[:, 0]) * np.abs(1 - down - over[:, 1])
-            number = (below[:, 1] - low[1] + down) * columns + below[:, 0] - low[0] + right
-            sums += np.bincount(number, weight, len(sums))
+            pixel = (below[:, 1] - low[1] + down) * columns + below[:, 0] - low[0] + right
+            sums += np.bincount(pixel, weight, len(sums))
     sums *= bin_weight(cells) / (len(pairs) * grid.pitch.prod())
     return Part(Box(int(low[0]), int(low[1]), columns, rows), sums.reshape(1, rows, columns).astype(np.float32))
 
@@ -281,7 +281,7 @@ class Response(StoredResponse):
         all_pixels = np.full((1, 2), -_EVERYWHERE), np.full((1, 2), _EVERYWHERE)
         self._recorder = Recorder(camera, grid, *all_pixels)
         self._sampled = self.cells.holding(self._recorder.box)
-        each = [self._kernel_memory(distance, oversample) for distance in distances]
+        kernel_bytes = [self._kernel_memory(distance, oversample) for distance in distances]
         # Far too large kernels are refused before the light of some is computed.
         self._require_memory(1, len(distances) > 1)
         # Zones divide the work among the cores; where lenses are alike, one kernel serves several.
@@ -289,32 +289,38 @@ class Response(StoredResponse):
         unlike = 0.0 if _alike(camera) else math.inf
         if wavelength:
             unlike = max(self._unlike(distance, job) for distance in distances)
-        asked = self._zones(max(each), unlike)
-        owner = np.repeat(np.arange(len(asked)), list(map(len, asked)))[np.argsort(np.concatenate(asked))]
-        served = [owner[members[len(members) // 2]] for members in groups]
-        self._store(len(distances) > 1 and _LIT * len(asked) * sum(each) > _MEMORY)
+        groups_of_cells = self._zones(max(kernel_bytes), unlike)
+        owner = np.repeat(np.arange(len(groups_of_cells)), list(map(len, groups_of_cells)))[
+            np.argsort(np.concatenate(groups_of_cells))
+        ]
+        middles = [owner[members[len(members) // 2]] for members in groups]
+        self._store(len(distances) > 1 and _LIT * len(groups_of_cells) * sum(kernel_bytes) > _MEMORY)
         # Far too many bins are refused before they are put into batches.
         stored = self._folder is not None
-        self._require_memory(len(asked), stored)
-        middle = self._middle(asked[0])
+        self._require_memory(len(groups_of_cells), stored)
+        middle = self._middle(groups_of_cells[0])
         batches = [
             batch for distance in distances for some in self._batches(self.cells, distance, middle) for batch in some
         ]
         # Beside those that the threads compute, another one is prepared.
-        self._require_memory(len(asked), stored, (job.workers.threads + 1) * max(batch.memory for batch in batches))
-        spreads = len(asked) * sum(batch.samples for batch in batches)
+        self._require_memory(
+            len(groups_of_cells), stored, (job.workers.threads + 1) * max(batch.memory for batch in batches)
+        )
+        spreads = len(groups_of_cells) * sum(batch.samples for batch in batches)
         bins, self.prepared = self.cells.bins[0] * self.cells.bins[1], self._prepared(spreads, steps)
-        total = math.ceil(_PROGRESS * len(distances) * len(asked) * bins / self.prepared)
+        total = math.ceil(_PROGRESS * len(distances) * len(groups_of_cells) * bins / self.prepared)
         self.planes: list[PlaneResponse] = []
         for distance in distances:
-            kernels = self._kernels(distance, asked, job, _PROGRESS * len(self.planes) * len(asked) * bins, total)
+            kernels = self._kernels(
+                distance, groups_of_cells, job, _PROGRESS * len(self.planes) * len(groups_of_cells) * bins, total
+            )
             matrices = [block.matrix for kernel in kernels for block in kernel.blocks]
             held = iter(self._stored(matrices, f"{len(self.planes)}"))
             kernels = [
                 Kernel(kernel.steps, [replace(block, matrix=next(held)) for block in kernel.blocks])
                 for kernel in kernels
             ]
-            self.planes.append(PlaneResponse(self.cells, self._sampled, groups, [kernels[number] for number in served]))
+            self.planes.append(PlaneResponse(self.cells, self._sampled, groups, [kernels[index] for index in middles]))
         self.bins = [
             UprightBins.over(self.cells, plane.lit, camera, distance, oversample)
             for plane, distance in zip(self.planes, distances, strict=True)
@@ -338,10 +344,10 @@ class Response(StoredResponse):
         batches = [self._batches(self.cells, distance, cell) for cell in cells]
         flat = [batch for bins in batches for some in bins for batch in some]
         share = [
-            _PROGRESS * (number + 1) // len(some) - _PROGRESS * number // len(some)
+            _PROGRESS * (index + 1) // len(some) - _PROGRESS * index // len(some)
             for bins in batches
             for some in bins
-            for number in range(len(some))
+            for index in range(len(some))
         ]
         with contextlib.closing(job.each(flat, share, done, total)) as parts:
             return [
@@ -359,9 +365,9 @@ class Response(StoredResponse):
 
     def _middle(self, members: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the cell in the middle of a zone."""
-        own = self._sampled.index[members]
-        places = own @ self.cells.vectors
-        middle: NDArray[np.int64] = own[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
+        cell_index = self._sampled.index[members]
+        places = cell_index @ self.cells.vectors
+        middle: NDArray[np.int64] = cell_index[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
         return middle
 
     def _zones(self, kernels: float, unlike: float) -> list[NDArray[np.int64]]:
@@ -369,9 +375,9 @@ class Response(StoredResponse):
         widest = max(len(self._sampled.count), int(self._sampled.count.max()))
         width = max(_ZONE, widest if unlike <= _ALIKE else math.floor(widest * _ALIKE / unlike))
         while True:
-            found = zones(self._sampled, width)
-            if width >= widest or len(found) * kernels <= _MEMORY:
-                return found
+            groups = zones(self._sampled, width)
+            if width >= widest or len(groups) * kernels <= _MEMORY:
+                return groups
             width *= 2
 
     def _unlike(self, distance: float, job: Job) -> float:
@@ -393,8 +399,8 @@ class Response(StoredResponse):
             image = np.zeros((1, 2 * half, 2 * half), np.float32)
             batches = itertools.chain.from_iterable(self._batches(cells, distance, cell, 2))
             with contextlib.closing(job.workers(batches)) as parts:
-                for part in parts:
-                    box, sums = merged(part.box, active_backend().to_host(part.sums)[0], self._together)
+                for block in parts:
+                    box, sums = merged(block.box, active_backend().to_host(block.sums)[0], self._together)
                     add(Part(box, sums[None]), Box(left, top, 2 * half, 2 * half), image)
             return image
 
@@ -423,11 +429,11 @@ class Response(StoredResponse):
     def _require_memory(self, groups: int, on_disk: bool, fields: float = 0.0) -> None:
         def memory(oversample: int) -> float:
             oversample = math.ceil(oversample * self.cells.oversample / self._oversample)
-            each = [self._kernel_memory(distance, oversample) for distance in self._distances]
-            bins = 4.0 * len(self._sampled) * len(self._camera.mla_focal_lengths) * oversample**2 * len(each)
+            kernel_bytes = [self._kernel_memory(distance, oversample) for distance in self._distances]
+            bins = 4.0 * len(self._sampled) * len(self._camera.mla_focal_lengths) * oversample**2 * len(kernel_bytes)
             samples = 4.0 * self._recorder.box.rows * self._recorder.box.columns
-            kernels = _LIT * groups * (max(each) if on_disk else sum(each))
-            return kernels + 2 * max(each) + 12 * bins + 4 * samples + self._recorder.memory + fields
+            kernels = _LIT * groups * (max(kernel_bytes) if on_disk else sum(kernel_bytes))
+            return kernels + 2 * max(kernel_bytes) + 12 * bins + 4 * samples + self._recorder.memory + fields
 
         require_response_memory(memory, self._oversample, self._distances)
 
@@ -480,5 +486,5 @@ def _alike(camera: PlenopticCamera) -> bool:
 def _fine(grid: Grid, camera: PlenopticCamera, oversample: int) -> int:
     """Return the bins of cells along a lens: those of a reconstruction if they repeat with lenses, or finer ones."""
     lattice = camera.lattice
-    own = lattice.separable and lattice.aspect == 1 and grid.lens.is_uniform
-    return oversample if own else max(_FINE, oversample)
+    separable = lattice.separable and lattice.aspect == 1 and grid.lens.is_uniform
+    return oversample if separable else max(_FINE, oversample)

@@ -30,12 +30,12 @@ class TotalVariation:
     def __call__(self, values: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.float32]:
         """Return the gradient at the values, 0 for bins that are not inside."""
         slopes = []
-        for part, mask in zip(self.planes_of(values), self.planes_of(inside), strict=True):
+        for plane, mask in zip(self.planes_of(values), self.planes_of(inside), strict=True):
             # Steps to bins that are not inside do not count.
-            known = [mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]]
-            right, below = np.zeros_like(part), np.zeros_like(part)
-            right[:, :-1], below[:-1] = (np.diff(part, axis=1 - axis) * known[axis] for axis in (0, 1))
-            even = _SMOOTH * float(part[mask].mean()) if mask.any() else 0.0
+            neighbours = [mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]]
+            right, below = np.zeros_like(plane), np.zeros_like(plane)
+            right[:, :-1], below[:-1] = (np.diff(plane, axis=1 - axis) * neighbours[axis] for axis in (0, 1))
+            even = _SMOOTH * float(plane[mask].mean()) if mask.any() else 0.0
             length = np.sqrt(right**2 + below**2 + np.float32(even**2 + 1e-30))
             right, below = right / length, below / length
             slope = -right - below

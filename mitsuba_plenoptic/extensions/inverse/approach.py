@@ -39,12 +39,12 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
     shrunk = camera.pupil_distance / (camera.pupil_distance + camera.reduced_distance)
     position = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * (camera.pixel_size * shrunk)
     distance = np.hypot(*position.T)
-    reach, found = 3 * max(camera.mla_pitches), camera
+    reach, fitted = 3 * max(camera.mla_pitches), camera
     while True:
         # From the axis outwards, so that errors of the start do not add up to whole lenses.
-        found = _fitted(found, position[distance <= reach])
+        fitted = _fitted(fitted, position[distance <= reach])
         if reach > distance.max():
-            return found
+            return fitted
         reach *= 1.5
 
 
@@ -54,15 +54,15 @@ def _fitted(camera: PlenopticCamera, position: NDArray[np.float64]) -> Plenoptic
     if lattice.displacement is not None:
         position = np.stack(lattice.displacement.regular(*position.T), axis=-1)
     i, j = lattice.regular.cell(*position.T)
-    u, v = (np.asarray(part, np.float64) for part in lattice.unit_centre(i, j))
+    u, v = (np.asarray(coordinate, np.float64) for coordinate in lattice.unit_centre(i, j))
     v = v * lattice.row_ratio
     x, y = position.T
-    one, none = np.ones(len(position)), np.zeros(len(position))
+    ones, none = np.ones(len(position)), np.zeros(len(position))
     # Steps (a, b) along the rows and q (-b, a) across them, of which the ratio q of the pitches is refined in turn.
     ratio = camera.mla_pitches[1] / camera.mla_pitches[0]
     for _ in range(8):
         rows = np.concatenate(
-            [np.stack([u, -ratio * v, one, none], 1), np.stack([ratio * v, u, none, one], 1)],
+            [np.stack([u, -ratio * v, ones, none], 1), np.stack([ratio * v, u, none, ones], 1)],
         )
         (a, b, left, up), *_ = np.linalg.lstsq(rows, np.concatenate([x, y]), rcond=None)
         if np.ndim(camera.to_dict()["mla_pitch"]) == 0:
@@ -133,20 +133,20 @@ def coarse_fit(
     InputError
         If an input has a wrong value, a capture is black, or for the reasons of `point_rays.PointRays`.
     """
-    given = [views] if isinstance(views, View) else list(views)
-    check_views(camera, given)
+    observations = [views] if isinstance(views, View) else list(views)
+    check_views(camera, observations)
     vector = vector_of(camera, names)
     check_numbers(vector)
     low, high = vector.limits(bounds)
-    models = RayModels(camera, given, require_wavelength(wavelength))
+    models = RayModels(camera, observations, require_wavelength(wavelength))
     blurs = np.unique(np.maximum(np.array(_BLURS) * camera.pixels_per_lens, _SHARPEST))[::-1].tolist()
-    found, tried, first = camera, 0, 0
+    fitted, tried, first = camera, 0, 0
     if checkpoint:
         facts = {"numbers": vector.labels, "bounds": dict(bounds or {}), "camera": camera.to_dict()}
-        kept = checkpoint.begin_arrays(**facts, wavelength=wavelength, light_digest=light_digest(given))
-        if kept is not None:
-            x, tried = kept_numbers(kept, vector.values.shape)
-            found, first = vector.at(np.clip(x, low, high)), tried // _MOST_STEPS
+        stored = checkpoint.begin_arrays(**facts, wavelength=wavelength, light_digest=light_digest(observations))
+        if stored is not None:
+            x, tried = kept_numbers(stored, vector.values.shape)
+            fitted, first = vector.at(np.clip(x, low, high)), tried // _MOST_STEPS
 
     def count() -> None:
         nonlocal tried
@@ -154,21 +154,21 @@ def coarse_fit(
         if progress:
             progress(tried, _MOST_STEPS * len(blurs))
 
-    for number, blur in enumerate(blurs[first:], first + 1):
-        whole = blur >= _TELLS_LATTICE * camera.pixels_per_lens
-        sought = np.array([not (whole and each.name in _LATTICE) for each in vector.components])
+    for stage, blur in enumerate(blurs[first:], first + 1):
+        is_coarse = blur >= _TELLS_LATTICE * camera.pixels_per_lens
+        sought = np.array([not (is_coarse and component.name in _LATTICE) for component in vector.components])
         if sought.any():
-            some = vector.of(found).keep(np.array(vector.labels)[sought])
-            found = _nearest(some, (low[sought], high[sought]), models, given, blur, count)
+            some = vector.of(fitted).keep(np.array(vector.labels)[sought])
+            fitted = _nearest(some, (low[sought], high[sought]), models, observations, blur, count)
         if checkpoint:
-            tried_in_all = np.array([number * _MOST_STEPS], np.float64)
-            checkpoint.save_arrays(partial(dict, numbers=vector.of(found).values, tried=tried_in_all))
-    x = vector.of(found).values
+            tried_in_all = np.array([stage * _MOST_STEPS], np.float64)
+            checkpoint.save_arrays(partial(dict, numbers=vector.of(fitted).values, tried=tried_in_all))
+    x = vector.of(fitted).values
     stuck = np.minimum(x - low, high - x) <= _AT_BOUND * (high - low)
     if stuck.any():
-        named = ", ".join(f"{vector.labels[one]} = {x[one]:.6g}" for one in np.flatnonzero(stuck))
+        named = ", ".join(f"{vector.labels[index]} = {x[index]:.6g}" for index in np.flatnonzero(stuck))
         warn(f"coarse_fit: at a bound: {named}: start nearer, give other bounds, or fit fewer parameters")
-    return found
+    return fitted
 
 
 def _nearest(
@@ -183,23 +183,23 @@ def _nearest(
     from scipy.ndimage import gaussian_filter
     from scipy.optimize import least_squares
 
-    seen = np.stack([view.image for view in views]).astype(np.float64)
-    used = np.stack([view.used for view in views])
-    brightest = seen.max(axis=(1, 2), keepdims=True, where=used, initial=0)
+    recorded = np.stack([view.image for view in views]).astype(np.float64)
+    masks = np.stack([view.used for view in views])
+    brightest = recorded.max(axis=(1, 2), keepdims=True, where=masks, initial=0)
     start, unit = vector.values, vector.scales
 
     def blurred(images: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(gaussian_filter(images * used / brightest, blur, axes=(-2, -1)))
+        return np.asarray(gaussian_filter(images * masks / brightest, blur, axes=(-2, -1)))
 
     def camera_at(step: NDArray[np.float64]) -> PlenopticCamera:
         return vector.at(start + step * unit)
 
     def residuals(step: NDArray[np.float64]) -> NDArray[np.float64]:
         count()
-        return blurred(models.images(camera_at(step)) - seen).ravel()
+        return blurred(models.images(camera_at(step)) - recorded).ravel()
 
     def jacobian(step: NDArray[np.float64]) -> NDArray[np.float64]:
-        slopes = models.at(camera_at(step)).derivatives(vector, seen) * unit[:, None, None, None]
+        slopes = models.at(camera_at(step)).derivatives(vector, recorded) * unit[:, None, None, None]
         return blurred(slopes).reshape(len(start), -1).T
 
     bounds = tuple((limit - start) / unit for limit in limits)

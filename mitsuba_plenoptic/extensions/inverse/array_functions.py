@@ -44,9 +44,9 @@ class LinearFunction:
         """Transpose of this linear map."""
         return LinearFunction(self.transposed, self.straight, self.gives, self.takes, self.after, self.before)
 
-    def shape(self, given: Shape) -> Shape:
+    def shape(self, shape_of_input: Shape) -> Shape:
         """Return the shape of the result for an array of a given shape; refuse wrong shapes before computing."""
-        return *_batch(self.takes, given, self.before), *self.after
+        return *_batch(self.takes, shape_of_input, self.before), *self.after
 
 
 class Value(Protocol):
@@ -64,10 +64,10 @@ class Value(Protocol):
 class SmoothFunction(Protocol):
     """A differentiable function of arrays."""
 
-    def at(self, *given: Array) -> Value:
+    def at(self, *arrays: Array) -> Value:
         """Return the value of the function at given arrays, with the data for its derivatives."""
 
-    def shape(self, given: Shape) -> Shape:
+    def shape(self, shape_of_input: Shape) -> Shape:
         """Return the shape of the result for a first array of a given shape; refuse wrong shapes before computing."""
 
 
@@ -91,22 +91,22 @@ class Latest:
         function: SmoothFunction,
         copied: Callable[[Any], Any],
         equal: Callable[[Any, Any], bool],
-        taken: Callable[[Any], Any],
+        working: Callable[[Any], Any],
     ) -> None:
-        self.taken, self.shape = taken, function.shape
+        self.taken, self.shape = working, function.shape
         self._function, self._copied, self._equal = function, copied, equal
         self._given: list[Any] = []
         self._value: Value | None = None
 
-    def at(self, given: Sequence[Any]) -> Value:
+    def at(self, arrays: Sequence[Any]) -> Value:
         """Return the value of the function at given arrays, computed only if they differ from the latest arrays."""
         # Another thread may have this function forget its value meanwhile.
-        known, value = self._given, self._value
-        if value is None or len(known) != len(given) or not all(map(self._equal, given, known)):
+        last, value = self._given, self._value
+        if value is None or len(last) != len(arrays) or not all(map(self._equal, arrays, last)):
             # Their owners may use the memory of the arrays for others.
-            known = [self._copied(each) for each in given]
-            value = self._function.at(*map(self.taken, known))
-            self._given, self._value = known, value
+            last = [self._copied(array) for array in arrays]
+            value = self._function.at(*map(self.taken, last))
+            self._given, self._value = last, value
         return value
 
     def forget(self) -> None:
@@ -114,13 +114,13 @@ class Latest:
         self._given, self._value = [], None
 
 
-def _batch(name: str, given: Shape, last: Shape) -> Shape:
+def _batch(name: str, stated: Shape, last: Shape) -> Shape:
     """Return the batch axes of a shape; refuse arrays whose last axes are wrong."""
     refuse_if(
-        given[-len(last) :] != last or not math.prod(given),
-        f"{name} of shape {given}: it must not be empty, and its last axes must be {last}",
+        stated[-len(last) :] != last or not math.prod(stated),
+        f"{name} of shape {stated}: it must not be empty, and its last axes must be {last}",
     )
-    return given[: len(given) - len(last)]
+    return stated[: len(stated) - len(last)]
 
 
 ONCE = "derivatives of derivatives: captures by a camera's parameters, refocusing and rendering have none"
@@ -143,17 +143,17 @@ def points(operator: CaptureOperator) -> LinearFunction:
 
 def _images(operator: CaptureOperator, weights: Array) -> Array:
     """Return images, the operator applied to weights."""
-    made = [np.moveaxis(operator.forward(columns), -1, 0) for columns in _columns(operator, weights)]
+    images = [np.moveaxis(operator.forward(columns), -1, 0) for columns in _columns(operator, weights)]
     before, after = _axes(operator)
     # In the order of memory that the layers of networks are fast with.
-    return np.ascontiguousarray(np.concatenate(made)).reshape(*weights.shape[: -len(before)], *after)
+    return np.ascontiguousarray(np.concatenate(images)).reshape(*weights.shape[: -len(before)], *after)
 
 
 def _products(operator: CaptureOperator, images: Array) -> Array:
     """Return weights, the operator's transpose applied to images."""
-    made = [operator.adjoint(channels).T for channels in _channels(operator, images)]
+    products = [operator.adjoint(channels).T for channels in _channels(operator, images)]
     after, before = _axes(operator)
-    return np.concatenate(made).reshape(*images.shape[: -len(before)], *after)
+    return np.concatenate(products).reshape(*images.shape[: -len(before)], *after)
 
 
 def _columns(operator: CaptureOperator, weights: Array) -> list[Array]:
@@ -174,11 +174,11 @@ def _axes(operator: CaptureOperator) -> tuple[Shape, Shape]:
     return (len(spectrum.wavelengths), count), (spectrum.channels, *shape)
 
 
-def _split(name: str, given: Array, last: Shape, operator: CaptureOperator) -> list[Array]:
+def _split(name: str, values: Array, last: Shape, operator: CaptureOperator) -> list[Array]:
     """Return a batch as one array of columns for one wavelength, or as a list of arrays for a spectrum."""
-    _batch(name, given.shape, last)
-    flat = given.reshape(-1, *last)
-    return [np.moveaxis(one, 0, -1) for one in ([flat] if operator.spectrum is None else flat)]
+    _batch(name, values.shape, last)
+    flat = values.reshape(-1, *last)
+    return [np.moveaxis(channel, 0, -1) for channel in ([flat] if operator.spectrum is None else flat)]
 
 
 # -- cameras -----------------------------------------------------------------------------------------
@@ -210,18 +210,18 @@ class CameraCapture:
         """The last axes of weights and of images; the operator itself is not kept, since it may be large."""
         return _axes(self._make(self._camera))
 
-    def at(self, *given: Array) -> CameraValue:
+    def at(self, *arrays: Array) -> CameraValue:
         """Return the captures of weighted points by the camera with given parameter values."""
-        weights, *values = given
+        weights, *values = arrays
         changed = {name: value.tolist() for name, value in zip(self._names, values, strict=True)}
         # Derivatives by the focal length are those of a fixed aperture.
         camera = self._camera.replace(**{"aperture_radius": self._camera.aperture_radius} | changed)
         return CameraValue(self._make(camera), camera, self._names, weights, values)
 
-    def shape(self, given: Shape) -> Shape:
+    def shape(self, shape_of_input: Shape) -> Shape:
         """Return the shape of images for weights of a given shape."""
         before, after = self._last_axes
-        return *_batch("weights", given, before), *after
+        return *_batch("weights", shape_of_input, before), *after
 
 
 class CameraValue:
@@ -247,27 +247,27 @@ class CameraValue:
         """Return the change of the images for changes of weights and parameters; see `Value`."""
         of_weights, *of_values = changes
         total = np.zeros(self.value.shape) if of_weights is None else _images(self._operator, of_weights)
-        named = {name: each for name, each in zip(self._names, of_values, strict=True) if each is not None}
+        named = {name: value for name, value in zip(self._names, of_values, strict=True) if value is not None}
         if not named:
             return total
         columns = _columns(self._operator, self._weights)
-        made = [np.moveaxis(self._operator.derivative(each, named), -1, 0) for each in columns]
-        return total + np.concatenate(made).reshape(total.shape)
+        images = [np.moveaxis(self._operator.derivative(value, named), -1, 0) for value in columns]
+        return total + np.concatenate(images).reshape(total.shape)
 
     def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
         """Return the gradients with respect to weights and parameters; see `Value`."""
-        names = [name for name, one in zip(self._names, needed[1:], strict=True) if one]
+        names = [name for name, is_needed in zip(self._names, needed[1:], strict=True) if is_needed]
         total: dict[str, Any] = dict.fromkeys(names, 0.0)
         if names:
             columns, channels = _columns(self._operator, self._weights), _channels(self._operator, gradient)
             for factors, image in zip(columns, channels, strict=True):
-                found = self._operator.gradient(factors, image, names)
-                total = {name: total[name] + found[name] for name in names}
+                gradients = self._operator.gradient(factors, image, names)
+                total = {name: total[name] + gradients[name] for name in names}
         by_values: list[Array | None] = [None] * len(self._names)
-        for number, (name, shape, for_all) in enumerate(zip(self._names, self._shapes, self._for_all, strict=True)):
+        for index, (name, shape, for_all) in enumerate(zip(self._names, self._shapes, self._for_all, strict=True)):
             if name in total:
-                own = total[name].sum() if for_all else total[name][: math.prod(shape)]
-                by_values[number] = np.reshape(own, shape)
+                part_gradient = total[name].sum() if for_all else total[name][: math.prod(shape)]
+                by_values[index] = np.reshape(part_gradient, shape)
         return [_products(self._operator, gradient) if needed[0] else None, *by_values]
 
 
@@ -293,21 +293,21 @@ class Refocused:
 
     by: CoherentRefocus | DeconvolvedRefocus
 
-    def at(self, *given: Array) -> RefocusedValue:
+    def at(self, *arrays: Array) -> RefocusedValue:
         """Return refocused captures together with their derivatives."""
-        return RefocusedValue(self.by, *given)
+        return RefocusedValue(self.by, *arrays)
 
-    def shape(self, given: Shape) -> Shape:
+    def shape(self, shape_of_input: Shape) -> Shape:
         """Return the shape of refocused images for captures of a given shape; refuse a wrong shape."""
-        return *_batch(_NAMES[0], given, self.by.camera.shape), *self.by.shape
+        return *_batch(_NAMES[0], shape_of_input, self.by.camera.shape), *self.by.shape
 
 
 class RefocusedValue:
     """Refocused captures, with their derivatives with respect to the captures."""
 
     def __init__(self, by: CoherentRefocus | DeconvolvedRefocus, captures: Array) -> None:
-        def image(given: Array) -> Array:
-            self._at = by.at(given)
+        def image(pixels: Array) -> Array:
+            self._at = by.at(pixels)
             return self._at.image
 
         self._axes = by.camera.shape, by.shape
@@ -325,8 +325,8 @@ class RefocusedValue:
         return [_together(self._at.vjp, _NAMES[1], self._axes[1], gradient) if needed[0] else None]
 
 
-def _together(function: Callable[[Array], Array], name: str, last: Shape, given: Array) -> Array:
+def _together(function: Callable[[Array], Array], name: str, last: Shape, values: Array) -> Array:
     """Return a batch of images to which a function of one image with channels was applied."""
-    batch = _batch(name, given.shape, last)
-    made = function(np.moveaxis(given.reshape(-1, *last), 0, -1))
-    return np.ascontiguousarray(np.moveaxis(made, -1, 0)).reshape(*batch, *made.shape[:2])
+    batch = _batch(name, values.shape, last)
+    results = function(np.moveaxis(values.reshape(-1, *last), 0, -1))
+    return np.ascontiguousarray(np.moveaxis(results, -1, 0)).reshape(*batch, *results.shape[:2])

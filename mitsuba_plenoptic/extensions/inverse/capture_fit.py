@@ -102,36 +102,39 @@ def fit(
 
     require_support(camera, Use.FITS)
     camera = camera.regular
-    given = [views] if isinstance(views, View) else list(views)
+    observations = [views] if isinstance(views, View) else list(views)
     default = None if photons is None else PixelNoise(require_number("photons", photons, positive=True))
     refuse_if(
-        default is None and any(view.noise is None for view in given), "photons: give them, or the noise of every view"
+        default is None and any(view.noise is None for view in observations),
+        "photons: give them, or the noise of every view",
     )
     vector = vector_of(camera, names)
     start, unit, limits = vector.values, vector.scales, vector.limits(bounds)
     if model == "ray":
         check_numbers(vector)
-    check_views(camera, given, default)
-    images = np.stack([view.image for view in given]).astype(np.float64)
-    model_of = _model_of(model, camera, given, require_wavelength(wavelength), require_accuracy(accuracy))
+    check_views(camera, observations, default)
+    images = np.stack([view.image for view in observations]).astype(np.float64)
+    model_of = _model_of(model, camera, observations, require_wavelength(wavelength), require_accuracy(accuracy))
     steps = require_count("steps", steps, minimum=2)
     trial = _Trials(vector, model_of, progress, _ROUNDS * steps)
     x = start
     if checkpoint:
-        asked = {"model": model, "wavelength": wavelength, "photons": photons, "accuracy": accuracy}
+        settings = {"model": model, "wavelength": wavelength, "photons": photons, "accuracy": accuracy}
         # A fit may continue from its last camera as well as from the first.
-        held = {name: value for name, value in camera.to_dict().items() if name not in vector.names}
-        every = vector_of(camera, vector.names)
-        held |= {
+        fixed = {name: value for name, value in camera.to_dict().items() if name not in vector.names}
+        whole_vector = vector_of(camera, vector.names)
+        fixed |= {
             label: value
-            for label, value in zip(every.labels, every.values.tolist(), strict=True)
+            for label, value in zip(whole_vector.labels, whole_vector.values.tolist(), strict=True)
             if label not in vector.labels
         }
-        facts = {"numbers": vector.labels, "bounds": dict(bounds or {}), "camera": held}
-        x = np.clip(trial.go_on(checkpoint, start, **facts, **asked, light_digest=light_digest(given)), *limits)
+        facts = {"numbers": vector.labels, "bounds": dict(bounds or {}), "camera": fixed}
+        x = np.clip(
+            trial.go_on(checkpoint, start, **facts, **settings, light_digest=light_digest(observations)), *limits
+        )
 
     def pixels_at(x: NDArray[np.float64]) -> Pixels:
-        return Pixels.of(given, trial.expected(x), default)
+        return Pixels.of(observations, trial.expected(x), default)
 
     def residuals(x: NDArray[np.float64], pixels: Pixels) -> NDArray[np.float64]:
         return np.asarray(((trial.expected(x) - images) / pixels.weight).ravel())
@@ -140,28 +143,28 @@ def fit(
         return np.asarray((trial.derivatives(x) / pixels.weight).reshape(len(start), -1).T)
 
     options = {"bounds": limits, "x_scale": unit, "xtol": _DONE, "ftol": _DONE, "max_nfev": steps}
-    for _ in range(_ROUNDS if any(by_model(view, default) for view in given) else 1):
+    for _ in range(_ROUNDS if any(by_model(view, default) for view in observations) else 1):
         # Weights by what a model expects, and held within a round, do not follow the noise, as those by the data would.
         result = least_squares(residuals, x, jacobian, args=(pixels_at(x),), **options)
         x = result.x
     pixels = pixels_at(x)
     named = vector.at(x), vector.labels, x, unit, limits
-    found = summary(*named, jacobian(x, pixels) * unit, residuals(x, pixels), pixels, trial.count)
-    last = model_of(found.camera)
+    outcome = summary(*named, jacobian(x, pixels) * unit, residuals(x, pixels), pixels, trial.count)
+    last = model_of(outcome.camera)
     if isinstance(last, RayModel):
         # The slopes at one point are not those over which noise moves a fit.
         slopes = last.slopes(
             vector,
-            steps_along(found),
+            steps_along(outcome),
             lambda images: float(np.linalg.norm((images - trial.expected(x)) / pixels.weight)),
         )
         rows = (slopes / pixels.weight).reshape(len(start), -1).T * unit
-        found = summary(*named, rows, residuals(x, pixels), pixels, trial.count)
+        outcome = summary(*named, rows, residuals(x, pixels), pixels, trial.count)
     if result.status == 0:
         warn(f"fit: it ended after {trial.count} cameras before it had settled: start nearer, or fit fewer parameters")
-    for doubt in doubts(found, given, trial.expected(x)):
+    for doubt in doubts(outcome, observations, trial.expected(x)):
         warn(f"fit: {doubt}")
-    return found
+    return outcome
 
 
 class Model(Protocol):

@@ -92,9 +92,9 @@ def maximise(
     camera = camera.regular
     labels: list[str] = []
     for name in bounds:
-        found = vector_of(camera, str(name).split(".", 1)[0])
-        chosen = [each.label for each in found.components if name in (each.name, each.label)]
-        refuse_if(not chosen, f"bounds: {short_repr(name)}: the camera has {', '.join(found.labels)}")
+        all_of = vector_of(camera, str(name).split(".", 1)[0])
+        chosen = [component.label for component in all_of.components if name in (component.name, component.label)]
+        refuse_if(not chosen, f"bounds: {short_repr(name)}: the camera has {', '.join(all_of.labels)}")
         labels += chosen
     refuse_if(not labels, "bounds: name at least one parameter that varies")
     refuse_if(len(set(labels)) < len(labels), "bounds: a parameter has two of them")
@@ -105,13 +105,13 @@ def maximise(
 
     def cost(position: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         nonlocal tried
-        one = vector.at(low + position * (high - low))
-        value, slopes = figure.gradient(one, vector.names)
+        candidate = vector.at(low + position * (high - low))
+        value, slopes = figure.gradient(candidate, vector.names)
         tried += 1
         if not np.isfinite(value):
-            raise InputError(f"figure: it is {value} for {one.to_json()}")
+            raise InputError(f"figure: it is {value} for {candidate.to_json()}")
         if value > best[0]:
-            best[:] = value, one
+            best[:] = value, candidate
         if progress:
             progress(tried, value, best[1])
         return -value, -vector.slopes(slopes) * (high - low)
@@ -125,6 +125,6 @@ def maximise(
         bounds=[(0.0, 1.0)] * len(low),
         options=options,
     )
-    value, one = best
-    values = dict(zip(vector.labels, vector.of(one).values.tolist(), strict=True))
-    return Design(one, float(value), values, tried, str(result.message))
+    value, camera_of_best = best
+    values = dict(zip(vector.labels, vector.of(camera_of_best).values.tolist(), strict=True))
+    return Design(camera_of_best, float(value), values, tried, str(result.message))

@@ -108,8 +108,8 @@ class RayRefocus:
         """
         pixels = as_channels(capture, self.camera.shape, "capture")
         sums = ray_sums(np.ascontiguousarray(pixels, np.float32), self.camera, *self._numbers)
-        made = (sums * self._factor[..., None]).astype(np.float32)
-        return made[..., 0] if np.ndim(capture) == 2 else made
+        bins = (sums * self._factor[..., None]).astype(np.float32)
+        return bins[..., 0] if np.ndim(capture) == 2 else bins
 
     def adjoint(self, bins: Any) -> np.ndarray:
         """Return the transpose of `forward`, applied to bins.
@@ -124,8 +124,8 @@ class RayRefocus:
         float32 array (rows, columns) or (rows, columns, channels)
             One value for each pixel.
         """
-        given = as_channels(bins, self._factor.shape, "bins") * self._factor[..., None]
-        pixels = ray_sums_vjp(given, self.camera, *self._numbers).astype(np.float32)
+        channels = as_channels(bins, self._factor.shape, "bins") * self._factor[..., None]
+        pixels = ray_sums_vjp(channels, self.camera, *self._numbers).astype(np.float32)
         return pixels[..., 0] if np.ndim(bins) == 2 else pixels
 
     def __call__(self, capture: Any) -> Any:
@@ -157,10 +157,10 @@ class _RefocusOp(dr.CustomOp):
 
 def as_channels(values: Any, shape: tuple[int, ...], name: str) -> NDArray[Any]:
     """Return an array as (rows, columns, channels), or refuse another shape."""
-    given = as_array(name, values)
-    if given.ndim not in (2, 3) or given.shape[:2] != shape:
-        raise InputError(f"{name} of shape {given.shape}: it must have {shape[0]} rows and {shape[1]} columns")
-    return given if given.ndim == 3 else given[..., None]
+    array = as_array(name, values)
+    if array.ndim not in (2, 3) or array.shape[:2] != shape:
+        raise InputError(f"{name} of shape {array.shape}: it must have {shape[0]} rows and {shape[1]} columns")
+    return array if array.ndim == 3 else array[..., None]
 
 
 class Channel(Protocol):
@@ -184,24 +184,24 @@ class RefocusedImage:
         pixels = as_channels(capture, refocus.camera.shape, "capture")
         require_pixels("capture", pixels)
         self._pixels, self._bins, self._flat = refocus.camera.shape, refocus.shape, np.ndim(capture) == 2
-        self._channels = [channel(np.ascontiguousarray(each, np.float32)) for each in np.moveaxis(pixels, -1, 0)]
-        self.image = self._stacked([each.bins for each in self._channels])
+        self._channels = [channel(np.ascontiguousarray(plane, np.float32)) for plane in np.moveaxis(pixels, -1, 0)]
+        self.image = self._stacked([plane.bins for plane in self._channels])
 
     def jvp(self, change: Any) -> NDArray[np.float32]:
         """Return the change of the image for a change of the capture, of the capture's shape."""
-        given = self._of_channels(change, self._pixels, "change")
-        return self._stacked([channel.jvp(part) for channel, part in zip(self._channels, given, strict=True)])
+        channels = self._of_channels(change, self._pixels, "change")
+        return self._stacked([channel.jvp(plane) for channel, plane in zip(self._channels, channels, strict=True)])
 
     def vjp(self, image_gradient: Any) -> NDArray[np.float32]:
         """Return the gradient with respect to the capture, from the gradient with respect to the image."""
-        given = self._of_channels(image_gradient, self._bins, "image_gradient")
-        return self._stacked([channel.vjp(part) for channel, part in zip(self._channels, given, strict=True)])
+        channels = self._of_channels(image_gradient, self._bins, "image_gradient")
+        return self._stacked([channel.vjp(plane) for channel, plane in zip(self._channels, channels, strict=True)])
 
     def _of_channels(self, values: Any, shape: tuple[int, ...], name: str) -> NDArray[Any]:
-        given = as_channels(values, shape, name)
-        if given.shape[2] != len(self._channels):
-            raise InputError(f"{name} of {given.shape[2]} channels: the capture has {len(self._channels)}")
-        return np.moveaxis(given, -1, 0)
+        channels = as_channels(values, shape, name)
+        if channels.shape[2] != len(self._channels):
+            raise InputError(f"{name} of {channels.shape[2]} channels: the capture has {len(self._channels)}")
+        return np.moveaxis(channels, -1, 0)
 
     def _stacked(self, parts: list[NDArray[Any]]) -> NDArray[np.float32]:
         stack = np.stack(parts, -1).astype(np.float32)
@@ -333,17 +333,17 @@ class _CoherentChannel:
 
     def __init__(self, refocus: CoherentRefocus, image: NDArray[np.float32]) -> None:
         self._factor = refocus._factor
-        self._parts = [(sign, _BinnedPower(refocus, part, checked=sign > 0)) for sign, part in signed_parts(image)]
-        self.bins = self._factor * sum(sign * part.bins for sign, part in self._parts)
+        self._parts = [(sign, _BinnedPower(refocus, signed, checked=sign > 0)) for sign, signed in signed_parts(image)]
+        self.bins = self._factor * sum(sign * signed.bins for sign, signed in self._parts)
 
     def jvp(self, change: NDArray[Any]) -> NDArray[Any]:
         """Return the change of the bins for a change of the pixels."""
         # A bin of a part below zero is subtracted, and its capture is minus the pixels: the signs cancel.
-        return np.asarray(self._factor * sum(part.jvp(change) for _, part in self._parts))
+        return np.asarray(self._factor * sum(plane.jvp(change) for _, plane in self._parts))
 
     def vjp(self, bins: NDArray[Any]) -> NDArray[Any]:
         """Return the gradient with respect to the pixels, from the gradient with respect to the bins."""
-        return np.asarray(sum(part.vjp(self._factor * bins) for _, part in self._parts))
+        return np.asarray(sum(plane.vjp(self._factor * bins) for _, plane in self._parts))
 
 
 class _BinnedPower:
@@ -369,26 +369,28 @@ class _BinnedPower:
 
     def _fields(self, amplitude: NDArray[np.float32]) -> tuple[list[Any], float]:
         """Return all subsets' fields at the object plane's directions, and the power that passed the pupil."""
-        chain, step, found, passed = self._refocus._fields, self._refocus._step, [], 0.0
+        chain, step, fields, passed = self._refocus._fields, self._refocus._step, [], 0.0
         with fft.resting_drjit():
             for field in chain.at_pupil(amplitude):
                 passed += chain.power(field)
-                found.append(active_backend().arrays.empty((step.x.new_padded, step.y.new_padded), np.complex64))
-                for lines, part in chain.to_object(field, self._refocus._zone, step):
-                    found[-1][lines] = part
-        return found, passed
+                fields.append(active_backend().arrays.empty((step.x.new_padded, step.y.new_padded), np.complex64))
+                for lines, rows in chain.to_object(field, self._refocus._zone, step):
+                    fields[-1][lines] = rows
+        return fields, passed
 
     def jvp(self, change: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the change of the bins for a change of the capture."""
         moved, _ = self._fields((self._slope * change).astype(np.float32))
-        power: Any = sum(2 * (field.conj() * other).real for field, other in zip(self._at, moved, strict=True))
+        power: Any = sum(
+            2 * (field.conj() * field_change).real for field, field_change in zip(self._at, moved, strict=True)
+        )
         bins = active_backend().to_host(self._sums.jvp(power))
         return np.where(self._lit, bins if self._refocus._spread is None else self._refocus._spread.forward(bins), 0)
 
     def vjp(self, bins: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the gradient with respect to the capture, from the gradient with respect to the bins."""
-        arrays, given, refocus = active_backend().arrays, np.where(self._lit, bins, 0), self._refocus
-        power = self._sums.vjp(arrays.asarray(given if refocus._spread is None else refocus._spread.vjp(given)))
+        arrays, channels, refocus = active_backend().arrays, np.where(self._lit, bins, 0), self._refocus
+        power = self._sums.vjp(arrays.asarray(channels if refocus._spread is None else refocus._spread.vjp(channels)))
         with fft.resting_drjit():
             gradients = ((2 * power * field).astype(np.complex64) for field in self._at)
             return self._slope * refocus._fields.vjp(gradients, refocus._zone, refocus._step)
@@ -438,9 +440,9 @@ class DeconvolvedRefocus:
         wavelength = None if wavelength is None else require_wavelength(wavelength)
         self.response = response_of(camera)(camera, [distance], wavelength=wavelength, oversample=oversample)
         light = self.response.adjoint(np.ones(camera.shape, np.float32))
-        seen = self.response.to_image(light / light.max(), 0)
+        visible = self.response.to_image(light / light.max(), 0)
         # Bins that `reconstruct` leaves unknown are 0.
-        self.visible = seen >= LEAST_SEEN
+        self.visible = visible >= LEAST_SEEN
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -472,8 +474,8 @@ class DeconvolvedRefocus:
         """Return the deconvolved capture with the data for its derivatives."""
         pixels = as_channels(capture, self.camera.shape, "capture")
         numbers = 4.0 * (pixels.size + 2 * pixels.shape[2] * self.response.shape[1])
-        what = f"derivatives of {self.iterations} steps in {pixels.shape[2]} channels"
-        check_memory(numbers * self.iterations, what)
+        label = f"derivatives of {self.iterations} steps in {pixels.shape[2]} channels"
+        check_memory(numbers * self.iterations, label)
         return RefocusedImage(self, capture, lambda image: _DeconvolvedChannel(self, image))
 
 
@@ -515,13 +517,13 @@ class _DeconvolvedChannel:
         """Return the change of the bins for a change of the pixels."""
         change = np.asarray(change, np.float32)
         step, inside, weight = self._step, self._step.inside, self._step.weight
-        lit, known = self._image > 0, self._image + self._step.shift > 0
+        lit, above = self._image > 0, self._image + self._step.shift > 0
         light = float(change[lit].sum(dtype=np.float64))
         moved, shift = np.where(inside, np.float32(light / step.sent), 0), np.float32(light * step.shift_slope)
         for made in step.made:
             below, ratio = self._of(made)
             of_model = np.where(made.model > 0, self._response.forward(moved), 0)
-            of_ratio = (np.where(known, change + shift, 0) - ratio * (of_model + shift)) / below
+            of_ratio = (np.where(above, change + shift, 0) - ratio * (of_model + shift)) / below
             of_back = self._response.adjoint(of_ratio.astype(np.float32))
             of_back = np.where(made.back > 0, of_back, 0)
             moved = weight * (moved * np.maximum(made.back, 0) + made.point * of_back)
@@ -529,19 +531,21 @@ class _DeconvolvedChannel:
 
     def vjp(self, bins: NDArray[Any]) -> NDArray[np.float64]:
         """Return the gradient with respect to the pixels, from the gradient with respect to the bins."""
-        felt = self._response.from_image(bins * self._visible, 0)
+        adjoint_image = self._response.from_image(bins * self._visible, 0)
         step, inside, weight = self._step, self._step.inside, self._step.weight
-        lit, known = self._image > 0, self._image + self._step.shift > 0
+        lit, above = self._image > 0, self._image + self._step.shift > 0
         total, by_shift = np.zeros(self._image.shape), 0.0
         for made in reversed(step.made):
             below, ratio = self._of(made)
-            of_back = np.where(made.back > 0, felt * made.point * weight, 0)
+            of_back = np.where(made.back > 0, adjoint_image * made.point * weight, 0)
             of_ratio = self._response.forward(of_back) / below
-            total += np.where(known, of_ratio, 0)
-            by_shift += float((of_ratio * (known - ratio)).sum(dtype=np.float64))
+            total += np.where(above, of_ratio, 0)
+            by_shift += float((of_ratio * (above - ratio)).sum(dtype=np.float64))
             of_model = self._response.adjoint(np.where(made.model > 0, of_ratio * ratio, np.float32(0)))
-            felt = felt * np.maximum(made.back, 0) * weight - of_model
-        return total + lit * (float(felt[inside].sum(dtype=np.float64)) / step.sent + by_shift * step.shift_slope)
+            adjoint_image = adjoint_image * np.maximum(made.back, 0) * weight - of_model
+        return total + lit * (
+            float(adjoint_image[inside].sum(dtype=np.float64)) / step.sent + by_shift * step.shift_slope
+        )
 
     def _of(self, made: _Made) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the denominator of the ratio of images, and the ratio."""

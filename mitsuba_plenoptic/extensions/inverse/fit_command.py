@@ -120,8 +120,8 @@ def fit(
     first.require_array("fit")
     if start:
         first = fitting.lattice_from_white(first, read[0].image)
-    known = wavelength or read[0].wavelength or 633.0
-    if isinstance(known, tuple):
+    wavelength_of_all = wavelength or read[0].wavelength or 633.0
+    if isinstance(wavelength_of_all, tuple):
         raise InputError(f"{captures[0]}: it has several wavelengths; a camera is fitted to captures of one")
     # Light is found below, which takes much longer than seeing what is asked for.
     vector_of(first, names)
@@ -133,7 +133,7 @@ def fit(
             capture.image,
             scene,
             first,
-            wavelength=known,
+            wavelength=wavelength_of_all,
             points_per_lens=points_per_lens,
             noise=noise,
             mask=left_out,
@@ -145,37 +145,39 @@ def fit(
     with coarse, stopping.checkpoint_of(output, resume) as steps:
         if afar:
             with progress_bar("Coarse fit") as progress, stopping.resumable(progress, coarse):
-                first = fitting.coarse_fit(first, views, names, wavelength=known, progress=progress, checkpoint=coarse)
+                first = fitting.coarse_fit(
+                    first, views, names, wavelength=wavelength_of_all, progress=progress, checkpoint=coarse
+                )
         with progress_bar("Cameras") as progress, stopping.resumable(progress, steps):
-            found = fitting.fit(
+            result = fitting.fit(
                 first,
                 views,
                 names,
-                wavelength=known,
+                wavelength=wavelength_of_all,
                 photons=photons,
                 model=model,
                 accuracy=accuracy,
                 progress=progress,
                 checkpoint=steps,
             )
-        _write(output, found)
+        _write(output, result)
 
 
-def _write(output: Path, found: Fit) -> None:
+def _write(output: Path, result: Fit) -> None:
     """Write the camera's file, and print parameters, deviations and warnings of the fit."""
     from ...runtime import write_text
 
-    write_text(output, found.camera.to_json(), ".json")
-    for name, value in found.values.items():
-        side = found.at_bounds.get(name)
+    write_text(output, result.camera.to_json(), ".json")
+    for name, value in result.values.items():
+        side = result.at_bounds.get(name)
         at_bound = f", at its {side}: the deviation is one-sided" if side else ""
-        typer.echo(f"{name} = {value:.8g} +- {found.deviations[name]:.2g}{at_bound}")
+        typer.echo(f"{name} = {value:.8g} +- {result.deviations[name]:.2g}{at_bound}")
     typer.echo(
-        f"chi-square per pixel {found.chi_square:.4g} +- {found.chi_square_deviation:.2g} over {found.pixels} pixels, "
-        f"{found.steps} cameras tried"
+        f"chi-square per pixel {result.chi_square:.4g} +- {result.chi_square_deviation:.2g} over {result.pixels} pixels, "
+        f"{result.steps} cameras tried"
     )
-    for direction in found.directions[:_NAMED] if len(found.values) > 1 else ():
-        parts = sorted(direction.parts.items(), key=lambda part: -abs(part[1]))
-        terms = ", ".join(f"{part:+.2f} {name}" for name, part in parts if abs(part) > 0.1)
+    for direction in result.directions[:_NAMED] if len(result.values) > 1 else ():
+        parts = sorted(direction.parts.items(), key=lambda component: -abs(component[1]))
+        terms = ", ".join(f"{component:+.2f} {name}" for name, component in parts if abs(component) > 0.1)
         typer.echo(f"determined to {direction.deviation:.2g}: {terms}")
     typer.echo(f"{output}: the fitted camera")

@@ -98,14 +98,14 @@ def _pixels(view: View, expected: NDArray[np.float64], default: PixelNoise | Non
     else:
         counts, unit = np.zeros_like(expected), 1.0
         weight = variance = counts + np.square(noise)
-    used = view.used
+    mask = view.used
     if view.saturation is not None:
         # By what is expected alone, so that noise does not decide which pixels near saturation count.
-        used = used & (expected + _CLEAR * np.sqrt(variance) / unit < view.saturation)
-    share = np.where(used, variance / weight, 0.0)
+        mask = mask & (expected + _CLEAR * np.sqrt(variance) / unit < view.saturation)
+    share = np.where(mask, variance / weight, 0.0)
     # The fourth cumulant of a Poisson distribution is its mean; that of a normal one is zero.
-    spread = np.where(used, (2 * variance**2 + counts) / weight**2, 0.0)
-    return np.where(used, np.sqrt(weight) / unit, np.inf), share, spread
+    spread = np.where(mask, (2 * variance**2 + counts) / weight**2, 0.0)
+    return np.where(mask, np.sqrt(weight) / unit, np.inf), share, spread
 
 
 def check_light(view: View, default: PixelNoise | None = None) -> None:
@@ -116,13 +116,13 @@ def check_light(view: View, default: PixelNoise | None = None) -> None:
     else:
         dark = 0.0 if noise is None else np.asarray(noise, np.float64)
         least = np.inf if noise is None else dark
-    used, image = view.used, view.image
-    refuse_if(not used.any(), "image: all of its pixels are left out: by its mask, or as saturated")
+    mask, image = view.used, view.image
+    refuse_if(not mask.any(), "image: all of its pixels are left out: by its mask, or as saturated")
     refuse_if(
-        image.sum(where=used, dtype=np.float64) <= _LIGHT * np.sqrt(np.sum(np.square(dark) * used)),
+        image.sum(where=mask, dtype=np.float64) <= _LIGHT * np.sqrt(np.sum(np.square(dark) * mask)),
         "image: it is black: nothing can be found by it",
     )
-    negative = used & (image < -_NEGATIVE * least)
+    negative = mask & (image < -_NEGATIVE * least)
     if negative.any():
         row, column = np.argwhere(negative)[0]
         raise InputError(
@@ -211,8 +211,8 @@ class View:
     @property
     def used(self) -> NDArray[np.bool_]:
         """Mask (rows, columns) of the pixels that neither `mask` nor saturation excludes."""
-        used = np.ones(self.image.shape, bool) if self.mask is None else ~self.mask
-        return used if self.saturation is None else used & (self.image < self.saturation)
+        usable = np.ones(self.image.shape, bool) if self.mask is None else ~self.mask
+        return usable if self.saturation is None else usable & (self.image < self.saturation)
 
 
 def check_views(camera: PlenopticCamera, views: Sequence[View], default: PixelNoise | None = None) -> None:
@@ -268,17 +268,17 @@ def known_view(
     """
     require_support(camera, Use.SCENE_POINTS)
     camera = camera.regular
-    seen = with_camera(scene, camera)
-    sensor = plenoptic_sensor(seen)
-    child = chosen_integrator(seen, "ray", {})
-    scene_points.require_matte(seen, sensor, child)
+    placed = with_camera(scene, camera)
+    sensor = plenoptic_sensor(placed)
+    child = chosen_integrator(placed, "ray", {})
+    scene_points.require_matte(placed, sensor, child)
     wavelength = require_wavelength(wavelength)
-    light = SceneLight(seen, sensor, child, wavelength if mi.is_spectral else None)
-    found = scene_points.find_points([light], camera, require_count("points_per_lens", points_per_lens), seed=seed)
-    refuse_if(found.weights.shape[1] != 1, "scene: a camera is fitted to images of one channel; use a mono variant")
-    refuse_if(not len(found.positions), "scene: the camera sees nothing that shines")
-    weights = found.weights[:, 0] / brightness_at(OpticalSystem(camera, wavelength), found.positions)
-    return View(image, found.positions, weights, noise, found.pupil_weights, mask, saturation)
+    light = SceneLight(placed, sensor, child, wavelength if mi.is_spectral else None)
+    points = scene_points.find_points([light], camera, require_count("points_per_lens", points_per_lens), seed=seed)
+    refuse_if(points.weights.shape[1] != 1, "scene: a camera is fitted to images of one channel; use a mono variant")
+    refuse_if(not len(points.positions), "scene: the camera sees nothing that shines")
+    weights = points.weights[:, 0] / brightness_at(OpticalSystem(camera, wavelength), points.positions)
+    return View(image, points.positions, weights, noise, points.pupil_weights, mask, saturation)
 
 
 def light_digest(views: list[View]) -> str:

@@ -104,8 +104,8 @@ def summary(
     slope = residuals @ rows
     low, high = ((x - limits[0]) / unit, (limits[1] - x) / unit)
     gap = np.where(slope > 0, low, high)
-    held = gap <= np.maximum(_AT_BOUND * _one_sided(rows, slope, range(len(x))), _OF_RANGE * (low + high))
-    free = np.flatnonzero(~held)
+    at_bound = gap <= np.maximum(_AT_BOUND * _one_sided(rows, slope, range(len(x))), _OF_RANGE * (low + high))
+    free = np.flatnonzero(~at_bound)
     covariance, effective = np.zeros((len(x), len(x))), 0.0
     directions = []
     if len(free):
@@ -120,15 +120,15 @@ def summary(
             parts = np.zeros(len(x))
             parts[free] = vector
             directions.append(Direction(deviation, dict(zip(labels, parts.tolist(), strict=True))))
-    for index in np.flatnonzero(held):
+    for index in np.flatnonzero(at_bound):
         with_it = np.append(free, index)
         deviation = float(_one_sided(rows[:, with_it], slope[with_it], [len(free)])[0])
         covariance[index, index] = deviation**2
         directions.append(Direction(deviation, {label: float(label == labels[index]) for label in labels}))
     covariance *= np.outer(unit, unit)
 
-    def by_label(given: NDArray[np.float64]) -> dict[str, float]:
-        return dict(zip(labels, given.tolist(), strict=True))
+    def by_label(values: NDArray[np.float64]) -> dict[str, float]:
+        return dict(zip(labels, values.tolist(), strict=True))
 
     expected = float(pixels.share.sum()) - effective
     refuse_if(
@@ -141,7 +141,7 @@ def summary(
         covariance,
         by_label(unit),
         tuple(sorted(directions, key=lambda direction: -direction.deviation)),
-        {labels[index]: "lowest" if slope[index] > 0 else "highest" for index in np.flatnonzero(held)},
+        {labels[index]: "lowest" if slope[index] > 0 else "highest" for index in np.flatnonzero(at_bound)},
         float(residuals @ residuals) / expected,
         float(np.sqrt(pixels.spread.sum())) / expected,
         int(np.isfinite(pixels.weight).sum()),
@@ -149,30 +149,30 @@ def summary(
     )
 
 
-def _one_sided(rows: NDArray[np.float64], slope: NDArray[np.float64], which: Sequence[int]) -> NDArray[np.float64]:
+def _one_sided(rows: NDArray[np.float64], slope: NDArray[np.float64], components: Sequence[int]) -> NDArray[np.float64]:
     """Return the distances of parameters from their bounds at which the sum of squares is larger by 1."""
     information = np.linalg.pinv(rows.T @ rows)
-    steep = np.abs(slope[list(which)])
-    return np.asarray(1 / (steep + np.sqrt(steep**2 + 1 / np.diag(information)[list(which)])))
+    steep = np.abs(slope[list(components)])
+    return np.asarray(1 / (steep + np.sqrt(steep**2 + 1 / np.diag(information)[list(components)])))
 
 
-def steps_along(found: Fit) -> NDArray[np.float64]:
+def steps_along(result: Fit) -> NDArray[np.float64]:
     """Return a step along each direction: one deviation, at most a unit of `Fit.scales`, (directions, parameters)."""
-    lengths = np.fmin([direction.deviation for direction in found.directions], 1.0)
-    parts = np.array([list(direction.parts.values()) for direction in found.directions])
-    return np.asarray(lengths[:, None] * parts * list(found.scales.values()))
+    lengths = np.fmin([direction.deviation for direction in result.directions], 1.0)
+    parts = np.array([list(direction.parts.values()) for direction in result.directions])
+    return np.asarray(lengths[:, None] * parts * list(result.scales.values()))
 
 
-def doubts(found: Fit, views: Sequence[View], expected: NDArray[np.float64]) -> Iterator[str]:
+def doubts(result: Fit, views: Sequence[View], expected: NDArray[np.float64]) -> Iterator[str]:
     """Yield reasons to doubt a fit, one sentence each."""
-    if found.at_bounds:
-        named = ", ".join(f"{name} = {found.values[name]:.6g} (its {side})" for name, side in found.at_bounds.items())
+    if result.at_bounds:
+        named = ", ".join(f"{name} = {result.values[name]:.6g} (its {side})" for name, side in result.at_bounds.items())
         yield (
             f"at a bound: {named}: the best camera may lie beyond it; its deviation is one-sided, and those of the "
             "others hold it there"
         )
     # Written so that NaN is also doubted.
-    if abs(found.chi_square - 1) <= _FAR * found.chi_square_deviation:
+    if abs(result.chi_square - 1) <= _FAR * result.chi_square_deviation:
         return
     hints = ""
     lit, modelled = (
@@ -187,6 +187,6 @@ def doubts(found: Fit, views: Sequence[View], expected: NDArray[np.float64]) -> 
         if view.saturation is None and same > _SAME:
             hints += f"; {same} pixels have the same highest value, {top:g}: if they are saturated, give saturation"
     yield (
-        f"chi-square is {found.chi_square:.4g} +- {found.chi_square_deviation:.2g} a pixel, not 1: camera, light or "
+        f"chi-square is {result.chi_square:.4g} +- {result.chi_square_deviation:.2g} a pixel, not 1: camera, light or "
         f"noise are not those of the captures, and the deviations are not right{hints}"
     )

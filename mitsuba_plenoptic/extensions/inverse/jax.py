@@ -90,9 +90,11 @@ def render(scene: Any, values: Mapping[str, Any], *, integrator: Any = None, spp
     scene, values, integrator, spp, seed
         As for `torch.render`.
     """
-    given = [_required(name, value) for name, value in values.items()]
-    shapes = {name: value.shape for name, value in zip(values, given, strict=True)}
-    return _smooth.bind(*given, function=_latest(Rendering(scene, shapes, integrator=integrator, spp=spp, seed=seed)))
+    required = [_required(name, value) for name, value in values.items()]
+    shapes = {name: value.shape for name, value in zip(values, required, strict=True)}
+    return _smooth.bind(
+        *required, function=_latest(Rendering(scene, shapes, integrator=integrator, spp=spp, seed=seed))
+    )
 
 
 def _required(name: str, value: Any) -> Any:
@@ -113,12 +115,12 @@ _latest_made: deque[Latest] = deque(maxlen=_VALUES)
 
 def _latest(function: SmoothFunction) -> Latest:
     """Return a function that remembers its latest value; few such functions are kept."""
-    made = Latest(function, np.copy, np.array_equal, np.asarray)
+    latest = Latest(function, np.copy, np.array_equal, np.asarray)
     # JAX's caches keep thousands of functions that were called once, which must be empty then.
     if len(_latest_made) == _VALUES:
         _latest_made[0].forget()
-    _latest_made.append(made)
-    return made
+    _latest_made.append(latest)
+    return latest
 
 
 # -- primitives of JAX -------------------------------------------------------------------------------
@@ -133,8 +135,8 @@ def _on_host(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
 
     @one_at_a_time
     def called(*arrays: Any) -> Any:
-        made = function([working_array(np.asarray(each)) for each in arrays])
-        return jax.tree.map(lambda one, each: np.asarray(each, one.dtype).reshape(one.shape), like, made)
+        value = function([working_array(np.asarray(array)) for array in arrays])
+        return jax.tree.map(lambda one, array: np.asarray(array, one.dtype).reshape(one.shape), like, value)
 
     return called
 
@@ -146,27 +148,27 @@ def _like(array: Any, shape: tuple[int, ...] | None = None) -> Any:
 
 def _primitive(name: str, apply: Callable[..., Any], like: Callable[..., Any], several: bool = False) -> Primitive:
     """Return a JAX primitive that applies a function; `like` returns the descriptions of its results."""
-    made = Primitive(f"plenoptic_{name}")
-    made.multiple_results = several
+    primitive = Primitive(f"plenoptic_{name}")
+    primitive.multiple_results = several
 
     def evaluate(*given: Any, **options: Any) -> Any:
         # Not as a callback, for which JAX compiles a program per function and keeps thousands with what they hold. The
         # arrays are waited for first: what computes them may need its turn on the host.
-        arrays = [np.asarray(each) for each in given]
+        arrays = [np.asarray(value) for value in given]
         called = _on_host(partial(apply, **options), like(*given, **options))
         return jax.tree.map(jax.numpy.asarray, called(*arrays))
 
     def compiled(*given: Any, **options: Any) -> Any:
-        wanted = like(*given, **options)
-        return jax.pure_callback(_on_host(partial(apply, **options), wanted), wanted, *given)
+        shapes = like(*given, **options)
+        return jax.pure_callback(_on_host(partial(apply, **options), shapes), shapes, *given)
 
     def abstract(*given: Any, **options: Any) -> Any:
         return jax.tree.map(lambda one: jax.core.ShapedArray(one.shape, one.dtype), like(*given, **options))
 
-    made.def_impl(evaluate)
-    made.def_abstract_eval(abstract)
-    mlir.register_lowering(made, mlir.lower_fun(compiled, multiple_results=several))
-    return made
+    primitive.def_impl(evaluate)
+    primitive.def_abstract_eval(abstract)
+    mlir.register_lowering(primitive, mlir.lower_fun(compiled, multiple_results=several))
+    return primitive
 
 
 def _one_by_one(primitive: Primitive) -> None:
@@ -177,12 +179,12 @@ def _one_by_one(primitive: Primitive) -> None:
 
         def row(parts: Sequence[Any]) -> Any:
             all_given = list(given)
-            for k, part in zip(mapped, parts, strict=True):
-                all_given[k] = part
+            for k, value in zip(mapped, parts, strict=True):
+                all_given[k] = value
             return primitive.bind(*all_given, **options)
 
-        made = jax.lax.map(row, [jax.numpy.moveaxis(given[k], axes[k], 0) for k in mapped])
-        return made, [0] * len(made) if primitive.multiple_results else 0
+        rows = jax.lax.map(row, [jax.numpy.moveaxis(given[k], axes[k], 0) for k in mapped])
+        return rows, [0] * len(rows) if primitive.multiple_results else 0
 
     batching.primitive_batchers[primitive] = batched
 

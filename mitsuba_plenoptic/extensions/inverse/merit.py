@@ -47,8 +47,8 @@ class Spreads:
         """Return the gradient with respect to camera parameters, from the spreads' gradient (n, rows, columns)."""
         total: Gradient = {}
         for operator, image in zip(self._operators(camera, points), images, strict=True):
-            found = operator.gradient([1.0], image.astype(np.float32), tuple(names))
-            total = {name: part + total.get(name, 0.0) for name, part in found.items()}
+            gradients = operator.gradient([1.0], image.astype(np.float32), tuple(names))
+            total = {name: value + total.get(name, 0.0) for name, value in gradients.items()}
         return total
 
     def _operators(self, camera: PlenopticCamera, points: NDArray[np.float64] | None) -> Iterable[CaptureOperator]:
@@ -115,15 +115,15 @@ class RefocusedContrast:
     ) -> None:
         self._camera, self._spreads = camera, Spreads(points, wavelength, accuracy, method)
         count = require_count("oversample", oversample)
-        given = [require_number("frequencies", frequency, positive=True) for frequency in frequencies]
+        checked = [require_number("frequencies", frequency, positive=True) for frequency in frequencies]
         refuse_if(
-            not given or max(given) > count / 2,
-            f"frequencies = {tuple(given)}: give some, at most {count / 2:g}, half of oversample",
+            not checked or max(checked) > count / 2,
+            f"frequencies = {tuple(checked)}: give some, at most {count / 2:g}, half of oversample",
         )
         self._refocus = [RayRefocus(camera, g, oversample=count) for g in self._spreads.points[:, 2].tolist()]
         waves = []
         for size in reversed(camera.bin_count):
-            waves.append(np.exp(-2j * np.pi * np.array(given)[:, None] * ((np.arange(size * count) + 0.5) / count)))
+            waves.append(np.exp(-2j * np.pi * np.array(checked)[:, None] * ((np.arange(size * count) + 0.5) / count)))
         self._along_y, self._along_x = waves
 
     def value(self, camera: PlenopticCamera) -> float:
@@ -161,8 +161,8 @@ class RefocusedContrast:
         return [refocus.forward(image) for refocus, image in pairs]
 
     def _images(self, camera: PlenopticCamera) -> NDArray[np.float64]:
-        held = [name for name in camera.to_dict() if name not in VARYING]
-        require_held(self._camera, camera, held)
+        fixed = [name for name in camera.to_dict() if name not in VARYING]
+        require_held(self._camera, camera, fixed)
         return self._spreads.images(camera)
 
     def _contrast(self, images: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
@@ -272,7 +272,7 @@ class DepthInformation:
         """Return the figure of merit, and its derivatives with respect to camera parameters, by name."""
         names, expected = tuple(names), self.expected(camera)
         count = len(expected[0])
-        cotangents = [np.zeros_like(part) for part in expected]
+        cotangents = [np.zeros_like(gradient_of) for gradient_of in expected]
         value = 0.0
         for index, parts in enumerate(zip(*expected, strict=True)):
             covariance = self._covariance(*parts)
@@ -281,14 +281,14 @@ class DepthInformation:
             # d ln(1 / sigma) = c' dF c / 2 sigma^2, with c the depth's column of the covariance.
             noise, columns = self._noise(parts[0]), _columns(*parts)
             along = np.tensordot(column, columns, 1)
-            for back, part in zip(cotangents, [column[3], *column[:3]], strict=True):
-                back[index] = part * along / noise / variance / count
+            for back, gradient_of in zip(cotangents, [column[3], *column[:3]], strict=True):
+                back[index] = gradient_of * along / noise / variance / count
             # The brightness w is relative: its derivative is the image itself.
             cotangents[0][index] -= along**2 / noise**2 / 2 / variance / count
         total: Gradient = {}
         for points, images in self._moved(camera, cotangents):
-            found = self._spreads.gradient(camera, self._photons * images, names, points)
-            total = {name: part + total.get(name, 0.0) for name, part in found.items()}
+            gradients = self._spreads.gradient(camera, self._photons * images, names, points)
+            total = {name: gradient_of + total.get(name, 0.0) for name, gradient_of in gradients.items()}
         return float(value), total
 
     def _moved(

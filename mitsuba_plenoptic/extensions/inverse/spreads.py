@@ -51,25 +51,25 @@ class PatchSpreads(PatchPlan):
             tile = 4.0 * float((np.ptp(corner, axis=0) + across).prod())
             size = max(1, int(_TOGETHER_BYTES // tile))
             parts += [chunk[first : first + size] for first in range(0, len(chunk), size)]
-        own = np.zeros((1, 2), np.int64)
+        origin = np.zeros((1, 2), np.int64)
         batches = (
             Scatter(
-                self._fields(part),
-                np.full(len(part), self.gain**0.5),
-                [Copies(own, channel[None]) for channel in np.eye(len(part), dtype=np.float32)],
+                self._fields(members_of),
+                np.full(len(members_of), self.gain**0.5),
+                [Copies(origin, channel[None]) for channel in np.eye(len(members_of), dtype=np.float32)],
             )
-            for part in parts
+            for members_of in parts
         )
         members, arrived = self._last - self._first, 0.0
-        items = [int(members[part].sum()) for part in parts]
+        items = [int(members[members_of].sum()) for members_of in parts]
         results = job.each(batches, items, done + self._count - sum(items), total)
-        for part, made in zip(parts, results, strict=True):
-            for pattern, sums in zip(part.tolist(), made.sums, strict=True):
+        for members_of, spread in zip(parts, results, strict=True):
+            for pattern, sums in zip(members_of.tolist(), spread.sums, strict=True):
                 arrived += float(sums.sum(dtype=np.float64)) * int(members[pattern]) / self.gain
                 for points, shift, recorder in self._recorded(pattern):
                     (dx, dy), box = shift.tolist(), recorder.box
                     samples: Any = active_backend().arrays.zeros((1, box.rows, box.columns), np.float32)
-                    moved = replace(made.box, left=made.box.left + dx, top=made.box.top + dy)
+                    moved = replace(spread.box, left=spread.box.left + dx, top=spread.box.top + dy)
                     add(Part(moved, sums[None]), box, samples)
                     yield Spread(points, recorder.window, recorder.integrate(samples[0]))
         loss = self.loss(self._chunks, np.ones((self._count, 1)), arrived)
@@ -98,7 +98,7 @@ class FullFieldSpreads(FullFieldPlan):
 
     def spreads(self, job: Job, done: int, total: int) -> Iterator[Spread]:
         """Yield the spreads of all points; see `PatchSpreads.spreads`."""
-        one, count, window = np.ones(1, np.float32), len(self._points), (slice(None), slice(None))
-        batches = (self.batch(point, one) for point in range(count))
-        for point, part in enumerate(job.each(batches, [1] * count, done, total)):
-            yield Spread(np.array([point]), window, part.sums[0])
+        unit, count, window = np.ones(1, np.float32), len(self._points), (slice(None), slice(None))
+        batches = (self.batch(point, unit) for point in range(count))
+        for point, members_of in enumerate(job.each(batches, [1] * count, done, total)):
+            yield Spread(np.array([point]), window, members_of.sums[0])

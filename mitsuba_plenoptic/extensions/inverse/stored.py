@@ -69,8 +69,11 @@ class StoredOperator(CaptureOperator):
         matrices = self._computed(job)
         _, matrix = self._channels.mixing(weights.shape[1])
         pixels = np.zeros((math.prod(self.camera.shape), len(matrix)), self.dtype)
-        for part in self._channels.parts(weights.shape[1]):
-            pixels += mix(matrices[part.wavelength] @ (weights @ part.before).astype(self.dtype), part.after)
+        for spectral_sum in self._channels.parts(weights.shape[1]):
+            pixels += mix(
+                matrices[spectral_sum.wavelength] @ (weights @ spectral_sum.before).astype(self.dtype),
+                spectral_sum.after,
+            )
         return pixels.reshape(*self.camera.shape, -1)
 
     def _products(
@@ -78,8 +81,8 @@ class StoredOperator(CaptureOperator):
     ) -> Iterator[tuple[SpectralSum, NDArray[Any]]]:
         """Yield the products (n, k) of an image (rows, columns, channels) with the point spreads of each sum."""
         matrices, pixels = self._computed(job), image.reshape(-1, image.shape[2])
-        for part in parts:
-            yield part, matrices[part.wavelength].T @ mix(pixels, part.after.T)
+        for spectral_sum in parts:
+            yield spectral_sum, matrices[spectral_sum.wavelength].T @ mix(pixels, spectral_sum.after.T)
 
     @one_at_a_time
     def to_sparse(self, *, job: Job | None = None) -> Any:
@@ -106,14 +109,17 @@ class StoredOperator(CaptureOperator):
             value = getattr(self.camera, name)
             refuse_if(value != sharp, f"{name} = {value}: matrices have the sharp spreads only; leave it out")
         matrices, parts = self._computed(job), list(self._channels.parts(1))
-        mixed = [part.after @ part.before.T for part in parts]
-        entries = sum(matrices[part.wavelength].nnz * own.size for part, own in zip(parts, mixed, strict=True))
+        mixed = [spectral_sum.after @ spectral_sum.before.T for spectral_sum in parts]
+        entries = sum(
+            matrices[spectral_sum.wavelength].nnz * mixture.size
+            for spectral_sum, mixture in zip(parts, mixed, strict=True)
+        )
         require_memory(2.0 * entries * (self.dtype.itemsize + 8), "sparse matrix of all channels and wavelengths")
         if len(parts) == mixed[0].size == 1:
             return matrices[parts[0].wavelength] * self.dtype.type(mixed[0].item())
         return sum(
-            scipy.sparse.kron(matrices[part.wavelength], own.astype(self.dtype), format="csc")
-            for part, own in zip(parts, mixed, strict=True)
+            scipy.sparse.kron(matrices[spectral_sum.wavelength], mixture.astype(self.dtype), format="csc")
+            for spectral_sum, mixture in zip(parts, mixed, strict=True)
         )
 
     @one_at_a_time
@@ -144,7 +150,10 @@ class StoredOperator(CaptureOperator):
         """Return the matrix (pixels, n) of each wavelength, computed on first use if all matrices fit the budget."""
         if self._matrices:
             return self._matrices
-        job, wavelengths = job or Job(), list(dict.fromkeys(part.wavelength for part in self._channels.parts(1)))
+        job, wavelengths = (
+            job or Job(),
+            list(dict.fromkeys(spectral_sum.wavelength for spectral_sum in self._channels.parts(1))),
+        )
         plans = self._plans.made_by(_SPREADS[self._method])
         entry, count = self.dtype.itemsize + 4, len(self.points)
         needed = sum(plans.checked(wavelength, job, 1).pixels for wavelength in wavelengths) * entry / 2**30

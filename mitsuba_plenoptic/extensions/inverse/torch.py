@@ -172,8 +172,8 @@ class _Linear(torch.autograd.Function):
     """A linear map between arrays, with its transpose."""
 
     @staticmethod
-    def forward(given: torch.Tensor, function: LinearFunction) -> torch.Tensor:
-        return _tensor(function.straight(_array(given)), given)
+    def forward(tensor: torch.Tensor, function: LinearFunction) -> torch.Tensor:
+        return _tensor(function.straight(_array(tensor)), tensor)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
@@ -188,18 +188,20 @@ class _Linear(torch.autograd.Function):
         return _Linear.apply(change, ctx.function)
 
     @staticmethod
-    def vmap(_: Any, axes: tuple[int, None], given: torch.Tensor, function: LinearFunction) -> tuple[torch.Tensor, int]:
-        return _Linear.apply(given.movedim(axes[0], 0), function), 0
+    def vmap(
+        _: Any, axes: tuple[int, None], tensor: torch.Tensor, function: LinearFunction
+    ) -> tuple[torch.Tensor, int]:
+        return _Linear.apply(tensor.movedim(axes[0], 0), function), 0
 
 
 class _RowByRow(torch.autograd.Function):
     """Function for autograd that ``torch.vmap`` applies row by row."""
 
     @classmethod
-    def vmap(cls, info: Any, axes: tuple[int | None, ...], *given: Any) -> tuple[Any, Any]:
-        pairs = list(zip(given, axes, strict=True))
+    def vmap(cls, info: Any, axes: tuple[int | None, ...], *tensor: Any) -> tuple[Any, Any]:
+        pairs = list(zip(tensor, axes, strict=True))
         rows = [
-            cls.apply(*(each if axis is None else each.select(axis, row) for each, axis in pairs))
+            cls.apply(*(value if axis is None else value.select(axis, row) for value, axis in pairs))
             for row in range(info.batch_size)
         ]
         if isinstance(rows[0], torch.Tensor):
@@ -211,27 +213,27 @@ class _Smooth(_RowByRow):
     """A differentiable function of arrays; its derivatives are taken at the arrays of the forward pass."""
 
     @staticmethod
-    def forward(function: Latest, *given: torch.Tensor) -> torch.Tensor:
-        return _tensor(function.at(given).value, given[0])
+    def forward(function: Latest, *tensor: torch.Tensor) -> torch.Tensor:
+        return _tensor(function.at(tensor).value, tensor[0])
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
-        ctx.function, *given = inputs
+        ctx.function, *tensors = inputs
         # PyTorch refuses derivatives at tensors that have been overwritten.
-        ctx.save_for_backward(*given)
-        ctx.save_for_forward(*given)
+        ctx.save_for_backward(*tensors)
+        ctx.save_for_forward(*tensors)
 
     @staticmethod
     def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         needed = ctx.needs_input_grad[1:]
-        found = iter(_Gradients.apply(ctx.function, _where(needed), gradient, *ctx.saved_tensors))
-        return None, *(next(found) if one else None for one in needed)
+        gradients = iter(_Gradients.apply(ctx.function, _where(needed), gradient, *ctx.saved_tensors))
+        return None, *(next(gradients) if is_needed else None for is_needed in needed)
 
     @staticmethod
     def jvp(ctx: Any, _: None, *changes: torch.Tensor | None) -> torch.Tensor:
-        known = [each for each in changes if each is not None]
-        which = _where([each is not None for each in changes])
-        return _Change.apply(ctx.function, which, *known, *ctx.saved_tensors)
+        nonzero = [change for change in changes if change is not None]
+        which = _where([change is not None for change in changes])
+        return _Change.apply(ctx.function, which, *nonzero, *ctx.saved_tensors)
 
 
 class _Once(_RowByRow):
@@ -255,9 +257,9 @@ class _Change(_Once):
 
     @staticmethod
     def forward(function: Latest, which: frozenset[int], *tensors: torch.Tensor) -> torch.Tensor:
-        changes, given = iter(tensors[: len(which)]), tensors[len(which) :]
-        taken = [function.taken(next(changes)) if k in which else None for k in range(len(given))]
-        return _tensor(function.at(given).jvp(taken), given[0])
+        changes, tensor = iter(tensors[: len(which)]), tensors[len(which) :]
+        taken = [function.taken(next(changes)) if k in which else None for k in range(len(tensor))]
+        return _tensor(function.at(tensor).jvp(taken), tensor[0])
 
 
 class _Gradients(_Once):
@@ -265,15 +267,19 @@ class _Gradients(_Once):
 
     @staticmethod
     def forward(
-        function: Latest, needed: frozenset[int], gradient: torch.Tensor, *given: torch.Tensor
+        function: Latest, needed: frozenset[int], gradient: torch.Tensor, *tensor: torch.Tensor
     ) -> tuple[torch.Tensor, ...]:
-        found = function.at(given).vjp(function.taken(gradient), [k in needed for k in range(len(given))])
-        return tuple(_tensor(each, like) for each, like in zip(found, given, strict=True) if each is not None)
+        gradients = function.at(tensor).vjp(function.taken(gradient), [k in needed for k in range(len(tensor))])
+        return tuple(
+            _tensor(gradient_of, like)
+            for gradient_of, like in zip(gradients, tensor, strict=True)
+            if gradient_of is not None
+        )
 
 
 def _where(which: Iterable[bool]) -> frozenset[int]:
     """Return the indices of true entries as a frozenset, which PyTorch's transforms do not inspect."""
-    return frozenset(k for k, one in enumerate(which) if one)
+    return frozenset(k for k, is_true in enumerate(which) if is_true)
 
 
 def _latest(function: SmoothFunction) -> Latest:
@@ -283,10 +289,10 @@ def _latest(function: SmoothFunction) -> Latest:
 
 def _array(tensor: torch.Tensor) -> NDArray[Any]:
     """Return a tensor as a NumPy array: its own memory, or a copy on the processor."""
-    given = _required(tensor).detach().cpu()
+    on_host = _required(tensor).detach().cpu()
     # NumPy has no types for bfloat16 and for a quarter of the precision.
-    known = given if given.dtype in (torch.float32, torch.float64) else given.float()
-    return working_array(known.resolve_neg().numpy())
+    floating = on_host if on_host.dtype in (torch.float32, torch.float64) else on_host.float()
+    return working_array(floating.resolve_neg().numpy())
 
 
 def _required(value: Any) -> torch.Tensor:

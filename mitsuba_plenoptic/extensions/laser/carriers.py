@@ -77,7 +77,7 @@ class Carrier(Protocol):
         """Return the additional path in waves, common to all points, at points of the pupil."""
 
     def remainder(
-        self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], which: Any
+        self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], points: Any
     ) -> NDArray[np.float64]:
         """Return paths of some points in waves at m pupil points, less the paths of the carrier waves, (m, n)."""
 
@@ -112,11 +112,11 @@ class Tilts:
         return self._lens.path(pupil, (X, Y, g), self._wavelength)
 
     def remainder(
-        self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], which: Any
+        self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], points: Any
     ) -> NDArray[np.float64]:
         """Return paths in waves less the middle point's path and the tilts."""
         of_middle = self._lens.path((x[:, None], y[:, None]), tuple(self.middle), self._wavelength)
-        return np.asarray(waves - of_middle - np.stack([x, y], 1) @ self._frequencies[which].T)
+        return np.asarray(waves - of_middle - np.stack([x, y], 1) @ self._frequencies[points].T)
 
     def _cosines(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.stack(self._lens.cosines((0.0, 0.0), (points[:, 0], points[:, 1], points[:, 2])), -1)
@@ -185,10 +185,10 @@ class Spheres:
         return self._lens.aberration(pupil, self._wavelength)
 
     def remainder(
-        self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], which: Any
+        self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], points: Any
     ) -> NDArray[np.float64]:
         """Return paths in waves less the paths of the spheres and the aberrations."""
-        X, Y = self._images[which].T
+        X, Y = self._images[points].T
         away = (x[:, None] - X) ** 2 + (y[:, None] - Y) ** 2
         sphere = self._path(X**2 + Y**2) - self._path(away)
         return np.asarray(waves - sphere - self._lens.aberration((x[:, None], y[:, None]), self._wavelength))

@@ -40,14 +40,16 @@ class CoherentFields:
         refuse_if(not len(points), "points: coherent fields need at least one")
         lens: Any = system.waves_of(points)
         self.system, self._lens, self._points = system, lens, points
-        what = f"coherent field of {len(points)} points"
-        self.grids = grids_around(system, lens, _footprint(lens, points), points, what)
+        label = f"coherent field of {len(points)} points"
+        self.grids = grids_around(system, lens, _footprint(lens, points), points, label)
         self._pupil = PupilGrid(lens, self.grids.wide_origin, self.grids.pupil_pitch)
         self._parts = layers(system, lens, points)
-        kinds = [carrier_type(lens, points[part], self._pupil) for part in self._parts]
+        kinds = [carrier_type(lens, points[block], self._pupil) for block in self._parts]
         # An upper bound of the memory of a layer's field, without that of each point.
-        sums = max(kind.memory(lens, points[part], self._pupil) for kind, part in zip(kinds, self._parts, strict=True))
-        check_memory(POINT_BYTES * len(points) + sums + 8.0 * self.grids.wide_pupil**2, what)
+        sums = max(
+            kind.memory(lens, points[block], self._pupil) for kind, block in zip(kinds, self._parts, strict=True)
+        )
+        check_memory(POINT_BYTES * len(points) + sums + 8.0 * self.grids.wide_pupil**2, label)
 
     def at(self, amplitudes: NDArray[np.complex64], plane: str) -> SampledField:
         """Return the field of points with these amplitudes in one of the planes, on the backend's device."""
@@ -78,8 +80,8 @@ class CoherentFields:
             with retained_workspace(chain.steps) as workspace, fft.resting_drjit():
                 field = workspace.whole(chain.adjoint(workspace.blocks(field), workspace), (grid.count, grid.count))
         result = np.empty(len(self._points), np.complex64)
-        for part, layer in self._layers:
-            result[part] = active_backend().to_host(layer.adjoint(field))
+        for block, layer in self._layers:
+            result[block] = active_backend().to_host(layer.adjoint(field))
         return result
 
     def _inner(self, amplitudes: NDArray[np.complex64]) -> fft.Field:
@@ -107,7 +109,7 @@ class CoherentFields:
 
     @cached_property
     def _layers(self) -> list[tuple[NDArray[np.int64], Layer]]:
-        return [(part, Layer(self.system, self._lens, self._points[part], self._pupil)) for part in self._parts]
+        return [(block, Layer(self.system, self._lens, self._points[block], self._pupil)) for block in self._parts]
 
 
 def _footprint(lens: MainLens, points: NDArray[np.float64]) -> Footprint:

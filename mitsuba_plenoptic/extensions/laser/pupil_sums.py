@@ -177,14 +177,14 @@ class Layer:
         )
 
     def _remainder(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], points: NDArray[np.float64], which: Any
+        self, x: NDArray[np.float64], y: NDArray[np.float64], points: NDArray[np.float64], indices: Any
     ) -> NDArray[np.complex128]:
         """Return the factor B exp(2 pi i r) of the field at m pupil positions for some points, (m, n)."""
-        point = tuple(points[which].T)
+        point = tuple(points[indices].T)
         waves = self._lens.path((x[:, None], y[:, None]), point, self._wavelength)
-        waves = self._carrier.remainder(waves, x, y, which)
+        waves = self._carrier.remainder(waves, x, y, indices)
         amplitude = self._lens.amplitude((x[:, None], y[:, None]), point)
-        amplitude = amplitude / np.sqrt(passed_power(self._lens, points[which]))
+        amplitude = amplitude / np.sqrt(passed_power(self._lens, points[indices]))
         return np.asarray(amplitude * np.exp(2j * math.pi * waves))
 
 

@@ -124,8 +124,8 @@ class _Realisation:
         waves = np.random.default_rng(self.seed).random(len(self.moduli))
         amplitudes = (self.moduli * np.exp(2j * math.pi * waves)).astype(np.complex64)
         image = self.fields.intensity(amplitudes) * np.float32(self.scale)
-        part = Part(recorded_pixels(self.fields.system.camera), image[None])
-        return lambda: part
+        pixels = Part(recorded_pixels(self.fields.system.camera), image[None])
+        return lambda: pixels
 
 
 class _Realisations:

@@ -128,12 +128,12 @@ def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int 
     """
     require_light_field(halves)
     require_choice("axis", axis, choices.Axis)
-    pupil, other, along = ("u", "v", 1) if axis == "horizontal" else ("v", "u", 0)
+    pupil, second_pupil, along = ("u", "v", 1) if axis == "horizontal" else ("v", "u", 0)
     if halves.sizes[pupil] != 2:
         raise InputError(f"halves: {halves.sizes[pupil]} pictures along {pupil}: a pair has two")
     refuse_if(require_count("window", window, minimum=3) % 2 == 0, f"window = {window}: it must be odd")
     search = require_count("search", search, maximum=max(1, halves.sizes["st"[1 - along]] - 2))
-    pair = halves.sum([dim for dim in (other, "c") if dim in halves.dims]).transpose(pupil, "t", "s")
+    pair = halves.sum([dim for dim in (second_pupil, "c") if dim in halves.dims]).transpose(pupil, "t", "s")
     views = np.asarray(pair.values, np.float64)
     if halves.attrs.get("mosaic") and "c" not in halves.dims:
         # Mirrored about the last lens, the mosaic goes on.
@@ -144,14 +144,14 @@ def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int 
     best = scores.argmax(axis=0)
     inner = np.clip(best, 1, 2 * search - 1)
     below, middle, above = (np.take_along_axis(scores, (inner + step)[None], 0)[0] for step in (-1, 0, 1))
-    known = (best == inner) & np.isfinite(below) & np.isfinite(above)
-    below, above = (np.where(known, values, 0) for values in (below, above))
+    reliable = (best == inner) & np.isfinite(below) & np.isfinite(above)
+    below, above = (np.where(reliable, values, 0) for values in (below, above))
     # Within the search the highest value is above its neighbours, or equal to one of them.
-    bend = np.subtract(below + above, 2 * middle, out=np.zeros_like(middle), where=known)
-    known &= bend < 0
-    offset = np.divide(below - above, 2 * bend, out=np.zeros_like(bend), where=known)
+    bend = np.subtract(below + above, 2 * middle, out=np.zeros_like(middle), where=reliable)
+    reliable &= bend < 0
+    offset = np.divide(below - above, 2 * bend, out=np.zeros_like(bend), where=reliable)
     return xr.DataArray(
-        np.where(known, inner + offset - search, np.nan),
+        np.where(reliable, inner + offset - search, np.nan),
         dims=("t", "s"),
         coords={dim: halves[dim] for dim in ("t", "s")},
         name="disparity",

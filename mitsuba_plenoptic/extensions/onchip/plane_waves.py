@@ -177,8 +177,8 @@ class PlaneWaveResponses:
 
         The direction cosines lie `step` apart around the chief ray's; light of density 1 is its area in mm^2.
         """
-        every = [self.modes(x, y, diode) for diode in range(self.count**2)]
-        return np.stack([(np.abs(modes) ** 2).sum(0, dtype=np.float64) for modes in every])
+        modes_of_all = [self.modes(x, y, diode) for diode in range(self.count**2)]
+        return np.stack([(np.abs(modes) ** 2).sum(0, dtype=np.float64) for modes in modes_of_all])
 
     @cached_property
     def _orders(self) -> tuple[NDArray[np.int64], NDArray[np.complex128]]:
@@ -227,19 +227,19 @@ class PlaneWaveResponses:
         nodes, weights = np.polynomial.legendre.leggauss(_POINTS)
         row, column = divmod(diode, self.count)
         py, px = (
-            ((nodes + 1) / 2 + number - self.count / 2) * pixel + s
-            for number, s in ((row, shift[1]), (column, shift[0]))
+            ((nodes + 1) / 2 + row_order - self.count / 2) * pixel + s
+            for row_order, s in ((row, shift[1]), (column, shift[0]))
         )
         sx, sy = (chief + np.arange(-far, far + 1) * self.step for chief in self.chief(x, y))
         waves_x, waves_y = (np.exp(2j * math.pi * np.outer(order, p) / camera.mla_pitch) for p in (px, py))
         kx, ky = (k * s[:, None] + 2 * math.pi * order / camera.mla_pitch for s in (sx, sy))
         fields = np.empty((len(sy), len(sx), _POINTS**2), np.complex64)
-        for number, ky_of_row in enumerate(ky):
+        for row_order, ky_of_row in enumerate(ky):
             kz = np.sqrt(square - ky_of_row[:, None] ** 2 - kx[:, None, :] ** 2)
             along_x = (amplitude * np.exp(1j * z * kz)) @ waves_x  # (x, order along y, point along x)
             field = np.matmul(waves_y.T, along_x)
-            field *= np.exp(1j * k * (sy[number] * py[None, :, None] + sx[:, None, None] * px))
-            fields[number] = field.reshape(len(sx), -1)
+            field *= np.exp(1j * k * (sy[row_order] * py[None, :, None] + sx[:, None, None] * px))
+            fields[row_order] = field.reshape(len(sx), -1)
         fields *= np.sqrt(np.outer(weights, weights).ravel() * pixel**2 / 4).astype(np.float32)
         flat = fields.reshape(-1, _POINTS**2)
         energy, vectors = np.linalg.eigh(flat.conj().T @ flat)

@@ -62,11 +62,11 @@ class Tables:
         """Number of lenses, on each side of a lens, whose rays light the lens's photodiodes."""
         return self.plans[self._widest].far.lenses // 2
 
-    def draw(self, index: Pair, lens: Any, half: Any, number: Any, seed: Any) -> Aimed:
+    def draw(self, index: Pair, lens: Any, half: Any, ray_index: Any, seed: Any) -> Aimed:
         """Return rays drawn for lenses of given lattice indices; the rays of the two halves are independent."""
         system = self.plans[0].system
-        random = low_discrepancy(lens, seed ^ (half * 8), number, 4)
-        chances = [chances_of(lens, seed ^ ((2 * number + half) << 5) ^ word) for word in (24, 25, 26)]
+        random = low_discrepancy(lens, seed ^ (half * 8), ray_index, 4)
+        chances = [chances_of(lens, seed ^ ((2 * ray_index + half) << 5) ^ word) for word in (24, 25, 26)]
         pupil = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(random[0], random[1])) * float(system.lens.reach)
         centre = self.camera.lattice.centre(*index)
         slope = [-system.lens.pupil.slope(P, c) for P, c in zip(pupil, centre, strict=True)]
@@ -126,7 +126,7 @@ class Tables:
                 result.append(dr.reinterpret_array(mi.Float, bits) * 2.0**112)
         return result[: self.count**2]
 
-    def zone_means(self, number: int, index: Pair) -> list[Any]:
+    def zone_means(self, node_index: int, index: Pair) -> list[Any]:
         """Return the mean responses of the photodiodes of lenses, interpolated between zones."""
         corners = []
         for chance in ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)):
@@ -138,7 +138,7 @@ class Tables:
             corners.append((self._zone(index, chance), share))
         return [
             sum((dr.gather(mi.Float, mean, zone) * share for zone, share in corners), mi.Float(0))
-            for mean in self._means[number]
+            for mean in self._means[node_index]
         ]
 
     def _along(self, axis: int, index: Any) -> Any:

@@ -144,65 +144,65 @@ class PhotodiodeResponses(PlaneWaveResponses):
         """Tables of the response W, with x in units of a lens."""
         zones = [(x, y) for y in self.zones.y for x in self.zones.x]
         pupils = [_Pupil.of(self, x, y, self._finer) for x, y in zones]
-        used = np.any([pupil.mass > 0 for pupil in pupils], axis=0)
-        index = np.where(used, np.cumsum(used).reshape(used.shape) - 1, -1).astype(np.int32)
+        lit = np.any([pupil.mass > 0 for pupil in pupils], axis=0)
+        index = np.where(lit, np.cumsum(lit).reshape(lit.shape) - 1, -1).astype(np.int32)
         sizes = [
-            (len(zones), int(used.sum()), window.across, window.across, self.count**2)
+            (len(zones), int(lit.sum()), window.across, window.across, self.count**2)
             for window in (self.near, self.far)
         ]
         near, far = (np.empty(size, np.float16) for size in sizes)
         means = np.empty((len(zones), self.count**2), np.float32)
         fold, interpolation = _fold(self.near, self.far)
         blurred = _blurred(self.near, self.far, self._far_pairs)
-        for number, ((x, y), pupil) in enumerate(zip(zones, pupils, strict=True)):
-            image = self._mirror_image(number, pupils)
+        for zone, ((x, y), pupil) in enumerate(zip(zones, pupils, strict=True)):
+            image = self._mirror_image(zone, pupils)
             if image is not None:
-                other, flips = image
-                nodes = index[flips][used]
+                mirrored, flips = image
+                nodes = index[flips][lit]
                 for table, window in ((near, self.near), (far, self.far)):
-                    table[number] = self._mirrored(table[other][nodes], window, flips)
+                    table[zone] = self._mirrored(table[mirrored][nodes], window, flips)
                 diodes = np.arange(self.count**2).reshape(self.count, self.count)[flips].ravel()
-                means[number] = means[other][diodes]
+                means[zone] = means[mirrored][diodes]
                 continue
             steps = pupil.step * self.stride, pupil.step // self._finer
             overlaps = [
-                pupil.overlap(np.arange(-pairs, pairs + 1) * lag)[used]
+                pupil.overlap(np.arange(-pairs, pairs + 1) * lag)[lit]
                 for pairs, lag in zip((self._near_pairs, self._far_pairs), steps, strict=True)
             ]
             for diode in range(self.count**2):
                 modes = self.modes(x, y, diode)
-                close = self._response(modes, 1, self.stride, self.near, overlaps[0], used)
-                wide = self._response(modes, self._finer, 1, self.far, overlaps[1], used)
-                whole = close[:, 1:, 1:].sum((1, 2)) / self.near.samples**2
+                close = self._response(modes, 1, self.stride, self.near, overlaps[0], lit)
+                wide = self._response(modes, self._finer, 1, self.far, overlaps[1], lit)
+                total = close[:, 1:, 1:].sum((1, 2)) / self.near.samples**2
                 # The far samples do not resolve the light within the near window, so that some of it appears beyond.
                 core = close - fold @ wide @ fold.T + interpolation @ wide @ interpolation.T
                 wide -= blurred @ core @ blurred.T
                 # The light from beyond the near window is folded into it.
                 close -= fold @ wide @ fold.T - interpolation @ wide @ interpolation.T
-                near[number, ..., diode], far[number, ..., diode] = close, wide
-                means[number, diode] = whole @ pupil.light[used] / pupil.light.sum()
+                near[zone, ..., diode], far[zone, ..., diode] = close, wide
+                means[zone, diode] = total @ pupil.light[lit] / pupil.light.sum()
         return ResponseTable(index, near, far, means)
 
-    def _mirror_image(self, number: int, pupils: Sequence[_Pupil]) -> tuple[int, tuple[slice, ...]] | None:
+    def _mirror_image(self, zone: int, pupils: Sequence[_Pupil]) -> tuple[int, tuple[slice, ...]] | None:
         """Return an earlier zone that is a mirror image of a zone, and the slices that flip rows and columns."""
         columns = len(self.zones.x)
-        row, column = divmod(number, columns)
+        row, column = divmod(zone, columns)
         _, amplitude = self._orders
         for flips in itertools.product((_ALL, _REVERSED), repeat=2):
-            other = list(range(len(self.zones.y)))[flips[0]][row] * columns + list(range(columns))[flips[1]][column]
+            mirrored = list(range(len(self.zones.y)))[flips[0]][row] * columns + list(range(columns))[flips[1]][column]
             signs = [-1 if flip == _REVERSED else 1 for flip in reversed(flips)]
             if (
-                other < number
-                and np.array_equal(pupils[other].is_open[flips], pupils[number].is_open)
+                mirrored < zone
+                and np.array_equal(pupils[mirrored].is_open[flips], pupils[zone].is_open)
                 and np.allclose(amplitude[flips], amplitude, rtol=0, atol=_ALIKE)
-                and np.allclose(self._displacement(other) * signs, self._displacement(number), rtol=0, atol=_ALIKE)
+                and np.allclose(self._displacement(mirrored) * signs, self._displacement(zone), rtol=0, atol=_ALIKE)
             ):
-                return other, flips
+                return mirrored, flips
         return None
 
-    def _displacement(self, number: int) -> NDArray[np.float64]:
+    def _displacement(self, zone: int) -> NDArray[np.float64]:
         """Return the displacement x, y, in lenses, of the pixels under a zone's lens from the lens's centre."""
-        row, column = divmod(number, len(self.zones.x))
+        row, column = divmod(zone, len(self.zones.x))
         position = self.zones.x[column], self.zones.y[row]
         return np.array(displacement(self.camera, self.count, *position)) / self.camera.mla_pitch
 
@@ -223,7 +223,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
         stride: int,
         window: TableWindow,
         overlap: NDArray[np.float32],
-        used: NDArray[np.bool_],
+        lit: NDArray[np.bool_],
     ) -> NDArray[np.float32]:
         """Return the response W of a photodiode at the used nodes, (nodes, y, x).
 
@@ -263,7 +263,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
         size = window.across - 1
         gain = (np.sinc(lags / size) ** -2).astype(np.float32)
         chosen = (
-            products[used] * overlap * (gain[:, None] * gain / np.float32((window.lenses * self.camera.mla_pitch) ** 2))
+            products[lit] * overlap * (gain[:, None] * gain / np.float32((window.lenses * self.camera.mla_pitch) ** 2))
         )
         wide = np.zeros((len(chosen), size, size), np.complex64)
         wide[:, (lags % size)[:, None], lags % size] = chosen
@@ -330,12 +330,12 @@ class _Pupil:
         """
         n, samples = len(self.mass), np.arange(len(self.rows))
         result = np.zeros((n * n, len(lags), len(lags)), np.float32)
-        for number, lag in enumerate(lags):
+        for index, lag in enumerate(lags):
             up, down = (self.is_open[self.rows + side * lag] for side in (1, -1))
             both = [up[samples, self.columns + across] & down[samples, self.columns - across] for across in lags]
             moments = self.hats.T @ np.stack(both, 1).astype(np.float32)
             # The factor conserves energy against the ridge.
-            result[:, number] = self._solve.solve(np.asarray(moments)) * (1 + _RIDGE)
+            result[:, index] = self._solve.solve(np.asarray(moments)) * (1 + _RIDGE)
         return result.reshape(n, n, len(lags), len(lags))
 
 
@@ -353,8 +353,8 @@ def _fold(near: TableWindow, far: TableWindow) -> tuple[NDArray[np.float32], NDA
 
     once = interpolated(near.place)
     periods = range(0, far.lenses, near.lenses)
-    every = np.sum([interpolated(near.place + period) for period in periods], axis=0)
-    return every.astype(np.float32), once.astype(np.float32)
+    folded = np.sum([interpolated(near.place + period) for period in periods], axis=0)
+    return folded.astype(np.float32), once.astype(np.float32)
 
 
 def _blurred(near: TableWindow, far: TableWindow, pairs: int) -> NDArray[np.float32]:

@@ -151,8 +151,8 @@ class ResponseSum:
     def batches(self, first: int) -> Iterator[LensRows]:
         """Yield the pixels of each block from index `first` on, after tracing its rays."""
         size, columns = self._across, self._columns[1] - self._columns[0]
-        for number in range(first, len(self._blocks)):
-            top, rows = self._blocks[number], int(self.items[number]) // columns
+        for block in range(first, len(self._blocks)):
+            top, rows = self._blocks[block], int(self.items[block]) // columns
             seeds = np.random.SeedSequence([self._seed]).generate_state(self._rounds).tolist()
             with fft.busy_drjit():
                 sums = self._captured(LensCells(self._columns[0], top, columns, rows), seeds)
@@ -172,8 +172,8 @@ class ResponseSum:
 
     def probe(self) -> NDArray[np.float32]:
         """Return the light of the rays of some lenses, a fingerprint of a scene and its camera."""
-        columns, every = self._columns[1] - self._columns[0], int(self.items.sum())
-        lens = np.linspace(0, every - 1, min(_PROBES, every)).astype(int)
+        columns, pixel_count = self._columns[1] - self._columns[0], int(self.items.sum())
+        lens = np.linspace(0, pixel_count - 1, min(_PROBES, pixel_count)).astype(int)
         index = (lens % columns + self._columns[0], lens // columns + self._rows[0])
         rays = self._traced(
             tuple(drjit_array(mi.Int, coordinate) for coordinate in index), drjit_array(mi.UInt32, lens), 0
@@ -197,13 +197,13 @@ class ResponseSum:
         lights, counted = [], mi.Float(0)
         for walk, numbers in self._walks:
             start, slope, _ = walk.through_pupil(aimed.pupil, aimed.place)
-            seen = aimed.open & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
-            radiance = self._light(start, slope, seen, seed)
-            counted = dr.select(seen, mi.Float(1), 0)
+            valid = aimed.open & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
+            radiance = self._light(start, slope, valid, seed)
+            counted = dr.select(valid, mi.Float(1), 0)
             require_finite(radiance, counted)
-            for number in numbers:
-                used, weights = self._nodes[number].mixture()
-                lights += [dr.select(seen, mixed(row, [radiance[i] for i in used]), 0) for row in weights]
+            for node_index in numbers:
+                lit, weights = self._nodes[node_index].mixture()
+                lights += [dr.select(valid, mixed(row, [radiance[i] for i in lit]), 0) for row in weights]
         dr.eval(lights, counted, aimed.near, aimed.far, aimed.node)
         sums, counts = [dr.block_sum(light, rays // 2) for light in lights], dr.block_sum(counted, rays // 2)
         dr.eval(sums, counts)
@@ -252,12 +252,12 @@ class ResponseSum:
         far = self._far_sums(grid, rays, means, seed)
         passed = (counts[0][0] + counts[0][1]) / (len(cells) * count)
         result = []
-        for image, (number, _) in enumerate(self._images):
+        for image, (node_index, _) in enumerate(self._images):
             mean = (means[image][0] + means[image][1]) / 2 * passed
-            known = tables.zone_means(number, index)
+            zone_values = tables.zone_means(node_index, index)
             diodes = slice(image * size, (image + 1) * size)
-            of_diodes = zip(near[diodes], far[diodes], known, strict=True)
-            result.append([(close + wide) / count + mean * whole for close, wide, whole in of_diodes])
+            of_diodes = zip(near[diodes], far[diodes], zone_values, strict=True)
+            result.append([(close + wide) / count + mean * total for close, wide, total in of_diodes])
         dr.eval(result)
         return result
 
@@ -275,9 +275,11 @@ class ResponseSum:
         def add(k: Any, *totals: Any) -> tuple[Any, ...]:
             row = mi.Int(k) // NEAR
             cell = mi.Int(k) - row * NEAR - NEAR // 2, row - NEAR // 2
-            other = at(of_lens, cell) * count + ray
-            change = [dr.gather(mi.Float, light, other) - mean for light, mean in zip(rays.lights, others, strict=True)]
-            first = [dr.gather(mi.UInt32, index, other) for index in rays.near]
+            address = at(of_lens, cell) * count + ray
+            change = [
+                dr.gather(mi.Float, light, address) - mean for light, mean in zip(rays.lights, others, strict=True)
+            ]
+            first = [dr.gather(mi.UInt32, index, address) for index in rays.near]
             products = self._products(change, lambda number: tables.values(tables.near[number], first[number], cell))
             return k + 1, *(total + product for total, product in zip(totals, products, strict=True))
 
@@ -298,10 +300,10 @@ class ResponseSum:
         x, y = mi.Int(lens - row * columns) - margin, mi.Int(row) - margin
         key = dr.opaque(mi.UInt32, seed)
         # Sums of integers do not depend on the order in which threads add them.
-        whole, double = dr.int64_array_t(mi.Float), dr.float64_array_t(mi.Float)
+        integer, double = dr.int64_array_t(mi.Float), dr.float64_array_t(mi.Float)
         brightest = float(max(dr.max(dr.abs(light))[0] for light in rays.lights))
         unit = dr.opaque(double, 2.0 ** (math.frexp(brightest)[1] - _BITS))
-        totals = [dr.zeros(whole, grid.rows * grid.columns) for _ in range(size * len(self._images))]
+        totals = [dr.zeros(integer, grid.rows * grid.columns) for _ in range(size * len(self._images))]
 
         def add(k: Any) -> tuple[Any]:
             random = mi.sample_tea_float32(lane, key + k)
@@ -317,7 +319,7 @@ class ResponseSum:
             ]
             products = self._products(change, lambda number: tables.values(tables.far[number], rays.far[number], cell))
             for total, product in zip(totals, products, strict=True):
-                dr.scatter_add(total, whole(double(product * (1 / _DRAWN)) / unit), index, active)
+                dr.scatter_add(total, integer(double(product * (1 / _DRAWN)) / unit), index, active)
             return (k + 1,)
 
         dr.while_loop((mi.UInt32(0),), lambda k: k < _DRAWN, add, label="far photodiodes")
@@ -326,11 +328,11 @@ class ResponseSum:
 
     def _products(self, change: list[Any], values_of: Callable[[int], list[Any]]) -> list[Any]:
         """Return the light of rays for each image times the responses of the photodiodes at its wavelength."""
-        responses = {number: values_of(number) for number in {number for number, _ in self._images}}
+        responses = {node_index: values_of(node_index) for node_index in {node_index for node_index, _ in self._images}}
         return [
             value * light
-            for light, (number, _) in zip(change, self._images, strict=True)
-            for value in responses[number]
+            for light, (node_index, _) in zip(change, self._images, strict=True)
+            for value in responses[node_index]
         ]
 
 

@@ -109,10 +109,10 @@ def psf_bank(
         count = require_count("size", size)
     refuse_if(count % 2 == 0, f"size = {count}: it must be odd")
     bank = np.empty((len(distances), len(positions), across, along, count, count), np.float32)
-    used = np.empty_like(positions)
+    computed = np.empty_like(positions)
     detector = DetectorOperator.of(camera)
-    for number, position in enumerate(positions):
-        local, used[number], chief = _around(camera, position, count)
+    for point_index, position in enumerate(positions):
+        local, computed[point_index], chief = _around(camera, position, count)
         system = OpticalSystem(local, wavelength)
         for index, point in enumerate(_points(local, chief, distances)):
             image: NDArray[Any]
@@ -120,12 +120,12 @@ def psf_bank(
                 image = point_spread_function(local, point, wavelength=wavelength, method=method)
             else:
                 image = PointRays(local, point[None], wavelength).image(system, np.ones(1))
-            bank[index, number] = photodiodes(detector.forward(image), along, across)
+            bank[index, point_index] = photodiodes(detector.forward(image), along, across)
     steps = np.arange(count) - count // 2
     coordinates: dict[str, Any] = {
         "depth": ("depth", distances, {"units": "mm"}),
-        "x": ("field", used[:, 0], {"units": "mm", "long_name": "x on the detector"}),
-        "y": ("field", used[:, 1], {"units": "mm", "long_name": "y on the detector"}),
+        "x": ("field", computed[:, 0], {"units": "mm", "long_name": "x on the detector"}),
+        "y": ("field", computed[:, 1], {"units": "mm", "long_name": "y on the detector"}),
         "t": ("t", steps, {"units": "lenses"}),
         "s": ("s", steps, {"units": "lenses"}),
     }

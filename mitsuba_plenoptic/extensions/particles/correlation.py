@@ -112,9 +112,9 @@ def correlate_volumes(
     )
 
 
-def _part_of(progress: Progress, number: int, passes: int) -> Progress:
+def _part_of(progress: Progress, index: int, passes: int) -> Progress:
     """Return the progress of one of several passes."""
-    return lambda done, total: progress(number * total + done, passes * total)
+    return lambda done, total: progress(index * total + done, passes * total)
 
 
 def _displacement(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:

@@ -88,17 +88,17 @@ class VoxelGrid:
 
 def values_of(*volumes: xr.DataArray) -> list[NDArray[np.float64]]:
     """Return the values of volumes along z, y and x; refuse different voxels, and values that are not finite."""
-    for each in volumes:
-        require_units("volume", each, dict.fromkeys("zyx", MILLIMETRES))
+    for volume in volumes:
+        require_units("volume", volume, dict.fromkeys("zyx", MILLIMETRES))
     for axis in "zyx":
-        first, *others = [each[axis].values for each in volumes]
+        first, *others = [volume[axis].values for volume in volumes]
         allowed = _SAME * np.ptp(first) / max(len(first) - 1, 1)
         refuse_if(
-            any(first.shape != each.shape or not np.allclose(each, first, _ROUNDING, allowed) for each in others),
+            any(first.shape != volume.shape or not np.allclose(volume, first, _ROUNDING, allowed) for volume in others),
             f"volumes: they must be on the same voxels, but differ in {axis}",
         )
-    values = [as_array("volume", each, np.float64, tuple("zyx")) for each in volumes]
-    refuse_if(not all(np.isfinite(each).all() for each in values), "volumes: their voxels must be finite")
+    values = [as_array("volume", volume, np.float64, tuple("zyx")) for volume in volumes]
+    refuse_if(not all(np.isfinite(volume).all() for volume in values), "volumes: their voxels must be finite")
     return values
 
 
@@ -168,9 +168,9 @@ def quality(volume: xr.DataArray, reference: xr.DataArray) -> float:
     volume, reference : xarray.DataArray (z, y, x)
         The volumes, on the same voxels.
     """
-    one, other = values_of(volume, reference)
-    size = math.sqrt(float((one**2).sum()) * float((other**2).sum()))
-    return float((one * other).sum()) / size if size else 0.0
+    first, second = values_of(volume, reference)
+    size = math.sqrt(float((first**2).sum()) * float((second**2).sum()))
+    return float((first * second).sum()) / size if size else 0.0
 
 
 def ghost_fraction(volume: xr.DataArray, positions: NDArray[np.float64], reach: Sequence[float]) -> float:
@@ -187,8 +187,8 @@ def ghost_fraction(volume: xr.DataArray, positions: NDArray[np.float64], reach: 
     """
     semi_axes = np.array(require_numbers("reach", reach, count=3, minimum=1e-9))
     values = np.maximum(values_of(volume)[0], 0)
-    whole = float(values.sum())
-    if not whole:
+    total = float(values.sum())
+    if not total:
         return 0.0
     lit = np.argwhere(values > 0)
     z, y, x = (volume[name].values[index] for name, index in zip("zyx", lit.T, strict=True))
@@ -196,7 +196,7 @@ def ghost_fraction(volume: xr.DataArray, positions: NDArray[np.float64], reach: 
     if not len(positions):
         return 1.0
     away = cKDTree(positions / semi_axes).query(np.stack([x, y, z], -1) / semi_axes, distance_upper_bound=1.0)[0]
-    return float(values[tuple(lit[np.isinf(away)].T)].sum()) / whole
+    return float(values[tuple(lit[np.isinf(away)].T)].sum()) / total
 
 
 def elongation(camera: PlenopticCamera, distance: float) -> float:

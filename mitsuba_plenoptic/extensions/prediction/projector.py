@@ -61,7 +61,7 @@ class VolumeProjection(LinearMap):
         for down in range(-self.reach, self.reach + 1):
             for right in range(-self.reach, self.reach + 1):
                 blocks = [self._block(plane, down, right) for plane in self.planes]
-                lit = [number for number, block in enumerate(blocks) if block is not None]
+                lit = [index for index, block in enumerate(blocks) if block is not None]
                 if lit:
                     # Dark planes between them are kept.
                     some = [

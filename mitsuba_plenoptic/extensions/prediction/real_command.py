@@ -40,8 +40,8 @@ def compare_real(
     write_json(folder / "results.json", answer.to_plain())
     write_page(folder / "report.html", study, answer)
     for test in TESTS:
-        found = answer.ratios["fitted"][test]
-        typer.echo(f"withheld {test}: residual over noise {found.waves:.2f} by waves, {found.rays:.2f} by rays")
+        ratio = answer.ratios["fitted"][test]
+        typer.echo(f"withheld {test}: residual over noise {ratio.waves:.2f} by waves, {ratio.rays:.2f} by rays")
     stray = " and ".join(f"{answer.stray[light]:.1%} by {light}" for light in LIGHTS)
     typer.echo(f"stray light within lenses: {stray}")
     typer.echo(answer.verdict)

@@ -59,7 +59,7 @@ def write_page(path: Path, study: Study, answer: Answer) -> None:
         strengths = ", ".join(f"{strength:g} for {test}" for test, strength in answer.strengths[light].items())
         stray = f"{100 * answer.stray[light]:.1f} % of a lens's mean light"
         controls.append(f"Stray light by {light}: {stray}; strength of the prior {strengths}.")
-    shown = (
+    facts = (
         "Recorded pixels, simulated ones by waves and by rays, their differences, and a line of pixels. Lenses that "
         "differ as a whole are withheld ones."
     )
@@ -69,7 +69,7 @@ def write_page(path: Path, study: Study, answer: Answer) -> None:
         f"{study.wavelength:g} nm and by rays; it predicts those that are withheld."
     )
     sections = [
-        pages.Section("Predictions", [how, pages.Picture(pictures(study).png(), shown), results]),
+        pages.Section("Predictions", [how, pages.Picture(pictures(study).png(), facts), results]),
         pages.Section("Controls", [controls]),
         pages.Section("The volume", [pages.Picture(slices(study).png(), volume)]),
     ]

@@ -121,7 +121,10 @@ class Answer:
 
     def to_plain(self) -> dict[str, Any]:
         """Return all as plain values, with the verdict."""
-        ratios = {camera: {test: asdict(one) for test, one in some.items()} for camera, some in self.ratios.items()}
+        ratios = {
+            camera: {test: asdict(ratio_of_test) for test, ratio_of_test in some.items()}
+            for camera, some in self.ratios.items()
+        }
         plain = {"ratios": ratios, "relative": self.relative, "strengths": self.strengths, "stray": self.stray}
         controls = {light: asdict(ratio) for light, ratio in self.controls.items()}
         wavelengths = {f"{value:g}": residual for value, residual in self.wavelengths.items()}
@@ -191,8 +194,8 @@ class Study:
 
         name = "_".join(["camera", setup.light, *([] if setup.wavelength is None else [f"{setup.wavelength:g}nm"])])
         # A fit serves all parts of the picture.
-        given = [digest(self.pictures.white, self.pictures.dark), self.camera.to_dict()]
-        return CameraModel.of(self.stages.facts(name, [given, length], fitted))
+        inputs = [digest(self.pictures.white, self.pictures.dark), self.camera.to_dict()]
+        return CameraModel.of(self.stages.facts(name, [inputs, length], fitted))
 
     @cached_property
     def _given(self) -> list[Any]:
@@ -217,10 +220,10 @@ class Study:
 
         `simulated` names the light by which the picture is simulated instead of recorded.
         """
-        used = self.withheld(seed).used
+        mask = self.withheld(seed).used
 
         def fitted(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
-            fit = self._fit(setup, self.electrons(simulated), used, strength, progress)
+            fit = self._fit(setup, self.electrons(simulated), mask, strength, progress)
             return fit.predicted[None], {"stray_light": fit.stray}
 
         words = [setup.camera, setup.light, f"seed_{seed}", f"{strength:g}"]
@@ -234,9 +237,9 @@ class Study:
         setup = Setup("fitted", light)
 
         def fitted(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
-            used = self.pictures.good[self._pixels.pixel]
+            mask = self.pictures.good[self._pixels.pixel]
             strength = self.strength(light, "pixels")
-            fit = self._fit(setup, self.electrons(None), used, strength, progress)
+            fit = self._fit(setup, self.electrons(None), mask, strength, progress)
             return np.append(fit.volume.ravel(), np.float32(fit.stray))[None], {}
 
         inputs = [self._given, self.wavelength, ITERATIONS]

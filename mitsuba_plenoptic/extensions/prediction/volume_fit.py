@@ -119,5 +119,5 @@ def fit_volume(
 def _stray(electrons: np.ndarray, mask: np.ndarray, direct: np.ndarray, glow: np.ndarray) -> float:
     """Return the part of the mean light that explains best what the direct light leaves, weighted by noise."""
     weight = mask / (np.maximum(direct, 0) + 1)
-    part = float((weight * (electrons - direct) * glow).sum() / max(float((weight * glow * glow).sum()), 1e-20))
-    return min(max(part, 0.0), _MOST_STRAY)
+    fraction = float((weight * (electrons - direct) * glow).sum() / max(float((weight * glow * glow).sum()), 1e-20))
+    return min(max(fraction, 0.0), _MOST_STRAY)

@@ -47,11 +47,11 @@ class Withheld:
         }
         test = {name: draw[name] < _TESTED[name] for name in TESTS}
         third = {name: (draw[name] > 1 - _CHOOSING) & ~test[name] for name in TESTS}
-        used = good & ~test["pixels"] & ~test["lenses"] & ~third["pixels"] & ~third["lenses"]
+        remaining = good & ~test["pixels"] & ~test["lenses"] & ~third["pixels"] & ~third["lenses"]
         # Pixels of lenses that are withheld belong to their lens alone.
         alone = test["lenses"] | third["lenses"]
         kinds = {"pixels": ~alone & good & inner, "lenses": good & inner}
-        return cls(used, *({name: some[name] & kinds[name] for name in TESTS} for some in (test, third)))
+        return cls(remaining, *({name: some[name] & kinds[name] for name in TESTS} for some in (test, third)))
 
 
 def misfit(electrons: np.ndarray, predicted: np.ndarray, dark_variance: float) -> np.ndarray:

@@ -60,8 +60,8 @@ class _VaryingPath(dr.CustomOp):
             moments += (across * gradient[block]) @ up.T
         moments = libraries.to_host(moments)
         unit = in_millimetres(WAVEFRONT_UNIT)
-        found = np.array([unit * float((moments[: len(some), : len(some)] * some).sum()) for some in polynomials])
-        self.set_grad_in("coefficients", drjit_array(type(self.grad_in("coefficients")), found))
+        gradient_of = np.array([unit * float((moments[: len(some), : len(some)] * some).sum()) for some in polynomials])
+        self.set_grad_in("coefficients", drjit_array(type(self.grad_in("coefficients")), gradient_of))
 
     def name(self) -> str:
         return "aberrations"
@@ -87,15 +87,15 @@ def values_of(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[
 
 def check_names(camera: PlenopticCamera, names: Iterable[str] | None) -> tuple[str, ...]:
     """Return the names of a camera's differentiable parameters, all of them for None; refuse other names."""
-    own = [name for name in DIFFERENTIABLE if len(values_of(camera, 1.0, name))]
-    names = own if names is None else (names,) if isinstance(names, str) else tuple(names)
+    of_camera = [name for name in DIFFERENTIABLE if len(values_of(camera, 1.0, name))]
+    names = of_camera if names is None else (names,) if isinstance(names, str) else tuple(names)
     for name in names:
         if name not in DIFFERENTIABLE:
             raise InputError(
                 f"{short_repr(name)}: it is none of the parameters with a derivative: {', '.join(DIFFERENTIABLE)}"
                 f"{did_you_mean(name, DIFFERENTIABLE)}"
             )
-        if name not in own:
+        if name not in of_camera:
             camera.require_array(name)
     return tuple(names)
 
@@ -108,7 +108,9 @@ def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np
     checked = {}
     for name, change in changes.items():
         size = len(values_of(camera, 1.0, name))
-        parts = np.array([require_number(name, part) for part in np.ravel(np.asarray(change, object)).tolist()])
+        parts = np.array(
+            [require_number(name, component) for component in np.ravel(np.asarray(change, object)).tolist()]
+        )
         checked[name] = parts if name == WAVELENGTH else change_of(camera, name, parts)
         if len(checked[name]) != size:
             raise InputError(f"{name} = {short_repr(change)}: its change must be {size} number{'s' * (size > 1)}")
@@ -135,12 +137,12 @@ def light_slopes(
     The arrays are (components, points).
     """
     slopes = brightness_slopes(system.camera, names)
-    found = {name: np.tile(slope[:, None], len(points)) for name, slope in slopes.items()}
+    by_name = {name: np.tile(slope[:, None], len(points)) for name, slope in slopes.items()}
     lens = system.waves_of(points)
     if lens.is_uniform:
-        return found
-    changed = [name for name in found if name in LENS_NUMBERS]
-    return found | {name: open_area_slopes(cast(FittedLens, lens), name, points)[None] for name in changed}
+        return by_name
+    changed = [name for name in by_name if name in LENS_NUMBERS]
+    return by_name | {name: open_area_slopes(cast(FittedLens, lens), name, points)[None] for name in changed}
 
 
 class VaryingParameters:
@@ -165,7 +167,7 @@ class VaryingParameters:
         """
         first = dr.zeros(self.types.UInt32, lanes)
         get = {
-            name: [dr.gather(self.types.Float64, part, first) for part in parts]
+            name: [dr.gather(self.types.Float64, component, first) for component in parts]
             if name in self._varies and name != "wavefront"
             else parts
             for name, parts in self._parameters.items()
@@ -176,9 +178,9 @@ class VaryingParameters:
         turned = angle - dr.opaque(self.types.Float64, grid.rotation) if "mla_rotation" in self._varies else 0.0
 
         def lens() -> Any:
-            held = [dr.detach(coefficient) for coefficient in get["wavefront"][: len(grid.camera.wavefront)]]
+            constant = [dr.detach(coefficient) for coefficient in get["wavefront"][: len(grid.camera.wavefront)]]
             values = {name: get[name][0] for name in ("focal_length", "aperture_radius", "mla_distance", "wavelength")}
-            return grid.lens.varying(values | {"wavefront": held}, self._varies, turned)
+            return grid.lens.varying(values | {"wavefront": constant}, self._varies, turned)
 
         def array(cosine: float) -> list[VaryingArrayFactor]:
             if not grid.microlenses.axes:

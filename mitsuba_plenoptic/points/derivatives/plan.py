@@ -130,8 +130,8 @@ class DerivativePlan(PatchPlan):
         plain, *placed = np.split(sums, summed) if summed else [sums]
         if placed:
             stepped = [self._recorder.spread(image, move) for move in STEPS]
-            for axis, part in enumerate(placed):
-                x, y = (float((step * part).sum(dtype=np.float64)) for step in stepped)
+            for axis, place in enumerate(placed):
+                x, y = (float((step * place).sum(dtype=np.float64)) for step in stepped)
                 products[1, :, axis] = turn(x, y, -self._grid.rotation)
         gradients = parameters.gradients()
         for name in copied:
@@ -169,13 +169,13 @@ class DerivativePlan(PatchPlan):
         self, chunk: NDArray[np.int64], weights: NDArray[np.float64], moving: NDArray[np.bool_]
     ) -> tuple[Fields, list[SpreadCopies]]:
         """Return the spreads of a chunk with a nonzero weight, and their copies; `moving` marks moving patterns."""
-        used, copies = [], []
+        lit_spreads, copies = [], []
         for pattern, shifts, factors in self._lit_copies(chunk, weights):
-            used.append(pattern)
+            lit_spreads.append(pattern)
             positions = shifts * self._per_sample
             moves = np.full(len(shifts), moving[pattern])
             copies.append(SpreadCopies(shifts, factors.astype(np.float32), positions, moves))
-        return self._fields(np.array(used, np.int64)), copies
+        return self._fields(np.array(lit_spreads, np.int64)), copies
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
         """Return the bytes that derivatives of all channels in all directions take; refuse too many."""
@@ -234,17 +234,17 @@ class JvpSum:
         count = len(self._directions) * channels
         image, plain = recorder.record(total.sums[:count]), total.sums[count : count + channels]
         for first, (changes, (_, shifts)) in enumerate(zip(self._directions, self._slopes, strict=True)):
-            own = image[..., first * channels : (first + 1) * channels]
+            channel_image = image[..., first * channels : (first + 1) * channels]
             for name in MOVES:
                 change = changes.get(name, np.zeros(1))
                 if change.any():
-                    own += float(change[0]) * recorder.record(plain, name)
+                    channel_image += float(change[0]) * recorder.record(plain, name)
             if self._placed and shifts.any():
                 placed = np.split(total.sums[count + channels :], 2)
                 turned = np.array(turn(shifts[0], shifts[1], self._plan._grid.rotation))
                 for move, factors in zip(STEPS, turned, strict=True):
-                    along_x, along_y = (float(factor) * part for factor, part in zip(factors, placed, strict=True))
-                    own += recorder.record(along_x + along_y, move)
+                    along_x, along_y = (float(factor) * place for factor, place in zip(factors, placed, strict=True))
+                    channel_image += recorder.record(along_x + along_y, move)
         return image
 
 
@@ -273,15 +273,17 @@ class Differentials:
         parts: list[tuple[float, list[int], list[int]]] = []
         for wavelength, some in groups(wavelengths):
             step = self._plans.at(wavelength).together(job.workers, len(some), len(directions))
-            every = list(range(len(directions)))
-            parts += [(wavelength, some, every[first : first + step]) for first in range(0, len(directions), step)]
+            all_directions = list(range(len(directions)))
+            parts += [
+                (wavelength, some, all_directions[first : first + step]) for first in range(0, len(directions), step)
+            ]
 
         def tasks() -> Iterator[SumTask]:
-            for wavelength, some, which in parts:
-                plan = self._plans.checked(wavelength, job, len(which) * len(some))
-                change = partial(plan.jvp, weights[:, some], [directions[index] for index in which])
-                own = np.kron(np.eye(len(directions), dtype=np.float32)[:, which], matrix[:, some])
-                yield SumTask(self._points, change, partial(mix, matrix=own))
+            for wavelength, some, numbers in parts:
+                plan = self._plans.checked(wavelength, job, len(numbers) * len(some))
+                change = partial(plan.jvp, weights[:, some], [directions[index] for index in numbers])
+                columns = np.kron(np.eye(len(directions), dtype=np.float32)[:, numbers], matrix[:, some])
+                yield SumTask(self._points, change, partial(mix, matrix=columns))
 
         with guards.watch():
             shape = (*self._camera.shape, len(directions) * len(matrix))
@@ -302,11 +304,11 @@ class Differentials:
         total: dict[str, NDArray[np.float64]] = {}
         with guards.watch():
             for done, (wavelength, some) in enumerate(groups(wavelengths)):
-                given = mix(image, matrix[:, some].T)
+                cotangent = mix(image, matrix[:, some].T)
                 plan = self._plans.checked(wavelength, job, len(some))
                 counted = done * self._points, len(set(wavelengths)) * self._points
-                found = plan.vjp(weights[:, some], given, names, job, *counted)
-                total = {name: found[name] + total.get(name, 0.0) for name in names}
+                gradients = plan.vjp(weights[:, some], cotangent, names, job, *counted)
+                total = {name: gradients[name] + total.get(name, 0.0) for name in names}
         return total
 
 

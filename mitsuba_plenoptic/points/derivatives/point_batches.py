@@ -36,19 +36,19 @@ def copy_slopes(camera: PlenopticCamera, wavelength: float, name: str) -> NDArra
     The result is (components, 2, 2, 2), for a parameter in `MOVED_COPIES`: for each component A and B, each as (x and y
     of the move, x and y of the copy's position). ``mla_rotation`` is in degrees, ``wavelength`` in nanometres.
     """
-    one, none = np.eye(2), np.zeros((2, 2))
+    identity, none = np.eye(2), np.zeros((2, 2))
     growth, b = camera.image_growth, camera.mla_distance
     if name == "mla_pitch":
-        along = [np.diag(one[axis]) / camera.mla_pitches[axis] for axis in (0, 1)]
+        along = [np.diag(identity[axis]) / camera.mla_pitches[axis] for axis in (0, 1)]
         return np.array([[moved, none] for moved in along])
     if name == "mla_distance":
-        return np.array([[-one / b, -one / b]])
+        return np.array([[-identity / b, -identity / b]])
     if name == "detector_distance":
-        return np.array([[none, -one / (b * camera.mla_medium)]])
+        return np.array([[none, -identity / (b * camera.mla_medium)]])
     if name == "mla_rotation":
         turn = math.pi / 180 * np.array([[0.0, -1.0], [1.0, 0.0]])
         return np.array([[turn, growth * turn]])
-    return np.array([[none, growth / wavelength * one]])
+    return np.array([[none, growth / wavelength * identity]])
 
 
 _BLOCK = 2**18
@@ -63,9 +63,9 @@ class SpreadCopies(Copies):
     moving: NDArray[np.bool_]  # whether the motion of the lattice against the point is included, (copies,)
 
     @classmethod
-    def joined(cls, each: Sequence[SpreadCopies]) -> SpreadCopies:
+    def joined(cls, batches: Sequence[SpreadCopies]) -> SpreadCopies:
         """Return the copies of several point spreads, one after another."""
-        return cls(*(np.concatenate([getattr(own, field.name) for own in each]) for field in fields(cls)))
+        return cls(*(np.concatenate([getattr(batch, field.name) for batch in batches]) for field in fields(cls)))
 
     def summed(self, sums: int) -> SpreadCopies:
         """Return the copies with weights repeated for 1 or 3 sums; of 3, the last two have weights times positions."""
@@ -92,17 +92,17 @@ def gathered(
     libraries = backend_of(tile)
     if libraries.is_cuda:
         return gathered_on_device(tile, windows, weights, moments, (size, size))
-    which, channels = np.nonzero(weights)
-    factors = (moments[:, which] * weights[which, channels]).astype(np.float32)
-    places = [windows.start[window].tolist() for window in which]
+    points, channels = np.nonzero(weights)
+    factors = (moments[:, points] * weights[points, channels]).astype(np.float32)
+    places = [windows.start[window].tolist() for window in points]
     result = np.empty((len(moments), 1, size, size), np.float32)
-    block = max(1, _BLOCK // max(1, len(which) * size))
+    block = max(1, _BLOCK // max(1, len(points) * size))
     for first in range(0, size, block):
         last = min(size, first + block)
-        held = np.empty((len(which), last - first, size), np.float32)
-        for part, (top, left), channel in zip(held, places, channels.tolist(), strict=True):
+        blocks = np.empty((len(points), last - first, size), np.float32)
+        for part, (top, left), channel in zip(blocks, places, channels.tolist(), strict=True):
             part[...] = tile[channel, top + first : top + last, left : left + size]
-        result[:, 0, first:last] = (factors @ held.reshape(len(which), -1)).reshape(len(moments), last - first, size)
+        result[:, 0, first:last] = (factors @ blocks.reshape(len(points), -1)).reshape(len(moments), last - first, size)
     return list(result)
 
 
@@ -110,8 +110,8 @@ def varying_factors(fields: Fields, parameters: VaryingParameters) -> tuple[bool
     """Return, for each factor of fields, whether it changes with given parameters."""
     # Single values serve all lanes where nothing is computed.
     elements = parameters.elements(fields.grid, 1)
-    made = PatchFactors(fields, np.ones(len(fields.positions)), lambda lanes: elements, parameters.types)
-    return tuple(dr.grad_enabled(value) for value in made.values())
+    factors = PatchFactors(fields, np.ones(len(fields.positions)), lambda lanes: elements, parameters.types)
+    return tuple(dr.grad_enabled(value) for value in factors.values())
 
 
 def _factors(fields: Fields, parameters: VaryingParameters) -> PatchFactors:
@@ -122,7 +122,7 @@ def _factors(fields: Fields, parameters: VaryingParameters) -> PatchFactors:
 
 def _moved_lattice(fields: Fields, parameters: VaryingParameters | None, copies: Sequence[SpreadCopies]) -> list[Parts]:
     """Return the changes of a batch's factors as the lattice moves along its x axis, and along its y axis."""
-    if parameters is None or not any(own.moving.any() for own in copies):
+    if parameters is None or not any(copy.moving.any() for copy in copies):
         return []
     moves = []
     for vector in ((1.0, 0.0), (0.0, 1.0)):
@@ -133,20 +133,20 @@ def _moved_lattice(fields: Fields, parameters: VaryingParameters | None, copies:
 
 def _changed(fields: Fields, parameters: VaryingParameters) -> Parts:
     """Return the changes of a batch's factors along the tangents of the parameters."""
-    made = _factors(fields, parameters)
-    values = list(made.values())
+    factors = _factors(fields, parameters)
+    values = list(factors.values())
     if varying := [value for value in values if dr.grad_enabled(value)]:
         dr.forward_to(*varying)
     changes = [
         fft.as_field(fft.pack(dr.grad(value)), shape) if dr.grad_enabled(value) else None
-        for value, shape in zip(values, made.shapes, strict=True)
+        for value, shape in zip(values, factors.shapes, strict=True)
     ]
     # A parameter of several components, of which some are fixed, leaves factors as they are.
-    given = [change for change in changes if change is not None]
-    if not given:
+    nonzero = [change for change in changes if change is not None]
+    if not nonzero:
         return changes
     libraries = active_backend()
-    moved = iter(libraries.to_host(libraries.arrays.stack([change.any() for change in given])).tolist())
+    moved = iter(libraries.to_host(libraries.arrays.stack([change.any() for change in nonzero])).tolist())
     return [change if change is not None and next(moved) else None for change in changes]
 
 
@@ -179,20 +179,20 @@ def _jvp(work: JvpBatch, batch: PatchBatch, changes: list[Parts], lattice: list[
         memory.restart()
         chain = FieldChain(of_points(batch.parts, points), batch.factors.axes, finer, memory)
         windows, copies = _windows(work, batch, box, points), SpreadCopies.joined(work.copies[points])
-        one, moved = np.ones(len(copies.weights)), []
+        unchanged, moved = np.ones(len(copies.weights)), []
         if copies.moving.any():
             moved = [chain.spectrum_jvp(of_points(move, points)) for move in lattice]
         places = copies.places * copies.moving[:, None]
-        for part, direction, slopes in zip(range(parts), changes, work.slopes, strict=False):
-            terms = [(chain.jvp(of_points(direction, points)), one)]
+        for number, direction, slopes in zip(range(parts), changes, work.slopes, strict=False):
+            terms = [(chain.jvp(of_points(direction, points)), unchanged)]
             for axis in (0, 1) if moved and slopes.any() else ():
                 both: Any = sum(np.float32(slope) * move for slope, move in zip(slopes[:, axis], moved, strict=True))
                 terms.append((chain.jvp_of_spectrum(both), places[:, axis]))
-            lit = [(slope, given) for slope, given in terms if slope is not None]
-            sums[part] = _added(sums[part], lit, copies, windows)
+            lit = [(slope, scale) for slope, scale in terms if slope is not None]
+            sums[number] = _added(sums[number], lit, copies, windows)
         intensity = chain.intensity
-        for part, given in zip(range(len(changes), parts), (one, *copies.places.T), strict=False):
-            sums[part] = _added(sums[part], [(intensity, given)], copies, windows)
+        for number, scale in zip(range(len(changes), parts), (unchanged, *copies.places.T), strict=False):
+            sums[number] = _added(sums[number], [(intensity, scale)], copies, windows)
     return Part(box, arrays.concatenate(sums))
 
 
@@ -201,13 +201,13 @@ def _added(sums: Any, terms: list[tuple[Any, NDArray[np.float64]]], copies: Spre
     if not terms:
         return sums
     if backend_of(sums).is_cuda:
-        for value, given in terms:
-            sums = add_on_device(sums, value, windows, (given[:, None] * copies.weights).astype(np.float32))
+        for value, scale in terms:
+            sums = add_on_device(sums, value, windows, (scale[:, None] * copies.weights).astype(np.float32))
         return sums
     size = terms[0][0].shape[-1]
     for copy, (patch, (top, left)) in enumerate(zip(windows.patch.tolist(), windows.start.tolist(), strict=True)):
         total = sum(
-            value[patch] if given[copy] == 1 else np.float32(given[copy]) * value[patch] for value, given in terms
+            value[patch] if scale[copy] == 1 else np.float32(scale[copy]) * value[patch] for value, scale in terms
         )
         for channel in np.flatnonzero(copies.weights[copy]).tolist():
             sums[channel, top : top + size, left : left + size] += copies.weights[copy, channel] * total
@@ -242,10 +242,10 @@ class VjpBatch(FieldBatch):
     def gather(self, result: VjpResult, parameters: VaryingParameters) -> None:
         """Add a batch's gradients to the gradients of the parameters."""
         total, words = 0, array_module().ad.UInt64
-        for part, cotangent in zip(_factors(self.fields, parameters).values(), result.factors, strict=True):
-            if cotangent is not None and dr.grad_enabled(part):
-                given = fft.unpack(drjit_array(words, fft.as_words(cotangent)))
-                products = part.real * given.real + part.imag * given.imag
+        for factor, cotangent in zip(_factors(self.fields, parameters).values(), result.factors, strict=True):
+            if cotangent is not None and dr.grad_enabled(factor):
+                field = fft.unpack(drjit_array(words, fft.as_words(cotangent)))
+                products = factor.real * field.real + factor.imag * field.imag
                 total = total + dr.sum(parameters.types.Float64(products))
         if dr.grad_enabled(total):
             dr.backward(total)
@@ -255,46 +255,47 @@ class VjpBatch(FieldBatch):
 
 
 def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
-    arrays, finer, made = batch.libraries.arrays, work.finer, batch.factors
+    arrays, finer, factors = batch.libraries.arrays, work.finer, batch.factors
     box = reached(batch.corner, batch.samples, work.copies, finer)
     # The intensity changes by twice the product of the field and its change.
     tile = 2 * arrays.asarray(work.tile)
     cotangents = [
-        arrays.zeros(part.shape, np.complex64) if varies else None
-        for part, varies in zip(batch.parts, work.varies, strict=True)
+        arrays.zeros(factor.shape, np.complex64) if varies else None
+        for factor, varies in zip(batch.parts, work.varies, strict=True)
     ]
     *per_point, total = cotangents
     returning = arrays.conj(batch.parts[-1])
     spreads, finer_samples = None, finer * batch.samples
     if work.summed:
-        own, low = [copies.summed(work.summed) for copies in work.copies], np.array([box.left, box.top])
+        summed, low = [copies.summed(work.summed) for copies in work.copies], np.array([box.left, box.top])
         places = [
-            (finer * (corner + each.shifts) - low)[:, ::-1] for corner, each in zip(batch.corner, own, strict=True)
+            (finer * (corner + copies_of.shifts) - low)[:, ::-1]
+            for corner, copies_of in zip(batch.corner, summed, strict=True)
         ]
         size, together = np.array([box.rows, box.columns]), batch.chained(finer)[0].stop
-        spreads = CopySum(own, places, finer_samples, size, together)
+        spreads = CopySum(summed, places, finer_samples, size, together)
     products, memory = arrays.zeros((2, 2)), Memory(arrays)
     for points in batch.chained(finer):
         memory.restart()
-        conjugate = made.directions_of(returning, points)
-        chain = FieldChain(made.of_points(batch.parts, points), made.axes, finer, memory, conjugate)
+        conjugate = factors.directions_of(returning, points)
+        chain = FieldChain(factors.of_points(batch.parts, points), factors.axes, finer, memory, conjugate)
         windows, copies = _windows(work, batch, box, points), SpreadCopies.joined(work.copies[points])
         along = [np.ones(len(copies.places))]
         if lattice and copies.moving.any():
             along += list((copies.places * copies.moving[:, None]).T)
         gradient, *moments = gathered(tile, windows, copies.weights, np.array(along), finer_samples)
-        moved = [chain.spectrum_jvp(made.of_points(move, points)) for move in lattice if moments]
+        moved = [chain.spectrum_jvp(factors.of_points(move, points)) for move in lattice if moments]
         for axis, moment in enumerate(moments):
             with memory.lent():
                 products[:, axis] += chain.products(moment, moved)
         if spreads is not None:
             spreads.add(points.start, (slice(0, finer_samples),) * 2, chain.intensity)
-        *found, transfer = chain.vjp(gradient, work.varies)
-        for target, part in zip(per_point, found, strict=True):
+        *of_factors, transfer = chain.vjp(gradient, work.varies)
+        for target, factor in zip(per_point, of_factors, strict=True):
             if target is not None:
-                target[points] = part
+                target[points] = factor
         if total is not None and transfer is not None:
-            total = _added_directions(total, transfer, made.first_directions[points, ::-1])
+            total = _added_directions(total, transfer, factors.first_directions[points, ::-1])
     cotangents = [*per_point, total]
     products = batch.libraries.to_host(products)
     return VjpResult(cotangents, products, None if spreads is None else Part(box, spreads.total()))
@@ -307,6 +308,6 @@ def _added_directions(total: fft.Field, parts: fft.Field, starts: NDArray[np.int
         # Real and imaginary parts as neighbouring columns.
         real, values = (array.view(np.float32) for array in (total, parts))
         return add_on_device(real[None], values, windows, np.ones((len(parts), 1), np.float32))[0].view(np.complex64)
-    for part, (top, left) in zip(parts, starts.tolist(), strict=True):
-        total[top : top + part.shape[0], left : left + part.shape[1]] += part
+    for window, (top, left) in zip(parts, starts.tolist(), strict=True):
+        total[top : top + window.shape[0], left : left + window.shape[1]] += window
     return total
