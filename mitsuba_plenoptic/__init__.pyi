@@ -68,9 +68,9 @@ from .report import edge_sharpness as edge_sharpness
 from .runtime import Cluster as Cluster
 from .runtime import Job as Job
 from .runtime import progress_bar as progress_bar
+from .scene.capture import estimate_capture as estimate_capture
+from .scene.capture import render_capture as render_capture
 from .scene.load import load_scene as load_scene
-from .scene.render_capture import estimate_capture as estimate_capture
-from .scene.render_capture import render_capture as render_capture
 from .scene_files import scene_path as scene_path
 from .views import decode as decode
 from .views import ground_truth as ground_truth

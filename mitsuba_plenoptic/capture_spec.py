@@ -18,8 +18,7 @@ from .errors import naming
 from .io import Capture, hash_of
 from .plugins.other_camera import with_camera
 from .runtime import DEFAULT_VARIANT, require_size, set_variant
-from .scene.load import LARGEST_SCENE, load_scene
-from .scene.render_capture import plenoptic_sensor, quiet, render_capture
+from .scene import LARGEST_SCENE, load_scene, plenoptic_sensor, quiet, render_capture
 from .scene_files import scene_path
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import put, refuse_if, require_number
-from ..prescription.glass import LINE_D
+from ..prescription import LINE_D
 from ..runtime import module_of
 from .shape import MicrolensShape, excess_index, known_index, per_millimetre
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import put, refuse_if, require_flag, require_number, require_wavelength, short_repr
-from ..prescription.glass import LINE_D
+from ..prescription import LINE_D
 from .sampled import fitted_power
 from .sampled_grid import SampledGrid, known_samples, phases
 from .shape import MM_PER_NM, MicrolensShape

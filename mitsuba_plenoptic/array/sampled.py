@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import put, require_number
-from ..prescription.glass import LINE_D
+from ..prescription import LINE_D
 from .sampled_grid import LENGTHS, SampledGrid, known_samples
 from .shape import MicrolensShape, excess_index, known_index, per_millimetre
 

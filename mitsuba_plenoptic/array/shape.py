@@ -12,9 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..errors import InputError, naming, refuse_if, require_choice, require_wavelength, short_repr
-from ..prescription import Glass
-from ..prescription.glass import LINE_D
-from ..prescription.lens_data import SINGLE
+from ..prescription import LINE_D, SINGLE, Glass
 from ..runtime import PlainData, read_json_value
 from . import Lattice
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import put, require_length, require_wavelength
-from ..prescription.glass import LINE_D
+from ..prescription import LINE_D
 from ..runtime import floor
 from .shape import MicrolensShape, per_millimetre
 

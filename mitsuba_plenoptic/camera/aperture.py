@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array.sampled_grid import read_samples
+from ..array import read_samples
 from ..errors import (
     FULL_TURN,
     InputError,

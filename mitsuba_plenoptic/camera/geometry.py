@@ -8,14 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from ..array import NO_LATTICE, Displacement, FigureError, Lattice, Lenslet, MicrolensShape, Paraboloid, make_lattice
-from ..array.figure_error import random_figure_error
-from ..array.lens_shifts import deviates
+from ..array import (
+    NO_LATTICE,
+    Displacement,
+    FigureError,
+    Lattice,
+    Lenslet,
+    MicrolensShape,
+    Paraboloid,
+    deviates,
+    make_lattice,
+    random_figure_error,
+)
 from ..errors import InputError, refuse_if
-from ..prescription import Prescription
-from ..prescription.collimator import Collimator
-from ..prescription.lens_data import THIN, LensData, defocus_factor, even_count
-from ..prescription.objective import Objective
+from ..prescription import THIN, Collimator, LensData, Objective, Prescription, defocus_factor, even_count
 from ..runtime import take
 from .aperture import Apodised, Opening, Round
 from .entry import record

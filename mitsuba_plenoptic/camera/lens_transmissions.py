@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from ..array import Lattice
-from ..array.sampled_grid import read_samples
+from ..array import Lattice, read_samples
 from ..errors import put, refuse_if, require_count, require_pair, suggest_keywords
 from ..runtime import PlainData, known_record, module_of, select, take
 

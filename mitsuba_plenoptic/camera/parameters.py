@@ -13,8 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from ..array import APERTURES, LATTICES, NO_LATTICE
-from ..array.shape import MicrolensShape, known_shape
+from ..array import APERTURES, LATTICES, NO_LATTICE, MicrolensShape, known_shape
 from ..errors import (
     FULL_TURN,
     LEAST_FILL,
@@ -35,10 +34,7 @@ from ..errors import (
     require_wavefront,
 )
 from ..extension import entries, place
-from ..prescription import Glass
-from ..prescription.glass import known_glass
-from ..prescription.lens_data import LensData
-from ..prescription.lens_file import known_lens, read_lens
+from ..prescription import Glass, LensData, known_glass, known_lens, read_lens
 from .aperture import Aperture, Blades, known_blades, known_image, require_alone
 from .entry import Captures, Form, Parameter, one, one_if_equal, one_if_single, record
 from .lens_transmissions import LensTransmissions, known_transmissions

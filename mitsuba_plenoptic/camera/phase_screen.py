@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..array.sampled_grid import COUNTS, SampledGrid, known_samples, phases, read_samples
+from ..array import COUNTS, SampledGrid, known_samples, phases, read_samples
 from ..errors import (
     WAVEFRONT_UNIT,
     put,

@@ -14,8 +14,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from ..array import LATTICES, NO_LATTICE, Displacement
-from ..array.shape import focal_length_of, require_cover
+from ..array import LATTICES, NO_LATTICE, Displacement, focal_length_of, require_cover
 from ..errors import (
     MOST_JITTER,
     MOST_WARP,
@@ -34,7 +33,7 @@ from ..errors import (
     suggest_keywords,
 )
 from ..extension import Displayed, missing
-from ..prescription.lens_data import SINGLE, THIN, LensData, image_distance
+from ..prescription import SINGLE, THIN, LensData, image_distance
 from ..presets import PRESETS
 from .documentation import numpy_section, signature
 from .entry import one_if_equal, record

@@ -110,12 +110,12 @@ def compare(
     refuse_if(any(value is not None for value in (white, dark, part)), "--white, --dark, --part: they are for --real")
     if scene is None or not distance:
         raise InputError("scene, --distance: give a scene and a distance, or --real with a real light field")
-    from ..optics.spectrum import RGB_WAVELENGTHS
+    from ..optics import RGB_WAVELENGTHS
 
     # Figures need libraries that take a second to load, which other commands need not wait for.
     from ..report import Settings, comparison, metrics
     from ..runtime import DEFAULT_VARIANT
-    from ..scene.render_capture import MOST_SAMPLES
+    from ..scene import MOST_SAMPLES
 
     parameters = parse_definitions(define)
     if variant is None:

@@ -172,8 +172,7 @@ def _behind_lens(source: str) -> PlenopticCamera:
     The detector has the default's size over the focal length, about 8 degrees from corner to corner.
     """
     from ..camera import PlenopticCamera
-    from ..prescription.lens_data import THIN
-    from ..prescription.lens_file import read_prescription
+    from ..prescription import THIN, read_prescription
 
     lens = read_prescription(source)
     try:

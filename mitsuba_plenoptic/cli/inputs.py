@@ -81,7 +81,7 @@ def _is_scene(source: str, parameters: dict[str, str], unit: str = "mm") -> bool
 def _sensor_of(source: str, parameters: dict[str, str], unit: str = "mm") -> Any:
     """Return the first sensor of a scene, a plenoptic one."""
     from ..camera import PlenopticCamera
-    from ..scene.load import load_scene
+    from ..scene import load_scene
 
     sensors = load_scene(source, parameters=parameters, unit=unit).sensors()
     refuse_if(not sensors, f"{source}: it has no sensor; {_INSTEAD}, or add one of type 'plenoptic'")
@@ -189,8 +189,7 @@ def open_scene(
     from ..design import design_warnings
     from ..plugins.other_camera import with_camera
     from ..runtime import DEFAULT_VARIANT
-    from ..scene.load import load_scene
-    from ..scene.render_capture import plenoptic_sensor
+    from ..scene import load_scene, plenoptic_sensor
 
     replacement = named_camera(camera)
     colours = None if variant else colours_of_film(scene, parameters)
@@ -216,7 +215,7 @@ def require_in_use(scene: str, parameters: dict[str, str], option: str = "-D") -
     The position of the camera and its sampler remain those of the scene. Names that the scene does not have are left
     to its loading.
     """
-    from ..scene.load import names_in
+    from ..scene import names_in
 
     roots = scene_roots(scene, parameters)
     used_names = set()
@@ -249,7 +248,7 @@ def require_in_use(scene: str, parameters: dict[str, str], option: str = "-D") -
 
 def scene_roots(scene: str, parameters: dict[str, str]) -> list[Element]:
     """Return the root elements of a scene file and of all that it includes."""
-    from ..scene.load import check_scene_file
+    from ..scene import check_scene_file
 
     return check_scene_file(Path(scene) if Path(scene).is_file() else scene_path(scene), parameters)
 
@@ -261,7 +260,7 @@ def colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
     """
     from xml.etree.ElementTree import Element
 
-    from ..scene.load import scene_defaults
+    from ..scene import scene_defaults
 
     roots = scene_roots(scene, parameters)
     formats: list[str] = []

@@ -141,7 +141,7 @@ def render(
     """
     from ..io import TRUTH_NAME, Capture, require_quantities, truth_path, write_capture, write_ground_truth
     from ..runtime import remove_leftovers, require_different, require_writable
-    from ..scene.render_capture import estimate_capture, is_wave_capture, refuse_by_rays, render_capture
+    from ..scene import estimate_capture, is_wave_capture, refuse_by_rays, render_capture
 
     parameters = parse_definitions(define)
     replaced = sensor
@@ -217,7 +217,7 @@ def render(
 
 def _shorter(scene: Any, sensor: int, spp: int | None, method: str | None) -> str:
     """Return what makes a capture shorter, if anything does."""
-    from ..scene.render_capture import plenoptic_sensor
+    from ..scene import plenoptic_sensor
 
     if (method or getattr(scene.integrator(), "method", "")) == "points":
         return "each point is propagated; --method signed_rays takes one to some ray captures"
@@ -267,8 +267,8 @@ def expose(
 
       mitsuba-plenoptic expose colours.exr -o bayer.tiff --photons 2000 --mosaic RGGB
     """
-    from ..detector.record import Detector
-    from ..detector.record import expose as record
+    from ..detector import Detector
+    from ..detector import expose as record
     from ..io import read_capture, write_capture, write_raw
     from ..runtime import require_apart, require_writable
 

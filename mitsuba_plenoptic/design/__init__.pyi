@@ -6,11 +6,13 @@ from .microscope import lens_aperture as lens_aperture
 from .microscope import lenses_across_stop as lenses_across_stop
 from .microscope import native_field as native_field
 from .microscope import objective_limit as objective_limit
+from .microscope import objective_of as objective_of
 from .microscope import parallax as parallax
 from .quantities import EffectiveResolution as EffectiveResolution
 from .quantities import best_distances as best_distances
 from .quantities import crosstalk_lenses as crosstalk_lenses
 from .quantities import crosstalk_neighbours as crosstalk_neighbours
+from .quantities import crosstalk_reach as crosstalk_reach
 from .quantities import depth_ranges as depth_ranges
 from .quantities import direction_count as direction_count
 from .quantities import effective_resolution as effective_resolution
@@ -27,6 +29,7 @@ from .quantities import mla_f_number as mla_f_number
 from .quantities import mla_fresnel_number as mla_fresnel_number
 from .quantities import mla_object_distances as mla_object_distances
 from .quantities import pixel_footprint as pixel_footprint
+from .quantities import pupil_growth as pupil_growth
 from .quantities import refocus_range as refocus_range
 from .quantities import spot_radius as spot_radius
 from .quantities import suitable_oversample as suitable_oversample

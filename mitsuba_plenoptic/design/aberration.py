@@ -8,7 +8,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import require_wavelength
-from ..lenses.common import main_lens
+from ..lenses import main_lens
 from .quantities import best_distances
 
 _RINGS, _SPOKES, _HEIGHTS = 33, 24, 5

@@ -32,9 +32,8 @@ from dataclasses import dataclass
 
 from ..camera import PlenopticCamera
 from ..errors import require_number, require_wavelength
-from ..optics.waves import in_millimetres
-from ..prescription.lens_data import image_distance
-from ..prescription.objective import Objective
+from ..optics import in_millimetres
+from ..prescription import Objective, image_distance
 from .quantities import pixel_footprint
 
 _SPARROW = 0.94

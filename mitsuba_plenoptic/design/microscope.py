@@ -12,9 +12,8 @@ from collections.abc import Iterator
 
 from ..camera import PlenopticCamera, one_if_equal
 from ..errors import InputError, refuse_if, require_wavelength
-from ..optics.waves import in_millimetres
-from ..prescription.lens_data import SINGLE
-from ..prescription.objective import Objective
+from ..optics import in_millimetres
+from ..prescription import SINGLE, Objective
 from .quantities import direction_count, focus_types, mla_object_distances, sharp_images, vergence_slack
 from .remedies import Finding, detector_at, finer_pixels
 

@@ -28,9 +28,9 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if, require_number, require_wavelength
-from ..lenses.common import main_lens
-from ..optics.waves import in_millimetres
-from ..prescription.lens_data import conjugate_distance, image_distance
+from ..lenses import main_lens
+from ..optics import in_millimetres
+from ..prescription import conjugate_distance, image_distance
 
 MOST_OVERLAP = 100_000
 """Lenses that may light one pixel."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from ..camera import PlenopticCamera
-from ..prescription.lens_data import SINGLE
+from ..prescription import SINGLE
 from .aberration import parabolic_aberration
 from .microscope import microscope_findings
 from .quantities import (

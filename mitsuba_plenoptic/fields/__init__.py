@@ -20,4 +20,10 @@ The files, from a field's samples to the camera that it crosses:
 
 `optics.waves` has the transfer function of free space, and `optics.waves.propagate`, the step of a whole field between
 two equal grids, for users. Patches of points (`points.patch`) have small grids of their own.
+
+`__init__.pyi` names what other folders and extensions may use; it is imported when it is first asked for.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, _ = lazy_loader.attach_stub(__name__, __file__)

@@ -9,12 +9,11 @@ import drjit as dr
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..optics import rays
-from ..optics.waves import parabola, phasor
+from ..optics import parabola, phasor, rays
 from ..runtime import active_backend, drjit_array, fft
 from .microlens_orders import MicrolensArray
-from .microlenses import is_separable, transmission
 from .steps import Step
+from .transmittance import is_separable, transmission
 
 
 class Element:

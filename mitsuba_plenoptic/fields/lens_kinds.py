@@ -19,10 +19,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array.lens_shifts import MOST_DEVIATIONS
+from ..array import MOST_DEVIATIONS
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..optics.waves import in_millimetres
+from ..optics import in_millimetres
 from ..runtime import drjit_array
 from .accuracy import ACCURACY
 

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..optics.waves import advance, in_millimetres, parabola, phasor
+from ..optics import advance, in_millimetres, parabola, phasor
 from ..runtime import active_backend, fft
 from .elements import Element
 from .steps import AxisStep, Directions, LensAxis, Step

@@ -44,10 +44,10 @@ from numpy.typing import NDArray
 
 from ..array import Lattice
 from ..camera import PlenopticCamera
-from ..optics.waves import in_millimetres
+from ..optics import in_millimetres
 from ..runtime import array_module, backend_of, check_memory, drjit_array, empty_packets, fft, turn
 from .accuracy import ACCURACY
-from .microlenses import factor_axes, opaque_lattice, transmission
+from .transmittance import factor_axes, opaque_lattice, transmission
 
 _FINE_BYTES = 16
 """Memory in bytes per sample while the orders are computed."""

@@ -11,15 +11,13 @@ from numpy.typing import NDArray
 
 from ..array import Lattice
 from ..camera import PlenopticCamera
-from ..lenses.closed_lens import ClosedLens
-from ..lenses.common import cached_main_lens
-from ..lenses.main_lens import MainLens, PointLight
-from ..prescription.glass import LINE_D
+from ..lenses import ClosedLens, MainLens, PointLight, cached_main_lens
+from ..prescription import LINE_D
 from .microlens_orders import MicrolensArray, microlens_array
-from .microlenses import upright
+from .transmittance import upright
 
 if TYPE_CHECKING:
-    from ..lenses.real_lens import RealLens
+    from ..lenses import RealLens
 
 
 def is_paraxial(camera: PlenopticCamera) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..optics.waves import EDGE, fraction, frequencies_of, power, power_by_row, rim
+from ..optics import EDGE, fraction, frequencies_of, power, power_by_row, rim
 from ..runtime import active_backend, fft
 from .steps import Step
 from .workspace import Rows

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera, has_small_lenses
 from ..errors import refuse_if
-from ..prescription.glass import LINE_D
+from ..prescription import LINE_D
 
 VERSION = version("mitsuba-plenoptic")
 """The version that files written by this process state."""

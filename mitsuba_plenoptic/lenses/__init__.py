@@ -1,1 +1,8 @@
-"""Main lenses: thin, telecentric, collimated and real ones, each for rays and for waves."""
+"""Main lenses: thin, telecentric, collimated and real ones, each for rays and for waves.
+
+`__init__.pyi` names what other folders and extensions may use; it is imported when it is first asked for.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, _ = lazy_loader.attach_stub(__name__, __file__)

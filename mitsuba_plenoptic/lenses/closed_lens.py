@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime import sqrt
-from .main_lens import Light
+from .protocol import Light
 from .pupil import Pair, Pupil
 
 _ROUNDING = 1e-9

@@ -13,12 +13,9 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..optics import rays
-from ..optics.waves import in_millimetres
-from ..prescription import Prescription
-from ..prescription.collimator import Collimator
-from ..prescription.objective import Objective
-from .main_lens import MainLens
+from ..optics import in_millimetres, rays
+from ..prescription import Collimator, Objective, Prescription
+from .protocol import MainLens
 from .pupil import Pair
 
 if TYPE_CHECKING:

@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
-from ..optics.waves import in_millimetres
+from ..optics import in_millimetres
 from ..runtime import drjit_array, single_threaded_blas, turn
 from .accuracy import ACCURACY
-from .main_lens import Entrance, Traced
+from .protocol import Entrance, Traced
 from .pupil import Pair, Pupil
 from .pupil_fit import PupilFit, PupilRays, entrance_place, nodes, trace_all
 from .pupil_polynomials import LensLight, Polynomial, PupilPolynomial, fit

@@ -20,13 +20,11 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
-from ..prescription import Paraxial, Prescription, paraxial
-from ..prescription.lens_data import vergence
-from ..prescription.surfaces import height
+from ..prescription import Paraxial, Prescription, height, paraxial, vergence
 from ..runtime import rsqrt
 from . import sequential
 from .accuracy import ACCURACY
-from .main_lens import Traced
+from .protocol import Traced
 from .pupil import Pair, Pupil
 
 

@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, refuse_if
-from ..optics import guards
-from ..optics.waves import in_millimetres
+from ..optics import guards, in_millimetres
 from . import sequential
 from .accuracy import ACCURACY
 from .lens_system import LensSystem

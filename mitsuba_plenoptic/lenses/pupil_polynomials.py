@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..optics.waves import in_millimetres
+from ..optics import in_millimetres
 from ..runtime import minimum, safe_sqrt
 from .pupil import Pair
 

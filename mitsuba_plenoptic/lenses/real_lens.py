@@ -24,7 +24,7 @@ from .accuracy import ACCURACY
 from .common import LensNumbers, builds
 from .fitted_lens import FittedLens
 from .lens_system import LensSystem
-from .main_lens import Entrance, RoundMap
+from .protocol import Entrance, RoundMap
 from .pupil_fit import ExitPupil, Pupils, covered, fit_pupil, trace
 
 

@@ -11,8 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..prescription import Prescription
-from ..prescription.surfaces import LEAST, height
+from ..prescription import LEAST, Prescription, height
 from ..runtime import safe_sqrt, select
 from .accuracy import ACCURACY
 

@@ -27,12 +27,12 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..optics.waves import in_millimetres
-from ..prescription.objective import Objective
+from ..optics import in_millimetres
+from ..prescription import Objective
 from ..runtime import rsqrt, safe_sqrt
 from .closed_lens import ClosedLens
 from .common import LensNumbers, builds
-from .main_lens import Entrance, Traced
+from .protocol import Entrance, Traced
 from .pupil import Pair, Pupil
 
 

@@ -19,16 +19,14 @@ from numpy.typing import NDArray
 
 from ..camera import PhaseScreen
 from ..errors import WAVEFRONT_UNIT
-from ..optics import rays
-from ..optics.waves import in_millimetres, parabola
-from ..prescription.collimator import Collimator
-from ..prescription.lens_data import SINGLE, vergence
+from ..optics import in_millimetres, parabola, rays
+from ..prescription import SINGLE, Collimator, vergence
 from ..runtime import sqrt
 from .accuracy import ACCURACY
 from .closed_lens import ClosedLens
 from .common import LensNumbers, builds
 from .distortion import undistort
-from .main_lens import Entrance, Traced
+from .protocol import Entrance, Traced
 from .pupil import Pair, Pupil
 
 

@@ -19,7 +19,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..prescription.lens_data import defocus_factor
+from ..prescription import defocus_factor
 from ..runtime import drjit_array, module_of, rsqrt, take
 
 Pair = tuple[Any, Any]

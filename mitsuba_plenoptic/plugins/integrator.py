@@ -12,25 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import Captures, PlenopticCamera, Use, has_small_lenses, is_supported, require_support, with_gradient
-from ..detector.operator import SHARP
+from ..detector import SHARP
 from ..errors import InputError, naming, refuse_if, require_accuracy, require_number, short_repr
 from ..extension import hook
-from ..optics import colour, guards
-from ..optics.spectrum import MOST_WAVELENGTHS, WAVELENGTHS, Spectrum, Table, interpolated, read_responses
+from ..optics import MOST_WAVELENGTHS, WAVELENGTHS, Spectrum, Table, colour, guards, interpolated, read_responses
 from ..runtime import Cost, Job
-from ..scene.load import GONE_PARAMETERS
-from ..scene.radiance import LightDerivatives, SceneLight
-from ..scene.render_capture import require_wave_film
-from ..waves.accuracy import DEFAULT_ACCURACY
-from ..waves.scheme import check_screen
-from ..waves.signed_camera import require_parameters
-from ..waves.signed_capture import SignedCapture, SignedGradients
-from ..waves.spectral_nodes import WavelengthSampler
+from ..scene import GONE_PARAMETERS, LightDerivatives, SceneLight, require_wave_film
+from ..waves import (
+    DEFAULT_ACCURACY,
+    SignedCapture,
+    SignedGradients,
+    WavelengthSampler,
+    check_screen,
+    require_parameters,
+)
 from .properties import read_choice, read_count, read_number, read_plain
 from .wave_base import NAME, asked_for, develop, develop_back, make_base, put, read_wavelengths
 
 if TYPE_CHECKING:
-    from ..points.scene_points import PointsCapture
+    from ..points import PointsCapture
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
@@ -275,7 +275,7 @@ def make_class() -> type:
         def _capture(self, scene: Any, sensor: Any) -> SignedCapture | PointsCapture:
             if self.method == SIGNED_RAYS:
                 return self._signed(scene, sensor)
-            from ..points.scene_points import PointsCapture, require_matte
+            from ..points import PointsCapture, require_matte
 
             # The film records what the detector makes of the light.
             camera = PlenopticCamera.from_sensor(sensor).replace(**SHARP)

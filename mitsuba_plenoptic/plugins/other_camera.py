@@ -8,9 +8,7 @@ import numpy as np
 from ..camera import PlenopticCamera, require_camera
 from ..errors import refuse_if, warn
 from ..runtime import one_at_a_time
-from ..scene.load import loading, with_objects
-from ..scene.radiance import warn_of_metres
-from ..scene.render_capture import numbered_sensor, require_active
+from ..scene import loading, numbered_sensor, require_active, warn_of_metres, with_objects
 
 _WITHOUT_PLACE = ("Batch", "Distant")
 """First parts of the class names of sensors that are at several places, or at infinity."""

@@ -22,7 +22,7 @@ from ..errors import (
     require_number,
 )
 from ..extension import missing
-from ..scene.load import unknown_parameter
+from ..scene import unknown_parameter
 
 
 def read_plain(props: Any, name: str, default: Any) -> Any:

@@ -11,20 +11,18 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PARAMETERS, Captures, Form, PlenopticCamera, film_numbers, with_sensor_parameters
-from ..detector.film import behind_detector
-from ..detector.operator import DetectorOperator
+from ..detector import DetectorOperator, behind_detector
 from ..errors import InputError, refuse_if
 from ..extension import entries, place
-from ..lenses.common import main_lens
-from ..lenses.pupil import Pair
-from ..optics.rays import second_leg
-from ..rays.sensor_rays import Dispersion, LensRays, sampler_of
+from ..lenses import Pair, main_lens
+from ..optics import second_leg
+from ..rays import Dispersion, LensRays, sampler_of
 from ..runtime import require_unfrozen
-from ..scene.radiance import world_ray
+from ..scene import world_ray
 from .properties import read_camera, require_read
 
 if TYPE_CHECKING:
-    from ..lenses.real_lens import RealLens
+    from ..lenses import RealLens
 
 NAME = "plenoptic"
 

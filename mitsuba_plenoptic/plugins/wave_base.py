@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, refuse_if, refusing, require_wavelength, short_repr
-from ..optics.spectrum import RGB_WAVELENGTHS
+from ..optics import RGB_WAVELENGTHS
 from ..runtime import drjit_array, require_unfrozen
-from ..scene.radiance import require_medium_seen
+from ..scene import require_medium_seen
 from .properties import require_read
 
 

@@ -1,1 +1,8 @@
-"""Wave captures of explicit points as a linear operator: forward sums, the adjoint, and derivatives."""
+"""Wave captures of explicit points as a linear operator: forward sums, the adjoint, and derivatives.
+
+`__init__.pyi` names what other folders and extensions may use; it is imported when it is first asked for.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, _ = lazy_loader.attach_stub(__name__, __file__)

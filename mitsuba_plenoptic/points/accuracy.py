@@ -26,10 +26,9 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if, require_accuracy
-from ..lenses.common import convergence, inverse_distance, path_change
-from ..lenses.main_lens import MainLens
-from ..optics.waves import in_millimetres
-from ..waves.accuracy import DEFAULT_ACCURACY
+from ..lenses import MainLens, convergence, inverse_distance, path_change
+from ..optics import in_millimetres
+from ..waves import DEFAULT_ACCURACY
 from .field_grid import Band
 from .pupil_weights import PupilWeights
 

@@ -13,18 +13,21 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Vignetting
 from ..errors import refuse_if
-from ..fields.links import FreeSpace, FromSpectrum, Hop, Link
-from ..fields.microlenses import diffraction, scattering
-from ..fields.optical_system import OpticalSystem, is_paraxial
-from ..fields.steps import AxisStep, Step
-from ..fields.watch import Watch
-from ..lenses.closed_lens import ClosedLens
-from ..lenses.common import cone
-from ..lenses.main_lens import PointLight
-from ..lenses.pupil_fit import ExitPupil
-from ..lenses.thin import ThinLens
-from ..optics import guards
-from ..optics.waves import band_edge_fraction, in_millimetres, phasor, power, power_by_row, soft_edge
+from ..fields import (
+    AxisStep,
+    FreeSpace,
+    FromSpectrum,
+    Hop,
+    Link,
+    OpticalSystem,
+    Step,
+    Watch,
+    diffraction,
+    is_paraxial,
+    scattering,
+)
+from ..lenses import ClosedLens, ExitPupil, PointLight, ThinLens, cone
+from ..optics import band_edge_fraction, guards, in_millimetres, phasor, power, power_by_row, soft_edge
 from ..runtime import active_backend, check_memory, fft
 from .pupil_weights import PupilWeights
 from .sampling import Footprint, bundle_footprint, footprint

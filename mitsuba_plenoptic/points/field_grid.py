@@ -17,12 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..fields.microlens_orders import MicrolensArray
-from ..fields.microlenses import diffraction, repetition, scattering, upright
-from ..fields.optical_system import OpticalSystem
-from ..lenses.common import cone
-from ..lenses.main_lens import MainLens
-from ..optics.waves import in_millimetres
+from ..fields import MicrolensArray, OpticalSystem, diffraction, repetition, scattering, upright
+from ..lenses import MainLens, cone
+from ..optics import in_millimetres
 from ..runtime import fft, turn
 from .sampling import footprint
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
-from ..fields.optical_system import OpticalSystem
-from ..optics.spectrum import Spectrum
+from ..fields import OpticalSystem
+from ..optics import Spectrum
 from ..runtime import POINTS, Job, as_array
 from .pupil_weights import PupilWeights
 

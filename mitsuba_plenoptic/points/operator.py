@@ -10,19 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import NOT_ROUND, PlenopticCamera, Round, Use, require_support
-from ..detector.operator import SHARP, DetectorOperator
+from ..detector import SHARP, DetectorOperator
 from ..errors import InputError, refuse_if, require_choice, require_flag, require_wavelength, suggest_keywords
 from ..extension import hook
-from ..fields.optical_system import OpticalSystem
+from ..fields import OpticalSystem
 from ..io import digest
-from ..linear.map import LinearMap
-from ..optics import guards
-from ..optics.spectrum import Spectrum
+from ..linear import LinearMap
+from ..optics import Spectrum, guards
 from ..runtime import Cost, Job, LongSum, SumTask, one_at_a_time
 from .accuracy import chosen_accuracy
 from .coherent_points import CoherentPoints
 from .derivatives import DerivativePlan, Differentials, check_changes, check_names
-from .full_field import FullFieldPlan
+from .full_fields import FullFieldPlan
 from .mixing import SpectralSum, WavelengthPlans, WeightChannels, mix
 from .patch_plan import PatchPlan
 from .pupil_weights import PupilWeights

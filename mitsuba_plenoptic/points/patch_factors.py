@@ -16,11 +16,9 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fields.microlens_orders import ArrayFactor, VaryingArrayFactor
-from ..fields.microlenses import has_response, recorded_amplitude
-from ..lenses.fitted_lens import VaryingLens
-from ..lenses.main_lens import Light, MainLens
-from ..optics.waves import in_millimetres, phasor, smooth_edge, soft_edge, transfer
+from ..fields import ArrayFactor, VaryingArrayFactor, has_response, recorded_amplitude
+from ..lenses import Light, MainLens, VaryingLens
+from ..optics import in_millimetres, phasor, smooth_edge, soft_edge, transfer
 from ..runtime import array_module, drjit_array, fft, is_zero, on_cuda, turn
 from .field_grid import Grid, Placement
 from .pupil_weights import PupilWeights

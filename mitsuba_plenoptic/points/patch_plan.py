@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..fields.microlenses import clear, has_response
-from ..fields.optical_system import OpticalSystem
+from ..fields import OpticalSystem, clear, has_response
 from ..optics import guards
 from ..runtime import BatchMap, Box, Cost, Job, Part, PartialSum, active_backend, backend_of, check_memory, fft, on_cuda
 from .accuracy import ZONES, band_for, find_patterns, wavefront_step

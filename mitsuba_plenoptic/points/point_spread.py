@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import NOT_ROUND, PlenopticCamera, Round, Use, require_camera, require_support
-from ..detector.operator import DetectorOperator
+from ..detector import DetectorOperator
 from ..errors import InputError, refuse_if, require_choice, require_wavelength, suggest_keywords
-from ..fields.optical_system import OpticalSystem
+from ..fields import OpticalSystem
 from ..optics import guards
 from ..runtime import POINTS, Job, Threads, as_array, one_at_a_time
-from . import full_field
-from .full_field import PointFields
+from . import full_fields
+from .full_fields import PointFields
 from .operator import CaptureOperator
 from .pupil_weights import PupilWeights
 from .ray_spread import ray_spread
@@ -104,7 +104,7 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
         camera = camera.at_wavelength(wavelength)
         weights = None if camera.aperture == Round() else PupilWeights.through(camera.aperture, 1)
         system = OpticalSystem(camera.replace(**NOT_ROUND), wavelength)
-        return full_field.point_fields(system, point, pupil_weights=weights)
+        return full_fields.point_fields(system, point, pupil_weights=weights)
 
 
 def _check(camera: PlenopticCamera, position: Any) -> NDArray[np.float64]:

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Use, require_support
-from ..fields.microlenses import has_response
-from ..fields.optical_system import OpticalSystem
-from ..optics.rays import second_leg
-from ..rays.tracer import Passage, Walk
+from ..fields import OpticalSystem, has_response
+from ..optics import second_leg
+from ..rays import Passage, Walk
 
 _TOGETHER = 2**18
 

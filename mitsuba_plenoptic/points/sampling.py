@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import SHORTEST, InputError, refuse_if
-from ..lenses.main_lens import Light, MainLens
+from ..lenses import Light, MainLens
 from ..runtime import MILLIMETRES, POINTS, as_array
 
 _FARTHEST = 1e16

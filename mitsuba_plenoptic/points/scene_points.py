@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if, warn
-from ..fields.optical_system import OpticalSystem
+from ..fields import OpticalSystem
 from ..io import digest
-from ..lenses.real_lens import RealLens
-from ..optics.spectrum import Spectrum
-from ..rays.entrance import Entrances, LensWindow
+from ..lenses import RealLens
+from ..optics import Spectrum
+from ..rays import Entrances, LensWindow
 from ..runtime import Cost, Job, drjit_array, require_memory_for
-from ..scene.radiance import SceneLight, refuse_negative, world_ray
+from ..scene import SceneLight, refuse_negative, world_ray
 from .operator import CaptureOperator
 from .pupil_weights import PupilWeights, slants
 from .units import radiance_weight

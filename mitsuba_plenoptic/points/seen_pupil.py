@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import Vignetting
-from ..lenses.main_lens import Light, MainLens
-from ..lenses.pupil import Pair
+from ..lenses import Light, MainLens, Pair
 
 _RADII, _ANGLES = 24, 48
 """Points of the pupil, as a mean over which the light that passes is estimated."""

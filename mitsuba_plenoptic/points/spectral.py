@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import require_number
-from ..optics.spectrum import Spectrum
+from ..optics import Spectrum
 from .operator import CaptureOperator
 from .pupil_weights import PupilWeights
 

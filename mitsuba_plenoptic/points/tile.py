@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..optics.waves import in_millimetres
+from ..optics import in_millimetres
 from ..runtime import Box, Part, active_backend, array_module, backend_of, drjit_array, fft
 from .patch import PatchBatch, PatchWorkspace
 from .patch_factors import Fields, fields_memory

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..fields.optical_system import OpticalSystem
-from ..lenses.fitted_lens import FittedLens, open_area
-from ..lenses.main_lens import MainLens
+from ..fields import OpticalSystem
+from ..lenses import FittedLens, MainLens, open_area
 
 
 def brightness(lattice: Any, pupil_radius: Any, reduced_distance: Any, pixel_size: Any) -> Any:

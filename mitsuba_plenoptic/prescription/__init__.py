@@ -1,9 +1,10 @@
 """Prescriptions of real main lenses: surfaces and glasses, paraxial quantities, and the bundled lenses.
 
 A `Prescription` is plain data. `LensSystem`, in `mitsuba_plenoptic.lenses.lens_system`, follows rays through it.
+
+`__init__.pyi` names what other folders and extensions may use; it is imported when it is first asked for.
 """
 
-from .glass import Glass
-from .surfaces import BUNDLED, Paraxial, Prescription, Surface, bundled_prescription, paraxial
+import lazy_loader
 
-__all__ = ["BUNDLED", "Glass", "Paraxial", "Prescription", "Surface", "bundled_prescription", "paraxial"]
+__getattr__, __dir__, _ = lazy_loader.attach_stub(__name__, __file__)

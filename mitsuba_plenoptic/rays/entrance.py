@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array import Lattice
-from ..fields.optical_system import OpticalSystem
-from ..lenses.main_lens import Entrance
+from ..fields import OpticalSystem
+from ..lenses import Entrance
 from ..runtime import drjit_array
 
 _MARGIN = 3

@@ -16,12 +16,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..array.lens_shifts import MOST_DEVIATIONS
+from ..array import MOST_DEVIATIONS
 from ..camera import PlenopticCamera
-from ..design.quantities import crosstalk_neighbours, crosstalk_reach, pupil_growth
+from ..design import crosstalk_neighbours, crosstalk_reach, pupil_growth
 from ..errors import refuse_if
-from ..lenses.common import chief_points, main_lens
-from ..lenses.pupil import Pair
+from ..lenses import Pair, chief_points, main_lens
 from ..runtime import drjit_array
 from .tracer import Walk, deflects_cosines
 

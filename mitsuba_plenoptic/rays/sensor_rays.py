@@ -13,13 +13,9 @@ import numpy as np
 
 from ..array import make_lattice
 from ..camera import PlenopticCamera
-from ..lenses.common import main_lens
-from ..lenses.main_lens import Traced
-from ..lenses.pupil import Pair
-from ..optics.spectrum import RGB_WAVELENGTHS
-from ..prescription import Glass
-from ..prescription.glass import LINE_D
-from ..prescription.lens_data import SINGLE
+from ..lenses import Pair, Traced, main_lens
+from ..optics import RGB_WAVELENGTHS
+from ..prescription import LINE_D, SINGLE, Glass
 from ..runtime import drjit_array
 from .lens_choice import CHIEF, LensChoice
 from .tracer import Passage, Ray, Walk

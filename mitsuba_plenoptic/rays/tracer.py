@@ -17,15 +17,13 @@ import numpy as np
 
 from ..array import Lenslet
 from ..camera import PlenopticCamera
-from ..lenses.common import cached_main_lens, chief_points, main_lens
-from ..lenses.main_lens import MainLens, Traced
-from ..lenses.pupil import Pair
+from ..lenses import MainLens, Pair, Traced, cached_main_lens, chief_points, main_lens
 from ..optics import rays
 from ..runtime import array_module, drjit_array, fft
 
 if TYPE_CHECKING:
-    from ..fields.optical_system import OpticalSystem
-    from ..lenses.real_lens import RealLens
+    from ..fields import OpticalSystem
+    from ..lenses import RealLens
 
 _LANES = 2**22
 """Rays that are followed at once."""

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..fields.optical_system import is_paraxial
-from ..fields.steps import Directions
-from ..optics.waves import in_millimetres
+from ..fields import Directions, is_paraxial
+from ..optics import in_millimetres
 from ..runtime import active_backend
 
 _NEAR = (-1, 0, 1, 2)

@@ -23,14 +23,9 @@ from scipy import ndimage
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, argument
-from ..fields.optical_system import OpticalSystem, is_paraxial
-from ..lenses.fitted_lens import FAR, FittedLens
-from ..lenses.main_lens import Light
-from ..lenses.pupil import Pair
-from ..lenses.pupil_fit import Pupils
-from ..lenses.real_lens import RealLens
-from ..lenses.thin import ThinLens
-from ..optics.waves import in_millimetres
+from ..fields import OpticalSystem, is_paraxial
+from ..lenses import FAR, FittedLens, Light, Pair, Pupils, RealLens, ThinLens
+from ..optics import in_millimetres
 from ..runtime import array_module
 
 _MARGIN = 4

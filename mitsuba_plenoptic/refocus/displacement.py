@@ -30,9 +30,8 @@ from scipy.ndimage import map_coordinates
 
 from ..camera import PlenopticCamera
 from ..design import focus_type
-from ..optics import rays
-from ..optics.waves import in_millimetres, soft_edge
-from ..rays.tracer import follow_back
+from ..optics import in_millimetres, rays, soft_edge
+from ..rays import follow_back
 from ..runtime import require_memory
 
 _PLANE = 8

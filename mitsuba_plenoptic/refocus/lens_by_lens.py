@@ -33,13 +33,8 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..design import focus_type
-from ..fields.elements import converging
-from ..fields.links import FreeSpace, Hop
-from ..fields.optical_system import OpticalSystem, is_paraxial
-from ..fields.steps import Step
-from ..fields.workspace import retained_workspace
-from ..optics import guards, rays
-from ..optics.waves import in_millimetres, parabola, phasor, soft_edge
+from ..fields import FreeSpace, Hop, OpticalSystem, Step, converging, is_paraxial, retained_workspace
+from ..optics import guards, in_millimetres, parabola, phasor, rays, soft_edge
 from ..runtime import active_backend, check_memory, drjit_array, fft, single_threaded_blas
 from .conjugates import Conjugates, ThinConjugates, behind_thin_lens
 from .methods import Progress

@@ -27,9 +27,9 @@ from ..errors import (
     warn,
 )
 from ..extension import missing
-from ..fields.optical_system import OpticalSystem
+from ..fields import OpticalSystem
 from ..io import Capture, Checkpoint, require_demosaiced
-from ..optics.waves import in_millimetres
+from ..optics import in_millimetres
 from ..refocus_options import Option, all_options, options_of_methods
 from ..runtime import BatchMap, as_array, require_memory_for
 

@@ -42,10 +42,8 @@ from scipy.special import j0, j1
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
-from ..fields.microlenses import bend
-from ..fields.steps import AxisStep, Directions, LensAxis, Step
-from ..optics import guards, rays
-from ..optics.waves import in_millimetres
+from ..fields import AxisStep, Directions, LensAxis, Step, bend
+from ..optics import guards, in_millimetres, rays
 from ..runtime import check_memory, fft, work_limit
 
 Span = tuple[int, int]

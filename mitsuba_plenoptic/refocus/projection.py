@@ -22,7 +22,7 @@ from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint, pixel_footprint
 from ..errors import refuse_if
 from ..optics import rays
-from ..rays.tracer import follow_back
+from ..rays import follow_back
 from ..runtime import array_module, drjit_array, require_memory
 from .splatting import Splat
 

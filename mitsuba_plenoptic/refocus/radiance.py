@@ -20,13 +20,12 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint
-from ..detector.operator import SHARP, DetectorOperator
+from ..detector import SHARP, DetectorOperator
 from ..errors import MOST_PIXELS, refuse_if, short_repr
-from ..fields.optical_system import OpticalSystem
+from ..fields import OpticalSystem
 from ..io import Capture
-from ..optics import rays
-from ..optics.waves import soft_edge
-from ..rays.tracer import follow_back
+from ..optics import rays, soft_edge
+from ..rays import follow_back
 from ..runtime import active_backend, check_memory, fft, single_threaded_blas
 from ..views import PupilFraction, mean_response, recorded_white, white_image
 from .conjugates import RealConjugates, ThinConjugates

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..design import lens_footprint, pixel_footprint
 from ..optics import rays
-from ..rays.tracer import Passage, Walk, detector_rows, follow_back, on_plane
+from ..rays import Passage, Walk, detector_rows, follow_back, on_plane
 from ..runtime import array_module, require_memory
 
 # Samples of the fine grid across a lens pitch; at least `_LEAST` across a bin.

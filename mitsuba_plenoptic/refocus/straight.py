@@ -31,8 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter, uniform_filter
 
-from ..array import Displacement
-from ..array.lens_shifts import WARP_POWERS
+from ..array import WARP_POWERS, Displacement
 from ..camera import PlenopticCamera
 from ..views import white_image
 from .methods import once_a_camera

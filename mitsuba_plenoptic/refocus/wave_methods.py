@@ -53,13 +53,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..fields.elements import Element, converging, microlenses
-from ..fields.links import Chain, FreeSpace, Fresnel, Hop, Spectrum
-from ..fields.optical_system import OpticalSystem, is_paraxial
-from ..fields.steps import Directions, LensAxis, Step
-from ..fields.workspace import FieldWorkspace, Rows
-from ..optics import guards
-from ..optics.waves import phasor, power, soft_edge
+from ..fields import (
+    Chain,
+    Directions,
+    Element,
+    FieldWorkspace,
+    FreeSpace,
+    Fresnel,
+    Hop,
+    LensAxis,
+    OpticalSystem,
+    Rows,
+    Spectrum,
+    Step,
+    converging,
+    is_paraxial,
+    microlenses,
+)
+from ..optics import guards, phasor, power, soft_edge
 from ..runtime import active_backend, array_module, check_memory, fft, work_limit
 from .bins import BinSums
 from .conjugates import Conjugates, FieldZone, RealConjugates, ThinConjugates, undistorted

@@ -20,7 +20,7 @@ from ..errors import naming, refuse_if, require_choice
 from ..io import Cache, Capture, Checkpoint, Progress, StageOptions
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, reconstruct, require_distances
-from ..scene.render_capture import pass_counts
+from ..scene import pass_counts
 from .images import luminance
 
 

@@ -13,10 +13,8 @@ from matplotlib.ticker import MaxNLocator
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..lenses import sequential
-from ..lenses.common import main_lens
-from ..prescription.glass import LINE_C, LINE_D, LINE_F
-from ..prescription.surfaces import height
+from ..lenses import main_lens, sequential
+from ..prescription import LINE_C, LINE_D, LINE_F, height
 from ..runtime import require_writable
 from .plots import INK, Plot, bare, scale_bar, styled
 

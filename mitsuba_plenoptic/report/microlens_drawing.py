@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import require_wavelength
-from ..optics.waves import in_millimetres
-from ..prescription.glass import LINE_D
+from ..optics import in_millimetres
+from ..prescription import LINE_D
 from ..runtime import require_writable
 from .plots import INK, Plot, styled
 

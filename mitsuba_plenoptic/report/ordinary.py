@@ -13,7 +13,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 from scipy.ndimage import uniform_filter
 
 from ..errors import refusing
-from ..optics.waves import in_millimetres
+from ..optics import in_millimetres
 from .edge import window_sharpness
 from .experiment import METHOD_TITLES, ORDINARY, SLIDER_METHODS, Experiment, Ordinary
 from .images import Brightness, luminance

@@ -8,11 +8,7 @@ from typing import NamedTuple
 from .. import design
 from ..camera import PlenopticCamera, Round
 from ..errors import InputError
-from ..prescription import Prescription, paraxial
-from ..prescription.collimator import Collimator
-from ..prescription.glass import LINE_C, LINE_F
-from ..prescription.lens_data import image_distance
-from ..prescription.objective import Objective
+from ..prescription import LINE_C, LINE_F, Collimator, Objective, Prescription, image_distance, paraxial
 from .lens_drawing import field_figures, lateral_colour
 
 

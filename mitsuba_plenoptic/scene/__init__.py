@@ -1,1 +1,8 @@
-"""Scenes: loading, the radiance along rays, and captures of scenes with their cost."""
+"""Scenes: loading, the radiance along rays, and captures of scenes with their cost.
+
+`__init__.pyi` names what other folders and extensions may use; it is imported when it is first asked for.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, _ = lazy_loader.attach_stub(__name__, __file__)

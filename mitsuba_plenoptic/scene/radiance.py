@@ -18,7 +18,7 @@ import numpy as np
 
 from ..design import depth_ranges
 from ..errors import InputError, advice, refuse_if, warn
-from ..lenses.pupil import Pair
+from ..lenses import Pair
 
 _REPLAYED = {"PathIntegrator": "prb", "VolumetricPathIntegrator": "prbvolpath"}
 """For the class names of integrators, the plugins that find the same radiance and its derivatives."""

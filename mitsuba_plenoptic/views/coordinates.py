@@ -26,7 +26,7 @@ import xarray as xr
 from ..camera import PlenopticCamera
 from ..errors import InputError, advice, refuse_if, refusing, require_number, short_repr
 from ..optics import rays
-from ..prescription.lens_data import image_distance
+from ..prescription import image_distance
 from ..runtime import MILLIMETRES, require_pixels, require_units
 from .grid import LensGrid
 

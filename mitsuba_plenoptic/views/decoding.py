@@ -10,7 +10,7 @@ import scipy
 import xarray as xr
 
 from ..camera import PlenopticCamera, Use, are_alike, require_camera, require_support
-from ..design.microscope import objective_of
+from ..design import objective_of
 from ..errors import InputError, refuse_if, short_repr, suggest_keywords
 from ..io import TRUTH_COORDINATES, Capture, GroundTruth, channel_planes, require_demosaiced
 from ..runtime import as_pixels, require_memory

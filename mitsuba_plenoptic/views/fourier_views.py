@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
-from ..lenses.common import main_lens
-from ..prescription.objective import Objective
+from ..lenses import main_lens
+from ..prescription import Objective
 from ..runtime import require_memory
 from .coordinates import DIMS, labelled
 from .white import MINIMUM_WEIGHT, divide_by_weight, recorded_white

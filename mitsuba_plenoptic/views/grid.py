@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array.lens_shifts import WARP_POWERS, Displacement
+from ..array import WARP_POWERS, Displacement
 from ..camera import PlenopticCamera, Use, require_support
 from ..errors import MOST_PIXELS, put, refuse_if, require_count, require_number, require_pair, require_warp
 from ..optics import rays

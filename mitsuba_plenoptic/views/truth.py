@@ -15,7 +15,7 @@ from ..choices import QUANTITIES
 from ..errors import refuse_if, suggest_keywords
 from ..io import GroundTruth, require_quantities
 from ..runtime import drjit_array, one_at_a_time, require_memory
-from ..scene.render_capture import plenoptic_sensor
+from ..scene import plenoptic_sensor
 from .coordinates import lens_places, pupil_places
 from .decoding import view_window
 from .grid import bin_grid, lens_grid

@@ -15,15 +15,14 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array.lens_shifts import hashed
+from ..array import hashed
 from ..camera import Opening, PlenopticCamera, Round, Use, are_alike, require_support
 from ..design import crosstalk_neighbours
-from ..detector.operator import DetectorOperator
+from ..detector import DetectorOperator
 from ..errors import InputError, refuse_if, short_repr, warn
 from ..io import Capture, recording_of, require_demosaiced
-from ..optics.rays import second_leg
-from ..rays.random_numbers import even_steps
-from ..rays.tracer import Passage, Walk, detector_rows
+from ..optics import second_leg
+from ..rays import Passage, Walk, detector_rows, even_steps
 from ..runtime import array_module, as_pixels, fft, require_memory
 from .grid import LensGrid, lens_indices, lens_numbers, lens_types, micro_image_centres
 

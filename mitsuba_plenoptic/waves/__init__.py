@@ -14,4 +14,10 @@ functions and kernels a camera needs, by `array_kernels`, `array_field`, `lens_f
 estimator, which traces, weighs and sums, with the control variate of `control_variate`; `pixel_kernels` and
 `convolution` make images of the sums. `signed_capture` is a capture with its cost and the derivatives by a scene;
 `signed_camera` those by a camera. The numbers on which the accuracy depends are the records of `accuracy`.
+
+`__init__.pyi` names what other folders and extensions may use; it is imported when it is first asked for.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, _ = lazy_loader.attach_stub(__name__, __file__)

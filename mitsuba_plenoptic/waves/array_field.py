@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 
 from ..array import Lattice
 from ..camera import PlenopticCamera
-from ..fields.lens_kinds import Kind, LensKinds
-from ..fields.microlenses import aperture_points
-from ..optics.waves import in_millimetres
+from ..fields import Kind, LensKinds, aperture_points
+from ..optics import in_millimetres
 from .accuracy import USUAL
 
 Array = NDArray[Any]

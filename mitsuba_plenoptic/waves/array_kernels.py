@@ -25,8 +25,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fields.lens_kinds import Kind
-from ..optics.waves import in_millimetres
+from ..fields import Kind
+from ..optics import in_millimetres
 from ..runtime import exponents, fft, on_all_cores, require_memory, single_threaded_blas
 from .accuracy import USUAL
 from .array_field import LensWaves

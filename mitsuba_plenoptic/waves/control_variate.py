@@ -14,7 +14,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ..lenses.pupil import Pair
+from ..lenses import Pair
 
 
 def means_of_halves(values: list[Any], valid: Any, count: int, rays: int) -> tuple[list[Pair], Any]:

@@ -34,8 +34,8 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Round
 from ..errors import InputError, short_repr
-from ..fields.optical_system import OpticalSystem
-from ..optics.waves import in_millimetres
+from ..fields import OpticalSystem
+from ..optics import in_millimetres
 from ..runtime import drjit_array, empty_packets, monomials, on_all_cores, single_threaded_blas
 from .accuracy import FINER, USUAL
 from .array_kernels import ArrayKernels

@@ -37,9 +37,9 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import WAVEFRONT_UNIT, refuse_if
-from ..fields.optical_system import OpticalSystem
-from ..lenses.pupil import Pair
-from ..optics.waves import in_millimetres
+from ..fields import OpticalSystem
+from ..lenses import Pair
+from ..optics import in_millimetres
 from ..runtime import single_threaded_blas
 from .accuracy import FINER, USUAL
 from .fitted_pupil import FittedPupil, PupilFunctions

@@ -17,10 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..lenses.pupil import Pair
-from ..rays.lens_choice import CHIEF
-from ..rays.random_numbers import chances_of, low_discrepancy
-from ..rays.tracer import Ray, Walk
+from ..lenses import Pair
+from ..rays import CHIEF, Ray, Walk, chances_of, low_discrepancy
 from .fitted_pupil import CLOSED
 from .pupil_diffraction import PupilDiffraction
 from .ray_sampler import ORDER, CellLenses, DetectorGrid, Pixels, RaySamples, tent

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from ..camera import Opening
 from ..errors import WAVEFRONT_UNIT
-from ..lenses.thin import Wavefront
-from ..optics.waves import in_millimetres
+from ..lenses import Wavefront
+from ..optics import in_millimetres
 from .accuracy import USUAL
 
 

@@ -20,13 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..fields.lens_kinds import LensKinds
-from ..lenses.pupil import Pair
-from ..optics.rays import second_leg
-from ..optics.waves import in_millimetres
-from ..rays.lens_choice import LensChoice
-from ..rays.random_numbers import chances_of, low_discrepancy
-from ..rays.tracer import Ray, Walk
+from ..fields import LensKinds
+from ..lenses import Pair
+from ..optics import in_millimetres, second_leg
+from ..rays import LensChoice, Ray, Walk, chances_of, low_discrepancy
 from ..runtime import Box, drjit_array, quotient
 from .phase_space import PhaseSpace, TableNodes
 

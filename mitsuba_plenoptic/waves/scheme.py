@@ -6,10 +6,9 @@ import functools
 from typing import cast
 
 from ..camera import PlenopticCamera
-from ..fields.optical_system import OpticalSystem
-from ..lenses.thin import ThinLens
-from ..optics import guards
-from ..optics.waves import in_millimetres
+from ..fields import OpticalSystem
+from ..lenses import ThinLens
+from ..optics import guards, in_millimetres
 from .phase_space import PhaseSpace
 from .pupil_diffraction import PupilDiffraction
 

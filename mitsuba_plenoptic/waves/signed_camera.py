@@ -28,10 +28,10 @@ from numpy.typing import NDArray
 
 from ..camera import Captures, PlenopticCamera, Use, Values, require_support, shortest_parts, with_gradient
 from ..errors import InputError, refuse_if
-from ..fields.lens_kinds import LensKinds
-from ..lenses.pupil import Pair
+from ..fields import LensKinds
+from ..lenses import Pair
 from ..optics import rays
-from ..rays.tracer import Walk
+from ..rays import Walk
 from ..runtime import drjit_array
 from .array_field import Array
 from .array_kernels import displaced

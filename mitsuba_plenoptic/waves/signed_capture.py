@@ -18,13 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Values
-from ..detector.noise import PARTS, NonNegative, keep_spread, variance_left, with_spread
+from ..detector import PARTS, NonNegative, keep_spread, variance_left, with_spread
 from ..errors import warn
 from ..io import digest
-from ..optics.spectrum import Spectrum
+from ..optics import Spectrum
 from ..runtime import Cost, Job, SumTask
-from ..scene.capture_cost import seconds_by_rays, seconds_by_waves
-from ..scene.radiance import LightDerivatives, ReplayedLight, SceneLight
+from ..scene import LightDerivatives, ReplayedLight, SceneLight, seconds_by_rays, seconds_by_waves
 from .expansion import ExpandedPlan, nearby
 from .phase_space import FINE, PhaseSpace
 from .scheme import Plan, plan_of

@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..lenses.pupil import Pair
-from ..rays.tracer import Walk, walks_of
+from ..lenses import Pair
+from ..rays import Walk, walks_of
 from ..runtime import (
     Box,
     PartialSum,
@@ -39,7 +39,7 @@ from ..runtime import (
     quotient,
     single_threaded_blas,
 )
-from ..scene.radiance import require_finite
+from ..scene import require_finite
 from .array_field import Array
 from .control_variate import at_rays, means_of_halves, of_other_half
 from .convolution import TILE, Block, Convolution, blocks_of, box_of, margin_of

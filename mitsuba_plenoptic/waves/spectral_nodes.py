@@ -25,10 +25,9 @@ import scipy.ndimage
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..fields.optical_system import OpticalSystem
-from ..optics.spectrum import Spectrum, interpolated
-from ..optics.waves import in_millimetres
-from ..rays.random_numbers import even_words
+from ..fields import OpticalSystem
+from ..optics import Spectrum, in_millimetres, interpolated
+from ..rays import even_words
 from ..runtime import drjit_array
 from .accuracy import USUAL
 from .scheme import plan_type

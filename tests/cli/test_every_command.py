@@ -80,7 +80,7 @@ WAVES = "render", "letters", "-D", "resolution=128", "-D", "detector_width=0.256
 # The command, stopped as by hand when its first rays are traced, before a checkpoint is written.
 EARLY = """
 import os, signal, sys
-from mitsuba_plenoptic.scene import render_capture as render
+from mitsuba_plenoptic.scene import capture as render
 from mitsuba_plenoptic.cli import main
 def stopped(*arguments, **options):
     os.kill(os.getpid(), signal.SIGINT)

@@ -15,7 +15,7 @@ from mitsuba_plenoptic.camera.entry import Form
 from mitsuba_plenoptic.camera.parameters import PARAMETERS
 from mitsuba_plenoptic.cli import COMMANDS, load
 from mitsuba_plenoptic.extensions.laser import laser_integrator as laser
-from mitsuba_plenoptic.lenses.main_lens import Light, MainLens
+from mitsuba_plenoptic.lenses.protocol import Light, MainLens
 from mitsuba_plenoptic.plugins import integrator, wave_base
 
 ROOT = Path(__file__).parents[2]

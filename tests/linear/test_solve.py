@@ -6,7 +6,7 @@ import pytest
 from mitsuba_plenoptic.extensions.deconvolution.deconvolved import until_noise
 from mitsuba_plenoptic.linear.map import LinearMap
 from mitsuba_plenoptic.linear.noise import PixelNoise, misfit
-from mitsuba_plenoptic.linear.solve import RichardsonLucy, SolverState, relative_residual, solve
+from mitsuba_plenoptic.linear.solver import RichardsonLucy, SolverState, relative_residual, solve
 
 pytestmark = pytest.mark.needs_extension("deconvolution")
 

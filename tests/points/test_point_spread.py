@@ -7,7 +7,7 @@ from scipy.special import j0, j1
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, point_spread_function
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
-from mitsuba_plenoptic.points.full_field import full_field
+from mitsuba_plenoptic.points.full_fields import full_field
 from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.points.pupil_weights import PupilWeights
 from tools.bench.cases import lens_models, point_spreads

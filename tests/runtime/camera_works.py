@@ -10,7 +10,7 @@ import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.extensions.inverse.differentiable import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.arrival import SampledField
-from mitsuba_plenoptic.points.full_field import full_field
+from mitsuba_plenoptic.points.full_fields import full_field
 from mitsuba_plenoptic.points.point_spread import point_fields
 
 WAVELENGTH = 550.0

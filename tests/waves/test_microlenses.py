@@ -7,7 +7,7 @@ from drjit.llvm import Float64
 from scipy.special import j1
 
 from mitsuba_plenoptic.fields.microlens_orders import AxisFactor, PlaneFactor, axis_orders
-from mitsuba_plenoptic.fields.microlenses import transmission
+from mitsuba_plenoptic.fields.transmittance import transmission
 from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.runtime import turn
 

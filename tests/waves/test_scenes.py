@@ -14,7 +14,7 @@ from cases import film
 from make_meshes import write_all
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, load_scene, render_capture, scene_path
-from mitsuba_plenoptic.scene.render_capture import pass_counts
+from mitsuba_plenoptic.scene.capture import pass_counts
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("letters", "white", "chart", "still_life", "vitrine", "colour_chart")
@@ -335,7 +335,7 @@ def test_passes_of_large_ray_captures_have_a_power_of_two_of_samples(monkeypatch
     """So that no two threads add samples of one pixel, in an order that varies."""
     mi.set_variant("llvm_ad_mono")
     scene, done = load_scene("letters", parameters={"resolution": "32", "detector_width": "0.064"}), []
-    monkeypatch.setattr("mitsuba_plenoptic.scene.render_capture._RAYS_PER_PASS", 28 * 32**2)
+    monkeypatch.setattr("mitsuba_plenoptic.scene.capture._RAYS_PER_PASS", 28 * 32**2)
     for spp in (28, 40):
         render_capture(scene, model="ray", spp=spp, progress=lambda count, total: done.append(count))
     assert done == [16, 24, 28, 16, 32, 40]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.optimize
 
-from ...array.lens_shifts import WARP_POWERS, Displacement
+from ...array import WARP_POWERS, Displacement
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
 from ...runtime import exponents, monomials

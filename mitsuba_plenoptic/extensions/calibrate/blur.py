@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from ...array.arrangement import Lattice
+from ...array import Lattice
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import refuse_if
 from .adjustment import Adjusted

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...camera import PlenopticCamera, part_units, parts_of, with_parts
-from ...lenses.distortion import undistort
+from ...lenses import undistort
 
 CALIBRATED = (
     "focal_length",

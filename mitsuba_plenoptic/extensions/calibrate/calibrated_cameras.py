@@ -17,7 +17,7 @@ import numpy as np
 
 from ...camera import PlenopticCamera, camera_and_record
 from ...errors import NO_RECORD, naming, refuse_if, refusing, require_count, require_number, short_repr
-from ...lenses.distortion import undistort
+from ...lenses import undistort
 from ...runtime import write_text
 from .board_model import NAMES, camera_of
 from .calibration_result import Calibration

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.interpolate
 
 from ...camera import VIGNETTING_NUMBERS, LensTransmissions, PlenopticCamera, Vignetting
-from ...prescription.objective import Objective
+from ...prescription import Objective
 from .array_fit import ArrayFit
 from .field_fit import FieldNumbers
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ...detector.record import Detector
+from ...detector import Detector
 from ...errors import refuse_if, require_count, suggest_keywords
 from ...runtime import IMAGE, as_array
 

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.ndimage
 
 from ...camera import PlenopticCamera
-from ...detector.operator import SHARP
+from ...detector import SHARP
 from ...errors import refuse_if
 from ...runtime import single_threaded_blas
 from .array_fit import ArrayFit, fit_array, lattice_index, places, require_alike

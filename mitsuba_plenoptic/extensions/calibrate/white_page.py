@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from ...report import pages, plots
 from ...runtime import set_variant
-from ...scene.render_capture import render_capture
+from ...scene import render_capture
 from .white_fit import WhiteFit
 
 _LENSES = 12

@@ -9,11 +9,11 @@ import mitsuba as mi
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...detector.operator import SHARP
+from ...detector import SHARP
 from ...io import Capture
 from ...plugins.other_camera import with_camera
 from ...runtime import drjit_array
-from ...scene.render_capture import plenoptic_sensor, render_capture
+from ...scene import plenoptic_sensor, render_capture
 from ...views import FirstHits
 from ..onchip.disparity import blur_radius
 from ..onchip.halves import dual_pixel, photodiode_names, photodiodes

@@ -14,7 +14,7 @@ import numpy as np
 
 from ... import choices
 from ...camera import MATCHED, PARAMETERS, PlenopticCamera
-from ...detector.record import Detector
+from ...detector import Detector
 from ...errors import (
     InputError,
     naming,
@@ -28,8 +28,7 @@ from ...errors import (
 from ...io import require_quantities
 from ...presets import PRESETS
 from ...runtime import DEFAULT_VARIANT, read_yaml
-from ...scene.load import UNITS
-from ...scene.render_capture import MOST_SAMPLES
+from ...scene import MOST_SAMPLES, UNITS
 from ...scene_files import scene_path
 from ..onchip.halves import require_layout
 from ..onchip.photodiode_response import require_pixel_pairs

@@ -9,11 +9,10 @@ import numpy as np
 
 from ...camera import PlenopticCamera
 from ...capture_spec import CaptureSpec
-from ...detector.record import expose
+from ...detector import expose
 from ...io import Capture, GroundTruth, versions
 from ...plugins.other_camera import with_camera
-from ...scene.load import load_scene
-from ...scene.render_capture import render_capture
+from ...scene import load_scene, render_capture
 from ...views import ground_truth
 from .dual_samples import pictures_of, truth_of_lenses
 from .generators import CaptureGenerator

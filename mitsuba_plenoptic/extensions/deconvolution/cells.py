@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
 from ...camera import PlenopticCamera
-from ...lenses.fitted_lens import FittedLens
-from ...points.field_grid import Grid
+from ...lenses import FittedLens
+from ...points import Grid
 from ...runtime import Box, backend_of, turn
 
 

@@ -17,9 +17,7 @@ from scipy.ndimage import convolve1d
 from ...design import resolution_limit
 from ...errors import InputError, argument, refuse_if, refusing, require_number
 from ...io import digest
-from ...linear.map import LinearMap
-from ...linear.noise import PixelNoise, misfit
-from ...linear.solve import RichardsonLucy, SolverState, StopRule, relative_residual, solve
+from ...linear import LinearMap, PixelNoise, RichardsonLucy, SolverState, StopRule, misfit, relative_residual, solve
 from ...refocus import Found, Progress, Task, method, portion, work_of
 from ...runtime import Job
 from .fourier import response_of
@@ -43,7 +41,7 @@ def refocus(task: Task, **options: Any) -> list[Found]:
     """Return planes found by inverting the camera's response with Richardson and Lucy's iteration.
 
     Each plane alone explains the whole capture, or all planes together as a volume; light from other distances is
-    attributed to these planes. See `mitsuba_plenoptic.linear.solve`.
+    attributed to these planes. See `mitsuba_plenoptic.linear.solver`.
 
     Returns
     -------

@@ -22,12 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...design.microscope import objective_of
-from ...detector.operator import SHARP, DetectorOperator
-from ...fields.optical_system import OpticalSystem
-from ...optics.waves import in_millimetres
-from ...points.full_field import FullFieldPlan
-from ...points.units import radiance_weight
+from ...design import objective_of
+from ...detector import SHARP, DetectorOperator
+from ...fields import OpticalSystem
+from ...optics import in_millimetres
+from ...points import FullFieldPlan, radiance_weight
 from ...runtime import Job, active_backend, fft
 from .kernels import StoredResponse, require_response_memory
 from .response import Response

@@ -22,7 +22,7 @@ import dataclasses
 
 import numpy as np
 
-from ...detector.operator import SHARP, DetectorOperator
+from ...detector import SHARP, DetectorOperator
 from ...refocus import Task, captures, method, portion, to_radiance, white_pixels, white_sums, work_of
 from ...runtime import Job
 from .fourier import response_of

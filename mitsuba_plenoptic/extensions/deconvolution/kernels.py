@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
-from ...linear.map import LinearMap
+from ...linear import LinearMap
 from ...runtime import Box, Part, active_backend, backend_of, on_all_cores, require_memory_for
 from .cells import BinCells, CellSet
 

@@ -18,22 +18,13 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...design import resolution_limit
-from ...detector.operator import SHARP, DetectorOperator
+from ...detector import SHARP, DetectorOperator
 from ...errors import refuse_if
-from ...fields.microlenses import upright
-from ...fields.optical_system import OpticalSystem
-from ...lenses.common import inverse_distance
-from ...lenses.fitted_lens import FittedLens
-from ...lenses.real_lens import RealLens
-from ...optics.waves import in_millimetres
-from ...points import scene_points
-from ...points.accuracy import band_for
-from ...points.field_grid import Grid, place
-from ...points.patch_factors import Fields, chunks_of
-from ...points.recorder import Recorder
-from ...points.tile import Copies, Scatter
-from ...points.units import radiance_weight
-from ...rays.tracer import Passage, Walk
+from ...fields import OpticalSystem, upright
+from ...lenses import FittedLens, RealLens, inverse_distance
+from ...optics import in_millimetres
+from ...points import Copies, Fields, Grid, Recorder, Scatter, band_for, chunks_of, place, radiance_weight, scene_points
+from ...rays import Passage, Walk
 from ...runtime import Box, Job, Part, active_backend, add
 from .cells import BinCells, UprightBins
 from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, merged, require_response_memory, zones

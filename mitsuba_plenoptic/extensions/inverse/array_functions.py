@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_known
-from ...points import derivatives
-from ...points.operator import CaptureOperator
+from ...points import CaptureOperator, derivatives
 from .differentiable import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 
 Array = NDArray[Any]

@@ -22,7 +22,7 @@ from ...errors import (
     warn,
 )
 from ...io import Checkpoint
-from ...linear.noise import PixelNoise
+from ...linear import PixelNoise
 from .fit_light import Pixels, View, by_model, check_views, kept_numbers, light_digest
 from .fit_result import Fit, doubts, steps_along, summary
 from .point_rays import RayModel, RayModels, WaveModel, check_numbers, vector_of

@@ -23,9 +23,8 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, refuse_if, require_choice, require_count, require_number, require_wavelength
-from ...fields.optical_system import OpticalSystem
-from ...linear.map import LinearMap
-from ...linear.solve import RichardsonLucy, solve
+from ...fields import OpticalSystem
+from ...linear import LinearMap, RichardsonLucy, solve
 from ...optics import guards
 from ...prescription import lens_data
 from ...refocus import (

@@ -92,7 +92,7 @@ def fit(
 
     from ...io import CHECKPOINT_SUFFIX, read_capture, read_picture
     from ...runtime import DEFAULT_VARIANT, require_apart, require_writable
-    from ...scene.load import load_scene
+    from ...scene import load_scene
     from . import fitting
     from .point_rays import vector_of
 

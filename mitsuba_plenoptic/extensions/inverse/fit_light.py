@@ -12,17 +12,13 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, put, refuse_if, require_count, require_number, require_wavelength
-from ...fields.optical_system import OpticalSystem
+from ...fields import OpticalSystem
 from ...io import Capture, digest, require_demosaiced, response_of
-from ...linear.noise import PixelNoise
+from ...linear import PixelNoise
 from ...plugins.other_camera import with_camera
-from ...points import scene_points
-from ...points.pupil_weights import PupilWeights
-from ...points.sampling import check_positions
-from ...points.units import brightness_at
+from ...points import PupilWeights, brightness_at, check_positions, scene_points
 from ...runtime import as_array, as_pixels, one_at_a_time
-from ...scene.radiance import SceneLight
-from ...scene.render_capture import chosen_integrator, plenoptic_sensor
+from ...scene import SceneLight, chosen_integrator, plenoptic_sensor
 
 _LEAST_ELECTRONS = 1.0
 """Variance, in squared electrons, by which pixels are weighted at least: of a stray count in the dark."""

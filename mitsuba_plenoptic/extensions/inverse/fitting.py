@@ -3,7 +3,7 @@
 from typing import NoReturn
 
 from ...extension import without
-from ...linear.noise import PixelNoise
+from ...linear import PixelNoise
 from .approach import coarse_fit, lattice_from_white
 from .capture_fit import fit
 from .fit_light import View, known_view, noise_of

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if
-from ...points.operator import CaptureOperator
+from ...points import CaptureOperator
 from ...runtime import one_at_a_time
 from .array_functions import (
     ONCE,

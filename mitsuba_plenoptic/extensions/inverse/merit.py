@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, did_you_mean, refuse_if, require_count, require_number, require_wavelength
-from ...fields.optical_system import OpticalSystem
-from ...points.accuracy import chosen_accuracy
-from ...points.operator import CaptureOperator
-from ...points.sampling import check_positions
+from ...fields import OpticalSystem
+from ...points import CaptureOperator, check_positions, chosen_accuracy
 from .differentiable import RayRefocus
 
 DESIGN_ACCURACY = 0.02

@@ -21,15 +21,10 @@ from ...camera import (
     require_support,
 )
 from ...errors import refuse_if, short_repr
-from ...fields.optical_system import OpticalSystem
-from ...lenses.common import convergence
-from ...lenses.main_lens import MainLens
-from ...points import derivatives
-from ...points.operator import CaptureOperator
-from ...points.pupil_weights import PupilWeights
-from ...points.sampling import check_positions
-from ...points.units import brightness_at
-from ...rays.tracer import Passage, Walk
+from ...fields import OpticalSystem
+from ...lenses import MainLens, convergence
+from ...points import CaptureOperator, PupilWeights, brightness_at, check_positions, derivatives
+from ...rays import Passage, Walk
 from ...runtime import array_module, check_memory, drjit_array, one_at_a_time
 from .fit_light import View
 

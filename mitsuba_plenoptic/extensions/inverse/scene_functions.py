@@ -13,7 +13,7 @@ import numpy as np
 
 from ...errors import refuse_if, require_count, require_known, short_repr
 from ...runtime import drjit_array, one_at_a_time
-from ...scene.render_capture import MOST_SAMPLES
+from ...scene import MOST_SAMPLES
 from .array_functions import Shape
 
 _NO_DERIVATIVES = "give floating-point numbers, vectors, colours or textures of a variant with derivatives"

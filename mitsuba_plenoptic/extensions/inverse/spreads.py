@@ -11,10 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...optics import guards
-from ...points.full_field import FullFieldPlan
-from ...points.patch_plan import PatchPlan
-from ...points.recorder import Recorder
-from ...points.tile import Copies, Scatter
+from ...points import Copies, FullFieldPlan, PatchPlan, Recorder, Scatter
 from ...runtime import Job, Part, active_backend, add
 
 _TOGETHER_BYTES = 2**26

@@ -11,11 +11,10 @@ import scipy
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...detector.operator import SHARP
+from ...detector import SHARP
 from ...errors import refuse_if, require_number
 from ...optics import guards
-from ...points.mixing import SpectralSum, mix
-from ...points.operator import CaptureOperator
+from ...points import CaptureOperator, SpectralSum, mix
 from ...runtime import Job, one_at_a_time, require_memory
 from .spreads import FullFieldSpreads, PatchSpreads
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, short_repr
-from ...points.operator import CaptureOperator
+from ...points import CaptureOperator
 from ...runtime import drjit_array
 from .array_functions import (
     ONCE,

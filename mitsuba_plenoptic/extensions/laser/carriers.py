@@ -27,9 +27,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ...lenses.thin import ThinLens
-from ...optics.waves import in_millimetres, phasor
-from ...points.arrival import blocks
+from ...lenses import ThinLens
+from ...optics import in_millimetres, phasor
+from ...points import blocks
 from ...runtime import active_backend, array_module, backend_of, fft, on_cuda
 from .nonuniform import PlaneWaves
 

@@ -14,13 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import refuse_if
-from ...fields.links import Chain
-from ...fields.optical_system import OpticalSystem
-from ...fields.workspace import retained_workspace
-from ...lenses.main_lens import MainLens
-from ...points.arrival import Arrival, SampledField, grids_around, to_array
-from ...points.full_field import intensity, to_detector
-from ...points.sampling import Footprint, footprint
+from ...fields import Chain, OpticalSystem, retained_workspace
+from ...lenses import MainLens
+from ...points import Arrival, Footprint, SampledField, footprint, grids_around, intensity, to_array, to_detector
 from ...runtime import active_backend, check_memory, fft
 from .carriers import PupilGrid
 from .nonuniform import POINT_BYTES

@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, naming, refuse_if, require_count, require_number, require_wavelength, warn
-from ...fields.optical_system import OpticalSystem
-from ...optics import guards
-from ...optics.spectrum import Spectrum
+from ...fields import OpticalSystem
+from ...optics import Spectrum, guards
 from ...plugins import properties, wave_base
-from ...points import scene_points
-from ...points.operator import CaptureOperator
+from ...points import CaptureOperator, scene_points
 from ...runtime import Cost, Job
-from ...scene.load import with_objects
+from ...scene import with_objects
 from .lit_points import LaserScene, LitPoints, named_lasers
 from .modes import mode_count
 from .realisations import coherent_capture

@@ -23,13 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError, did_you_mean, refuse_if
-from ...fields.optical_system import OpticalSystem
-from ...optics import guards
-from ...optics.waves import in_millimetres
-from ...points.units import radiance_weight
-from ...rays.entrance import LensWindow
+from ...fields import OpticalSystem
+from ...optics import guards, in_millimetres
+from ...points import radiance_weight
+from ...rays import LensWindow
 from ...runtime import drjit_array, require_memory
-from ...scene.radiance import random_numbers, world_ray
+from ...scene import random_numbers, world_ray
 
 _COARSE = 64
 """Chief rays along each axis that find the distances of the surfaces, and so the width of their blur."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_camera, require_support
 from ...errors import refuse_if, require_number, require_wavelength, suggest_keywords
-from ...optics.waves import in_millimetres
+from ...optics import in_millimetres
 
 _NODES = 400
 """Nodes of the integral over angles."""

@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ...points.arrival import blocks
+from ...points import blocks
 from ...runtime import active_backend, backend_of, fft
 
 _WIDTH = 8

@@ -25,10 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
-from ...fields.optical_system import OpticalSystem
-from ...lenses.thin import ThinLens
-from ...optics.waves import in_millimetres, phasor, soft_edge
-from ...points.arrival import blocks
+from ...fields import OpticalSystem
+from ...lenses import ThinLens
+from ...optics import in_millimetres, phasor, soft_edge
+from ...points import blocks
 from ...runtime import active_backend, array_module, fft
 from .carriers import Carrier, PupilGrid, Spheres, Tilts
 

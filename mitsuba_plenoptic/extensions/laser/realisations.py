@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from ...errors import InputError, refuse_if, require_count, suggest_keywords
 from ...io import digest
 from ...optics import guards
-from ...points.full_field import recorded_pixels
-from ...points.operator import CaptureOperator
+from ...points import CaptureOperator, recorded_pixels
 from ...runtime import POINTS, Job, Part, PartialSum, SumTask, as_array, one_at_a_time
 from .coherent import CoherentFields
 

@@ -6,8 +6,7 @@ import re
 from pathlib import Path
 
 from ...errors import InputError, refuse_if
-from ...prescription import Glass, Prescription
-from ...prescription.glass import catalogue_glass
+from ...prescription import Glass, Prescription, catalogue_glass
 from .lens_designs import UNITS, DesignSurface, Line, read_text, to_prescription
 
 _UNITS = {"M": UNITS["MM"], "MM": UNITS["MM"], "C": UNITS["CM"], "I": UNITS["IN"]}

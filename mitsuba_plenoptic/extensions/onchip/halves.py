@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from ...detector.record import filters
+from ...detector import filters
 from ...errors import InputError, refuse_if, require_pair, short_repr, suggest_keywords
 from ...io import Capture, mosaic_of
 from ...views import light_field

@@ -11,9 +11,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ...lenses.pupil import Pair
-from ...optics.spectrum import RGB_WAVELENGTHS
-from ...prescription.glass import LINE_D
+from ...lenses import Pair
+from ...optics import RGB_WAVELENGTHS
+from ...prescription import LINE_D
 from ...runtime import drjit_array
 from .photodiode_response import PhotodiodeResponse
 

@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import refuse_if
-from ...fields.optical_system import OpticalSystem
-from ...optics.waves import in_millimetres
-from ...rays.tracer import Walk
+from ...fields import OpticalSystem
+from ...optics import in_millimetres
+from ...rays import Walk
 from ...runtime import drjit_array, single_threaded_blas
 
 NEAR = 5

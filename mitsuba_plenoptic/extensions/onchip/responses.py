@@ -22,16 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...detector.noise import NonNegative
+from ...detector import NonNegative
 from ...errors import refuse_if
-from ...lenses.pupil import Pair
-from ...rays.tracer import walks_of
+from ...lenses import Pair
+from ...rays import walks_of
 from ...runtime import Box, Part, PartialSum, drjit_array, fft
-from ...scene.radiance import require_finite
-from ...waves.control_variate import mean_of_half, of_other_half
-from ...waves.phase_space import FINE
-from ...waves.signed_capture import SignedCapture
-from ...waves.spectral_nodes import Node, mixed
+from ...scene import require_finite
+from ...waves import FINE, Node, SignedCapture, mean_of_half, mixed, of_other_half
 from .plane_waves import NEAR, lens_range
 from .response_draws import Tables
 from .response_tables import PhotodiodeResponses

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ... import choices
 from ...camera import PlenopticCamera, Use, require_support
-from ...detector.operator import SHARP, DetectorOperator
+from ...detector import SHARP, DetectorOperator
 from ...errors import (
     InputError,
     refuse_if,
@@ -23,10 +23,9 @@ from ...errors import (
     short_repr,
     suggest_keywords,
 )
-from ...fields.optical_system import OpticalSystem
-from ...lenses.common import main_lens
-from ...points.point_spread import point_spread_function
-from ...points.sampling import footprint
+from ...fields import OpticalSystem
+from ...lenses import main_lens
+from ...points import footprint, point_spread_function
 from ..inverse.point_rays import PointRays
 from .halves import photodiodes, require_layout
 from .photodiode_response import ACROSS, require_pixel_pairs

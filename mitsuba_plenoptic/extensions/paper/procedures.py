@@ -12,7 +12,7 @@ from matplotlib.patches import Ellipse, FancyArrowPatch
 from ...camera import PlenopticCamera
 from ...optics import rays
 from ...prescription import lens_data
-from ...rays.tracer import follow_back
+from ...rays import follow_back
 from ...report import plots
 
 _LIGHT = "#d08700"

@@ -19,7 +19,7 @@ from ...camera import PlenopticCamera
 from ...errors import InputError
 from ...io import Cache, Capture
 from ...optics import rays
-from ...rays.tracer import follow_back
+from ...rays import follow_back
 from ...refocus import reconstruct
 from ...report import Experiment, metrics
 

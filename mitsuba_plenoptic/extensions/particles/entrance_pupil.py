@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...fields.optical_system import OpticalSystem
-from ...prescription.objective import Objective
+from ...fields import OpticalSystem
+from ...prescription import Objective
 
 _HORIZON = 0.999
 """Largest sine of directions."""

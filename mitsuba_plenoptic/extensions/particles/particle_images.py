@@ -27,10 +27,9 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 from ... import choices
 from ...camera import PlenopticCamera, Round
 from ...errors import refuse_if, require_choice, require_count, require_wavelength, suggest_keywords
-from ...fields.optical_system import OpticalSystem
+from ...fields import OpticalSystem
 from ...io import Capture, Checkpoint
-from ...points.operator import CaptureOperator
-from ...points.pupil_weights import BORDER, PupilWeights
+from ...points import BORDER, CaptureOperator, PupilWeights
 from ...runtime import Job, Progress, require_memory
 from ..inverse.point_rays import PointRays
 from .entrance_pupil import EntrancePupil

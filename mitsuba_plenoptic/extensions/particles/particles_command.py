@@ -81,7 +81,7 @@ def particles(
       --flow hill:speed=4,radius=5 --interval 0.1 --model ray --photons 1e5
     """
     from ...camera import PlenopticCamera
-    from ...detector.record import Detector, expose
+    from ...detector import Detector, expose
     from ...io import write_capture
     from ...runtime import atomic_output
     from .flows import FLOWS

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import refuse_if, require_accuracy, require_count, require_number, require_wavelength, suggest_keywords
-from ...fields.optical_system import OpticalSystem
-from ...lenses.common import inverse_distance
-from ...linear.map import LinearMap
-from ...points.operator import CaptureOperator
+from ...fields import OpticalSystem
+from ...lenses import inverse_distance
+from ...linear import LinearMap
+from ...points import CaptureOperator
 from ...runtime import POINTS, Job, Progress, as_array, counted
 from ..inverse.point_rays import PointRays
 from ..inverse.stored import StoredOperator

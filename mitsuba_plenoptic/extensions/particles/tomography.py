@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from ...errors import refuse_if, require_choice, require_count, require_number, suggest_keywords
 from ...io import Capture, Checkpoint, digest
-from ...linear.map import LinearMap
-from ...linear.solve import Sirt, Smart, SolverState, StopRule, relative_residual, solve
+from ...linear import LinearMap, Sirt, Smart, SolverState, StopRule, relative_residual, solve
 from ...runtime import Progress, as_array
 from .voxels import VoxelGrid
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...detector.operator import SHARP
+from ...detector import SHARP
 from ...errors import refuse_if
 from ..calibrate.array_fit import ArrayFit, fit_array, places
 from ..calibrate.field_fit import FieldNumbers

@@ -14,11 +14,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from ...camera import PlenopticCamera, Vignetting
-from ...detector.operator import SHARP
+from ...detector import SHARP
 from ...errors import InputError
-from ...points.operator import CaptureOperator
-from ...points.ray_spread import ray_spread
-from ...prescription.objective import Objective
+from ...points import CaptureOperator, ray_spread
+from ...prescription import Objective
 from .array_part import ArrayPart
 
 _FIRST = 0.75

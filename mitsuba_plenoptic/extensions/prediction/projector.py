@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import sparse
 
-from ...linear.map import LinearMap
+from ...linear import LinearMap
 from ...runtime import require_memory
 from .array_part import ArrayPart
 from .point_patterns import Plane, pixels_across

@@ -12,7 +12,7 @@ import numpy as np
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import put, refuse_if, require_wavelength
 from ...io import Cache, Progress, digest
-from ...linear.noise import dark_variance
+from ...linear import dark_variance
 from ..calibrate.photon_transfer import PhotonTransfer, photon_transfer
 from ..calibrate.white_fit import fit_white
 from ..calibrate.white_frames import WhiteFrame, single_channel

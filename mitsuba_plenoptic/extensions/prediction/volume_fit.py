@@ -6,7 +6,7 @@ where A has the pixels that are used, L is the light of a voxel on all pixels, a
 a gamma prior of that mean (Lange, Bahn and Little 1987, IEEE Trans. Med. Imaging 6, 106), so that voxels which no used
 pixel sees are those around. Photons and read noise of variance :math:`\sigma^2` are a Poisson law of shifted values
 (Snyder, Hammoud and White 1993, J. Opt. Soc. Am. A 10, 1014). Steps are extrapolated as in
-`mitsuba_plenoptic.linear.solve`. Stray light, the part of a lens's mean light that all of its pixels get, is found by
+`mitsuba_plenoptic.linear.solver`. Stray light, the part of a lens's mean light that all of its pixels get, is found by
 least squares on the way.
 """
 
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from ...linear.solve import Steps, solve
+from ...linear import Steps, solve
 from .projector import VolumeProjection
 
 _NEAR = 0.7

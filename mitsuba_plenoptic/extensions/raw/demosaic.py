@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import choices
-from ...detector.record import filters
+from ...detector import filters
 from ...errors import InputError, argument, refuse_if, require_choice, suggest_keywords
 from ...io import EXPOSED, RECORDED, Capture, mosaic_of, recording_of
 from ...views import lens_numbers, recorded_white, white_image

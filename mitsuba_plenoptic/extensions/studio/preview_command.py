@@ -45,7 +45,7 @@ def preview(
     from ...camera import PlenopticCamera
     from ...optics import guards
     from ...runtime import require_writable
-    from ...scene.render_capture import estimate_capture, plenoptic_sensor
+    from ...scene import estimate_capture, plenoptic_sensor
 
     target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"))
     with progress_bar("Previewing") as progress:

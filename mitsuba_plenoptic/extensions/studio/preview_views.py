@@ -13,7 +13,7 @@ import numpy as np
 from ... import design
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...lenses.telecentric import TelecentricLens
+from ...lenses import TelecentricLens
 from ...prescription import lens_data
 from ...report import photograph, photographic_sensor
 

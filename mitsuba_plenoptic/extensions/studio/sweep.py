@@ -31,8 +31,7 @@ from ...prescription import lens_data
 from ...refocus import registered
 from ...report import refocused
 from ...runtime import BatchMap, Sink, atomic_output, read_yaml, remove_leftovers, require_writable, software
-from ...scene.load import check_scene_file, names_in, scene_defaults
-from ...scene.render_capture import is_wave_capture, plenoptic_sensor, refuse_by_rays
+from ...scene import check_scene_file, is_wave_capture, names_in, plenoptic_sensor, refuse_by_rays, scene_defaults
 from ...scene_files import scene_path
 
 __all__ = ["check_grid", "merge_grids", "parse_grid", "read_grid", "sweep"]

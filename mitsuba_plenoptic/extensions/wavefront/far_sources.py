@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...array.sampled_grid import read_samples
+from ...array import read_samples
 from ...errors import refuse_if, require_number, require_pair, suggest_keywords
 
 INFINITY = 1e12

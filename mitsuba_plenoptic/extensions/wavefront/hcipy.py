@@ -12,11 +12,9 @@ import numpy as np
 
 from ...camera import PhaseScreen, PlenopticCamera, Use, require_camera, require_support
 from ...errors import WAVEFRONT_UNIT, WAVELENGTHS, InputError, refuse_if, require_number
-from ...fields.optical_system import OpticalSystem
-from ...optics import guards
-from ...optics.waves import band_edge_fraction
-from ...points.arrival import SampledField
-from ...points.full_field import full_field
+from ...fields import OpticalSystem
+from ...optics import band_edge_fraction, guards
+from ...points import SampledField, full_field
 from ...runtime import one_at_a_time
 from .far_sources import INFINITY
 

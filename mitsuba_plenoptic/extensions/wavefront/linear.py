@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, require_accuracy, require_count, require_wavelength, suggest_keywords
-from ...points.operator import CaptureOperator
+from ...points import CaptureOperator
 from ...runtime import as_array, as_pixels
 from .wavefront_fit import Zone, require_zone
 

@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import LONGEST, SHORTEST, InputError, refuse_if, require_count, require_length, require_number
-from ...lenses.common import main_lens
-from ...lenses.thin import Wavefront
+from ...lenses import Wavefront, main_lens
 from ...optics import rays
-from ...points.sampling import check_positions
+from ...points import check_positions
 from ...runtime import as_pixels
 
 Array = NDArray[np.float64]

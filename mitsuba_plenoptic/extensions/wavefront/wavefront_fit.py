@@ -24,9 +24,8 @@ from ...errors import (
     suggest_keywords,
     warn,
 )
-from ...lenses.common import main_lens
-from ...points.operator import CaptureOperator
-from ...points.sampling import check_positions
+from ...lenses import main_lens
+from ...points import CaptureOperator, check_positions
 from ...runtime import as_array
 from ..inverse.fit_light import Pixels, check_views
 from ..inverse.fitting import Fit, PixelNoise, View, fit

@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 from ...array import make_lattice
 from ...camera import Captures, PlenopticCamera, change_of, parts_of, size_of, with_gradient
 from ...errors import WAVEFRONT_UNIT, InputError, did_you_mean, require_number, short_repr
-from ...fields.microlens_orders import VaryingArrayFactor
-from ...fields.optical_system import OpticalSystem
-from ...lenses.fitted_lens import LENS_NUMBERS, FittedLens, open_area_slopes
-from ...lenses.thin import Wavefront, zernike
-from ...optics.waves import in_millimetres
+from ...fields import OpticalSystem, VaryingArrayFactor
+from ...lenses import LENS_NUMBERS, FittedLens, Wavefront, open_area_slopes, zernike
+from ...optics import in_millimetres
 from ...runtime import active_backend, array_module, drjit_array, is_zero, turn
 from ..field_grid import Grid
 from ..patch_factors import Elements

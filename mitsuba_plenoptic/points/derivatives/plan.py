@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError
-from ...fields.optical_system import OpticalSystem
+from ...fields import OpticalSystem
 from ...optics import guards
 from ...runtime import (
     MEMORY_LIMIT,

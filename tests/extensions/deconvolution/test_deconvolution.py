@@ -12,7 +12,7 @@ from mitsuba_plenoptic.design import resolution_limit
 from mitsuba_plenoptic.extensions.deconvolution.deconvolved import noise_of
 from mitsuba_plenoptic.extensions.deconvolution.response import Response
 from mitsuba_plenoptic.linear.noise import misfit
-from mitsuba_plenoptic.linear.solve import RichardsonLucy, relative_residual, solve
+from mitsuba_plenoptic.linear.solver import RichardsonLucy, relative_residual, solve
 from mitsuba_plenoptic.views import white_image
 
 WAVELENGTH = 633.0

@@ -14,7 +14,7 @@ from mitsuba_plenoptic.extensions.deconvolution.response import Response
 from mitsuba_plenoptic.extensions.deconvolution.variation import TotalVariation
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.linear.noise import PixelNoise
-from mitsuba_plenoptic.linear.solve import RichardsonLucy, solve
+from mitsuba_plenoptic.linear.solver import RichardsonLucy, solve
 from mitsuba_plenoptic.runtime.batches import Threads
 
 WAVELENGTH = 633.0

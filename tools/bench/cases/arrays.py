@@ -18,7 +18,7 @@ from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.array import Conic, MicrolensShape, PhaseMap, Sampled, ZoneLens
 from mitsuba_plenoptic.fields.microlens_orders import PlaneFactor, axis_orders
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
-from mitsuba_plenoptic.points.full_field import point_fields
+from mitsuba_plenoptic.points.full_fields import point_fields
 from mitsuba_plenoptic.points.point_spread import point_spread_function
 
 from .. import Row, at_most, case, pick

@@ -33,7 +33,7 @@ from mitsuba_plenoptic.design import resolution_limit
 from mitsuba_plenoptic.extensions.deconvolution.deconvolved import MOST_ITERATIONS, until_noise
 from mitsuba_plenoptic.extensions.deconvolution.response import Response
 from mitsuba_plenoptic.linear.noise import PixelNoise
-from mitsuba_plenoptic.linear.solve import RichardsonLucy, Solution, solve
+from mitsuba_plenoptic.linear.solver import RichardsonLucy, Solution, solve
 
 from .. import Row, at_least, at_most, case
 

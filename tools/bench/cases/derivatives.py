@@ -25,7 +25,7 @@ from cases import relative
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, load_scene
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.arrival import FieldGrids, field_grids
-from mitsuba_plenoptic.points.full_field import full_field
+from mitsuba_plenoptic.points.full_fields import full_field
 
 from .. import Pivot, Row, at_most, case, pick
 from ..scenes.letters import letter_points

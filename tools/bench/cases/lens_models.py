@@ -21,7 +21,7 @@ from mitsuba_plenoptic.fields.optical_system import OpticalSystem, is_paraxial
 from mitsuba_plenoptic.lenses.thin import ThinLens
 from mitsuba_plenoptic.optics.rays import slopes_to_cosines
 from mitsuba_plenoptic.optics.waves import in_millimetres, transfer
-from mitsuba_plenoptic.points.full_field import point_fields
+from mitsuba_plenoptic.points.full_fields import point_fields
 from mitsuba_plenoptic.prescription.lens_data import conjugate_distance
 from mitsuba_plenoptic.refocus.conjugates import ThinConjugates
 from mitsuba_plenoptic.runtime.backend import array_module

@@ -13,7 +13,7 @@ from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, point_spread_fun
 from mitsuba_plenoptic import particles as pt
 from mitsuba_plenoptic.extensions.particles.particle_images import scattered_light
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
-from mitsuba_plenoptic.points.full_field import full_field
+from mitsuba_plenoptic.points.full_fields import full_field
 
 from .. import Row, at_most, case
 from ..timing import peak_memory

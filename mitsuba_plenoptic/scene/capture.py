@@ -129,7 +129,7 @@ def render_capture(
     spp = sample_count(chosen, spp)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     if noise:
-        from ..detector.noise import require_samples
+        from ..detector import require_samples
 
         require_samples(spp)
     wavelengths, spectrum = None, None
@@ -383,7 +383,7 @@ def _render_passes(
     most = max(1, _RAYS_PER_PASS // (camera.shape[0] * camera.shape[1]))
     spread = None
     if noise:
-        from ..detector.noise import PARTS, PassSpread
+        from ..detector import PARTS, PassSpread
 
         spread = PassSpread()
         most = min(most, 1 << (-(-spp // PARTS) - 1).bit_length())

@@ -29,15 +29,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..fields.elements import Element
-from ..fields.links import Chain, FreeSpace, Hop
-from ..fields.microlenses import has_response, recorded_amplitude, transmission
-from ..fields.optical_system import OpticalSystem
-from ..fields.steps import Step
-from ..fields.watch import Watch
-from ..fields.workspace import FieldWorkspace, Rows, retained_workspace
-from ..optics import guards
-from ..optics.waves import in_millimetres, power
+from ..fields import (
+    Chain,
+    Element,
+    FieldWorkspace,
+    FreeSpace,
+    Hop,
+    OpticalSystem,
+    Rows,
+    Step,
+    Watch,
+    has_response,
+    recorded_amplitude,
+    retained_workspace,
+    transmission,
+)
+from ..optics import guards, in_millimetres, power
 from ..runtime import BatchMap, Box, Cost, Job, Part, PartialSum, active_backend, check_memory, fft
 from .arrival import Arrival, FieldGrids, SampledField, arrival, blocks, field_grids
 from .pupil_weights import PupilWeights

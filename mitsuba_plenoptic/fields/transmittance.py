@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from ..array import Lattice, make_lattice
 from ..camera import PlenopticCamera
-from ..optics.rays import second_leg
-from ..optics.waves import in_millimetres, phasor
+from ..optics import in_millimetres, phasor, second_leg
 from ..runtime import fft, turn
 from .accuracy import ACCURACY
 

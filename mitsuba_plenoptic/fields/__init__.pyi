@@ -1,0 +1,37 @@
+"""What other folders and extensions may use of `fields`."""
+
+from .elements import Element as Element
+from .elements import converging as converging
+from .elements import microlenses as microlenses
+from .lens_kinds import Kind as Kind
+from .lens_kinds import LensKinds as LensKinds
+from .links import Chain as Chain
+from .links import FreeSpace as FreeSpace
+from .links import Fresnel as Fresnel
+from .links import FromSpectrum as FromSpectrum
+from .links import Hop as Hop
+from .links import Link as Link
+from .links import Spectrum as Spectrum
+from .microlens_orders import ArrayFactor as ArrayFactor
+from .microlens_orders import MicrolensArray as MicrolensArray
+from .microlens_orders import VaryingArrayFactor as VaryingArrayFactor
+from .optical_system import OpticalSystem as OpticalSystem
+from .optical_system import is_paraxial as is_paraxial
+from .steps import AxisStep as AxisStep
+from .steps import Directions as Directions
+from .steps import LensAxis as LensAxis
+from .steps import Step as Step
+from .transmittance import aperture_points as aperture_points
+from .transmittance import bend as bend
+from .transmittance import clear as clear
+from .transmittance import diffraction as diffraction
+from .transmittance import has_response as has_response
+from .transmittance import recorded_amplitude as recorded_amplitude
+from .transmittance import repetition as repetition
+from .transmittance import scattering as scattering
+from .transmittance import transmission as transmission
+from .transmittance import upright as upright
+from .watch import Watch as Watch
+from .workspace import FieldWorkspace as FieldWorkspace
+from .workspace import Rows as Rows
+from .workspace import retained_workspace as retained_workspace

@@ -1,0 +1,31 @@
+"""What other folders and extensions may use of `lenses`."""
+
+from . import sequential as sequential
+from .closed_lens import ClosedLens as ClosedLens
+from .common import cached_main_lens as cached_main_lens
+from .common import chief_points as chief_points
+from .common import cone as cone
+from .common import convergence as convergence
+from .common import inverse_distance as inverse_distance
+from .common import main_lens as main_lens
+from .common import path_change as path_change
+from .distortion import undistort as undistort
+from .fitted_lens import FAR as FAR
+from .fitted_lens import LENS_NUMBERS as LENS_NUMBERS
+from .fitted_lens import FittedLens as FittedLens
+from .fitted_lens import VaryingLens as VaryingLens
+from .fitted_lens import open_area as open_area
+from .fitted_lens import open_area_slopes as open_area_slopes
+from .protocol import Entrance as Entrance
+from .protocol import Light as Light
+from .protocol import MainLens as MainLens
+from .protocol import PointLight as PointLight
+from .protocol import Traced as Traced
+from .pupil import Pair as Pair
+from .pupil_fit import ExitPupil as ExitPupil
+from .pupil_fit import Pupils as Pupils
+from .real_lens import RealLens as RealLens
+from .telecentric import TelecentricLens as TelecentricLens
+from .thin import ThinLens as ThinLens
+from .thin import Wavefront as Wavefront
+from .thin import zernike as zernike

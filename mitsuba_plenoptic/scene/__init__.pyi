@@ -1,0 +1,35 @@
+"""What other folders and extensions may use of `scene`."""
+
+from .capture import MOST_SAMPLES as MOST_SAMPLES
+from .capture import chosen_integrator as chosen_integrator
+from .capture import estimate_capture as estimate_capture
+from .capture import is_wave_capture as is_wave_capture
+from .capture import numbered_sensor as numbered_sensor
+from .capture import pass_counts as pass_counts
+from .capture import plenoptic_sensor as plenoptic_sensor
+from .capture import quiet as quiet
+from .capture import refuse_by_rays as refuse_by_rays
+from .capture import render_capture as render_capture
+from .capture import require_active as require_active
+from .capture import require_wave_film as require_wave_film
+from .capture_cost import seconds_by_rays as seconds_by_rays
+from .capture_cost import seconds_by_waves as seconds_by_waves
+from .load import GONE_PARAMETERS as GONE_PARAMETERS
+from .load import LARGEST_SCENE as LARGEST_SCENE
+from .load import UNITS as UNITS
+from .load import check_scene_file as check_scene_file
+from .load import load_scene as load_scene
+from .load import loading as loading
+from .load import names_in as names_in
+from .load import scene_defaults as scene_defaults
+from .load import unknown_parameter as unknown_parameter
+from .load import with_objects as with_objects
+from .radiance import LightDerivatives as LightDerivatives
+from .radiance import ReplayedLight as ReplayedLight
+from .radiance import SceneLight as SceneLight
+from .radiance import random_numbers as random_numbers
+from .radiance import refuse_negative as refuse_negative
+from .radiance import require_finite as require_finite
+from .radiance import require_medium_seen as require_medium_seen
+from .radiance import warn_of_metres as warn_of_metres
+from .radiance import world_ray as world_ray
