@@ -403,7 +403,8 @@ STEEPEST_CHIEF_RAY = 80.0
 
 def require_wavelength(value: Any, name: str = "wavelength") -> float:
     """Return a wavelength in nanometres, from 200 to 2500, as a float; other units are recognised."""
-    wavelength, (low, high) = require_number(name, value, positive=True), WAVELENGTHS
+    wavelength = require_number(name, value, positive=True)
+    (low, high) = WAVELENGTHS
     if low <= wavelength <= high:
         return wavelength
     looks = [

@@ -252,7 +252,8 @@ class Lattice(abc.ABC):
         """Return the centre of a lens: of its cell but for irregular displacements."""
         u, v = self.unit_centre(i, j)
         x, y = self.from_frame(u * self.pitches[0], v * self.row_distance)
-        x, y = x + self.offset[0], y + self.offset[1]
+        x = x + self.offset[0]
+        y = y + self.offset[1]
         if self.displacement is not None:
             moved = [self.displacement.smooth(x, y)]
             if self.displacement.deviation:
@@ -407,7 +408,8 @@ class Lattice(abc.ABC):
         side = edges[:, 0] * to_corner[..., 1] - edges[:, 1] * to_corner[..., 0]
         distance[(side >= 0).all(1)] = 0
         inside = distance <= reach
-        index, position = index[inside], position[inside]
+        index = index[inside]
+        position = position[inside]
         return index[np.lexsort((index[:, 0], index[:, 1], np.round(np.hypot(*position.T) / self.pitches[0], 6)))]
 
     def lenses_within(self, low: tuple[float, float], high: tuple[float, float]) -> np.ndarray:
@@ -430,9 +432,11 @@ class Lattice(abc.ABC):
         corners = np.array([[x, y] for x in (low[0] - far, high[0] + far) for y in (low[1] - far, high[1] + far)])
         origin = np.array(self.regular.centre(0.0, 0.0))
         ends = np.linalg.solve(np.array(self.basis).T, (corners - origin).T)
-        first, last = np.floor(ends.min(1)), np.ceil(ends.max(1))
+        first = np.floor(ends.min(1))
+        last = np.ceil(ends.max(1))
         require_memory(60.0 * float(np.prod(last - first + 1)), f"{np.prod(last - first + 1):.3g} lenses")
-        first, last = first.astype(int), last.astype(int)
+        first = first.astype(int)
+        last = last.astype(int)
         j, i = (index.ravel() for index in np.mgrid[first[1] : last[1] + 1, first[0] : last[0] + 1])
         x, y = self.centre(i.astype(np.float64), j.astype(np.float64))
         inside = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])

@@ -64,7 +64,8 @@ class Conic(MicrolensShape):
     def waves(self, x: Any, y: Any, wavelength: float) -> Any:
         """Return the phase in waves; see `MicrolensShape.waves`."""
         square = x * x + y * y
-        depth, power = square / (self.curvature_radius * (1 + self._root(square))), square
+        depth = square / (self.curvature_radius * (1 + self._root(square)))
+        power = square
         for coefficient in self.coefficients:
             power = power * square
             depth = depth + coefficient * power

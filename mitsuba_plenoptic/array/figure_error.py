@@ -43,13 +43,15 @@ class FigureError:
         across: Any = 0.0
         up: Any = 0.0
         for _, sine, u, v in self._waves(x, y):
-            across, up = across - sine * u, up - sine * v
+            across = across - sine * u
+            up = up - sine * v
         scale = 2 * math.pi * self.amplitude
         return scale * across, scale * up
 
     def _waves(self, x: Any, y: Any) -> list[tuple[Any, Any, Any, Any]]:
         """Return cosine and sine of each wave, and its frequencies along x and y."""
-        module, rows = module_of(x), [*self.frequencies, self.phases]
+        module = module_of(x)
+        rows = [*self.frequencies, self.phases]
         if module is dr:
             # In tables, other numbers need no other kernel.
             tables = [drjit_array(type(x), row) for row in rows]

@@ -54,7 +54,8 @@ class HexagonalLattice(Lattice):
         """Map (s, t) in the unit square to one of three rhombi about the centre, which together are the hexagon."""
         third = floor(s * 3)
         s = s * 3 - third
-        u, v = -0.5 * t * width, (s - 0.5 * t) * (width / (2 * _ROW))
+        u = -0.5 * t * width
+        v = (s - 0.5 * t) * (width / (2 * _ROW))
         cosine = select(third == 0, 1.0, -0.5)
         sine = select(third == 0, 0.0, select(third == 1, _ROW, -_ROW))
         return cosine * u - sine * v, sine * u + cosine * v

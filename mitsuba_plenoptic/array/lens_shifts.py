@@ -26,7 +26,8 @@ WARP_POWERS = exponents(3, lowest=2)
 _STEPS = 3
 """Steps from a position to the regular one, each of which leaves the gradient's part of the error."""
 
-_ALONG, _SMALL = 33, 1e-6
+_ALONG = 33
+_SMALL = 1e-6
 """Places along each axis at which displacements are compared, and the step in mm of their finite differences."""
 
 
@@ -107,7 +108,8 @@ class Displacement:
     def most_smooth(self, low: Corner, high: Corner) -> tuple[float, float]:
         """Return the largest smooth displacement in a rectangle, in mm, and the largest change of one per mm."""
         x, y = np.meshgrid(*(np.linspace(*ends, _ALONG) for ends in zip(low, high, strict=True)))
-        moved, slopes = np.array(self._moved(x, y)), []
+        moved = np.array(self._moved(x, y))
+        slopes = []
         for step in ((_SMALL, 0.0), (0.0, _SMALL)):
             slopes.append((np.array(self._moved(x + step[0], y + step[1])) - moved) / _SMALL)
         # No singular value is larger than the root of the sum of squares.
@@ -130,7 +132,8 @@ class Displacement:
 def deviates(seed: int, i: Any, j: Any) -> tuple[Any, Any, Any]:
     """Return three normal deviates, clipped at `MOST_DEVIATIONS`, for each lens of an array with a given seed."""
     start = int(hashed(np.array([seed], np.uint32))[0])
-    module, deviates = module_of(i), []
+    module = module_of(i)
+    deviates = []
     # Single numbers of NumPy warn where arrays of them wrap round.
     with np.errstate(over="ignore"):
         lens = hashed(hashed(_words(i) ^ start) ^ _words(j))

@@ -140,7 +140,8 @@ class SampledGrid:
         """Return, from other values of the samples, the value of the sample nearest to each offset."""
         (column, u), (row, v) = self._places(x, y)
         module = module_of(u)
-        column, row = column + module.floor(u + 0.5), row + module.floor(v + 0.5)
+        column = column + module.floor(u + 0.5)
+        row = row + module.floor(v + 0.5)
         return take(values.ravel(), row * values.shape[1] + column)
 
     def _places(self, x: Any, y: Any) -> list[tuple[Any, Any]]:
@@ -155,7 +156,8 @@ class SampledGrid:
 
     def _sum(self, x: Any, y: Any, derivative: tuple[int, int]) -> Any:
         (column, u), (row, v) = self._places(x, y)
-        across, up = _weights(u, derivative[0]), _weights(v, derivative[1])
+        across = _weights(u, derivative[0])
+        up = _weights(v, derivative[1])
         total: Any = 0.0
         for down in (0, 1):
             for right in (0, 1):

@@ -33,7 +33,8 @@ from ..runtime import PlainData, known_record, module_of, select, take
 _BLADES = 3, 64
 """Fewest and most blades."""
 
-_CELLS, _POINTS = 512, 4
+_CELLS = 512
+_POINTS = 4
 """Cells across a polygon where cells are asked for, and points across a cell."""
 
 _LARGEST = 512
@@ -90,7 +91,8 @@ class Blades:
 
     def power(self, x: Any, y: Any) -> Any:
         """Return 1 within the polygon."""
-        module, sector = module_of(x), 2 * math.pi / self.count
+        module = module_of(x)
+        sector = 2 * math.pi / self.count
         angle = (dr.atan2 if module is dr else np.arctan2)(y, x) - math.radians(self.angle)
         # From the middle of the nearest side.
         angle = angle - (module.floor(angle / sector) + 0.5) * sector
@@ -98,10 +100,12 @@ class Blades:
 
     def draws(self) -> Callable[[Any], tuple[Any, Any]]:
         """Return a map from the unit square to the triangles between the centre and the sides."""
-        sector, first = 2 * math.pi / self.count, math.radians(self.angle)
+        sector = 2 * math.pi / self.count
+        first = math.radians(self.angle)
 
         def drawn(sample: Any) -> tuple[Any, Any]:
-            scaled, radius = mi.Float(sample[0]) * self.count, dr.sqrt(sample[1])
+            scaled = mi.Float(sample[0]) * self.count
+            radius = dr.sqrt(sample[1])
             side = dr.minimum(dr.floor(scaled), self.count - 1)
             ends = [dr.sincos(first + sector * (side + step)) for step in (0, 1)]
             x, y = (radius * dr.lerp(ends[0][axis], ends[1][axis], scaled - side) for axis in (1, 0))
@@ -156,7 +160,8 @@ class Aperture(PlainData):
     transmission: Any
 
     def __post_init__(self) -> None:
-        name, values = "transmission", read_samples("transmission", self.transmission, {})
+        name = "transmission"
+        values = read_samples("transmission", self.transmission, {})
         rows, columns = values.shape
         refuse_if(
             rows != columns or not 1 <= rows <= _LARGEST,
@@ -187,7 +192,8 @@ class Aperture(PlainData):
         x, y : array
             Coordinates in the camera frame over the radius of the pupil.
         """
-        count, module = len(self.transmission), module_of(x)
+        count = len(self.transmission)
+        module = module_of(x)
         column, row = (
             module.minimum(module.maximum(module.floor((coordinate + 1) * (count / 2)), 0), count - 1)
             for coordinate in (x, y)
@@ -196,7 +202,8 @@ class Aperture(PlainData):
 
     def draws(self) -> Callable[[Any], tuple[Any, Any]]:
         """Return a map from the unit square to the cells, in which points may be beyond the circle."""
-        density, scale = mi.DiscreteDistribution2D(self.transmission.astype(np.float32)), 2 / len(self.transmission)
+        density = mi.DiscreteDistribution2D(self.transmission.astype(np.float32))
+        scale = 2 / len(self.transmission)
 
         def drawn(sample: Any) -> tuple[Any, Any]:
             cell, _, within = density.sample(sample)
@@ -241,7 +248,8 @@ class Apodised:
         density = mi.ContinuousDistribution(mi.ScalarVector2f(0, 1), values)
 
         def drawn(sample: Any) -> tuple[Any, Any]:
-            radius, (sine, cosine) = dr.sqrt(density.sample(sample[0])), dr.sincos(2 * math.pi * sample[1])
+            radius = dr.sqrt(density.sample(sample[0]))
+            (sine, cosine) = dr.sincos(2 * math.pi * sample[1])
             return radius * cosine, radius * sine
 
         return drawn

@@ -10,7 +10,8 @@ from ..array import Lattice, read_samples
 from ..errors import put, refuse_if, require_count, require_pair, suggest_keywords
 from ..runtime import PlainData, known_record, module_of, select, take
 
-_LARGEST, _BRIGHTEST = 4096, 4.0
+_LARGEST = 4096
+_BRIGHTEST = 4.0
 """Most rows and columns of a table, and the largest value."""
 
 _FARTHEST = 10**6
@@ -79,9 +80,11 @@ class LensTransmissions(PlainData):
             Indices of lenses, see `Lattice.cell`.
         """
         assert self.first is not None
-        module, (rows, columns) = module_of(i), self.values.shape
+        module = module_of(i)
+        (rows, columns) = self.values.shape
         along = i + module.floor(j / 2) if lattice.stagger == 2 else i
-        column, row = along - self.first[0], j - self.first[1]
+        column = along - self.first[0]
+        row = j - self.first[1]
         inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
         return select(inside, take(self.values.ravel(), select(inside, row * columns + column, 0)), 1.0)
 

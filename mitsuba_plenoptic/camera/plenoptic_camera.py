@@ -59,7 +59,8 @@ def checked_values(stated: dict[str, Any]) -> dict[str, Any]:
         values[entry.attribute] = None if missing else entry.check(name, value)
 
     # The main lens, and the distance of the array from it.
-    data, focus = values["main_lens"] or THIN, values["focus_distance"]
+    data = values["main_lens"] or THIN
+    focus = values["focus_distance"]
     for name, length in zip(("focal_length", "aperture_radius"), data.own_numbers(values["focal_length"]), strict=True):
         if values[name] is None:
             values[name] = PARAMETERS[name].check(name, length)
@@ -81,7 +82,9 @@ def checked_values(stated: dict[str, Any]) -> dict[str, Any]:
         values |= _settled_array(values)
 
     # The crop window, by default the part of the detector beyond its offset.
-    resolution, offset, size = values["resolution"], values["crop_offset"], values["crop_size"]
+    resolution = values["resolution"]
+    offset = values["crop_offset"]
+    size = values["crop_size"]
     if size is None:
         remaining = tuple(count - first for count, first in zip(resolution, offset, strict=True))
         size = values["crop_size"] = PARAMETERS["crop_size"].check("crop_size", remaining)
@@ -145,7 +148,8 @@ def require_whole(camera: CameraGeometry) -> None:
             rise >= min(camera.detector_distance, camera.mla_distance),
             f"mla_tilt = {camera.mla_tilt}: the array rises by {rise:.3g}: it touches detector or lens",
         )
-    radius, (k1, k2, k3) = np.linspace(0, reach, 64) ** 2, camera.distortion[:3]
+    radius = np.linspace(0, reach, 64) ** 2
+    (k1, k2, k3) = camera.distortion[:3]
     refuse_if(
         np.min(1 + radius * (3 * k1 + radius * (5 * k2 + radius * 7 * k3))) <= 0,
         f"distortion = {camera.distortion}: it folds the image within {reach:.3g} mm of the axis",
@@ -156,7 +160,8 @@ def require_small_warp(camera: CameraGeometry) -> None:
     """Refuse a warp by half a pitch or more, or one that changes lenses' distances much, over the detector."""
     half = np.array([camera.detector_width, camera.detector_height]) / 2
     moved, slope = Displacement(warp=camera.mla_warp).most_smooth(-half, half)
-    most, rule = MOST_WARP * min(camera.mla_pitches), f"mla_warp = {short_repr(camera.mla_warp)}: the displacement"
+    most = MOST_WARP * min(camera.mla_pitches)
+    rule = f"mla_warp = {short_repr(camera.mla_warp)}: the displacement"
     refuse_if(
         not moved < most,
         f"{rule} is up to {moved:.3g} mm over the detector: it must be less than half a pitch, {most:g}",
@@ -433,7 +438,8 @@ class PlenopticCamera(CameraGeometry, Displayed):
         require_choice("pixel_format", pixel_format, ("luminance", "luminance_alpha", "rgb", "rgba", "xyz", "xyza"))
         values = self.to_dict()
         columns, rows = values.pop("resolution")
-        (left, top), (width, height) = values.pop("crop_offset"), values.pop("crop_size")
+        (left, top) = values.pop("crop_offset")
+        (width, height) = values.pop("crop_size")
         sensor: dict[str, Any] = {"type": "plenoptic"}
         for name, value in values.items():
             # Lenses and glasses are JSON, several values have commas between them.
@@ -565,7 +571,8 @@ class PlenopticCamera(CameraGeometry, Displayed):
         grid = np.stack(np.meshgrid(*(np.linspace(low, high, _PLACES) for low, high in edges)))
         shifts = Displacement(chief_rays=self.mla_cra, distance=self.detector_distance, medium=self.mla_medium)
         shift = np.stack(shifts.smooth(*grid))
-        middle, moved = grid.mean((1, 2)), shift.mean((1, 2))
+        middle = grid.mean((1, 2))
+        moved = shift.mean((1, 2))
         about = grid - middle[:, None, None]
         stretch = 1 + (about * shift).sum() / (about**2).sum()
         return self.replace(

@@ -56,7 +56,8 @@ def _sheet_of(stated: Mapping[str, Any], of_sheet: list[str], varied: Mapping[st
     refuse_if(
         not camera.has_array, f"{of_sheet[0]}: the camera has no microlens array, and no such data sheet{instead}"
     )
-    width, pitch = camera.micro_image_diameter, camera.micro_image_pitch
+    width = camera.micro_image_diameter
+    pitch = camera.micro_image_pitch
     refuse_if(
         abs(width / pitch - 1) > _TOUCHING or camera.is_cropped,
         f"{of_sheet[0]}: micro-images of {width:.4g} mm are {pitch:.4g} mm apart: {', '.join(MATCHED)} state whole "

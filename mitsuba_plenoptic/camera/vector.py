@@ -51,7 +51,8 @@ def change_of(camera: PlenopticCamera, name: str, change: Any) -> Array:
 
     Coefficients beyond those given do not change.
     """
-    numbers, form = np.ravel(change), PARAMETERS[name].form
+    numbers = np.ravel(change)
+    form = PARAMETERS[name].form
     size = size_of(camera, name)
     if form is Form.NUMBERS and len(numbers) < size:
         return np.pad(numbers, (0, size - len(numbers)))
@@ -97,7 +98,8 @@ class CameraVector:
         """
         components = []
         for name in names:
-            count, entry = len(parts_of(camera, name)), PARAMETERS[name]
+            count = len(parts_of(camera, name))
+            entry = PARAMETERS[name]
             if entry.form is Form.SEVERAL and len(shortest_parts(camera, name)) == 1:
                 components.append(Component(name, tuple(range(count)), name))
                 continue
@@ -143,8 +145,10 @@ class CameraVector:
 
         Bounds of other parameters, in the wrong order, or that exclude the camera are refused.
         """
-        labels, start = self.labels, self.values
-        low, high = start - _FARTHEST * self.scales, start + _FARTHEST * self.scales
+        labels = self.labels
+        start = self.values
+        low = start - _FARTHEST * self.scales
+        high = start + _FARTHEST * self.scales
         for index, component in enumerate(self.components):
             highest = PARAMETERS[component.name].highest
             high[index] = high[index] if highest is None else highest

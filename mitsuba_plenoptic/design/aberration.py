@@ -11,7 +11,9 @@ from ..errors import require_wavelength
 from ..lenses import main_lens
 from .quantities import best_distances
 
-_RINGS, _SPOKES, _HEIGHTS = 33, 24, 5
+_RINGS = 33
+_SPOKES = 24
+_HEIGHTS = 5
 """Radii and angles on the pupil, and image heights from the axis to the farthest pixel."""
 
 _FAR = 1e4
@@ -54,7 +56,8 @@ def parabolic_aberration(camera: PlenopticCamera, wavelength: float) -> float:
 
 def _peak_to_valley(camera: PlenopticCamera, distance: float, wavelength: float) -> float:
     """Return the difference between greatest and smallest path over the pupil, for points at a distance."""
-    square, angle = np.linspace(0, 1, _RINGS)[:, None], 2 * math.pi * np.arange(_SPOKES) / _SPOKES
+    square = np.linspace(0, 1, _RINGS)[:, None]
+    angle = 2 * math.pi * np.arange(_SPOKES) / _SPOKES
     x, y = (camera.aperture_radius * (np.sqrt(square) * turn(angle)).ravel() for turn in (np.cos, np.sin))
     # By the trapezoidal rule over the area.
     weights = np.repeat(np.where(square % 1 == 0, 0.5, 1.0).ravel(), _SPOKES)
@@ -70,6 +73,7 @@ def _peak_to_valley(camera: PlenopticCamera, distance: float, wavelength: float)
     def rest(values: np.ndarray) -> np.ndarray:
         return values - plane @ np.linalg.lstsq(scale * plane, scale * values, rcond=None)[0]
 
-    path, defocus = rest((parabolic - ideal).T), rest((x * x + y * y)[:, None])
+    path = rest((parabolic - ideal).T)
+    defocus = rest((x * x + y * y)[:, None])
     path -= defocus * (weights @ (path * defocus)).sum() / (_HEIGHTS * (weights @ defocus**2).sum())
     return float(np.ptp(path, axis=0).max())

@@ -101,13 +101,15 @@ def resolution_limit(camera: PlenopticCamera, distance: float, wavelength: float
         behind = _in_the_stops_image if objective.images_stop else _behind_objective
         return behind(camera, objective, require_number("distance", distance), wavelength)
     image_distance(camera.focal_length, require_number("distance", distance, finite=False))
-    b, defocus = camera.mla_distance, abs(camera.defocus(distance))
+    b = camera.mla_distance
+    defocus = abs(camera.defocus(distance))
     # From the MLA, seen from the main lens's centre, to the object plane.
     scale = 1.0 if math.isinf(distance) else distance
     width = camera.lattice.aperture_width
     pixel = pixel_footprint(camera, distance) * scale / b
     pixels = 1 / (2 * pixel) if pixel > 0 else math.inf
-    waves, shallow = math.inf, max(camera.mla_pitches)
+    waves = math.inf
+    shallow = max(camera.mla_pitches)
     in_focus = camera.blur_diameter(distance) < shallow
     if wavelength is not None:
         lam = in_millimetres(wavelength)
@@ -124,10 +126,13 @@ def _behind_objective(
     camera: PlenopticCamera, lens: Objective, depth: float, wavelength: float | None
 ) -> ResolutionLimit:
     r"""Return the limit of a microscope, :math:`n w / 0.94 \lambda M d` or :math:`n z / 2 M p d`, at most 2 NA."""
-    M, n, d = lens.magnification, lens.immersion, abs(depth)
+    M = lens.magnification
+    n = lens.immersion
+    d = abs(depth)
     width = camera.lattice.aperture_width
     pixels = n * camera.reduced_distance / (2 * M * camera.pixel_size * d) if d > 0 else math.inf
-    waves, in_focus = math.inf, camera.blur_diameter(depth) < max(camera.mla_pitches)
+    waves = math.inf
+    in_focus = camera.blur_diameter(depth) < max(camera.mla_pitches)
     if wavelength is not None:
         lam = in_millimetres(wavelength)
         waves = min(n * width / (_SPARROW * lam * M * d) if d > 0 else math.inf, 2 * lens.numerical_aperture / lam)
@@ -139,7 +144,8 @@ def _in_the_stops_image(
     camera: PlenopticCamera, lens: Objective, depth: float, wavelength: float | None
 ) -> ResolutionLimit:
     """Return the resolution limit of the Fourier arrangement, which excludes no range around the plane in focus."""
-    pixels, waves = 1 / (2 * camera.bin_size(depth)), math.inf
+    pixels = 1 / (2 * camera.bin_size(depth))
+    waves = math.inf
     aperture = lens.magnification * camera.lattice.aperture_width / lens.last_focal_length
     blur = aperture * abs(depth) / lens.immersion
     if wavelength is not None:

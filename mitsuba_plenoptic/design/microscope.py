@@ -69,7 +69,8 @@ def depth_of_field(camera: PlenopticCamera, wavelength: float | None = None) -> 
     ranges: list[tuple[float, float]] = []
     for focus, a in zip(focus_types(camera), mla_object_distances(camera), strict=True):
         if lens.images_stop:
-            scale, slack = lens.immersion * (lens.last_focal_length / lens.magnification) ** 2, vergence_slack
+            scale = lens.immersion * (lens.last_focal_length / lens.magnification) ** 2
+            slack = vergence_slack
             ranges += [(-scale * (1 / a + slack(camera, wavelength)), -scale * (1 / a - slack(camera, wavelength)))]
             continue
         # Diameter of a point's light on the array for each millimetre of depth.

@@ -298,7 +298,8 @@ def refocus_range(camera: PlenopticCamera, wavelength: float | None = None) -> t
         twice = -2 * a / (camera.mla_distance - 2 * a)
         ends += [-slack, slack] if focus == "unfocused" else [0.0, min(max(twice, -slack), slack)]
     base = camera.mla_distance / camera.focal_length - 1
-    near, far = base + max(ends), base + min(ends)
+    near = base + max(ends)
+    far = base + min(ends)
     return (
         camera.mla_distance / near if near > 0 else math.inf,
         camera.mla_distance / far if far > 0 else math.inf,
@@ -486,7 +487,8 @@ def crosstalk_lenses(camera: PlenopticCamera) -> int:
 
 def _crosstalk(camera: PlenopticCamera) -> tuple[float, float, float]:
     """Return roughly how many lenses light a pixel, and the `reach` and `smear` of `Lattice.neighbours` for them."""
-    lattice, growth = camera.lattice, pupil_growth(camera)
+    lattice = camera.lattice
+    growth = pupil_growth(camera)
     reach = main_lens(camera).reach / growth
     smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths) / growth
     covered = math.pi * (reach + smear * lattice.aperture_reach + max(camera.mla_pitches)) ** 2

@@ -105,7 +105,8 @@ def in_millimetres(camera: PlenopticCamera) -> Changes:
 
 def least_change(change: Callable[[float], Changes], camera: PlenopticCamera, good: Callable[[Any], bool]) -> Changes:
     """Return the changes at the greatest factor below 1, to a thousandth, at which the camera is good."""
-    low, high = 0.0, 1.0
+    low = 0.0
+    high = 1.0
     for _ in range(12):
         middle = (low + high) / 2
         changed = changed_camera(camera, change(middle))

@@ -67,13 +67,15 @@ def mended(camera: PlenopticCamera, wavelength: float | None = None) -> Plenopti
     wavelength : float, optional
         Wavelength in nanometres, for warnings about diffraction.
     """
-    best, fewest = camera, math.inf
+    best = camera
+    fewest = math.inf
     tried = [camera]
     # The list grows as it is gone through: all cameras of one change come before those of two.
     for candidate in tried:
         findings = list(_findings(candidate, wavelength))
         if len(findings) < fewest:
-            best, fewest = candidate, len(findings)
+            best = candidate
+            fewest = len(findings)
         if not findings:
             break
         for finding in findings:
@@ -119,10 +121,12 @@ def _is_dual(camera: PlenopticCamera) -> bool:
 
 def _sizes(camera: PlenopticCamera) -> Iterator[Finding]:
     """Yield findings about the sizes of micro-images."""
-    diameter, pitch = camera.micro_image_diameter, micro_image_distance(camera)
+    diameter = camera.micro_image_diameter
+    pitch = micro_image_distance(camera)
     # The stop for which the micro-images just touch, and the distance of the detector.
     touching = camera.aperture_diameter * pitch / diameter
-    width, lens = 2 * camera.pupil_radius, camera.lattice.nearest_distance
+    width = 2 * camera.pupil_radius
+    lens = camera.lattice.nearest_distance
     microlenses = detector_at(camera, lens * camera.pupil_distance / (width - lens)) if width > lens else None
     stop = {"aperture_radius": touching / 2}
     if diameter > pitch * (1 + SINGLE):
@@ -142,7 +146,9 @@ def _sizes(camera: PlenopticCamera) -> Iterator[Finding]:
             ),
         )
     elif focus_type(camera) != "unfocused" and _rims_overlap(camera):
-        z, radius, fill = camera.reduced_distance, camera.aperture_radius, camera.mla_fill
+        z = camera.reduced_distance
+        radius = camera.aperture_radius
+        fill = camera.mla_fill
 
         def apart(changed: PlenopticCamera) -> bool:
             return not _rims_overlap(changed)
@@ -201,7 +207,8 @@ def _gaps(camera: PlenopticCamera) -> dict[float, float]:
 
 def _seeing_farther(camera: PlenopticCamera) -> Changes:
     """Return the detector distance in mm, nearer the microlenses' focal length, at which lenses leave no gaps."""
-    (a, *others), pitch = mla_object_distances(camera), max(camera.mla_pitches)
+    (a, *others) = mla_object_distances(camera)
+    pitch = max(camera.mla_pitches)
     if others:
         # Of several types one sees the main lens where it is in focus, and farther than all where it nearly is.
         blurs = (sign * blur for blur in (1.5, 3, 6, 12) for sign in (1, -1))

@@ -76,7 +76,9 @@ def behind_detector(film: Any, detector: DetectorOperator) -> Any:
         def to_string(self) -> str:
             return str(film)
 
-    size, crop, offset = film.size(), film.crop_size(), film.crop_offset()
+    size = film.size()
+    crop = film.crop_size()
+    offset = film.crop_offset()
     props = mi.Properties("detector_film")
     for axis, side in enumerate(("width", "height")):
         props[side], props[f"crop_{side}"] = int(size[axis]), int(crop[axis])

@@ -141,9 +141,11 @@ def variance_left(
 def _times(image: NDArray[Any], factors: NDArray[np.float64]) -> NDArray[Any]:
     """Return an image times the factors of its squares of 2 x 2 pixels."""
     rows, columns = image.shape
-    wide, result = factors.repeat(2, 1)[:, :columns], np.empty_like(image)
+    wide = factors.repeat(2, 1)[:, :columns]
+    result = np.empty_like(image)
     for first in range(2):
-        factor, target = wide[: (rows + 1 - first) // 2], result[first::2]
+        factor = wide[: (rows + 1 - first) // 2]
+        target = result[first::2]
         np.multiply(image[first::2], factor, out=target, casting="same_kind")
     return result
 

@@ -18,7 +18,8 @@ SHARP: dict[str, Any] = {"detector_blur": 0.0, "pixel_crosstalk": 0.0, "stray_li
 """Parameters of a camera whose pixels record the light that falls on them."""
 
 # Standard deviations at which a Gaussian kernel ends, and the width in pixels of a Gaussian whose samples are 1.
-_KERNEL_REACH, _NARROWEST = 6, 0.02
+_KERNEL_REACH = 6
+_NARROWEST = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +94,8 @@ def _correlated(image: Any, kernel: tuple[float, ...], axis: int) -> Any:
     if isinstance(image, np.ndarray):
         return scipy.ndimage.correlate1d(image, kernel, axis, mode="reflect")
     # A sum of shifted images: `dr.convolve` keeps arrays that `dr.freeze` does not know.
-    size, stride = image.shape[axis], math.prod(image.shape[axis + 1 :])
+    size = image.shape[axis]
+    stride = math.prod(image.shape[axis + 1 :])
     index = dr.arange(dr.uint32_array_t(dr.array_t(image)), math.prod(image.shape))
     position = index // stride % size
     total = dr.zeros(dr.array_t(image), len(index))

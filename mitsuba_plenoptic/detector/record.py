@@ -24,7 +24,8 @@ from ..errors import (
 from ..io import Capture, recording_of, require_demosaiced
 
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
-_SMALLEST, _LARGEST = 1e-9, 1e9
+_SMALLEST = 1e-9
+_LARGEST = 1e9
 
 # Values of the image that are exposed at once, at most.
 _CHUNK = 2**22
@@ -93,7 +94,8 @@ class Detector:
             read_noise=require_number("read_noise", self.read_noise, minimum=0, maximum=_LARGEST),
             bits=require_count("bits", self.bits, maximum=16),
         )
-        top, black = 2**self.bits - 1, self.black_level
+        top = 2**self.bits - 1
+        black = self.black_level
         if black is None:
             noise = math.hypot(self.read_noise, math.sqrt(self.dark_electrons))
             scale = top / self.full_well if self.gain is None else _positive("gain", self.gain)
@@ -186,7 +188,8 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     generator = np.random.default_rng(seed)
     require_demosaiced(capture)
     refuse_if(recording_of(capture), "capture: a detector has recorded it already; expose what was rendered")
-    image, wavelength = capture.image, capture.wavelength
+    image = capture.image
+    wavelength = capture.wavelength
     extra: dict[str, Any] = {}
     if detector.mosaic is not None:
         refuse_if(
@@ -194,9 +197,11 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
             f"mosaic = {detector.mosaic}: the capture has 1 channel: filters need three",
         )
         image = np.take_along_axis(image, filters(capture.camera, detector.mosaic)[..., None], 2)[..., 0]
-        extra, wavelength = {"wavelength": wavelength}, None
+        extra = {"wavelength": wavelength}
+        wavelength = None
     assert detector.gain is not None and detector.black_level is not None
-    result, saturated = np.empty_like(image), 0
+    result = np.empty_like(image)
+    saturated = 0
     rows = max(1, _CHUNK // (image[0].size))
     for start in range(0, len(image), rows):
         light = image[start : start + rows].astype(np.float64)

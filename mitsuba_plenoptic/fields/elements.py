@@ -31,8 +31,11 @@ class Element:
         along_y: fft.Field | None = None,
         samples: fft.Field | None = None,
     ) -> None:
-        self._step, self._function, self._samples = step, function, samples
-        self.along_x, self.along_y = along_x, along_y
+        self._step = step
+        self._function = function
+        self._samples = samples
+        self.along_x = along_x
+        self.along_y = along_y
         self._lit = np.ones(step.y.count, bool) if along_y is None else active_backend().to_host(along_y) != 0
 
     @classmethod
@@ -49,7 +52,8 @@ class Element:
     @classmethod
     def by_orders(cls, step: Step, array: MicrolensArray, cosine: float) -> Element:
         """Return the microlenses without the diffraction orders beyond a direction, which the samples would alias."""
-        lines, plane = {}, None
+        lines = {}
+        plane = None
         for factor in array.factors(cosine):
             if len(factor.axes) == 2:
                 plane = factor.at
@@ -122,7 +126,8 @@ def converging(
     subset: tuple[int, int] | None = None,
 ) -> Element:
     """Return the element that makes detector light converge to the centres of all lenses, or of a subset."""
-    b, z = camera.mla_distance, camera.reduced_distance
+    b = camera.mla_distance
+    z = camera.reduced_distance
 
     def phase(x: Any, y: Any) -> Any:
         index = camera.lattice.cell(*(rays.chief_point(p, b, z) for p in (x, y)))

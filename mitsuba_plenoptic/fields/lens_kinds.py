@@ -88,7 +88,8 @@ class LensKinds:
 
     def number(self, i: Any, j: Any, height: Any) -> Any:
         """Return the index of each lens's kind."""
-        camera, types = self.camera, len(self.camera.mla_focal_lengths)
+        camera = self.camera
+        types = len(self.camera.mla_focal_lengths)
         kind = mi.UInt32(camera.lattice.lens_type(i, j)) if types > 1 else mi.UInt32(0)
         if len(self._ratios) > 1:
             kind += types * _nearest(camera.focal_factor(i, j), self._ratios)

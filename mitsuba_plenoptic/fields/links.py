@@ -105,8 +105,11 @@ class Hop:
 
     def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
         """Yield the field at the destination samples, from the field at the source samples."""
-        x, y, space = self.step.x, self.step.y, self._space
-        pitches, shift = (x.window / x.held, y.window / y.held), (x.start - x.first, y.start - y.first)
+        x = self.step.x
+        y = self.step.y
+        space = self._space
+        pitches = (x.window / x.held, y.window / y.held)
+        shift = (x.start - x.first, y.start - y.first)
         directions = to_directions(source, self._element, self.step, workspace)
         watch = self._check and Watch(self.step, self._check)
 
@@ -121,7 +124,8 @@ class Hop:
 
     def adjoint(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
         """Yield the adjoint at the source samples, from a field at the destination samples."""
-        x, y = self.step.x, self.step.y
+        x = self.step.x
+        y = self.step.y
         scale = x.new_padded * y.new_padded / (x.padded * y.padded)
         for rows, samples in Hop(self.step.reversed, self._space.back).forward(gradient, workspace):
             yield rows, self._element.back(rows, samples, scale)
@@ -152,7 +156,8 @@ class FromSpectrum:
     """The way back of `Spectrum`, to the destination samples of a step; `check` is called as by `Hop`."""
 
     def __init__(self, step: Step, check: Callable[[Watch], None]) -> None:
-        self.step, self._check = step, check
+        self.step = step
+        self._check = check
 
     def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
         """Yield the field at the destination samples, from its frequencies."""
@@ -179,7 +184,9 @@ class Fresnel:
         def curved(x: Any, y: Any) -> Any:
             return phasor(parabola(x * x + y * y, -distance, wavelength))
 
-        self.step, self._count, self._positive = step, step.x.held, (step.y.held + 1) // 2
+        self.step = step
+        self._count = step.x.held
+        self._positive = (step.y.held + 1) // 2
         self._spectrum = Spectrum(step, Element.separated(step, curved, (0.0, 0.0)))
         asarray = active_backend().arrays.asarray
         self._along_x, self._along_y = (
@@ -190,7 +197,8 @@ class Fresnel:
 
     def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
         """Yield lines of the field on the second plane, in any order, from the field on the first."""
-        positive, middle = self._positive, len(self._along_y) - self._positive
+        positive = self._positive
+        middle = len(self._along_y) - self._positive
         for mine, rows_of in self._spectrum.forward(source, workspace):
             lines = workspace.array("lines", (workspace.block, rows_of.shape[1]))[: len(rows_of)]
             np.multiply(rows_of[:, :positive], self._along_y[middle:], out=lines[:, middle:])
@@ -215,7 +223,10 @@ class Fresnel:
 
 def to_directions(source: Rows, element: Element, step: Step, workspace: FieldWorkspace) -> Rows:
     """Yield the lowest frequencies of a field behind an element, as contiguous blocks (some along x, all along y)."""
-    x, y, columns, arrays = step.x, step.y, workspace.columns(step), workspace.libraries.arrays
+    x = step.x
+    y = step.y
+    columns = workspace.columns(step)
+    arrays = workspace.libraries.arrays
     rows_of = workspace.array("rows", (workspace.block, x.padded))
     low, high = _lowest(x.padded, x.held)
     end = 0
@@ -243,14 +254,17 @@ def to_directions(source: Rows, element: Element, step: Step, workspace: FieldWo
         rows_cut = workspace.fft(rows_cut)
         if y.held < y.padded:
             cut = spectrum[: mine.stop - mine.start]
-            cut[:, : low.stop], cut[:, low.stop :] = rows_cut[:, low], rows_cut[:, high]
+            cut[:, : low.stop] = rows_cut[:, low]
+            cut[:, low.stop :] = rows_cut[:, high]
             rows_cut = cut
         yield mine, rows_cut
 
 
 def from_directions(spectrum: Rows, step: Step, workspace: FieldWorkspace, watch: Watch | None = None) -> Rows:
     """Yield the field at the destination samples of a step, from its lowest frequencies as `to_directions` has them."""
-    x, y, columns = step.x, step.y, workspace.columns(step)
+    x = step.x
+    y = step.y
+    columns = workspace.columns(step)
     for mine, rows_cut in spectrum:
         whole = _from_lowest(rows_cut, y, workspace)
         if watch:
@@ -273,7 +287,8 @@ def _from_lowest(rows_cut: fft.Field, axis: AxisStep, workspace: FieldWorkspace)
         low, high = _lowest(axis.new_padded, axis.held)
         wide = workspace.array("wide", (len(rows_cut), axis.new_padded))
         wide[:, low.stop : high.start] = 0
-        wide[:, low], wide[:, high] = rows_cut[:, : low.stop], rows_cut[:, low.stop :]
+        wide[:, low] = rows_cut[:, : low.stop]
+        wide[:, high] = rows_cut[:, low.stop :]
         rows_cut = wide
     return workspace.fft(rows_cut, inverse=True)
 

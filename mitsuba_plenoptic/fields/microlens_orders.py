@@ -74,8 +74,11 @@ class ArrayFactor(ABC):
     _precision: type = np.complex64  # dtype of the transforms that compute its tables
 
     def __init__(self, camera: PlenopticCamera, axes: tuple[int, ...], shape: tuple[int, ...]) -> None:
-        lattice, types = camera.lattice, len(camera.mla_focal_lengths)
-        self._camera, self.axes, self._shape = camera, axes, shape
+        lattice = camera.lattice
+        types = len(camera.mla_focal_lengths)
+        self._camera = camera
+        self.axes = axes
+        self._shape = shape
         self.periods = [lattice.period(types)[axis] for axis in axes]
         self._tables: dict[ArrayParameter | None, Any] = {}
 
@@ -85,7 +88,8 @@ class ArrayFactor(ABC):
 
     def at(self, *coordinates: Any, parameter: ArrayParameter | None = None) -> Any:
         """Return the factor, or its derivative, at Dr.Jit float64 coordinates along its axes, as Complex2f."""
-        types, camera = fft.array_types(coordinates[0]), self._camera
+        types = fft.array_types(coordinates[0])
+        camera = self._camera
         if camera.lattice.displacement is not None:
             # No factor of such an array is of one coordinate.
             coordinates = camera.lattice.in_regular_array(*coordinates)
@@ -101,7 +105,8 @@ class ArrayFactor(ABC):
         nodes = [_node(*axis_numbers) for axis_numbers in zip(places, self.periods, self._shape[::-1], strict=True)]
         terms: list[Any] = [(0, 1)]
         for (node, fraction), count in zip(nodes[::-1], self._shape, strict=True):
-            row_length, remainder = dr.opaque(types.UInt32, count + 2), 1 - fraction
+            row_length = dr.opaque(types.UInt32, count + 2)
+            remainder = 1 - fraction
             weights = enumerate((remainder**2 / 2, 0.5 + fraction * remainder, fraction**2 / 2))
             terms = [
                 (coordinate * row_length + node + step, share * weight)
@@ -125,7 +130,8 @@ class ArrayFactor(ABC):
         padded[(slice(1, -1),) * table.ndim] = table
         for axis in range(table.ndim):
             lines = np.moveaxis(padded, axis, 0)
-            lines[0], lines[-1] = lines[-2], lines[1]
+            lines[0] = lines[-2]
+            lines[-1] = lines[1]
         return drjit_array(array_module().UInt64, fft.as_words(padded))
 
     def _by_position(self, orders: NDArray[Any], axis: int) -> NDArray[Any]:
@@ -193,7 +199,9 @@ class PlaneFactor(ArrayFactor):
         self, camera: PlenopticCamera, wavelength: float, cosine: float, fine: int = ACCURACY.edge_samples
     ) -> None:
         sides = camera.lattice.period(len(camera.mla_focal_lengths))
-        self._wavelength, self._cosine, self._fine = wavelength, cosine, fine
+        self._wavelength = wavelength
+        self._cosine = cosine
+        self._fine = fine
         self._counts = [int(cosine / in_millimetres(wavelength) * side) for side in sides[::-1]]
         super().__init__(
             camera, (0, 1), tuple(fft.fast_length(ACCURACY.order_samples[1] * max(count, 1)) for count in self._counts)
@@ -210,7 +218,8 @@ class PlaneFactor(ArrayFactor):
             return self._by_position(plain, axis)
         if name == "fresnel":
             return -1j * math.pi * self._moment(axis, 2, lens_type)
-        camera, pitch = self._camera, self._camera.mla_pitches[axis]
+        camera = self._camera
+        pitch = self._camera.mla_pitches[axis]
         result = plain - self._by_position(self._moment(axis, 1, None), axis) / (self.periods[axis] / pitch)
         for type_index, length in enumerate(camera.reduced_focal_lengths):
             fresnel = pitch**2 / (in_millimetres(self._wavelength) * length)
@@ -226,8 +235,11 @@ class PlaneFactor(ArrayFactor):
 
     def _transformed(self, axis: int, power: int, lens_type: int | None) -> NDArray[np.complex64]:
         """Return the orders of one period from fine samples; orders beyond the largest direction are zero."""
-        camera, sides, wave = self._camera, self.periods, in_millimetres(self._wavelength)
-        highest, pitch = self._cosine / wave, min(camera.mla_pitches)
+        camera = self._camera
+        sides = self.periods
+        wave = in_millimetres(self._wavelength)
+        highest = self._cosine / wave
+        pitch = min(camera.mla_pitches)
         fine = max(self._fine, math.ceil(ACCURACY.wave_samples * highest * pitch))
         table = math.prod(side * highest * ACCURACY.order_samples[1] for side in sides)
         check_memory(
@@ -275,7 +287,8 @@ class MicrolensArray:
     """
 
     def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
-        self._camera, self._wavelength = camera, wavelength
+        self._camera = camera
+        self._wavelength = wavelength
         self._factors: dict[tuple[Any, float], list[ArrayFactor]] = {}
         self.axes = factor_axes(camera)
 

@@ -88,7 +88,8 @@ class Step:
     @property
     def transforms(self) -> tuple[tuple[int, int, bool], ...]:
         """Fourier transforms of the step, in order: their number, length, and whether they are inverse."""
-        x, y = self.x, self.y
+        x = self.x
+        y = self.y
         return (
             (y.count, x.padded, False),
             (x.held, y.padded, False),

@@ -51,7 +51,8 @@ def upright(camera: PlenopticCamera) -> PlenopticCamera:
     """Return the camera in the frame that is rotated with the lattice about the axis."""
     if not camera.mla_rotation:
         return camera
-    moved, warp = camera.lattice.displacement, camera.mla_warp
+    moved = camera.lattice.displacement
+    warp = camera.mla_warp
     return camera.replace(
         mla_rotation=0.0,
         mla_offset=turn(*camera.mla_offset, -camera.mla_rotation),
@@ -62,7 +63,8 @@ def upright(camera: PlenopticCamera) -> PlenopticCamera:
 def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> Any:
     """Return the transmission with all orders, as Complex2f, at Dr.Jit float64 positions in millimetres."""
     types = fft.array_types(x)
-    lattice, lengths = opaque_lattice(camera, types), types.Float64(camera.reduced_focal_lengths)
+    lattice = opaque_lattice(camera, types)
+    lengths = types.Float64(camera.reduced_focal_lengths)
     dr.make_opaque(lengths)
     cell = lattice.cell(x, y)
     lens = camera.lenslet(*cell, lattice, lengths)

@@ -20,8 +20,10 @@ class Watch:
     """
 
     def __init__(self, step: Step, check: Callable[[Watch], None]) -> None:
-        x, y = step.x, step.y
-        self._step, self._check = step, check
+        x = step.x
+        y = step.y
+        self._step = step
+        self._check = check
         self._inner = np.abs(frequencies_of(x.held)) <= 1 - EDGE
         high = np.flatnonzero(np.abs(frequencies_of(y.held)) > 1 - EDGE)
         # The high frequencies are in the middle.
@@ -37,7 +39,8 @@ class Watch:
         """Yield the blocks of a spectrum: lines along y, of some frequencies along x."""
         to_host = active_backend().to_host
         for lines, block in spectrum:
-            whole, high = to_host(power_by_row(block)), to_host(power_by_row(block[:, self._high]))
+            whole = to_host(power_by_row(block))
+            high = to_host(power_by_row(block[:, self._high]))
             self._total += float(whole.sum())
             self._at_edge += float(np.where(self._inner[lines], high, whole).sum())
             yield lines, block

@@ -20,10 +20,12 @@ A block holds until the next one is asked for, and who takes it may overwrite it
 """
 
 # Rows that are transformed together: in the processor's cache, or enough to keep a CUDA device busy.
-_BLOCK, _CUDA_BLOCK = 64, 4096
+_BLOCK = 64
+_CUDA_BLOCK = 4096
 
 # Columns whose distance is a multiple of the page size would map to the same few cache lines during transposition.
-_PAGE, _STAGGER = 512, 24
+_PAGE = 512
+_STAGGER = 24
 
 
 _RETAINED = 2**29
@@ -45,7 +47,8 @@ class FieldWorkspace:
     ) -> None:
         self.libraries = active_backend()
         self.block = _CUDA_BLOCK if self.libraries.is_cuda else _BLOCK
-        self._transformed, self._report = 0, report
+        self._transformed = 0
+        self._report = report
         self._buffers = {} if buffers is None else buffers
         columns, rows = (max(sizes) for sizes in zip(*(step.columns for step in steps), strict=True))
         self._columns = self.array("columns", (columns, rows + -rows % _PAGE + _STAGGER))

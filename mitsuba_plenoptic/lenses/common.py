@@ -52,7 +52,8 @@ def convergence(lens: MainLens, distance: Any) -> Any:
 
 def cone(lens: MainLens, distances: Any) -> float:
     """Return half the range of direction cosines of a point's light at the MLA, the largest over `distances`."""
-    radius, distance = lens.pupil.radius, lens.pupil.distance
+    radius = lens.pupil.radius
+    distance = lens.pupil.distance
     if not lens.pupil.finite:
         return float(radius / distance)
     return float(radius) * float(np.abs(convergence(lens, distances)).max(initial=1 / distance))
@@ -93,7 +94,8 @@ def path_change(lens: MainLens, radius: Any, step: Any, wavelength: float) -> An
     """
     if not lens.is_uniform:
         return cast("FittedLens", lens).path_change(radius, step, wavelength)
-    a, b = lens.pupil.radius, lens.pupil.distance
+    a = lens.pupil.radius
+    b = lens.pupil.distance
     return lens.pupil.finite * a * (a * a + 3 * radius * radius) * step / (2 * b**3 * in_millimetres(wavelength))
 
 

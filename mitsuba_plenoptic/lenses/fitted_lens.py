@@ -100,7 +100,8 @@ class FittedLens:
         self, points: NDArray[np.float64], index: Any = None, changes: Sequence[tuple[Any, LensChange]] = ()
     ) -> LensLight:
         """Return the light of some points, as `MainLens.bind` does, with gradients of each amount of a change."""
-        fitted, pupils = self.fitted, self.fitted.pupils
+        fitted = self.fitted
+        pupils = self.fitted.pupils
         field, inverse_distance = pupils.field(points)
 
         def lanes(column: NDArray[np.float64]) -> Any:
@@ -161,7 +162,8 @@ class FittedLens:
 
     def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the scene points (n, 3) with given images and inverse distances."""
-        pupils, distance = self.fitted.pupils, 1 / inverse_distance
+        pupils = self.fitted.pupils
+        distance = 1 / inverse_distance
         depth = distance + pupils.entrance
         field = -images * (pupils.magnification / self.pupil.distance)
         reached = field
@@ -180,7 +182,8 @@ class FittedLens:
     @functools.cached_property
     def _covered(self) -> float:
         """Distance in mm from the axis up to which light from points at every distance reaches the array."""
-        scales, entrance = self.fitted.aberration.scales, self.fitted.pupils.entrance
+        scales = self.fitted.aberration.scales
+        entrance = self.fitted.pupils.entrance
         distances = [
             min(1 / max(near, 1e-300), FAR) for near in (scales.middle - scales.half, scales.middle + scales.half)
         ]
@@ -193,7 +196,8 @@ class FittedLens:
         The motion of vignetting edges contributes, too.
         """
         positions, paths, edges = self._changes
-        path, edge = np.interp(radius, positions, paths), np.interp(radius, positions, edges)
+        path = np.interp(radius, positions, paths)
+        edge = np.interp(radius, positions, edges)
         across = ACCURACY.edge_weight * edge * step / self.pupil.distance
         return (ACCURACY.path_weight * path + across) * (step / in_millimetres(wavelength))
 
@@ -210,13 +214,15 @@ class FittedLens:
         x, y = (
             circle[:, None] * (np.arange(1, ACCURACY.compared_radii + 1) / ACCURACY.compared_radii)[:, None]
         ).reshape(2, 1, -1)
-        heights, middle = np.linspace(0, scales.field, ACCURACY.compared_fields), (0.0, 0.0)
+        heights = np.linspace(0, scales.field, ACCURACY.compared_fields)
+        middle = (0.0, 0.0)
         positions, paths, edges = np.zeros((3, ACCURACY.compared_fields))
         for inverse_distance in scales.middle + scales.half * np.array([-1.0, 0.0, 1.0]):
             distance = 1 / (inverse_distance or 1e-12)
             points = np.column_stack([0 * heights, heights * distance, np.full(ACCURACY.compared_fields, distance)])
             points[:, 2] += self.fitted.pupils.entrance
-            images, here = self.images(points), self.bind(points)
+            images = self.images(points)
+            here = self.bind(points)
             positions = np.maximum(positions, np.hypot(*images.T))
             step = 1e-3 * float(np.hypot(*images.T).max())
             edge = here.inside((x, y))
@@ -247,7 +253,8 @@ def open_area(lens: FittedLens, points: NDArray[np.float64]) -> NDArray[np.float
 
 def places(lens: FittedLens) -> tuple[float, float, Pair]:
     """Return the sampling step on the exit pupil, the width of softened edges, and the sample positions."""
-    step, beyond = 2 * lens.reach / ACCURACY.area_samples, round(ACCURACY.area_edge)
+    step = 2 * lens.reach / ACCURACY.area_samples
+    beyond = round(ACCURACY.area_edge)
     axis = (np.arange(-beyond, ACCURACY.area_samples + beyond) + 0.5) * step - lens.reach
     x, y = (plane.reshape(1, -1) for plane in np.meshgrid(axis, axis))
     return step, ACCURACY.area_edge * step, (x, y)
@@ -269,7 +276,8 @@ def at_all(
         parts = [measured(points[first : first + _TOGETHER]) for first in range(0, len(points), _TOGETHER)]
         return np.concatenate([np.empty(0), *parts])
     field, inverse_distance = lens.fitted.pupils.field(points)
-    heights, scales = np.hypot(*field.T), lens.fitted.aberration.scales
+    heights = np.hypot(*field.T)
+    scales = lens.fitted.aberration.scales
     # The ranges are widened so that they are never empty.
     axes = (
         np.linspace(0, heights.max() + 1e-9 * scales.field, ACCURACY.area_fields),
@@ -300,7 +308,8 @@ def lens_change(lens: FittedLens, name: str) -> LensChange:
     """Return the derivatives of a fitted lens with respect to one of `LENS_NUMBERS`, cached by the lens."""
     if name in lens.changes:
         return lens.changes[name]
-    system, fitted = lens.system, lens.fitted
+    system = lens.system
+    fitted = lens.fitted
     scales = fitted.aberration.scales
     step = ACCURACY.derivative_step * float(getattr(system, name))
     sides = [replace(system, **{name: getattr(system, name) + amount}) for amount in (step, -step)]
@@ -315,7 +324,8 @@ def lens_change(lens: FittedLens, name: str) -> LensChange:
         moved.append(trace_all(changed_lens, field * nearer, inverse_distance * nearer, entrance)[0])
     for side in moved:
         valid &= np.isfinite([*side.position, side.path, side.amplitude]).all(0) & np.isfinite(side.stops).all(0)
-    rays, (more, less) = rays.take(valid), [side.take(valid) for side in moved]
+    rays = rays.take(valid)
+    (more, less) = [side.take(valid) for side in moved]
     # All refer to the field and inverse distance of the point with respect to the unchanged lens.
     more, less = (replace(side, field=rays.field, inverse_distance=rays.inverse_distance) for side in (more, less))
     shift = (more.position - less.position) / (2 * step)
@@ -335,7 +345,8 @@ def lens_change(lens: FittedLens, name: str) -> LensChange:
     with single_threaded_blas():
         for some in (slice(0, 2), slice(2, None)):
             if changes[some]:
-                degrees, targets = polynomials[some][0].degrees, np.stack(changes[some])
+                degrees = polynomials[some][0].degrees
+                targets = np.stack(changes[some])
                 fits += fit(scales, degrees, rays.position, rays.field, rays.inverse_distance, targets)
     high, low = (float(side.pupil.distance) for side in sides)
     lens.changes[name] = LensChange((high - low) / (2 * step), fits[0], fits[1], tuple(fits[2:]))
@@ -385,11 +396,13 @@ class VaryingLens:
 
     def __post_init__(self) -> None:
         system = self.base.system
-        changes, distance = [], self.base.pupil.distance + (self.mla_distance - float(system.mla_distance))
+        changes = []
+        distance = self.base.pupil.distance + (self.mla_distance - float(system.mla_distance))
         for name in LENS_NUMBERS:
             if name in self.numbers:
                 value = self.numbers[name]
-                change, amount = lens_change(self.base, name), value - dr.detach(value)
+                change = lens_change(self.base, name)
+                amount = value - dr.detach(value)
                 changes.append((amount, change))
                 distance = distance + amount * change.pupil_distance
         # A circle about the axis contains the exit pupil, and scales with vignetting edges.

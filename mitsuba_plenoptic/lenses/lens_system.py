@@ -196,7 +196,8 @@ class LensSystem:
         change, step : (array, array)
             Differences of the slopes and of the positions on the MLA.
         """
-        moved, turned = [], []
+        moved = []
+        turned = []
         for x, t, d, s in zip(point[:2], slope, change, step, strict=True):
             height = s + self.mla_distance * d
             turn = d - height / self.focal_length
@@ -225,7 +226,8 @@ class LensSystem:
             target = height * count / ACCURACY.height_steps
             nearby = slope + 1e-3 * self.pupil.radius / self.pupil.distance
             for _ in range(ACCURACY.few_secants if count < ACCURACY.height_steps else ACCURACY.secants):
-                low, high = at_stop(target, slope), at_stop(target, nearby)
+                low = at_stop(target, slope)
+                high = at_stop(target, nearby)
                 step = np.where(high == low, 0.0, low * (nearby - slope) / np.where(high == low, 1.0, high - low))
                 slope, nearby = slope - step, slope
             # Far from the axis the paraxial pupil may be a bad guess.
@@ -269,7 +271,8 @@ class LensSystem:
         path : array
             Optical path from the point to the MLA, in millimetres.
         """
-        (x, y, z), (tx, ty) = (tuple(value / self.scale for value in point), slope)
+        (x, y, z) = tuple(value / self.scale for value in point)
+        (tx, ty) = slope
         N = rsqrt(1 + tx * tx + ty * ty)
         # In the direction of the light z decreases, whereas the lens counts it in the opposite sense.
         start = (x, y, self.numbers.front_principal - z)

@@ -97,7 +97,9 @@ class Pupil:
         path : array
             Path from there to the position, less that from the pupil's centre, in millimetres.
         """
-        (sx, sy), (x, y), R = cosine, position, self.distance
+        (sx, sy) = cosine
+        (x, y) = position
+        R = self.distance
         if not self.finite:
             return (-R * sx, -R * sy), R + 0 * sx, sx * x + sy * y
         length = R / sqrt(1 - sx * sx - sy * sy)

@@ -105,8 +105,10 @@ def _follow(
 
     All except the slopes are NaN where a ray misses a surface.
     """
-    scale, numbers = float(lens.scale), lens.numbers
-    x, y = entrance[0] * inverse_distance, entrance[1] * inverse_distance - field
+    scale = float(lens.scale)
+    numbers = lens.numbers
+    x = entrance[0] * inverse_distance
+    y = entrance[1] * inverse_distance - field
     length = np.sqrt(x * x + y * y + 1)
     square = (entrance**2).sum(0)
     before = (square * inverse_distance - 2 * entrance[1] * field) / (length + np.sqrt(field * field + 1))
@@ -167,7 +169,9 @@ class Pupils:
 
     def sphere_path(self, rays: PupilRays) -> NDArray[np.float64]:
         """Return the path of a perfect wave to the exit pupil, less the path to the pupil's centre, (n,)."""
-        (x, y), w, s = rays.position, self.convergence(rays.inverse_distance), self.slope(rays.field)
+        (x, y) = rays.position
+        w = self.convergence(rays.inverse_distance)
+        s = self.slope(rays.field)
         length = np.sqrt((x * w) ** 2 + (y * w - s) ** 2 + 1) + np.sqrt(s * s + 1)
         return (2 * y * s - (x * x + y * y) * w) / length
 
@@ -191,10 +195,8 @@ class PupilFit:
 
 def covered(tracer: Tracer, radius: float, field: float, inverse_distance: tuple[float, float]) -> float:
     """Return the largest field, up to `field`, from which light passes the lens at both inverse distances."""
-    fields, across = (
-        np.linspace(0, field, ACCURACY.covered_fields),
-        np.linspace(-ACCURACY.fitted_radius, ACCURACY.fitted_radius, 2 * ACCURACY.fitted_rays) * radius,
-    )
+    fields = np.linspace(0, field, ACCURACY.covered_fields)
+    across = np.linspace(-ACCURACY.fitted_radius, ACCURACY.fitted_radius, 2 * ACCURACY.fitted_rays) * radius
     least = field
     for near in inverse_distance:
         F, Y = (values.ravel() for values in np.meshgrid(fields, across))
@@ -214,7 +216,8 @@ def fit_pupil(
     good: float = ACCURACY.path_error,
 ) -> PupilFit:
     """Return traced rays and polynomials of rising degree, until the path's error is at most `good` waves."""
-    rays, judges = tracer(*nodes(radius, field, inverse_distance)), tracer(*_random(radius, field, inverse_distance))
+    rays = tracer(*nodes(radius, field, inverse_distance))
+    judges = tracer(*_random(radius, field, inverse_distance))
     is_open = rays.open
     refuse_if(not is_open.any(), "main_lens: no ray gets through it from where the scene points lie")
     judges = judges.take(judges.open)
@@ -263,7 +266,8 @@ def _random(radius: float, field: float, inverse_distance: tuple[float, float]) 
         inverse_distance[0] + (inverse_distance[1] - inverse_distance[0]) * random.random(ACCURACY.checked_points),
         ACCURACY.checking_rays,
     )
-    away, angle = ACCURACY.fitted_radius * radius * np.sqrt(random.random(len(F))), 2 * math.pi * random.random(len(F))
+    away = ACCURACY.fitted_radius * radius * np.sqrt(random.random(len(F)))
+    angle = 2 * math.pi * random.random(len(F))
     return F, D, np.stack([away * np.cos(angle), away * np.sin(angle)])
 
 
@@ -274,7 +278,8 @@ def _error(aberration: Polynomial, rays: PupilRays, path: NDArray[np.float64]) -
         some = rays.field == field
         if np.count_nonzero(some) < ACCURACY.least_open_rays:
             continue
-        direction, near = np.array([[0.0, field]]), rays.inverse_distance[some][:1]
+        direction = np.array([[0.0, field]])
+        near = rays.inverse_distance[some][:1]
         coefficients = [np.array(coefficient) for coefficient in aberration.at(direction, near)[0]]
         x, y = rays.position[:, some]
         fitted = aberration.over_pupil(coefficients, (0.0, field)).value((x, y))
@@ -323,10 +328,8 @@ class ExitPupil(LensLight):
         middle = float(rays.position[1, is_open].mean())
         radius = float(np.hypot(rays.position[0], rays.position[1] - middle).max())
         # On the axis there is no direction on which the light could depend.
-        scales, degrees = (
-            Scales(radius + abs(middle), field or 1.0, near, 1.0),
-            Degrees(ACCURACY.single_degree, ACCURACY.single_degree * (field > 0), 0),
-        )
+        scales = Scales(radius + abs(middle), field or 1.0, near, 1.0)
+        degrees = Degrees(ACCURACY.single_degree, ACCURACY.single_degree * (field > 0), 0)
         along = float(direction[0]), float(direction[1])
 
         def fitted(some: Any, *values: NDArray[np.float64]) -> list[PupilPolynomial]:
@@ -349,10 +352,12 @@ class ExitPupil(LensLight):
         circle = np.array([scales.radius**2 / 2, scales.radius**2 / 2 + middle**2, -2 * shift / scales.mixed])
         stops.append(PupilPolynomial(scales, Degrees(2, 1, 0), (circle / radius**2).tolist(), along))
         # From the frame in which the point lies along y to that of the camera.
-        (u, v), (x, y) = direction / scales.field if field else (0.0, 1.0), rays.position[:, is_open]
+        (u, v) = direction / scales.field if field else (0.0, 1.0)
+        (x, y) = rays.position[:, is_open]
         places = np.column_stack([x * v + y * u, y * v - x * u])
         open_radius = float(np.hypot(x, y).max()) + radius / ACCURACY.single_rays
-        slope, convergence = pupils.slope(direction).tolist(), float(pupils.convergence(near))
+        slope = pupils.slope(direction).tolist()
+        convergence = float(pupils.convergence(near))
         light = float(lens.pupil.distance), (slope[0], slope[1]), convergence, aberration, brightness, stops
         cosines = np.column_stack(LensLight(*light).cosines((places[:, 0], places[:, 1]), None))
         return cls(*light, Pupil(open_radius, light[0]), (places, cosines), error)

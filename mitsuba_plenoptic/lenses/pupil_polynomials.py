@@ -96,7 +96,8 @@ def fit(
     alone, if all rays come from one point.
     """
     f, d = scales.of_points(field**2, inverse_distance)
-    s, t = scales.of_pupil((position**2).sum(0)), position[1] * field * scales.mixed
+    s = scales.of_pupil((position**2).sum(0))
+    t = position[1] * field * scales.mixed
     terms = [(b, c, a) for b, c in degrees.pairs for a in range(1 if alone else (degrees.field - c) // 2 + 1)]
     highest = (degrees.pupil, degrees.field, degrees.field)
     powers = [np.vander(x, n + 1, increasing=True).T for x, n in zip((s, t, f), highest, strict=True)]
@@ -141,22 +142,29 @@ class PupilPolynomial:
         """Return the values at pupil positions, and their derivatives along x and y, by Horner's rule as in `value`."""
         s, t = self._invariants(pupil)
         rows: list[tuple[Any, Any]] = []
-        value, slope = 0.0 * s, 0.0 * s
+        value = 0.0 * s
+        slope = 0.0 * s
         for (b, _), term in zip(self.degrees.pairs, self.coefficients, strict=True):
             value, slope = value * s + term, slope * s + value
             if b == 0:
                 rows.append((value, slope))
-                value, slope = 0.0 * s, 0.0 * s
-        value, along_s, along_t = 0.0 * s, 0.0 * s, 0.0 * s
+                value = 0.0 * s
+                slope = 0.0 * s
+        value = 0.0 * s
+        along_s = 0.0 * s
+        along_t = 0.0 * s
         for row, slope in reversed(rows):
             along_t = along_t * t + value
-            value, along_s = value * t + row, along_s * t + slope
-        along_s, along_t = along_s * (4 / self.scales.radius**2), along_t * self.scales.mixed
+            value = value * t + row
+            along_s = along_s * t + slope
+        along_s = along_s * (4 / self.scales.radius**2)
+        along_t = along_t * self.scales.mixed
         x, y = (P * along_s + u * along_t for P, u in zip(pupil, self.field, strict=True))
         return value, x, y
 
     def _invariants(self, pupil: Pair) -> tuple[Any, Any]:
-        (x, y), (u, v) = pupil, self.field
+        (x, y) = pupil
+        (u, v) = self.field
         return self.scales.of_pupil(x * x + y * y), (x * u + y * v) * self.scales.mixed
 
 
@@ -178,7 +186,9 @@ class LensLight:
 
     def length(self, pupil: Pair) -> Any:
         """Return the path in mm to a position on the exit pupil, less a constant of the point."""
-        (x, y), (sx, sy), w = pupil, self.slope, self.convergence
+        (x, y) = pupil
+        (sx, sy) = self.slope
+        w = self.convergence
         sphere = 2 * (x * sx + y * sy) - (x * x + y * y) * w
         return sphere / (self._secant(pupil) + safe_sqrt(sx * sx + sy * sy + 1)) + self.aberration.value(pupil)
 

@@ -32,7 +32,9 @@ def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
     """Return the map from the exit pupil of a lens to a round pupil."""
     from scipy.spatial import cKDTree
 
-    radius, half, last = float(lens.pupil.radius), ACCURACY.map_extent * reach, ACCURACY.map_extent * corner
+    radius = float(lens.pupil.radius)
+    half = ACCURACY.map_extent * reach
+    last = ACCURACY.map_extent * corner
     x, y = np.meshgrid(*[np.linspace(-half, half, ACCURACY.centre_rays)] * 2)
     closed = math.inf
     if not _is_open(lens, last, x, y).any():
@@ -71,11 +73,13 @@ def _is_open(lens: LensSystem, height: float, x: NDArray[np.float64], y: NDArray
 def _edge(lens: LensSystem, height: float, reach: float, middle: tuple[float, float]) -> NDArray[np.float64]:
     """Return points of the pupil's edge around its middle, as seen from a position on the array's x axis."""
     angle = 2 * math.pi * np.arange(ACCURACY.edge_angles) / ACCURACY.edge_angles
-    low, high = np.zeros(ACCURACY.edge_angles), np.full(ACCURACY.edge_angles, 2 * reach)
+    low = np.zeros(ACCURACY.edge_angles)
+    high = np.full(ACCURACY.edge_angles, 2 * reach)
     for _ in range(ACCURACY.edge_bisections):
         between = (low + high) / 2
         within = _is_open(lens, height, middle[0] + between * np.cos(angle), middle[1] + between * np.sin(angle))
-        low, high = np.where(within, between, low), np.where(within, high, between)
+        low = np.where(within, between, low)
+        high = np.where(within, high, between)
     dense = 2 * math.pi * np.arange(ACCURACY.edge_directions) / ACCURACY.edge_directions
     distance = np.interp(dense, angle, low, period=2 * math.pi)
     return np.stack([middle[0] + distance * np.cos(dense), middle[1] + distance * np.sin(dense)], -1)
@@ -124,7 +128,8 @@ class RealLens(LensSystem):
 
     @functools.cached_property
     def _fractions(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        radius, lens = self.reach, self._own
+        radius = self.reach
+        lens = self._own
         heights = np.linspace(0, ACCURACY.open_reach * self.corner, ACCURACY.open_fields)
         axis = ((np.arange(ACCURACY.open_rays) + 0.5) * 2 / ACCURACY.open_rays - 1) * radius
         Px, Py = (values[np.hypot(*grid) <= radius] for grid in [np.meshgrid(axis, axis)] for values in grid)
@@ -183,7 +188,8 @@ class RealLens(LensSystem):
         least = ACCURACY.narrowest_field * self.corner / self.mla_distance
         steps = math.ceil(math.log(max(1, field / least)) / math.log(ACCURACY.field_step))
         power = ACCURACY.depth_step / self.focal_length
-        low, high = math.floor(inverse_distance[0] / power), math.ceil(inverse_distance[1] / power)
+        low = math.floor(inverse_distance[0] / power)
+        high = math.ceil(inverse_distance[1] / power)
         key = least * ACCURACY.field_step**steps, low * power, max(high, low + 1) * power
         if key not in self._fits:
             self._fits[key] = self._fit(*key)
@@ -191,7 +197,9 @@ class RealLens(LensSystem):
 
     def _fit(self, field: float, low: float, high: float) -> FittedLens:
         """Return the lens fitted over a range of inverse distances, up to a field or the edge of the lens's field."""
-        tracer, radius, inverse_distance = functools.partial(trace, self), self.aperture_radius, (low, high)
+        tracer = functools.partial(trace, self)
+        radius = self.aperture_radius
+        inverse_distance = (low, high)
         field = covered(tracer, radius, field, inverse_distance)
         refuse_if(not field > 0, "main_lens: no light of the scene points passes it")
         with single_threaded_blas():  # the matrices are narrow, and its threads wait for each other actively

@@ -146,15 +146,19 @@ def follow(
     path : array
         Optical path from the start point to the last surface.
     """
-    (x, y, z), (L, M, N) = point, direction
+    (x, y, z) = point
+    (L, M, N) = direction
     is_open: Any = True
     path: Any = 0.0
     for surface in lens:
         c = surface.curvature
         s = (surface.gap - z) / N
-        x, y = x + s * L, y + s * M
+        x = x + s * L
+        y = y + s * M
         if c or surface.asphere:
-            A, B, C = c * (1 + surface.conic * N * N), N - c * (x * L + y * M), c * (x * x + y * y)
+            A = c * (1 + surface.conic * N * N)
+            B = N - c * (x * L + y * M)
+            C = c * (x * x + y * y)
             root = B * B - A * C
             t = C / (B + safe_sqrt(root, LEAST))
             if surface.asphere:
@@ -162,16 +166,20 @@ def follow(
                 off = abs(t * N - height(surface, (x + t * L) * (x + t * L) + (y + t * M) * (y + t * M)))
                 t = select((root > 0) & (off < abs(height(surface, x * x + y * y))), t, 0 * x)
                 for _ in range(ACCURACY.newton_steps):
-                    X, Y = x + t * L, y + t * M
+                    X = x + t * L
+                    Y = y + t * M
                     square = X * X + Y * Y
                     rise = _slope(surface, square) * (X * L + Y * M)
                     step = (t * N - height(surface, square)) / (N - rise)
                     t = t - step
                 met = abs(step) < ACCURACY.missing * surface.semi_aperture
-                is_open, t = is_open & met, select(met, t, 0 * x)
+                is_open = is_open & met
+                t = select(met, t, 0 * x)
             else:
                 is_open = is_open & (root > 0)
-            x, y, z = x + t * L, y + t * M, t * N
+            x = x + t * L
+            y = y + t * M
+            z = t * N
             s = s + t
         else:
             z = 0.0
@@ -183,13 +191,17 @@ def follow(
         if surface.refracts:
             slope = _slope(surface, square)
             scale = 1 / safe_sqrt(1 + slope * slope * square, LEAST)
-            nx, ny, nz = -slope * x * scale, -slope * y * scale, scale
+            nx = -slope * x * scale
+            ny = -slope * y * scale
+            nz = scale
             eta = surface.before / surface.after
             cosine = L * nx + M * ny + N * nz
             root = 1 - eta * eta * (1 - cosine * cosine)
             is_open = is_open & (root > 0)
             turn = safe_sqrt(root, LEAST) - eta * cosine
-            L, M, N = eta * L + turn * nx, eta * M + turn * ny, eta * N + turn * nz
+            L = eta * L + turn * nx
+            M = eta * M + turn * ny
+            N = eta * N + turn * nz
     return (x, y, z), (L, M, N), is_open, path
 
 

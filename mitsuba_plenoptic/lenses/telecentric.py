@@ -58,7 +58,8 @@ class TelecentricLens(ClosedLens):
     @property
     def entrance(self) -> Entrance:
         """Native object plane, and the bounds of rays on the objective's front principal plane."""
-        front, steepest = self.front, math.tan(self.objective.half_angle)
+        front = self.front
+        steepest = math.tan(self.objective.half_angle)
         return Entrance(radius=-front * steepest, depths=(front,), growth=1 / self.objective.magnification)
 
     def _sines(self, pupil: Pair) -> Pair:
@@ -90,7 +91,9 @@ class TelecentricLens(ClosedLens):
 
     def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
         """Return the path in waves from a scene point to a point of the stop, less the path to the stop's centre."""
-        (x, y), (X, Y, d), n = self._sines(pupil), point, self.objective.immersion
+        (x, y) = self._sines(pupil)
+        (X, Y, d) = point
+        n = self.objective.immersion
         # cos - 1 without cancellation
         drop = -(x * x + y * y) / (n * (1 + self._cosine(pupil)))
         return (d * drop - (X * x + Y * y)) * (1 / in_millimetres(wavelength))
@@ -149,7 +152,8 @@ class TelecentricLens(ClosedLens):
         r"""Return the position in the native image plane, :math:`-M (X + d \tan\theta)`: the gradient of the path."""
         scale = 1 / (self.objective.immersion * self._cosine(pupil))
         x, y = self._sines(pupil)
-        M, (X, Y, d) = self.objective.magnification, point
+        M = self.objective.magnification
+        (X, Y, d) = point
         return -M * (X + d * x * scale), -M * (Y + d * y * scale)
 
 

@@ -68,7 +68,8 @@ class Wavefront:
         radius: Any,
         screen: PhaseScreen | None = None,
     ) -> None:
-        self._radius, self._screen = radius, screen
+        self._radius = radius
+        self._screen = screen
         size = max((len(zernike(j)) for j in range(1, len(coefficients) + 1)), default=0)
         self._terms: list[list[Any]] = [[0.0] * (size - a) for a in range(size)]
         for j, coefficient in enumerate(coefficients, 1):
@@ -78,17 +79,20 @@ class Wavefront:
 
     def path(self, x: Any, y: Any) -> Any:
         """Return the path difference in mm at a point of the pupil."""
-        u, v = x / self._radius, y / self._radius
+        u = x / self._radius
+        v = y / self._radius
         path = _sum([_sum(row, v) for row in self._terms], u) * in_millimetres(WAVEFRONT_UNIT)
         return path if self._screen is None else path + self._screen.path(x, y)
 
     def slope(self, x: Any, y: Any) -> Pair:
         """Return the derivatives of `path` along x and y, which are changes of direction."""
-        u, v = x / self._radius, y / self._radius
+        u = x / self._radius
+        v = y / self._radius
         scale = in_millimetres(WAVEFRONT_UNIT) / self._radius
         along_x = _sum([_sum([a * term for term in row], v) for a, row in enumerate(self._terms)][1:], u)
         along_y = _sum([_sum([b * term for b, term in enumerate(row)][1:], v) for row in self._terms], u)
-        along_x, along_y = along_x * scale, along_y * scale
+        along_x = along_x * scale
+        along_y = along_y * scale
         if self._screen is None:
             return along_x, along_y
         added = self._screen.slopes(x, y)
@@ -103,7 +107,8 @@ def _sum(terms: list[Any], x: Any) -> Any:
     return total
 
 
-_PAIRS, _DIRECTIONS = 65, 6
+_PAIRS = 65
+_DIRECTIONS = 6
 """Middles of pairs of points across the pupil, and directions of the pairs."""
 
 
@@ -163,12 +168,14 @@ class ThinLens(ClosedLens):
         tx, ty = (rays.main_lens_slope(t, P, self.focal_length) for t, P in zip(turned, pupil, strict=True))
         if not self.is_round:
             sx, sy = self._wavefront.slope(*pupil)
-            tx, ty = tx + sx, ty + sy
+            tx = tx + sx
+            ty = ty + sy
         return (tx, ty) if self.model == "ideal" else rays.cosines_to_slopes(tx, ty)
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Return the ray from a position on the MLA through a pupil point, which may lie on the edge up to rounding."""
-        (Px, Py), largest = pupil, self.pupil.radius * (1 + SINGLE)
+        (Px, Py) = pupil
+        largest = self.pupil.radius * (1 + SINGLE)
         tx, ty = (self.pupil.slope(P, q) for P, q in zip(pupil, position, strict=True))
         return (Px, Py, 0.0), self.refract((tx, ty), pupil), Px * Px + Py * Py <= largest * largest
 
@@ -196,14 +203,17 @@ class ThinLens(ClosedLens):
         """Return the position on the MLA of the ray from a scene point through a pupil point, with aberrations."""
         if not self.pupil.finite:
             return self.pupil.image(pupil, point)
-        b, f1, g = self.pupil.distance, self.focal_length, point[2]
+        b = self.pupil.distance
+        f1 = self.focal_length
+        g = point[2]
         if self.model != "ideal":
             slopes = rays.cosines_to_slopes(*self.cosines(pupil, point))
             return pupil[0] + b * slopes[0], pupil[1] + b * slopes[1]
         x, y = (rays.mla_point(X, P, g, b, f1) for X, P in zip(point[:2], pupil, strict=True))
         if not self.is_round:
             sx, sy = self._wavefront.slope(*pupil)
-            x, y = x + b * sx, y + b * sy
+            x = x + b * sx
+            y = y + b * sy
         return x, y
 
     def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
@@ -213,12 +223,14 @@ class ThinLens(ClosedLens):
         (Goodman, "Introduction to Fourier Optics", section 5.1). Behind an ideal lens all paths to the image X' are
         equal, which leaves :math:`(|X'| - |P - X'| + W(P)) / \lambda`. Both are computed without cancellation.
         """
-        (Px, Py), (X, Y, g) = pupil, point
+        (Px, Py) = pupil
+        (X, Y, g) = point
         square = Px * Px + Py * Py
         if self.model == "ideal":
             # Slopes towards the image from the pupil's centre and from P, with the opposite sign.
             v = self.vergence(g)
-            u, w = X / g, Y / g
+            u = X / g
+            w = Y / g
             lengths = sqrt(1 + u * u + w * w) + sqrt(1 + (Px * v + u) ** 2 + (Py * v + w) ** 2)
             ideal = -(square * v + 2 * (Px * u + Py * w)) / lengths
             return (ideal if self.is_round else ideal + self._wavefront.path(Px, Py)) * (1 / in_millimetres(wavelength))
@@ -233,7 +245,8 @@ class ThinLens(ClosedLens):
         Where light moves by slopes (see `mitsuba_plenoptic.optics.waves.transfer`), parabolas replace the spheres
         around points, and differ by tilts only. Tilts are left out.
         """
-        (Px, Py), scale = pupil, 1 / in_millimetres(wavelength)
+        (Px, Py) = pupil
+        scale = 1 / in_millimetres(wavelength)
         waves = (Px * Px + Py * Py) * (self.vergence(distance) * (-0.5 * scale))
         return waves if self.is_round else waves + self.aberration(pupil, wavelength)
 
@@ -249,12 +262,14 @@ class ThinLens(ClosedLens):
         `apart`, where :math:`\lambda \Delta = W(P + q/2) - W(P - q/2) - q \cdot \nabla W(P)` grows with the third
         derivative of W.
         """
-        radius, scale = float(self.pupil.radius), 1 / in_millimetres(wavelength)
+        radius = float(self.pupil.radius)
+        scale = 1 / in_millimetres(wavelength)
         x, y = (place.ravel() for place in np.meshgrid(*2 * [np.linspace(-radius, radius, _PAIRS)]))
         slopes = self._wavefront.slope(x, y)
         errors = []
         for angle in math.pi / _DIRECTIONS * np.arange(_DIRECTIONS):
-            u, v = apart * math.cos(angle), apart * math.sin(angle)
+            u = apart * math.cos(angle)
+            v = apart * math.sin(angle)
             ends = [(x + side * u, y + side * v) for side in (0.5, -0.5)]
             inside = np.maximum(*(np.hypot(*end) for end in ends)) <= radius
             first, second = (self._wavefront.path(*end) for end in ends)
@@ -292,7 +307,8 @@ class ThinLens(ClosedLens):
             sx, sy = ((P - X) / length - P / self.focal_length for P, X in zip(pupil, point[:2], strict=True))
         if not self.is_round:
             x, y = self._wavefront.slope(*pupil)
-            sx, sy = sx + x, sy + y
+            sx = sx + x
+            sy = sy + y
         if not self.pupil.finite:
             return sx * self.pupil.stop_scale, sy * self.pupil.stop_scale
         return sx, sy
@@ -300,7 +316,9 @@ class ThinLens(ClosedLens):
 
 def _distance(pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
     """Return the distance |P - X| in mm, negative for light that converges to a point behind the lens."""
-    dx, dy, g = pupil[0] - point[0], pupil[1] - point[1], point[2]
+    dx = pupil[0] - point[0]
+    dy = pupil[1] - point[1]
+    g = point[2]
     return _signed(sqrt(dx * dx + dy * dy + g * g), g)
 
 
@@ -335,18 +353,21 @@ class DistortedLens(ThinLens):
 
     def _distort(self, image: Pair) -> Pair:
         """Return the positions on the MLA of which `undistort` makes given ones."""
-        (x, y), (u, v) = image, image
+        (x, y) = image
+        (u, v) = image
         # Each step multiplies the error by the derivative of the displacement, some per cent.
         for _ in range(ACCURACY.distortion_steps):
             moved = undistort(x, y, self.distortion)
-            x, y = x + u - moved[0], y + v - moved[1]
+            x = x + u - moved[0]
+            y = y + v - moved[1]
         return x, y
 
 
 @builds(type(None))
 def thin_lens(numbers: LensNumbers) -> ThinLens:
     """Return the main lens of a camera without an objective or prescription."""
-    pupil, screen = Pupil(numbers.aperture_radius, numbers.mla_distance), numbers.camera.phase_screen
+    pupil = Pupil(numbers.aperture_radius, numbers.mla_distance)
+    screen = numbers.camera.phase_screen
     arguments = numbers.focal_length, pupil, numbers.model, numbers.wavefront, screen
     if any(numbers.camera.distortion):
         return DistortedLens(*arguments, numbers.camera.distortion)
@@ -359,7 +380,8 @@ def collimated_lens(numbers: LensNumbers) -> ThinLens:
 
     Such a camera is simulated by full fields alone.
     """
-    camera, collimator = numbers.camera, cast(Collimator, numbers.camera.main_lens)
+    camera = numbers.camera
+    collimator = cast(Collimator, numbers.camera.main_lens)
     swap = collimator.collimator_focal_length
     pupil = Pupil(numbers.aperture_radius, camera.focal_length, finite=0, swap=swap)
     return ThinLens(math.inf, pupil, aberrations=numbers.wavefront, screen=camera.phase_screen)

@@ -28,7 +28,8 @@ class LinearMap(LinearOperator):
 
     def __init__(self, source_shape: tuple[int, ...], image_shape: tuple[int, ...], dtype: Any = np.float32) -> None:
         super().__init__(dtype, (math.prod(image_shape), math.prod(source_shape)))
-        self.source_shape, self.image_shape = source_shape, image_shape
+        self.source_shape = source_shape
+        self.image_shape = image_shape
 
     def forward(self, source: Any, /) -> NDArray[Any]:
         """Return the image of light."""

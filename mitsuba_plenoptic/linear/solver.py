@@ -72,7 +72,8 @@ class Steps:
     """The steps of a method towards the light of an image; elements of less than the fraction `least` count as dark."""
 
     def __init__(self, operator: LinearMap, image: Array, least: float) -> None:
-        self.operator, self.image = operator, image
+        self.operator = operator
+        self.image = image
         # What each element sends to the detector, and the mask of those that are not dark.
         self.light = operator.adjoint(np.ones(image.shape, np.float32))
         self.inside = self.light > least * float(self.light.max())
@@ -104,7 +105,8 @@ class SolverState:
         if "values" not in arrays:
             return None
         with refusing("checkpoint: it is damaged:", KeyError, ValueError):
-            values, last = arrays["values"], arrays["last"]
+            values = arrays["values"]
+            last = arrays["last"]
             momentum, done = arrays["counts"].astype(int).tolist()
             residuals = arrays["residuals"].tolist()
         refuse_if(
@@ -196,7 +198,8 @@ def solve(
             point = np.maximum(ahead, _HALVED * state.values)
         if state.done == iterations and stop is None:
             return Solution(state.values, point, state.done, "", steps.operator)
-        model, stopped = steps.operator.forward(point), ""
+        model = steps.operator.forward(point)
+        stopped = ""
         if stop is not None:
             state.residuals = [*state.residuals[-stop.steps :], stop.residual(steps.image, model)]
             stopped = stop.reason(state.residuals)
@@ -259,7 +262,8 @@ class _Averages(Steps):
 
     def __init__(self, operator: LinearMap, image: Array, relaxation: float) -> None:
         super().__init__(operator, image, _LEAST_AVERAGED)
-        self.light, self._relaxation = self.light.astype(np.float64), relaxation
+        self.light = self.light.astype(np.float64)
+        self._relaxation = relaxation
 
     def _averaged(self, image: Array) -> Array:
         """Return the relaxed mean of an image over the pixels of each element, weighted by its light; 0 in the dark."""

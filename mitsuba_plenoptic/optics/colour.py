@@ -33,7 +33,8 @@ _UNKNOWN = 0.01
 _CIE_STEP = 5.0
 """Step in nanometres of Mitsuba's tables of CIE 1931."""
 
-_LOW, _HIGH = 380.0, 730.0
+_LOW = 380.0
+_HIGH = 730.0
 """Visible range in nanometres: beyond it, the luminous efficiency is below 1/1000 of its peak."""
 
 
@@ -49,7 +50,8 @@ def tables_of(scene: Any) -> list[Table]:
 
 def _tables(thing: Any) -> dict[str, Table]:
     """Return the tabulated spectra of a scene or a plugin by name."""
-    parameters, tables = mi.traverse(thing), {}
+    parameters = mi.traverse(thing)
+    tables = {}
     for key in parameters.keys():  # noqa: SIM118 (Mitsuba's mapping is no iterable)
         stem, _, last = key.rpartition(".")
         if last != "values":
@@ -71,7 +73,8 @@ def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArr
 
     Shapes: `responses` (channels, wavelengths).
     """
-    at, visible = np.array(wavelengths), (float(mi.MI_CIE_MIN), float(mi.MI_CIE_MAX))
+    at = np.array(wavelengths)
+    visible = (float(mi.MI_CIE_MIN), float(mi.MI_CIE_MAX))
     if (wavelength := _beyond(at, responses, *visible)) is not None:
         for emitter in scene.emitters():
             parameters = mi.traverse(emitter)
@@ -84,7 +87,8 @@ def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArr
                     )
     for shape in {shape.bsdf().ptr: shape for shape in scene.shapes() if shape.bsdf() is not None}.values():
         for name, (table, values) in _tables(shape.bsdf()).items():
-            low, high = table[0] if values[0] else -math.inf, table[-1] if values[-1] else math.inf
+            low = table[0] if values[0] else -math.inf
+            high = table[-1] if values[-1] else math.inf
             if (wavelength := _beyond(at, responses, low, high)) is not None:
                 raise InputError(
                     f"wavelength = {wavelength:g}: the {name} of surface {shape.id()} is a table from {table[0]:g} to "
@@ -94,7 +98,8 @@ def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArr
 
 def require_upsampled(spectrum: Spectrum) -> None:
     """Refuse responses at wavelengths beyond the range of D65, where colours have no spectrum."""
-    low, high = float(mi.MI_CIE_MIN), float(mi.MI_CIE_MAX)
+    low = float(mi.MI_CIE_MIN)
+    high = float(mi.MI_CIE_MAX)
     if (wavelength := _beyond(np.array(spectrum.wavelengths), spectrum.matrix(), low, high)) is not None:
         raise InputError(
             f"responses: they answer to {wavelength:.4g} nm; colours have the spectrum of D65, from {low:g} to "
@@ -104,7 +109,8 @@ def require_upsampled(spectrum: Spectrum) -> None:
 
 def _beyond(wavelengths: NDArray[np.float64], responses: NDArray[np.float32], low: float, high: float) -> float | None:
     """Return a wavelength outside the bounds if more than 1 % of the responses lie outside, otherwise None."""
-    outside, weights = (wavelengths < low) | (wavelengths > high), np.abs(responses).sum(axis=0)
+    outside = (wavelengths < low) | (wavelengths > high)
+    weights = np.abs(responses).sum(axis=0)
     return float(wavelengths[outside][0]) if weights[outside].sum() > _UNKNOWN * weights.sum() else None
 
 

@@ -194,7 +194,8 @@ def second_leg(pairs: tuple[float, ...], absorption: float, kind: Any = None) ->
         angle = (dr.atan if module is dr else np.arctan)(aside / depth)
         position = module.clip(angle / step, 0, _ANGLES - 1)
         low = module.minimum(module.floor(position), _ANGLES - 2)
-        first, second = take(table, low), take(table, low + 1)
+        first = take(table, low)
+        second = take(table, low + 1)
         return (first + (position - low) * (second - first)) * passed
 
     return power

@@ -194,7 +194,8 @@ class Spectrum:
             If the file cannot be read or is no such table, or a channel has no response.
         """
         table = path if isinstance(path, np.ndarray) else read_responses(path)
-        wavelengths, columns = table[:, 0], table[:, 1:].T
+        wavelengths = table[:, 0]
+        columns = table[:, 1:].T
         spectrum = cls.smooth(
             partial(interpolated, wavelengths, columns),
             float(wavelengths[0]),
@@ -362,7 +363,8 @@ def _gauss_nodes(wavelengths: NDArray[np.float64], weights: NDArray[np.float64],
     The zeros are the eigenvalues of the matrix of the polynomials' recurrence, which Lanczos's iteration computes, with
     repeated orthogonalisation for stability.
     """
-    middle, half = (wavelengths.max() + wavelengths.min()) / 2, np.ptp(wavelengths) / 2
+    middle = (wavelengths.max() + wavelengths.min()) / 2
+    half = np.ptp(wavelengths) / 2
     x = (wavelengths - middle) / half
     basis_rows = [np.sqrt(weights / weights.sum())]
     for _ in range(count - 1):

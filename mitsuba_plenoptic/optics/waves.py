@@ -90,7 +90,8 @@ def band_edge_fraction(
     `spectrum` has the shape (rows, columns); `frequencies` and `weight` have one value for each row.
     """
     rows = frequencies_of(len(spectrum)) if frequencies is None else frequencies
-    outer, high = np.abs(rows) > 1 - EDGE, np.flatnonzero(np.abs(frequencies_of(spectrum.shape[1])) > 1 - EDGE)
+    outer = np.abs(rows) > 1 - EDGE
+    high = np.flatnonzero(np.abs(frequencies_of(spectrum.shape[1])) > 1 - EDGE)
     # The high frequencies are in the middle of the columns.
     columns = spectrum[:, int(high[0]) : int(high[-1]) + 1] if high.size else spectrum[:, :0]
     edge = weighted(weight * outer, spectrum) + weighted(weight * ~outer, columns)
@@ -159,7 +160,8 @@ class StepGuard:
         power = weighted(weight, waves) / math.prod(self._shape)
         self._representative = abs(fraction(power, self._power) - 1) < _UNSEEN
         if not self._representative:
-            chosen, weight = np.arange(count), np.ones(count)
+            chosen = np.arange(count)
+            weight = np.ones(count)
             waves = _packed_rows(packed, self._shape, None)
         rows, columns = (frequencies_of(size) for size in self._shape)
         rows = rows[chosen]
@@ -234,9 +236,11 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     samples = source if overwrite else backend_of(source).empty(source.shape, np.complex64)
     if not overwrite:
         samples[...] = source
-    pitch, distance = require_number("pitch", pitch, positive=True), require_number("distance", distance)
+    pitch = require_number("pitch", pitch, positive=True)
+    distance = require_number("distance", distance)
     wavelength = require_wavelength(wavelength)
-    shape, guard = samples.shape, StepGuard(samples, pitch, wavelength)
+    shape = samples.shape
+    guard = StepGuard(samples, pitch, wavelength)
     packed = fft.fft2_packed(drjit_array(libraries.types.UInt64, fft.as_words(samples)), shape)
     guard.see_spectrum(packed)
     packed = _advance(packed, shape, pitch, distance, wavelength)
@@ -332,6 +336,7 @@ def transfer(
 
 def direction_cosine(types: Any, index: Any, count: int, pitch: float, wavelength: float) -> Any:
     """Return the direction cosine of a plane wave, from its index in a spectrum with zero frequency first."""
-    position, size = types.Int32(index), dr.opaque(types.Int32, count)
+    position = types.Int32(index)
+    size = dr.opaque(types.Int32, count)
     order = dr.select(2 * position < size, position, position - size)
     return types.Float64(order) * dr.opaque(types.Float64, in_millimetres(wavelength) / (count * pitch))

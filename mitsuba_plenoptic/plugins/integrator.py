@@ -38,7 +38,8 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
 
     Parameters with respect to which captures have no derivative are refused.
     """
-    names, others = [], False
+    names = []
+    others = False
     for key, (_, _, node, _) in {} if params is None else params.properties.items():
         if not dr.grad_enabled(params[key]):
             continue
@@ -280,7 +281,8 @@ def make_class() -> type:
             # The film records what the detector makes of the light.
             camera = PlenopticCamera.from_sensor(sensor).replace(**SHARP)
             require_support(camera, Use.SCENE_POINTS)
-            spectrum, upsampling = self.spectrum_of(scene, sensor), None
+            spectrum = self.spectrum_of(scene, sensor)
+            upsampling = None
             if mi.is_spectral:
                 wavelengths = self.wavelengths if spectrum is None else spectrum.wavelengths
                 responses = np.ones((1, 1), np.float32) if spectrum is None else spectrum.matrix()
@@ -301,7 +303,8 @@ def make_class() -> type:
             spectrum = self.spectrum_of(scene, sensor)
             conversion: NDArray[np.float64] | WavelengthSampler
             if spectrum is None:
-                spectrum, conversion = Spectrum.lines(*self.wavelengths), np.eye(len(self.wavelengths))
+                spectrum = Spectrum.lines(*self.wavelengths)
+                conversion = np.eye(len(self.wavelengths))
             elif mi.is_spectral:
                 conversion = WavelengthSampler(self._table())
             else:
@@ -398,10 +401,12 @@ def make_class() -> type:
         def _table(self) -> NDArray[np.float64]:
             """Return the responses as rows of a wavelength and the response of each channel per nanometre."""
             if self.file_table is not None:
-                wavelengths, columns = self.file_table[:, 0], self.file_table[:, 1:]
+                wavelengths = self.file_table[:, 0]
+                columns = self.file_table[:, 1:]
                 return np.column_stack([wavelengths, columns / np.trapezoid(columns, wavelengths, axis=0)])
             if self.bandwidth is not None:
-                (centre,), half = self.wavelengths, self.bandwidth / 2
+                (centre,) = self.wavelengths
+                half = self.bandwidth / 2
                 return np.array([[centre - half, 1 / self.bandwidth], [centre + half, 1 / self.bandwidth]])
             return colour.srgb_table()
 

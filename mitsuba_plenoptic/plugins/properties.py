@@ -83,7 +83,8 @@ def _read_parameter(value: Any, name: str, form: Form) -> Any:
     def resolved(path: str) -> str:
         return str(mi.file_resolver().resolve(path))
 
-    is_text, is_object = isinstance(value, str), isinstance(value, str) and value.lstrip().startswith("{")
+    is_text = isinstance(value, str)
+    is_object = isinstance(value, str) and value.lstrip().startswith("{")
     if form in (Form.SEVERAL, Form.NUMBERS, Form.PLACE):
         if is_text:
             with refusing(f"{name} = {value!r}: it must be a number, or several with commas between them", ValueError):

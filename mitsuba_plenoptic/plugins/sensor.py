@@ -154,7 +154,8 @@ def make_class() -> type:
         def traverse(self, callback: Any) -> None:
             """Expose the parameters to `mi.traverse`."""
             super().traverse(callback)
-            differentiable, edges = mi.ParamFlags.Differentiable, mi.ParamFlags.Discontinuous
+            differentiable = mi.ParamFlags.Differentiable
+            edges = mi.ParamFlags.Discontinuous
             callback.put("to_world", self.m_to_world, differentiable | edges)
             for name in self._numbers:
                 gradients = PARAMETERS[name].gradients
@@ -237,7 +238,8 @@ def make_class() -> type:
             self, time: Any, wavelength_sample: Any, film_sample: Any, lens_sample: Any, active: Any, differential: bool
         ) -> tuple[Any, Any]:
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
-            rays, width = self._rays, self.detector_width / self.film().size()[0]
+            rays = self._rays
+            width = self.detector_width / self.film().size()[0]
             dispersion: Dispersion | None = None
             passage: Any = None
             if rays.dispersion is not None:
@@ -252,7 +254,9 @@ def make_class() -> type:
             else:
                 sample, passage = rays.sample((px, py), lens_sample, dispersion)
                 weight = weight * sample.weight * self._second_leg(*rays.second_leg(sample))
-            point, slope, open_ = sample.origin, sample.slope, sample.valid & active
+            point = sample.origin
+            slope = sample.slope
+            open_ = sample.valid & active
             ray = world_ray(self, point, slope)
             # A ray of zero length hits nothing: it is cheap, and the depth and normals of dark pixels remain 0.
             ray.maxt = dr.select(open_, dr.largest(mi.Float), 0)

@@ -214,7 +214,8 @@ def _lattice_steps(camera: PlenopticCamera, position: NDArray[np.float64]) -> ND
 
 def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> NDArray[np.float64]:
     """Return positions on the MLA in pitches, from steps along the lattice vectors, (n, 2)."""
-    basis, offset = np.array(camera.lattice.basis), np.array(camera.mla_offset)
+    basis = np.array(camera.lattice.basis)
+    offset = np.array(camera.mla_offset)
     return np.asarray(steps @ (basis / camera.mla_pitch) + offset / camera.mla_pitch)
 
 
@@ -223,7 +224,8 @@ def _depth_steps(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the index of each point's step of distance, and the number of parts of a lens along an axis."""
     lam = in_millimetres(wavelength)
-    a, b = lens.pupil.radius, lens.pupil.distance
+    a = lens.pupil.radius
+    b = lens.pupil.distance
     defocus = a * a / (2 * lam) * (convergence(lens, g) - 1 / b)
     pitch = max(camera.mla_pitches)
     lenses_per_wave = 4 * b * lam / (a * pitch)

@@ -93,7 +93,8 @@ class FieldGrids:
 
     def to_array(self, columns: slice = slice(None), rows: slice = slice(None)) -> Step:
         """Return the step to the detector's window on the array, from some columns and rows of the wide window."""
-        pitch, wide = self.pupil_pitch, self.wide_pupil
+        pitch = self.pupil_pitch
+        wide = self.wide_pupil
         across, down = (
             AxisStep(first + part[0] * pitch, pitch, len(part), wide, self.wide_mla, start, count)
             for first, part, start, count in zip(
@@ -138,8 +139,11 @@ def grids_around(
     growth: float = 1.0,
 ) -> FieldGrids:
     """Return grids that hold the fields of all scene points (n, 3) around an image; `what` names the work."""
-    camera, wavelength = system.camera, system.wavelength
-    p, lam, radius = camera.pixel_size, in_millimetres(wavelength), lens.pupil.radius
+    camera = system.camera
+    wavelength = system.wavelength
+    p = camera.pixel_size
+    lam = in_millimetres(wavelength)
+    radius = lens.pupil.radius
     steepest = float((np.abs(image.cosine) + image.half_cosine).max())
     aside = max(_KEPT_BENDS * scattering(camera), diffraction(camera, wavelength, _KEPT_ORDERS))
     # The pupil's edge bends light, too, which counts where nothing else does.
@@ -158,7 +162,8 @@ def grids_around(
     low = np.minimum((image.centre - image.half_width).min(0), start)
     high = np.maximum((image.centre + image.half_width).max(0), start + np.array(pixels) * p)
     if lens.pupil.finite:
-        low, high = np.minimum(-radius, low), np.maximum(radius, high)
+        low = np.minimum(-radius, low)
+        high = np.maximum(radius, high)
         diffracted = _AIRY_WIDTHS * lam * lens.pupil.distance / (2 * radius)
     elif lens.pupil.swap is not None:
         # The field is sampled in the image of the stop itself.
@@ -217,7 +222,8 @@ def interpolated(field: SampledField, origin: tuple[float, float], pitch: float,
     # Along y, then along x.
     matrices = []
     for start, first, size, count in zip(origin[::-1], field.origin[::-1], shape, field.samples.shape, strict=True):
-        at, samples_at = start + pitch * np.arange(size), first + field.pitch * np.arange(count)
+        at = start + pitch * np.arange(size)
+        samples_at = first + field.pitch * np.arange(count)
         matrices.append(arrays.asarray(np.sinc((at[:, None] - samples_at) / field.pitch).astype(np.float32)))
     rows, columns = matrices
     return arrays.ascontiguousarray(rows @ arrays.asarray(field.samples.astype(np.complex64)) @ columns.T)
@@ -243,7 +249,9 @@ def arrival(
     incident: SampledField | None = None,
 ) -> tuple[SampledField, Arrival]:
     """Return the light of a scene point (3,) on the pupil, and to the array, with the parameters of `full_field`."""
-    camera, wavelength, lens = system.camera, system.wavelength, system.lens
+    camera = system.camera
+    wavelength = system.wavelength
+    lens = system.lens
     if not lens.pupil.finite:
         closed = cast(ClosedLens, lens)
         if lens.pupil.swap is not None:
@@ -272,7 +280,9 @@ def pupil_field(
     Px = types.Float64(column) * step + dr.opaque(types.Float64, grids.wide_origin[0])
     Py = types.Float64(row) * step + dr.opaque(types.Float64, grids.wide_origin[1])
     X, Y, g = (dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
-    lens, pupil, point = system.waves_of_one(position), (Px, Py), (X, Y, g)
+    lens = system.waves_of_one(position)
+    pupil = (Px, Py)
+    point = (X, Y, g)
     if incident is not None:
         if is_paraxial(system.camera):
             waves = cast(ThinLens, lens).paraxial_path(pupil, g, system.wavelength)
@@ -334,7 +344,8 @@ def telecentric_arrival(
 
     Both have the power 1, except for light that misses the detector's window or that vignetting takes.
     """
-    types, count = active_backend().types, grids.wide_pupil
+    types = active_backend().types
+    count = grids.wide_pupil
     pitch = grids.pupil_pitch
     step = in_millimetres(wavelength) / (count * pitch)
     frequencies = []
@@ -371,8 +382,10 @@ def stop_image_arrival(
     incident: SampledField | None = None,
 ) -> tuple[SampledField, Arrival]:
     """Return the light of `telecentric_arrival` for an array in the image of the stop."""
-    types, (columns, rows) = active_backend().types, grids.count
-    scale, origin = lens.pupil.stop_scale, grids.origin
+    types = active_backend().types
+    (columns, rows) = grids.count
+    scale = lens.pupil.stop_scale
+    origin = grids.origin
     row, column = fft.rows_and_columns(types, rows, columns)
     pupil = tuple(
         (types.Float64(sample) * dr.opaque(types.Float64, grids.pitch) + dr.opaque(types.Float64, start)) * scale
@@ -384,7 +397,8 @@ def stop_image_arrival(
     else:
         point = tuple(dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
         turned = fft.as_field(fft.pack(phasor(lens.path(pupil, point, wavelength))), (rows, columns))
-        first, pitch = (origin[0] * scale, origin[1] * scale), grids.pitch * scale
+        first = (origin[0] * scale, origin[1] * scale)
+        pitch = grids.pitch * scale
         field = turned * interpolated(incident, first, pitch, (rows, columns)) / np.float32(incident.power**0.5)
         with fft.resting_drjit():
             guards.check(guards.UNDERSAMPLED, band_edge_fraction(fft.fft2(field.copy())))

@@ -96,7 +96,8 @@ class Grid:
         table = self.camera.mla_transmissions
         if table is None:
             return 1.0
-        lattice, parts = self.camera.lattice, (np.arange(_PARTS) + 0.5) / _PARTS
+        lattice = self.camera.lattice
+        parts = (np.arange(_PARTS) + 0.5) / _PARTS
         if lattice.displacement is not None:
             # Once for all parts, as displacements are smooth.
             x, y = lattice.displacement.regular(x, y)
@@ -119,7 +120,9 @@ class Grid:
         The pitch represents the directions of the band. Neighbouring micro-images along both axes are an integer number
         of samples apart, a multiple of `together`.
         """
-        rotation, camera, wavelength = system.camera.mla_rotation or 0.0, upright(system.camera), system.wavelength
+        rotation = system.camera.mla_rotation or 0.0
+        camera = upright(system.camera)
+        wavelength = system.wavelength
         lens = system.waves_of(positions)
         cosine = cone(lens, positions[:, 2])
         bent = scattering(camera)
@@ -187,9 +190,12 @@ def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
 
 
 def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
-    camera, lens, lam = grid.camera, grid.lens, in_millimetres(grid.wavelength)
+    camera = grid.camera
+    lens = grid.lens
+    lam = in_millimetres(grid.wavelength)
     image = footprint(lens, positions)
-    a, b = lens.pupil.radius, lens.pupil.distance
+    a = lens.pupil.radius
+    b = lens.pupil.distance
     # Between MLA and detector the light moves sideways: the patch is centred half-way.
     distance, medium = camera.space_behind
     aside = distance / medium * -lens.pupil.slope(0.0, image.centre)

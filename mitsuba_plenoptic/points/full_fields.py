@@ -105,7 +105,8 @@ def point_fields(
     """Return one scene point's field at every plane, propagated as by `full_field`."""
     grids = field_grids(system, position, 1.0, 1.0)
     pupil, light = arrival(system, position, grids, pupil_weights)
-    array, detector = Chain(light.links), to_detector(system, grids, microlenses)
+    array = Chain(light.links)
+    detector = to_detector(system, grids, microlenses)
     with retained_workspace([*array.steps, *detector.steps]) as workspace, fft.resting_drjit():
         mla = workspace.whole(array.forward(workspace.blocks(light.source, light.first), workspace), grids.shape)
         seen = workspace.whole(detector.forward(workspace.blocks(mla), workspace), grids.shape)
@@ -129,7 +130,8 @@ def to_detector(system: OpticalSystem, grids: FieldGrids, microlenses: bool = Tr
 
     Microlenses are thin phases of direction cosines, whatever the main lens is.
     """
-    camera, step = system.camera, grids.to_detector(finer)
+    camera = system.camera
+    step = grids.to_detector(finer)
     response = functools.partial(recorded_amplitude, camera) if has_response(camera) else None
     space = FreeSpace(camera.space_behind[0], camera.medium_wavelength(system.wavelength), response=response)
     if not (microlenses and system.microlenses.axes):
@@ -154,9 +156,12 @@ class Apertures:
     """
 
     def __init__(self, system: OpticalSystem, step: Step) -> None:
-        array, lattice, table = system.microlenses, system.lattice, system.camera.mla_transmissions
+        array = system.microlenses
+        lattice = system.lattice
+        table = system.camera.mla_transmissions
         cosine = in_millimetres(system.wavelength) / (2 * step.x.pitch)
-        self.step, self.power = step, 0.0
+        self.step = step
+        self.power = 0.0
         self._brightness = self._openings = None
         if table is not None:
             self._brightness = Element(step, lambda x, y: _complex(dr.sqrt(table.at(lattice, *lattice.cell(x, y)))))
@@ -188,12 +193,15 @@ def _complex(values: Any) -> Any:
 
 def _irregular(system: OpticalSystem, grids: FieldGrids) -> fft.Field:
     """Return the transmission of an irregular array, without the directions that the grid would alias."""
-    types, (columns, rows) = active_backend().types, grids.count
-    pitch, shape = grids.pitch / _FINER, (_FINER * rows, _FINER * columns)
+    types = active_backend().types
+    (columns, rows) = grids.count
+    pitch = grids.pitch / _FINER
+    shape = (_FINER * rows, _FINER * columns)
     check_memory(40.0 * math.prod(shape), f"irregular array of {columns} x {rows} samples")
     left, top = grids.origin
     row, column = fft.rows_and_columns(types, *shape)
-    x, y = types.Float64(column) * pitch + left, types.Float64(row) * pitch + top
+    x = types.Float64(column) * pitch + left
+    y = types.Float64(row) * pitch + top
     fine = fft.as_field(fft.pack(transmission(system.camera, system.wavelength, x, y)), shape)
     lam = in_millimetres(system.wavelength)
     with fft.resting_drjit():
@@ -211,7 +219,8 @@ def _irregular(system: OpticalSystem, grids: FieldGrids) -> fft.Field:
 
 def pixel_integrals(camera: PlenopticCamera, field: Rows, grids: FieldGrids) -> NDArray[np.float32]:
     """Return the intensity integrated over each recorded pixel, exactly for the band-limited field on finer samples."""
-    arrays, (height, width) = active_backend().arrays, camera.shape
+    arrays = active_backend().arrays
+    (height, width) = camera.shape
     rows = arrays.empty((2 * grids.count[1], width), np.float32)
     for block, samples in field:
         parts = samples.view(np.float32)
@@ -225,7 +234,8 @@ def pixel_integrals(camera: PlenopticCamera, field: Rows, grids: FieldGrids) -> 
 
 def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int) -> NDArray[np.float32]:
     """Return rows of the doubled grid integrated over the recorded pixels: their spectrum times the pixel's sinc."""
-    size, per_pixel = intensity.shape[1], 2 * grids.per_pixel
+    size = intensity.shape[1]
+    per_pixel = 2 * grids.per_pixel
     spectrum = fft.rfft(intensity, axis=1)
     pixel = np.sinc(np.fft.rfftfreq(size) * per_pixel) * per_pixel * grids.pitch / 2
     spectrum *= active_backend().arrays.asarray(pixel.astype(np.float32))
@@ -270,7 +280,10 @@ class FullFieldPlan:
         pupil_weights: PupilWeights | None,
         accuracy: float,
     ) -> None:
-        self._system, self._camera, self._points, self._pupil_weights = system, system.camera, points, pupil_weights
+        self._system = system
+        self._camera = system.camera
+        self._points = points
+        self._pupil_weights = pupil_weights
 
     def sum(self, weights: NDArray[np.float64]) -> FullFieldSum:
         """Return the sum, not yet computed, of the point spreads with given weights, (n, channels)."""
@@ -288,7 +301,8 @@ class FullFieldPlan:
 
     def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
         """Return each point spread's inner product with an image; see `PatchPlan.gather`."""
-        unit, count = np.ones(1, np.float32), len(self._points)
+        unit = np.ones(1, np.float32)
+        count = len(self._points)
         batches = (self.batch(point, unit) for point in range(count))
         spreads = (batch_sum.sums[0] for batch_sum in job.each(batches, [1] * count, done, total))
         return np.array([np.tensordot(psf, image, 2) for psf in spreads], np.float64).reshape(-1, image.shape[2])
@@ -301,7 +315,8 @@ class FullFieldPlan:
 
     def cost(self, batch_map: BatchMap) -> Cost:
         """Return the estimated cost of a sum, from its first point."""
-        count, memory = len(self._points), self.check_memory(batch_map)
+        count = len(self._points)
+        memory = self.check_memory(batch_map)
         start = time.perf_counter()
         if count:
             self.batch(0, np.ones(1, np.float32)).prepare()()
@@ -315,7 +330,8 @@ class FullFieldSum:
         self._plan, self._weights = plan, weights.astype(np.float32)
         self._lit = np.flatnonzero(weights.any(1))
         self.arrays: Any = np
-        self.box, self.channels = plan.box, weights.shape[1]
+        self.box = plan.box
+        self.channels = weights.shape[1]
         self.items = np.ones(len(self._lit), np.int64)
 
     def batches(self, first: int) -> Iterator[_FullField]:

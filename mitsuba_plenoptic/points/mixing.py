@@ -16,7 +16,8 @@ from ..optics import Spectrum
 from ..runtime import POINTS, Job, as_array
 from .pupil_weights import PupilWeights
 
-_LEFT_OUT, _ROUNDING = 0.1, 1e-6
+_LEFT_OUT = 0.1
+_ROUNDING = 1e-6
 """Fraction of the accuracy used for simplifying spectra, and relative rounding error of single precision."""
 
 
@@ -51,7 +52,8 @@ class WeightChannels:
     """Wavelengths of the columns of weights, from one wavelength or a spectrum, and the image channels."""
 
     def __init__(self, wavelength: float | None, spectrum: Spectrum | None) -> None:
-        self._wavelength, self.spectrum = wavelength, spectrum
+        self._wavelength = wavelength
+        self.spectrum = spectrum
 
     @property
     def light(self) -> Any:
@@ -139,7 +141,9 @@ class WavelengthPlans:
         accuracy: float,
         systems: dict[float, OpticalSystem],
     ) -> None:
-        self._make, self._camera, self._systems = make, camera, systems
+        self._make = make
+        self._camera = camera
+        self._systems = systems
         self._planned_for = points, pupil_weights, accuracy
         self._plans: dict[float, Any] = {}
 

@@ -227,7 +227,8 @@ class CaptureOperator(CoherentPoints, LinearMap):
             "accuracy": self._accuracy,
             "points_digest": lambda: digest(self.points, weights, *arrays),
         }
-        shape, items = (*self.camera.shape, len(matrix)), self.sums * len(self.points)
+        shape = (*self.camera.shape, len(matrix))
+        items = self.sums * len(self.points)
         return job.run(self.tasks(weights, job), shape, items, facts)
 
     @one_at_a_time
@@ -328,7 +329,8 @@ class CaptureOperator(CoherentPoints, LinearMap):
         InputError
             As for `derivative`, or if there is no direction.
         """
-        factors, checked = self._check(weights), [check_changes(self.camera, changes) for changes in directions]
+        factors = self._check(weights)
+        checked = [check_changes(self.camera, changes) for changes in directions]
         refuse_if(not checked, "directions: give at least one")
         wavelengths, matrix = self._channels.mixing(factors.shape[1])
         image = self._for_derivatives().jvp(factors, checked, wavelengths, matrix, job or Job())
@@ -369,7 +371,8 @@ class CaptureOperator(CoherentPoints, LinearMap):
         InputError
             As for `derivative`.
         """
-        factors, chosen = self._check(weights), check_names(self.camera, names)
+        factors = self._check(weights)
+        chosen = check_names(self.camera, names)
         channels = self._detector.adjoint(self._channels.check_image(image_gradient, self.camera.shape))
         wavelengths, matrix = self._channels.mixing(factors.shape[1])
         if channels.shape[2] != len(matrix):
@@ -405,10 +408,8 @@ class CaptureOperator(CoherentPoints, LinearMap):
         PhysicsError
             If too much of the light would be lost.
         """
-        wavelengths, workers = (
-            sorted(spectral_sum.wavelength for spectral_sum in self._channels.parts(1)),
-            (job or Job()).workers,
-        )
+        wavelengths = sorted(spectral_sum.wavelength for spectral_sum in self._channels.parts(1))
+        workers = (job or Job()).workers
         wavelength = wavelengths[len(wavelengths) // 2]
         cost = self._plans.at(wavelength).cost(workers)
         return Cost(self.sums * cost.points, self.sums * cost.patterns, self.sums * cost.seconds, cost.memory)

@@ -66,7 +66,9 @@ class PatchWorkspace:
     """Memory for the transforms of the points of a batch."""
 
     def __init__(self, batch: PatchBatch) -> None:
-        arrays, count, m = batch.libraries.arrays, batch.together, batch.mla_samples
+        arrays = batch.libraries.arrays
+        count = batch.together
+        m = batch.mla_samples
         self.rows = arrays.empty((count, batch.pupil.shape[1], m), np.complex64)
         blocks = (block for size in (batch.samples, m) for block in _blocks(size, m, batch.sizes.block))
         longest = max(block.stop - block.start for block in blocks)
@@ -85,11 +87,9 @@ class PatchBatch:
         self.libraries = active_backend()
         self.sizes = _CUDA if self.libraries.is_cuda else _PROCESSOR
         self.factors = factors_of_points = PatchFactors(fields, amplitudes)
-        self.samples, self.mla_samples, self.corner = (
-            factors_of_points.samples,
-            factors_of_points.mla_samples,
-            fields.placement.corner,
-        )
+        self.samples = factors_of_points.samples
+        self.mla_samples = factors_of_points.mla_samples
+        self.corner = fields.placement.corner
         self.parts: list[fft.Field] = [
             fft.as_field(fft.pack(value), shape)
             for value, shape in zip(factors_of_points.values(), factors_of_points.shapes, strict=True)
@@ -118,7 +118,8 @@ class PatchBatch:
     def chained(self, finer: int) -> list[slice]:
         """Return the points of each `FieldChain`, whose fields are `finer` on the detector by a factor."""
         widest = max(finer * self.samples, self.mla_samples)
-        count, step = len(self.pupil), max(1, self.sizes.chain // widest**2)
+        count = len(self.pupil)
+        step = max(1, self.sizes.chain // widest**2)
         return [slice(first, min(first + step, count)) for first in range(0, count, step)]
 
     def to_detector(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[slice, fft.Field]]:
@@ -127,7 +128,8 @@ class PatchBatch:
         Fields are computed in blocks that fit into a core's own cache. Yielded are a block's position along y, and part
         of the fields (points, samples along x, some samples along y); the memory of a part and of `work` is reused.
         """
-        n, count = self.samples, stop - start
+        n = self.samples
+        count = stop - start
         through = self._through_axes if self.is_separable else self._through_plane
         for block, columns in through(start, stop, work):
             spectrum = forward_along(columns, axis=2)[..., :n]
@@ -140,7 +142,8 @@ class PatchBatch:
 
     def _through_axes(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[slice, fft.Field]]:
         """Yield columns of the fields, spectra along x, behind microlenses that are a product of two axes."""
-        count, (along_x, along_y) = stop - start, (factor[start:stop, None] for factor in self.parts[1:-1])
+        count = stop - start
+        (along_x, along_y) = (factor[start:stop, None] for factor in self.parts[1:-1])
         rows = _to_array(self.pupil[start:stop], work.rows[:count])
         rows *= along_x
         rows = forward_along(rows, axis=2)
@@ -151,7 +154,9 @@ class PatchBatch:
 
     def _through_plane(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[slice, fft.Field]]:
         """Yield columns of the fields, spectra along x, behind microlenses that are a function of both axes."""
-        count, n, m = stop - start, self.samples, self.mla_samples
+        count = stop - start
+        n = self.samples
+        m = self.mla_samples
         along_x, along_y, plane = (factor[start:stop] for factor in self.parts[1:-1])
         rows = _to_array(self.pupil[start:stop].transpose(0, 2, 1), work.rows[:count])
         rows *= along_y[:, None]
@@ -169,7 +174,8 @@ class PatchBatch:
 def _to_array(spectra: fft.Field, work: fft.Field) -> fft.Field:
     """Return fields on the array, in the memory of `work`, from lines of spectra padded with zeros."""
     count = spectra.shape[2]
-    work[..., :count], work[..., count:] = spectra, 0
+    work[..., :count] = spectra
+    work[..., count:] = 0
     return inverse_along(work, axis=2)
 
 
@@ -215,7 +221,8 @@ class Memory:
 
     def take(self, shape: tuple[int, ...]) -> fft.Field:
         """Return an uninitialised complex64 array."""
-        fields, in_use = self._fields.setdefault(shape, []), self._used[shape]
+        fields = self._fields.setdefault(shape, [])
+        in_use = self._used[shape]
         if in_use == len(fields):
             fields.append(self.arrays.empty(shape, np.complex64))
         self._used[shape] += 1
@@ -237,7 +244,8 @@ class Memory:
         wide = self.take(tuple(shape))
         count = field.shape[axis]
         along: Any = [(..., half, *[slice(None)] * (-1 - axis)) for half in (slice(count), slice(count, None))]
-        wide[along[0]], wide[along[1]] = field, 0
+        wide[along[0]] = field
+        wide[along[1]] = 0
         return wide
 
 
@@ -269,14 +277,19 @@ class FieldChain:
         returning: fft.Field | None = None,
     ) -> None:
         pupil, *lenses, self._transfer = factors
-        self._finer, self._returning, self._memory, self._arrays = finer, returning, memory, memory.arrays
-        self._directions, self._samples = pupil.shape[-1], self._transfer.shape[-1]
+        self._finer = finer
+        self._returning = returning
+        self._memory = memory
+        self._arrays = memory.arrays
+        self._directions = pupil.shape[-1]
+        self._samples = self._transfer.shape[-1]
         # Fields have x along the last axis.
         index: dict[tuple[int, ...], Any] = {(0,): (slice(None), None), (1,): (Ellipsis, None)}
         upright = [lens[index.get(rows, Ellipsis)] for rows, lens in zip(axes, lenses, strict=True)]
         named: list[_Factor] = list(zip(axes, upright, strict=True))
         self._stages = [((-1, -2), named)] if len(named) > 2 else [((-1,), named[:1]), ((-2,), named[1:])]
-        self._size, self._spectrum = lenses[0].shape[-1], pupil
+        self._size = lenses[0].shape[-1]
+        self._spectrum = pupil
         self._before: list[fft.Field] = []
         for along, stage in self._stages:
             self._before.append(self._inverse(self._spectrum, self._size, along))
@@ -290,7 +303,8 @@ class FieldChain:
 
     def jvp(self, changes: Parts) -> Any:
         """Return the change of the intensity for changes of the factors; None stands for an unchanged factor."""
-        moved, product = self._moved(changes), self._memory.product
+        moved = self._moved(changes)
+        product = self._memory.product
         spectrum = _total(
             None if moved is None else product(moved, self._transfer),
             None if changes[-1] is None else product(self._spectrum, changes[-1]),
@@ -315,9 +329,12 @@ class FieldChain:
 
         Intermediate fields are overwritten.
         """
-        memory, arrays, spectrum = self._memory, self._arrays, self._from_detector(gradient)
+        memory = self._memory
+        arrays = self._arrays
+        spectrum = self._from_detector(gradient)
         parts: list[fft.Field | None] = [memory.conjugate_product(self._spectrum, spectrum) if varies[-1] else None]
-        field, varying = self._before_space(spectrum), list(varies[1:-1])
+        field = self._before_space(spectrum)
+        varying = list(varies[1:-1])
         for (axes, factors), before in zip(self._stages[::-1], self._before[::-1], strict=True):
             field = self._inverse(field, self._size, axes)
             product = arrays.multiply(arrays.conj(before, out=before), field, out=before)
@@ -335,7 +352,8 @@ class FieldChain:
 
     def _moved(self, changes: Parts) -> fft.Field | None:
         """Return the change of the spectrum for changes of all factors before free space."""
-        moved, factor_changes = changes[0], list(changes[1:-1])
+        moved = changes[0]
+        factor_changes = list(changes[1:-1])
         for (axes, factors), before in zip(self._stages, self._before, strict=True):
             total = None if moved is None else self._product(self._inverse(moved, self._size, axes), factors)
             for index, (_, factor) in enumerate(factors):
@@ -378,8 +396,11 @@ class FieldChain:
 
     def _from_detector(self, gradient: Any) -> fft.Field:
         """Return the adjoint of `_to_detector` applied to the field times a gradient."""
-        (count, size, _), n, arrays = self.field.shape, self._samples, self._arrays
-        columns, rows = self._memory.take((count, size, n)), max(1, _BLOCK // size) if arrays is np else size
+        (count, size, _) = self.field.shape
+        n = self._samples
+        arrays = self._arrays
+        columns = self._memory.take((count, size, n))
+        rows = max(1, _BLOCK // size) if arrays is np else size
         for block in (slice(first, first + rows) for first in range(0, size, rows)):
             columns[:, block] = _forward(self.field[:, block] * gradient[:, block], n, (-1,))
         return arrays.ascontiguousarray(_forward(columns, n, (-2,)))

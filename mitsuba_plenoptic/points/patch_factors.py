@@ -107,10 +107,14 @@ class PatchFactors:
         `elements` is a function from the number of lanes to the elements; the default is those of the grid's camera.
         `types` is the module of Dr.Jit's arrays, by default without gradients.
         """
-        self._grid, self._placement, self._positions = fields.grid, fields.placement, fields.positions
-        self._amplitudes, self._weights = amplitudes, fields.pupil_weights
+        self._grid = fields.grid
+        self._placement = fields.placement
+        self._positions = fields.positions
+        self._amplitudes = amplitudes
+        self._weights = fields.pupil_weights
         self._types = types or array_module()
-        grid, placement = fields.grid, fields.placement
+        grid = fields.grid
+        placement = fields.placement
         self._elements_of = functools.cache(elements or (lambda lanes: self._own))
         self.samples = int(placement.samples[0])
         finest = float((in_millimetres(grid.wavelength) / (self.samples * grid.pitch)).min())
@@ -156,8 +160,10 @@ class PatchFactors:
         dr.schedule(power)  # together with the pupil, since it is a sum over it
         yield pupil
         # The factor on each field that makes its intensity a density of the fraction of the power.
-        lit, wavelength = power > 0, self._elements(self.shapes[0][:1]).wavelength
-        steps, lam = self._constant(math.prod(self._steps)), self._constant(in_millimetres(wavelength))
+        lit = power > 0
+        wavelength = self._elements(self.shapes[0][:1]).wavelength
+        steps = self._constant(math.prod(self._steps))
+        lam = self._constant(in_millimetres(wavelength))
         scale = drjit_array(self._types.Float64, self._amplitudes) * steps / dr.sqrt(dr.select(lit, power, 1))
         scale = dr.select(lit, scale / (lam * self._constant(float(self.mla_samples) ** 2)), 0)
         for axes, shape in zip(self.axes, self.shapes[1:-1], strict=True):
@@ -186,7 +192,10 @@ class PatchFactors:
 
     def _pupil(self, elements: Elements) -> tuple[Any, Any]:
         """Return plane waves from the pupil, (n, along y, along x), and the power of each point through it."""
-        types, lens, grid, placement = self._types, elements.lens(), self._grid, self._placement
+        types = self._types
+        lens = elements.lens()
+        grid = self._grid
+        placement = self._placement
         _, size, _ = self.shapes[0]
         index = dr.arange(types.UInt32, len(self._positions) * size * size)
         patch, row, column = fft.split(types, index, size, size)
@@ -194,16 +203,19 @@ class PatchFactors:
         def value(values: NDArray[Any]) -> Any:
             return self._each(values, patch)
 
-        steps, growth = self._steps, elements.growth
+        steps = self._steps
+        growth = elements.growth
         start = grid.origin + placement.corner * grid.pitch - placement.image
         nx = types.Float64(column) + value(placement.first[:, 0])
         ny = types.Float64(row) + value(placement.first[:, 1])
-        sx, sy = nx * self._constant(steps[0]), ny * self._constant(steps[1])
+        sx = nx * self._constant(steps[0])
+        sy = ny * self._constant(steps[1])
         b = self._constant(lens.pupil.distance)
         image = value(placement.image[:, 0]) * growth, value(placement.image[:, 1]) * growth
         pupil, R, length = lens.pupil.from_array((sx, sy), image)
         X, Y = turn(value(self._positions[:, 0]), value(self._positions[:, 1]), -elements.turned)
-        point, light = (X, Y, value(self._positions[:, 2])), lens.bind(self._positions, patch)
+        point = (X, Y, value(self._positions[:, 2]))
+        light = lens.bind(self._positions, patch)
         waves = self._path(elements, light, pupil, point)
         waves += length / self._constant(in_millimetres(elements.wavelength))
         start[:, 1] *= grid.pitch[0] / grid.pitch[1]
@@ -273,11 +285,13 @@ class PatchFactors:
 
         The tilt of the chief ray is omitted.
         """
-        types, placement = self._types, self._placement
+        types = self._types
+        placement = self._placement
         shape = len(self._positions), self.mla_samples
         _, patch, sample = fft.split(types, dr.arange(types.UInt32, math.prod(shape)), *shape)
         m = self._position(patch, sample, axis)
-        image, growth = self._each(placement.image[:, axis], patch), elements.growth
+        image = self._each(placement.image[:, axis], patch)
+        growth = elements.growth
         mu = (m - image) * growth
         # path from the pupil: (mu^2 - (s mu)^2) / 2 R, where the part along the other axis is negligible
         lens = elements.lens()
@@ -295,7 +309,8 @@ class PatchFactors:
 
     def _on_plane(self, elements: Elements) -> Any:
         """Return the factor of both coordinates, (n, along y, along x): microlenses if not separable, brightness."""
-        types, size = self._types, self.mla_samples
+        types = self._types
+        size = self.mla_samples
         patch, row, column = fft.split(types, dr.arange(types.UInt32, len(self._positions) * size * size), size, size)
         x, y = (self._position(patch, sample, axis) * elements.growth for axis, sample in enumerate((column, row)))
         product = types.Complex2f(types.Float(self._grid.brightness(x, y, self._mla_steps)))
@@ -317,7 +332,8 @@ class PatchFactors:
         # In the medium both direction cosines and wavelength are smaller by its index.
         medium = self._constant(self._grid.camera.space_behind[1])
         distance = self._constant(elements.detector_distance)
-        sx, sy = sx / medium, sy / medium
+        sx = sx / medium
+        sy = sy / medium
         free_space = transfer(sx, sy, distance, elements.wavelength / medium)
         camera = self._grid.camera
         return free_space * recorded_amplitude(camera, sx, sy) if has_response(camera) else free_space

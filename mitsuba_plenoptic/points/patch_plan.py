@@ -27,7 +27,8 @@ from .tile import Copies, Gather, Scatter, aperture_power, arrived_power, reache
 _CHUNK = 64
 """Largest number of point spreads that are computed together and added into one tile."""
 
-_FEW, _CHUNKS = 4, 32
+_FEW = 4
+_CHUNKS = 32
 """Smallest limit on the point spreads of a chunk, and the least number of chunks if there are few point spreads, so
 that all threads have work."""
 
@@ -40,7 +41,8 @@ _TILE = 1024
 _DEVICE_TILE = 4096
 """The same on a device, where a larger tile costs less than the kernels of more chunks."""
 
-_FIRST, _TRIAL_SECONDS = 2, 0.1
+_FIRST = 2
+_TRIAL_SECONDS = 0.1
 """Least number of point spreads that are timed for an estimate, and approximate seconds for each patch size."""
 
 _JUDGED = 16
@@ -67,10 +69,13 @@ class PatchPlan:
         band: Band | None = None,
         shared: bool = True,
     ) -> None:
-        camera, wavelength = system.camera, system.wavelength
+        camera = system.camera
+        wavelength = system.wavelength
         self._camera, self._pupil_weights, self._count = camera, pupil_weights, len(points)
         self._grid = Grid.of(system, band or band_for(accuracy, len(points)), points)
-        upright, lens, turned = self._grid.camera, self._grid.lens, self._grid.to_frame(points)
+        upright = self._grid.camera
+        lens = self._grid.lens
+        turned = self._grid.to_frame(points)
         # Lenses at uneven distances share nothing, nor do lenses of uneven light.
         shared &= bool(self._grid.lens_samples.any()) and camera.lattice.displacement is None
         shared &= camera.vignetting is None and camera.mla_transmissions is None
@@ -82,7 +87,8 @@ class PatchPlan:
         high = low + placement.samples[patterns.pattern, None]
         self._recorder = Recorder(camera, self._grid, low, high)
         box = self._recorder.box
-        start, size = np.array([box.left, box.top]), np.array([box.columns, box.rows])
+        start = np.array([box.left, box.top])
+        size = np.array([box.columns, box.rows])
         # The points whose light reaches the recorded window, pattern by pattern.
         order = np.flatnonzero(((high > start) & (low < start + size)).all(1))
         self._order = order = order[np.argsort(patterns.pattern[order], kind="stable")]
@@ -96,7 +102,8 @@ class PatchPlan:
 
     def _sort(self) -> list[NDArray[np.int64]]:
         """Return the patterns divided into chunks."""
-        samples, corner = self._placement.samples, self._placement.corner
+        samples = self._placement.samples
+        corner = self._placement.corner
         if not len(samples):
             return []
         area = _areas(samples)
@@ -122,7 +129,9 @@ class PatchPlan:
 
         Copies are weighted relative to these. Patterns without weight are omitted, but not those whose weights cancel.
         """
-        scattered, amplitudes, copies = [], [], []
+        scattered = []
+        amplitudes = []
+        copies = []
         for pattern, shifts, factors in self._lit_copies(chunk, weights):
             largest = float(np.abs(factors).max()) or 1.0
             scattered.append(pattern)
@@ -165,7 +174,8 @@ class PatchPlan:
 
     def _alike(self, patterns: NDArray[np.int64]) -> list[NDArray[np.int64]]:
         """Return patterns in chunks of one patch size."""
-        samples, groups = self._placement.samples[patterns], []
+        samples = self._placement.samples[patterns]
+        groups = []
         for size in np.unique(samples):
             groups += chunks_of(self._grid, self._placement, patterns[samples == size], _CHUNK)
         return groups
@@ -271,7 +281,8 @@ class PatchPlan:
         """Return a rectangle of recorded samples (channels, rows, columns), padded with zeros, where they lie."""
         recorded = self._recorder.box
         tile: NDArray[np.float32] = backend_of(samples).arrays.zeros((len(samples), box.rows, box.columns), np.float32)
-        top, left = box.top - recorded.top, box.left - recorded.left
+        top = box.top - recorded.top
+        left = box.left - recorded.left
         rows = slice(max(top, 0), min(top + box.rows, recorded.rows))
         columns = slice(max(left, 0), min(left + box.columns, recorded.columns))
         if rows.start < rows.stop and columns.start < columns.stop:
@@ -297,7 +308,8 @@ class PatchPlan:
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
         """Return the bytes of a sum; refuse sums too large for the memory."""
         memory = self.memory(batch_map, channels)
-        largest, patterns = int(self._placement.samples.max(initial=0)), len(self._positions)
+        largest = int(self._placement.samples.max(initial=0))
+        patterns = len(self._positions)
         label = f"{self._count} points by patches of {largest} x {largest} samples"
         check_memory(memory, label)
         bytes_of_field = 8.0 * largest**2
@@ -349,10 +361,12 @@ class PatchSum:
     """A sum of point spreads, computed batch by batch, with the interface of `runtime.batches.LongSum`."""
 
     def __init__(self, plan: PatchPlan, weights: NDArray[np.float64]) -> None:
-        self._plan, self._weights = plan, weights
+        self._plan = plan
+        self._weights = weights
         self._chunks, self.items = plan.lit_chunks(weights)
         self.arrays: Any = active_backend().arrays
-        self.box, self.channels = plan._recorder.box, weights.shape[1]
+        self.box = plan._recorder.box
+        self.channels = weights.shape[1]
 
     def batches(self, first: int) -> Iterator[Scatter]:
         """Yield the batches from index `first` on, in order."""

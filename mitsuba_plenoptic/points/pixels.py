@@ -50,7 +50,8 @@ class PixelAxis:
         # six borders.
         edges = (self.start + np.arange(self.count + 1) * self.pixel_size) / self.pitch + 0.5
         first = np.floor(edges).astype(np.int64) - (_BORDERS // 2 - 1)
-        at, places = edges - first, np.arange(_BORDERS)
+        at = edges - first
+        places = np.arange(_BORDERS)
         others = [np.delete(places, edge_place) for edge_place in places]
         share = np.stack(
             [np.prod((at[:, None] - o) / (p - o), axis=1) for p, o in zip(places, others, strict=True)], -1
@@ -73,7 +74,8 @@ class PixelAxis:
         return self._integrals(moment=True) - self.weights * np.float32(origin)
 
     def _integrals(self, moment: bool) -> scipy.sparse.csr_array:
-        width, start = self.pixel_size / self.pitch, self.start / self.pitch
+        width = self.pixel_size / self.pitch
+        start = self.start / self.pitch
         pieces = max(1, math.ceil(width))
         nodes, node_weights = np.polynomial.legendre.leggauss(_NODES)
         inside = ((np.arange(pieces)[:, None] + (nodes + 1) / 2) * (width / pieces)).ravel()
@@ -179,7 +181,8 @@ class PixelIntegrals:
 
     def cut(self, pixels: tuple[slice, slice], samples: tuple[slice, slice]) -> PixelIntegrals:
         """Return the integrals over some rows and columns of the pixels, from some rows and columns of the samples."""
-        (rows, columns), (down, across) = pixels, samples
+        (rows, columns) = pixels
+        (down, across) = samples
         terms = [(along_y[rows, down], along_x[columns, across]) for along_y, along_x in self._terms]
         return PixelIntegrals(*self._axes, terms)
 
@@ -198,7 +201,8 @@ def _sum_of_products(terms: list[tuple[Any, Any]], values: Any) -> Any:
     Where samples are made from pixels, x comes first: rows in memory then need not be turned into columns and back when
     there are most of them.
     """
-    libraries, total = backend_of(values), None
+    libraries = backend_of(values)
+    total = None
     contiguous = libraries.arrays.ascontiguousarray
     for along_y, along_x in terms:
         made_from_pixels = along_y.shape[0] > along_y.shape[1]
@@ -236,8 +240,13 @@ class TurnedSamples:
         new_origin: tuple[float, float],
         shape: tuple[int, int],
     ) -> None:
-        self._samples, self._pitch, self._origin, self._degrees = samples, pitch, origin, degrees
-        self._new_pitch, self._new_origin, self._shape = new_pitch, new_origin, shape
+        self._samples = samples
+        self._pitch = pitch
+        self._origin = origin
+        self._degrees = degrees
+        self._new_pitch = new_pitch
+        self._new_origin = new_origin
+        self._shape = shape
         self._padded = samples[0] + 2 * HALF_WIDTH, samples[1] + 2 * HALF_WIDTH
         parts = (np.arange(_PARTS) + 0.5) / _PARTS
         self._weights = windowed_sinc(parts[:, None] - np.arange(1 - HALF_WIDTH, 1 + HALF_WIDTH)).astype(np.float32)
@@ -245,7 +254,8 @@ class TurnedSamples:
     def forward(self, intensity: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the intensity (rows, columns) interpolated at the new samples."""
         libraries = backend_of(intensity)
-        types, arrays = libraries.types, libraries.arrays
+        types = libraries.types
+        arrays = libraries.arrays
         values = drjit_array(types.Float, arrays.pad(intensity, HALF_WIDTH))
         result = arrays.empty(self._shape, np.float32)
         for lines, active, across, visit in self._visited(libraries):
@@ -307,7 +317,8 @@ class TurnedSamples:
             _, row, column = fft.split(types, dr.arange(types.UInt32, count), lines.stop - top, width)
             x = types.Float64(column) * step + dr.opaque(types.Float64, self._new_origin[0])
             y = types.Float64(row) * step + dr.opaque(types.Float64, self._new_origin[1] + top * self._new_pitch)
-            first, entry = [], []
+            first = []
+            entry = []
             active = dr.full(types.Bool, True, count)
             for axis, (position, end) in enumerate(zip(turn(x, y, degrees), ends, strict=True)):
                 position = (position - dr.opaque(types.Float64, self._origin[axis])) * dr.opaque(

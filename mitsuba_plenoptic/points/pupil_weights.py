@@ -98,7 +98,8 @@ class PupilWeights:
         UInt32 = type(point)
         Float = dr.float32_array_t(UInt32)
         complex_ = np.iscomplexobj(self.table)
-        size, border = self.table.shape[1], BORDER if complex_ else 0
+        size = self.table.shape[1]
+        border = BORDER if complex_ else 0
         cells = size - 2 * border
         first = dr.gather(UInt32, drjit_array(UInt32, self.index), point) * (size * size)
         half = dr.minimum(sample * (cells / (4 * radius)), 0.5)
@@ -117,14 +118,16 @@ class PupilWeights:
             drjit_array(Float, values_at)
             for values_at in ([self.table.real, self.table.imag] if complex_ else [self.table])
         ]
-        sums, amplitude = [dr.zeros(Float) for _ in tables], dr.zeros(Float)
+        sums = [dr.zeros(Float) for _ in tables]
+        amplitude = dr.zeros(Float)
         for (column, across), (row, down) in itertools.product(*sides):
             weights = [dr.gather(Float, table, first + row * size + column) for table in tables]
             sums = [total + across * down * weight for total, weight in zip(sums, weights, strict=True)]
             amplitude += across * down * dr.sqrt(weights[0])
         power = sums[0]
         if complex_:
-            power, amplitude = sums[0] ** 2 + sums[1] ** 2, fft.array_types(point).Complex2f(*sums)
+            power = sums[0] ** 2 + sums[1] ** 2
+            amplitude = fft.array_types(point).Complex2f(*sums)
         elif self.sampled:
             amplitude = dr.sqrt(power)
         slant = [dr.gather(Float, drjit_array(Float, values_at), point) for values_at in self.slant.T]

@@ -26,10 +26,12 @@ def ray_spread(
     """
     require_support(camera, Use.RAY_SPREADS)
     lens = OpticalSystem.by_design(camera).lens.waves_of(point[None])
-    light, walk = lens.bind(point[None]), Walk.of(camera, lens) if camera.has_array else None
+    light = lens.bind(point[None])
+    walk = Walk.of(camera, lens) if camera.has_array else None
     counts = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, np.ndarray)
     rows, columns = camera.shape
-    image, emitted = np.zeros(rows * columns), 0.0
+    image = np.zeros(rows * columns)
+    emitted = 0.0
     for samples in np.array_split(pupil_samples, math.ceil(len(pupil_samples) / _TOGETHER)):
         pupil = samples[:, 0] * lens.reach, samples[:, 1] * lens.reach
         x, y, z = (np.full(len(samples), value) for value in point)
@@ -41,12 +43,14 @@ def ray_spread(
         if camera.vignetting is not None:
             power *= camera.vignetting.power(*radii, *on_array)
         landed: Any = on_array
-        before, depth = pupil, lens.pupil.distance
+        before = pupil
+        depth = lens.pupil.distance
         if walk is not None:
             lenslet = walk.lenslet(*walk.lattice.cell(*on_array))
             x, y = lenslet.centre
             power *= lenslet.gain * walk.lattice.in_aperture(on_array[0] - x, on_array[1] - y)
-            before, depth = (on_array[0], on_array[1]), camera.detector_distance
+            before = (on_array[0], on_array[1])
+            depth = camera.detector_distance
             landed, _ = walk.onto_detector(pupil, Passage(before, lenslet))
         if has_response(camera):
             power *= counts(np.hypot(landed[0] - before[0], landed[1] - before[1]), depth)

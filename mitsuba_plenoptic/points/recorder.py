@@ -35,8 +35,11 @@ class Recorder:
         high: NDArray[np.int64],
         parent: Recorder | None = None,
     ) -> None:
-        self._camera, self._grid, self._whole = camera, grid, parent
-        pitch, p = grid.pitch, camera.pixel_size
+        self._camera = camera
+        self._grid = grid
+        self._whole = parent
+        pitch = grid.pitch
+        p = camera.pixel_size
         start = np.array(camera.crop_offset)
         stop = start + np.array(camera.crop_size)
         if len(low):
@@ -100,8 +103,10 @@ class Recorder:
     @property
     def window(self) -> tuple[slice, slice]:
         """Rows and columns of the pixels in the image."""
-        left, top = (self._pixels.left, self._pixels.top)
-        left, top = left - self._camera.crop_offset[0], top - self._camera.crop_offset[1]
+        left = self._pixels.left
+        top = self._pixels.top
+        left = left - self._camera.crop_offset[0]
+        top = top - self._camera.crop_offset[1]
         return slice(top, top + self._pixels.rows), slice(left, left + self._pixels.columns)
 
     @property
@@ -113,7 +118,8 @@ class Recorder:
     @property
     def _origin(self) -> tuple[float, float]:
         """X and y of the first sample in the lattice's frame, relative to the detector's corner."""
-        pitch, size = self._grid.pitch, (self._camera.detector_width, self._camera.detector_height)
+        pitch = self._grid.pitch
+        size = (self._camera.detector_width, self._camera.detector_height)
         x, y = np.array([self.box.left, self.box.top]) * pitch + (self._grid.origin + np.array(size) / 2)
         return float(x), float(y)
 
@@ -137,10 +143,14 @@ class Recorder:
             parent = self._whole
             return parent._integrals.cut(_slices(self._pixels, parent._pixels), _slices(self.box, parent.box))
         x, y = self._grid.pitch.tolist()
-        pitch, origin, samples = (x, y), self._origin, (self.box.rows, self.box.columns)
+        pitch = (x, y)
+        origin = self._origin
+        samples = (self.box.rows, self.box.columns)
         if self._grid.rotation != 0:
             step = min(pitch)
-            pitch, origin, samples = (step, step), self._upright_origin, self._upright_shape
+            pitch = (step, step)
+            origin = self._upright_origin
+            samples = self._upright_shape
         shape = self._pixels.rows, self._pixels.columns
         return PixelIntegrals.of(samples, pitch, origin, self._camera.pixel_size, self._edge, shape, self._grid.means)
 
@@ -165,7 +175,8 @@ class Recorder:
 
     @property
     def _upright_shape(self) -> tuple[int, int]:
-        p, step = self._camera.pixel_size, float(self._grid.pitch.min())
+        p = self._camera.pixel_size
+        step = float(self._grid.pitch.min())
         rows, columns = (math.ceil(count * p / step) + 2 * _EDGE for count in (self._pixels.rows, self._pixels.columns))
         return rows, columns
 
@@ -177,5 +188,6 @@ class Recorder:
 
 def _slices(inner: Box, outer: Box) -> tuple[slice, slice]:
     """Return a rectangle's rows and columns within another rectangle."""
-    top, left = inner.top - outer.top, inner.left - outer.left
+    top = inner.top - outer.top
+    left = inner.left - outer.left
     return slice(top, top + inner.rows), slice(left, left + inner.columns)

@@ -48,7 +48,8 @@ def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
     angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
     P = lens.pupil.radius * np.concatenate([radius * circle for radius in _RIM_RADII])
-    point, light = (positions[:, None, 0], positions[:, None, 1], positions[:, None, 2]), lens.bind(positions)
+    point = (positions[:, None, 0], positions[:, None, 1], positions[:, None, 2])
+    light = lens.bind(positions)
     is_open = np.broadcast_to(light.is_open((P[:, 0], P[:, 1])), (len(positions), len(P)))
     pupil = np.broadcast_to(P.T[:, None], (2, len(positions), len(P)))
     if not is_open.all():
@@ -81,7 +82,8 @@ def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) 
         half = (low + high) / 2
         x, y = np.moveaxis(middle + half[..., None] * away, -1, 0)
         within = light.is_open((x, y))
-        low, high = np.where(within, half, low), np.where(within, high, half)
+        low = np.where(within, half, low)
+        high = np.where(within, high, half)
     # Just outside the edge, so that the bounds contain the whole beam.
     edge = middle + high[..., None] * away
     return np.concatenate([np.where(is_open[..., None], P, middle)[:, :-_RIM_ANGLES], edge], axis=1)
@@ -95,7 +97,10 @@ def bundle_footprint(pupil: NDArray[np.float64], cosine: NDArray[np.float64], di
 
 def _bounds(landing: NDArray[np.float64], cosine: NDArray[np.float64]) -> Footprint:
     """Return the bounding boxes of positions and direction cosines, (2, n, rays)."""
-    low, high, first, last = landing.min(-1).T, landing.max(-1).T, cosine.min(-1).T, cosine.max(-1).T
+    low = landing.min(-1).T
+    high = landing.max(-1).T
+    first = cosine.min(-1).T
+    last = cosine.max(-1).T
     return Footprint((low + high) / 2, (high - low) / 2, (first + last) / 2, (last - first) / 2)
 
 
@@ -110,7 +115,8 @@ def check_positions(
         f"positions of shape {points.shape}: it must be (n, 3), for X, Y and g",
     )
     _refuse_any(points, ~np.isfinite(points).all(1), "its coordinates must be finite")
-    far, rule = (np.abs(points) > _FARTHEST).any(1), f"its coordinates must be {_FARTHEST:g} at most, and g"
+    far = (np.abs(points) > _FARTHEST).any(1)
+    rule = f"its coordinates must be {_FARTHEST:g} at most, and g"
     nearest = None if camera is None else camera.lens_data.nearest
     if nearest is not None:
         _refuse_any(points, far | (points[:, 2] <= nearest), f"{rule} more than {nearest:.6g}: before the objective")
@@ -120,7 +126,8 @@ def check_positions(
     if camera is not None and len(points):
         # A point far within the focal length, such as one given in metres, has light that exceeds any memory.
         closest = points[np.abs(points[:, 2]).argmin()]
-        depth, (image, width) = float(closest[2]), camera.image_samples
+        depth = float(closest[2])
+        (image, width) = camera.image_samples
         blur = 2 * camera.aperture_radius * abs(1 + camera.mla_distance * (1 / depth - 1 / camera.focal_length))
         if abs(depth) < camera.focal_length and blur > _WIDEST * width:
             raise InputError(

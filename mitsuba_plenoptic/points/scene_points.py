@@ -120,7 +120,8 @@ def find_points(
     )
     pairs = sample_pairs(count, seed)
     finder = _Finder(lights, system, window, pairs, paths)
-    total, step = len(window.index) * count, max(1, _LANES // max(paths, _CELLS**2))
+    total = len(window.index) * count
+    step = max(1, _LANES // max(paths, _CELLS**2))
     seeds = np.random.SeedSequence(seed).generate_state(-(-total // step)).tolist()
     batches = [
         finder.find(np.arange(start, min(start + step, total)), seed_of_batch)
@@ -159,7 +160,8 @@ class _Finder:
         """
         cell, pair = np.divmod(numbers, len(self.pairs))
         u, v, s, t = self.pairs[pair].T
-        lens, radius = self.system.lens, self.system.lens.reach
+        lens = self.system.lens
+        radius = self.system.lens.reach
         square = mi.Point2f(drjit_array(mi.Float, s), drjit_array(mi.Float, t))
         P = mi.warp.square_to_uniform_disk_concentric(square) * radius
         i, j = self.window.index[cell].T
@@ -174,10 +176,12 @@ class _Finder:
         bits = np.empty((0, _CELLS**2 // 8), np.uint8)
         if not dr.width(met):
             channels = 1 if mi.is_spectral else dr.size_v(mi.UnpolarizedSpectrum)
-            radiance, slant = np.empty((0, channels * len(self.lights))), np.empty((0, 2))
+            radiance = np.empty((0, channels * len(self.lights)))
+            slant = np.empty((0, 2))
             return np.empty((0, 3)), radiance, slant, bits, cell[:0], tried
         P, point, slope = (tuple(dr.gather(mi.Float, x, met) for x in xs) for xs in (P, point, slope))
-        hit, cell = dr.gather(type(hit), hit, met), cell[met.numpy()]
+        hit = dr.gather(type(hit), hit, met)
+        cell = cell[met.numpy()]
         radiance = self._radiance(point, slope, seed)
         lit = np.flatnonzero(radiance.max(axis=1) > 0)
         P, o, slopes = (np.stack([x.numpy() for x in xs], 1)[lit].astype(np.float64) for xs in (P, point, slope))
@@ -212,10 +216,12 @@ class _Finder:
         x, y = _MIDDLES
         # Cells whose centre is outside the pupil are sampled at the nearest point inside.
         inward = np.minimum(1, 0.999 / np.hypot(x, y)) * radius
-        x, y = drjit_array(mi.Float, x * inward), drjit_array(mi.Float, y * inward)
+        x = drjit_array(mi.Float, x * inward)
+        y = drjit_array(mi.Float, y * inward)
         count = len(entrances.pupil)
         lane = dr.arange(mi.UInt32, count * _CELLS**2)
-        point, cell = lane // _CELLS**2, lane % _CELLS**2
+        point = lane // _CELLS**2
+        cell = lane % _CELLS**2
         target = entrances.at(dr.gather(mi.Float, x, cell), dr.gather(mi.Float, y, cell), point)
         towards = dr.gather(type(hit), hit, point).spawn_ray_to(self.lights[0].sensor.world_transform() @ target)
         visible = ~self.lights[0].scene.ray_test(towards).numpy().reshape(count, -1)
@@ -232,7 +238,8 @@ def _landing(
     if not len(positions):
         return fraction
     # The wave model's own lens states where light lands, so that it agrees with the point spreads.
-    lens, radius = system.waves_of(positions), system.lens.reach
+    lens = system.waves_of(positions)
+    radius = system.lens.reach
     # The fraction differs from 1 only where rays from the pupil's edge land outside these lenses.
     rim = np.arange(8) * (math.pi / 4)
     edges = lens.bind(positions).land((radius * np.cos(rim), radius * np.sin(rim)), tuple(positions.T[..., None]))
@@ -240,7 +247,8 @@ def _landing(
     partial = np.flatnonzero(~(within[0] & within[1]).all(axis=1))
     x, y = _MIDDLES
     inside = np.flatnonzero(np.hypot(x, y) <= 1)
-    x, y = x[inside], y[inside]
+    x = x[inside]
+    y = y[inside]
     pupil = x * radius, y * radius
     for some in np.array_split(partial, max(1, len(partial) * len(x) // 2**24)):
         light = lens.bind(positions[some])
@@ -274,7 +282,8 @@ class PointsCapture:
         points = find_points(self.lights, self.camera, spp, seed=seed)
         if not len(points.positions):
             warn("plenoptic_wave: no ray from the pupil meets anything that shines")
-        operator, pupil = self._operator(points), points.pupil_weights
+        operator = self._operator(points)
+        pupil = points.pupil_weights
         weights = points.weights if self.upsampling is None else points.weights @ self.upsampling
         masks: list[NDArray[Any]] = [] if pupil is None else [pupil.table, pupil.index, pupil.slant]
         facts = {
@@ -282,7 +291,8 @@ class PointsCapture:
             "scene_digest": lambda: digest(points.positions, points.weights, *masks),
             "responses": self.spectrum.responses,
         }
-        shape, items = (*self.camera.shape, self.spectrum.channels), len(points.positions) * operator.sums
+        shape = (*self.camera.shape, self.spectrum.channels)
+        items = len(points.positions) * operator.sums
         image = job.run(operator.tasks(weights, job), shape, items, facts)
         if np.min(self.spectrum.responses) >= 0:
             # Negative values are errors of interpolation, unless responses are negative (colours outside of a gamut).

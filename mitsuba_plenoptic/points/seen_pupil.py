@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from ..camera import Vignetting
 from ..lenses import Light, MainLens, Pair
 
-_RADII, _ANGLES = 24, 48
+_RADII = 24
+_ANGLES = 48
 """Points of the pupil, as a mean over which the light that passes is estimated."""
 
 _TOGETHER = 1024
@@ -37,7 +38,8 @@ class SeenPupil:
 
         `soften` makes of distances in mm from the pupil's rim or the outline, positive inside, what an edge transmits.
         """
-        landing, radius = self.light.land(pupil, point), self.pupil_radius
+        landing = self.light.land(pupil, point)
+        radius = self.pupil_radius
         outline, passed = self.vignetting.outline(pupil[0] / radius, pupil[1] / radius, *landing)
         return soften(dr.minimum(outline * radius, self.light.inside(pupil))) * dr.sqrt(passed)
 
@@ -46,7 +48,8 @@ def passed_part(vignetting: Vignetting | None, lens: MainLens, points: NDArray[n
     """Return the fraction (n,) of the light of scene points (n, 3) that vignetting passes, evenly over the pupil."""
     if vignetting is None:
         return np.ones(len(points))
-    radius, angle = np.sqrt((np.arange(_RADII) + 0.5) / _RADII), 2 * np.pi * np.arange(_ANGLES)[:, None] / _ANGLES
+    radius = np.sqrt((np.arange(_RADII) + 0.5) / _RADII)
+    angle = 2 * np.pi * np.arange(_ANGLES)[:, None] / _ANGLES
     x, y = ((lens.pupil.radius * radius * turn).ravel() for turn in (np.cos(angle), np.sin(angle)))
     parts = []
     for first in range(0, len(points), _TOGETHER):

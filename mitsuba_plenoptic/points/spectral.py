@@ -34,7 +34,8 @@ def with_enough_nodes(
     """
     error = require_number("error", error, positive=True)
     weights = PupilWeights.of(pupil_weights, len(points))
-    points, most = np.asarray(points, np.float64), len(set(spectrum.wavelengths))
+    points = np.asarray(points, np.float64)
+    most = len(set(spectrum.wavelengths))
 
     def images(count: int, recorded: PlenopticCamera) -> list[NDArray[np.float32]]:
         chosen = spectrum.interpolated(count)

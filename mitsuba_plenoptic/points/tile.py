@@ -77,7 +77,9 @@ class CellSum:
     """A sum of copies of patterns, which are buffered and added several at a time."""
 
     def __init__(self, cells: CopyCells, size: NDArray[np.int64], channels: int, patterns: int) -> None:
-        self._cells, self._size, self._channels = cells, size, channels
+        self._cells = cells
+        self._size = size
+        self._channels = channels
         self._shape = size // cells.width + 1 + cells.count
         self._arrays = active_backend().arrays
         self._sums = self._arrays.zeros((channels * int(self._shape.prod()), int(cells.width.prod())), np.float32)
@@ -124,7 +126,8 @@ class CellSum:
             matrix = libraries.sparse.csr_matrix(matrix)
         self._sums += matrix @ self._cells.cut(self.planes[:count])
         self.planes[:count] = 0
-        self._held, self._entries = {}, []
+        self._held = {}
+        self._entries = []
 
     def total(self) -> Any:
         """Return the sum, (channels, samples along x, along y)."""
@@ -157,13 +160,12 @@ class CopySum:
         size: NDArray[np.int64],
         together: int,
     ) -> None:
-        self._places, self._weights, self._together, self._last = (
-            positions,
-            [copy.weights for copy in copies],
-            together,
-            0,
-        )
-        channels, self._arrays = self._weights[0].shape[1], active_backend().arrays
+        self._places = positions
+        self._weights = [copy.weights for copy in copies]
+        self._together = together
+        self._last = 0
+        channels = self._weights[0].shape[1]
+        self._arrays = active_backend().arrays
         # Cells depend only on the distances between copies, along the axes of `places`.
         cells = CopyCells.of([position - position[0] for position in positions], samples)
         self._cells = None if cells is None else cells.sum(size, channels, together)
@@ -175,7 +177,8 @@ class CopySum:
             self._hold(self._cells, range(first, first + len(intensity)), part, intensity)
         elif backend_of(intensity).is_cuda:
             some = slice(first, first + len(intensity))
-            copies, weights = Windows.of(self._places[some]), np.concatenate(self._weights[some])
+            copies = Windows.of(self._places[some])
+            weights = np.concatenate(self._weights[some])
             moved = replace(copies, start=copies.start + [along.start for along in part])
             self._sums = add_on_device(self._sums, intensity, moved, weights)
         else:
@@ -186,7 +189,8 @@ class CopySum:
                         slice(low + spread.start, low + spread.stop) for low, spread in zip(position, part, strict=True)
                     )
                     for channel in np.flatnonzero(weights).tolist():
-                        target, weight = self._sums[(channel, *window)], weights[channel]
+                        target = self._sums[(channel, *window)]
+                        weight = weights[channel]
                         buffer = None if work is None else work[pattern]
                         target += spread if weight == 1 else np.multiply(spread, weight, out=buffer)
 
@@ -216,7 +220,8 @@ class PatchTile:
     """The rectangle of the grid that the point spreads of one batch cover."""
 
     def __init__(self, batch: PatchBatch, copies: list[Copies]) -> None:
-        self._batch, self._copies = batch, copies
+        self._batch = batch
+        self._copies = copies
         self.box = reached(batch.corner, batch.samples, copies)
         low = np.array([self.box.left, self.box.top])
         self._places = [corner + copy.shifts - low for corner, copy in zip(batch.corner, copies, strict=True)]
@@ -229,7 +234,8 @@ class PatchTile:
 
     def sum(self) -> Part:
         """Return the sum of the weighted intensities of all copies."""
-        size, together = np.array([self.box.columns, self.box.rows]), self._batch.together
+        size = np.array([self.box.columns, self.box.rows])
+        together = self._batch.together
         sums = CopySum(self._copies, self._places, self._batch.samples, size, together)
         for first, window, intensity, weighted in self._intensities():
             sums.add(first, window, intensity, weighted)
@@ -270,7 +276,8 @@ class PatchTile:
 
         Before them come the first point, and the part's position along both axes.
         """
-        batch, arrays = self._batch, self._arrays
+        batch = self._batch
+        arrays = self._arrays
         work = PatchWorkspace(batch)
         for first in range(0, len(self._copies), batch.together):
             stop = min(len(self._copies), first + batch.together)
@@ -356,9 +363,12 @@ def aperture_power(fields: Fields) -> NDArray[np.float64]:
 
     The intensity before the array is band-limited, so that its integral over apertures of any shape is exact.
     """
-    batch, grid = PatchBatch(fields, np.ones(len(fields.positions))), fields.grid
-    arrays, types = batch.libraries.arrays, array_module()
-    size, directions = batch.mla_samples, batch.pupil.shape[1]
+    batch = PatchBatch(fields, np.ones(len(fields.positions)))
+    grid = fields.grid
+    arrays = batch.libraries.arrays
+    types = array_module()
+    size = batch.mla_samples
+    directions = batch.pupil.shape[1]
     pitch = batch.samples * grid.pitch / size
     cosine = in_millimetres(grid.wavelength) / (2 * float(pitch.min()))
     result = np.empty(len(batch.pupil))

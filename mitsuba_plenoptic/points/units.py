@@ -39,7 +39,8 @@ def brightness_of(camera: PlenopticCamera, lens: MainLens) -> float:
 
 def brightness_at(system: OpticalSystem, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return `brightness_of` a system with the open part of the pupil for each point, (n,)."""
-    lens, mean_brightness = system.waves_of(points), brightness_of(system.camera, system.lens)
+    lens = system.waves_of(points)
+    mean_brightness = brightness_of(system.camera, system.lens)
     if lens.is_uniform:
         return np.full(len(points), mean_brightness)
     return mean_brightness * (open_area(cast(FittedLens, lens), points) / (math.pi * lens.reach**2))

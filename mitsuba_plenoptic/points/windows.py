@@ -35,7 +35,8 @@ class Windows:
 
 def part_of(table: fft.Field, starts: NDArray[np.int64], size: tuple[int, int]) -> fft.Field:
     """Return windows (n, rows, columns) of a table, with given first rows and columns (n, 2)."""
-    libraries, (rows, columns) = backend_of(table), size
+    libraries = backend_of(table)
+    (rows, columns) = size
     if len(starts) == 1:
         ((top, left),) = starts.tolist()
         return table[None, top : top + rows, left : left + columns]
@@ -53,13 +54,15 @@ def add_on_device(
     `weights` (windows, channels) are factors on the patches. The memory of `sums` may be reused; the rounding depends
     on the order in which threads add.
     """
-    libraries, types = backend_of(sums), backend_of(sums).types
+    libraries = backend_of(sums)
+    types = backend_of(sums).types
     _, height, width = sums.shape
     _, rows, columns = values.shape
     target, source_values = (drjit_array(types.Float, array) for array in (sums, values))
     row_index, channels = np.nonzero(weights)
     for first in range(0, len(row_index), step := max(1, _LANES // (rows * columns))):
-        window, channel = row_index[first : first + step], channels[first : first + step]
+        window = row_index[first : first + step]
+        channel = channels[first : first + step]
         entry, row, column = fft.split(types, dr.arange(types.UInt32, len(window) * rows * columns), rows, columns)
         places = (channel * height + windows.start[window, 0]) * width + windows.start[window, 1]
         address = _each(types, places, entry) + row * dr.opaque(types.UInt32, width) + column
@@ -73,7 +76,8 @@ def add_on_device(
 
 def products_on_device(planes: NDArray[np.float32], values: NDArray[np.float32], windows: Windows) -> Any:
     """Return the products (windows, channels), float64 and on the device, of windows of planes with their patches."""
-    libraries, types = backend_of(planes), backend_of(planes).types
+    libraries = backend_of(planes)
+    types = backend_of(planes).types
     channels, height, width = planes.shape
     _, rows, columns = values.shape
     source_planes, patches = (drjit_array(types.Float, array) for array in (planes, values))
@@ -106,7 +110,8 @@ def gathered_on_device(
 
     Windows have the factors `weights` (windows, channels), times those of each row of `moments` (sums, windows).
     """
-    libraries, types = backend_of(planes), backend_of(planes).types
+    libraries = backend_of(planes)
+    types = backend_of(planes).types
     _, height, width = planes.shape
     rows, columns = size
     source = drjit_array(types.Float, planes)

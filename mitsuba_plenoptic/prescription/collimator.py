@@ -70,7 +70,8 @@ class Collimator(LensData):
 
     def settled(self, stated: dict[str, float]) -> dict[str, float]:
         """Return the parameters completed by the distance of the pupil's image; refuse another distance."""
-        length, collimator = stated["focal_length"], self.collimator_focal_length
+        length = stated["focal_length"]
+        collimator = self.collimator_focal_length
         distance = length + collimator + collimator * (1 + self.magnification(length))
         if not math.isnan(stated["mla_distance"]):
             require_unscaled(stated, {"mla_distance": distance}, SINGLE)

@@ -23,12 +23,15 @@ from ..errors import (
     short_repr,
 )
 
-LINE_D, LINE_F, LINE_C = 587.5618, 486.1327, 656.2725
+LINE_D = 587.5618
+LINE_F = 486.1327
+LINE_C = 656.2725
 """Wavelengths in nanometres at which catalogues give index and Abbe number: helium d, hydrogen F and C."""
 
 _COUNTS = {"index": 1, "abbe": 2, "sellmeier": 6, "schott": 6, "table": None}
 
-_LOWEST, _HIGHEST = 1.0, 5.0
+_LOWEST = 1.0
+_HIGHEST = 5.0
 
 _CATALOGUE = np.arange(380.0, 1001.0, 10.0)
 """Wavelengths in nanometres at which a glass of a catalogue is tabulated."""
@@ -123,7 +126,8 @@ class Glass:
                     f"glass {self.name or 'table'}: wavelength = {wavelength:g} nm: its table goes from "
                     f"{table[0, 0]:g} to {table[-1, 0]:g} nm"
                 )
-            abscissa, index = 1 / table[::-1, 0] ** 2, table[::-1, 1]
+            abscissa = 1 / table[::-1, 0] ** 2
+            index = table[::-1, 1]
             return float(make_interp_spline(abscissa, index, k=min(3, len(table) - 1))(1 / wavelength**2))
         if self.form == "sellmeier":
             below = square - numbers[3:]
@@ -289,7 +293,8 @@ def _catalogued() -> tuple[_Entry, ...]:
     entries = {}
     for row in csv.DictReader(text.splitlines()):
         file = row["filename"]
-        maker, name = file.split("/")[1], row["filename_no_ext"]
+        maker = file.split("/")[1]
+        name = row["filename_no_ext"]
         low, high = (1e3 * float(row[f"{end}_wavelength"] or "nan") for end in ("min", "max"))
         entries[file] = _Entry(maker, name, file, low, high)
     return tuple(entries.values())

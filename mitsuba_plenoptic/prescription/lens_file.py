@@ -36,7 +36,8 @@ def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> LensDa
     if text.lstrip().startswith("{"):
         with refusing("main_lens: it must be a JSON object:", *NO_RECORD):
             return lens_from_plain(json.loads(text))
-    path, there = Path(resolve(text)), False
+    path = Path(resolve(text))
+    there = False
     # Not all text can be the name of a file.
     with contextlib.suppress(OSError, ValueError):
         there = path.exists()

@@ -95,7 +95,8 @@ class Objective(LensData):
         )
         put(self, tube_focal_length=require_length("main_lens: tube_focal_length", self.tube_focal_length))
         require_choice("main_lens: arrangement", self.arrangement, ARRANGEMENTS)
-        name, length = "main_lens: fourier_focal_length", self.fourier_focal_length
+        name = "main_lens: fourier_focal_length"
+        length = self.fourier_focal_length
         if self.arrangement == "fourier":
             refuse_if(length is None, f"{name}: it is missing; arrangement = fourier needs the lens before the array")
             put(self, fourier_focal_length=require_length(name, length))

@@ -233,7 +233,8 @@ class Prescription(LensData):
     def require_fit(self, camera: Any) -> None:
         """Refuse further aberrations, a stop wider than the lens opens, and an array within the lens."""
         require_alone(camera)
-        numbers, widest = self.paraxial, self.own_numbers(camera.focal_length)[1]
+        numbers = self.paraxial
+        widest = self.own_numbers(camera.focal_length)[1]
         refuse_if(
             camera.aperture_radius > widest * (1 + SINGLE),
             f"aperture_radius = {camera.aperture_radius:g}: the main_lens opens to {widest:.6g} at most",
@@ -349,7 +350,8 @@ class Prescription(LensData):
         glasses = [None, *(surface.glass for surface in self.surfaces)]
         indices = [index for index, (before, after) in enumerate(itertools.pairwise(glasses)) if before != after]
         for first, second in itertools.pairwise(indices):
-            front, back = self.surfaces[first], self.surfaces[second]
+            front = self.surfaces[first]
+            back = self.surfaces[second]
             thickness = sum(surface.thickness for surface in self.surfaces[first:second])
             position = _meeting(front, back, thickness)
             if position is not None:
@@ -380,16 +382,20 @@ def paraxial(prescription: Prescription, wavelength: float | None = None) -> Par
         If the lens does not converge, or a pupil is at infinity.
     """
     indices = [1.0, *prescription.indices(prescription.wavelength if wavelength is None else wavelength)]
-    matrix, before, after = np.eye(2), np.eye(2), np.eye(2)
+    matrix = np.eye(2)
+    before = np.eye(2)
+    after = np.eye(2)
     length = 0.0
     for index, surface in enumerate(prescription.surfaces):
         if index == prescription.stop:
-            before, after = matrix, np.eye(2)
+            before = matrix
+            after = np.eye(2)
         power = (indices[index + 1] - indices[index]) * surface.curvature
         gap = surface.thickness / indices[index + 1] if index < len(prescription.surfaces) - 1 else 0.0
         length += surface.thickness if gap else 0.0
         step = np.array([[1, gap], [0, 1]]) @ np.array([[1, 0], [-power, 1]])
-        matrix, after = step @ matrix, step @ after
+        matrix = step @ matrix
+        after = step @ after
     (A, _), (C, D) = matrix
     if not -C > 1e-12:
         text = "infinite" if abs(C) <= 1e-12 else f"{-1 / C:.4g} mm"

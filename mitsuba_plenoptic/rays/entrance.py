@@ -44,13 +44,15 @@ class LensWindow:
     def of(cls, system: OpticalSystem) -> LensWindow:
         """Return the window of a camera's recorded pixels."""
         # Only where points lie depends on it.
-        camera, lattice = system.camera, system.lattice.regular
+        camera = system.camera
+        lattice = system.lattice.regular
         edges = np.array([[0, 0], camera.crop_size]) + camera.crop_offset - np.array(camera.resolution) / 2
         recorded = system.lens.pupil.chief(edges * camera.pixel_size, camera.reduced_distance)
         pitch = max(camera.mla_pitches)
         margin = (_MARGIN + 0.5) * pitch
         # Lenses are included even if only the lower edge of their cell is recorded.
-        low, high = recorded[0] - margin * (1 - _ROUNDING), recorded[1] + margin * (1 + _ROUNDING)
+        low = recorded[0] - margin * (1 - _ROUNDING)
+        high = recorded[1] + margin * (1 + _ROUNDING)
         index = lattice.lenses_within(tuple(low), tuple(high))
         # No point that lies nearer to the recorded part than this is in the cell of a lens beyond the window.
         inner = (_MARGIN - 1) * pitch
@@ -64,12 +66,15 @@ class LensWindow:
 
     def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return a mask of points that lie in the cells of the window."""
-        first, last = self.index.min(0), self.index.max(0)
+        first = self.index.min(0)
+        last = self.index.max(0)
         sampled = np.zeros(last - first + 3, dtype=bool)
         sampled[tuple((self.index - first + 1).T)] = True
         (ax, ay), (bx, by) = self.lattice.basis
         ox, oy = self.position(0.0, 0.0)
-        x, y, area = x - ox, y - oy, ax * by - ay * bx
+        x = x - ox
+        y = y - oy
+        area = ax * by - ay * bx
         i, j = (
             np.clip(np.floor(steps).astype(int) - low, -1, high - low + 1) + 1
             for steps, low, high in zip(((x * by - y * bx) / area, (y * ax - x * ay) / area), first, last, strict=True)

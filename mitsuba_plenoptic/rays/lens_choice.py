@@ -27,7 +27,8 @@ from .tracer import Walk, deflects_cosines
 _SECTORS = 12
 """Directions in which the reach of light behind lenses that deflect direction cosines is stated."""
 
-_LENS_POINTS, _ANGLES = 9, 16
+_LENS_POINTS = 9
+_ANGLES = 16
 """Points across a lens, and angles around the pupil and the field, from which this reach is computed."""
 
 _BETWEEN = 1.03
@@ -71,11 +72,13 @@ class LensChoice:
         # Displaced lenses are nearer, and irregular ones move their light, by at most this distance.
         beyond += camera.nearer(reach) + MOST_DEVIATIONS * camera.mla_jitter[1] * defocus
         lenses = max((crosstalk_neighbours(of_wavelength, beyond=beyond) for of_wavelength in cameras), key=len)
-        limits, step = np.full(_SECTORS, reach), 1.0
+        limits = np.full(_SECTORS, reach)
+        step = 1.0
         if deflects_cosines(camera):
             corner = math.hypot(*(np.abs(camera.pixel_coordinates(axis)).max() for axis in (0, 1)))
             radius = float(main_lens(camera).pupil.chief(corner + camera.pixel_size, camera.reduced_distance))
-            radii, step = np.linspace(0, radius, _FIELD_STEPS + 1), radius / _FIELD_STEPS
+            radii = np.linspace(0, radius, _FIELD_STEPS + 1)
+            step = radius / _FIELD_STEPS
             limits = np.max([cosine_limits(of_wavelength, radii) for of_wavelength in cameras], axis=0)
             # A step has the limits of both of its ends.
             limits = np.maximum(limits[:-1], limits[1:])
@@ -117,10 +120,12 @@ class LensChoice:
     def draw(self, walk: Walk, pixel: Pair, sample: Any) -> tuple[Pair, Any, Any, Any]:
         """Return a random lens for each point, the unused rest of the sample, its number, and how many were tried."""
         chief, cell = walk.chief_cell(pixel)
-        count, within = len(self.lenses), mi.Float(sample)
+        count = len(self.lenses)
+        within = mi.Float(sample)
         if count == 1:
             return cell, within, mi.UInt32(0), mi.Float(1)
-        tried, near = mi.Float(count), []
+        tried = mi.Float(count)
+        near = []
         if self.limits is not None:
             # Their own lens is always tried, so that the number is never 0.
             near = [mi.Bool(True)]
@@ -128,7 +133,8 @@ class LensChoice:
             tried = sum((dr.select(mask, 1, 0) for mask in near), mi.Float(0))
         scaled = within * tried
         chosen = dr.minimum(dr.floor(scaled), tried - 1)
-        number, passed = mi.UInt32(chosen), mi.Float(0)
+        number = mi.UInt32(chosen)
+        passed = mi.Float(0)
         for index, is_tried in enumerate(near):
             number = dr.select(is_tried & (passed == chosen), index, number)
             passed += dr.select(is_tried, 1, 0)
@@ -147,7 +153,9 @@ def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
     from the pupil's rim. Sectors divide the angles from 0 to 180 degrees between the directions towards the lens and
     away from the axis.
     """
-    lens, z, n = main_lens(camera), camera.detector_distance, camera.mla_medium
+    lens = main_lens(camera)
+    z = camera.detector_distance
+    n = camera.mla_medium
     s, t = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0, 1, _LENS_POINTS)] * 2))
     offset = np.stack(camera.lattice.aperture_point(s, t))[:, :, None, None]
     angle = 2 * np.pi * np.arange(_ANGLES) / _ANGLES

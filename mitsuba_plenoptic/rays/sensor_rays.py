@@ -87,7 +87,8 @@ class Dispersion:
             share[0] = mi.Float(len(share))
 
             def at(table: Any) -> Any:
-                first, second = dr.gather(mi.Float, table, low), dr.gather(mi.Float, table, low + 1)
+                first = dr.gather(mi.Float, table, low)
+                second = dr.gather(mi.Float, table, low + 1)
                 return first + fraction * (second - first)
         else:
             scaled = mi.Float(sample[0]) * 3
@@ -136,7 +137,10 @@ class PupilRays:
     def varying(cls, camera: PlenopticCamera, lens: Any) -> PupilRays:
         """Return the sampler of a camera whose lens may have gradients."""
         plain = main_lens(camera)
-        radius, middles, corner, dispersion = plain.reach, None, 1.0, Dispersion.of(camera)
+        radius = plain.reach
+        middles = None
+        corner = 1.0
+        dispersion = Dispersion.of(camera)
         if not plain.is_uniform:
             corner = plain.corner
             heights = np.linspace(0, corner, _MIDDLES + 1)
@@ -215,7 +219,8 @@ class LensRays:
         """Return the sampler of a camera whose lens and exposed parameters may have gradients."""
         # The rotation is applied only if it is not zero, or a gradient for its angle is requested.
         turned = camera.mla_rotation != 0 or dr.grad_enabled(numbers["mla_rotation"])
-        pitch, offset = numbers["mla_pitch"], numbers["mla_offset"]
+        pitch = numbers["mla_pitch"]
+        offset = numbers["mla_offset"]
         lattice = make_lattice(
             camera.mla_lattice,
             (dr.gather(mi.Float, pitch, 0), dr.gather(mi.Float, pitch, 1)) if dr.width(pitch) > 1 else (pitch, pitch),
@@ -255,7 +260,9 @@ class LensRays:
         if dispersion is not None:
             lens = passage.lens._replace(focal_length=passage.lens.focal_length * dispersion.mla_ratio)
             passage = passage._replace(lens=lens)
-        walk, m, height = self.walk, passage.point, passage.lens.height
+        walk = self.walk
+        m = passage.point
+        height = passage.lens.height
         slope, even, emerges = walk.out_of_array(pixel, passage)
         x, y = (walk.lens.pupil.point(position, t, height) for position, t in zip(m, slope, strict=True))
         weight = weight * even * walk.transmittance((x, y), m)
@@ -268,7 +275,10 @@ class LensRays:
         Lenses cover 2 x 2 pixels; the position within a pixel chooses the point of the lens. The column and row of each
         pixel under its lens, and the slopes between lens and pupil, are returned as well.
         """
-        walk, index, side, within = self.walk, [], [], []
+        walk = self.walk
+        index = []
+        side = []
+        within = []
         for axis, p in enumerate(pixel):
             position = (p - walk.lattice.offset[axis]) / pixel_size
             cell = dr.floor(position)
@@ -277,7 +287,8 @@ class LensRays:
             within.append(position - cell)
         lens = walk.lenslet(*index)
         dx, dy = walk.lattice.aperture_point(*within)
-        m, radius = (lens.centre[0] + dx, lens.centre[1] + dy), walk.lens.reach
+        m = (lens.centre[0] + dx, lens.centre[1] + dy)
+        radius = walk.lens.reach
         x, y = (radius * P for P in mi.warp.square_to_uniform_disk(sample))
         behind = walk.lens.pupil.slope(x, m[0]), walk.lens.pupil.slope(y, m[1])
         # A pixel sees this square of the pupil through an ideal lens.

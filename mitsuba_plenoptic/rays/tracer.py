@@ -96,18 +96,22 @@ class Walk:
         if self.lens.is_uniform:
             return pupil
         table = cast("RealLens", self.lens).round_map
-        (x, y), (cx, cy) = pupil, centre
+        (x, y) = pupil
+        (cx, cy) = centre
         field = dr.sqrt(cx * cx + cy * cy)
         # The map is defined for fields along x.
-        c, s = dr.select(field > 0, cx / field, 1), dr.select(field > 0, cy / field, 0)
+        c = dr.select(field > 0, cx / field, 1)
+        s = dr.select(field > 0, cy / field, 0)
         fields, across, _, _ = table.points.shape
-        u, v = x * c + y * s, y * c - x * s
+        u = x * c + y * s
+        v = y * c - x * s
         at = [(value / table.half + 1) * ((across - 1) / (2 * across)) + 0.5 / across for value in (u, v)]
         # Outside its border the map continues with the border's values, which lie outside the pupil.
         u, v, away = self._round_map.eval(mi.Point3f(*at, field / table.field * ((fields - 1) / fields) + 0.5 / fields))
         # Between fields, points in opposite directions would average to one near the centre.
         u, v = (value * away * dr.rsqrt(dr.maximum(u * u + v * v, dr.smallest(mi.Float))) for value in (u, v))
-        lit, outside = field < table.closed, 2 * self.lens.pupil.radius
+        lit = field < table.closed
+        outside = 2 * self.lens.pupil.radius
         return dr.select(lit, u * c - v * s, outside), dr.select(lit, u * s + v * c, outside)
 
     def transmittance(self, pupil: Pair, position: Pair) -> Any:
@@ -134,7 +138,8 @@ class Walk:
         x, y = chief_points(self.lens, pixel, self.detector_distance, self.medium)
         if any(self.camera.mla_tilt):
             height = self.camera.array_height(x, y)
-            x, y = x + height * self.lens.pupil.slope(0.0, x), y + height * self.lens.pupil.slope(0.0, y)
+            x = x + height * self.lens.pupil.slope(0.0, x)
+            y = y + height * self.lens.pupil.slope(0.0, y)
         return (x, y), self.lattice.cell(x, y)
 
     def lenslet(self, i: Any, j: Any) -> Lenslet:
@@ -147,7 +152,8 @@ class Walk:
         x, y = self.camera.microlens.deflection(self.lattice, mx - cx, my - cy, focal_length)
         if (error := self.camera.figure_error) is not None:
             right, up = error.slopes(mx, my)
-            x, y = x + right, y + up
+            x = x + right
+            y = y + up
         return x, y
 
     def _chief(self, centre: Pair, height: Any) -> Pair | None:

@@ -195,7 +195,8 @@ def reconstruct(
         checkpoint=checkpoint,
         batch_map=batch_map,
     )
-    white, wavelength = options_used["white"], options_used["wavelength"]
+    white = options_used["white"]
+    wavelength = options_used["wavelength"]
     settings = {
         name: require_option(option, name, options_used[name], camera) for name, option in chosen.options.items()
     }
@@ -219,7 +220,8 @@ def reconstruct(
             cheaper = "; method ray takes a small part of that" if chosen.waves else ""
             _log.info("method %s takes about %s%s", method, needed, cheaper)
 
-    forecast, reported = Forecast(tell, progress), -1
+    forecast = Forecast(tell, progress)
+    reported = -1
 
     def report(done: float) -> None:
         nonlocal reported

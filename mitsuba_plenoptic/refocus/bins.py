@@ -49,8 +49,10 @@ class Integrals:
     """
 
     def __init__(self, edges_of: Callable[[slice], NDArray[np.float64]], lines: int, bins: int, count: int) -> None:
-        self._edges_of, self._shape = edges_of, (lines, bins)
-        self._half, self._size = count // 2, count + 2 * _MARGIN
+        self._edges_of = edges_of
+        self._shape = (lines, bins)
+        self._half = count // 2
+        self._size = count + 2 * _MARGIN
         self._buffer: Any = None
 
     def _places(self, lines: slice) -> tuple[Any, Any]:
@@ -75,9 +77,11 @@ class Integrals:
         lines_of = arrays.empty((len(values), self._shape[1]))
         start = lines.indices(self._shape[0])[0]
         for block in self._blocks(lines):
-            mine, (before, f) = slice(block.start - start, block.stop - start), self._places(block)
+            mine = slice(block.start - start, block.stop - start)
+            (before, f) = self._places(block)
             numbers, parts = self._padded(values[mine])
-            flat, row = numbers.reshape(-1), arrays.arange(len(numbers))[:, None] * self._size
+            flat = numbers.reshape(-1)
+            row = arrays.arange(len(numbers))[:, None] * self._size
             # Sums from above the lower edge of each bin; where two edges lie together, there is nothing to add.
             upwards = before[:, ::-1] + 1
             sums = arrays.add.reduceat(flat, (parts * (row + upwards)).reshape(-1)).reshape(upwards.shape)
@@ -89,8 +93,11 @@ class Integrals:
 
     def _padded(self, values: Any) -> tuple[Any, int]:
         """Return lines with ordered samples and dark margins, and the number of values per sample."""
-        arrays, middle, half = active_backend().arrays, _MARGIN + self._half, self._half
-        shape, kind = (len(values), self._size), values.dtype
+        arrays = active_backend().arrays
+        middle = _MARGIN + self._half
+        half = self._half
+        shape = (len(values), self._size)
+        kind = values.dtype
         if self._buffer is None or self._buffer.shape != shape or self._buffer.dtype != kind:
             self._buffer = arrays.zeros(shape, kind)
         places = ((slice(half + 1), slice(middle, middle + half + 1)), (slice(half + 1, None), slice(_MARGIN, middle)))
@@ -109,7 +116,8 @@ class Integrals:
         arrays = active_backend().arrays
         rows = arrays.empty((self._shape[0], self._size - 2 * _MARGIN))
         for block in self._blocks(slice(None)):
-            (before, f), mine = self._places(block), bins[block]
+            (before, f) = self._places(block)
+            mine = bins[block]
             total = arrays.pad(mine, ((0, 0), (0, 1))) - arrays.pad(mine, ((0, 0), (1, 0)))
             first = before + arrays.arange(len(mine))[:, None] * self._size
 
@@ -133,7 +141,8 @@ class BinSums:
         width = camera.mla_pitch / (camera.mla_distance * oversample)
         columns, rows = (count * oversample for count in camera.bin_count)
         # Lines of the main lens are along y.
-        in_x, in_y = step.y, step.x
+        in_x = step.y
+        in_y = step.x
         across, down = (in_millimetres(wavelength) / axis.window for axis in (in_x, in_y))
         # The object is upside down in camera coordinates: bins grow with -X.
         slope_x, slope_y = ((np.arange(count + 1) - count / 2) * -width for count in (columns, rows))

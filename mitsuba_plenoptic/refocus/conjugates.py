@@ -137,15 +137,18 @@ class RealConjugates:
     @classmethod
     def of(cls, system: OpticalSystem, distances: list[float], oversample: int) -> RealConjugates:
         """Return conjugates for object planes at some distances, with the main lens fitted over its field."""
-        camera, real = system.camera, cast(RealLens, system.lens)
-        pupils, front = Pupils.of(real), real.entrance.front
+        camera = system.camera
+        real = cast(RealLens, system.lens)
+        pupils = Pupils.of(real)
+        front = real.entrance.front
         for distance in distances:
             if not distance > max(front, pupils.entrance):
                 raise InputError(
                     f"distance = {distance:g}: it must lie before the main_lens, beyond "
                     f"{max(front, pupils.entrance):.6g}"
                 )
-        b, behind = camera.mla_distance, float(real.pupil.distance)
+        b = camera.mla_distance
+        behind = float(real.pupil.distance)
         corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch + _MARGIN * camera.mla_pitch
         inverse_distance = [1 / (min(distance, FAR) - pupils.entrance) for distance in distances]
         fields = [abs(pupils.magnification) / behind]
@@ -220,7 +223,8 @@ class RealConjugates:
 
 Conjugates = ThinConjugates | RealConjugates
 
-_MIDDLE, _NO_POINT = (np.zeros((1, 1)), np.zeros((1, 1))), (0.0, 0.0, 0.0)
+_MIDDLE = (np.zeros((1, 1)), np.zeros((1, 1)))
+_NO_POINT = (0.0, 0.0, 0.0)
 
 
 def behind_thin_lens(system: OpticalSystem) -> PlenopticCamera:

@@ -53,7 +53,8 @@ class PupilCentroid:
         amplitude[: len(lens), : len(lens)] = lens
         spread = np.abs(scipy.fft.ifft2(np.roll(amplitude, (-(len(lens) // 2),) * 2, (0, 1)))) ** 2
         transfer = scipy.fft.rfft2(spread)
-        self._pitch, self._first = window / size, -(size - 1) / 2
+        self._pitch = window / size
+        self._first = -(size - 1) / 2
         P = (np.arange(size) + self._first) * self._pitch
         inside = soft_edge((camera.aperture_radius - np.hypot(P, P[:, None])) / self._pitch)
 
@@ -119,10 +120,12 @@ def rising(
     """
     lights = [None] * white.shape[2] if wavelengths is None else list(wavelengths)
     centroids = {light: PupilCentroid(camera, light) for light in lights if light is not None}
-    px, py = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
+    px = camera.pixel_coordinates(0)
+    py = camera.pixel_coordinates(1)
     height = max(1, _BLOCK // len(px))
     for distance, axis in itertools.product(distances, (0, 1)):
-        image, (slope, farthest, of_pupil) = np.empty_like(white), tilt(camera, distance)
+        image = np.empty_like(white)
+        (slope, farthest, of_pupil) = tilt(camera, distance)
         for first in range(0, len(py), height):
             rows = slice(first, first + height)
             p = px, py[rows, None]
@@ -159,7 +162,8 @@ def brought_back(
 ) -> NDArray[np.float64]:
     """Return an image corrected for the displacements of its bins, by weighted fits to `reach` bins on each side."""
     finite = np.isfinite(image)
-    values, light = np.where(finite, image, 0.0), np.where(finite, weights, 0.0)
+    values = np.where(finite, image, 0.0)
+    light = np.where(finite, weights, 0.0)
     rows, columns = image.shape[:2]
     terms = (
         moved[0] + (np.arange(columns) - columns / 2)[:, None],
@@ -174,13 +178,17 @@ def brought_back(
     def covariance(i: int, j: int, means: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(_mean_about(light * terms[i] * terms[j], reach) / mass - means)
 
-    xx, xy, yy = covariance(0, 0, x * x), covariance(0, 1, x * y), covariance(1, 1, y * y)
-    xv, yv = covariance(0, 2, x * value), covariance(1, 2, y * value)
+    xx = covariance(0, 0, x * x)
+    xy = covariance(0, 1, x * y)
+    yy = covariance(1, 1, y * y)
+    xv = covariance(0, 2, x * value)
+    yv = covariance(1, 2, y * value)
     determinant = xx * yy - xy**2
     # A few bins in a line determine no plane.
     known_plane = determinant > _LEAST_DETERMINANT
     safe = np.where(known_plane, determinant, 1)
-    across, down = (yy * xv - xy * yv) / safe, (xx * yv - xy * xv) / safe
+    across = (yy * xv - xy * yv) / safe
+    down = (xx * yv - xy * xv) / safe
     return np.where(known_plane, image - moved[0] * across - moved[1] * down, image)
 
 

@@ -41,7 +41,8 @@ from .methods import Progress
 from .planning import GUARD, check_pupil_diffraction, detector_step, field_subsamples
 
 # Samples that are transformed together, on the processor and on a CUDA device.
-_BATCH_SAMPLES, _CUDA_BATCH_SAMPLES = 2**20, 2**25
+_BATCH_SAMPLES = 2**20
+_CUDA_BATCH_SAMPLES = 2**25
 
 _PRODUCTS = 64
 """Products of complex numbers in a matrix product that take as long as a sample of a Fourier transform."""
@@ -172,14 +173,17 @@ class LensTile:
     @property
     def transformed(self) -> int:
         """Number of samples in all Fourier transforms for one lens; matrix products count by their time."""
-        cell, pupil, image = self.cell_samples, self.pupil.size, self.object_samples
+        cell = self.cell_samples
+        pupil = self.pupil.size
+        image = self.object_samples
         products = cell * pupil * (cell + pupil)
         return 4 * cell**2 + pupil**2 + 2 * image**2 + products // _PRODUCTS
 
     @property
     def memory(self) -> float:
         """Bytes of the intermediate fields of a batch, and of the matrices shared by all batches."""
-        pupil, cell = self.pupil.size, self.cell_samples
+        pupil = self.pupil.size
+        cell = self.cell_samples
         return 32.0 * cell * pupil + self.batch * (16.0 * cell**2 + 24.0 * max(self.object_samples, pupil) ** 2)
 
     @property
@@ -249,7 +253,8 @@ class LensSet:
 
     def pixels(self, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the first recorded column and row (n, 2) that may belong to lenses, and those after the last."""
-        camera, half = self.tile.camera, self.tile.cell_width / 2
+        camera = self.tile.camera
+        half = self.tile.cell_width / 2
         low, high = (
             rays.chief_detector_point(self.centre[which] + side, camera.mla_distance, camera.reduced_distance)
             / camera.pixel_size
@@ -289,8 +294,10 @@ class LensSet:
 
     def to_array(self, which: np.ndarray) -> Step:
         """Return the step from the pixels around some lenses to samples on the array, which hold their windows."""
-        tile, (first, end) = self.tile, self.pixels(which)
-        low, high = first.min(0) + tile.camera.crop_offset, end.max(0) + tile.camera.crop_offset
+        tile = self.tile
+        (first, end) = self.pixels(which)
+        low = first.min(0) + tile.camera.crop_offset
+        high = end.max(0) + tile.camera.crop_offset
         across, down = (
             detector_step(tile.camera, tile.wavelength, axis, span, tile.pitch, tile.cell_samples)
             for axis, span in enumerate(zip(low.tolist(), high.tolist(), strict=True))
@@ -302,18 +309,22 @@ class LensSet:
 
         Light that strays from another lens's pixels into a cell is deflected by a micro-image and misses the main lens.
         """
-        tile, camera, step = self.tile, self.tile.camera, self.to_array(which)
+        tile = self.tile
+        camera = self.tile.camera
+        step = self.to_array(which)
         space = FreeSpace(camera.detector_distance, camera.medium_wavelength(tile.wavelength), is_paraxial(camera))
         hop = Hop(step, space, converging(step, camera, tile.wavelength))
         first, end = self.pixels(which)
-        (left, top), (right, bottom) = first.min(0).tolist(), end.max(0).tolist()
+        (left, top) = first.min(0).tolist()
+        (right, bottom) = end.max(0).tolist()
         with retained_workspace([step]) as workspace, fft.resting_drjit():
             pixels = workspace.repeated(amplitude[top:bottom, left:right], tile.subsamples)
             return workspace.whole(hop.forward(pixels, workspace), step.shape), step
 
     def batch(self, lenses: np.ndarray, step: Step) -> LensBatch:
         """Return the batch of the lenses at the given positions, with their windows in the samples of a step."""
-        tile, centre = self.tile, self.centre[lenses]
+        tile = self.tile
+        centre = self.centre[lenses]
         start = np.array([step.x.start, step.y.start])
         first = np.rint((centre + tile.cell[0] - start) / tile.pitch).astype(np.int64)
         aside = start + first * tile.pitch - (centre + tile.cell[0])
@@ -368,7 +379,8 @@ def reconstruct_lens_by_lens(
                 for total, distance in zip(totals, distances, strict=True):
                     patches = object_patches(fields, tile, batch, distance, conjugates)
                     for column, row, patch in zip(*batch.bin.T, patches, strict=True):
-                        top, left = row * tile.samples, column * tile.samples
+                        top = row * tile.samples
+                        left = column * tile.samples
                         total[top : top + patch.shape[0], left : left + patch.shape[1]] += patch
                 done += len(batch.bin)
                 progress(done / len(lit))
@@ -384,13 +396,15 @@ def pupil_fields(light: fft.Field, tile: LensTile, batch: LensBatch, *, relay: b
 
     They start from a field on the array; complex64 (n, pupil, pupil). The microlenses act with `relay` only.
     """
-    arrays, (x, y) = active_backend().arrays, batch.offset
+    arrays = active_backend().arrays
+    (x, y) = batch.offset
     cell = light[arrays.asarray(batch.rows)[:, :, None], arrays.asarray(batch.columns)[:, None, :]]
     inset = tile.camera.lattice.aperture_inset(x[:, None, :], y[:, :, None])
     cell *= arrays.asarray(soft_edge(inset / tile.pitch).astype(np.float32))
     wave_path = in_millimetres(tile.wavelength) * tile.camera.mla_distance
     for axis, shape in ((0, (slice(None), None)), (1, (slice(None), slice(None), None))):
-        offset, centre = batch.offset[axis], batch.centre[:, axis, None]
+        offset = batch.offset[axis]
+        centre = batch.centre[:, axis, None]
         # Without the direction to the main lens's centre, and without its curvature.
         waves = (centre * offset + offset**2 / 2) / wave_path
         if relay:
@@ -410,7 +424,8 @@ def object_patches(
     """Return the power of each lens's light at the samples around its bin, upright; float32 (n, samples, samples)."""
     camera = tile.camera
     focused = _aim(fields, tile, batch, distance, conjugates)
-    size, arrays = tile.object_samples, active_backend().arrays
+    size = tile.object_samples
+    arrays = active_backend().arrays
     folded = arrays.zeros((len(fields), size, size), np.complex64)
     for top, left in itertools.product(range(0, tile.pupil.size, size), repeat=2):
         patch = focused[:, top : top + size, left : left + size]
@@ -439,12 +454,15 @@ def passing_power(
 def _aim(fields: fft.Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> fft.Field:
     """Return pupil fields multiplied by the pupil, and by the phase from the lens's centre to its image."""
     types = active_backend().types
-    camera, wave = tile.camera, in_millimetres(tile.wavelength)
-    n, count = len(fields), tile.pupil.size
+    camera = tile.camera
+    wave = in_millimetres(tile.wavelength)
+    n = len(fields)
+    count = tile.pupil.size
     index = dr.arange(types.UInt32, n * count * count)
     lens, row, column = fft.split(types, index, count, count)
     P = drjit_array(types.Float64, tile.pupil)
-    u, v = dr.gather(types.Float64, P, column), dr.gather(types.Float64, P, row)
+    u = dr.gather(types.Float64, P, column)
+    v = dr.gather(types.Float64, P, row)
     x, y, ax, ay = (
         dr.gather(types.Float64, drjit_array(types.Float64, values), lens)
         for values in (*batch.centre.T, *batch.aside.T)
@@ -453,7 +471,8 @@ def _aim(fields: fft.Field, tile: LensTile, batch: LensBatch, distance: float, c
     conjugate = conjugates.at(x, y, batch.centre, lens, distance)
     if is_paraxial(camera):
         # Tilts, to and from the centres, cancel.
-        Px, Py = u, v
+        Px = u
+        Py = v
         from_mla = -parabola(u * u + v * v, b, tile.wavelength)
     else:
         # Directions change more slowly with P off the axis, on both sides alike: that only stretches the pupil's grid.
@@ -481,7 +500,8 @@ def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
     columns, rows = tile.camera.bin_count
     image = np.zeros((rows * tile.oversample, columns * tile.oversample))
     reach = tile.lenses // 2
-    into, out = [], []
+    into = []
+    out = []
     for axis, count in ((1, rows), (0, columns)):
         first = lenses.first[axis] + count // 2 - reach
         end = first + lenses.bins[axis] + 2 * reach
@@ -499,7 +519,8 @@ def integrated(power: np.ndarray, tile: LensTile, axis: int) -> np.ndarray:
     Where the samples resolve the power, the power is the trigonometric polynomial through them, whose integrals over
     bins of m samples are exact: a frequency of f periods a sample counts :math:`m \,\mathrm{sinc}(f m)` times.
     """
-    count, per_bin = power.shape[axis], tile.samples / tile.oversample
+    count = power.shape[axis]
+    per_bin = tile.samples / tile.oversample
     if tile.oversample == 1:
         return power.reshape(*power.shape[:axis], -1, tile.samples, *power.shape[axis + 1 :]).sum(axis + 1)
     shape = (-1, *(1,) * (power.ndim - axis - 1))

@@ -128,7 +128,9 @@ class Found:
 
 def portion(progress: Progress, index: int, works: Sequence[float]) -> Progress:
     """Return a progress callback for one of several parts of a computation, weighted by their amounts of work."""
-    before, work, total = sum(works[:index]), works[index], sum(works)
+    before = sum(works[:index])
+    work = works[index]
+    total = sum(works)
     return lambda done: progress((before + work * done) / total)
 
 
@@ -309,7 +311,8 @@ def require_image_memory(
     height, _, channels = shape
 
     def memory(oversample: int) -> float:
-        across, down = float(columns * oversample), float(rows * oversample)
+        across = float(columns * oversample)
+        down = float(rows * oversample)
         # Ray methods bin one axis before the other; wave methods sum powers in double precision.
         fits = 20 * 8 * channels * across * down if drawn_back else 0
         return 4 * channels * across * (down * (len(distances) + 1) + height) + 12 * across * down + fits

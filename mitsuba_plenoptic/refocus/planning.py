@@ -62,13 +62,15 @@ _MOST_TRANSFORMED = 2**35
 More takes many minutes.
 """
 
-_STRIPS_MEMORY, FIELD_MEMORY = 5.5 * 2**30, 7 * 2**30
+_STRIPS_MEMORY = 5.5 * 2**30
+FIELD_MEMORY = 7 * 2**30
 """Bytes of fields from which on strips are taken, and beyond which a reconstruction is refused.
 
 The whole process takes up to 2 GiB more than the fields.
 """
 
-_DIRECTION_SAMPLES, _FINE_DIRECTION_SAMPLES = 2.5, 5.0
+_DIRECTION_SAMPLES = 2.5
+_FINE_DIRECTION_SAMPLES = 5.0
 """Samples of direction cosines over those that the field of a full pupil has, for one bin per lens and for finer ones.
 
 The power has twice as many as the field. With the cubic integrals of `direction_bins` bins are within 0.2 % RMS of
@@ -78,7 +80,8 @@ those from many more samples; ten bins per lens, each as narrow as two samples, 
 _LEAST_COSINE = 1e-3
 """Square of the cosine to the axis from which on light is followed no farther aside."""
 
-_MARGIN_ORDERS, _MARGIN_LENSES = 0.5, 1.0
+_MARGIN_ORDERS = 0.5
+_MARGIN_LENSES = 1.0
 """Diffraction orders of a lens held beyond the directions to the main lens, and lenses beside the lit ones.
 
 Without the steeper directions edges become ripples; what is cut off of these should be in directions that miss.
@@ -148,7 +151,8 @@ def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
     sides of the chief ray, at the rim. On the MLA it must include, in addition to the light that the main lens accepts
     from one lens, the deflection of this light to one side, so that it is not aliased into the accepted light.
     """
-    b, z = camera.mla_distance, camera.reduced_distance
+    b = camera.mla_distance
+    z = camera.reduced_distance
     half_field = max(camera.detector_width, camera.detector_height) / 2
     converging = max(camera.mla_pitches) * (b + z) / (2 * b * z)
     accepted = camera.aperture_radius / b
@@ -161,7 +165,8 @@ def plan(
 ) -> FieldPlan:
     """Return the grids for a capture and object distances, with as few strips as the memory allows."""
     rows = lit[1][1] - lit[1][0]
-    count, chosen = 1, _plan(camera, wavelength, distances, lit, oversample, 1)
+    count = 1
+    chosen = _plan(camera, wavelength, distances, lit, oversample, 1)
     while chosen.memory > min(_STRIPS_MEMORY, work_limit(chosen.memory)) and 2 * count <= rows:
         count *= 2
         finer = _plan(camera, wavelength, distances, lit, oversample, count)
@@ -181,7 +186,9 @@ def _plan(
     borders = [lit[1][0] + (lit[1][1] - lit[1][0]) * index // count for index in range(count + 1)]
     spans = list(itertools.pairwise(borders))
     down = [detector_step(camera, wavelength, 1, span, pitch) for span in spans]
-    on_array, pupil, to_objects = [], [], []
+    on_array = []
+    pupil = []
+    to_objects = []
     for axis, steps in enumerate(([across], down)):
         ways, samples, directions = _main_lens_steps(camera, wavelength, distances, axis, lit[axis], steps, oversample)
         on_array.append(ways)
@@ -229,7 +236,8 @@ def detector_step(
 
     The window has room for all directions on both sides. `beside` are more samples beside the cells.
     """
-    b, z = camera.mla_distance, camera.reduced_distance
+    b = camera.mla_distance
+    z = camera.reduced_distance
     count = round((lit[1] - lit[0]) * camera.pixel_size / pitch)
     first = (lit[0] - camera.resolution[axis] / 2) * camera.pixel_size + pitch / 2
     spread = math.ceil(z * in_millimetres(wavelength) / (2 * pitch) / pitch)
@@ -251,7 +259,9 @@ def _main_lens_steps(
     oversample: int,
 ) -> tuple[list[tuple[AxisStep, AxisStep]], LensAxis, list[AxisStep]]:
     """Return the two steps from the MLA, in strips, to the main lens, and the steps to the object planes."""
-    b, radius, wave = camera.mla_distance, camera.aperture_radius, in_millimetres(wavelength)
+    b = camera.mla_distance
+    radius = camera.aperture_radius
+    wave = in_millimetres(wavelength)
     half_mla = max(abs(end) for step in detector for end in (step.destination[0], step.destination[-1]))
     steepest = (radius + half_mla) / b + _MARGIN_ORDERS * wave / min(camera.mla_pitches)
     beside = _MARGIN_LENSES * max(camera.mla_pitches)
@@ -285,7 +295,8 @@ def _beyond_paraxial(
     """
     # Farthest towards the corner of the directions.
     displaced = distance * steepest * (1 / math.sqrt(max(1 - 2 * steepest**2, _LEAST_COSINE)) - 1)
-    pitch, more = on_array.pitch, 2 * (displaced + beside)
+    pitch = on_array.pitch
+    more = 2 * (displaced + beside)
     padded = fft.fast_length(count + more / pitch)
     new_padded = min(fft.fast_length(padded * pitch * 2 * steepest / wave), padded)
     new_pitch = padded * pitch / new_padded

@@ -54,7 +54,8 @@ def ray_sums(
     if axes is None:
         return Splat.of(camera, distance, radius, footprint, oversample, image.shape[2]).forward(image)
     x, y = axes
-    columns, rows = x.weights.shape[0], y.weights.shape[0]
+    columns = x.weights.shape[0]
+    rows = y.weights.shape[0]
     values = image.shape[2] * columns * max(rows, image.shape[0])
     refuse_if(
         values > _MOST_VALUES,
@@ -104,7 +105,8 @@ def ray_sums_vjp(
     pixels = np.einsum("jic,jr->ric", np.asarray(bins, np.float64), y.weights.toarray(), optimize=True)
     pixels = np.einsum("ric,ip->rpc", pixels, x.weights.toarray(), optimize=True)
     # In the precision in which the sums compare them.
-    limit, square = (radius**2 - y.pupil**2).astype(np.float32), (x.pupil**2).astype(np.float32)
+    limit = (radius**2 - y.pupil**2).astype(np.float32)
+    square = (x.pupil**2).astype(np.float32)
     return np.where((square <= limit[:, None])[..., None], pixels, 0.0)
 
 
@@ -138,13 +140,16 @@ def axis_bins(low: np.ndarray, high: np.ndarray, pupil: np.ndarray, count: int, 
 def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
     """Return an image's sums over the bins of both axes, within the pupil."""
     types = array_module()
-    (rows, columns, channels), across, down = image.shape, x.weights.shape[0], y.weights.shape[0]
+    (rows, columns, channels) = image.shape
+    across = x.weights.shape[0]
+    down = y.weights.shape[0]
     if not (x.weights.nnz and y.weights.nnz):
         # No pixel meets a bin.
         return np.zeros((down, across, channels), np.float32)
     values = drjit_array(types.Float, image)
     thread = dr.arange(types.UInt32, rows * across * channels)
-    row, remainder = thread // (across * channels), thread % (across * channels)
+    row = thread // (across * channels)
+    remainder = thread % (across * channels)
     limit = drjit_array(types.Float, radius**2 - y.pupil**2)
     base = row * dr.opaque(types.UInt32, columns * channels) + remainder % channels
     by_row = _sums(types, values, x, remainder // channels, base, channels, dr.gather(types.Float, limit, row))
@@ -156,11 +161,13 @@ def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.
 
 def _sums(types: Any, values: Any, bins: AxisBins, index: Any, base: Any, stride: int, limit: Any = None) -> Any:
     """Return the summed values, `stride` apart, of each bin's pixels with squared pupil coordinates within a limit."""
-    Float, UInt32 = types.Float, types.UInt32
+    Float = types.Float
+    UInt32 = types.UInt32
     start, pixel = (drjit_array(UInt32, array) for array in (bins.weights.indptr, bins.weights.indices))
     weight = drjit_array(Float, bins.weights.data)
     square = drjit_array(Float, bins.pupil[bins.weights.indices] ** 2)
-    entry, end = dr.gather(UInt32, start, index), dr.gather(UInt32, start, index + 1)
+    entry = dr.gather(UInt32, start, index)
+    end = dr.gather(UInt32, start, index + 1)
     if limit is not None:
         # A row beyond the pupil's edge is dark whatever its columns.
         end = dr.select(limit >= 0, end, entry)

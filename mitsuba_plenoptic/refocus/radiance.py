@@ -77,7 +77,8 @@ def as_reference(white: Capture | np.ndarray, capture: Capture, tilted: Plenopti
             "it must be of the same wavelengths",
         )
     pixels = straightened_image(pixels, tilted)
-    expected, passed = white_pixels(capture.camera), passed_light(tilted)
+    expected = white_pixels(capture.camera)
+    passed = passed_light(tilted)
     expected = expected if passed is None else expected * passed
     scaled = recorded_white(pixels, pixels.shape, [capture.camera], expected)
     return np.ascontiguousarray(np.broadcast_to(scaled, image.shape))
@@ -230,7 +231,8 @@ def light_of_bins(
         white = white * mean_response(task.camera)
     if task.passed is None:
         return white
-    pixels, even = white_pixels(task.camera), white_sums(*given)
+    pixels = white_pixels(task.camera)
+    even = white_sums(*given)
     left = ray_sums((pixels * task.passed)[..., None], *given)[..., 0]
     # Of waves the pupil takes light at the rims of micro-images. An outline within them, which keeps out the rims,
     # loses about half as much: images of white read 0.99 to 1.02 with this factor, 0.96 to 1.07 with 0 and 1.
@@ -320,7 +322,9 @@ def _spread_rays(camera: PlenopticCamera, distance: float, oversample: int) -> n
         (column, x), (row, y) = ((np.floor(values), values - np.floor(values)) for values in places)
         inside = np.flatnonzero((column >= 0) & (column < across - 1) & (row >= 0) & (row < down - 1))
         light = white[np.arange(block.start, block.stop) // parts].repeat(parts, 1).ravel()[lit][inside]
-        x, y, corner = x[inside], y[inside], (row * across + column)[inside].astype(np.int64)
+        x = x[inside]
+        y = y[inside]
+        corner = (row * across + column)[inside].astype(np.int64)
         start = int(corner.min(initial=counted.size))
         for below, right in np.ndindex(2, 2):
             added = np.bincount(corner - start, light * abs(1 - below - y) * abs(1 - right - x))
@@ -339,7 +343,8 @@ def _throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> floa
     pixels whose own ray passes the main lens count.
     """
     around = _around_axis(camera, 2 if camera.lenses_are_bins else 3)
-    tile, arrays = LensTile(around, wavelength, _THROUGHPUT_LENSES, 1), active_backend().arrays
+    tile = LensTile(around, wavelength, _THROUGHPUT_LENSES, 1)
+    arrays = active_backend().arrays
     check_memory(tile.memory, "wave reconstruction of a white micro-image")
     lenses = LensSet(tile)
     inside = soft_edge((camera.aperture_radius - np.hypot(tile.pupil, tile.pupil[:, None])) / tile.pupil_pitch)
@@ -374,7 +379,9 @@ def _traced_throughput(
     conjugates = RealConjugates.of(OpticalSystem(camera, wavelength), [distance], 1)
     tile = LensTile(conjugates.camera, wavelength, _THROUGHPUT_LENSES, 1)
     check_memory(tile.memory, "wave reconstruction of white micro-images")
-    white, lenses, libraries = white_pixels(camera), LensSet(tile), active_backend()
+    white = white_pixels(camera)
+    lenses = LensSet(tile)
+    libraries = active_backend()
     # Rays bring no light back from beyond the sharp micro-images.
     counted = np.where(white_pixels(camera.replace(**SHARP)) > 0, white, 0)
     lit = lenses.lit(white)
@@ -407,7 +414,9 @@ def _lens_patches(
     which came through part of the lens from within the pupil, returns as if through the lens's centre and misses the
     pupil. So some bins receive more light than others. All lenses are treated like the one next to the axis.
     """
-    around, count, libraries = _around_axis(camera, 2), tile_lenses(camera, [distance]), active_backend()
+    around = _around_axis(camera, 2)
+    count = tile_lenses(camera, [distance])
+    libraries = active_backend()
     lenses = LensSet(LensTile(around, wavelength, count, oversample))
     which = np.array([lenses.find(0, 0)])
     amplitude = libraries.arrays.asarray(np.sqrt(_micro_image(around, (0, 0))[0]).astype(np.float32))
@@ -429,7 +438,8 @@ def _micro_image(camera: PlenopticCamera, index: tuple[float, float]) -> tuple[n
 
     For an unfocused camera with an aligned lattice the micro-image is a disc.
     """
-    b, z = camera.mla_distance, camera.reduced_distance
+    b = camera.mla_distance
+    z = camera.reduced_distance
     centre = [rays.chief_detector_point(c, b, z) for c in camera.lattice.centre(*index)]
     Px, Py = ((c - camera.pixel_coordinates(axis)) * (b / z) for axis, c in enumerate(centre))
     radius = np.hypot(Px, Py[:, None])

@@ -310,9 +310,11 @@ def write_volume(path: str | Path, volume: Volume) -> None:
             # The third format has no texts of fixed length yet.
             volume.to_xarray().to_zarr(temporary, zarr_format=2)
         return
-    values, axes = volume.values, "ZYX"
+    values = volume.values
+    axes = "ZYX"
     if values.ndim == 4:
-        values, axes = np.moveaxis(values, -1, 1), "ZCYX"
+        values = np.moveaxis(values, -1, 1)
+        axes = "ZCYX"
     with atomic_output(path) as temporary:
         metadata: dict[str, Any] = {"axes": axes}
         if _is_ome(path):

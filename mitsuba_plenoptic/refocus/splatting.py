@@ -59,7 +59,8 @@ class Splat:
     ) -> Splat:
         """Return the sums of an image's pixels (rows, columns, channels) by bin; float64, like the image."""
         focal_lengths = camera.mla_focal_lengths
-        fine, footprints = 1, [np.ones((1, 1, 1, 1))] * len(focal_lengths)
+        fine = 1
+        footprints = [np.ones((1, 1, 1, 1))] * len(focal_lengths)
         if footprint == "lens":
             fine = max(_LEAST, -(-_FINE // oversample))
             step = camera.mla_pitch / (oversample * fine)
@@ -67,7 +68,8 @@ class Splat:
         # Pixels that land in bins beyond the border may still reach across it.
         margin = max(taps.shape[0] // 2 for taps in footprints)
         columns, rows = (count * oversample for count in camera.bin_count)
-        across, down = columns + 2 * margin, rows + 2 * margin
+        across = columns + 2 * margin
+        down = rows + 2 * margin
         require_memory(
             # Counted samples, bins, and what is known of every pixel while those of a block are joined.
             down * across * (24.0 * fine**2 + 8.0 * (channels + 2)) + 100.0 * camera.shape[0] * camera.shape[1],
@@ -79,7 +81,8 @@ class Splat:
     def forward(self, image: np.ndarray) -> np.ndarray:
         """Return an image's pixels (rows, columns, channels) summed by bin; float64, like the image."""
         values = image.reshape(-1, image.shape[2])[self.pixel]
-        (down, across), margin = self.size, self.margin
+        (down, across) = self.size
+        margin = self.margin
         total = np.zeros((image.shape[2], down + 2 * margin, across + 2 * margin))
         for mine, taps in self._types():
             first = margin - taps.shape[0] // 2
@@ -91,7 +94,8 @@ class Splat:
 
     def vjp(self, bins: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
         """Return the transpose of `forward`: float64 pixels (rows, columns, channels)."""
-        margin, (down, across) = self.margin, self.size
+        margin = self.margin
+        (down, across) = self.size
         padded = np.pad(np.asarray(bins, np.float64), ((2 * margin,) * 2, (2 * margin,) * 2, (0, 0)))
         result = np.zeros((shape[0] * shape[1], bins.shape[2]))
         for mine, taps in self._types():
@@ -112,7 +116,8 @@ def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
     """Return the light of every fine sample spread over the surrounding bins."""
     taps = footprint.shape[0]
     footprint = footprint.reshape(taps, taps, -1)
-    rows, columns = samples.shape[0] + taps - 1, samples.shape[1] + taps - 1
+    rows = samples.shape[0] + taps - 1
+    columns = samples.shape[1] + taps - 1
     if taps <= _MOST_TAPS:
         spread = np.zeros((rows, columns))
         for y, x in np.ndindex(taps, taps):
@@ -130,7 +135,8 @@ def _gather(window: np.ndarray, footprint: np.ndarray) -> np.ndarray:
     """Return the transpose of `_spread`: (rows + taps - 1, columns + taps - 1) to (rows, columns, fine**2)."""
     taps = footprint.shape[0]
     kernels = footprint.reshape(taps, taps, -1)
-    rows, columns = window.shape[0] - taps + 1, window.shape[1] - taps + 1
+    rows = window.shape[0] - taps + 1
+    columns = window.shape[1] - taps + 1
     spectrum = scipy.fft.rfft2(window)
     # A correlation of the window with each kernel; values that wrap around lie outside the returned rows and columns.
     return np.stack(
@@ -146,7 +152,8 @@ def _gather(window: np.ndarray, footprint: np.ndarray) -> np.ndarray:
 
 def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float, step: float) -> np.ndarray:
     """Return the footprint of a pixel, of sum 1: its view of the lens or its own square, whichever is wider."""
-    scale, pixel = lens_footprint(camera, distance, mla_focal_length), pixel_footprint(camera, distance)
+    scale = lens_footprint(camera, distance, mla_focal_length)
+    pixel = pixel_footprint(camera, distance)
     if scale * camera.lattice.aperture_width >= pixel:
         return camera.lattice.aperture_image(step, scale)
     half = max(0, math.ceil((pixel / step - 1) / 2))
@@ -178,7 +185,9 @@ def _landing(
 
     Samples are counted bin by bin; the middle of the bins, rows and columns, is on the axis.
     """
-    lattice, columns, places = camera.lattice, camera.crop_size[0], []
+    lattice = camera.lattice
+    columns = camera.crop_size[0]
+    places = []
     traced = thin_places(camera, distance, radius) if camera.lens_data.is_thin else traced_places(camera, distance)
     for rows, *position, is_lit in traced:
         lit = np.flatnonzero(is_lit)
@@ -186,14 +195,17 @@ def _landing(
             values[lit] * (oversample / camera.mla_pitch) + size / 2
             for values, size in zip(position, shape[::-1], strict=True)
         )
-        column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+        column = np.floor(x).astype(np.int64)
+        row = np.floor(y).astype(np.int64)
         sample = np.floor((y - row) * fine).astype(np.int64) * fine + np.floor((x - column) * fine).astype(np.int64)
         inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
-        lit, sample = lit[inside], ((row * shape[1] + column) * fine**2 + sample)[inside]
+        lit = lit[inside]
+        sample = ((row * shape[1] + column) * fine**2 + sample)[inside]
         lens_type = np.zeros(lit.size, np.int8)
         if len(camera.mla_focal_lengths) > 1:
             pixel = camera.pixel_coordinates(0)[lit % columns], camera.pixel_coordinates(1)[rows][lit // columns]
-            b, z = camera.pupil_distance, camera.reduced_distance
+            b = camera.pupil_distance
+            z = camera.reduced_distance
             lens_type = lattice.lens_type(*lattice.cell(*(rays.chief_point(p, b, z) for p in pixel))).astype(np.int8)
         places.append([sample, lens_type, lit + rows.start * columns])
     sample, lens_type, pixels = (np.concatenate(parts) for parts in zip(*places, strict=True))
@@ -206,7 +218,8 @@ def thin_places(
     """Yield the result of `traced_places` for a thin main lens, where rays are linear in pixel and lens centre."""
     of_pixel = np.array(follow_back(1.0, 0.0, 0.0, distance, camera))
     of_lens = np.array(follow_back(0.0, 1.0, 1.0, distance, camera))
-    px, down = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
+    px = camera.pixel_coordinates(0)
+    down = camera.pixel_coordinates(1)
     height = max(1, _BLOCK // px.size)
     for first in range(0, down.size, height):
         p = px, down[first : first + height, None]
@@ -228,11 +241,14 @@ def traced_places(
     Yielded are rows of pixels, x and y of their positions in the object plane times -b / g in millimetres, which
     corrects the distortion, and whether the lens transmits the ray, or one from the middle of one of the pixel's edges.
     """
-    types, walk, half = array_module(), Walk.of(camera), camera.pixel_size / 2
+    types = array_module()
+    walk = Walk.of(camera)
+    half = camera.pixel_size / 2
     for rows, px, py in detector_rows(camera):
         lens = walk.lenslet(*walk.chief_cell((px, py))[1])
         lit = types.Bool(False)
-        x, y = types.Float64(0), types.Float64(0)
+        x = types.Float64(0)
+        y = types.Float64(0)
         for across, down in ((-1, 0), (1, 0), (0, -1), (0, 1), (0, 0)):
             traced = walk.trace((px + across * half, py + down * half), Passage(lens.centre, lens))
             lit |= traced[2]

@@ -99,7 +99,8 @@ def _moved(image: NDArray[np.float32], camera: PlenopticCamera, soft: bool = Fal
     """Return an image (rows, columns, channels) with each micro-image where the `straightened` camera has it."""
     if not moves_images(camera):
         return image
-    regular, moved = straightened(camera), np.empty_like(image)
+    regular = straightened(camera)
+    moved = np.empty_like(image)
     channels = np.moveaxis(image.astype(np.float64), -1, 0)
     splines = channels if soft else [spline_filter(channel, _ORDER) for channel in channels]
     for rows, x, y in _seen(camera, regular):
@@ -126,7 +127,8 @@ def evening(camera: PlenopticCamera) -> tuple[NDArray[np.float32], NDArray[np.fl
 
     The light, over that of the even camera, is 1 but where vignetting leaves hardly any.
     """
-    white, even = white_image(camera), white_image(camera.replace(**_EVEN))
+    white = white_image(camera)
+    even = white_image(camera.replace(**_EVEN))
     lit = (white > 0) & (white > _DARKEST * even)
     missing = ~lit & (even > 0)
     return (
@@ -144,9 +146,12 @@ def passed_light(camera: PlenopticCamera) -> NDArray[np.float32] | None:
 
 def _seen(camera: PlenopticCamera, regular: PlenopticCamera) -> Iterator[tuple[slice, Any, Any]]:
     """Yield rows of the regular camera's pixels, with the columns and rows, in fractions, that the camera has there."""
-    b, z, n = camera.pupil_distance, camera.reduced_distance, camera.mla_medium
+    b = camera.pupil_distance
+    z = camera.reduced_distance
+    n = camera.mla_medium
     growth = camera.image_growth
-    px, down = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
+    px = camera.pixel_coordinates(0)
+    down = camera.pixel_coordinates(1)
     height = max(1, _BLOCK // px.size)
     for first in range(0, down.size, height):
         p = np.meshgrid(px, down[first : first + height])

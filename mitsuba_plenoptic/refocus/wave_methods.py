@@ -110,12 +110,14 @@ def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]
     Without a white capture, bins are divided by the white of rays: without interference, and without the light that
     waves lose from a micro-image at the pupil's edge.
     """
-    camera, oversample = task.camera, task.oversample
+    camera = task.camera
+    oversample = task.oversample
     sums = []
     for image, distances, progress in captures(task):
         # The shortest waves, which take the most memory, come first.
         channels = np.argsort(task.wavelengths[: image.shape[2]]).tolist()
-        works, found = work_of([task.wavelengths[channel] for channel in channels]), {}
+        works = work_of([task.wavelengths[channel] for channel in channels])
+        found = {}
         for index, channel in enumerate(channels):
             system = task.system(task.wavelengths[channel])
             given = image[..., channel], system, distances, task.distances, interleave, relay, oversample
@@ -157,16 +159,21 @@ def _signed_power(
     Fields have the samples that all `planned` distances need, since ratios of images of single planes, such as
     displacements, are far more sensitive to the samples than the images are.
     """
-    camera, wavelength = system.camera, system.wavelength
-    fine, real, seen = fine_bins(system, oversample), None, camera
+    camera = system.camera
+    wavelength = system.wavelength
+    fine = fine_bins(system, oversample)
+    real = None
+    seen = camera
     columns, rows = (count * oversample * fine for count in camera.bin_count)
     check_memory(8.0 * rows * columns * (len(distances) + 1), f"wave reconstruction on {columns} x {rows} bins")
-    planes, sampled = list(distances), list(planned)
+    planes = list(distances)
+    sampled = list(planned)
     if camera.lens_data.traced_surfaces:
         real = RealConjugates.of(system, sampled, oversample)
         seen = real.camera
         planes, sampled = ([real.distance(distance) for distance in each] for each in (distances, planned))
-    parts, found = signed_parts(image), [np.zeros(()) for _ in distances]
+    parts = signed_parts(image)
+    found = [np.zeros(()) for _ in distances]
     for index, (sign, part) in enumerate(parts):
         # Guards look at the light, not at the noise below zero.
         options: dict[str, Any] = {"relay": relay, "oversample": oversample * fine, "checked": sign > 0}
@@ -300,9 +307,13 @@ class BackwardFields:
         to_planes: Sequence[Step] = (),
         progress: Progress = lambda done: None,
     ) -> None:
-        self._camera, self._wavelength, self._grids = camera, wavelength, grids
-        self._interleave, self._relay = interleave, relay
-        shorter, paraxial = camera.medium_wavelength(wavelength), is_paraxial(camera)
+        self._camera = camera
+        self._wavelength = wavelength
+        self._grids = grids
+        self._interleave = interleave
+        self._relay = relay
+        shorter = camera.medium_wavelength(wavelength)
+        paraxial = is_paraxial(camera)
         self._to_mla = FreeSpace(camera.detector_distance, shorter, paraxial)
         self._beyond_paraxial = FreeSpace(camera.mla_distance, wavelength, paraxial, beyond_paraxial=True)
         on_array = sum(8.0 * math.prod(strip.to_mla.shape) for strip in grids.strips)
@@ -364,7 +375,8 @@ class BackwardFields:
 
     def _to_pupil(self, strip: Strip, subset: tuple[int, int]) -> Chain:
         """Return the way from the array to the main lens, through the microlenses of a subset."""
-        step, lenses = strip.beyond_paraxial, None
+        step = strip.beyond_paraxial
+        lenses = None
         if self._relay:
             lenses = microlenses(step, self._camera, self._wavelength, self._interleave, subset)
         path = Fresnel(strip.to_main_lens, self._grids.pupil, self._camera.mla_distance, self._wavelength)
@@ -386,7 +398,8 @@ class BackwardFields:
             for strip, own in zip(self._grids.strips, on_array, strict=True):
                 for rows, samples in self._to_pupil(strip, subset).adjoint(workspace.blocks(field), workspace):
                     own[rows] += samples
-        found, n = [], self._grids.subsamples
+        found = []
+        n = self._grids.subsamples
         for strip, own in zip(self._grids.strips, on_array, strict=True):
             onto = strip.to_mla
             light = self._to_array(strip, None).adjoint(workspace.blocks(own), workspace)
@@ -431,7 +444,8 @@ class _Pupil:
 
     def __init__(self, axes: tuple[LensAxis, LensAxis], radius: float) -> None:
         arrays = active_backend().arrays
-        (across, along), (x, y) = (axis.pitch for axis in axes), (axis.samples for axis in axes)
+        (across, along) = (axis.pitch for axis in axes)
+        (x, y) = (axis.samples for axis in axes)
         outer, inner = (
             np.sqrt(np.maximum((radius + side * math.hypot(across, along)) ** 2 - x**2, 0)) for side in (0.5, -0.5)
         )
@@ -439,8 +453,10 @@ class _Pupil:
         ends = np.stack([self._first, np.searchsorted(y, -inner), np.searchsorted(y, inner, side="right"), self._end])
         places = [np.r_[first:low, max(low, high) : end] for first, low, high, end in ends.T.tolist()]
         self._starts = np.concatenate([[0], np.cumsum([len(own) for own in places])])
-        lines, self._places = np.repeat(np.arange(len(x)), np.diff(self._starts)), np.concatenate(places)
-        px, py = x[lines], y[self._places]
+        lines = np.repeat(np.arange(len(x)), np.diff(self._starts))
+        self._places = np.concatenate(places)
+        px = x[lines]
+        py = y[self._places]
         away = np.maximum(np.hypot(px, py), min(across, along))
         passed = soft_edge((radius - away) / np.hypot(px * across / away, py * along / away))
         self._lines, self._passed = lines, arrays.asarray(passed.astype(np.float32))
@@ -457,7 +473,8 @@ class _Pupil:
 
 def _main_lens(step: Directions, zone: FieldZone) -> Element:
     """Return the main lens as an element, less the path to the object point in the middle of a zone of the field."""
-    light, pitch = zone.light, min(step.x.pitch, step.y.pitch)
+    light = zone.light
+    pitch = min(step.x.pitch, step.y.pitch)
 
     # Lines of the main lens are along y.
     def lens(y: Any, x: Any) -> Any:

@@ -148,7 +148,8 @@ def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[n
     point = (0.0 * slopes, np.full(count, height / lens.scale), np.full(count, -lens.back_distance / lens.scale))
     direction = (0.0 * slopes, slopes * N, N)
     vertex = lens.front / lens.scale - lens.numbers.length
-    z, y = [vertex + point[2]], [point[1]]
+    z = [vertex + point[2]]
+    y = [point[1]]
     surfaces = sequential.elements(
         lens.prescription, lens.prescription.wavelength, stop_radius=lens.stop_radius, backwards=True
     )
@@ -239,7 +240,8 @@ def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> 
         radius = np.linspace(-1, 1, 65) * described.semi_aperture
         profiles.append((vertex - lens.scale * height(surface, radius**2), lens.scale * radius))
     for index, described in enumerate(lens.prescription.surfaces):
-        (z, y), stop = profiles[index], index == lens.prescription.stop
+        (z, y) = profiles[index]
+        stop = index == lens.prescription.stop
         if described.glass is not None:
             behind, below = profiles[index + 1]
             outline = np.concatenate([z, behind[::-1]]), np.concatenate([y, below[::-1]])

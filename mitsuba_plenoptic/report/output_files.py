@@ -134,7 +134,8 @@ def write_orbit(path: Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> 
 
 def orbit(lf: xr.DataArray) -> list[tuple[int, int]]:
     """Return the views (row, column) nearest to a circle of three quarters of the pupil's radius, each once."""
-    u, v = lf.u.values, lf.v.values
+    u = lf.u.values
+    v = lf.v.values
     radius = 0.75 * max(np.abs(u).max(), np.abs(v).max())
     angles = np.linspace(0, 2 * np.pi, 8 * max(len(u), len(v)), endpoint=False)
     near = [

@@ -40,7 +40,8 @@ each need 0.25 GiB in addition to the film."""
 _SAMPLES_PER_PASS = 2**14
 """Dr.Jit gives blocks of so many rays to its threads; pixels of more samples would be shared by two of them."""
 
-_SOFTWARE, _version = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy"), functools.cache(importlib.metadata.version)
+_SOFTWARE = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy")
+_version = functools.cache(importlib.metadata.version)
 """Packages whose versions captures state."""
 
 _OF_INTEGRATORS = (*KNOWN_PARAMETERS["plenoptic_wave"], *KNOWN_PARAMETERS["plenoptic_laser"], *GONE_PARAMETERS)
@@ -132,7 +133,8 @@ def render_capture(
         from ..detector import require_samples
 
         require_samples(spp)
-    wavelengths, spectrum = None, None
+    wavelengths = None
+    spectrum = None
     if hasattr(integrator, "wavelengths"):
         spectrum = integrator.spectrum_of(scene, chosen)
         wavelengths = integrator.wavelengths if spectrum is None else spectrum.centroids()
@@ -173,7 +175,8 @@ def render_capture(
     if spectrum is not None:
         metadata["spectrum"] = {"wavelengths": spectrum.wavelengths, "responses": spectrum.responses}
     if image.shape[2] == 1:
-        image, deviation = image[..., 0], None if deviation is None else deviation[..., 0]
+        image = image[..., 0]
+        deviation = None if deviation is None else deviation[..., 0]
     if wavelengths is None:
         return Capture(image, camera, None, "ray", metadata, deviation)
     if len(set(wavelengths)) == 1:
@@ -213,7 +216,8 @@ def require_active(name: str, thing: mi.Object, kind: type) -> mi.Object:
 
 def numbered_sensor(scene: mi.Scene, index: int) -> mi.Sensor:
     """Return a scene's sensor by its index; refuse what is no index of one."""
-    index, sensors = require_count("sensor", index, minimum=0), scene.sensors()
+    index = require_count("sensor", index, minimum=0)
+    sensors = scene.sensors()
     refuse_if(index >= len(sensors), f"sensor = {index}: the scene's are numbered from 0 to {len(sensors) - 1}")
     return sensors[index]
 

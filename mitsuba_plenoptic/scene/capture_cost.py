@@ -19,13 +19,17 @@ from ..runtime import active_backend, fft, on_all_cores
 _RAYS = 2**20
 """Largest count of rays from the detector that are traced at once."""
 
-_SECONDS, _PART = 0.6, 64
+_SECONDS = 0.6
+_PART = 64
 """Approximate time in seconds for which light paths are traced, but no more than about this part of the capture."""
 
 _FEW_PATHS = 16
 """Largest count of samples that are traced for a pixel at once."""
 
-_TRACED, _OF_RAY, _OF_PIXEL, _OF_PLAN = 0.8, 0.7, 10.0, 1e8
+_TRACED = 0.8
+_OF_RAY = 0.7
+_OF_PIXEL = 10.0
+_OF_PLAN = 1e8
 """Time of a wave capture: its rays' over that of a ray capture's, and what each ray and each pixel of each wavelength
 takes, and the plan of a wavelength, over that of a sample of a Fourier transform."""
 
@@ -42,7 +46,8 @@ def seconds_by_rays(scene: Any, sensor: Any, integrator: Any, *, seed: int, spp:
     count = lines * columns * together
     sampler = mi.load_dict({"type": "independent"})
     pixel = dr.arange(mi.UInt32, count) // together
-    column, row = mi.Float(pixel % columns), mi.Float(pixel // columns * (rows // lines))
+    column = mi.Float(pixel % columns)
+    row = mi.Float(pixel // columns * (rows // lines))
 
     def trace() -> float:
         # Seeded for each pass; otherwise Dr.Jit would trace its state from the first pass through all others.
@@ -59,7 +64,8 @@ def seconds_by_rays(scene: Any, sensor: Any, integrator: Any, *, seed: int, spp:
 
     dr.eval(column, row)
     trace()  # compiles the kernels
-    seconds, traced = trace(), count
+    seconds = trace()
+    traced = count
     while seconds < _SECONDS and traced * _PART < samples:
         seconds += trace()
         traced += count
@@ -77,7 +83,8 @@ def seconds_by_waves(by_rays: float, rays: float, pixels: float, images: int) ->
 
 def _seconds_of_a_sample() -> float:
     """Return the seconds that a Fourier transform takes for a sample, with one transform on each core."""
-    libraries, workers = active_backend(), 1 if active_backend().is_cuda else fft.worker_count()
+    libraries = active_backend()
+    workers = 1 if active_backend().is_cuda else fft.worker_count()
     image = libraries.arrays.ones((_TRANSFORM, _TRANSFORM), np.float32)
     seconds = []
     for _ in range(2):

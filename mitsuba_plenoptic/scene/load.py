@@ -205,7 +205,9 @@ def load_scene(
         if scene.get("type") != "scene":
             raise InputError(f"scene: its 'type' is {short_repr(scene.get('type'))}: it must be 'scene'")
         set_variant(variant)
-        where, name, entries = "scene", "dictionary", dict(scene)
+        where = "scene"
+        name = "dictionary"
+        entries = dict(scene)
         load, parse = (
             partial(mi.load_dict, entries, parallel=False),
             lambda config: mi.parser.parse_dict(config, entries),
@@ -217,7 +219,8 @@ def load_scene(
         path = scene_path(str(scene)) if is_name else require_file(scene)
         set_variant(variant)
         values = _complete(path, {str(name): str(value) for name, value in (parameters or {}).items()})
-        where, name = str(path), path.name
+        where = str(path)
+        name = path.name
         load, parse = (
             partial(mi.load_file, where, parallel=False, **values),
             lambda config: mi.parser.parse_file(config, where, **values),
@@ -353,7 +356,8 @@ def scale_nodes(nodes: Any, factor: float) -> None:
     # Objects of the active variant that have lengths or may hold some that do.
     kinds = (mi.Shape, mi.Sensor, mi.Emitter, mi.Medium, mi.Volume, mi.BSDF, mi.Texture)
     for node in nodes:
-        properties, plugin = node.props, node.props.plugin_name()
+        properties = node.props
+        plugin = node.props.plugin_name()
         name = f"unit: {plugin}{f' {node.props.id()!r}' if node.props.id() else ''}"
         for key in properties.keys():  # noqa: SIM118 (properties are no mapping)
             refuse_if(

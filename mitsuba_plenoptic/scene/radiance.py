@@ -293,7 +293,8 @@ _SLANT = 1e-4
 
 def _touches(scene: Any, sensor: mi.Sensor, radius: float) -> bool:
     """Return whether a surface crosses or covers the main lens."""
-    index, ends = dr.arange(mi.Float, _CHORDS), []
+    index = dr.arange(mi.Float, _CHORDS)
+    ends = []
     # One end goes round evenly, the other by the golden angle, so that the chords' middles fill the lens.
     for angle, slant in ((2 * math.pi / _CHORDS * index, -_SLANT), (2.4 * index, _SLANT)):
         ends.append(sensor.world_transform() @ (radius * mi.Point3f(dr.cos(angle), dr.sin(angle), slant)))
@@ -308,13 +309,15 @@ def warn_of_metres(scene: Any, sensor: Any) -> None:
     Too near means within the focal length, or nearer than half the nearest distance that refocusing makes sharp. Other
     cameras are not checked.
     """
-    camera, box = getattr(sensor, "camera", None), scene.bbox()
+    camera = getattr(sensor, "camera", None)
+    box = scene.bbox()
     # An objective sees what is nearer than its focal length.
     if camera is None or not box.valid() or not camera.lens_data.converges:
         return
     to_camera = np.linalg.inv(np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4))
     corners = np.array([np.append(np.ravel(box.corner(index)), 1.0) for index in range(8)]) @ to_camera.T[:, :3]
-    farthest, reach = float(corners[:, 2].max()), camera.aperture_radius
+    farthest = float(corners[:, 2].max())
+    reach = camera.aperture_radius
     inside = (corners.min(0) <= reach).all() and (corners.max(0) >= (-reach, -reach, -_SLANT * reach)).all()
     # The walls of a room in metres are inside the lens, too.
     in_metres = _SLANT * reach < farthest < camera.focal_length

@@ -90,7 +90,8 @@ def decode(
         lenses = grid
         bins = _upright(grid)
     half, alone = view_window(camera, lenses)
-    views, (height, width, channels) = 2 * half + 1, image.shape
+    views = 2 * half + 1
+    (height, width, channels) = image.shape
     # Light and white, each as sampled and in the order of the light field; and the images.
     samples = (math.prod(bins.shape) + math.prod(lenses.shape)) * views**2 * (channels + 1)
     require_memory(

@@ -68,7 +68,8 @@ class LensWaves:
 
         It is computed from slopes, since a phase may have jumps.
         """
-        shape, focal_length = self.camera.microlens, self.camera.reduced_focal_lengths[0]
+        shape = self.camera.microlens
+        focal_length = self.camera.reduced_focal_lengths[0]
         offset = aperture_points(self.lattice)
         slopes = np.multiply(shape.deflection(self.lattice, *offset, focal_length), shape.strength(self.wavelength))
         most = float(np.hypot(*(slopes + np.divide(offset, focal_length))).max())
@@ -86,7 +87,8 @@ class LensWaves:
         The other results are the squares :math:`c^2` of the cosines of the angles of incidence, which are 0 where no
         light arrives, and the optical paths to the landing point of the lens's centre, less that from the centre.
         """
-        index, z = self.camera.mla_medium, kind.distance
+        index = self.camera.mla_medium
+        z = kind.distance
         s = self.lattice.from_frame(*cosines)
         scale = z * self._lens_kinds.enlargement(kind.focal_length) / math.sqrt(1 - math.hypot(*s) ** 2 / index**2)
         landing = [component * scale for component in s]
@@ -106,7 +108,8 @@ class LensWaves:
         Directions are cosines, in the lattice frame. The other results are the points of the array, relative to the
         lens's centre, and the part of each sample that belongs to the lens itself.
         """
-        lattice, camera = self.lattice, self.camera
+        lattice = self.lattice
+        camera = self.camera
         (mx, my), square, path = self._plane(x, kind, cosines)
         # Lens types alternate along a row.
         centre = lattice.centre(float(kind.lens_type), 0.0)

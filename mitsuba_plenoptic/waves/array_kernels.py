@@ -88,7 +88,8 @@ class ArrayKernels(LensWaves):
     @single_threaded_blas()
     def oblique(self) -> Oblique:
         """Combinations of the changes of kernels with the direction of light."""
-        functions, camera = self.functions, self.camera
+        functions = self.functions
+        camera = self.camera
         if self.lands_by_point or functions.count == 1:
             return Oblique.nothing(functions.count)
         cosines = self._cosines()
@@ -121,7 +122,8 @@ class ArrayKernels(LensWaves):
     @cached_property
     def covariance(self) -> NDArray[np.float64]:
         """Covariance of the values of an image's rays, for light with random edges from all directions."""
-        functions, oblique = self.functions, self.oblique
+        functions = self.functions
+        oblique = self.oblique
         u, v, inside = self.aperture_grid(USUAL.coarse_lags)
         light = functions.light(u[inside], v[inside])
         across, up = self._cosines().T / oblique.largest
@@ -205,9 +207,11 @@ class ArrayKernels(LensWaves):
         """Refuse kernels that exceed the memory, as for pixels far larger than a lens's diffraction pattern."""
         if self.lands_by_point:
             # Transforms of the aperture, their products, and the kernels themselves.
-            count, bytes_of_sample = 2 * (math.ceil(reach / step) + 1) * self._cell_parts(step, self.kinds[kind]), 32.0
+            count = 2 * (math.ceil(reach / step) + 1) * self._cell_parts(step, self.kinds[kind])
+            bytes_of_sample = 32.0
         else:
-            count, bytes_of_sample = 2 * self.kernel_samples(step, reach, kind)[2] + 1, 8.0
+            count = 2 * self.kernel_samples(step, reach, kind)[2] + 1
+            bytes_of_sample = 8.0
         spot = in_millimetres(self.wavelength) * self.kinds[kind].distance / float(self.lattice.aperture_width)
         require_memory(
             bytes_of_sample * self.functions.count * float(count) ** 2,
@@ -238,7 +242,8 @@ class ArrayKernels(LensWaves):
     def sampled_kernels(self, step: float, samples: tuple[int, int, int], kind: int = 0) -> NDArray[np.float64]:
         """Return `kernels` with a given sampling, even where another sampling would suit better."""
         stride, farthest, count = samples
-        functions, oblique = self.functions, self.oblique
+        functions = self.functions
+        oblique = self.oblique
         transfer = self._transfer(farthest, stride, self.kinds[kind], functions, functions.duals)
         kernels = self._placed(transfer, stride, step, count, kind)
         if not oblique.count:
@@ -272,7 +277,8 @@ class ArrayKernels(LensWaves):
         scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
         apart = self.lattice.pitches[0] / USUAL.pitch_lags * stride
         farthest = transfer.shape[1] // 2
-        position, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * apart
+        position = np.arange(-count, count + 1) * step
+        lags = np.arange(-farthest, farthest + 1) * apart
         # All repetitions of the window add up to 1, so that a kernel has the transfer function at each lag.
         period = scale / apart
         beyond = (np.abs(position) - period / 2) / min(USUAL.border * step, period)
@@ -301,12 +307,15 @@ class ArrayKernels(LensWaves):
 
         Neighbours and phases are left out: see `of_middles`.
         """
-        lattice, scale = self.lattice, in_millimetres(self.wavelength) * kind.distance
+        lattice = self.lattice
+        scale = in_millimetres(self.wavelength) * kind.distance
         parts = self._cell_parts(step, kind)
         count = math.ceil(reach / step)
-        fine, far = step / parts, (count + 1) * parts - 1
+        fine = step / parts
+        far = (count + 1) * parts - 1
         x, y, _ = self.aperture_grid(USUAL.spectrum_samples)
-        along, spacing = x[0], x[0, 1] - x[0, 0]
+        along = x[0]
+        spacing = x[0, 1] - x[0, 0]
         inside = lattice.in_aperture(x, y)
         functions = self.functions
         u, v = (coordinate / functions.scale for coordinate in lattice.to_frame(x, y))
@@ -346,11 +355,15 @@ class ArrayKernels(LensWaves):
         (x, y), T, share = self.transmission((x, y), kind, cosines)
         open_ = share > 0
         rows, columns = (np.flatnonzero(open_.any(axis)) for axis in (1, 0))
-        top, bottom, left, width = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1 - columns[0]
+        top = rows[0]
+        bottom = rows[-1] + 1
+        left = columns[0]
+        width = columns[-1] + 1 - columns[0]
         values = polynomials.values(*(coordinate[open_] for coordinate in lattice.to_frame(x, y)))
         # On these samples, too, the integrals of the duals with the functions over the lens are exact.
         measure = share[open_] * np.square(np.abs(T[open_]))
-        functions, duals = polynomials.functions, polynomials.duals
+        functions = polynomials.functions
+        duals = polynomials.duals
         products = (values @ functions).T @ (measure[:, None] * (values @ duals)) / measure.sum()
         exact = duals @ np.linalg.solve(products, functions.T @ coefficients)
         weight = np.zeros((*open_.shape, coefficients.shape[1]), np.float32)
@@ -361,18 +374,22 @@ class ArrayKernels(LensWaves):
         if across is not None and up is not None:
             # Opposite points give conjugate products: half of the lens gives the real or the imaginary part.
             real = np.ravel(across == up)
-            imaginary, bottom = ~real, (top + bottom) // 2
+            imaginary = ~real
+            bottom = (top + bottom) // 2
             weight = 2 * weight[: bottom - top]
         weight = weight.reshape(-1, coefficients.shape[1])
         weights = weight[:, real], weight[:, imaginary]
-        count, most = 2 * farthest + 1, farthest * stride
+        count = 2 * farthest + 1
+        most = farthest * stride
         # One symmetry gives the lags on one side from those on the other.
         first = 0 if across is None and up is None else farthest
         result = np.zeros((coefficients.shape[1], count, count), np.complex64)
         # Views (column, row, place) of T, from each column on.
         lines = np.lib.stride_tricks.sliding_window_view(T, width, axis=1).transpose(1, 0, 2)
-        after, before = lines[left - most : left + most + 1 : stride], lines[left + most : left - most - 1 : -stride]
-        after, before = after[first:], before[first:]
+        after = lines[left - most : left + most + 1 : stride]
+        before = lines[left + most : left - most - 1 : -stride]
+        after = after[first:]
+        before = before[first:]
 
         def integrate(lags: NDArray[np.int64]) -> None:
             product = np.empty((count - first, bottom - top, width), np.complex64)

@@ -46,7 +46,8 @@ class Convolution:
         )
         self.tile = rows, columns
         self._size = tuple(fft.fast_length(tile + support - 1) for tile in self.tile)
-        arrays, transforms = active_backend().arrays, active_backend().transforms
+        arrays = active_backend().arrays
+        transforms = active_backend().transforms
         self._spectra = arrays.empty((self.ranks, self._size[0], self._size[1] // 2 + 1), np.complex64)
 
         def transform(rank: int) -> None:
@@ -57,7 +58,8 @@ class Convolution:
 
     def reached(self, box: Box) -> Box:
         """Return the recorded pixels, counted from the first, that light of the samples in a box can reach."""
-        grown, window = _grown(box, self._margin), self._window
+        grown = _grown(box, self._margin)
+        window = self._window
         low = np.maximum((grown.left - window.left, grown.top - window.top), 0)
         high = (grown.left + grown.columns - window.left, grown.top + grown.rows - window.top)
         return Box.between(low, np.minimum(high, (window.columns, window.rows)))
@@ -66,12 +68,14 @@ class Convolution:
         self, images: NDArray[np.float32], box: Box | None = None, pixels: Box | None = None
     ) -> NDArray[np.float32]:
         """Return the sum (rows, columns) of all images (ranks, rows, columns), each convolved with its kernel."""
-        box, m = box or self.box, self._margin
+        box = box or self.box
+        m = self._margin
         pixels = pixels or self.reached(self.box)
         recorded = Box(self._window.left + pixels.left, self._window.top + pixels.top, pixels.columns, pixels.rows)
         # Other processes import the libraries of the spectra's arrays themselves.
         libraries = backend_of(self._spectra)
-        arrays, transforms = libraries.arrays, libraries.transforms
+        arrays = libraries.arrays
+        transforms = libraries.transforms
         result = arrays.zeros((1, recorded.rows, recorded.columns), np.float32)
 
         def convolved(tile: tuple[slice, slice]) -> Part:
@@ -95,10 +99,13 @@ class Convolution:
 
     def adjoint(self, pixels: NDArray[np.float32], box: Box | None = None) -> list[NDArray[np.float32]]:
         """Return one image per kernel by the adjoint of `forward`, from `pixels` (rows, columns)."""
-        box, m = box or self.box, self._margin
-        reached, tiles = _grown(box, m), list(self._tiles(box))
+        box = box or self.box
+        m = self._margin
+        reached = _grown(box, m)
+        tiles = list(self._tiles(box))
         libraries = backend_of(self._spectra)
-        arrays, transforms = libraries.arrays, libraries.transforms
+        arrays = libraries.arrays
+        transforms = libraries.transforms
         samples = arrays.zeros((1, reached.rows, reached.columns), np.float32)
         add(Part(self._window, arrays.asarray(pixels)[None]), reached, samples)
 

@@ -30,7 +30,8 @@ from .phase_space import PhaseSpace, Table
 OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distance", "detector_width")
 """Parameters on which the kernels depend."""
 
-_KERNEL_STEP, _TABLE_STEP = 1e-3, 2e-2
+_KERNEL_STEP = 1e-3
+_TABLE_STEP = 2e-2
 """Relative steps of finite differences of kernels, and of coefficient tables, whose sampled overlaps need more."""
 
 _GRID = 0.5
@@ -72,7 +73,8 @@ class ExpandedPlan(PhaseSpace):
     def tabulated(self, table: Table | None = None) -> Sequence[Array]:
         """Return the arrays of the table of coefficients, or fill a given table."""
         arrays = [np.empty(shape, np.float32) for shape in self.shapes] if table is None else table
-        start, camera = self.start.camera, self.camera
+        start = self.start.camera
+        camera = self.camera
         ratio = camera.mla_distance / start.mla_distance * start.mla_pitches[0] / camera.mla_pitches[0]
         change = np.float32(math.log(ratio))
         rows = zip(arrays, _table(self.start), _width_slopes(self.start), strict=True)

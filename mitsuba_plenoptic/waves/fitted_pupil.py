@@ -80,7 +80,8 @@ class FittedPupil:
     def densities(self) -> list[NDArray[np.float64]]:
         """Densities (n, n) of open and, if rays have to pass some, of closed parts; their integrals are 1."""
         power, amplitude = (means(values, _SAMPLES) for values in (self.samples.power, abs(self.samples.transmission)))
-        size, x = (2 * _SAMPLES,) * 2, along(_SAMPLES)
+        size = (2 * _SAMPLES,) * 2
+        x = along(_SAMPLES)
         pairs = scipy.fft.irfft2(scipy.fft.rfft2(amplitude, size) ** 2, size)[::2, ::2]
         # Rays with the root of the mean square of the light that they bring have the least noise. Samples that the
         # circle cuts are left out.
@@ -109,7 +110,8 @@ class FittedPupil:
 
         They are the coordinates in the box around the open parts, and the shares of open and of closed parts.
         """
-        places, aperture = self._boxed(x, y), self.samples.aperture
+        places = self._boxed(x, y)
+        aperture = self.samples.aperture
         if self.closed is None:
             return list(places)
         column, row = (
@@ -125,7 +127,8 @@ class FittedPupil:
         boxed = []
         for axis, coordinate in enumerate((x, y)):
             lit = np.flatnonzero(self.densities[0].any(axis))
-            low, high = 2 * int(lit[0]) / _SAMPLES - 1, 2 * int(lit[-1] + 1) / _SAMPLES - 1
+            low = 2 * int(lit[0]) / _SAMPLES - 1
+            high = 2 * int(lit[-1] + 1) / _SAMPLES - 1
             boxed.append((coordinate - (low + high) / 2) / ((high - low) / 2))
         return boxed[0], boxed[1]
 
@@ -143,7 +146,8 @@ class FittedPupil:
     def functions(self) -> PupilFunctions:
         """The functions; the first has an integral of 1 over all rays, and the others of 0."""
         sets = even_polynomials([self._boxed(*spread_points(density)) for density in self.densities], self.degree)
-        combined, count = scipy.linalg.block_diag(*(functions.triangle for functions in sets)), len(sets[0].exponents)
+        combined = scipy.linalg.block_diag(*(functions.triangle for functions in sets))
+        count = len(sets[0].exponents)
         # Rays through closed parts bring nothing of uniform light.
         combined[0, count::count] -= 1
         return PupilFunctions(sets[0].exponents, combined)
@@ -171,13 +175,15 @@ class FittedPupil:
     @cached_property
     def _spectra(self) -> NDArray[np.complex128]:
         """Spectra (functions, rows, columns) at `_frequencies` of the kernels after the first, by least squares."""
-        (density, shares), x = self._drawn, along(_SAMPLES)
+        (density, shares) = self._drawn
+        x = along(_SAMPLES)
         u, v = self._boxed((x + 0 * x[:, None]).ravel(), (x[:, None] + 0 * x).ravel())
         values = self.functions.values(u, v, shares.reshape(len(shares), -1))
         weighted = values * (density.ravel() * _AREA)[:, None]
         noise = USUAL.noise_weight * (values.T @ weighted)[1:, 1:]
         images = np.ascontiguousarray(np.swapaxes(weighted.reshape(_SAMPLES, _SAMPLES, -1), 1, 2), np.complex64)
-        lights, frequencies = _lights(USUAL.tilt_limit * (self.degree + 1)), _frequencies()
+        lights = _lights(USUAL.tilt_limit * (self.degree + 1))
+        frequencies = _frequencies()
         weight = np.sqrt([light.weight for light in lights])
 
         def seen(light: _Light) -> tuple[NDArray[np.complex64], ...]:
@@ -190,14 +196,16 @@ class FittedPupil:
             opposite = _Light(-light.blur, -light.x, -light.y)
             return rows.reshape(len(waves[0]), -1, len(waves[1])), self._light_of(light), self._light_of(opposite)
 
-        integrals, spread = on_all_cores(seen, lights), self._light_of(_Light(0.0, 0.0, 0.0))
+        integrals = on_all_cores(seen, lights)
+        spread = self._light_of(_Light(0.0, 0.0, 0.0))
 
         def fitted(row: int) -> NDArray[np.complex128]:
             """Return the spectra (functions, columns) of a row of frequencies."""
             functions, ahead, behind = (
                 np.stack([integral[row] for integral in of_lights]) for of_lights in zip(*integrals, strict=True)
             )
-            ahead, behind = ahead - functions[:, 0] * spread[row], behind - functions[:, 0].conj() * spread[row]
+            ahead = ahead - functions[:, 0] * spread[row]
+            behind = behind - functions[:, 0].conj() * spread[row]
             others = np.moveaxis(functions[:, 1:], 2, 0).transpose(0, 2, 1) * weight
             # Functions are real, so that their integrals with the conjugate light are conjugate.
             model = np.concatenate([others.real, others.imag], 2)
@@ -209,7 +217,8 @@ class FittedPupil:
 
     def _light_of(self, light: _Light) -> NDArray[np.complex64]:
         """Return the integrals of w with light that varies over the pupil, at `_frequencies`."""
-        x, size = along(_SAMPLES), (2 * _SAMPLES,) * 2
+        x = along(_SAMPLES)
+        size = (2 * _SAMPLES,) * 2
         bent = means(self.samples.transmission, _SAMPLES) * np.exp(1j * np.pi * light.blur * (x**2 + x[:, None] ** 2))
         tilted = np.exp(1j * np.pi * (light.x * x + light.y * x[:, None]))
         first, second = (scipy.fft.fft2(light_field, size) for light_field in (bent * tilted, bent * tilted.conj()))

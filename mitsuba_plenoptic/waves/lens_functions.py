@@ -100,14 +100,16 @@ class LensFunctions:
         Parameters are points u and v that fill the aperture evenly, and images (polynomials, values): the integrals of
         the polynomials with K, in an orthonormal basis of the detector.
         """
-        expected, products = self._expected(*points), images @ images.T
+        expected = self._expected(*points)
+        products = images @ images.T
         odd = np.array(self.odd)
         candidates = []
         for parity in ((False, False), (True, False), (False, True), (True, True)):
             (alike,) = np.nonzero((odd == parity).all(1) & (np.arange(len(odd)) > 0))
             if not len(alike):
                 continue
-            own_products, root = products[np.ix_(alike, alike)], np.linalg.cholesky(expected[np.ix_(alike, alike)])
+            own_products = products[np.ix_(alike, alike)]
+            root = np.linalg.cholesky(expected[np.ix_(alike, alike)])
             removed, directions = np.linalg.eigh(root.T @ own_products @ root)
             for error, function in zip(removed, (own_products @ root @ directions).T, strict=True):
                 full = np.zeros(len(odd))

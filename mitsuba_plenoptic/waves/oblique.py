@@ -98,7 +98,8 @@ class Oblique:
         odd_terms = [(i % 2 == 1, j % 2 == 1) for i, j in exponents(degree, lowest=1)]
         both = np.einsum("nm,kl->nkml", light, moments[1:, 1:])
         in_all = float(np.einsum("nm,nx,mx->", light, images[0], images[0]))
-        shape, candidates = change.shape[:2], []
+        shape = change.shape[:2]
+        candidates = []
         for parity in itertools.product((False, True), repeat=2):
             pairs = [
                 (n, k)
@@ -110,7 +111,8 @@ class Oblique:
             added = USUAL.added_variance * np.trace(matrix) / len(matrix)
             root = np.linalg.cholesky(matrix + added * np.eye(len(matrix)))
             left, values, _ = np.linalg.svd(root.T @ change[rows, columns], full_matrices=False)
-            factors, kernels = np.linalg.solve(root.T, left), root @ left
+            factors = np.linalg.solve(root.T, left)
+            kernels = root @ left
             for index, value in enumerate(values):
                 pair = np.zeros((2, *shape))
                 pair[:, rows, columns] = factors[:, index], kernels[:, index]
@@ -162,7 +164,8 @@ class Oblique:
         for axis in (0, 1):
             along = [arrays.zeros_like(u)]
             for pair in pairs:
-                i, j = pair[0] - (axis == 0), pair[1] - (axis == 1)
+                i = pair[0] - (axis == 0)
+                j = pair[1] - (axis == 1)
                 along.append(lower[i, j] * (scale * pair[axis]) if pair[axis] else along[0])
             slopes.append(self._orthonormal(arrays, along))
         return arrays.stack(slopes)

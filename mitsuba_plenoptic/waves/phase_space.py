@@ -157,7 +157,8 @@ class PhaseSpace(ArrayKernels):
     @functools.cached_property
     def nodes(self) -> list[TableNode]:
         """Nodes of the table along the pupil's radius, each with its window and number of samples."""
-        radius, pitch = self.camera.pupil_radius, self.lattice.pitches[0]
+        radius = self.camera.pupil_radius
+        pitch = self.lattice.pitches[0]
         # Windows are for the longest wavelength, and samples for the shortest.
         reach, least_reach = (
             in_millimetres(limit or self.wavelength) * self.camera.pupil_distance
@@ -219,17 +220,23 @@ class PhaseSpace(ArrayKernels):
     def tabulated(self, table: Table | None = None) -> Sequence[NDArray[Any]]:
         """Return the arrays of the table of coefficients, computed anew in single precision, or in a given table."""
         arrays = [np.empty(shape, np.float32) for shape in self.shapes] if table is None else table
-        radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
+        radius = self.camera.pupil_radius
+        reach = in_millimetres(self.wavelength) * self.camera.pupil_distance
         u, v, inside = self.aperture_grid(USUAL.spectrum_samples)
         around = np.ix_(*(np.flatnonzero(inside.any(axis)) for axis in (1, 0)))
-        u, v, inside = u[around], v[around], inside[around]
+        u = u[around]
+        v = v[around]
+        inside = inside[around]
         functions = self.functions
         values = np.where(inside[..., None], functions.values(u, v) @ functions.functions, 0) * (u[0, 1] - u[0, 0]) ** 2
 
         def fill(radial: int) -> None:
-            node, coefficients = self.nodes[radial], arrays[radial]
+            node = self.nodes[radial]
+            coefficients = arrays[radial]
             # Fourier coefficients over the window, for the frequencies that pass the pupil.
-            gains, orders, lags = [], [], []
+            gains = []
+            orders = []
+            lags = []
             for side, count, along, halved in zip(node.sides, node.counts, (u[0], v[:, 0]), (0, 1), strict=True):
                 most = (count - 1) // 2
                 # Opposite frequencies give conjugate parts: those of half the plane stand for both.
@@ -241,7 +248,8 @@ class PhaseSpace(ArrayKernels):
                 lags.append(np.asarray(order * (reach / side), np.float32))
             spectra = np.einsum("ay,yxn,bx->nba", orders[1], values.astype(np.float32), orders[0], optimize=True)
             spectra *= gains[0][:, None] * gains[1]
-            size, below = node.counts, len(gains[0]) // 2
+            size = node.counts
+            below = len(gains[0]) // 2
             spectrum = np.zeros((functions.count, size[0], size[1] // 2 + 1), np.complex64)
             for angle in range(node.angular + 1):
                 angle_step = math.pi / 2 / node.angular
@@ -265,13 +273,16 @@ class PhaseSpace(ArrayKernels):
         radius: float,
     ) -> NDArray[np.float32]:
         """Return O_P over the power at P, averaged over the part of the pupil for which interpolation uses a node."""
-        aperture, even = self.camera.aperture, self.camera.aperture == Round()
+        aperture = self.camera.aperture
+        even = self.camera.aperture == Round()
         abscissae, weights = np.polynomial.legendre.leggauss(USUAL.overlap_nodes)
-        aside, weights = (abscissae + 1) / 2, weights * (1 - (abscissae + 1) / 2)
+        aside = (abscissae + 1) / 2
+        weights = weights * (1 - (abscissae + 1) / 2)
         steps = np.concatenate([-aside, aside])
         weights = np.concatenate([weights, weights])
         limit = np.float32(radius**2) - (lag_u**2 + lag_v**2) / 4
-        total, scale = np.zeros_like(limit), 0.0
+        total = np.zeros_like(limit)
+        scale = 0.0
         for step, weight in zip(steps, weights, strict=True):
             t = 1 - (radial + step) / self.radial
             if not 0 <= t <= 1:
@@ -360,7 +371,8 @@ class TableNodes:
     """Nodes of a plan's table, of which a ray takes a random one near its pupil point."""
 
     def __init__(self, plan: PhaseSpace) -> None:
-        self._radial, self._radius = plan.radial, plan.camera.pupil_radius
+        self._radial = plan.radial
+        self._radius = plan.camera.pupil_radius
         self._angular = mi.Float([node.angular for node in plan.nodes])
 
     def along(self, Pu: Any, Pv: Any, chance: Any) -> tuple[Any, Any]:
@@ -388,12 +400,16 @@ class Table(list[NDArray[Any]]):
         memory: NDArray[Any] | None = None,
         first: int = 0,
     ) -> None:
-        self.packets, self.first = -(-shapes[0][-1] // _PACKET), first
+        self.packets = -(-shapes[0][-1] // _PACKET)
+        self.first = first
         ends = np.cumsum([math.prod(shape[:-1]) for shape in shapes])
         if memory is None:
             memory = empty_packets((int(ends[-1]) + 1, self.packets * _PACKET), np.float16)
-        self.memory, packets = memory, memory[:, first * _PACKET : (first + self.packets) * _PACKET]
-        columns, packets[:, shapes[0][-1] :], packets[-1] = packets[:, : shapes[0][-1]], 0, 0
+        self.memory = memory
+        packets = memory[:, first * _PACKET : (first + self.packets) * _PACKET]
+        columns = packets[:, : shapes[0][-1]]
+        packets[:, shapes[0][-1] :] = 0
+        packets[-1] = 0
         super().__init__(rows.reshape(shape) for rows, shape in zip(np.split(columns, ends)[:-1], shapes, strict=True))
 
     @classmethod
@@ -403,7 +419,9 @@ class Table(list[NDArray[Any]]):
             (*shape[:-1], sum(-(-shapes[0][-1] // _PACKET) * _PACKET for shapes in tables_of_shapes))
             for shape in tables_of_shapes[0]
         ]
-        memory, tables, first = cls(together).memory, [], 0
+        memory = cls(together).memory
+        tables = []
+        first = 0
         for shapes in tables_of_shapes:
             tables.append(cls(shapes, memory, first))
             first += tables[-1].packets
@@ -436,7 +454,8 @@ class RayCoefficients:
         self._wide = packed.memory.shape[1] // _PACKET
         *first, self._nowhere = np.cumsum([0] + [math.prod(array.shape[:3]) for array in table]).tolist()
         self._first = drjit_array(mi.Int, np.array(first))
-        sides, counts = np.array([n.sides for n in plan.nodes]), np.array([n.counts for n in plan.nodes])
+        sides = np.array([n.sides for n in plan.nodes])
+        counts = np.array([n.counts for n in plan.nodes])
         self._sides = [drjit_array(mi.Float, column) for column in sides.T]
         self._counts = [drjit_array(mi.Int, column) for column in counts.T]
         self._nodes = TableNodes(plan)
@@ -457,7 +476,8 @@ class RayCoefficients:
         """
         plan = self.plan
         lattice = plan.lattice
-        (u, v), (Pu, Pv) = lattice.to_frame(*point), lattice.to_frame(*pupil)
+        (u, v) = lattice.to_frame(*point)
+        (Pu, Pv) = lattice.to_frame(*pupil)
         distance, radial = self._nodes.along(Pu, Pv, jitter[0])
         active = active & (distance <= 1)
         # The table covers a quarter of the pupil; the symmetry of the lenses gives the others.
@@ -467,7 +487,8 @@ class RayCoefficients:
         sizes = [dr.gather(mi.Int, counts, radial) for counts in self._counts]
         index += mi.Int(self._nodes.around(Pu, Pv, radial, jitter[1])) * (sizes[0] * sizes[1])
         for axis, coordinate, chance, row in ((1, v, jitter[2], sizes[0]), (0, u, jitter[3], 1)):
-            side, size = dr.gather(mi.Float, self._sides[axis], radial), sizes[axis]
+            side = dr.gather(mi.Float, self._sides[axis], radial)
+            size = sizes[axis]
             active &= dr.abs(coordinate) <= side / 2
             count = mi.Float(size)
             node = mi.Int(dr.floor(coordinate * (count / side) + (count / 2 - 0.5) + chance))

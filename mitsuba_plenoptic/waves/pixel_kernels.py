@@ -23,7 +23,8 @@ from ..runtime import backend_of, on_cuda, single_threaded_blas
 from .accuracy import USUAL
 from .oblique import Oblique, moved
 
-_TOGETHER, _ON_CUDA = 2**19, 2**25
+_TOGETHER = 2**19
+_ON_CUDA = 2**25
 """Count of coefficients that are combined at a time, by a processor with caches and by a device."""
 
 
@@ -51,7 +52,8 @@ class PixelKernels:
         by_place = _by_places(_sharpened(kernels, order), parts)
         responses = by_place.reshape(-1, by_place.shape[2] * by_place.shape[3])
         if parts == 1:
-            patterns, factors = responses, np.eye(len(responses))
+            patterns = responses
+            factors = np.eye(len(responses))
         else:
             patterns = _patterns(by_place, covariance, tolerance)
             factors = responses @ patterns.T
@@ -90,9 +92,11 @@ class PixelKernels:
 
         `terms` (terms, pixels) are the terms of the direction in which light meets the lenses.
         """
-        asarray, count = backend_of(values).arrays.asarray, len(self.kernels)
+        asarray = backend_of(values).arrays.asarray
+        count = len(self.kernels)
         both = asarray(self._factors) @ values.reshape(len(values), -1).T
-        images, sums = both[:count], both[count:]
+        images = both[:count]
+        sums = both[count:]
         if len(sums):
             sums *= terms[asarray(self._term)]
             images += asarray(self._of_sums) @ sums
@@ -175,7 +179,8 @@ def _by_places(kernels: NDArray[np.float64], parts: int) -> NDArray[np.float64]:
     wide = np.pad(kernels, [(0, 0), *[(reach * parts + parts - 1 - count,) * 2] * 2])
     extent = (2 * reach + 1) * parts
     for row, column in np.ndindex(parts, parts):
-        top, left = parts - 1 - row, parts - 1 - column
+        top = parts - 1 - row
+        left = parts - 1 - column
         shifted = wide[:, top : top + extent, left : left + extent]
         sums[:, row, column] = shifted.reshape(len(kernels), 2 * reach + 1, parts, 2 * reach + 1, parts).sum((2, 4))
     return sums.reshape(len(kernels), parts**2, 2 * reach + 1, 2 * reach + 1)

@@ -238,7 +238,8 @@ class PupilDiffraction:
     @single_threaded_blas()
     def _fields(self, places: NDArray[np.float64]) -> dict[tuple[int, int], NDArray[np.complex128]]:
         """Return transforms of transmission times powers, at detector places in `unit` along both axes."""
-        x, transmission = along(USUAL.pupil_samples), self._pupil.transmission
+        x = along(USUAL.pupil_samples)
+        transmission = self._pupil.transmission
         waves = np.exp(-2j * np.pi * np.outer(places, x))
         return {(a, b): waves @ (transmission * x**a * x[:, None] ** b) @ waves.T for a, b in self._moments[0]}
 

@@ -27,7 +27,9 @@ from .ray_sampler import ORDER, CellLenses, DetectorGrid, Pixels, RaySamples, te
 class PupilSampler(DetectorGrid):
     """Sampler of the rays of the pixels of a camera without a microlens array, whose one lens is the main lens."""
 
-    choice, lit_lenses, enlargements = CHIEF, 1.0, (1.0,)
+    choice = CHIEF
+    lit_lenses = 1.0
+    enlargements = (1.0,)
 
     control_factor = 1.0
     """Part of the control variate that rays subtract."""
@@ -62,7 +64,8 @@ class PupilSampler(DetectorGrid):
 
         The disc is that from which pupil points are drawn.
         """
-        ray, share = samples.ray, self._camera.aperture.share * (self.walk.lens.reach / self._camera.pupil_radius) ** 2
+        ray = samples.ray
+        share = self._camera.aperture.share * (self.walk.lens.reach / self._camera.pupil_radius) ** 2
         aside = dr.hypot(*(P - p for P, p in zip(ray.P, ray.p, strict=True)))
         return self._response(aside, mi.Float(self._camera.pupil_distance)) * dr.opaque(mi.Float, share)
 

@@ -27,7 +27,8 @@ from ..rays import LensChoice, Ray, Walk, chances_of, low_discrepancy
 from ..runtime import Box, drjit_array, quotient
 from .phase_space import PhaseSpace, TableNodes
 
-_AIRY, _AIRY_REACH = 1024, 200.0
+_AIRY = 1024
+_AIRY_REACH = 200.0
 """Steps of the Airy pattern's energy table, and its extent in units of lambda b / 2 pi R; 0.3 % lies beyond."""
 
 ORDER = 2
@@ -112,7 +113,8 @@ class DetectorGrid:
     """The grid of pixels, and of their cells, from which rays are drawn."""
 
     def __init__(self, camera: PlenopticCamera, parts: int) -> None:
-        self._camera, self._parts = camera, parts
+        self._camera = camera
+        self._parts = parts
         self._response = second_leg(camera.pixel_response or (), camera.mla_absorption or 0.0)
 
     @property
@@ -160,7 +162,8 @@ class LensSampler(DetectorGrid):
         super().__init__(camera, parts)
         self._lens = plans[0].system.lens
         # Of opaque lengths, so that a camera of other ones does not compile the kernels again.
-        walk, opaque = Walk.of(camera, self._lens), functools.partial(dr.opaque, mi.Float)
+        walk = Walk.of(camera, self._lens)
+        opaque = functools.partial(dr.opaque, mi.Float)
         self.walk = replace(walk, lens=self._lens.opaque(opaque), detector_distance=opaque(walk.detector_distance))
         self.kinds = LensKinds(camera)
         # With these plans the pupil point of a ray follows from its own point of the lens, not from the lens's centre.
@@ -227,7 +230,8 @@ class LensSampler(DetectorGrid):
 
     def seen(self, detector: Pair, lenses: CellLenses) -> Pair:
         """Return the pupil points whose light lands on detector points, as a mean over a lens."""
-        centre, offset = lenses.centre, self._chief(detector, lenses)
+        centre = lenses.centre
+        offset = self._chief(detector, lenses)
         # The points where light would land through the centres of the lenses are rounded as positions are.
         back = tuple(c - (c + step) for c, step in zip(centre, offset, strict=True))
         slopes, _ = self.walk.through_centre(back, lenses.height)
@@ -235,14 +239,17 @@ class LensSampler(DetectorGrid):
 
     def power(self, samples: RaySamples) -> Any:
         """Return factors on the radiance of rays: étendue, transmission of pupil and lenses, and response of pixels."""
-        ray, lens, lattice = samples.ray, samples.lens, self._camera.lattice
+        ray = samples.ray
+        lens = samples.lens
+        lattice = self._camera.lattice
         offset = tuple(-p for p in self._chief(ray.p, lens))
         factor = self.walk.through_centre(offset, lens.height)[1] * lens.gain
         if not self._camera.has_even_pupil:
             x, y = (P / self._camera.pupil_radius for P in samples.round_pupil)
             factor = factor * self._camera.pupil_power((x, y), ray.m)
         # The path behind the lens starts within its aperture.
-        (u, v), (across, up) = lattice.to_frame(*samples.lens_point), lattice.aperture_widths
+        (u, v) = lattice.to_frame(*samples.lens_point)
+        (across, up) = lattice.aperture_widths
         x, y = lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
         aside = dr.hypot(x - (ray.p[0] - lens.centre[0]), y - (ray.p[1] - lens.centre[1]))
         return self._response(aside, self._camera.detector_distance + lens.height) * factor
@@ -258,7 +265,8 @@ class LensSampler(DetectorGrid):
 
     def cosines(self, pixels: Pixels) -> Pair:
         """Return the direction cosines, in the lattice frame, with which the light of pixels meets the array."""
-        camera, lenses = self._camera, self.lenses(pixels)
+        camera = self._camera
+        lenses = self.lenses(pixels)
         u, v = camera.lattice.to_frame(*self._chief(lenses.position, lenses))
         # In the medium behind the lenses the sine is smaller by its index.
         scale = camera.mla_medium * dr.rsqrt(dr.square(self.walk.detector_distance + lenses.height) + u * u + v * v)
@@ -278,7 +286,8 @@ class LensSampler(DetectorGrid):
         For each ray, `pixel` is the index of its pixel among the pixels, `number` its own in the pixel, and `cell` that
         of its cell in the pixel.
         """
-        (lenses, index), lattice = self._cells(self.lenses(pixels).at(pixel), pixel, cell), self._camera.lattice
+        (lenses, index) = self._cells(self.lenses(pixels).at(pixel), pixel, cell)
+        lattice = self._camera.lattice
         lane = dr.gather(mi.UInt32, pixels.number, pixel)
         random = low_discrepancy(lane, seed ^ ((ray_index & 1) << 3), ray_index >> 1, 4)
         chance = chances_of(lane, seed ^ (ray_index << 4))
@@ -291,14 +300,17 @@ class LensSampler(DetectorGrid):
             energy = first * (_AIRY - 1)
             low = mi.UInt32(energy)
             ends = (dr.gather(mi.Float, self._airy, step) for step in (low, low + 1))
-            radius, (sine, cosine) = dr.lerp(*ends, energy - low), dr.sincos(2 * math.pi * second)
-            point, aside = lattice.aperture_point(*random[:2]), (radius * cosine, radius * sine)
+            radius = dr.lerp(*ends, energy - low)
+            (sine, cosine) = dr.sincos(2 * math.pi * second)
+            point = lattice.aperture_point(*random[:2])
+            aside = (radius * cosine, radius * sine)
             weight = dr.ones(mi.Float, dr.width(ray_index))
             growth = dr.gather(mi.Float, self._pupil_shifts, lenses.kind)
             pupil = tuple(P + growth * m for P, m in zip(pupil, point, strict=True))
             round_pupil = self.walk.round_pupil(pupil, lenses.centre)
         else:
-            round_pupil, aside = self.walk.round_pupil(pupil, lenses.centre), (0.0, 0.0)
+            round_pupil = self.walk.round_pupil(pupil, lenses.centre)
+            aside = (0.0, 0.0)
             point, weight = self._points.draw(round_pupil, chance, random[:2])
         valid = dr.square(round_pupil[0]) + dr.square(round_pupil[1]) <= self._camera.pupil_radius**2
         position = tuple(c + m - step for c, m, step in zip(lenses.centre, point, aside, strict=True))
@@ -322,7 +334,8 @@ class LensSampler(DetectorGrid):
 @functools.lru_cache(maxsize=64)
 def _lit_lenses(camera: PlenopticCamera, plan: PhaseSpace, parts: int) -> float:
     """Return `LensSampler.lit_lenses`, cached for further captures of the camera."""
-    sampler, side = LensSampler(camera, [plan], parts), min(_COUNTED, *camera.resolution)
+    sampler = LensSampler(camera, [plan], parts)
+    side = min(_COUNTED, *camera.resolution)
     left, top = ((size - side) // 2 for size in camera.resolution)
     box = Box(left, top, side, side)
     pixels = dr.arange(mi.UInt32, side * side)
@@ -355,7 +368,8 @@ class LensPoints:
         Pu, Pv = lattice.to_frame(*pupil)
         _, radial = self._nodes.along(Pu, Pv, chance[0])
         index = dr.gather(mi.UInt32, self._first, radial) + self._nodes.around(Pu, Pv, radial, chance[1])
-        offsets, weight = [], mi.Float(1 / float(lattice.lens_area))
+        offsets = []
+        weight = mi.Float(1 / float(lattice.lens_area))
         for axis, edges in ((1, self._rows), (0, self._columns)):
             ray_index = mi.UInt32(random[axis] * _CELLS)
             index = index * _CELLS + ray_index

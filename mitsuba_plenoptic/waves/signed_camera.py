@@ -133,9 +133,12 @@ class CameraSum(SignedRaySum):
         """Return the changes of a ray's coefficients, these times its displacements on the detector, and themselves."""
         x, y, X, Y, *chance = arguments[:8]
         valid, du, dv, dx, dy, measure, density, width = arguments[8:16]
-        ray, table = ((x, y), (X, Y), tuple(chance), valid), self._coefficients[node_index]
+        ray = ((x, y), (X, Y), tuple(chance), valid)
+        table = self._coefficients[node_index]
         assert isinstance(table, RayCoefficients)  # others are refused
-        values, (by_u, by_v), by_width = table(*ray), table.slopes(*ray), self._by_width[node_index](*ray)
+        values = table(*ray)
+        (by_u, by_v) = table.slopes(*ray)
+        by_width = self._by_width[node_index](*ray)
         change = [
             a * measure + u * du + v * dv + q * width for a, u, v, q in zip(values, by_u, by_v, by_width, strict=True)
         ]
@@ -172,7 +175,8 @@ class CameraTangents(CameraSum):
         self, kernels: list[PixelKernels], values: Array, terms: Array, cosines: Array, node_index: int
     ) -> Array:
         """Return the images made from all sets of values; see `_values`."""
-        sets, bent = values[..., :-2], values[..., -2:]
+        sets = values[..., :-2]
+        bent = values[..., -2:]
         *others, coefficients = self.arrays.split(sets, self._sets, axis=-1)
         changed = (float(self._changes[name][i]) * coefficients for name, i in self._of_kernels)
         sets = self.arrays.concatenate([*others, *changed], axis=-1)
@@ -198,8 +202,11 @@ class CameraAdjoint(CameraSum):
 
     def _product(self, images: Array, values: list[Any], node_index: int, kind: int, node: CellMeans) -> Any:
         """Return the product of adjoint images with those of `CameraTangents._combined`, with gradients."""
-        oblique, cosines = self._nodes[node_index].plan.oblique, np.array([cosine.numpy() for cosine in node.cosines])
-        terms, kernels, rows = oblique.terms(cosines), self._kernels[node_index][kind], self._rows(node_index, kind)
+        oblique = self._nodes[node_index].plan.oblique
+        cosines = np.array([cosine.numpy() for cosine in node.cosines])
+        terms = oblique.terms(cosines)
+        kernels = self._kernels[node_index][kind]
+        rows = self._rows(node_index, kind)
         dr.eval(values)
         count = (len(values) - 2) // self._sets
         coefficients = np.stack([dr.detach(value).numpy() for value in values[-2 - count : -2]], axis=-1)
@@ -236,7 +243,8 @@ def follow_fixed(
     ((f1,), (b,), (z,), (width,)) = (
         varying[name] for name in ("focal_length", "mla_distance", "detector_distance", "detector_width")
     )
-    pitch, ray = varying["mla_pitch"][0] / camera.mla_pitches[0], samples.ray
+    pitch = varying["mla_pitch"][0] / camera.mla_pitches[0]
+    ray = samples.ray
     kinds = LensKinds(camera)
     larger = mi.Float(1)
     for index, kind in enumerate(kinds.every):

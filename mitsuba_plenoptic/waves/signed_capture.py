@@ -66,7 +66,8 @@ class SignedCapture:
         """The nodes, with their plans, which are expanded where parameters are varied."""
         start = nearby(self.camera, self.varying, self.accuracy)
         weights = self.node_weights(start)
-        shortest, longest = weights[0][0], weights[-1][0]
+        shortest = weights[0][0]
+        longest = weights[-1][0]
 
         def plans(beside_far: bool) -> list[Plan]:
             return [
@@ -88,9 +89,11 @@ class SignedCapture:
     def node_weights(self, camera: PlenopticCamera) -> list[tuple[float, tuple[int, ...], NDArray[np.float64]]]:
         """Return each node's wavelength and channels, and the weights of a ray's values in the channels: see `Node`."""
         conversion = self.conversion
-        wavelengths, responses = np.array(self.spectrum.wavelengths), np.asarray(self.spectrum.matrix(), np.float64)
+        wavelengths = np.array(self.spectrum.wavelengths)
+        responses = np.asarray(self.spectrum.matrix(), np.float64)
         if isinstance(conversion, WavelengthSampler):
-            wavelengths, responses = conversion.edges, conversion.responses
+            wavelengths = conversion.edges
+            responses = conversion.responses
         weights: dict[float, NDArray[np.float64]] = {}
         for channels, spectrum in node_spectra(camera, self.spectrum, self.accuracy, self.node_count):
             for node, share in zip(spectrum.computed, spectrum.shares(wavelengths), strict=True):
@@ -165,7 +168,8 @@ class SignedCapture:
             if progress:
                 progress(round(_TRACING * reached["traced"] + (1 - _TRACING) * reached["convolved"]), items_of_all)
 
-        progress, job = job.progress, replace(job, progress=lambda done, _: report("convolved", done))
+        progress = job.progress
+        job = replace(job, progress=lambda done, _: report("convolved", done))
         image = job.run(tasks, shape, items_of_all, {"scene_digest": lambda: digest(first.probe())})
         if not image.any():
             warn(
@@ -189,7 +193,9 @@ class SignedCapture:
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
         """Return the estimated cost of `compute`, from some rays of a ray capture, without the nodes' tables."""
-        camera, light, lit = self.camera, self.light, 1.0
+        camera = self.camera
+        light = self.light
+        lit = 1.0
         if camera.has_array:
             # The area of a micro-image over that of a lens.
             wide = camera.pupil_radius * camera.reduced_distance / camera.pupil_distance

@@ -59,7 +59,8 @@ _LANES = 2**22
 _RAY_BYTES = 100
 """Approximate bytes of a ray."""
 
-_VALUES, _TABLE_BYTES = 15, 40 * 2**20
+_VALUES = 15
+_TABLE_BYTES = 40 * 2**20
 """Usual count of the values of a ray, each with an image and a kernel, and bytes of a wavelength's table."""
 
 _PROBES = 2**10
@@ -137,8 +138,12 @@ class SignedRaySum:
         seed: int,
     ) -> None:
         self.arrays: Any = active_backend().arrays
-        self._camera, self._light, self._nodes, self._wavelengths = camera, light, nodes, wavelengths
-        self._parts, self._seed = parts, seed
+        self._camera = camera
+        self._light = light
+        self._nodes = nodes
+        self._wavelengths = wavelengths
+        self._parts = parts
+        self._seed = seed
         self._step = camera.pixel_size / parts
         plans = [node.plan for node in nodes]
         self._groups = walks_of(plan.system for plan in plans)
@@ -267,14 +272,17 @@ class SignedRaySum:
     def _add(self, batch: RayBatch, means: list[CellMeans | None], sums: list[Array]) -> None:
         """Add the light of a batch of rays to the images."""
         libraries = active_backend()
-        arrays, shared = self.arrays, libraries.from_drjit
+        arrays = self.arrays
+        shared = libraries.from_drjit
         images = iter(sums)
         for node_index, node in enumerate(means):
             of_node = [next(images) for _ in self._nodes[node_index].channels]
             if node is None:
                 continue
-            kernels, rows = self._kernels[node_index][batch.kind], self._rows(node_index, batch.kind)
-            index, cosines = shared(node.index).astype(np.intp), arrays.stack([shared(s) for s in node.cosines])
+            kernels = self._kernels[node_index][batch.kind]
+            rows = self._rows(node_index, batch.kind)
+            index = shared(node.index).astype(np.intp)
+            cosines = arrays.stack([shared(s) for s in node.cosines])
             # The pixels of a lens are in order, and each is contained once until the next lens; a device adds them all.
             starts = [] if libraries.is_cuda else (1 + np.flatnonzero(index[1:] <= index[:-1])).tolist()
             totals = [image[rows[0].start : rows[-1].stop] for image in of_node]
@@ -302,7 +310,8 @@ class SignedRaySum:
 
     def _ray_batches(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> Iterator[RayBatch]:
         """Yield, in batches, the pixels of a box with each lens that lights them."""
-        size, sampler = max(1, _LANES // self._together), self._sampler
+        size = max(1, _LANES // self._together)
+        sampler = self._sampler
         has_rays: Any = True
         if (far := self._far(box)).any():
             # Near pixels, and one of each square of the others, have rays.
@@ -344,7 +353,8 @@ class SignedRaySum:
 
     def _far(self, box: Box) -> NDArray[np.bool_]:
         """Return a mask (rows, columns) of the pixels of a box that are far from the recorded ones; see `_NEAR`."""
-        window, near = box_of(self._camera, 0), _NEAR if self._parts > 1 else math.inf
+        window = box_of(self._camera, 0)
+        near = _NEAR if self._parts > 1 else math.inf
         rows, columns = (
             np.abs(first + np.arange(count) - low - (size - 1) / 2) - (size - 1) / 2 > near
             for first, count, low, size in (
@@ -360,7 +370,8 @@ class SignedRaySum:
         None is yielded after each part of the rays.
         """
         for number, bins in enumerate(self._blocks):
-            convolutions, count = iter(self._convolutions), bins.rows * bins.columns
+            convolutions = iter(self._convolutions)
+            count = bins.rows * bins.columns
             adjoint = [
                 [
                     np.stack(
@@ -447,7 +458,8 @@ class SignedRaySum:
         counted = dr.select(samples.ray.valid, mi.Float(1), 0)
         means: list[CellMeans | None] = [None for _ in self._nodes]
         for group in range(len(self._groups)) if only is None else [only]:
-            (walk, nodes), colours = self._groups[group], batch.wavelengths[group]
+            (walk, nodes) = self._groups[group]
+            colours = batch.wavelengths[group]
             # The radiance along the rays, as far as the pixels receive it.
             radiance = [light * power for light in self._light(*self._scene_rays(walk, samples, colours, batch.seed))]
             # What the coefficients depend on, once for nodes that have those of a ray at the same place of tables.
@@ -465,7 +477,8 @@ class SignedRaySum:
             pixels = dr.compress(lit)
             if not dr.width(pixels):
                 continue
-            index, cosines = dr.gather(mi.UInt32, batch.index, pixels), self._sampler.cosines(batch.pixels.take(pixels))
+            index = dr.gather(mi.UInt32, batch.index, pixels)
+            cosines = self._sampler.cosines(batch.pixels.take(pixels))
             for numbers, of_rays in zip(alike.values(), arguments, strict=True):
                 mixtures = [self._nodes[number].mixture(colours) for number in numbers]
                 sums = self._cell_means(pixels, of_rays, radiance, controls, mixtures, numbers)
@@ -502,7 +515,8 @@ class SignedRaySum:
 
         def add(k: Any, means: list[list[list[Any]]]) -> tuple[Any, list[list[list[Any]]]]:
             weight, *arguments = (at_rays(values, first + k) for values in of_rays)
-            even, result = ((start + k) & 1) == 0, []
+            even = ((start + k) & 1) == 0
+            result = []
             for number, (light, halves, weights), images in zip(numbers, lights, means, strict=True):
                 controls = [of_other_half(even, pair) * self._sampler.control_factor for pair in halves]
                 residuals = [
@@ -511,7 +525,8 @@ class SignedRaySum:
                 sets = self._values(number, arguments)
                 of_node = []
                 for row, before in zip(weights, images, strict=True):
-                    residual, control = weight * mixed(row, residuals), dr.select(weight > 0, mixed(row, controls), 0)
+                    residual = weight * mixed(row, residuals)
+                    control = dr.select(weight > 0, mixed(row, controls), 0)
                     sums = iter(before)
                     after = [[dr.fma(value, residual, next(sums)) for value in values] for values, _ in sets]
                     for values, (_, of_control) in zip(after, sets, strict=True):
@@ -520,7 +535,8 @@ class SignedRaySum:
                 result.append(of_node)
             return k + 1, result
 
-        nodes, cells = [self._nodes[number] for number in numbers], dr.width(pixel)
+        nodes = [self._nodes[number] for number in numbers]
+        cells = dr.width(pixel)
         nothing = [
             [[dr.zeros(mi.Float, cells) for _ in range(self._sets * node.plan.functions.count)] for _ in node.channels]
             for node in nodes
@@ -546,7 +562,8 @@ class SignedRaySum:
         cells, spp, together = (dr.opaque(mi.UInt32, n) for n in (self._parts**2, self._spp, self._together))
         lane = dr.arange(mi.UInt32, dr.width(pixels) * self._parts**2)
         number = quotient(lane, self._parts**2)
-        pixel, start = dr.gather(mi.UInt32, pixels, number), (lane - number * cells) * spp
+        pixel = dr.gather(mi.UInt32, pixels, number)
+        start = (lane - number * cells) * spp
         return pixel, pixel * together + start, start
 
 

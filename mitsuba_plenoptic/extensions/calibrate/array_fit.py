@@ -93,8 +93,10 @@ def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera, de
         pitch, row, angle, x0, y0 = numbers[:5]
         c = math.cos(angle)
         s = math.sin(angle)
-        u, v = steps[:, 0] * pitch, steps[:, 1] * row
-        x, y = x0 + c * u - s * v, y0 + s * u + c * v
+        u = steps[:, 0] * pitch
+        v = steps[:, 1] * row
+        x = x0 + c * u - s * v
+        y = y0 + s * u + c * v
         powers = np.stack(monomials(x / reach, y / reach, terms), axis=-1) if terms else np.zeros((1, 0))
         warp = (powers @ numbers[5:].reshape(2, -1).T) * scale
         return np.stack([x, y], axis=-1) + warp

@@ -293,6 +293,7 @@ def _undistorted(m: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, np.
     by_numbers = np.empty((len(m), 2, 5))
     for power in range(3):
         by_numbers[:, :, power] = m * (square ** (power + 1))[:, None]
-    by_numbers[:, 0, 3], by_numbers[:, 1, 4] = square + 2 * x * x, square + 2 * y * y
+    by_numbers[:, 0, 3] = square + 2 * x * x
+    by_numbers[:, 1, 4] = square + 2 * y * y
     by_numbers[:, 0, 4] = by_numbers[:, 1, 3] = 2 * x * y
     return position, by_place, by_numbers

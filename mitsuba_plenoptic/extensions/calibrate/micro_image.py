@@ -115,7 +115,8 @@ class MicroImageModel:
     def samples(self, numbers: PupilNumbers) -> np.ndarray:
         """Return the prefiltered samples, for `at`, of a micro-image that is 1 in the middle of an even pupil."""
         n = numbers
-        x, y = self._x - n.centre_x, self._y - n.centre_y
+        x = self._x - n.centre_x
+        y = self._y - n.centre_y
         u = ((1 - n.ellipse_x) * x - n.ellipse_y * y) / n.radius
         v = ((1 + n.ellipse_x) * y - n.ellipse_y * x) / n.radius
         r2 = u * u + v * v

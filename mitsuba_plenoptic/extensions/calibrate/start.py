@@ -58,7 +58,8 @@ def start_values(
     )
     # What the corners cover on the detector is the right order; the fit below finds the scale.
     f = 2 * size * float(np.hypot(*np.ptp(observed.pixel, axis=0)))
-    b, z = f * (1 + less / per_z), f / per_z
+    b = f * (1 + less / per_z)
+    z = f / per_z
     numbers = np.zeros(len(NAMES))
     numbers[:3] = f, b, z
     pitches = np.hypot(*grid[1:].T) * size / (1 + z / b)

@@ -59,7 +59,8 @@ class CellSet:
     def grown(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> CellSet:
         """Return the cells reached from this set by steps from `low` to `high`, both included."""
         tops = np.arange(self.top + low[1], self.top + len(self.count) + high[1])
-        first, last = np.full(len(tops), np.iinfo(np.int64).max), np.full(len(tops), np.iinfo(np.int64).min)
+        first = np.full(len(tops), np.iinfo(np.int64).max)
+        last = np.full(len(tops), np.iinfo(np.int64).min)
         for step in range(low[1], high[1] + 1):
             rows = slice(step - low[1], step - low[1] + len(self.count))
             first[rows] = np.minimum(first[rows], self.first + low[0])
@@ -141,7 +142,8 @@ class BinCells:
 
     def split(self, samples: NDArray[np.float32], box: Box, cells: CellSet) -> NDArray[np.float32]:
         """Return the samples of a box divided into cells; samples beyond the box are zero."""
-        arrays, (width, height) = backend_of(samples).arrays, self.size
+        arrays = backend_of(samples).arrays
+        (width, height) = self.size
         result: NDArray[np.float32] = arrays.zeros((len(cells), height, width), np.float32)
         for cell_index, region, inside, position in self._strips(box, cells):
             strip = samples[position]
@@ -208,7 +210,9 @@ class UprightBins:
         of cells are known. Behind a real main lens cells are positions of chief rays on the array, and its distortion
         is corrected.
         """
-        pitch, (across, down), (width, height) = camera.mla_pitch / oversample, cells.bins, cells.bin_sizes
+        pitch = camera.mla_pitch / oversample
+        (across, down) = cells.bins
+        (width, height) = cells.bin_sizes
         middle = np.array(camera.bin_count) * oversample / 2
 
         def stretched(x: Any, y: Any) -> NDArray[np.float64]:
@@ -240,14 +244,16 @@ class UprightBins:
             radius, ratio = (np.hypot(*some) / np.hypot(*places).clip(_ALIGNED) for some in (near, beyond))
             area = radius * (ratio - radius) / 1e-4 * pitch**2 / (inside.size**2 * width * height)
             u, v = turn(near[0], near[1], -camera.mla_rotation)
-            weights, bins = [], []
+            weights = []
+            bins = []
             for row, along_y in _parabola(v / height - 0.5):
                 J = row // down
                 for column, along_x in _parabola((u - J * cells.vectors[1, 0]) / width - 0.5):
                     cell = lit.find(np.stack([column // across, J], axis=-1))
                     weights.append(np.where(cell < len(lit), area * along_y * along_x, 0))
                     bins.append((np.minimum(cell, len(lit) - 1) * down + row % down) * across + column % across)
-            size, targets = (columns, len(lit) * down * across), np.broadcast_to(cell_column, np.shape(bins))
+            size = (columns, len(lit) * down * across)
+            targets = np.broadcast_to(cell_column, np.shape(bins))
             matrix = csr_array((np.ravel(weights), (targets.ravel(), np.ravel(bins))), shape=size)
             matrix.data[abs(matrix.data) < _NO_SHARE] = 0
             matrix.eliminate_zeros()

@@ -23,13 +23,15 @@ from ...runtime import Job
 from .fourier import response_of
 from .variation import TotalVariation
 
-DEFAULT_ITERATIONS, MOST_ITERATIONS = 30, 100
+DEFAULT_ITERATIONS = 30
+MOST_ITERATIONS = 100
 """Steps where nothing is known of the noise, and at most where it is."""
 
 LEAST_SEEN = 0.01
 """Light of a bin, over that of the best one, below which it is NaN."""
 
-_SPAN, _LEAST_FALL = 10, 0.95
+_SPAN = 10
+_LEAST_FALL = 0.95
 """Steps in which what is above the noise must fall below this fraction of itself."""
 
 _SOFT_NOISE = (151 / 315) ** 2
@@ -60,7 +62,8 @@ def refocus(task: Task, **options: Any) -> list[Found]:
                 distance in task.distances[:index],
                 f"distance = {distance:g}: it is given twice; the planes of a volume are different ones",
             )
-    channels, planes = task.image.shape[2], len(task.distances)
+    channels = task.image.shape[2]
+    planes = len(task.distances)
     arrays: Mapping[str, NDArray[Any]] = {}
     if task.checkpoint:
         begun = task.checkpoint.begin_arrays(
@@ -78,7 +81,8 @@ def refocus(task: Task, **options: Any) -> list[Found]:
             Solved(arrays[f"image.{index}"], int(done), float(left), bool(stopped))
             for index, (done, left, stopped) in enumerate(arrays.get("solved", np.zeros((0, 3))))
         ]
-    count, done = channels * planes, len(solved)
+    count = channels * planes
+    done = len(solved)
     refuse_if(done > count or done % len(groups[0]), f"checkpoint: it is damaged: {done} planes are no part of {count}")
     works = np.repeat(work_of(task.wavelengths) or [1.0] * channels, len(groups)).tolist()
     for index in range(done // len(groups[0]), channels * len(groups)):
@@ -121,7 +125,9 @@ class _AsRecorded(LinearMap):
 
     def __init__(self, response: LinearMap, passed: NDArray[np.float32] | float, soft: bool) -> None:
         super().__init__(response.source_shape, response.image_shape)
-        self._response, self._passed, self._soft = response, passed, soft
+        self._response = response
+        self._passed = passed
+        self._soft = soft
 
     def forward(self, values: NDArray[Any], /) -> NDArray[Any]:
         """Return the pixels lit by bins."""
@@ -145,7 +151,8 @@ def _solve(
 ) -> Iterator[Solved]:
     """Yield the result of each plane for one channel, from the state in a checkpoint's arrays if there is one."""
     image = np.ascontiguousarray(task.image[..., channel])
-    iterations, variation = options["iterations"], options["variation"]
+    iterations = options["iterations"]
+    variation = options["variation"]
     most = iterations or (MOST_ITERATIONS if noise else DEFAULT_ITERATIONS)
 
     facts = np.array([[one.iterations, one.residual, one.stopped] for one in solved], np.float64).reshape(-1, 3)

@@ -68,7 +68,8 @@ class FourierResponse(StoredResponse):
         columns, rows = (oversample * count for count in camera.bin_count)
         self.shapes = [(rows, columns)] * len(distances)
         super().__init__((len(distances) * rows * columns,), camera.shape)
-        bins, pixels = np.array(camera.bin_count), np.array(camera.crop_size)
+        bins = np.array(camera.bin_count)
+        pixels = np.array(camera.crop_size)
         self._size = tuple(fft.fast_length(float(length)) for length in reversed((pixels + bins - 1).tolist()))
         self._store(len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY)
         deepest = max(abs(distance) for distance in distances)
@@ -102,7 +103,8 @@ class FourierResponse(StoredResponse):
 
     def forward(self, values: NDArray[np.float32], /) -> NDArray[np.float32]:
         """Return the image that the detector records of planes."""
-        libraries, (rows, columns) = active_backend(), self._size
+        libraries = active_backend()
+        (rows, columns) = self._size
         total = libraries.arrays.zeros((rows, columns // 2 + 1), np.complex64)
         with fft.resting_drjit():
             for radiance, spectra in zip(self.planes_of(values), self._spectra, strict=True):
@@ -115,7 +117,9 @@ class FourierResponse(StoredResponse):
 
     def adjoint(self, image: NDArray[np.float32], /) -> NDArray[np.float32]:
         """Return the transpose of `forward`, applied to an image."""
-        libraries, columns, result = active_backend(), self._size[1], np.empty(self.source_shape, np.float32)
+        libraries = active_backend()
+        columns = self._size[1]
+        result = np.empty(self.source_shape, np.float32)
         width, height = self._camera.bin_count
         with fft.resting_drjit():
             image_spectrum = self._spectrum(self._detector.adjoint(image))
@@ -134,7 +138,8 @@ class FourierResponse(StoredResponse):
 
     def _spectrum(self, samples: NDArray[np.float32]) -> Any:
         """Return the spectrum of samples that lie in the first corner of the convolutions' period."""
-        arrays, (rows, columns) = active_backend().arrays, self._size
+        arrays = active_backend().arrays
+        (rows, columns) = self._size
         wide = arrays.zeros((len(samples), columns), np.float32)
         wide[:, : samples.shape[1]] = arrays.asarray(samples)
         spectrum = arrays.zeros((rows, columns // 2 + 1), np.complex64)
@@ -143,7 +148,8 @@ class FourierResponse(StoredResponse):
 
     def _kernel_spectra(self, spread: NDArray[np.float32], fine: PlenopticCamera) -> fft.Field:
         """Return the spectra of a plane's kernels, from the middle bin's spread on the fine camera's pixels."""
-        o, camera = self._oversample, self._camera
+        o = self._oversample
+        camera = self._camera
         per_bin = round(camera.pixel_size / fine.pixel_size / o)
         for axis in (0, 1):
             spread = _over_bins(spread, per_bin, axis)
@@ -169,7 +175,8 @@ class FourierResponse(StoredResponse):
 
     def _wrapped(self, kernel: NDArray[np.float32], low: Sequence[int]) -> NDArray[np.float32]:
         """Return a kernel placed around the first corner of the period; its first sample lies at `low`."""
-        positions, sources = [], []
+        positions = []
+        sources = []
         for axis, first in enumerate(low):
             steps = np.arange(kernel.shape[axis]) + first
             inside = (steps > -self._camera.bin_count[1 - axis]) & (steps < self._camera.shape[axis])
@@ -203,7 +210,9 @@ def _fine_camera(camera: PlenopticCamera, wavelength: float, oversample: int, de
 
     The intensity behind a lens of the width w has no lines finer than :math:`w / \lambda z`.
     """
-    p, z, lens = camera.pixel_size, camera.reduced_distance, objective_of(camera)
+    p = camera.pixel_size
+    z = camera.reduced_distance
+    lens = objective_of(camera)
     finest = in_millimetres(wavelength) * z / (2 * camera.lattice.aperture_width)
     per_bin = max(1, math.ceil(p / oversample / finest))
     moved = lens.view_scale(z) * deepest * math.tan(lens.half_angle)

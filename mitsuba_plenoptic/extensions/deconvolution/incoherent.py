@@ -35,7 +35,9 @@ def refocus(task: Task) -> list[np.ndarray]:
     There is one response per plane and wavelength, for all channels of this wavelength. The computed white is that of
     the capture's own model: a ray capture has lost no light to diffraction.
     """
-    camera, lights, images = task.camera, sorted(set(task.wavelengths)), []
+    camera = task.camera
+    lights = sorted(set(task.wavelengths))
+    images = []
     for plane, distance in enumerate(task.distances):
         plane_task = dataclasses.replace(task, distances=[distance])
         images_of_plane = [image for image, _, _ in captures(plane_task)]

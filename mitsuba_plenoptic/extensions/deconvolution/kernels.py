@@ -103,7 +103,8 @@ def require_response_memory(memory: Callable[[int], float], oversample: int, dis
 
 def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list[Part]], together: int = 1) -> Kernel:
     """Return the kernel of a cell's bins from point spreads; `together` x `together` samples are merged into one."""
-    arrays, entries = active_backend().arrays, []
+    arrays = active_backend().arrays
+    entries = []
     for spread_index, parts in enumerate(spreads):
         for patch in parts:
             box, sums = merged(patch.box, arrays.asarray(patch.sums)[0], together)
@@ -125,7 +126,8 @@ def merged(box: Box, samples: NDArray[np.float32], together: int) -> tuple[Box, 
     """Return means over `together` x `together` samples, and the box of these means on their grid."""
     if together == 1:
         return box, samples
-    left, top = box.left // together, box.top // together
+    left = box.left // together
+    top = box.top // together
     columns, rows = (-(-end // together) for end in (box.left + box.columns, box.top + box.rows))
     before = box.top - top * together, box.left - left * together
     combined = backend_of(samples).arrays.zeros(((rows - top) * together, (columns - left) * together), np.float32)
@@ -153,7 +155,8 @@ def sparse_kernel(steps: NDArray[np.int64], dense: NDArray[np.float32]) -> Kerne
     dark = int(np.searchsorted(upto, LEAST * upto[-1]))
     least = order[dark]
     scale = np.float32(upto[-1] / (upto[-1] - (upto[dark - 1] if dark else 0)))
-    blocks, bright = [], power >= least
+    blocks = []
+    bright = power >= least
     retained = np.flatnonzero(bright.any(axis=0))
     column_of = np.cumsum(bright.any(axis=0)) - 1
     for (rows, columns), some in zip(parts, bright, strict=True):
@@ -219,7 +222,8 @@ class PlaneResponse:
 
     def adjoint(self, samples: Any) -> NDArray[np.float32]:
         """Return, for each bin, the samples weighted by the bin's light."""
-        arrays, bins = active_backend().arrays, self.shape[1]
+        arrays = active_backend().arrays
+        bins = self.shape[1]
         result = arrays.zeros((len(self.lit) + 1, bins), np.float32)
 
         def work(zone: _Placed) -> Any:

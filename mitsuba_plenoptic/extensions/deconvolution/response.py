@@ -34,7 +34,8 @@ _ACCURACY = 0.01
 
 _MANY = 2**20
 
-_RADIATORS, _MOST_RADIATORS = 8, 32
+_RADIATORS = 8
+_MOST_RADIATORS = 32
 """Points along a lens, at least and at most, whose mean stands for the light of its bins."""
 
 _RADIATORS_PER_LINE = 4
@@ -57,11 +58,13 @@ def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: f
     they are integrated, and none are merged.
     """
     depths = [finite_distance(camera, distance) for distance in distances]
-    points, system = np.array([[0.0, 0.0, depth] for depth in depths]), OpticalSystem(camera, wavelength)
+    points = np.array([[0.0, 0.0, depth] for depth in depths])
+    system = OpticalSystem(camera, wavelength)
     if not system.lens.is_uniform:
         points = np.concatenate([points, cast(RealLens, system.lens).farthest(depths)])
     arguments = system, band_for(_ACCURACY, _MANY), points
-    grid, together = Grid.of(*arguments), 1
+    grid = Grid.of(*arguments)
+    together = 1
     if grid.rotation == 0:
         together = max(1, int(camera.pixel_size / (_PIXEL_SAMPLES * float(grid.pitch.max()))))
     return Grid.of(*arguments, together), together
@@ -130,7 +133,8 @@ def ray_grid(camera: PlenopticCamera) -> Grid:
     steps = np.array(turned.lattice.grid_step) * (turned.micro_image_pitch / turned.mla_pitch)
     origin = -np.array([camera.detector_width, camera.detector_height]) / 2
     pitch = steps / np.ceil(2 * steps / camera.pixel_size)
-    system, band = OpticalSystem(turned, _NO_WAVE), band_for(0.5, 1)
+    system = OpticalSystem(turned, _NO_WAVE)
+    band = band_for(0.5, 1)
     lens = system.waves_of(np.empty((0, 3)))
     return Grid(turned, lens, system.microlenses, camera.mla_rotation, _NO_WAVE, band, 0.0, pitch, origin)
 
@@ -172,11 +176,17 @@ def _pairs(count: int) -> NDArray[np.float64]:
 
 def _trace(batch: RayBatch) -> Part:
     """Return the light of a bin's rays, each distributed to the four nearest samples."""
-    cells, grid, camera = batch.cells, batch.cells.grid, batch.cells.camera
-    lens, light, walk = grid.lens, grid.lens.bind(np.empty((0, 3))), Walk.of(camera, grid.lens)
-    pairs, b = _pairs(batch.samples), camera.mla_distance
+    cells = batch.cells
+    grid = batch.cells.grid
+    camera = batch.cells.camera
+    lens = grid.lens
+    light = grid.lens.bind(np.empty((0, 3)))
+    walk = Walk.of(camera, grid.lens)
+    pairs = _pairs(batch.samples)
+    b = camera.mla_distance
     q = batch.corner + pairs[:, :2] * cells.bin_sizes
-    radius, angle = lens.pupil.radius * np.sqrt(pairs[:, 2]), 2 * np.pi * pairs[:, 3]
+    radius = lens.pupil.radius * np.sqrt(pairs[:, 2])
+    angle = 2 * np.pi * pairs[:, 3]
     pupil = radius * np.cos(angle), radius * np.sin(angle)
     g = finite_distance(camera, batch.distance)
     point = -q[:, 0] * g / b, -q[:, 1] * g / b, np.full(len(q), g)
@@ -225,7 +235,9 @@ _PROGRESS = 1000
 _BATCHES = 4
 """Batches of a bin's radiators, at least: cores share the only kernel, and its speed is known before its end."""
 
-_SPREAD_TIME, _PRODUCT_TIME, _KERNEL_TIME = 16.0, 0.05, 0.6
+_SPREAD_TIME = 16.0
+_PRODUCT_TIME = 0.05
+_KERNEL_TIME = 0.6
 """Relative times of a sample of a point spread, and, in a step of an inversion, of a product and of a kernel's sample.
 
 In nanoseconds on two cores of a processor of 2023; a step is a forward and an adjoint response.
@@ -249,21 +261,24 @@ class Response(StoredResponse):
         job: Job | None = None,
         steps: float = 0.0,
     ) -> None:
-        job, self._oversample = job or Job(), oversample
+        job = job or Job()
+        self._oversample = oversample
         # Kernels are of the light on the pixels, which then mix it.
         self._detector = DetectorOperator.of(camera)
         camera = camera.replace(**SHARP)
         require_support(camera, Use.RESPONSES | Use.KERNELS)
         _require_equal_lenses(camera)
         if wavelength is None:
-            grid, self._together = ray_grid(camera), 1
+            grid = ray_grid(camera)
+            self._together = 1
             # Several of the finer bins of cells make up a bin.
             rays = math.ceil(_RAYS * math.sqrt(oversample / _fine(grid, camera, oversample)))
             self._batches: Callable[..., Sequence[Sequence[Any]]] = functools.partial(ray_batches, rays)
         else:
             camera = camera.at_wavelength(wavelength)
             fine, self._together = wave_grid(camera, distances, wavelength)
-            grid, self._batches = fine.merged(self._together), functools.partial(wave_batches, fine)
+            grid = fine.merged(self._together)
+            self._batches = functools.partial(wave_batches, fine)
         self.cells, self._camera, self._distances = (
             BinCells(grid, _fine(grid, camera, oversample)),
             camera,
@@ -298,7 +313,8 @@ class Response(StoredResponse):
             len(groups_of_cells), stored, (job.workers.threads + 1) * max(batch.memory for batch in batches)
         )
         spreads = len(groups_of_cells) * sum(batch.samples for batch in batches)
-        bins, self.prepared = self.cells.bins[0] * self.cells.bins[1], self._prepared(spreads, steps)
+        bins = self.cells.bins[0] * self.cells.bins[1]
+        self.prepared = self._prepared(spreads, steps)
         total = math.ceil(_PROGRESS * len(distances) * len(groups_of_cells) * bins / self.prepared)
         self.planes: list[PlaneResponse] = []
         for distance in distances:
@@ -377,9 +393,11 @@ class Response(StoredResponse):
         Aberrations need not grow towards the corners: of the changes to the corners, half-way to them and to the
         middles of the borders the steepest counts, as if it went on to the corners.
         """
-        index, cells = self._sampled.index, BinCells(self.cells.grid, 1)
+        index = self._sampled.index
+        cells = BinCells(self.cells.grid, 1)
         places = index @ cells.vectors
-        centre, reach = (places.max(0) + places.min(0)) / 2, (places.max(0) - places.min(0)) / 2
+        centre = (places.max(0) + places.min(0)) / 2
+        reach = (places.max(0) - places.min(0)) / 2
         half = 2 * sum(cells.size) + math.ceil(cells.camera.blur_diameter(distance) / cells.grid.pitch.min())
 
         def nearest(*aim: float) -> int:
@@ -410,7 +428,8 @@ class Response(StoredResponse):
 
     def _kernel_memory(self, distance: float, oversample: int) -> float:
         """Return the approximate bytes of one kernel of a plane with all of its blocks."""
-        camera, grid = self.cells.camera, self.cells.grid
+        camera = self.cells.camera
+        grid = self.cells.grid
         samples = 1.1 * camera.blur_diameter(distance) / grid.pitch.min() + 8 / grid.pitch.min() * camera.pixel_size
         across, down = (samples / size + 2 for size in self.cells.size)
         return float(

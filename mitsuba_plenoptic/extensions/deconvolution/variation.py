@@ -33,11 +33,13 @@ class TotalVariation:
         for plane, mask in zip(self.planes_of(values), self.planes_of(inside), strict=True):
             # Steps to bins that are not inside do not count.
             neighbours = [mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]]
-            right, below = np.zeros_like(plane), np.zeros_like(plane)
+            right = np.zeros_like(plane)
+            below = np.zeros_like(plane)
             right[:, :-1], below[:-1] = (np.diff(plane, axis=1 - axis) * neighbours[axis] for axis in (0, 1))
             even = _SMOOTH * float(plane[mask].mean()) if mask.any() else 0.0
             length = np.sqrt(right**2 + below**2 + np.float32(even**2 + 1e-30))
-            right, below = right / length, below / length
+            right = right / length
+            below = below / length
             slope = -right - below
             slope[:, 1:] += right[:, :-1]
             slope[1:] += below[:-1]

@@ -39,7 +39,8 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
     shrunk = camera.pupil_distance / (camera.pupil_distance + camera.reduced_distance)
     position = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * (camera.pixel_size * shrunk)
     distance = np.hypot(*position.T)
-    reach, fitted = 3 * max(camera.mla_pitches), camera
+    reach = 3 * max(camera.mla_pitches)
+    fitted = camera
     while True:
         # From the axis outwards, so that errors of the start do not add up to whole lenses.
         fitted = _fitted(fitted, position[distance <= reach])
@@ -57,7 +58,8 @@ def _fitted(camera: PlenopticCamera, position: NDArray[np.float64]) -> Plenoptic
     u, v = (np.asarray(coordinate, np.float64) for coordinate in lattice.unit_centre(i, j))
     v = v * lattice.row_ratio
     x, y = position.T
-    ones, none = np.ones(len(position)), np.zeros(len(position))
+    ones = np.ones(len(position))
+    none = np.zeros(len(position))
     # Steps (a, b) along the rows and q (-b, a) across them, of which the ratio q of the pitches is refined in turn.
     ratio = camera.mla_pitches[1] / camera.mla_pitches[0]
     for _ in range(8):
@@ -140,13 +142,16 @@ def coarse_fit(
     low, high = vector.limits(bounds)
     models = RayModels(camera, observations, require_wavelength(wavelength))
     blurs = np.unique(np.maximum(np.array(_BLURS) * camera.pixels_per_lens, _SHARPEST))[::-1].tolist()
-    fitted, tried, first = camera, 0, 0
+    fitted = camera
+    tried = 0
+    first = 0
     if checkpoint:
         facts = {"numbers": vector.labels, "bounds": dict(bounds or {}), "camera": camera.to_dict()}
         stored = checkpoint.begin_arrays(**facts, wavelength=wavelength, light_digest=light_digest(observations))
         if stored is not None:
             x, tried = kept_numbers(stored, vector.values.shape)
-            fitted, first = vector.at(np.clip(x, low, high)), tried // _MOST_STEPS
+            fitted = vector.at(np.clip(x, low, high))
+            first = tried // _MOST_STEPS
 
     def count() -> None:
         nonlocal tried
@@ -186,7 +191,8 @@ def _nearest(
     recorded = np.stack([view.image for view in views]).astype(np.float64)
     masks = np.stack([view.used for view in views])
     brightest = recorded.max(axis=(1, 2), keepdims=True, where=masks, initial=0)
-    start, unit = vector.values, vector.scales
+    start = vector.values
+    unit = vector.scales
 
     def blurred(images: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(gaussian_filter(images * masks / brightest, blur, axes=(-2, -1)))

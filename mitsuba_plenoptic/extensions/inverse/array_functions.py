@@ -92,25 +92,31 @@ class Latest:
         equal: Callable[[Any, Any], bool],
         working: Callable[[Any], Any],
     ) -> None:
-        self.taken, self.shape = working, function.shape
-        self._function, self._copied, self._equal = function, copied, equal
+        self.taken = working
+        self.shape = function.shape
+        self._function = function
+        self._copied = copied
+        self._equal = equal
         self._given: list[Any] = []
         self._value: Value | None = None
 
     def at(self, arrays: Sequence[Any]) -> Value:
         """Return the value of the function at given arrays, computed only if they differ from the latest arrays."""
         # Another thread may have this function forget its value meanwhile.
-        last, value = self._given, self._value
+        last = self._given
+        value = self._value
         if value is None or len(last) != len(arrays) or not all(map(self._equal, arrays, last)):
             # Their owners may use the memory of the arrays for others.
             last = [self._copied(array) for array in arrays]
             value = self._function.at(*map(self.taken, last))
-            self._given, self._value = last, value
+            self._given = last
+            self._value = value
         return value
 
     def forget(self) -> None:
         """Free the latest value; a later request computes it again."""
-        self._given, self._value = [], None
+        self._given = []
+        self._value = None
 
 
 def _batch(name: str, stated: Shape, last: Shape) -> Shape:
@@ -167,7 +173,9 @@ def _channels(operator: CaptureOperator, images: Array) -> list[Array]:
 
 def _axes(operator: CaptureOperator) -> tuple[Shape, Shape]:
     """Return the last axes of weights and of images of an operator, without the batch."""
-    count, shape, spectrum = len(operator.points), operator.camera.shape, operator.spectrum
+    count = len(operator.points)
+    shape = operator.camera.shape
+    spectrum = operator.spectrum
     if spectrum is None:
         return (count,), shape
     return (len(spectrum.wavelengths), count), (spectrum.channels, *shape)
@@ -234,7 +242,9 @@ class CameraValue:
         weights: Array,
         values: Sequence[Array],
     ) -> None:
-        self._operator, self._names, self._weights = operator, names, weights
+        self._operator = operator
+        self._names = names
+        self._weights = weights
         self._shapes = [np.shape(value) for value in values]
         # A list of one number may stand for all parts, too.
         self._for_all = [
@@ -258,7 +268,8 @@ class CameraValue:
         names = [name for name, is_needed in zip(self._names, needed[1:], strict=True) if is_needed]
         total: dict[str, Any] = dict.fromkeys(names, 0.0)
         if names:
-            columns, channels = _columns(self._operator, self._weights), _channels(self._operator, gradient)
+            columns = _columns(self._operator, self._weights)
+            channels = _channels(self._operator, gradient)
             for factors, image in zip(columns, channels, strict=True):
                 gradients = self._operator.gradient(factors, image, names)
                 total = {name: total[name] + gradients[name] for name in names}
@@ -276,7 +287,8 @@ class CameraValue:
 def refocusing(by: Refocus) -> LinearFunction | Refocused:
     """Return the function from captures to refocused images."""
     if isinstance(by, RayRefocus):
-        before, after = by.camera.shape, by.shape
+        before = by.camera.shape
+        after = by.shape
         straight = partial(_together, by.forward, _NAMES[0], before)
         transposed = partial(_together, by.adjoint, _NAMES[1], after)
         return LinearFunction(straight, transposed, *_NAMES, before, after)

@@ -109,7 +109,9 @@ def fit(
         "photons: give them, or the noise of every view",
     )
     vector = vector_of(camera, names)
-    start, unit, limits = vector.values, vector.scales, vector.limits(bounds)
+    start = vector.values
+    unit = vector.scales
+    limits = vector.limits(bounds)
     if model == "ray":
         check_numbers(vector)
     check_views(camera, observations, default)
@@ -197,7 +199,9 @@ class _Trials:
         progress: Callable[[int, int], None] | None,
         most: int,
     ) -> None:
-        self._vector, self._progress, self._most = vector, progress, most
+        self._vector = vector
+        self._progress = progress
+        self._most = most
         self._model_of = model_of
         self._checkpoint: Checkpoint | None = None
         self.count = 0

@@ -248,9 +248,12 @@ class CoherentRefocus:
         oversample = require_count("oversample", oversample)
         system = OpticalSystem(camera, wavelength)
         fine = fine_bins(system, oversample)
-        self.camera, self._wavelength, self._oversample = camera, wavelength, oversample * fine
+        self.camera = camera
+        self._wavelength = wavelength
+        self._oversample = oversample * fine
         self._spread = LensSpread(camera, oversample, fine, lens_scale(camera, distance)) if fine > 1 else None
-        (left, top), (columns, rows) = camera.crop_offset, camera.crop_size
+        (left, top) = camera.crop_offset
+        (columns, rows) = camera.crop_size
         window = (left, left + columns), (top, top + rows)
         grids = planning.plan(camera, wavelength, [distance], window, self._oversample)
         planning.require_feasible(grids)
@@ -368,7 +371,10 @@ class _BinnedPower:
 
     def _fields(self, amplitude: NDArray[np.float32]) -> tuple[list[Any], float]:
         """Return all subsets' fields at the object plane's directions, and the power that passed the pupil."""
-        chain, step, fields, passed = self._refocus._fields, self._refocus._step, [], 0.0
+        chain = self._refocus._fields
+        step = self._refocus._step
+        fields = []
+        passed = 0.0
         with fft.resting_drjit():
             for field in chain.at_pupil(amplitude):
                 passed += chain.power(field)
@@ -388,7 +394,9 @@ class _BinnedPower:
 
     def vjp(self, bins: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the gradient with respect to the capture, from the gradient with respect to the bins."""
-        arrays, channels, refocus = active_backend().arrays, np.where(self._lit, bins, 0), self._refocus
+        arrays = active_backend().arrays
+        channels = np.where(self._lit, bins, 0)
+        refocus = self._refocus
         power = self._sums.vjp(arrays.asarray(channels if refocus._spread is None else refocus._spread.vjp(channels)))
         with fft.resting_drjit():
             gradients = ((2 * power * field).astype(np.complex64) for field in self._at)
@@ -432,10 +440,8 @@ class DeconvolvedRefocus:
         require_support(camera, Use.RESPONSES | Use.RECONSTRUCTION_DERIVATIVES)
         camera = camera.regular
         self.camera, self.iterations = camera, require_count("iterations", iterations)
-        distance, oversample = (
-            require_number("distance", distance, finite=False),
-            require_count("oversample", oversample),
-        )
+        distance = require_number("distance", distance, finite=False)
+        oversample = require_count("oversample", oversample)
         wavelength = None if wavelength is None else require_wavelength(wavelength)
         self.response = response_of(camera)(camera, [distance], wavelength=wavelength, oversample=oversample)
         light = self.response.adjoint(np.ones(camera.shape, np.float32))
@@ -504,7 +510,9 @@ class _DeconvolvedChannel:
     """The steps of deconvolving one channel, and their derivatives."""
 
     def __init__(self, refocus: DeconvolvedRefocus, image: NDArray[np.float32]) -> None:
-        self._response, self._visible, self._image = refocus.response, refocus.visible, image
+        self._response = refocus.response
+        self._visible = refocus.visible
+        self._image = image
         self._step = _RecordedSteps(refocus.response, image)
         refuse_if(not self._step.total, "capture: none of its pixels is lit: there is nothing to deconvolve")
         self.bins = self._to_image(solve(self._step, iterations=refocus.iterations).values)
@@ -515,10 +523,14 @@ class _DeconvolvedChannel:
     def jvp(self, change: NDArray[Any]) -> NDArray[np.float32]:
         """Return the change of the bins for a change of the pixels."""
         change = np.asarray(change, np.float32)
-        step, inside, weight = self._step, self._step.inside, self._step.weight
-        lit, above = self._image > 0, self._image + self._step.shift > 0
+        step = self._step
+        inside = self._step.inside
+        weight = self._step.weight
+        lit = self._image > 0
+        above = self._image + self._step.shift > 0
         light = float(change[lit].sum(dtype=np.float64))
-        moved, shift = np.where(inside, np.float32(light / step.sent), 0), np.float32(light * step.shift_slope)
+        moved = np.where(inside, np.float32(light / step.sent), 0)
+        shift = np.float32(light * step.shift_slope)
         for made in step.made:
             below, ratio = self._of(made)
             of_model = np.where(made.model > 0, self._response.forward(moved), 0)
@@ -531,9 +543,13 @@ class _DeconvolvedChannel:
     def vjp(self, bins: NDArray[Any]) -> NDArray[np.float64]:
         """Return the gradient with respect to the pixels, from the gradient with respect to the bins."""
         adjoint_image = self._response.from_image(bins * self._visible, 0)
-        step, inside, weight = self._step, self._step.inside, self._step.weight
-        lit, above = self._image > 0, self._image + self._step.shift > 0
-        total, by_shift = np.zeros(self._image.shape), 0.0
+        step = self._step
+        inside = self._step.inside
+        weight = self._step.weight
+        lit = self._image > 0
+        above = self._image + self._step.shift > 0
+        total = np.zeros(self._image.shape)
+        by_shift = 0.0
         for made in reversed(step.made):
             below, ratio = self._of(made)
             of_back = np.where(made.back > 0, adjoint_image * made.point * weight, 0)

@@ -88,11 +88,13 @@ def by_model(view: View, default: PixelNoise | None) -> bool:
 def _pixels(view: View, expected: NDArray[np.float64], default: PixelNoise | None) -> tuple[NDArray[np.float64], ...]:
     noise: Any = default if view.noise is None else view.noise
     if isinstance(noise, PixelNoise):
-        counts, unit = noise.electrons * np.maximum(expected, 0), noise.electrons
+        counts = noise.electrons * np.maximum(expected, 0)
+        unit = noise.electrons
         variance = counts + noise.dark_variance
         weight = np.maximum(variance, _LEAST_ELECTRONS)
     else:
-        counts, unit = np.zeros_like(expected), 1.0
+        counts = np.zeros_like(expected)
+        unit = 1.0
         weight = variance = counts + np.square(noise)
     mask = view.used
     if view.saturation is not None:
@@ -112,7 +114,8 @@ def check_light(view: View, default: PixelNoise | None = None) -> None:
     else:
         dark = 0.0 if noise is None else np.asarray(noise, np.float64)
         least = np.inf if noise is None else dark
-    mask, image = view.used, view.image
+    mask = view.used
+    image = view.image
     refuse_if(not mask.any(), "image: all of its pixels are left out: by its mask, or as saturated")
     refuse_if(
         image.sum(where=mask, dtype=np.float64) <= _LIGHT * np.sqrt(np.sum(np.square(dark) * mask)),
@@ -291,7 +294,8 @@ def light_digest(views: list[View]) -> str:
 
 def kept_numbers(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> tuple[NDArray[np.float64], int]:
     """Return a fit's numbers, and the count of cameras tried, from the arrays of its checkpoint."""
-    x, tried = arrays.get("numbers"), arrays.get("tried")
+    x = arrays.get("numbers")
+    tried = arrays.get("tried")
     if x is None or tried is None or x.shape != shape or tried.shape != (1,):
         raise InputError("checkpoint: it is damaged: its numbers are not those of this fit")
     return x, int(tried[0])

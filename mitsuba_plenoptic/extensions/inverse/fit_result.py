@@ -15,7 +15,8 @@ from .fit_light import Pixels, View
 _FAR = 5.0
 """Standard deviations of chi-square by which it may differ from 1."""
 
-_AT_BOUND, _OF_RANGE = 1e-2, 1e-6
+_AT_BOUND = 1e-2
+_OF_RANGE = 1e-6
 """A parameter is at a bound if it is nearer than this part of its deviation, or of what lies between its bounds."""
 
 _BRIGHTER = 3.0
@@ -102,11 +103,13 @@ def summary(
     for label, sensitivity in zip(labels, np.abs(rows).max(axis=0).tolist(), strict=True):
         refuse_if(not sensitivity, f"{label}: the captures do not depend on it, so that it cannot be fitted")
     slope = residuals @ rows
-    low, high = ((x - limits[0]) / unit, (limits[1] - x) / unit)
+    low = (x - limits[0]) / unit
+    high = (limits[1] - x) / unit
     gap = np.where(slope > 0, low, high)
     at_bound = gap <= np.maximum(_AT_BOUND * _one_sided(rows, slope, range(len(x))), _OF_RANGE * (low + high))
     free = np.flatnonzero(~at_bound)
-    covariance, effective = np.zeros((len(x), len(x))), 0.0
+    covariance = np.zeros((len(x), len(x)))
+    effective = 0.0
     directions = []
     if len(free):
         # The deviations of an estimate whose weights are not all those of the noise (a "sandwich").

@@ -27,7 +27,8 @@ class Spreads:
     def __init__(self, points: Any, wavelength: float, accuracy: float | None, method: str) -> None:
         # Where they may lie depends on the camera, and is checked with it.
         self.points, self.wavelength = check_positions(points, virtual=True), require_wavelength(wavelength)
-        self._accuracy, self._method = chosen_accuracy(accuracy, method, DESIGN_ACCURACY), method
+        self._accuracy = chosen_accuracy(accuracy, method, DESIGN_ACCURACY)
+        self._method = method
         self._system: OpticalSystem | None = None
 
     def images(self, camera: PlenopticCamera, points: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
@@ -61,7 +62,8 @@ class Spreads:
 
 def require_held(camera: PlenopticCamera, other: PlenopticCamera, held: Iterable[str]) -> None:
     """Refuse a camera that differs in a parameter that a figure of merit holds fixed."""
-    mine, its = camera.to_dict(), other.to_dict()
+    mine = camera.to_dict()
+    its = other.to_dict()
     for name in held:
         refuse_if(mine[name] != its[name], f"{name} = {its[name]}: this figure is of cameras with {mine[name]}")
 
@@ -165,11 +167,13 @@ class RefocusedContrast:
 
     def _contrast(self, images: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         """Return the mean contrast, and its gradient with respect to the point spreads."""
-        total, gradients = 0.0, []
+        total = 0.0
+        gradients = []
         count = len(images) * (len(self._along_x) + len(self._along_y))
         for refocus, image in zip(self._refocus, images, strict=True):
             bins = refocus.forward(image.astype(np.float32)).astype(np.float64)
-            light, slope = bins.sum(), np.zeros_like(bins)
+            light = bins.sum()
+            slope = np.zeros_like(bins)
             refuse_if(not light > 0, "points: one of them sends no light to the recorded pixels")
             for amplitudes, waves, across in (
                 (self._along_x @ bins.sum(0), self._along_x, False),
@@ -268,16 +272,19 @@ class DepthInformation:
 
     def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
         """Return the figure of merit, and its derivatives with respect to camera parameters, by name."""
-        names, expected = tuple(names), self.expected(camera)
+        names = tuple(names)
+        expected = self.expected(camera)
         count = len(expected[0])
         cotangents = [np.zeros_like(gradient_of) for gradient_of in expected]
         value = 0.0
         for index, parts in enumerate(zip(*expected, strict=True)):
             covariance = self._covariance(*parts)
-            variance, column = covariance[2, 2], covariance[2]
+            variance = covariance[2, 2]
+            column = covariance[2]
             value -= np.log(variance) / 2 / count
             # d ln(1 / sigma) = c' dF c / 2 sigma^2, with c the depth's column of the covariance.
-            noise, columns = self._noise(parts[0]), _columns(*parts)
+            noise = self._noise(parts[0])
+            columns = _columns(*parts)
             along = np.tensordot(column, columns, 1)
             for back, gradient_of in zip(cotangents, [column[3], *column[:3]], strict=True):
                 back[index] = gradient_of * along / noise / variance / count
@@ -309,16 +316,21 @@ class DepthInformation:
     def _moves(self, camera: PlenopticCamera) -> list[_Move]:
         """Return the displacements of the points along X, along Y, and along the chief ray in vergence."""
         points = self._spreads.points
-        g, path = points[:, 2], _WAVES * self._spreads.wavelength * 1e-6
+        g = points[:, 2]
+        path = _WAVES * self._spreads.wavelength * 1e-6
         objective = camera.objective
         if objective is None:
-            sideways, step = path * np.abs(g) / camera.aperture_radius, 2 * path / camera.aperture_radius**2
-            near, far = 1 / (1 / g + step), 1 / (1 / g - step)
-            there, back = points * (near / g)[:, None], points * (far / g)[:, None]
+            sideways = path * np.abs(g) / camera.aperture_radius
+            step = 2 * path / camera.aperture_radius**2
+            near = 1 / (1 / g + step)
+            far = 1 / (1 / g - step)
+            there = points * (near / g)[:, None]
+            back = points * (far / g)[:, None]
             rate = -1 / (2 * step * g**2)
         else:
             aperture = objective.numerical_aperture
-            sideways, step = np.full(len(g), path / aperture), 2 * path * objective.immersion / aperture**2
+            sideways = np.full(len(g), path / aperture)
+            step = 2 * path * objective.immersion / aperture**2
             there, back = (points + np.array([0, 0, side * step]) for side in (1, -1))
             rate = np.full(len(g), 1 / (2 * step))
         moves = []

@@ -60,7 +60,8 @@ class WaveModel:
         # Tolerance as in `CaptureOperator`.
         accuracy: float,
     ) -> None:
-        self._camera, self._views = camera, views
+        self._camera = camera
+        self._views = views
         self._system = OpticalSystem(camera.at_wavelength(wavelength), wavelength)
         self._operators = [
             CaptureOperator(
@@ -84,7 +85,8 @@ class WaveModel:
 
     def derivatives(self, vector: CameraVector, images: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the derivatives of `images` with respect to the vector, (parameters, views, rows, columns)."""
-        names, directions = vector.names, vector.of(self._camera).directions()
+        names = vector.names
+        directions = vector.of(self._camera).directions()
         rows = []
         for view, operator, weights, image in zip(self._views, self._operators, self._weights, images, strict=True):
             slopes = derivatives.light_slopes(self._system, names, view.points)
@@ -98,16 +100,19 @@ class WaveModel:
         return np.stack(rows, 1).astype(np.float64)
 
 
-_PER_PIXEL, _ENOUGH = 4.0, 96.0
+_PER_PIXEL = 4.0
+_ENOUGH = 96.0
 """Rays across a pixel, and across a micro-image that is so large that one ray a pixel shows its edge well enough."""
 
-_PER_LENS, _FEWEST = 12.0, 16.0
+_PER_LENS = 12.0
+_FEWEST = 16.0
 """Rays across a microlens and across the pupil at least."""
 
 _STEPS_OF_COUNTS = 2
 """Steps, to each doubling, of how many rays lie across the pupil: few kernels are compiled."""
 
-_TOGETHER, _RAY_BYTES = 1 << 22, 100
+_TOGETHER = 1 << 22
+_RAY_BYTES = 100
 """Rays that are followed at once, unless a point has more, and what each takes."""
 
 _REACH = 0.75
@@ -132,10 +137,12 @@ class PointRays:
     ) -> None:
         require_support(camera, Use.POINT_RAYS)
         points = check_positions(points, camera, virtual=True)
-        self._points, self._pupil_weights = points, pupil_weights
+        self._points = points
+        self._pupil_weights = pupil_weights
         lens = OpticalSystem(camera, wavelength).waves_of(points)
         on_array, on_detector = (2 * float(lens.pupil.radius) * abs(scale) for scale in _scales(camera, lens, points))
-        pixels, lenses = on_detector / camera.pixel_size, on_array / min(camera.mla_pitches)
+        pixels = on_detector / camera.pixel_size
+        lenses = on_array / min(camera.mla_pitches)
         sharp = np.clip(_PER_PIXEL * pixels, _FEWEST, np.maximum(_ENOUGH, pixels))
         steps = np.ceil(_STEPS_OF_COUNTS * np.log2(np.maximum(sharp, _PER_LENS * lenses)))
         self._across = np.ceil(2 ** (steps / _STEPS_OF_COUNTS)).astype(int)
@@ -148,7 +155,8 @@ class PointRays:
 
         Shapes: `weights` (n,).
         """
-        camera, lens = system.camera, system.waves_of(self._points)
+        camera = system.camera
+        lens = system.waves_of(self._points)
         image = dr.zeros(array_module().Float64, math.prod(camera.shape))
         for across in np.unique(self._across).tolist():
             which = np.flatnonzero(self._across == across)
@@ -163,7 +171,8 @@ class PointRays:
 
 def _scales(camera: PlenopticCamera, lens: MainLens, points: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
     """Return the displacements of rays, on the array and on the detector, per displacement on the pupil."""
-    b, z = float(lens.pupil.distance), camera.reduced_distance
+    b = float(lens.pupil.distance)
+    z = camera.reduced_distance
     on_array = 1 - b * np.array([float(convergence(lens, g)) for g in points[:, 2]])
     bends = [1 + z / b - z / f2 for f2 in camera.reduced_focal_lengths]
     return on_array, np.max([abs(on_array * bend - z / b) for bend in bends], axis=0)
@@ -183,7 +192,8 @@ class _Bundles:
 
     def add(self, image: Any, factors: NDArray[np.float64]) -> None:
         """Add the weighted light of the rays to the pixels, in a flat image."""
-        types, side = array_module(), self.across
+        types = array_module()
+        side = self.across
         Float64 = types.Float64
         index = dr.arange(types.UInt32, len(self.points) * side * side)
         which = index // (side * side)
@@ -196,7 +206,8 @@ class _Bundles:
         radius = self._number(self.lens.pupil.radius)
         step = radius * (2 / (side - 2))
         pupil = tuple((Float64(part) + (0.5 - side / 2)) * step for part in (within % side, within // side))
-        light, point = self._walk.lens.bind(self.points, which), tuple(value(part) for part in self.points.T)
+        light = self._walk.lens.bind(self.points, which)
+        point = tuple(value(part) for part in self.points.T)
         power = light.amplitude(pupil, point) ** 2 * dr.clip(light.inside(pupil) / step + 0.5, 0, 1)
         if self.weights is not None:
             power *= Float64(self.weights.at(which, pupil[0], pupil[1], radius, step)[0])
@@ -218,7 +229,8 @@ class _Bundles:
     @cached_property
     def _walk(self) -> Walk:
         """The walk of rays through camera elements with opaque values."""
-        camera, number = self.camera, self._number
+        camera = self.camera
+        number = self._number
         lattice = make_lattice(
             camera.mla_lattice,
             tuple(map(number, camera.mla_pitches)),
@@ -228,22 +240,26 @@ class _Bundles:
         lengths = drjit_array(array_module().Float64, np.array(camera.mla_focal_lengths))
         dr.make_opaque(lengths)
         medium = camera.mla_medium if camera.mla_medium == 1 else number(camera.mla_medium)
-        lens, z = self.lens.opaque(number), number(camera.detector_distance)
+        lens = self.lens.opaque(number)
+        z = number(camera.detector_distance)
         return Walk(camera, lens, lattice, lengths, z, medium)
 
     def _lenses(self, position: tuple[Any, Any], width: Any) -> list[tuple[tuple[Any, Any], Any]]:
         """Return the lenses that rays hit, and the fraction of each ray's light that each of them receives."""
-        lattice, plain = self._walk.lattice, self.camera.lattice
+        lattice = self._walk.lattice
+        plain = self.camera.lattice
         cell = lattice.cell(*position)
         u, v = lattice.to_frame(position[0] - lattice.offset[0], position[1] - lattice.offset[1])
-        u, v = u / lattice.pitches[0], v / lattice.row_distance
+        u = u / lattice.pitches[0]
+        v = v / lattice.row_distance
         fade = dr.maximum(width / dr.minimum(*lattice.pitches), _SHARPEST)
 
         def away(i: Any, j: Any) -> tuple[Any, Any]:
             cu, cv = lattice.unit_centre(i, j)
             return u - cu, (v - cv) * lattice.row_ratio
 
-        (x, y), found = away(*cell), []
+        (x, y) = away(*cell)
+        found = []
         for step in plain.neighbours(_REACH * max(plain.pitches)).tolist():
             lens = cell[0] + step[0], cell[1] + step[1]
             dx, dy = away(*lens)
@@ -257,7 +273,8 @@ class _Bundles:
 
     def _detect(self, image: Any, position: tuple[Any, Any], width: Any, power: Any) -> None:
         """Add squares of light around positions on the detector to the pixels that they cover."""
-        camera, UInt32 = self.camera, array_module().UInt32
+        camera = self.camera
+        UInt32 = array_module().UInt32
         rows, columns = camera.shape
         size = self._number(camera.pixel_size)
         half = dr.minimum(dr.maximum(width / size, 1e-3), 1) / 2
@@ -293,7 +310,8 @@ class RayModels:
     """Ray models of cameras near one camera, for which the counts of rays are planned."""
 
     def __init__(self, camera: PlenopticCamera, views: Sequence[View], wavelength: float) -> None:
-        self._views, self._wavelength = views, wavelength
+        self._views = views
+        self._wavelength = wavelength
         self._rays = [
             PointRays(camera, view.points, wavelength, PupilWeights.of(view.pupil_weights, len(view.points)))
             for view in views
@@ -318,7 +336,8 @@ class RayModel:
     """Expected captures of views by a camera in the ray model; see `RayModels.at`."""
 
     def __init__(self, models: RayModels, camera: PlenopticCamera) -> None:
-        self._models, self._camera = models, camera
+        self._models = models
+        self._camera = camera
 
     def images(self) -> NDArray[np.float64]:
         """Return the expected pixels of all views, (views, rows, columns)."""
@@ -327,7 +346,8 @@ class RayModel:
     def derivatives(self, vector: CameraVector, images: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the derivatives of `images`, an array (parameters, views, rows, columns), by central differences."""
         own = vector.of(self._camera)
-        x, steps = own.values, _STEP * own.scales
+        x = own.values
+        steps = _STEP * own.scales
         rows = np.empty((len(x), *images.shape))
         for index, step in enumerate(steps.tolist()):
             sides = (x + side * step * (np.arange(len(x)) == index) for side in (1, -1))
@@ -344,8 +364,10 @@ class RayModel:
         other. Along each of `steps` (directions, parameters), which are deviations by the derivatives, slopes are taken
         on the side on which captures change less, over the length at which the `distance` of captures is 1.
         """
-        own, images = vector.of(self._camera), self.images()
-        moved, rows = np.empty_like(steps), np.empty((len(steps), *images.shape))
+        own = vector.of(self._camera)
+        images = self.images()
+        moved = np.empty_like(steps)
+        rows = np.empty((len(steps), *images.shape))
         for index, step in enumerate(steps):
             sides = [(side * step, self._models.images(own.at(own.values + side * step))) for side in (1, -1)]
             nearest, changed = min(sides, key=lambda side: distance(side[1]))
@@ -353,5 +375,6 @@ class RayModel:
                 most = 1 / np.linalg.norm(nearest / own.scales)
                 nearest = nearest * min(1 / max(distance(changed), 1e-9), most)
                 changed = self._models.images(own.at(own.values + nearest))
-            moved[index], rows[index] = nearest, changed - images
+            moved[index] = nearest
+            rows[index] = changed - images
         return np.tensordot(np.linalg.inv(moved), rows, 1)

@@ -74,14 +74,16 @@ class Rendering:
     def require_variant(self) -> None:
         """Refuse an active variant that differs from the variant of the scene and the integrator."""
         for name, plugin in (("scene", self._scene), ("integrator", self._integrator)):
-            own, active = plugin.variant_name(), mi.variant()
+            own = plugin.variant_name()
+            active = mi.variant()
             refuse_if(own != active, f"{name}: it is of the variant {own}, but {active} is active; set {own}")
 
     def typed(self, values: Sequence[Any]) -> list[Any]:
         """Return values converted to the Dr.Jit types of the scene's parameters."""
         made = []
         for (name, shape), value in zip(self._expected.items(), values, strict=True):
-            kind, flat = type(self.parameters[name]), _tensor(value).array
+            kind = type(self.parameters[name])
+            flat = _tensor(value).array
             made.append(kind(flat, shape) if dr.is_tensor_v(kind) else dr.unravel(kind, flat, order="C"))
         return made
 

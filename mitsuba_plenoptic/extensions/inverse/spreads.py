@@ -44,7 +44,8 @@ class PatchSpreads(PatchPlan):
         parts = []
         for chunk in self._chunks:
             # As many of its patterns as fit into memory together, each with a channel.
-            corner, across = self._placement.corner[chunk], int(self._placement.samples[chunk[0]])
+            corner = self._placement.corner[chunk]
+            across = int(self._placement.samples[chunk[0]])
             tile = 4.0 * float((np.ptp(corner, axis=0) + across).prod())
             size = max(1, int(_TOGETHER_BYTES // tile))
             parts += [chunk[first : first + size] for first in range(0, len(chunk), size)]
@@ -57,14 +58,16 @@ class PatchSpreads(PatchPlan):
             )
             for members_of in parts
         )
-        members, arrived = self._last - self._first, 0.0
+        members = self._last - self._first
+        arrived = 0.0
         items = [int(members[members_of].sum()) for members_of in parts]
         results = job.each(batches, items, done + self._count - sum(items), total)
         for members_of, spread in zip(parts, results, strict=True):
             for pattern, sums in zip(members_of.tolist(), spread.sums, strict=True):
                 arrived += float(sums.sum(dtype=np.float64)) * int(members[pattern]) / self.gain
                 for points, shift, recorder in self._recorded(pattern):
-                    (dx, dy), box = shift.tolist(), recorder.box
+                    (dx, dy) = shift.tolist()
+                    box = recorder.box
                     samples: Any = active_backend().arrays.zeros((1, box.rows, box.columns), np.float32)
                     moved = replace(spread.box, left=spread.box.left + dx, top=spread.box.top + dy)
                     add(Part(moved, sums[None]), box, samples)
@@ -95,7 +98,9 @@ class FullFieldSpreads(FullFieldPlan):
 
     def spreads(self, job: Job, done: int, total: int) -> Iterator[Spread]:
         """Yield the spreads of all points; see `PatchSpreads.spreads`."""
-        unit, count, window = np.ones(1, np.float32), len(self._points), (slice(None), slice(None))
+        unit = np.ones(1, np.float32)
+        count = len(self._points)
+        window = (slice(None), slice(None))
         batches = (self.batch(point, unit) for point in range(count))
         for point, members_of in enumerate(job.each(batches, [1] * count, done, total)):
             yield Spread(np.array([point]), window, members_of.sums[0])

@@ -79,7 +79,8 @@ class StoredOperator(CaptureOperator):
         self, image: NDArray[Any], parts: Iterator[SpectralSum], job: Job
     ) -> Iterator[tuple[SpectralSum, NDArray[Any]]]:
         """Yield the products (n, k) of an image (rows, columns, channels) with the point spreads of each sum."""
-        matrices, pixels = self._computed(job), image.reshape(-1, image.shape[2])
+        matrices = self._computed(job)
+        pixels = image.reshape(-1, image.shape[2])
         for spectral_sum in parts:
             yield spectral_sum, matrices[spectral_sum.wavelength].T @ mix(pixels, spectral_sum.after.T)
 
@@ -107,7 +108,8 @@ class StoredOperator(CaptureOperator):
         for name, sharp in SHARP.items():
             value = getattr(self.camera, name)
             refuse_if(value != sharp, f"{name} = {value}: matrices have the sharp spreads only; leave it out")
-        matrices, parts = self._computed(job), list(self._channels.parts(1))
+        matrices = self._computed(job)
+        parts = list(self._channels.parts(1))
         mixed = [spectral_sum.after @ spectral_sum.before.T for spectral_sum in parts]
         entries = sum(
             matrices[spectral_sum.wavelength].nnz * mixture.size
@@ -141,7 +143,8 @@ class StoredOperator(CaptureOperator):
             If the spreads take more memory than the budget, or the array would need too much memory.
         """
         wavelengths, matrix = self._channels.mixing(1)
-        rows, columns = math.prod(self.camera.shape) * len(matrix), len(self.points) * len(wavelengths)
+        rows = math.prod(self.camera.shape) * len(matrix)
+        columns = len(self.points) * len(wavelengths)
         require_memory(float(self.dtype.itemsize) * rows * columns, f"dense matrix of {rows} x {columns}")
         return self.to_sparse(job=job).toarray()
 
@@ -149,12 +152,11 @@ class StoredOperator(CaptureOperator):
         """Return the matrix (pixels, n) of each wavelength, computed on first use if all matrices fit the budget."""
         if self._matrices:
             return self._matrices
-        job, wavelengths = (
-            job or Job(),
-            list(dict.fromkeys(spectral_sum.wavelength for spectral_sum in self._channels.parts(1))),
-        )
+        job = job or Job()
+        wavelengths = list(dict.fromkeys(spectral_sum.wavelength for spectral_sum in self._channels.parts(1)))
         plans = self._plans.made_by(_SPREADS[self._method])
-        entry, count = self.dtype.itemsize + 4, len(self.points)
+        entry = self.dtype.itemsize + 4
+        count = len(self.points)
         needed = sum(plans.checked(wavelength, job, 1).pixels for wavelength in wavelengths) * entry / 2**30
         refuse_if(
             needed > self._budget,

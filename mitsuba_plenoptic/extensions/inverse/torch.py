@@ -257,7 +257,8 @@ class _Change(_Once):
 
     @staticmethod
     def forward(function: Latest, which: frozenset[int], *tensors: torch.Tensor) -> torch.Tensor:
-        changes, tensor = iter(tensors[: len(which)]), tensors[len(which) :]
+        changes = iter(tensors[: len(which)])
+        tensor = tensors[len(which) :]
         taken = [function.taken(next(changes)) if k in which else None for k in range(len(tensor))]
         return _tensor(function.at(tensor).jvp(taken), tensor[0])
 

@@ -35,7 +35,9 @@ class CoherentFields:
     def __init__(self, system: OpticalSystem, points: NDArray[np.float64]) -> None:
         refuse_if(not len(points), "points: coherent fields need at least one")
         lens: Any = system.waves_of(points)
-        self.system, self._lens, self._points = system, lens, points
+        self.system = system
+        self._lens = lens
+        self._points = points
         label = f"coherent field of {len(points)} points"
         self.grids = grids_around(system, lens, _footprint(lens, points), points, label)
         self._pupil = PupilGrid(lens, self.grids.wide_origin, self.grids.pupil_pitch)
@@ -49,7 +51,9 @@ class CoherentFields:
 
     def at(self, amplitudes: NDArray[np.complex64], plane: str) -> SampledField:
         """Return the field of points with these amplitudes in one of the planes, on the backend's device."""
-        grid, arrays, inner = self._pupil, active_backend().arrays, self._inner(amplitudes)
+        grid = self._pupil
+        arrays = active_backend().arrays
+        inner = self._inner(amplitudes)
         if plane == "pupil":
             field = arrays.zeros(self.shape("pupil"), np.complex64)
             field[grid.rows, grid.columns] = inner
@@ -67,7 +71,8 @@ class CoherentFields:
 
     def adjoint(self, samples: Any, plane: str) -> NDArray[np.complex64]:
         """Return the inner product of each point's field with samples of one of the planes."""
-        arrays, grid = active_backend().arrays, self._pupil
+        arrays = active_backend().arrays
+        grid = self._pupil
         field: fft.Field = arrays.asarray(samples, np.complex64)
         if plane == "pupil":
             field = arrays.ascontiguousarray(field[grid.rows, grid.columns])
@@ -82,7 +87,8 @@ class CoherentFields:
 
     def _inner(self, amplitudes: NDArray[np.complex64]) -> fft.Field:
         """Return the field on those samples that contain the pupil."""
-        arrays, count = active_backend().arrays, self._pupil.count
+        arrays = active_backend().arrays
+        count = self._pupil.count
         inner = arrays.zeros((count, count), np.complex64)
         for part, layer in self._layers:
             layer.add(arrays.asarray(amplitudes[part]), inner)

@@ -166,7 +166,8 @@ def _correlation(first: np.ndarray, second: np.ndarray, step: int, axis: int, wi
     def mean(values: np.ndarray) -> np.ndarray:
         return np.asarray(uniform_filter(values, window, mode="nearest"))
 
-    a, b = mean(first), mean(moved)
+    a = mean(first)
+    b = mean(moved)
     squares = mean(first**2), mean(moved**2)
     spread = squares[0] - a * a, squares[1] - b * b
     textured = (spread[0] > _FLAT * squares[0]) & (spread[1] > _FLAT * squares[1])

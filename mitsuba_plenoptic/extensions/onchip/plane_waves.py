@@ -183,7 +183,8 @@ class PlaneWaveResponses:
     @cached_property
     def _orders(self) -> tuple[NDArray[np.int64], NDArray[np.complex128]]:
         """Diffraction orders of the lenses along an axis, and their amplitudes (orders along y, orders along x)."""
-        camera, wavelength = self.camera, in_millimetres(self.wavelength)
+        camera = self.camera
+        wavelength = in_millimetres(self.wavelength)
         most = math.ceil(camera.mla_medium * camera.mla_pitch / wavelength) + 2
         order = np.arange(-most, most + 1)
         x = ((np.arange(_FINE) + 0.5) / _FINE - 0.5) * camera.mla_pitch
@@ -203,7 +204,8 @@ class PlaneWaveResponses:
 
     def is_open(self, x: float, y: float, along: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return a mask of the pairs of direction cosines, relative to the chief ray, that pass the pupil to a lens."""
-        chief, centre = self.chief(x, y), self._place(x, y)
+        chief = self.chief(x, y)
+        centre = self._place(x, y)
         sy, sx = np.meshgrid(chief[1] + along, chief[0] + along, indexing="ij")
         cosine = np.sqrt(np.maximum(1 - sx**2 - sy**2, 1e-6))
         lens = self.system.lens
@@ -216,8 +218,11 @@ class PlaneWaveResponses:
     @single_threaded_blas()
     def modes(self, x: float, y: float, diode: int) -> NDArray[np.complex64]:
         """Return functions of the direction cosines, (modes, n, n), whose products add up to the response to pairs."""
-        camera, k = self.camera, 2 * math.pi / in_millimetres(self.wavelength)
-        pixel, z, index = camera.pixel_size, camera.detector_distance, camera.mla_medium
+        camera = self.camera
+        k = 2 * math.pi / in_millimetres(self.wavelength)
+        pixel = camera.pixel_size
+        z = camera.detector_distance
+        index = camera.mla_medium
         order, amplitude = self._orders
         # Of the complex wave number in the medium; its imaginary part, which absorbs, is small.
         square = (index * k) ** 2 + 1j * index * k * camera.mla_absorption

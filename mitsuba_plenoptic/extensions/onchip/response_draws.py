@@ -38,7 +38,9 @@ class Tables:
     """The response tables of all wavelengths on the device of the active variant."""
 
     def __init__(self, camera: PlenopticCamera, plans: Sequence[PhotodiodeResponses]) -> None:
-        self.camera, self.plans, self.count = camera, plans, plans[0].count
+        self.camera = camera
+        self.plans = plans
+        self.count = plans[0].count
         self._packets = -(-(self.count**2) // 4)
         self._index = [drjit_array(mi.Int, plan.table.nodes) for plan in plans]
 
@@ -73,7 +75,8 @@ class Tables:
         cosine, middle = (dr.rsqrt(1 + dr.square(t[0]) + dr.square(t[1])) for t in (slope, chief))
         inner = Walk.of(system.camera, system.lens).round_pupil(tuple(pupil), centre)
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= system.camera.pupil_radius**2
-        zone, widest_node = self._zone(index, chances[0][:2]), mi.UInt32(0)
+        zone = self._zone(index, chances[0][:2])
+        widest_node = mi.UInt32(0)
         near: list[Any] = []
         far: list[Any] = []
         for number_of, (plan, table) in enumerate(zip(self.plans, self._index, strict=True)):
@@ -100,7 +103,8 @@ class Tables:
     def drawn(self, node: Any, random: Any) -> tuple[Pair, Any]:
         """Return cells of the far window drawn at random for nodes, and the reciprocal probabilities of the cells."""
         plan = self.plans[self._widest]
-        window, quantiles = plan.far, _quantiles_of(plan.far)
+        window = plan.far
+        quantiles = _quantiles_of(plan.far)
         entry = dr.gather(
             mi.UInt32, self._drawn, node * quantiles + mi.UInt32(dr.minimum(random * quantiles, quantiles - 1))
         )
@@ -172,8 +176,10 @@ def _quantiles(plan: PhotodiodeResponses) -> NDArray[np.uint32]:
     The density of a cell is about the magnitude of its responses. Each quantile holds the index of a cell, and in its
     lower 16 bits the number of quantiles of this cell.
     """
-    window, count = plan.far, _quantiles_of(plan.far)
-    lenses, low = window.lenses, -window.first - NEAR // 2
+    window = plan.far
+    count = _quantiles_of(plan.far)
+    lenses = window.lenses
+    low = -window.first - NEAR // 2
     nodes = plan.table.far.reshape(-1, *plan.table.far.shape[2:])
     result = np.full((len(nodes) + 1, count), 1, np.uint32)
     for node, values in enumerate(nodes):

@@ -32,7 +32,8 @@ _OVERSAMPLING = 1.4
 _FAR_SAMPLES = 2
 """Samples of the far table per lens."""
 
-_FAR, _FAR_WIDTHS = (25, 44), 28.0
+_FAR = (25, 44)
+_FAR_WIDTHS = 28.0
 """Least and greatest width of the far window in lenses, and its width in diffraction widths between these."""
 
 _SUBSAMPLES = 4
@@ -44,7 +45,8 @@ _RIDGE = 1e-3
 _MOST_MEMORY = 2**30
 """Bytes of the tables of a camera."""
 
-_ALL, _REVERSED = slice(None), slice(None, None, -1)
+_ALL = slice(None)
+_REVERSED = slice(None, None, -1)
 
 _ALIKE = 1e-6
 """Relative difference that mirror images may have."""
@@ -179,7 +181,8 @@ class PhotodiodeResponses(PlaneWaveResponses):
                 wide -= blurred @ core @ blurred.T
                 # The light from beyond the near window is folded into it.
                 close -= fold @ wide @ fold.T - interpolation @ wide @ interpolation.T
-                near[zone, ..., diode], far[zone, ..., diode] = close, wide
+                near[zone, ..., diode] = close
+                far[zone, ..., diode] = wide
                 means[zone, diode] = total @ pupil.light[lit] / pupil.light.sum()
         return ResponseTable(index, near, far, means)
 
@@ -229,7 +232,8 @@ class PhotodiodeResponses(PlaneWaveResponses):
 
         Neighbouring pairs differ in direction by `stride` steps of the modes, divided by `finer`.
         """
-        pairs, inner = overlap.shape[1] // 2, self.across + 1
+        pairs = overlap.shape[1] // 2
+        inner = self.across + 1
         known = modes.shape[1] // 2
         half = inner * finer + pairs * stride
         between = np.arange(-known * finer, known * finer + 1) / finer
@@ -237,7 +241,8 @@ class PhotodiodeResponses(PlaneWaveResponses):
         modes = spline @ modes @ spline.T if finer > 1 else modes
         # Directions farther outside the pupil are not needed.
         beyond = max(0, half - known * finer)
-        modes, middle = np.pad(modes, ((0, 0), (beyond, beyond), (beyond, beyond))), known * finer + beyond
+        modes = np.pad(modes, ((0, 0), (beyond, beyond), (beyond, beyond)))
+        middle = known * finer + beyond
         lags = np.arange(-pairs, pairs + 1)
         products = np.zeros((2 * inner + 1, 2 * inner + 1, len(lags), len(lags)), np.complex64)
         conjugate = modes.conj()
@@ -291,13 +296,15 @@ class _Pupil:
     @classmethod
     def of(cls, plan: PlaneWaveResponses, x: float, y: float, multiple: int) -> _Pupil:
         """Return the pupil as seen from a lens, with a multiple of the table's samples per step of direction."""
-        n, step = 2 * plan.across + 1, multiple * math.ceil(_SUBSAMPLES / multiple)
+        n = 2 * plan.across + 1
+        step = multiple * math.ceil(_SUBSAMPLES / multiple)
         far = (2 * plan.across + plan.stride) * step
         along = (np.arange(-far, far) + 0.5) / step
         is_open = plan.is_open(x, y, along * plan.step)
         low = far - plan.across * step
         rows, columns = np.nonzero(is_open[low : 2 * far - low, low : 2 * far - low])
-        rows, columns = rows + low, columns + low
+        rows = rows + low
+        columns = columns + low
         sides = [np.floor(along[index]).astype(int) for index in (rows, columns)]
         fractions = [along[index] - side for index, side in zip((rows, columns), sides, strict=True)]
         count = np.arange(len(rows))
@@ -328,7 +335,8 @@ class _Pupil:
 
         The coefficients are the projection of O on functions that are linear between nodes.
         """
-        n, samples = len(self.mass), np.arange(len(self.rows))
+        n = len(self.mass)
+        samples = np.arange(len(self.rows))
         result = np.zeros((n * n, len(lags), len(lags)), np.float32)
         for index, lag in enumerate(lags):
             up, down = (self.is_open[self.rows + side * lag] for side in (1, -1))

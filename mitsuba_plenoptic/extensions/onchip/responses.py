@@ -119,7 +119,10 @@ class ResponseSum:
         spp: int,
         seed: int,
     ) -> None:
-        self._camera, self._light, self._nodes, self._seed = camera, light, nodes, seed
+        self._camera = camera
+        self._light = light
+        self._nodes = nodes
+        self._seed = seed
         self._tables = Tables(camera, [node.plan for node in nodes])
         self._across = across = self._tables.count
         self._walks = walks_of(node.plan.system for node in nodes)
@@ -136,7 +139,8 @@ class ResponseSum:
         self._scale = (scale / (camera.pixel_size * camera.mla_fill)) ** 2 * math.pi * float(lens.reach) ** 2
         # Of the rays of a ray capture, those that pass the pupil. Two halves of them correct each other.
         rays = max(1, spp * across**2 * self._scale * (camera.pixel_size / camera.mla_pitch) ** 2 / 2)
-        lenses, margin = self._columns[1] - self._columns[0], self._tables.margin
+        lenses = self._columns[1] - self._columns[0]
+        margin = self._tables.margin
         row = lenses + 2 * margin
         at_once = max(_LEAST_RAYS, _LANES // (row * (self._rows[1] - self._rows[0] + 2 * margin))) / 2
         self._rounds = max(1, round(rays / at_once))
@@ -147,9 +151,11 @@ class ResponseSum:
 
     def batches(self, first: int) -> Iterator[LensRows]:
         """Yield the pixels of each block from index `first` on, after tracing its rays."""
-        size, columns = self._across, self._columns[1] - self._columns[0]
+        size = self._across
+        columns = self._columns[1] - self._columns[0]
         for block in range(first, len(self._blocks)):
-            top, rows = self._blocks[block], int(self.items[block]) // columns
+            top = self._blocks[block]
+            rows = int(self.items[block]) // columns
             seeds = np.random.SeedSequence([self._seed]).generate_state(self._rounds).tolist()
             with fft.busy_drjit():
                 sums = self._captured(LensCells(self._columns[0], top, columns, rows), seeds)
@@ -169,7 +175,8 @@ class ResponseSum:
 
     def probe(self) -> NDArray[np.float32]:
         """Return the light of the rays of some lenses, a fingerprint of a scene and its camera."""
-        columns, pixel_count = self._columns[1] - self._columns[0], int(self.items.sum())
+        columns = self._columns[1] - self._columns[0]
+        pixel_count = int(self.items.sum())
         lens = np.linspace(0, pixel_count - 1, min(_PROBES, pixel_count)).astype(int)
         index = (lens % columns + self._columns[0], lens // columns + self._rows[0])
         rays = self._traced(
@@ -191,7 +198,8 @@ class ResponseSum:
         word = dr.gather(mi.UInt32, lens, of_lens)
         key = dr.opaque(mi.UInt32, seed & ~31)
         aimed = self._tables.draw(indices, word, half, ray - half * (count // 2), key)
-        lights, counted = [], mi.Float(0)
+        lights = []
+        counted = mi.Float(0)
         for walk, numbers in self._walks:
             start, slope, _ = walk.through_pupil(aimed.pupil, aimed.place)
             valid = aimed.open & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
@@ -202,7 +210,8 @@ class ResponseSum:
                 lit, weights = self._nodes[node_index].mixture()
                 lights += [dr.select(valid, mixed(row, [radiance[i] for i in lit]), 0) for row in weights]
         dr.eval(lights, counted, aimed.near, aimed.far, aimed.node)
-        sums, counts = [dr.block_sum(light, rays // 2) for light in lights], dr.block_sum(counted, rays // 2)
+        sums = [dr.block_sum(light, rays // 2) for light in lights]
+        counts = dr.block_sum(counted, rays // 2)
         dr.eval(sums, counts)
         return Rays(lights, aimed.near, aimed.far, aimed.node, sums, counts)
 
@@ -220,15 +229,19 @@ class ResponseSum:
 
     def _gathered(self, grid: LensCells, rays: Rays, seed: int) -> list[list[Any]]:
         """Return the values of each lens's photodiodes for each image, from the rays of all surrounding lenses."""
-        tables, count, size = self._tables, self._rays, self._across**2
+        tables = self._tables
+        count = self._rays
+        size = self._across**2
         around = grid.within(tables.margin)
-        lens, (index, _) = dr.arange(mi.UInt32, grid.rows * grid.columns), grid.lenses()
+        lens = dr.arange(mi.UInt32, grid.rows * grid.columns)
+        (index, _) = grid.lenses()
         line = dr.opaque(mi.UInt32, around.columns)
 
         def at(lens: Any, cell: Pair) -> Any:
             """Return the indices, in the surrounding grid, of lenses displaced by given cells."""
             row = lens // dr.opaque(mi.UInt32, grid.columns)
-            x, y = lens - row * grid.columns + tables.margin, row + tables.margin
+            x = lens - row * grid.columns + tables.margin
+            y = row + tables.margin
             return (y + mi.UInt32(mi.Int(cell[1]))) * line + x + mi.UInt32(mi.Int(cell[0]))
 
         # Means of the light of the lens and its eight neighbours, in each half of the rays.
@@ -260,7 +273,8 @@ class ResponseSum:
 
     def _near_sums(self, grid: LensCells, rays: Rays, means: list[Pair], at: Callable[[Any, Pair], Any]) -> list[Any]:
         """Return the sums over all rays of the near windows of lenses, for each image and photodiode."""
-        tables, size = self._tables, self._across**2
+        tables = self._tables
+        size = self._across**2
         count = dr.opaque(mi.UInt32, self._rays)
         lane = dr.arange(mi.UInt32, grid.rows * grid.columns * self._rays)
         of_lens = lane // count
@@ -286,18 +300,24 @@ class ResponseSum:
 
     def _far_sums(self, grid: LensCells, rays: Rays, means: list[Pair], seed: int) -> list[Any]:
         """Return estimates of the sums over all rays of the far windows of lenses, for each image and photodiode."""
-        tables, size, margin = self._tables, self._across**2, self._tables.margin
+        tables = self._tables
+        size = self._across**2
+        margin = self._tables.margin
         around = grid.within(margin)
-        count, columns = dr.opaque(mi.UInt32, self._rays), dr.opaque(mi.UInt32, around.columns)
-        width, height = dr.opaque(mi.Int, grid.columns), dr.opaque(mi.Int, grid.rows)
+        count = dr.opaque(mi.UInt32, self._rays)
+        columns = dr.opaque(mi.UInt32, around.columns)
+        width = dr.opaque(mi.Int, grid.columns)
+        height = dr.opaque(mi.Int, grid.rows)
         lane = dr.arange(mi.UInt32, around.rows * around.columns * self._rays)
         lens = lane // count
         is_first = lane - lens * count < count // 2
         row = lens // columns
-        x, y = mi.Int(lens - row * columns) - margin, mi.Int(row) - margin
+        x = mi.Int(lens - row * columns) - margin
+        y = mi.Int(row) - margin
         key = dr.opaque(mi.UInt32, seed)
         # Sums of integers do not depend on the order in which threads add them.
-        integer, double = dr.int64_array_t(mi.Float), dr.float64_array_t(mi.Float)
+        integer = dr.int64_array_t(mi.Float)
+        double = dr.float64_array_t(mi.Float)
         brightest = float(max(dr.max(dr.abs(light))[0] for light in rays.lights))
         unit = dr.opaque(double, 2.0 ** (math.frexp(brightest)[1] - _BITS))
         totals = [dr.zeros(integer, grid.rows * grid.columns) for _ in range(size * len(self._images))]

@@ -143,7 +143,8 @@ def _reach(
 ) -> float:
     """Return the largest distance in mm, on the array, between a point's rays and its chief ray at some positions."""
     camera = camera.replace(mla_cra=())
-    lens, farthest = OpticalSystem(camera, wavelength).lens, 0.0
+    lens = OpticalSystem(camera, wavelength).lens
+    farthest = 0.0
     for x, y in positions * camera.mla_distance / (camera.mla_distance + camera.reduced_distance):
         points = _points(camera, (x, y), distances)
         landing = footprint(lens.waves_of(points), points)

@@ -46,7 +46,8 @@ def back_path(camera: PlenopticCamera, lens: float, pixels: np.ndarray, distance
     array (pixels, 4, 2)
         Positions (z, x) of each ray at the detector, the lens's centre, the main lens and the object plane.
     """
-    b, z = camera.mla_distance, camera.detector_distance
+    b = camera.mla_distance
+    z = camera.detector_distance
     P, position = follow_back(pixels, lens, lens, distance, camera)
     along = np.broadcast_to([b + z, b, 0.0, -distance], (len(pixels), 4))
     across = [pixels, np.full_like(pixels, lens), P, -position * distance / b]
@@ -55,7 +56,8 @@ def back_path(camera: PlenopticCamera, lens: float, pixels: np.ndarray, distance
 
 def micro_image(camera: PlenopticCamera, lens: float) -> np.ndarray:
     """Return detector points across a lens's micro-image, between the ends of the pupil."""
-    b, z = camera.mla_distance, camera.detector_distance
+    b = camera.mla_distance
+    z = camera.detector_distance
     middle = rays.chief_detector_point(lens, b, z)
     return middle + np.linspace(-1, 1, _RAYS) * camera.aperture_radius * z / b
 

@@ -25,7 +25,8 @@ _TRUNCATED = 4.0
 _NARROWEST = 0.5
 """Standard deviation of a drawn particle at least, in voxels: narrower ones do not show where in a voxel they are."""
 
-_ROUNDING, _SAME = 2e-7, 1e-4
+_ROUNDING = 2e-7
+_SAME = 1e-4
 """Differences of voxels' places, over these and over the voxels' size, that are due to files in single precision."""
 
 
@@ -133,8 +134,10 @@ def drawn_particles(
     InputError
         If curves are narrower, or a position or weight is not finite.
     """
-    values, deviations = np.zeros(grid.shape), require_numbers("width", width, count=3, minimum=1e-9)
-    positions, weights = require_points("positions", positions), as_array("weights", weights, np.float64, POINTS)
+    values = np.zeros(grid.shape)
+    deviations = require_numbers("width", width, count=3, minimum=1e-9)
+    positions = require_points("positions", positions)
+    weights = as_array("weights", weights, np.float64, POINTS)
     refuse_if(
         weights.shape != (len(positions),) or not np.isfinite(weights).all(),
         f"weights of shape {weights.shape}: they must be finite, one for each of {len(positions)} positions",
@@ -145,7 +148,8 @@ def drawn_particles(
     )
     edges = [np.append(axis - size / 2, axis[-1] + size / 2) for axis, size in zip(grid.axes, grid.voxel, strict=True)]
     for position, weight in zip(positions, weights, strict=True):
-        spans, curves = [], []
+        spans = []
+        curves = []
         for centre, edge, deviation in zip(position, edges, deviations, strict=True):
             reach = _TRUNCATED * deviation
             first, last = np.searchsorted(edge, [centre - reach, centre + reach])

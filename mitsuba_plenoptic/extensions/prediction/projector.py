@@ -57,7 +57,8 @@ class VolumeProjection(LinearMap):
 
     def _made_kernels(self) -> dict[tuple[int, int], np.ndarray]:
         """Return the matrices from the voxels of a lens to another one's pixels, by displacement across and along."""
-        side, kernels = self._across, {}
+        side = self._across
+        kernels = {}
         for down in range(-self.reach, self.reach + 1):
             for right in range(-self.reach, self.reach + 1):
                 blocks = [self._block(plane, down, right) for plane in self.planes]
@@ -73,7 +74,8 @@ class VolumeProjection(LinearMap):
 
     def _block(self, plane: Plane, down: int, right: int) -> np.ndarray | None:
         """Return a plane's light (voxels, pixels) in one lens, None for hardly any."""
-        side, half = self._across, plane.pictures.shape[0] // self._across // 2
+        side = self._across
+        half = plane.pictures.shape[0] // self._across // 2
         if max(abs(down), abs(right)) > half:
             return None
         rows, columns = (slice((half + step) * side, (half + step + 1) * side) for step in (down, right))
@@ -82,13 +84,17 @@ class VolumeProjection(LinearMap):
 
     def _interpolation(self) -> sparse.csr_matrix:
         """Return the matrix from the cells' values, lens by lens, to the pixels."""
-        side, part = self._across, self.part
+        side = self._across
+        part = self.part
         x, y = ((part.within + 0.5) * side - 0.5).T
-        low, entries, columns = (np.floor(x).astype(int), np.floor(y).astype(int)), [], []
+        low = (np.floor(x).astype(int), np.floor(y).astype(int))
+        entries = []
+        columns = []
         for down in (-1, 0, 1, 2):
             for right in (-1, 0, 1, 2):
                 # At a cell's border its last value continues.
-                column, row = (low[0] + right).clip(0, side - 1), (low[1] + down).clip(0, side - 1)
+                column = (low[0] + right).clip(0, side - 1)
+                row = (low[1] + down).clip(0, side - 1)
                 columns.append((part.lens_of * side + row) * side + column)
                 entries.append(_keys(x - low[0] - right) * _keys(y - low[1] - down))
         count = len(part.pixel)
@@ -100,7 +106,8 @@ class VolumeProjection(LinearMap):
     def _windows(self, step: tuple[int, int]) -> tuple[slice, slice]:
         """Return the lenses whose voxels lie at a displacement from the part's lenses."""
         columns, rows = self.part.lenses
-        top, left = self.reach - step[0], self.reach - step[1]
+        top = self.reach - step[0]
+        left = self.reach - step[1]
         return slice(top, top + rows), slice(left, left + columns)
 
     def _cells(self, volume: np.ndarray) -> np.ndarray:
@@ -164,5 +171,6 @@ class VolumeProjection(LinearMap):
 def _keys(distance: np.ndarray) -> np.ndarray:
     """Return the weights of cubic interpolation at distances in samples."""
     t = np.abs(distance)
-    near, far = 1.5 * t**3 - 2.5 * t**2 + 1, -0.5 * t**3 + 2.5 * t**2 - 4 * t + 2
+    near = 1.5 * t**3 - 2.5 * t**2 + 1
+    far = -0.5 * t**3 + 2.5 * t**2 - 4 * t + 2
     return np.where(t <= 1, near, np.where(t < 2, far, 0))

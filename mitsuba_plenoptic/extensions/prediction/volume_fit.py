@@ -27,7 +27,8 @@ _NEAR = 0.7
 _UNSEEN = 1e-3
 """Light of a voxel over that of the brightest one of its plane, below which it is dark."""
 
-_STRAY_STEPS, _MOST_STRAY = frozenset((2, 5, 9, 14, 19)), 0.5
+_STRAY_STEPS = frozenset((2, 5, 9, 14, 19))
+_MOST_STRAY = 0.5
 """Steps before which stray light is found, and its largest value."""
 
 
@@ -44,7 +45,8 @@ class _Near:
     """Mean of voxels nearby, over those that are seen."""
 
     def __init__(self, projector: VolumeProjection, seen: np.ndarray) -> None:
-        self._projector, self._seen = projector, seen
+        self._projector = projector
+        self._seen = seen
         self._whole = np.maximum(self._blurred(seen.astype(np.float32)), 1e-6)
 
     def _blurred(self, volume: np.ndarray) -> np.ndarray:
@@ -67,12 +69,15 @@ class _PriorSteps(Steps):
         dark_variance: float,
         strength: float,
     ) -> None:
-        self.operator, self.image, self.stray = projector, electrons, 0.0
+        self.operator = projector
+        self.image = electrons
+        self.stray = 0.0
         self._mask, self._shift, self._strength = used.astype(np.float32), np.float32(dark_variance), strength
         self._shifted = np.maximum(electrons * self._mask + self._shift, 0).astype(np.float32)
         self._light, self._all_light = self._spread(self._mask), self._spread(np.ones_like(self._mask))
         self._seen = self._all_light > _UNSEEN * self._all_light.max(axis=(0, 1), keepdims=True)
-        self._near, self._done = _Near(projector, self._seen), 0
+        self._near = _Near(projector, self._seen)
+        self._done = 0
 
     def _spread(self, pixels: np.ndarray) -> np.ndarray:
         # Interpolation at sharp borders of micro-images goes below 0, where steps would multiply without bounds.

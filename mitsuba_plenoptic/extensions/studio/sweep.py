@@ -143,7 +143,8 @@ class Points:
         spec = replace(self._spec, parameters={**self._spec.parameters, **varied}, wavelength=point.get(WAVELENGTH))
         if spec.camera is None and not self.of_camera:
             return spec
-        stated, key = spec.camera, repr(spec.parameters)
+        stated = spec.camera
+        key = repr(spec.parameters)
         if stated is None:
             if key not in self._of_sensor:
                 self._of_sensor[key] = plenoptic_sensor(spec.load()).stated

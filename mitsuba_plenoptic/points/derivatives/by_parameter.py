@@ -21,7 +21,8 @@ from ..field_grid import Grid
 from ..patch_factors import Elements
 from ..units import brightness, detector_brightness
 
-_BLOCK, _DEVICE_BLOCK = 2**14, 2**22
+_BLOCK = 2**14
+_DEVICE_BLOCK = 2**22
 """Number of samples for which powers are computed together, in a core's cache and on a device."""
 
 
@@ -34,7 +35,9 @@ class _VaryingPath(dr.CustomOp):
     """A sum of Zernike polynomials whose coefficients are zero, but carry changes."""
 
     def eval(self, coefficients: Any, radius: float, x: Any, y: Any) -> Any:
-        self._count, self._radius, self._points = len(coefficients), radius, (x, y)
+        self._count = len(coefficients)
+        self._radius = radius
+        self._points = (x, y)
         return dr.zeros(type(x), dr.width(x))
 
     def forward(self) -> None:
@@ -49,7 +52,8 @@ class _VaryingPath(dr.CustomOp):
         # The sums over the samples of each polynomial times the gradient of the path, from the sums of powers.
         polynomials = [zernike(j) for j in range(1, self._count + 1)]
         size = max(len(polynomial) for polynomial in polynomials)
-        moments, step = libraries.arrays.zeros((size, size)), _DEVICE_BLOCK if libraries.is_cuda else _BLOCK
+        moments = libraries.arrays.zeros((size, size))
+        step = _DEVICE_BLOCK if libraries.is_cuda else _BLOCK
         for first in range(0, len(gradient), step):
             block = slice(first, first + step)
             across, up = (
@@ -208,7 +212,8 @@ class VaryingParameters:
 
     def _lattice(self, get: dict[str, list[Any]], camera: PlenopticCamera, offset: Any) -> Any:
         """Return the upright lattice with an offset."""
-        pitches, fill = tuple(get["mla_pitch"]), get["mla_fill"][0]
+        pitches = tuple(get["mla_pitch"])
+        fill = get["mla_fill"][0]
         return make_lattice(camera.mla_lattice, pitches, offset=offset, aperture=camera.mla_aperture, fill=fill)
 
     def set_tangents(self, changes: dict[str, NDArray[np.float64]]) -> None:

@@ -73,11 +73,15 @@ class DerivativePlan(PatchPlan):
         shared = system.lens.is_uniform and derivatives_share(accuracy, len(points))
         band = derivative_band_for(accuracy, len(points))
         super().__init__(system, points, pupil_weights, accuracy, band=band, shared=shared)
-        camera, self._wavelength = system.camera, system.wavelength
-        self._accuracy, self._finer = accuracy, 1 if shared else 2
-        low, size = self._finer * self._placement.corner, self._finer * self._placement.samples[:, None]
+        camera = system.camera
+        self._wavelength = system.wavelength
+        self._accuracy = accuracy
+        self._finer = 1 if shared else 2
+        low = self._finer * self._placement.corner
+        size = self._finer * self._placement.samples[:, None]
         pattern = np.repeat(np.arange(len(self._first)), self._last - self._first)
-        low, size = low[pattern] + self._finer * self._shifts, size[pattern]
+        low = low[pattern] + self._finer * self._shifts
+        size = size[pattern]
         fine = replace(self._grid, pitch=self._grid.pitch / self._finer)
         self._recorder = Recorder(camera, fine, low, low + size)
         # From samples of the patch between copies to the distance of their lenses.
@@ -120,7 +124,8 @@ class DerivativePlan(PatchPlan):
                 waiting.append(VjpBatch(fields, copies, self._finer, offset, tile, int(summed), varies))
                 yield waiting[-1]
 
-        products, box = np.zeros((2, 2, 2)), self._recorder.box
+        products = np.zeros((2, 2, 2))
+        box = self._recorder.box
         sums: Any = active_backend().arrays.zeros((summed * image.shape[2], box.rows, box.columns), np.float32)
         for result in job.each(batches(), items.tolist(), done + self._count - int(items.sum()), total):
             waiting.pop(0).gather(result, parameters)
@@ -169,7 +174,8 @@ class DerivativePlan(PatchPlan):
         self, chunk: NDArray[np.int64], weights: NDArray[np.float64], moving: NDArray[np.bool_]
     ) -> tuple[Fields, list[SpreadCopies]]:
         """Return the spreads of a chunk with a nonzero weight, and their copies; `moving` marks moving patterns."""
-        lit_spreads, copies = [], []
+        lit_spreads = []
+        copies = []
         for pattern, shifts, factors in self._lit_copies(chunk, weights):
             lit_spreads.append(pattern)
             positions = shifts * self._per_sample
@@ -198,7 +204,9 @@ class JvpSum:
     """Changes of a sum in several directions, batch by batch, with the interface of `runtime.batches.LongSum`."""
 
     def __init__(self, plan: DerivativePlan, weights: NDArray[np.float64], directions: list[Direction]) -> None:
-        self._plan, self._weights, self._directions = plan, weights, directions
+        self._plan = plan
+        self._weights = weights
+        self._directions = directions
         self._chunks, self.items = plan.lit_chunks(weights)
         self.arrays: Any = active_backend().arrays
         self._placed = plan._shifted(name for changes in directions for name in changes)
@@ -218,7 +226,8 @@ class JvpSum:
 
     def batches(self, first: int) -> Iterator[JvpBatch]:
         """Yield the batches in order, from index `first` on."""
-        plan, slopes = self._plan, tuple(lattice for lattice, _ in self._slopes)
+        plan = self._plan
+        slopes = tuple(lattice for lattice, _ in self._slopes)
         offset = plan.offset_for(name for changes in self._directions for name in changes)
         moving = plan.moving(self._weights)
         for chunk in self._chunks[first:]:
@@ -230,9 +239,11 @@ class JvpSum:
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
         """Return the changes integrated over the recorded pixels, plus the changes due to the pixels' motion."""
-        recorder, channels = self._plan._recorder, self._weights.shape[1]
+        recorder = self._plan._recorder
+        channels = self._weights.shape[1]
         count = len(self._directions) * channels
-        image, plain = recorder.record(total.sums[:count]), total.sums[count : count + channels]
+        image = recorder.record(total.sums[:count])
+        plain = total.sums[count : count + channels]
         for first, (changes, (_, shifts)) in enumerate(zip(self._directions, self._slopes, strict=True)):
             channel_image = image[..., first * channels : (first + 1) * channels]
             for name in MOVES:
@@ -252,7 +263,9 @@ class Differentials:
     """Derivatives of the sum of all point spreads, planned for each wavelength on first use."""
 
     def __init__(self, camera: PlenopticCamera, points: int, plans: WavelengthPlans) -> None:
-        self._camera, self._points, self._plans = camera, points, plans
+        self._camera = camera
+        self._points = points
+        self._plans = plans
 
     @single_threaded_blas()
     def jvp(

@@ -36,8 +36,10 @@ def copy_slopes(camera: PlenopticCamera, wavelength: float, name: str) -> NDArra
     The result is (components, 2, 2, 2), for a parameter in `MOVED_COPIES`: for each component A and B, each as (x and y
     of the move, x and y of the copy's position). ``mla_rotation`` is in degrees, ``wavelength`` in nanometres.
     """
-    identity, none = np.eye(2), np.zeros((2, 2))
-    growth, b = camera.image_growth, camera.mla_distance
+    identity = np.eye(2)
+    none = np.zeros((2, 2))
+    growth = camera.image_growth
+    b = camera.mla_distance
     if name == "mla_pitch":
         along = [np.diag(identity[axis]) / camera.mla_pitches[axis] for axis in (0, 1)]
         return np.array([[moved, none] for moved in along])
@@ -170,16 +172,21 @@ class JvpBatch(FieldBatch):
 
 def _jvp(work: JvpBatch, batch: PatchBatch, changes: list[Parts], lattice: list[Parts]) -> Part:
     """Return the sum of the changes for each direction, with the point spreads last."""
-    arrays, finer, channels = batch.libraries.arrays, work.finer, work.copies[0].weights.shape[1]
+    arrays = batch.libraries.arrays
+    finer = work.finer
+    channels = work.copies[0].weights.shape[1]
     box = reached(batch.corner, batch.samples, work.copies, finer)
     parts = len(changes) + (3 if work.placed else 1)
     sums = list(arrays.zeros((parts, channels, box.rows, box.columns), np.float32))
-    of_points, memory = batch.factors.of_points, Memory(arrays)
+    of_points = batch.factors.of_points
+    memory = Memory(arrays)
     for points in batch.chained(finer):
         memory.restart()
         chain = FieldChain(of_points(batch.parts, points), batch.factors.axes, finer, memory)
-        windows, copies = _windows(work, batch, box, points), SpreadCopies.joined(work.copies[points])
-        unchanged, moved = np.ones(len(copies.weights)), []
+        windows = _windows(work, batch, box, points)
+        copies = SpreadCopies.joined(work.copies[points])
+        unchanged = np.ones(len(copies.weights))
+        moved = []
         if copies.moving.any():
             moved = [chain.spectrum_jvp(of_points(move, points)) for move in lattice]
         places = copies.places * copies.moving[:, None]
@@ -241,7 +248,8 @@ class VjpBatch(FieldBatch):
 
     def gather(self, result: VjpResult, parameters: VaryingParameters) -> None:
         """Add a batch's gradients to the gradients of the parameters."""
-        total, words = 0, array_module().ad.UInt64
+        total = 0
+        words = array_module().ad.UInt64
         for factor, cotangent in zip(_factors(self.fields, parameters).values(), result.factors, strict=True):
             if cotangent is not None and dr.grad_enabled(factor):
                 field = fft.unpack(drjit_array(words, fft.as_words(cotangent)))
@@ -255,7 +263,9 @@ class VjpBatch(FieldBatch):
 
 
 def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
-    arrays, finer, factors = batch.libraries.arrays, work.finer, batch.factors
+    arrays = batch.libraries.arrays
+    finer = work.finer
+    factors = batch.factors
     box = reached(batch.corner, batch.samples, work.copies, finer)
     # The intensity changes by twice the product of the field and its change.
     tile = 2 * arrays.asarray(work.tile)
@@ -265,21 +275,26 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
     ]
     *per_point, total = cotangents
     returning = arrays.conj(batch.parts[-1])
-    spreads, finer_samples = None, finer * batch.samples
+    spreads = None
+    finer_samples = finer * batch.samples
     if work.summed:
-        summed, low = [copies.summed(work.summed) for copies in work.copies], np.array([box.left, box.top])
+        summed = [copies.summed(work.summed) for copies in work.copies]
+        low = np.array([box.left, box.top])
         places = [
             (finer * (corner + copies_of.shifts) - low)[:, ::-1]
             for corner, copies_of in zip(batch.corner, summed, strict=True)
         ]
-        size, together = np.array([box.rows, box.columns]), batch.chained(finer)[0].stop
+        size = np.array([box.rows, box.columns])
+        together = batch.chained(finer)[0].stop
         spreads = CopySum(summed, places, finer_samples, size, together)
-    products, memory = arrays.zeros((2, 2)), Memory(arrays)
+    products = arrays.zeros((2, 2))
+    memory = Memory(arrays)
     for points in batch.chained(finer):
         memory.restart()
         conjugate = factors.directions_of(returning, points)
         chain = FieldChain(factors.of_points(batch.parts, points), factors.axes, finer, memory, conjugate)
-        windows, copies = _windows(work, batch, box, points), SpreadCopies.joined(work.copies[points])
+        windows = _windows(work, batch, box, points)
+        copies = SpreadCopies.joined(work.copies[points])
         along = [np.ones(len(copies.places))]
         if lattice and copies.moving.any():
             along += list((copies.places * copies.moving[:, None]).T)
