@@ -25,7 +25,7 @@ from .patch_plan import PatchPlan as PatchPlan
 from .point_spread import point_spread_function as point_spread_function
 from .pupil_weights import BORDER as BORDER
 from .pupil_weights import PupilWeights as PupilWeights
-from .ray_spread import ray_spread as ray_spread
+from .rays_of_points import ray_spread as ray_spread
 from .recorder import Recorder as Recorder
 from .sampling import Footprint as Footprint
 from .sampling import check_positions as check_positions

@@ -315,8 +315,9 @@ class PatchPlan:
         bytes_of_field = 8.0 * largest**2
         if patterns > _CHUNK and bytes_of_field > _PATCH_LIMIT:
             raise InputError(
-                f"{label}: {patterns} patches, the largest of {bytes_of_field / 2**30:.2f} GiB, {memory / 2**30:.1f} GiB at a "
-                f"time; for more than {_CHUNK} patches each may take {_PATCH_LIMIT / 2**30:.2f} GiB"
+                f"{label}: {patterns} patches, the largest of {bytes_of_field / 2**30:.2f} GiB, "
+                f"{memory / 2**30:.1f} GiB at a time; for more than {_CHUNK} patches each may take "
+                f"{_PATCH_LIMIT / 2**30:.2f} GiB"
             )
         return memory
 

@@ -17,7 +17,7 @@ from . import full_fields
 from .full_fields import PointFields
 from .operator import CaptureOperator
 from .pupil_weights import PupilWeights
-from .ray_spread import ray_spread
+from .rays_of_points import ray_spread
 from .sampling import check_positions
 from .scene_points import sample_pairs
 

@@ -173,8 +173,8 @@ def _write(output: Path, result: Fit) -> None:
         at_bound = f", at its {side}: the deviation is one-sided" if side else ""
         typer.echo(f"{name} = {value:.8g} +- {result.deviations[name]:.2g}{at_bound}")
     typer.echo(
-        f"chi-square per pixel {result.chi_square:.4g} +- {result.chi_square_deviation:.2g} over {result.pixels} pixels, "
-        f"{result.steps} cameras tried"
+        f"chi-square per pixel {result.chi_square:.4g} +- {result.chi_square_deviation:.2g} over {result.pixels} "
+        f"pixels, {result.steps} cameras tried"
     )
     for direction in result.directions[:_NAMED] if len(result.values) > 1 else ():
         parts = sorted(direction.parts.items(), key=lambda component: -abs(component[1]))
