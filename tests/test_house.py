@@ -49,8 +49,25 @@ GOALS = {
     "lines that a wave capture loads": 24_000,
 }
 
-REACHED = {}
-"""Values where the goal is not reached."""
+REACHED = {
+    "lines": 75_176,
+    "lines of the core": 49_705,
+    "tokens": 524_069,
+    "tokens of the core": 340_067,
+    "functions": 4_012,
+    "percentage of functions of at most three statements": 49.2,
+    "checks and raises": 1_870,
+    "definitions of checks": 130,
+    "names of the core that extensions import": 353,
+    "modules of the core that extensions import": 29,
+    "constants of modules": 1_026,
+    "lines of tests": 38_850,
+    "words of docs": 53_736,
+    "modules that a ray capture loads": 97,
+    "lines that a ray capture loads": 16_058,
+    "modules that a wave capture loads": 133,
+}
+"""Values where the goal is not reached, with one hundredth for changes."""
 
 CAPTURE = """
 import sys, mitsuba as mi, mitsuba_plenoptic as mp
