@@ -14,7 +14,7 @@ from scipy.stats import t as student
 
 from mitsuba_plenoptic import Capture, Detector, PlenopticCamera, StoredOperator, expose
 from mitsuba_plenoptic import particles as pt
-from mitsuba_plenoptic.extensions.particles.tomography import Projector
+from mitsuba_plenoptic.linear.map import LinearMap
 
 from .. import Row, case
 
@@ -115,7 +115,7 @@ def pair_of(truth: xr.Dataset, model: str, photons: float, seed: int) -> list[Ca
 
 
 def volumes_of(
-    pair: list[Capture], projector: Projector, grid: pt.VoxelGrid, iterations: int, smoothing: float = 0.0
+    pair: list[Capture], projector: LinearMap, grid: pt.VoxelGrid, iterations: int, smoothing: float = 0.0
 ) -> list[xr.DataArray]:
     """Return the volumes of both captures, smoothed by a normal curve of a standard deviation in voxels."""
     found = [pt.reconstruct_volume(projector, capture, grid, iterations=iterations) for capture in pair]
