@@ -57,8 +57,8 @@ class ExpandedPlan(PhaseSpace):
     @classmethod
     def about(cls, plan: PhaseSpace, camera: PlenopticCamera) -> ExpandedPlan:
         """Return the plan of a camera near that of `plan`."""
-        expanded = cls(**{field.name: getattr(plan, field.name) for field in fields(plan)} | {"camera": camera})
-        vars(expanded)["_start"] = plan
+        values = {field.name: getattr(plan, field.name) for field in fields(plan)}
+        expanded = cls(**values | {"camera": camera, "basis": plan})
         # It decides which images suffice for random light, and hardly changes.
         vars(expanded)["covariance"] = plan.covariance
         expanded.take_basis(plan)
@@ -67,8 +67,8 @@ class ExpandedPlan(PhaseSpace):
     @property
     def start(self) -> PhaseSpace:
         """The plan about which this one is expanded."""
-        plan: PhaseSpace = vars(self)["_start"]
-        return plan
+        assert self.basis is not None
+        return self.basis
 
     def tabulated(self, table: Table | None = None) -> Sequence[Array]:
         """Return the arrays of the table of coefficients, or fill a given table."""

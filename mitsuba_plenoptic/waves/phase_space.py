@@ -79,6 +79,8 @@ class PhaseSpace(ArrayKernels):
     radial: int = 12
     # Longest wavelength of the plans with which it is used, whose tables have the same nodes. Default: its own.
     longest: float | None = None
+    # The plan whose functions and nodes of the table it has, so that plans with others are not taken for this one.
+    basis: PhaseSpace | None = None
 
     @classmethod
     def of(
@@ -327,7 +329,7 @@ class PhaseSpace(ArrayKernels):
 
     def moved(self, camera: PlenopticCamera) -> PhaseSpace:
         """Return the plan of a slightly different camera, with the same functions and nodes of the table."""
-        plan = replace(self, camera=camera)
+        plan = replace(self, camera=camera, basis=self)
         plan.take_basis(self)
         return plan
 

@@ -268,3 +268,40 @@ def test_what_displaces_kernels_is_their_slope():
     for found, axis, centre in ((along_x, x, 15), (along_y, x[:, None], 3)):
         # Ends and all: against a smooth figure it is the figure's slope that counts.
         assert np.sum(found * smooth) == pytest.approx(np.sum(kernel * inner * -(axis - centre) / 100), rel=2e-3)
+
+
+def test_gradients_by_another_parameter_before_change_nothing():
+    """Plans of one camera that are expanded about different ones are kept apart."""
+    mi.set_variant("llvm_ad_mono")
+    camera = PlenopticCamera(detector_width=0.128, resolution=(32, 32))
+    generator = np.random.default_rng(0)
+    texture = {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(generator.uniform(0, 1, (8, 8, 1)).astype(np.float32)),
+        "raw": True,
+    }
+    place = mi.ScalarTransform4f().translate([0, 0, 232]).rotate([0, 1, 0], 180)
+    world = {
+        "type": "scene",
+        "integrator": {"type": "plenoptic_wave"},
+        "camera": camera.to_sensor(),
+        "card": {"type": "rectangle", "to_world": place, "emitter": {"type": "area", "radiance": texture}},
+    }
+    slopes = {}
+    for name in ("mla_distance", "mla_pitch"):
+        for mode in ("backward", "forward"):
+            scene = mi.load_dict(world)
+            params = mi.traverse(scene)
+            x = mi.Float(0.0)
+            dr.enable_grad(x)
+            params[f"camera.{name}"] += x
+            params.update()
+            if mode == "forward":
+                dr.forward(x, dr.ADFlag.ClearEdges)
+            total = dr.sum(mi.render(scene, params, spp=16, seed=5), axis=None)
+            if mode == "forward":
+                slopes[mode] = float(dr.forward_to(total).array[0])
+            else:
+                dr.backward(total)
+                slopes[mode] = float(dr.grad(x)[0])
+        assert slopes["forward"] == pytest.approx(slopes["backward"], rel=1e-3), name

@@ -226,8 +226,9 @@ class UprightBins:
         corners = (lit.index[:, None] + np.indices((2, 2)).reshape(2, 4).T) @ cells.vectors
         far = np.stack(turn(corners[..., 0], corners[..., 1], camera.mla_rotation)).reshape(2, -1)
         far *= np.hypot(*far) / np.hypot(*stretched(far[0], far[1])).clip(_ALIGNED)
-        low = np.floor(far.min(1) / pitch + middle + _ALIGNED).astype(np.int64)
-        high = np.ceil(far.max(1) / pitch + middle - _ALIGNED).astype(np.int64)
+        # All bins of a reconstruction are among these, also where crops light few of them.
+        low = np.minimum(np.floor(far.min(1) / pitch + middle + _ALIGNED), 0).astype(np.int64)
+        high = np.maximum(np.ceil(far.max(1) / pitch + middle - _ALIGNED), 2 * middle).astype(np.int64)
         parts = math.ceil(pitch / min(width, height) - _ALIGNED)
         inside = (np.arange(parts)[:, None] + _POINTS).ravel() / parts
         x, y = (
