@@ -76,7 +76,7 @@ def short_trials(monkeypatch):
 def trials_of_a_second(monkeypatch):
     """Have every trial of an estimate by waves last a second, however fast the machine is."""
     clock = SimpleNamespace(perf_counter=itertools.count(1.0).__next__)
-    for name in ("points.patch_plan", "points.full_field", "scene.capture_cost"):
+    for name in ("points.patch_plan", "points.full_fields", "scene.capture_cost"):
         monkeypatch.setattr(f"mitsuba_plenoptic.{name}.time", clock)
 
 

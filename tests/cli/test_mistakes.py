@@ -308,6 +308,6 @@ def test_our_own_mistakes_keep_their_traceback(monkeypatch):
     def broken(*_, **__):
         raise RuntimeError("a bug")
 
-    monkeypatch.setattr("mitsuba_plenoptic.scene.load.load_scene", broken)
+    monkeypatch.setattr("mitsuba_plenoptic.scene.load_scene", broken)
     with pytest.raises(RuntimeError, match="a bug"):
         main(["info", "letters"])

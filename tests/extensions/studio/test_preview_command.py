@@ -48,7 +48,7 @@ def test_the_picture_comes_first_and_waves_are_estimated_only_when_asked_for(
         seen.append((model, path.exists(), mi.variant()))
         return replace(estimated(scene, model=model, spp=spp), seconds=seconds, memory=2**30)
 
-    monkeypatch.setattr("mitsuba_plenoptic.scene.capture.estimate_capture", estimate)
+    monkeypatch.setattr("mitsuba_plenoptic.scene.estimate_capture", estimate)
     text = run("preview", "letters", *SMALL, "-o", path, "--variant", "llvm_ad_rgb")
     assert seen == [("ray", True, "llvm_ad_rgb")] and text.startswith(f"{path}: the picture")
     assert f"ray capture: about {words} and 1 GiB" in text and "wave" not in text
