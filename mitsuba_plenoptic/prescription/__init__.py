@@ -8,3 +8,5 @@ A `Prescription` is plain data. `LensSystem`, in `mitsuba_plenoptic.lenses.lens_
 import lazy_loader
 
 __getattr__, __dir__, _ = lazy_loader.attach_stub(__name__, __file__)
+
+__all__ = ["BUNDLED", "Glass", "Paraxial", "Prescription", "Surface", "bundled_prescription", "paraxial"]
