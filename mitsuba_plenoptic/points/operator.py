@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import NOT_ROUND, PlenopticCamera, Round, Use, require_support
+from ..camera import NOT_ROUND, PlenopticCamera, Round, Use, require_camera, require_support
 from ..detector import SHARP, DetectorOperator
 from ..errors import InputError, refuse_if, require_choice, require_flag, require_wavelength, suggest_keywords
 from ..extension import hook
@@ -121,7 +121,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
     ) -> None:
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
-        camera = _as_regular(camera)
+        camera = _as_regular(require_camera(camera))
         # An aperture that is not round is the power of every point's light over the pupil. The detector acts on sums.
         open_ = camera.replace(**NOT_ROUND, **SHARP)
         self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
