@@ -404,7 +404,7 @@ STEEPEST_CHIEF_RAY = 80.0
 def require_wavelength(value: Any, name: str = "wavelength") -> float:
     """Return a wavelength in nanometres, from 200 to 2500, as a float; other units are recognised."""
     wavelength = require_number(name, value, positive=True)
-    (low, high) = WAVELENGTHS
+    low, high = WAVELENGTHS
     if low <= wavelength <= high:
         return wavelength
     looks = [

@@ -249,7 +249,7 @@ class Apodised:
 
         def drawn(sample: Any) -> tuple[Any, Any]:
             radius = dr.sqrt(density.sample(sample[0]))
-            (sine, cosine) = dr.sincos(2 * math.pi * sample[1])
+            sine, cosine = dr.sincos(2 * math.pi * sample[1])
             return radius * cosine, radius * sine
 
         return drawn

@@ -81,7 +81,7 @@ class LensTransmissions(PlainData):
         """
         assert self.first is not None
         module = module_of(i)
-        (rows, columns) = self.values.shape
+        rows, columns = self.values.shape
         along = i + module.floor(j / 2) if lattice.stagger == 2 else i
         column = along - self.first[0]
         row = j - self.first[1]

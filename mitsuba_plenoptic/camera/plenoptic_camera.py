@@ -149,7 +149,7 @@ def require_whole(camera: CameraGeometry) -> None:
             f"mla_tilt = {camera.mla_tilt}: the array rises by {rise:.3g}: it touches detector or lens",
         )
     radius = np.linspace(0, reach, 64) ** 2
-    (k1, k2, k3) = camera.distortion[:3]
+    k1, k2, k3 = camera.distortion[:3]
     refuse_if(
         np.min(1 + radius * (3 * k1 + radius * (5 * k2 + radius * 7 * k3))) <= 0,
         f"distortion = {camera.distortion}: it folds the image within {reach:.3g} mm of the axis",
@@ -438,8 +438,8 @@ class PlenopticCamera(CameraGeometry, Displayed):
         require_choice("pixel_format", pixel_format, ("luminance", "luminance_alpha", "rgb", "rgba", "xyz", "xyza"))
         values = self.to_dict()
         columns, rows = values.pop("resolution")
-        (left, top) = values.pop("crop_offset")
-        (width, height) = values.pop("crop_size")
+        left, top = values.pop("crop_offset")
+        width, height = values.pop("crop_size")
         sensor: dict[str, Any] = {"type": "plenoptic"}
         for name, value in values.items():
             # Lenses and glasses are JSON, several values have commas between them.

@@ -1,7 +1,7 @@
 """Fields of light on their way through a camera, as chains of links with forward and adjoint.
 
 A chain leads a sampled field from plane to plane: from the exit pupil to the array and the detector, for scene points
-(`points.full_field`) and their coherent sums (extension `laser`); from the detector back to the array, the main lens
+(`points.full_fields`) and their coherent sums (extension `laser`); from the detector back to the array, the main lens
 and the object planes (`refocus.wave_methods`); or to the array alone (`refocus.lens_by_lens`). Each link is an element,
 such as the microlenses, and free space behind it. A field runs through all links in blocks of rows, in memory that the
 links share.
@@ -14,8 +14,8 @@ The files, from a field's samples to the camera that it crosses:
 - `links`: the chain and its links: `Hop` over free space to other samples, `Fresnel` by one transform, `Spectrum` to
   directions and `FromSpectrum` from them.
 - `watch`: powers that guards compare while a field streams by.
-- `microlenses`: the transmission of the array. `microlens_orders`: the same as a sum of diffraction orders, for grids
-  that can not hold the steepest. `lens_kinds`: lenses of irregular arrays that count as equal; figure errors.
+- `transmittance`: the transmission of the array. `microlens_orders`: the same as a sum of diffraction orders, for grids
+  that can not hold the steepest. `lens_kinds`: lenses of irregular arrays that count as equal.
 - `optical_system`: a camera at one wavelength. `accuracy`: the numbers that settle how exact all this is.
 
 `optics.waves` has the transfer function of free space, and `optics.waves.propagate`, the step of a whole field between

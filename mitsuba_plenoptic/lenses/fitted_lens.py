@@ -325,7 +325,7 @@ def lens_change(lens: FittedLens, name: str) -> LensChange:
     for side in moved:
         valid &= np.isfinite([*side.position, side.path, side.amplitude]).all(0) & np.isfinite(side.stops).all(0)
     rays = rays.take(valid)
-    (more, less) = [side.take(valid) for side in moved]
+    more, less = [side.take(valid) for side in moved]
     # All refer to the field and inverse distance of the point with respect to the unchanged lens.
     more, less = (replace(side, field=rays.field, inverse_distance=rays.inverse_distance) for side in (more, less))
     shift = (more.position - less.position) / (2 * step)

@@ -271,8 +271,8 @@ class LensSystem:
         path : array
             Optical path from the point to the MLA, in millimetres.
         """
-        (x, y, z) = tuple(value / self.scale for value in point)
-        (tx, ty) = slope
+        x, y, z = tuple(value / self.scale for value in point)
+        tx, ty = slope
         N = rsqrt(1 + tx * tx + ty * ty)
         # In the direction of the light z decreases, whereas the lens counts it in the opposite sense.
         start = (x, y, self.numbers.front_principal - z)

@@ -97,8 +97,8 @@ class Pupil:
         path : array
             Path from there to the position, less that from the pupil's centre, in millimetres.
         """
-        (sx, sy) = cosine
-        (x, y) = position
+        sx, sy = cosine
+        x, y = position
         R = self.distance
         if not self.finite:
             return (-R * sx, -R * sy), R + 0 * sx, sx * x + sy * y

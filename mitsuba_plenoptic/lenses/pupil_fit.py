@@ -169,7 +169,7 @@ class Pupils:
 
     def sphere_path(self, rays: PupilRays) -> NDArray[np.float64]:
         """Return the path of a perfect wave to the exit pupil, less the path to the pupil's centre, (n,)."""
-        (x, y) = rays.position
+        x, y = rays.position
         w = self.convergence(rays.inverse_distance)
         s = self.slope(rays.field)
         length = np.sqrt((x * w) ** 2 + (y * w - s) ** 2 + 1) + np.sqrt(s * s + 1)
@@ -352,8 +352,8 @@ class ExitPupil(LensLight):
         circle = np.array([scales.radius**2 / 2, scales.radius**2 / 2 + middle**2, -2 * shift / scales.mixed])
         stops.append(PupilPolynomial(scales, Degrees(2, 1, 0), (circle / radius**2).tolist(), along))
         # From the frame in which the point lies along y to that of the camera.
-        (u, v) = direction / scales.field if field else (0.0, 1.0)
-        (x, y) = rays.position[:, is_open]
+        u, v = direction / scales.field if field else (0.0, 1.0)
+        x, y = rays.position[:, is_open]
         places = np.column_stack([x * v + y * u, y * v - x * u])
         open_radius = float(np.hypot(x, y).max()) + radius / ACCURACY.single_rays
         slope = pupils.slope(direction).tolist()

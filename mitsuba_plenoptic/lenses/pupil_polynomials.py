@@ -163,8 +163,8 @@ class PupilPolynomial:
         return value, x, y
 
     def _invariants(self, pupil: Pair) -> tuple[Any, Any]:
-        (x, y) = pupil
-        (u, v) = self.field
+        x, y = pupil
+        u, v = self.field
         return self.scales.of_pupil(x * x + y * y), (x * u + y * v) * self.scales.mixed
 
 
@@ -186,8 +186,8 @@ class LensLight:
 
     def length(self, pupil: Pair) -> Any:
         """Return the path in mm to a position on the exit pupil, less a constant of the point."""
-        (x, y) = pupil
-        (sx, sy) = self.slope
+        x, y = pupil
+        sx, sy = self.slope
         w = self.convergence
         sphere = 2 * (x * sx + y * sy) - (x * x + y * y) * w
         return sphere / (self._secant(pupil) + safe_sqrt(sx * sx + sy * sy + 1)) + self.aberration.value(pupil)

@@ -146,8 +146,8 @@ def follow(
     path : array
         Optical path from the start point to the last surface.
     """
-    (x, y, z) = point
-    (L, M, N) = direction
+    x, y, z = point
+    L, M, N = direction
     is_open: Any = True
     path: Any = 0.0
     for surface in lens:

@@ -91,8 +91,8 @@ class TelecentricLens(ClosedLens):
 
     def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
         """Return the path in waves from a scene point to a point of the stop, less the path to the stop's centre."""
-        (x, y) = self._sines(pupil)
-        (X, Y, d) = point
+        x, y = self._sines(pupil)
+        X, Y, d = point
         n = self.objective.immersion
         # cos - 1 without cancellation
         drop = -(x * x + y * y) / (n * (1 + self._cosine(pupil)))
@@ -153,7 +153,7 @@ class TelecentricLens(ClosedLens):
         scale = 1 / (self.objective.immersion * self._cosine(pupil))
         x, y = self._sines(pupil)
         M = self.objective.magnification
-        (X, Y, d) = point
+        X, Y, d = point
         return -M * (X + d * x * scale), -M * (Y + d * y * scale)
 
 

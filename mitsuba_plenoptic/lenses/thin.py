@@ -174,7 +174,7 @@ class ThinLens(ClosedLens):
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Return the ray from a position on the MLA through a pupil point, which may lie on the edge up to rounding."""
-        (Px, Py) = pupil
+        Px, Py = pupil
         largest = self.pupil.radius * (1 + SINGLE)
         tx, ty = (self.pupil.slope(P, q) for P, q in zip(pupil, position, strict=True))
         return (Px, Py, 0.0), self.refract((tx, ty), pupil), Px * Px + Py * Py <= largest * largest
@@ -223,8 +223,8 @@ class ThinLens(ClosedLens):
         (Goodman, "Introduction to Fourier Optics", section 5.1). Behind an ideal lens all paths to the image X' are
         equal, which leaves :math:`(|X'| - |P - X'| + W(P)) / \lambda`. Both are computed without cancellation.
         """
-        (Px, Py) = pupil
-        (X, Y, g) = point
+        Px, Py = pupil
+        X, Y, g = point
         square = Px * Px + Py * Py
         if self.model == "ideal":
             # Slopes towards the image from the pupil's centre and from P, with the opposite sign.
@@ -245,7 +245,7 @@ class ThinLens(ClosedLens):
         Where light moves by slopes (see `mitsuba_plenoptic.optics.waves.transfer`), parabolas replace the spheres
         around points, and differ by tilts only. Tilts are left out.
         """
-        (Px, Py) = pupil
+        Px, Py = pupil
         scale = 1 / in_millimetres(wavelength)
         waves = (Px * Px + Py * Py) * (self.vergence(distance) * (-0.5 * scale))
         return waves if self.is_round else waves + self.aberration(pupil, wavelength)
@@ -353,8 +353,8 @@ class DistortedLens(ThinLens):
 
     def _distort(self, image: Pair) -> Pair:
         """Return the positions on the MLA of which `undistort` makes given ones."""
-        (x, y) = image
-        (u, v) = image
+        x, y = image
+        u, v = image
         # Each step multiplies the error by the derivative of the displacement, some per cent.
         for _ in range(ACCURACY.distortion_steps):
             moved = undistort(x, y, self.distortion)

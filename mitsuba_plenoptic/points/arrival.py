@@ -383,7 +383,7 @@ def stop_image_arrival(
 ) -> tuple[SampledField, Arrival]:
     """Return the light of `telecentric_arrival` for an array in the image of the stop."""
     types = active_backend().types
-    (columns, rows) = grids.count
+    columns, rows = grids.count
     scale = lens.pupil.stop_scale
     origin = grids.origin
     row, column = fft.rows_and_columns(types, rows, columns)

@@ -194,7 +194,7 @@ def _complex(values: Any) -> Any:
 def _irregular(system: OpticalSystem, grids: FieldGrids) -> fft.Field:
     """Return the transmission of an irregular array, without the directions that the grid would alias."""
     types = active_backend().types
-    (columns, rows) = grids.count
+    columns, rows = grids.count
     pitch = grids.pitch / _FINER
     shape = (_FINER * rows, _FINER * columns)
     check_memory(40.0 * math.prod(shape), f"irregular array of {columns} x {rows} samples")
@@ -220,7 +220,7 @@ def _irregular(system: OpticalSystem, grids: FieldGrids) -> fft.Field:
 def pixel_integrals(camera: PlenopticCamera, field: Rows, grids: FieldGrids) -> NDArray[np.float32]:
     """Return the intensity integrated over each recorded pixel, exactly for the band-limited field on finer samples."""
     arrays = active_backend().arrays
-    (height, width) = camera.shape
+    height, width = camera.shape
     rows = arrays.empty((2 * grids.count[1], width), np.float32)
     for block, samples in field:
         parts = samples.view(np.float32)

@@ -143,7 +143,7 @@ class PatchBatch:
     def _through_axes(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[slice, fft.Field]]:
         """Yield columns of the fields, spectra along x, behind microlenses that are a product of two axes."""
         count = stop - start
-        (along_x, along_y) = (factor[start:stop, None] for factor in self.parts[1:-1])
+        along_x, along_y = (factor[start:stop, None] for factor in self.parts[1:-1])
         rows = _to_array(self.pupil[start:stop], work.rows[:count])
         rows *= along_x
         rows = forward_along(rows, axis=2)
@@ -396,7 +396,7 @@ class FieldChain:
 
     def _from_detector(self, gradient: Any) -> fft.Field:
         """Return the adjoint of `_to_detector` applied to the field times a gradient."""
-        (count, size, _) = self.field.shape
+        count, size, _ = self.field.shape
         n = self._samples
         arrays = self._arrays
         columns = self._memory.take((count, size, n))

@@ -181,8 +181,8 @@ class PixelIntegrals:
 
     def cut(self, pixels: tuple[slice, slice], samples: tuple[slice, slice]) -> PixelIntegrals:
         """Return the integrals over some rows and columns of the pixels, from some rows and columns of the samples."""
-        (rows, columns) = pixels
-        (down, across) = samples
+        rows, columns = pixels
+        down, across = samples
         terms = [(along_y[rows, down], along_x[columns, across]) for along_y, along_x in self._terms]
         return PixelIntegrals(*self._axes, terms)
 

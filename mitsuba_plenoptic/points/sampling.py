@@ -127,7 +127,7 @@ def check_positions(
         # A point far within the focal length, such as one given in metres, has light that exceeds any memory.
         closest = points[np.abs(points[:, 2]).argmin()]
         depth = float(closest[2])
-        (image, width) = camera.image_samples
+        image, width = camera.image_samples
         blur = 2 * camera.aperture_radius * abs(1 + camera.mla_distance * (1 / depth - 1 / camera.focal_length))
         if abs(depth) < camera.focal_length and blur > _WIDEST * width:
             raise InputError(

@@ -36,7 +36,7 @@ class Windows:
 def part_of(table: fft.Field, starts: NDArray[np.int64], size: tuple[int, int]) -> fft.Field:
     """Return windows (n, rows, columns) of a table, with given first rows and columns (n, 2)."""
     libraries = backend_of(table)
-    (rows, columns) = size
+    rows, columns = size
     if len(starts) == 1:
         ((top, left),) = starts.tolist()
         return table[None, top : top + rows, left : left + columns]

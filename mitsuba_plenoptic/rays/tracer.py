@@ -96,8 +96,8 @@ class Walk:
         if self.lens.is_uniform:
             return pupil
         table = cast("RealLens", self.lens).round_map
-        (x, y) = pupil
-        (cx, cy) = centre
+        x, y = pupil
+        cx, cy = centre
         field = dr.sqrt(cx * cx + cy * cy)
         # The map is defined for fields along x.
         c = dr.select(field > 0, cx / field, 1)

@@ -78,7 +78,7 @@ class Integrals:
         start = lines.indices(self._shape[0])[0]
         for block in self._blocks(lines):
             mine = slice(block.start - start, block.stop - start)
-            (before, f) = self._places(block)
+            before, f = self._places(block)
             numbers, parts = self._padded(values[mine])
             flat = numbers.reshape(-1)
             row = arrays.arange(len(numbers))[:, None] * self._size
@@ -116,7 +116,7 @@ class Integrals:
         arrays = active_backend().arrays
         rows = arrays.empty((self._shape[0], self._size - 2 * _MARGIN))
         for block in self._blocks(slice(None)):
-            (before, f) = self._places(block)
+            before, f = self._places(block)
             mine = bins[block]
             total = arrays.pad(mine, ((0, 0), (0, 1))) - arrays.pad(mine, ((0, 0), (1, 0)))
             first = before + arrays.arange(len(mine))[:, None] * self._size

@@ -125,7 +125,7 @@ def rising(
     height = max(1, _BLOCK // len(px))
     for distance, axis in itertools.product(distances, (0, 1)):
         image = np.empty_like(white)
-        (slope, farthest, of_pupil) = tilt(camera, distance)
+        slope, farthest, of_pupil = tilt(camera, distance)
         for first in range(0, len(py), height):
             rows = slice(first, first + height)
             p = px, py[rows, None]

@@ -295,7 +295,7 @@ class LensSet:
     def to_array(self, which: np.ndarray) -> Step:
         """Return the step from the pixels around some lenses to samples on the array, which hold their windows."""
         tile = self.tile
-        (first, end) = self.pixels(which)
+        first, end = self.pixels(which)
         low = first.min(0) + tile.camera.crop_offset
         high = end.max(0) + tile.camera.crop_offset
         across, down = (
@@ -315,8 +315,8 @@ class LensSet:
         space = FreeSpace(camera.detector_distance, camera.medium_wavelength(tile.wavelength), is_paraxial(camera))
         hop = Hop(step, space, converging(step, camera, tile.wavelength))
         first, end = self.pixels(which)
-        (left, top) = first.min(0).tolist()
-        (right, bottom) = end.max(0).tolist()
+        left, top = first.min(0).tolist()
+        right, bottom = end.max(0).tolist()
         with retained_workspace([step]) as workspace, fft.resting_drjit():
             pixels = workspace.repeated(amplitude[top:bottom, left:right], tile.subsamples)
             return workspace.whole(hop.forward(pixels, workspace), step.shape), step
@@ -397,7 +397,7 @@ def pupil_fields(light: fft.Field, tile: LensTile, batch: LensBatch, *, relay: b
     They start from a field on the array; complex64 (n, pupil, pupil). The microlenses act with `relay` only.
     """
     arrays = active_backend().arrays
-    (x, y) = batch.offset
+    x, y = batch.offset
     cell = light[arrays.asarray(batch.rows)[:, :, None], arrays.asarray(batch.columns)[:, None, :]]
     inset = tile.camera.lattice.aperture_inset(x[:, None, :], y[:, :, None])
     cell *= arrays.asarray(soft_edge(inset / tile.pitch).astype(np.float32))

@@ -140,7 +140,7 @@ def axis_bins(low: np.ndarray, high: np.ndarray, pupil: np.ndarray, count: int, 
 def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
     """Return an image's sums over the bins of both axes, within the pupil."""
     types = array_module()
-    (rows, columns, channels) = image.shape
+    rows, columns, channels = image.shape
     across = x.weights.shape[0]
     down = y.weights.shape[0]
     if not (x.weights.nnz and y.weights.nnz):

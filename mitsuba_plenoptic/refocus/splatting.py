@@ -81,7 +81,7 @@ class Splat:
     def forward(self, image: np.ndarray) -> np.ndarray:
         """Return an image's pixels (rows, columns, channels) summed by bin; float64, like the image."""
         values = image.reshape(-1, image.shape[2])[self.pixel]
-        (down, across) = self.size
+        down, across = self.size
         margin = self.margin
         total = np.zeros((image.shape[2], down + 2 * margin, across + 2 * margin))
         for mine, taps in self._types():
@@ -95,7 +95,7 @@ class Splat:
     def vjp(self, bins: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
         """Return the transpose of `forward`: float64 pixels (rows, columns, channels)."""
         margin = self.margin
-        (down, across) = self.size
+        down, across = self.size
         padded = np.pad(np.asarray(bins, np.float64), ((2 * margin,) * 2, (2 * margin,) * 2, (0, 0)))
         result = np.zeros((shape[0] * shape[1], bins.shape[2]))
         for mine, taps in self._types():

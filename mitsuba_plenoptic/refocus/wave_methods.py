@@ -444,8 +444,8 @@ class _Pupil:
 
     def __init__(self, axes: tuple[LensAxis, LensAxis], radius: float) -> None:
         arrays = active_backend().arrays
-        (across, along) = (axis.pitch for axis in axes)
-        (x, y) = (axis.samples for axis in axes)
+        across, along = (axis.pitch for axis in axes)
+        x, y = (axis.samples for axis in axes)
         outer, inner = (
             np.sqrt(np.maximum((radius + side * math.hypot(across, along)) ** 2 - x**2, 0)) for side in (0.5, -0.5)
         )

@@ -240,7 +240,7 @@ def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> 
         radius = np.linspace(-1, 1, 65) * described.semi_aperture
         profiles.append((vertex - lens.scale * height(surface, radius**2), lens.scale * radius))
     for index, described in enumerate(lens.prescription.surfaces):
-        (z, y) = profiles[index]
+        z, y = profiles[index]
         stop = index == lens.prescription.stop
         if described.glass is not None:
             behind, below = profiles[index + 1]

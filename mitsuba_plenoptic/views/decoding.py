@@ -91,7 +91,7 @@ def decode(
         bins = _upright(grid)
     half, alone = view_window(camera, lenses)
     views = 2 * half + 1
-    (height, width, channels) = image.shape
+    height, width, channels = image.shape
     # Light and white, each as sampled and in the order of the light field; and the images.
     samples = (math.prod(bins.shape) + math.prod(lenses.shape)) * views**2 * (channels + 1)
     require_memory(

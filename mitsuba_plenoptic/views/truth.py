@@ -191,7 +191,7 @@ def _rays_of_views(
     regular = camera.regular
     bins = bin_grid(regular)
     half, _ = view_window(regular, lens_grid(regular))
-    (rows, columns) = bins.shape
+    rows, columns = bins.shape
     views = 2 * half + 1
     pupil = drjit_array(mi.Float, pupil_places(camera, views))
     across, down = (drjit_array(mi.Float, lens_places(regular, bins, axis)) for axis in (0, 1))

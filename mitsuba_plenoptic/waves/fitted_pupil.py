@@ -175,7 +175,7 @@ class FittedPupil:
     @cached_property
     def _spectra(self) -> NDArray[np.complex128]:
         """Spectra (functions, rows, columns) at `_frequencies` of the kernels after the first, by least squares."""
-        (density, shares) = self._drawn
+        density, shares = self._drawn
         x = along(_SAMPLES)
         u, v = self._boxed((x + 0 * x[:, None]).ravel(), (x[:, None] + 0 * x).ravel())
         values = self.functions.values(u, v, shares.reshape(len(shares), -1))

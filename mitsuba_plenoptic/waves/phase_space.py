@@ -478,8 +478,8 @@ class RayCoefficients:
         """
         plan = self.plan
         lattice = plan.lattice
-        (u, v) = lattice.to_frame(*point)
-        (Pu, Pv) = lattice.to_frame(*pupil)
+        u, v = lattice.to_frame(*point)
+        Pu, Pv = lattice.to_frame(*pupil)
         distance, radial = self._nodes.along(Pu, Pv, jitter[0])
         active = active & (distance <= 1)
         # The table covers a quarter of the pupil; the symmetry of the lenses gives the others.

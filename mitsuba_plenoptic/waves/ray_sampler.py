@@ -248,8 +248,8 @@ class LensSampler(DetectorGrid):
             x, y = (P / self._camera.pupil_radius for P in samples.round_pupil)
             factor = factor * self._camera.pupil_power((x, y), ray.m)
         # The path behind the lens starts within its aperture.
-        (u, v) = lattice.to_frame(*samples.lens_point)
-        (across, up) = lattice.aperture_widths
+        u, v = lattice.to_frame(*samples.lens_point)
+        across, up = lattice.aperture_widths
         x, y = lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
         aside = dr.hypot(x - (ray.p[0] - lens.centre[0]), y - (ray.p[1] - lens.centre[1]))
         return self._response(aside, self._camera.detector_distance + lens.height) * factor
@@ -283,10 +283,10 @@ class LensSampler(DetectorGrid):
     def draw(self, pixels: Pixels, pixel: Any, ray_index: Any, cell: Any, seed: Any) -> RaySamples:
         """Return rays drawn for pixels; rays of even and of odd numbers are independent.
 
-        For each ray, `pixel` is the index of its pixel among the pixels, `number` its own in the pixel, and `cell` that
-        of its cell in the pixel.
+        For each ray, `pixel` is the index of its pixel, `ray_index` its index among the rays of the pixel, and `cell`
+        the index of its cell in the pixel.
         """
-        (lenses, index) = self._cells(self.lenses(pixels).at(pixel), pixel, cell)
+        lenses, index = self._cells(self.lenses(pixels).at(pixel), pixel, cell)
         lattice = self._camera.lattice
         lane = dr.gather(mi.UInt32, pixels.number, pixel)
         random = low_discrepancy(lane, seed ^ ((ray_index & 1) << 3), ray_index >> 1, 4)
@@ -301,7 +301,7 @@ class LensSampler(DetectorGrid):
             low = mi.UInt32(energy)
             ends = (dr.gather(mi.Float, self._airy, step) for step in (low, low + 1))
             radius = dr.lerp(*ends, energy - low)
-            (sine, cosine) = dr.sincos(2 * math.pi * second)
+            sine, cosine = dr.sincos(2 * math.pi * second)
             point = lattice.aperture_point(*random[:2])
             aside = (radius * cosine, radius * sine)
             weight = dr.ones(mi.Float, dr.width(ray_index))

@@ -137,7 +137,7 @@ class CameraSum(SignedRaySum):
         table = self._coefficients[node_index]
         assert isinstance(table, RayCoefficients)  # others are refused
         values = table(*ray)
-        (by_u, by_v) = table.slopes(*ray)
+        by_u, by_v = table.slopes(*ray)
         by_width = self._by_width[node_index](*ray)
         change = [
             a * measure + u * du + v * dv + q * width for a, u, v, q in zip(values, by_u, by_v, by_width, strict=True)

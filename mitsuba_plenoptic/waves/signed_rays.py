@@ -458,7 +458,7 @@ class SignedRaySum:
         counted = dr.select(samples.ray.valid, mi.Float(1), 0)
         means: list[CellMeans | None] = [None for _ in self._nodes]
         for group in range(len(self._groups)) if only is None else [only]:
-            (walk, nodes) = self._groups[group]
+            walk, nodes = self._groups[group]
             colours = batch.wavelengths[group]
             # The radiance along the rays, as far as the pixels receive it.
             radiance = [light * power for light in self._light(*self._scene_rays(walk, samples, colours, batch.seed))]

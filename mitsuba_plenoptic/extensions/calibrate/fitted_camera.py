@@ -24,8 +24,8 @@ def fitted_camera(
 ) -> PlenopticCamera:
     """Return the camera with the array, pupil, blur, stray light and brightness of lenses that a fit found.
 
-    `place` (n, 2) are places of micro-images in pixels, `lens` (n, 2) their indices along and across the rows, see
-    `array_fit.lattice_index`, and `light` (n,) the light in their middle.
+    `position` (n, 2) are the positions of micro-images in pixels, `lens` (n, 2) their indices along and across the
+    rows, see `array_fit.lattice_index`, and `light` (n,) the light in their middle.
     """
     shrunk = camera.pixel_size / camera.image_growth
     # The widest pupil, which the vignetting of other places makes narrower.

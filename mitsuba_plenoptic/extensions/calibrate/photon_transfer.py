@@ -155,8 +155,8 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
     alike = _Spread.of(black[:1], bad) if len(bright) == 1 else darkness
 
     def estimate(light: _Spread, choice: NDArray[np.int64] | slice = slice(None)) -> tuple[float, float, float]:
-        (mean, variance) = light.of_blocks(choice)
-        (_, least) = alike.of_blocks(choice)
+        mean, variance = light.of_blocks(choice)
+        _, least = alike.of_blocks(choice)
         dark_mean, dark_variance = darkness.of_blocks(choice)
         gain = (variance - least) / mean
         return gain, math.sqrt(max(dark_variance - _ROUNDING, 0)) / gain, dark_mean
@@ -193,8 +193,8 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
         )
         light, *later_orders = spreads()
         break
-    (mean, variance) = light.of_blocks()
-    (_, least) = alike.of_blocks()
+    mean, variance = light.of_blocks()
+    _, least = alike.of_blocks()
     refuse_if(
         mean <= noise or variance <= least,
         f"white: its mean is {mean + level:.4g} and its variance {variance:.4g}, those of the dark picture are "

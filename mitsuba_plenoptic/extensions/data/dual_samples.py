@@ -77,8 +77,8 @@ def _stopped_down(camera: PlenopticCamera) -> PlenopticCamera:
     """
     b = camera.pupil_distance
     index = _lens_indices(camera)
-    (x, y) = camera.lattice.regular.centre(*index)
-    (right, up) = camera.lattice.centre(*index)
+    x, y = camera.lattice.regular.centre(*index)
+    right, up = camera.lattice.centre(*index)
     pitch = camera.mla_pitch * float((x * right + y * up).sum() / (x * x + y * y).sum())
     # Micro-images are then 0.95 of the pitch wide.
     z = 0.95 * pitch * b * _STOPPED / (2 * camera.pupil_radius)

@@ -143,7 +143,7 @@ class BinCells:
     def split(self, samples: NDArray[np.float32], box: Box, cells: CellSet) -> NDArray[np.float32]:
         """Return the samples of a box divided into cells; samples beyond the box are zero."""
         arrays = backend_of(samples).arrays
-        (width, height) = self.size
+        width, height = self.size
         result: NDArray[np.float32] = arrays.zeros((len(cells), height, width), np.float32)
         for cell_index, region, inside, position in self._strips(box, cells):
             strip = samples[position]
@@ -211,8 +211,8 @@ class UprightBins:
         is corrected.
         """
         pitch = camera.mla_pitch / oversample
-        (across, down) = cells.bins
-        (width, height) = cells.bin_sizes
+        across, down = cells.bins
+        width, height = cells.bin_sizes
         middle = np.array(camera.bin_count) * oversample / 2
 
         def stretched(x: Any, y: Any) -> NDArray[np.float64]:

@@ -104,7 +104,7 @@ class FourierResponse(StoredResponse):
     def forward(self, values: NDArray[np.float32], /) -> NDArray[np.float32]:
         """Return the image that the detector records of planes."""
         libraries = active_backend()
-        (rows, columns) = self._size
+        rows, columns = self._size
         total = libraries.arrays.zeros((rows, columns // 2 + 1), np.complex64)
         with fft.resting_drjit():
             for radiance, spectra in zip(self.planes_of(values), self._spectra, strict=True):
@@ -139,7 +139,7 @@ class FourierResponse(StoredResponse):
     def _spectrum(self, samples: NDArray[np.float32]) -> Any:
         """Return the spectrum of samples that lie in the first corner of the convolutions' period."""
         arrays = active_backend().arrays
-        (rows, columns) = self._size
+        rows, columns = self._size
         wide = arrays.zeros((len(samples), columns), np.float32)
         wide[:, : samples.shape[1]] = arrays.asarray(samples)
         spectrum = arrays.zeros((rows, columns // 2 + 1), np.complex64)

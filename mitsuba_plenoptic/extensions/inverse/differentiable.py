@@ -252,8 +252,8 @@ class CoherentRefocus:
         self._wavelength = wavelength
         self._oversample = oversample * fine
         self._spread = LensSpread(camera, oversample, fine, lens_scale(camera, distance)) if fine > 1 else None
-        (left, top) = camera.crop_offset
-        (columns, rows) = camera.crop_size
+        left, top = camera.crop_offset
+        columns, rows = camera.crop_size
         window = (left, left + columns), (top, top + rows)
         grids = planning.plan(camera, wavelength, [distance], window, self._oversample)
         planning.require_feasible(grids)

@@ -258,7 +258,7 @@ class _Bundles:
             cu, cv = lattice.unit_centre(i, j)
             return u - cu, (v - cv) * lattice.row_ratio
 
-        (x, y) = away(*cell)
+        x, y = away(*cell)
         found = []
         for step in plain.neighbours(_REACH * max(plain.pitches)).tolist():
             lens = cell[0] + step[0], cell[1] + step[1]

@@ -66,7 +66,7 @@ class PatchSpreads(PatchPlan):
             for pattern, sums in zip(members_of.tolist(), spread.sums, strict=True):
                 arrived += float(sums.sum(dtype=np.float64)) * int(members[pattern]) / self.gain
                 for points, shift, recorder in self._recorded(pattern):
-                    (dx, dy) = shift.tolist()
+                    dx, dy = shift.tolist()
                     box = recorder.box
                     samples: Any = active_backend().arrays.zeros((1, box.rows, box.columns), np.float32)
                     moved = replace(spread.box, left=spread.box.left + dx, top=spread.box.top + dy)

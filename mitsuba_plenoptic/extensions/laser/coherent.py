@@ -1,7 +1,7 @@
 """The complex field of many mutually coherent points in the planes of the camera, and the adjoint.
 
 The field on the pupil is a sum over layers of distance (see `pupil_sums`). It propagates through the camera by the
-same chain as a single point's field (see `points.full_field`), and so does the adjoint back.
+same chain as a single point's field (see `points.full_fields`), and so does the adjoint back.
 """
 
 from __future__ import annotations

@@ -234,7 +234,7 @@ class ResponseSum:
         size = self._across**2
         around = grid.within(tables.margin)
         lens = dr.arange(mi.UInt32, grid.rows * grid.columns)
-        (index, _) = grid.lenses()
+        index, _ = grid.lenses()
         line = dr.opaque(mi.UInt32, around.columns)
 
         def at(lens: Any, cell: Pair) -> Any:
