@@ -18,9 +18,6 @@ from .micro_image import NUMBERS, MicroImageModel, PupilNumbers
 from .white_frames import WhiteFrame
 
 Show = Callable[[int, int], None]
-_STEPS = dict.fromkeys(NUMBERS, 0.01) | {"stray": 0.001, "ellipse_x": 0.002, "ellipse_y": 0.002}
-"""Steps of differences that give derivatives."""
-
 ZONE_LENSES = 24
 """Lenses of a zone that a fit uses."""
 
@@ -93,49 +90,45 @@ def solved(equations: np.ndarray, damping: float = 0.0) -> np.ndarray:
     return np.asarray(np.linalg.solve(normal, equations[:, -1] / scale) / scale)
 
 
-class FieldZones:
-    """Squares of the field, each with lenses of a picture."""
-
-    def __init__(
-        self, position: np.ndarray, chosen: np.ndarray, most: int = 0, generator: np.random.Generator | None = None
-    ) -> None:
-        """Divide chosen lenses at places (n, 2), and keep at most a number of each zone, drawn at random."""
-        low = position[chosen].min(0)
-        width = np.ptp(position[chosen], axis=0).max()
-        count = int(np.clip(np.sqrt(chosen.sum() / ZONE_LENSES), 1, 8))
-        index = ((position - low) / width * count).astype(int).clip(0, count - 1) @ [1, count]
-        self.lenses: list[np.ndarray] = []
-        for zone in np.unique(index[chosen]):
-            lenses = np.flatnonzero(chosen & (index == zone))
-            if generator is not None and len(lenses) > most:
-                lenses = generator.choice(lenses, most, replace=False)
-            self.lenses.append(lenses)
+def zones_of(
+    position: np.ndarray, chosen: np.ndarray, most: int = 0, generator: np.random.Generator | None = None
+) -> list[np.ndarray]:
+    """Return chosen lenses at places (n, 2) by squares of the field, at most a number of each, drawn at random."""
+    low = position[chosen].min(0)
+    width = np.ptp(position[chosen], axis=0).max()
+    count = int(np.clip(np.sqrt(chosen.sum() / ZONE_LENSES), 1, 8))
+    index = ((position - low) / width * count).astype(int).clip(0, count - 1) @ [1, count]
+    zones = [np.flatnonzero(chosen & (index == zone)) for zone in np.unique(index[chosen])]
+    if generator is None:
+        return zones
+    return [generator.choice(lenses, most, replace=False) if len(lenses) > most else lenses for lenses in zones]
 
 
 @dataclass(frozen=True)
 class LensPixels:
-    """Pixels (lenses, pixels) of lenses, each at the lens whose cell the pixel is in, beside the model."""
+    """Pixels (n,) of lenses, lens by lens, each at the lens whose cell the pixel is in, beside the model."""
 
+    # Number of each lens's first pixel, and of all, (lenses + 1,).
+    first: np.ndarray
     # Offsets in pixels from the image of the lens's place.
     x: np.ndarray
     y: np.ndarray
-    # 0 for pixels of other lenses, saturated, dead, and of dust, which lie off the model.
+    # 0 for pixels that lie off the model, as of dust.
     weight: np.ndarray
     # Recorded value over the model's, (lenses,).
     brightness: np.ndarray
     # Recorded values over the brightness, less the model.
     residual: np.ndarray
-    # Derivatives (numbers, lenses, pixels) by the numbers, less what a change of brightness explains.
+    # Derivatives (n, numbers) by the numbers, less what a change of brightness explains.
     slopes: np.ndarray
-    # Number of pixels that lie off the model.
-    dust: int
 
     def equations(self, terms: np.ndarray, number_index: np.ndarray) -> np.ndarray:
         """Return each lens's normal equations (lenses, n, n + 1) for coefficients with terms (lenses, n)."""
-        root = np.sqrt(self.weight)
-        design = (self.slopes * root)[number_index].transpose(1, 0, 2) * terms[:, :, None]
-        sides = design @ (root * self.residual)[:, :, None]
-        return np.concatenate([design @ design.transpose(0, 2, 1), sides], axis=2)
+        root = np.sqrt(self.weight)[:, None]
+        design = np.concatenate([self.slopes * root, self.residual[:, None] * root], axis=1)
+        products = np.stack([some.T @ some for some in np.split(design, self.first[1:-1])])
+        normal = products[:, number_index[:, None], number_index] * (terms[:, :, None] * terms[:, None, :])
+        return np.concatenate([normal, (products[:, number_index, -1] * terms)[:, :, None]], axis=2)
 
 
 @dataclass(frozen=True)
@@ -184,7 +177,10 @@ class WhiteRecording:
     model: MicroImageModel
 
     def pixels(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return values, offsets x and y, and weights (lenses, pixels) of pixels about places (lenses, 2)."""
+        """Return numbers of lenses' first pixels (lenses + 1,), and values and offsets x and y of good pixels (n,).
+
+        Places are (lenses, 2).
+        """
         camera = self.camera
         image = self.frame.light
         to_array = camera.pixel_size / camera.image_growth
@@ -192,42 +188,45 @@ class WhiteRecording:
         window = np.arange(-half, half + 1)
         base = np.rint(position).astype(int)
         column, row = np.broadcast_arrays(base[:, 0, None, None] + window, base[:, 1, None, None] + window[:, None])
-        x = column - position[:, 0, None, None]
-        y = row - position[:, 1, None, None]
+        rows, columns = image.shape
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        inside[inside] = self.frame.good[row[inside], column[inside]]
+        lens = np.nonzero(inside)[0]
+        column = column[inside]
+        row = row[inside]
+        x = column - position[lens, 0]
+        y = row - position[lens, 1]
         middle = camera.lattice.centre(0.0, 0.0)
         i, j = camera.lattice.cell(x * to_array + middle[0], y * to_array + middle[1])
-        rows, columns = image.shape
-        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows) & (np.rint(i) == 0) & (np.rint(j) == 0)
-        column = column.clip(0, columns - 1)
-        row = row.clip(0, rows - 1)
-        weight = (inside & self.frame.good[row, column]).astype(np.float64)
-        flat = len(position), -1
-        return image[row, column].reshape(flat), x.reshape(flat), y.reshape(flat), weight.reshape(flat)
+        near = (np.rint(i) == 0) & (np.rint(j) == 0)
+        first = np.searchsorted(lens[near], np.arange(len(position) + 1))
+        return first, image[row[near], column[near]], x[near], y[near]
 
     def beside(self, position: np.ndarray, field: FieldNumbers) -> LensPixels:
         """Return the pixels of a zone's lenses at places (n, 2) beside the model."""
-        value, x, y, good = self.pixels(position)
+        first, value, x, y = self.pixels(position)
+        count = np.diff(first)
+        lens = np.repeat(np.arange(len(position)), count)
         at_lens = field.values(position)
         at_zone = field.values(position.mean(0)[None])[0]
-        samples = self.model.samples(PupilNumbers(*at_zone))
-        image = self.model.at(samples, x, y)
-        slopes = np.empty((len(NUMBERS), *image.shape))
-        for index, name in enumerate(NUMBERS):
-            moved = at_zone.copy()
-            moved[index] += _STEPS[name]
-            slopes[index] = self.model.at(self.model.samples(PupilNumbers(*moved)) - samples, x, y) / _STEPS[name]
-        image += np.einsum("nlp,ln->lp", slopes, at_lens - at_zone)
-        weight = good
+        numbers = PupilNumbers(*at_zone)
+        models = np.stack([self.model.samples(numbers), *self.model.slopes(numbers)], axis=-1)
+        models = self.model.splines(x, y) @ models.reshape(-1, models.shape[-1])
+        slopes = models[:, 1:]
+        image = models[:, 0] + (slopes * (at_lens - at_zone)[lens]).sum(1)
+        weight = np.ones(len(value))
         for _ in range(2):
-            power = np.maximum((weight * image * image).sum(1), 1e-9)
-            brightness = (weight * image * value).sum(1) / power
-            residual = value / np.maximum(brightness, 1e-9)[:, None] - image
+            power = np.maximum(np.bincount(lens, weight * image * image, len(position)), 1e-9)
+            brightness = np.bincount(lens, weight * image * value, len(position)) / power
+            residual = value / np.maximum(brightness, 1e-9)[lens] - image
             spread = max(1.4826 * float(np.median(np.abs(residual[weight > 0]))), 0.005)
-            weight = good * (np.abs(residual) < 6.0 * spread)
-        slopes -= (np.einsum("nlp,lp->nl", slopes, weight * image) / power)[:, :, None] * image
-        return LensPixels(x, y, weight, brightness, residual, slopes, int((good - weight).sum()))
+            weight = (np.abs(residual) < 6.0 * spread).astype(np.float64)
+        weighted = (weight * image)[:, None] * slopes
+        explained = np.stack([some.sum(0) for some in np.split(weighted, first[1:-1])]) / power[:, None]
+        slopes = slopes - explained[lens] * image[:, None]
+        return LensPixels(first, x, y, weight, brightness, residual, slopes)
 
-    def fit(self, position: np.ndarray, zones: FieldZones, field: FieldNumbers, show: Show) -> np.ndarray:
+    def fit(self, position: np.ndarray, zones: list[np.ndarray], field: FieldNumbers, show: Show) -> np.ndarray:
         """Fit the polynomials to the lenses of zones; return normal equations (lenses, n, n + 1) of each lens."""
         best = np.inf
         damping = 0.0
@@ -237,8 +236,8 @@ class WhiteRecording:
             normals = []
             square = 0.0
             count = 0.0
-            for zone, lenses in enumerate(zones.lenses):
-                show(repeat * len(zones.lenses) + zone, _REPEATS * len(zones.lenses))
+            for zone, lenses in enumerate(zones):
+                show(repeat * len(zones) + zone, _REPEATS * len(zones))
                 pixels = self.beside(position[lenses], field)
                 normals.append(pixels.equations(field.terms(position[lenses]), field.number))
                 square += float((pixels.weight * pixels.residual**2).sum())
@@ -259,7 +258,7 @@ class WhiteRecording:
         show(1, 1)
         return equations
 
-    def judged(self, position: np.ndarray, zones: FieldZones, field: FieldNumbers, show: Show) -> Judgement:
+    def judged(self, position: np.ndarray, zones: list[np.ndarray], field: FieldNumbers, show: Show) -> Judgement:
         """Return how well zones' lenses at places (n, 2) agree with the model."""
         moved = np.full(position.shape, np.nan)
         brightness = np.full(len(position), np.nan)
@@ -271,23 +270,23 @@ class WhiteRecording:
         common = 0.0
         dust = 0
         centres = [NUMBERS.index(name) for name in ("centre_x", "centre_y")]
-        for zone, lenses in enumerate(zones.lenses):
-            show(zone, len(zones.lenses))
+        for zone, lenses in enumerate(zones):
+            show(zone, len(zones))
             pixels = self.beside(position[lenses], field)
             normals = pixels.equations(np.ones((len(lenses), 2)), np.array(centres))
             shift = np.linalg.solve(normals[:, :, :2] + 1e-9 * np.eye(2), normals[:, :, 2:])[..., 0]
             moved[lenses] = position[lenses] + field.values(position[lenses])[:, centres] + shift
             brightness[lenses] = pixels.brightness
-            dust += pixels.dust
             counts = pixels.weight > 0
+            dust += int((~counts).sum())
             column, row = (np.rint(_BINS * offsets[counts]).astype(int) + half for offsets in (pixels.x, pixels.y))
             residual = pixels.residual[counts]
             count, total, square = (
                 np.bincount(row * side + column, residual**power, minlength=side * side) for power in (0.0, 1.0, 2.0)
             )
             squares += float(square.sum())
-            pairs = counts[:, 1:] & counts[:, :-1]
-            shared += np.array([(pixels.residual[:, 1:] * pixels.residual[:, :-1])[pairs].sum(), pairs.sum()])
+            pairs = counts[1:] & counts[:-1] & (np.abs(np.diff(pixels.x) - 1) < 1e-6) & (np.diff(pixels.y) == 0)
+            shared += np.array([(pixels.residual[1:] * pixels.residual[:-1])[pairs].sum(), pairs.sum()])
             totals += count, total
             # The mean's square less its expectation for residuals that are independent.
             repeated = count > 1

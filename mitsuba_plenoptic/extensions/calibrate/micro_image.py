@@ -10,11 +10,12 @@ interference, which cancels in white light.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import scipy.fft
-from scipy.ndimage import map_coordinates, spline_filter
+from scipy.ndimage import map_coordinates
+from scipy.sparse import csr_array
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
@@ -65,6 +66,9 @@ class PupilNumbers:
 
 NUMBERS = tuple(field.name for field in fields(PupilNumbers))
 
+_STEPS = {"stray": 0.001, "ellipse_x": 0.002, "ellipse_y": 0.002}
+"""Steps of differences that give derivatives, where they are not 0.01."""
+
 
 class MicroImageModel:
     """Micro-images of an even white scene under a camera's lenses, sampled about the image of a lens's centre.
@@ -89,17 +93,22 @@ class MicroImageModel:
         require_memory(200.0 * count**2, f"model of micro-images of {count} x {count} samples")
         self._step = step
         self._count = count
-        axis = (np.arange(count) - count // 2) * step
-        self._x, self._y = np.meshgrid(axis, axis)
-        self._fx, self._fy = np.meshgrid(scipy.fft.rfftfreq(count, step), scipy.fft.fftfreq(count, step))
+        fx, fy = np.meshgrid(scipy.fft.rfftfreq(count, step), scipy.fft.fftfreq(count, step))
+        self._f2 = fx * fx + fy * fy
         vectors = np.array(camera.lattice.basis) * (camera.image_growth / camera.pixel_size)
         i, j = (index.ravel() for index in np.mgrid[-2:3, -2:3])
         near = i[:, None] * vectors[0] + j[:, None] * vectors[1]
         near = near[np.hypot(*near.T) < 1.6 * np.hypot(*vectors.T).max()]
         # Micro-images of neighbours in the window, moved by the theorem of displacement.
-        neighbours = sum(np.exp(-2j * np.pi * (self._fx * x + self._fy * y)) for x, y in near)
-        lens = _wave_transfer(camera, wavelength, self._fx, self._fy) if wavelength else self._ray_transfer(camera)
-        self._transfer = lens * neighbours * np.sinc(self._fx) * np.sinc(self._fy)
+        neighbours = sum(np.exp(-2j * np.pi * (fx * x + fy * y)) for x, y in near)
+        lens = _wave_transfer(camera, wavelength, fx, fy) if wavelength else self._ray_transfer(camera)
+        # Pupils are drawn in the middle two of three pitches.
+        half = count // 3
+        self._axis = np.arange(-half, half + 1) * step
+        drawn_at = np.exp(-2j * np.pi * (fx + fy) * step * (count // 2 - half))
+        # Coefficients of cubic splines from their values (M. Unser 1999, "Splines").
+        spline = 9 / (2 + np.cos(2 * np.pi * fx * step)) / (2 + np.cos(2 * np.pi * fy * step))
+        self._transfer = lens * neighbours * np.sinc(fx) * np.sinc(fy) * drawn_at * spline
         self.reach = np.floor(count * step / 2) - 1
 
     def _ray_transfer(self, camera: PlenopticCamera) -> np.ndarray:
@@ -113,24 +122,68 @@ class MicroImageModel:
         return scipy.fft.rfft2(np.roll(padded, (-(size // 2), -(size // 2)), (0, 1)))
 
     def samples(self, numbers: PupilNumbers) -> np.ndarray:
-        """Return the prefiltered samples, for `at`, of a micro-image that is 1 in the middle of an even pupil."""
-        n = numbers
-        x = self._x - n.centre_x
-        y = self._y - n.centre_y
+        """Return the spline coefficients, for `at`, of a micro-image that is 1 in the middle of an even pupil."""
+        return self._image(self._pupil(numbers), self._blur(numbers)) + numbers.stray
+
+    def slopes(self, numbers: PupilNumbers) -> np.ndarray:
+        """Return the derivatives of `samples` by each of `NUMBERS`, as quotients of differences."""
+        pupil = self._pupil(numbers)
+        blur = self._blur(numbers)
+        slopes = np.empty((len(NUMBERS), self._count, self._count))
+        for name, slope in zip(NUMBERS, slopes, strict=True):
+            step = _STEPS.get(name, 0.01)
+            moved = replace(numbers, **{name: getattr(numbers, name) + step})
+            if name == "stray":
+                slope[:] = 1.0
+            elif name == "blur":
+                slope[:] = self._image(pupil, (self._blur(moved) - blur) / step)
+            else:
+                slope[:] = self._image((self._pupil(moved) - pupil) / step, blur)
+        return slopes
+
+    def _pupil(self, n: PupilNumbers) -> np.ndarray:
+        """Return the pupil's transmission in the window's middle."""
+        x = self._axis - n.centre_x
+        y = self._axis[:, None] - n.centre_y
         u = ((1 - n.ellipse_x) * x - n.ellipse_y * y) / n.radius
         v = ((1 + n.ellipse_x) * y - n.ellipse_y * x) / n.radius
         r2 = u * u + v * v
         inside = ((1 - np.sqrt(r2)) * (n.radius / self._step) + 0.5).clip(0, 1)
-        pupil = inside * (1 + n.slope_x * u + n.slope_y * v + n.apodisation_2 * r2 + n.apodisation_4 * r2 * r2).clip(0)
-        blur = np.exp(-2 * (np.pi * n.blur) ** 2 * (self._fx**2 + self._fy**2))
-        image = scipy.fft.irfft2(scipy.fft.rfft2(pupil) * self._transfer * blur, pupil.shape, overwrite_x=True)
-        return np.asarray(spline_filter(image + n.stray, mode="grid-wrap"))
+        return inside * (1 + n.slope_x * u + n.slope_y * v + r2 * (n.apodisation_2 + n.apodisation_4 * r2)).clip(0)
+
+    def _blur(self, n: PupilNumbers) -> np.ndarray:
+        """Return the transfer of the blur."""
+        return np.exp(-2 * (np.pi * n.blur) ** 2 * self._f2)
+
+    def _image(self, pupil: np.ndarray, blur: np.ndarray) -> np.ndarray:
+        """Return the spline coefficients of the image of a pupil's transmission in the window's middle."""
+        # Rows beyond the pupil are dark.
+        spectrum = scipy.fft.fft(scipy.fft.rfft(pupil, self._count), self._count, axis=0, overwrite_x=True)
+        spectrum *= self._transfer
+        spectrum *= blur
+        return np.asarray(scipy.fft.irfft2(spectrum, (self._count, self._count), overwrite_x=True))
 
     def at(self, samples: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return values of `samples`'s samples at offsets in pixels from the image of the lens's regular place."""
         middle = self._count // 2
         places = np.stack([y / self._step + middle, x / self._step + middle])
         return map_coordinates(samples, places, prefilter=False, mode="grid-wrap")
+
+    def splines(self, x: np.ndarray, y: np.ndarray) -> csr_array:
+        """Return the matrix that multiplies flat `samples` to values at offsets in pixels, as `at` does."""
+        weights = []
+        index = []
+        for offset in (y, x):
+            place = offset / self._step + self._count // 2
+            first = np.floor(place)
+            t = place - first
+            s = 1 - t
+            weights.append(np.stack([s**3, 4 - 6 * t * t + 3 * t**3, 4 - 6 * s * s + 3 * s**3, t**3], axis=-1) / 6)
+            index.append((first.astype(np.int32)[:, None] + np.arange(-1, 3, dtype=np.int32)) % self._count)
+        taps = (weights[0][:, :, None] * weights[1][:, None, :]).ravel()
+        columns = (index[0][:, :, None] * self._count + index[1][:, None, :]).ravel()
+        rows = np.arange(0, len(taps) + 1, 16, dtype=np.int32)
+        return csr_array((taps, columns, rows), shape=(len(x), self._count**2))
 
 
 def _wave_transfer(camera: PlenopticCamera, wavelength: float, fx: np.ndarray, fy: np.ndarray) -> np.ndarray:

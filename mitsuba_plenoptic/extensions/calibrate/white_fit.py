@@ -10,10 +10,10 @@ import scipy.ndimage
 
 from ...camera import PlenopticCamera
 from ...detector import SHARP
-from ...errors import refuse_if
+from ...errors import refuse_if, require_wavelength
 from ...runtime import single_threaded_blas
 from .array_fit import ArrayFit, fit_array, lattice_index, places, require_alike
-from .field_fit import ZONE_LENSES, FieldNumbers, FieldZones, Judgement, WhiteRecording
+from .field_fit import ZONE_LENSES, FieldNumbers, Judgement, WhiteRecording, zones_of
 from .fitted_camera import fitted_camera
 from .micro_image import MicroImageModel, PupilNumbers
 from .white_centres import find_centres
@@ -112,6 +112,8 @@ def fit_white(
         If the pictures cannot be of such a camera, or are not evenly white.
     """
     show = progress or (lambda done, total: None)
+    if wavelength is not None:
+        require_wavelength(wavelength)
     frame = WhiteFrame.of(white, dark)
     generator = np.random.default_rng(seed)
     size = frame.light.shape[::-1]
@@ -124,6 +126,8 @@ def fit_white(
         **SHARP,
     )
     camera = of_size(plain, size)
+    # What the lenses' light cannot be is known before their places are.
+    MicroImageModel(camera, wavelength)
     centres = find_centres(filled(frame))
     require_alike(centres.grid, camera)
     sure = ~centres.doubtful
@@ -139,23 +143,24 @@ def fit_white(
     withheld = generator.random(len(position)) < (1 / 3)
     # First one pupil for all lenses, from a few of them, and even: a rim that falls off early resembles a wider one.
     start = PupilNumbers(camera.pupil_radius / camera.pupil_step, blur=0.7, stray=0.02)
-    few = FieldZones(position, ~withheld, ZONE_LENSES // 4, generator)
+    seen = np.flatnonzero(~withheld)
+    few = [generator.choice(seen, min(len(seen), 4 * ZONE_LENSES), replace=False)]
     for zero in (("apodisation_2", "apodisation_4"), ()):
         field = FieldNumbers(size, 0, start, zero)
         recording.fit(position, few, field, lambda done, total: show(done, 4 * total))
         start = PupilNumbers(*field.values(position[:1])[0])
     field = FieldNumbers(size, int((~withheld).sum()), start)
-    zones = FieldZones(position, ~withheld, ZONE_LENSES, generator)
+    zones = zones_of(position, ~withheld, ZONE_LENSES, generator)
     equations = recording.fit(position, zones, field, lambda done, total: show(done + total, 4 * total))
     deviations = field.deviations(equations, generator)
-    everything = FieldZones(position, np.ones(len(position), bool))
+    everything = zones_of(position, np.ones(len(position), bool))
     judged = recording.judged(position, everything, field, lambda done, total: show(done + 2 * total, 4 * total))
     # Places become those of the array alone, fitted to lenses that are not withheld.
     array = fit_array(judged.place[~withheld], lens[~withheld], camera)
     for name in ("centre_x", "centre_y"):
         field.coefficients[name] = np.zeros_like(field.coefficients[name])
     at_array = places(array, lens, camera)
-    tested = FieldZones(at_array, withheld)
+    tested = zones_of(at_array, withheld)
     judgement = recording.judged(at_array, tested, field, lambda done, total: show(done + 3 * total, 4 * total))
     refuse_if(
         judgement.structure > 0.035 or judgement.outliers > 0.05,
@@ -193,9 +198,10 @@ def whole_lenses(recording: WhiteRecording, position: np.ndarray) -> np.ndarray:
     scale = recording.camera.image_growth / recording.camera.pixel_size
     corners = position[:, None] + camera.lattice.cell_corners() * scale + 0.5
     complete = np.asarray(((corners >= 0) & (corners <= recording.frame.light.shape[::-1])).all((1, 2)))
-    value, _, _, weight = recording.pixels(position[complete])
-    pixels = weight.sum(1)
-    light = (weight * value).sum(1) / np.maximum(pixels, 1)
+    first, value, _, _ = recording.pixels(position[complete])
+    pixels = np.diff(first)
+    lens = np.repeat(np.arange(len(pixels)), pixels)
+    light = np.bincount(lens, value, len(pixels)) / np.maximum(pixels, 1)
     complete[complete] = (pixels >= 0.5 * camera.lattice.cell_area * scale**2) & (light > 0.1 * np.median(light))
     return complete
 

@@ -14,6 +14,7 @@ from mitsuba_plenoptic.calibration import fit_white
 from mitsuba_plenoptic.camera.camera_files import camera_and_record
 from mitsuba_plenoptic.camera.lens_transmissions import LensTransmissions
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.extensions.calibrate import white_fit
 from mitsuba_plenoptic.extensions.calibrate.white_page import side_by_side
 from mitsuba_plenoptic.io.pictures import read_picture
 from mitsuba_plenoptic.views import lens_grid, white_image
@@ -143,11 +144,24 @@ def scene_like(light):
         (np.stack([WHITE] * 3, axis=-1), None, SMALL, "one channel"),
         (DARK, WHITE, SMALL, "dark: it is not darker"),
         (WHITE, DARK + 1000, SMALL, r"the fit failed, with a blur of .* and stray light of -0\.05 \(not negative\)"),
-        (scipy.ndimage.gaussian_filter(WHITE, 1.8), DARK, SMALL, "the fit failed, with a blur of 1.81 pixels"),
+        (scipy.ndimage.gaussian_filter(WHITE, 1.8), DARK, SMALL, r"the fit failed, with a blur of 1\.8\d? pixels"),
     ],
 )
 def test_wrong_pictures_are_refused(white, dark, camera, words):
     refuses(words, fit_white, white, camera, dark=dark, wavelength=None)
+
+
+@pytest.mark.parametrize(
+    ("dark", "camera", "wavelength", "words"),
+    [
+        (DARK[:-1], SMALL, None, "dark of shape"),
+        (DARK, SMALL, 0.55, "wavelength = 0.55: it must be from 200 to 2500 nm; it looks like"),
+        (DARK, SMALL.replace(mla_pitch=4e-3, mla_focal_length=0.032), None, "pixels wide: at least 4"),
+    ],
+)
+def test_wrong_numbers_are_refused_before_lenses_are_searched(dark, camera, wavelength, words, monkeypatch):
+    monkeypatch.setattr(white_fit, "find_centres", lambda white: pytest.fail("searched"))
+    refuses(words, fit_white, WHITE, camera, dark=dark, wavelength=wavelength)
 
 
 def test_eight_bits_mirrored_pictures_and_dust_are_fitted():
