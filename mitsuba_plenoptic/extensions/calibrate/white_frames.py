@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.ndimage
 
-from ...errors import refuse_if
+from ...errors import refuse_if, warn
 from ...runtime import as_pixels
 
 
@@ -70,6 +71,27 @@ class WhiteFrame:
         defective &= ~unlit
         good = ~(saturated | defective | unlit)
         return cls(light, good, int(saturated.sum()), int(defective.sum()), int(unlit.sum()))
+
+
+def black_level(light: np.ndarray) -> float:
+    """Return the black level, with a warning, of a light field less its dark picture, (rows, columns), or 0.
+
+    Pixels of the darkest places, which their neighbours tell, cannot be darker than no light. Where they lie below 0 by
+    more than 1% of the mean light, the light field has another black level than the dark picture.
+    """
+    around = np.ones((3, 3)) / 8
+    around[1, 1] = 0
+    near = scipy.ndimage.convolve(light, around)
+    darkest = light.ravel()[np.argsort(near, axis=None)[: max(light.size // 3000, 30)]]
+    level = float(np.median(darkest))
+    mean = light.mean() - level
+    if level > -0.01 * mean:
+        return 0.0
+    warn(
+        f"light field: its darkest places lie {-level:.4g} numbers below the dark picture, {-level / mean:.1%} of the "
+        "mean light: its black level is taken as that much lower"
+    )
+    return level
 
 
 def single_channel(name: str, picture: np.ndarray) -> np.ndarray:

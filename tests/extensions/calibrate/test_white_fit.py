@@ -15,6 +15,7 @@ from mitsuba_plenoptic.camera.camera_files import camera_and_record
 from mitsuba_plenoptic.camera.lens_transmissions import LensTransmissions
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.calibrate import white_fit
+from mitsuba_plenoptic.extensions.calibrate.white_frames import black_level
 from mitsuba_plenoptic.extensions.calibrate.white_page import side_by_side
 from mitsuba_plenoptic.io.pictures import read_picture
 from mitsuba_plenoptic.views import lens_grid, white_image
@@ -172,6 +173,17 @@ def test_eight_bits_mirrored_pictures_and_dust_are_fitted():
     assert found.array.rotation == pytest.approx(-SMALL.mla_rotation, abs=0.05)
     assert found.field.coefficients["radius"][0] == pytest.approx(SMALL.pupil_radius / SMALL.pupil_step, rel=5e-3)
     assert 4 / light.size < found.judgement.outliers < 60 / light.size * 3
+
+
+def test_a_light_field_below_its_dark_picture_has_a_black_level_of_its_own():
+    light = scene_like(WHITE - DARK)
+    light[50:60, 60:80] = 0
+    light += np.random.default_rng(2).normal(0, 5, light.shape)
+    light[20, 20] = -light.max()
+    assert black_level(light) == 0
+    with pytest.warns(UserWarning, match="its darkest places lie .* below the dark picture"):
+        level = black_level(light - 0.1 * light.mean())
+    assert level == pytest.approx(-0.1 * light.mean(), abs=5)
 
 
 ANTLEG = Path(__file__).parent / "antleg"
