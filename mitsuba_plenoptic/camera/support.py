@@ -93,7 +93,7 @@ _UNEQUAL_LENSES = (
         "they are those of equally bright lenses and pupils",
         "CaptureOperator.forward",
     ),
-    refused(Use.SMALL_LENSES | _STRAIGHT, "the light of one lens stands for that of others", "reconstruct"),
+    refused(Use.SMALL_LENSES | Use.FIELD_DERIVATIVES, "the light of one lens stands for that of others", "reconstruct"),
 )
 _UNEVEN_LENSES = approximate(
     Use.POINTS, "strong ones: patches miss up to 1.3 per cent of a spread by full_field, 0.2 to 0.5 behind equal lenses"
@@ -191,8 +191,9 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
         *_UNEQUAL_LENSES,
         approximate(
             Use.RESPONSES,
-            "by waves, light that diffracts at the outline is that of the round pupil: white scenes are up to 6 per "
-            "cent too dark behind an outline of 0.8 of the radius",
+            "of deconvolved, zones of lenses share the pupil of their middle; of incoherent, light that diffracts at "
+            "the outline is that of the round pupil: white scenes are up to 6 per cent too dark behind an outline of "
+            "0.8 of the radius",
         ),
         refused(
             Use.COHERENT_POINTS | Use.WAVEFRONTS, "all points of one field share one pupil", "CaptureOperator.forward"

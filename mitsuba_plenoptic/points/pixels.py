@@ -227,7 +227,8 @@ class TurnedSamples:
     """Samples of an intensity on a new grid; the intensity's grid is turned counter-clockwise relative to it.
 
     `samples` and `shape` are the rows and columns of the intensity's samples and of the new ones; `pitch` and `origin`
-    (x, y) are those of the intensity's samples, in their frame. Outside its samples the intensity is zero.
+    (x, y) are those of the intensity's samples, in their frame. Outside its samples the intensity is zero. `regular`
+    brings the places of new samples to those where the intensity has what they show.
     """
 
     def __init__(
@@ -239,8 +240,10 @@ class TurnedSamples:
         new_pitch: float,
         new_origin: tuple[float, float],
         shape: tuple[int, int],
+        regular: Callable[[Any, Any], tuple[Any, Any]] | None = None,
     ) -> None:
         self._samples = samples
+        self._regular = regular
         self._pitch = pitch
         self._origin = origin
         self._degrees = degrees
@@ -317,6 +320,8 @@ class TurnedSamples:
             _, row, column = fft.split(types, dr.arange(types.UInt32, count), lines.stop - top, width)
             x = types.Float64(column) * step + dr.opaque(types.Float64, self._new_origin[0])
             y = types.Float64(row) * step + dr.opaque(types.Float64, self._new_origin[1] + top * self._new_pitch)
+            if self._regular is not None:
+                x, y = self._regular(x, y)
             first = []
             entry = []
             active = dr.full(types.Bool, True, count)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +25,9 @@ _EDGE = 8
 class Recorder:
     """The recorded pixels that some patches reach, and the `box` of grid samples on which these pixels depend.
 
-    `low` and `high`, (n, 2), are the first sample of each patch along x and y, and the one after its last. `whole` is a
-    recorder for these and other patches, whose data are reused.
+    `low` and `high`, (n, 2), are the first sample of each patch along x and y, and the one after its last. `parent` is
+    a recorder for these and other patches, whose data are reused. `regular` brings places on the detector, in mm, to
+    those of the samples, at most `aside` away.
     """
 
     def __init__(
@@ -34,10 +37,13 @@ class Recorder:
         low: NDArray[np.int64],
         high: NDArray[np.int64],
         parent: Recorder | None = None,
+        regular: Callable[[Any, Any], tuple[Any, Any]] | None = None,
+        aside: float = 0.0,
     ) -> None:
         self._camera = camera
         self._grid = grid
         self._whole = parent
+        self._regular = regular
         pitch = grid.pitch
         p = camera.pixel_size
         start = np.array(camera.crop_offset)
@@ -47,8 +53,8 @@ class Recorder:
             start = np.clip(np.floor(reached[0] / p).astype(np.int64) - _EDGE, start, stop)
             stop = np.clip(np.ceil(reached[1] / p).astype(np.int64) + _EDGE, start, stop)
         reach = self._turned(start * p, stop * p, -grid.rotation)
-        first = np.floor(reach[0] / pitch).astype(np.int64) - _EDGE
-        last = np.ceil(reach[1] / pitch).astype(np.int64) + _EDGE
+        first = np.floor((reach[0] - aside) / pitch).astype(np.int64) - _EDGE
+        last = np.ceil((reach[1] + aside) / pitch).astype(np.int64) + _EDGE
         self._pixels, self.box = Box.between(start, stop), Box.between(first, last)
 
     def _turned(
@@ -70,7 +76,7 @@ class Recorder:
     def memory(self) -> float:
         """Number of bytes that a channel takes while it is recorded."""
         image = 4.0 * (self.box.rows * self.box.columns + 2 * math.prod(self._camera.shape))
-        return image + (12.0 * self.box.rows * self.box.columns if self._grid.rotation != 0 else 0)
+        return image + (12.0 * self.box.rows * self.box.columns if self._is_resampled else 0)
 
     def record(self, sums: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
         """Return the box's samples integrated over pixels, or the change of these integrals as the pixels move.
@@ -110,6 +116,10 @@ class Recorder:
         return slice(top, top + self._pixels.rows), slice(left, left + self._pixels.columns)
 
     @property
+    def _is_resampled(self) -> bool:
+        return self._grid.rotation != 0 or self._regular is not None
+
+    @property
     def _edge(self) -> tuple[float, float]:
         """X and y of the first pixel's corner, relative to the detector's corner."""
         p = self._camera.pixel_size
@@ -139,14 +149,14 @@ class Recorder:
 
     @cached_property
     def _integrals(self) -> PixelIntegrals:
-        if self._whole is not None and self._grid.rotation == 0:
+        if self._whole is not None and not self._is_resampled:
             parent = self._whole
             return parent._integrals.cut(_slices(self._pixels, parent._pixels), _slices(self.box, parent.box))
         x, y = self._grid.pitch.tolist()
         pitch = (x, y)
         origin = self._origin
         samples = (self.box.rows, self.box.columns)
-        if self._grid.rotation != 0:
+        if self._is_resampled:
             step = min(pitch)
             pitch = (step, step)
             origin = self._upright_origin
@@ -156,9 +166,9 @@ class Recorder:
 
     @cached_property
     def _upright(self) -> TurnedSamples | None:
-        """Resampling from the lattice frame to the camera frame; None if both frames are equal."""
+        """Resampling from regular lenses in the lattice frame to the camera frame; None if nothing is to be moved."""
         grid = self._grid
-        if grid.rotation == 0:
+        if not self._is_resampled:
             return None
         x, y = grid.pitch.tolist()
         # The turn is about the axis.
@@ -171,6 +181,7 @@ class Recorder:
             min(x, y),
             (self._upright_origin[0] + corner[0], self._upright_origin[1] + corner[1]),
             self._upright_shape,
+            self._regular,
         )
 
     @property

@@ -33,6 +33,8 @@ from .results import read_reconstruction as read_reconstruction
 from .results import require_volume_path as require_volume_path
 from .results import write_reconstruction as write_reconstruction
 from .results import write_volume as write_volume
+from .straight import regular_place as regular_place
+from .straight import straightened as straightened
 from .wave_methods import BackwardFields as BackwardFields
 from .wave_methods import signed_parts as signed_parts
 

@@ -38,7 +38,7 @@ from .methods import (
 )
 from .radiance import as_reference
 from .results import Reconstruction
-from .straight import displaced_image, moves_images, passed_light, straightened, straightened_image
+from .straight import displaced_image, passed_light, straightened, straightened_image
 
 _log = logging.getLogger(__name__)
 
@@ -133,7 +133,8 @@ def reconstruct(
         more for each distance. Default: the white image of the ray model. Wave captures, whose micro-images lose light
         at their edges, then read less than the radiance (0.85 for the paper's camera), except with
         ``incoherent``, whose computed white has lost the same light.
-        ``deconvolved``, which knows the light of every bin, has no use for it.
+        With ``deconvolved`` it shows what of its light each pixel records, over that of the camera's response: images
+        are not divided by it, and pixels at which it is far from the response, behind dust, are left out.
     progress : callable, optional
         Called with the finished and the total count of steps.
     checkpoint : Checkpoint, optional
@@ -182,10 +183,11 @@ def reconstruct(
     tilted = capture.camera
     chosen = registered(method)
     require_support(tilted, chosen.use)
-    soft = chosen.soft and moves_images(tilted)
-    soft = soft and require_response(options.get("response"), capture, wavelength) == "ray"
-    image = straightened_image(np.atleast_3d(capture.image), tilted, soft=soft)
-    camera = straightened(tilted)
+    image = np.atleast_3d(capture.image)
+    camera = tilted
+    if not chosen.as_recorded:
+        image = straightened_image(image, tilted)
+        camera = straightened(tilted)
     capture = dataclasses.replace(capture, camera=camera, image=image.reshape(capture.image.shape))
     options_used = used_by(
         chosen,
@@ -211,7 +213,7 @@ def reconstruct(
         # Images are formed by the lens as it should be.
         camera = camera.replace(wavefront=())
     require_image_memory(camera, distances, oversample, image.shape, white is not None and is_known(camera))
-    reference = None if white is None else as_reference(white, capture, tilted, recorded)
+    reference = None if white is None else as_reference(white, capture, tilted, recorded, chosen.as_recorded)
     wavelengths = require_wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
 
     def tell(seconds: float) -> None:
@@ -242,12 +244,11 @@ def reconstruct(
             wavelengths=wavelengths,
             white=reference,
             progress=report,
-            passed=passed_light(tilted),
+            passed=None if chosen.as_recorded else passed_light(tilted),
             recorded=recorded_at,
             exposure=capture.metadata.get("exposure"),
             checkpoint=options_used["checkpoint"],
             batch_map=options_used["batch_map"],
-            softened=soft,
         )
         images = [
             dataclasses.replace(image_at, image=displaced_image(image_at.image, tilted, oversample))
@@ -261,7 +262,7 @@ def reconstruct(
             distance=value,
             bin_size=camera.bin_size(1.0 if math.isinf(value) else value) / oversample,
             method=method,
-            camera=camera,
+            camera=straightened(camera),
             options=settings,
             guards=found,
             facts=image_at.facts,

@@ -90,8 +90,6 @@ class Task:
         For long methods: saves intermediate results.
     batch_map : BatchMap, optional
         For long methods: computes their point spreads.
-    softened : bool
-        Whether the pixels are smoothed (see `refocus.straight`), which methods with `soft` allow for.
     systems : dict
         Optical systems that `system` has built.
     """
@@ -108,7 +106,6 @@ class Task:
     exposure: dict[str, Any] | None = None
     checkpoint: Checkpoint | None = None
     batch_map: BatchMap | None = None
-    softened: bool = False
     systems: dict[float, OpticalSystem] = field(default_factory=dict)
 
     def system(self, wavelength: float) -> OpticalSystem:
@@ -153,8 +150,7 @@ class RegisteredMethod:
     waves: bool
     as_it_is: bool = False
     long: bool = False
-    white: bool = True
-    soft: bool = False
+    as_recorded: bool = False
 
     @property
     def use(self) -> Use:
@@ -166,7 +162,7 @@ class RegisteredMethod:
     def takes(self, option: str) -> bool:
         """Return whether the method has an option of `reconstruct` that only some methods have."""
         if option in ("wavelength", "white"):
-            return self.waves if option == "wavelength" else self.white
+            return option == "white" or self.waves
         return option in self.options or (self.long and option in _OF_LONG)
 
 
@@ -201,8 +197,7 @@ def method(
     waves: bool,
     as_it_is: bool = False,
     long: bool = False,
-    white: bool = True,
-    soft: bool = False,
+    as_recorded: bool = False,
 ) -> Callable[[Refocus], Refocus]:
     """Register a function as a reconstruction method.
 
@@ -218,15 +213,13 @@ def method(
         Whether the method needs the main lens's aberrations; other methods form images by the ideal lens.
     long : bool
         Whether the method may take long, so that it writes checkpoints and uses workers.
-    white : bool
-        Whether the method's images can be divided by those of a white capture.
-    soft : bool
-        Whether micro-images that are moved shall be smoothed; the task says whether they are.
+    as_recorded : bool
+        Whether the method knows displaced and unequal lenses, so that captures and white are not straightened.
     """
     accepted = {option: all_options()[option] for option in options} | options_of_methods().get(name, {})
 
     def register(refocus: Refocus) -> Refocus:
-        METHODS[name] = RegisteredMethod(name, refocus, accepted, waves, as_it_is, long, white, soft)
+        METHODS[name] = RegisteredMethod(name, refocus, accepted, waves, as_it_is, long, as_recorded)
         return refocus
 
     return register

@@ -53,11 +53,14 @@ _LEAST_WHITE = 0.25
 """Fraction of the light that as many rays usually bring, as which no bin's computed white counts less."""
 
 
-def as_reference(white: Capture | np.ndarray, capture: Capture, tilted: PlenopticCamera, recorded: Any) -> np.ndarray:
+def as_reference(
+    white: Capture | np.ndarray, capture: Capture, tilted: PlenopticCamera, recorded: Any, as_recorded: bool
+) -> np.ndarray:
     """Return a recorded white image, scaled to a radiance of 1, with the channels of the capture to be divided.
 
-    Refused is a white wave capture that lost another part of the light at the edges of its micro-images. The camera of
-    white must be the capture's before it was straightened, `tilted`, or that with which the capture was `recorded`.
+    For a method that takes captures `as_recorded` it is neither straightened nor scaled. Refused is a white wave
+    capture that lost another part of the light at the edges of its micro-images. The camera of white must be the
+    capture's before it was straightened, `tilted`, or that with which the capture was `recorded`.
     """
     image = np.atleast_3d(capture.image)
     cameras = [tilted, *([recorded.camera] if isinstance(recorded, Capture) else [])]
@@ -76,6 +79,8 @@ def as_reference(white: Capture | np.ndarray, capture: Capture, tilted: Plenopti
             f"white of {short_repr(white.wavelength)} nm: the capture is of {short_repr(capture.wavelength)} nm; "
             "it must be of the same wavelengths",
         )
+    if as_recorded:
+        return np.ascontiguousarray(np.broadcast_to(pixels, image.shape))
     pixels = straightened_image(pixels, tilted)
     expected = white_pixels(capture.camera)
     passed = passed_light(tilted)

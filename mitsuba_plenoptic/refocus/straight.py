@@ -7,12 +7,10 @@ the same point, at distances smaller by the factor :math:`(z + h) b / (b - h) z`
 array is one of the upright array, enlarged about its chief ray, and the lenses are displaced by :math:`c h / b`.
 
 A displaced lens moves its micro-image by its displacement, times :math:`(b + z) / b`. Every micro-image is moved back
-to that of the lens's regular position, and reduced to the size of the upright array, by cubic splines. Splines through
-the pixels overshoot at the edges of micro-images, and a response may have no light where edges have moved by a part of
-a pixel. So for deconvolution by rays, pixels are the coefficients of the splines instead, which are smooth and keep
-the light, and its response is smoothed by the same splines. What the lens
+to that of the lens's regular position, and reduced to the size of the upright array, by cubic splines. What the lens
 has seen then counts to the regular position; where displacements are no small part of a lens, the refocused image is
-displaced at the end.
+displaced at the end. Deconvolution leaves the capture as it was recorded: its response moves the light instead
+(`regular_place`), and dims it.
 
 Both rays through P come from the same point of the object for P on the axis. For others they are :math:`h P / b` apart
 on the array, a defocus that remains.
@@ -74,47 +72,34 @@ def straightened(camera: PlenopticCamera) -> PlenopticCamera:
     return regular.replace(mla_tilt=(0.0, 0.0), mla_warp=(), mla_jitter=(0.0, camera.mla_jitter[1]))
 
 
-def moves_images(camera: PlenopticCamera) -> bool:
-    """Return whether `straightened_image` moves micro-images of a camera."""
-    moved = camera.lattice.displacement is not None or any(camera.mla_tilt)
-    return moved and straightened(camera) is not camera
-
-
-def straightened_image(
-    image: NDArray[np.float32], camera: PlenopticCamera, *, soft: bool = False
-) -> NDArray[np.float32]:
-    """Return a capture (rows, columns, channels) by a camera as its `straightened` camera records it.
-
-    A `soft` image that is moved is also smoothed by the same splines.
-    """
+def straightened_image(image: NDArray[np.float32], camera: PlenopticCamera) -> NDArray[np.float32]:
+    """Return a capture (rows, columns, channels) by a camera as its `straightened` camera records it."""
     regular = straightened(camera)
     if regular is camera:
         return image
     if is_uneven(camera):
         image = image * evening(camera)[0][..., None]
-    return _moved(image, camera, soft)
+    return _moved(image, camera)
 
 
-def _moved(image: NDArray[np.float32], camera: PlenopticCamera, soft: bool = False) -> NDArray[np.float32]:
+def _moved(image: NDArray[np.float32], camera: PlenopticCamera) -> NDArray[np.float32]:
     """Return an image (rows, columns, channels) with each micro-image where the `straightened` camera has it."""
-    if not moves_images(camera):
+    if camera.lattice.displacement is None and not any(camera.mla_tilt):
         return image
     regular = straightened(camera)
     moved = np.empty_like(image)
     channels = np.moveaxis(image.astype(np.float64), -1, 0)
-    splines = channels if soft else [spline_filter(channel, _ORDER) for channel in channels]
+    splines = [spline_filter(channel, _ORDER) for channel in channels]
     for rows, x, y in _seen(camera, regular):
         for channel, spline in enumerate(splines):
             moved[rows, :, channel] = map_coordinates(spline, (y, x), order=_ORDER, mode="nearest", prefilter=False)
-        if soft:
-            continue
         row, column = np.indices(x.shape)
         still = np.maximum(abs(x - column), abs(y - row - rows.start)) < _NEAR
         moved[rows][still] = image[rows][still]
     # Splines overshoot at the edges of micro-images, which keep their light.
     least = image.min()
     clipped = moved.clip(least, None)
-    if least < 0 or soft:
+    if least < 0:
         return clipped
     size = max(1, round(camera.micro_image_pitch / camera.pixel_size))
     light, more = (uniform_filter(picture, size, mode="nearest", axes=(0, 1)) for picture in (moved, clipped))
@@ -146,9 +131,6 @@ def passed_light(camera: PlenopticCamera) -> NDArray[np.float32] | None:
 
 def _seen(camera: PlenopticCamera, regular: PlenopticCamera) -> Iterator[tuple[slice, Any, Any]]:
     """Yield rows of the regular camera's pixels, with the columns and rows, in fractions, that the camera has there."""
-    b = camera.pupil_distance
-    z = camera.reduced_distance
-    n = camera.mla_medium
     growth = camera.image_growth
     px = camera.pixel_coordinates(0)
     down = camera.pixel_coordinates(1)
@@ -157,9 +139,7 @@ def _seen(camera: PlenopticCamera, regular: PlenopticCamera) -> Iterator[tuple[s
         p = np.meshgrid(px, down[first : first + height])
         cells = regular.lattice.cell(*(q / growth for q in p))
         lens = camera.lenslet(*cells)
-        # Chief rays behind an objective are parallel to the axis.
-        nearer = 1 - (growth > 1) * lens.height / b
-        larger = (z + lens.height / n) / z / nearer
+        nearer, larger = _growth(camera, lens)
         places = [
             (c / nearer - larger * before) * growth + larger * q
             for q, c, before in zip(p, lens.centre, regular.lattice.centre(*cells), strict=True)
@@ -169,6 +149,28 @@ def _seen(camera: PlenopticCamera, regular: PlenopticCamera) -> Iterator[tuple[s
             for axis, coordinate in enumerate(places)
         )
         yield slice(first, first + len(x)), x, y
+
+
+def regular_place(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any]:
+    """Return where the `straightened` camera has what a camera's detector has at a place, in mm from the axis."""
+    growth = camera.image_growth
+    cells = camera.lattice.cell(x / growth, y / growth)
+    lens = camera.lenslet(*cells)
+    nearer, larger = _growth(camera, lens)
+    regular = straightened(camera).lattice.centre(*cells)
+    u, v = (
+        (q - (c / nearer - larger * before) * growth) / larger
+        for q, c, before in zip((x, y), lens.centre, regular, strict=True)
+    )
+    return u, v
+
+
+def _growth(camera: PlenopticCamera, lens: Any) -> tuple[Any, Any]:
+    """Return the nearness of lenses of a tilted array to the pupil, and the size of their images, over an upright's."""
+    # Chief rays behind an objective are parallel to the axis.
+    nearer = 1 - (camera.image_growth > 1) * lens.height / camera.pupil_distance
+    z = camera.reduced_distance
+    return nearer, (z + lens.height / camera.mla_medium) / z / nearer
 
 
 def displaced_image(image: NDArray[np.float32], camera: PlenopticCamera, oversample: int) -> NDArray[np.float32]:

@@ -10,6 +10,7 @@ from .animations import sweep_distances as sweep_distances
 from .comparison_page import write_report as write_report
 from .edge import EdgeSharpness as EdgeSharpness
 from .edge import edge_sharpness as edge_sharpness
+from .edge import window_sharpness as window_sharpness
 from .experiment import COMPARED_METHODS as COMPARED_METHODS
 from .experiment import METHOD_TITLES as METHOD_TITLES
 from .experiment import Experiment as Experiment

@@ -109,7 +109,7 @@ def measure(experiment: Experiment) -> dict[str, Any]:
             "points": _against_points(experiment),
         },
         "reconstructions": _reconstructions(experiment),
-        "interference": _interference(experiment),
+        "interference": shape_interference(experiment),
         "edges": _edges(experiment),
     }
 
@@ -146,7 +146,8 @@ def _reconstructions(experiment: Experiment) -> list[dict[str, Any]]:
     return rows
 
 
-def _interference(experiment: Experiment) -> list[dict[str, Any]]:
+def shape_interference(experiment: Experiment) -> list[dict[str, Any]]:
+    """Return the interference within each flat shape at each distance, by coherent methods."""
     rows = []
     for name, (low, high) in experiment.boxes.items():
         window = shape_window(experiment.camera, low, high)

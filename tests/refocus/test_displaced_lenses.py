@@ -85,8 +85,8 @@ def test_displaced_lenses_are_refocused_as_well_as_regular_ones(name, method):
         correlation(reconstruct(capture(each), DISTANCE, **METHODS[method]).image) for each in ("straight", name)
     )
     assert straight > 0.9
-    # Vignetting takes light from the rims; responses are of lenses without it, and the capture is divided by it.
-    vignetted = 0.005 if method == "deconvolved" else 0.003
+    # Vignetting takes light from the rims; it is a weight on scenes' light, which in responses diffracts at it, too.
+    vignetted = 0.006 if method == "deconvolved" else 0.003
     assert found > straight - (vignetted if name == "fitted" else 0.002)
 
 

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import convolve1d
 
 from ...design import resolution_limit
 from ...errors import InputError, argument, refuse_if, refusing, require_number
@@ -34,11 +33,14 @@ _SPAN = 10
 _LEAST_FALL = 0.95
 """Steps in which what is above the noise must fall below this fraction of itself."""
 
-_SOFT_NOISE = (151 / 315) ** 2
-"""Variance of softened pixels over that of pixels, where micro-images have moved by any part of a pixel."""
+_DARK = 0.03
+"""Light of a white scene's pixel, over that of the brightest one, below which a recorded white says nothing of it."""
+
+_SPOILT = 0.15
+"""Difference of a recorded white from the computed one, over it, from which on a pixel is left out, behind dust."""
 
 
-@method("deconvolved", waves=True, as_it_is=True, long=True, white=False, soft=True)
+@method("deconvolved", waves=True, as_it_is=True, long=True, as_recorded=True)
 def refocus(task: Task, **options: Any) -> list[Found]:
     """Return planes found by inverting the camera's response with Richardson and Lucy's iteration.
 
@@ -52,8 +54,6 @@ def refocus(task: Task, **options: Any) -> list[Found]:
     """
     noise = noise_of(task.exposure, options["photons"])
     _require_light(task.image, noise)
-    if noise and task.softened:
-        noise = PixelNoise(noise.electrons / _SOFT_NOISE, noise.dark_variance / _SOFT_NOISE)
     groups = [[distance] for distance in task.distances]
     if options["volume"]:
         groups = [list(task.distances)]
@@ -74,6 +74,7 @@ def refocus(task: Task, **options: Any) -> list[Found]:
             wavelengths=list(task.wavelengths),
             exposure=task.exposure,
             options=options,
+            white=None if task.white is None else digest(task.white),
         )
         arrays = begun or {}
     with refusing("checkpoint: it is damaged:", KeyError, ValueError):
@@ -120,23 +121,31 @@ class Solved:
     stopped: bool
 
 
-class _AsRecorded(LinearMap):
-    """A response of the pixels of a straightened capture: with the light that they have, and softened."""
+class _Flat(LinearMap):
+    """A response whose pixels record a part of the light, each its own: 0 for pixels that are left out."""
 
-    def __init__(self, response: LinearMap, passed: NDArray[np.float32] | float, soft: bool) -> None:
+    def __init__(self, response: LinearMap, flat: NDArray[np.float32]) -> None:
         super().__init__(response.source_shape, response.image_shape)
         self._response = response
-        self._passed = passed
-        self._soft = soft
+        self.flat = flat
 
     def forward(self, values: NDArray[Any], /) -> NDArray[Any]:
         """Return the pixels lit by bins."""
-        image = self._response.forward(values) * self._passed
-        return _softened(image) if self._soft else image
+        return self._response.forward(values) * self.flat
 
     def adjoint(self, image: NDArray[Any], /) -> NDArray[Any]:
         """Return the transpose of `forward`, applied to pixels."""
-        return self._response.adjoint((_softened(image) if self._soft else image) * self._passed)
+        return self._response.adjoint(image * self.flat)
+
+
+def flat_field(response: LinearMap, white: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return what pixels record over a response's light, by their recorded white; 0 where the two are far apart."""
+    computed = response.forward(np.ones(response.source_shape, np.float32))
+    lit = computed > _DARK * computed.max()
+    ratio = np.divide(white, computed, out=np.ones_like(computed), where=lit)
+    ratio /= np.median(ratio[lit])
+    # Micro-images of lenses of another brightness are no dust.
+    return np.where(lit, np.where(abs(ratio - 1) < _SPOILT, ratio, 0), 1).astype(np.float32)
 
 
 def _solve(
@@ -169,31 +178,30 @@ def _solve(
         oversample=task.oversample,
         job=Job(progress=lambda done, total: report(done / total), batch_map=task.batch_map),
         steps=most,
-    ) as checkpoint_arrays:
-        # Light that vignetting keeps out is no part of the response.
-        passed = 1.0 if task.passed is None else task.passed
-        as_recorded = task.softened or task.passed is not None
+    ) as response:
+        operator: LinearMap = response
+        if task.white is not None:
+            operator = _Flat(response, flat_field(response, task.white[..., channel]))
+            image = np.where(operator.flat > 0, image, 0)
         steps = RichardsonLucy(
-            _AsRecorded(checkpoint_arrays, passed, task.softened) if as_recorded else checkpoint_arrays,
+            operator,
             image,
             noise.shift if noise else 0.0,
-            TotalVariation(checkpoint_arrays.planes_of, variation) if variation else None,
+            TotalVariation(response.planes_of, variation) if variation else None,
         )
         solution = solve(
             steps,
             iterations=most,
             accelerate=options["accelerate"],
             stop=until_noise(noise) if noise and iterations is None else None,
-            state=SolverState.of(arrays, checkpoint_arrays.source_shape),
+            state=SolverState.of(arrays, response.source_shape),
             save=save,
-            progress=lambda done, total: report(
-                checkpoint_arrays.prepared + (1 - checkpoint_arrays.prepared) * done / total
-            ),
+            progress=lambda done, total: report(response.prepared + (1 - response.prepared) * done / total),
         )
     residual = relative_residual(image, solution.model)
     brightness = steps.light / steps.light.max()
     for plane in range(len(distances)):
-        radiance, light = (checkpoint_arrays.to_image(values, plane) for values in (solution.point, brightness))
+        radiance, light = (response.to_image(values, plane) for values in (solution.point, brightness))
         visible = np.where(light >= LEAST_SEEN, radiance, np.float32(np.nan))
         yield Solved(visible, solution.iterations, residual, bool(solution.stopped))
 
@@ -224,10 +232,3 @@ def _require_light(image: NDArray[np.float32], noise: PixelNoise | None) -> None
         float(image.sum(dtype=np.float64)) <= 0,
         "capture: the sum of its pixels is not above 0: there is no light to deconvolve",
     )
-
-
-def _softened(image: NDArray[Any]) -> NDArray[Any]:
-    """Return pixels as coefficients of a cubic spline, at the pixels' own places; a symmetric map."""
-    for axis in (0, 1):
-        image = convolve1d(image, [1 / 6, 4 / 6, 1 / 6], axis, mode="reflect")
-    return image

@@ -25,6 +25,7 @@ from ...lenses import FittedLens, RealLens, inverse_distance
 from ...optics import in_millimetres
 from ...points import Copies, Fields, Grid, Recorder, Scatter, band_for, chunks_of, place, radiance_weight, scene_points
 from ...rays import Passage, Walk
+from ...refocus import regular_place, straightened
 from ...runtime import Box, Job, Part, active_backend, add
 from .cells import BinCells, UprightBins
 from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, merged, require_response_memory, zones
@@ -194,6 +195,7 @@ def _trace(batch: RayBatch) -> Part:
     lenslet = walk.lenslet(*camera.lattice.cell(*m))
     passes = camera.lattice.in_aperture(m[0] - lenslet.centre[0], m[1] - lenslet.centre[1])
     landed, _ = walk.onto_detector(pupil, Passage((m[0], m[1]), lenslet))
+    power = np.broadcast_to(walk.transmittance(pupil, m), passes.shape)[passes]
     position = ((np.stack(landed, axis=-1) - grid.origin) / grid.pitch)[passes]
     below = np.floor(position).astype(np.int64)
     low = below.min(0)
@@ -202,7 +204,7 @@ def _trace(batch: RayBatch) -> Part:
     over = position - below
     for right in (0, 1):
         for down in (0, 1):
-            weight = np.abs(1 - right - over[:, 0]) * np.abs(1 - down - over[:, 1])
+            weight = power * np.abs(1 - right - over[:, 0]) * np.abs(1 - down - over[:, 1])
             pixel = (below[:, 1] - low[1] + down) * columns + below[:, 0] - low[0] + right
             sums += np.bincount(pixel, weight, len(sums))
     sums *= bin_weight(cells) / (len(pairs) * grid.pitch.prod())
@@ -220,6 +222,9 @@ _ALIKE = 0.06
 
 _MEMORY = 2 * 2**30
 """Bytes of a plane's kernels beyond which zones grow, and of all planes' beyond which they are stored on disk."""
+
+_ALONG = 65
+"""Places along each axis at which displacements are compared."""
 
 _LIT = 0.6
 """Fraction of a kernel's blocks that hold light, at most."""
@@ -263,9 +268,14 @@ class Response(StoredResponse):
     ) -> None:
         job = job or Job()
         self._oversample = oversample
-        # Kernels are of the light on the pixels, which then mix it.
+        # Kernels are of the light of regular lenses; displaced and dimmer ones send it elsewhere, and pixels mix it.
         self._detector = DetectorOperator.of(camera)
-        camera = camera.replace(**SHARP)
+        self._gain = None if camera.mla_transmissions is None else lens_gain(camera)
+        places, aside = None, 0.0
+        if camera.lattice.displacement is not None or any(camera.mla_tilt):
+            even = camera.replace(mla_transmissions=None)
+            places, aside = functools.partial(regular_place, even), _farthest(even)
+        camera = straightened(camera).replace(vignetting=camera.vignetting, **SHARP)
         require_support(camera, Use.RESPONSES | Use.KERNELS)
         _require_equal_lenses(camera)
         if wavelength is None:
@@ -285,7 +295,7 @@ class Response(StoredResponse):
             tuple(distances),
         )
         all_pixels = np.full((1, 2), -_EVERYWHERE), np.full((1, 2), _EVERYWHERE)
-        self._recorder = Recorder(camera, grid, *all_pixels)
+        self._recorder = Recorder(camera, grid, *all_pixels, regular=places, aside=aside)
         self._sampled = self.cells.holding(self._recorder.box)
         kernel_bytes = [self._kernel_memory(distance, oversample) for distance in distances]
         # Far too large kernels are refused before the light of some is computed.
@@ -465,11 +475,13 @@ class Response(StoredResponse):
         for plane, bins, radiance in zip(self.planes, self.bins, self.planes_of(values), strict=True):
             plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), samples)
         sums = self.cells.join(samples, self._sampled, self._recorder.box)
-        return np.asarray(self._detector.forward(self._recorder.record(sums[None])[..., 0]))
+        image = self._recorder.record(sums[None])[..., 0]
+        return np.asarray(self._detector.forward(image if self._gain is None else self._gain * image))
 
     def adjoint(self, image: NDArray[np.float32], /) -> NDArray[np.float32]:
         """Return the transpose of `forward`, applied to an image."""
-        sums = self._recorder.spread(self._detector.adjoint(image)[..., None])[0]
+        light = self._detector.adjoint(image)
+        sums = self._recorder.spread((light if self._gain is None else self._gain * light)[..., None])[0]
         samples = self.cells.split(sums, self._recorder.box, self._sampled)
         planes = zip(self.planes, self.bins, strict=True)
         return np.concatenate([bins.share @ plane.adjoint(samples).ravel() for plane, bins in planes])
@@ -485,6 +497,21 @@ def _require_equal_lenses(camera: PlenopticCamera) -> None:
         f"mla_jitter = {camera.mla_jitter}: its focal lengths spread light over {width / camera.pixel_size:.2g} "
         f"pixels: responses, of equal lenses, allow {_WIDEST_SPREAD:g}; use method ray, or leave it out",
     )
+
+
+def lens_gain(camera: PlenopticCamera) -> NDArray[np.float32]:
+    """Return the brightness of the lens that the chief ray of each pixel passes."""
+    growth = camera.image_growth
+    rows = np.meshgrid(*(camera.pixel_coordinates(axis) / growth for axis in (0, 1)))
+    return np.asarray(camera.lenslet(*camera.lattice.cell(*rows)).gain, np.float32)
+
+
+def _farthest(camera: PlenopticCamera) -> float:
+    """Return how far displaced lenses move their light on the detector, at most, along an axis, in millimetres."""
+    ends = [camera.pixel_coordinates(axis)[:: max(1, size - 1)] for axis, size in enumerate(reversed(camera.shape))]
+    x, y = np.meshgrid(*(np.linspace(end[0], end[-1], _ALONG) for end in ends))
+    u, v = regular_place(camera, x, y)
+    return 1.1 * float(max(abs(u - x).max(), abs(v - y).max())) + camera.pixel_size
 
 
 def _alike(camera: PlenopticCamera) -> bool:

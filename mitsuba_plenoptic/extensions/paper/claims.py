@@ -83,9 +83,11 @@ def claims_section(claims: Sequence[Claim], measured: dict[str, Any]) -> pages.S
 
 
 def check_claims(
-    experiment: Experiment, measured: dict[str, Any], seconds: dict[str, float], near: str, far: str
+    experiment: Experiment, measured: dict[str, Any], seconds: dict[str, float] | None, near: str, far: str
 ) -> list[Claim]:
     """Return verdicts on the paper's conclusions, from the letters, `measure`, and seconds on one core by method.
+
+    Without seconds the conclusions on time are left out.
 
     Near and far are the ids of the nearest letter and of the farthest; each is out of focus where the other is sharp.
     """
@@ -132,7 +134,7 @@ def check_claims(
         *(_four_suffice(blurred, reading) for reading in _FOUR),
         _separate(experiment, blurred),
         _literal(blurred),
-        *_times(seconds),
+        *(_times(seconds) if seconds else ()),
     ]
 
 

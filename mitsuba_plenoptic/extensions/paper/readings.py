@@ -1,6 +1,6 @@
 """Interference by each reading of ambiguous statements in the paper: the four subsets, and the microlens phase.
 
-The subsets of lenses are labels of the pixels of a square array whose lenses are one bin wide.
+The subsets of lenses are labels of the pixels of a square array, which may be turned.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from scipy.sparse import csr_matrix
 from ...camera import PlenopticCamera
 from ...errors import InputError
 from ...io import Cache, Capture
-from ...optics import rays
 from ...rays import follow_back
 from ...refocus import reconstruct
 from ...report import Experiment, metrics
@@ -82,26 +81,26 @@ def _row(experiment: Experiment, shape: str, distance: float) -> dict[str, Any]:
 def surroundings(capture: Capture, window: tuple[slice, slice], distance: float) -> Capture:
     """Return a capture with the light of those lenses alone that reaches a window of bins at a distance."""
     camera = capture.camera
-    cut = np.zeros_like(capture.image)
     # Lenses around a letter whose light its blurred image needs besides half the blur, for diffraction.
     margin = math.ceil(camera.blur_diameter(distance) / camera.mla_pitch / 2) + 4
-    pixels = []
-    for bins, indices, count in zip(window, _lens_indices(camera), camera.bin_count[::-1], strict=True):
-        first, end = (index - count // 2 for index in (bins.start - margin, bins.stop + margin))
-        pixels.append(np.flatnonzero((indices >= first) & (indices < end)))
-    at = np.ix_(*pixels)
-    cut[at] = capture.image[at]
-    return replace(capture, image=cut)
+    needed = np.ones(camera.shape, bool)
+    for bins, index, count in zip(window[::-1], lens_indices(camera), camera.bin_count, strict=True):
+        first, end = (bin - count // 2 for bin in (bins.start - margin, bins.stop + margin))
+        needed &= (index >= first) & (index < end)
+    return replace(capture, image=np.where(needed, capture.image, np.float32(0)))
 
 
 def of_subsets(
-    capture: Capture, distance: float, label: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
+    capture: Capture,
+    distance: float,
+    label: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]],
+    oversample: int = 1,
 ) -> NDArray[Any]:
     """Return the summed intensities of one coherent wave for each label of lenses, by their indices i and j."""
-    j, i = _lens_indices(capture.camera)
-    labels = label(i, j[:, None])
+    labels = label(*lens_indices(capture.camera))
     subsets = [replace(capture, image=np.where(labels == k, capture.image, np.float32(0))) for k in range(4)]
-    return np.sum([reconstruct(subset, distance, method="coherent").image for subset in subsets], axis=0)
+    images = [reconstruct(subset, distance, method="coherent", oversample=oversample).image for subset in subsets]
+    return np.sum(images, axis=0)
 
 
 def colour_count(capture: Capture, distance: float) -> int:
@@ -112,15 +111,20 @@ def colour_count(capture: Capture, distance: float) -> int:
     outwards, which takes fewer colours than row by row, each with the first free colour.
     """
     camera = capture.camera
-    (row, v, down), (column, u, across) = (_followed(camera, axis, distance) for axis in (1, 0))
-    passes = down[:, None] ** 2 + across**2 <= camera.lit_radius**2
-    y, x = np.nonzero(passes & (capture.image > 0))
+    y, x = np.nonzero(capture.image > 0)
+    i, j = (index[y, x] for index in lens_indices(camera))
+    centres = camera.lattice.centre(i.astype(float), j.astype(float))
+    (across, u), (down, v) = (
+        follow_back(camera.pixel_coordinates(axis)[pixel], centre, centre, distance, camera)
+        for axis, (pixel, centre) in enumerate(zip((x, y), centres, strict=True))
+    )
+    passes = down**2 + across**2 <= camera.lit_radius**2
+    column, row = (index[passes] - index.min() for index in (i, j))
+    u, v = (_counted(place[passes] / camera.mla_pitch) for place in (u, v))
     lenses = int(column.max()) + 1
     width = int(u.max()) + 2
     shape = (int(row.max()) + 1) * lenses, (int(v.max()) + 2) * width
-    light = csr_matrix(
-        (capture.image[y, x].astype(np.float64), (row[y] * lenses + column[x], v[y] * width + u[x])), shape
-    )
+    light = csr_matrix((capture.image[y, x][passes].astype(np.float64), (row * lenses + column, v * width + u)), shape)
     narrow = light.tocoo()
     around = [dv * width + du for dv in (-1, 0, 1) for du in (-1, 0, 1)]
     bins = np.concatenate([narrow.col + step for step in around])
@@ -142,25 +146,14 @@ def colour_count(capture: Capture, distance: float) -> int:
     return int(colours.max()) + 1
 
 
-def _followed(camera: PlenopticCamera, axis: int, distance: float) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Return lens and bin of each row (axis 1) or column of pixels, counted from the first, and the point of the pupil.
-
-    Rays go through the centres of the lenses, so that both axes are independent of each other.
-    """
-    lens = _lens_indices(camera)[1 - axis]
-    centre = camera.lattice.axis_centre(lens, axis)
-    pupil, position = follow_back(camera.pixel_coordinates(axis), centre, centre, distance, camera)
-    bins = np.floor(position / camera.mla_pitch).astype(np.int64)
-    return lens - lens.min(), bins - bins.min() + 1, pupil
+def _counted(places: NDArray[Any]) -> NDArray[np.int64]:
+    """Return the bins of places, counted from 1."""
+    bins = np.floor(places).astype(np.int64)
+    return bins - bins.min(initial=0) + 1
 
 
-def _lens_indices(camera: PlenopticCamera) -> list[NDArray[Any]]:
-    """Return the index of the lens of each row of pixels, and of each column, counted from the axis."""
-    return [
-        np.asarray(
-            camera.lattice.axis_cell(
-                rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.reduced_distance), axis
-            )
-        ).astype(np.int64)
-        for axis in (1, 0)
-    ]
+def lens_indices(camera: PlenopticCamera) -> list[NDArray[np.int64]]:
+    """Return the indices i and j of the lens of each pixel (rows, columns), counted from the axis."""
+    growth = camera.image_growth
+    places = np.meshgrid(*(camera.pixel_coordinates(axis) / growth for axis in (0, 1)))
+    return [np.asarray(index).astype(np.int64) for index in camera.lattice.cell(*places)]

@@ -2,22 +2,35 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from ...cli import options, stopping
+from ...errors import refuse_if
 
 
 def reproduce(
     output: options.OutputFolder,
     preset: Annotated[
-        Literal["quick", "paper"],
+        Literal["quick", "paper"] | None,
         typer.Option(
+            show_default="quick",
             help="A detector of half the width with letters of half the size, or the paper's 4096 x 4096 pixels, "
             "and figures as PDF, too.",
         ),
-    ] = "quick",
+    ] = None,
+    real: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            show_default=False,
+            help="Judge real light instead: a folder with light, white and dark (.png, .tiff or .exr), camera.json "
+            "and shapes.json.",
+        ),
+    ] = None,
+    wavelength: Annotated[float | None, options.numeric("Of real light, as waves.", "550", unit="NM")] = None,
     resume: options.Resume = False,
 ) -> None:
     """Compute the paper's figures, timing and conclusions again.
@@ -32,12 +45,21 @@ def reproduce(
       mitsuba-plenoptic reproduce -o demo
 
       mitsuba-plenoptic reproduce --preset paper -o paper
+
+      mitsuba-plenoptic reproduce --real letters -o real
     """
+    refuse_if(real is not None and preset is not None, "--preset: with --real it has no use; leave it out")
+    refuse_if(real is None and wavelength is not None, "--wavelength: it is for --real; leave it out")
     # Figures need libraries that take a second to load, which other commands need not wait for.
     from .reproduction import reproduce as compute
 
     with stopping.stage_lines(resume) as stages:
-        results = compute(output, preset=preset, stages=stages)
-    for claim in results["claims"]:
+        if real is not None:
+            from .real_light import reproduce_real
+
+            claims = reproduce_real(output, real, wavelength=wavelength or 550.0, stages=stages)["real"]["claims"]
+        else:
+            claims = compute(output, preset=preset or "quick", stages=stages)["claims"]
+    for claim in claims:
         typer.echo(f"{claim['verdict']:<15} {claim['statement']}")
     typer.echo(f"{output / 'report.html'}: open it in a browser")

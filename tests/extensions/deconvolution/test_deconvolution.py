@@ -24,6 +24,14 @@ CAMERAS = {
     "three types": SMALL.replace(mla_lattice="hexagonal", mla_focal_length=(0.45, 0.512, 0.6), detector_distance=0.512),
     "focused": SMALL.replace(detector_distance=0.6, mla_distance=117.0),
     "crop": SMALL.replace(crop_offset=(40, 64), crop_size=(96, 80)),
+    "fitted": SMALL.replace(
+        mla_rotation=0.4,
+        mla_warp=(0.015, 0.01, -0.02, 0.0, 0.03, 0.0, -0.05, -0.01, 0.02, 0.015, 0.02, 0.0, 0.04, 0.0),
+        mla_transmissions=np.random.default_rng(8).uniform(0.8, 1.2, (12, 12)),
+        vignetting={"radius": [0.9, 0.003, 0, 0, 0, 0], "scale": 0.2, "apodisation_2": [-0.2], "slope_x": [0.1]},
+        detector_blur=0.002,
+        stray_light=0.07,
+    ),
 }
 
 
@@ -46,7 +54,7 @@ def filled(camera, places, size, values, distance, across):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=[pytest.mark.slow] * (n not in ("turned, moved, two pitches", "crop"))) for n in CAMERAS],
+    [pytest.param(n, marks=[pytest.mark.slow] * (n not in ("turned, moved, two pitches", "fitted"))) for n in CAMERAS],
 )
 def test_response_is_that_of_exact_point_spreads(name):
     camera = CAMERAS[name]

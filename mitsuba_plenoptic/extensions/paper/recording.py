@@ -1,0 +1,201 @@
+"""A real camera's pictures of flat shapes at several distances, and what moved or strayed between them.
+
+A folder holds ``light`` and ``white``, and ``dark`` where there is one, as .png, .tiff or .exr with values proportional
+to light; ``camera.json``, as `calibrate` writes it; and ``shapes.json``: by name the distance of each shape in mm, its
+`region` LEFT, TOP, WIDTH, HEIGHT in bins of one a lens, and in the same way an `even` area at its distance and a window
+with one nearly upright `edge`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ...camera import PlenopticCamera, camera_and_record
+from ...choices import RAW_SUFFIXES
+from ...detector import DetectorOperator
+from ...errors import naming, refuse_if, refusing, require_choice, require_number
+from ...io import Capture
+from ...runtime import read_text
+from ...views import lens_numbers, read_recording
+
+_SUFFIXES = (*RAW_SUFFIXES, ".exr")
+
+_AREAS = ("region", "even", "edge")
+
+_BRIGHT = 0.3
+"""Light of a lens over that of the brightest one from which on its micro-image is compared with white."""
+
+_UNLIKE = 0.03
+"""Misfit of micro-images over their light up to which they count: shapes' edges change others."""
+
+_SLOPE = np.array([1, -8, 0, 8, -1]) / 12
+"""Weights of pixels whose sum is the slope, exact for polynomials of fourth degree."""
+
+_DARK = 0.1
+"""Light of a lens over that of the brightest one, below which it is dark."""
+
+_FEWEST = 0.02
+"""Fraction of the pixels behind dark lenses, at least, by which stray light is measured."""
+
+_WIDTHS = (8.0, 12.0, 16.0, 20.0, 25.0, 32.0, 45.0, 64.0, np.inf)
+"""Widths of stray light that are compared, in pixels."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A flat shape: its distance, and its areas by name as left, top, width and height in bins."""
+
+    distance: float
+    areas: Mapping[str, tuple[float, ...]]
+
+    def window(self, area: str, oversample: int = 1) -> tuple[slice, slice]:
+        """Return the rows and columns of bins in one of the areas."""
+        left, top, width, height = (round(oversample * value) for value in self.areas[area])
+        return slice(top, top + height), slice(left, left + width)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A light field and a white picture by one camera, and the shapes that are in view."""
+
+    light: NDArray[np.float32]
+    white: NDArray[np.float32]
+    camera: PlenopticCamera
+    shapes: dict[str, Shape]
+
+    def capture(self, wavelength: float) -> Capture:
+        """Return the light field as a capture by waves."""
+        return Capture(self.light, self.camera, wavelength=wavelength, model="wave")
+
+
+def read_recording_of(folder: Path) -> Recording:
+    """Return the pictures, the camera and the shapes of a folder."""
+    names = ["light", "white", "dark"]
+    paths = {name: path for name in names for suffix in _SUFFIXES if (path := folder / f"{name}{suffix}").exists()}
+    for name in names[:2]:
+        refuse_if(name not in paths, f"{folder}: it has no {name}.png, .tiff or .exr")
+    pictures = {}
+    for name, path in paths.items():
+        stored = read_recording(path, linear=True)
+        pictures[name] = np.asarray(stored.image if isinstance(stored, Capture) else stored, np.float32)
+    dark = pictures.get("dark", np.zeros_like(pictures["light"]))
+    with naming(folder / "camera.json"):
+        camera = camera_and_record(folder / "camera.json")[0]
+        for name, picture in pictures.items():
+            refuse_if(
+                picture.shape != camera.shape,
+                f"{name} of shape {picture.shape}: the camera records {camera.shape[0]} rows and {camera.shape[1]} "
+                "columns of one channel",
+            )
+    # Noise below black is no light; it is a small part of a pixel's value.
+    light, white = (np.maximum(pictures[name] - dark, 0) for name in names[:2])
+    with naming(folder / "shapes.json"):
+        shapes = _shapes(json.loads(read_text(folder / "shapes.json", 2**20)), camera)
+    return Recording(light, white, camera, shapes)
+
+
+def _shapes(values: Any, camera: PlenopticCamera) -> dict[str, Shape]:
+    """Return the shapes, nearest first, of a file's content."""
+    shapes = {}
+    with refusing("it holds no shapes by name, with distance, region, even and edge:", AttributeError, TypeError):
+        for name, entry in values.items():
+            for key in entry:
+                require_choice(f"{name}", key, ("distance", *_AREAS))
+            distance = require_number(f"{name}: distance", entry.get("distance"), positive=True)
+            areas = {area: tuple(map(float, entry[area])) for area in _AREAS if area in entry}
+            for area, corners in areas.items():
+                columns, rows = camera.bin_count
+                refuse_if(
+                    len(corners) != 4
+                    or min(corners) < 0
+                    or corners[0] + corners[2] > columns
+                    or corners[1] + corners[3] > rows,
+                    f"{name}: {area} = {entry[area]}: it must be LEFT,TOP,WIDTH,HEIGHT within {columns} x {rows} bins",
+                )
+            refuse_if("region" not in areas, f"{name}: it has no region")
+            shapes[name] = Shape(distance, areas)
+    refuse_if(len({shape.distance for shape in shapes.values()}) < 2, "it must hold shapes at two distances or more")
+    return dict(sorted(shapes.items(), key=lambda item: item[1].distance))
+
+
+def moved_by(recording: Recording) -> tuple[float, float]:
+    """Return the pixels along x and y by which the light field has moved since the white picture.
+
+    Each micro-image of the light field is fitted by that of white, times a parabola, plus its slopes times the
+    displacement; the median is of those in which nothing else is seen.
+    """
+    light, white = (picture.astype(np.float64) for picture in (recording.light, recording.white))
+    camera = recording.camera
+    lenses = lens_numbers(camera)
+    across, down = (ndimage.correlate1d(white, _SLOPE, axis) for axis in (1, 0))
+    least = 0.8 * lenses.size / len(np.unique(lenses))
+    fits = []
+    for index, box in enumerate(ndimage.find_objects(lenses + 1)):
+        inside = None if box is None else lenses[box] == index
+        if inside is None or inside.sum() < least:
+            continue
+        y, x = (values / max(inside.shape) for values in np.nonzero(inside))
+        even, seen = (picture[box][inside] for picture in (white, light))
+        terms = [even * factor for factor in (1, x, y, x * x, x * y, y * y)]
+        terms += [np.ones_like(even), -across[box][inside], -down[box][inside]]
+        design = np.stack(terms, axis=-1)
+        numbers = np.linalg.solve(design.T @ design, design.T @ seen)
+        misfit = float(np.sqrt(np.mean((seen - design @ numbers) ** 2)))
+        brightness = float(seen.sum() / even.sum())
+        fits.append((brightness, misfit / max(float(seen.mean()), 1e-12), *(numbers[-2:] / max(brightness, 1e-12))))
+    bright, misfits, *moves = np.array(fits).T
+    counted = (bright > _BRIGHT * bright.max()) & (misfits < _UNLIKE)
+    refuse_if(counted.sum() < 3, "light: hardly any of its micro-images is like one of white")
+    x, y = (float(np.median(values[counted])) for values in moves)
+    return x, y
+
+
+def stray_width(recording: Recording) -> float | None:
+    """Return the width in mm of the stray light around what is lit, from dark lenses; None for an even one.
+
+    Between bright micro-images light that their rims diffract is as bright as stray light.
+    """
+    numbers = lens_numbers(recording.camera)
+    brightness = np.bincount(numbers.ravel(), recording.light.ravel()) / np.maximum(np.bincount(numbers.ravel()), 1)
+    dark = (brightness < _DARK * brightness.max())[numbers]
+    refuse_if(dark.mean() < _FEWEST, "light: hardly any of its lenses are dark, by which stray light is measured")
+    lit = np.where(dark, 0, recording.light)
+    seen = recording.light[dark].astype(np.float64)
+    misfits = []
+    for width in _WIDTHS:
+        # A stray light of 1 adds the light around to each pixel; what is alike everywhere may be the black level.
+        around = DetectorOperator(stray_light=1.0, stray_width=width).forward(lit)[dark]
+        around = around - around.mean()
+        strength = np.vdot(around, seen) / max(float(np.vdot(around, around)), 1e-12)
+        misfits.append(float(np.linalg.norm(seen - seen.mean() - strength * around)))
+    width = _WIDTHS[int(np.argmin(misfits))]
+    return float(width * recording.camera.pixel_size) if np.isfinite(width) else None
+
+
+def aligned(recording: Recording, moved: tuple[float, float], width: float | None) -> Recording:
+    """Return the recording with camera and white picture where the light field is, and with stray light of a width."""
+    camera = recording.camera
+    step = camera.pixel_size / camera.image_growth
+    x, y = (before + step * pixels for before, pixels in zip(camera.mla_offset, moved, strict=True))
+    white = ndimage.shift(recording.white, moved[::-1], order=3, mode="nearest")
+    camera = camera.replace(mla_offset=(x, y), stray_width=width)
+    return replace(recording, white=np.maximum(white, 0).astype(np.float32), camera=camera)
+
+
+def electrons(white: NDArray[np.float32]) -> float:
+    """Return the electrons of a pixel of value 1, from the differences of neighbours in a white picture.
+
+    It is the photon noise that explains these; unequal pixels count as noise, too.
+    """
+    bright = ndimage.binary_erosion(white > 0.8 * np.quantile(white, 0.99), iterations=3)
+    second = (2 * white - np.roll(white, 1, 1) - np.roll(white, -1, 1)) / np.sqrt(6)
+    deviation = 1.4826 * float(np.median(np.abs(second[bright] - np.median(second[bright]))))
+    return float(white[bright].mean()) / deviation**2
