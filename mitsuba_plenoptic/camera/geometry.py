@@ -20,7 +20,7 @@ from ..array import (
     make_lattice,
     random_figure_error,
 )
-from ..errors import InputError, refuse_if
+from ..errors import InputError, refuse_if, short_repr
 from ..prescription import THIN, Collimator, LensData, Objective, Prescription, defocus_factor, even_count
 from ..runtime import take
 from .aperture import Apodised, Opening, Round
@@ -175,7 +175,10 @@ class CameraGeometry(CameraParameters):
         """
         lattice = self.lattice if lattice is None else lattice
         focal_length = np.array(self.reduced_focal_lengths) if focal_lengths is None else focal_lengths
-        centre = lattice.centre(i, j)
+        try:
+            centre = lattice.centre(i, j)
+        except TypeError:
+            raise InputError(f"i, j = {short_repr((i, j))}: they must be numbers or arrays of numbers") from None
         if len(self.mla_focal_lengths) > 1:
             focal_length = take(focal_length, lattice.lens_type(i, j))
         elif isinstance(focal_length, np.ndarray):

@@ -80,6 +80,7 @@ PUPILS = [
     ({"vignetting": {"radius": [1], "scale": 0}}, "scale"),
     ({"vignetting": {"radius": [1], "slope": [0]}}, "slope"),
     ({"vignetting": {"scale": 1}}, "radius is missing"),
+    ({"vignetting": 3}, "vignetting: 3: it must be a dictionary or a JSON file"),
 ]  # fmt: skip
 
 IRREGULAR = [
@@ -320,3 +321,10 @@ def test_names_of_elsewhere_are_answered_with_the_parameter(name, words, tmp_pat
 )
 def test_places_of_a_camera_that_a_scene_would_refuse(place, rule):
     refuses(f"^to_world.*: {rule}", PlenopticCamera().to_xml, place)
+
+
+@pytest.mark.parametrize("lattice", ["square", "hexagonal"])
+def test_lenses_are_found_by_numbers_alone(lattice):
+    camera = PlenopticCamera(mla_lattice=lattice)
+    for index in ("a", None):
+        refuses(r"^i, j = \(.*, 0\): they must be numbers or arrays of numbers", camera.lenslet, index, 0)

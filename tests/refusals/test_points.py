@@ -125,6 +125,8 @@ def field(amplitudes=(1,) * 12, points=NEAR, camera=None, plane="detector", **op
             (lambda image=image: operator().adjoint(image), "^image")
             for image in (np.full(SMALL.shape, np.nan), "image", [[1.0], [1.0, 2.0]])
         ),
+        (lambda: operator() @ np.ones(3), r"^flat array of shape \(3,\): it must have 2 numbers"),
+        (lambda: operator().T @ np.ones((8, 2)), r"^flat array of shape \(8, 2\): .* those of shape \(256, 256\)"),
         (lambda: waves(mp.PlenopticCamera(), FAR).forward(np.ones(100)), "^100 points by patches.*GiB"),
         (lambda: derived().derivative([1.0], {"f_number": 1.0}), "f_number.*: it is none of the parameters"),
         (lambda: derived().derivative([1.0], {"mla_offset": 1.0}), "^mla_offset = 1.0: its change must be 2 numbers"),
