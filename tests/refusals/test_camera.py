@@ -80,6 +80,7 @@ PUPILS = [
     ({"vignetting": {"radius": [1], "scale": 0}}, "scale"),
     ({"vignetting": {"radius": [1], "slope": [0]}}, "slope"),
     ({"vignetting": {"scale": 1}}, "radius is missing"),
+    ({"vignetting": 3}, "vignetting: 3: it must be a dictionary or a JSON file"),
 ]  # fmt: skip
 
 IRREGULAR = [
