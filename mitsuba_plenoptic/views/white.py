@@ -13,7 +13,6 @@ from collections.abc import Sequence
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ..array import hashed
 from ..camera import Opening, PlenopticCamera, Round, Use, are_alike, require_support
@@ -23,7 +22,7 @@ from ..errors import InputError, refuse_if, short_repr, warn
 from ..io import Capture, recording_of, require_demosaiced
 from ..optics import second_leg
 from ..rays import Passage, Walk, detector_rows, even_steps
-from ..runtime import array_module, as_pixels, fft, require_memory
+from ..runtime import Floats, array_module, as_pixels, fft, require_memory
 from .grid import LensGrid, lens_indices, lens_numbers, lens_types, micro_image_centres
 
 # Samples that see less of the pupil than this are left out: dividing by so little would only raise their noise.
@@ -31,9 +30,6 @@ MINIMUM_WEIGHT = 0.1
 
 # Samples of a table of the pupil along a side, at most.
 _WIDEST = 4096
-
-# Points across a pixel for the area of what the pupil's edge leaves of it: exact to 0.2 % of the pixel.
-_POINTS = 8
 
 
 class PupilFraction:
@@ -105,12 +101,24 @@ def _square_in_disc(x: np.ndarray, y: np.ndarray, radius: float) -> np.ndarray:
     distance = np.hypot(x, y)
     fraction = (distance < radius).astype(np.float64)
     edge = np.abs(distance - radius) < math.sqrt(0.5)
-    offsets = (np.arange(_POINTS) + 0.5) / _POINTS - 0.5
-    chord = np.sqrt(np.maximum(0, radius**2 - (x[edge][:, None] + offsets) ** 2))
-    low = y[edge][:, None] - 0.5
-    high = y[edge][:, None] + 0.5
-    fraction[edge] = np.maximum(0, np.minimum(high, chord) - np.maximum(low, -chord)).mean(1)
+    right, left, above, below = ((c[edge] + side) / radius for c in (x, y) for side in (0.5, -0.5))
+    area = _disc_below(right, above) - _disc_below(left, above) - _disc_below(right, below) + _disc_below(left, below)
+    fraction[edge] = radius**2 * area.clip(0)
     return fraction
+
+
+def _disc_below(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the area of the unit disc's points whose coordinates are less than x and y."""
+    x, y = x.clip(-1, 1), y.clip(-1, 1)
+    half = np.sqrt(1 - y * y)
+    middle = x.clip(-half, half)
+    within = _half_disc(middle) - _half_disc(-half)
+    return np.asarray(within + y * (middle + half) + np.where(y > 0, 2 * (_half_disc(x) - within), 0))
+
+
+def _half_disc(x: np.ndarray) -> np.ndarray:
+    """Return the area of the upper half of the unit disc up to x."""
+    return np.asarray((x * np.sqrt(1 - x * x) + np.arcsin(x)) / 2 + np.pi / 4)
 
 
 # Micro-images drawn at once.
@@ -338,7 +346,7 @@ def mean_response(camera: PlenopticCamera) -> float:
     return float(counts.mean())
 
 
-def _traced(camera: PlenopticCamera) -> NDArray[np.float32]:
+def _traced(camera: PlenopticCamera) -> Floats:
     """Return the white image of a camera with a real main lens or vignetting, by rays from its pixels.
 
     Every pixel has its own shift of one even set of rays, so that sampling errors at the rims of micro-images average

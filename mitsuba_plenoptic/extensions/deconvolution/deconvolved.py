@@ -6,7 +6,7 @@ residual over noise hardly falls any more.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,7 @@ from ...design import resolution_limit
 from ...errors import InputError, argument, refuse_if, refusing, require_number
 from ...io import digest
 from ...linear import LinearMap, PixelNoise, RichardsonLucy, SolverState, StopRule, misfit, relative_residual, solve
-from ...refocus import Found, Progress, Task, method, portion, work_of
+from ...refocus import Found, Task, method, portion, work_of
 from ...runtime import Job
 from .fourier import response_of
 from .variation import TotalVariation
@@ -156,7 +156,7 @@ def _solve(
     noise: PixelNoise | None,
     solved: Sequence[Solved],
     arrays: Mapping[str, NDArray[Any]],
-    report: Progress,
+    report: Callable[[float], None],
 ) -> Iterator[Solved]:
     """Yield the result of each plane for one channel, from the state in a checkpoint's arrays if there is one."""
     image = np.ascontiguousarray(task.image[..., channel])

@@ -20,7 +20,7 @@ from ...errors import InputError, refuse_if, require_count, suggest_keywords
 from ...io import digest
 from ...optics import guards
 from ...points import CaptureOperator, recorded_pixels
-from ...runtime import POINTS, Job, Part, PartialSum, SumTask, as_array, one_at_a_time
+from ...runtime import POINTS, Doubles, Job, Part, PartialSum, SumTask, as_array, one_at_a_time
 from .coherent import CoherentFields
 
 _BRIGHTEST = 1e30
@@ -109,7 +109,7 @@ class _Realisation:
     """One realisation of the phases, as a batch of a computation."""
 
     fields: CoherentFields
-    moduli: NDArray[np.float64]
+    moduli: Doubles
     seed: tuple[int, int]
     scale: float
 
@@ -133,7 +133,7 @@ class _Realisations:
     channels = 1
     arrays: Any = np
 
-    def __init__(self, fields: CoherentFields, moduli: NDArray[np.float64], count: int, seed: int) -> None:
+    def __init__(self, fields: CoherentFields, moduli: Doubles, count: int, seed: int) -> None:
         self._fields = fields
         self._moduli = moduli
         self._seed = seed
@@ -151,7 +151,7 @@ class _Realisations:
         return np.ascontiguousarray(total.sums.transpose(1, 2, 0))
 
 
-def _real(name: str, values: Any, count: int) -> NDArray[np.float64]:
+def _real(name: str, values: Any, count: int) -> Doubles:
     """Return values as a float64 array (count,), or refuse them."""
     array = as_array(name, values, np.float64, POINTS, rule="they must be numbers")
     refuse_if(array.shape != (count,), f"{name} of shape {array.shape}: it must be {(count,)}, one for each point")

@@ -29,7 +29,7 @@ from ...report import (
     refocused,
     window_sharpness,
 )
-from ...runtime import software
+from ...runtime import Doubles, software
 from ...scene import render_capture
 from ..deconvolution.deconvolved import flat_field
 from ..deconvolution.response import Response
@@ -45,8 +45,6 @@ _SHOWN = 4
 
 STEPS = 4
 """Steps of deconvolution: with more, what noise and the model's own errors add between lenses grows, not the detail."""
-
-_SAMPLES = 16
 
 TITLES = {
     "ray": "Rays, lens footprint",
@@ -171,7 +169,7 @@ def judge(recording: Recording, store: Cache, scene: str, wavelength: float) -> 
     return Judged(pictures, measured, check_claims(experiment, measured, None, near, far), quality)
 
 
-def _box(camera: PlenopticCamera, shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _box(camera: PlenopticCamera, shape: Shape) -> tuple[Doubles, Doubles]:
     """Return the corners of a shape's region in the camera's frame."""
     left, top, width, height = shape.areas["region"]
     columns, rows = camera.bin_count
@@ -188,8 +186,8 @@ def _divided(name: str, capture: Capture, white: Capture, distance: float) -> ND
     def refocus(one: Capture) -> NDArray[np.float32]:
         if name == "quarters":
             return np.asarray(of_subsets(one, distance, quarters, _SHOWN), np.float32)
-        options = {"interleave": 2} if name == "partial" else {}
-        return reconstruct(one, distance, method=name, oversample=_SHOWN, **options).image  # type: ignore[no-any-return]
+        options: dict[str, Any] = {"interleave": 2} if name == "partial" else {}
+        return reconstruct(one, distance, method=name, oversample=_SHOWN, **options).image
 
     light, even = refocus(capture), refocus(white)
     return np.divide(light, even, out=np.full_like(light, np.nan), where=even > 0.05 * np.nanmax(even))
@@ -268,7 +266,7 @@ def _control(
                 mi.load_dict(scene, parallel=False),
                 model="wave",
                 wavelength=wavelength,
-                spp=_SAMPLES,
+                spp=16,
                 progress=progress,
                 checkpoint=checkpoint,
             )

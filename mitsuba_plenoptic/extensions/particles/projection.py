@@ -18,7 +18,7 @@ from ...fields import OpticalSystem
 from ...lenses import inverse_distance
 from ...linear import LinearMap
 from ...points import CaptureOperator
-from ...runtime import POINTS, Job, Progress, as_array, counted
+from ...runtime import POINTS, Doubles, Job, Progress, as_array, counted
 from ..inverse.point_rays import PointRays
 from ..inverse.stored import StoredOperator
 from .seeding import ParticleVolume
@@ -101,12 +101,14 @@ class VoxelProjector(LinearMap):
             else StoredOperator(camera, at, wavelength=wavelength, accuracy=accuracy, budget=budget)
         )
         super().__init__((len(points),), camera.shape)
+        self.camera = camera
+        self.grid = grid
 
     def forward(self, weights: ArrayLike, *, job: Job | None = None) -> NDArray[np.float32]:
         """Return the image (rows, columns) of voxels with the given light, (n,)."""
         return self.points.forward(self._spread @ as_array("weights", weights, np.float64, POINTS), job=job)
 
-    def adjoint(self, image: ArrayLike, *, job: Job | None = None) -> NDArray[np.float64]:
+    def adjoint(self, image: ArrayLike, *, job: Job | None = None) -> Doubles:
         """Return each voxel's inner product with an image, (n,)."""
         return np.asarray(self._spread.T @ self.points.adjoint(image, job=job))
 
@@ -161,14 +163,19 @@ class RayProjector(LinearMap):
             refuse_if(2 * size > budget * 2**30, f"budget = {budget:g} GiB: the matrix takes more; take fewer voxels")
         entries = np.concatenate(values), np.concatenate(pixels), np.cumsum([0, *map(len, pixels)])
         super().__init__((len(points),), camera.shape)
+        self.camera = camera
+        self.grid = grid
         self._matrix = scipy.sparse.csc_array(entries, shape=self.shape)
 
     def forward(self, weights: ArrayLike) -> NDArray[np.float32]:
         """Return the image (rows, columns) of voxels with the given light, (n,)."""
-        return np.asarray(self._matrix @ as_array("weights", weights, np.float32, POINTS)).reshape(self.image_shape)
+        weights = as_array("weights", weights, np.float32, POINTS)
+        refuse_if(not np.isfinite(weights).all(), "weights: all must be finite")
+        return np.asarray(self._matrix @ weights).reshape(self.image_shape)
 
     def adjoint(self, image: ArrayLike) -> NDArray[np.float32]:
         """Return each voxel's inner product with an image, (n,)."""
         image = as_array("image", image, np.float32)
         refuse_if(image.shape != self.image_shape, f"image of shape {image.shape}: the camera has {self.image_shape}")
+        refuse_if(not np.isfinite(image).all(), "image: its pixels must be finite")
         return np.asarray(self._matrix.T @ image.ravel())

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from ...camera import are_alike
 from ...errors import refuse_if, require_choice, require_count, require_number, suggest_keywords
 from ...io import Capture, Checkpoint, digest
 from ...linear import LinearMap, Sirt, Smart, SolverState, StopRule, relative_residual, solve
@@ -73,6 +74,13 @@ def reconstruct_volume(
     iterations = require_count("iterations", iterations)
     relaxation = require_number("relaxation", relaxation, positive=True, maximum=2)
     tolerance = require_number("tolerance", tolerance, minimum=0, maximum=1)
+    refuse_if(getattr(operator, "grid", grid) != grid, f"grid of shape {grid.shape}: it is not the operator's")
+    if isinstance(capture, Capture):
+        camera = getattr(operator, "camera", capture.camera)
+        refuse_if(
+            not are_alike(capture.camera, camera),
+            "capture: its camera is not the operator's; give its image alone to reconstruct it with that",
+        )
     image = as_array("capture", capture.image if isinstance(capture, Capture) else capture, np.float64)
     refuse_if(not np.isfinite(image).all(), "capture: its pixels must be finite")
     image = np.maximum(image, 0)

@@ -12,7 +12,13 @@ from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.linear.map import LinearMap
 
 CAMERA = mp.PlenopticCamera(detector_width=0.512, resolution=(128, 128))
+SMALL = CAMERA.replace(detector_width=0.128, resolution=(16, 16))
 GRID = pt.VoxelGrid((-0.2, -0.2, 236), (0.2, 0.2, 246), (2, 3, 3))
+TURNED = pt.VoxelGrid((-0.2, -0.2, 236), (0.2, 0.2, 246), (3, 3, 2))
+
+
+def small_rays():
+    return pt.RayProjector(SMALL, GRID, wavelength=550)
 
 
 class Dense(LinearMap):
@@ -259,6 +265,18 @@ test_bad_volumes_are_refused_in_one_line = refused(
     (lambda: pt.quality(EMPTY + np.inf, EMPTY), "volumes: their voxels must be finite"),
     (lambda: pt.reconstruct_volume(dense_case()[0], np.full((10, 6), np.nan), GRID), "its pixels must be finite"),
     (lambda: pt.reconstruct_volume(dense_case()[0], np.zeros((10, 6)), GRID), "dark everywhere"),
+    (
+        lambda: pt.reconstruct_volume(small_rays(), np.ones((16, 16)), TURNED),
+        r"grid of shape \(3, 3, 2\): it is not the op",
+    ),
+    (
+        lambda: pt.reconstruct_volume(
+            small_rays(), mp.Capture(np.ones((16, 16)), SMALL.replace(aperture_radius=3)), GRID
+        ),
+        "capture: its camera is not the",
+    ),
+    (lambda: small_rays().forward(np.full(18, np.nan)), "weights: all must be finite"),
+    (lambda: small_rays().adjoint(np.full((16, 16), np.inf)), "image: its pixels must be finite"),
     (lambda: pt.reconstruct_volume(dense_case(7)[0], np.ones((10, 6)), GRID), "grid of 18 voxels: the operator's"),
     (lambda: pt.reconstruct_volume(dense_case()[0], np.ones((10, 6)), GRID, method="art"), "one of mart, sirt"),
     (lambda: pt.correlate_volumes(EMPTY, EMPTY, window=(4, 4, 4)), "first: the volume is empty"),
