@@ -45,9 +45,6 @@ Table = tuple[NDArray[np.float64], NDArray[np.float64]]
 _FINE = 0.5
 """Step in nanometres of the wavelengths, besides the tables' own, at which quadratures of tables are checked."""
 
-_WRONG = 4e-3
-"""Largest allowed relative error of a channel's integral over a table."""
-
 
 @suggest_keywords
 @dataclass(frozen=True)
@@ -338,7 +335,8 @@ def _nodes(
         return np.divide(wrong, largest, out=np.zeros_like(wrong), where=largest > 0)
 
     parts = {(0, len(edges) - 1): errors(0, len(edges) - 1)}
-    while (total := np.sum(list(parts.values()), axis=0)).max() > _WRONG:
+    # 4e-3: Largest allowed relative error of a channel's integral over a table.
+    while (total := np.sum(list(parts.values()), axis=0)).max() > 4e-3:
         worst = int(np.argmax(total))
         divisible = [interval for interval in parts if interval[1] - interval[0] > 1]
         if not divisible or len(parts) > MOST_WAVELENGTHS // 2:

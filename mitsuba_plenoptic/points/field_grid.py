@@ -23,9 +23,6 @@ from ..optics import in_millimetres
 from ..runtime import fft, turn
 from .sampling import footprint
 
-_PITCH_PER_PIXEL = 1.1
-"""Largest distance of samples over a pixel, within `_FINER`: larger pixels average the fringes of steep light."""
-
 _FINER = 1.2
 _WIDTH_PER_BLUR = 1.2
 _TAILS = 6
@@ -131,7 +128,9 @@ class Grid:
         if beside and system.microlenses.fills:
             half_band = min(half_band, cosine + bent + diffraction(camera, wavelength, band.beyond))
         largest = in_millimetres(wavelength) / (2 * half_band)
-        largest = min(largest, max(_PITCH_PER_PIXEL * camera.pixel_size, largest / _FINER))
+        # 1.1: Largest distance of samples over a pixel, within `_FINER`: larger pixels average the fringes of steep
+        # light.
+        largest = min(largest, max(1.1 * camera.pixel_size, largest / _FINER))
         steps = repetition(camera)[1] * camera.image_growth
         fft.check_samples(float((steps / largest).max()), "from lens to lens")
         origin = -np.array([camera.detector_width, camera.detector_height]) / 2

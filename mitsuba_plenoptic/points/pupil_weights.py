@@ -17,9 +17,6 @@ from ..runtime import IMAGE, as_array, drjit_array, fft
 BORDER = 2
 """Cells beyond each side of the square for which there are coefficients of complex amplitudes."""
 
-STEEPEST = 0.98
-"""Largest slant: if a surface is seen more obliquely, the pupil sees both sides, one of which is hidden."""
-
 
 @dataclass(frozen=True)
 class PupilWeights:
@@ -151,4 +148,5 @@ def slants(normals: NDArray[np.floating[Any]], positions: NDArray[np.float64], r
     """
     height = (normals * positions).sum(1)
     slant = -radius * normals[:, :2] / np.where(height == 0, np.inf, height)[:, None]
-    return slant / np.maximum(1, np.hypot(*slant.T) / STEEPEST)[:, None]
+    # 0.98: Largest slant: if a surface is seen more obliquely, the pupil sees both sides, one of which is hidden.
+    return slant / np.maximum(1, np.hypot(*slant.T) / 0.98)[:, None]

@@ -23,9 +23,6 @@ _SECONDS = 0.6
 _PART = 64
 """Approximate time in seconds for which light paths are traced, but no more than about this part of the capture."""
 
-_FEW_PATHS = 16
-"""Largest count of samples that are traced for a pixel at once."""
-
 _TRACED = 0.8
 _OF_RAY = 0.7
 _OF_PIXEL = 10.0
@@ -41,7 +38,8 @@ def seconds_by_rays(scene: Any, sensor: Any, integrator: Any, *, seed: int, spp:
     """Return the estimated seconds of a ray capture: evenly spaced rows of pixels are traced in Mitsuba's order."""
     columns, rows = (int(size) for size in sensor.film().crop_size())
     samples = rows * columns * spp
-    together = min(spp, _FEW_PATHS)
+    # 16: Largest count of samples that are traced for a pixel at once.
+    together = min(spp, 16)
     lines = min(rows, max(1, min(_RAYS, samples // _PART) // (columns * together)))
     count = lines * columns * together
     sampler = mi.load_dict({"type": "independent"})

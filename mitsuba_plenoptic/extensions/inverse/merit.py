@@ -15,9 +15,6 @@ from ...fields import OpticalSystem
 from ...points import CaptureOperator, check_positions, chosen_accuracy
 from .differentiable import RayRefocus
 
-DESIGN_ACCURACY = 0.02
-"""Default error allowed for the point spreads: designs differ by more."""
-
 Gradient = dict[str, NDArray[np.float64]]
 
 
@@ -27,7 +24,8 @@ class Spreads:
     def __init__(self, points: Any, wavelength: float, accuracy: float | None, method: str) -> None:
         # Where they may lie depends on the camera, and is checked with it.
         self.points, self.wavelength = check_positions(points, virtual=True), require_wavelength(wavelength)
-        self._accuracy = chosen_accuracy(accuracy, method, DESIGN_ACCURACY)
+        # 0.02: Default error allowed for the point spreads: designs differ by more.
+        self._accuracy = chosen_accuracy(accuracy, method, 0.02)
         self._method = method
         self._system: OpticalSystem | None = None
 

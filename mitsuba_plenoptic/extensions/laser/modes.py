@@ -27,9 +27,6 @@ _NODES = 400
 _FULL_WIDTH = 2 * math.sqrt(2 * math.log(2))
 """Full width at half maximum of a normal distribution, over its standard deviation."""
 
-_COSINES = 2.0
-"""Sum of the cosines of incidence and reflection, both near the surface's normal."""
-
 
 @suggest_keywords
 def mode_count(
@@ -107,7 +104,8 @@ def mode_count(
         far = require_number("source_distance", source_distance, positive=True)
         modes = angular_modes(size / 2 / far, camera.aperture_radius / distance)
     spread = 2 * math.pi * width / _FULL_WIDTH / length**2
-    return modes * math.sqrt(1 + 4 * (_COSINES * height * spread) ** 2)
+    # 2.0: Sum of the cosines of incidence and reflection, both near the surface's normal.
+    return modes * math.sqrt(1 + 4 * (2.0 * height * spread) ** 2)
 
 
 def angular_modes(source: float, pupil: float) -> float:

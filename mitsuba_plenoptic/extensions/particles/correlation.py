@@ -26,9 +26,6 @@ MEDIAN_LIMIT = 2.0
 MEDIAN_FLOOR = 0.1
 """Residual over that of the neighbours above which a vector is an outlier, and voxels that are added to the latter."""
 
-_LEAST_OVERLAP = 0.25
-"""Overlap of the windows, over their size, below which a displacement is not looked for."""
-
 
 @suggest_keywords
 def correlate_volumes(
@@ -131,7 +128,8 @@ def _displacement(before: NDArray[np.float64], after: NDArray[np.float64]) -> tu
         return np.full(3, np.nan), 0.0
     spectrum = np.conj(scipy.fft.rfftn(a, shape)) * scipy.fft.rfftn(b, shape)
     products = scipy.fft.irfftn(spectrum, shape)
-    reach = ((1 - _LEAST_OVERLAP) * size).astype(int)
+    # 0.25: Overlap of the windows, over their size, below which a displacement is not looked for.
+    reach = ((1 - 0.25) * size).astype(int)
     lags = [np.arange(-most, most + 1) for most in reach]
     products = products[np.ix_(*lags)]
     peak = np.array(np.unravel_index(int(products.argmax()), products.shape))
