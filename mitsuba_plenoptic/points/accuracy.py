@@ -152,7 +152,11 @@ def find_patterns(
         alone = np.zeros((len(positions), 2), np.int64)
         slant = None if pupil_weights is None else pupil_weights.slant
         return Patterns(positions, slant, np.arange(len(positions)), alone)
-    image = _lattice_steps(camera, lens.images(positions))
+    # Positions on the MLA in steps along the lattice vectors, the first of which is along x.
+    (width, _), (aside, height) = camera.lattice.basis
+    x, y = (lens.images(positions) - np.array(camera.mla_offset)).T
+    j = y / height
+    image = np.stack([(x - j * aside) / width, j], axis=-1)
     depth, parts = _depth_steps(camera, lens, positions[:, 2], wavelength, step)
     fine = np.floor(image * parts[:, None] + _OFF_LATTICE).astype(np.int64)
     cell = fine // parts[:, None]
@@ -192,14 +196,6 @@ def find_patterns(
     nearness = np.where(np.abs(mean) > 1 / _FARTHEST, mean, 1 / _FARTHEST)
     centres = lens.points(_in_pitches(camera, position) * camera.mla_pitch, nearness)
     return Patterns(centres, slant, pattern, cell - middle[pattern])
-
-
-def _lattice_steps(camera: PlenopticCamera, position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return positions on the MLA, (n, 2), in steps along the lattice vectors, the first of which is along x."""
-    (width, _), (aside, height) = camera.lattice.basis
-    x, y = (position - np.array(camera.mla_offset)).T
-    j = y / height
-    return np.stack([(x - j * aside) / width, j], axis=-1)
 
 
 def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> NDArray[np.float64]:

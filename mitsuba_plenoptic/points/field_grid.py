@@ -211,7 +211,14 @@ def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
         float(((np.abs(image.centre) + width[:, None]) / grid.pitch).max(initial=0)),
         "from the axis",
     )
-    samples = _ladder(width / grid.pitch.min())
+    # Sample counts rounded up to a few fast FFT lengths, so that many points share one length.
+    minimum = width / grid.pitch.min()
+    counts = [fft.fast_length(16)]
+    while counts[-1] < minimum.max(initial=0):
+        length = fft.fast_length(math.ceil(counts[-1] * _WIDTH_STEP))
+        # rows separated by a multiple of 2 KiB map to the same few lines of the processor's cache
+        counts.append(length if length % 256 else fft.fast_length(length + 1))
+    samples = np.array(counts)[np.searchsorted(counts, minimum)]
     corner = np.rint((image.centre + aside / 2 - grid.origin) / grid.pitch).astype(np.int64)
     step = lam / (samples[:, None] * grid.pitch)
     angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
@@ -224,13 +231,3 @@ def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
         first=np.floor(cosine.min(1) / step).astype(np.int64) - 1,
         last=np.ceil(cosine.max(1) / step).astype(np.int64) + 1,
     )
-
-
-def _ladder(minimum: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return sample counts rounded up to a few fast FFT lengths, so that many points share one length."""
-    counts = [fft.fast_length(16)]
-    while counts[-1] < minimum.max(initial=0):
-        length = fft.fast_length(math.ceil(counts[-1] * _WIDTH_STEP))
-        # rows separated by a multiple of 2 KiB map to the same few lines of the processor's cache
-        counts.append(length if length % 256 else fft.fast_length(length + 1))
-    return np.array(counts)[np.searchsorted(counts, minimum)]

@@ -104,7 +104,12 @@ class PupilWeights:
         for P in (Px, Py):
             position = (P + radius) * (cells / (2 * radius))
             if self.sampled:
-                near = _splines(position)
+                # The four cells around a position, and the values of the cubic B-splines centred on these cells.
+                before = dr.floor(position - 0.5)
+                right = position - 0.5 - before
+                left = 1 - right
+                parts = left**3 / 6, 2 / 3 - right**2 + right**3 / 2, 2 / 3 - left**2 + left**3 / 2, right**3 / 6
+                near = [(before + step, weight) for step, weight in zip(range(-1, 3), parts, strict=True)]
             else:
                 # The two cells that a sample overlaps, and the fraction of it beyond the border between them.
                 low, high = (dr.floor(dr.clip(position + side * half, 0, cells - 1)) for side in (-1, 1))
@@ -130,15 +135,6 @@ class PupilWeights:
         slant = [dr.gather(Float, drjit_array(Float, values_at), point) for values_at in self.slant.T]
         cosine = Float(dr.maximum(1 + (slant[0] * Float(Px) + slant[1] * Float(Py)) / radius, 0))
         return power * cosine, amplitude * dr.sqrt(cosine)
-
-
-def _splines(position: Any) -> list[tuple[Any, Any]]:
-    """Return the four cells around a position, and the values of the cubic B-splines centred on these cells."""
-    before = dr.floor(position - 0.5)
-    right = position - 0.5 - before
-    left = 1 - right
-    parts = left**3 / 6, 2 / 3 - right**2 + right**3 / 2, 2 / 3 - left**2 + left**3 / 2, right**3 / 6
-    return [(before + step, weight) for step, weight in zip(range(-1, 3), parts, strict=True)]
 
 
 def slants(normals: NDArray[np.floating[Any]], positions: NDArray[np.float64], radius: float) -> NDArray[np.float64]:

@@ -189,17 +189,7 @@ def known_kind(value: Any, default: type[LensData]) -> type[LensData]:
 def require_unscaled(stated: dict[str, float], settled: dict[str, float], tolerance: float) -> dict[str, float]:
     """Return a lens's own parameters; refuse given parameters that differ.
 
-    Parameters
-    ----------
-    stated, settled : dict
-        Values by name: those of a camera, and the lens's.
-    tolerance : float
-        Allowed relative difference.
-
-    Raises
-    ------
-    InputError
-        If a stated value is not the lens's own.
+    `stated` are a camera's, `settled` the lens's.
     """
     for name, value in settled.items():
         refuse_if(

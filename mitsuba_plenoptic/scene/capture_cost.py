@@ -75,12 +75,7 @@ def seconds_by_waves(by_rays: float, rays: float, pixels: float, images: int) ->
 
     `images` are those of all wavelengths and channels together.
     """
-    sample = _seconds_of_a_sample()
-    return _TRACED * by_rays + sample * images * (_OF_RAY * rays + _OF_PIXEL * pixels + _OF_PLAN)
-
-
-def _seconds_of_a_sample() -> float:
-    """Return the seconds that a Fourier transform takes for a sample, with one transform on each core."""
+    # The seconds that a Fourier transform takes for a sample, with one transform on each core.
     libraries = active_backend()
     workers = 1 if active_backend().is_cuda else fft.worker_count()
     image = libraries.arrays.ones((_TRANSFORM, _TRANSFORM), np.float32)
@@ -91,4 +86,5 @@ def _seconds_of_a_sample() -> float:
         on_all_cores(libraries.transforms.rfft2, [image] * workers)
         libraries.synchronize()
         seconds.append(time.perf_counter() - start)
-    return min(seconds) / (workers * _TRANSFORM**2)
+    sample = min(seconds) / (workers * _TRANSFORM**2)
+    return _TRACED * by_rays + sample * images * (_OF_RAY * rays + _OF_PIXEL * pixels + _OF_PLAN)

@@ -92,7 +92,12 @@ def correlate_volumes(
             )
             shift, best[index] = _displacement(*windows)
             displacement[index] = moved - start + shift
-        outlier = is_outlier(displacement)
+        # Which vectors (z, y, x, axis), in voxels, differ from what their neighbours expect. By Westerweel and Scarano
+        # (2005), both as the neighbours are and less their gradient, which few neighbours at a corner tell less well.
+        # Vectors that are NaN do, too; what has no neighbours differs from none.
+        expected = [_expected(displacement, linear) for linear in (False, True)]
+        apart = [np.linalg.norm((displacement - middle) / typical, axis=-1) for middle, typical in expected]
+        outlier = ~(np.minimum(*apart) <= MEDIAN_LIMIT)
         displacement = np.where(outlier[..., None], _expected(displacement)[0], displacement)
     voxel = np.array([axis[1] - axis[0] for axis in axes])
     centres = {
@@ -173,14 +178,3 @@ def _median(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the median over the last three axes, which stay; 0 where all values are NaN."""
     last = (-3, -2, -1)
     return np.nanmedian(np.where(np.isnan(values).all(last, keepdims=True), 0, values), axis=last, keepdims=True)
-
-
-def is_outlier(vectors: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which vectors (z, y, x, axis), in voxels, differ from what their neighbours expect.
-
-    By Westerweel and Scarano (2005), both as the neighbours are and less their gradient, which few neighbours at a
-    corner tell less well. Vectors that are NaN do, too; what has no neighbours differs from none.
-    """
-    expected = [_expected(vectors, linear) for linear in (False, True)]
-    apart = [np.linalg.norm((vectors - middle) / typical, axis=-1) for middle, typical in expected]
-    return ~(np.minimum(*apart) <= MEDIAN_LIMIT)
