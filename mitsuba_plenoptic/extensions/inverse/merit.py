@@ -58,14 +58,6 @@ class Spreads:
             yield CaptureOperator(camera, [point], wavelength=self.wavelength, system=self._system, **options)
 
 
-def require_held(camera: PlenopticCamera, other: PlenopticCamera, held: Iterable[str]) -> None:
-    """Refuse a camera that differs in a parameter that a figure of merit holds fixed."""
-    mine = camera.to_dict()
-    its = other.to_dict()
-    for name in held:
-        refuse_if(mine[name] != its[name], f"{name} = {its[name]}: this figure is of cameras with {mine[name]}")
-
-
 VARYING = ("mla_focal_length", "mla_fill", "wavefront")
 """Parameters on which refocusing by rays does not depend."""
 
@@ -159,8 +151,11 @@ class RefocusedContrast:
         return [refocus.forward(image) for refocus, image in pairs]
 
     def _images(self, camera: PlenopticCamera) -> NDArray[np.float64]:
-        fixed = [name for name in camera.to_dict() if name not in VARYING]
-        require_held(self._camera, camera, fixed)
+        # What this figure holds fixed must not differ.
+        own = self._camera.to_dict()
+        for name, value in camera.to_dict().items():
+            if name not in VARYING:
+                refuse_if(own[name] != value, f"{name} = {value}: this figure is of cameras with {own[name]}")
         return self._spreads.images(camera)
 
     def _contrast(self, images: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
