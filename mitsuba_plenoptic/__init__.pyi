@@ -8,6 +8,7 @@ from .camera import Aperture as Aperture
 from .camera import LensTransmissions as LensTransmissions
 from .camera import PhaseScreen as PhaseScreen
 from .camera import PlenopticCamera as PlenopticCamera
+from .camera import StrayLight as StrayLight
 from .camera import Vignetting as Vignetting
 from .camera import frozen_flow as frozen_flow
 from .detector.record import Detector as Detector

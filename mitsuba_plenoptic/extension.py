@@ -168,6 +168,7 @@ GONE = {
     "run": "a Makefile or Snakemake serves instead (docs/guides/long_runs.md)",
     "--save-run": "a Makefile or Snakemake serves instead (docs/guides/long_runs.md)",
     "--fit": "preview says which distances refocusing makes sharp, and info --fix mends a camera",
+    "--partition": "--interleave K takes every K-th lens along both axes",
     "--overview": "napari and ImageJ show the file of the volume",
     "fitting.Layers": "mi.render fits textures (docs/guides/inverse_problems.md)",
     "fitting.fit_layers": "mi.render fits textures (docs/guides/inverse_problems.md)",

@@ -22,6 +22,7 @@ from .sampled_grid import SampledGrid as SampledGrid
 from .sampled_grid import known_samples as known_samples
 from .sampled_grid import phases as phases
 from .sampled_grid import read_samples as read_samples
+from .sampled_grid import read_table as read_table
 from .shape import MicrolensShape as MicrolensShape
 from .shape import Paraboloid as Paraboloid
 from .shape import focal_length_of as focal_length_of

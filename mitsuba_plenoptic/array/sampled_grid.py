@@ -46,6 +46,19 @@ def known_samples(name: str, value: Any, units: Mapping[str, float]) -> NDArray[
     return values
 
 
+def read_table(name: str, value: Any, *, largest: int, most: float, decimals: int = 5) -> NDArray[np.float64]:
+    """Return a table of numbers from 0 on, limited in size and rounded to the decimals that files hold."""
+    values = read_samples(name, value, {})
+    refuse_if(
+        not all(1 <= size <= largest for size in values.shape),
+        f"{name} of shape {values.shape}: it must have 1 to {largest} rows and columns",
+    )
+    refuse_if(values.min() < 0 or values.max() > most, f"{name}: its numbers must be from 0 to {most:g}")
+    values = values.round(decimals)
+    values.flags.writeable = False
+    return values
+
+
 def read_samples(name: str, value: Any, units: Mapping[str, float] | None) -> NDArray[np.float64]:
     """Return samples (rows, columns) from an array, nested lists, or a file: NPY, FITS, or an image of one channel.
 

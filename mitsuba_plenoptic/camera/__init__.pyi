@@ -29,6 +29,7 @@ from .plenoptic_camera import PlenopticCamera as PlenopticCamera
 from .plenoptic_camera import are_alike as are_alike
 from .plenoptic_camera import film_numbers as film_numbers
 from .plenoptic_camera import require_camera as require_camera
+from .stray_light import StrayLight as StrayLight
 from .support import is_supported as is_supported
 from .support import require_support as require_support
 from .support import support_table as support_table

@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array import read_samples
+from ..array import read_table
 from ..errors import (
     FULL_TURN,
     InputError,
@@ -161,14 +161,9 @@ class Aperture(PlainData):
 
     def __post_init__(self) -> None:
         name = "transmission"
-        values = read_samples("transmission", self.transmission, {})
+        values = read_table(name, self.transmission, largest=_LARGEST, most=1, decimals=_DECIMALS)
         rows, columns = values.shape
-        refuse_if(
-            rows != columns or not 1 <= rows <= _LARGEST,
-            f"{name} of shape {values.shape}: it must be square, of 1 to {_LARGEST} rows",
-        )
-        refuse_if(values.min() < 0 or values.max() > 1, f"{name}: its values must be from 0 to 1")
-        values = values.round(_DECIMALS)
+        refuse_if(rows != columns, f"{name} of shape {values.shape}: it must be square")
         refuse_if(not values.any(), f"{name}: it is 0 everywhere, so that no light passes")
         centres = (2 * np.arange(rows) + 1) / rows - 1
         beyond = (values > 0) & (np.hypot(centres, centres[:, None]) > 1)
@@ -176,7 +171,6 @@ class Aperture(PlainData):
             beyond.any(),
             f"{name}: {np.count_nonzero(beyond)} open cells are beyond aperture_radius; they must be 0",
         )
-        values.flags.writeable = False
         put(self, transmission=values)
 
     @property

@@ -85,7 +85,7 @@ def _with_files(values: dict[str, Any], folder: Path) -> dict[str, Any]:
     for name, value in values.items():
         form = PARAMETERS[name].form if name in PARAMETERS else None
         if form in FILE_READERS and isinstance(value, str):
-            read[name] = FILE_READERS[form][0](value, resolve)
+            read[name] = FILE_READERS[form](value, resolve)
         elif form is Form.RESPONSE and isinstance(value, str):
             read[name] = resolve(value)
     return read

@@ -28,6 +28,7 @@ class Form(Enum):
     SHAPE = "MicrolensShape, path or dict", "|string|"
     SCREEN = "PhaseScreen, path or dict", "|string|"
     PICTURE = "Aperture, array, path or dict", "|string|"
+    STRAY = "float, StrayLight, array, path or dict", "|float| or |string|"
     LENSES = "LensTransmissions, array, path or dict", "|string|"
     VIGNETTING = "Vignetting, path or dict", "|string|"
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from ..array import Lattice, read_samples
-from ..errors import put, refuse_if, require_count, require_pair, suggest_keywords
+from ..array import Lattice, read_table
+from ..errors import put, require_count, require_pair, suggest_keywords
 from ..runtime import PlainData, known_record, module_of, select, take
 
 _LARGEST = 4096
@@ -16,9 +16,6 @@ _BRIGHTEST = 4.0
 
 _FARTHEST = 10**6
 """Farthest column and row, from lens (0, 0), of the first value."""
-
-_DECIMALS = 5
-"""Digits to which values are kept, as files hold them."""
 
 
 @suggest_keywords
@@ -55,18 +52,11 @@ class LensTransmissions(PlainData):
     first: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        values = read_samples("values", self.values, {})
+        values = read_table("values", self.values, largest=_LARGEST, most=_BRIGHTEST)
         rows, columns = values.shape
-        refuse_if(
-            not (1 <= rows <= _LARGEST and 1 <= columns <= _LARGEST),
-            f"values of shape {values.shape}: it must have 1 to {_LARGEST} rows and columns",
-        )
-        refuse_if(values.min() < 0 or values.max() > _BRIGHTEST, f"values: they must be from 0 to {_BRIGHTEST:g}")
         first_lens = (-(columns // 2), -(rows // 2)) if self.first is None else self.first
         pair = require_pair("first", first_lens, "(column, row)")
         first = tuple(require_count("first", index, minimum=-_FARTHEST, maximum=_FARTHEST) for index in pair)
-        values = values.round(_DECIMALS)
-        values.flags.writeable = False
         put(self, values=values, first=first)
 
     def at(self, lattice: Lattice, i: Any, j: Any) -> Any:

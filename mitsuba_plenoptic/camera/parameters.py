@@ -39,6 +39,7 @@ from .aperture import Aperture, Blades, known_blades, known_image, require_alone
 from .entry import Captures, Form, Parameter, one, one_if_equal, one_if_single, record
 from .lens_transmissions import LensTransmissions, known_transmissions
 from .phase_screen import PhaseScreen, known_screen
+from .stray_light import StrayLight, known_stray_light
 from .vignetting import Vignetting, known_vignetting
 
 LENS_MODELS = ("ideal", "parabolic")
@@ -472,13 +473,17 @@ class CoreParameters:
             "between photodiodes. No light is lost; across the edge of a capture as much returns as leaves."
         ),
     )
-    stray_light: Parameter[float, float] = Parameter(
+    stray_light: Parameter[Any, float | StrayLight] = Parameter(
         default=0.0,
-        check=partial(require_number, minimum=0, maximum=1),
+        check=lambda _, value: known_stray_light(value),
         words=(
             "Light, at most 1, that lenses and walls scatter over the detector: every pixel records besides its own "
-            "light this fraction of the mean light around, after `pixel_crosstalk`, of each channel."
+            "light this fraction of the mean light around, after `pixel_crosstalk`, of each channel. Or a table of "
+            "fractions over the detector, see `StrayLight`: as a file, as JSON text or a JSON file of its parameter, "
+            "in Python also as an array."
         ),
+        form=Form.STRAY,
+        shortest=lambda stray: stray.to_plain() if isinstance(stray, StrayLight) else stray,
     )
     stray_width: Parameter[float | None, float | None] = Parameter(
         default=None,
@@ -561,15 +566,16 @@ PARAMETERS = {
 }
 """The entries of the table by the names of the constructor's arguments."""
 
-FILE_READERS: dict[Form, tuple[Callable[..., Any], str]] = {
-    Form.LENS: (read_lens, "a file or a bundled lens"),
-    Form.SHAPE: (known_shape, "a JSON file, or its content"),
-    Form.SCREEN: (known_screen, "a JSON file, or its content"),
-    Form.PICTURE: (known_image, "a picture, or JSON"),
-    Form.LENSES: (known_transmissions, "a table in a file, or JSON"),
-    Form.VIGNETTING: (known_vignetting, "a JSON file, or its content"),
+FILE_READERS: dict[Form, Callable[..., Any]] = {
+    Form.LENS: read_lens,
+    Form.SHAPE: known_shape,
+    Form.SCREEN: known_screen,
+    Form.PICTURE: known_image,
+    Form.LENSES: known_transmissions,
+    Form.VIGNETTING: known_vignetting,
+    Form.STRAY: known_stray_light,
 }
-"""Readers of values that are given as files or their texts, and what these are.
+"""Readers of values that are given as files or their texts.
 
 They take the value and a function that finds a file by its name, for example in the folder of a scene.
 """

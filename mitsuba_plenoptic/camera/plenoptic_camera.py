@@ -508,7 +508,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     def __repr__(self) -> str:
         values = self.to_dict()
-        for name in ("phase_screen", "aperture_image", "mla_transmissions", "vignetting"):
+        for name in ("phase_screen", "aperture_image", "mla_transmissions", "vignetting", "stray_light"):
             # Samples are too many to be read.
             values |= {name: getattr(self, name)} if name in values else {}
         return f"PlenopticCamera({', '.join(f'{name}={value!r}' for name, value in values.items())})"

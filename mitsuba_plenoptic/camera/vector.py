@@ -67,7 +67,9 @@ def size_of(camera: PlenopticCamera, name: str) -> int:
 def with_parts(camera: PlenopticCamera, parts: Mapping[str, Array], **others: Any) -> PlenopticCamera:
     """Return the camera with parameters set from arrays of their components, and `others` from values."""
     for name, numbers in parts.items():
-        others[name] = float(numbers[0]) if PARAMETERS[name].form is Form.NUMBER else tuple(numbers.tolist())
+        others[name] = (
+            float(numbers[0]) if PARAMETERS[name].form in (Form.NUMBER, Form.STRAY) else tuple(numbers.tolist())
+        )
     # Derivatives by the focal length are those of a fixed aperture.
     if "focal_length" in parts:
         others.setdefault("aperture_radius", camera.aperture_radius)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from .operator import DetectorOperator
 
@@ -20,7 +22,14 @@ def behind_detector(film: Any, detector: DetectorOperator) -> Any:
     class DetectorFilm(mi.Film):
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            self.detector, self.m_flags, self._extra = detector, film.flags(), 0
+            self.m_flags, self._extra = film.flags(), 0
+            self.stand_before(detector)
+
+        def stand_before(self, detector: DetectorOperator) -> None:
+            """Record by a detector, whose map of stray light becomes a tensor: `dr.freeze` knows no others."""
+            if isinstance(detector.stray_light, np.ndarray):
+                detector = replace(detector, stray_light=mi.TensorXf(detector.stray_light[..., None]))
+            self.detector = detector
 
         def prepare(self, aovs: list[str]) -> int:
             self._extra = len(aovs)

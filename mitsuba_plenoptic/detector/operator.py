@@ -10,9 +10,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, StrayLight
 
 SHARP: dict[str, Any] = {"detector_blur": 0.0, "pixel_crosstalk": 0.0, "stray_light": 0.0, "stray_width": None}
 """Parameters of a camera whose pixels record the light that falls on them."""
@@ -31,12 +30,12 @@ class DetectorOperator:
     its own adjoint. S adds stray light, :math:`S I = I + s\,(K_w * I)`, where s is a number or a map (rows, columns)
     and :math:`K_w` a Gaussian, or the mean over the image if its width is infinite. Lengths are in pixels.
 
-    Images are NumPy arrays, or tensors of Dr.Jit, which carry derivatives.
+    Images are NumPy arrays, or tensors of Dr.Jit, which carry derivatives. A map may be a tensor of (rows, columns, 1).
     """
 
     blur: float = 0.0
     crosstalk: float = 0.0
-    stray_light: float | NDArray[Any] = 0.0
+    stray_light: Any = 0.0
     stray_width: float = math.inf
 
     @classmethod
@@ -44,21 +43,30 @@ class DetectorOperator:
         """Return the operator of a camera's detector."""
         pixel = camera.pixel_size
         width = math.inf if camera.stray_width is None else camera.stray_width / pixel
-        return cls(camera.detector_blur / pixel, camera.pixel_crosstalk, camera.stray_light, width)
+        stray: Any = camera.stray_light
+        if isinstance(stray, StrayLight):
+            sides = camera.detector_width, camera.detector_height
+            stray = stray.at(*(camera.pixel_coordinates(axis) / side + 0.5 for axis, side in enumerate(sides)))
+        return cls(camera.detector_blur / pixel, camera.pixel_crosstalk, stray, width)
 
     @property
     def is_identity(self) -> bool:
         """Whether pixels record the light as it falls on them."""
-        return not (self.blur or self.crosstalk or np.any(self.stray_light))
+        return not (self.blur or self.crosstalk or self._strays)
+
+    @property
+    def _strays(self) -> bool:
+        """Whether there is stray light; a map counts as some."""
+        return not isinstance(self.stray_light, float) or self.stray_light > 0
 
     def forward(self, image: Any) -> Any:
         """Return what pixels record of the light that falls on them."""
         mixed = self._mixed(image)
-        return mixed + self._stray(mixed) * self._around(mixed) if np.any(self.stray_light) else mixed
+        return mixed + self._stray(mixed) * self._around(mixed) if self._strays else mixed
 
     def adjoint(self, signal: Any) -> Any:
         """Return the transpose of `forward` applied to an image."""
-        if np.any(self.stray_light):
+        if self._strays:
             signal = signal + self._around(self._stray(signal) * signal)
         return self._mixed(signal)
 

@@ -238,7 +238,8 @@ def check_window(in_rim: float, before: float = 0.0) -> None:
 
 
 def _sentence(guard: Guard, fraction: float) -> str:
-    return f"{fraction:.2%} {guard.fault}; {guard.remedy}"
+    # Estimates of what is lost may exceed all of the light.
+    return f"{min(fraction, 1):.2%} {guard.fault}; {guard.remedy}"
 
 
 def _warn(guard: Guard, fraction: float) -> None:

@@ -15,7 +15,6 @@ from ..errors import (
     NO_RECORD,
     InputError,
     naming,
-    refuse_if,
     refusing,
     require_choice,
     require_count,
@@ -95,9 +94,7 @@ def _read_parameter(value: Any, name: str, form: Form) -> Any:
         # Points and vectors have a z.
         return numbers[:2] if form is Form.PLACE and len(numbers) == 3 and numbers[2] == 0 else numbers
     if form in FILE_READERS:
-        read, rule = FILE_READERS[form]
-        refuse_if(not is_text, f"{name} = {value!r}: it must be text: {rule}")
-        return read(value, resolved)
+        return FILE_READERS[form](value, resolved)
     if form is Form.GLASS and is_object:
         with refusing(f"{name}: it must be a JSON object:", *NO_RECORD):
             return json.loads(value)

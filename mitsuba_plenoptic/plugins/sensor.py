@@ -188,7 +188,7 @@ def make_class() -> type:
                 self._plain[name] = plain[0] if PARAMETERS[name].form is Form.NUMBER else plain
             self._rays = sampler_of(self.camera, numbers)
             if hasattr(self.film(), "detector"):
-                self.film().detector = DetectorOperator.of(self.camera)
+                self.film().stand_before(DetectorOperator.of(self.camera))
             self._second_leg = second_leg(self.pixel_response, self.mla_absorption or 0.0)
             tables = (
                 place(package, text)(getattr(self, name))

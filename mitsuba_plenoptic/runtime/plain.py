@@ -83,7 +83,7 @@ def known_record(
         if isinstance(value, dict):
             file = value.get(table)
             return kind.from_plain(value | {table: Path(resolve(file))} if isinstance(file, str) else value)
-        if others:
+        if others or isinstance(value, (int, float)):
             raise InputError(f"{short_repr(value)}: it must be {form} or a JSON file")
         return kind(value)  # type: ignore[call-arg]
 

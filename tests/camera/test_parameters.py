@@ -57,7 +57,7 @@ def test_the_record_its_signature_and_its_documentation_have_all_entries():
         assert re.search(rf"^    {name} : ", PlenopticCamera.__doc__, re.MULTILINE)
         assert entry.words.endswith(".")
         known = {*PARAMETERS, "read_prescription", "PhotodiodeResponse", "Prescription", "Objective", "at_wavelength"}
-        known |= {"PhaseScreen", "Collimator", "Aperture", "LensTransmissions", "Vignetting"}
+        known |= {"PhaseScreen", "Collimator", "Aperture", "LensTransmissions", "StrayLight", "Vignetting"}
         assert set(re.findall(r"(?<![`:])`(\w+)`(?!`)", entry.words)) <= known
 
 
@@ -98,7 +98,7 @@ OTHER = {
     "mla_cra": (0.0, 0.0, 2.0, 10.0, 4.0, 25.0),
     "detector_blur": 0.0021,
     "pixel_crosstalk": 0.02,
-    "stray_light": 0.03,
+    "stray_light": {"values": [[0.03, 0.1, 0.12345], [0.0, 0.05, 1.0]]},
     "stray_width": 0.5,
     "pixel_response": (0.0, 1.0, 20.0, 0.3),
     "photodiode_response": {"angles_x": [-20, 20], "angles_y": [-9, 9], "responses": [[[[1, 0], [1, 0.5]]]]},

@@ -83,6 +83,7 @@ CHANGES = {
     "detector_blur": {"detector_blur": 0.004},
     "pixel_crosstalk": {"pixel_crosstalk": 0.05},
     "stray_light": {"stray_light": 0.05},
+    "stray_light of a table": {"stray_light": [[0.05, 0.0]]},
     "stray_width": {"stray_light": 0.05, "stray_width": 0.04},
     "pixel_response": {"pixel_response": (0, 1, 3, 0.3)},
     "main_lens": {"main_lens": "cooke_triplet", "focal_length": 80, "aperture_radius": 5, "mla_distance": 120},

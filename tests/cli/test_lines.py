@@ -59,6 +59,7 @@ BAD = [
     (f"{REFOCUS} --camera lytr", "did you mean lytro?"),
     (f"{REFOCUS} --camera f_number=2.8,lenses=100,focal_length=-50", "pixels_per_lens or mla_pitch"),
     (f"{REFOCUS} --no-volume", "no such option: --no-volume; did you mean --volume?"),
+    (f"{REFOCUS} --partition 2", "--partition: it is gone since version 2.0; --interleave K takes"),
     (f"{REFOCUS} --volume=maybe", "'--volume' does not take a value"),
     (f"{REFOCUS} --volume=false", "'--volume' does not take a value"),
     (f"{REFOCUS} --volume false", "(false)"),

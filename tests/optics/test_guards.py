@@ -37,6 +37,11 @@ def wave(n, column, row):
     return np.exp(2j * np.pi * (column * k[None, :] + row * k[:, None]) / n) / n
 
 
+def test_no_message_tells_of_more_light_than_there_is():
+    with pytest.raises(mp.PhysicsError, match=r"^100\.00% of the light interferes"):
+        guards.require(guards.SCREEN, 1.0036)
+
+
 class TestPropagation:
     @pytest.mark.parametrize("n", [128, 900])
     @pytest.mark.parametrize("width", [0.01, 0.1])

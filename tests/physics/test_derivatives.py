@@ -1,29 +1,21 @@
-"""Derivatives of captures by numbers of the camera are their differences, for every kind of camera."""
+"""Derivatives of captures by numbers of the camera are differences of full fields, for every kind of camera."""
 
 import numpy as np
 import pytest
 from cameras import CAMERAS, WAVELENGTH, error, seen_by
 
 from mitsuba_plenoptic import CaptureOperator
+from mitsuba_plenoptic.camera import shortest_parts
+from tools.bench.cases.derivatives import STEP, difference
 
-STEPS = {
-    "focal_length": 4e-3,
-    "mla_distance": 4e-3,
-    "mla_focal_length": 5e-4,
-    "mla_pitch": 7e-5,
-    "mla_offset": 1e-4,
-    "mla_rotation": 0.1,
-    "mla_fill": 2e-3,
-    "detector_distance": 2e-4,
-    "detector_width": 8e-4,
-    "aperture_radius": 0.027,
-    "wavefront": 4e-3,
-}
+NAMES = (
+    "focal_length", "mla_distance", "mla_focal_length", "mla_pitch", "mla_offset", "mla_rotation", "mla_fill",
+    "detector_distance", "detector_width", "aperture_radius", "wavefront",
+)  # fmt: skip
 LIMITS = {
-    "mla_pitch": 0.02,
-    "detector_distance": 0.02,
-    "aperture_radius": 0.02,
-    "mla_fill": 0.04,
+    "aperture_radius": 0.015,
+    # Differences of full fields round the edges of hexagonal lenses: 0.03, and 0.006 for circles and squares.
+    "mla_fill": 0.035,
 }
 QUICK = [
     ("square", "focal_length"),
@@ -44,19 +36,6 @@ def small(name):
     return camera.replace(detector_width=camera.detector_width / 2, resolution=halved)
 
 
-def changed(camera, name, amount):
-    """Return the camera with the last number of a parameter changed, and the change by one."""
-    given = camera.mla_focal_lengths if name == "mla_focal_length" else getattr(camera, name)
-    start = np.atleast_1d(np.asarray(given, float))
-    if name == "wavefront":
-        start = np.pad(start, (0, 15 - len(start)))
-    unit = np.eye(len(start))[-1]
-    value = start + amount * unit
-    # The detector stays where it stands, whatever focal length its distance follows.
-    values = {"detector_distance": camera.detector_distance, name: tuple(value) if len(value) > 1 else value[0]}
-    return camera.replace(**values), unit if len(unit) > 1 else 1.0
-
-
 @pytest.mark.parametrize(
     ("camera", "name"),
     [
@@ -65,22 +44,25 @@ def changed(camera, name, amount):
         *(
             pytest.param(camera, name, marks=pytest.mark.slow)
             for camera in ("square", "circles", "stretched", "three focal lengths", "medium", "real")
-            for name in STEPS
+            for name in NAMES
             # Surfaces of a real lens have their own aberrations.
             if (camera, name) not in (*QUICK, ("real", "wavefront"))
         ),
     ],
 )
 def test_points(camera, name):
-    start, points, weights = small(camera), seen_by(camera)[:1], [1.0]
+    """Differences of the operator's own images miss by up to 14 %, as its grids of samples follow the camera.
+
+    They jump with sizes of transforms, and light that they fold back changes as fast as the pitch and the rotation.
+    Derivatives keep the grids, and have twice as many samples; differences of the full field hold its grids, too.
+    """
+    start, (point, _) = small(camera), seen_by(camera)
     if name == "mla_fill":
         # Lenses that touch can not grow.
         start = start.replace(mla_fill=min(start.mla_fill, 0.95))
-    _, unit = changed(start, name, 0.0)
-    up, down = (
-        CaptureOperator(changed(start, name, step)[0], points, wavelength=WAVELENGTH, accuracy=0).forward(weights)
-        for step in (STEPS[name], -STEPS[name])
-    )
-    operator = CaptureOperator(start, points, wavelength=WAVELENGTH, accuracy=0)
-    expected = (up.astype(float) - down) / (2 * STEPS[name])
-    assert error(operator.derivative(weights, {name: unit}), expected) < LIMITS.get(name, 0.01)
+    last = np.eye(15 if name == "wavefront" else len(shortest_parts(start, name)))[-1]
+    operator = CaptureOperator(start, [point], wavelength=WAVELENGTH, accuracy=0)
+    change = operator.derivative([1.0], {name: last})
+    step = STEP * np.linalg.norm(operator.forward([1.0])) / np.linalg.norm(change)
+    expected = difference(start, point, name, last, step, finer=1.0, window=1.5)
+    assert error(change, expected) < LIMITS.get(name, 0.008)

@@ -5,9 +5,17 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from cameras import error
+from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import gaussian_filter
 
-from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, reconstruct, render_capture
+from mitsuba_plenoptic import (
+    CaptureOperator,
+    PlenopticCamera,
+    StrayLight,
+    point_spread_function,
+    reconstruct,
+    render_capture,
+)
 from mitsuba_plenoptic.detector.operator import DetectorOperator
 from mitsuba_plenoptic.io.captures import Capture
 from mitsuba_plenoptic.views.white import white_image
@@ -17,6 +25,19 @@ CAMERA = PlenopticCamera(resolution=(32, 32), detector_width=0.256)
 
 BLUR = 0.012
 """A blur of 1.5 pixels."""
+
+
+TABLE = [[0.02, 0.1, 0.05], [0.2, 0.0, 0.15]]
+"""Stray light from the top left of the picture on."""
+
+
+def with_stray_light(image, camera):
+    """An image with the stray light of `TABLE`, by SciPy."""
+    columns, rows = camera.resolution
+    places = np.mgrid[0:rows, 0:columns] + 0.5
+    between = RegularGridInterpolator((np.linspace(0, rows, 2), np.linspace(0, columns, 3)), TABLE)
+    (left, top), (width, height) = camera.crop_offset, camera.crop_size
+    return image + between(np.moveaxis(places, 0, -1))[top : top + height, left : left + width] * image.mean()
 
 
 def lit(camera, integrator, **film):
@@ -106,6 +127,25 @@ def test_a_crop_of_the_signal_is_the_signal_of_a_crop_within_the_kernels():
     assert operator.forward(x)[crop][margin] == pytest.approx(operator.forward(x[crop])[margin], rel=1e-12)
 
 
+def test_a_table_of_stray_light_is_followed_by_rays_waves_points_and_white_images(tmp_path):
+    """Of a file and of an array, on a crop: its place of the table, and its own mean light."""
+    np.save(tmp_path / "stray.npy", TABLE)
+    camera = CAMERA.replace(resolution=(32, 28), crop_offset=(3, 5), crop_size=(24, 20))
+    stray = camera.replace(stray_light=tmp_path / "stray.npy")
+    assert stray == camera.replace(stray_light=np.array(TABLE)) and stray.stray_light == StrayLight(TABLE)
+    at = (0.05, 0.02, 236.0)
+    for image_of in (
+        lambda camera: render(camera, 16),
+        lambda camera: render(camera, 16, "wave"),
+        lambda camera: point_spread_function(camera, at, wavelength=633),
+        lambda camera: point_spread_function(camera, at, model="ray"),
+        white_image,
+    ):
+        plain = image_of(camera)
+        assert error(image_of(stray), with_stray_light(plain, camera)) < 1e-6
+        assert error(image_of(stray), plain) > 0.01
+
+
 @pytest.mark.parametrize("model", ["ray", "wave"])
 def test_captures_are_recorded_by_the_detector(model):
     """The same rays, with and without it; `mi.render` and `render_capture` agree."""
@@ -116,7 +156,7 @@ def test_captures_are_recorded_by_the_detector(model):
 
 
 def test_plain_renders_are_recorded_with_gradients_and_depth_as_it_is():
-    camera = CAMERA.replace(detector_blur=BLUR, pixel_crosstalk=0.05, stray_light=0.03)
+    camera = CAMERA.replace(detector_blur=BLUR, pixel_crosstalk=0.05, stray_light=TABLE)
     operator = DetectorOperator.of(camera)
     depth = {"type": "aov", "aovs": "d:depth", "image": {"type": "path"}}
     plain, found = (
@@ -184,7 +224,7 @@ def test_wave_captures_are_blurred_captures():
 
 
 def test_points_are_recorded_forward_and_back():
-    camera = CAMERA.replace(detector_blur=BLUR, pixel_crosstalk=0.05, stray_light=0.03)
+    camera = CAMERA.replace(detector_blur=BLUR, pixel_crosstalk=0.05, stray_light=TABLE)
     detector = DetectorOperator.of(camera)
     points, given = [(0.0, 0.0, 236.0), (0.03, 0.02, 240.0)], np.array([1.0, 2.0])
     plain, operator = (CaptureOperator(each, points, wavelength=633) for each in (CAMERA, camera))

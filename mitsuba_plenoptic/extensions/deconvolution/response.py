@@ -223,9 +223,6 @@ _ALIKE = 0.06
 _MEMORY = 2 * 2**30
 """Bytes of a plane's kernels beyond which zones grow, and of all planes' beyond which they are stored on disk."""
 
-_ALONG = 65
-"""Places along each axis at which displacements are compared."""
-
 _LIT = 0.6
 """Fraction of a kernel's blocks that hold light, at most."""
 
@@ -509,7 +506,7 @@ def lens_gain(camera: PlenopticCamera) -> NDArray[np.float32]:
 def _farthest(camera: PlenopticCamera) -> float:
     """Return how far displaced lenses move their light on the detector, at most, along an axis, in millimetres."""
     ends = [camera.pixel_coordinates(axis)[:: max(1, size - 1)] for axis, size in enumerate(reversed(camera.shape))]
-    x, y = np.meshgrid(*(np.linspace(end[0], end[-1], _ALONG) for end in ends))
+    x, y = np.meshgrid(*(np.linspace(end[0], end[-1], 65) for end in ends))
     u, v = regular_place(camera, x, y)
     return 1.1 * float(max(abs(u - x).max(), abs(v - y).max())) + camera.pixel_size
 

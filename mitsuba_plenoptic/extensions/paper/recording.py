@@ -26,24 +26,13 @@ from ...io import Capture
 from ...runtime import read_text
 from ...views import lens_numbers, read_recording
 
-_SUFFIXES = (*RAW_SUFFIXES, ".exr")
-
 _AREAS = ("region", "even", "edge")
-
-_BRIGHT = 0.3
-"""Light of a lens over that of the brightest one from which on its micro-image is compared with white."""
-
-_UNLIKE = 0.03
-"""Misfit of micro-images over their light up to which they count: shapes' edges change others."""
 
 _SLOPE = np.array([1, -8, 0, 8, -1]) / 12
 """Weights of pixels whose sum is the slope, exact for polynomials of fourth degree."""
 
 _DARK = 0.1
 """Light of a lens over that of the brightest one, below which it is dark."""
-
-_FEWEST = 0.02
-"""Fraction of the pixels behind dark lenses, at least, by which stray light is measured."""
 
 _WIDTHS = (8.0, 12.0, 16.0, 20.0, 25.0, 32.0, 45.0, 64.0, np.inf)
 """Widths of stray light that are compared, in pixels."""
@@ -79,7 +68,12 @@ class Recording:
 def read_recording_of(folder: Path) -> Recording:
     """Return the pictures, the camera and the shapes of a folder."""
     names = ["light", "white", "dark"]
-    paths = {name: path for name in names for suffix in _SUFFIXES if (path := folder / f"{name}{suffix}").exists()}
+    paths = {
+        name: path
+        for name in names
+        for suffix in (*RAW_SUFFIXES, ".exr")
+        if (path := folder / f"{name}{suffix}").exists()
+    }
     for name in names[:2]:
         refuse_if(name not in paths, f"{folder}: it has no {name}.png, .tiff or .exr")
     pictures = {}
@@ -152,7 +146,8 @@ def moved_by(recording: Recording) -> tuple[float, float]:
         brightness = float(seen.sum() / even.sum())
         fits.append((brightness, misfit / max(float(seen.mean()), 1e-12), *(numbers[-2:] / max(brightness, 1e-12))))
     bright, misfits, *moves = np.array(fits).T
-    counted = (bright > _BRIGHT * bright.max()) & (misfits < _UNLIKE)
+    # The edges of shapes change some micro-images.
+    counted = (bright > 0.3 * bright.max()) & (misfits < 0.03)
     refuse_if(counted.sum() < 3, "light: hardly any of its micro-images is like one of white")
     x, y = (float(np.median(values[counted])) for values in moves)
     return x, y
@@ -166,7 +161,7 @@ def stray_width(recording: Recording) -> float | None:
     numbers = lens_numbers(recording.camera)
     brightness = np.bincount(numbers.ravel(), recording.light.ravel()) / np.maximum(np.bincount(numbers.ravel()), 1)
     dark = (brightness < _DARK * brightness.max())[numbers]
-    refuse_if(dark.mean() < _FEWEST, "light: hardly any of its lenses are dark, by which stray light is measured")
+    refuse_if(dark.mean() < 0.02, "light: hardly any of its lenses are dark, by which stray light is measured")
     lit = np.where(dark, 0, recording.light)
     seen = recording.light[dark].astype(np.float64)
     misfits = []

@@ -23,6 +23,7 @@ import numpy as np
 from cases import relative
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, load_scene
+from mitsuba_plenoptic.camera import change_of, parts_of, with_parts
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.arrival import FieldGrids, field_grids
 from mitsuba_plenoptic.points.full_fields import full_field
@@ -86,21 +87,28 @@ TABLE = {"case": "{case}", "parameter": "{parameter}", "error": "{error:.2e}", "
 JUDGED = (at_most("error", "limit"),)
 
 
-def difference(camera: PlenopticCamera, point: np.ndarray, name: str, change: Any, step: float) -> np.ndarray:
+def difference(
+    camera: PlenopticCamera,
+    point: np.ndarray,
+    name: str,
+    change: Any,
+    step: float,
+    finer: float = FINER,
+    window: float = WINDOW,
+) -> np.ndarray:
     """Central difference of the full field."""
-    base = field_grids(OpticalSystem(camera, WAVELENGTH), point, FINER, WINDOW)
+    base = field_grids(OpticalSystem(camera, WAVELENGTH), point, finer, window)
     sides = []
     for amount in (step, -step):
         changed, wavelength = camera, WAVELENGTH
         if name == "wavelength":
             wavelength += amount
         else:
-            values = camera.to_dict()
-            present = np.zeros(len(change)) if name == "wavefront" else values[name]
-            value = np.asarray(present) + amount * np.asarray(change)
-            changed = camera.replace(**{name: value.tolist(), "detector_distance": values["detector_distance"]})
-            if name == "detector_distance":
-                changed = camera.replace(detector_distance=value.tolist())
+            value = amount * change_of(camera, name, change)
+            present = parts_of(camera, name)
+            value[: len(present)] += present
+            # The detector stays where it stands, whatever focal length its distance follows.
+            changed = with_parts(camera, {name: value}, detector_distance=camera.detector_distance)
         grids = _grown(base, changed.detector_width / camera.detector_width)
         order = wavelength / WAVELENGTH * camera.mla_pitch / changed.mla_pitch
         grids = replace(grids, bend=base.bend * order * (1 + 1e-9))

@@ -5,16 +5,21 @@ The pictures, from napari-LF (BSD 3-Clause), are taken from the folder that MITS
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.calibration import WhiteFit, fit_white
 from mitsuba_plenoptic.extensions.calibrate.white_page import side_by_side
+from mitsuba_plenoptic.extensions.paper.real_light import TITLES, grid
+from mitsuba_plenoptic.io.exr import read_exr
 from mitsuba_plenoptic.io.pictures import read_picture
+from mitsuba_plenoptic.report import window_sharpness
 
 from .. import Row, case, figure
 from ..timing import once
@@ -92,3 +97,54 @@ def white(*, samples: int = 128) -> Iterator[Row]:
         rms = 100 * float(np.sqrt(((recorded - simulated) ** 2).mean()))
         yield figure(f"{name}: simulated capture of 12 x 12 lenses from the recorded", rms, unit="%")
         yield figure(f"{name}: processor time of the fit", seconds, unit="s")
+
+
+CORNER = (1.36, 1.01)
+"""Bins of one a lens before the first column and row of plenoptomos's pictures, by the offset of its example."""
+
+
+@case(
+    "real.letters",
+    "Letters by a real plenoptic camera, refocused here and by plenoptomos: contrast of ink, what repeats from lens to "
+    "lens in an even area, and the width of an edge from 10 to 90 %",
+    {
+        "method": "{method}", "at (mm)": "{distance:g}", "bins a lens": "{fine}", "contrast": "{contrast:.2f}",
+        "grid": "{grid:.2%}", "edge (mm)": "{width:.3f}", "processor (s)": "{seconds}",
+    },
+    (),
+)  # fmt: skip
+def letters(*, ours: str = "", peer: str = "") -> Iterator[Row]:
+    """Compare the folder that ``reproduce --real`` wrote with the file of ``tools/plenoptomos_letters.py``."""
+    for name, path in (("ours", ours), ("peer", peer)):
+        if not Path(path).exists() or not path:
+            raise InputError(f"{name} = {path}: give {name}=, what `reproduce --real` or plenoptomos_letters.py wrote")
+    results = json.loads((Path(ours) / "results.json").read_text())
+    stored = np.load(peer)
+    shape = next(shape for shape in results["shapes"].values() if {"even", "edge"} <= set(shape["areas"]))
+    distance, areas = shape["distance"], shape["areas"]
+    camera = PlenopticCamera.from_json(json.dumps(results["camera"]))
+    pictures = {}
+    for method, title in TITLES.items():
+        (image, *_) = read_exr(Path(ours) / "data" / f"picture_{method}_{distance:g}.exr")
+        image = np.squeeze(np.asarray(image))
+        pictures[title] = image, image.shape[0] // camera.bin_count[1], (0.0, 0.0), ""
+    for method, title in (("bpj", "back-projection"), ("sirt", "SIRT"), ("cp_ls_tv", "least squares with TV and PSF")):
+        if (key := f"{method}_{distance:g}") in stored:
+            # The program's values grow with the ink.
+            image = np.quantile(stored[key], 0.99) - stored[key]
+            seconds = f"{float(stored[f'{key}_seconds']):.2g}"
+            pictures[f"plenoptomos, {title}"] = image, int(stored["up_sampling"]), CORNER, seconds
+    for title, (image, fine, corner, seconds) in pictures.items():
+
+        def part(area: str, image: np.ndarray = image, corner: Any = corner, fine: int = fine) -> np.ndarray:
+            left, top, width, height = (
+                round(fine * value) for value in np.subtract(areas[area], (*corner, 0.0, 0.0)).tolist()
+            )
+            return image[top : top + height, left : left + width].astype(float)
+
+        dark, bright = np.nanquantile(part("region"), (0.01, 0.7))
+        yield {
+            "method": title, "distance": distance, "fine": fine, "seconds": seconds,
+            "contrast": float((bright - dark) / (bright + dark)), "grid": grid(part("even"), fine),
+            "width": window_sharpness(part("edge")).width * camera.bin_size(distance) / fine,
+        }  # fmt: skip
