@@ -9,9 +9,8 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
-from ..runtime import drjit_array, module_of
+from ..runtime import Doubles, drjit_array, module_of
 
 COSINES = 32
 """Cosines of a figure error: more cost time, fewer show in its statistics."""
@@ -31,8 +30,8 @@ class FigureError:
     """
 
     amplitude: float  # of each cosine, in millimetres
-    frequencies: NDArray[np.float64]  # (2, cosines), in 1/mm
-    phases: NDArray[np.float64]  # in periods
+    frequencies: Doubles  # (2, cosines), in 1/mm
+    phases: Doubles  # in periods
 
     def path(self, x: Any, y: Any) -> Any:
         """Return the path in millimetres at positions on the array, NumPy or Dr.Jit arrays."""

@@ -10,11 +10,10 @@ from typing import Any, NamedTuple
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
-from ..runtime import exponents, module_of, monomials, turn
+from ..runtime import Doubles, exponents, module_of, monomials, turn
 
-Corner = Sequence[float] | NDArray[np.float64]
+Corner = Sequence[float] | Doubles
 """X and y of a corner of a rectangle."""
 
 MOST_DEVIATIONS = 3.0
@@ -115,7 +114,7 @@ class Displacement:
         # No singular value is larger than the root of the sum of squares.
         return float(np.hypot(*moved).max()), float(np.sqrt((np.array(slopes) ** 2).sum((0, 1))).max())
 
-    def _moved(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    def _moved(self, x: Doubles, y: Doubles) -> list[Doubles]:
         return [value + 0 * x for value in self.smooth(x, y)]
 
     def turned(self, degrees: float) -> Displacement:

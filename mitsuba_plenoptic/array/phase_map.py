@@ -9,10 +9,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import put, refuse_if, require_flag, require_number, require_wavelength, short_repr
 from ..prescription import LINE_D
+from ..runtime import Doubles
 from .sampled import fitted_power
 from .sampled_grid import SampledGrid, known_samples, phases
 from .shape import MM_PER_NM, MicrolensShape
@@ -79,7 +79,7 @@ class PhaseMap(MicrolensShape):
         )
 
     @cached_property
-    def _smooth(self) -> NDArray[np.float64]:
+    def _smooth(self) -> Doubles:
         """Phases without jumps at the centre and between adjacent wavelengths, (wavelengths, rows, columns)."""
         rows, columns = self.phase.shape[1:]
         smooth = np.unwrap(self.phase, period=1, axis=2)

@@ -7,10 +7,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import put, require_number
 from ..prescription import LINE_D
+from ..runtime import Doubles
 from .sampled_grid import LENGTHS, SampledGrid, known_samples
 from .shape import MicrolensShape, excess_index, known_index, per_millimetre
 
@@ -80,7 +80,7 @@ class Sampled(MicrolensShape):
         return self._grid.covers(x, y)
 
 
-def fitted_power(path: NDArray[np.float64], grid: SampledGrid) -> float:
+def fitted_power(path: Doubles, grid: SampledGrid) -> float:
     """Return the power in 1/mm of the paraboloid that best fits samples of a path, besides tilt and offset."""
     x, y = (np.linspace(-half, half, size) for half, size in zip(grid.reach, path.shape[::-1], strict=True))
     x, y = (values.ravel() for values in np.meshgrid(x, y))

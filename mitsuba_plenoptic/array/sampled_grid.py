@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_module, require_number, require_wavelength
-from ..runtime import IMAGE, as_array, module_of, require_file, take, unit_of
+from ..runtime import IMAGE, Doubles, as_array, module_of, require_file, take, unit_of
 
 COUNTS = 4, 1024
 """Least and largest count of samples along an axis."""
@@ -31,7 +30,7 @@ def phases(wave: float) -> dict[str, float]:
     return {unit: length / wave for unit, length in LENGTHS.items()} | _ANGLES
 
 
-def known_samples(name: str, value: Any, units: Mapping[str, float]) -> NDArray[np.float64]:
+def known_samples(name: str, value: Any, units: Mapping[str, float]) -> Doubles:
     """Return samples (rows, columns) from numbers or a file, limited in number and rounded to short decimals."""
     # Single precision is enough for a path, and its decimals are short in files.
     samples = read_samples(name, value, units).astype(np.float32)
@@ -46,7 +45,7 @@ def known_samples(name: str, value: Any, units: Mapping[str, float]) -> NDArray[
     return values
 
 
-def read_table(name: str, value: Any, *, largest: int, most: float, decimals: int = 5) -> NDArray[np.float64]:
+def read_table(name: str, value: Any, *, largest: int, most: float, decimals: int = 5) -> Doubles:
     """Return a table of numbers from 0 on, limited in size and rounded to the decimals that files hold."""
     values = read_samples(name, value, {})
     refuse_if(
@@ -59,7 +58,7 @@ def read_table(name: str, value: Any, *, largest: int, most: float, decimals: in
     return values
 
 
-def read_samples(name: str, value: Any, units: Mapping[str, float] | None) -> NDArray[np.float64]:
+def read_samples(name: str, value: Any, units: Mapping[str, float] | None) -> Doubles:
     """Return samples (rows, columns) from an array, nested lists, or a file: NPY, FITS, or an image of one channel.
 
     `units` are factors of the units that a file or a labelled array may state; others are refused. None stands for
@@ -115,7 +114,7 @@ def _read(path: Path) -> tuple[Any, Mapping[str, Any]]:
 class SampledGrid:
     """A bicubic spline through samples, centred on the lens; first and last column are `width` mm apart."""
 
-    def __init__(self, samples: NDArray[np.float64], width: float) -> None:
+    def __init__(self, samples: Doubles, width: float) -> None:
         self._samples = samples
         self._step = width / (samples.shape[1] - 1)
 
@@ -131,7 +130,7 @@ class SampledGrid:
         return (abs(x) <= across) & (abs(y) <= up)
 
     @cached_property
-    def _corners(self) -> NDArray[np.float64]:
+    def _corners(self) -> Doubles:
         """Value, slope by column, slope by row, and mixed slope at each sample: (samples, 4)."""
         from scipy.interpolate import RectBivariateSpline
 
@@ -149,7 +148,7 @@ class SampledGrid:
         """Return the derivatives of the interpolated value along x and y."""
         return self._sum(x, y, (1, 0)) / self._step, self._sum(x, y, (0, 1)) / self._step
 
-    def nearest(self, values: NDArray[np.float64], x: Any, y: Any) -> Any:
+    def nearest(self, values: Doubles, x: Any, y: Any) -> Any:
         """Return, from other values of the samples, the value of the sample nearest to each offset."""
         (column, u), (row, v) = self._places(x, y)
         module = module_of(u)

@@ -15,7 +15,6 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ..array import read_table
 from ..errors import (
@@ -28,7 +27,7 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
-from ..runtime import PlainData, known_record, module_of, select, take
+from ..runtime import Doubles, PlainData, known_record, module_of, select, take
 
 _BLADES = 3, 64
 """Fewest and most blades."""
@@ -72,7 +71,7 @@ class Round:
 
         return drawn
 
-    def cells(self) -> NDArray[np.float64]:
+    def cells(self) -> Doubles:
         """Return the power over cells (n, n) of the square around the pupil, each of which has about one value."""
         return np.ones((1, 1))
 
@@ -113,7 +112,7 @@ class Blades:
 
         return drawn
 
-    def cells(self) -> NDArray[np.float64]:
+    def cells(self) -> Doubles:
         """Return the parts of small cells within the polygon."""
         along = (np.arange(_CELLS * _POINTS) + 0.5) * (2 / (_CELLS * _POINTS)) - 1
         inside = self.power(along + 0 * along[:, None], along[:, None] + 0 * along)
@@ -206,7 +205,7 @@ class Aperture(PlainData):
 
         return drawn
 
-    def cells(self) -> NDArray[np.float64]:
+    def cells(self) -> Doubles:
         """Return the picture, which the circle cuts."""
         return np.asarray(self.transmission)
 
@@ -248,7 +247,7 @@ class Apodised:
 
         return drawn
 
-    def cells(self) -> NDArray[np.float64]:
+    def cells(self) -> Doubles:
         """Return the power at the centres of small cells, which the circle cuts."""
         along = ((np.arange(_CELLS) + 0.5) * (2 / _CELLS) - 1) ** 2
         return np.asarray(self._power(along + along[:, None]))

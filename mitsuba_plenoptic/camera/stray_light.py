@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..array import read_table
 from ..errors import put, require_number, suggest_keywords
-from ..runtime import PlainData, known_record
+from ..runtime import Doubles, Floats, PlainData, known_record
 
 _LARGEST = 256
 _MOST = 1.0
@@ -51,7 +50,7 @@ class StrayLight(PlainData):
     def __post_init__(self) -> None:
         put(self, values=read_table("values", self.values, largest=_LARGEST, most=_MOST))
 
-    def at(self, across: NDArray[np.float64], down: NDArray[np.float64]) -> NDArray[np.float32]:
+    def at(self, across: Doubles, down: Doubles) -> Floats:
         """Return the fractions (rows, columns) at positions over the detector's width and height, from 0 to 1."""
         to_rows, to_columns = (
             np.maximum(0, 1 - abs(position[:, None] * (count - 1) - np.arange(count)))

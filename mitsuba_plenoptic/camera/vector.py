@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError, did_you_mean, refuse_if, short_repr
+from ..runtime import Doubles
 from .entry import Captures, Form
 from .parameters import PARAMETERS
 from .plenoptic_camera import PlenopticCamera
 
-Array = NDArray[np.float64]
+Array = Doubles
 Values = dict[str, Array]
 """Numbers by parameter: one for each of its parts."""
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
-from ..runtime import SumTask
+from ..runtime import Doubles, Floats, SumTask
 from .operator import DetectorOperator
 
 PARTS = 16
@@ -35,11 +35,11 @@ class PassSpread:
     """
 
     def __init__(self) -> None:
-        self.image: NDArray[np.float32] = np.zeros((), np.float32)
-        self._squares: NDArray[np.float32] = np.zeros((), np.float32)
+        self.image: Floats = np.zeros((), np.float32)
+        self._squares: Floats = np.zeros((), np.float32)
         self._samples = self._passes = 0
 
-    def add(self, image: NDArray[np.float32], samples: int) -> None:
+    def add(self, image: Floats, samples: int) -> None:
         """Add a pass, the mean of `samples` per pixel (West 1979, "Updating mean and variance estimates")."""
         self._samples += samples
         self._passes += 1
@@ -47,7 +47,7 @@ class PassSpread:
         self.image = self.image + difference * np.float32(samples / self._samples)
         self._squares = self._squares + np.float32(samples) * difference * (image - self.image)
 
-    def deviation(self) -> NDArray[np.float32]:
+    def deviation(self) -> Floats:
         """Return the standard deviation of the mean of two or more passes, with the shape of the image."""
         variance = self._squares / np.float32((self._passes - 1) * self._samples)
         return np.asarray(np.sqrt(np.maximum(variance, 0)))
@@ -60,7 +60,7 @@ def keep_spread(task: SumTask, camera: PlenopticCamera) -> SumTask:
     """
     detector = DetectorOperator.of(camera)
 
-    def combine(sums: NDArray[np.float32]) -> NDArray[np.float32]:
+    def combine(sums: Floats) -> Floats:
         image = task.combine(sums)
         recorded = detector.forward(image)
         return np.concatenate([image, recorded, recorded**2], axis=-1)
@@ -68,7 +68,7 @@ def keep_spread(task: SumTask, camera: PlenopticCamera) -> SumTask:
     return replace(task, combine=combine)
 
 
-def with_spread(image: NDArray[np.float32], runs: int) -> NDArray[np.float32]:
+def with_spread(image: Floats, runs: int) -> Floats:
     """Return a capture and its variances from the sum of the images of several runs made by `keep_spread`."""
     captured, sums, squares = np.split(image, 3, axis=-1)
     spread = (squares - sums**2 / runs) * np.float32(runs / max(1, runs - 1))
@@ -97,7 +97,7 @@ class NonNegative:
             self.image = _times(self._light, self._factors)
 
     @property
-    def remaining(self) -> NDArray[np.float64]:
+    def remaining(self) -> Doubles:
         """The part of each value of the image that remains: 0 for negative values, at most 1 for the others."""
         positive = self._positive.astype(np.float64)
         return positive if self._squares is None else _times(positive, self._factors)
@@ -125,9 +125,7 @@ class NonNegative:
         return np.divide(values, self._sum, out=np.zeros_like(values), where=self._sum > 0)
 
 
-def variance_left(
-    projection: NonNegative, variance: NDArray[np.float32], camera: PlenopticCamera
-) -> NDArray[np.float64]:
+def variance_left(projection: NonNegative, variance: Floats, camera: PlenopticCamera) -> Doubles:
     """Return the part of each pixel's variance that compensation leaves, for variances of what the detector records.
 
     The factors of compensation count as constants. Mixed pixels have the mean of their neighbours' parts, weighted by
@@ -138,7 +136,7 @@ def variance_left(
     return np.divide(left, complete, out=np.zeros_like(left), where=complete > 0).clip(0, 1)
 
 
-def _times(image: NDArray[Any], factors: NDArray[np.float64]) -> NDArray[Any]:
+def _times(image: NDArray[Any], factors: Doubles) -> NDArray[Any]:
     """Return an image times the factors of its squares of 2 x 2 pixels."""
     rows, columns = image.shape
     wide = factors.repeat(2, 1)[:, :columns]
@@ -150,7 +148,7 @@ def _times(image: NDArray[Any], factors: NDArray[np.float64]) -> NDArray[Any]:
     return result
 
 
-def _sums(image: NDArray[Any]) -> NDArray[np.float64]:
+def _sums(image: NDArray[Any]) -> Doubles:
     """Return the sums over squares of 2 x 2 pixels; beyond odd edges missing pixels count as 0."""
     if any(size % 2 for size in image.shape):
         image = np.pad(image, [(0, size % 2) for size in image.shape])

@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..choices import MOSAICS, AnyMosaic
@@ -22,6 +21,7 @@ from ..errors import (
     suggest_keywords,
 )
 from ..io import Capture, recording_of, require_demosaiced
+from ..runtime import Integers
 
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
 _SMALLEST = 1e-9
@@ -214,7 +214,7 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     return replace(capture, image=result, wavelength=wavelength, noise=None, metadata=metadata)
 
 
-def filters(camera: PlenopticCamera, mosaic: str) -> NDArray[np.int64]:
+def filters(camera: PlenopticCamera, mosaic: str) -> Integers:
     """Return the channel, 0 to 2 for red to blue, that each recorded pixel sees."""
     tile = np.array(["RGB".index(letter) for letter in mosaic.removeprefix("QUAD_")]).reshape(2, 2)
     repeats = 1 if mosaic in MOSAICS else 2

@@ -17,13 +17,12 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ..array import MOST_DEVIATIONS
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import in_millimetres
-from ..runtime import drjit_array
+from ..runtime import Doubles, drjit_array
 from .accuracy import ACCURACY
 
 
@@ -103,14 +102,14 @@ class LensKinds:
         return math.pi * float(self.camera.lattice.aperture_reach) ** 2 / in_millimetres(ACCURACY.kind_wavelength)
 
     @cached_property
-    def _ratios(self) -> NDArray[np.float64]:
+    def _ratios(self) -> Doubles:
         """Factors on the focal lengths, one per kind."""
         most = MOST_DEVIATIONS * self.camera.mla_jitter[1]
         # The detector's distance replaces the focal lengths, which depend on the wavelength, as the kinds must not.
         return 1 + _steps(most, ACCURACY.kind_step / self._phase * self.camera.reduced_distance)
 
     @cached_property
-    def _heights(self) -> NDArray[np.float64]:
+    def _heights(self) -> Doubles:
         """Heights in mm of the lenses of a tilted array, one per kind."""
         camera = self.camera
         across, up = (math.tan(math.radians(abs(angle))) for angle in camera.mla_tilt)
@@ -119,13 +118,13 @@ class LensKinds:
         return _steps(most, ACCURACY.kind_step / self._phase * n * (camera.reduced_distance - most / n) ** 2)
 
 
-def _steps(most: float, widest: float) -> NDArray[np.float64]:
+def _steps(most: float, widest: float) -> Doubles:
     """Return the centres of equal steps, each at most `widest` wide, from -most to most."""
     count = max(1, math.ceil(2 * most / widest)) if most else 1
     return most * ((2 * np.arange(count) + 1) / count - 1)
 
 
-def _nearest(value: Any, steps: Sequence[float] | NDArray[np.float64]) -> Any:
+def _nearest(value: Any, steps: Sequence[float] | Doubles) -> Any:
     """Return the index of the step nearest to each value."""
     width = float(steps[1] - steps[0])
     return mi.UInt32(dr.clip(dr.floor((value - float(steps[0])) / width + 0.5), 0, len(steps) - 1))

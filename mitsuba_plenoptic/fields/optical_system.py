@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..array import Lattice
 from ..camera import PlenopticCamera
 from ..lenses import ClosedLens, MainLens, PointLight, cached_main_lens
 from ..prescription import LINE_D
+from ..runtime import Doubles
 from .microlens_orders import MicrolensArray, microlens_array
 from .transmittance import upright
 
@@ -63,10 +61,10 @@ class OpticalSystem:
         """Main lens of the camera, for waves and rays; see `MainLens` for its methods."""
         return cached_main_lens(self.camera, self.wavelength, model=self.lens_model or self.camera.lens_model)
 
-    def waves_of(self, points: NDArray[np.float64]) -> MainLens:
+    def waves_of(self, points: Doubles) -> MainLens:
         """Return the main lens for waves from scene points (n, 3), or refuse points without such waves."""
         return self.lens.waves_of(points)
 
-    def waves_of_one(self, point: NDArray[np.float64]) -> PointLight:
+    def waves_of_one(self, point: Doubles) -> PointLight:
         """Return the light of a scene point (3,) on the exit pupil, as exactly as the lens can represent it."""
         return cast(ClosedLens, self.lens) if self.lens.is_uniform else cast("RealLens", self.lens).waves_of_one(point)

@@ -13,12 +13,11 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ..array import Lattice, make_lattice
 from ..camera import PlenopticCamera
 from ..optics import in_millimetres, phasor, second_leg
-from ..runtime import fft, turn
+from ..runtime import Doubles, fft, turn
 from .accuracy import ACCURACY
 
 
@@ -34,7 +33,7 @@ def factor_axes(camera: PlenopticCamera) -> list[tuple[int, ...]]:
     return [(0,), (1,)] if is_separable(camera) else [(0, 1)]
 
 
-def repetition(camera: PlenopticCamera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def repetition(camera: PlenopticCamera) -> tuple[Doubles, Doubles]:
     """Return the lattice's vectors, and the sides of the coarsest grid of all centres, in mm in the lattice frame.
 
     Without an array nothing repeats, and pixels are the grid.
@@ -123,7 +122,7 @@ def bend(camera: PlenopticCamera) -> float:
     return float(slopes.max() if lattice.has_upright_apertures else np.hypot(*slopes).max())
 
 
-def aperture_points(lattice: Lattice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def aperture_points(lattice: Lattice) -> tuple[Doubles, Doubles]:
     """Return offsets of points that cover an aperture, including its rim."""
     x, y = lattice.aperture_point(*np.meshgrid(*2 * [np.linspace(0, 1, ACCURACY.slope_points)]))
     return np.asarray(x), np.asarray(y)

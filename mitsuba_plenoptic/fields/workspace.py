@@ -8,9 +8,8 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..runtime import active_backend, fft
+from ..runtime import Floats, active_backend, fft
 from .steps import Step
 
 Rows = Iterable[tuple[slice, fft.Field]]
@@ -75,7 +74,7 @@ class FieldWorkspace:
         for rows in self.runs(len(field)):
             yield slice(rows.start + first, rows.stop + first), field[rows]
 
-    def repeated(self, pixels: NDArray[np.float32], count: int) -> Rows:
+    def repeated(self, pixels: Floats, count: int) -> Rows:
         """Yield the rows of pixels that are repeated `count` times along both axes."""
         for rows in self.runs(len(pixels), max(1, self.block // count)):
             part: Any = pixels[rows]

@@ -6,10 +6,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ..runtime import sqrt
+from ..runtime import Doubles, sqrt
 from .protocol import Light
 from .pupil import Pair, Pupil
 
@@ -34,11 +31,11 @@ class ClosedLens(Light):
         """Radius of the pupil in millimetres."""
         return self.pupil.radius
 
-    def waves_of(self, points: NDArray[np.float64]) -> Self:
+    def waves_of(self, points: Doubles) -> Self:
         """Return this lens, whose light is the same for all points."""
         return self
 
-    def bind(self, points: NDArray[np.float64], index: Any = None) -> Self:
+    def bind(self, points: Doubles, index: Any = None) -> Self:
         """Return this lens, whose light is the same for all points."""
         return self
 
@@ -55,5 +52,5 @@ class ClosedLens(Light):
         return self.inside(pupil) >= -_ROUNDING * self.pupil.radius
 
     @abstractmethod
-    def power_through(self, point: NDArray[np.float64]) -> float:
+    def power_through(self, point: Doubles) -> float:
         """Return the integral of the squared amplitude of a scene point over the pupil."""

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import in_millimetres, rays
 from ..prescription import Collimator, Objective, Prescription
+from ..runtime import Doubles
 from .protocol import MainLens
 from .pupil import Pair
 
@@ -59,7 +59,7 @@ def cone(lens: MainLens, distances: Any) -> float:
     return float(radius) * float(np.abs(convergence(lens, distances)).max(initial=1 / distance))
 
 
-def inverse_distance(lens: MainLens, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def inverse_distance(lens: MainLens, points: Doubles) -> Doubles:
     """Return the reciprocals (n,) of the distances of scene points (n, 3) from the lens's entrance pupil.
 
     Behind an objective, which sees all depths under the same angles, it returns the depths instead.

@@ -23,12 +23,11 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..optics import in_millimetres
-from ..runtime import drjit_array, single_threaded_blas, turn
+from ..runtime import Doubles, Integers, drjit_array, single_threaded_blas, turn
 from .accuracy import ACCURACY
 from .protocol import Entrance, Traced
 from .pupil import Pair, Pupil
@@ -44,11 +43,11 @@ class ImageStretch:
     """Ratio of the array positions of object points' chief rays to the positions that reconstruction bins assume."""
 
     # Distances of object points from the axis on the scale of the bins, :math:`X b / g`, in the lit field, (n,).
-    places: NDArray[np.float64]
+    places: Doubles
     # Distances of the chief rays from the axis over `places`, (n,).
-    ratio: NDArray[np.float64]
+    ratio: Doubles
     # Local magnification of areas, (n,).
-    area: NDArray[np.float64]
+    area: Doubles
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,20 +90,18 @@ class FittedLens:
         """Return the ray from a position on the MLA through a pupil point, as `MainLens.ray` does."""
         return self.system.ray(pupil, position)
 
-    def open_fraction(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    def open_fraction(self, x: Doubles, y: Doubles) -> Doubles:
         """Return the open fraction of the pupil, seen from positions on the MLA, as `MainLens.open_fraction` does."""
-        fraction: NDArray[np.float64] = self.system.open_fraction(x, y)
+        fraction: Doubles = self.system.open_fraction(x, y)
         return fraction
 
-    def bind(
-        self, points: NDArray[np.float64], index: Any = None, changes: Sequence[tuple[Any, LensChange]] = ()
-    ) -> LensLight:
+    def bind(self, points: Doubles, index: Any = None, changes: Sequence[tuple[Any, LensChange]] = ()) -> LensLight:
         """Return the light of some points, as `MainLens.bind` does, with gradients of each amount of a change."""
         fitted = self.fitted
         pupils = self.fitted.pupils
         field, inverse_distance = pupils.field(points)
 
-        def lanes(column: NDArray[np.float64]) -> Any:
+        def lanes(column: Doubles) -> Any:
             if index is None:
                 return np.ascontiguousarray(column)[:, None]
             Float64 = dr.float64_array_t(type(index))
@@ -155,12 +152,12 @@ class FittedLens:
         ratio = images / positions
         return ImageStretch(positions, ratio, ratio * growth)
 
-    def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def images(self, points: Doubles) -> Doubles:
         """Return the positions (n, 2) on the MLA of the rays from scene points through the exit pupil's centre."""
         zero = np.zeros((len(points), 1))
         return np.concatenate(self.bind(points).land((zero, zero), None), axis=1)
 
-    def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    def points(self, images: Doubles, inverse_distance: Doubles) -> Doubles:
         """Return the scene points (n, 3) with given images and inverse distances."""
         pupils = self.fitted.pupils
         distance = 1 / inverse_distance
@@ -174,7 +171,7 @@ class FittedLens:
             field = field * np.where(far, (reached * images).sum(1) / np.where(far, square, 1), 1)[:, None]
         return np.column_stack([field * distance[:, None], depth])
 
-    def within(self, images: NDArray[np.float64]) -> NDArray[np.float64]:
+    def within(self, images: Doubles) -> Doubles:
         """Return positions (..., 2) on the MLA, moved to the edge of the illuminated field if they lie outside."""
         away = np.hypot(images[..., 0], images[..., 1])[..., None]
         return np.asarray(images * np.minimum(1, self._covered / np.maximum(away, 1e-12)))
@@ -202,7 +199,7 @@ class FittedLens:
         return (ACCURACY.path_weight * path + across) * (step / in_millimetres(wavelength))
 
     @functools.cached_property
-    def _changes(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def _changes(self) -> tuple[Doubles, Doubles, Doubles]:
         """Largest changes of path and edge per motion of an image, by the distance of the image from the axis.
 
         The maximum is taken over object distances and over radial and tangential motion. Changes are per millimetre of
@@ -240,10 +237,10 @@ _TOGETHER = 16
 """Points that are computed together."""
 
 
-def open_area(lens: FittedLens, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def open_area(lens: FittedLens, points: Doubles) -> Doubles:
     """Return the unvignetted area of the exit pupil for points (n, 3), in square millimetres, (n,)."""
 
-    def measured(some: NDArray[np.float64]) -> NDArray[np.float64]:
+    def measured(some: Doubles) -> Doubles:
         step, edge, pupil = places(lens)
         _, least = edges(lens.bind(some), pupil)
         return np.asarray(np.clip(least / edge + 0.5, 0, 1).sum(1) * step**2)
@@ -260,15 +257,13 @@ def places(lens: FittedLens) -> tuple[float, float, Pair]:
     return step, ACCURACY.area_edge * step, (x, y)
 
 
-def edges(light: LensLight, pupil: Pair) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def edges(light: LensLight, pupil: Pair) -> tuple[Integers, Doubles]:
     """Return the index of the edge nearest to each position, and the position's distance from it, positive inside."""
     away = np.stack([replace(light, stops=[stop]).inside(pupil) for stop in light.stops])
     return away.argmin(0), away.min(0)
 
 
-def at_all(
-    lens: FittedLens, points: NDArray[np.float64], measured: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-) -> NDArray[np.float64]:
+def at_all(lens: FittedLens, points: Doubles, measured: Callable[[Doubles], Doubles]) -> Doubles:
     """Return a measured quantity of each point, interpolated over field and inverse distance if points are many."""
     from scipy.interpolate import RegularGridInterpolator
 
@@ -330,11 +325,11 @@ def lens_change(lens: FittedLens, name: str) -> LensChange:
     more, less = (replace(side, field=rays.field, inverse_distance=rays.inverse_distance) for side in (more, less))
     shift = (more.position - less.position) / (2 * step)
 
-    def values(side: PupilRays) -> list[NDArray[np.float64]]:
+    def values(side: PupilRays) -> list[Doubles]:
         path = side.path - fitted.pupils.sphere_path(side)
         return [path, side.amplitude, *side.stops[list(fitted.cutting)]]
 
-    def changed(polynomial: Polynomial, high: NDArray[np.float64], low: NDArray[np.float64]) -> NDArray[np.float64]:
+    def changed(polynomial: Polynomial, high: Doubles, low: Doubles) -> Doubles:
         along = polynomial.at(np.column_stack([0 * rays.field, rays.field]), rays.inverse_distance).T
         _, x, y = polynomial.over_pupil(list(along), (0.0, rays.field)).gradient((rays.position[0], rays.position[1]))
         return np.asarray((high - low) / (2 * step) - x * shift[0] - y * shift[1])
@@ -353,7 +348,7 @@ def lens_change(lens: FittedLens, name: str) -> LensChange:
     return lens.changes[name]
 
 
-def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def open_area_slopes(lens: FittedLens, name: str, points: Doubles) -> Doubles:
     """Return the derivatives (n,) of the logarithm of the open area of each point with respect to a camera parameter.
 
     Points and lens are fixed; derivatives with respect to parameters outside `LENS_NUMBERS` are 0.
@@ -362,7 +357,7 @@ def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -
         return np.zeros(len(points))
     changes = lens_change(lens, name).stops
 
-    def measured(some: NDArray[np.float64]) -> NDArray[np.float64]:
+    def measured(some: Doubles) -> Doubles:
         _, edge, pupil = places(lens)
         light = lens.bind(some)
         stop, least = edges(light, pupil)
@@ -414,7 +409,7 @@ class VaryingLens:
         object.__setattr__(self, "pupil", Pupil(radius, distance))
         object.__setattr__(self, "_changes", changes)
 
-    def bind(self, points: NDArray[np.float64], index: Any) -> LensLight:
+    def bind(self, points: Doubles, index: Any) -> LensLight:
         """Return the light of some points, as `MainLens.bind` does for Dr.Jit, without gradients of `LensLight.land`.
 
         The light's coefficients are c + a c' with amounts a that are zero and carry the gradients.

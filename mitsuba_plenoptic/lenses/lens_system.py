@@ -16,12 +16,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
 from ..prescription import Paraxial, Prescription, height, paraxial, vergence
-from ..runtime import rsqrt
+from ..runtime import Doubles, rsqrt
 from . import sequential
 from .accuracy import ACCURACY
 from .protocol import Traced
@@ -142,7 +141,7 @@ class LensSystem:
         away = np.hypot(Px, Py if about_middle else Py + middle)
         return float(np.max(away[is_open])) + (axis[1] - axis[0])
 
-    def pupil_middle(self, height: NDArray[np.float64]) -> NDArray[np.float64]:
+    def pupil_middle(self, height: Doubles) -> Doubles:
         """Return where chief rays to heights on the MLA cross the exit pupil's plane; 0 where the lens blocks them."""
         middle = height + self.pupil.distance * self.chief_slope(height)
         is_open = self.ray((0 * height, middle), (0 * height, height))[2]
@@ -215,7 +214,7 @@ class LensSystem:
         """
         lens = self._backwards[: len(self._backwards) - self.prescription.stop]
 
-        def at_stop(height: NDArray[np.float64], slope: NDArray[np.float64]) -> Any:
+        def at_stop(height: Doubles, slope: Doubles) -> Any:
             N = 1 / np.sqrt(1 + slope * slope)
             start = (0.0 * height, height / self.scale, -self.back_distance / self.scale)
             return sequential.follow(lens, start, (0.0 * slope, slope * N, N))[0][1]

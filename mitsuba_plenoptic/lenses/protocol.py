@@ -16,9 +16,7 @@ from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ..runtime import Doubles, Floats
 from .pupil import Pair, Pupil
 
 Traced = tuple[tuple[Any, Any, Any], Pair, Any]
@@ -50,7 +48,7 @@ class MainLens(Protocol):
     def entrance(self) -> Entrance:
         """Entrance pupil of the lens."""
 
-    def waves_of(self, points: NDArray[np.float64]) -> MainLens:
+    def waves_of(self, points: Doubles) -> MainLens:
         """Return the lens for wave propagation from scene points (n, 3).
 
         Parameters
@@ -92,7 +90,7 @@ class MainLens(Protocol):
     def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Return the ray from a position on the MLA through a pupil point, in the form that `trace` returns."""
 
-    def bind(self, points: NDArray[np.float64], index: Any = None) -> Light:
+    def bind(self, points: Doubles, index: Any = None) -> Light:
         """Return the light of some scene points.
 
         Parameters
@@ -103,10 +101,10 @@ class MainLens(Protocol):
             The point of each lane. Default: the light takes NumPy arrays (n, m), one row per point.
         """
 
-    def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def images(self, points: Doubles) -> Doubles:
         """Return the positions (n, 2) on the MLA of the rays from scene points (n, 3) through the pupil's centre."""
 
-    def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    def points(self, images: Doubles, inverse_distance: Doubles) -> Doubles:
         """Return the scene points (n, 3) with given `images` and `common.inverse_distance`."""
 
     def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> Any:
@@ -211,4 +209,4 @@ class RoundMap:
     field: float
     closed: float
     half: float
-    points: NDArray[np.float32]
+    points: Floats

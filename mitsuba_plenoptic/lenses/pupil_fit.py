@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, refuse_if
 from ..optics import guards, in_millimetres
+from ..runtime import Doubles
 from . import sequential
 from .accuracy import ACCURACY
 from .lens_system import LensSystem
@@ -35,17 +36,17 @@ class PupilRays:
     """Rays from points whose fields lie along y; all arrays have shape (n,) or (2, n)."""
 
     # Field, and inverse distance in 1/mm, of the point from which each ray comes, (n,).
-    field: NDArray[np.float64]
-    inverse_distance: NDArray[np.float64]
+    field: Doubles
+    inverse_distance: Doubles
     # Positions in the planes of the exit and of the entrance pupil, in millimetres, (2, n).
-    position: NDArray[np.float64]
-    entrance: NDArray[np.float64]
+    position: Doubles
+    entrance: Doubles
     # Path to the exit pupil less that of the ray through the centre of the entrance pupil, in millimetres, (n,).
-    path: NDArray[np.float64]
+    path: Doubles
     # Modulus of the field on the exit pupil, up to a factor that depends on the point alone, (n,).
-    amplitude: NDArray[np.float64]
+    amplitude: Doubles
     # Squared distance from the axis over the squared semi-aperture of each surface, (surfaces, n).
-    stops: NDArray[np.float64]
+    stops: Doubles
 
     @property
     def open(self) -> NDArray[np.bool_]:
@@ -129,7 +130,7 @@ def _follow(
     return position + lost, path + lost, stops + lost, np.where(met, slope, np.inf)
 
 
-Tracer = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], PupilRays]
+Tracer = Callable[[Doubles, Doubles, Doubles], PupilRays]
 """Function from fields, inverse distances and positions on the entrance pupil to rays, see `trace`."""
 
 
@@ -154,7 +155,7 @@ class Pupils:
         image = 1 / float(lens.vergence(math.inf)) + float(lens.pupil.distance) - float(lens.mla_distance)
         return cls(entrance_place(lens), float(math.copysign(size, near.position[0, 0])), 1 / image)
 
-    def field(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def field(self, points: Doubles) -> tuple[Doubles, Doubles]:
         """Return the fields (n, 2) and inverse distances (n,) of scene points (n, 3)."""
         inverse_distance = 1 / (points[:, 2] - self.entrance)
         return points[:, :2] * inverse_distance[:, None], inverse_distance
@@ -167,7 +168,7 @@ class Pupils:
         """Return the reciprocal of the distance from the exit pupil to the paraxial image, in 1/mm."""
         return self.at_infinity - inverse_distance / self.magnification**2
 
-    def sphere_path(self, rays: PupilRays) -> NDArray[np.float64]:
+    def sphere_path(self, rays: PupilRays) -> Doubles:
         """Return the path of a perfect wave to the exit pupil, less the path to the pupil's centre, (n,)."""
         x, y = rays.position
         w = self.convergence(rays.inverse_distance)
@@ -224,7 +225,7 @@ def fit_pupil(
     low, high = inverse_distance
     scales = Scales(float(np.hypot(*rays.position[:, is_open]).max()), field, (low + high) / 2, (high - low) / 2)
 
-    def fitted(degrees: Degrees, *values: NDArray[np.float64]) -> list[Polynomial]:
+    def fitted(degrees: Degrees, *values: Doubles) -> list[Polynomial]:
         return fit(scales, degrees, rays.position, rays.field, rays.inverse_distance, np.stack(values))
 
     path = rays.path - pupils.sphere_path(rays)
@@ -246,7 +247,7 @@ def nodes(radius: float, field: float, inverse_distance: tuple[float, float]) ->
     Only one side of the plane through axis and point is sampled, since the other side is its mirror image.
     """
 
-    def between(low: float, high: float, count: int) -> NDArray[np.float64]:
+    def between(low: float, high: float, count: int) -> Doubles:
         return (low + high) / 2 - (high - low) / 2 * np.cos(np.pi * np.arange(count) / (count - 1))
 
     axis = np.linspace(-ACCURACY.fitted_radius, ACCURACY.fitted_radius, ACCURACY.fitted_rays) * radius
@@ -271,7 +272,7 @@ def _random(radius: float, field: float, inverse_distance: tuple[float, float]) 
     return F, D, np.stack([away * np.cos(angle), away * np.sin(angle)])
 
 
-def _error(aberration: Polynomial, rays: PupilRays, path: NDArray[np.float64]) -> float:
+def _error(aberration: Polynomial, rays: PupilRays, path: Doubles) -> float:
     """Return the path's root mean square error in mm for the worst point, apart from a constant."""
     worst = 0.0
     for field in np.unique(rays.field):
@@ -294,7 +295,7 @@ class ExitPupil(LensLight):
     # The exit pupil, with a radius that contains its open part.
     pupil: Pupil
     # Positions (n, 2) and direction cosines (n, 2) of the rays that pass the lens.
-    bundle: tuple[NDArray[np.float64], NDArray[np.float64]]
+    bundle: tuple[Doubles, Doubles]
     # Root mean square error of the path in waves.
     error: float
 
@@ -332,7 +333,7 @@ class ExitPupil(LensLight):
         degrees = Degrees(ACCURACY.single_degree, ACCURACY.single_degree * (field > 0), 0)
         along = float(direction[0]), float(direction[1])
 
-        def fitted(some: Any, *values: NDArray[np.float64]) -> list[PupilPolynomial]:
+        def fitted(some: Any, *values: Doubles) -> list[PupilPolynomial]:
             subset = rays.take(some)
             polynomials = fit(
                 scales, degrees, subset.position, subset.field, subset.inverse_distance, np.stack(values), alone=True

@@ -12,10 +12,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..optics import in_millimetres
-from ..runtime import minimum, safe_sqrt
+from ..runtime import Doubles, minimum, safe_sqrt
 from .pupil import Pair
 
 
@@ -66,9 +65,9 @@ class Polynomial:
     scales: Scales
     degrees: Degrees
     # Coefficients of the powers, (depth + 1, field / 2 + 1, pairs).
-    coefficients: NDArray[np.float64]
+    coefficients: Doubles
 
-    def at(self, field: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, field: Doubles, inverse_distance: Doubles) -> Doubles:
         """Return the coefficients (n, pairs) of the pupil polynomial at fields (n, 2) and inverse distances (n,)."""
         f, d = self.scales.of_points((field**2).sum(1), inverse_distance)
         depth, fields, pairs = self.coefficients.shape
@@ -83,10 +82,10 @@ class Polynomial:
 def fit(
     scales: Scales,
     degrees: Degrees,
-    position: NDArray[np.float64],
-    field: NDArray[np.float64],
-    inverse_distance: NDArray[np.float64],
-    values: NDArray[np.float64],
+    position: Doubles,
+    field: Doubles,
+    inverse_distance: Doubles,
+    values: Doubles,
     *,
     alone: bool = False,
 ) -> list[Polynomial]:

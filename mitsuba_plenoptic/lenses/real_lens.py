@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, refuse_if
 from ..optics import guards
 from ..prescription import Prescription
-from ..runtime import single_threaded_blas
+from ..runtime import Doubles, single_threaded_blas
 from .accuracy import ACCURACY
 from .common import LensNumbers, builds
 from .fitted_lens import FittedLens
@@ -65,12 +65,12 @@ def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
     return RoundMap(last, closed, half, result.reshape(ACCURACY.edge_fields, ACCURACY.map_nodes, ACCURACY.map_nodes, 3))
 
 
-def _is_open(lens: LensSystem, height: float, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _is_open(lens: LensSystem, height: float, x: Doubles, y: Doubles) -> NDArray[np.bool_]:
     """Return whether points of the pupil transmit light to a position on the array's x axis."""
     return np.asarray(lens.ray((x, y), (np.full_like(x, height), np.zeros_like(x)))[2])
 
 
-def _edge(lens: LensSystem, height: float, reach: float, middle: tuple[float, float]) -> NDArray[np.float64]:
+def _edge(lens: LensSystem, height: float, reach: float, middle: tuple[float, float]) -> Doubles:
     """Return points of the pupil's edge around its middle, as seen from a position on the array's x axis."""
     angle = 2 * math.pi * np.arange(ACCURACY.edge_angles) / ACCURACY.edge_angles
     low = np.zeros(ACCURACY.edge_angles)
@@ -117,13 +117,13 @@ class RealLens(LensSystem):
         """Return this lens, whose surfaces are compiled into kernels."""
         return self
 
-    def open_fraction(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    def open_fraction(self, x: Doubles, y: Doubles) -> Doubles:
         """Return the unvignetted fraction of the circle of radius `reach`, as seen from positions on the MLA."""
         heights, fractions = self._fractions
         return np.interp(np.hypot(x, y), heights, fractions)
 
     @functools.cached_property
-    def _fractions(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _fractions(self) -> tuple[Doubles, Doubles]:
         radius = self.reach
         lens = self._own
         heights = np.linspace(0, ACCURACY.open_reach * self.corner, ACCURACY.open_fields)
@@ -140,7 +140,7 @@ class RealLens(LensSystem):
 
     # -- waves ---------------------------------------------------------------------------------------
 
-    def waves_of(self, points: NDArray[np.float64]) -> FittedLens:
+    def waves_of(self, points: Doubles) -> FittedLens:
         """Return the lens for wave propagation from scene points, as `MainLens.waves_of` does."""
         front = self.entrance.front
         within = (points[:, 2] > 0) & (points[:, 2] <= front)
@@ -157,7 +157,7 @@ class RealLens(LensSystem):
             raise InputError(f"position = ({position}): no light of it passes the main_lens")
         return _checked(lens)
 
-    def waves_of_one(self, point: NDArray[np.float64]) -> ExitPupil:
+    def waves_of_one(self, point: Doubles) -> ExitPupil:
         """Return the light of a single scene point, fitted to rays of this point alone."""
         x, y, g = np.asarray(point).tolist()
         if (x, y, g) not in self._lights:
@@ -171,7 +171,7 @@ class RealLens(LensSystem):
         """Return the lens for waves, fitted for inverse distances (low, high) up to a field, or to the largest."""
         return _checked(self._over_field(field, inverse_distance))
 
-    def farthest(self, distances: Sequence[float]) -> NDArray[np.float64]:
+    def farthest(self, distances: Sequence[float]) -> Doubles:
         """Return points (n, 3), one at each distance, at the largest field that a detector sees through the lens."""
         depths = np.array(distances)
         near = 1 / (depths - self.entrance.pupil)

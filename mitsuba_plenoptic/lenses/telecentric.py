@@ -25,11 +25,10 @@ from dataclasses import dataclass, field
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..optics import in_millimetres
 from ..prescription import Objective
-from ..runtime import rsqrt, safe_sqrt
+from ..runtime import Doubles, rsqrt, safe_sqrt
 from .closed_lens import ClosedLens
 from .common import LensNumbers, builds
 from .protocol import Entrance, Traced
@@ -81,11 +80,11 @@ class TelecentricLens(ClosedLens):
         drop = 2 * math.sin(lens.half_angle / 2) ** 2
         return 1 / self.pupil.distance + 2 * lens.immersion * drop * distance / self.pupil.radius**2
 
-    def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def images(self, points: Doubles) -> Doubles:
         """Return the positions (n, 2) of the chief rays of points in the native image plane."""
         return -self.objective.magnification * points[:, :2]
 
-    def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    def points(self, images: Doubles, inverse_distance: Doubles) -> Doubles:
         """Return the scene points (n, 3) with given `images` and `inverse_distance`."""
         return np.column_stack([images * (-1 / self.objective.magnification), inverse_distance])
 
@@ -127,7 +126,7 @@ class TelecentricLens(ClosedLens):
         scale = -1 / (self.objective.immersion * self._cosine(pupil))
         return x * scale, y * scale
 
-    def power_through(self, point: NDArray[np.float64]) -> float:
+    def power_through(self, point: Doubles) -> float:
         """Return `passed_power`, which is equal for all scene points."""
         return self.passed_power
 

@@ -15,13 +15,12 @@ from typing import Any, cast
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PhaseScreen
 from ..errors import WAVEFRONT_UNIT
 from ..optics import in_millimetres, parabola, rays
 from ..prescription import SINGLE, Collimator, vergence
-from ..runtime import sqrt
+from ..runtime import Doubles, sqrt
 from .accuracy import ACCURACY
 from .closed_lens import ClosedLens
 from .common import LensNumbers, builds
@@ -39,7 +38,7 @@ def noll(j: int) -> tuple[int, int]:
 
 
 @functools.cache
-def zernike(j: int) -> NDArray[np.float64]:
+def zernike(j: int) -> Doubles:
     """Return the coefficients of a Zernike polynomial; element [a, b] belongs to x^a y^b."""
     n, m = noll(j)
     order = abs(m)
@@ -190,11 +189,11 @@ class ThinLens(ClosedLens):
         aberrations = [convert(value) for value in self.aberrations]
         return replace(self, focal_length=convert(self.focal_length), pupil=pupil, aberrations=aberrations)
 
-    def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def images(self, points: Doubles) -> Doubles:
         """Return the positions (n, 2) on the MLA of the rays from scene points (n, 3) through the pupil's centre."""
         return np.asarray(rays.conjugate_coordinate(points[:, :2], points[:, 2:], self.pupil.distance))
 
-    def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    def points(self, images: Doubles, inverse_distance: Doubles) -> Doubles:
         """Return the scene points (n, 3) with given `images` and `inverse_distance`."""
         distance = 1 / inverse_distance[:, None]
         return np.hstack([images * (-distance / self.pupil.distance), distance])
@@ -282,7 +281,7 @@ class ThinLens(ClosedLens):
         length = _distance(pupil, point)
         return abs(point[2]) / (length * length)
 
-    def power_through(self, point: NDArray[np.float64]) -> float:
+    def power_through(self, point: Doubles) -> float:
         """Return the integral of the squared amplitude over the pupil, by Gauss's rule in radius, evenly in angle."""
         nodes, weights = np.polynomial.legendre.leggauss(ACCURACY.wavefront_nodes)
         radius = self.pupil.radius * np.sqrt((nodes + 1) / 2)[:, None]
@@ -342,7 +341,7 @@ class DistortedLens(ThinLens):
         """Return the ray from a position on the MLA through a pupil point, without a test of the pupil's edge."""
         return super().ray(pupil, undistort(*position, self.distortion))
 
-    def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def images(self, points: Doubles) -> Doubles:
         """Return the positions (n, 2) on the MLA of the rays from scene points (n, 3) through the pupil's centre."""
         x, y = super().images(points).T
         return np.stack(self._distort((x, y)), -1)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import refuse_if, require_number
 from ..io import response_of
+from ..runtime import Floats
 
 _DARKEST = 0.01
 """Variance, over the mean one, that is added to every pixel's where residuals are weighted."""
@@ -63,7 +63,7 @@ class PixelNoise:
         return self.dark_variance / self.electrons
 
 
-def misfit(noise: PixelNoise, image: NDArray[np.float32], model: NDArray[np.float32]) -> float:
+def misfit(noise: PixelNoise, image: Floats, model: Floats) -> float:
     """Return the squared residual, weighted by the pixels' variances, divided by its expectation for noise alone.
 
     This is Pearson's statistic, of expectation 1. Pixels that should be nearly dark get a lower weight than

@@ -15,10 +15,9 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..runtime import drjit_array
+from ..runtime import Doubles, Floats, drjit_array
 from .spectrum import WAVELENGTHS, Spectrum, Table, interpolated
 
 _STEP = 10.0
@@ -62,7 +61,7 @@ def _tables(thing: Any) -> dict[str, Table]:
     return tables
 
 
-def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArray[np.float32]) -> None:
+def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: Floats) -> None:
     """Refuse wavelengths at which a spectrum of the scene has no values, where Mitsuba takes 0.
 
     A scalar or a colour given as radiance means the spectrum of D65. Mitsuba defines D65 and black bodies from 360 to
@@ -104,7 +103,7 @@ def require_upsampled(spectrum: Spectrum) -> None:
         )
 
 
-def _beyond(wavelengths: NDArray[np.float64], responses: NDArray[np.float32], low: float, high: float) -> float | None:
+def _beyond(wavelengths: Doubles, responses: Floats, low: float, high: float) -> float | None:
     """Return a wavelength outside the bounds if more than 1 % of the responses lie outside, otherwise None."""
     outside = (wavelengths < low) | (wavelengths > high)
     weights = np.abs(responses).sum(axis=0)
@@ -112,25 +111,25 @@ def _beyond(wavelengths: NDArray[np.float64], responses: NDArray[np.float32], lo
     return float(wavelengths[outside][0]) if weights[outside].sum() > 0.01 * weights.sum() else None
 
 
-def srgb_responses(wavelengths: NDArray[np.float64]) -> NDArray[np.float64]:
+def srgb_responses(wavelengths: Doubles) -> Doubles:
     """Return the responses (3, n) per nanometre of red, green and blue in linear sRGB."""
     xyz = np.array(mi.cie1931_xyz(drjit_array(mi.Float, wavelengths)), np.float64)
     matrix = np.array([np.ravel(mi.xyz_to_srgb(mi.ScalarColor3f(unit))) for unit in np.eye(3).tolist()], np.float64).T
     return np.asarray(matrix @ xyz * mi.MI_CIE_Y_NORMALIZATION)
 
 
-def srgb_table() -> NDArray[np.float64]:
+def srgb_table() -> Doubles:
     """Return rows of a wavelength and the responses of linear sRGB; Mitsuba's tables are linear between these rows."""
     wavelengths = np.arange(_LOW, _HIGH + _CIE_STEP / 2, _CIE_STEP)
     return np.column_stack([wavelengths, srgb_responses(wavelengths).T])
 
 
-def _d65(wavelengths: NDArray[np.float64]) -> NDArray[np.float64]:
+def _d65(wavelengths: Doubles) -> Doubles:
     """Return the spectrum of D65, of luminance 1."""
     return np.array(mi.cie_d65(drjit_array(mi.Float, wavelengths)), np.float64)
 
 
-def upsampling(wavelengths: tuple[float, ...]) -> NDArray[np.float64]:
+def upsampling(wavelengths: tuple[float, ...]) -> Doubles:
     """Return the spectra (3, n) of unit red, green and blue light at wavelengths in nanometres."""
     grid, basis = _reflectances()
     at = np.array(wavelengths)
@@ -138,7 +137,7 @@ def upsampling(wavelengths: tuple[float, ...]) -> NDArray[np.float64]:
 
 
 @functools.cache
-def _reflectances() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _reflectances() -> tuple[Doubles, Doubles]:
     """Return wavelengths, and the reflectances (3, n) of the sRGB primaries at each of them."""
     # Imported here because it is slow to import and few captures upsample.
     from scipy.optimize import lsq_linear

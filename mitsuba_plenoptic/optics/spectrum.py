@@ -16,7 +16,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import (
     InputError,
@@ -26,7 +25,7 @@ from ..errors import (
     require_wavelength,
     suggest_keywords,
 )
-from ..runtime import as_array, read_table
+from ..runtime import Doubles, Floats, as_array, read_table
 
 MOST_WAVELENGTHS = 1024
 """Largest number of wavelengths of a spectrum."""
@@ -38,7 +37,7 @@ WAVELENGTHS = 31
 """Default number of wavelengths for smooth responses: about one every 10 nm of the visible range."""
 
 
-Table = tuple[NDArray[np.float64], NDArray[np.float64]]
+Table = tuple[Doubles, Doubles]
 """Wavelengths in nanometres and values of a spectrum, linear between them and 0 outside."""
 
 
@@ -137,7 +136,7 @@ class Spectrum:
     @classmethod
     def smooth(
         cls,
-        responses: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+        responses: Callable[[Doubles], Doubles],
         low: float,
         high: float,
         count: int = WAVELENGTHS,
@@ -168,9 +167,7 @@ class Spectrum:
         return cls(tuple(wavelengths.tolist()), tuple(map(tuple, values.tolist())))
 
     @classmethod
-    def sensor(
-        cls, path: str | Path | NDArray[np.float64], count: int = WAVELENGTHS, tables: Sequence[Table] = ()
-    ) -> Spectrum:
+    def sensor(cls, path: str | Path | Doubles, count: int = WAVELENGTHS, tables: Sequence[Table] = ()) -> Spectrum:
         """Return a spectrum from a table of a detector's responses, interpolated linearly between rows.
 
         Each channel is divided by its integral, so that light of radiance 1 at every wavelength reads 1 in each.
@@ -265,7 +262,7 @@ class Spectrum:
         """Wavelengths at which diffraction is computed: the nodes, or all wavelengths if there are none."""
         return self.nodes or tuple(sorted(set(self.wavelengths)))
 
-    def shares(self, wavelengths: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+    def shares(self, wavelengths: Doubles | None = None) -> Doubles:
         """Return the values (nodes, wavelengths) of each node's Lagrange polynomial, by default at all wavelengths.
 
         Parameters
@@ -293,12 +290,12 @@ class Spectrum:
         """Number of channels."""
         return len(self.responses)
 
-    def matrix(self) -> NDArray[np.float32]:
+    def matrix(self) -> Floats:
         """Return the responses as an array (channels, wavelengths)."""
         return np.array(self.responses, np.float32)
 
 
-def read_responses(path: str | Path) -> NDArray[np.float64]:
+def read_responses(path: str | Path) -> Doubles:
     """Read a detector's table; each row holds a wavelength in nanometres and the response of every channel."""
     table = read_table(path)
     refuse_if(
@@ -311,12 +308,8 @@ def read_responses(path: str | Path) -> NDArray[np.float64]:
 
 
 def _nodes(
-    responses: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    low: float,
-    high: float,
-    count: int,
-    tables: Sequence[Table],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    responses: Callable[[Doubles], Doubles], low: float, high: float, count: int, tables: Sequence[Table]
+) -> tuple[Doubles, Doubles]:
     """Return nodes and weights of a quadrature over wavelengths that is fine enough to integrate tables accurately.
 
     A Gauss-Legendre rule is subdivided, each time where the product of a response and a table with the largest error
@@ -324,11 +317,11 @@ def _nodes(
     between the rows of all tables and a grid of half a nanometre.
     """
 
-    def products(at: NDArray[np.float64]) -> NDArray[np.float64]:
+    def products(at: Doubles) -> Doubles:
         spectra = np.stack([np.interp(at, *table, left=0, right=0) for table in tables])
         return (np.asarray(responses(at)) * spectra[:, None]).reshape(-1, len(at))
 
-    def rule(first: float, last: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def rule(first: float, last: float) -> tuple[Doubles, Doubles]:
         share = (last - first) / (high - low)
         nodes, weights = np.polynomial.legendre.leggauss(max(2, math.ceil(count * share)) if share < 1 else count)
         return (first + last) / 2 + (last - first) / 2 * nodes, weights * (last - first) / 2
@@ -346,7 +339,7 @@ def _nodes(
     largest = np.broadcast_to(largest, (len(tables), len(fine) // len(tables))).ravel()
     turns = np.abs(np.diff(np.diff(products(edges), axis=1) / np.diff(edges), axis=1))
 
-    def errors(first: int, last: int) -> NDArray[np.float64]:
+    def errors(first: int, last: int) -> Doubles:
         nodes, weights = rule(edges[first], edges[last])
         wrong = np.abs(products(nodes) @ weights - upto[:, last] + upto[:, first])
         return np.divide(wrong, largest, out=np.zeros_like(wrong), where=largest > 0)
@@ -372,8 +365,6 @@ def _nodes(
     return wavelengths, quadrature
 
 
-def interpolated(
-    wavelengths: NDArray[np.float64], columns: Iterable[NDArray[np.float64]], at: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def interpolated(wavelengths: Doubles, columns: Iterable[Doubles], at: Doubles) -> Doubles:
     """Return the columns of a table, interpolated linearly at given wavelengths."""
     return np.stack([np.interp(at, wavelengths, column) for column in columns])

@@ -17,10 +17,9 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import refuse_if, require_number, require_wavelength
-from ..runtime import active_backend, array_module, backend_of, drjit_array, fft, one_at_a_time
+from ..runtime import Doubles, active_backend, array_module, backend_of, drjit_array, fft, one_at_a_time
 from . import guards
 
 _MM_PER_NM = 1e-6
@@ -113,7 +112,7 @@ def weighted(weight: np.ndarray, field: fft.Field) -> float:
     return float((backend_of(field).arrays.asarray(weight.astype(np.float64)) * power_by_row(field)).sum())
 
 
-def power_by_row(field: fft.Field) -> NDArray[np.float64]:
+def power_by_row(field: fft.Field) -> Doubles:
     """Return the sum of squared moduli of each row, computed on the field's device."""
     arrays = backend_of(field).arrays
     # CuPy's transforms along the first axis leave columns contiguous, and not rows.

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import Captures, PlenopticCamera, Use, has_small_lenses, is_supported, require_support, with_gradient
 from ..detector import SHARP
 from ..errors import InputError, naming, refuse_if, require_accuracy, require_number, short_repr
 from ..extension import hook
 from ..optics import MOST_WAVELENGTHS, WAVELENGTHS, Spectrum, Table, colour, guards, interpolated, read_responses
-from ..runtime import Cost, Job
+from ..runtime import Cost, Doubles, Job
 from ..scene import GONE_PARAMETERS, LightDerivatives, SceneLight, require_wave_film
 from ..waves import (
     DEFAULT_ACCURACY,
@@ -298,7 +297,7 @@ def make_class() -> type:
 
         def _signed(self, scene: Any, sensor: Any) -> SignedCapture:
             spectrum = self.spectrum_of(scene, sensor)
-            conversion: NDArray[np.float64] | WavelengthSampler
+            conversion: Doubles | WavelengthSampler
             if spectrum is None:
                 spectrum = Spectrum.lines(*self.wavelengths)
                 conversion = np.eye(len(self.wavelengths))
@@ -334,7 +333,7 @@ def make_class() -> type:
             self.wavelength_count = read_count(props, NAME, "wavelength_count", WAVELENGTHS, maximum=MOST_WAVELENGTHS)
             self.nodes = read_count(props, NAME, "nodes", 0, maximum=MOST_WAVELENGTHS) if "nodes" in props else None
             # Rows of the file of responses: a wavelength and the response of each channel.
-            self.file_table: NDArray[np.float64] | None = None
+            self.file_table: Doubles | None = None
             if self.bandwidth is not None:
                 for wavelength in self.wavelengths:
                     require_number(f"{NAME}: bandwidth", self.bandwidth, maximum=wavelength)
@@ -396,7 +395,7 @@ def make_class() -> type:
                 return colour.srgb(self.wavelength_count, tables)
             return None
 
-        def _table(self) -> NDArray[np.float64]:
+        def _table(self) -> Doubles:
             """Return the responses as rows of a wavelength and the response of each channel per nanometre."""
             if self.file_table is not None:
                 wavelengths = self.file_table[:, 0]
@@ -408,7 +407,7 @@ def make_class() -> type:
                 return np.array([[centre - half, 1 / self.bandwidth], [centre + half, 1 / self.bandwidth]])
             return colour.srgb_table()
 
-        def _upsampling(self, spectrum: Spectrum) -> NDArray[np.float64]:
+        def _upsampling(self, spectrum: Spectrum) -> Doubles:
             """Return the matrix (channels of light, wavelengths) from radiance to spectra in mono and rgb variants."""
             if self.bandwidth is not None:
                 of_band = np.ones(len(spectrum.wavelengths) // len(self.wavelengths))

@@ -7,29 +7,28 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError, refuse_if, refusing, require_wavelength, short_repr
 from ..optics import RGB_WAVELENGTHS
-from ..runtime import drjit_array, require_unfrozen
+from ..runtime import Floats, drjit_array, require_unfrozen
 from ..scene import require_medium_seen
 from .properties import require_read
 
 
-def put(film: Any, image: NDArray[np.float32], channels: int) -> None:
+def put(film: Any, image: Floats, channels: int) -> None:
     """Fill a film with an image (rows, columns, channels), whose channels after the first `channels` are noise."""
     extra = image.shape[2] - channels
     film.prepare([f"noise.{channel}" for channel in range(extra)])
     film.put_block(mi.ImageBlock(drjit_array(mi.TensorXf, _block(image, channels)), film.crop_offset()))
 
 
-def develop(film: Any, image: NDArray[np.float32]) -> Any:
+def develop(film: Any, image: Floats) -> Any:
     """Return an image (rows, columns, channels) as the film develops it, which is a linear operation."""
     put(film, image, image.shape[2])
     return film.develop()
 
 
-def develop_back(film: Any, gradient: Any, shape: tuple[int, int, int]) -> NDArray[np.float32]:
+def develop_back(film: Any, gradient: Any, shape: tuple[int, int, int]) -> Floats:
     """Return the transpose of `develop` applied to a gradient; `shape` is the image's (rows, columns, channels)."""
     block = drjit_array(mi.TensorXf, _block(np.zeros(shape, np.float32), shape[2]))
     dr.enable_grad(block)
@@ -41,7 +40,7 @@ def develop_back(film: Any, gradient: Any, shape: tuple[int, int, int]) -> NDArr
     return np.asarray(colours if shape[2] == 3 else colours.sum(axis=2, keepdims=True), np.float32)
 
 
-def _block(image: NDArray[np.float32], channels: int) -> NDArray[np.float32]:
+def _block(image: Floats, channels: int) -> Floats:
     """Return a block with the channels red, green, blue, a weight of 1, and the extra channels."""
     block = np.ones((*image.shape[:2], 4 + image.shape[2] - channels), dtype=np.float32)
     block[..., :3] = image[..., :channels]

@@ -28,6 +28,7 @@ from ..camera import PlenopticCamera
 from ..errors import refuse_if, require_accuracy
 from ..lenses import MainLens, convergence, inverse_distance, path_change
 from ..optics import in_millimetres
+from ..runtime import Doubles, Integers
 from ..waves import DEFAULT_ACCURACY
 from .field_grid import Band
 from .pupil_weights import PupilWeights
@@ -98,7 +99,7 @@ def derivatives_share(accuracy: float, count: int) -> bool:
     return accuracy >= _EXACT and count > _FEW
 
 
-def wavefront_step(accuracy: float, camera: PlenopticCamera, lens: MainLens, positions: NDArray[np.float64]) -> float:
+def wavefront_step(accuracy: float, camera: PlenopticCamera, lens: MainLens, positions: Doubles) -> float:
     """Return the largest difference, in waves across a microlens, of wavefronts that count as equal.
 
     The errors of overlapping point spreads average out, so that sums of few spreads need more accurate ones.
@@ -129,16 +130,16 @@ _OFF_LATTICE = 0.38196601
 class Patterns:
     """Point patterns, and the index of each point's pattern."""
 
-    positions: NDArray[np.float64]  # scene point for which each pattern is computed, (patterns, 3)
-    slant: NDArray[np.float64] | None  # mean slant of the points (see `PupilWeights`), (patterns, 2)
-    pattern: NDArray[np.int64]  # index of each point's pattern, (n,)
-    shift: NDArray[np.int64]  # lenses along x and y from the pattern's position to each point's, (n, 2)
+    positions: Doubles  # scene point for which each pattern is computed, (patterns, 3)
+    slant: Doubles | None  # mean slant of the points (see `PupilWeights`), (patterns, 2)
+    pattern: Integers  # index of each point's pattern, (n,)
+    shift: Integers  # lenses along x and y from the pattern's position to each point's, (n, 2)
 
 
 def find_patterns(
     camera: PlenopticCamera,
     lens: MainLens,
-    positions: NDArray[np.float64],
+    positions: Doubles,
     pupil_weights: PupilWeights | None,
     wavelength: float,
     step: float,
@@ -198,7 +199,7 @@ def find_patterns(
     return Patterns(centres, slant, pattern, cell - middle[pattern])
 
 
-def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> NDArray[np.float64]:
+def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> Doubles:
     """Return positions on the MLA in pitches, from steps along the lattice vectors, (n, 2)."""
     basis = np.array(camera.lattice.basis)
     offset = np.array(camera.mla_offset)
@@ -206,8 +207,8 @@ def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> NDArray[np.floa
 
 
 def _depth_steps(
-    camera: PlenopticCamera, lens: MainLens, g: NDArray[np.float64], wavelength: float, step: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    camera: PlenopticCamera, lens: MainLens, g: Doubles, wavelength: float, step: float
+) -> tuple[Integers, Integers]:
     """Return the index of each point's step of distance, and the number of parts of a lens along an axis."""
     lam = in_millimetres(wavelength)
     a = lens.pupil.radius
@@ -228,8 +229,8 @@ def _depth_steps(
 
 
 def _zones(
-    camera: PlenopticCamera, lens: MainLens, cell: NDArray[np.int64], wavelength: float, step: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    camera: PlenopticCamera, lens: MainLens, cell: Integers, wavelength: float, step: float
+) -> tuple[Integers, Integers]:
     """Return the first lens and the size of each lens's zone, the same along both lattice vectors.
 
     The wavefront changes by an allowed amount within a zone.

@@ -9,7 +9,6 @@ from typing import Any, cast
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Vignetting
 from ..errors import refuse_if
@@ -28,7 +27,7 @@ from ..fields import (
 )
 from ..lenses import ClosedLens, ExitPupil, PointLight, ThinLens, cone
 from ..optics import band_edge_fraction, guards, in_millimetres, phasor, power, power_by_row, soft_edge
-from ..runtime import active_backend, check_memory, fft
+from ..runtime import Doubles, active_backend, check_memory, fft
 from .pupil_weights import PupilWeights
 from .sampling import Footprint, bundle_footprint, footprint
 from .seen_pupil import SeenPupil
@@ -100,12 +99,7 @@ class FieldGrids:
         return Step(across, down)
 
 
-def field_grids(
-    system: OpticalSystem,
-    position: NDArray[np.float64],
-    refinement: float,
-    growth: float,
-) -> FieldGrids:
+def field_grids(system: OpticalSystem, position: Doubles, refinement: float, growth: float) -> FieldGrids:
     """Return the grids of one scene point's field, with the parameters of `full_field`."""
     lens = system.waves_of_one(position)
     if isinstance(lens, ExitPupil):
@@ -121,7 +115,7 @@ def grids_around(
     system: OpticalSystem,
     lens: PointLight,
     image: Footprint,
-    positions: NDArray[np.float64],
+    positions: Doubles,
     label: str,
     refinement: float = 1.0,
     growth: float = 1.0,
@@ -236,7 +230,7 @@ class Arrival:
 
 def arrival(
     system: OpticalSystem,
-    position: NDArray[np.float64],
+    position: Doubles,
     grids: FieldGrids,
     weights: PupilWeights | None = None,
     incident: SampledField | None = None,
@@ -259,7 +253,7 @@ def arrival(
 
 def pupil_field(
     system: OpticalSystem,
-    position: NDArray[np.float64],
+    position: Doubles,
     grids: FieldGrids,
     weights: PupilWeights | None = None,
     incident: SampledField | None = None,
@@ -327,7 +321,7 @@ def blocks(count: int) -> Iterator[slice]:
 
 def telecentric_arrival(
     lens: ClosedLens,
-    position: NDArray[np.float64],
+    position: Doubles,
     wavelength: float,
     grids: FieldGrids,
     weights: PupilWeights | None = None,
@@ -368,7 +362,7 @@ def telecentric_arrival(
 
 def stop_image_arrival(
     lens: ClosedLens,
-    position: NDArray[np.float64],
+    position: Doubles,
     wavelength: float,
     grids: FieldGrids,
     weights: PupilWeights | None = None,
@@ -405,7 +399,7 @@ def stop_image_arrival(
 
 def _stop_field(
     lens: ClosedLens,
-    position: NDArray[np.float64],
+    position: Doubles,
     wavelength: float,
     pupil: tuple[Any, Any],
     sample: float,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..errors import refuse_if, require_choice
 from ..optics import guards
-from ..runtime import active_backend, as_array, one_at_a_time
+from ..runtime import Doubles, active_backend, as_array, one_at_a_time
 from .arrival import SampledField
 
 PLANES = ("pupil", "array", "detector")
@@ -19,7 +19,7 @@ PLANES = ("pupil", "array", "detector")
 class CoherentPoints:
     """Points whose light may add coherently, as fields, which `coherent_fields` computes together."""
 
-    points: NDArray[np.float64]
+    points: Doubles
     coherent_fields: Any
 
     @one_at_a_time

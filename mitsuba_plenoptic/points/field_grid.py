@@ -20,7 +20,7 @@ from ..camera import PlenopticCamera
 from ..fields import MicrolensArray, OpticalSystem, diffraction, repetition, scattering, upright
 from ..lenses import MainLens, cone
 from ..optics import in_millimetres
-from ..runtime import fft, turn
+from ..runtime import Doubles, Integers, fft, turn
 from .sampling import footprint
 
 _FINER = 1.2
@@ -71,12 +71,12 @@ class Grid:
     wavelength: float
     band: Band
     cosine: float  # half the range of direction cosines of one scene point's light at the MLA
-    pitch: NDArray[np.float64]  # distances between samples along x and y, in millimetres
-    origin: NDArray[np.float64]  # x and y of sample (0, 0)
+    pitch: Doubles  # distances between samples along x and y, in millimetres
+    origin: Doubles  # x and y of sample (0, 0)
     means: bool = False  # whether a sample is the mean over its cell, not the value in the middle
 
     @property
-    def lens_samples(self) -> NDArray[np.int64]:
+    def lens_samples(self) -> Integers:
         """Number of samples along x and y (columns) between adjacent micro-images along each lattice vector (rows)."""
         return np.rint(repetition(self.camera)[0] * self.camera.image_growth / self.pitch).astype(np.int64)
 
@@ -85,7 +85,7 @@ class Grid:
         """Whether all factors on the array are functions of one coordinate."""
         return (0, 1) not in self.microlenses.axes and self.camera.mla_transmissions is None
 
-    def brightness(self, x: Any, y: Any, steps: NDArray[np.float64]) -> Any:
+    def brightness(self, x: Any, y: Any, steps: Doubles) -> Any:
         """Return the mean amplitude behind lenses of unequal brightness, in samples some steps apart.
 
         Positions and steps are in mm on the array, as Dr.Jit arrays and along x and y.
@@ -105,13 +105,7 @@ class Grid:
         return amplitude / _PARTS**2
 
     @classmethod
-    def of(
-        cls,
-        system: OpticalSystem,
-        band: Band,
-        positions: NDArray[np.float64],
-        together: int = 1,
-    ) -> Grid:
+    def of(cls, system: OpticalSystem, band: Band, positions: Doubles, together: int = 1) -> Grid:
         """Return the grid of a camera for some scene points.
 
         The pitch represents the directions of the band. Neighbouring micro-images along both axes are an integer number
@@ -153,7 +147,7 @@ class Grid:
         origin = self.origin + (together - 1) / 2 * self.pitch
         return replace(self, pitch=self.pitch * together, origin=origin, means=True)
 
-    def to_frame(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_frame(self, positions: Doubles) -> Doubles:
         """Return scene points (n, 3) in the lattice frame, from those in the camera frame."""
         if self.rotation == 0:
             return positions
@@ -164,18 +158,18 @@ class Grid:
 class Placement:
     """Sizes and positions of patches, as arrays of shape (n,) or, for x and y, (n, 2)."""
 
-    samples: NDArray[np.int64]  # across each patch, on the detector and of its spectrum
-    corner: NDArray[np.int64]  # index of each patch's first sample on the grid
-    image: NDArray[np.float64]  # centre of the geometric image on the MLA
-    first: NDArray[np.int64]  # index of the first direction from the pupil
-    last: NDArray[np.int64]  # index of the last direction
+    samples: Integers  # across each patch, on the detector and of its spectrum
+    corner: Integers  # index of each patch's first sample on the grid
+    image: Doubles  # centre of the geometric image on the MLA
+    first: Integers  # index of the first direction from the pupil
+    last: Integers  # index of the last direction
 
     def take(self, points: NDArray[Any]) -> Placement:
         """Return a selection of the patches."""
         return Placement(**{field.name: getattr(self, field.name)[points] for field in fields(self)})
 
 
-def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
+def place(grid: Grid, positions: Doubles) -> Placement:
     """Return the size and position of the patches of points given in the lattice frame."""
     # Rays are traced for a limited number of points at a time, which limits the memory.
     starts = range(0, max(1, len(positions)), _BLOCK)
@@ -188,7 +182,7 @@ def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     )
 
 
-def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
+def _place(grid: Grid, positions: Doubles) -> Placement:
     camera = grid.camera
     lens = grid.lens
     lam = in_millimetres(grid.wavelength)

@@ -26,7 +26,6 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..fields import (
@@ -45,7 +44,7 @@ from ..fields import (
     transmission,
 )
 from ..optics import guards, in_millimetres, power
-from ..runtime import BatchMap, Box, Cost, Job, Part, PartialSum, active_backend, check_memory, fft
+from ..runtime import BatchMap, Box, Cost, Doubles, Floats, Job, Part, PartialSum, active_backend, check_memory, fft
 from .arrival import Arrival, FieldGrids, SampledField, arrival, blocks, field_grids
 from .pupil_weights import PupilWeights
 
@@ -74,7 +73,7 @@ class PointFields:
 
 def full_field(
     system: OpticalSystem,
-    position: NDArray[np.float64],
+    position: Doubles,
     *,
     pupil_weights: PupilWeights | None = None,
     microlenses: bool = True,
@@ -82,7 +81,7 @@ def full_field(
     growth: float = 1.0,
     grids: FieldGrids | None = None,
     incident: SampledField | None = None,
-) -> NDArray[np.float32]:
+) -> Floats:
     """Return one scene point's intensity integrated over each recorded pixel.
 
     `refinement` and `growth` are factors on the sampling density and on the window's margins, to test convergence.
@@ -96,11 +95,7 @@ def full_field(
 
 
 def point_fields(
-    system: OpticalSystem,
-    position: NDArray[np.float64],
-    *,
-    pupil_weights: PupilWeights | None = None,
-    microlenses: bool = True,
+    system: OpticalSystem, position: Doubles, *, pupil_weights: PupilWeights | None = None, microlenses: bool = True
 ) -> PointFields:
     """Return one scene point's field at every plane, propagated as by `full_field`."""
     grids = field_grids(system, position, 1.0, 1.0)
@@ -114,9 +109,7 @@ def point_fields(
     return PointFields(*(SampledField(active_backend().to_host(p.samples), p.origin, p.pitch) for p in planes))
 
 
-def intensity(
-    system: OpticalSystem, grids: FieldGrids, light: Arrival, microlenses: bool = True
-) -> NDArray[np.float32]:
+def intensity(system: OpticalSystem, grids: FieldGrids, light: Arrival, microlenses: bool = True) -> Floats:
     """Return the intensity integrated over each recorded pixel, of light on its way to the array."""
     # The intensity has twice the directions of the field.
     chain = Chain([*light.links, *to_detector(system, grids, microlenses, finer=2).links])
@@ -228,7 +221,7 @@ def _irregular(system: OpticalSystem, grids: FieldGrids) -> fft.Field:
         return fft.fft2(active_backend().arrays.ascontiguousarray(spectrum), inverse=True) / np.float32(_FINER**2)
 
 
-def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int) -> NDArray[np.float32]:
+def _along_pixels(intensity: Floats, grids: FieldGrids, count: int) -> Floats:
     """Return rows of the doubled grid integrated over the recorded pixels: their spectrum times the pixel's sinc."""
     size = intensity.shape[1]
     per_pixel = 2 * grids.per_pixel
@@ -245,8 +238,8 @@ class _FullField:
     """The full field of one point, as a batch."""
 
     system: OpticalSystem
-    position: NDArray[np.float64]
-    factors: NDArray[np.float32]  # of the channels
+    position: Doubles
+    factors: Floats  # of the channels
     pupil_weights: PupilWeights | None
 
     @property
@@ -270,22 +263,18 @@ class FullFieldPlan:
     """Captures of points by full fields, with the parameters of `PatchPlan`; `accuracy` is not used."""
 
     def __init__(
-        self,
-        system: OpticalSystem,
-        points: NDArray[np.float64],
-        pupil_weights: PupilWeights | None,
-        accuracy: float,
+        self, system: OpticalSystem, points: Doubles, pupil_weights: PupilWeights | None, accuracy: float
     ) -> None:
         self._system = system
         self._camera = system.camera
         self._points = points
         self._pupil_weights = pupil_weights
 
-    def sum(self, weights: NDArray[np.float64]) -> FullFieldSum:
+    def sum(self, weights: Doubles) -> FullFieldSum:
         """Return the sum, not yet computed, of the point spreads with given weights, (n, channels)."""
         return FullFieldSum(self, weights)
 
-    def batch(self, point: int, factors: NDArray[np.float32]) -> _FullField:
+    def batch(self, point: int, factors: Floats) -> _FullField:
         """Return the batch of one point's spread."""
         weights = self._pupil_weights and self._pupil_weights.take(np.array([point]))
         return _FullField(self._system, self._points[point], factors, weights)
@@ -295,7 +284,7 @@ class FullFieldPlan:
         """Box of the recorded pixels."""
         return recorded_pixels(self._camera)
 
-    def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
+    def gather(self, image: Floats, job: Job, done: int, total: int) -> Doubles:
         """Return each point spread's inner product with an image; see `PatchPlan.gather`."""
         unit = np.ones(1, np.float32)
         count = len(self._points)
@@ -322,7 +311,7 @@ class FullFieldPlan:
 class FullFieldSum:
     """A sum of full fields, with the interface of `runtime.batches.LongSum`."""
 
-    def __init__(self, plan: FullFieldPlan, weights: NDArray[np.float64]) -> None:
+    def __init__(self, plan: FullFieldPlan, weights: Doubles) -> None:
         self._plan, self._weights = plan, weights.astype(np.float32)
         self._lit = np.flatnonzero(weights.any(1))
         self.arrays: Any = np
@@ -334,6 +323,6 @@ class FullFieldSum:
         """Yield one batch for each point."""
         return (self._plan.batch(int(point), self._weights[point]) for point in self._lit[first:])
 
-    def image(self, total: PartialSum) -> NDArray[np.float32]:
+    def image(self, total: PartialSum) -> Floats:
         """Return the total with its channels in the last axis."""
         return np.ascontiguousarray(total.sums.transpose(1, 2, 0))

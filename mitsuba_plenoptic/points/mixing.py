@@ -13,7 +13,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
 from ..fields import OpticalSystem
 from ..optics import Spectrum
-from ..runtime import POINTS, Job, as_array
+from ..runtime import POINTS, Doubles, Floats, Job, as_array
 from .pupil_weights import PupilWeights
 
 _LEFT_OUT = 0.1
@@ -26,10 +26,10 @@ class SpectralSum:
     """A sum of point spreads at one wavelength, of which several make an image."""
 
     wavelength: float  # in nanometres
-    before: NDArray[np.float64]  # factors on the columns of the weights, (columns, k)
-    after: NDArray[np.float32]  # factors from the sum's channels to those of the image, (channels, k)
+    before: Doubles  # factors on the columns of the weights, (columns, k)
+    after: Floats  # factors from the sum's channels to those of the image, (channels, k)
 
-    def reduced(self, weights: NDArray[np.float64], errors: NDArray[np.float64]) -> SpectralSum:
+    def reduced(self, weights: Doubles, errors: Doubles) -> SpectralSum:
         """Return the sum with the fewest columns of weights; one column if all points have one spectrum.
 
         Spectra that change little between nodes give channels with nearly proportional weights, while every column
@@ -65,7 +65,7 @@ class WeightChannels:
         """Number of sums of point spreads in an image: one for each distinct wavelength, or each node."""
         return 1 if self.spectrum is None else len(self.spectrum.computed)
 
-    def mixing(self, columns: int) -> tuple[tuple[float, ...], NDArray[np.float32]]:
+    def mixing(self, columns: int) -> tuple[tuple[float, ...], Floats]:
         """Return each weight column's wavelength, and the matrix (channels, columns) from columns to channels."""
         if self.spectrum is None:
             return (cast(float, self._wavelength),) * columns, np.eye(columns, dtype=np.float32)
@@ -86,7 +86,7 @@ class WeightChannels:
             else:
                 yield SpectralSum(node, np.diag(share), matrix)
 
-    def reduced_parts(self, weights: NDArray[np.float64], accuracy: float) -> Iterator[SpectralSum]:
+    def reduced_parts(self, weights: Doubles, accuracy: float) -> Iterator[SpectralSum]:
         """Yield the sums for weights (n, columns), simplified at nodes within an allowed error."""
         _, matrix = self.mixing(weights.shape[1])
         total = np.sqrt(np.square(weights @ matrix.T.astype(np.float64)).sum(0))
@@ -112,7 +112,7 @@ class WeightChannels:
             raise InputError(f"image of shape {pixels.shape}: the spectrum has {self.spectrum.channels} channels")
         return channels
 
-    def check_weights(self, weights: Any, count: int) -> NDArray[np.float64]:
+    def check_weights(self, weights: Any, count: int) -> Doubles:
         """Return the weights of `count` points as an array (count, columns); refuse anything else."""
         rule = f"they must be numbers, ({count},) or ({count}, channels)"
         factors = as_array("weights", weights, np.float64, POINTS, rule=rule)
@@ -136,7 +136,7 @@ class WavelengthPlans:
         self,
         make: Callable[..., Any],
         camera: PlenopticCamera,
-        points: NDArray[np.float64],
+        points: Doubles,
         pupil_weights: PupilWeights | None,
         accuracy: float,
         systems: dict[float, OpticalSystem],
@@ -170,7 +170,7 @@ class WavelengthPlans:
         return plan
 
 
-def mix(image: NDArray[Any], matrix: NDArray[np.float32]) -> NDArray[Any]:
+def mix(image: NDArray[Any], matrix: Floats) -> NDArray[Any]:
     """Return an image (..., channels) with its channels mixed by a matrix (new channels, channels)."""
     return image if np.array_equal(matrix, np.eye(len(matrix))) else np.asarray(image @ matrix.T)
 

@@ -17,7 +17,7 @@ from ..fields import OpticalSystem
 from ..io import digest
 from ..linear import LinearMap
 from ..optics import Spectrum, guards
-from ..runtime import Cost, Job, LongSum, SumTask, one_at_a_time
+from ..runtime import Cost, Doubles, Floats, Job, LongSum, SumTask, one_at_a_time
 from .accuracy import chosen_accuracy
 from .coherent_points import CoherentPoints
 from .derivatives import DerivativePlan, Differentials, check_changes, check_names
@@ -170,7 +170,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
         make = hook("coherent fields", "field")
         return make(self._plans.system_at(wavelengths[0]), self.points)
 
-    def powers(self, light: Any) -> NDArray[np.float64]:
+    def powers(self, light: Any) -> Doubles:
         """Return the weights with which images have the unit of captures of scenes, for one wavelength.
 
         Parameters
@@ -182,7 +182,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
         return np.asarray(brightness_at(self._plans.system_at(wavelength), self.points) * light)
 
     @one_at_a_time
-    def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[np.float32]:
+    def forward(self, weights: Any, *, job: Job | None = None) -> Floats:
         """Return the image: the sum of the point spreads of all points, each with a weight.
 
         Except on CUDA, the bits of the result depend neither on the number of threads or workers, nor on whether the
@@ -212,7 +212,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
             image = self._detector.forward(self._image(self._check(weights), job or Job()))
         return image[..., 0] if np.ndim(weights) == 1 and image.shape[2] == 1 else image
 
-    def _image(self, weights: NDArray[np.float64], job: Job) -> NDArray[Any]:
+    def _image(self, weights: Doubles, job: Job) -> NDArray[Any]:
         """Return the image (rows, columns, channels) of checked weights (n, columns)."""
         _, matrix = self._channels.mixing(weights.shape[1])
         pupils = self._pupil_weights
@@ -229,7 +229,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
         return job.run(self.tasks(weights, job), shape, items, facts)
 
     @one_at_a_time
-    def adjoint(self, image: Any, *, job: Job | None = None) -> NDArray[np.float64]:
+    def adjoint(self, image: Any, *, job: Job | None = None) -> Doubles:
         """Return each point spread's inner product with an image: the transpose of `forward` applied to the image.
 
         Parameters
@@ -269,7 +269,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
             yield spectral_sum, plan.gather(channels, job, index * count, self.sums * count)
 
     @one_at_a_time
-    def derivative(self, weights: Any, changes: dict[str, Any], *, job: Job | None = None) -> NDArray[np.float32]:
+    def derivative(self, weights: Any, changes: dict[str, Any], *, job: Job | None = None) -> Floats:
         """Return the derivative of `forward` along changes of the camera's parameters.
 
         Points, weights, the relative power over each pupil and the total power through it are fixed. Each point has its
@@ -304,9 +304,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
         return np.asarray(self.jacobian(weights, [changes], job=job)[0])
 
     @one_at_a_time
-    def jacobian(
-        self, weights: Any, directions: Sequence[dict[str, Any]], *, job: Job | None = None
-    ) -> NDArray[np.float32]:
+    def jacobian(self, weights: Any, directions: Sequence[dict[str, Any]], *, job: Job | None = None) -> Floats:
         """Return the derivatives of `forward` in several directions, with the fields computed once for all.
 
         Parameters
@@ -339,7 +337,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
     @one_at_a_time
     def gradient(
         self, weights: Any, image_gradient: Any, names: Iterable[str] | None = None, *, job: Job | None = None
-    ) -> dict[str, NDArray[np.float64]]:
+    ) -> dict[str, Doubles]:
         """Return a scalar's gradient with respect to camera parameters, from its gradient with respect to the image.
 
         One reverse pass through all point spreads serves all parameters.
@@ -432,7 +430,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
         """Number of sums of point spreads in an image: one for each distinct wavelength, or for each node."""
         return self._channels.sums
 
-    def tasks(self, weights: NDArray[np.float64], job: Job) -> Iterator[SumTask]:
+    def tasks(self, weights: Doubles, job: Job) -> Iterator[SumTask]:
         """Yield the sum at each distinct wavelength, for weights (n, channels or wavelengths)."""
         for spectral_sum in self._channels.reduced_parts(weights, self._accuracy):
 
@@ -442,7 +440,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
 
             yield SumTask(len(self.points), plan, partial(mix, matrix=spectral_sum.after))
 
-    def _check(self, weights: Any) -> NDArray[np.float64]:
+    def _check(self, weights: Any) -> Doubles:
         """Return weights as an array (n, columns); refuse anything else."""
         return self._channels.check_weights(weights, len(self.points))
 

@@ -39,9 +39,8 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..runtime import active_backend, fft
+from ..runtime import Doubles, active_backend, fft
 from .patch_factors import Fields, PatchFactors
 from .windows import part_of
 
@@ -83,7 +82,7 @@ class PatchBatch:
     `parts` are the factors on the fields, as `PatchFactors` has them: pupil, microlens array, transfer function.
     """
 
-    def __init__(self, fields: Fields, amplitudes: NDArray[np.float64]) -> None:
+    def __init__(self, fields: Fields, amplitudes: Doubles) -> None:
         self.libraries = active_backend()
         self.sizes = _CUDA if self.libraries.is_cuda else _PROCESSOR
         self.factors = factors_of_points = PatchFactors(fields, amplitudes)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..fields import ArrayFactor, VaryingArrayFactor, has_response, recorded_amplitude
 from ..lenses import Light, MainLens, VaryingLens
 from ..optics import in_millimetres, phasor, smooth_edge, soft_edge, transfer
-from ..runtime import array_module, drjit_array, fft, is_zero, on_cuda, turn
+from ..runtime import Doubles, Integers, array_module, drjit_array, fft, is_zero, on_cuda, turn
 from .field_grid import Grid, Placement
 from .pupil_weights import PupilWeights
 from .seen_pupil import SeenPupil
@@ -53,7 +53,7 @@ class Fields:
 
     grid: Grid
     placement: Placement
-    positions: NDArray[np.float64]  # scene points in the frame of the lattice, (n, 3)
+    positions: Doubles  # scene points in the frame of the lattice, (n, 3)
     pupil_weights: PupilWeights | None
 
     @property
@@ -66,7 +66,7 @@ FIELD_BYTES = 2**26
 """Approximate bytes of the factors of the fields that are computed together."""
 
 
-def chunks_of(grid: Grid, placement: Placement, patches: NDArray[np.int64], most: int) -> list[NDArray[np.int64]]:
+def chunks_of(grid: Grid, placement: Placement, patches: Integers, most: int) -> list[Integers]:
     """Return patches of one size in chunks of at most `most`, whose factors have at most `FIELD_BYTES`."""
     first = patches[0]
     across = float((placement.last[first] - placement.first[first]).max()) + 2
@@ -94,11 +94,7 @@ class PatchFactors:
     """
 
     def __init__(
-        self,
-        fields: Fields,
-        amplitudes: NDArray[np.float64],
-        elements: Callable[[int], Elements] | None = None,
-        types: Any = None,
+        self, fields: Fields, amplitudes: Doubles, elements: Callable[[int], Elements] | None = None, types: Any = None
     ) -> None:
         """Prepare the factors of fields with given amplitudes.
 
@@ -148,7 +144,7 @@ class PatchFactors:
         return part_of(transfer, self.first_directions[points, ::-1], (self.samples, self.samples))
 
     @property
-    def first_directions(self) -> NDArray[np.int64]:
+    def first_directions(self) -> Integers:
         """First of the transfer function's directions, along x and y, that each point's field contains, (n, 2)."""
         return np.asarray(self.chief - self._low)
 
@@ -274,7 +270,7 @@ class PatchFactors:
         return self._each(corner, patch) + self._types.Float64(sample) * self._constant(float(self._mla_steps[axis]))
 
     @property
-    def _mla_steps(self) -> NDArray[np.float64]:
+    def _mla_steps(self) -> Doubles:
         """Distances in mm between samples on the array along x and y."""
         return self.samples * self._grid.pitch / self.mla_samples
 

@@ -10,12 +10,26 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..fields import OpticalSystem, clear, has_response
 from ..optics import guards
-from ..runtime import BatchMap, Box, Cost, Job, Part, PartialSum, active_backend, backend_of, check_memory, fft, on_cuda
+from ..runtime import (
+    BatchMap,
+    Box,
+    Cost,
+    Doubles,
+    Floats,
+    Integers,
+    Job,
+    Part,
+    PartialSum,
+    active_backend,
+    backend_of,
+    check_memory,
+    fft,
+    on_cuda,
+)
 from .accuracy import ZONES, band_for, find_patterns, wavefront_step
 from .field_grid import Band, Grid, place
 from .patch_factors import Fields, chunks_of, fields_memory
@@ -59,7 +73,7 @@ class PatchPlan:
     def __init__(
         self,
         system: OpticalSystem,
-        points: NDArray[np.float64],
+        points: Doubles,
         pupil_weights: PupilWeights | None,
         accuracy: float,
         *,
@@ -97,7 +111,7 @@ class PatchPlan:
         self._slant = None if patterns.slant is None else patterns.slant[pattern_numbers]
         self._chunks = self._sort()
 
-    def _sort(self) -> list[NDArray[np.int64]]:
+    def _sort(self) -> list[Integers]:
         """Return the patterns divided into chunks."""
         samples = self._placement.samples
         corner = self._placement.corner
@@ -117,11 +131,11 @@ class PatchPlan:
 
     # -- forward ---------------------------------------------------------------------------------------
 
-    def sum(self, weights: NDArray[np.float64]) -> PatchSum:
+    def sum(self, weights: Doubles) -> PatchSum:
         """Return the sum, not yet computed, of the point spreads with weights (n, channels)."""
         return PatchSum(self, weights)
 
-    def scatter(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Scatter:
+    def scatter(self, chunk: Integers, weights: Doubles) -> Scatter:
         """Return the data of a chunk's fields, scaled by the largest weights of their copies.
 
         Copies are weighted relative to these. Patterns without weight are omitted, but not those whose weights cancel.
@@ -136,9 +150,7 @@ class PatchPlan:
             copies.append(Copies(shifts, (factors / largest).astype(np.float32)))
         return Scatter(self._fields(np.array(scattered, np.int64)), np.array(amplitudes), copies)
 
-    def _lit_copies(
-        self, chunk: NDArray[np.int64], weights: NDArray[np.float64]
-    ) -> Iterator[tuple[int, NDArray[np.int64], NDArray[np.float64]]]:
+    def _lit_copies(self, chunk: Integers, weights: Doubles) -> Iterator[tuple[int, Integers, Doubles]]:
         """Yield each pattern of a chunk that has nonzero weights, with the shifts and summed weights of its copies."""
         for pattern in chunk.tolist():
             members = slice(self._first[pattern], self._last[pattern])
@@ -169,7 +181,7 @@ class PatchPlan:
         )
         return len(some) / (arrived * float(self._grid.pitch.prod())) if arrived else 1.0
 
-    def _alike(self, patterns: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    def _alike(self, patterns: Integers) -> list[Integers]:
         """Return patterns in chunks of one patch size."""
         samples = self._placement.samples[patterns]
         groups = []
@@ -177,14 +189,14 @@ class PatchPlan:
             groups += chunks_of(self._grid, self._placement, patterns[samples == size], _CHUNK)
         return groups
 
-    def _fields(self, points: NDArray[np.int64], grid: Grid | None = None) -> Fields:
+    def _fields(self, points: Integers, grid: Grid | None = None) -> Fields:
         """Return the data of the fields of a selection of patterns, by default on the plan's grid."""
         weights = self._pupil_weights and self._pupil_weights.take(self._order[self._first[points]])
         if weights is not None and self._slant is not None:
             weights = replace(weights, slant=self._slant[points])
         return Fields(grid or self._grid, self._placement.take(points), self._positions[points], weights)
 
-    def lit_chunks(self, weights: NDArray[np.float64]) -> tuple[list[NDArray[np.int64]], NDArray[np.int64]]:
+    def lit_chunks(self, weights: Doubles) -> tuple[list[Integers], Integers]:
         """Return the chunks that have nonzero weights, and the number of points in each of them."""
         if not self._chunks:
             return [], np.zeros(0, np.int64)
@@ -193,7 +205,7 @@ class PatchPlan:
         chunks = [chunk for chunk in self._chunks if lit[chunk].any()]
         return chunks, np.array([members[chunk].sum() for chunk in chunks], np.int64)
 
-    def loss(self, chunks: list[NDArray[np.int64]], weights: NDArray[np.float64], arrived: float) -> float | None:
+    def loss(self, chunks: list[Integers], weights: Doubles, arrived: float) -> float | None:
         """Return the fraction of the power through the microlenses' apertures that falls outside the patches.
 
         If there are gaps between the apertures, or lenses differ, the fraction is estimated from a few patterns.
@@ -209,18 +221,18 @@ class PatchPlan:
         sent = self._sent(chunks, weights)
         return 1 - arrived / sent if sent else None
 
-    def _arrived(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> float:
+    def _arrived(self, chunk: Integers, weights: Doubles) -> float:
         """Return the sum of all samples of a chunk's patches, as if pixels recorded all of the light there."""
         power = np.add.reduceat(weights[self._order].sum(1), self._first)[chunk]
         grid = replace(self._grid, camera=clear(self._grid.camera))
         return float(power @ arrived_power(self._fields(chunk, grid)))
 
-    def _sum_of(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Part:
+    def _sum_of(self, chunk: Integers, weights: Doubles) -> Part:
         """Return the part of the sum due to a chunk, computed at once in this thread."""
         with fft.resting_drjit():
             return self.scatter(chunk, weights).prepare()()
 
-    def _timed(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> tuple[Part, float]:
+    def _timed(self, chunk: Integers, weights: Doubles) -> tuple[Part, float]:
         """Return the part of the sum due to a chunk, and the seconds that its computation took."""
         active_backend().synchronize()
         start = time.perf_counter()
@@ -228,7 +240,7 @@ class PatchPlan:
         active_backend().synchronize()
         return partial_sum, time.perf_counter() - start
 
-    def _sent(self, chunks: list[NDArray[np.int64]], weights: NDArray[np.float64]) -> float:
+    def _sent(self, chunks: list[Integers], weights: Doubles) -> float:
         """Return the sum of all samples if all power through the apertures fell on the patches."""
         power = weights[self._order].sum(1) * self._passed[self._order]
         if self._pupil_weights is not None:
@@ -247,7 +259,7 @@ class PatchPlan:
 
     # -- adjoint ---------------------------------------------------------------------------------------
 
-    def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
+    def gather(self, image: Floats, job: Job, done: int, total: int) -> Doubles:
         """Return each point spread's inner product with an image.
 
         `done` of the `total` points of a job are already complete.
@@ -274,10 +286,10 @@ class PatchPlan:
                 result[self._order[self._first[pattern] : self._last[pattern]]] = gain * product[copy.reshape(-1)]
         return result
 
-    def _tile(self, samples: NDArray[np.float32], box: Box) -> NDArray[np.float32]:
+    def _tile(self, samples: Floats, box: Box) -> Floats:
         """Return a rectangle of recorded samples (channels, rows, columns), padded with zeros, where they lie."""
         recorded = self._recorder.box
-        tile: NDArray[np.float32] = backend_of(samples).arrays.zeros((len(samples), box.rows, box.columns), np.float32)
+        tile: Floats = backend_of(samples).arrays.zeros((len(samples), box.rows, box.columns), np.float32)
         top = box.top - recorded.top
         left = box.left - recorded.left
         rows = slice(max(top, 0), min(top + box.rows, recorded.rows))
@@ -350,7 +362,7 @@ def _areas(samples: Any) -> Any:
     return np.clip(_TILE, samples // 3, 4 * samples)
 
 
-def _some(patterns: NDArray[np.int64]) -> NDArray[np.int64]:
+def _some(patterns: Integers) -> Integers:
     """Return a few of some patterns, at regular intervals."""
     # 16: Number of patterns from which the loss is estimated if microlenses have gaps, and from which `PatchPlan.gain`
     # is.
@@ -360,7 +372,7 @@ def _some(patterns: NDArray[np.int64]) -> NDArray[np.int64]:
 class PatchSum:
     """A sum of point spreads, computed batch by batch, with the interface of `runtime.batches.LongSum`."""
 
-    def __init__(self, plan: PatchPlan, weights: NDArray[np.float64]) -> None:
+    def __init__(self, plan: PatchPlan, weights: Doubles) -> None:
         self._plan = plan
         self._weights = weights
         self._chunks, self.items = plan.lit_chunks(weights)
@@ -372,7 +384,7 @@ class PatchSum:
         """Yield the batches from index `first` on, in order."""
         return (self._plan.scatter(chunk, self._weights) for chunk in self._chunks[first:])
 
-    def image(self, total: PartialSum) -> NDArray[np.float32]:
+    def image(self, total: PartialSum) -> Floats:
         """Return the sum integrated over the recorded pixels, after a check of the fraction of light that arrived."""
         loss = self._plan.loss(self._chunks, self._weights, total.arrived / self._plan.gain)
         if loss is not None:

@@ -17,9 +17,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from ..runtime import Backend, backend_of, drjit_array, fft, turn
+from ..runtime import Backend, Doubles, Floats, Integers, backend_of, drjit_array, fft, turn
 
 HALF_WIDTH = 6
 """Samples on each side of a position from which the intensity there is interpolated."""
@@ -62,7 +61,7 @@ class PixelAxis:
         pixel = np.arange(self.count)[:, None]
         sample = first[:-1, None] - 1 + reach
 
-        def up_to(edge: NDArray[np.int64]) -> NDArray[np.float64]:
+        def up_to(edge: Integers) -> Doubles:
             index = sample + 1 - first[edge]
             return np.where(index < _BORDERS, beyond[edge, np.clip(index, 0, _BORDERS - 1)], 0.0)
 
@@ -85,18 +84,18 @@ class PixelAxis:
             node_weights = node_weights * (self.edge - self.start + position * self.pitch)
         return _interpolation(position, node_weights, self.samples)
 
-    def at_edges(self, speed: NDArray[np.float64]) -> scipy.sparse.csr_array:
+    def at_edges(self, speed: Doubles) -> scipy.sparse.csr_array:
         """Return the weights of the intensity at each pixel's two edges, last minus first, times the edges' speeds."""
         position = (self.start + np.arange(self.count + 1) * self.pixel_size) / self.pitch
         both = np.stack([position[:-1], position[1:]], -1)
         return _interpolation(both, np.stack([-speed[:-1], speed[1:]], -1), self.samples)
 
-    def edges_from(self, origin: float) -> NDArray[np.float64]:
+    def edges_from(self, origin: float) -> Doubles:
         """Return the distances of all pixel edges from an origin, (count + 1,)."""
         return np.asarray(self.edge + np.arange(self.count + 1) * self.pixel_size - origin, np.float64)
 
 
-def _interpolation(position: NDArray[np.float64], factors: NDArray[np.float64], samples: int) -> scipy.sparse.csr_array:
+def _interpolation(position: Doubles, factors: Doubles, samples: int) -> scipy.sparse.csr_array:
     """Return the weights (rows, samples) of sums along rows: interpolated values at positions, times factors."""
     below = np.floor(position).astype(np.int64)
     pixel = np.broadcast_to(np.arange(len(position))[:, None], position.shape)
@@ -107,16 +106,14 @@ def _interpolation(position: NDArray[np.float64], factors: NDArray[np.float64], 
     return _matrix(values, rows, columns, (len(position), samples))
 
 
-def _matrix(
-    values: NDArray[np.float64], rows: NDArray[np.int64], columns: NDArray[np.int64], shape: tuple[int, int]
-) -> scipy.sparse.csr_array:
+def _matrix(values: Doubles, rows: Integers, columns: Integers, shape: tuple[int, int]) -> scipy.sparse.csr_array:
     """Return a sparse matrix of values; values at the same place are added."""
     inside = (columns >= 0) & (columns < shape[1])
     matrix = scipy.sparse.coo_array((values[inside], (rows[inside], columns[inside])), shape=shape)
     return matrix.tocsr().astype(np.float32)
 
 
-def windowed_sinc(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+def windowed_sinc(distance: Doubles) -> Doubles:
     """Return the weight of a sample at a distance in samples: a sinc under a Kaiser window."""
     inside = np.sqrt(np.maximum(0, 1 - (distance / HALF_WIDTH) ** 2))
     window = scipy.special.i0(_KAISER * inside) / scipy.special.i0(_KAISER)
@@ -186,11 +183,11 @@ class PixelIntegrals:
         terms = [(along_y[rows, down], along_x[columns, across]) for along_y, along_x in self._terms]
         return PixelIntegrals(*self._axes, terms)
 
-    def forward(self, intensity: NDArray[np.float32]) -> NDArray[np.float32]:
+    def forward(self, intensity: Floats) -> Floats:
         """Return the integrals over the pixels of samples (rows, columns) per mm², on the samples' device."""
         return _sum_of_products(self._terms, intensity)
 
-    def adjoint(self, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    def adjoint(self, pixels: Floats) -> Floats:
         """Return the adjoint of the integrals: for each sample, the pixels weighted by the sample's contributions."""
         return _sum_of_products([(along_y.T.tocsr(), along_x.T.tocsr()) for along_y, along_x in self._terms], pixels)
 
@@ -254,7 +251,7 @@ class TurnedSamples:
         parts = (np.arange(_PARTS) + 0.5) / _PARTS
         self._weights = windowed_sinc(parts[:, None] - np.arange(1 - HALF_WIDTH, 1 + HALF_WIDTH)).astype(np.float32)
 
-    def forward(self, intensity: NDArray[np.float32]) -> NDArray[np.float32]:
+    def forward(self, intensity: Floats) -> Floats:
         """Return the intensity (rows, columns) interpolated at the new samples."""
         libraries = backend_of(intensity)
         types = libraries.types
@@ -274,7 +271,7 @@ class TurnedSamples:
             result[lines] = libraries.from_drjit(total).reshape(lines.stop - lines.start, -1)
         return result
 
-    def adjoint(self, samples: NDArray[np.float32]) -> NDArray[np.float32]:
+    def adjoint(self, samples: Floats) -> Floats:
         """Return the adjoint: for each sample of the intensity, the new samples weighted by the sample's contributions.
 
         The rounding of the result depends on the order in which threads add.

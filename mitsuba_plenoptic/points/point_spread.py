@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import NOT_ROUND, PlenopticCamera, Round, Use, require_camera, require_support
 from ..detector import DetectorOperator
 from ..errors import InputError, refuse_if, require_choice, require_wavelength, suggest_keywords
 from ..fields import OpticalSystem
 from ..optics import guards
-from ..runtime import POINTS, Job, Threads, as_array, one_at_a_time
+from ..runtime import POINTS, Doubles, Floats, Job, Threads, as_array, one_at_a_time
 from . import full_fields
 from .full_fields import PointFields
 from .operator import CaptureOperator
@@ -33,7 +32,7 @@ def point_spread_function(
     wavelength: float | None = None,
     method: str = "patch",
     model: str = "wave",
-) -> NDArray[np.float32]:
+) -> Floats:
     """Return the light of one scene point in each recorded pixel.
 
     Parameters
@@ -107,7 +106,7 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
         return full_fields.point_fields(system, point, pupil_weights=weights)
 
 
-def _check(camera: PlenopticCamera, position: Any) -> NDArray[np.float64]:
+def _check(camera: PlenopticCamera, position: Any) -> Doubles:
     require_camera(camera)
     point = as_array("position", position, np.float64, POINTS[1:], rule="it must be three numbers (X, Y, g)")
     refuse_if(point.shape != (3,), f"position = {position!r}: it must be three numbers (X, Y, g)")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..camera import Opening
 from ..errors import refuse_if
-from ..runtime import IMAGE, as_array, drjit_array, fft
+from ..runtime import IMAGE, Doubles, Floats, Integers, as_array, drjit_array, fft
 
 BORDER = 2
 """Cells beyond each side of the square for which there are coefficients of complex amplitudes."""
@@ -25,11 +25,11 @@ class PupilWeights:
     The pupil's bounding square is cut into m x m cells, rows along y and columns along x of the camera frame.
     """
 
-    table: NDArray[np.float32] | NDArray[np.complex64]
+    table: Floats | NDArray[np.complex64]
     """Distinct nonnegative weights, (k, m, m); or coefficients of complex amplitudes, with `BORDER` cells more on each
     side."""
-    index: NDArray[np.int64]  # index of the weights of each point, (n,)
-    slant: NDArray[np.float64]
+    index: Integers  # index of the weights of each point, (n,)
+    slant: Doubles
     """Relative growth of the power from the pupil's centre to its rim, along x and y of the camera frame, (n, 2)."""
     sampled: bool = False
     """Whether the weights are samples at cell centres, between which the power is smooth; otherwise each weight
@@ -137,7 +137,7 @@ class PupilWeights:
         return power * cosine, amplitude * dr.sqrt(cosine)
 
 
-def slants(normals: NDArray[np.floating[Any]], positions: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+def slants(normals: NDArray[np.floating[Any]], positions: Doubles, radius: float) -> Doubles:
     """Return the relative growth of power over the pupil for surfaces with normals in the camera frame.
 
     Normals are 0 where there is no surface.

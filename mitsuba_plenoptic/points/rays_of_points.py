@@ -6,19 +6,17 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Use, require_support
 from ..fields import OpticalSystem, has_response
 from ..optics import second_leg
 from ..rays import Passage, Walk
+from ..runtime import Doubles
 
 _TOGETHER = 2**18
 
 
-def ray_spread(
-    camera: PlenopticCamera, point: NDArray[np.float64], pupil_samples: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def ray_spread(camera: PlenopticCamera, point: Doubles, pupil_samples: Doubles) -> Doubles:
     """Return the fractions (rows, columns) of the light of a point (3,) through the pupil that rays bring to pixels.
 
     The point radiates evenly in all directions, as that of waves does. Samples (n, 2) are in radii of the pupil. The

@@ -8,10 +8,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..runtime import Box, active_backend, turn
+from ..runtime import Box, Doubles, Floats, Integers, active_backend, turn
 from .field_grid import Grid
 from .pixels import PixelIntegrals, TurnedSamples
 
@@ -34,8 +33,8 @@ class Recorder:
         self,
         camera: PlenopticCamera,
         grid: Grid,
-        low: NDArray[np.int64],
-        high: NDArray[np.int64],
+        low: Integers,
+        high: Integers,
         parent: Recorder | None = None,
         regular: Callable[[Any, Any], tuple[Any, Any]] | None = None,
         aside: float = 0.0,
@@ -57,9 +56,7 @@ class Recorder:
         last = np.ceil((reach[1] + aside) / pitch).astype(np.int64) + _EDGE
         self._pixels, self.box = Box.between(start, stop), Box.between(first, last)
 
-    def _turned(
-        self, low: NDArray[np.float64], high: NDArray[np.float64], degrees: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _turned(self, low: Doubles, high: Doubles, degrees: float) -> tuple[Doubles, Doubles]:
         """Return the bounds of a rectangle, given from the detector's corner, after a turn about the axis."""
         if degrees == 0:
             return low, high
@@ -78,7 +75,7 @@ class Recorder:
         image = 4.0 * (self.box.rows * self.box.columns + 2 * math.prod(self._camera.shape))
         return image + (12.0 * self.box.rows * self.box.columns if self._is_resampled else 0)
 
-    def record(self, sums: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
+    def record(self, sums: Floats, move: str | None = None) -> Floats:
         """Return the box's samples integrated over pixels, or the change of these integrals as the pixels move.
 
         `sums` (channels, rows, columns) are per square millimetre; the result (rows, columns, channels) has all
@@ -92,12 +89,12 @@ class Recorder:
             target[..., channel] = self.integrate(samples, move)
         return image
 
-    def integrate(self, samples: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
+    def integrate(self, samples: Floats, move: str | None = None) -> Floats:
         """Return the integrals of one channel over the pixels in `window`, as `record` does."""
         upright = samples if self._upright is None else self._upright.forward(samples)
         return active_backend().to_host(self._pixels_of(move).forward(upright))
 
-    def spread(self, image: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
+    def spread(self, image: Floats, move: str | None = None) -> Floats:
         """Return the adjoint of `record`: grid samples from an image."""
         arrays = active_backend().arrays
         channels = []

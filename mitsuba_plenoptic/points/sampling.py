@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import SHORTEST, InputError, refuse_if
 from ..lenses import Light, MainLens
-from ..runtime import MILLIMETRES, POINTS, as_array
+from ..runtime import MILLIMETRES, POINTS, Doubles, as_array
 
 _FARTHEST = 1e16
 """Largest coordinate of a scene point, in millimetres; beyond the longest focal length it counts as infinity."""
@@ -34,13 +34,13 @@ class Footprint:
     Every array has the shape (n, 2), for x and y.
     """
 
-    centre: NDArray[np.float64]
-    half_width: NDArray[np.float64]
-    cosine: NDArray[np.float64]
-    half_cosine: NDArray[np.float64]
+    centre: Doubles
+    half_width: Doubles
+    cosine: Doubles
+    half_cosine: Doubles
 
 
-def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
+def footprint(lens: MainLens, positions: Doubles) -> Footprint:
     """Return the footprints of scene points, (n, 3), from rays traced through the pupil to the MLA."""
     angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -63,7 +63,7 @@ def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
     return _bounds(np.stack(np.broadcast_arrays(*light.land((pupil[0], pupil[1]), point))), cosine)
 
 
-def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _drawn_in(light: Light, P: Doubles, is_open: NDArray[np.bool_]) -> Doubles:
     """Return points (n, m, 2) with blocked points moved inwards to open places; the last ones are points of the rim.
 
     Rim points move towards the mean of the open points; other blocked points move to this mean.
@@ -87,13 +87,13 @@ def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) 
     return np.concatenate([np.where(is_open[..., None], P, middle)[:, :-_RIM_ANGLES], edge], axis=1)
 
 
-def bundle_footprint(pupil: NDArray[np.float64], cosine: NDArray[np.float64], distance: float) -> Footprint:
+def bundle_footprint(pupil: Doubles, cosine: Doubles, distance: float) -> Footprint:
     """Return the footprint on the MLA of rays from the exit pupil; both arrays have the shape (2, n, rays)."""
     landing = pupil + distance * cosine / np.sqrt(1 - (cosine**2).sum(0))
     return _bounds(landing, cosine)
 
 
-def _bounds(landing: NDArray[np.float64], cosine: NDArray[np.float64]) -> Footprint:
+def _bounds(landing: Doubles, cosine: Doubles) -> Footprint:
     """Return the bounding boxes of positions and direction cosines, (2, n, rays)."""
     low = landing.min(-1).T
     high = landing.max(-1).T
@@ -102,9 +102,7 @@ def _bounds(landing: NDArray[np.float64], cosine: NDArray[np.float64]) -> Footpr
     return Footprint((low + high) / 2, (high - low) / 2, (first + last) / 2, (last - first) / 2)
 
 
-def check_positions(
-    positions: Any, camera: PlenopticCamera | None = None, *, virtual: bool = False
-) -> NDArray[np.float64]:
+def check_positions(positions: Any, camera: PlenopticCamera | None = None, *, virtual: bool = False) -> Doubles:
     """Return scene points as a float64 array (n, 3); refuse anything else."""
     rule = "it must be numbers (X, Y, g)"
     points = as_array("position", positions, np.float64, POINTS, rule=rule, units=MILLIMETRES)
@@ -136,11 +134,11 @@ def check_positions(
     return points
 
 
-def _refuse_any(points: NDArray[np.float64], bad: Any, rule: str) -> None:
+def _refuse_any(points: Doubles, bad: Any, rule: str) -> None:
     """Refuse points if any is bad, with the first bad one in the message."""
     if bad.any():
         raise InputError(f"position = {_format(points[bad][0])}: {rule}")
 
 
-def _format(point: NDArray[np.float64]) -> str:
+def _format(point: Doubles) -> str:
     return "(" + ", ".join(f"{coordinate:g}" for coordinate in point) + ")"

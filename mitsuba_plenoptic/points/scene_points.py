@@ -29,7 +29,7 @@ from ..io import digest
 from ..lenses import RealLens
 from ..optics import Spectrum
 from ..rays import Entrances, LensWindow
-from ..runtime import Cost, Job, drjit_array, require_memory_for
+from ..runtime import Cost, Doubles, Floats, Integers, Job, drjit_array, require_memory_for
 from ..scene import SceneLight, refuse_negative, world_ray
 from .operator import CaptureOperator
 from .pupil_weights import PupilWeights, slants
@@ -59,14 +59,14 @@ class ScenePoints:
     """Points that emit or reflect light, in the camera frame, with their radiance."""
 
     # Positions (x, y, z), an array (n, 3).
-    positions: NDArray[np.float64]
+    positions: Doubles
     # The light that all pixels together record from each point, an array (n, channels).
-    weights: NDArray[np.float64]
+    weights: Doubles
     # Visibility of the pupil from each point, and the slant of its surface; None if all points see all of it evenly.
     pupil_weights: PupilWeights | None
 
 
-def sample_pairs(count: int, seed: int = 0) -> NDArray[np.float64]:
+def sample_pairs(count: int, seed: int = 0) -> Doubles:
     """Return low-discrepancy points (count, 4) of the unit 4-cube: lens coordinates (2), pupil coordinates (2)."""
     # Imported here because it would take a third of the package's import time.
     from scipy.stats import qmc
@@ -149,10 +149,10 @@ class _Finder:
     lights: Sequence[SceneLight]
     system: OpticalSystem
     window: LensWindow
-    pairs: NDArray[np.float64]
+    pairs: Doubles
     paths: int
 
-    def find(self, numbers: NDArray[np.int64], seed: int) -> tuple[NDArray[Any], ...]:
+    def find(self, numbers: Integers, seed: int) -> tuple[NDArray[Any], ...]:
         """Return the points where traced rays, given by their numbers, meet the scene.
 
         For lit points that rays hit, the positions, radiance, slants, visible pupil cells as bits, and lenses are
@@ -195,7 +195,7 @@ class _Finder:
             bits = self._visible(hit, Entrances(front, P, positions, slopes), radius)
         return positions, radiance[lit], slant, bits, cell[lit], tried
 
-    def _radiance(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], seed: int) -> NDArray[np.float64]:
+    def _radiance(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], seed: int) -> Doubles:
         """Return the mean radiance of the light paths of each ray, an array (rays, channels)."""
         lane = dr.arange(mi.UInt32, dr.width(point[0]) * self.paths) // self.paths
         start, direction = (tuple(dr.gather(mi.Float, x, lane) for x in xs) for xs in (point, slope))
@@ -230,9 +230,7 @@ class _Finder:
         return np.packbits(visible, axis=1)
 
 
-def _landing(
-    system: OpticalSystem, positions: NDArray[np.float64], weights: PupilWeights | None, window: LensWindow
-) -> NDArray[np.float64]:
+def _landing(system: OpticalSystem, positions: Doubles, weights: PupilWeights | None, window: LensWindow) -> Doubles:
     """Return the fraction of each point's light through the visible pupil that lands in the lenses of a window."""
     fraction = np.ones(len(positions))
     if not len(positions):
@@ -272,11 +270,11 @@ class PointsCapture:
     # Wavelengths and the channels' responses.
     spectrum: Spectrum
     # Matrix (channels of light, wavelengths) from radiance to spectra; None if the light has a value per wavelength.
-    upsampling: NDArray[np.float64] | None
+    upsampling: Doubles | None
     # Tolerance as in `CaptureOperator`.
     accuracy: float
 
-    def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
+    def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> Floats:
         """Return the capture of the scene, an array (rows, columns, channels)."""
         refuse_if(noise, "noise: method = points does not state it; compare seeds, or use signed_rays")
         points = find_points(self.lights, self.camera, spp, seed=seed)

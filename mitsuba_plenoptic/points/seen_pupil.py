@@ -12,10 +12,10 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import Vignetting
 from ..lenses import Light, MainLens, Pair
+from ..runtime import Doubles
 
 _RADII = 24
 _ANGLES = 48
@@ -44,7 +44,7 @@ class SeenPupil:
         return soften(dr.minimum(outline * radius, self.light.inside(pupil))) * dr.sqrt(passed)
 
 
-def passed_part(vignetting: Vignetting | None, lens: MainLens, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def passed_part(vignetting: Vignetting | None, lens: MainLens, points: Doubles) -> Doubles:
     """Return the fraction (n,) of the light of scene points (n, 3) that vignetting passes, evenly over the pupil."""
     if vignetting is None:
         return np.ones(len(points))

@@ -6,11 +6,11 @@ import itertools
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import require_number
 from ..optics import Spectrum
+from ..runtime import Floats
 from .operator import CaptureOperator
 from .pupil_weights import PupilWeights
 
@@ -37,7 +37,7 @@ def with_enough_nodes(
     points = np.asarray(points, np.float64)
     most = len(set(spectrum.wavelengths))
 
-    def images(count: int, recorded: PlenopticCamera) -> list[NDArray[np.float32]]:
+    def images(count: int, recorded: PlenopticCamera) -> list[Floats]:
         chosen = spectrum.interpolated(count)
         return [
             CaptureOperator(
@@ -64,7 +64,7 @@ def with_enough_nodes(
     return spectrum.interpolated(counts[-1])
 
 
-def _recording(camera: PlenopticCamera, images: list[NDArray[np.float32]]) -> tuple[PlenopticCamera, slice, slice]:
+def _recording(camera: PlenopticCamera, images: list[Floats]) -> tuple[PlenopticCamera, slice, slice]:
     """Return a crop of the camera that records all light of the images, and the rows and columns of the crop."""
     lit = np.any([image.any(2) for image in images], axis=0)
     lit_lines = [np.flatnonzero(lit.any(axis)) for axis in (1, 0)]
@@ -77,7 +77,7 @@ def _recording(camera: PlenopticCamera, images: list[NDArray[np.float32]]) -> tu
     return camera.replace(crop_offset=offset, crop_size=size), rows, columns
 
 
-def _differ(image: NDArray[np.float32], reference: NDArray[np.float32]) -> float:
+def _differ(image: Floats, reference: Floats) -> float:
     """Return the relative difference (L2) between images, in the channel where it is largest."""
     norms = np.sqrt(np.sum(np.square(reference, dtype=np.float64), axis=(0, 1)))
     change = np.sqrt(np.sum(np.square(image - reference, dtype=np.float64), axis=(0, 1)))

@@ -15,10 +15,9 @@ from typing import Any
 import drjit as dr
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from ..optics import in_millimetres
-from ..runtime import Box, Part, active_backend, array_module, backend_of, drjit_array, fft
+from ..runtime import Box, Doubles, Floats, Integers, Part, active_backend, array_module, backend_of, drjit_array, fft
 from .patch import PatchBatch, PatchWorkspace
 from .patch_factors import Fields, fields_memory
 from .windows import Windows, add_on_device, products_on_device
@@ -31,11 +30,11 @@ _TOGETHER = 2**20
 class CopyCells:
     """Patterns of one size, and their sum, divided into cells."""
 
-    width: NDArray[np.int64]  # samples of a cell along x and y, (2,)
-    count: NDArray[np.int64]  # largest number of cells that a pattern overlaps, (2,)
+    width: Integers  # samples of a cell along x and y, (2,)
+    count: Integers  # largest number of cells that a pattern overlaps, (2,)
 
     @classmethod
-    def of(cls, shifts: list[NDArray[np.int64]], samples: int) -> CopyCells | None:
+    def of(cls, shifts: list[Integers], samples: int) -> CopyCells | None:
         """Return cells for patterns of `samples` x `samples` and shifts of their copies; None if cells are slower.
 
         `shifts` has an array (copies, 2) for each pattern, along x and y.
@@ -51,7 +50,7 @@ class CopyCells:
         # 4: Largest ratio of the samples of a pattern's cells to its own; smaller patterns are added one by one.
         return cls(width, count) if pays and (count * width).prod() <= 4 * samples**2 else None
 
-    def sum(self, size: NDArray[np.int64], channels: int, patterns: int) -> CellSum:
+    def sum(self, size: Integers, channels: int, patterns: int) -> CellSum:
         """Return an empty sum of the given size along x and y, which buffers at least `patterns` at a time."""
         return CellSum(self, size, channels, patterns)
 
@@ -61,7 +60,7 @@ class CopyCells:
         cut = planes.reshape(len(planes), shape[0], self.width[0], shape[1], self.width[1])
         return cut.transpose(0, 1, 3, 2, 4).reshape(-1, int(self.width.prod()))
 
-    def join(self, cells: Any, planes: int, shape: NDArray[np.int64]) -> Any:
+    def join(self, cells: Any, planes: int, shape: Integers) -> Any:
         """Return planes of `shape` cells each, the inverse of `cut`."""
         cells = cells.reshape(planes, *shape.tolist(), *self.width.tolist()).transpose(0, 1, 3, 2, 4)
         return cells.reshape(planes, *(shape * self.width).tolist())
@@ -70,7 +69,7 @@ class CopyCells:
 class CellSum:
     """A sum of copies of patterns, which are buffered and added several at a time."""
 
-    def __init__(self, cells: CopyCells, size: NDArray[np.int64], channels: int, patterns: int) -> None:
+    def __init__(self, cells: CopyCells, size: Integers, channels: int, patterns: int) -> None:
         self._cells = cells
         self._size = size
         self._channels = channels
@@ -80,9 +79,9 @@ class CellSum:
         planes = max(patterns, _TOGETHER // int((cells.count * cells.width).prod()))
         self.planes = self._arrays.zeros((planes, *(cells.count * cells.width).tolist()), np.float32)
         self._held: dict[int, int] = {}
-        self._entries: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]] = []
+        self._entries: list[tuple[Integers, Integers, Floats]] = []
 
-    def hold(self, pattern: int, positions: NDArray[np.int64], weights: NDArray[np.float32]) -> tuple[int, int, int]:
+    def hold(self, pattern: int, positions: Integers, weights: Floats) -> tuple[int, int, int]:
         """Return the buffer for a pattern's intensity, by its index in `planes`, and its first samples along x and y.
 
         `positions` are the first samples of each copy along x and y. When another part of the pattern is written, its
@@ -135,8 +134,8 @@ class CellSum:
 class Copies:
     """Shifts and weights of the copies in which one point spread's intensity is added."""
 
-    shifts: NDArray[np.int64]  # samples along x and y by which each copy is moved, (copies, 2)
-    weights: NDArray[np.float32]  # factors on the intensity, (copies, channels)
+    shifts: Integers  # samples along x and y by which each copy is moved, (copies, 2)
+    weights: Floats  # factors on the intensity, (copies, channels)
 
 
 class CopySum:
@@ -147,12 +146,7 @@ class CopySum:
     """
 
     def __init__(
-        self,
-        copies: Sequence[Copies],
-        positions: list[NDArray[np.int64]],
-        samples: int,
-        size: NDArray[np.int64],
-        together: int,
+        self, copies: Sequence[Copies], positions: list[Integers], samples: int, size: Integers, together: int
     ) -> None:
         self._places = positions
         self._weights = [copy.weights for copy in copies]
@@ -235,7 +229,7 @@ class PatchTile:
             sums.add(first, window, intensity, weighted)
         return Part(self.box, sums.total().transpose(0, 2, 1))
 
-    def products(self, samples: NDArray[np.float32]) -> list[NDArray[np.float64]]:
+    def products(self, samples: Floats) -> list[Doubles]:
         """Return the products, (copies, channels), of each copy's intensity with the samples of the tile, summed."""
         turned = self._arrays.ascontiguousarray(self._arrays.asarray(samples).transpose(0, 2, 1))
         if self._batch.libraries.is_cuda:
@@ -249,7 +243,7 @@ class PatchTile:
                     products[point][copy] += np.einsum("cij,ij->ci", region, intensity).sum(1, dtype=np.float64)
         return products
 
-    def _products_on_device(self, turned: NDArray[np.float32]) -> list[NDArray[np.float64]]:
+    def _products_on_device(self, turned: Floats) -> list[Doubles]:
         """Return the products with the tile's samples (channels, along x, along y), which leave the device at once."""
         products = []
         for first, _, intensity, _ in self._intensities():
@@ -258,7 +252,7 @@ class PatchTile:
         joined = self._batch.libraries.to_host(self._arrays.concatenate(products))
         return np.split(joined, np.cumsum([len(positions) for positions in self._places])[:-1])
 
-    def powers(self) -> NDArray[np.float64]:
+    def powers(self) -> Doubles:
         """Return the sum of the samples of each point's intensity, (points,)."""
         sums = self._arrays.zeros(len(self._copies), np.float64)
         for first, _, intensity, _ in self._intensities():
@@ -295,7 +289,7 @@ def _runs(length: int, step: int) -> Iterator[slice]:
     return (slice(start, min(start + step, length)) for start in range(0, length, step))
 
 
-def reached(corner: NDArray[np.int64], samples: int, copies: Sequence[Copies], finer: int = 1) -> Box:
+def reached(corner: Integers, samples: int, copies: Sequence[Copies], finer: int = 1) -> Box:
     """Return the box that patches and their copies cover, on a grid `finer` than the patches by a factor."""
     corners = np.concatenate([position + copy.shifts for position, copy in zip(corner, copies, strict=True)])
     return Box.between(finer * corners.min(0), finer * (corners.max(0) + samples))
@@ -322,7 +316,7 @@ class FieldBatch:
 class Scatter(FieldBatch):
     """Point spreads to be added, with factors on each field and on the copies."""
 
-    amplitudes: NDArray[np.float64]
+    amplitudes: Doubles
     copies: list[Copies]
 
     def prepare(self) -> Callable[[], Part]:
@@ -336,15 +330,15 @@ class Gather(FieldBatch):
     """Point spreads to be multiplied by the samples of the tile that they cover."""
 
     copies: list[Copies]
-    tile: NDArray[np.float32]
+    tile: Floats
 
-    def prepare(self) -> Callable[[], list[NDArray[np.float64]]]:
+    def prepare(self) -> Callable[[], list[Doubles]]:
         """Return the function that multiplies intensities by the tile, after the factors of the fields are computed."""
         batch = PatchBatch(self.fields, np.ones(len(self.copies)))
         return lambda: PatchTile(batch, self.copies).products(self.tile)
 
 
-def arrived_power(fields: Fields) -> NDArray[np.float64]:
+def arrived_power(fields: Fields) -> Doubles:
     """Return the sum (n,) of the samples of the intensity of each point, of unit power."""
     everything = Copies(np.zeros((1, 2), np.int64), np.ones((1, 1), np.float32))
     count = len(fields.positions)
@@ -352,7 +346,7 @@ def arrived_power(fields: Fields) -> NDArray[np.float64]:
         return PatchTile(PatchBatch(fields, np.ones(count)), [everything] * count).powers()
 
 
-def aperture_power(fields: Fields) -> NDArray[np.float64]:
+def aperture_power(fields: Fields) -> Doubles:
     """Return the fraction (n,) of each point's power on the microlens array that the apertures of lenses pass.
 
     The intensity before the array is band-limited, so that its integral over apertures of any shape is exact.

@@ -6,11 +6,11 @@ import math
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..fields import OpticalSystem
 from ..lenses import FittedLens, MainLens, open_area
+from ..runtime import Doubles
 
 
 def brightness(lattice: Any, pupil_radius: Any, reduced_distance: Any, pixel_size: Any) -> Any:
@@ -37,7 +37,7 @@ def brightness_of(camera: PlenopticCamera, lens: MainLens) -> float:
     return float(brightness(camera.lattice, lens.reach, camera.reduced_distance, camera.pixel_size))
 
 
-def brightness_at(system: OpticalSystem, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def brightness_at(system: OpticalSystem, points: Doubles) -> Doubles:
     """Return `brightness_of` a system with the open part of the pupil for each point, (n,)."""
     lens = system.waves_of(points)
     mean_brightness = brightness_of(system.camera, system.lens)

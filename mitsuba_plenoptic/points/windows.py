@@ -12,9 +12,8 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
-from ..runtime import Backend, backend_of, drjit_array, fft
+from ..runtime import Backend, Doubles, Floats, Integers, backend_of, drjit_array, fft
 
 _LANES = 2**24
 """Samples of windows that one kernel of a device adds."""
@@ -24,16 +23,16 @@ _LANES = 2**24
 class Windows:
     """Windows of equal size in planes (channels, rows, columns), each of one patch of several."""
 
-    patch: NDArray[np.int64]  # number of each window's patch, in ascending order, (n,)
-    start: NDArray[np.int64]  # first row and first column of each window, (n, 2)
+    patch: Integers  # number of each window's patch, in ascending order, (n,)
+    start: Integers  # first row and first column of each window, (n, 2)
 
     @classmethod
-    def of(cls, starts: list[NDArray[np.int64]]) -> Windows:
+    def of(cls, starts: list[Integers]) -> Windows:
         """Return the windows from the rows and columns of each patch's windows."""
         return cls(np.repeat(np.arange(len(starts)), [len(run) for run in starts]), np.concatenate(starts))
 
 
-def part_of(table: fft.Field, starts: NDArray[np.int64], size: tuple[int, int]) -> fft.Field:
+def part_of(table: fft.Field, starts: Integers, size: tuple[int, int]) -> fft.Field:
     """Return windows (n, rows, columns) of a table, with given first rows and columns (n, 2)."""
     libraries = backend_of(table)
     rows, columns = size
@@ -46,9 +45,7 @@ def part_of(table: fft.Field, starts: NDArray[np.int64], size: tuple[int, int]) 
     return table[row[:, :, None], column[:, None, :]]
 
 
-def add_on_device(
-    sums: NDArray[np.float32], values: NDArray[np.float32], windows: Windows, weights: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def add_on_device(sums: Floats, values: Floats, windows: Windows, weights: Floats) -> Floats:
     """Return sums (channels, rows, columns) with patches (n, rows, columns) added to all windows, by one kernel.
 
     `weights` (windows, channels) are factors on the patches. The memory of `sums` may be reused; the rounding depends
@@ -74,7 +71,7 @@ def add_on_device(
     return libraries.from_drjit(target).reshape(sums.shape)
 
 
-def products_on_device(planes: NDArray[np.float32], values: NDArray[np.float32], windows: Windows) -> Any:
+def products_on_device(planes: Floats, values: Floats, windows: Windows) -> Any:
     """Return the products (windows, channels), float64 and on the device, of windows of planes with their patches."""
     libraries = backend_of(planes)
     types = backend_of(planes).types
@@ -100,12 +97,8 @@ def products_on_device(planes: NDArray[np.float32], values: NDArray[np.float32],
 
 
 def gathered_on_device(
-    planes: NDArray[np.float32],
-    windows: Windows,
-    weights: NDArray[np.float32],
-    moments: NDArray[np.float64],
-    size: tuple[int, int],
-) -> list[NDArray[np.float32]]:
+    planes: Floats, windows: Windows, weights: Floats, moments: Doubles, size: tuple[int, int]
+) -> list[Floats]:
     """Return the sums (patches, rows, columns) of each patch's windows of planes, by one kernel.
 
     Windows have the factors `weights` (windows, channels), times those of each row of `moments` (sums, windows).
@@ -133,7 +126,7 @@ def gathered_on_device(
     return [rows_of.reshape(count, rows, columns) for rows_of in _evaluated(libraries, sums)]
 
 
-def _each(types: Any, numbers: NDArray[np.int64], entry: Any) -> Any:
+def _each(types: Any, numbers: Integers, entry: Any) -> Any:
     """Return the number that belongs to each lane's entry."""
     return dr.gather(types.UInt32, drjit_array(types.UInt32, numbers.astype(np.uint32)), entry)
 

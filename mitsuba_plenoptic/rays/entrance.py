@@ -8,12 +8,11 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ..array import Lattice
 from ..fields import OpticalSystem
 from ..lenses import Entrance
-from ..runtime import drjit_array
+from ..runtime import Doubles, drjit_array
 
 _MARGIN = 3
 """Width in lenses of the margin around the recorded lenses whose points are included.
@@ -93,11 +92,11 @@ class Entrances:
     # The entrance pupil and front plane of the lens.
     front: Entrance
     # Points (x, y) of the exit pupil through which the rays that found the points pass, an array (n, 2).
-    pupil: NDArray[np.float64]
+    pupil: Doubles
     # The scene points (x, y, z) in the camera frame, an array (n, 3).
-    line: NDArray[np.float64]
+    line: Doubles
     # Slopes of these rays towards the scene along x and y, an array (n, 2).
-    slope: NDArray[np.float64]
+    slope: Doubles
 
     def at(self, x: Any, y: Any, lanes: Any) -> Any:
         """Return points in the camera frame through which light goes to points (x, y) of the exit pupil."""
@@ -109,7 +108,7 @@ class Entrances:
         offset = self.line[:, :2] - self.slope * depth[:, None] - self.pupil / front.magnification
         fraction = (front.front - front.pupil) / depth
 
-        def value(column: NDArray[np.float64]) -> Any:
+        def value(column: Doubles) -> Any:
             return dr.gather(mi.Float, drjit_array(mi.Float, column), lanes)
 
         t = value(fraction)

@@ -7,7 +7,8 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
+
+from ..runtime import Doubles
 
 _ROUNDS = 5
 """Rounds of the cipher of `mi.sample_tea_32`: after its default of four the first word is not yet even, and numbers of
@@ -15,7 +16,7 @@ neighbouring lanes depend on one another."""
 
 
 @functools.cache
-def even_steps(dimensions: int) -> NDArray[np.float64]:
+def even_steps(dimensions: int) -> Doubles:
     """Return the steps (dimensions,) of an additive sequence that fills the unit cube evenly, modulo 1.
 
     The steps are powers of the reciprocal of the root of x^(d + 1) = x + 1, which in one dimension is the golden ratio

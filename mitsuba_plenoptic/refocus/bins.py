@@ -14,12 +14,11 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..fields import Directions, is_paraxial
 from ..optics import in_millimetres
-from ..runtime import active_backend
+from ..runtime import Doubles, active_backend
 
 _NEAR = (-1, 0, 1, 2)
 """Samples next to the one before an edge that the integral up to the edge depends on, apart from the sum before it."""
@@ -31,7 +30,7 @@ _EDGES = 2**19
 """Edges of bins that are worked out at a time."""
 
 
-def _beyond(f: NDArray[np.float64], a: float, b: float, c: float, d: float) -> NDArray[np.float64]:
+def _beyond(f: Doubles, a: float, b: float, c: float, d: float) -> Doubles:
     """Return the part of an integral from an edge of samples to an edge f samples further.
 
     The values a to d belong to the samples `_NEAR`.
@@ -48,7 +47,7 @@ class Integrals:
     since for a large plane they would take many times the memory of its bins.
     """
 
-    def __init__(self, edges_of: Callable[[slice], NDArray[np.float64]], lines: int, bins: int, count: int) -> None:
+    def __init__(self, edges_of: Callable[[slice], Doubles], lines: int, bins: int, count: int) -> None:
         self._edges_of = edges_of
         self._shape = (lines, bins)
         self._half = count // 2
@@ -150,12 +149,12 @@ class BinSums:
         cosine = (np.fft.fftfreq(in_y.new_padded, 1 / in_y.new_padded) * down)[:, None]
         paraxial = is_paraxial(camera)
 
-        def along_x(lines: slice) -> NDArray[np.float64]:
+        def along_x(lines: slice) -> Doubles:
             if paraxial:
                 return (slope_x + 0 * cosine[lines]) / across
             return slope_x / np.sqrt(1 + slope_x * slope_x) * np.sqrt(1 - cosine[lines] ** 2) / across
 
-        def along_y(lines: slice) -> NDArray[np.float64]:
+        def along_y(lines: slice) -> Doubles:
             if paraxial:
                 return (slope_y + 0 * middle[lines]) / down
             return slope_y / np.sqrt(1 + slope_y * slope_y + middle[lines] ** 2) / down

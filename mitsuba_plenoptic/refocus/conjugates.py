@@ -18,7 +18,6 @@ from typing import Any, cast
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from ..camera import PlenopticCamera
@@ -26,7 +25,7 @@ from ..errors import InputError, argument
 from ..fields import OpticalSystem, is_paraxial
 from ..lenses import FAR, FittedLens, Light, Pair, Pupils, RealLens, ThinLens
 from ..optics import in_millimetres
-from ..runtime import array_module
+from ..runtime import Doubles, array_module
 
 _MARGIN = 4
 """Lenses beyond the corner of the bins up to which the lens is fitted."""
@@ -106,7 +105,7 @@ class ThinConjugates:
         """The camera."""
         return self.system.camera
 
-    def at(self, x: Any, y: Any, positions: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:
+    def at(self, x: Any, y: Any, positions: Doubles, lens: Any, distance: float) -> Conjugate:
         """Return the conjugates of some lenses' centres, for an object plane before the thin lens of `camera`.
 
         Each lane has its lens's centre (x, y) and its index in `positions`, the centres as a float64 array (n, 2).
@@ -171,13 +170,13 @@ class RealConjugates:
         pupils = self.lens.fitted.pupils
         return math.inf if math.isinf(distance) else pupils.magnification**2 * (distance - pupils.entrance)
 
-    def _bound(self, positions: NDArray[np.float64], distance: float, index: Any = None) -> Light:
+    def _bound(self, positions: Doubles, distance: float, index: Any = None) -> Light:
         """Return the light of the conjugates of points on the MLA; points beyond the field receive no light."""
         inverse_distance = self.lens.fitted.pupils.magnification**2 / min(distance, FAR)
         points = self.lens.points(self.lens.within(positions), np.full(len(positions), inverse_distance))
         return self.lens.bind(points, index)
 
-    def at(self, x: Any, y: Any, positions: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:
+    def at(self, x: Any, y: Any, positions: Doubles, lens: Any, distance: float) -> Conjugate:
         """Return the conjugates of the centres of some lenses, as `ThinConjugates.at` does."""
         return Conjugate(self._bound(positions, distance, lens), _NO_POINT, self.wavelength)
 
@@ -200,7 +199,7 @@ class RealConjugates:
             bounds = None if count == 1 else tuple((i / count, (i + 1) / count) for i in (column, row))
             yield FieldZone(Conjugate(light, _NO_POINT, self.wavelength, (tilt[0], tilt[1])), bounds, is_cut=True)  # type: ignore[arg-type]
 
-    def _blur(self, width: NDArray[np.float64], count: int, distance: float) -> float:
+    def _blur(self, width: Doubles, count: int, distance: float) -> float:
         """Return the displacement in mm, on the MLA, of zones' corner rays by the path of the zone's middle."""
         offset = (np.arange(count) + 0.5) / count - 0.5
         x, y = (values.ravel() * count for values in np.meshgrid(offset * width[0], offset * width[1]))
@@ -214,7 +213,7 @@ class RealConjugates:
             worst = max(worst, float(np.hypot(*(corner - at_middle)).max()))
         return worst * self.camera.pupil_distance
 
-    def _astray(self, positions: NDArray[np.float64], pupil: Any, distance: float) -> NDArray[np.float64]:
+    def _astray(self, positions: Doubles, pupil: Any, distance: float) -> Doubles:
         """Return the directions of rays from pupil points, relative to the chief ray, (2, n, rays)."""
         light = self._bound(positions, distance)
         rim, chief = (np.stack(light.cosines(where, _NO_POINT)) for where in (pupil, _MIDDLE))
@@ -243,8 +242,8 @@ def behind_thin_lens(system: OpticalSystem) -> PlenopticCamera:
 
 
 def undistorted(
-    power: NDArray[np.float64], conjugates: RealConjugates, camera: PlenopticCamera, distance: float, fine: int
-) -> tuple[NDArray[np.float64], float]:
+    power: Doubles, conjugates: RealConjugates, camera: PlenopticCamera, distance: float, fine: int
+) -> tuple[Doubles, float]:
     """Return power moved from bins of chief rays on the array to bins of the object plane."""
     stretched = conjugates.lens.image_stretch(camera, distance)
     columns, rows = (count * fine for count in camera.bin_count)

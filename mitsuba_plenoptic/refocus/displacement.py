@@ -25,14 +25,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import scipy
 import scipy.fft
-from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from ..camera import PlenopticCamera
 from ..design import focus_type
 from ..optics import in_millimetres, rays, soft_edge
 from ..rays import follow_back
-from ..runtime import require_memory
+from ..runtime import Doubles, Floats, require_memory
 
 _PLANE = 8
 """Width of the plane in which the pupil is spread, in radii of the pupil."""
@@ -58,7 +57,7 @@ class PupilCentroid:
         P = (np.arange(size) + self._first) * self._pitch
         inside = soft_edge((camera.aperture_radius - np.hypot(P, P[:, None])) / self._pitch)
 
-        def blurred(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        def blurred(values: Doubles) -> Doubles:
             return np.asarray(scipy.fft.irfft2(scipy.fft.rfft2(values) * transfer, s=(size, size)))
 
         light = blurred(inside)
@@ -71,7 +70,7 @@ class PupilCentroid:
             for along in (P, P[:, None])
         ]
 
-    def __call__(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    def __call__(self, x: Doubles, y: Doubles) -> list[Doubles]:
         """Return the pupil centroids in mm, along x and y, of pixels that see (x, y) through their lens's centre."""
         at = [np.asarray(axis) / self._pitch - self._first for axis in (y, x)]
         return [map_coordinates(table, at, order=1, mode="nearest") for table in self._tables]
@@ -108,11 +107,8 @@ def tilt(camera: PlenopticCamera, distance: float) -> tuple[float, float, float]
 
 
 def rising(
-    white: NDArray[np.float32],
-    camera: PlenopticCamera,
-    distances: Sequence[float],
-    wavelengths: Sequence[float] | None,
-) -> Iterator[tuple[NDArray[np.float32], list[float]]]:
+    white: Floats, camera: PlenopticCamera, distances: Sequence[float], wavelengths: Sequence[float] | None
+) -> Iterator[tuple[Floats, list[float]]]:
     """Yield, for each distance, two captures of scenes whose radiance rises along the bins: to the right and downwards.
 
     The captures are computed from a white capture. The wavelengths in nanometres are those of the channels of a wave
@@ -143,9 +139,7 @@ def rising(
         yield image, [distance]
 
 
-def displacements(
-    tilted: Sequence[NDArray[np.float64]], slope: float, camera: PlenopticCamera, oversample: int
-) -> list[NDArray[np.float64]]:
+def displacements(tilted: Sequence[Doubles], slope: float, camera: PlenopticCamera, oversample: int) -> list[Doubles]:
     """Return the displacements in bins, along x and y, from which bins' light comes; 0 without light."""
     moved = []
     for axis, image in enumerate(tilted):
@@ -157,9 +151,7 @@ def displacements(
     return moved
 
 
-def brought_back(
-    image: NDArray[np.float64], moved: Sequence[NDArray[np.float64]], weights: NDArray[np.float64], reach: int
-) -> NDArray[np.float64]:
+def brought_back(image: Doubles, moved: Sequence[Doubles], weights: Doubles, reach: int) -> Doubles:
     """Return an image corrected for the displacements of its bins, by weighted fits to `reach` bins on each side."""
     finite = np.isfinite(image)
     values = np.where(finite, image, 0.0)
@@ -175,7 +167,7 @@ def brought_back(
     mass = np.where(mass > 0, mass, 1)
     x, y, value = (_mean_about(light * term, reach) / mass for term in terms)
 
-    def covariance(i: int, j: int, means: NDArray[np.float64]) -> NDArray[np.float64]:
+    def covariance(i: int, j: int, means: Doubles) -> Doubles:
         return np.asarray(_mean_about(light * terms[i] * terms[j], reach) / mass - means)
 
     xx = covariance(0, 0, x * x)
@@ -192,6 +184,6 @@ def brought_back(
     return np.where(known_plane, image - moved[0] * across - moved[1] * down, image)
 
 
-def _mean_about(image: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
+def _mean_about(image: Doubles, reach: int) -> Doubles:
     """Return the mean over the square of bins around each bin; bins outside the image count as 0."""
     return np.asarray(scipy.ndimage.uniform_filter(image, 2 * reach + 1, mode="constant", axes=(0, 1)))

@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import tifffile
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..choices import VOLUMES
 from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
 from ..extension import Displayed
 from ..io import read_exr, write_exr
-from ..runtime import atomic_output, require_memory, require_writable, require_zarr
+from ..runtime import Floats, atomic_output, require_memory, require_writable, require_zarr
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -143,7 +142,7 @@ class Volume:
         Facts as plain data: camera, method, options, and the facts about each plane.
     """
 
-    values: NDArray[np.float32]
+    values: Floats
     distances: tuple[float, ...]
     voxel_size: float
     attributes: dict[str, Any] = field(default_factory=dict)
@@ -208,7 +207,7 @@ class Volume:
             return None
         return float(steps.mean())
 
-    def maximum(self, axis: str = "z") -> NDArray[np.float32]:
+    def maximum(self, axis: str = "z") -> Floats:
         """Return the brightest voxel along an axis.
 
         Parameters
@@ -227,7 +226,7 @@ class Volume:
 
     def slices(
         self, plane: int | None = None, row: int | None = None, column: int | None = None
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    ) -> tuple[Floats, Floats, Floats]:
         """Return three orthogonal slices through one voxel.
 
         Parameters
@@ -340,7 +339,7 @@ def _is_ome(path: Path) -> bool:
     return path.name.lower().endswith((".ome.tif", ".ome.tiff"))
 
 
-def _interpolated(image: NDArray[np.float32], axis: int, width: float, count: int) -> NDArray[np.float32]:
+def _interpolated(image: Floats, axis: int, width: float, count: int) -> Floats:
     """Return voxels along one axis, interpolated from bins `width` voxels wide; NaN beyond the bins."""
     bins = image.shape[axis]
     position = (np.arange(count) - (count - 1) / 2) / width + (bins - 1) / 2

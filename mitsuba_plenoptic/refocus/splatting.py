@@ -23,7 +23,7 @@ from ..camera import PlenopticCamera
 from ..design import lens_footprint, pixel_footprint
 from ..optics import rays
 from ..rays import Passage, Walk, detector_rows, follow_back, on_plane
-from ..runtime import array_module, require_memory
+from ..runtime import Doubles, array_module, require_memory
 
 # Samples of the fine grid across a lens pitch; at least `_LEAST` across a bin.
 _FINE = 16
@@ -235,7 +235,7 @@ def thin_places(
 
 def traced_places(
     camera: PlenopticCamera, distance: float
-) -> Iterator[tuple[slice, NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]]:
+) -> Iterator[tuple[slice, Doubles, Doubles, NDArray[np.bool_]]]:
     """Yield the positions at which one ray per pixel, through the centre of its lens, meets an object plane.
 
     Yielded are rows of pixels, x and y of their positions in the object plane times -b / g in millimetres, which

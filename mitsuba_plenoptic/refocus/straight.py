@@ -26,11 +26,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter, uniform_filter
 
 from ..array import WARP_POWERS, Displacement
 from ..camera import PlenopticCamera
+from ..runtime import Floats
 from ..views import white_image
 from .methods import once_a_camera
 
@@ -72,7 +72,7 @@ def straightened(camera: PlenopticCamera) -> PlenopticCamera:
     return regular.replace(mla_tilt=(0.0, 0.0), mla_warp=(), mla_jitter=(0.0, camera.mla_jitter[1]))
 
 
-def straightened_image(image: NDArray[np.float32], camera: PlenopticCamera) -> NDArray[np.float32]:
+def straightened_image(image: Floats, camera: PlenopticCamera) -> Floats:
     """Return a capture (rows, columns, channels) by a camera as its `straightened` camera records it."""
     regular = straightened(camera)
     if regular is camera:
@@ -82,7 +82,7 @@ def straightened_image(image: NDArray[np.float32], camera: PlenopticCamera) -> N
     return _moved(image, camera)
 
 
-def _moved(image: NDArray[np.float32], camera: PlenopticCamera) -> NDArray[np.float32]:
+def _moved(image: Floats, camera: PlenopticCamera) -> Floats:
     """Return an image (rows, columns, channels) with each micro-image where the `straightened` camera has it."""
     if camera.lattice.displacement is None and not any(camera.mla_tilt):
         return image
@@ -107,7 +107,7 @@ def _moved(image: NDArray[np.float32], camera: PlenopticCamera) -> NDArray[np.fl
 
 
 @once_a_camera
-def evening(camera: PlenopticCamera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def evening(camera: PlenopticCamera) -> tuple[Floats, Floats]:
     """Return factors of pixels that make white captures of a camera those of the even one, and the light they restore.
 
     The light, over that of the even camera, is 1 but where vignetting leaves hardly any.
@@ -122,7 +122,7 @@ def evening(camera: PlenopticCamera) -> tuple[NDArray[np.float32], NDArray[np.fl
     )
 
 
-def passed_light(camera: PlenopticCamera) -> NDArray[np.float32] | None:
+def passed_light(camera: PlenopticCamera) -> Floats | None:
     """Return the part of a white scene's light that pixels of a `straightened_image` hold; None if they hold all."""
     if straightened(camera) is camera or not is_uneven(camera) or (passed := evening(camera)[1]).min() == 1:
         return None
@@ -173,7 +173,7 @@ def _growth(camera: PlenopticCamera, lens: Any) -> tuple[Any, Any]:
     return nearer, (z + lens.height / camera.mla_medium) / z / nearer
 
 
-def displaced_image(image: NDArray[np.float32], camera: PlenopticCamera, oversample: int) -> NDArray[np.float32]:
+def displaced_image(image: Floats, camera: PlenopticCamera, oversample: int) -> Floats:
     """Return a refocused image (rows, columns, channels) with its bins displaced like the camera's lenses."""
     if straightened(camera) is camera:
         return image

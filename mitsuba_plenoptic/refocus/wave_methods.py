@@ -50,7 +50,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..fields import (
@@ -71,7 +70,7 @@ from ..fields import (
     microlenses,
 )
 from ..optics import guards, phasor, power, soft_edge
-from ..runtime import active_backend, array_module, check_memory, fft, work_limit
+from ..runtime import Doubles, Floats, Integers, active_backend, array_module, check_memory, fft, work_limit
 from .bins import BinSums
 from .conjugates import Conjugates, FieldZone, RealConjugates, ThinConjugates, undistorted
 from .lens_by_lens import LensTile, fine_bins, reconstruct_lens_by_lens, tile_lenses
@@ -347,7 +346,7 @@ class BackwardFields:
     def _subsets(self) -> list[tuple[int, int]]:
         return [(i, j) for j, i in np.ndindex(self._interleave, self._interleave)]
 
-    def at_pupil(self, amplitude: NDArray[np.float32]) -> Iterator[fft.Field]:
+    def at_pupil(self, amplitude: Floats) -> Iterator[fft.Field]:
         """Yield every subset's field directly before the main lens, in lines along y, zero outside the pupil.
 
         Each field is valid until the next one is requested.
@@ -386,7 +385,7 @@ class BackwardFields:
         """Yield the field at the directions of an object plane, from the field directly before the main lens."""
         return Spectrum(step, _main_lens(step, zone)).forward(self._workspace.blocks(field), self._workspace)
 
-    def vjp(self, gradients: Iterable[fft.Field], zone: FieldZone, step: Directions) -> NDArray[np.float64]:
+    def vjp(self, gradients: Iterable[fft.Field], zone: FieldZone, step: Directions) -> Doubles:
         """Return the gradient with respect to the amplitudes, from the gradients of all subsets' fields."""
         workspace = self._workspace
         arrays = workspace.libraries.arrays
@@ -413,7 +412,7 @@ class BackwardFields:
         x, y = self._grids.pupil
         return power(field) * x.pitch * y.pitch / self._camera.pixel_size**2
 
-    def _on_array(self, strip: Strip, amplitude: NDArray[np.float32], subset: tuple[int, int] | None) -> Rows:
+    def _on_array(self, strip: Strip, amplitude: Floats, subset: tuple[int, int] | None) -> Rows:
         """Return the field on the MLA from a strip of the detector, of all lenses or of a subset.
 
         Light that strays from another lens's pixels into a cell is deflected by a micro-image and misses the main lens.
@@ -465,7 +464,7 @@ class _Pupil:
         """Return the slice of a line's samples that pass, at least in part."""
         return slice(int(self._first[line]), int(self._end[line]))
 
-    def edge(self, lines: slice) -> tuple[NDArray[np.int64], NDArray[np.int64], Any]:
+    def edge(self, lines: slice) -> tuple[Integers, Integers, Any]:
         """Return edge samples of some lines, by line and position, and the part of the field that passes."""
         own = slice(int(self._starts[lines.start]), int(self._starts[lines.stop]))
         return self._lines[own] - lines.start, self._places[own], self._passed[own]

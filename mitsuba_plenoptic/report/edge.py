@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
 from ..errors import refuse_if, refusing
-from ..runtime import as_array
+from ..runtime import Doubles, as_array
 
 _REACH = 16
 """Pixels on each side of an edge, at most, that are looked at."""
@@ -57,8 +57,8 @@ class EdgeSharpness:
     upright: bool
     length: int
     width: float
-    frequency: NDArray[np.float64]
-    transfer: NDArray[np.float64]
+    frequency: Doubles
+    transfer: Doubles
 
     @property
     def mtf50(self) -> float:
@@ -125,13 +125,13 @@ def edge_sharpness(image: ArrayLike) -> EdgeSharpness:
     return replace(sharpness, row=row + float(rows[0]), column=column + float(columns[0]), upright=upright)
 
 
-def _slopes(image: NDArray[np.float64], smooth: float = 1.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _slopes(image: Doubles, smooth: float = 1.0) -> tuple[Doubles, Doubles]:
     """Return the derivatives, downwards and across, of the slightly smoothed image."""
     down, across = (gaussian_filter(image, smooth, order=order, mode="nearest") for order in ((1, 0), (0, 1)))
     return down, across
 
 
-def _measure(image: NDArray[np.float64]) -> EdgeSharpness:
+def _measure(image: Doubles) -> EdgeSharpness:
     """Return the sharpness of an edge that is closer to vertical than to horizontal."""
     extent = float(_LEAST_REACH)
     # Again for a wide edge, with the smoothing that it bears.
@@ -164,7 +164,7 @@ def _measure(image: NDArray[np.float64]) -> EdgeSharpness:
     return _across(image[index], line, tilt, first, reach, _KNOTS * _LEAST_REACH / extent)
 
 
-def window_sharpness(image: NDArray[np.float64]) -> EdgeSharpness:
+def window_sharpness(image: Doubles) -> EdgeSharpness:
     """Return the sharpness of a nearly vertical edge that runs from top to bottom through the middle of an image.
 
     As the edge is known to be there, interference beside it is allowed, and a window of few pixels suffices.
@@ -181,7 +181,7 @@ def window_sharpness(image: NDArray[np.float64]) -> EdgeSharpness:
     return _across(image, line, tilt, 0, reach, _KNOTS * min(1.0, max(rows * abs(tilt), 1 / _KNOTS)))
 
 
-def square_sharpness(image: NDArray[np.float64], row: float, column: float, side: float) -> tuple[float, float]:
+def square_sharpness(image: Doubles, row: float, column: float, side: float) -> tuple[float, float]:
     """Return width and mtf50 of a slightly turned bright square on dark ground: the medians of its four edges.
 
     The median is used because another object may lie near one of the edges.
@@ -201,9 +201,7 @@ def square_sharpness(image: NDArray[np.float64], row: float, column: float, side
     return statistics.median(edge.width for edge in edges), statistics.median(edge.mtf50 for edge in edges)
 
 
-def _across(
-    image: NDArray[np.float64], line: NDArray[np.float64], tilt: float, first: int, reach: float, knots: float
-) -> EdgeSharpness:
+def _across(image: Doubles, line: Doubles, tilt: float, first: int, reach: float, knots: float) -> EdgeSharpness:
     """Return the sharpness of an edge along a line with a column in each row, of which the first has an index."""
     distance = (np.arange(image.shape[1]) - line[:, None]) / math.hypot(1, tilt)
     near = np.abs(distance) <= reach
@@ -220,13 +218,7 @@ def _across(
     )
 
 
-def _line(
-    image: NDArray[np.float64],
-    slope: NDArray[np.float64],
-    down: NDArray[np.float64],
-    across: NDArray[np.float64],
-    extent: float,
-) -> tuple[float, float]:
+def _line(image: Doubles, slope: Doubles, down: Doubles, across: Doubles, extent: float) -> tuple[float, float]:
     """Return slope and start of the line column = start + slope * row along the strongest edge."""
     rows, columns = np.indices(image.shape)
     down_over_across = np.divide(down, across, out=np.full_like(across, np.inf), where=across != 0)
@@ -247,9 +239,7 @@ def _line(
     return _closed_in(slope, tilt, start, np.array((6.0, 5.0, 4.0, 4.0)) * extent / _LEAST_REACH)
 
 
-def _closed_in(
-    slope: NDArray[np.float64], tilt: float, start: float, reaches: NDArray[np.float64]
-) -> tuple[float, float]:
+def _closed_in(slope: Doubles, tilt: float, start: float, reaches: Doubles) -> tuple[float, float]:
     """Return the line fitted to the middle of the slope in each row, each time within a reach of the line before."""
     rows, columns = np.indices(slope.shape)
     for reach in reaches:
@@ -263,9 +253,7 @@ def _closed_in(
     return tilt, start
 
 
-def _rows_with_edge(
-    image: NDArray[np.float64], slope: NDArray[np.float64], tilt: float, start: float
-) -> NDArray[np.intp]:
+def _rows_with_edge(image: Doubles, slope: Doubles, tilt: float, start: float) -> NDArray[np.intp]:
     """Return the longest run of rows in which the edge is as high as elsewhere, without its ends."""
     rows = np.arange(image.shape[0])
     line = start + tilt * rows
@@ -281,7 +269,7 @@ def _rows_with_edge(
     return longest
 
 
-def _half_width(across: NDArray[np.float64], line: NDArray[np.float64]) -> float:
+def _half_width(across: Doubles, line: Doubles) -> float:
     """Return how far an edge reaches from its line, which has a column in each row; refuse two edges side by side."""
     offset = np.round(np.arange(across.shape[1]) - line[:, None]).astype(int)
     count = np.bincount((offset - offset.min()).ravel())
@@ -299,9 +287,7 @@ def _half_width(across: NDArray[np.float64], line: NDArray[np.float64]) -> float
     return float(widest)
 
 
-def _refuse_others(
-    slope: NDArray[np.float64], tilt: float, start: float, index: NDArray[np.intp], extent: float
-) -> None:
+def _refuse_others(slope: Doubles, tilt: float, start: float, index: NDArray[np.intp], extent: float) -> None:
     """Refuse an image with other edges beside the rows of the found edge."""
     columns = np.arange(slope.shape[1])
     offset = np.abs(columns - (start + tilt * index)[:, None]) / math.hypot(1, tilt)
@@ -315,9 +301,7 @@ def _refuse_others(
     refuse_if(max(beside, wide) > 0.3 * height, _TWO_EDGES)
 
 
-def _transfer(
-    distance: NDArray[np.float64], values: NDArray[np.float64], reach: float, density: float
-) -> tuple[float, NDArray[np.float64]]:
+def _transfer(distance: Doubles, values: Doubles, reach: float, density: float) -> tuple[float, Doubles]:
     """Return the width of an edge, and the transfer function, from pixels at distances from its line.
 
     The profile is a spline with a density of knots in a pixel.
@@ -351,7 +335,7 @@ def _transfer(
     return float(width), spectrum / spectrum[0]
 
 
-def _refuse_saturated(step: NDArray[np.float64], values: NDArray[np.float64]) -> None:
+def _refuse_saturated(step: Doubles, values: Doubles) -> None:
     """Refuse an edge with a saturated side: many equal values, and hardly any values close to them."""
     for limit in (values.min(), values.max()):
         plateau = step[values == limit]

@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import require_wavelength
 from ..optics import in_millimetres
 from ..prescription import LINE_D
-from ..runtime import require_writable
+from ..runtime import Doubles, require_writable
 from .plots import INK, Plot, styled
 
 _SAMPLES = 256
@@ -77,7 +76,7 @@ def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:
     axes.set_ylabel("um from its centre", fontsize=8, color=INK, labelpad=2)
 
 
-def _spot(axes: Axes, camera: PlenopticCamera, field: NDArray, along: NDArray[np.float64], wavelength: float) -> None:
+def _spot(axes: Axes, camera: PlenopticCamera, field: Doubles, along: Doubles, wavelength: float) -> None:
     """Draw the square root of the detector intensity for parallel light, from Fresnel's integral."""
     scale = in_millimetres(wavelength) * camera.reduced_distance
     reach = max(4 * scale / float(camera.lattice.aperture_width), 1.5 * camera.pixel_size)

@@ -7,6 +7,9 @@ from .backend import IMAGE as IMAGE
 from .backend import MILLIMETRES as MILLIMETRES
 from .backend import POINTS as POINTS
 from .backend import Backend as Backend
+from .backend import Doubles as Doubles
+from .backend import Floats as Floats
+from .backend import Integers as Integers
 from .backend import active_backend as active_backend
 from .backend import array_module as array_module
 from .backend import as_array as as_array

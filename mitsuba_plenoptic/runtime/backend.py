@@ -30,6 +30,11 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_choice, short_repr
 from . import llvm
 
+Doubles = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Integers = NDArray[np.int64]
+"""Arrays by the type of their numbers."""
+
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 

@@ -22,10 +22,9 @@ from typing import Any, Protocol, TypeVar
 
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError, refuse_if, require_count, require_module
-from .backend import active_backend, on_cuda, set_variant
+from .backend import Floats, Integers, active_backend, on_cuda, set_variant
 from .fft import resting_drjit, stop_threads, worker_count
 from .limits import single_threaded_blas, software
 
@@ -40,7 +39,7 @@ class Box:
     rows: int
 
     @classmethod
-    def between(cls, low: NDArray[np.int64], high: NDArray[np.int64]) -> Box:
+    def between(cls, low: Integers, high: Integers) -> Box:
         """Return the rectangle between two corners, the second one excluded."""
         return cls(*(int(corner) for corner in (*low, *(high - low))))
 
@@ -52,7 +51,7 @@ class Part:
     # Where it lies on the grid.
     box: Box
     # The sum there, on the backend's device; it is zero elsewhere; (channels, rows, columns).
-    sums: NDArray[np.float32]
+    sums: Floats
 
 
 class Batch(Protocol):
@@ -91,7 +90,7 @@ class PartialSum:
     # The batches that are in it: the first ones.
     batches: int
     # Their sum, on the backend's device; (channels, rows, columns).
-    sums: NDArray[np.float32]
+    sums: Floats
     # All samples of their parts added up, those beyond the box of the sum too.
     arrived: float = 0.0
 
@@ -133,7 +132,7 @@ def on_all_cores(function: Callable[[Item], Result], items: Iterable[Item]) -> l
         return list(pool.map(function, items))
 
 
-def add(partial_sum: Part, box: Box, sums: NDArray[np.float32]) -> None:
+def add(partial_sum: Part, box: Box, sums: Floats) -> None:
     """Add a part to a sum (channels, rows, columns) that covers a box of the grid."""
     left = max(box.left, partial_sum.box.left)
     top = max(box.top, partial_sum.box.top)
@@ -170,12 +169,12 @@ class LongSum(Protocol):
     arrays: Any  # NumPy, or CuPy for parts that lie on a CUDA device
     box: Box
     channels: int
-    items: NDArray[np.int64]  # of each batch
+    items: Integers  # of each batch
 
     def batches(self, first: int) -> Iterator[Batch]:
         """Yield the batches in order, from index `first` on."""
 
-    def image(self, total: PartialSum) -> NDArray[np.float32]:
+    def image(self, total: PartialSum) -> Floats:
         """Return the pixels (rows, columns, channels) of a finished sum."""
 
 
@@ -188,7 +187,7 @@ class SumTask:
     # Plans the sum, once it is its turn.
     plan: Callable[[], LongSum]
     # Turns its image into what is added to that of all: (rows, columns, channels).
-    combine: Callable[[NDArray[np.float32]], NDArray[np.float32]]
+    combine: Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True)
@@ -197,7 +196,7 @@ class Snapshot:
 
     sums: int
     # Their images, added up; (rows, columns, channels).
-    image: NDArray[np.float32]
+    image: Floats
     # The next one, as far as it has come.
     partial: PartialSum | None = None
 
@@ -241,7 +240,7 @@ class Job:
         shape: tuple[int, int, int],
         items: int,
         facts: Mapping[str, Any] = MappingProxyType({}),
-    ) -> NDArray[np.float32]:
+    ) -> Floats:
         """Return the sum of the images of several sums, computed one after another.
 
         The bits of the result depend neither on the workers nor, except on CUDA, on whether the job was resumed.
@@ -276,7 +275,7 @@ class Job:
         refuse_if(state.sums > count, f"checkpoint: it is damaged: {state.sums} sums are no part of {count}")
         return state.image
 
-    def _sum(self, task: SumTask, state: Snapshot, before: int, items: int) -> NDArray[np.float32]:
+    def _sum(self, task: SumTask, state: Snapshot, before: int, items: int) -> Floats:
         """Return the image of one sum, computed from its stored state on."""
         work = task.plan()
         shape = (work.channels, work.box.rows, work.box.columns)

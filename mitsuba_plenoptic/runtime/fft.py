@@ -29,7 +29,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..errors import refuse_if
-from .backend import backend_of, drjit_array, on_cuda, quotient
+from .backend import Doubles, Floats, backend_of, drjit_array, on_cuda, quotient
 
 Field = NDArray[np.complex64]
 """A field or spectrum: NumPy's array, or with a CUDA variant CuPy's, which lies on the device."""
@@ -149,12 +149,12 @@ def fft2(field: Field, *, inverse: bool = False, workers: int | None = None) -> 
     return _transform("ifft2" if inverse else "fft2", field, workers)
 
 
-def rfft(samples: NDArray[np.float32], *, axis: int) -> Field:
+def rfft(samples: Floats, *, axis: int) -> Field:
     """Return the spectrum of real samples along one axis, at nonnegative frequencies."""
     return _transform("rfft", samples, None, axis=axis)
 
 
-def irfft(spectrum: Field, count: int, *, axis: int) -> NDArray[np.float32]:
+def irfft(spectrum: Field, count: int, *, axis: int) -> Floats:
     """Return `count` real samples along one axis from a spectrum of `rfft`, which is overwritten."""
     return _transform("irfft", spectrum, None, n=count, axis=axis)
 
@@ -230,7 +230,7 @@ def split(types: Any, index: Any, rows: int, columns: int) -> tuple[Any, Any, An
     )
 
 
-def convolve(image: NDArray[Any], kernel: NDArray[Any]) -> NDArray[np.float64]:
+def convolve(image: NDArray[Any], kernel: NDArray[Any]) -> Doubles:
     """Return the full convolution of two images, n + k - 1 samples along each axis.
 
     Shapes: `image`, `kernel` (rows, columns).
@@ -247,7 +247,7 @@ def convolve(image: NDArray[Any], kernel: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(scipy.fft.irfft2(spectrum, quick, overwrite_x=True))[: size[0], : size[1]]
 
 
-def blur(image: NDArray[Any], kernel: NDArray[Any]) -> NDArray[np.float64]:
+def blur(image: NDArray[Any], kernel: NDArray[Any]) -> Doubles:
     """Return the convolution cropped to the image, with the kernel's middle on each sample."""
     rows, columns = ((k - 1) // 2 for k in kernel.shape)
     return convolve(image, kernel)[rows : rows + image.shape[0], columns : columns + image.shape[1]]

@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_module, require_suffix, short_repr
+from .backend import Doubles
 
 _one_at_a_time = threading.Lock()
 
@@ -237,7 +237,7 @@ def parse_yaml(text: str) -> Any:
         return yaml.load(text, Loader=_Loader)
 
 
-def read_table(path: str | Path) -> NDArray[np.float64]:
+def read_table(path: str | Path) -> Doubles:
     """Return all numbers of a CSV file of at most 4 MiB, (rows, columns); the first line may hold names."""
     lines = [line for line in read_text(path, 2**22).splitlines() if line.strip()]
     for cell in lines[0].split(",") if lines else ():

@@ -14,13 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..lenses import main_lens
 from ..prescription import Objective
-from ..runtime import require_memory
+from ..runtime import Doubles, Floats, Integers, require_memory
 from .coordinates import DIMS, labelled
 from .white import MINIMUM_WEIGHT, divide_by_weight, recorded_white
 
@@ -36,11 +35,11 @@ class LensViews:
     """The lenses of a Fourier microscope whose pictures are views, on a grid of rows and columns."""
 
     # Positions of the columns and rows on the array in millimetres, rising; (columns,).
-    across: NDArray[np.float64]
-    down: NDArray[np.float64]
+    across: Doubles
+    down: Doubles
     # What a lens there records of an even object, over what all the stop lets through evenly; 0 where there is no lens,
     # as at every second position of a hexagonal array, or where it lies beyond the image of the stop; (rows, columns).
-    fraction: NDArray[np.float32]
+    fraction: Floats
     # Pixels of its picture on either side of the one in the middle, along x and y.
     half: tuple[int, int]
 
@@ -73,9 +72,7 @@ class LensViews:
         return cls(across, down, table, (half[0], half[1]))
 
 
-def decode_views(
-    image: NDArray[np.float32], camera: PlenopticCamera, lens: Objective, white: NDArray[np.float32] | None
-) -> xr.DataArray:
+def decode_views(image: Floats, camera: PlenopticCamera, lens: Objective, white: Floats | None) -> xr.DataArray:
     """Return a capture of a Fourier microscope as a light field; see `decode`.
 
     Shapes: `image` (rows, columns, channels), `white` (rows, columns, 1).
@@ -108,9 +105,7 @@ def decode_views(
     return labelled(values if image.shape[2] == 3 else values[..., 0], coordinates, attributes)
 
 
-def _in_stop(
-    camera: PlenopticCamera, lens: Objective, x: NDArray[np.float64], y: NDArray[np.float64]
-) -> NDArray[np.float32]:
+def _in_stop(camera: PlenopticCamera, lens: Objective, x: Doubles, y: Doubles) -> Floats:
     """Return the light that lens apertures receive, relative to a uniformly lit stop."""
     lattice = camera.lattice
     stop = main_lens(camera)
@@ -131,7 +126,7 @@ def _in_stop(
     return light
 
 
-def _lines(positions: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _lines(positions: Doubles, tolerance: float) -> tuple[Doubles, Integers]:
     """Return the distinct positions in rising order, and the index of each position among them."""
     order = np.argsort(positions)
     line_of = np.cumsum(np.diff(positions[order], prepend=-np.inf) > tolerance) - 1
@@ -141,14 +136,14 @@ def _lines(positions: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np
     return lines, result
 
 
-def _sampled(image: NDArray[np.float32], camera: PlenopticCamera, views: LensViews) -> NDArray[np.float32]:
+def _sampled(image: Floats, camera: PlenopticCamera, views: LensViews) -> Floats:
     """Return the pictures upright, (v, u, rows, columns, channels), interpolated linearly; 0 beyond the image."""
     channels = image.shape[2]
     half = views.half
     result = np.zeros((*views.fraction.shape, 2 * half[1] + 1, 2 * half[0] + 1, channels), np.float32)
     padded = np.pad(image, ((1, 1), (1, 1), (0, 0))).astype(np.float32, copy=False)
     for row, column in np.argwhere(views.fraction > 0).tolist():
-        picked: NDArray[np.float32] = padded
+        picked: Floats = padded
         for axis, centre in ((0, views.down[row]), (1, views.across[column])):
             position = centre / camera.pixel_size + camera.resolution[1 - axis] / 2 - camera.crop_offset[1 - axis] - 0.5
             low = math.floor(position)

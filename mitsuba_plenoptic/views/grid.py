@@ -11,13 +11,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..array import WARP_POWERS, Displacement
 from ..camera import PlenopticCamera, Use, require_support
 from ..errors import MOST_PIXELS, put, refuse_if, require_count, require_number, require_pair, require_warp
 from ..optics import rays
-from ..runtime import require_memory
+from ..runtime import Doubles, Integers, require_memory
 
 
 @dataclass(frozen=True)
@@ -206,7 +205,7 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
     return centres[((centres >= -margin) & (centres <= np.array(camera.crop_size) + margin)).all(1)]
 
 
-def lens_indices(camera: PlenopticCamera, centres: np.ndarray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def lens_indices(camera: PlenopticCamera, centres: np.ndarray) -> tuple[Doubles, Doubles]:
     """Return the lattice indices of the lenses of micro-image centres (..., 2), columns and rows."""
     p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
     chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
@@ -224,7 +223,7 @@ def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
     return camera.lattice.lens_type(*lens_indices(camera, centres)).astype(np.int64)
 
 
-def lens_numbers(camera: PlenopticCamera) -> NDArray[np.int64]:
+def lens_numbers(camera: PlenopticCamera) -> Integers:
     """Return the index of the lens of each recorded pixel's chief ray."""
     x, y = (
         rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.reduced_distance)

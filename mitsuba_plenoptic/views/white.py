@@ -13,7 +13,6 @@ from collections.abc import Sequence
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ..array import hashed
 from ..camera import Opening, PlenopticCamera, Round, Use, are_alike, require_support
@@ -23,7 +22,7 @@ from ..errors import InputError, refuse_if, short_repr, warn
 from ..io import Capture, recording_of, require_demosaiced
 from ..optics import second_leg
 from ..rays import Passage, Walk, detector_rows, even_steps
-from ..runtime import array_module, as_pixels, fft, require_memory
+from ..runtime import Floats, array_module, as_pixels, fft, require_memory
 from .grid import LensGrid, lens_indices, lens_numbers, lens_types, micro_image_centres
 
 # Samples that see less of the pupil than this are left out: dividing by so little would only raise their noise.
@@ -338,7 +337,7 @@ def mean_response(camera: PlenopticCamera) -> float:
     return float(counts.mean())
 
 
-def _traced(camera: PlenopticCamera) -> NDArray[np.float32]:
+def _traced(camera: PlenopticCamera) -> Floats:
     """Return the white image of a camera with a real main lens or vignetting, by rays from its pixels.
 
     Every pixel has its own shift of one even set of rays, so that sampling errors at the rims of micro-images average

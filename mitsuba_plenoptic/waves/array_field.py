@@ -27,10 +27,11 @@ from ..array import Lattice
 from ..camera import PlenopticCamera
 from ..fields import Kind, LensKinds, aperture_points
 from ..optics import in_millimetres
+from ..runtime import Doubles
 from .accuracy import USUAL
 
 Array = NDArray[Any]
-Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
+Pair = tuple[Doubles, Doubles]
 
 
 @dataclass(frozen=True)

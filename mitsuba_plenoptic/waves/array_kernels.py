@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from ..fields import Kind
 from ..optics import in_millimetres
-from ..runtime import exponents, fft, on_all_cores, require_memory, single_threaded_blas
+from ..runtime import Doubles, Floats, Integers, exponents, fft, on_all_cores, require_memory, single_threaded_blas
 from .accuracy import USUAL
 from .array_field import LensWaves
 from .lens_functions import LensFunctions, of_middles
@@ -120,7 +120,7 @@ class ArrayKernels(LensWaves):
         return self.functions.count + self.oblique.count
 
     @cached_property
-    def covariance(self) -> NDArray[np.float64]:
+    def covariance(self) -> Doubles:
         """Covariance of the values of an image's rays, for light with random edges from all directions."""
         functions = self.functions
         oblique = self.oblique
@@ -134,7 +134,7 @@ class ArrayKernels(LensWaves):
         )
         return np.asarray(np.einsum("sin,nm,sjm->ij", both, light, both, optimize=True) / len(expected))
 
-    def _cosines(self) -> NDArray[np.float64]:
+    def _cosines(self) -> Doubles:
         """Return the direction cosines (n, 2) on the array, in the array's frame, of light from the pupil."""
         camera = self.camera
         field = np.linspace(-0.5, 0.5, USUAL.oblique_fields) if camera.lens_data.converges else np.zeros(1)
@@ -149,12 +149,8 @@ class ArrayKernels(LensWaves):
         return np.column_stack([u, v]) / np.sqrt(1 + u * u + v * v)[:, None]
 
     def _images(
-        self,
-        polynomials: LensFunctions,
-        kind: Kind,
-        coefficients: NDArray[np.float64],
-        cosines: tuple[float, float] = (0.0, 0.0),
-    ) -> NDArray[np.float64]:
+        self, polynomials: LensFunctions, kind: Kind, coefficients: Doubles, cosines: tuple[float, float] = (0.0, 0.0)
+    ) -> Doubles:
         """Return the spectra (n, values) of kernels, as pixels record them, for combinations of polynomials."""
         scale = in_millimetres(self.wavelength) * kind.distance
         fine = self.lattice.pitches[0] / USUAL.pitch_lags
@@ -166,7 +162,7 @@ class ArrayKernels(LensWaves):
         spectra = transfer * (weights[:, None] * weights)
         return np.concatenate([spectra.real, spectra.imag], axis=1).reshape(len(spectra), -1)
 
-    def aperture_grid(self, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    def aperture_grid(self, samples: int) -> tuple[Doubles, Doubles, NDArray[np.bool_]]:
         """Return coordinates of a grid around a lens, in the frame of the lattice, and a mask of its aperture."""
         reach = float(self.lattice.cell_reach)
         count = 2 * math.ceil(reach * samples / self.lattice.pitches[0])
@@ -188,7 +184,7 @@ class ArrayKernels(LensWaves):
         """Distance in mm to which captures need kernels."""
         return REACH * max(self.camera.mla_pitches)
 
-    def kernels(self, step: float, reach: float, kind: int = 0) -> NDArray[np.float64]:
+    def kernels(self, step: float, reach: float, kind: int = 0) -> Doubles:
         """Return the kernels (n, k, k) of one kind of lenses on a grid of width `step`, times the area of a grid cell.
 
         First come the functions' kernels, which reach at least to `reach`, then the oblique ones. Light beyond is
@@ -226,7 +222,7 @@ class ArrayKernels(LensWaves):
         return math.ceil(USUAL.cycle_samples * step * float(self.lattice.aperture_width) / scale)
 
     @cached_property
-    def _kept(self) -> dict[tuple[float, float, int], NDArray[np.float64]]:
+    def _kept(self) -> dict[tuple[float, float, int], Doubles]:
         return {}
 
     def kernel_samples(self, step: float, reach: float, kind: int = 0) -> tuple[int, int, int]:
@@ -239,7 +235,7 @@ class ArrayKernels(LensWaves):
         return stride, farthest, math.ceil((scale / (fine * stride * step) + USUAL.border) / 2)
 
     @single_threaded_blas()
-    def sampled_kernels(self, step: float, samples: tuple[int, int, int], kind: int = 0) -> NDArray[np.float64]:
+    def sampled_kernels(self, step: float, samples: tuple[int, int, int], kind: int = 0) -> Doubles:
         """Return `kernels` with a given sampling, even where another sampling would suit better."""
         stride, farthest, count = samples
         functions = self.functions
@@ -270,9 +266,7 @@ class ArrayKernels(LensWaves):
         aside = (kernels.shape[1] - small.shape[1]) // 2
         return np.concatenate([kernels, np.pad(small, [(0, 0), (aside, aside), (aside, aside)])])
 
-    def _placed(
-        self, transfer: NDArray[np.complex64], stride: int, step: float, count: int, kind: int
-    ) -> NDArray[np.float64]:
+    def _placed(self, transfer: NDArray[np.complex64], stride: int, step: float, count: int, kind: int) -> Doubles:
         """Return kernels of `count` samples on either side, from transfer functions `stride` steps apart."""
         scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
         apart = self.lattice.pitches[0] / USUAL.pitch_lags * stride
@@ -286,7 +280,7 @@ class ArrayKernels(LensWaves):
         waves = window[:, None] * np.exp(-2j * np.pi * np.outer(position, lags) / scale) * (apart * step / scale)
         return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
 
-    def spots(self, along: NDArray[np.float64]) -> NDArray[np.float64]:
+    def spots(self, along: Doubles) -> Doubles:
         """Return the diffraction patterns (types, n, n) of single lenses, at detector positions along both axes."""
         u, v, inside = self.aperture_grid(USUAL.pitch_lags)
         wavelength = in_millimetres(self.wavelength)
@@ -302,7 +296,7 @@ class ArrayKernels(LensWaves):
             patterns.append(np.abs(field) ** 2 * (u[0, 1] - u[0, 0]) ** 2 / (inside.sum() * scale**2))
         return np.stack(patterns)
 
-    def _cell_kernels(self, step: float, reach: float, kind: Kind) -> NDArray[np.float64]:
+    def _cell_kernels(self, step: float, reach: float, kind: Kind) -> Doubles:
         """Return kernels between cells of uniform light, for cells that may be larger than the diffraction kernels.
 
         Neighbours and phases are left out: see `of_middles`.
@@ -337,7 +331,7 @@ class ArrayKernels(LensWaves):
         stride: int,
         kind: Kind,
         polynomials: LensFunctions,
-        coefficients: NDArray[np.float64],
+        coefficients: Doubles,
         cosines: tuple[float, float] = (0.0, 0.0),
     ) -> NDArray[np.complex64]:
         """Return the integrals over a cell of combinations of polynomials, times T T*, at lags along y and x.
@@ -391,7 +385,7 @@ class ArrayKernels(LensWaves):
         after = after[first:]
         before = before[first:]
 
-        def integrate(lags: NDArray[np.int64]) -> None:
+        def integrate(lags: Integers) -> None:
             product = np.empty((count - first, bottom - top, width), np.complex64)
             for lag in lags.tolist():
                 b = lag * stride
@@ -413,7 +407,7 @@ class ArrayKernels(LensWaves):
         return np.asarray(result / np.float32(measure.sum()))
 
     @staticmethod
-    def _symmetry(T: NDArray[Any], weight: NDArray[np.float32], axis: int) -> NDArray[np.float32] | None:
+    def _symmetry(T: NDArray[Any], weight: Floats, axis: int) -> Floats | None:
         """Return 1 for weights that are even, and -1 for odd ones, along an axis along which T is even; otherwise None.
 
         Shapes: the result (n, 1, 1), `weight` (rows, columns, n).
@@ -425,7 +419,7 @@ class ArrayKernels(LensWaves):
         return signs[:, None, None] if even else None
 
 
-def displaced(kernels: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+def displaced(kernels: Doubles) -> list[Doubles]:
     """Return the changes of kernels per cell of displacement, along x, then along y."""
     from scipy.ndimage import convolve1d
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..runtime import Box, Part, active_backend, add, backend_of, fft, on_all_cores
+from ..runtime import Box, Floats, Part, active_backend, add, backend_of, fft, on_all_cores
 
 TILE = 1536
 """Approximate width of the convolution of a tile in samples. Narrower ones repeat more of the kernels' borders."""
@@ -30,7 +30,7 @@ class Convolution:
         # The camera, whose recorded pixels are the result.
         camera: PlenopticCamera,
         # The kernels, arrays (k, k) of any odd sizes k.
-        kernels: Sequence[NDArray[np.float32]],
+        kernels: Sequence[Floats],
         # Largest rows and columns of samples that are convolved together; by default those of `box`.
         size: tuple[int, int] | None = None,
     ) -> None:
@@ -64,9 +64,7 @@ class Convolution:
         high = (grown.left + grown.columns - window.left, grown.top + grown.rows - window.top)
         return Box.between(low, np.minimum(high, (window.columns, window.rows)))
 
-    def forward(
-        self, images: NDArray[np.float32], box: Box | None = None, pixels: Box | None = None
-    ) -> NDArray[np.float32]:
+    def forward(self, images: Floats, box: Box | None = None, pixels: Box | None = None) -> Floats:
         """Return the sum (rows, columns) of all images (ranks, rows, columns), each convolved with its kernel."""
         box = box or self.box
         m = self._margin
@@ -97,7 +95,7 @@ class Convolution:
                 add(tile, recorded, result)
         return result[0]
 
-    def adjoint(self, pixels: NDArray[np.float32], box: Box | None = None) -> list[NDArray[np.float32]]:
+    def adjoint(self, pixels: Floats, box: Box | None = None) -> list[Floats]:
         """Return one image per kernel by the adjoint of `forward`, from `pixels` (rows, columns)."""
         box = box or self.box
         m = self._margin
@@ -115,7 +113,7 @@ class Convolution:
             surroundings = samples[0, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m]
             return arrays.asarray(transforms.rfft2(surroundings, self._size))
 
-        def correlated(spectrum: NDArray[np.complex64]) -> NDArray[np.float32]:
+        def correlated(spectrum: NDArray[np.complex64]) -> Floats:
             image = arrays.empty((box.rows, box.columns), np.float32)
             for transform, (rows, columns) in zip(parts, tiles, strict=True):
                 square = transforms.irfft2(transform * spectrum.conj(), self._size, overwrite_x=True)
@@ -140,7 +138,7 @@ def box_of(camera: PlenopticCamera, margin: int) -> Box:
     return _grown(Box(left, top, camera.shape[1], camera.shape[0]), margin)
 
 
-def margin_of(kernels: Sequence[NDArray[np.float32]]) -> int:
+def margin_of(kernels: Sequence[Floats]) -> int:
     """Return the distance in samples from which light can still reach the recorded pixels."""
     # Kernels of different lens types have different widths.
     return max(len(kernel) for kernel in kernels) // 2
@@ -157,7 +155,7 @@ class Block:
 
     bins: Box
     # For each convolution the images of the rays' coefficients, an array (ranks, rows, columns).
-    images: list[NDArray[np.float32]]
+    images: list[Floats]
     convolutions: list[Convolution]
     # The channel to which each convolution is added; together they cover all channels from 0 on.
     channels: Sequence[int]

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, shortest_parts, with_parts
-from ..runtime import on_all_cores
+from ..runtime import Doubles, on_all_cores
 from .phase_space import PhaseSpace, Table
 
 OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distance", "detector_width")
@@ -85,7 +85,7 @@ class ExpandedPlan(PhaseSpace):
         on_all_cores(fill, list(rows))
         return arrays
 
-    def kernels(self, step: float, reach: float, kind: int = 0) -> NDArray[np.float64]:
+    def kernels(self, step: float, reach: float, kind: int = 0) -> Doubles:
         """Return the kernels of one kind of lenses, with the sampling of those about which they are expanded."""
         total = self.start.kernels(self._start_step(step), self.start.reach, kind).copy()
         for name in OF_KERNELS:
@@ -95,7 +95,7 @@ class ExpandedPlan(PhaseSpace):
                     total += change * slope + change**2 / 2 * curvature
         return total
 
-    def kernel_slopes(self, name: str, step: float, kind: int) -> list[NDArray[np.float64]]:
+    def kernel_slopes(self, name: str, step: float, kind: int) -> list[Doubles]:
         """Return the derivatives of kernels by each component of a parameter on which they depend."""
         values = shortest_parts(self.start.camera, name)
         slopes = []
@@ -135,7 +135,7 @@ def _width_slopes(plan: PhaseSpace) -> list[Array]:
     return [(a - b) / np.float32(2 * _TABLE_STEP) for a, b in zip(*sides, strict=True)]
 
 
-def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[NDArray[np.float64]]:
+def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[Doubles]:
     """Return the derivatives of kernels with respect to each component of a parameter on which they depend."""
     if not isinstance(plan, ExpandedPlan):
         plan = ExpandedPlan.about(plan, plan.camera)
@@ -143,9 +143,7 @@ def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[N
 
 
 @functools.lru_cache(maxsize=32)
-def _kernel_changes(
-    plan: PhaseSpace, name: str, component: int, step: float, kind: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _kernel_changes(plan: PhaseSpace, name: str, component: int, step: float, kind: int) -> tuple[Doubles, Doubles]:
     """Return the first and second derivatives of kernels by the relative change of a parameter's component."""
     samples = plan.kernel_samples(step, plan.reach, kind)
     sides = []

@@ -28,7 +28,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..runtime import drjit_array, monomials, on_all_cores, single_threaded_blas
+from ..runtime import Doubles, drjit_array, monomials, on_all_cores, single_threaded_blas
 from .accuracy import USUAL
 from .lens_functions import edge_covariance, even_polynomials
 from .pupil_samples import PupilSamples, along, means, spread_points
@@ -50,7 +50,7 @@ class PupilFunctions:
     # Powers of x and y of the monomials of each share.
     exponents: list[tuple[int, int]]
     # Coefficients (monomials of all shares, functions).
-    combined: NDArray[np.float64]
+    combined: Doubles
 
     scale = 1.0
 
@@ -59,9 +59,7 @@ class PupilFunctions:
         """Number of functions."""
         return self.combined.shape[1]
 
-    def values(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], shares: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def values(self, x: Doubles, y: Doubles, shares: Doubles) -> Doubles:
         """Return the values (points, functions) at points, whose shares are an array (shares, points)."""
         terms = np.stack(monomials(x, y, self.exponents), -1)
         return np.asarray(np.concatenate([share[:, None] * terms for share in shares], 1) @ self.combined)
@@ -77,7 +75,7 @@ class FittedPupil:
     # -- rays ----------------------------------------------------------------------------------------
 
     @cached_property
-    def densities(self) -> list[NDArray[np.float64]]:
+    def densities(self) -> list[Doubles]:
         """Densities (n, n) of open and, if rays have to pass some, of closed parts; their integrals are 1."""
         power, amplitude = (means(values, _SAMPLES) for values in (self.samples.power, abs(self.samples.transmission)))
         size = (2 * _SAMPLES,) * 2
@@ -93,7 +91,7 @@ class FittedPupil:
         return [density / (density.sum() * _AREA) for density in ([power, closed] if some else [power])]
 
     @cached_property
-    def closed(self) -> NDArray[np.float64] | None:
+    def closed(self) -> Doubles | None:
         """Density (n, n) of rays through closed parts, or None without such rays.
 
         As large a part of them is beyond the circle as of the rays through open cells, some of which the circle cuts.
@@ -133,7 +131,7 @@ class FittedPupil:
         return boxed[0], boxed[1]
 
     @cached_property
-    def _drawn(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _drawn(self) -> tuple[Doubles, Doubles]:
         """Density (n, n) of all rays, and the shares (shares, n, n) that the parts have: their density over it."""
         parts = np.stack(self.densities)
         combined = parts[0] if self.closed is None else (1 - CLOSED) * parts[0] + CLOSED * parts[1]
@@ -153,7 +151,7 @@ class FittedPupil:
         return PupilFunctions(sets[0].exponents, combined)
 
     @cached_property
-    def covariance(self) -> NDArray[np.float64]:
+    def covariance(self) -> Doubles:
         """Covariance of the functions' integrals over light with random edges."""
         combined, shares = self._drawn
         x, y = (coordinate[:: USUAL.fitted_every] for coordinate in spread_points(combined))
@@ -163,7 +161,7 @@ class FittedPupil:
 
     # -- kernels -------------------------------------------------------------------------------------
 
-    def kernels(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    def kernels(self, places: Doubles) -> Doubles:
         """Return the kernels (functions, n, n) after the first, at places in lambda b / R along both axes."""
         y, x = _frequencies()
         along_y, along_x = (np.exp(-2j * np.pi * np.outer(places, frequency)) for frequency in (y, x))
@@ -249,7 +247,7 @@ def _lights(steepest: float) -> list[_Light]:
     ]
 
 
-def _frequencies() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _frequencies() -> tuple[Doubles, Doubles]:
     """Return the frequencies of images along y, of half of the plane, and along x, in R / lambda b and below 2."""
     most = 2 * USUAL.unit_frequencies - 1
     return np.arange(most + 1) / USUAL.unit_frequencies, np.arange(-most, most + 1) / USUAL.unit_frequencies

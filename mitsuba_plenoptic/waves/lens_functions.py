@@ -23,7 +23,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime import exponents, monomials, on_all_cores
+from ..runtime import Doubles, exponents, monomials, on_all_cores
 from .accuracy import USUAL
 
 _ROWS = 128
@@ -32,7 +32,7 @@ _ROWS = 128
 
 def of_middles(
     exponents: list[tuple[int, int]], fields: dict[tuple[int, int], NDArray[np.complex128]]
-) -> list[NDArray[np.float64]]:
+) -> list[Doubles]:
     r"""Return the diffraction of powers of the middle of two points, from that of fields times powers of one point.
 
     Integrals are sums of products, as :math:`m^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}` for middles m.
@@ -56,15 +56,15 @@ class LensFunctions:
     # Powers of u and v of the monomial that each polynomial adds to the previous ones.
     exponents: list[tuple[int, int]]
     # Coefficients (monomials, polynomials).
-    triangle: NDArray[np.float64]
+    triangle: Doubles
     # Coefficients (polynomials, functions) of the functions and of their duals.
-    functions: NDArray[np.float64]
-    duals: NDArray[np.float64]
+    functions: Doubles
+    duals: Doubles
     # Whether each function is odd in u, and in v.
     odd: list[tuple[bool, bool]]
 
     @classmethod
-    def polynomials(cls, u: NDArray[np.float64], v: NDArray[np.float64], degree: int, scale: float) -> LensFunctions:
+    def polynomials(cls, u: Doubles, v: Doubles, degree: int, scale: float) -> LensFunctions:
         """Return polynomials that are orthonormal over an aperture of points u and v, by Gram-Schmidt."""
         powers = exponents(degree)
         terms = np.stack(monomials(u / scale, v / scale, powers), -1)
@@ -72,7 +72,7 @@ class LensFunctions:
         unit = np.eye(len(powers))
         return cls(scale, powers, triangle, unit, unit, [(i % 2 == 1, j % 2 == 1) for i, j in powers])
 
-    def values(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def values(self, u: Doubles, v: Doubles) -> Doubles:
         """Return the values of the polynomials at positions."""
         terms = monomials(u / self.scale, v / self.scale, self.exponents)
         return np.asarray(np.stack(terms, -1) @ self.triangle)
@@ -83,13 +83,11 @@ class LensFunctions:
         return self.functions.shape[1]
 
     @cached_property
-    def combined(self) -> NDArray[np.float64]:
+    def combined(self) -> Doubles:
         """Coefficients (monomials, functions) of the functions."""
         return np.asarray(self.triangle @ self.functions)
 
-    def best(
-        self, count: int, tolerance: float, points: tuple[NDArray[np.float64], ...], images: NDArray[np.float64]
-    ) -> LensFunctions:
+    def best(self, count: int, tolerance: float, points: tuple[Doubles, ...], images: Doubles) -> LensFunctions:
         """Return the fewest combinations of polynomials that leave a part `tolerance` of the images of random light.
 
         At most `count` combinations are returned.
@@ -127,21 +125,19 @@ class LensFunctions:
         parities = [(False, False), *(parity for _, parity, _ in candidates[:most])]
         return LensFunctions(self.scale, self.exponents, self.triangle, functions, duals, parities)
 
-    def light(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def light(self, u: Doubles, v: Doubles) -> Doubles:
         """Return the covariance of the functions' coefficients for light that has, on average, one edge on a lens.
 
         The light is 0 on one side of the edge and 1 on the other; parameters are as for `best`.
         """
         return np.asarray(self.duals.T @ _covariance(self._expected(u, v)) @ self.duals)
 
-    def _expected(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _expected(self, u: Doubles, v: Doubles) -> Doubles:
         """Return the covariance of the polynomials' coefficients for light with random edges, less the mean."""
         return _differing(self.values(u, v), u, v, self.scale)
 
 
-def even_polynomials(
-    parts: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]], degree: int
-) -> list[LensFunctions]:
+def even_polynomials(parts: Sequence[tuple[Doubles, Doubles]], degree: int) -> list[LensFunctions]:
     """Return polynomials that are orthonormal over each of some sets of points, all of the largest degree possible.
 
     The degree is at most `degree`, and less where points lie so that single precision does not suffice for it.
@@ -154,9 +150,7 @@ def even_polynomials(
     return [LensFunctions.polynomials(u, v, 0, 1.0) for u, v in parts]
 
 
-def edge_covariance(
-    values: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64], scale: float
-) -> NDArray[np.float64]:
+def edge_covariance(values: Doubles, u: Doubles, v: Doubles, scale: float) -> Doubles:
     """Return the covariance of the integrals of functions over light with random edges; see `LensFunctions.light`.
 
     `values` (points, functions) are those at points u and v, which have the density of the integrals.
@@ -164,13 +158,11 @@ def edge_covariance(
     return _covariance(_differing(values, u, v, scale))
 
 
-def _differing(
-    values: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64], scale: float
-) -> NDArray[np.float64]:
+def _differing(values: Doubles, u: Doubles, v: Doubles, scale: float) -> Doubles:
     """Return the covariance of functions' integrals over light with random edges, less the mean."""
     values = values - values.mean(0)
 
-    def of_some(rows: slice) -> NDArray[np.float64]:
+    def of_some(rows: slice) -> Doubles:
         apart = np.sqrt(np.square(u[rows, None] - u) + np.square(v[rows, None] - v))
         return np.asarray(values[rows].T @ (apart @ values))
 
@@ -178,7 +170,7 @@ def _differing(
     return np.asarray(-sum(parts) / (scale * len(u) ** 2))
 
 
-def _covariance(expected: NDArray[np.float64]) -> NDArray[np.float64]:
+def _covariance(expected: Doubles) -> Doubles:
     """Return the covariance of the polynomials' coefficients for light that has, on average, one edge on a lens."""
     # An edge is between two points with a probability in proportion to their distance.
     full = expected / (2 * np.pi)

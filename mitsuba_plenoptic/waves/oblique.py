@@ -27,9 +27,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..runtime import backend_of, exponents, monomials
+from ..runtime import Doubles, Floats, backend_of, exponents, monomials
 from .accuracy import USUAL
 
 
@@ -39,7 +38,7 @@ def terms(u: Any, v: Any, degree: int) -> list[Any]:
 
 
 @functools.cache
-def directions(degree: int) -> NDArray[np.float64]:
+def directions(degree: int) -> Doubles:
     """Return direction cosines, over the largest ones, whose kernels give their changes; the first are zeros."""
     if degree == 2:
         return np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0.5**0.5, 0.5**0.5)])
@@ -58,11 +57,11 @@ class Oblique:
     # Largest direction cosine.
     largest: float
     # Factors of the functions' images in that of each combination, for each term: (combinations, n, terms).
-    factors: NDArray[np.float64]
+    factors: Doubles
     # Factors of the changes of the functions' kernels in the kernel of each combination: (combinations, n, terms).
-    kernels: NDArray[np.float64]
+    kernels: Doubles
     # Matrix from 1 and the terms, made orthonormal in light from all directions, to 1 and the terms.
-    basis: NDArray[np.float64]
+    basis: Doubles
 
     @classmethod
     def nothing(cls, functions: int) -> Oblique:
@@ -75,9 +74,9 @@ class Oblique:
     def best(
         cls,
         largest: float,
-        cosines: NDArray[np.float64],
-        images: NDArray[np.float64],
-        light: NDArray[np.float64],
+        cosines: Doubles,
+        images: Doubles,
+        light: Doubles,
         odd: Sequence[tuple[bool, bool]],
         tolerance: float,
         most: int,
@@ -135,7 +134,7 @@ class Oblique:
         # There are degree (degree + 3) / 2 of them.
         return math.isqrt(2 * self.factors.shape[2]) - 1
 
-    def terms(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
+    def terms(self, cosines: Floats) -> Floats:
         """Return the orthonormal terms (terms, pixels), after the first, of direction cosines (2, pixels).
 
         The array is empty without combinations.
@@ -151,7 +150,7 @@ class Oblique:
         inverse = np.linalg.inv(self.basis)[1:].astype(np.float32)
         return arrays.asarray(inverse) @ arrays.stack(values)
 
-    def slopes(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
+    def slopes(self, cosines: Floats) -> Floats:
         """Return the derivatives (2, terms, ...) of `terms` with respect to each cosine."""
         scale = np.float32(1 / self.largest)
         u, v = cosines * scale
@@ -171,18 +170,18 @@ class Oblique:
         return arrays.stack(slopes)
 
 
-def changes(degree: int) -> NDArray[np.float64]:
+def changes(degree: int) -> Doubles:
     """Return the matrix (terms, directions) that turns kernels for `directions` into their changes with the terms."""
     some = np.linalg.pinv(_values(directions(degree), degree)[1:, 1:])
     return np.column_stack([-some.sum(1), some])
 
 
-def moved(step: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
+def moved(step: Doubles, degree: int) -> Doubles:
     """Return the matrix from (1, terms) of direction cosines to (1, terms) of cosines a step (2,) further."""
     cosines = directions(degree)
     return np.asarray(np.linalg.lstsq(_values(cosines, degree), _values(cosines + step, degree), rcond=None)[0].T)
 
 
-def _values(cosines: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
+def _values(cosines: Doubles, degree: int) -> Doubles:
     """Return 1 and the terms, (n, 1 + terms), of direction cosines (n, 2)."""
     return np.column_stack([np.ones(len(cosines)), *terms(cosines[:, 0], cosines[:, 1], degree)])

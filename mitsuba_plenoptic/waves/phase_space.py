@@ -36,7 +36,7 @@ from ..camera import PlenopticCamera, Round
 from ..errors import InputError, short_repr
 from ..fields import OpticalSystem
 from ..optics import in_millimetres
-from ..runtime import drjit_array, empty_packets, monomials, on_all_cores, single_threaded_blas
+from ..runtime import Floats, drjit_array, empty_packets, monomials, on_all_cores, single_threaded_blas
 from .accuracy import FINER, USUAL
 from .array_kernels import ArrayKernels
 
@@ -266,14 +266,8 @@ class PhaseSpace(ArrayKernels):
         return arrays
 
     def _overlap(
-        self,
-        radial: int,
-        angle: float,
-        angle_step: float,
-        lag_u: NDArray[np.float32],
-        lag_v: NDArray[np.float32],
-        radius: float,
-    ) -> NDArray[np.float32]:
+        self, radial: int, angle: float, angle_step: float, lag_u: Floats, lag_v: Floats, radius: float
+    ) -> Floats:
         """Return O_P over the power at P, averaged over the part of the pupil for which interpolation uses a node."""
         aperture = self.camera.aperture
         even = self.camera.aperture == Round()

@@ -17,9 +17,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from ..runtime import backend_of, on_cuda, single_threaded_blas
+from ..runtime import Doubles, Floats, backend_of, on_cuda, single_threaded_blas
 from .accuracy import USUAL
 from .oblique import Oblique, moved
 
@@ -35,16 +34,16 @@ class PixelKernels:
     def __init__(
         self,
         # Kernels (values, k, k) of cells: those of the functions over a lens, and oblique ones.
-        kernels: NDArray[np.float64],
+        kernels: Doubles,
         oblique: Oblique,
         # Count of cells across a pixel.
         parts: int,
         # Changes (places, 2) of the direction cosines, over the largest, from a pixel's centre to those of its cells.
-        steps: NDArray[np.float64],
+        steps: Doubles,
         # Order of the B-splines over cells by which rays are collected in addition to pixels; 0 for none.
         order: int,
         # Covariance of the values in random light, and the part of images of such light that may be missing.
-        covariance: NDArray[np.float64],
+        covariance: Doubles,
         tolerance: float,
         # Whether light that patterns lack is added to the first. Derivatives of kernels have hardly any light in sum.
         keeps_light: bool,
@@ -87,7 +86,7 @@ class PixelKernels:
         self._factors = np.moveaxis(both, 1, 2).reshape(len(both), -1).astype(np.float32)
         self._of_sums = of_sums.T.astype(np.float32)
 
-    def combined(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
+    def combined(self, values: Floats, terms: Floats) -> Floats:
         """Return the images (n, pixels) made from coefficients (pixels, places, functions) of light of some directions.
 
         `terms` (terms, pixels) are the terms of the direction in which light meets the lenses.
@@ -102,20 +101,20 @@ class PixelKernels:
             images += asarray(self._of_sums) @ sums
         return images
 
-    def turned(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
+    def turned(self, values: Floats, terms: Floats) -> Floats:
         """Return the part of the images that is proportional to the terms of direction; see `combined`."""
         asarray = backend_of(values).arrays.asarray
         sums = asarray(self._factors[len(self.kernels) :]) @ values.reshape(len(values), -1).T
         return asarray(asarray(self._of_sums) @ (terms[asarray(self._term)] * sums))
 
     @single_threaded_blas()
-    def adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
+    def adjoint(self, images: Floats, terms: Floats) -> Floats:
         """Return the adjoint of `combined`, applied to images: coefficients (pixels, places, functions)."""
         both = np.concatenate([images, terms[self._term] * (self._of_sums.T @ images)])
         return (both.T @ self._factors).reshape(-1, *self._shape)
 
     @single_threaded_blas()
-    def turned_adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
+    def turned_adjoint(self, images: Floats, terms: Floats) -> Floats:
         """Return the adjoint of `turned`, applied to images: coefficients (pixels, places, functions)."""
         sums = terms[self._term] * (self._of_sums.T @ images)
         return (sums.T @ self._factors[len(self.kernels) :]).reshape(-1, *self._shape)
@@ -130,13 +129,13 @@ class PixelKernels:
         ]
 
 
-def _root(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def _root(covariance: Doubles) -> Doubles:
     """Return a matrix whose product with its transpose is a covariance."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0)))
 
 
-def _patterns(kernels: NDArray[np.float64], covariance: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
+def _patterns(kernels: Doubles, covariance: Doubles, tolerance: float) -> Doubles:
     """Return the fewest orthonormal patterns (n, pixels) that leave a part `tolerance` of images in random light.
 
     `kernels` have the shape (values, places, k, k), and `covariance` is the covariance of the values.
@@ -158,7 +157,7 @@ def _patterns(kernels: NDArray[np.float64], covariance: NDArray[np.float64], tol
     return np.concatenate([first, others[::-1]])
 
 
-def _sharpened(kernels: NDArray[np.float64], order: int) -> NDArray[np.float64]:
+def _sharpened(kernels: Doubles, order: int) -> Doubles:
     r"""Return kernels with spectra over :math:`\mathrm{sinc}^{order}`, the smoothing by a B-spline of this order."""
     if order == 0:
         return kernels
@@ -171,7 +170,7 @@ def _sharpened(kernels: NDArray[np.float64], order: int) -> NDArray[np.float64]:
     return np.asarray(scipy.fft.irfft2(scipy.fft.rfft2(wide) * (sharp[0][:, None] * sharp[1]), size))
 
 
-def _by_places(kernels: NDArray[np.float64], parts: int) -> NDArray[np.float64]:
+def _by_places(kernels: Doubles, parts: int) -> Doubles:
     """Return cells' kernels summed over pixels, (values, places, k, k), for each place of a cell in its pixel."""
     count = kernels.shape[1] // 2
     reach = -(-count // parts)

@@ -40,7 +40,7 @@ from ..errors import WAVEFRONT_UNIT, refuse_if
 from ..fields import OpticalSystem
 from ..lenses import Pair
 from ..optics import in_millimetres
-from ..runtime import single_threaded_blas
+from ..runtime import Doubles, single_threaded_blas
 from .accuracy import FINER, USUAL
 from .fitted_pupil import FittedPupil, PupilFunctions
 from .lens_functions import LensFunctions, even_polynomials, of_middles
@@ -83,7 +83,7 @@ class PupilDiffraction:
         return OpticalSystem(self.camera.replace(wavefront=tuple(by_rays.tolist())), self.wavelength)
 
     @cached_property
-    def _in_kernels(self) -> NDArray[np.float64]:
+    def _in_kernels(self) -> Doubles:
         """Coefficients of the aberrations that the kernels contain."""
         coefficients = np.array(self.camera.wavefront, float)
         index = np.arange(1, len(coefficients) + 1)
@@ -176,7 +176,7 @@ class PupilDiffraction:
         return Oblique.nothing(self.functions.count)
 
     @cached_property
-    def covariance(self) -> NDArray[np.float64]:
+    def covariance(self) -> Doubles:
         """Covariance of the values of an image's rays, for light with random edges over the pupil."""
         if self.fitted:
             return self.fitted.covariance
@@ -192,13 +192,13 @@ class PupilDiffraction:
         x, y = (coordinate / self.camera.pupil_radius for coordinate in pupil)
         return [x, y] if self.fitted is None else self.fitted.arguments(x, y)
 
-    def spots(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    def spots(self, places: Doubles) -> Doubles:
         """Return the point spread function in focus (1, n, n), at detector positions in mm along both axes."""
         field = self._fields(places / self.unit)[0, 0]
         return (np.abs(field) ** 2)[None] / np.abs(field).max() ** 2
 
     @cached_property
-    def spread(self) -> tuple[NDArray[np.float64], float]:
+    def spread(self) -> tuple[Doubles, float]:
         """The point spread function in focus on a grid, and the width of a cell of the grid in mm."""
         step = USUAL.airy_cell / 2
         return np.maximum(self._sampled(step, math.ceil(USUAL.airy_reach / step))[0], 0), step * self.unit
@@ -208,7 +208,7 @@ class PupilDiffraction:
         """Distance in mm to which captures need kernels."""
         return USUAL.airy_reach * self.unit
 
-    def kernels(self, step: float, reach: float, kind: int = 0) -> NDArray[np.float64]:
+    def kernels(self, step: float, reach: float, kind: int = 0) -> Doubles:
         """Return the kernels (n, k, k) on a grid of width `step` in mm, times the area of a grid cell."""
         if self._is_wide:
             return np.ones((1, 1, 1))
@@ -216,7 +216,7 @@ class PupilDiffraction:
             return self._sampled(step / self.unit, math.ceil(reach / step))
         return self._of_displaced(step)
 
-    def _of_displaced(self, step: float) -> NDArray[np.float64]:
+    def _of_displaced(self, step: float) -> Doubles:
         """Return kernels between coarse pixels for rays that are displaced by the spread of the shortest wavelength."""
         parts = 2 * math.ceil(step / (2 * USUAL.airy_cell * self.unit)) + 1
         count = 2 * math.ceil(USUAL.coarse_reach * self.unit / step) + 1
@@ -236,7 +236,7 @@ class PupilDiffraction:
         return np.asarray(scipy.fft.fftshift(scipy.fft.ifft2(ratio).real, (1, 2)))
 
     @single_threaded_blas()
-    def _fields(self, places: NDArray[np.float64]) -> dict[tuple[int, int], NDArray[np.complex128]]:
+    def _fields(self, places: Doubles) -> dict[tuple[int, int], NDArray[np.complex128]]:
         """Return transforms of transmission times powers, at detector places in `unit` along both axes."""
         x = along(USUAL.pupil_samples)
         transmission = self._pupil.transmission
@@ -244,13 +244,13 @@ class PupilDiffraction:
         return {(a, b): waves @ (transmission * x**a * x[:, None] ** b) @ waves.T for a, b in self._moments[0]}
 
     @property
-    def _moments(self) -> tuple[list[tuple[int, int]], NDArray[np.float64]]:
+    def _moments(self) -> tuple[list[tuple[int, int]], Doubles]:
         """Powers whose integrals with the pupil's light give kernels, and their coefficients (powers, kernels)."""
         if self.fitted:
             return [(0, 0)], np.ones((1, 1))
         return self._polynomials.exponents, self._polynomials.combined
 
-    def _sampled(self, step: float, count: int) -> NDArray[np.float64]:
+    def _sampled(self, step: float, count: int) -> Doubles:
         """Return the kernels (n, k, k) at `count` samples on either side, `step` units apart, times their area."""
         places = step * np.arange(-count, count + 1.0)
         exponents, combined = self._moments

@@ -14,11 +14,11 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..lenses import Pair
 from ..rays import CHIEF, Ray, Walk, chances_of, low_discrepancy
+from ..runtime import Doubles
 from .fitted_pupil import CLOSED
 from .pupil_diffraction import PupilDiffraction
 from .ray_sampler import ORDER, CellLenses, DetectorGrid, Pixels, RaySamples, tent
@@ -55,7 +55,7 @@ class PupilSampler(DetectorGrid):
         nothing = dr.zeros(mi.Float, dr.width(pixels.index))
         return nothing, nothing
 
-    def cosine_steps(self, kind: int) -> NDArray[np.float64]:
+    def cosine_steps(self, kind: int) -> Doubles:
         """Return the changes (places, 2) of `cosines` from a pixel's centre to its cells."""
         return np.zeros((self._parts**2, 2))
 

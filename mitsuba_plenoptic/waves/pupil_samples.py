@@ -14,6 +14,7 @@ from ..camera import Opening
 from ..errors import WAVEFRONT_UNIT
 from ..lenses import Wavefront
 from ..optics import in_millimetres
+from ..runtime import Doubles
 from .accuracy import USUAL
 
 
@@ -34,7 +35,7 @@ class PupilSamples:
         return amplitude * np.exp(2j * np.pi / in_millimetres(WAVEFRONT_UNIT) * path)
 
     @cached_property
-    def power(self) -> NDArray[np.float64]:
+    def power(self) -> Doubles:
         """Mean power that passes the samples."""
         return means(self._fine, USUAL.pupil_samples)
 
@@ -44,13 +45,13 @@ class PupilSamples:
         return float(self.power.mean()) * 4
 
     @property
-    def _fine(self) -> NDArray[np.float64]:
+    def _fine(self) -> Doubles:
         """Power that passes at points of a grid that divides the samples."""
         x = along(USUAL.pupil_samples * USUAL.sample_points)
         return np.asarray(self.aperture.power(x + 0 * x[:, None], x[:, None] + 0 * x))
 
 
-def along(count: int) -> NDArray[np.float64]:
+def along(count: int) -> Doubles:
     """Return the middles of `count` samples across the pupil, over its radius."""
     return np.linspace(1 / count - 1, 1 - 1 / count, count)
 
@@ -61,7 +62,7 @@ def means(values: NDArray[Any], count: int) -> NDArray[Any]:
     return np.asarray(values.reshape(count, finer, count, finer).mean((1, 3)))
 
 
-def spread_points(density: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def spread_points(density: Doubles) -> tuple[Doubles, Doubles]:
     """Return coordinates over the pupil's radius of points that have a density, given on samples of the square."""
     # As many as there are samples of the largest density, some of them several times.
     upto = np.cumsum(density) / density.max()

@@ -17,14 +17,13 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..fields import LensKinds
 from ..lenses import Pair
 from ..optics import in_millimetres, second_leg
 from ..rays import LensChoice, Ray, Walk, chances_of, low_discrepancy
-from ..runtime import Box, drjit_array, quotient
+from ..runtime import Box, Doubles, Floats, drjit_array, quotient
 from .phase_space import PhaseSpace, TableNodes
 
 _AIRY = 1024
@@ -269,7 +268,7 @@ class LensSampler(DetectorGrid):
         scale = camera.mla_medium * dr.rsqrt(dr.square(self.walk.detector_distance + lenses.height) + u * u + v * v)
         return u * scale, v * scale
 
-    def cosine_steps(self, kind: int) -> NDArray[np.float64]:
+    def cosine_steps(self, kind: int) -> Doubles:
         """Return the changes (places, 2) of `cosines` from a pixel's centre to its cells, near the middle of a lens."""
         camera = self._camera
         along = (np.arange(self._parts) - (self._parts - 1) / 2) * self._step
@@ -380,7 +379,7 @@ class LensPoints:
 
 
 @functools.lru_cache(maxsize=8)
-def _edges(plan: PhaseSpace) -> list[NDArray[np.float32]]:
+def _edges(plan: PhaseSpace) -> list[Floats]:
     """Return the two edges of each strip of all nodes, and of each cell, in widths of the windows, as flat arrays."""
     divisions = [divided(density_of(values)) for nodes in plan.table for values in nodes[..., 0]]
     edges = (np.array(of_axis, np.float32) - np.float32(0.5) for of_axis in zip(*divisions, strict=True))
@@ -388,7 +387,7 @@ def _edges(plan: PhaseSpace) -> list[NDArray[np.float32]]:
     return [np.stack([of_axis[..., :-1], of_axis[..., 1:]], axis=-1).ravel() for of_axis in edges]
 
 
-def density_of(values: NDArray[np.float32]) -> NDArray[np.float64]:
+def density_of(values: Floats) -> Doubles:
     """Return the sampling density for samples of a coefficient, which may be negative."""
     square = values.astype(np.float64) ** 2
     # Between samples a ray takes one of the nearest ones.
@@ -398,7 +397,7 @@ def density_of(values: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.asarray(root + _LEAST * root.mean())
 
 
-def divided(density: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def divided(density: Doubles) -> tuple[Doubles, Doubles]:
     """Return the edges that divide a window into parts over which a piecewise constant density has equal integrals.
 
     The edges are those of the strips, (n + 1,), and of the cells in each strip, (n, n + 1).

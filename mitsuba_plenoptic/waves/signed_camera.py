@@ -24,7 +24,6 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import Captures, PlenopticCamera, Use, Values, require_support, shortest_parts, with_gradient
 from ..errors import InputError, refuse_if
@@ -32,7 +31,7 @@ from ..fields import LensKinds
 from ..lenses import Pair
 from ..optics import rays
 from ..rays import Walk
-from ..runtime import drjit_array
+from ..runtime import Doubles, drjit_array
 from .array_field import Array
 from .array_kernels import displaced
 from .expansion import OF_KERNELS, kernel_slopes, width_slopes
@@ -112,7 +111,7 @@ class CameraSum(SignedRaySum):
         start = parameters_of(self._camera)
         return [(name, i) for name in self._names if name in OF_KERNELS for i in range(len(start[name]))]
 
-    def _further_kernels(self, plan: Plan, kind: int) -> list[NDArray[np.float64]]:
+    def _further_kernels(self, plan: Plan, kind: int) -> list[Doubles]:
         assert isinstance(plan, PhaseSpace)
         kernels = plan.kernels(self._step, plan.reach, kind)
         # One set for each component, so that forward and reverse approximate the same kernels.

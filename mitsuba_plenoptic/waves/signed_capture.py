@@ -15,14 +15,13 @@ from typing import Any, ClassVar, TypeVar
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Values
 from ..detector import PARTS, NonNegative, keep_spread, variance_left, with_spread
 from ..errors import warn
 from ..io import digest
 from ..optics import Spectrum
-from ..runtime import Cost, Job, SumTask
+from ..runtime import Cost, Doubles, Floats, Job, SumTask
 from ..scene import LightDerivatives, ReplayedLight, SceneLight, seconds_by_rays, seconds_by_waves
 from .expansion import ExpandedPlan, nearby
 from .phase_space import FINE, PhaseSpace
@@ -51,7 +50,7 @@ class SignedCapture:
     spectrum: Spectrum
     # Matrix (values, wavelengths) from the values of a ray's light to its spectrum; or, if light has its own spectrum,
     # the sampler of the rays' wavelengths.
-    conversion: NDArray[np.float64] | WavelengthSampler
+    conversion: Doubles | WavelengthSampler
     # Count of wavelengths at which diffraction is computed, see `node_spectra`.
     node_count: int | None
     accuracy: float
@@ -86,7 +85,7 @@ class SignedCapture:
             nodes.append(Node(plan, channels, of_node))
         return nodes
 
-    def node_weights(self, camera: PlenopticCamera) -> list[tuple[float, tuple[int, ...], NDArray[np.float64]]]:
+    def node_weights(self, camera: PlenopticCamera) -> list[tuple[float, tuple[int, ...], Doubles]]:
         """Return each node's wavelength and channels, and the weights of a ray's values in the channels: see `Node`."""
         conversion = self.conversion
         wavelengths = np.array(self.spectrum.wavelengths)
@@ -94,7 +93,7 @@ class SignedCapture:
         if isinstance(conversion, WavelengthSampler):
             wavelengths = conversion.edges
             responses = conversion.responses
-        weights: dict[float, NDArray[np.float64]] = {}
+        weights: dict[float, Doubles] = {}
         for channels, spectrum in node_spectra(camera, self.spectrum, self.accuracy, self.node_count):
             for node, share in zip(spectrum.computed, spectrum.shares(wavelengths), strict=True):
                 weights.setdefault(node, np.zeros(responses.shape))[channels] = responses[channels] * share
@@ -140,7 +139,7 @@ class SignedCapture:
         wavelengths = self.conversion if isinstance(self.conversion, WavelengthSampler) else None
         return partial(kind, self.camera, light, nodes, wavelengths, parts=self._parts, spp=spp, seed=seed)
 
-    def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
+    def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> Floats:
         """Return the light on the pixels (rows, columns, channels), with the deviations of what pixels make of it."""
         runs = max(2, min(PARTS, spp // _SAMPLES)) if noise else 1
         sums = self.sums(spp, seed, runs, SignedRaySum)
@@ -186,7 +185,7 @@ class SignedCapture:
         np.sqrt(image[..., channels:], out=image[..., channels:])
         return image
 
-    def projections(self, image: NDArray[np.float32]) -> dict[int, NonNegative]:
+    def projections(self, image: Floats) -> dict[int, NonNegative]:
         """Return the compensated images of channels that only noise can make negative, by channel."""
         channels = np.flatnonzero(self.spectrum.matrix().min(1) >= 0).tolist()
         return {channel: NonNegative(image[..., channel]) for channel in channels}
@@ -219,7 +218,7 @@ class SignedGradients:
     seed: int
     spp: int
 
-    def forward(self, changes: Values) -> NDArray[np.float32]:
+    def forward(self, changes: Values) -> Floats:
         """Return the change of the capture, an array (rows, columns, channels)."""
         with dr.suspend_grad():
             change = np.zeros((*self.capture.camera.shape, self.capture.spectrum.channels), np.float32)
@@ -231,7 +230,7 @@ class SignedGradients:
                 change[..., channel] = projection.forward(change[..., channel])
         return change
 
-    def backward(self, gradient: NDArray[np.float32], names: Sequence[str]) -> Values:
+    def backward(self, gradient: Floats, names: Sequence[str]) -> Values:
         """Return the gradients of the camera's parameters; gradients of scene parameters accumulate in Dr.Jit.
 
         Shapes: `gradient` (rows, columns, channels).
@@ -249,7 +248,7 @@ class SignedGradients:
     def _sum(self, kind: Callable[..., Sum], light: Callable[..., list[Any]] | None = None) -> Sum:
         return self.capture.sums(self.spp, self.seed, 1, kind, light)[0]()
 
-    def _image(self, kind: Callable[..., SignedRaySum], light: LightDerivatives | None = None) -> NDArray[np.float32]:
+    def _image(self, kind: Callable[..., SignedRaySum], light: LightDerivatives | None = None) -> Floats:
         """Return the image of one kind of sum, an array (rows, columns, channels)."""
         work = self._sum(kind, light)
         items = int(work.items.sum())

@@ -30,6 +30,7 @@ from ..lenses import Pair
 from ..rays import Walk, walks_of
 from ..runtime import (
     Box,
+    Doubles,
     PartialSum,
     active_backend,
     drjit_array,
@@ -209,7 +210,7 @@ class SignedRaySum:
             for plan in (node.plan for node in self._nodes)
         ]
 
-    def _further_kernels(self, plan: Plan, kind: int) -> list[NDArray[np.float64]]:
+    def _further_kernels(self, plan: Plan, kind: int) -> list[Doubles]:
         """Return the kernels (values, k, k) of cells for a kind of lenses, for sets of values after the first."""
         return []
 
@@ -599,7 +600,7 @@ class _Grid(NamedTuple):
     steps: tuple[tuple[float, ...], ...]
     order: int
 
-    def for_pixels(self, plan: Plan, kernels: NDArray[np.float64], keeps_light: bool) -> PixelKernels:
+    def for_pixels(self, plan: Plan, kernels: Doubles, keeps_light: bool) -> PixelKernels:
         """Return the kernels of pixel images from kernels (values, k, k) of cells."""
         steps = np.array(self.steps) / plan.oblique.largest
         # A pixel is the mean of its cells. Larger micro-images are darker.

@@ -22,13 +22,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import scipy.ndimage
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..fields import OpticalSystem
 from ..optics import Spectrum, in_millimetres, interpolated
 from ..rays import even_words
-from ..runtime import drjit_array
+from ..runtime import Doubles, drjit_array
 from .accuracy import USUAL
 from .scheme import plan_type
 
@@ -50,14 +49,14 @@ class RayWavelengths(NamedTuple):
 class WavelengthSampler:
     """Random wavelengths, stratified, with the density of the channels' responses."""
 
-    def __init__(self, table: NDArray[np.float64]) -> None:
+    def __init__(self, table: Doubles) -> None:
         """Take the responses, (rows, 1 + channels): each row has a wavelength in nanometres and them per nanometre."""
         responses = functools.partial(interpolated, table[:, 0], table[:, 1:].T)
         steps = np.linspace(table[0, 0], table[-1, 0], USUAL.density_steps + 1)
         density = np.abs(responses(steps))
         density = (density / density.sum(1, keepdims=True)).sum(0)
         upto = np.concatenate([[0], np.cumsum(density[1:] + density[:-1])])
-        self.edges: NDArray[np.float64] = np.interp(np.linspace(0, 1, _STRATA + 1), upto / upto[-1], steps)
+        self.edges: Doubles = np.interp(np.linspace(0, 1, _STRATA + 1), upto / upto[-1], steps)
         self.responses = responses(self.edges)
         self._edges = drjit_array(mi.Float, self.edges)
 
@@ -96,7 +95,7 @@ class Node:
     channels: tuple[int, ...]
     # Weights of the values of a ray's light in the image of each of these channels, an array (channels, values). For
     # drawn wavelengths, the values are those at the edges of the strata.
-    weights: NDArray[np.float64]
+    weights: Doubles
 
     def mixture(self, rays: RayWavelengths | None = None) -> tuple[list[int], list[list[Any]]]:
         """Return the indices of the values used, and their weights for each channel; by cell, for drawn wavelengths."""

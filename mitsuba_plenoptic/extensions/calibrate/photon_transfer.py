@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from ...detector import Detector
 from ...errors import refuse_if, require_count, suggest_keywords
-from ...runtime import IMAGE, as_array
+from ...runtime import IMAGE, Doubles, as_array
 
 _ORDERS = 2, 4, 6
 """Orders of the differences along either axis that remove a picture's structure: low ones leave slopes of it, and high
@@ -63,8 +63,8 @@ class PhotonTransfer:
     saturated_pixels: int
     dead_pixels: int
     hot_pixels: int
-    signal: NDArray[np.float64]
-    variance: NDArray[np.float64]
+    signal: Doubles
+    variance: Doubles
 
 
 @suggest_keywords
@@ -234,7 +234,7 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
     )
 
 
-def _frames(name: str, value: Any) -> NDArray[np.float64]:
+def _frames(name: str, value: Any) -> Doubles:
     """Return one or more pictures as an array (n, rows, columns) of digital numbers."""
     rule = "it must be pictures of digital numbers"
     alone = getattr(value, "ndim", 3) == 2
@@ -252,14 +252,12 @@ def _frames(name: str, value: Any) -> NDArray[np.float64]:
 class _Spread:
     """Means and variances of the pixels of one or more pictures, with the pixels that are used."""
 
-    means: NDArray[np.float64]
-    variances: NDArray[np.float64]
+    means: Doubles
+    variances: Doubles
     good: NDArray[np.bool_]
 
     @classmethod
-    def of(
-        cls, frames: NDArray[np.float64], bad: NDArray[np.bool_], order: int = _ORDERS[-1], flattest: float = 1.0
-    ) -> _Spread:
+    def of(cls, frames: Doubles, bad: NDArray[np.bool_], order: int = _ORDERS[-1], flattest: float = 1.0) -> _Spread:
         """Return the spread between pictures, or of a single picture about its smooth part where it is flattest."""
         if len(frames) > 1:
             # Lamps flicker: pictures are compared at the same brightness.
@@ -284,7 +282,7 @@ class _Spread:
         return cls(means, squares, good)
 
     @cached_property
-    def _blocks(self) -> NDArray[np.float64]:
+    def _blocks(self) -> Doubles:
         """The number of used pixels, and the sums of their means and of their variances, in each block (3, blocks)."""
         row, column = (np.arange(count) * _BLOCKS // count for count in self.good.shape)
         block = (row[:, None] * _BLOCKS + column)[self.good]
@@ -296,7 +294,7 @@ class _Spread:
         count, mean, variance = self._blocks[:, choice].sum(1)
         return float(mean / count), float(variance / count)
 
-    def line(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def line(self) -> tuple[Doubles, Doubles]:
         """Return means and variances of equal numbers of used pixels, from dim to bright."""
         means = self.means[self.good]
         variances = self.variances[self.good]
@@ -304,6 +302,6 @@ class _Spread:
         return np.array([means[rows].mean() for rows in groups]), np.array([variances[rows].mean() for rows in groups])
 
 
-def _both(picture: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+def _both(picture: Doubles, weights: Doubles) -> Doubles:
     """Return a picture filtered by weights along both axes."""
     return np.asarray(ndimage.correlate1d(ndimage.correlate1d(picture, weights, 0), weights, 1))

@@ -24,7 +24,7 @@ from scipy.sparse import csr_array, vstack
 from ...camera import PlenopticCamera
 from ...lenses import FittedLens
 from ...points import Grid
-from ...runtime import Box, backend_of, turn
+from ...runtime import Box, Doubles, backend_of, turn
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class BinCells:
         return len(self.camera.mla_focal_lengths)
 
     @cached_property
-    def vectors(self) -> NDArray[np.float64]:
+    def vectors(self) -> Doubles:
         """The two vectors (rows) by which cells repeat on the MLA, in millimetres."""
         return self._steps.astype(np.float64) @ np.array(self.camera.lattice.basis)
 
@@ -120,7 +120,7 @@ class BinCells:
         """Index of the sample on the axis, the first one of cell (0, 0)."""
         return np.rint(-self.grid.origin / self.grid.pitch).astype(np.int64)
 
-    def bin_places(self, cell: NDArray[np.int64], parts: int = 1) -> NDArray[np.float64]:
+    def bin_places(self, cell: NDArray[np.int64], parts: int = 1) -> Doubles:
         """Return points on the MLA that are evenly spaced in each bin of a cell."""
         x, y = (
             (np.arange(count * parts).reshape(count, parts) + 0.5) * (size / parts)
@@ -215,7 +215,7 @@ class UprightBins:
         width, height = cells.bin_sizes
         middle = np.array(camera.bin_count) * oversample / 2
 
-        def stretched(x: Any, y: Any) -> NDArray[np.float64]:
+        def stretched(x: Any, y: Any) -> Doubles:
             """Return where chief rays from the object points that bins assign to x, y meet the array, (2, ...)."""
             if cells.grid.lens.is_uniform:
                 return np.stack([x, y])
@@ -262,7 +262,7 @@ class UprightBins:
         return cls((int(low[0]), int(low[1])), (rows, columns), vstack(shares, "csr"))
 
 
-def _parabola(position: NDArray[np.float64]) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+def _parabola(position: Doubles) -> list[tuple[NDArray[np.int64], Doubles]]:
     """Return the three nearest bins of positions, in bins, with the weights of their means in the parabola there."""
     nearest = np.rint(position).astype(np.int64)
     aside = position - nearest

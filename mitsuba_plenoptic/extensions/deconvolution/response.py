@@ -26,7 +26,7 @@ from ...optics import in_millimetres
 from ...points import Copies, Fields, Grid, Recorder, Scatter, band_for, chunks_of, place, radiance_weight, scene_points
 from ...rays import Passage, Walk
 from ...refocus import regular_place, straightened
-from ...runtime import Box, Job, Part, active_backend, add
+from ...runtime import Box, Doubles, Job, Part, active_backend, add
 from .cells import BinCells, UprightBins
 from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, merged, require_response_memory, zones
 
@@ -146,7 +146,7 @@ class RayBatch:
 
     cells: BinCells
     distance: float
-    corner: NDArray[np.float64]
+    corner: Doubles
     across: int
 
     @property
@@ -171,7 +171,7 @@ def ray_batches(across: int, cells: BinCells, distance: float, cell: NDArray[np.
 
 
 @functools.cache
-def _pairs(count: int) -> NDArray[np.float64]:
+def _pairs(count: int) -> Doubles:
     return scene_points.sample_pairs(count)
 
 

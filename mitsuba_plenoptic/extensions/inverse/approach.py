@@ -8,11 +8,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import CameraVector, PlenopticCamera
 from ...errors import require_wavelength, warn
 from ...io import Checkpoint
+from ...runtime import Doubles
 from ...views import estimate_lens_grid
 from .fit_light import View, check_views, kept_numbers, light_digest
 from .point_rays import RayModels, check_numbers, vector_of
@@ -49,7 +49,7 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
         reach *= 1.5
 
 
-def _fitted(camera: PlenopticCamera, position: NDArray[np.float64]) -> PlenopticCamera:
+def _fitted(camera: PlenopticCamera, position: Doubles) -> PlenopticCamera:
     """Return the camera with an array adjusted so that its lenses nearest to the given positions lie on them."""
     lattice = camera.lattice
     if lattice.displacement is not None:
@@ -178,7 +178,7 @@ def coarse_fit(
 
 def _nearest(
     vector: CameraVector,
-    limits: tuple[NDArray[np.float64], NDArray[np.float64]],
+    limits: tuple[Doubles, Doubles],
     models: RayModels,
     views: list[View],
     blur: float,
@@ -194,17 +194,17 @@ def _nearest(
     start = vector.values
     unit = vector.scales
 
-    def blurred(images: NDArray[np.float64]) -> NDArray[np.float64]:
+    def blurred(images: Doubles) -> Doubles:
         return np.asarray(gaussian_filter(images * masks / brightest, blur, axes=(-2, -1)))
 
-    def camera_at(step: NDArray[np.float64]) -> PlenopticCamera:
+    def camera_at(step: Doubles) -> PlenopticCamera:
         return vector.at(start + step * unit)
 
-    def residuals(step: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residuals(step: Doubles) -> Doubles:
         count()
         return blurred(models.images(camera_at(step)) - recorded).ravel()
 
-    def jacobian(step: NDArray[np.float64]) -> NDArray[np.float64]:
+    def jacobian(step: Doubles) -> Doubles:
         slopes = models.at(camera_at(step)).derivatives(vector, recorded) * unit[:, None, None, None]
         return blurred(slopes).reshape(len(start), -1).T
 

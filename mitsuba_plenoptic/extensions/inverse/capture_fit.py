@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ... import choices
 from ...camera import CameraVector, PlenopticCamera, Use, require_support
@@ -23,6 +22,7 @@ from ...errors import (
 )
 from ...io import Checkpoint
 from ...linear import PixelNoise
+from ...runtime import Doubles
 from .fit_light import Pixels, View, by_model, check_views, kept_numbers, light_digest
 from .fit_result import Fit, doubts, steps_along, summary
 from .point_rays import RayModel, RayModels, WaveModel, check_numbers, vector_of
@@ -135,13 +135,13 @@ def fit(
             trial.go_on(checkpoint, start, **facts, **settings, light_digest=light_digest(observations)), *limits
         )
 
-    def pixels_at(x: NDArray[np.float64]) -> Pixels:
+    def pixels_at(x: Doubles) -> Pixels:
         return Pixels.of(observations, trial.expected(x), default)
 
-    def residuals(x: NDArray[np.float64], pixels: Pixels) -> NDArray[np.float64]:
+    def residuals(x: Doubles, pixels: Pixels) -> Doubles:
         return np.asarray(((trial.expected(x) - images) / pixels.weight).ravel())
 
-    def jacobian(x: NDArray[np.float64], pixels: Pixels) -> NDArray[np.float64]:
+    def jacobian(x: Doubles, pixels: Pixels) -> Doubles:
         return np.asarray((trial.derivatives(x) / pixels.weight).reshape(len(start), -1).T)
 
     options = {"bounds": limits, "x_scale": unit, "xtol": _DONE, "ftol": _DONE, "max_nfev": steps}
@@ -172,10 +172,10 @@ def fit(
 class Model(Protocol):
     """The captures of some views by a camera."""
 
-    def images(self) -> NDArray[np.float64]:
+    def images(self) -> Doubles:
         """Return the expected pixels of all views, (views, rows, columns)."""
 
-    def derivatives(self, vector: CameraVector, images: NDArray[np.float64]) -> NDArray[np.float64]:
+    def derivatives(self, vector: CameraVector, images: Doubles) -> Doubles:
         """Return the derivatives of the captures, (parameters, views, rows, columns)."""
 
 
@@ -205,10 +205,10 @@ class _Trials:
         self._model_of = model_of
         self._checkpoint: Checkpoint | None = None
         self.count = 0
-        self._x: NDArray[np.float64] | None = None
-        self._slopes: NDArray[np.float64] | None = None
+        self._x: Doubles | None = None
+        self._slopes: Doubles | None = None
 
-    def expected(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def expected(self, x: Doubles) -> Doubles:
         """Return the captures of the camera with the parameters x."""
         if self._x is None or not np.array_equal(x, self._x):
             self._model = self._model_of(self._vector.at(x))
@@ -218,7 +218,7 @@ class _Trials:
                 self._progress(min(self.count, self._most), self._most)
         return self._images
 
-    def derivatives(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def derivatives(self, x: Doubles) -> Doubles:
         """Return the derivatives of the captures at x, requested only where a step led to a better camera."""
         images = self.expected(x)
         if self._checkpoint:
@@ -227,7 +227,7 @@ class _Trials:
             self._slopes = self._model.derivatives(self._vector, images)
         return self._slopes
 
-    def go_on(self, checkpoint: Checkpoint, start: NDArray[np.float64], **facts: Any) -> NDArray[np.float64]:
+    def go_on(self, checkpoint: Checkpoint, start: Doubles, **facts: Any) -> Doubles:
         """Save the parameters in a checkpoint; return those of an earlier run of the same fit, or else the start."""
         self._checkpoint = checkpoint
         arrays = checkpoint.begin_arrays(**facts)

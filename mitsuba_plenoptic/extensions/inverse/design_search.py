@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, require_count, short_repr
+from ...runtime import Doubles
 from .merit import Gradient
 from .point_rays import vector_of
 
@@ -103,7 +103,7 @@ def maximise(
     best: list[Any] = [-np.inf, camera]
     tried = 0
 
-    def cost(position: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def cost(position: Doubles) -> tuple[float, Doubles]:
         nonlocal tried
         candidate = vector.at(low + position * (high - low))
         value, slopes = figure.gradient(candidate, vector.names)

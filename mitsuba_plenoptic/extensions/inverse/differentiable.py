@@ -44,7 +44,7 @@ from ...refocus import (
     white_sums,
 )
 from ...refocus_options import FOOTPRINTS
-from ...runtime import active_backend, as_array, check_memory, drjit_array, fft, one_at_a_time, require_pixels
+from ...runtime import Doubles, active_backend, as_array, check_memory, drjit_array, fft, one_at_a_time, require_pixels
 from ..deconvolution.deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN
 from ..deconvolution.fourier import response_of
 
@@ -383,7 +383,7 @@ class _BinnedPower:
                     fields[-1][lines] = rows
         return fields, passed
 
-    def jvp(self, change: NDArray[np.float64]) -> NDArray[np.float64]:
+    def jvp(self, change: Doubles) -> Doubles:
         """Return the change of the bins for a change of the capture."""
         moved, _ = self._fields((self._slope * change).astype(np.float32))
         power: Any = sum(
@@ -392,7 +392,7 @@ class _BinnedPower:
         bins = active_backend().to_host(self._sums.jvp(power))
         return np.where(self._lit, bins if self._refocus._spread is None else self._refocus._spread.forward(bins), 0)
 
-    def vjp(self, bins: NDArray[np.float64]) -> NDArray[np.float64]:
+    def vjp(self, bins: Doubles) -> Doubles:
         """Return the gradient with respect to the capture, from the gradient with respect to the bins."""
         arrays = active_backend().arrays
         channels = np.where(self._lit, bins, 0)
@@ -540,7 +540,7 @@ class _DeconvolvedChannel:
             moved = weight * (moved * np.maximum(made.back, 0) + made.point * of_back)
         return self._to_image(moved)
 
-    def vjp(self, bins: NDArray[Any]) -> NDArray[np.float64]:
+    def vjp(self, bins: NDArray[Any]) -> Doubles:
         """Return the gradient with respect to the pixels, from the gradient with respect to the bins."""
         adjoint_image = self._response.from_image(bins * self._visible, 0)
         step = self._step

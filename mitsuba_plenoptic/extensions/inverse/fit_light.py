@@ -17,7 +17,7 @@ from ...io import Capture, digest, require_demosaiced, response_of
 from ...linear import PixelNoise
 from ...plugins.other_camera import with_camera
 from ...points import PupilWeights, brightness_at, check_positions, scene_points
-from ...runtime import as_array, as_pixels, one_at_a_time
+from ...runtime import Doubles, as_array, as_pixels, one_at_a_time
 from ...scene import SceneLight, chosen_integrator, plenoptic_sensor
 
 _LEAST_ELECTRONS = 1.0
@@ -68,14 +68,14 @@ class Pixels:
     """The expected noise of all pixels of some views, (views, rows, columns)."""
 
     # Deviations by which residuals are divided; infinite where a pixel does not count.
-    weight: NDArray[np.float64]
+    weight: Doubles
     # Expected squares of the residuals after that: 1, less in the dark, and 0 where a pixel does not count.
-    share: NDArray[np.float64]
+    share: Doubles
     # Variances of those squares.
-    spread: NDArray[np.float64]
+    spread: Doubles
 
     @classmethod
-    def of(cls, views: Sequence[View], expected: NDArray[np.float64], default: PixelNoise | None) -> Pixels:
+    def of(cls, views: Sequence[View], expected: Doubles, default: PixelNoise | None) -> Pixels:
         """Return the noise of views' pixels at expected values; `default` is for views without noise of their own."""
         return cls(*map(np.stack, zip(*map(_pixels, views, expected, [default] * len(views)), strict=True)))
 
@@ -85,7 +85,7 @@ def by_model(view: View, default: PixelNoise | None) -> bool:
     return view.saturation is not None or isinstance(default if view.noise is None else view.noise, PixelNoise)
 
 
-def _pixels(view: View, expected: NDArray[np.float64], default: PixelNoise | None) -> tuple[NDArray[np.float64], ...]:
+def _pixels(view: View, expected: Doubles, default: PixelNoise | None) -> tuple[Doubles, ...]:
     noise: Any = default if view.noise is None else view.noise
     if isinstance(noise, PixelNoise):
         counts = noise.electrons * np.maximum(expected, 0)
@@ -165,8 +165,8 @@ class View:
     """
 
     image: NDArray[np.float32]
-    points: NDArray[np.float64]
-    weights: NDArray[np.float64]
+    points: Doubles
+    weights: Doubles
     noise: Any = None
     pupil_weights: Any = None
     mask: Any = None
@@ -292,7 +292,7 @@ def light_digest(views: list[View]) -> str:
     return digest(*arrays)
 
 
-def kept_numbers(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> tuple[NDArray[np.float64], int]:
+def kept_numbers(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> tuple[Doubles, int]:
     """Return a fit's numbers, and the count of cameras tried, from the arrays of its checkpoint."""
     x = arrays.get("numbers")
     tried = arrays.get("tried")

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
+from ...runtime import Doubles
 from .fit_light import Pixels, View
 
 _FAR = 5.0
@@ -78,7 +78,7 @@ class Fit:
     camera: PlenopticCamera
     values: dict[str, float]
     deviations: dict[str, float]
-    covariance: NDArray[np.float64]
+    covariance: Doubles
     scales: dict[str, float]
     directions: tuple[Direction, ...]
     at_bounds: dict[str, str]
@@ -91,11 +91,11 @@ class Fit:
 def summary(
     camera: PlenopticCamera,
     labels: list[str],
-    x: NDArray[np.float64],
-    unit: NDArray[np.float64],
-    limits: tuple[NDArray[np.float64], NDArray[np.float64]],
-    rows: NDArray[np.float64],
-    residuals: NDArray[np.float64],
+    x: Doubles,
+    unit: Doubles,
+    limits: tuple[Doubles, Doubles],
+    rows: Doubles,
+    residuals: Doubles,
     pixels: Pixels,
     steps: int,
 ) -> Fit:
@@ -130,7 +130,7 @@ def summary(
         directions.append(Direction(deviation, {label: float(label == labels[index]) for label in labels}))
     covariance *= np.outer(unit, unit)
 
-    def by_label(values: NDArray[np.float64]) -> dict[str, float]:
+    def by_label(values: Doubles) -> dict[str, float]:
         return dict(zip(labels, values.tolist(), strict=True))
 
     expected = float(pixels.share.sum()) - effective
@@ -152,21 +152,21 @@ def summary(
     )
 
 
-def _one_sided(rows: NDArray[np.float64], slope: NDArray[np.float64], components: Sequence[int]) -> NDArray[np.float64]:
+def _one_sided(rows: Doubles, slope: Doubles, components: Sequence[int]) -> Doubles:
     """Return the distances of parameters from their bounds at which the sum of squares is larger by 1."""
     information = np.linalg.pinv(rows.T @ rows)
     steep = np.abs(slope[list(components)])
     return np.asarray(1 / (steep + np.sqrt(steep**2 + 1 / np.diag(information)[list(components)])))
 
 
-def steps_along(result: Fit) -> NDArray[np.float64]:
+def steps_along(result: Fit) -> Doubles:
     """Return a step along each direction: one deviation, at most a unit of `Fit.scales`, (directions, parameters)."""
     lengths = np.fmin([direction.deviation for direction in result.directions], 1.0)
     parts = np.array([list(direction.parts.values()) for direction in result.directions])
     return np.asarray(lengths[:, None] * parts * list(result.scales.values()))
 
 
-def doubts(result: Fit, views: Sequence[View], expected: NDArray[np.float64]) -> Iterator[str]:
+def doubts(result: Fit, views: Sequence[View], expected: Doubles) -> Iterator[str]:
     """Yield reasons to doubt a fit, one sentence each."""
     if result.at_bounds:
         named = ", ".join(f"{name} = {result.values[name]:.6g} (its {side})" for name, side in result.at_bounds.items())

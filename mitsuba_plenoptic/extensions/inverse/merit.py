@@ -13,9 +13,10 @@ from ...camera import PlenopticCamera
 from ...errors import InputError, did_you_mean, refuse_if, require_count, require_number, require_wavelength
 from ...fields import OpticalSystem
 from ...points import CaptureOperator, check_positions, chosen_accuracy
+from ...runtime import Doubles
 from .differentiable import RayRefocus
 
-Gradient = dict[str, NDArray[np.float64]]
+Gradient = dict[str, Doubles]
 
 
 class Spreads:
@@ -29,17 +30,13 @@ class Spreads:
         self._method = method
         self._system: OpticalSystem | None = None
 
-    def images(self, camera: PlenopticCamera, points: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+    def images(self, camera: PlenopticCamera, points: Doubles | None = None) -> Doubles:
         """Return the point spreads (n, rows, columns) of the figure's points, or of `points` if given."""
         # One by one: points so near each other must not share a spread.
         return np.stack([operator.forward([1.0]) for operator in self._operators(camera, points)]).astype(np.float64)
 
     def gradient(
-        self,
-        camera: PlenopticCamera,
-        images: NDArray[np.float64],
-        names: Iterable[str],
-        points: NDArray[np.float64] | None = None,
+        self, camera: PlenopticCamera, images: Doubles, names: Iterable[str], points: Doubles | None = None
     ) -> Gradient:
         """Return the gradient with respect to camera parameters, from the spreads' gradient (n, rows, columns)."""
         total: Gradient = {}
@@ -48,7 +45,7 @@ class Spreads:
             total = {name: value + total.get(name, 0.0) for name, value in gradients.items()}
         return total
 
-    def _operators(self, camera: PlenopticCamera, points: NDArray[np.float64] | None) -> Iterable[CaptureOperator]:
+    def _operators(self, camera: PlenopticCamera, points: Doubles | None) -> Iterable[CaptureOperator]:
         camera = camera.regular
         if self._system is None or self._system.camera != camera:
             self._system = OpticalSystem(camera.at_wavelength(self.wavelength), self.wavelength)
@@ -150,7 +147,7 @@ class RefocusedContrast:
         pairs = zip(self._refocus, self._images(camera), strict=True)
         return [refocus.forward(image) for refocus, image in pairs]
 
-    def _images(self, camera: PlenopticCamera) -> NDArray[np.float64]:
+    def _images(self, camera: PlenopticCamera) -> Doubles:
         # What this figure holds fixed must not differ.
         own = self._camera.to_dict()
         for name, value in camera.to_dict().items():
@@ -158,7 +155,7 @@ class RefocusedContrast:
                 refuse_if(own[name] != value, f"{name} = {value}: this figure is of cameras with {own[name]}")
         return self._spreads.images(camera)
 
-    def _contrast(self, images: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def _contrast(self, images: Doubles) -> tuple[float, Doubles]:
         """Return the mean contrast, and its gradient with respect to the point spreads."""
         total = 0.0
         gradients = []
@@ -189,9 +186,9 @@ _WAVES = 0.01
 class _Move:
     """Displaced positions (n, 3) of points to both sides, and factors (n, 1, 1) from differences to derivatives."""
 
-    there: NDArray[np.float64]
-    back: NDArray[np.float64]
-    factor: NDArray[np.float64]
+    there: Doubles
+    back: Doubles
+    factor: Doubles
 
 
 class DepthInformation:
@@ -246,12 +243,12 @@ class DepthInformation:
         """Return the mean of -ln of the depths' standard deviations for a camera."""
         return float(-np.log(self.deviations(camera)).mean())
 
-    def deviations(self, camera: PlenopticCamera) -> NDArray[np.float64]:
+    def deviations(self, camera: PlenopticCamera) -> Doubles:
         """Return the standard deviations of the depths of all points, in millimetres."""
         middle, *slopes = self.expected(camera)
         return np.array([np.sqrt(self._covariance(*parts)[2, 2]) for parts in zip(middle, *slopes, strict=True)])
 
-    def expected(self, camera: PlenopticCamera) -> list[NDArray[np.float64]]:
+    def expected(self, camera: PlenopticCamera) -> list[Doubles]:
         """Return the expected photon counts, (n, rows, columns), and their derivatives with respect to X, Y and g."""
         camera.require_array("DepthInformation")
         photons = self._photons
@@ -289,9 +286,7 @@ class DepthInformation:
             total = {name: gradient_of + total.get(name, 0.0) for name, gradient_of in gradients.items()}
         return float(value), total
 
-    def _moved(
-        self, camera: PlenopticCamera, cotangents: list[NDArray[np.float64]]
-    ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    def _moved(self, camera: PlenopticCamera, cotangents: list[Doubles]) -> Iterator[tuple[Doubles, Doubles]]:
         """Yield displaced positions of the points, and the gradients with respect to their point spreads."""
         image, *along, depth = cotangents
         yield self._spreads.points, image
@@ -301,7 +296,7 @@ class DepthInformation:
             yield move.there, move.factor * part
             yield move.back, -move.factor * part
 
-    def _tilts(self, camera: PlenopticCamera) -> list[NDArray[np.float64]]:
+    def _tilts(self, camera: PlenopticCamera) -> list[Doubles]:
         """Return X/g and Y/g of the chief rays, (n, 1, 1); behind an objective they are 0."""
         x, y, g = self._spreads.points.T[..., None, None]
         return [x / g, y / g] if camera.lens_data.converges else [0 * x, 0 * y]
@@ -332,17 +327,17 @@ class DepthInformation:
             moves.append(_Move(points + along, points - along, (1 / (2 * sideways))[:, None, None]))
         return [*moves, _Move(there, back, rate[:, None, None])]
 
-    def _noise(self, expected: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _noise(self, expected: Doubles) -> Doubles:
         """Return the noise variance of each pixel for an expected image."""
         return np.maximum(expected, 0) + self._background
 
-    def _covariance(self, expected: NDArray[np.float64], *slopes: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _covariance(self, expected: Doubles, *slopes: Doubles) -> Doubles:
         """Return the Cramer-Rao covariance of X, Y, g and the brightness of one point."""
         rows = _columns(expected, *slopes) / np.sqrt(self._noise(expected))
         flat = rows.reshape(len(rows), -1)
         return np.asarray(np.linalg.inv(flat @ flat.T))
 
 
-def _columns(expected: NDArray[np.float64], *slopes: NDArray[np.float64]) -> NDArray[np.float64]:
+def _columns(expected: Doubles, *slopes: Doubles) -> Doubles:
     """Return the derivatives with respect to X, Y, g and the logarithm of the brightness, as columns."""
     return np.stack([*slopes, expected])

@@ -11,7 +11,6 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ...array import make_lattice
 from ...camera import (
@@ -25,7 +24,7 @@ from ...fields import OpticalSystem
 from ...lenses import MainLens, convergence
 from ...points import CaptureOperator, PupilWeights, brightness_at, check_positions, derivatives
 from ...rays import Passage, Walk
-from ...runtime import array_module, check_memory, drjit_array, one_at_a_time
+from ...runtime import Doubles, array_module, check_memory, drjit_array, one_at_a_time
 from .fit_light import View
 
 
@@ -78,12 +77,12 @@ class WaveModel:
         pairs = zip(self._operators, views, strict=True)
         self._weights = [operator.powers(view.weights) for operator, view in pairs]
 
-    def images(self) -> NDArray[np.float64]:
+    def images(self) -> Doubles:
         """Return the expected pixels of all views, (views, rows, columns)."""
         pairs = zip(self._operators, self._weights, strict=True)
         return np.stack([operator.forward(weights) for operator, weights in pairs]).astype(np.float64)
 
-    def derivatives(self, vector: CameraVector, images: NDArray[np.float64]) -> NDArray[np.float64]:
+    def derivatives(self, vector: CameraVector, images: Doubles) -> Doubles:
         """Return the derivatives of `images` with respect to the vector, (parameters, views, rows, columns)."""
         names = vector.names
         directions = vector.of(self._camera).directions()
@@ -129,7 +128,7 @@ class PointRays:
         self,
         camera: PlenopticCamera,
         # Incoherent points (x, y, z) in the camera frame, in millimetres, an array (n, 3).
-        points: NDArray[np.float64],
+        points: Doubles,
         # Wavelength in nanometres, on which rays through real main lenses depend.
         wavelength: float,
         # Relative power over the pupil.
@@ -150,7 +149,7 @@ class PointRays:
         check_memory(_RAY_BYTES * float(most) ** 2, f"points by {most} x {most} rays")
 
     @one_at_a_time
-    def image(self, system: OpticalSystem, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    def image(self, system: OpticalSystem, weights: Doubles) -> Doubles:
         """Return the image (rows, columns) of weighted points, from the fraction of each point's light in each pixel.
 
         Shapes: `weights` (n,).
@@ -169,7 +168,7 @@ class PointRays:
         return np.asarray(image.numpy().reshape(camera.shape))
 
 
-def _scales(camera: PlenopticCamera, lens: MainLens, points: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
+def _scales(camera: PlenopticCamera, lens: MainLens, points: Doubles) -> tuple[Doubles, Doubles]:
     """Return the displacements of rays, on the array and on the detector, per displacement on the pupil."""
     b = float(lens.pupil.distance)
     z = camera.reduced_distance
@@ -185,12 +184,12 @@ class _Bundles:
     camera: PlenopticCamera
     lens: MainLens
     # The points (x, y, z), an array (n, 3).
-    points: NDArray[np.float64]
+    points: Doubles
     across: int
     # Relative power over the pupil.
     weights: PupilWeights | None
 
-    def add(self, image: Any, factors: NDArray[np.float64]) -> None:
+    def add(self, image: Any, factors: Doubles) -> None:
         """Add the weighted light of the rays to the pixels, in a flat image."""
         types = array_module()
         side = self.across
@@ -199,7 +198,7 @@ class _Bundles:
         which = index // (side * side)
         within = index - which * (side * side)
 
-        def value(numbers: NDArray[np.float64]) -> Any:
+        def value(numbers: Doubles) -> Any:
             return dr.gather(Float64, drjit_array(Float64, numbers), which)
 
         # One pixel beyond the edge on either side.
@@ -318,7 +317,7 @@ class RayModels:
         """Return the ray model of a camera near the planned one."""
         return RayModel(self, camera)
 
-    def images(self, camera: PlenopticCamera) -> NDArray[np.float64]:
+    def images(self, camera: PlenopticCamera) -> Doubles:
         """Return the expected pixels of all views, (views, rows, columns)."""
         system = OpticalSystem(camera, self._wavelength)
         return np.stack(
@@ -336,11 +335,11 @@ class RayModel:
         self._models = models
         self._camera = camera
 
-    def images(self) -> NDArray[np.float64]:
+    def images(self) -> Doubles:
         """Return the expected pixels of all views, (views, rows, columns)."""
         return self._models.images(self._camera)
 
-    def derivatives(self, vector: CameraVector, images: NDArray[np.float64]) -> NDArray[np.float64]:
+    def derivatives(self, vector: CameraVector, images: Doubles) -> Doubles:
         """Return the derivatives of `images`, an array (parameters, views, rows, columns), by central differences."""
         own = vector.of(self._camera)
         x = own.values
@@ -352,9 +351,7 @@ class RayModel:
             rows[index] = (more - less) / (2 * step)
         return rows
 
-    def slopes(
-        self, vector: CameraVector, steps: NDArray[np.float64], distance: Callable[[NDArray[np.float64]], float]
-    ) -> NDArray[np.float64]:
+    def slopes(self, vector: CameraVector, steps: Doubles, distance: Callable[[Doubles], float]) -> Doubles:
         """Return mean slopes of captures over one deviation along some directions, (parameters, views, rows, columns).
 
         Captures have kinks: where the light's edge meets dark pixels, the slope is large on one side and 0 on the

@@ -15,7 +15,7 @@ from ...detector import SHARP
 from ...errors import refuse_if, require_number
 from ...optics import guards
 from ...points import CaptureOperator, SpectralSum, mix
-from ...runtime import Job, one_at_a_time, require_memory
+from ...runtime import Doubles, Job, one_at_a_time, require_memory
 from .spreads import FullFieldSpreads, PatchSpreads
 
 _SPREADS: dict[str, type] = {"patch": PatchSpreads, "full_field": FullFieldSpreads}
@@ -63,7 +63,7 @@ class StoredOperator(CaptureOperator):
         self.dtype = np.dtype(dtype)
         self._matrices: dict[float, Any] = {}
 
-    def _image(self, weights: NDArray[np.float64], job: Job) -> NDArray[Any]:
+    def _image(self, weights: Doubles, job: Job) -> NDArray[Any]:
         """Return the image (rows, columns, channels) of checked weights (n, columns)."""
         matrices = self._computed(job)
         _, matrix = self._channels.mixing(weights.shape[1])

@@ -6,14 +6,13 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ...errors import NO_ARRAY, refuse_if, refusing, short_repr, suggest_keywords
-from ...runtime import as_array
+from ...runtime import Doubles, as_array
 
 
 @suggest_keywords
-def volume_points(values: Any, lower: Any, upper: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def volume_points(values: Any, lower: Any, upper: Any) -> tuple[Doubles, Doubles]:
     """Return the voxels of a volume of emitters as points with weights.
 
     Parameters

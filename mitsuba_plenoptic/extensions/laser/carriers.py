@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from ...lenses import ThinLens
 from ...optics import in_millimetres, phasor
 from ...points import blocks
-from ...runtime import active_backend, array_module, backend_of, fft, on_cuda
+from ...runtime import Doubles, active_backend, array_module, backend_of, fft, on_cuda
 from .nonuniform import PlaneWaves
 
 _FADED = 0.3
@@ -51,7 +51,7 @@ class PupilGrid:
         left, top = (index - self.count // 2 for index in middle)
         self.rows, self.columns = slice(top, top + self.count), slice(left, left + self.count)
 
-    def along(self, axis: int) -> NDArray[np.float64]:
+    def along(self, axis: int) -> Doubles:
         """Return the coordinates of the samples along an axis (0: x, 1: y)."""
         return np.asarray(self.middle[axis] + (np.arange(self.count) - self.count // 2) * self.pitch)
 
@@ -73,16 +73,14 @@ class Carrier(Protocol):
     def common(self, pupil: tuple[Any, Any]) -> Any:
         """Return the additional path in waves, common to all points, at points of the pupil."""
 
-    def remainder(
-        self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], points: Any
-    ) -> NDArray[np.float64]:
+    def remainder(self, waves: Doubles, x: Doubles, y: Doubles, points: Any) -> Doubles:
         """Return paths of some points in waves at m pupil points, less the paths of the carrier waves, (m, n)."""
 
 
 class Tilts:
     """Plane waves relative to the path of the middle of a layer's points (n, 3)."""
 
-    def __init__(self, lens: ThinLens, wavelength: float, points: NDArray[np.float64], grid: PupilGrid) -> None:
+    def __init__(self, lens: ThinLens, wavelength: float, points: Doubles, grid: PupilGrid) -> None:
         self._lens = lens
         self._wavelength = wavelength
         vergence = 1 / points[:, 2]
@@ -98,7 +96,7 @@ class Tilts:
         self.shift = np.exp(2j * math.pi * (self._frequencies @ grid.middle))
 
     @staticmethod
-    def memory(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> float:
+    def memory(lens: ThinLens, points: Doubles, grid: PupilGrid) -> float:
         """Return an upper bound, in bytes, of the memory of the sums, apart from memory that grows with the points."""
         return PlaneWaves.memory(grid.count)
 
@@ -108,21 +106,19 @@ class Tilts:
         X, Y, g = (dr.opaque(opaque, float(value)) for value in self.middle)
         return self._lens.path(pupil, (X, Y, g), self._wavelength)
 
-    def remainder(
-        self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], points: Any
-    ) -> NDArray[np.float64]:
+    def remainder(self, waves: Doubles, x: Doubles, y: Doubles, points: Any) -> Doubles:
         """Return paths in waves less the middle point's path and the tilts."""
         of_middle = self._lens.path((x[:, None], y[:, None]), tuple(self.middle), self._wavelength)
         return np.asarray(waves - of_middle - np.stack([x, y], 1) @ self._frequencies[points].T)
 
-    def _cosines(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _cosines(self, points: Doubles) -> Doubles:
         return np.stack(self._lens.cosines((0.0, 0.0), (points[:, 0], points[:, 1], points[:, 2])), -1)
 
 
 class Spheres:
     """Spherical waves towards the images of points (n, 3) by an ideal lens, with the images moved into one plane."""
 
-    def __init__(self, lens: ThinLens, wavelength: float, points: NDArray[np.float64], grid: PupilGrid) -> None:
+    def __init__(self, lens: ThinLens, wavelength: float, points: Doubles, grid: PupilGrid) -> None:
         self._lens = lens
         self._wavelength = wavelength
         self._grid = grid
@@ -135,12 +131,12 @@ class Spheres:
         self._waves = PlaneWaves((grid.middle - self._images) / (grid.pitch * self._count), self._count)
 
     @staticmethod
-    def window(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> float:
+    def window(lens: ThinLens, points: Doubles, grid: PupilGrid) -> float:
         """Return the width of the window of the convolution, in samples of the pupil."""
         return 2 * (1 + _FADED) * _reach(_images(lens, points)[1], grid)
 
     @classmethod
-    def memory(cls, lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> float:
+    def memory(cls, lens: ThinLens, points: Doubles, grid: PupilGrid) -> float:
         """Return an upper bound, in bytes, of the memory of the sums, apart from memory that grows with the points."""
         count = fft.fast_length(cls.window(lens, points, grid))
         # The points' plane is a part of the window, as wide as the images.
@@ -181,9 +177,7 @@ class Spheres:
         """Return the path in waves of the lens's aberrations at points of the pupil."""
         return self._lens.aberration(pupil, self._wavelength)
 
-    def remainder(
-        self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], points: Any
-    ) -> NDArray[np.float64]:
+    def remainder(self, waves: Doubles, x: Doubles, y: Doubles, points: Any) -> Doubles:
         """Return paths in waves less the paths of the spheres and the aberrations."""
         X, Y = self._images[points].T
         away = (x[:, None] - X) ** 2 + (y[:, None] - Y) ** 2
@@ -233,7 +227,7 @@ def _spectrum(count: int, pitch: float, reach: float, radius: float, wavelength:
     return active_backend().arrays.asarray(quarter)
 
 
-def _images(lens: ThinLens, points: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+def _images(lens: ThinLens, points: Doubles) -> tuple[float, Doubles]:
     """Return the distance of the plane in the middle of points' images, and the chief rays' positions on it, (n, 2)."""
     vergence = lens.vergence(points[:, 2])
     distance = _finite_inverse((vergence.min() + vergence.max()) / 2)
@@ -245,7 +239,7 @@ def _finite_inverse(nearness: float) -> float:
     return 1 / math.copysign(max(abs(nearness), 1 / _FARTHEST), nearness)
 
 
-def _reach(images: NDArray[np.float64], grid: PupilGrid) -> float:
+def _reach(images: Doubles, grid: PupilGrid) -> float:
     """Return the largest distance along an axis, in samples, between a sample of the pupil and an image."""
     return grid.count / 2 + float(np.abs(images - grid.middle).max()) / grid.pitch
 

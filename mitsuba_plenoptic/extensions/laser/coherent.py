@@ -17,7 +17,7 @@ from ...errors import refuse_if
 from ...fields import Chain, OpticalSystem, retained_workspace
 from ...lenses import MainLens
 from ...points import Arrival, Footprint, SampledField, footprint, grids_around, intensity, to_array, to_detector
-from ...runtime import active_backend, check_memory, fft
+from ...runtime import Doubles, active_backend, check_memory, fft
 from .carriers import PupilGrid
 from .nonuniform import POINT_BYTES
 from .pupil_sums import Layer, carrier_type, layers
@@ -32,7 +32,7 @@ class CoherentFields:
     The phase of a point's amplitude is the phase of the point's field at the centre of the pupil.
     """
 
-    def __init__(self, system: OpticalSystem, points: NDArray[np.float64]) -> None:
+    def __init__(self, system: OpticalSystem, points: Doubles) -> None:
         refuse_if(not len(points), "points: coherent fields need at least one")
         lens: Any = system.waves_of(points)
         self.system = system
@@ -114,7 +114,7 @@ class CoherentFields:
         return [(block, Layer(self.system, self._lens, self._points[block], self._pupil)) for block in self._parts]
 
 
-def _footprint(lens: MainLens, points: NDArray[np.float64]) -> Footprint:
+def _footprint(lens: MainLens, points: Doubles) -> Footprint:
     """Return the footprints of points, computed for a limited number of points at a time."""
     parts = [footprint(lens, points[first : first + _TOGETHER]) for first in range(0, len(points), _TOGETHER)]
     names = [field.name for field in dataclasses.fields(Footprint)]

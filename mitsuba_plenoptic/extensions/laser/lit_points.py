@@ -20,14 +20,13 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ...errors import InputError, did_you_mean, refuse_if
 from ...fields import OpticalSystem
 from ...optics import guards, in_millimetres
 from ...points import radiance_weight
 from ...rays import LensWindow
-from ...runtime import drjit_array, require_memory
+from ...runtime import Doubles, drjit_array, require_memory
 from ...scene import random_numbers, world_ray
 
 _COARSE = 64
@@ -61,9 +60,9 @@ class LitPoints:
     """Points of surfaces that reflect laser light, with their powers."""
 
     # Positions in the camera frame, (n, 3).
-    positions: NDArray[np.float64]
+    positions: Doubles
     # Power of each in the units of captures, (n,).
-    weights: NDArray[np.float64]
+    weights: Doubles
 
 
 @dataclass(frozen=True)
@@ -114,9 +113,7 @@ class LaserScene:
             guards.check(guards.HIDDEN, float(power @ hidden / power.sum()))
         return LitPoints(positions, power * radiance_weight(self.system.camera, lens, float(cell.prod())))
 
-    def _lit(
-        self, positions_on_array: NDArray[np.float64], seed: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def _lit(self, positions_on_array: Doubles, seed: int) -> tuple[Doubles, Doubles, Doubles]:
         """Return lit points on chief rays, their radiance, and the fraction of the pupil's rim hidden from each.
 
         `positions_on_array` are (n, 2).
@@ -136,7 +133,7 @@ class LaserScene:
             hidden += self.scene.ray_test(hit.spawn_ray_to(target)).numpy() / _RIM
         return positions, radiance[lit], hidden
 
-    def _hit(self, positions_on_array: NDArray[np.float64], pupil: NDArray[np.float64] | None = None) -> Any:
+    def _hit(self, positions_on_array: Doubles, pupil: Doubles | None = None) -> Any:
         """Return Mitsuba's intersections of chief rays, or of rays through given points (2, n) of the pupil."""
         q = tuple(drjit_array(mi.Float, positions_on_array[:, axis]) for axis in (0, 1))
         zero = dr.zeros(mi.Float, len(positions_on_array))
@@ -144,16 +141,16 @@ class LaserScene:
         point, slope, _ = self.system.lens.ray(through, q)
         return self.scene.ray_intersect(world_ray(self.sensor, (point[0], point[1], point[2] + zero), slope))
 
-    def _in_camera(self, hit: Any) -> NDArray[np.float64]:
+    def _in_camera(self, hit: Any) -> Doubles:
         """Return the positions (n, 3) of intersections in the camera frame."""
         return np.asarray((self.sensor.world_transform().inverse() @ hit.p).numpy().T, np.float64)
 
-    def _images(self, hit: Any) -> NDArray[np.float64]:
+    def _images(self, hit: Any) -> Doubles:
         """Return where the chief rays of intersection points before the main lens meet the array, (n, 2)."""
         positions = self._in_camera(hit)[hit.is_valid().numpy()]
         return self.system.lens.images(positions[positions[:, 2] > 0])
 
-    def _laser_images(self, rng: np.random.Generator) -> NDArray[np.float64]:
+    def _laser_images(self, rng: np.random.Generator) -> Doubles:
         """Return where chief rays of the points that lasers light meet the array."""
         parts = []
         for laser in self.lasers:
@@ -162,16 +159,14 @@ class LaserScene:
             parts.append(self._images(self.scene.ray_intersect(mi.Ray3f(ray))))
         return np.concatenate(parts)
 
-    def _pupil_images(
-        self, middle: NDArray[np.float64], half: NDArray[np.float64], rng: np.random.Generator
-    ) -> NDArray[np.float64]:
+    def _pupil_images(self, middle: Doubles, half: Doubles, rng: np.random.Generator) -> Doubles:
         """Return array positions of the chief rays of all points that recorded lenses can see through the pupil."""
         position = (middle + half * (2 * rng.random((_SEARCH, 2)) - 1)).T
         radius = self.system.lens.reach * np.sqrt(rng.random(_SEARCH))
         angle = 2 * math.pi * rng.random(_SEARCH)
         return self._images(self._hit(position.T, radius * np.stack([np.cos(angle), np.sin(angle)])))
 
-    def _small_shapes(self, step: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    def _small_shapes(self, step: Doubles) -> list[Doubles]:
         """Return chief rays through the images of small shapes, a few `step` wide, one array per shape."""
         to_camera = self.sensor.world_transform().inverse()
         rays = []
@@ -189,7 +184,7 @@ class LaserScene:
                     rays.append(low + (high - low) * grid)
         return rays
 
-    def _blur(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _blur(self, points: Doubles) -> Doubles:
         """Return the distance on the array, in mm, between the chief ray and other rays of each point (n, 3).
 
         The displacement is linear in the inverse distance, so that its greatest length is below straight lines between
@@ -207,7 +202,7 @@ class LaserScene:
         moved = (np.array(lens.land(pupil, point)).T - lens.land((0.0, 0.0), point) for point in axial)
         return np.interp(inverse, steps, [np.hypot(*displacement.T).max() for displacement in moved])
 
-    def _radiance(self, hit: Any, seed: int) -> NDArray[np.float64]:
+    def _radiance(self, hit: Any, seed: int) -> Doubles:
         """Return the radiance at hits: the squared modulus of the sum of the lasers' fields."""
         sampler = random_numbers(seed, dr.width(hit.t))
         context = mi.BSDFContext()
@@ -231,7 +226,7 @@ class LaserScene:
             total += np.sqrt(light) * np.exp(2j * math.pi * self._path(laser, sample, positions))
         return np.asarray(np.abs(total) ** 2)
 
-    def _path(self, laser: Any, sample: Any, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _path(self, laser: Any, sample: Any, positions: Doubles) -> Doubles:
         """Return the path from a laser to points (n, 3) of the world, in waves modulo 1."""
         if mi.has_flag(laser.flags(), mi.EmitterFlags.DeltaDirection):
             towards = np.broadcast_to(sample.d.numpy().T.astype(np.float64), positions.shape)

@@ -15,11 +15,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_camera, require_support
 from ...errors import refuse_if, require_number, require_wavelength, suggest_keywords
 from ...optics import in_millimetres
+from ...runtime import Doubles
 
 _NODES = 400
 """Nodes of the integral over angles."""
@@ -114,6 +114,6 @@ def mode_count(
     return modes * math.sqrt(1 + 4 * (2.0 * height * spread) ** 2)
 
 
-def _overlap(shift: NDArray[np.float64]) -> NDArray[np.float64]:
+def _overlap(shift: Doubles) -> Doubles:
     """Return the common part of two equal discs, by the distance of their centres over the diameter."""
     return np.asarray(2 / math.pi * (np.arccos(shift) - shift * np.sqrt(1 - shift**2)))

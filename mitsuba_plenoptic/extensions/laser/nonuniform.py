@@ -17,10 +17,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from ...points import blocks
-from ...runtime import active_backend, backend_of, fft
+from ...runtime import Doubles, active_backend, backend_of, fft
 
 _WIDTH = 8
 """Frequencies of the fine grid, along an axis, over which a plane wave is spread."""
@@ -41,7 +40,7 @@ class PlaneWaves:
     Sums are computed by the active variant's libraries, on whose device their samples and amplitudes are.
     """
 
-    def __init__(self, frequencies: NDArray[np.float64], count: int) -> None:
+    def __init__(self, frequencies: Doubles, count: int) -> None:
         libraries = active_backend()
         self.count = count
         self._length = length(count)

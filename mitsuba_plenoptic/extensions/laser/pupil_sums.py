@@ -29,7 +29,7 @@ from ...fields import OpticalSystem
 from ...lenses import ThinLens
 from ...optics import in_millimetres, phasor, soft_edge
 from ...points import blocks
-from ...runtime import active_backend, array_module, fft
+from ...runtime import Doubles, active_backend, array_module, fft
 from .carriers import Carrier, PupilGrid, Spheres, Tilts
 
 _TOLERANCE = 5e-6
@@ -70,7 +70,7 @@ _SPOKES = 24
 class Layer:
     """Points (n, 3) of similar distance, each with unit power through the pupil, on the samples of a grid."""
 
-    def __init__(self, system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> None:
+    def __init__(self, system: OpticalSystem, lens: ThinLens, points: Doubles, grid: PupilGrid) -> None:
         self._lens = lens
         self._wavelength = system.wavelength
         self._grid = grid
@@ -145,7 +145,7 @@ class Layer:
         along_x, along_y = self._interpolation
         return along_y[rows] @ on_pupil @ along_x.T
 
-    def _nodes(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _nodes(self, points: Doubles) -> Doubles:
         """Return the Chebyshev nodes between -1 and 1 that the layer needs."""
         # Points on the edges of the layer along all of its diagonals, and some between.
         values = np.column_stack([points[:, :2] / points[:, 2:], 1 / points[:, 2]])
@@ -173,9 +173,7 @@ class Layer:
             "computed together; use a smaller field or aperture_radius"
         )
 
-    def _remainder(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], points: NDArray[np.float64], indices: Any
-    ) -> NDArray[np.complex128]:
+    def _remainder(self, x: Doubles, y: Doubles, points: Doubles, indices: Any) -> NDArray[np.complex128]:
         """Return the factor B exp(2 pi i r) of the field at m pupil positions for some points, (m, n)."""
         point = tuple(points[indices].T)
         waves = self._lens.path((x[:, None], y[:, None]), point, self._wavelength)
@@ -185,13 +183,13 @@ class Layer:
         return np.asarray(amplitude * np.exp(2j * math.pi * waves))
 
 
-def carrier_type(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> type[Spheres | Tilts]:
+def carrier_type(lens: ThinLens, points: Doubles, grid: PupilGrid) -> type[Spheres | Tilts]:
     """Return the kind of carrier waves that leaves the smallest remainder: spheres behind an ideal lens, else tilts."""
     spheres = lens.model == "ideal" and Spheres.window(lens, points, grid) <= _WIDEST * grid.count
     return Spheres if spheres else Tilts
 
 
-def layers(system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64]) -> list[NDArray[np.int64]]:
+def layers(system: OpticalSystem, lens: ThinLens, points: Doubles) -> list[NDArray[np.int64]]:
     """Return the indices of the points (n, 3) of each layer of distance."""
     defocus = lens.pupil.radius**2 / (2 * in_millimetres(system.wavelength)) / points[:, 2]
     order = np.argsort(defocus, kind="stable")
@@ -202,7 +200,7 @@ def layers(system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64]) -
     return np.split(order, np.flatnonzero(np.diff(layer)) + 1)
 
 
-def passed_power(lens: ThinLens, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def passed_power(lens: ThinLens, points: Doubles) -> Doubles:
     """Return the squared amplitude of each point's light, integrated over the pupil, (n,)."""
     nodes, weights = np.polynomial.legendre.leggauss(_RINGS)
     radius = lens.pupil.radius * np.sqrt((nodes + 1) / 2)
@@ -235,12 +233,12 @@ def _completed(
         basis = np.hstack([basis, np.linalg.qr(added - basis @ (basis.conj().T @ added))[0]])
 
 
-def _squares(columns: NDArray[np.complex128]) -> NDArray[np.float64]:
+def _squares(columns: NDArray[np.complex128]) -> Doubles:
     """Return the squared norm of each column."""
     return np.asarray((columns.real**2 + columns.imag**2).sum(0))
 
 
-def _interpolation(nodes: NDArray[np.float64], at: NDArray[np.float64], kind: type = np.float32) -> NDArray[Any]:
+def _interpolation(nodes: Doubles, at: Doubles, kind: type = np.float32) -> NDArray[Any]:
     """Return the matrix of polynomial interpolation from Chebyshev nodes to positions between -1 and 1."""
     degree = len(nodes) - 1
     chebyshev = np.polynomial.chebyshev.chebvander

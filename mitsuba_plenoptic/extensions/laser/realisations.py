@@ -20,7 +20,7 @@ from ...errors import InputError, refuse_if, require_count, suggest_keywords
 from ...io import digest
 from ...optics import guards
 from ...points import CaptureOperator, recorded_pixels
-from ...runtime import POINTS, Job, Part, PartialSum, SumTask, as_array, one_at_a_time
+from ...runtime import POINTS, Doubles, Job, Part, PartialSum, SumTask, as_array, one_at_a_time
 from .coherent import CoherentFields
 
 _BRIGHTEST = 1e30
@@ -112,7 +112,7 @@ class _Realisation:
     """One realisation of the phases, as a batch of a computation."""
 
     fields: CoherentFields
-    moduli: NDArray[np.float64]
+    moduli: Doubles
     seed: tuple[int, int]
     scale: float
 
@@ -136,7 +136,7 @@ class _Realisations:
     channels = 1
     arrays: Any = np
 
-    def __init__(self, fields: CoherentFields, moduli: NDArray[np.float64], count: int, seed: int) -> None:
+    def __init__(self, fields: CoherentFields, moduli: Doubles, count: int, seed: int) -> None:
         self._fields = fields
         self._moduli = moduli
         self._seed = seed

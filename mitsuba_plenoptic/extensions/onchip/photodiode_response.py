@@ -8,7 +8,6 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...errors import (
     put,
@@ -18,7 +17,7 @@ from ...errors import (
     require_wavelength,
     short_repr,
 )
-from ...runtime import PlainData, known_record
+from ...runtime import Doubles, PlainData, known_record
 
 if TYPE_CHECKING:
     from ...camera import CameraGeometry
@@ -80,7 +79,7 @@ class PhotodiodeResponse(PlainData):
 
     angles_x: tuple[float, ...]
     angles_y: tuple[float, ...]
-    responses: NDArray[np.float64]
+    responses: Doubles
     wavelengths: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
@@ -102,7 +101,7 @@ class PhotodiodeResponse(PlainData):
         put(self, responses=table)
 
     @cached_property
-    def of_pixels(self) -> NDArray[np.float64]:
+    def of_pixels(self) -> Doubles:
         """The responses of the 2 x 2 pixels, (2, 2, wavelengths, angles_y, angles_x)."""
         rows, columns = (ACROSS // count for count in self.responses.shape[:2])
         table = self.responses if self.wavelengths else self.responses[:, :, None]

@@ -32,7 +32,7 @@ from ...errors import refuse_if
 from ...fields import OpticalSystem
 from ...optics import in_millimetres
 from ...rays import Walk
-from ...runtime import drjit_array, single_threaded_blas
+from ...runtime import Doubles, drjit_array, single_threaded_blas
 
 NEAR = 5
 """Lenses across the window of the near table."""
@@ -96,8 +96,8 @@ class Zones:
     """Detector positions at which responses are tabulated: an even grid over the recorded lenses."""
 
     # Lattice indices of the lenses at the zones, along x and y.
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
+    x: Doubles
+    y: Doubles
 
     @classmethod
     def of(cls, camera: PlenopticCamera, count: int) -> Zones:
@@ -172,7 +172,7 @@ class PlaneWaveResponses:
         """Number of nodes of the table from its middle to its edge, along one direction cosine."""
         return math.ceil(self.reach / self.step) + 1
 
-    def by_direction(self, x: float, y: float) -> NDArray[np.float64]:
+    def by_direction(self, x: float, y: float) -> Doubles:
         """Return the light of plane waves in the photodiodes of a lens, (photodiodes, n, n), rows along y.
 
         The direction cosines lie `step` apart around the chief ray's; light of density 1 is its area in mm^2.
@@ -202,7 +202,7 @@ class PlaneWaveResponses:
         slope = [-float(self.system.lens.pupil.slope(0.0, coordinate)) for coordinate in self._place(x, y)]
         return [component / math.sqrt(1 + slope[0] ** 2 + slope[1] ** 2) for component in slope]
 
-    def is_open(self, x: float, y: float, along: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def is_open(self, x: float, y: float, along: Doubles) -> NDArray[np.bool_]:
         """Return a mask of the pairs of direction cosines, relative to the chief ray, that pass the pupil to a lens."""
         chief = self.chief(x, y)
         centre = self._place(x, y)

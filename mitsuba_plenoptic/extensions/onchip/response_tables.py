@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from ...errors import refuse_if
-from ...runtime import single_threaded_blas, unit_hint
+from ...runtime import Doubles, single_threaded_blas, unit_hint
 from .plane_waves import NEAR, PlaneWaveResponses, displacement
 
 _OVERSAMPLING = 1.4
@@ -64,7 +64,7 @@ class TableWindow(NamedTuple):
         return self.lenses * self.samples + 1
 
     @property
-    def place(self) -> NDArray[np.float64]:
+    def place(self) -> Doubles:
         """Positions of the samples in lenses."""
         return self.first - 0.5 + np.arange(self.across) / self.samples
 
@@ -198,7 +198,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
                 return mirrored, flips
         return None
 
-    def _displacement(self, zone: int) -> NDArray[np.float64]:
+    def _displacement(self, zone: int) -> Doubles:
         """Return the displacement x, y, in lenses, of the pixels under a zone's lens from the lens's centre."""
         row, column = divmod(zone, len(self.zones.x))
         position = self.zones.x[column], self.zones.y[row]
@@ -284,9 +284,9 @@ class _Pupil:
     columns: NDArray[np.int64]
     hats: scipy.sparse.csr_matrix
     # Part of the direction cosines of the pupil around each node (n, n).
-    mass: NDArray[np.float64]
+    mass: Doubles
     # Part of the area of the pupil, over which rays are even, around each node (n, n).
-    light: NDArray[np.float64]
+    light: Doubles
 
     @classmethod
     def of(cls, plan: PlaneWaveResponses, x: float, y: float, multiple: int) -> _Pupil:
@@ -347,7 +347,7 @@ def _fold(near: TableWindow, far: TableWindow) -> tuple[NDArray[np.float32], NDA
     """Return the matrices that fold and that interpolate far-window samples to near ones, (near.across, far.across)."""
     size = far.across - 1
 
-    def interpolated(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    def interpolated(positions: Doubles) -> Doubles:
         at = ((positions - far.place[0]) * far.samples) % size
         low = np.floor(at).astype(int)
         result = np.zeros((len(positions), far.across))

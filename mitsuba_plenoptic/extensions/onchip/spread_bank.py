@@ -26,6 +26,7 @@ from ...errors import (
 from ...fields import OpticalSystem
 from ...lenses import main_lens
 from ...points import footprint, point_spread_function
+from ...runtime import Doubles
 from ..inverse.point_rays import PointRays
 from .halves import photodiodes, require_layout
 from .photodiode_response import ACROSS, require_pixel_pairs
@@ -126,16 +127,14 @@ def psf_bank(
     return xr.DataArray(bank, dims=("depth", "field", "v", "u", "t", "s"), coords=coordinates, name="point spread")
 
 
-def _points(camera: PlenopticCamera, chief: tuple[float, float], distances: Sequence[float]) -> NDArray[np.float64]:
+def _points(camera: PlenopticCamera, chief: tuple[float, float], distances: Sequence[float]) -> Doubles:
     """Return the points (n, 3) at given distances whose chief rays meet the array at one position."""
     start, slope, _ = main_lens(camera).ray((0.0, 0.0), chief)
     position = [float(start[i]) + (np.array(distances) - float(start[2])) * float(slope[i]) for i in (0, 1)]
     return np.stack([*position, np.array(distances)], -1)
 
 
-def _reach(
-    camera: PlenopticCamera, distances: Sequence[float], positions: NDArray[np.float64], wavelength: float
-) -> float:
+def _reach(camera: PlenopticCamera, distances: Sequence[float], positions: Doubles, wavelength: float) -> float:
     """Return the largest distance in mm, on the array, between a point's rays and its chief ray at some positions."""
     camera = camera.replace(mla_cra=())
     lens = OpticalSystem(camera, wavelength).lens
@@ -148,8 +147,8 @@ def _reach(
 
 
 def _around(
-    camera: PlenopticCamera, position: NDArray[np.float64], count: int
-) -> tuple[PlenopticCamera, NDArray[np.float64], tuple[float, float]]:
+    camera: PlenopticCamera, position: Doubles, count: int
+) -> tuple[PlenopticCamera, Doubles, tuple[float, float]]:
     """Return a crop of the camera around the lens at a position, the middle of its pixels, and the lens's centre.
 
     All lenses of the crop that are aligned to chief rays are shifted alike.

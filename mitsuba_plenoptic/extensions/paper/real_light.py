@@ -29,7 +29,7 @@ from ...report import (
     refocused,
     window_sharpness,
 )
-from ...runtime import software
+from ...runtime import Doubles, software
 from ...scene import render_capture
 from ..deconvolution.deconvolved import flat_field
 from ..deconvolution.response import Response
@@ -171,7 +171,7 @@ def judge(recording: Recording, store: Cache, scene: str, wavelength: float) -> 
     return Judged(pictures, measured, check_claims(experiment, measured, None, near, far), quality)
 
 
-def _box(camera: PlenopticCamera, shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _box(camera: PlenopticCamera, shape: Shape) -> tuple[Doubles, Doubles]:
     """Return the corners of a shape's region in the camera's frame."""
     left, top, width, height = shape.areas["region"]
     columns, rows = camera.bin_count

@@ -19,7 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ...errors import refuse_if, require_count, require_number, require_numbers, suggest_keywords
-from ...runtime import Progress, counted
+from ...runtime import Doubles, Progress, counted
 from .voxels import values_of
 
 MEDIAN_LIMIT = 2.0
@@ -119,7 +119,7 @@ def _part_of(progress: Progress, index: int, passes: int) -> Progress:
     return lambda done, total: progress(index * total + done, passes * total)
 
 
-def _displacement(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def _displacement(before: Doubles, after: Doubles) -> tuple[Doubles, float]:
     """Return the displacement in voxels of one window's content in the other, and their correlation coefficient.
 
     If a window is empty, they are NaN and 0.
@@ -146,7 +146,7 @@ def _displacement(before: NDArray[np.float64], after: NDArray[np.float64]) -> tu
     return shift, coefficient
 
 
-def _beside(products: NDArray[np.float64], peak: NDArray[np.int64], axis: int) -> float:
+def _beside(products: Doubles, peak: NDArray[np.int64], axis: int) -> float:
     """Return the distance of a peak from its voxel along an axis, of the normal curve through three values."""
     if not 0 < peak[axis] < products.shape[axis] - 1:
         return 0.0
@@ -157,7 +157,7 @@ def _beside(products: NDArray[np.float64], peak: NDArray[np.int64], axis: int) -
     return float(np.clip(0.5 * (low - high) / bent, -1, 1)) if bent < 0 else 0.0
 
 
-def _expected(vectors: NDArray[np.float64], linear: bool = True) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _expected(vectors: Doubles, linear: bool = True) -> tuple[Doubles, Doubles]:
     """Return the median of the up to 26 neighbours of vectors (z, y, x, axis), in voxels, and by how much they differ.
 
     The neighbours are less their gradient if `linear`. A vector without neighbours is as expected.
@@ -174,7 +174,7 @@ def _expected(vectors: NDArray[np.float64], linear: bool = True) -> tuple[NDArra
     return np.where(alone, vectors, middle[..., 0, 0, 0]), typical
 
 
-def _median(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _median(values: Doubles) -> Doubles:
     """Return the median over the last three axes, which stay; 0 where all values are NaN."""
     last = (-3, -2, -1)
     return np.nanmedian(np.where(np.isnan(values).all(last, keepdims=True), 0, values), axis=last, keepdims=True)

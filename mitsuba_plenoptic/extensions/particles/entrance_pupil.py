@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...fields import OpticalSystem
 from ...prescription import Objective
+from ...runtime import Doubles
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class EntrancePupil:
         """Return the entrance pupil of a camera."""
         return cls(OpticalSystem(camera, wavelength).lens.entrance.pupil, camera.aperture_radius, camera.objective)
 
-    def towards(self, positions: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[Any]:
+    def towards(self, positions: Doubles, x: Doubles, y: Doubles) -> NDArray[Any]:
         """Return unit vectors from positions (n, 3) to points (q,) of the pupil, (n, q, 3)."""
         if self.objective is None:
             away = np.stack([x, y, np.full(len(x), self.place)], -1) - positions[:, None]
@@ -46,16 +47,14 @@ class EntrancePupil:
         lines = np.stack([x, y, -np.sqrt(1 - x * x - y * y)], -1)
         return np.broadcast_to(lines, (len(positions), *lines.shape))
 
-    def solid_angles(
-        self, positions: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def solid_angles(self, positions: Doubles, x: Doubles, y: Doubles) -> Doubles:
         """Return the solid angles from positions (n, 3) of a square millimetre at points (q,) of the pupil, (n, q)."""
         cosine = -self.towards(positions, x, y)[..., 2]
         if self.objective is not None:
             return np.asarray(1 / (cosine * (self.objective.immersion * self.objective.focal_length) ** 2))
         return np.asarray(cosine**3 / (positions[:, 2:] - self.place) ** 2)
 
-    def angle(self, positions: NDArray[np.float64]) -> float:
+    def angle(self, positions: Doubles) -> float:
         """Return the largest angle in radians, seen from positions (n, 3), between the pupil's centre and its rim."""
         if self.objective is not None:
             return self.objective.half_angle

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import RegularGridInterpolator
 
@@ -28,9 +27,9 @@ from ...errors import (
     require_number,
     require_numbers,
 )
-from ...runtime import MILLIMETRES, as_array, require_file, require_units
+from ...runtime import MILLIMETRES, Doubles, as_array, require_file, require_units
 
-Points = NDArray[np.float64]
+Points = Doubles
 """Positions or velocities, (n, 3)."""
 
 _TOLERANCE = 1e-11
@@ -219,7 +218,7 @@ class LambOseen(Flow):
         core = require_length("core", self.core)
         put(self, circulation=circulation, core=core, centre=_centre(self.centre))
 
-    def _turning(self, p: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _turning(self, p: Doubles, q: Doubles) -> Doubles:
         """Return the angular velocity in 1/s at distances from the axis of the vortex."""
         square = (p * p + q * q) / self.core**2
         # (1 - exp(-s)) / s is 1 at s = 0.

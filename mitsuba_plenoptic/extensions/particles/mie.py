@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import refuse_if, require_module
+from ...runtime import Doubles
 
 LARGEST = 2000.0
 """Size parameter at most: 250 micrometres in water, where rays would do, and the series has 2000 terms."""
 
 
-def coefficients(size: NDArray[np.float64], index: complex) -> NDArray[np.complex128]:
+def coefficients(size: Doubles, index: complex) -> NDArray[np.complex128]:
     """Return the scattering coefficients a and b of spheres by size parameter, (2, terms, spheres), 0 beyond the last.
 
     The index, over that of the medium, has a positive imaginary part where it absorbs.
@@ -40,9 +41,7 @@ def _of_sphere(size: float, index: complex) -> NDArray[np.complex128]:
     return np.asarray(miepython.coefficients(index.conjugate(), size))
 
 
-def amplitudes(
-    diameters: NDArray[np.float64], index: complex, wavelength: float, cosines: NDArray[np.float64]
-) -> NDArray[np.complex128]:
+def amplitudes(diameters: Doubles, index: complex, wavelength: float, cosines: Doubles) -> NDArray[np.complex128]:
     """Return the amplitudes S1 and S2, of light across the plane of scattering and in it, (2, spheres, angles).
 
     Parameters are those of `cross_sections`. Phases are those of light that travels as exp(i k r).
@@ -63,9 +62,7 @@ def amplitudes(
     return scattered
 
 
-def cross_sections(
-    diameters: NDArray[np.float64], index: complex, wavelength: float, cosines: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def cross_sections(diameters: Doubles, index: complex, wavelength: float, cosines: Doubles) -> Doubles:
     """Return differential scattering cross-sections, in square micrometres per steradian, of unpolarised light.
 
     Of spheres, by diameters in micrometres, refractive index over that of the medium, wavelength in the medium in

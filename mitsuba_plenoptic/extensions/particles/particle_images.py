@@ -30,7 +30,7 @@ from ...errors import refuse_if, require_choice, require_count, require_waveleng
 from ...fields import OpticalSystem
 from ...io import Capture, Checkpoint
 from ...points import BORDER, CaptureOperator, PupilWeights
-from ...runtime import Job, Progress, require_memory
+from ...runtime import Doubles, Job, Progress, require_memory
 from ..inverse.point_rays import PointRays
 from .entrance_pupil import EntrancePupil
 from .mie import amplitudes
@@ -61,11 +61,11 @@ class ScatteredLight:
     """
 
     # Positions in the camera frame, (n, 3).
-    positions: NDArray[np.float64]
+    positions: Doubles
     # Diameters in micrometres, (n,).
-    diameters: NDArray[np.float64]
+    diameters: Doubles
     # Irradiance on each, (n,).
-    irradiance: NDArray[np.float64]
+    irradiance: Doubles
     # Direction in which the light travels.
     direction: tuple[float, ...]
     seeding: Seeding
@@ -83,7 +83,7 @@ class ScatteredLight:
         waves = (size + 4 * size ** (1 / 3)) * self.pupil.angle(self.positions) / np.pi
         return max(_FEWEST, int(np.ceil(_PER_WAVE * waves)))
 
-    def _amplitudes(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def _amplitudes(self, x: Doubles, y: Doubles) -> NDArray[np.complex128]:
         """Return the four amplitudes towards points (q,) of the pupil, (4, n, q).
 
         The sum of their squared moduli is the differential cross-section in square micrometres per steradian.
@@ -125,7 +125,7 @@ class ScatteredLight:
         return result * (wavelength * 1e-3 / (2 * np.pi * np.sqrt(2)))
 
     @cached_property
-    def powers(self) -> NDArray[np.float64]:
+    def powers(self) -> Doubles:
         """Powers of each particle through the pupil, in square micrometres, by amplitude, (4, n); beads have one."""
         # Gauss's rule in the square of the radius, evenly in angle.
         nodes, weights = np.polynomial.legendre.leggauss(self.cells // 2 + 4)
@@ -139,7 +139,7 @@ class ScatteredLight:
             return np.asarray(self.irradiance * self.diameters**3 / 24 * solid_angles.sum(1))[None]
         return np.asarray(self.irradiance * (np.abs(self._amplitudes(x, y)) ** 2 * solid_angles).sum(-1))
 
-    def followed(self, accuracy: float) -> tuple[NDArray[np.float64], PupilWeights | None]:
+    def followed(self, accuracy: float) -> tuple[Doubles, PupilWeights | None]:
         """Return the powers of the amplitudes that count, (k, n), and these amplitudes, one after the other."""
         if self.seeding.index is None or not len(self.positions):
             return self.powers, None

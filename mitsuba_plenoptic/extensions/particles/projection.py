@@ -18,7 +18,7 @@ from ...fields import OpticalSystem
 from ...lenses import inverse_distance
 from ...linear import LinearMap
 from ...points import CaptureOperator
-from ...runtime import POINTS, Job, Progress, as_array, counted
+from ...runtime import POINTS, Doubles, Job, Progress, as_array, counted
 from ..inverse.point_rays import PointRays
 from ..inverse.stored import StoredOperator
 from .seeding import ParticleVolume
@@ -106,7 +106,7 @@ class VoxelProjector(LinearMap):
         """Return the image (rows, columns) of voxels with the given light, (n,)."""
         return self.points.forward(self._spread @ as_array("weights", weights, np.float64, POINTS), job=job)
 
-    def adjoint(self, image: ArrayLike, *, job: Job | None = None) -> NDArray[np.float64]:
+    def adjoint(self, image: ArrayLike, *, job: Job | None = None) -> Doubles:
         """Return each voxel's inner product with an image, (n,)."""
         return np.asarray(self._spread.T @ self.points.adjoint(image, job=job))
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import put, refuse_if, require_choice, require_length, require_number, require_numbers, suggest_keywords
+from ...runtime import Doubles
 
 Record = TypeVar("Record")
 
@@ -49,7 +50,7 @@ class ParticleVolume:
         refuse_if(empty, f"lower = {self.lower}, upper = {self.upper}: the volume is empty; upper must be beyond lower")
 
     @property
-    def size(self) -> NDArray[np.float64]:
+    def size(self) -> Doubles:
         """Extent along x, y and z."""
         return np.array(self.upper) - np.array(self.lower)
 
@@ -58,7 +59,7 @@ class ParticleVolume:
         """Centre of the volume."""
         return tuple((0.5 * np.add(self.lower, self.upper)).tolist())
 
-    def contains(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def contains(self, points: Doubles) -> NDArray[np.bool_]:
         """Return whether points (..., 3) are within the volume, its lower faces included."""
         return np.asarray(((points >= self.lower) & (points < self.upper)).all(-1))
 
@@ -133,7 +134,7 @@ class LightSheet:
         if self.centre is not None:
             put(self, centre=require_numbers("centre", self.centre, count=3, minimum=-1e9, maximum=1e9))
 
-    def irradiance(self, points: NDArray[np.float64], volume: ParticleVolume) -> NDArray[np.float64]:
+    def irradiance(self, points: Doubles, volume: ParticleVolume) -> Doubles:
         """Return the irradiance at points (..., 3), over that in the middle of the sheet."""
         if self.thickness is None:
             return np.ones(points.shape[:-1])
@@ -219,7 +220,7 @@ class Seeding:
         refuse_if(density * contents > MOST, f"{density * contents:.3g} particles in the volume: {MOST:.0e} at most")
         return density
 
-    def diameters(self, count: int, random: np.random.Generator) -> NDArray[np.float64]:
+    def diameters(self, count: int, random: np.random.Generator) -> Doubles:
         """Return random diameters in micrometres, (count,)."""
         return np.asarray(self.diameter * np.exp(self.spread * random.normal(size=count)))
 

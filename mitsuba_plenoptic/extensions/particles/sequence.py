@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, require_camera
 from ...errors import refuse_if, require_count, require_number, suggest_keywords, warn
 from ...io import versions
+from ...runtime import Doubles
 from .flows import Flow
 from .seeding import MOST, LightSheet, ParticleVolume, Seeding
 
@@ -126,9 +126,7 @@ def particle_sequence(
     )
 
 
-def _check_motion(
-    flow: Flow, volume: ParticleVolume, interval: float, frames: int, points: NDArray[np.float64]
-) -> None:
+def _check_motion(flow: Flow, volume: ParticleVolume, interval: float, frames: int, points: Doubles) -> None:
     """Refuse flows that carry particles farther than the volume reaches, or too many of them; warn of divergence."""
     after = flow.advected(points, interval)
     _within(volume, interval, after - points)
@@ -146,7 +144,7 @@ def _check_motion(
         )
 
 
-def _within(volume: ParticleVolume, interval: float, moves: NDArray[np.float64]) -> None:
+def _within(volume: ParticleVolume, interval: float, moves: Doubles) -> None:
     """Refuse displacements (n, 3) of particles in the volume that are as long as this."""
     for axis, move, size in zip("xyz", np.abs(moves).max(0, initial=0), volume.size, strict=True):
         refuse_if(

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_count, require_number, require_numbers, require_wavelength, suggest_keywords
 from ...io import Capture
-from ...runtime import MILLIMETRES, POINTS, Progress, as_array
+from ...runtime import MILLIMETRES, POINTS, Doubles, Progress, as_array
 from ..inverse.stored import StoredOperator
 from .voxels import elongation, require_points, values_of
 
@@ -35,7 +35,7 @@ _BUDGET = 8.0
 
 def locate_particles(
     volume: xr.DataArray, *, threshold: float = 0.1, apart: Sequence[int] = (3, 3, 3)
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Doubles, Doubles]:
     """Return positions (n, 3) in mm and the light (n,) of the local maxima of a volume.
 
     Parameters
@@ -79,14 +79,14 @@ def locate_particles(
 @suggest_keywords
 def refine_particles(
     capture: Capture,
-    positions: NDArray[np.float64],
-    light: NDArray[np.float64],
+    positions: Doubles,
+    light: Doubles,
     *,
     wavelength: float | None = None,
     iterations: int = 4,
     bins: Sequence[int] = (4, 2, 1),
     progress: Progress | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Doubles, Doubles]:
     """Return positions and light of particles that explain a capture by waves best, in the sense of least squares.
 
     Levenberg and Marquardt's steps from given positions, with derivatives by central differences of point spreads.
@@ -165,9 +165,7 @@ def refine_particles(
     return positions, light
 
 
-def _slopes(
-    camera: PlenopticCamera, positions: NDArray[np.float64], scale: NDArray[np.float64], wavelength: float
-) -> tuple[Any, list[Any]]:
+def _slopes(camera: PlenopticCamera, positions: Doubles, scale: Doubles, wavelength: float) -> tuple[Any, list[Any]]:
     """Return the point spreads (pixels, n), and their derivatives along x, y and z for motions in units of `scale`."""
     moves = _STEP * scale[:, None] * np.eye(3)
     places = [positions, *(positions + sign * moves[:, axis] for axis in range(3) for sign in (1, -1))]
@@ -179,7 +177,7 @@ def _slopes(
 
 
 def match_particles(
-    first: NDArray[np.float64], second: NDArray[np.float64], predicted: NDArray[np.float64], reach: Sequence[float]
+    first: Doubles, second: Doubles, predicted: Doubles, reach: Sequence[float]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the indices of particles of two frames that are the same ones.
 

@@ -15,7 +15,7 @@ from scipy.special import ndtr
 
 from ...camera import PlenopticCamera
 from ...errors import put, refuse_if, require_count, require_numbers, suggest_keywords
-from ...runtime import MILLIMETRES, POINTS, as_array, require_units
+from ...runtime import MILLIMETRES, POINTS, Doubles, as_array, require_units
 
 MOST_VOXELS = 10**8
 
@@ -63,18 +63,18 @@ class VoxelGrid:
         refuse_if(math.prod(self.shape) > MOST_VOXELS, f"shape = {self.shape}: {MOST_VOXELS:.0e} voxels at most")
 
     @property
-    def voxel(self) -> NDArray[np.float64]:
+    def voxel(self) -> Doubles:
         """Size of a voxel along x, y and z in millimetres."""
         return np.subtract(self.upper, self.lower) / np.array(self.shape[::-1])
 
     @property
-    def axes(self) -> list[NDArray[np.float64]]:
+    def axes(self) -> list[Doubles]:
         """Centres of the voxels along x, y and z."""
         parts = zip(self.lower, self.voxel, self.shape[::-1], strict=True)
         return [low + size * (np.arange(count) + 0.5) for low, size, count in parts]
 
     @property
-    def points(self) -> NDArray[np.float64]:
+    def points(self) -> Doubles:
         """Centres of all voxels, (n, 3), for a `CaptureOperator`."""
         x, y, z = self.axes
         return np.stack(np.meshgrid(z, y, x, indexing="ij")[::-1], -1).reshape(-1, 3)
@@ -87,7 +87,7 @@ class VoxelGrid:
         )
 
 
-def values_of(*volumes: xr.DataArray) -> list[NDArray[np.float64]]:
+def values_of(*volumes: xr.DataArray) -> list[Doubles]:
     """Return the values of volumes along z, y and x; refuse different voxels, and values that are not finite."""
     for volume in volumes:
         require_units("volume", volume, dict.fromkeys("zyx", MILLIMETRES))
@@ -103,7 +103,7 @@ def values_of(*volumes: xr.DataArray) -> list[NDArray[np.float64]]:
     return values
 
 
-def require_points(name: str, points: ArrayLike) -> NDArray[np.float64]:
+def require_points(name: str, points: ArrayLike) -> Doubles:
     """Return points (n, 3) as floats; refuse other shapes, and points that are not finite."""
     places = as_array(name, points, np.float64, POINTS, rule="they must be numbers, (n, 3)", units=MILLIMETRES)
     refuse_if(
@@ -113,9 +113,7 @@ def require_points(name: str, points: ArrayLike) -> NDArray[np.float64]:
     return places
 
 
-def drawn_particles(
-    grid: VoxelGrid, positions: NDArray[np.float64], weights: NDArray[np.float64], width: Sequence[float]
-) -> xr.DataArray:
+def drawn_particles(grid: VoxelGrid, positions: Doubles, weights: Doubles, width: Sequence[float]) -> xr.DataArray:
     """Return a volume of particles as normal curves, integrated over voxels, which add up to the particles' weights.
 
     Parameters
@@ -177,7 +175,7 @@ def quality(volume: xr.DataArray, reference: xr.DataArray) -> float:
     return float((first * second).sum()) / size if size else 0.0
 
 
-def ghost_fraction(volume: xr.DataArray, positions: NDArray[np.float64], reach: Sequence[float]) -> float:
+def ghost_fraction(volume: xr.DataArray, positions: Doubles, reach: Sequence[float]) -> float:
     """Return the part of a volume's light that is farther than `reach` from every particle.
 
     Parameters

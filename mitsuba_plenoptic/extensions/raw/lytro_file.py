@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, require_choice, require_count, require_number, short_repr
 from ...io import RECORDED, Capture, recording_of
-from ...runtime import read_text, require_memory, require_size
+from ...runtime import Doubles, read_text, require_memory, require_size
 
 CONTAINERS = (".lfp", ".lfr")
 
@@ -292,7 +292,7 @@ def _tile(picture: _Picture) -> NDArray[np.str_]:
     return np.roll(tile, (-j, -i), (0, 1))
 
 
-def _levels(picture: _Picture, name: str, tile: NDArray[np.str_]) -> NDArray[np.float64]:
+def _levels(picture: _Picture, name: str, tile: NDArray[np.str_]) -> Doubles:
     """Return the black or white levels of the filters of a tile, as digital numbers."""
     entry = f"{picture.details}.pixelFormat.{name}"
     return np.array([[picture.number(f"{entry}.{colour}", minimum=0, maximum=65535) for colour in row] for row in tile])

@@ -8,10 +8,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...array import read_samples
 from ...errors import refuse_if, require_number, require_pair, suggest_keywords
+from ...runtime import Doubles
 
 INFINITY = 1e12
 """Distance of these points in millimetres, at which the curvature of a wavefront is of no effect."""
@@ -19,7 +19,7 @@ INFINITY = 1e12
 _WIDEST = 3600.0 * 10
 """Largest angle from the axis in arcseconds."""
 
-Points = NDArray[np.float64]
+Points = Doubles
 
 
 @suggest_keywords

@@ -20,15 +20,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, require_accuracy, require_count, require_wavelength, suggest_keywords
 from ...points import CaptureOperator
-from ...runtime import as_array, as_pixels
+from ...runtime import Doubles, as_array, as_pixels
 from .wavefront_fit import Zone, require_zone
 
-Array = NDArray[np.float64]
+Array = Doubles
 
 
 @dataclass(frozen=True)

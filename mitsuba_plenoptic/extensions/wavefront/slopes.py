@@ -23,9 +23,9 @@ from ...errors import LONGEST, SHORTEST, InputError, refuse_if, require_count, r
 from ...lenses import Wavefront, main_lens
 from ...optics import rays
 from ...points import check_positions
-from ...runtime import as_pixels
+from ...runtime import Doubles, as_pixels
 
-Array = NDArray[np.float64]
+Array = Doubles
 
 
 @dataclass(frozen=True)

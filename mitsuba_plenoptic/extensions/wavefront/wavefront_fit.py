@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_camera, require_support
 from ...errors import (
@@ -26,12 +25,12 @@ from ...errors import (
 )
 from ...lenses import main_lens
 from ...points import CaptureOperator, check_positions
-from ...runtime import as_array
+from ...runtime import Doubles, as_array
 from ..inverse.fit_light import Pixels, check_views
 from ..inverse.fitting import Fit, PixelNoise, View, fit
 from .slopes import lenses_of_pixels, modes_from_slopes, view_slopes
 
-Array = NDArray[np.float64]
+Array = Doubles
 
 COUNTS = PixelNoise(1.0)
 """Noise of a capture whose pixels are counted electrons."""

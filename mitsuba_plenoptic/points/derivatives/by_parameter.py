@@ -8,7 +8,6 @@ from typing import Any, cast
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ...array import make_lattice
 from ...camera import Captures, PlenopticCamera, change_of, parts_of, size_of, with_gradient
@@ -16,7 +15,7 @@ from ...errors import WAVEFRONT_UNIT, InputError, did_you_mean, require_number, 
 from ...fields import OpticalSystem, VaryingArrayFactor
 from ...lenses import LENS_NUMBERS, FittedLens, Wavefront, open_area_slopes, zernike
 from ...optics import in_millimetres
-from ...runtime import active_backend, array_module, drjit_array, is_zero, turn
+from ...runtime import Doubles, active_backend, array_module, drjit_array, is_zero, turn
 from ..field_grid import Grid
 from ..patch_factors import Elements
 from ..units import brightness, detector_brightness
@@ -79,7 +78,7 @@ MOVES = ("detector_width", "mla_rotation", "wavelength")
 """Those that move the pixels against the samples of the light."""
 
 
-def values_of(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[np.float64]:
+def values_of(camera: PlenopticCamera, wavelength: float, name: str) -> Doubles:
     """Return the present components of a parameter: two pitches, each focal length, 36 aberrations or more."""
     if name == WAVELENGTH:
         return np.array([wavelength])
@@ -102,7 +101,7 @@ def check_names(camera: PlenopticCamera, names: Iterable[str] | None) -> tuple[s
     return tuple(names)
 
 
-def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np.float64]]:
+def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, Doubles]:
     """Return changes of parameters by name, with all components as in `values_of`; refuse other parameters."""
     if not isinstance(changes, dict):
         raise InputError(f"changes = {short_repr(changes)}: they must be numbers by name")
@@ -119,7 +118,7 @@ def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np
     return checked
 
 
-def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str, NDArray[np.float64]]:
+def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str, Doubles]:
     """Return the derivatives of the logarithm of `units.brightness` with respect to each parameter's components.
 
     The pupil is assumed to scale with the aperture; see `light_slopes` for real main lenses.
@@ -131,9 +130,7 @@ def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str
     return parameters.gradients()
 
 
-def light_slopes(
-    system: OpticalSystem, names: Iterable[str], points: NDArray[np.float64]
-) -> dict[str, NDArray[np.float64]]:
+def light_slopes(system: OpticalSystem, names: Iterable[str], points: Doubles) -> dict[str, Doubles]:
     """Return the derivatives of the logarithm of `units.brightness_at` with respect to each parameter.
 
     The arrays are (components, points).
@@ -216,13 +213,13 @@ class VaryingParameters:
         fill = get["mla_fill"][0]
         return make_lattice(camera.mla_lattice, pitches, offset=offset, aperture=camera.mla_aperture, fill=fill)
 
-    def set_tangents(self, changes: dict[str, NDArray[np.float64]]) -> None:
+    def set_tangents(self, changes: dict[str, Doubles]) -> None:
         """Set the direction in which the parameters change."""
         for name, change in changes.items():
             for value, tangent in zip(self._parameters[name], change.tolist(), strict=True):
                 dr.set_grad(value, tangent)
 
-    def gradients(self) -> dict[str, NDArray[np.float64]]:
+    def gradients(self) -> dict[str, Doubles]:
         """Return the gradients accumulated so far, by parameter."""
         return {
             name: np.array([float(dr.grad(value)[0]) for value in self._parameters[name]])

@@ -17,6 +17,9 @@ from ...optics import guards
 from ...runtime import (
     MEMORY_LIMIT,
     BatchMap,
+    Doubles,
+    Floats,
+    Integers,
     Job,
     PartialSum,
     SumTask,
@@ -47,7 +50,7 @@ from .point_batches import (
     varying_factors,
 )
 
-Direction = dict[str, NDArray[np.float64]]
+Direction = dict[str, Doubles]
 """Changes of parameters, by name."""
 
 _LEFT_OUT = 0.1
@@ -63,11 +66,7 @@ class DerivativePlan(PatchPlan):
     """
 
     def __init__(
-        self,
-        system: OpticalSystem,
-        points: NDArray[np.float64],
-        pupil_weights: PupilWeights | None,
-        accuracy: float,
+        self, system: OpticalSystem, points: Doubles, pupil_weights: PupilWeights | None, accuracy: float
     ) -> None:
         # Behind a real lens the changes of copies differ from each other.
         shared = system.lens.is_uniform and derivatives_share(accuracy, len(points))
@@ -87,19 +86,13 @@ class DerivativePlan(PatchPlan):
         # From samples of the patch between copies to the distance of their lenses.
         self._per_sample = self._grid.pitch / camera.image_growth
 
-    def jvp(self, weights: NDArray[np.float64], directions: list[Direction]) -> JvpSum:
+    def jvp(self, weights: Doubles, directions: list[Direction]) -> JvpSum:
         """Return the derivatives, not yet computed, of the sum with weights (n, channels) in some directions."""
         return JvpSum(self, weights, directions)
 
     def vjp(
-        self,
-        weights: NDArray[np.float64],
-        image: NDArray[np.float32],
-        names: tuple[str, ...],
-        job: Job,
-        done: int,
-        total: int,
-    ) -> dict[str, NDArray[np.float64]]:
+        self, weights: Doubles, image: Floats, names: tuple[str, ...], job: Job, done: int, total: int
+    ) -> dict[str, Doubles]:
         """Return gradients with respect to parameters, from the image's gradient (rows, columns, channels).
 
         `done` of the job's `total` points are already complete.
@@ -157,7 +150,7 @@ class DerivativePlan(PatchPlan):
             return None
         return VaryingParameters(self._camera, self._wavelength, ["mla_offset"])
 
-    def moving(self, weights: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def moving(self, weights: Doubles) -> NDArray[np.bool_]:
         """Return a mask of the spreads whose copies are moved with the lattice relative to their points.
 
         The effect is proportional to the copies' weights and distances. Spreads with few or near copies take as long as
@@ -170,9 +163,7 @@ class DerivativePlan(PatchPlan):
         counted[order] = np.cumsum(amounts[order]) > _LEFT_OUT * self._accuracy * amounts.sum()
         return counted
 
-    def lit(
-        self, chunk: NDArray[np.int64], weights: NDArray[np.float64], moving: NDArray[np.bool_]
-    ) -> tuple[Fields, list[SpreadCopies]]:
+    def lit(self, chunk: Integers, weights: Doubles, moving: NDArray[np.bool_]) -> tuple[Fields, list[SpreadCopies]]:
         """Return the spreads of a chunk with a nonzero weight, and their copies; `moving` marks moving patterns."""
         lit_spreads = []
         copies = []
@@ -203,7 +194,7 @@ class DerivativePlan(PatchPlan):
 class JvpSum:
     """Changes of a sum in several directions, batch by batch, with the interface of `runtime.batches.LongSum`."""
 
-    def __init__(self, plan: DerivativePlan, weights: NDArray[np.float64], directions: list[Direction]) -> None:
+    def __init__(self, plan: DerivativePlan, weights: Doubles, directions: list[Direction]) -> None:
         self._plan = plan
         self._weights = weights
         self._directions = directions
@@ -237,7 +228,7 @@ class JvpSum:
             fields, copies = plan.lit(chunk, self._weights, moving)
             yield JvpBatch(fields, copies, plan._finer, varied, slopes, offset, self._placed)
 
-    def image(self, total: PartialSum) -> NDArray[np.float32]:
+    def image(self, total: PartialSum) -> Floats:
         """Return the changes integrated over the recorded pixels, plus the changes due to the pixels' motion."""
         recorder = self._plan._recorder
         channels = self._weights.shape[1]
@@ -269,13 +260,8 @@ class Differentials:
 
     @single_threaded_blas()
     def jvp(
-        self,
-        weights: NDArray[np.float64],
-        directions: list[Direction],
-        wavelengths: tuple[float, ...],
-        matrix: NDArray[np.float32],
-        job: Job,
-    ) -> NDArray[np.float32]:
+        self, weights: Doubles, directions: list[Direction], wavelengths: tuple[float, ...], matrix: Floats, job: Job
+    ) -> Floats:
         """Return the changes of the image in some directions, (rows, columns, directions times channels).
 
         The columns of `weights` have the given `wavelengths`; `matrix` maps them to the image's channels.
@@ -305,16 +291,16 @@ class Differentials:
     @single_threaded_blas()
     def vjp(
         self,
-        weights: NDArray[np.float64],
-        image: NDArray[np.float32],
+        weights: Doubles,
+        image: Floats,
         names: tuple[str, ...],
         wavelengths: tuple[float, ...],
-        matrix: NDArray[np.float32],
+        matrix: Floats,
         job: Job,
-    ) -> dict[str, NDArray[np.float64]]:
+    ) -> dict[str, Doubles]:
         """Return gradients with respect to parameters, by name, from the image's gradient (rows, columns, channels)."""
         _require_threads(job)
-        total: dict[str, NDArray[np.float64]] = {}
+        total: dict[str, Doubles] = {}
         with guards.watch():
             for done, (wavelength, some) in enumerate(groups(wavelengths)):
                 cotangent = mix(image, matrix[:, some].T)

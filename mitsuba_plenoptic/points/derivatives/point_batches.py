@@ -13,7 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...runtime import Box, Part, active_backend, array_module, backend_of, drjit_array, fft, turn
+from ...runtime import (
+    Box,
+    Doubles,
+    Floats,
+    Integers,
+    Part,
+    active_backend,
+    array_module,
+    backend_of,
+    drjit_array,
+    fft,
+    turn,
+)
 from ..patch import FieldChain, Memory, Parts, PatchBatch
 from ..patch_factors import Fields, PatchFactors
 from ..tile import Copies, CopySum, FieldBatch, reached
@@ -30,7 +42,7 @@ MOVED_COPIES = ("mla_pitch", *SHIFTED_COPIES)
 """Parameters that change copies differently from their spreads."""
 
 
-def copy_slopes(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[np.float64]:
+def copy_slopes(camera: PlenopticCamera, wavelength: float, name: str) -> Doubles:
     """Return the matrices A and B of moving copies for a unit change of each component of a parameter.
 
     The result is (components, 2, 2, 2), for a parameter in `MOVED_COPIES`: for each component A and B, each as (x and y
@@ -61,7 +73,7 @@ _BLOCK = 2**18
 class SpreadCopies(Copies):
     """Positions and weights of the copies of a point spread, and the changes of the copies."""
 
-    places: NDArray[np.float64]  # shifts on the microlens array in millimetres, (copies, 2)
+    places: Doubles  # shifts on the microlens array in millimetres, (copies, 2)
     moving: NDArray[np.bool_]  # whether the motion of the lattice against the point is included, (copies,)
 
     @classmethod
@@ -83,9 +95,7 @@ def _windows(work: JvpBatch | VjpBatch, batch: PatchBatch, box: Box, points: sli
     return Windows.of([(work.finer * (corner + copies.shifts) - low)[:, ::-1] for corner, copies in corners])
 
 
-def gathered(
-    tile: NDArray[np.float32], windows: Windows, weights: NDArray[np.float32], moments: NDArray[np.float64], size: int
-) -> list[NDArray[np.float32]]:
+def gathered(tile: Floats, windows: Windows, weights: Floats, moments: Doubles, size: int) -> list[Floats]:
     """Return the weighted sums (patches, size, size) of each patch's windows in a tile, one for each row of `moments`.
 
     The tile (channels, rows, columns) covers the box of the windows. Their weights are (windows, channels), times those
@@ -159,7 +169,7 @@ class JvpBatch(FieldBatch):
     copies: list[SpreadCopies]
     finer: int  # as in `FieldChain`
     directions: tuple[VaryingParameters, ...]  # with the tangents set
-    slopes: tuple[NDArray[np.float64], ...]  # for each direction (2, 2), A of `copies.copy_slopes`
+    slopes: tuple[Doubles, ...]  # for each direction (2, 2), A of `copies.copy_slopes`
     offset: VaryingParameters | None  # those of which ``mla_offset`` varies; None where no A is needed
     placed: bool  # whether the point spreads are added times the copies' positions along x and y, too
 
@@ -203,7 +213,7 @@ def _jvp(work: JvpBatch, batch: PatchBatch, changes: list[Parts], lattice: list[
     return Part(box, arrays.concatenate(sums))
 
 
-def _added(sums: Any, terms: list[tuple[Any, NDArray[np.float64]]], copies: SpreadCopies, windows: Windows) -> Any:
+def _added(sums: Any, terms: list[tuple[Any, Doubles]], copies: SpreadCopies, windows: Windows) -> Any:
     """Return sums with terms, multiplied by each copy's factors and weights, added to the window of each copy."""
     if not terms:
         return sums
@@ -226,7 +236,7 @@ class VjpResult:
     """Cotangents of a batch's factors, with sums of the batch's point spreads."""
 
     factors: Parts
-    products: NDArray[np.float64]  # gradient times the effect of a moved lattice on the spreads, laid out as A, (2, 2)
+    products: Doubles  # gradient times the effect of a moved lattice on the spreads, laid out as A, (2, 2)
     spreads: Part | None
 
 
@@ -237,7 +247,7 @@ class VjpBatch(FieldBatch):
     copies: list[SpreadCopies]
     finer: int  # as in `FieldChain`
     offset: VaryingParameters | None  # as in `JvpBatch`
-    tile: NDArray[np.float32]  # gradient by the samples that the spreads cover, (channels, rows, columns)
+    tile: Floats  # gradient by the samples that the spreads cover, (channels, rows, columns)
     summed: int  # sums of the point spreads: 0, 1 (with their weights) or 3 (also times the copies' x, and y)
     varies: tuple[bool, ...]  # the factors whose cotangents are asked for
 
@@ -316,7 +326,7 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
     return VjpResult(cotangents, products, None if spreads is None else Part(box, spreads.total()))
 
 
-def _added_directions(total: fft.Field, parts: fft.Field, starts: NDArray[np.int64]) -> fft.Field:
+def _added_directions(total: fft.Field, parts: fft.Field, starts: Integers) -> fft.Field:
     """Return cotangents of a transfer function with those of points (n, rows, columns) added to their windows."""
     if backend_of(total).is_cuda:
         windows = Windows(np.arange(len(parts)), starts * np.array([1, 2]))
