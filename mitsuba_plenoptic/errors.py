@@ -366,9 +366,6 @@ WAVEFRONT_UNIT = 633.0
 MOST_ABERRATIONS = 66
 """Zernike polynomials at most: those up to the tenth order."""
 
-STRONGEST_ABERRATION = 1000.0
-"""Waves, root mean square over the pupil, of one of them at most."""
-
 FULL_TURN = 360.0
 """Bound of a rotation in degrees, in either direction."""
 
@@ -393,12 +390,6 @@ MOST_WARP_SLOPE = 0.1
 
 MOST_SEED = 2**32 - 1
 """Seed of an array's irregularities at most."""
-
-WIDEST_ANGLE = 90.0
-"""Degrees of incidence at most."""
-
-STEEPEST_CHIEF_RAY = 80.0
-"""Degrees of a chief ray to which lenses are aligned, at most."""
 
 
 def require_wavelength(value: Any, name: str = "wavelength") -> float:
@@ -464,7 +455,8 @@ def require_wavefront(name: str, value: Any) -> tuple[float, ...]:
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) > MOST_ABERRATIONS:
         raise InputError(f"{name} = {short_repr(value)}: it must be at most {MOST_ABERRATIONS} numbers")
-    bound = STRONGEST_ABERRATION
+    # 1000.0: Waves, root mean square over the pupil, of one of them at most.
+    bound = 1000.0
     return require_numbers(name, value, count=len(value), minimum=-bound, maximum=bound)
 
 
@@ -480,7 +472,8 @@ def require_warp(name: str, value: Any) -> tuple[float, ...]:
 def require_response(name: str, value: Any) -> tuple[float, ...]:
     """Return pairs of an angle in degrees, rising from 0, and a response from 0 to 1, as one tuple of numbers."""
     numbers = _require_pairs(name, value, "an angle in degrees and a response", "angles")
-    require_number(name, max(numbers[::2], default=0.0), maximum=WIDEST_ANGLE)
+    # 90.0: Degrees of incidence at most.
+    require_number(name, max(numbers[::2], default=0.0), maximum=90.0)
     if any(response > 1 for response in numbers[1::2]):
         raise InputError(f"{name} = {short_repr(value)}: its responses must be from 0 to 1")
     return numbers
@@ -489,7 +482,8 @@ def require_response(name: str, value: Any) -> tuple[float, ...]:
 def require_chief_rays(name: str, value: Any) -> tuple[float, ...]:
     """Return pairs of an image height, rising from 0, and a chief-ray angle in degrees, as one tuple of numbers."""
     numbers = _require_pairs(name, value, "an image height and an angle in degrees", "heights")
-    require_number(name, max(numbers[1::2], default=0.0), maximum=STEEPEST_CHIEF_RAY)
+    # 80.0: Degrees of a chief ray to which lenses are aligned, at most.
+    require_number(name, max(numbers[1::2], default=0.0), maximum=80.0)
     if any(numbers[1:2]):
         raise InputError(f"{name} = {short_repr(value)}: its first angle, on the axis, must be 0")
     return numbers

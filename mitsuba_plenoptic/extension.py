@@ -131,10 +131,7 @@ def entries(kind: str) -> Iterator[tuple[str, str, Any]]:
 def hook(key: str, what: str) -> Any:
     """Return the function that the records name for a key under ``hooks``.
 
-    Raises
-    ------
-    InputError
-        If no extension has it; `what` begins the line.
+    Without one, refuse in a line that `what` begins.
     """
     for package, name, text in entries("hooks"):
         if name == key:
@@ -157,10 +154,7 @@ class Displayed:
 def format_of(suffix: str, holds: str, what: str, write: bool = False) -> tuple[str, str] | None:
     """Return package and place of the reader, or writer, of files of a suffix; None where no extension has one.
 
-    Raises
-    ------
-    InputError
-        If a shipped extension has one and is not installed; `what` begins the line.
+    If a shipped extension has one and is not installed, refuse in a line that `what` begins.
     """
     for package, key, value in entries("formats"):
         if (key, value.holds) == (suffix, holds):

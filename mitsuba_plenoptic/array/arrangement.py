@@ -29,10 +29,6 @@ from .lens_shifts import Displacement
 # Points across a sample for the fraction of it that is aperture.
 _POINTS = 8
 
-# First zero of the diffraction pattern of a disc, in wavelengths over its diameter: that of J1 over pi.
-AIRY_ZERO = 1.21967
-
-
 APERTURES = ("cell", "circle")
 """Shapes of apertures, as `mla_aperture` names them."""
 
@@ -199,7 +195,9 @@ class Lattice(abc.ABC):
         if self.aperture == "cell" and self.rectangular:
             return float(min(self.aperture_widths))
         # Of the disc of the same area.
-        return math.sqrt(4 / math.pi * self.lens_area) / AIRY_ZERO
+        # 1.21967: First zero of the diffraction pattern of a disc, in wavelengths over its diameter: that of J1 over
+        # pi.
+        return math.sqrt(4 / math.pi * self.lens_area) / 1.21967
 
     @property
     def lens_area(self) -> Any:

@@ -32,22 +32,6 @@ from .remedies import (
     least_change,
 )
 
-_SMALLEST_PIXEL = 2e-4
-"""Of detectors, in millimetres."""
-
-_HARDLY = 0.5
-"""Pixels by which rims of micro-images overlap unseen: no pixel gets half of its light from another lens."""
-
-_DUAL = 0.01
-"""Largest relative deviation from two pixels across the lenses of dual and quad pixels."""
-
-
-_RAYLEIGH = 0.25
-"""Aberration in waves that is hardly seen, by Rayleigh's criterion."""
-
-_MOST_CAMERAS = 60
-"""Cameras that are tried to mend one."""
-
 
 def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
     """Return warnings about a camera's design, one sentence each with its remedies."""
@@ -80,7 +64,8 @@ def mended(camera: PlenopticCamera, wavelength: float | None = None) -> Plenopti
             break
         for finding in findings:
             for _, changed in finding.mended(candidate):
-                if changed not in tried and len(tried) < _MOST_CAMERAS:
+                # 60: Cameras that are tried to mend one.
+                if changed not in tried and len(tried) < 60:
                     tried.append(changed)
     return best
 
@@ -94,7 +79,8 @@ def _findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Fin
         return
     yield from _sizes(camera)
     yield from _focus(camera)
-    if camera.pixel_size < _SMALLEST_PIXEL:
+    # 2e-4: Of detectors, in millimetres.
+    if camera.pixel_size < 2e-4:
         yield Finding(
             f"a pixel is {camera.pixel_size:.3g} mm wide, less than a wavelength of light: lengths are taken as "
             "millimetres",
@@ -116,7 +102,8 @@ def _findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Fin
 
 def _is_dual(camera: PlenopticCamera) -> bool:
     """Return whether each lens has two pixels for the two sides of the pupil (a dual-pixel sensor)."""
-    return abs(camera.pixels_per_lens / 2 - 1) <= _DUAL
+    # 0.01: Largest relative deviation from two pixels across the lenses of dual and quad pixels.
+    return abs(camera.pixels_per_lens / 2 - 1) <= 0.01
 
 
 def _sizes(camera: PlenopticCamera) -> Iterator[Finding]:
@@ -172,7 +159,8 @@ def _sizes(camera: PlenopticCamera) -> Iterator[Finding]:
 
 def _rims_overlap(camera: PlenopticCamera) -> bool:
     """Return whether pixels would be lit through several lenses even with a pupil narrower by a part of a pixel."""
-    narrower = camera.aperture_radius - _HARDLY * camera.pupil_step
+    # 0.5: Pixels by which rims of micro-images overlap unseen: no pixel gets half of its light from another lens.
+    narrower = camera.aperture_radius - 0.5 * camera.pupil_step
     return narrower > 0 and crosstalk_lenses(camera.replace(aperture_radius=narrower)) > 1
 
 
@@ -253,7 +241,8 @@ def _diffraction(camera: PlenopticCamera, wavelength: float) -> Iterator[Finding
             (("make lenses larger", larger_lenses(camera, least / fresnel)),),
         )
     aberration = parabolic_aberration(camera, wavelength) if camera.lens_model == "parabolic" else 0
-    if aberration > _RAYLEIGH:
+    # 0.25: Aberration in waves that is hardly seen, by Rayleigh's criterion.
+    if aberration > 0.25:
         yield Finding(
             f"lens_model parabolic: the main lens aberrates light by {aberration:.2g} waves over the field",
             (("take a lens without aberrations", {"lens_model": "ideal"}),),

@@ -49,9 +49,6 @@ from ..runtime import array_module, backend_of, check_memory, drjit_array, empty
 from .accuracy import ACCURACY
 from .transmittance import factor_axes, opaque_lattice, transmission
 
-_FINE_BYTES = 16
-"""Memory in bytes per sample while the orders are computed."""
-
 _RETAINED = 16, 2
 """Numbers of largest directions for which an array caches its factors, of one and of two coordinates. Patches of
 different sizes use different directions, and those of one size are computed in succession."""
@@ -242,8 +239,9 @@ class PlaneFactor(ArrayFactor):
         pitch = min(camera.mla_pitches)
         fine = max(self._fine, math.ceil(ACCURACY.wave_samples * highest * pitch))
         table = math.prod(side * highest * ACCURACY.order_samples[1] for side in sides)
+        # 16: Memory in bytes per sample while the orders are computed.
         check_memory(
-            _FINE_BYTES * math.prod(side / pitch * fine for side in sides) + 16 * table,
+            16 * math.prod(side / pitch * fine for side in sides) + 16 * table,
             f"microlens array of pitch {camera.mla_pitch:g} with {self._counts[1]} x {self._counts[0]} orders",
         )
         shape = [fft.fast_length(side / pitch * fine, 2) for side in sides[::-1]]

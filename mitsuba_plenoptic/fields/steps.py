@@ -71,11 +71,6 @@ class Step:
         return self.y.wanted, self.x.wanted
 
     @property
-    def sample_area(self) -> float:
-        """Area of a destination sample in square millimetres."""
-        return self.x.new_pitch * self.y.new_pitch
-
-    @property
     def columns(self) -> tuple[int, int]:
         """Number and largest length of the transposed columns, whose memory source and destination share."""
         return self.x.held, max(self.y.count, self.y.wanted)

@@ -20,9 +20,6 @@ from ..optics import in_millimetres, phasor, second_leg
 from ..runtime import Doubles, fft, turn
 from .accuracy import ACCURACY
 
-_EVANESCENT = 1 - 1e-6
-"""Squared sine of the direction from which waves do not propagate."""
-
 
 def is_separable(camera: PlenopticCamera) -> bool:
     """Return whether the transmission is a product of a function of x and a function of y."""
@@ -111,7 +108,8 @@ def recorded_amplitude(camera: PlenopticCamera, sx: Any, sy: Any) -> Any:
 
     Cosines are Dr.Jit float64 arrays; the result has single precision.
     """
-    square = dr.minimum(sx * sx + sy * sy, _EVANESCENT)
+    # 1 - 1e-6: Squared sine of the direction from which waves do not propagate.
+    square = dr.minimum(sx * sx + sy * sy, 1 - 1e-6)
     depth = camera.space_behind[0] or 1.0
     power = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, type(sx))
     return dr.float32_array_t(type(sx))(dr.sqrt(power(depth * dr.sqrt(square / (1 - square)), depth)))

@@ -133,14 +133,7 @@ class LightOnPupil(Protocol):
     def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
         """Return the path in waves from a scene point to an exit pupil point, less the path to the pupil's centre.
 
-        Parameters
-        ----------
-        pupil : (array, array)
-            Point on the exit pupil in millimetres.
-        point : (array, array, array)
-            Scene point in the camera frame in millimetres.
-        wavelength : float
-            Wavelength in nanometres.
+        Points are in millimetres, the scene point in the camera frame.
         """
 
     def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:

@@ -85,10 +85,6 @@ def _edge(lens: LensSystem, height: float, reach: float, middle: tuple[float, fl
     return np.stack([middle[0] + distance * np.cos(dense), middle[1] + distance * np.sin(dense)], -1)
 
 
-_LIGHTS = 16
-"""Largest number of lights of single points that are cached."""
-
-
 @dataclass(frozen=True, eq=False)
 class RealLens(LensSystem):
     """A lens of several surfaces before a detector that sees a part of its field, with cached fits for waves."""
@@ -165,7 +161,8 @@ class RealLens(LensSystem):
         """Return the light of a single scene point, fitted to rays of this point alone."""
         x, y, g = np.asarray(point).tolist()
         if (x, y, g) not in self._lights:
-            while len(self._lights) >= _LIGHTS:
+            # 16: Largest number of lights of single points that are cached.
+            while len(self._lights) >= 16:
                 self._lights.pop(next(iter(self._lights)), None)
             self._lights[x, y, g] = ExitPupil.of(self, (x, y, g))
         return self._lights[x, y, g]

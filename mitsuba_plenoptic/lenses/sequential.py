@@ -97,15 +97,7 @@ def elements(
 
 
 def widened(surface: Element, factor: float) -> Element:
-    """Return a surface with a larger semi-aperture.
-
-    Parameters
-    ----------
-    surface : Element
-        The surface.
-    factor : float
-        Factor on the semi-aperture.
-    """
+    """Return a surface with a larger semi-aperture."""
     return dataclasses.replace(surface, semi_aperture=factor * surface.semi_aperture)
 
 

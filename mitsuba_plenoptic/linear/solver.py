@@ -49,23 +49,11 @@ from .map import LinearMap
 
 Array = NDArray[Any]
 
-_HALVED = 0.5
-"""Least fraction of the light that an extrapolation leaves: steps multiply, so that light at 0 would stay there."""
-
-_LEAST_LIT = 0.005
-"""Light of a white scene in a pixel, over that of the brightest one, below which Richardson and Lucy leave it out."""
-
 _ADDED = 1e-4
 """Their least addition to every pixel and its model, over the mean of those that are lit, so that all are above 0."""
 
-_LEAST_SEEN = 1e-4
-"""Light of an element on the detector, over that of the best one, below which they take it for dark."""
-
 _LEAST_AVERAGED = 1e-3
 """The same in SMART and SIRT; and the light of pixels over that of the best one."""
-
-_FLOOR = 1e-3
-"""Least value of pixels and of their model, over the mean of the image, for SMART's logarithm."""
 
 
 class Steps:
@@ -195,7 +183,9 @@ def solve(
         point = state.values
         if accelerate and state.momentum:
             ahead = state.values + state.momentum / (state.momentum + 3) * (state.values - state.last)
-            point = np.maximum(ahead, _HALVED * state.values)
+            # 0.5: Least fraction of the light that an extrapolation leaves: steps multiply, so that light at 0 would
+            # stay there.
+            point = np.maximum(ahead, 0.5 * state.values)
         if state.done == iterations and stop is None:
             return Solution(state.values, point, state.done, "", steps.operator)
         model = steps.operator.forward(point)
@@ -231,7 +221,8 @@ class RichardsonLucy(Steps):
         shift: float = 0.0,
         penalty: Callable[[Array, NDArray[np.bool_]], Array] | None = None,
     ) -> None:
-        super().__init__(operator, image, _LEAST_SEEN)
+        # 1e-4: Light of an element on the detector, over that of the best one, below which they take it for dark.
+        super().__init__(operator, image, 1e-4)
         self._penalty = penalty
         floor = _ADDED / max(1, int((image > 0).sum()))
         # Added to every pixel and its model; and how much it grows with the light of the image.
@@ -241,7 +232,9 @@ class RichardsonLucy(Steps):
         self.weight = np.divide(1, self.light, out=np.zeros_like(self.light), where=self.inside)
         # Pixels that hardly any light reaches explain nothing: interpolation may leave less than none there.
         white = operator.forward(np.asarray(self.inside, np.float32))
-        self.lit = white > _LEAST_LIT * white.max()
+        # 0.005: Light of a white scene in a pixel, over that of the brightest one, below which Richardson and Lucy
+        # leave it out.
+        self.lit = white > 0.005 * white.max()
 
     def ratio(self, model: Array) -> Array:
         """Return the image divided by the model, both with the added light."""
@@ -276,7 +269,8 @@ class Smart(_Averages):
 
     def step(self, point: Array, model: Array) -> Array:
         """Return the light after a step from a point whose image is `model`."""
-        floor = _FLOOR * float(self.image.mean())
+        # 1e-3: Least value of pixels and of their model, over the mean of the image, for SMART's logarithm.
+        floor = 1e-3 * float(self.image.mean())
         ratio = np.log(np.maximum(self.image, floor) / np.maximum(model, floor))
         return np.asarray(point * np.exp(self._averaged(ratio)))
 

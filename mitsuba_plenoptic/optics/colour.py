@@ -26,9 +26,6 @@ _STEP = 10.0
 _EXACT = 1e5
 """Weight of the colours relative to the smoothness in the least-squares fit."""
 
-_UNKNOWN = 0.01
-"""Largest fraction of the channels' responses at wavelengths where a spectrum has no values."""
-
 _CIE_STEP = 5.0
 """Step in nanometres of Mitsuba's tables of CIE 1931."""
 
@@ -110,7 +107,8 @@ def _beyond(wavelengths: Doubles, responses: Floats, low: float, high: float) ->
     """Return a wavelength outside the bounds if more than 1 % of the responses lie outside, otherwise None."""
     outside = (wavelengths < low) | (wavelengths > high)
     weights = np.abs(responses).sum(axis=0)
-    return float(wavelengths[outside][0]) if weights[outside].sum() > _UNKNOWN * weights.sum() else None
+    # 0.01: Largest fraction of the channels' responses at wavelengths where a spectrum has no values.
+    return float(wavelengths[outside][0]) if weights[outside].sum() > 0.01 * weights.sum() else None
 
 
 def srgb_responses(wavelengths: Doubles) -> Doubles:

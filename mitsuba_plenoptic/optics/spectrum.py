@@ -44,9 +44,6 @@ Table = tuple[Doubles, Doubles]
 _FINE = 0.5
 """Step in nanometres of the wavelengths, besides the tables' own, at which quadratures of tables are checked."""
 
-_WRONG = 4e-3
-"""Largest allowed relative error of a channel's integral over a table."""
-
 
 @suggest_keywords
 @dataclass(frozen=True)
@@ -241,7 +238,24 @@ class Spectrum:
         bright = {wavelength for wavelength, weight in zip(self.wavelengths, lit, strict=True) if weight > 0}
         if count >= len(bright):
             return replace(self, nodes=() if len(bright) in (0, len(set(self.wavelengths))) else tuple(sorted(bright)))
-        return replace(self, nodes=tuple(_gauss_nodes(np.array(self.wavelengths), lit, count).tolist()))
+        # The nodes of the Gauss rule for weights at given positions: zeros of the orthogonal polynomial. The zeros are
+        # the eigenvalues of the matrix of the polynomials' recurrence, which Lanczos's iteration computes, with
+        # repeated orthogonalisation for stability.
+        wavelengths = np.array(self.wavelengths)
+        middle = (wavelengths.max() + wavelengths.min()) / 2
+        half = np.ptp(wavelengths) / 2
+        x = (wavelengths - middle) / half
+        basis_rows = [np.sqrt(lit / lit.sum())]
+        for _ in range(count - 1):
+            new = x * basis_rows[-1]
+            for _again in range(2):
+                for old in basis_rows:
+                    new = new - (old @ new) * old
+            basis_rows.append(new / np.linalg.norm(new))
+        basis = np.array(basis_rows)
+        return replace(
+            self, nodes=tuple(np.asarray(middle + half * np.linalg.eigvalsh((basis * x) @ basis.T)).tolist())
+        )
 
     @property
     def computed(self) -> tuple[float, ...]:
@@ -331,7 +345,8 @@ def _nodes(
         return np.divide(wrong, largest, out=np.zeros_like(wrong), where=largest > 0)
 
     parts = {(0, len(edges) - 1): errors(0, len(edges) - 1)}
-    while (total := np.sum(list(parts.values()), axis=0)).max() > _WRONG:
+    # 4e-3: Largest allowed relative error of a channel's integral over a table.
+    while (total := np.sum(list(parts.values()), axis=0)).max() > 4e-3:
         worst = int(np.argmax(total))
         divisible = [interval for interval in parts if interval[1] - interval[0] > 1]
         if not divisible or len(parts) > MOST_WAVELENGTHS // 2:
@@ -348,26 +363,6 @@ def _nodes(
         "sample them more coarsely",
     )
     return wavelengths, quadrature
-
-
-def _gauss_nodes(wavelengths: Doubles, weights: Doubles, count: int) -> Doubles:
-    """Return the nodes of the Gauss rule for weights at given positions: zeros of the orthogonal polynomial.
-
-    The zeros are the eigenvalues of the matrix of the polynomials' recurrence, which Lanczos's iteration computes, with
-    repeated orthogonalisation for stability.
-    """
-    middle = (wavelengths.max() + wavelengths.min()) / 2
-    half = np.ptp(wavelengths) / 2
-    x = (wavelengths - middle) / half
-    basis_rows = [np.sqrt(weights / weights.sum())]
-    for _ in range(count - 1):
-        new = x * basis_rows[-1]
-        for _again in range(2):
-            for old in basis_rows:
-                new = new - (old @ new) * old
-        basis_rows.append(new / np.linalg.norm(new))
-    basis = np.array(basis_rows)
-    return np.asarray(middle + half * np.linalg.eigvalsh((basis * x) @ basis.T))
 
 
 def interpolated(wavelengths: Doubles, columns: Iterable[Doubles], at: Doubles) -> Doubles:

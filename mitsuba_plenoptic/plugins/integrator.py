@@ -71,9 +71,6 @@ POINTS = "points"
 SRGB = "srgb"
 """The responses of linear sRGB, in place of the name of a file."""
 
-BAND_NODES = 8
-"""Default count of wavelengths of a band; point spreads may be computed at fewer."""
-
 SHARED = 32
 """Count of wavelengths of a band whose light is distributed to the nodes of signed rays."""
 
@@ -387,7 +384,8 @@ def make_class() -> type:
                 )
                 return Spectrum.sensor(self.file_table, self.wavelength_count, tables)
             if self.bandwidth is not None:
-                count = SHARED if self.method == SIGNED_RAYS else self.nodes or BAND_NODES
+                # 8: Default count of wavelengths of a band; point spreads may be computed at fewer.
+                count = SHARED if self.method == SIGNED_RAYS else self.nodes or 8
                 if tables:
                     ends, flat = self._table().T
                     response = partial(interpolated, ends, [flat])

@@ -57,9 +57,6 @@ _SHARP = 1 / 4
 WAVES_PER_ERROR = 10.0
 """Waves across a microlens by which wavefronts may differ, over the allowed error of a sum of many points."""
 
-_NEIGHBOURHOOD = 25
-"""Approximate number of lenses whose points have overlapping spreads."""
-
 _MANY = 1600
 """Number of overlapping point spreads above which `WAVES_PER_ERROR` gives the allowed error."""
 
@@ -114,21 +111,13 @@ def wavefront_step(accuracy: float, camera: PlenopticCamera, lens: MainLens, pos
         return 0.0
     image = lens.images(positions)
     lenses = np.unique(np.floor(image / camera.mla_pitch), axis=0)
-    overlap = min(len(positions), _NEIGHBOURHOOD * len(positions) / len(lenses))
+    # 25: Approximate number of lenses whose points have overlapping spreads.
+    overlap = min(len(positions), 25 * len(positions) / len(lenses))
     return accuracy * WAVES_PER_ERROR * min(1.0, (overlap / _MANY) ** 0.5)
 
 
 ZONES = (2, 3, 4, 6, 8, 12, 16)
 """Numbers of lenses along an axis over which patterns may be shared, besides one."""
-
-_LENS_PER_WAVE = 2.5
-"""Largest step of position in pitches over the allowed wavefront step in waves; it is finite as blur has an edge."""
-
-_ZONE_PER_WAVE = 0.6
-"""Width of a zone, in wavefront changes from lens to lens, over the allowed wavefront step."""
-
-_SLANT_PER_WAVE = 1.5
-"""Step of slants that are averaged, over the allowed wavefront step in waves."""
 
 _FARTHEST = 1e12
 """Distance, in millimetres, beyond which light counts as collimated."""
@@ -164,7 +153,11 @@ def find_patterns(
         alone = np.zeros((len(positions), 2), np.int64)
         slant = None if pupil_weights is None else pupil_weights.slant
         return Patterns(positions, slant, np.arange(len(positions)), alone)
-    image = _lattice_steps(camera, lens.images(positions))
+    # Positions on the MLA in steps along the lattice vectors, the first of which is along x.
+    (width, _), (aside, height) = camera.lattice.basis
+    x, y = (lens.images(positions) - np.array(camera.mla_offset)).T
+    j = y / height
+    image = np.stack([(x - j * aside) / width, j], axis=-1)
     depth, parts = _depth_steps(camera, lens, positions[:, 2], wavelength, step)
     fine = np.floor(image * parts[:, None] + _OFF_LATTICE).astype(np.int64)
     cell = fine // parts[:, None]
@@ -175,7 +168,8 @@ def find_patterns(
         lens_type = camera.lattice.lens_type(*cell.T).astype(np.int64)
         keys.append(lens_type[:, None])
     if pupil_weights is not None:
-        slants = np.floor(pupil_weights.slant / (_SLANT_PER_WAVE * step) + 0.5).astype(np.int64)
+        # 1.5: Step of slants that are averaged, over the allowed wavefront step in waves.
+        slants = np.floor(pupil_weights.slant / (1.5 * step) + 0.5).astype(np.int64)
         keys += [pupil_weights.index[:, None], slants]
     _, first, pattern = np.unique(np.hstack(keys), axis=0, return_index=True, return_inverse=True)
     pattern = pattern.reshape(-1)
@@ -205,14 +199,6 @@ def find_patterns(
     return Patterns(centres, slant, pattern, cell - middle[pattern])
 
 
-def _lattice_steps(camera: PlenopticCamera, position: Doubles) -> Doubles:
-    """Return positions on the MLA, (n, 2), in steps along the lattice vectors, the first of which is along x."""
-    (width, _), (aside, height) = camera.lattice.basis
-    x, y = (position - np.array(camera.mla_offset)).T
-    j = y / height
-    return np.stack([(x - j * aside) / width, j], axis=-1)
-
-
 def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> Doubles:
     """Return positions on the MLA in pitches, from steps along the lattice vectors, (n, 2)."""
     basis = np.array(camera.lattice.basis)
@@ -236,7 +222,9 @@ def _depth_steps(
     depth = np.floor(4 * scale / step + _OFF_LATTICE)
     middle = np.abs(depth + 0.5 - _OFF_LATTICE) * step / 4 * lenses_per_wave
     lenses = np.exp(np.maximum(0, middle - 1))
-    width = np.minimum(step * lam * b / (2 * a) * lenses / pitch, _LENS_PER_WAVE * step)
+    # 2.5: Largest step of position in pitches over the allowed wavefront step in waves; it is finite as blur has an
+    # edge.
+    width = np.minimum(step * lam * b / (2 * a) * lenses / pitch, 2.5 * step)
     return depth.astype(np.int64), np.ceil(1 / width).astype(np.int64)
 
 
@@ -259,5 +247,6 @@ def _zones(
             axis=0,
         )
         waves = path_change(lens, np.sqrt(square), pitch, wavelength)
-        size[width * waves <= _ZONE_PER_WAVE * step] = width
+        # 0.6: Width of a zone, in wavefront changes from lens to lens, over the allowed wavefront step.
+        size[width * waves <= 0.6 * step] = width
     return cell // size[:, None] * size[:, None], size

@@ -32,18 +32,6 @@ from .pupil_weights import PupilWeights
 from .sampling import Footprint, bundle_footprint, footprint
 from .seen_pupil import SeenPupil
 
-_WINDOW_MARGIN = 1.2
-"""Width of the window between pupil and MLA over the extent that it must contain."""
-
-_AIRY_WIDTHS = 110
-r"""Least width of that window in units of :math:`\lambda b / D_1`, to contain diffraction by the pupil's edge."""
-
-_WINDOW_EDGE = 64
-"""Samples between the window's edge, from which cut fields ring, and the recorded pixels if there is no array."""
-
-_WINDOW_PER_BLUR = 20
-"""Least width of the window behind an objective, over the radius of a point's defocused image."""
-
 _PUPIL_BAND = 1.5
 """Sampled directions between pupil and MLA over the steepest ray, to contain diffraction by the pupil's edge."""
 
@@ -148,7 +136,8 @@ def grids_around(
     distance, medium = camera.space_behind
     sine = bent / medium
     reach = growth * distance * sine / math.sqrt(max(1e-3, 1 - sine**2))
-    margin = math.ceil(reach / p) if distance else math.ceil(_WINDOW_EDGE / per_pixel)
+    # 64: Samples between the window's edge, from which cut fields ring, and the recorded pixels if there is no array.
+    margin = math.ceil(reach / p) if distance else math.ceil(64 / per_pixel)
     width = np.array([camera.detector_width, camera.detector_height])
     pixels = [fft.fast_length(size + 2 * margin) for size in camera.crop_size]
     start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
@@ -158,16 +147,20 @@ def grids_around(
     if lens.pupil.finite:
         low = np.minimum(-radius, low)
         high = np.maximum(radius, high)
-        diffracted = _AIRY_WIDTHS * lam * lens.pupil.distance / (2 * radius)
+        # 110: Least width of that window in units of :math:`\lambda b / D_1`, to contain diffraction by the pupil's
+        # edge.
+        diffracted = 110 * lam * lens.pupil.distance / (2 * radius)
     elif lens.pupil.swap is not None:
         # The field is sampled in the image of the stop itself.
         diffracted = 0.0
     else:
         # The number of samples of the stop is that of waves of the steepest direction across the window. Softening its
         # edge over one sample reduces the light that the edge diffracts far from the point's image.
-        blur = _WINDOW_PER_BLUR * float(image.half_width.max())
+        # 20: Least width of the window behind an objective, over the radius of a point's defocused image.
+        blur = 20 * float(image.half_width.max())
         diffracted = max(_PUPIL_SAMPLES * lam / cone(system.lens, positions[:, 2]), blur)
-    extent = max(_WINDOW_MARGIN * float((high - low).max()), diffracted)
+    # 1.2: Width of the window between pupil and MLA over the extent that it must contain.
+    extent = max(1.2 * float((high - low).max()), diffracted)
     wide = fft.fast_length(growth * extent / pitch + per_pixel, per_pixel)
     before = np.floor((start - (low + high - wide * pitch) / 2) / p).astype(int)
     finest = max(2 * _PUPIL_BAND * steepest / lam, _PUPIL_SAMPLES / radius)

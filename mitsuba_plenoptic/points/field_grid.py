@@ -23,9 +23,6 @@ from ..optics import in_millimetres
 from ..runtime import Doubles, Integers, fft, turn
 from .sampling import footprint
 
-_PITCH_PER_PIXEL = 1.1
-"""Largest distance of samples over a pixel, within `_FINER`: larger pixels average the fringes of steep light."""
-
 _FINER = 1.2
 _WIDTH_PER_BLUR = 1.2
 _TAILS = 6
@@ -125,7 +122,9 @@ class Grid:
         if beside and system.microlenses.fills:
             half_band = min(half_band, cosine + bent + diffraction(camera, wavelength, band.beyond))
         largest = in_millimetres(wavelength) / (2 * half_band)
-        largest = min(largest, max(_PITCH_PER_PIXEL * camera.pixel_size, largest / _FINER))
+        # 1.1: Largest distance of samples over a pixel, within `_FINER`: larger pixels average the fringes of steep
+        # light.
+        largest = min(largest, max(1.1 * camera.pixel_size, largest / _FINER))
         steps = repetition(camera)[1] * camera.image_growth
         fft.check_samples(float((steps / largest).max()), "from lens to lens")
         origin = -np.array([camera.detector_width, camera.detector_height]) / 2
@@ -206,7 +205,14 @@ def _place(grid: Grid, positions: Doubles) -> Placement:
         float(((np.abs(image.centre) + width[:, None]) / grid.pitch).max(initial=0)),
         "from the axis",
     )
-    samples = _ladder(width / grid.pitch.min())
+    # Sample counts rounded up to a few fast FFT lengths, so that many points share one length.
+    minimum = width / grid.pitch.min()
+    counts = [fft.fast_length(16)]
+    while counts[-1] < minimum.max(initial=0):
+        length = fft.fast_length(math.ceil(counts[-1] * _WIDTH_STEP))
+        # rows separated by a multiple of 2 KiB map to the same few lines of the processor's cache
+        counts.append(length if length % 256 else fft.fast_length(length + 1))
+    samples = np.array(counts)[np.searchsorted(counts, minimum)]
     corner = np.rint((image.centre + aside / 2 - grid.origin) / grid.pitch).astype(np.int64)
     step = lam / (samples[:, None] * grid.pitch)
     angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
@@ -219,13 +225,3 @@ def _place(grid: Grid, positions: Doubles) -> Placement:
         first=np.floor(cosine.min(1) / step).astype(np.int64) - 1,
         last=np.ceil(cosine.max(1) / step).astype(np.int64) + 1,
     )
-
-
-def _ladder(minimum: Doubles) -> Integers:
-    """Return sample counts rounded up to a few fast FFT lengths, so that many points share one length."""
-    counts = [fft.fast_length(16)]
-    while counts[-1] < minimum.max(initial=0):
-        length = fft.fast_length(math.ceil(counts[-1] * _WIDTH_STEP))
-        # rows separated by a multiple of 2 KiB map to the same few lines of the processor's cache
-        counts.append(length if length % 256 else fft.fast_length(length + 1))
-    return np.array(counts)[np.searchsorted(counts, minimum)]

@@ -115,7 +115,18 @@ def intensity(system: OpticalSystem, grids: FieldGrids, light: Arrival, microlen
     chain = Chain([*light.links, *to_detector(system, grids, microlenses, finer=2).links])
     with retained_workspace(chain.steps) as workspace, fft.resting_drjit():
         field = chain.forward(workspace.blocks(light.source, light.first), workspace)
-        return active_backend().to_host(pixel_integrals(system.camera, field, grids))
+        # The intensity integrated over each recorded pixel, exactly for the band-limited field on finer samples.
+        arrays = active_backend().arrays
+        height, width = system.camera.shape
+        rows = arrays.empty((2 * grids.count[1], width), np.float32)
+        for block, samples in field:
+            parts = samples.view(np.float32)
+            arrays.multiply(parts, parts, out=parts)
+            rows[block] = _along_pixels(parts[:, 0::2] + parts[:, 1::2], grids, width)
+        psf = arrays.empty((height, width), np.float32)
+        for block in blocks(width):
+            psf[:, block] = _along_pixels(arrays.ascontiguousarray(rows[:, block].T), grids, height).T
+        return active_backend().to_host(psf)
 
 
 def to_detector(system: OpticalSystem, grids: FieldGrids, microlenses: bool = True, finer: int = 1) -> Chain:
@@ -208,21 +219,6 @@ def _irregular(system: OpticalSystem, grids: FieldGrids) -> fft.Field:
             np.hypot(cosines[0][:, None], cosines[1]) <= grids.bend
         )
         return fft.fft2(active_backend().arrays.ascontiguousarray(spectrum), inverse=True) / np.float32(_FINER**2)
-
-
-def pixel_integrals(camera: PlenopticCamera, field: Rows, grids: FieldGrids) -> Floats:
-    """Return the intensity integrated over each recorded pixel, exactly for the band-limited field on finer samples."""
-    arrays = active_backend().arrays
-    height, width = camera.shape
-    rows = arrays.empty((2 * grids.count[1], width), np.float32)
-    for block, samples in field:
-        parts = samples.view(np.float32)
-        arrays.multiply(parts, parts, out=parts)
-        rows[block] = _along_pixels(parts[:, 0::2] + parts[:, 1::2], grids, width)
-    psf = arrays.empty((height, width), np.float32)
-    for block in blocks(width):
-        psf[:, block] = _along_pixels(arrays.ascontiguousarray(rows[:, block].T), grids, height).T
-    return psf
 
 
 def _along_pixels(intensity: Floats, grids: FieldGrids, count: int) -> Floats:

@@ -37,9 +37,6 @@ A plan is made for an optical system, points, their pupil weights and an accurac
 
 METHODS = tuple(PLANS)
 
-_AS_REGULAR = 0.01
-"""Largest distance in pixels of shifted lenses from regular ones that stand for them, behind which spreads repeat."""
-
 _PLACES = 33
 """Places across the recorded pixels at which this distance is measured."""
 
@@ -457,4 +454,6 @@ def _as_regular(camera: PlenopticCamera) -> PlenopticCamera:
     x, y = (np.linspace(float(places[0]), float(places[-1]), _PLACES) for places in pixels)
     cells = camera.lattice.cell(*np.meshgrid(x, y))
     apart = np.subtract(camera.lattice.centre(*cells), regular.lattice.centre(*cells))
-    return regular if np.hypot(*apart).max() < _AS_REGULAR * camera.pixel_size else camera
+    # 0.01: Largest distance in pixels of shifted lenses from regular ones that stand for them, behind which spreads
+    # repeat.
+    return regular if np.hypot(*apart).max() < 0.01 * camera.pixel_size else camera

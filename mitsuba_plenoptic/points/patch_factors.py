@@ -65,9 +65,6 @@ class Fields:
 FIELD_BYTES = 2**26
 """Approximate bytes of the factors of the fields that are computed together."""
 
-DEVICE_BYTES = 2**29
-"""Approximate bytes of the fields of many points that a device computes together, see `patch`."""
-
 
 def chunks_of(grid: Grid, placement: Placement, patches: Integers, most: int) -> list[Integers]:
     """Return patches of one size in chunks of at most `most`, whose factors have at most `FIELD_BYTES`."""
@@ -84,7 +81,8 @@ def fields_memory(samples: float) -> float:
     """Return the approximate bytes of the fields that a thread computes, with so many samples across a patch."""
     if on_cuda():
         # Without blocks there are as many samples of all that is made of a field.
-        return 64 * samples**2 + 2 * FIELD_BYTES + DEVICE_BYTES
+        # 2**29: Approximate bytes of the fields of many points that a device computes together, see `patch`.
+        return 64 * samples**2 + 2 * FIELD_BYTES + 2**29
     return 10 * samples**2 + 2 * FIELD_BYTES
 
 

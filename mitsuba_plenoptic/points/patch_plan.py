@@ -59,9 +59,6 @@ _FIRST = 2
 _TRIAL_SECONDS = 0.1
 """Least number of point spreads that are timed for an estimate, and approximate seconds for each patch size."""
 
-_JUDGED = 16
-"""Number of patterns from which the loss is estimated if microlenses have gaps, and from which `PatchPlan.gain` is."""
-
 
 class PatchPlan:
     """Points grouped into patterns, and patterns grouped into chunks of one patch size and neighbourhood.
@@ -367,7 +364,9 @@ def _areas(samples: Any) -> Any:
 
 def _some(patterns: Integers) -> Integers:
     """Return a few of some patterns, at regular intervals."""
-    return np.unique(patterns[np.linspace(0, len(patterns) - 1, _JUDGED).round().astype(np.int64)])
+    # 16: Number of patterns from which the loss is estimated if microlenses have gaps, and from which `PatchPlan.gain`
+    # is.
+    return np.unique(patterns[np.linspace(0, len(patterns) - 1, 16).round().astype(np.int64)])
 
 
 class PatchSum:

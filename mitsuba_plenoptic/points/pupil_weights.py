@@ -17,9 +17,6 @@ from ..runtime import IMAGE, Doubles, Floats, Integers, as_array, drjit_array, f
 BORDER = 2
 """Cells beyond each side of the square for which there are coefficients of complex amplitudes."""
 
-STEEPEST = 0.98
-"""Largest slant: if a surface is seen more obliquely, the pupil sees both sides, one of which is hidden."""
-
 
 @dataclass(frozen=True)
 class PupilWeights:
@@ -107,7 +104,12 @@ class PupilWeights:
         for P in (Px, Py):
             position = (P + radius) * (cells / (2 * radius))
             if self.sampled:
-                near = _splines(position)
+                # The four cells around a position, and the values of the cubic B-splines centred on these cells.
+                before = dr.floor(position - 0.5)
+                right = position - 0.5 - before
+                left = 1 - right
+                parts = left**3 / 6, 2 / 3 - right**2 + right**3 / 2, 2 / 3 - left**2 + left**3 / 2, right**3 / 6
+                near = [(before + step, weight) for step, weight in zip(range(-1, 3), parts, strict=True)]
             else:
                 # The two cells that a sample overlaps, and the fraction of it beyond the border between them.
                 low, high = (dr.floor(dr.clip(position + side * half, 0, cells - 1)) for side in (-1, 1))
@@ -135,15 +137,6 @@ class PupilWeights:
         return power * cosine, amplitude * dr.sqrt(cosine)
 
 
-def _splines(position: Any) -> list[tuple[Any, Any]]:
-    """Return the four cells around a position, and the values of the cubic B-splines centred on these cells."""
-    before = dr.floor(position - 0.5)
-    right = position - 0.5 - before
-    left = 1 - right
-    parts = left**3 / 6, 2 / 3 - right**2 + right**3 / 2, 2 / 3 - left**2 + left**3 / 2, right**3 / 6
-    return [(before + step, weight) for step, weight in zip(range(-1, 3), parts, strict=True)]
-
-
 def slants(normals: NDArray[np.floating[Any]], positions: Doubles, radius: float) -> Doubles:
     """Return the relative growth of power over the pupil for surfaces with normals in the camera frame.
 
@@ -151,4 +144,5 @@ def slants(normals: NDArray[np.floating[Any]], positions: Doubles, radius: float
     """
     height = (normals * positions).sum(1)
     slant = -radius * normals[:, :2] / np.where(height == 0, np.inf, height)[:, None]
-    return slant / np.maximum(1, np.hypot(*slant.T) / STEEPEST)[:, None]
+    # 0.98: Largest slant: if a surface is seen more obliquely, the pupil sees both sides, one of which is hidden.
+    return slant / np.maximum(1, np.hypot(*slant.T) / 0.98)[:, None]

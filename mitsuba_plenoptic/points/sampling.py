@@ -26,9 +26,6 @@ _WIDEST = 1000
 _RIM_ANGLES = 32
 _RIM_RADII = (0.0, 0.4, 0.7, 1.0)
 
-_BISECTIONS = 6
-"""Bisections that find the edges of beams."""
-
 
 @dataclass(frozen=True)
 class Footprint:
@@ -78,7 +75,8 @@ def _drawn_in(light: Light, P: Doubles, is_open: NDArray[np.bool_]) -> Doubles:
     away = P[:, -_RIM_ANGLES:] - middle
     low, high = np.zeros((2, *away.shape[:2]))
     high += 1
-    for _ in range(_BISECTIONS):
+    # 6: Bisections that find the edges of beams.
+    for _ in range(6):
         half = (low + high) / 2
         x, y = np.moveaxis(middle + half[..., None] * away, -1, 0)
         within = light.is_open((x, y))

@@ -22,15 +22,6 @@ from .patch import PatchBatch, PatchWorkspace
 from .patch_factors import Fields, fields_memory
 from .windows import Windows, add_on_device, products_on_device
 
-_FEWEST_COPIES = 3
-"""Mean number of copies of a pattern above which cells are faster."""
-
-_SMALLEST_CELL = 64
-"""Samples of a cell below which the matrix would be as large as the patterns."""
-
-_MOST_PADDING = 4
-"""Largest ratio of the samples of a pattern's cells to its own; smaller patterns are added one by one."""
-
 _TOGETHER = 2**20
 """Samples of the patterns that are multiplied together, which fit into a core's caches."""
 
@@ -53,8 +44,11 @@ class CopyCells:
         # Along an axis without motion, one cell contains the pattern.
         width = np.where(width > 0, width, samples).astype(np.int64)
         count = (samples + 2 * width - 2) // width
-        pays = len(offsets) >= _FEWEST_COPIES * len(shifts) and width.prod() >= _SMALLEST_CELL
-        return cls(width, count) if pays and (count * width).prod() <= _MOST_PADDING * samples**2 else None
+        # 3: Mean number of copies of a pattern above which cells are faster.
+        # 64: Samples of a cell below which the matrix would be as large as the patterns.
+        pays = len(offsets) >= 3 * len(shifts) and width.prod() >= 64
+        # 4: Largest ratio of the samples of a pattern's cells to its own; smaller patterns are added one by one.
+        return cls(width, count) if pays and (count * width).prod() <= 4 * samples**2 else None
 
     def sum(self, size: Integers, channels: int, patterns: int) -> CellSum:
         """Return an empty sum of the given size along x and y, which buffers at least `patterns` at a time."""

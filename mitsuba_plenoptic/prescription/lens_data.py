@@ -55,9 +55,6 @@ SINGLE = 1e-6
 _THIN_LENS = (80.0, 5.0)
 """Focal length and radius of a thin lens, in millimetres, where they are not given."""
 
-_MLA_DISTANCE = 120.0
-"""Distance from the main lens to the array, in millimetres, where neither that nor a plane in focus is given."""
-
 
 @dataclass(frozen=True, eq=False)
 class LensData(PlainData):
@@ -123,7 +120,9 @@ class LensData(PlainData):
 
     def array_distance(self) -> float:
         """Return the distance to the array in mm if neither it nor a plane in focus is given."""
-        return _MLA_DISTANCE
+        # 120.0: Distance from the main lens to the array, in millimetres, where neither that nor a plane in focus is
+        # given.
+        return 120.0
 
     def settled(self, stated: dict[str, float]) -> dict[str, float]:
         """Return the camera's main lens parameters, completed from given ones; refuse contradictions."""
@@ -190,17 +189,7 @@ def known_kind(value: Any, default: type[LensData]) -> type[LensData]:
 def require_unscaled(stated: dict[str, float], settled: dict[str, float], tolerance: float) -> dict[str, float]:
     """Return a lens's own parameters; refuse given parameters that differ.
 
-    Parameters
-    ----------
-    stated, settled : dict
-        Values by name: those of a camera, and the lens's.
-    tolerance : float
-        Allowed relative difference.
-
-    Raises
-    ------
-    InputError
-        If a stated value is not the lens's own.
+    `stated` are a camera's, `settled` the lens's.
     """
     for name, value in settled.items():
         refuse_if(

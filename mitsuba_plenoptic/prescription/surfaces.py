@@ -42,9 +42,6 @@ _HEIGHTS = 129
 _TOUCHING = 1e-9
 """Part of the semi-aperture by which surfaces that meet at their edges may seem to cross by rounding."""
 
-_LEAST_CLIPPED = 0.1
-"""Least part of the semi-aperture that a surface which crosses the next may be clipped to; less is a slip."""
-
 _NAMES = {"radius", "thickness", "glass", "semi_aperture", "conic", "asphere", "stop"}
 
 
@@ -327,8 +324,10 @@ class Prescription(LensData):
             first, second, position, text = crossing
             surfaces = list(lens.surfaces)
             pair = [surfaces[first].semi_aperture, surfaces[second].semi_aperture]
+            # 0.1: Least part of the semi-aperture that a surface which crosses the next may be clipped to; less is a
+            # slip.
             refuse_if(
-                position < _LEAST_CLIPPED * min(pair),
+                position < 0.1 * min(pair),
                 f"{text}: they must stay apart within a tenth of the smaller of their semi-apertures, {min(pair):.4g}",
             )
             warn(f"{text}: their semi-apertures, {pair[0]:.4g} and {pair[1]:.4g}, end there")

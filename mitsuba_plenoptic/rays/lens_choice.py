@@ -31,14 +31,8 @@ _LENS_POINTS = 9
 _ANGLES = 16
 """Points across a lens, and angles around the pupil and the field, from which this reach is computed."""
 
-_BETWEEN = 1.03
-"""Factor on it for points between the samples."""
-
 _FIELD_STEPS = 8
 """Steps of the distance from the axis in which it is tabulated."""
-
-_MOST_CHECKED = 64
-"""Largest number of lenses of which those that can light a point are counted for each ray."""
 
 _MOST_LENSES = 2**12
 """Most lenses that may light a pixel of a wave capture; each takes kernels and rays of its own."""
@@ -84,7 +78,8 @@ class LensChoice:
             limits = np.maximum(limits[:-1], limits[1:])
             lenses = max(lenses, camera.lattice.neighbours(limits.max() + beyond), key=len)
         # Most rays through lenses that cannot light a point would miss the pupil, and the others would be noisier.
-        checks = 1 < len(lenses) <= _MOST_CHECKED
+        # 64: Largest number of lenses of which those that can light a point are counted for each ray.
+        checks = 1 < len(lenses) <= 64
         numbers = [drjit_array(mi.Float, values) for values in (*lenses.T, limits, step, defocus)]
         dr.make_opaque(numbers)
         return cls(tuple(map(tuple, lenses.tolist())), numbers[:2], *(numbers[2:] if checks else ()))
@@ -178,4 +173,5 @@ def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
         np.maximum.at(limits[row], np.minimum(sector.astype(int), _SECTORS - 1), distance)
     # Points between the samples reach into neighbouring sectors, and a little farther.
     padded = np.pad(limits, [(0, 0), (1, 1)], mode="edge")
-    return _BETWEEN * np.max([padded[:, i : i + _SECTORS] for i in range(3)], axis=0)
+    # 1.03: Factor on it for points between the samples.
+    return 1.03 * np.max([padded[:, i : i + _SECTORS] for i in range(3)], axis=0)

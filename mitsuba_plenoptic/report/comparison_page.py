@@ -73,9 +73,12 @@ def write_report(
         Markup('<p class="warning">{}.</p>').format(prose(warning[:1].upper() + warning[1:]))
         for warning in design.design_warnings(camera, wavelength)
     ]
+    methods = Markup("<p>One bin per microlens, from the wave capture.")
+    for method, explanation in _EXPLANATIONS.items():
+        methods += Markup(" <strong>{}</strong>: {}.").format(METHOD_TITLES[method], prose(explanation))
     sections = [
         Section("On the detector", [_capture_text(experiment, measured), viewer]),
-        Section("Refocused", [_method_text(), widgets.refocus(width, height, titles, distances, first)]),
+        Section("Refocused", [methods + Markup("</p>"), widgets.refocus(width, height, titles, distances, first)]),
         *others,
         Section("In numbers", _numbers(measured)),
         Section("Figures", pictures_in(folder, plates)),
@@ -118,13 +121,6 @@ def _capture_text(experiment: Experiment, measured: Mapping[str, Any]) -> str:
         f"{all_pixels['true']:.1%}, of it {middle['true']:.1%} in the middle of micro-images and {rim['true']:.1%} at "
         "their rim."
     )
-
-
-def _method_text() -> Markup:
-    text = Markup("<p>One bin per microlens, from the wave capture.")
-    for name, explanation in _EXPLANATIONS.items():
-        text += Markup(" <strong>{}</strong>: {}.").format(METHOD_TITLES[name], prose(explanation))
-    return text + Markup("</p>")
 
 
 def _numbers(measured: Mapping[str, Any]) -> list[Block]:

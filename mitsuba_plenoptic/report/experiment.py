@@ -280,7 +280,13 @@ def run_experiment(
     )
     distances = sorted({*settings.distances, *settings.slider})
     require_distances(distances, camera)
-    twin = None if against is None else ordinary_twin(camera, settings.distances[0])
+    twin = None
+    if against is not None:
+        distance = settings.distances[0]
+        with naming(f"against = {ORDINARY}"):
+            refuse_if(math.isinf(distance), "distance = inf: sharpness is measured on an edge at a finite distance")
+            # First without the array, which says of some main lenses that they need one.
+            twin = camera.replace(mla_lattice="none").replace(focus_distance=distance)
 
     by_rays = settings.by("ray")
     by_waves = settings.by("wave")
@@ -363,14 +369,6 @@ def captured(
         return _grey(spec.render(scene, progress=progress, **resumed, **options))
 
     return store.capture(name, {"capture": spec.fingerprint(), "seen": identity, **options}, make)
-
-
-def ordinary_twin(camera: PlenopticCamera, distance: float) -> PlenopticCamera:
-    """Return the camera without its microlens array, focused at a distance: the same main lens and pixels."""
-    with naming(f"against = {ORDINARY}"):
-        refuse_if(math.isinf(distance), "distance = inf: sharpness is measured on an edge at a finite distance")
-        # First without the array, which says of some main lenses that they need one.
-        return camera.replace(mla_lattice="none").replace(focus_distance=distance)
 
 
 def against_ordinary(

@@ -111,7 +111,11 @@ def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing = _AUTOM
     by = str(stack.dims[0])
     images = {f"{at:.6g} {stack[by].units}": image for at, image in zip(stack[by].values, stack.values, strict=True)}
     white = drawing.brightness.peak([stack.values])
-    picture = _tiled(list(images.values()))
+    # Rows of one picture, nearly square; empty positions stay black.
+    columns = int(np.ceil(np.sqrt(len(images))))
+    tiles = list(images.values()) + [np.zeros_like(stack.values[0])] * (-len(images) % columns)
+    rows = [np.concatenate(tiles[i : i + columns], axis=1) for i in range(0, len(tiles), columns)]
+    picture = np.concatenate(rows, axis=0)
     parts = as_parts(**images)
     write_drawn(path, "focal stack", stack, parts, picture, white, drawing, lambda: _plots().stack_figure(stack, white))
 
@@ -200,11 +204,3 @@ def _enlarged(picture: np.ndarray, drawing: Drawing) -> np.ndarray:
 def as_parts(**images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
     """Return images as parts of a file, one image per part."""
     return {name: image_channels(image) for name, image in images.items()}
-
-
-def _tiled(images: list[np.ndarray]) -> np.ndarray:
-    """Return images of one size in rows of one picture, nearly square; empty positions stay black."""
-    columns = int(np.ceil(np.sqrt(len(images))))
-    tiles = images + [np.zeros_like(images[0])] * (-len(images) % columns)
-    rows = [np.concatenate(tiles[i : i + columns], axis=1) for i in range(0, len(tiles), columns)]
-    return np.concatenate(rows, axis=0)

@@ -23,9 +23,6 @@ _SECONDS = 0.6
 _PART = 64
 """Approximate time in seconds for which light paths are traced, but no more than about this part of the capture."""
 
-_FEW_PATHS = 16
-"""Largest count of samples that are traced for a pixel at once."""
-
 _TRACED = 0.8
 _OF_RAY = 0.7
 _OF_PIXEL = 10.0
@@ -41,7 +38,8 @@ def seconds_by_rays(scene: Any, sensor: Any, integrator: Any, *, seed: int, spp:
     """Return the estimated seconds of a ray capture: evenly spaced rows of pixels are traced in Mitsuba's order."""
     columns, rows = (int(size) for size in sensor.film().crop_size())
     samples = rows * columns * spp
-    together = min(spp, _FEW_PATHS)
+    # 16: Largest count of samples that are traced for a pixel at once.
+    together = min(spp, 16)
     lines = min(rows, max(1, min(_RAYS, samples // _PART) // (columns * together)))
     count = lines * columns * together
     sampler = mi.load_dict({"type": "independent"})
@@ -77,12 +75,7 @@ def seconds_by_waves(by_rays: float, rays: float, pixels: float, images: int) ->
 
     `images` are those of all wavelengths and channels together.
     """
-    sample = _seconds_of_a_sample()
-    return _TRACED * by_rays + sample * images * (_OF_RAY * rays + _OF_PIXEL * pixels + _OF_PLAN)
-
-
-def _seconds_of_a_sample() -> float:
-    """Return the seconds that a Fourier transform takes for a sample, with one transform on each core."""
+    # The seconds that a Fourier transform takes for a sample, with one transform on each core.
     libraries = active_backend()
     workers = 1 if active_backend().is_cuda else fft.worker_count()
     image = libraries.arrays.ones((_TRANSFORM, _TRANSFORM), np.float32)
@@ -93,4 +86,5 @@ def _seconds_of_a_sample() -> float:
         on_all_cores(libraries.transforms.rfft2, [image] * workers)
         libraries.synchronize()
         seconds.append(time.perf_counter() - start)
-    return min(seconds) / (workers * _TRANSFORM**2)
+    sample = min(seconds) / (workers * _TRANSFORM**2)
+    return _TRACED * by_rays + sample * images * (_OF_RAY * rays + _OF_PIXEL * pixels + _OF_PLAN)

@@ -23,9 +23,6 @@ from ..lenses import Pair
 _REPLAYED = {"PathIntegrator": "prb", "VolumetricPathIntegrator": "prbvolpath"}
 """For the class names of integrators, the plugins that find the same radiance and its derivatives."""
 
-_ENDLESS = 2**31
-"""Path depths from this value on mean that depth is not limited."""
-
 _REVERSE_ONLY = "PRBVolpathIntegrator"
 """The class of an integrator that Mitsuba does not differentiate forward."""
 
@@ -254,7 +251,8 @@ def _differentiable(integrator: Any) -> Any:
     )
     # Integrators written in C++ show these parameters only in their description.
     depths = {key: int(value) for key, value in re.findall(r"\b(max_depth|rr_depth) = (\d+)", str(integrator))}
-    if depths["max_depth"] >= _ENDLESS:
+    # 2**31: Path depths from this value on mean that depth is not limited.
+    if depths["max_depth"] >= 2**31:
         depths["max_depth"] = -1
     return mi.load_dict({"type": _REPLAYED[name], **depths, "hide_emitters": integrator.hide_emitters})
 

@@ -101,17 +101,10 @@ def choose(views: Disagreement, samples: float, tolerance: float) -> Choice:
     plane, evidence, agreeing = indications(views, samples, tolerance)
     probability = expit(np.tensordot(WEIGHTS, evidence, 1))
     probability = np.minimum(probability, 1 - np.square(1 - agreeing))
-    probability = np.where(at_an_end(views, plane, tolerance), 0, probability)
-    return Choice(plane, probability, agreeing >= 0.5)
-
-
-def at_an_end(views: Disagreement, plane: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return a mask of bins whose true plane may lie beyond the last plane.
-
-    These are bins within the tolerance of the first or the last plane, and bins whose minimum of disagreement is not
-    closed. In a closed minimum the logarithm of the deviation rises on both sides by a part of its difference between
-    the chosen plane and the median of all planes; by less on a side that ends at planes without comparison.
-    """
+    # A mask of bins whose true plane may lie beyond the last plane. These are bins within the tolerance of the first or
+    # the last plane, and bins whose minimum of disagreement is not closed. In a closed minimum the logarithm of the
+    # deviation rises on both sides by a part of its difference between the chosen plane and the median of all planes;
+    # by less on a side that ends at planes without comparison.
     ratio = views.ratio
     low, high = _around(views.inverse, plane, tolerance)
     with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
@@ -130,7 +123,8 @@ def at_an_end(views: Disagreement, plane: np.ndarray, tolerance: float) -> np.nd
         before_gap = (np.isfinite(energy) & side & ~joined).any(axis=0)
         needed = np.where(before_gap, 0.06, 0.15)
         beyond |= ~(wall - least > needed * (typical - least))
-    return np.asarray(beyond)
+    probability = np.where(np.asarray(beyond), 0, probability)
+    return Choice(plane, probability, agreeing >= 0.5)
 
 
 def indications(views: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -151,7 +145,15 @@ def indications(views: Disagreement, samples: float, tolerance: float) -> tuple[
     ratio = np.where(np.isnan(views.ratio), np.where(np.isnan(worst), 1, worst), views.ratio)
     energy = 0.5 * np.log(ratio)
     # The evidence is worth two samples where neighbours take part: they share windows, and model errors are alike.
-    plane = _summit(_with_neighbours(_normalised(-2.0 * energy)))
+    # The offset, -1/2 to 1/2, of the most probable plane, by a parabola through three logarithms.
+    probability = _with_neighbours(_normalised(-2.0 * energy))
+    best = probability.argmax(axis=0)
+    inner = best.clip(1, len(probability) - 2)
+    row, column = np.indices(best.shape)
+    before, at, after = (np.log(probability[inner + step, row, column] + 1e-300) for step in (-1, 0, 1))
+    bend = 2 * at - before - after
+    offset = np.divide(after - before, 2 * bend, out=np.zeros_like(bend), where=bend > 0)
+    plane = np.asarray(best + np.where(inner == best, offset.clip(-0.5, 0.5), 0))
     low, high = _around(views.inverse, plane, 2.0 * tolerance)
     best_of_bin = energy.argmin(axis=0) == np.arange(len(energy))[:, None, None]
     neighbours_best = scipy.ndimage.gaussian_filter(best_of_bin.astype(np.float32), (0, 3.0, 3.0), mode="nearest")
@@ -224,17 +226,6 @@ def _with_neighbours(probability: np.ndarray) -> np.ndarray:
                 message = (1 - _ANY) * spread / spread.sum(axis=0) + _ANY / len(probability)
                 evidence[index] += np.log(message)
     return _normalised(total)
-
-
-def _summit(probability: np.ndarray) -> np.ndarray:
-    """Return the offset, -1/2 to 1/2, of the most probable plane, by a parabola through three logarithms."""
-    best = probability.argmax(axis=0)
-    inner = best.clip(1, len(probability) - 2)
-    row, column = np.indices(best.shape)
-    before, at, after = (np.log(probability[inner + step, row, column] + 1e-300) for step in (-1, 0, 1))
-    bend = 2 * at - before - after
-    offset = np.divide(after - before, 2 * bend, out=np.zeros_like(bend), where=bend > 0)
-    return np.asarray(best + np.where(inner == best, offset.clip(-0.5, 0.5), 0))
 
 
 def _mass(probability: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -21,26 +21,7 @@ def wrong_by_repetition(images: MicroImages, slopes: np.ndarray) -> np.ndarray:
 
     It is 0 where no search plane is a whole period from another one.
     """
-    rise, period = _repetition(images)
-    # Neighbouring lenses show the same so many pixels apart.
-    moves = 1 / slopes[slopes != 0]
-    searched = np.ptp(moves) if len(moves) else 0.0
-    # Fraction of the depths of stripes that are right, by their period in pixels: (period - first) / second, at least
-    # the third and at most the fourth. Measured on stripes of 1.1 to 2.4 lenses: 12 % of those of 3 pixels, which
-    # smoothing and the width of a pixel leave little of, 55 % of 4, and 84 % of 5 or more.
-    right = ((period - 2.5) / 3.0).clip(0.25, 0.87)
-    # By how much the correlation of a micro-image with itself, moved, rises again after it has fallen: below the first
-    # nothing repeats, above the second all does. Of random textures 95 % of the lenses are below 0.11, of stripes above
-    # 0.13.
-    repeated = ((rise - 0.08) / (0.14 - 0.08)).clip(0, 1) * (period <= searched)
-    shape = images.bins.shape
-    rows, columns = np.indices(shape)
-    _, nearest = cKDTree(images.places.reshape(-1, 2)).query(np.stack([columns.ravel(), rows.ravel()], axis=1))
-    return np.asarray((repeated * (1 - right)).ravel()[nearest].reshape(shape))
-
-
-def _repetition(images: MicroImages) -> tuple[np.ndarray, np.ndarray]:
-    """Return, for each lens, how far the micro-image's correlation rises again, and the period in pixels."""
+    # For each lens, how far the micro-image's correlation rises again, and the period in pixels.
     open_ = (images.weight >= 0.5).astype(np.float32)[..., None]
     count = np.maximum(open_.sum(axis=(2, 3), keepdims=True), 1)
     values = (images.values - (images.values * open_).sum(axis=(2, 3), keepdims=True) / count) * open_
@@ -66,4 +47,19 @@ def _repetition(images: MicroImages) -> tuple[np.ndarray, np.ndarray]:
         # The period is the first move at which it has risen by this fraction of its whole rise.
         periods.append((risen >= 0.6 * rises[-1]).argmax(axis=0))
     along_v = rises[0] > rises[1]
-    return np.where(along_v, *rises), np.where(along_v, *periods)
+    rise, period = (np.where(along_v, *rises), np.where(along_v, *periods))
+    # Neighbouring lenses show the same so many pixels apart.
+    moves = 1 / slopes[slopes != 0]
+    searched = np.ptp(moves) if len(moves) else 0.0
+    # Fraction of the depths of stripes that are right, by their period in pixels: (period - first) / second, at least
+    # the third and at most the fourth. Measured on stripes of 1.1 to 2.4 lenses: 12 % of those of 3 pixels, which
+    # smoothing and the width of a pixel leave little of, 55 % of 4, and 84 % of 5 or more.
+    right = ((period - 2.5) / 3.0).clip(0.25, 0.87)
+    # By how much the correlation of a micro-image with itself, moved, rises again after it has fallen: below the first
+    # nothing repeats, above the second all does. Of random textures 95 % of the lenses are below 0.11, of stripes above
+    # 0.13.
+    repeated = ((rise - 0.08) / (0.14 - 0.08)).clip(0, 1) * (period <= searched)
+    shape = images.bins.shape
+    rows, columns = np.indices(shape)
+    _, nearest = cKDTree(images.places.reshape(-1, 2)).query(np.stack([columns.ravel(), rows.ravel()], axis=1))
+    return np.asarray((repeated * (1 - right)).ravel()[nearest].reshape(shape))

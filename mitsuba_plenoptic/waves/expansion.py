@@ -34,9 +34,6 @@ _KERNEL_STEP = 1e-3
 _TABLE_STEP = 2e-2
 """Relative steps of finite differences of kernels, and of coefficient tables, whose sampled overlaps need more."""
 
-_GRID = 0.5
-"""Relative step of the grid of cameras over the accuracy: at a quarter of 0.01, kernels miss 0.0005 of themselves."""
-
 Array = NDArray[Any]
 
 
@@ -44,7 +41,9 @@ def nearby(camera: PlenopticCamera, names: Sequence[str], accuracy: float) -> Pl
     """Return the camera whose values of some parameters lie on a grid, nearest to those of a camera."""
     names = [name for name in names if name in OF_KERNELS]
     # The products of changes that an expansion leaves out grow with the number of parameters.
-    step = _GRID * max(accuracy, 1e-3) / max(len(names), 1)
+    # 0.5: Relative step of the grid of cameras over the accuracy: at a quarter of 0.01, kernels miss 0.0005 of
+    # themselves.
+    step = 0.5 * max(accuracy, 1e-3) / max(len(names), 1)
     values = {
         name: np.exp(np.round(np.log(shortest_parts(camera, name)) / step) * step).astype(np.float64) for name in names
     }

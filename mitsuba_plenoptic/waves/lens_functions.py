@@ -29,9 +29,6 @@ from .accuracy import USUAL
 _ROWS = 128
 """Points of a lens whose distances from all others are computed at a time, so that these fit into a cache."""
 
-_MEAN_SQUARE = 0.5
-"""Mean square of light that is 0 or 1."""
-
 
 def of_middles(
     exponents: list[tuple[int, int]], fields: dict[tuple[int, int], NDArray[np.complex128]]
@@ -177,5 +174,6 @@ def _covariance(expected: Doubles) -> Doubles:
     """Return the covariance of the polynomials' coefficients for light that has, on average, one edge on a lens."""
     # An edge is between two points with a probability in proportion to their distance.
     full = expected / (2 * np.pi)
-    full[0, 0] += _MEAN_SQUARE
+    # 0.5: Mean square of light that is 0 or 1.
+    full[0, 0] += 0.5
     return np.asarray(full)

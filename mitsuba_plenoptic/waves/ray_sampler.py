@@ -34,9 +34,6 @@ ORDER = 2
 """Order of the B-spline that is the density of detector points drawn around a cell: it suppresses aliasing of
 frequencies that the grid cannot represent."""
 
-_COUNTED = 256
-"""Largest side in pixels of the square on which lenses that light a pixel are counted."""
-
 _CELLS = 64
 """Number of strips of a window, and of cells of a strip."""
 
@@ -334,7 +331,8 @@ class LensSampler(DetectorGrid):
 def _lit_lenses(camera: PlenopticCamera, plan: PhaseSpace, parts: int) -> float:
     """Return `LensSampler.lit_lenses`, cached for further captures of the camera."""
     sampler = LensSampler(camera, [plan], parts)
-    side = min(_COUNTED, *camera.resolution)
+    # 256: Largest side in pixels of the square on which lenses that light a pixel are counted.
+    side = min(256, *camera.resolution)
     left, top = ((size - side) // 2 for size in camera.resolution)
     box = Box(left, top, side, side)
     pixels = dr.arange(mi.UInt32, side * side)

@@ -19,11 +19,6 @@ LINE_D = 587.5618
 shapes = pytest.mark.parametrize("name", SHAPES)
 
 
-@pytest.fixture(autouse=True)
-def variant():
-    mi.set_variant("llvm_ad_mono")
-
-
 def test_a_paraboloid_has_the_orders_of_a_parabolic_phase():
     camera = mp.PlenopticCamera(mla_medium=1.4, mla_shape=Conic(0.2, -1.0, glass=1.6))
     assert camera.mla_focal_length == pytest.approx(1.4 * 0.2 / 0.6)

@@ -10,11 +10,6 @@ from mitsuba_plenoptic import PlenopticCamera, design
 CAMERA = PlenopticCamera(resolution=(512, 512), detector_width=1.024)
 
 
-@pytest.fixture(autouse=True)
-def variant():
-    mi.set_variant("llvm_ad_mono")
-
-
 def test_micro_images_lie_behind_displaced_lenses():
     """The middle of each is the chief ray through its lens's centre, c (b + z) / b, to 0.03 pixels."""
     camera = CAMERA.replace(mla_jitter=(0.002, 0.0), mla_seed=5)

@@ -12,12 +12,6 @@ import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.prescription import bundled_prescription
 from mitsuba_plenoptic.views import white_image
 
-
-@pytest.fixture(autouse=True)
-def variant():
-    mi.set_variant("llvm_ad_mono")
-
-
 WIDE = {
     "main_lens": "cooke_triplet",
     "focal_length": 16,

@@ -10,11 +10,6 @@ from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, reconstruct, ren
 WAVELENGTH = 633.0
 
 
-@pytest.fixture(autouse=True)
-def variant():
-    mi.set_variant("llvm_ad_mono")
-
-
 def with_lens(lens, lenses=12, **numbers):
     """A camera like the paper's with few lenses."""
     values = {"focal_length": 80, "aperture_radius": 5, "focus_distance": 240}

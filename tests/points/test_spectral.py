@@ -18,11 +18,6 @@ CAMERA = PlenopticCamera(
 POINTS = np.array([(0.0, 0.0, 120.0), (0.1, -0.05, 112.0), (-0.12, 0.1, 130.0)])
 
 
-@pytest.fixture(autouse=True)
-def variant():
-    mi.set_variant("llvm_ad_mono")
-
-
 def alone(camera, wavelength, weights):
     """What one wavelength by itself makes of the points, its camera's numbers put in by hand."""
     return CaptureOperator(camera.at_wavelength(wavelength), POINTS, wavelength=wavelength, accuracy=0).forward(weights)

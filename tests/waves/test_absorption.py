@@ -14,11 +14,6 @@ STEEP = {
 """Lenses of f/1, in units of which the absorption is strong."""
 
 
-@pytest.fixture(autouse=True)
-def variant():
-    mi.set_variant("llvm_ad_mono")
-
-
 def test_rays_lose_light_along_their_paths():
     sensors = [mi.load_dict(PlenopticCamera(**STEEP, mla_absorption=each).to_sensor()) for each in (0.0, 15.0)]
     film, lens = np.random.default_rng(1).random((2, 2, 500)).astype(np.float32)

@@ -19,11 +19,6 @@ ON_CHIP = {
 """Steep microlenses, of f/1.4 in air."""
 
 
-@pytest.fixture(autouse=True)
-def variant():
-    mi.set_variant("llvm_ad_mono")
-
-
 def rays_of(camera, count=2000):
     """Return the samples that rays of a sensor are made of, and the rays: origins, directions and weights."""
     sensor = mi.load_dict(camera.to_sensor())

@@ -1,6 +1,5 @@
 """Phase screens by signed rays, which follow their slopes where these vary little, and are refused elsewhere."""
 
-import mitsuba as mi
 import numpy as np
 import pytest
 from cameras import disk, error
@@ -12,11 +11,6 @@ from mitsuba_plenoptic.optics import guards
 
 PLACES = np.linspace(-5.2, 5.2, 105)
 COMA = (0, 0, 0, 0, 0, 0.3, 0, 0.5)
-
-
-@pytest.fixture(autouse=True)
-def variant():
-    mi.set_variant("llvm_ad_mono")
 
 
 def capture(**changes):

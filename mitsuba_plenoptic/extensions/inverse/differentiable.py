@@ -44,16 +44,7 @@ from ...refocus import (
     white_sums,
 )
 from ...refocus_options import FOOTPRINTS
-from ...runtime import (
-    Doubles,
-    active_backend,
-    as_array,
-    check_memory,
-    drjit_array,
-    fft,
-    one_at_a_time,
-    require_pixels,
-)
+from ...runtime import Doubles, active_backend, as_array, check_memory, drjit_array, fft, one_at_a_time, require_pixels
 from ..deconvolution.deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN
 from ..deconvolution.fourier import response_of
 

@@ -16,9 +16,6 @@ from ...points import CaptureOperator, check_positions, chosen_accuracy
 from ...runtime import Doubles
 from .differentiable import RayRefocus
 
-DESIGN_ACCURACY = 0.02
-"""Default error allowed for the point spreads: designs differ by more."""
-
 Gradient = dict[str, Doubles]
 
 
@@ -28,7 +25,8 @@ class Spreads:
     def __init__(self, points: Any, wavelength: float, accuracy: float | None, method: str) -> None:
         # Where they may lie depends on the camera, and is checked with it.
         self.points, self.wavelength = check_positions(points, virtual=True), require_wavelength(wavelength)
-        self._accuracy = chosen_accuracy(accuracy, method, DESIGN_ACCURACY)
+        # 0.02: Default error allowed for the point spreads: designs differ by more.
+        self._accuracy = chosen_accuracy(accuracy, method, 0.02)
         self._method = method
         self._system: OpticalSystem | None = None
 
@@ -55,14 +53,6 @@ class Spreads:
         options: dict[str, Any] = {"accuracy": self._accuracy, "method": self._method, "virtual": points is not None}
         for point in self.points if points is None else points:
             yield CaptureOperator(camera, [point], wavelength=self.wavelength, system=self._system, **options)
-
-
-def require_held(camera: PlenopticCamera, other: PlenopticCamera, held: Iterable[str]) -> None:
-    """Refuse a camera that differs in a parameter that a figure of merit holds fixed."""
-    mine = camera.to_dict()
-    its = other.to_dict()
-    for name in held:
-        refuse_if(mine[name] != its[name], f"{name} = {its[name]}: this figure is of cameras with {mine[name]}")
 
 
 VARYING = ("mla_focal_length", "mla_fill", "wavefront")
@@ -158,8 +148,11 @@ class RefocusedContrast:
         return [refocus.forward(image) for refocus, image in pairs]
 
     def _images(self, camera: PlenopticCamera) -> Doubles:
-        fixed = [name for name in camera.to_dict() if name not in VARYING]
-        require_held(self._camera, camera, fixed)
+        # What this figure holds fixed must not differ.
+        own = self._camera.to_dict()
+        for name, value in camera.to_dict().items():
+            if name not in VARYING:
+                refuse_if(own[name] != value, f"{name} = {value}: this figure is of cameras with {own[name]}")
         return self._spreads.images(camera)
 
     def _contrast(self, images: Doubles) -> tuple[float, Doubles]:

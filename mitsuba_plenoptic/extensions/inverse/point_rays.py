@@ -296,9 +296,6 @@ _STEP = 1e-4
 Over longer ones dark pixels next to edges of the light seem to change with a parameter that does not light them.
 """
 
-_LENGTHENED = 2
-"""How often the length over which slopes are averaged is corrected."""
-
 
 def check_numbers(vector: CameraVector) -> None:
     """Refuse parameters on which the rays of points do not depend."""
@@ -368,7 +365,8 @@ class RayModel:
         for index, step in enumerate(steps):
             sides = [(side * step, self._models.images(own.at(own.values + side * step))) for side in (1, -1)]
             nearest, changed = min(sides, key=lambda side: distance(side[1]))
-            for _ in range(_LENGTHENED):
+            # 2: How often the length over which slopes are averaged is corrected.
+            for _ in range(2):
                 most = 1 / np.linalg.norm(nearest / own.scales)
                 nearest = nearest * min(1 / max(distance(changed), 1e-9), most)
                 changed = self._models.images(own.at(own.values + nearest))

@@ -36,9 +36,6 @@ from .nonuniform import PlaneWaves
 _FADED = 0.3
 """Width of the edge over which the sphere is faded out, over the half width of the part of it that is needed."""
 
-_SIGMAS = 5.0
-"""Standard deviations of the edge's normal distribution in half of its width."""
-
 _FARTHEST = 1e20
 """Largest distance of the middle of a layer or of its images, in millimetres."""
 
@@ -218,7 +215,8 @@ def _spectrum(count: int, pitch: float, reach: float, radius: float, wavelength:
     step = np.arange(count // 2 + 1)
     # The edge is so wide that it holds no steeper light than the samples do.
     middle = 1 + _FADED / 2
-    scale = math.sqrt(2) * _FADED / (2 * _SIGMAS)
+    # 5.0: Standard deviations of the edge's normal distribution in half of its width.
+    scale = math.sqrt(2) * _FADED / (2 * 5.0)
     edge = scipy.special.erfc((step / reach - middle) / scale) / (2 * count)
     square = (step * pitch) ** 2
     quarter = np.empty((len(step),) * 2, np.complex64)

@@ -22,9 +22,6 @@ from .realisations import coherent_capture
 
 NAME = "plenoptic_laser"
 
-POINTS_PER_SPOT = 16.0
-"""Default number of points in each resolved spot; the contrast of speckle is then smaller by 1.3 %."""
-
 SOURCE = ("source_diameter", "source_distance", "bandwidth", "roughness")
 """Parameters of a source, from which the number of modes follows."""
 
@@ -119,7 +116,8 @@ def make_class() -> type:
                     name in self.source and needed not in self.source,
                     f"{NAME}: {name}: it has a meaning with a {needed} only",
                 )
-            points = properties.read_plain(props, "points_per_spot", POINTS_PER_SPOT)
+            # 16.0: Default number of points in each resolved spot; the contrast of speckle is then smaller by 1.3 %.
+            points = properties.read_plain(props, "points_per_spot", 16.0)
             self.points_per_spot = require_number(f"{NAME}: points_per_spot", points, positive=True)
             self.read_child(props)
             variant = mi.variant() or ""

@@ -41,9 +41,6 @@ _SEARCH = 2**16
 _ACROSS = 4
 """Chief rays along each axis through a shape that is at most as many times as large as their distance."""
 
-_DEPTHS = 9
-"""Distances at which the blur is computed."""
-
 _RIM = 12
 """Points on the edge of the pupil that must see the lit points."""
 
@@ -199,7 +196,8 @@ class LaserScene:
         angle = 2 * math.pi * np.arange(_SPOKES) / _SPOKES
         pupil = np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()
         inverse = 1 / points[:, 2]
-        steps = np.linspace(inverse.min(), inverse.max(), _DEPTHS)
+        # 9: Distances at which the blur is computed.
+        steps = np.linspace(inverse.min(), inverse.max(), 9)
         axial = ((0.0, 0.0, 1 / step) for step in steps)
         moved = (np.array(lens.land(pupil, point)).T - lens.land((0.0, 0.0), point) for point in axial)
         return np.interp(inverse, steps, [np.hypot(*displacement.T).max() for displacement in moved])

@@ -27,9 +27,6 @@ _NODES = 400
 _FULL_WIDTH = 2 * math.sqrt(2 * math.log(2))
 """Full width at half maximum of a normal distribution, over its standard deviation."""
 
-_COSINES = 2.0
-"""Sum of the cosines of incidence and reflection, both near the surface's normal."""
-
 
 @suggest_keywords
 def mode_count(
@@ -105,19 +102,16 @@ def mode_count(
     modes = 1.0
     if size > 0:
         far = require_number("source_distance", source_distance, positive=True)
-        modes = angular_modes(size / 2 / far, camera.aperture_radius / distance)
+        # Small angular radii, in units of the smaller one, so that small ones do not vanish when they are squared.
+        radii = (size / 2 / far, camera.aperture_radius / distance)
+        source, pupil = (radius / min(radii) for radius in radii)
+        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        step = nodes + 1
+        overlap = _overlap(step / (2 * source)) * _overlap(step / (2 * pupil)) ** 2
+        modes = float(source**2 / 2 / np.sum(weights * overlap * step))
     spread = 2 * math.pi * width / _FULL_WIDTH / length**2
-    return modes * math.sqrt(1 + 4 * (_COSINES * height * spread) ** 2)
-
-
-def angular_modes(source: float, pupil: float) -> float:
-    """Return M for a source and a pupil, given by their small angular radii."""
-    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    # In units of the smaller angle, so that small ones do not vanish when they are squared.
-    source, pupil = source / min(source, pupil), pupil / min(source, pupil)
-    step = nodes + 1
-    overlap = _overlap(step / (2 * source)) * _overlap(step / (2 * pupil)) ** 2
-    return float(source**2 / 2 / np.sum(weights * overlap * step))
+    # 2.0: Sum of the cosines of incidence and reflection, both near the surface's normal.
+    return modes * math.sqrt(1 + 4 * (2.0 * height * spread) ** 2)
 
 
 def _overlap(shift: Doubles) -> Doubles:

@@ -32,9 +32,6 @@ from ...points import blocks
 from ...runtime import Doubles, active_backend, array_module, fft
 from .carriers import Carrier, PupilGrid, Spheres, Tilts
 
-_LAYER = 2.0
-"""Largest range of the defocus of a layer's points at the pupil's edge, in waves."""
-
 _TOLERANCE = 5e-6
 """Error of the separated field, relative to its modulus: about that of single precision."""
 
@@ -197,7 +194,8 @@ def layers(system: OpticalSystem, lens: ThinLens, points: Doubles) -> list[NDArr
     defocus = lens.pupil.radius**2 / (2 * in_millimetres(system.wavelength)) / points[:, 2]
     order = np.argsort(defocus, kind="stable")
     span = defocus[order] - defocus[order[0]]
-    count = max(1, math.ceil(span[-1] / _LAYER))
+    # 2.0: Largest range of the defocus of a layer's points at the pupil's edge, in waves.
+    count = max(1, math.ceil(span[-1] / 2.0))
     layer = np.minimum(span * (count / max(span[-1], 1e-300)), count - 1).astype(int)
     return np.split(order, np.flatnonzero(np.diff(layer)) + 1)
 

@@ -83,7 +83,10 @@ def coherent_capture(
     """
     if not isinstance(operator, CaptureOperator):
         raise InputError(f"operator of type {type(operator).__name__}: it must be a CaptureOperator")
-    powers = _real("weights", weights, len(operator.points))
+    powers = as_array("weights", weights, np.float64, POINTS, rule="they must be numbers")
+    expected = (len(operator.points),)
+    refuse_if(powers.shape != expected, f"weights of shape {powers.shape}: it must be {expected}, one for each point")
+    refuse_if(not np.isfinite(powers).all(), "weights: all must be finite")
     refuse_if((powers < 0).any(), f"weights: {powers.min(initial=0):g} is among them: powers must be at least 0")
     refuse_if((powers > _BRIGHTEST).any(), f"weights: {powers.max(initial=0):g} is among them: at most {_BRIGHTEST:g}")
     count = require_count("modes", modes)
@@ -149,11 +152,3 @@ class _Realisations:
     def image(self, total: PartialSum) -> NDArray[np.float32]:
         """Return the image of the sums, with the channel as the last axis."""
         return np.ascontiguousarray(total.sums.transpose(1, 2, 0))
-
-
-def _real(name: str, values: Any, count: int) -> Doubles:
-    """Return values as a float64 array (count,), or refuse them."""
-    array = as_array(name, values, np.float64, POINTS, rule="they must be numbers")
-    refuse_if(array.shape != (count,), f"{name} of shape {array.shape}: it must be {(count,)}, one for each point")
-    refuse_if(not np.isfinite(array).all(), f"{name}: all must be finite")
-    return array

@@ -39,6 +39,14 @@ def _on_chip(
 ) -> dict[str, Any]:
     """Return the parameters of an on-chip-lens camera; `height` is the distance in the medium to the photodiodes."""
     mla_distance = 1 / (1 / focal_length - 1 / focus_distance)
+    # Pairs of image height in mm, up to the corner, and chief-ray angle in degrees, for `mla_cra`. Image heights are
+    # those of pixels; lenses stand nearer to the axis by the chief ray's path in the medium.
+    corner = pixel / 2 * math.hypot(*resolution)
+    table = []
+    for step in range(_HEIGHTS + 1):
+        slope = corner / mla_distance * step / _HEIGHTS
+        within = math.asin(math.sin(math.atan(slope)) / index)
+        table += [mla_distance * slope + height * math.tan(within), math.degrees(math.atan(slope))]
     return {
         "focal_length": focal_length,
         "aperture_radius": focal_length / f_number / 2,
@@ -47,7 +55,7 @@ def _on_chip(
         "mla_medium": index,
         "mla_pitch": 2 * pixel,
         # The middle of each lens's pixels sees the middle of the pupil.
-        "mla_cra": _chief_rays(pixel / 2 * math.hypot(*resolution), mla_distance, height, index),
+        "mla_cra": tuple(table),
         "detector_width": pixel * resolution[0],
         "resolution": resolution,
     }
@@ -55,19 +63,6 @@ def _on_chip(
 
 _HEIGHTS = 20
 """Steps of image height in a table of chief-ray angles."""
-
-
-def _chief_rays(corner: float, mla_distance: float, height: float, index: float) -> tuple[float, ...]:
-    """Return pairs of image height in mm, up to the corner, and chief-ray angle in degrees, for `mla_cra`.
-
-    Image heights are those of pixels; lenses stand nearer to the axis by the chief ray's path in the medium.
-    """
-    table = []
-    for step in range(_HEIGHTS + 1):
-        slope = corner / mla_distance * step / _HEIGHTS
-        within = math.asin(math.sin(math.atan(slope)) / index)
-        table += [mla_distance * slope + height * math.tan(within), math.degrees(math.atan(slope))]
-    return tuple(table)
 
 
 CAMERAS: dict[str, dict[str, Any]] = {

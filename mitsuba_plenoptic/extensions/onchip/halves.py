@@ -56,11 +56,9 @@ def dual_pixel(capture: Capture, layout: tuple[int, int] = (2, 1)) -> xr.DataArr
     require_pixel_pairs(capture.camera)
     halves = light_field(photodiodes(np.asarray(capture.image), along, across))
     mosaic = mosaic_of(capture)
-    return halves if mosaic is None else halves.assign_attrs(mosaic=_mosaic_of_lenses(capture, mosaic))
-
-
-def _mosaic_of_lenses(capture: Capture, mosaic: str) -> str:
-    """Return the Bayer mosaic of lenses whose pixels have one colour each; refuse other mosaics."""
+    if mosaic is None:
+        return halves
+    # The Bayer mosaic of lenses whose pixels have one colour each; others are refused.
     colours = filters(capture.camera, mosaic)
     lenses = colours[::ACROSS, ::ACROSS]
     refuse_if(
@@ -68,7 +66,8 @@ def _mosaic_of_lenses(capture: Capture, mosaic: str) -> str:
         f"mosaic = {mosaic}: the pixels of a lens have several colours; expose with a quad Bayer mosaic, on a detector "
         "whose resolution is a multiple of 4",
     )
-    return "".join("RGB"[lenses[j % lenses.shape[0], i % lenses.shape[1]]] for j in (0, 1) for i in (0, 1))
+    corner = ["RGB"[lenses[j % lenses.shape[0], i % lenses.shape[1]]] for j in (0, 1) for i in (0, 1)]
+    return halves.assign_attrs(mosaic="".join(corner))
 
 
 def photodiodes(image: NDArray[Any], along: int, across: int) -> NDArray[Any]:

@@ -29,15 +29,9 @@ from .plane_waves import NEAR, PlaneWaveResponses, displacement
 _OVERSAMPLING = 1.4
 """Samples across a window over those that its highest frequency requires."""
 
-_FAR_SAMPLES = 2
-"""Samples of the far table per lens."""
-
 _FAR = (25, 44)
 _FAR_WIDTHS = 28.0
 """Least and greatest width of the far window in lenses, and its width in diffraction widths between these."""
-
-_SUBSAMPLES = 4
-"""Least count of samples of the pupil per step of the table."""
 
 _RIDGE = 1e-3
 """Relative weight by which table nodes that the pupil hardly covers are held."""
@@ -117,7 +111,8 @@ class PhotodiodeResponses(PlaneWaveResponses):
     @property
     def far(self) -> TableWindow:
         """Far window of the table: 25 lenses or more, coarsely sampled."""
-        return TableWindow(NEAR * self.stride * self._finer, _FAR_SAMPLES)
+        # 2: Samples of the far table per lens.
+        return TableWindow(NEAR * self.stride * self._finer, 2)
 
     @property
     def _far_pairs(self) -> int:
@@ -297,7 +292,8 @@ class _Pupil:
     def of(cls, plan: PlaneWaveResponses, x: float, y: float, multiple: int) -> _Pupil:
         """Return the pupil as seen from a lens, with a multiple of the table's samples per step of direction."""
         n = 2 * plan.across + 1
-        step = multiple * math.ceil(_SUBSAMPLES / multiple)
+        # 4: Least count of samples of the pupil per step of the table.
+        step = multiple * math.ceil(4 / multiple)
         far = (2 * plan.across + plan.stride) * step
         along = (np.arange(-far, far) + 0.5) / step
         is_open = plan.is_open(x, y, along * plan.step)

@@ -36,12 +36,6 @@ from .response_tables import PhotodiodeResponses
 _LANES = 2**23
 """Approximate count of rays that are traced at once."""
 
-_LEAST_RAYS = 8
-"""Rays of a lens that are traced at once at the least, if it has as many."""
-
-_BITS = 36
-"""Bits after the point of integers that add up light, in units of the brightest ray; 27 remain before it."""
-
 _DRAWN = 8
 """Lenses of the far window that each ray of a lens draws."""
 
@@ -142,7 +136,8 @@ class ResponseSum:
         lenses = self._columns[1] - self._columns[0]
         margin = self._tables.margin
         row = lenses + 2 * margin
-        at_once = max(_LEAST_RAYS, _LANES // (row * (self._rows[1] - self._rows[0] + 2 * margin))) / 2
+        # 8: Rays of a lens that are traced at once at the least, if it has as many.
+        at_once = max(8, _LANES // (row * (self._rows[1] - self._rows[0] + 2 * margin))) / 2
         self._rounds = max(1, round(rays / at_once))
         self._rays = 2 * max(1, round(rays / self._rounds))
         height = max(2 * margin, _LANES // (row * self._rays) - 2 * margin)
@@ -319,7 +314,8 @@ class ResponseSum:
         integer = dr.int64_array_t(mi.Float)
         double = dr.float64_array_t(mi.Float)
         brightest = float(max(dr.max(dr.abs(light))[0] for light in rays.lights))
-        unit = dr.opaque(double, 2.0 ** (math.frexp(brightest)[1] - _BITS))
+        # 36: Bits after the point of integers that add up light, in units of the brightest ray; 27 remain before it.
+        unit = dr.opaque(double, 2.0 ** (math.frexp(brightest)[1] - 36))
         totals = [dr.zeros(integer, grid.rows * grid.columns) for _ in range(size * len(self._images))]
 
         def add(k: Any) -> tuple[Any]:

@@ -35,13 +35,6 @@ _MARGIN = 4
 """Lenses around the largest blur in a bank's default size."""
 
 
-_DARK_RING = 1.619
-"""Radius of the third dark ring of an Airy pattern, in wavelengths times distance over the pupil's radius.
-
-Within are 94 % of the light.
-"""
-
-
 @suggest_keywords
 def psf_bank(
     camera: PlenopticCamera,
@@ -103,7 +96,9 @@ def psf_bank(
     if size is None:
         reach = _reach(camera, distances, positions, wavelength)
         if model == "wave":
-            reach += _DARK_RING * wavelength * 1e-6 * camera.mla_distance / camera.aperture_radius
+            # 1.619: Radius of the third dark ring of an Airy pattern, in wavelengths times distance over the pupil's
+            # radius. Within are 94 % of the light.
+            reach += 1.619 * wavelength * 1e-6 * camera.mla_distance / camera.aperture_radius
         count = 2 * math.ceil(reach / camera.mla_pitch - 1e-9) + _MARGIN + 1
     else:
         count = require_count("size", size)

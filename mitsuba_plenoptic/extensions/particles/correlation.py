@@ -26,9 +26,6 @@ MEDIAN_LIMIT = 2.0
 MEDIAN_FLOOR = 0.1
 """Residual over that of the neighbours above which a vector is an outlier, and voxels that are added to the latter."""
 
-_LEAST_OVERLAP = 0.25
-"""Overlap of the windows, over their size, below which a displacement is not looked for."""
-
 
 @suggest_keywords
 def correlate_volumes(
@@ -95,7 +92,12 @@ def correlate_volumes(
             )
             shift, best[index] = _displacement(*windows)
             displacement[index] = moved - start + shift
-        outlier = is_outlier(displacement)
+        # Which vectors (z, y, x, axis), in voxels, differ from what their neighbours expect. By Westerweel and Scarano
+        # (2005), both as the neighbours are and less their gradient, which few neighbours at a corner tell less well.
+        # Vectors that are NaN do, too; what has no neighbours differs from none.
+        expected = [_expected(displacement, linear) for linear in (False, True)]
+        apart = [np.linalg.norm((displacement - middle) / typical, axis=-1) for middle, typical in expected]
+        outlier = ~(np.minimum(*apart) <= MEDIAN_LIMIT)
         displacement = np.where(outlier[..., None], _expected(displacement)[0], displacement)
     voxel = np.array([axis[1] - axis[0] for axis in axes])
     centres = {
@@ -131,7 +133,8 @@ def _displacement(before: Doubles, after: Doubles) -> tuple[Doubles, float]:
         return np.full(3, np.nan), 0.0
     spectrum = np.conj(scipy.fft.rfftn(a, shape)) * scipy.fft.rfftn(b, shape)
     products = scipy.fft.irfftn(spectrum, shape)
-    reach = ((1 - _LEAST_OVERLAP) * size).astype(int)
+    # 0.25: Overlap of the windows, over their size, below which a displacement is not looked for.
+    reach = ((1 - 0.25) * size).astype(int)
     lags = [np.arange(-most, most + 1) for most in reach]
     products = products[np.ix_(*lags)]
     peak = np.array(np.unravel_index(int(products.argmax()), products.shape))
@@ -175,14 +178,3 @@ def _median(values: Doubles) -> Doubles:
     """Return the median over the last three axes, which stay; 0 where all values are NaN."""
     last = (-3, -2, -1)
     return np.nanmedian(np.where(np.isnan(values).all(last, keepdims=True), 0, values), axis=last, keepdims=True)
-
-
-def is_outlier(vectors: Doubles) -> NDArray[np.bool_]:
-    """Return which vectors (z, y, x, axis), in voxels, differ from what their neighbours expect.
-
-    By Westerweel and Scarano (2005), both as the neighbours are and less their gradient, which few neighbours at a
-    corner tell less well. Vectors that are NaN do, too; what has no neighbours differs from none.
-    """
-    expected = [_expected(vectors, linear) for linear in (False, True)]
-    apart = [np.linalg.norm((vectors - middle) / typical, axis=-1) for middle, typical in expected]
-    return ~(np.minimum(*apart) <= MEDIAN_LIMIT)

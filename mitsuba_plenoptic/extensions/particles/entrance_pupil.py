@@ -18,9 +18,6 @@ from ...fields import OpticalSystem
 from ...prescription import Objective
 from ...runtime import Doubles
 
-_HORIZON = 0.999
-"""Largest sine of directions."""
-
 
 @dataclass(frozen=True)
 class EntrancePupil:
@@ -43,7 +40,8 @@ class EntrancePupil:
             return np.asarray(away / np.linalg.norm(away, axis=-1, keepdims=True))
         x, y = (coordinate / (self.objective.immersion * self.objective.focal_length) for coordinate in (x, y))
         # The corners of the square around the pupil may lie beyond the horizon.
-        within = np.minimum(1, _HORIZON / np.maximum(np.hypot(x, y), 1e-300))
+        # 0.999: Largest sine of directions.
+        within = np.minimum(1, 0.999 / np.maximum(np.hypot(x, y), 1e-300))
         x = within * x
         y = within * y
         lines = np.stack([x, y, -np.sqrt(1 - x * x - y * y)], -1)

@@ -44,9 +44,6 @@ _PER_WAVE = 8.0
 _FEWEST = 4
 """Cells of the pupil across a period of the amplitude of the widest sphere's rim, and across the pupil at least."""
 
-_ANGLES_PER_CELL = 3
-"""Angles at which the scattering of a particle is computed, to each cell across the pupil."""
-
 _NEGLIGIBLE = 0.1
 """Mean part of the light of a polarisation, over the allowed error, below which it is not followed on its own."""
 
@@ -97,7 +94,8 @@ class ScatteredLight:
         index = complex(self.seeding.index) / medium
         wavelength = self.wavelength / medium
         result = np.empty((4, count, len(x)), complex)
-        steps = np.linspace(0, 1, _ANGLES_PER_CELL * (self.cells + 2))
+        # 3: Angles at which the scattering of a particle is computed, to each cell across the pupil.
+        steps = np.linspace(0, 1, 3 * (self.cells + 2))
         light = np.array(self.direction)
         axis = np.array([0.0, 0.0, -1.0])
         across = np.cross(light, axis) if np.hypot(*light[:2]) > 1e-9 else np.array([1.0, 0, 0])

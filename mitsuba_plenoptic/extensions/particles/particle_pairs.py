@@ -32,9 +32,6 @@ _SIZE = {"taylor_green": "length", "lamb_oseen": "core", "hill": "radius"}
 _VORTEX = (0.2, 0.5)
 """Size of a vortex over the smallest extent of the volume."""
 
-_FIELD = 0.8
-"""Part of the field of view that the volume fills."""
-
 _NODES = 4000
 
 
@@ -107,8 +104,9 @@ class ParticlePairs:
             f"main_lens = {camera.lens_data.label}: give near and far, in mm beyond the native object plane",
         )
         refuse_if(not near < far, f"near = {near:g}, far = {far:g}: they must follow one another")
+        # 0.8: Part of the field of view that the volume fills.
         width, height = (
-            _FIELD * extent / 2 * camera.bin_size(near) / camera.mla_pitch
+            0.8 * extent / 2 * camera.bin_size(near) / camera.mla_pitch
             for extent in (camera.detector_width, camera.detector_height)
         )
         volume = ParticleVolume((-width, -height, near), (width, height, far))

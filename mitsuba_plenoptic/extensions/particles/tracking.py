@@ -136,7 +136,11 @@ def refine_particles(
             progress(step, len(levels))
         lens = np.array([camera.bin_size(g) for g in positions[:, 2]])
         scale = np.stack([lens, lens, lens * [elongation(camera, g) for g in positions[:, 2]]], -1)
-        summed = _summed(camera.shape, require_count("bins", level))
+        # The sparse matrix that adds side x side pixels of an image.
+        side = require_count("bins", level)
+        rows, columns = np.indices(camera.shape) // side
+        index = (rows * (-(-camera.shape[1] // side)) + columns).ravel()
+        summed = scipy.sparse.csr_array((np.ones(len(index)), (index, np.arange(len(index)))))
         image = summed @ np.asarray(capture.image, np.float64).ravel()
         unmoved, slopes = _slopes(camera, positions, scale, wavelength)
         jacobian = scipy.sparse.hstack([summed @ unmoved, *(summed @ slope * light for slope in slopes)], format="csc")
@@ -159,13 +163,6 @@ def refine_particles(
     if progress:
         progress(len(levels), len(levels))
     return positions, light
-
-
-def _summed(shape: tuple[int, int], level: int) -> Any:
-    """Return the sparse matrix that adds level x level pixels of an image (rows, columns)."""
-    rows, columns = np.indices(shape) // level
-    index = (rows * (-(-shape[1] // level)) + columns).ravel()
-    return scipy.sparse.csr_array((np.ones(len(index)), (index, np.arange(len(index)))))
 
 
 def _slopes(camera: PlenopticCamera, positions: Doubles, scale: Doubles, wavelength: float) -> tuple[Any, list[Any]]:

@@ -86,7 +86,24 @@ def demosaic(
         camera.require_resolved()
         certainty = _certainty(capture, white)
         lenses = lens_numbers(camera)
-    image = _interpolate(capture.image, filter_channels, certainty, lenses, 1 if method == "plain" else 2)
+    # An image (rows, columns, 3) with the missing channels of each pixel interpolated.
+    reach = 1 if method == "plain" else 2
+    rows, columns = capture.image.shape
+    light, weight = np.zeros((2, rows, columns, 3), np.float32)
+    for across, down, kernel in _shifts(reach):
+        here = _window(rows, -down), _window(columns, -across)
+        there = _window(rows, down), _window(columns, across)
+        same = kernel * (lenses[here] == lenses[there])
+        for channel in range(3):
+            same_channel = same * (filter_channels[there] == channel)
+            light[(*here, channel)] += same_channel * capture.image[there]
+            weight[(*here, channel)] += same_channel * certainty[(*there, channel)]
+    # Part of the weight of the brightest pixel of white below which a colour is not known.
+    covered = weight > 1e-3 * certainty.max(initial=0)
+    result = np.where(covered, certainty * light / np.where(covered, weight, 1), 0)
+    image = np.asarray(
+        np.where(filter_channels[..., None] == np.arange(3), capture.image[..., None], result), np.float32
+    )
     metadata = dict(capture.metadata)
     wavelength: Any = capture.wavelength
     if stated is not None:
@@ -127,30 +144,6 @@ def _shifts(reach: int) -> Iterator[tuple[int, int, float]]:
                 # Of the bell of weights, in pixels: neighbours two pixels away count only where there are no nearer
                 # ones.
                 yield across, down, float(np.exp(-(across**2 + down**2) / (2 * 0.7**2)))
-
-
-def _interpolate(
-    image: NDArray[np.float32],
-    filter_channels: NDArray[np.int64],
-    certainty: NDArray[np.float32],
-    lenses: NDArray[np.int64],
-    reach: int,
-) -> NDArray[np.float32]:
-    """Return an image (rows, columns, 3) with the missing channels of each pixel interpolated."""
-    rows, columns = image.shape
-    light, weight = np.zeros((2, rows, columns, 3), np.float32)
-    for across, down, kernel in _shifts(reach):
-        here = _window(rows, -down), _window(columns, -across)
-        there = _window(rows, down), _window(columns, across)
-        same = kernel * (lenses[here] == lenses[there])
-        for channel in range(3):
-            same_channel = same * (filter_channels[there] == channel)
-            light[(*here, channel)] += same_channel * image[there]
-            weight[(*here, channel)] += same_channel * certainty[(*there, channel)]
-    # Part of the weight of the brightest pixel of white below which a colour is not known.
-    covered = weight > 1e-3 * certainty.max(initial=0)
-    result = np.where(covered, certainty * light / np.where(covered, weight, 1), 0)
-    return np.asarray(np.where(filter_channels[..., None] == np.arange(3), image[..., None], result), np.float32)
 
 
 def _window(size: int, step: int) -> slice:

@@ -154,7 +154,10 @@ def write_hci(folder: Path, lf: xr.DataArray, depth: np.ndarray | None, *, name:
     if depth is not None:
         shift = -np.reshape([disparity(lf, distance) for distance in depth.ravel()], depth.shape)
         for kind, values in (("gt_depth_lowres", depth / 1000), ("gt_disp_lowres", shift)):
-            _write_pfm(folder / f"{kind}.pfm", values)
+            # A portable float map begins with the lowest row.
+            header = "Pf\n{1} {0}\n-1\n".format(*values.shape)
+            with atomic_output(folder / f"{kind}.pfm", ".pfm") as temporary:
+                temporary.write_bytes(header.encode() + np.flipud(values).astype("<f4").tobytes())
         shifts = (float(np.nanmin(shift)), float(np.nanmax(shift)))
     ours = {"camera": json.dumps(camera.to_dict()), "white": f"{white:.9g}", "channels": str(3 if lf.ndim == 5 else 1)}
     columns = lf.sizes["s"]
@@ -193,10 +196,3 @@ def write_hci(folder: Path, lf: xr.DataArray, depth: np.ndarray | None, *, name:
     parser.write(text)
     write_text(folder / PARAMETERS, text.getvalue())
     return 2 * half + 1
-
-
-def _write_pfm(path: Path, values: np.ndarray) -> None:
-    """Write a map as a portable float map, which begins with the lowest row."""
-    rows, columns = values.shape
-    with atomic_output(path, ".pfm") as temporary:
-        temporary.write_bytes(f"Pf\n{columns} {rows}\n-1\n".encode() + np.flipud(values).astype("<f4").tobytes())

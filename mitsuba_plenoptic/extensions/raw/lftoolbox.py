@@ -73,7 +73,22 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
         stored = np.round(np.clip(stored, 0, 1) * (2 ** (8 * kind.itemsize) - 1))
     variables: dict[str, Any] = {"LF": stored.astype(kind), "MaxLum": peak}
     if (grid := grid_of(lf)) is not None:
-        variables["LensletGridModel"] = _to_model(grid)
+        refuse_if(
+            bool(grid.warp), f"warp = {short_repr(grid.warp)}: a lenslet grid model has none; leave out the camera's"
+        )
+        rows, columns = grid.shape
+        variables["LensletGridModel"] = {
+            "HSpacing": grid.spacing[0],
+            "VSpacing": grid.spacing[1],
+            "HOffset": grid.offset[0] + 0.5,
+            "VOffset": grid.offset[1] + 0.5,
+            "Rot": grid.rotation,
+            "UMax": float(columns),
+            "VMax": float(rows),
+            # Beyond the last row: no row is shifted.
+            "FirstPosShiftRow": float(rows + 1 if grid.shifted_rows is None else grid.shifted_rows + 1),
+            "Orientation": "horz",
+        }
     if "camera" in lf.attrs:
         variables["Camera"] = lf.attrs["camera"]
     variables["GeneratedByInfo"] = {"mfilename": "mitsuba_plenoptic"}
@@ -105,30 +120,27 @@ def read_lftoolbox(path: str | Path) -> xr.DataArray:
         is_hdf5 = b"MATLAB 7.3" in file.read(128)
     # Damage shows as many exception types; all mean the same to the user.
     with naming(path), refusing("it cannot be read as a light field:"):
-        return _from_variables(_read_hdf5(path) if is_hdf5 else _read_version_5(path))
-
-
-def _from_variables(variables: dict[str, Any]) -> xr.DataArray:
-    stored = variables["LF"]
-    if stored.ndim == 4:
-        # MATLAB drops a last dimension of 1.
-        stored = stored[..., None]
-    values = stored.astype(np.float32)
-    if stored.dtype.kind == "u":
-        values /= np.iinfo(stored.dtype).max
-    weight = None
-    if values.shape[4] in (2, 4):
-        values, weight = values[..., :-1], np.ascontiguousarray(values[..., -1])
-    values = values * np.float32(require_number("MaxLum", variables.get("MaxLum", 1.0), positive=True))
-    values = np.ascontiguousarray(values if values.shape[4] == 3 else values[..., 0])
-    model = variables.get("LensletGridModel")
-    text = variables.get("Camera")
-    lenses = None if model is None else grid_of_model(model)
-    camera = None if text is None else PlenopticCamera.from_dict(json.loads(text))
-    bins = None if camera is None else bin_grid(camera)
-    if bins is not None and bins.shape != values.shape[2:4]:
-        raise InputError(f"its light field of shape {values.shape} does not fit its camera of {bins.shape} lenses")
-    return light_field(values, weight, camera, bins, lenses)
+        variables = _read_hdf5(path) if is_hdf5 else _read_version_5(path)
+        stored = variables["LF"]
+        if stored.ndim == 4:
+            # MATLAB drops a last dimension of 1.
+            stored = stored[..., None]
+        values = stored.astype(np.float32)
+        if stored.dtype.kind == "u":
+            values /= np.iinfo(stored.dtype).max
+        weight = None
+        if values.shape[4] in (2, 4):
+            values, weight = values[..., :-1], np.ascontiguousarray(values[..., -1])
+        values = values * np.float32(require_number("MaxLum", variables.get("MaxLum", 1.0), positive=True))
+        values = np.ascontiguousarray(values if values.shape[4] == 3 else values[..., 0])
+        model = variables.get("LensletGridModel")
+        text = variables.get("Camera")
+        lenses = None if model is None else grid_of_model(model)
+        camera = None if text is None else PlenopticCamera.from_dict(json.loads(text))
+        bins = None if camera is None else bin_grid(camera)
+        if bins is not None and bins.shape != values.shape[2:4]:
+            raise InputError(f"its light field of shape {values.shape} does not fit its camera of {bins.shape} lenses")
+        return light_field(values, weight, camera, bins, lenses)
 
 
 def _check(shape: tuple[int, ...]) -> None:
@@ -172,35 +184,13 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
         if largest is not None:
             variables["MaxLum"] = float(largest[0, 0])
         if "LensletGridModel" in file:
-            variables["LensletGridModel"] = _read_model(file["LensletGridModel"])
+            model = variables["LensletGridModel"] = {}
+            for name in _MODEL:
+                entry = stored_array(file["LensletGridModel"], name)
+                if entry is not None and entry.size <= 16:
+                    values = entry[()].ravel()
+                    model[name] = "".join(map(chr, values)) if name == "Orientation" else float(values[0])
     return variables
-
-
-def _read_model(group: Any) -> dict[str, Any]:
-    model: dict[str, Any] = {}
-    for name in _MODEL:
-        stored = stored_array(group, name)
-        if stored is not None and stored.size <= 16:
-            values = stored[()].ravel()
-            model[name] = "".join(map(chr, values)) if name == "Orientation" else float(values[0])
-    return model
-
-
-def _to_model(grid: LensGrid) -> dict[str, Any]:
-    refuse_if(bool(grid.warp), f"warp = {short_repr(grid.warp)}: a lenslet grid model has none; leave out the camera's")
-    rows, columns = grid.shape
-    return {
-        "HSpacing": grid.spacing[0],
-        "VSpacing": grid.spacing[1],
-        "HOffset": grid.offset[0] + 0.5,
-        "VOffset": grid.offset[1] + 0.5,
-        "Rot": grid.rotation,
-        "UMax": float(columns),
-        "VMax": float(rows),
-        # Beyond the last row: no row is shifted.
-        "FirstPosShiftRow": float(rows + 1 if grid.shifted_rows is None else grid.shifted_rows + 1),
-        "Orientation": "horz",
-    }
 
 
 def grid_of_model(model: dict[str, Any]) -> LensGrid | None:

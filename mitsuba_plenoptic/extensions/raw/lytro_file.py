@@ -157,7 +157,16 @@ def _read(path: Path) -> _Picture:
     content = require_size(path, 2**28).read_bytes()
     with naming(path):
         if suffix in CONTAINERS:
-            return _unpack_container(content)
+            sections = list(_sections(content))
+            refuse_if(not sections, "it has no sections")
+            parts = dict(sections[1:])
+            frame = _frame(_json(sections[0][1]))
+            metadata, image = (_within(parts, _within(frame, name)) for name in ("metadataRef", "imageRef"))
+            if metadata is None or image is None:
+                raise InputError(
+                    "it has no raw picture; files made for the web have none: give the one that the camera wrote"
+                )
+            return _Picture(_json(metadata), image)
         texts = [path.with_suffix(text) for text in (".txt", ".TXT") if path.with_suffix(text).is_file()]
         refuse_if(not texts, f"its metadata are not next to it, in {path.stem}.txt")
     with naming(texts[0]):
@@ -188,17 +197,6 @@ def _sections(content: bytes) -> Iterator[tuple[str, bytes]]:
         position = start + length
         while content[position : position + 1] == b"\0":
             position += 1
-
-
-def _unpack_container(content: bytes) -> _Picture:
-    sections = list(_sections(content))
-    refuse_if(not sections, "it has no sections")
-    parts = dict(sections[1:])
-    frame = _frame(_json(sections[0][1]))
-    metadata, image = (_within(parts, _within(frame, name)) for name in ("metadataRef", "imageRef"))
-    if metadata is None or image is None:
-        raise InputError("it has no raw picture; files made for the web have none: give the one that the camera wrote")
-    return _Picture(_json(metadata), image)
 
 
 def _json(data: bytes) -> dict[str, Any]:

@@ -116,13 +116,7 @@ def draw_preview(path: str | Path, title: str, preview: Preview) -> None:
     if preview.view.in_units(preview.view.focus) != preview.view.in_units(math.inf):
         plots.scale_bar(axes, preview.view.field(preview.view.focus)[0], plots.IN_FOCUS)
     axes.set(frame_on=True, box_aspect=rows / columns, anchor="NW")
-    _outline(axes, preview)
-    _draw_from_above(from_above, preview)
-    plot.save(path)
-
-
-def _outline(axes: Axes, preview: Preview) -> None:
-    """Tint the region in focus, and draw outlines around it and around regions that refocusing makes sharp."""
+    # Tint the region in focus, and draw outlines around it and around regions that refocusing makes sharp.
     distance = preview.distance
     near, far = preview.view.sharp_range()
     in_focus = preview.view.is_focused(distance)
@@ -130,6 +124,8 @@ def _outline(axes: Axes, preview: Preview) -> None:
         if shown_part.any() and not shown_part.all():
             axes.contour(shown_part.astype(float), levels=[0.5], colors=[colour], linewidths=1.2)
     axes.imshow(np.where(in_focus[..., None], to_rgba(_FOCUS, 0.35), 0.0), interpolation="nearest", aspect="auto")
+    _draw_from_above(from_above, preview)
+    plot.save(path)
 
 
 def _draw_from_above(axes: Axes, preview: Preview) -> None:

@@ -188,9 +188,12 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
         "planes": _planes(planes, white),
         "depth": _depth(depths[0]) if depths else None,
     }
-    facts = [
-        *(fact for _, facts in recorded for fact in facts),
-        *(_plane_facts(planes) if planes else []),
+    facts = [fact for _, facts in recorded for fact in facts]
+    if planes:
+        rows, columns = planes[0][1].shape[:2]
+        methods = ", ".join(sorted({method for _, _, method in planes}))
+        facts.append(("Images of the stack", f"{len(planes)} of {columns} x {rows} bins ({methods})"))
+    facts += [
         ("White", f"the radiance {white:.3g} at an exposure of 0; colours are sRGB"),
     ]
     # Scene and camera are mostly those of both.
@@ -250,12 +253,33 @@ def _recording(
     below = f"; {negative:.2%} of the samples are negative, and 0 in this page" if negative else ""
     size = f"{lf.sizes['s']} x {lf.sizes['t']} bins each; {bits} bits, up to {full:.3g}"
     facts = [(f"Views, {name}", f"{lf.sizes['u']} x {lf.sizes['v']}{left_out}; {size}{below}")]
+    # The positions of the views on the pupil, and the disparities and distances of the focus slider.
+    try:
+        steps = [view_steps(lf, axis).tolist() for axis in "vu"]
+        reach = max(1.0, 16.0 / (1 + np.ptp(steps[0])))
+        ends = (-reach, reach)
+        reason = ""
+        if lf.attrs.get("camera"):
+            ends = (-reach, min(reach, disparity(lf, math.inf)))
+    except InputError as error:
+        steps = [[0.0] * lf.sizes[axis] for axis in "vu"]
+        ends = (0.0, 0.0)
+        reason = str(error)
+    disparities = np.linspace(*ends, 161) if ends[1] > ends[0] else np.zeros(1)
+    has_distances = bool(lf.attrs.get("camera")) and not reason
+    distances = distance_of(lf, disparities) if has_distances else np.full(len(disparities), np.nan)
     content: dict[str, Any] = {
         "name": name,
         "views": images.encode(view_mosaic(lf), bits, full),
         "weight": images.encode(view_mosaic(lf["weight"]), 8, 1.0),
         "raw": None,
-        **_geometry(lf),
+        "v": steps[0],
+        "u": steps[1],
+        "rows": lf.sizes["t"],
+        "columns": lf.sizes["s"],
+        "disparities": disparities.tolist(),
+        "distances": _plain(distances),
+        "fixed": reason,
     }
     if recording.image is not None:
         content["raw"], fact = _raw(recording.image, all_views, white, count)
@@ -274,33 +298,6 @@ def _thinned(lf: xr.DataArray, samples: int) -> xr.DataArray:
     while count > 3 and count**2 * view_size > samples:
         count -= 2
     return pick_views(lf, count)
-
-
-def _geometry(lf: xr.DataArray) -> dict[str, Any]:
-    """Return the positions of the views on the pupil, and the disparities and distances of the focus slider."""
-    try:
-        steps = [view_steps(lf, axis).tolist() for axis in "vu"]
-        reach = max(1.0, 16.0 / (1 + np.ptp(steps[0])))
-        ends = (-reach, reach)
-        reason = ""
-        if lf.attrs.get("camera"):
-            ends = (-reach, min(reach, disparity(lf, math.inf)))
-    except InputError as error:
-        steps = [[0.0] * lf.sizes[axis] for axis in "vu"]
-        ends = (0.0, 0.0)
-        reason = str(error)
-    disparities = np.linspace(*ends, 161) if ends[1] > ends[0] else np.zeros(1)
-    has_distances = bool(lf.attrs.get("camera")) and not reason
-    distances = distance_of(lf, disparities) if has_distances else np.full(len(disparities), np.nan)
-    return {
-        "v": steps[0],
-        "u": steps[1],
-        "rows": lf.sizes["t"],
-        "columns": lf.sizes["s"],
-        "disparities": disparities.tolist(),
-        "distances": _plain(distances),
-        "fixed": reason,
-    }
 
 
 def _raw(image: np.ndarray, lf: xr.DataArray, white: float, count: int) -> tuple[dict[str, Any], str]:
@@ -348,12 +345,6 @@ def _planes(planes: list[tuple[float, np.ndarray, str]], white: float) -> list[d
         {"distance": _plain(distance), "method": method, "picture": images.encode(image, bits, full)}
         for distance, image, method in planes
     ]
-
-
-def _plane_facts(planes: list[tuple[float, np.ndarray, str]]) -> list[tuple[str, str]]:
-    image = planes[0][1]
-    methods = ", ".join(sorted({method for _, _, method in planes}))
-    return [("Images of the stack", f"{len(planes)} of {image.shape[1]} x {image.shape[0]} bins ({methods})")]
 
 
 def _depth(estimate: xr.Dataset) -> dict[str, Any]:

@@ -29,9 +29,6 @@ from .wavefront_fit import Zone, require_zone
 
 Array = Doubles
 
-_LEAST_COUNT = 1.0
-"""Photons at least that are expected in a pixel when it is weighted, as in fits."""
-
 
 @dataclass(frozen=True)
 class InteractionMatrix:
@@ -126,7 +123,8 @@ class InteractionMatrix:
         refuse_if(photons <= 0, "image: it is black: nothing can be found by it")
         refuse_if(prior is not None and rank is not None, "prior, rank: give one of the two")
         count = len(self.responses)
-        weight = photons / np.sqrt(np.maximum(photons * self.reference, _LEAST_COUNT))
+        # 1.0: Photons at least that are expected in a pixel when it is weighted, as in fits.
+        weight = photons / np.sqrt(np.maximum(photons * self.reference, 1.0))
         rows = (self.responses * weight).reshape(count, -1).T
         misfit = ((pixels / photons - self.reference) * weight).ravel()
         left, singular, right = np.linalg.svd(rows, full_matrices=False)

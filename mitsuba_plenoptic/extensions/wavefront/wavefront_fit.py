@@ -38,12 +38,6 @@ COUNTS = PixelNoise(1.0)
 _MOST_FITS = 8
 """How often the terms are fitted at most."""
 
-_SETTLED = 0.1
-"""Change of a wavefront, over its standard deviation, below which it has settled."""
-
-_SAME_LIGHT = 1e-3
-"""Relative change of the light below which it has settled."""
-
 _RINGS = 8
 _SPOKES = 32
 """Points of the pupil whose rays find whether the detector records light of a zone."""
@@ -162,8 +156,10 @@ def fit_wavefronts(
         expected = _expected(fitted, zone, wavelength, accuracy)
         light = _light(view, expected, light * expected)
         moved = np.linalg.norm(_terms(fitted, count) - _terms(before, count))
-        settled = moved <= _SETTLED * np.linalg.norm(list(fit_of_terms.deviations.values()))
-        if settled and np.isclose(light, light_before, rtol=_SAME_LIGHT):
+        # 0.1: Change of a wavefront, over its standard deviation, below which it has settled.
+        settled = moved <= 0.1 * np.linalg.norm(list(fit_of_terms.deviations.values()))
+        # 1e-3: Relative change of the light below which it has settled.
+        if settled and np.isclose(light, light_before, rtol=1e-3):
             break
     else:
         warn(f"fit_wavefronts: the wavefront had not settled after {_MOST_FITS} fits: fit fewer modes")
