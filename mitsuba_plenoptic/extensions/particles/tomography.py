@@ -8,7 +8,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from ...camera import are_alike
 from ...errors import refuse_if, require_choice, require_count, require_number, suggest_keywords
 from ...io import Capture, Checkpoint, digest
 from ...linear import LinearMap, Sirt, Smart, SolverState, StopRule, relative_residual, solve
@@ -78,7 +77,7 @@ def reconstruct_volume(
     if isinstance(capture, Capture):
         camera = getattr(operator, "camera", capture.camera)
         refuse_if(
-            not are_alike(capture.camera, camera),
+            capture.camera != camera,
             "capture: its camera is not the operator's; give its image alone to reconstruct it with that",
         )
     image = as_array("capture", capture.image if isinstance(capture, Capture) else capture, np.float64)

@@ -27,8 +27,7 @@ def folder_of(folder):
 
 
 @pytest.mark.slow
-def test_real_light_is_judged_beside_its_control(tmp_path, monkeypatch):
-    monkeypatch.setattr(real_light, "_SAMPLES", 4)
+def test_real_light_is_judged_beside_its_control(tmp_path):
     results = real_light.reproduce_real(tmp_path / "out", folder_of(tmp_path))
     assert results["alignment"]["moved"] == pytest.approx((0.3, -0.2), abs=0.05)
     real, control = (results[name] for name in ("real", "control"))
