@@ -108,7 +108,14 @@ def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.
 def lateral_colour(camera: PlenopticCamera, height: float, wavelengths: tuple[float, float]) -> float:
     """Return the difference in image height, in mm, between chief rays of the second and the first wavelength.
 
-    `height` is the distance from the axis on the MLA in millimetres.
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A camera with a real main lens.
+    height : float
+        Distance from the axis on the MLA in millimetres.
+    wavelengths : (float, float)
+        Wavelengths in nanometres.
     """
     first, second = (_DrawnRays(camera, wavelength).chief(height) for wavelength in wavelengths)
     # What is seen farther out from the same position is imaged nearer to the axis.

@@ -65,8 +65,16 @@ def amplitudes(diameters: Doubles, index: complex, wavelength: float, cosines: D
 def cross_sections(diameters: Doubles, index: complex, wavelength: float, cosines: Doubles) -> Doubles:
     """Return differential scattering cross-sections, in square micrometres per steradian, of unpolarised light.
 
-    Of spheres, by diameters in micrometres, refractive index over that of the medium, wavelength in the medium in
-    nanometres, and cosines (spheres, angles) of the scattering angle.
+    Parameters
+    ----------
+    diameters : float64 array (spheres,)
+        Diameters in micrometres.
+    index : complex
+        Refractive index over that of the medium.
+    wavelength : float
+        Wavelength in the medium, in nanometres.
+    cosines : float64 array (spheres, angles)
+        Cosines of the angle between the incident and the scattered light.
     """
     wavenumber = 2 * np.pi / (wavelength * 1e-3)
     power = (np.abs(amplitudes(diameters, index, wavelength, cosines)) ** 2).sum(0)
