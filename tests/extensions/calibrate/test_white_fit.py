@@ -219,7 +219,7 @@ def test_the_command_writes_a_camera_and_a_page(tmp_path, capsys):
     camera, record = camera_and_record(files["camera.json"])
     assert camera.resolution == (150, 120)
     assert camera.pupil_radius == pytest.approx(SMALL.pupil_radius, rel=5e-3)
-    # One number an electron, and two of read noise; sharp rims in so small a picture add a tenth, of 0.2 that it states.
+    # One number an electron, and two of read noise; sharp rims in so small a picture add a tenth; it states 0.2.
     sensor = record["detector"]
     assert sensor["gain"] == pytest.approx(1.1, rel=0.1)
     assert sensor["gain"] * sensor["read_noise"] == pytest.approx(2, rel=0.1)
