@@ -83,8 +83,8 @@ def require_alike(grid: LensGrid, camera: PlenopticCamera) -> None:
 def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera, degree: int = 5) -> ArrayFit:
     """Fit the array to places (n, 2) in pixels, where the first pixel's centre is 0, of lenses with indices (n, 2).
 
-    The warp has the lowest degree up to `degree`, as far as lenses suffice, that places a withheld third of the lenses
-    no worse than another does, within three standard errors; of degree 1 there is none.
+    The warp has the lowest degree up to `degree`, as far as lenses suffice, that places lenses no worse than another
+    does, within three standard errors, where each third of them is withheld in turn; of degree 1 there is none.
     """
     scale = camera.pixel_size / camera.image_growth
     at_axis = (np.array(camera.resolution) / 2 - camera.crop_offset) - 0.5
@@ -127,16 +127,18 @@ def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera, de
             numbers += np.linalg.lstsq(weighted @ slopes, weighted @ off)[0]
         return numbers
 
-    withheld = np.random.default_rng(0).random(len(pixels)) < 1 / 3
+    third = np.random.default_rng(0).integers(3, size=len(pixels))
     losses = []
     for candidate in range(1, degree + 1):
         if len(pixels) >= _LENSES_PER_TERM * len(exponents(candidate, lowest=2)):
-            off = (target - placed(fitted(candidate, ~withheld))[0])[withheld]
+            off = np.empty_like(target)
+            for withheld in (third == part for part in range(3)):
+                off[withheld] = (target - placed(fitted(candidate, ~withheld))[0])[withheld]
             losses.append(np.sqrt(1 + (off / _NOISE) ** 2).sum(1))
     # Differences from the best, lens by lens: the noise of places is in both.
     more = np.array(losses) - min(losses, key=np.mean)
-    sure = more.mean(1) > _SURE * more.std(1) / math.sqrt(max(withheld.sum(), 1))
-    degree = 1 + int(np.argmin(sure))
+    worse = more.mean(1) > _SURE * more.std(1) / math.sqrt(len(pixels))
+    degree = 1 + int(np.argmin(worse))
     numbers = fitted(degree, np.ones(len(pixels), bool))
     pitch, row, angle, x0, y0 = numbers[:5] * [scale, scale, 1, scale, scale]
     powers = exponents(degree, lowest=2)
