@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..array import WARP_POWERS, Displacement
+from ..array import Displacement
 from ..camera import PlenopticCamera, Use, require_support
 from ..errors import MOST_PIXELS, put, refuse_if, require_count, require_number, require_pair, require_warp
 from ..optics import rays
@@ -39,7 +39,7 @@ class LensGrid:
         (clockwise as one looks at the picture).
     shifted_rows : {0, 1}, optional
         Which rows are shifted by half a spacing: the even or the odd ones. None: a rectangular grid.
-    warp : tuple of 14 floats, optional
+    warp : tuple of 14 or 36 floats, optional
         Coefficients of a smooth displacement from these rows and columns in pixels, along columns, then along rows:
         those of `mla_warp`, over positions in pixels from `middle`.
     middle : (float, float)
@@ -181,7 +181,7 @@ def _warped(grid: LensGrid, camera: PlenopticCamera) -> LensGrid:
     size = camera.pixel_size / camera.image_growth
     warp = [
         coefficient * size ** (sum(powers) - 1)
-        for coefficient, powers in zip(camera.mla_warp, WARP_POWERS * 2, strict=True)
+        for coefficient, powers in zip(camera.mla_warp, Displacement(camera.mla_warp).powers * 2, strict=True)
     ]
     x, y = np.array(camera.resolution) / 2 - camera.crop_offset
     return replace(grid, warp=tuple(warp), middle=(float(x), float(y)))
