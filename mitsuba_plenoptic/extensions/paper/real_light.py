@@ -1,7 +1,6 @@
 """The paper's experiment on real light, and on light that the same camera is simulated to record, as a control.
 
-The verdicts are those on simulated letters: `claims.check_claims` of the same measurements. It deconvolves with the
-responses of the extension `deconvolution`.
+The verdicts are those on simulated letters: `claims.check_claims` of the same measurements.
 """
 
 from __future__ import annotations
