@@ -19,7 +19,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from ...linear import Steps, solve
-from .projector import VolumeProjection
+from .projector import SceneProjection
 
 _NEAR = 0.7
 """Standard deviation, in pitches, of the mean nearby."""
@@ -34,7 +34,7 @@ _MOST_STRAY = 0.5
 
 @dataclass(frozen=True)
 class VolumeFit:
-    """A volume of voxels (see `VolumeProjection`), the stray light, and the pixels' light that they predict."""
+    """A volume of voxels (see `SceneProjection`), the stray light, and the pixels' light that they predict."""
 
     volume: np.ndarray
     stray: float
@@ -44,7 +44,7 @@ class VolumeFit:
 class _Near:
     """Mean of voxels nearby, over those that are seen."""
 
-    def __init__(self, projector: VolumeProjection, seen: np.ndarray) -> None:
+    def __init__(self, projector: SceneProjection, seen: np.ndarray) -> None:
         self._projector = projector
         self._seen = seen
         self._whole = np.maximum(self._blurred(seen.astype(np.float32)), 1e-6)
@@ -63,7 +63,7 @@ class _PriorSteps(Steps):
 
     def __init__(
         self,
-        projector: VolumeProjection,
+        projector: SceneProjection,
         electrons: np.ndarray,
         used: np.ndarray,
         dark_variance: float,
@@ -106,7 +106,7 @@ class _PriorSteps(Steps):
 
 
 def fit_volume(
-    projector: VolumeProjection,
+    projector: SceneProjection,
     electrons: np.ndarray,
     used: np.ndarray,
     *,
