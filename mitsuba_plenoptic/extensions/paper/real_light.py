@@ -31,11 +31,12 @@ from ...report import (
 )
 from ...runtime import Doubles, software
 from ...scene import render_capture
+from ..calibrate.photon_transfer import electrons
 from ..deconvolution.deconvolved import flat_field
 from ..deconvolution.response import Response
 from .claims import Claim, check_claims, claims_section
 from .readings import measure_readings, of_subsets, quarters
-from .recording import Recording, Shape, aligned, electrons, moved_by, read_recording_of, stray_width
+from .recording import Recording, Shape, aligned, moved_by, read_recording_of, stray_width
 
 FINE = 8
 """Bins along a lens of deconvolved pictures."""

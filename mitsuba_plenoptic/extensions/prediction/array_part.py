@@ -203,7 +203,9 @@ class ArrayPart:
         self.along, self.down = (int(size) for size in np.ceil(model.pitch.round(2)))
         self.along += self.along % 2 if pixels.shift.any() else 0
         lattice = model.camera.lattice
-        self.margin = int(np.ceil(round(max(v for _, v in lattice.unit_corners) / lattice.row_ratio - 0.5, 6) * self.down))
+        self.margin = int(
+            np.ceil(round(max(v for _, v in lattice.unit_corners) / lattice.row_ratio - 0.5, 6) * self.down)
+        )
         brightness = {tuple(lens): light for lens, light in zip(model.lens.tolist(), model.brightness, strict=True)}
         self._bright = np.array([brightness.get(tuple(lens), 1.0) for lens in pixels.lens.tolist()])
 

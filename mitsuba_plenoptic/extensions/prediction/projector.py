@@ -152,8 +152,9 @@ class SceneProjection(LinearMap):
         rows, columns, _ = self.source_shape
         ends = np.cumsum([plane.across**2 for plane in self.planes])[:-1]
         return [
-            self._aside(some.reshape(rows, columns, plane.across, plane.across).transpose(0, 2, 1, 3), plane, 1)
-            .reshape(rows * plane.across, columns * plane.across)
+            self._aside(
+                some.reshape(rows, columns, plane.across, plane.across).transpose(0, 2, 1, 3), plane, 1
+            ).reshape(rows * plane.across, columns * plane.across)
             for some, plane in zip(np.split(scene, ends, axis=2), self.planes, strict=True)
         ]
 
