@@ -71,9 +71,9 @@ class Cache:
         self._forecast = Forecast(lambda seconds: None)
 
     def expect(self, work: Sequence[float]) -> None:
-        """Number the stages, of which the work is known, in any unit and in their order, and tell the time of all.
+        """Count the stages to come and log the time of all, from the work of each in their order, in any unit.
 
-        Work of 0 is not known, and only numbered.
+        Where all work is 0, they are counted alone.
         """
         self.expected = work
         self._forecast = Forecast(

@@ -60,10 +60,10 @@ class Plane:
     pictures: np.ndarray
 
 
-def distances_of(camera: PlenopticCamera) -> list[float]:
+def distances_of(camera: PlenopticCamera, first: float = _FIRST, growth: float = _GROWTH) -> list[float]:
     """Return the distances of planes in millimetres, in the steps in which a light field resolves them."""
-    count = int(np.log(1 + (_GROWTH - 1) * _WIDEST / _FIRST) / np.log(_GROWTH))
-    blurs = _FIRST * (_GROWTH ** np.arange(1, count + 1) - 1) / (_GROWTH - 1) * camera.mla_pitch
+    count = int(np.log(1 + (growth - 1) * _WIDEST / first) / np.log(growth))
+    blurs = first * (growth ** np.arange(1, count + 1) - 1) / (growth - 1) * camera.mla_pitch
     beyond = np.concatenate([-blurs[::-1], [0.0], blurs])
     if camera.objective is not None:
         return list((beyond / camera.blur_diameter(1.0)).tolist())

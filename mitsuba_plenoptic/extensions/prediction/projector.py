@@ -26,7 +26,7 @@ _DIM = 0.02
 
 
 class SceneProjection(LinearMap):
-    """Linear map from elements (rows, columns, elements of a bin) to a part's pixels: their direct light and their glow.
+    """Linear map from elements (rows, columns, elements of a bin) to a part's pixels: direct light, and glow.
 
     The glow is the mean light of a pixel's lens, of which stray light is a fraction. Lenses beyond the part's border by
     `reach` have elements, too, as their light falls into the part.
@@ -172,13 +172,12 @@ class SceneProjection(LinearMap):
         )
 
     def _aside(self, image: np.ndarray, plane: Plane, sign: int) -> np.ndarray:
-        """Return an image (rows, across, columns, across) whose shifted rows are moved along, to or from their places."""
+        """Return an image (rows, across, columns, across) with shifted rows moved half a bin along, or back by -1."""
         shift = self.part.pixels.shift
-        first = int(shift[self.reach % 2] == 0)
         if not shift.any():
             return image
         image = image.copy()
-        bins = image[first::2]
+        bins = image[int(shift[self.reach % 2] == 0) :: 2]
         bins[:] = np.roll(bins.reshape(*bins.shape[:2], -1), sign * plane.across // 2, -1).reshape(bins.shape)
         return image
 

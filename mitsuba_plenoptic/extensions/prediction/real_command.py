@@ -33,7 +33,7 @@ def compare_real(
 ) -> None:
     """Fit the camera by waves and by rays, predict withheld pixels of a light field, and write a page on it."""
     corners = _corners(part or PART)
-    pictures = Pictures(*(path and sensor_values(path) for path in (light_field, white, dark)))
+    pictures = Pictures(sensor_values(light_field), sensor_values(white), None if dark is None else sensor_values(dark))
     rows, columns = pictures.white.shape[:2]
     box = tuple(corner * size for corner, size in zip(corners, (columns, rows) * 2, strict=True))
     with naming(light_field):

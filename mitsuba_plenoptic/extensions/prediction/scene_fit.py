@@ -2,10 +2,10 @@ r"""The scene that explains a part of a light field's pixels, by Richardson and 
 
 .. math:: x \leftarrow \frac{x A^T \frac{y + \sigma^2}{A x + \sigma^2} + \beta L \bar x}{A^T 1 + \beta L}
 
-where A has the pixels that are used, L is the light of an element on all pixels, and :math:`\bar x` the mean of x nearby:
-a gamma prior of that mean (Lange, Bahn and Little 1987, IEEE Trans. Med. Imaging 6, 106), so that elements which no used
-pixel sees are those around. Photons and read noise of variance :math:`\sigma^2` are a Poisson law of shifted values
-(Snyder, Hammoud and White 1993, J. Opt. Soc. Am. A 10, 1014). Steps are extrapolated as in
+where A has the pixels that are used, L is the light of an element on all pixels, and :math:`\bar x` the mean of x
+nearby: a gamma prior of that mean (Lange, Bahn and Little 1987, IEEE Trans. Med. Imaging 6, 106), so that elements
+which no used pixel sees are those around. Photons and read noise of variance :math:`\sigma^2` are a Poisson law of
+shifted values (Snyder, Hammoud and White 1993, J. Opt. Soc. Am. A 10, 1014). Steps are extrapolated as in
 `mitsuba_plenoptic.linear.solver`. Stray light, the part of a lens's mean light that all of its pixels get, is found by
 least squares on the way.
 """

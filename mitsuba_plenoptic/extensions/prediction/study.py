@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from typing import Any
 
@@ -57,9 +57,7 @@ class Pictures:
 
     def __post_init__(self) -> None:
         shape = single_channel("white", self.white).shape
-        if self.dark is None:
-            put(self, dark=np.zeros(shape))
-        for name in ("light_field", "white", "dark"):
+        for name in ("light_field", "white", *(["dark"] if self.dark is not None else [])):
             label = name.replace("_", " ")
             picture = single_channel(label, getattr(self, name))
             refuse_if(
@@ -76,8 +74,13 @@ class Pictures:
     @cached_property
     def electrons(self) -> np.ndarray:
         """Electrons of the light field's pixels, flat."""
-        light = self.light_field - self.dark
+        light = self.light_field - (0 if self.dark is None else self.dark)
         return np.asarray(((light - black_level(light)) / self.noise.gain).ravel())
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of the white and the dark picture."""
+        return digest(self.white, *([] if self.dark is None else [self.dark]))
 
     @cached_property
     def good(self) -> np.ndarray:
@@ -193,15 +196,22 @@ class Study:
             return CameraModel.fitted(fit).to_plain()
 
         # A fit serves all parts of the picture.
-        inputs = [digest(pictures.white, pictures.dark), self.camera.to_dict(), length]
+        inputs = [pictures.key, self.camera.to_dict(), length]
         return CameraModel.of(self.stages.facts(f"camera_{light}", inputs, fitted))
 
     @cached_property
     def _given(self) -> list[Any]:
         """What all stages depend on."""
-        pictures = self.pictures
-        pixels = digest(pictures.light_field, pictures.white, pictures.dark)
-        return [pixels, self.camera.to_dict(), list(self.box), self.wavelength, ITERATIONS, self._planes]
+        pixels = digest(self.pictures.light_field)
+        return [
+            pixels,
+            self.pictures.key,
+            self.camera.to_dict(),
+            list(self.box),
+            self.wavelength,
+            ITERATIONS,
+            self._planes,
+        ]
 
     @cached_property
     def _pixels(self) -> PartPixels:
@@ -367,7 +377,7 @@ class Study:
         # All runs of one projection follow each other.
         for light in LIGHTS:
             for test in TESTS:
-                squares[light, test] = sum(self.squares(light, test, seed) for seed in range(SEEDS))
+                squares[light, test] = np.sum([self.squares(light, test, seed) for seed in range(SEEDS)], axis=0)
             self.simulated(light)
         control = {(light, of): self.squares(light, "pixels", 0, of) for light in reversed(LIGHTS) for of in LIGHTS}
         return Answer(

@@ -9,9 +9,9 @@ from mitsuba_plenoptic.extensions.calibrate.array_fit import fit_array
 from mitsuba_plenoptic.extensions.calibrate.field_fit import FieldNumbers
 from mitsuba_plenoptic.extensions.calibrate.micro_image import PupilNumbers
 from mitsuba_plenoptic.extensions.prediction.array_part import ArrayPart, CameraModel, PartPixels
-from mitsuba_plenoptic.extensions.prediction.point_patterns import depths_of, plane_of
-from mitsuba_plenoptic.extensions.prediction.projector import VolumeProjection
-from mitsuba_plenoptic.extensions.prediction.volume_fit import fit_volume
+from mitsuba_plenoptic.extensions.prediction.point_patterns import distances_of, plane_of
+from mitsuba_plenoptic.extensions.prediction.projector import SceneProjection
+from mitsuba_plenoptic.extensions.prediction.scene_fit import fit_scene
 from mitsuba_plenoptic.extensions.prediction.withheld import Ratio, Withheld, by_lens, misfit
 
 CAMERA = PlenopticCamera(
@@ -41,7 +41,7 @@ def part_of(model):
 MODEL = model_of(CAMERA)
 PART = part_of(MODEL)
 FINE, MIDDLE, FAR = (plane_of(PART, depth) for depth in (0.0, 0.012, -0.03))
-PROJECTOR = VolumeProjection(PART, [FINE, MIDDLE, FAR])
+PROJECTOR = SceneProjection(PART, [FINE, MIDDLE, FAR])
 
 
 def test_every_pixel_belongs_to_one_lens_whose_micro_image_is_near():
@@ -56,7 +56,7 @@ def test_every_pixel_belongs_to_one_lens_whose_micro_image_is_near():
 @pytest.mark.parametrize("plane", [FINE, MIDDLE, FAR], ids=["focus", "near", "far"])
 def test_voxels_are_recorded_as_their_points_are(plane):
     """Fine points of one voxel of the middle lens, through the whole turned camera."""
-    projector, across = VolumeProjection(PART, [plane]), plane.across
+    projector, across = SceneProjection(PART, [plane]), plane.across
     volume = np.zeros(projector.source_shape, np.float32)
     row, column = projector.source_shape[0] // 2, projector.source_shape[1] // 2
     voxel = across + 2
@@ -69,7 +69,7 @@ def test_voxels_are_recorded_as_their_points_are(plane):
     at = (
         np.stack(np.meshgrid((2 + step) / across - 0.5, (1 + step) / across - 0.5), -1).reshape(-1, 2) * 0.125
     ) @ turn.T
-    points = np.column_stack([-(centre + at) / 20, np.full(36, plane.depth)])
+    points = np.column_stack([-(centre + at) / 20, np.full(36, plane.distance)])
     operator = CaptureOperator(CAMERA, points, wavelength=550.0, accuracy=0)
     exact = operator.forward(np.full(36, 1 / 36)).ravel()[PART.pixel]
     found = projector.direct(volume)
@@ -82,7 +82,7 @@ def test_pictures_with_sharp_borders_are_weighted_evenly():
     """Without a blur rays of an even volume end within a pixel, beyond which nothing may be amplified."""
     model = model_of(CAMERA.replace(detector_blur=0.0), None)
     part = part_of(model)
-    projector = VolumeProjection(part, [plane_of(part, 0.0), plane_of(part, 0.012)])
+    projector = SceneProjection(part, [plane_of(part, 0.0), plane_of(part, 0.012)])
     even = projector.direct(np.ones(projector.source_shape, np.float32))
     white = part.white * (even.sum() / part.white.sum())
     assert np.abs(even - white).max() < 0.15 * white.max()
@@ -144,9 +144,7 @@ def test_withheld_pixels_of_a_simulated_volume_are_predicted():
     expected = PROJECTOR.direct(volume)
     electrons = generator.poisson(expected * (400 / expected.mean())).astype(np.float32)
     withheld = Withheld.drawn(PART.pixels, np.ones(len(PART.pixel), bool), 0)
-    fit = fit_volume(
-        PROJECTOR, electrons, withheld.used, dark_variance=1.0, strength=1e-3, iterations=60, progress=lambda *_: None
-    )
+    fit = fit_scene(PROJECTOR, electrons, withheld.used, dark_variance=1.0, strength=1e-3, iterations=60)
     over_noise = misfit(electrons, fit.predicted, 1.0)
     tested = withheld.tested["pixels"]
     assert fit.stray < 0.02
@@ -170,9 +168,8 @@ def test_verdicts_can_come_out_either_way():
 
 
 def test_planes_grow_apart_and_thin_lenses_are_refused():
-    depths = np.array(depths_of(CAMERA))
+    depths = np.array(distances_of(CAMERA))
     assert depths[len(depths) // 2] == 0
     assert depths == pytest.approx(-depths[::-1])
     assert (np.diff(depths[depths >= 0], 2) > 0).all()
-    refuses("microscopes", depths_of, PlenopticCamera())
     refuses("lenses lie in it", PartPixels.of, MODEL, (80, 80, 130, 130))
