@@ -1,7 +1,7 @@
 """The paper's experiment on real light, and on light that the same camera is simulated to record, as a control.
 
 The verdicts are those on simulated letters: `claims.check_claims` of the same measurements. It deconvolves with the
-responses of the extension `deconvolution`.
+responses of the extension `deconvolution`; the noise is as `calibrate` tells it from a white picture.
 """
 
 from __future__ import annotations
@@ -76,6 +76,10 @@ def reproduce_real(
     recorded = read_recording_of(folder)
     shapes = {name: asdict(shape) for name, shape in recorded.shapes.items()}
     key = {"pictures": digest(recorded.light, recorded.white), "camera": recorded.camera.to_dict(), "shapes": shapes}
+    stages_of_light = 2 + 2 * (len(TITLES) + sum(method.source == "wave" for method in COMPARED_METHODS))
+    simulated = open_store(output / "control", stages)
+    for cache in (store, simulated):
+        cache.expect([0.0] * (3 + 2 * stages_of_light))
     placed = store.facts(
         "alignment",
         key,
@@ -87,7 +91,6 @@ def reproduce_real(
     )
     real = aligned(recorded, placed["moved"], placed["stray_width"])
     judged = {"real": judge(real, store, folder.name, wavelength)}
-    simulated = open_store(output / "control", stages)
     planes = {
         name: judged["real"].pictures["deconvolved", shape.distance][shape.window("region", FINE)]
         for name, shape in real.shapes.items()

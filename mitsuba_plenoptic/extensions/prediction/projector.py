@@ -118,7 +118,8 @@ class SceneProjection(LinearMap):
         light = np.zeros((rows, columns, next(iter(self._kernels.values())).shape[1]), np.float32)
         for step, kernel in self._kernels.items():
             for lenses, bins in self._windows(*step):
-                light[lenses] += np.ascontiguousarray(scene[bins][:, :, : len(kernel)]) @ kernel
+                elements = np.ascontiguousarray(scene[bins][:, :, : len(kernel)]).reshape(-1, len(kernel))
+                light[lenses] += (elements @ kernel).reshape(-1, *light.shape[1:])
         return light.reshape(rows * columns, -1)
 
     def _record(self, cells: np.ndarray) -> np.ndarray:
@@ -144,7 +145,8 @@ class SceneProjection(LinearMap):
         scene = np.zeros(self.source_shape, np.float32)
         for step, kernel in self._kernels.items():
             for lenses, bins in self._windows(*step):
-                scene[bins][:, :, : len(kernel)] += cells[lenses] @ kernel.T
+                back = np.ascontiguousarray(cells[lenses]).reshape(-1, kernel.shape[1]) @ kernel.T
+                scene[bins][:, :, : len(kernel)] += back.reshape(-1, columns, len(kernel))
         return scene
 
     def split(self, scene: np.ndarray) -> list[np.ndarray]:
