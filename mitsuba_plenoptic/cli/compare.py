@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ..choices import Against
-from ..errors import InputError, refuse_if, require_count
+from ..errors import InputError, refuse_if, require_count, require_number
 from ..extension import hook
 from .inputs import COLOURS, camera_instead, colours_of_film, named_camera, parse_definitions
 from .options import (
@@ -46,8 +46,8 @@ def compare(
         Path | None,
         typer.Option(
             metavar="LIGHTFIELD",
-            help="Light field of a real microscope, instead of a scene: a volume is found from part of its pixels, "
-            "and predicts the others, by rays and by waves. --camera is the camera as it is known.",
+            help="Light field of a real camera with a thin lens or an objective, instead of a scene: planes are found "
+            "from part of its pixels, and predict the others, by rays and by waves. --camera is the camera as known.",
             callback=EXISTING,
         ),
     ] = None,
@@ -57,6 +57,15 @@ def compare(
     ] = None,
     dark: Annotated[
         Path | None, typer.Option(metavar="FILE", help="With --real: picture without light.", callback=EXISTING)
+    ] = None,
+    plane: Annotated[
+        list[float] | None,
+        numeric(
+            "With --real: distance of a plane of the scene; repeat for several.",
+            "found by a search; all behind an objective",
+            unit="MM",
+            check=require_number,
+        ),
     ] = None,
     part: Annotated[
         str | None,
@@ -100,14 +109,21 @@ def compare(
         refuse_if(scene is not None, f"scene = {scene}: --real takes its place")
         refuse_if(bool(distance or against or define), "--distance, --against, -D: they are not for --real")
         nominal = named_camera(camera)
-        missing = None in (white, dark, nominal, wavelength)
-        refuse_if(missing, "--real: give --white, --dark, --camera and --wavelength, too")
+        refuse_if(None in (white, nominal, wavelength), "--real: give --white, --camera and --wavelength, too")
         with stage_lines(resume) as stages:
             hook("--real", "--real")(
-                real, output, nominal, white=white, dark=dark, wavelength=wavelength, part=part, options=stages
+                real,
+                output,
+                nominal,
+                white=white,
+                dark=dark,
+                wavelength=wavelength,
+                part=part,
+                planes=plane or [],
+                options=stages,
             )
         return
-    refuse_if(any(value is not None for value in (white, dark, part)), "--white, --dark, --part: they are for --real")
+    refuse_if(any((white, dark, plane, part)), "--white, --dark, --plane, --part: they are for --real")
     if scene is None or not distance:
         raise InputError("scene, --distance: give a scene and a distance, or --real with a real light field")
     from ..optics import RGB_WAVELENGTHS

@@ -8,22 +8,26 @@ make others in the same folder. A sum within an entry goes on from its checkpoin
 
 from __future__ import annotations
 
+import itertools
 import json
+import logging
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..errors import InputError
-from ..runtime import read_text, software, write_text
+from ..runtime import Forecast, in_words, read_text, software, write_text
 from .captures import Capture, read_capture, write_capture
 from .checkpoints import CHECKPOINT_SUFFIX, Checkpoint, hash_of, lock_of, locked, write_json
 from .exr import read_exr, write_exr
 
 Progress = Callable[[int, int], None]
+
+_log = logging.getLogger(__name__)
 
 
 def _ignore(*_: Any) -> None:
@@ -42,11 +46,14 @@ class StageOptions:
         Called when a stage is finished, with its name, its seconds and whether it was stored already.
     resume : bool
         Whether the checkpoint of another capture is refused, instead of being replaced.
+    number : iterator of int
+        Numbers of the stages of all caches with these settings, in the order in which they are asked for.
     """
 
     notify: Callable[[str, int, int], None] = _ignore
     finished: Callable[[str, float, bool], None] = _ignore
     resume: bool = False
+    number: Iterator[int] = field(default_factory=lambda: itertools.count(1))
 
 
 class Cache:
@@ -59,6 +66,19 @@ class Cache:
         self.notify = options.notify
         self.resume = options.resume
         self._finished = options.finished
+        self._number = options.number
+        self.expected: Sequence[float] = ()
+        self._forecast = Forecast(lambda seconds: None)
+
+    def expect(self, work: Sequence[float]) -> None:
+        """Count the stages to come and log the time of all, from the work of each in their order, in any unit.
+
+        Where all work is 0, they are counted alone.
+        """
+        self.expected = work
+        self._forecast = Forecast(
+            lambda seconds: _log.info("all %d stages: about %s", len(work), in_words(seconds)), settled=2.0
+        )
 
     def capture(self, name: str, inputs: Any, make: Callable[[Progress, Checkpoint], Capture]) -> tuple[Capture, str]:
         """Return a capture, made with a checkpoint, and its key."""
@@ -95,6 +115,14 @@ class Cache:
         path = self.folder / file
         beside = self.folder / f".{file}.key"
         name = file.rpartition(".")[0]
+        number = next(self._number)
+        label = f"{name}, {number} of {len(self.expected)}" if self.expected else name
+        before, work = sum(self.expected[: number - 1]), sum(self.expected[number - 1 : number])
+
+        def progress(done: int, total: int) -> None:
+            self.notify(label, done, total)
+            self._forecast(round(1e3 * (before + work * done / max(total, 1))), round(1e3 * sum(self.expected)))
+
         key = hash_of({"entry": name, "inputs": inputs, "software": software()})
         value = None
         seconds = "0"
@@ -108,13 +136,13 @@ class Cache:
         if not was_there:
             with locked(lock_of(path), f"{path}: another process is making this stage"):
                 start = time.perf_counter()
-                self.notify(name, 0, 0)
-                value = make(lambda done, total: self.notify(name, done, total))
+                self.notify(label, 0, 0)
+                value = make(progress)
                 seconds = f"{time.perf_counter() - start:.3f}"
                 # A file of another key is never taken for this one, wherever the process ends.
                 beside.unlink(missing_ok=True)
                 write(path, value)
                 write_text(beside, f"{key} {seconds}\n")
         self.seconds[name] = float(seconds)
-        self._finished(name, self.seconds[name], was_there)
+        self._finished(label, self.seconds[name], was_there)
         return value, key

@@ -64,10 +64,19 @@ class ProgressBar:
 
 
 class Forecast:
-    """Passes progress on, and reports once, when it can be estimated, how many seconds the whole work takes."""
+    """Passes progress on, and reports once, when it can be estimated, how many seconds the whole work takes.
 
-    def __init__(self, tell: Callable[[float], None], progress: Callable[[int, int], None] | None = None) -> None:
+    It can be after `settled` seconds, by default `SETTLED`.
+    """
+
+    def __init__(
+        self,
+        tell: Callable[[float], None],
+        progress: Callable[[int, int], None] | None = None,
+        settled: float | None = None,
+    ) -> None:
         self._progress = progress
+        self._settled = settled
         self._tell = tell
         self._start = time.monotonic()
         self._first: tuple[float, float] | None = None
@@ -86,7 +95,7 @@ class Forecast:
             self._first = now, fraction
         elapsed = now - self._first[0]
         done_since = fraction - self._first[1]
-        if elapsed >= SETTLED and done_since > 0:
+        if elapsed >= (SETTLED if self._settled is None else self._settled) and done_since > 0:
             self._known = True
             self._tell(now - self._start + (1 - fraction) * elapsed / done_since)
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ...detector import Detector
-from ...errors import refuse_if, require_count, suggest_keywords
+from ...errors import InputError, refuse_if, require_count, suggest_keywords
+from ...linear import dark_variance
 from ...runtime import IMAGE, Doubles, as_array
 
 _ORDERS = 2, 4, 6
@@ -305,3 +306,47 @@ class _Spread:
 def _both(picture: Doubles, weights: Doubles) -> Doubles:
     """Return a picture filtered by weights along both axes."""
     return np.asarray(ndimage.correlate1d(ndimage.correlate1d(picture, weights, 0), weights, 1))
+
+
+def electrons(white: NDArray[np.floating]) -> float:
+    """Return the electrons of a pixel of value 1, from the differences of neighbours in a white picture.
+
+    It is the photon noise that explains these; unequal pixels count as noise, too.
+    """
+    bright = ndimage.binary_erosion(white > 0.8 * np.quantile(white, 0.99), iterations=3)
+    return float(white[bright].mean()) / _deviation(white, bright) ** 2
+
+
+def _deviation(picture: NDArray[np.floating], chosen: NDArray[np.bool_]) -> float:
+    """Return the standard deviation of chosen pixels, from differences to their neighbours on the left and right."""
+    second = ((2 * picture - np.roll(picture, 1, 1) - np.roll(picture, -1, 1)) / np.sqrt(6))[chosen]
+    return 1.4826 * float(np.median(np.abs(second - np.median(second))))
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """Digital numbers per electron, variance of a dark pixel in electrons squared, and where both come from."""
+
+    gain: float
+    dark_variance: float
+    source: str
+
+    @classmethod
+    def of(cls, white: Doubles, dark: Doubles | None, light_field: Doubles) -> SensorNoise:
+        """Return the noise by white and dark picture; where these do not tell it, by differences of neighbours."""
+        try:
+            refuse_if(dark is None, "no dark picture")
+            found = photon_transfer(white, dark)
+            source = "noise: from the white and the dark picture"
+            return cls(found.gain, dark_variance(found.read_noise, found.gain), source)
+        except InputError as error:
+            reason = str(error)
+        gain = 1 / electrons(white)
+        # What differs in the darkest places is hardly of photons.
+        darkest = light_field <= np.quantile(light_field, 0.02)
+        read_noise = _deviation(light_field, darkest) / gain
+        source = (
+            "noise: from differences of neighbours, of photons in the white picture and of the sensor in the darkest "
+            f"places ({reason})"
+        )
+        return cls(gain, dark_variance(read_noise, gain), source)

@@ -32,11 +32,12 @@ from ...report import (
 )
 from ...runtime import Doubles, software
 from ...scene import render_capture
+from ..calibrate.photon_transfer import electrons
 from ..deconvolution.deconvolved import flat_field
 from ..deconvolution.response import Response
 from .claims import Claim, check_claims, claims_section
 from .readings import measure_readings, of_subsets, quarters
-from .recording import Recording, Shape, aligned, electrons, moved_by, read_recording_of, stray_width
+from .recording import Recording, Shape, aligned, moved_by, read_recording_of, stray_width
 
 FINE = 8
 """Bins along a lens of deconvolved pictures."""
@@ -80,6 +81,10 @@ def reproduce_real(
     recorded = read_recording_of(folder)
     shapes = {name: asdict(shape) for name, shape in recorded.shapes.items()}
     key = {"pictures": digest(recorded.light, recorded.white), "camera": recorded.camera.to_dict(), "shapes": shapes}
+    stages_of_light = 2 + 2 * (len(TITLES) + sum(method.source == "wave" for method in COMPARED_METHODS))
+    simulated = open_store(output / "control", stages)
+    for cache in (store, simulated):
+        cache.expect([0.0] * (3 + 2 * stages_of_light))
     placed = store.facts(
         "alignment",
         key,
@@ -91,7 +96,6 @@ def reproduce_real(
     )
     real = aligned(recorded, placed["moved"], placed["stray_width"])
     judged = {"real": judge(real, store, folder.name, wavelength)}
-    simulated = open_store(output / "control", stages)
     planes = {name: judged["real"].pictures["deconvolved", shape.distance] for name, shape in real.shapes.items()}
     control = _control(real, planes, simulated, wavelength, placed["electrons"])
     judged["control"] = judge(control, simulated, f"{folder.name}, simulated", wavelength)

@@ -182,14 +182,3 @@ def aligned(recording: Recording, moved: tuple[float, float], width: float | Non
     white = ndimage.shift(recording.white, moved[::-1], order=3, mode="nearest")
     camera = camera.replace(mla_offset=(x, y), stray_width=width)
     return replace(recording, white=np.maximum(white, 0).astype(np.float32), camera=camera)
-
-
-def electrons(white: NDArray[np.float32]) -> float:
-    """Return the electrons of a pixel of value 1, from the differences of neighbours in a white picture.
-
-    It is the photon noise that explains these; unequal pixels count as noise, too.
-    """
-    bright = ndimage.binary_erosion(white > 0.8 * np.quantile(white, 0.99), iterations=3)
-    second = (2 * white - np.roll(white, 1, 1) - np.roll(white, -1, 1)) / np.sqrt(6)
-    deviation = 1.4826 * float(np.median(np.abs(second[bright] - np.median(second[bright]))))
-    return float(white[bright].mean()) / deviation**2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
 
@@ -11,10 +11,10 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...detector import SHARP
 from ...errors import refuse_if
-from ..calibrate.array_fit import ArrayFit, fit_array, places
+from ..calibrate.array_fit import ArrayFit, places
 from ..calibrate.field_fit import FieldNumbers
 from ..calibrate.micro_image import NUMBERS, MicroImageModel, PupilNumbers
-from ..calibrate.white_fit import WhiteFit, of_size
+from ..calibrate.white_fit import WhiteFit
 
 _ZONE = 4
 """Lenses along a side for which one micro-image serves, at their own brightness."""
@@ -25,7 +25,7 @@ _FEWEST = 8
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A camera as it is fitted to a white picture, or as it is known, with the model of its micro-images.
+    """A camera as it is fitted to a white picture, with the model of its micro-images.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class CameraModel:
     field : FieldNumbers
         The pupil over the field, blur and stray light.
     lens : (n, 2) array
-        Indices along and across the rows of the micro-images on the picture.
+        Indices along and across the rows of the micro-images on the picture, half steps along shifted rows.
     brightness : (n,) array
         Light in the middle of their white micro-images, over the mean.
     """
@@ -55,18 +55,6 @@ class CameraModel:
         """Return the model of a fit to a white picture."""
         bright = fit.brightness / np.nanmean(fit.brightness)
         return cls(fit.camera, fit.wavelength, fit.array, fit.field, fit.lens, bright)
-
-    def as_known(self, camera: PlenopticCamera) -> CameraModel:
-        """Return the model of the camera before the fit: of its places, only pitch, rotation and offset are found.
-
-        All lenses are equally bright, the pupil is round and even, and there is neither blur nor stray light.
-        """
-        size = self.camera.resolution
-        camera = of_size(camera, size)
-        array = fit_array(self.places(self.lens), self.lens, camera, degree=1)
-        camera = camera.replace(**array.lattice_parameters())
-        even = FieldNumbers(size, 0, PupilNumbers(camera.pupil_radius / camera.pupil_step))
-        return replace(self, camera=camera, array=array, field=even, brightness=np.ones(len(self.lens)))
 
     def to_plain(self) -> dict[str, Any]:
         """Return the model as plain values, for files."""
@@ -126,9 +114,11 @@ class PartPixels:
     Attributes
     ----------
     lens : (n, 2) array
-        Indices along and across the rows of all lenses, row by row.
+        Indices along and across the rows of all lenses, row by row, as in `CameraModel`.
     lenses : (int, int)
         Lenses along and across the rows.
+    shift : (rows,) array
+        Pitches by which rows are shifted, 0 or 1/2.
     pixel : (m,) array
         Numbers of the pixels in the flat picture.
     lens_of : (m,) array
@@ -137,27 +127,27 @@ class PartPixels:
 
     lens: np.ndarray
     lenses: tuple[int, int]
+    shift: np.ndarray
     pixel: np.ndarray
     lens_of: np.ndarray
 
     @classmethod
     def of(cls, model: CameraModel, box: tuple[float, float, float, float]) -> PartPixels:
         """Return the pixels of a camera's lenses within left, top, right and bottom, in pixels."""
-        refuse_if(
-            not model.camera.lattice.rectangular,
-            f"mla_lattice = {model.camera.mla_lattice}: light fields are predicted behind square arrays",
-        )
         centres = model.places(model.lens)
         inside = ((centres > box[:2]) & (centres < box[2:])).all(1)
         refuse_if(not inside.any(), "part: no micro-image lies in it")
-        first, last = (np.rint(find(model.lens[inside], axis=0)).astype(int) for find in (np.min, np.max))
+        first, last = (find(np.floor(model.lens[inside]), axis=0).astype(int) for find in (np.min, np.max))
         across, down = (last - first + 1).tolist()
         refuse_if(
             min(across, down) < _FEWEST,
             f"part: {across} x {down} lenses lie in it: at least {_FEWEST} along a side are needed",
         )
+        # Rows are shifted by half a pitch where indices are not whole.
+        odd = model.lens[(model.lens[:, 0] % 1 == 0.5), 1] % 2
+        shift = 0.5 * ((first[1] + np.arange(down)) % 2 == odd[:1]) if len(odd) else np.zeros(down)
         rows, columns = (index.ravel() for index in np.mgrid[:down, :across])
-        lens = first + np.stack([columns, rows], axis=-1)
+        lens = first + np.stack([columns + shift[rows], rows], axis=-1)
         size = model.camera.resolution
         half = int(np.ceil(model.pitch.max() / np.sqrt(2))) + 1
         base = np.rint(model.places(lens)).astype(int)
@@ -171,10 +161,12 @@ class PartPixels:
         column = column[on_picture]
         row = row[on_picture]
         of_lens = of_lens[on_picture]
-        near = abs(model.within(np.stack([column, row], axis=-1) - model.places(lens)[of_lens])).max(1) < 0.5
+        lattice = model.camera.lattice
+        place = model.within(np.stack([column, row], axis=-1) - model.places(lens)[of_lens])
+        near = (np.stack(lattice.unit_cell(*(place + lattice.unit_centre(0, 0)).T)) == 0).all(0)
         # Cells of a warped array overlap by parts of a pixel.
         pixel, only = np.unique((row * size[0] + column)[near], return_index=True)
-        return cls(lens, (across, down), pixel, of_lens[near][only])
+        return cls(lens, (across, down), shift, pixel, of_lens[near][only])
 
 
 class ArrayPart:
@@ -192,7 +184,10 @@ class ArrayPart:
     place : (n, 2) array
         Places of all lenses in pixels, row by row.
     within : (m, 2) array
-        Place of each pixel in its cell, from -1/2 to 1/2 along and across the rows.
+        Place of each pixel in its cell, in pitches along the rows and in rows' distances across them.
+    along, down, margin : int
+        Of the regular array: pixels, as small as the picture's or smaller, from lens to lens along rows and from row to
+        row, and pixels of a cell beyond these. Half a pitch is whole pixels, too, where rows are shifted by it.
     """
 
     def __init__(self, model: CameraModel, pixels: PartPixels) -> None:
@@ -205,8 +200,13 @@ class ArrayPart:
         row, column = np.divmod(self.pixel, model.camera.resolution[0])
         self._offset = np.stack([column, row], axis=-1) - self.place[self.lens_of]
         self.within = model.within(self._offset)
-        index = np.rint(model.lens).astype(int).tolist()
-        brightness = {tuple(lens): light for lens, light in zip(index, model.brightness, strict=True)}
+        self.along, self.down = (int(size) for size in np.ceil(model.pitch.round(2)))
+        self.along += self.along % 2 if pixels.shift.any() else 0
+        lattice = model.camera.lattice
+        self.margin = int(
+            np.ceil(round(max(v for _, v in lattice.unit_corners) / lattice.row_ratio - 0.5, 6) * self.down)
+        )
+        brightness = {tuple(lens): light for lens, light in zip(model.lens.tolist(), model.brightness, strict=True)}
         self._bright = np.array([brightness.get(tuple(lens), 1.0) for lens in pixels.lens.tolist()])
 
     @property

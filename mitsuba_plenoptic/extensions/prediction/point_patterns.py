@@ -1,8 +1,9 @@
-r"""Pictures of voxels behind a regular array, by waves and by rays, from which a volume's picture is put together.
+r"""Pictures of a plane's elements behind a regular array, by waves and by rays, from which a scene's picture is made.
 
-Behind an objective with the array in its image, points that are one pitch apart have equal pictures one lens apart, so
-that the voxels before one lens stand for all (Broxton et al. 2013, "Wave optics theory and 3-D deconvolution for the
-light field microscope", Optics Express 21, 25418).
+Points one bin apart (`PlenopticCamera.bin_size`: a pitch, back through the middle of the pupil) have equal pictures one
+lens apart: exactly behind an objective with the array in its image (Broxton et al. 2013, "Wave optics theory and 3-D
+deconvolution for the light field microscope", Optics Express 21, 25418), to first order behind a thin lens. So the
+elements before one lens stand for all, and a plane has as many bins as the part has lenses, at every distance.
 """
 
 from __future__ import annotations
@@ -11,13 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter
 
 from ...camera import PlenopticCamera, Vignetting
 from ...detector import SHARP
-from ...errors import InputError
 from ...points import CaptureOperator, ray_spread
-from ...prescription import Objective
 from .array_part import ArrayPart
 
 _FIRST = 0.75
@@ -28,10 +28,10 @@ _WIDEST = 14.0
 _FINE = 4
 _COARSE = 3
 _FINE_BLUR = 6.5
-"""Voxels along a lens's side, and the blur in lenses from which on they are coarse."""
+"""Elements along a bin's side, and the blur in lenses from which on they are coarse."""
 
 _PARTS = 2
-"""Points along a voxel's side."""
+"""Points along an element's side."""
 
 _RAYS = 8
 """Rays along a pixel."""
@@ -42,108 +42,99 @@ _DIFFRACTED = 0.6
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane of voxels, with the picture of each of a lens's voxels.
+    """A plane of elements, with the picture of each of a lens's elements.
 
     Attributes
     ----------
-    depth : float
-        Depth in millimetres, positive beyond the plane in focus.
+    distance : float
+        Distance in millimetres from the main lens, behind an objective beyond the plane in focus.
     across : int
-        Voxels along a lens's side.
-    pictures : (rows, columns, voxels) float32 array
-        Light in pixels of an odd number of lenses along a side, over the light through the pupil; voxels row by row,
-        in the directions of the picture.
+        Elements along either side of a bin: from lens to lens along the rows, from row to row across them.
+    pictures : (rows, columns, elements) float32 array
+        Light in pixels of the part's regular array, of an odd number of lenses along a side and the borders of cells,
+        over the light through the pupil; elements row by row, in the directions of the picture.
     """
 
-    depth: float
+    distance: float
     across: int
     pictures: np.ndarray
 
 
-def depths_of(camera: PlenopticCamera) -> list[float]:
-    """Return the depths of planes in millimetres, in the steps in which a light field resolves them."""
-    count = int(np.log(1 + (_GROWTH - 1) * _WIDEST / _FIRST) / np.log(_GROWTH))
-    blurs = _FIRST * (_GROWTH ** np.arange(1, count + 1) - 1) / (_GROWTH - 1)
-    behind = (blurs / _blur_rate(camera)).tolist()
-    return [*(-depth for depth in behind[::-1]), 0.0, *behind]
+def distances_of(camera: PlenopticCamera, first: float = _FIRST, growth: float = _GROWTH) -> list[float]:
+    """Return the distances of planes in millimetres, in the steps in which a light field resolves them."""
+    count = int(np.log(1 + (growth - 1) * _WIDEST / first) / np.log(growth))
+    blurs = first * (growth ** np.arange(1, count + 1) - 1) / (growth - 1) * camera.mla_pitch
+    beyond = np.concatenate([-blurs[::-1], [0.0], blurs])
+    if camera.objective is not None:
+        return list((beyond / camera.blur_diameter(1.0)).tolist())
+    # The blur of a thin lens is linear in the inverse of the distance.
+    inverse = 1 / camera.focus_distance - beyond / (camera.aperture_diameter * camera.mla_distance)
+    return list((1 / inverse[inverse > 0]).tolist())
 
 
-def _objective(camera: PlenopticCamera) -> Objective:
-    """Return the objective; refuse cameras without one, or with the array elsewhere than in the objective's image."""
-    objective = camera.objective
-    if objective is None or objective.arrangement != "image":
-        raise InputError("camera: light fields are predicted of microscopes, with the array in an objective's image")
-    return objective
-
-
-def _blur_rate(camera: PlenopticCamera) -> float:
-    """Return the diameter of a point's blur on the array, in pitches, per millimetre of depth."""
-    objective = _objective(camera)
-    return float(2 * np.tan(objective.half_angle) * objective.magnification / camera.mla_pitch)
-
-
-def pixels_across(part: ArrayPart) -> int:
-    """Return the pixels along a lens's side of the regular array: at least as many as the picture has."""
-    return int(np.ceil(part.model.pitch.max()))
-
-
-def plane_of(part: ArrayPart, depth: float) -> Plane:
-    """Return a plane's voxels with their pictures."""
-    blur = abs(depth) * _blur_rate(part.model.camera)
-    across = _FINE if blur < _FINE_BLUR else _COARSE
-    # A voxel may be half a pitch from the middle of its lens.
-    lenses = 2 * int(np.ceil(blur / 2 + 0.5 + _DIFFRACTED)) + 1
+def plane_of(part: ArrayPart, distance: float) -> Plane:
+    """Return a plane's elements with their pictures."""
+    model = part.model
+    blur = model.camera.blur_diameter(distance) / model.camera.mla_pitch
+    across = _FINE if blur < _FINE_BLUR or part.pixels.shift.any() else _COARSE
+    row_ratio = float(model.pitch[1] / model.pitch[0])
+    # An element may be half a pitch from the middle of its lens.
+    lenses = 2 * int(np.ceil((blur / 2 + _DIFFRACTED) / min(row_ratio, 1) + 0.5)) + 1
     camera = _regular(part, lenses)
-    pitch = camera.mla_pitch / _objective(camera).magnification
-    step = ((np.arange(across * _PARTS) + 0.5) / (across * _PARTS) - 0.5) * pitch
-    # The objective's image is upside down.
-    y, x = np.meshgrid(-step, -step, indexing="ij")
-    points = np.stack([x, y, np.full_like(x, depth)], axis=-1)
+    step = ((np.arange(across * _PARTS) + 0.5) / (across * _PARTS) - 0.5) * camera.bin_size(distance)
+    # The image is upside down.
+    y, x = np.meshgrid(-step * row_ratio, -step, indexing="ij")
+    points = np.stack([x, y, np.full_like(x, distance)], axis=-1)
     points = points.reshape(across, _PARTS, across, _PARTS, 3).transpose(0, 2, 1, 3, 4).reshape(across**2, -1, 3)
-    blurred = part.numbers.blur * pixels_across(part) / part.model.pitch.max()
-    wavelength = part.model.wavelength
-    sharp = _by_rays(camera, points) if wavelength is None else _by_waves(camera, points, wavelength)
-    return Plane(depth, across, gaussian_filter(sharp, (blurred, blurred, 0)).astype(np.float32))
+    blurred = part.numbers.blur * part.along / model.pitch[0]
+    sharp = _by_rays(camera, points) if model.wavelength is None else _by_waves(camera, points, model.wavelength)
+    pictures = gaussian_filter(sharp, (blurred, blurred, 0))
+    # Square pixels become those of which a whole number fits from row to row.
+    rows = np.arange(lenses * part.down + 2 * part.margin) + 0.5
+    place = (rows - len(rows) / 2) * (part.along * row_ratio / part.down) + (len(pictures) - 1) / 2
+    return Plane(distance, across, make_interp_spline(np.arange(len(pictures)), pictures)(place).astype(np.float32))
 
 
 def _regular(part: ArrayPart, lenses: int) -> PlenopticCamera:
     """Return a camera of a few lenses that are those in the middle of a part, without displacements."""
     camera = part.model.camera
-    across = pixels_across(part)
     pupil = None
     if camera.vignetting is not None:
         here = camera.vignetting.at(*part.middle)
         numbers: dict[str, Any] = {name: [float(value)] for name, value in here.items()}
         pupil = Vignetting(**numbers)
     pitch = camera.mla_pitch
+    first = camera.lattice.unit_centre(0, 0)
+    pixel = pitch * camera.image_growth / part.along
+    rows = (lenses + 2 * part.margin / part.down) * camera.lattice.row_distance * camera.image_growth / pixel
+    size = (lenses * part.along, 2 * int(np.ceil(rows / 2)) + 2)
     return camera.replace(
-        mla_pitch=pitch,
         mla_rotation=0.0,
         # A lens is centred on the axis.
-        mla_offset=(pitch / 2, pitch / 2),
+        mla_offset=(-first[0] * pitch, -first[1] * camera.lattice.row_distance),
         mla_warp=(),
         mla_cra=(),
         mla_transmissions=None,
         **SHARP,
         vignetting=pupil,
-        resolution=(lenses * across, lenses * across),
-        detector_width=lenses * pitch * camera.image_growth,
+        resolution=size,
+        detector_width=size[0] * pixel,
         crop_offset=(0, 0),
-        crop_size=(lenses * across, lenses * across),
+        crop_size=size,
     )
 
 
 def _by_waves(camera: PlenopticCamera, points: np.ndarray, wavelength: float) -> np.ndarray:
-    """Return the pictures of voxels, each of several points (voxels, points, 3)."""
+    """Return the pictures of elements, each of several points (elements, points, 3)."""
     weights = np.full(points.shape[1], 1 / points.shape[1])
-    # Voxel by voxel, so that memory is that of a few patches.
+    # Element by element, so that memory is that of a few patches.
     pictures = [CaptureOperator(camera, some, wavelength=wavelength, accuracy=0).forward(weights) for some in points]
     return np.stack(pictures, axis=-1)
 
 
 def _by_rays(camera: PlenopticCamera, points: np.ndarray) -> np.ndarray:
-    """Return the pictures of voxels, each of several points, by an even grid of rays through the pupil."""
-    across = _RAYS * round(camera.mla_pitch / camera.pixel_size)
+    """Return the pictures of elements, each of several points, by an even grid of rays through the pupil."""
+    across = _RAYS * round(camera.micro_image_pitch / camera.pixel_size)
     generator = np.random.default_rng(0)
 
     def picture(point: np.ndarray) -> np.ndarray:

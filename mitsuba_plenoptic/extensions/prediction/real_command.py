@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import typer
@@ -12,7 +14,6 @@ from ...io import Cache, StageOptions, write_json
 from ..calibrate.white_command import sensor_values
 from .real_page import write_page
 from .study import LIGHTS, Pictures, Study
-from .withheld import TESTS
 
 PART = "0.25,0.25,0.75,0.75"
 """Left, top, right and bottom of the part that is studied, over the picture's size."""
@@ -24,24 +25,27 @@ def compare_real(
     camera: PlenopticCamera,
     *,
     white: Path,
-    dark: Path,
+    dark: Path | None,
     wavelength: float,
     part: str | None,
+    planes: Sequence[float],
     options: StageOptions,
 ) -> None:
     """Fit the camera by waves and by rays, predict withheld pixels of a light field, and write a page on it."""
     corners = _corners(part or PART)
-    pictures = Pictures(*(sensor_values(path) for path in (light_field, white, dark)))
+    pictures = Pictures(sensor_values(light_field), sensor_values(white), None if dark is None else sensor_values(dark))
     rows, columns = pictures.white.shape[:2]
     box = tuple(corner * size for corner, size in zip(corners, (columns, rows) * 2, strict=True))
     with naming(light_field):
-        study = Study(pictures, camera, wavelength, box, Cache(folder, options))
+        study = Study(pictures, camera, wavelength, box, planes, Cache(folder, options))
         answer = study.answer()
-    write_json(folder / "results.json", answer.to_plain())
+    write_json(folder / "results.json", asdict(answer) | {"verdict": answer.verdict})
     write_page(folder / "report.html", study, answer)
-    for test in TESTS:
-        ratio = answer.ratios["fitted"][test]
+    for test, ratio in answer.ratios.items():
         typer.echo(f"withheld {test}: residual over noise {ratio.waves:.2f} by waves, {ratio.rays:.2f} by rays")
+    if camera.objective is None:
+        typer.echo(f"planes at {', '.join(f'{distance:.4g}' for distance in answer.distances)} mm")
+    typer.echo(answer.noise)
     stray = " and ".join(f"{answer.stray[light]:.1%} by {light}" for light in LIGHTS)
     typer.echo(f"stray light within lenses: {stray}")
     typer.echo(answer.verdict)

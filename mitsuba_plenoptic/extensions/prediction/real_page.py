@@ -1,4 +1,4 @@
-"""Page on a real light field beside simulated ones: pixels, differences, profiles, slices of the volume, figures."""
+"""Page on a real light field beside simulated ones: pixels, differences, profiles, planes of the scene, figures."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ from markupsafe import Markup
 
 from ...report import pages, plots
 from .array_part import ArrayPart
-from .study import CAMERAS, LIGHTS, Answer, Setup, Study
-from .withheld import TESTS
+from .study import LIGHTS, Answer, Study
 
 _SHOWN = 10
 """Lenses along a side of the pictures that are shown."""
 
 _SLICES = 5
-"""Slices of the volume that are shown."""
+"""Planes of the scene that are shown."""
 
 _STRONGEST = 0.2
 """Difference, over bright pixels, that has the strongest colour."""
@@ -29,7 +28,6 @@ def write_page(path: Path, study: Study, answer: Answer) -> None:
     """Write the page, with all figures in it."""
     results = pages.Table(
         {
-            "camera": "{camera}",
             "withheld": "{test}",
             "over noise, waves": "{ratio.waves:.3f}",
             "over noise, rays": "{ratio.rays:.3f}",
@@ -38,10 +36,8 @@ def write_page(path: Path, study: Study, answer: Answer) -> None:
             "relative, rays": "{rays:.1f} %",
         },
         [
-            {"camera": camera, "test": test, "ratio": answer.ratios[camera][test]}
-            | {light: 100 * answer.relative[camera][light][test] for light in LIGHTS}
-            for camera in CAMERAS
-            for test in TESTS
+            {"test": test, "ratio": ratio} | {light: 100 * answer.relative[light][test] for light in LIGHTS}
+            for test, ratio in answer.ratios.items()
         ],
         "Residuals are root mean squares: over the noise of photons and of the sensor, and over the light of the "
         "withheld pixels. The interval is from drawing lenses again.",
@@ -52,26 +48,24 @@ def write_page(path: Path, study: Study, answer: Answer) -> None:
         f"{ratio.better}."
         for light, ratio in answer.controls.items()
     ]
-    controls += [
-        f"Waves of {length:g} nm: {residual:.3f} over the noise." for length, residual in answer.wavelengths.items()
-    ]
     for light in LIGHTS:
-        strengths = ", ".join(f"{strength:g} for {test}" for test, strength in answer.strengths[light].items())
         stray = f"{100 * answer.stray[light]:.1f} % of a lens's mean light"
+        strengths = ", ".join(f"{strength:g} for {test}" for test, strength in answer.strengths[light].items())
         controls.append(f"Stray light by {light}: {stray}; strength of the prior {strengths}.")
+    controls.append(f"{answer.noise.capitalize()}.")
     facts = (
         "Recorded pixels, simulated ones by waves and by rays, their differences, and a line of pixels. Lenses that "
         "differ as a whole are withheld ones."
     )
-    volume = "Slices of the volume by waves and by rays, from all pixels, each slice as bright as it can be shown."
+    planes = "Planes of the scene by waves and by rays, from all pixels, each as bright as it can be shown."
     how = (
-        "Part of the pixels is withheld; a volume is found that explains the others, by waves of "
+        "Part of the pixels is withheld; a scene is found that explains the others, by waves of "
         f"{study.wavelength:g} nm and by rays; it predicts those that are withheld."
     )
     sections = [
         pages.Section("Predictions", [how, pages.Picture(pictures(study).png(), facts), results]),
         pages.Section("Controls", [controls]),
-        pages.Section("The volume", [pages.Picture(slices(study).png(), volume)]),
+        pages.Section("The scene", [pages.Picture(slices(study).png(), planes)]),
     ]
     verdict = Markup("<strong>{}</strong>").format(answer.verdict)
     pages.Page("A real light field beside simulated ones", verdict, sections).write(path)
@@ -80,11 +74,11 @@ def write_page(path: Path, study: Study, answer: Answer) -> None:
 @plots.styled
 def pictures(study: Study) -> plots.Plot:
     """Return a figure of recorded and predicted pixels, their differences, and a line of pixels through them."""
-    part = study.part(Setup("fitted", "waves"))
+    part = study.part("waves")
     recorded = _picture(study, part, study.electrons(None))
     predicted = {}
     for light in LIGHTS:
-        electrons = study.predicted(Setup("fitted", light), 0, study.strength(light, "pixels"), None)
+        electrons = study.predicted(light, 0, study.strength(light, "pixels"), None)
         predicted[light] = _picture(study, part, electrons)
     rows, columns = _most_structured(recorded, int(_SHOWN * part.model.pitch.max()))
     peak = float(np.nanquantile(recorded[rows, columns], _BRIGHT))
@@ -138,27 +132,28 @@ def _most_structured(image: np.ndarray, size: int) -> tuple[slice, slice]:
 
 @plots.styled
 def slices(study: Study) -> plots.Plot:
-    """Return a figure of the volume's planes, by waves and by rays, from all pixels."""
-    volumes = {light: planes_of(study, light) for light in LIGHTS}
-    depths = sorted(volumes["waves"], key=lambda depth: -float(np.ptp(volumes["waves"][depth])))
-    chosen = sorted(depths[:_SLICES])
-    across, down = study.part(Setup("fitted", "waves")).lenses
-    plot = plots.Plot(2.2 * _SLICES + 0.3)
-    panels = plot.panels(len(LIGHTS), _SLICES, down / across)
+    """Return a figure of the scene's planes, by waves and by rays, from all pixels."""
+    scenes = {light: planes_of(study, light) for light in LIGHTS}
+    by_structure = sorted(scenes["waves"], key=lambda distance: -float(np.ptp(scenes["waves"][distance])))
+    chosen = sorted(by_structure[:_SLICES])
+    across, down = study.part("waves").lenses
+    plot = plots.Plot(2.2 * len(chosen) + 0.3)
+    panels = plot.panels(len(LIGHTS), len(chosen), down / across)
     for row, light in zip(panels, LIGHTS, strict=True):
-        for axes, depth in zip(row, chosen, strict=False):
-            image = volumes[light][depth]
+        for axes, distance in zip(row, chosen, strict=True):
+            image = scenes[light][distance]
             peak = float(np.quantile(image, _BRIGHT))
-            plots.show(axes, image, f"{1000 * depth:+.1f} µm by {light}", peak=peak, size=8)
+            label = f"{distance:.4g} mm" if study.camera.objective is None else f"{1000 * distance:+.1f} µm"
+            plots.show(axes, image, f"{label} by {light}", peak=peak, size=8)
     return plot
 
 
 def planes_of(study: Study, light: str) -> dict[float, np.ndarray]:
-    """Return the planes of a volume by depth, within the part, in voxels per area of the finest."""
-    volume, _ = study.volume(light)
-    projector = study.projector(Setup("fitted", light))
+    """Return the planes of a scene by distance, within the part, in light per area of the finest elements."""
+    scene, _ = study.scene(light)
+    projector = study.projector(light)
     planes = {}
-    for plane, image in zip(projector.planes, projector.split(volume), strict=True):
+    for plane, image in zip(projector.planes, projector.split(scene), strict=True):
         edge = projector.reach * plane.across
-        planes[plane.depth] = image[edge:-edge, edge:-edge] * plane.across**2
+        planes[plane.distance] = image[edge:-edge, edge:-edge] * plane.across**2
     return planes

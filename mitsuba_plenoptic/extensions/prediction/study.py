@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import put, refuse_if, require_wavelength
 from ...io import Cache, Progress, digest
-from ...linear import dark_variance
-from ..calibrate.photon_transfer import PhotonTransfer, photon_transfer
+from ..calibrate.photon_transfer import SensorNoise
 from ..calibrate.white_fit import fit_white
-from ..calibrate.white_frames import WhiteFrame, single_channel
+from ..calibrate.white_frames import WhiteFrame, black_level, single_channel
 from .array_part import ArrayPart, CameraModel, PartPixels
-from .point_patterns import depths_of, plane_of
-from .projector import VolumeProjection
-from .volume_fit import VolumeFit, fit_volume
+from .point_patterns import distances_of, plane_of
+from .projector import SceneProjection
+from .scene_fit import SceneFit, fit_scene
 from .withheld import TESTS, Ratio, Withheld, by_lens, misfit
 
 LIGHTS = ("waves", "rays")
-CAMERAS = ("fitted", "known")
 
 STRENGTHS = (0.001, 0.005, 0.02)
 """Strengths of the prior, of which pixels that are withheld for it choose."""
@@ -34,21 +32,32 @@ SEEDS = 3
 ITERATIONS = 30
 """Steps of each fit."""
 
-BAND = 15.0
-"""Nanometres by which the wavelength is changed."""
+_SEARCHED = (0.25, 1.25)
+_SEARCH_STEPS = 10
+_MOST_PLANES = 3
+_EXPLAINED = 0.03
+"""Planes that a search tries, as `distances_of` takes them; steps with each; planes at most; and the part of the misfit
+that a plane must explain beyond those before it."""
+
+_OF_CAMERA = 1e-5
+_OF_POINTS = 0.04
+_OF_PIXEL = 1e-7
+_OF_PRODUCT = 8e-11
+"""Seconds of one machine, for the ratio of stages' work: per pixel of a white picture; per point of a plane; per pixel
+and step of a run, and per product of a pixel with an element in it."""
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """Pictures of a real camera, of one size: a light field, something evenly white, and no light."""
+    """Pictures of a real camera, of one size: a light field, something evenly white, and, if there is one, no light."""
 
     light_field: np.ndarray
     white: np.ndarray
-    dark: np.ndarray
+    dark: np.ndarray | None
 
     def __post_init__(self) -> None:
         shape = single_channel("white", self.white).shape
-        for name in ("light_field", "white", "dark"):
+        for name in ("light_field", "white", *(["dark"] if self.dark is not None else [])):
             label = name.replace("_", " ")
             picture = single_channel(label, getattr(self, name))
             refuse_if(
@@ -58,14 +67,20 @@ class Pictures:
             put(self, **{name: picture})
 
     @cached_property
-    def noise(self) -> PhotonTransfer:
+    def noise(self) -> SensorNoise:
         """Gain and noise of the sensor."""
-        return photon_transfer(self.white, self.dark)
+        return SensorNoise.of(self.white, self.dark, self.light_field)
 
     @cached_property
     def electrons(self) -> np.ndarray:
         """Electrons of the light field's pixels, flat."""
-        return np.asarray(((self.light_field - self.dark) / self.noise.gain).ravel())
+        light = self.light_field - (0 if self.dark is None else self.dark)
+        return np.asarray(((light - black_level(light)) / self.noise.gain).ravel())
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of the white and the dark picture."""
+        return digest(self.white, *([] if self.dark is None else [self.dark]))
 
     @cached_property
     def good(self) -> np.ndarray:
@@ -81,62 +96,40 @@ class Answer:
     Attributes
     ----------
     ratios : dict
-        By camera (fitted, known) and test (pixels, lenses): residuals by waves and by rays, see `Ratio`.
+        By test (pixels, lenses): residuals by waves and by rays, see `Ratio`.
     relative : dict
-        By camera, light and test: root mean square of differences over that of the recorded pixels.
+        By light and test: root mean square of differences over that of the recorded pixels.
     strengths : dict
-        By light and test: the strength that withheld pixels chose.
+        By light and test: the strength of the prior that withheld pixels chose.
     stray : dict
-        By light: part of a lens's mean light that is spread over the lens, of the fitted camera.
+        By light: part of a lens's mean light that is spread over the lens.
     controls : dict
         By the light that simulated the picture: residuals of withheld pixels.
-    wavelengths : dict
-        Residual of withheld pixels by waves, by wavelength in nanometres.
+    distances : list
+        Distances of the scene's planes in millimetres.
+    noise : str
+        Where the noise of the pixels comes from.
     """
 
-    ratios: dict[str, dict[str, Ratio]]
-    relative: dict[str, dict[str, dict[str, float]]]
+    ratios: dict[str, Ratio]
+    relative: dict[str, dict[str, float]]
     strengths: dict[str, dict[str, float]]
     stray: dict[str, float]
     controls: dict[str, Ratio]
-    wavelengths: dict[float, float]
-
-    @property
-    def sound(self) -> bool:
-        """Whether the test tells pictures simulated by waves from those simulated by rays."""
-        return all(ratio.better == light for light, ratio in self.controls.items())
+    distances: list[float]
+    noise: str
 
     @property
     def verdict(self) -> str:
         """A sentence that says which light predicts better, and by how much, or that the test cannot tell."""
-        if not self.sound:
+        if not all(ratio.better == light for light, ratio in self.controls.items()):
             return "The test cannot tell simulated pictures by rays from those by waves: it says nothing."
         said = []
-        for test in TESTS:
-            ratio = self.ratios["fitted"][test]
+        for test, ratio in self.ratios.items():
             by = f"{ratio.ratio:.3f} times (95 %: {ratio.low:.3f} to {ratio.high:.3f})"
             better = {"neither": "neither is better"}.get(ratio.better, f"{ratio.better} are better")
             said.append(f"of withheld {test}, {better}: the residual by rays is {by} that by waves")
         return "In predictions " + "; ".join(said) + "."
-
-    def to_plain(self) -> dict[str, Any]:
-        """Return all as plain values, with the verdict."""
-        ratios = {
-            camera: {test: asdict(ratio_of_test) for test, ratio_of_test in some.items()}
-            for camera, some in self.ratios.items()
-        }
-        plain = {"ratios": ratios, "relative": self.relative, "strengths": self.strengths, "stray": self.stray}
-        controls = {light: asdict(ratio) for light, ratio in self.controls.items()}
-        wavelengths = {f"{value:g}": residual for value, residual in self.wavelengths.items()}
-        return plain | {"controls": controls, "wavelengths": wavelengths, "verdict": self.verdict}
-
-
-class Setup(NamedTuple):
-    """A camera, fitted or as it is known, and its light: waves, of the study's wavelength or another one, or rays."""
-
-    camera: str
-    light: str
-    wavelength: float | None = None
 
 
 class Study:
@@ -149,9 +142,11 @@ class Study:
     camera : PlenopticCamera
         The camera as it is known.
     wavelength : float
-        Wavelength in nanometres, 15 nm or more within the range of wavelengths.
+        Wavelength in nanometres.
     box : (float, float, float, float)
         Left, top, right and bottom of the part of the picture, in pixels.
+    planes : sequence of float
+        Distances of the scene's planes in millimetres, see `Plane`; none: all behind an objective, otherwise a search.
     stages : Cache
         Where runs are stored.
     """
@@ -162,60 +157,106 @@ class Study:
         camera: PlenopticCamera,
         wavelength: float,
         box: tuple[float, float, float, float],
+        planes: Sequence[float],
         stages: Cache,
     ) -> None:
         require_support(camera, Use.POINTS | Use.RAY_SPREADS | Use.ROUND_PUPILS)
-        for side in (-BAND, BAND):
-            require_wavelength(wavelength + side, f"wavelength = {wavelength:g}, which is also tried {side:+g} nm off")
+        require_wavelength(wavelength)
+        objective = camera.objective
+        refuse_if(
+            not camera.has_array
+            or camera.lens_data.images_stop
+            or (objective is None and not camera.lens_data.is_thin),
+            "camera: light fields are predicted behind thin lenses, and objectives with the array in their image",
+        )
+        nearest = min(planes, default=1.0)
+        refuse_if(objective is None and nearest <= 0, f"plane = {nearest:g}: it must be greater than 0")
         self.pictures = pictures
         self.camera = camera
         self.wavelength = wavelength
         self.box = box
         self.stages = stages
+        self._planes = list(planes) or ([] if objective is None else distances_of(camera))
         # What is found once serves all runs; a projection takes so much memory that the last one alone is kept.
-        self.model, self.predicted, self.volume = cache(self._model), cache(self._predicted), cache(self._volume)
+        self.model, self.predicted, self.scene = cache(self._model), cache(self._predicted), cache(self._scene)
         self.simulated, self.strength = cache(self._simulated), cache(self._strength)
-        self.part = cache(lambda setup: ArrayPart(self.model(setup), self._pixels))
+        self.part = cache(lambda light: ArrayPart(self.model(light), self._pixels))
         self.withheld = cache(lambda seed: Withheld.drawn(self._pixels, self.pictures.good[self._pixels.pixel], seed))
         self.projector = lru_cache(1)(self._projector)
 
-    # -- cameras ---------------------------------------------------------------------------------
+    # -- cameras and planes ----------------------------------------------------------------------
 
-    def _model(self, setup: Setup) -> CameraModel:
-        """Return a camera's model, fitted to the white picture or as it is known."""
-        if setup.camera == "known":
-            return self.model(setup._replace(camera="fitted")).as_known(self.camera)
-        length = None if setup.light == "rays" else setup.wavelength or self.wavelength
+    def _model(self, light: str) -> CameraModel:
+        """Return a camera's model, fitted to the white picture."""
+        pictures = self.pictures
+        length = None if light == "rays" else self.wavelength
 
         def fitted(progress: Progress) -> dict[str, Any]:
-            pictures = self.pictures
             fit = fit_white(pictures.white, self.camera, dark=pictures.dark, wavelength=length, progress=progress)
             return CameraModel.fitted(fit).to_plain()
 
-        name = "_".join(["camera", setup.light, *([] if setup.wavelength is None else [f"{setup.wavelength:g}nm"])])
         # A fit serves all parts of the picture.
-        inputs = [digest(self.pictures.white, self.pictures.dark), self.camera.to_dict()]
-        return CameraModel.of(self.stages.facts(name, [inputs, length], fitted))
+        inputs = [pictures.key, self.camera.to_dict(), length]
+        return CameraModel.of(self.stages.facts(f"camera_{light}", inputs, fitted))
 
     @cached_property
     def _given(self) -> list[Any]:
         """What all stages depend on."""
-        pictures = self.pictures
-        return [digest(pictures.light_field, pictures.white, pictures.dark), self.camera.to_dict(), list(self.box)]
+        pixels = digest(self.pictures.light_field)
+        return [
+            pixels,
+            self.pictures.key,
+            self.camera.to_dict(),
+            list(self.box),
+            self.wavelength,
+            ITERATIONS,
+            self._planes,
+        ]
 
     @cached_property
     def _pixels(self) -> PartPixels:
         """The pixels of the part, by the lattice that waves find."""
-        return PartPixels.of(self.model(Setup("fitted", "waves")), self.box)
+        return PartPixels.of(self.model("waves"), self.box)
 
-    def _projector(self, setup: Setup) -> VolumeProjection:
-        """Return the projection of a volume, whose planes are those of the known camera, on the part."""
-        part = self.part(setup)
-        return VolumeProjection(part, [plane_of(part, depth) for depth in depths_of(self.camera)])
+    @cached_property
+    def distances(self) -> list[float]:
+        """Distances of the scene's planes, in millimetres.
+
+        A search fits each plane alone, by rays, and takes one after the other that explains most, lens by lens.
+        """
+        if self._planes:
+            return self._planes
+
+        def found(progress: Progress) -> dict[str, Any]:
+            tried = distances_of(self.camera, *_SEARCHED)
+            used = self.withheld(0).used
+            misfits = []
+            for done, distance in enumerate(tried):
+                progress(done, len(tried))
+                projector = SceneProjection(self.part("rays"), [plane_of(self.part("rays"), distance)])
+                fit = self._fit(projector, self.electrons(None), used, STRENGTHS[0], iterations=_SEARCH_STEPS)
+                values = misfit(self.electrons(None), fit.predicted, self.dark_variance)
+                misfits.append(by_lens(values, used, self._pixels)[0])
+            left = np.full(len(misfits[0]), np.inf)
+            chosen: list[float] = []
+            while len(chosen) < _MOST_PLANES:
+                best = min(range(len(tried)), key=lambda plane: np.minimum(left, misfits[plane]).sum())
+                before, left = left.sum(), np.minimum(left, misfits[best])
+                if left.sum() > (1 - _EXPLAINED) * before:
+                    break
+                chosen.append(tried[best])
+            return {"distances": chosen}
+
+        return list(self.stages.facts("search", [self._given, _SEARCHED], found)["distances"])
+
+    def _projector(self, light: str) -> SceneProjection:
+        """Return the projection of the scene on the part."""
+        part = self.part(light)
+        return SceneProjection(part, [plane_of(part, distance) for distance in self.distances])
 
     # -- runs ------------------------------------------------------------------------------------
 
-    def _predicted(self, setup: Setup, seed: int, strength: float, simulated: str | None) -> np.ndarray:
+    def _predicted(self, light: str, seed: int, strength: float, simulated: str | None) -> np.ndarray:
         """Return the light of all pixels of the part (m,) that a fit to those not withheld predicts.
 
         `simulated` names the light by which the picture is simulated instead of recorded.
@@ -223,52 +264,46 @@ class Study:
         mask = self.withheld(seed).used
 
         def fitted(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
-            fit = self._fit(setup, self.electrons(simulated), mask, strength, progress)
+            fit = self._fit(self.projector(light), self.electrons(simulated), mask, strength, progress)
             return fit.predicted[None], {"stray_light": fit.stray}
 
-        words = [setup.camera, setup.light, f"seed_{seed}", f"{strength:g}"]
-        words += [f"of_{simulated}"] if simulated else []
-        words += [f"{setup.wavelength:g}nm"] if setup.wavelength else []
-        inputs = [self._given, self.wavelength, ITERATIONS, words]
-        return self.stages.image("_".join(words), inputs, fitted)[0].ravel()
+        words = [light, f"seed_{seed}", f"{strength:g}"] + ([f"of_{simulated}"] if simulated else [])
+        return self.stages.image("_".join(words), [self._given, self.distances], fitted)[0].ravel()
 
-    def _volume(self, light: str) -> tuple[np.ndarray, float]:
-        """Return the volume that all pixels together give with the fitted camera, and the stray light."""
-        setup = Setup("fitted", light)
+    def _scene(self, light: str) -> tuple[np.ndarray, float]:
+        """Return the scene that all pixels together give, and the stray light."""
 
         def fitted(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
             mask = self.pictures.good[self._pixels.pixel]
-            strength = self.strength(light, "pixels")
-            fit = self._fit(setup, self.electrons(None), mask, strength, progress)
-            return np.append(fit.volume.ravel(), np.float32(fit.stray))[None], {}
+            fit = self._fit(self.projector(light), self.electrons(None), mask, self.strength(light, "pixels"), progress)
+            return np.append(fit.scene.ravel(), np.float32(fit.stray))[None], {}
 
-        inputs = [self._given, self.wavelength, ITERATIONS]
-        flat = self.stages.image(f"volume_{light}", inputs, fitted)[0].ravel()
-        return flat[:-1].reshape(self.projector(setup).source_shape), float(flat[-1])
+        flat = self.stages.image(f"scene_{light}", [self._given, self.distances], fitted)[0].ravel()
+        return flat[:-1].reshape(self.projector(light).source_shape), float(flat[-1])
 
     def _fit(
         self,
-        setup: Setup,
+        projector: SceneProjection,
         electrons: np.ndarray,
         used: np.ndarray,
         strength: float,
-        progress: Callable[[int, int], None],
-    ) -> VolumeFit:
-        return fit_volume(
-            self.projector(setup),
+        progress: Progress | None = None,
+        iterations: int = ITERATIONS,
+    ) -> SceneFit:
+        return fit_scene(
+            projector,
             electrons,
             used,
             dark_variance=self.dark_variance,
             strength=strength,
-            iterations=ITERATIONS,
+            iterations=iterations,
             progress=progress,
         )
 
     @property
     def dark_variance(self) -> float:
         """Variance of a dark pixel in electrons squared, with that of rounding."""
-        noise = self.pictures.noise
-        return dark_variance(noise.read_noise, noise.gain)
+        return self.pictures.noise.dark_variance
 
     def electrons(self, simulated: str | None) -> np.ndarray:
         """Return the electrons of the part's pixels, recorded, or simulated by a light."""
@@ -277,79 +312,80 @@ class Study:
         return np.asarray(self.pictures.electrons[self._pixels.pixel], np.float32)
 
     def _simulated(self, light: str) -> np.ndarray:
-        """Return the electrons of a picture of the volume that rays or waves find, simulated with noise."""
-        volume, stray = self.volume(light)
-        projector = self.projector(Setup("fitted", light))
-        direct, glow = projector.forward(volume)
+        """Return the electrons of a picture of the scene that rays or waves find, simulated with noise."""
+        scene, stray = self.scene(light)
+        direct, glow = self.projector(light).forward(scene)
         expected = np.maximum(direct + stray * glow, 0).astype(np.float64)
         generator = np.random.default_rng(0)
         noisy = generator.poisson(expected) + generator.normal(0, self.dark_variance**0.5, len(expected))
         return np.asarray(noisy, np.float32)
 
     def _strength(self, light: str, test: str) -> float:
-        """Return the strength that the pixels withheld for it choose, with the fitted camera."""
-        chosen = self.withheld(0).choosing[test]
+        """Return the strength that the pixels withheld for it choose."""
         electrons = self.electrons(None)
 
         def residual(strength: float) -> float:
-            predicted = self.predicted(Setup("fitted", light), 0, strength, None)
-            return float(misfit(electrons, predicted, self.dark_variance)[chosen].sum())
+            total = 0.0
+            for seed in range(SEEDS):
+                values = misfit(electrons, self.predicted(light, seed, strength, None), self.dark_variance)
+                total += float(values[self.withheld(seed).choosing[test]].sum())
+            return total
 
         return min(STRENGTHS, key=residual)
 
     # -- the answer ------------------------------------------------------------------------------
 
-    def squares(self, setup: Setup, test: str, seed: int, simulated: str | None = None) -> np.ndarray:
+    def squares(self, light: str, test: str, seed: int, simulated: str | None = None) -> np.ndarray:
         """Return sums by lens of squared differences over noise of withheld pixels, and the pixels' number."""
-        predicted = self.predicted(setup, seed, self.strength(setup.light, test), simulated)
+        predicted = self.predicted(light, seed, self.strength(light, test), simulated)
         values = misfit(self.electrons(simulated), predicted, self.dark_variance)
         return by_lens(values, self.withheld(seed).tested[test], self._pixels)
 
-    def relative(self, setup: Setup, test: str) -> float:
+    def relative(self, light: str, test: str) -> float:
         """Return the root mean square of withheld differences over that of the recorded pixels."""
         electrons = self.electrons(None)
         totals = np.zeros(2)
         for seed in range(SEEDS):
             chosen = self.withheld(seed).tested[test]
-            away = electrons - self.predicted(setup, seed, self.strength(setup.light, test), None)
+            away = electrons - self.predicted(light, seed, self.strength(light, test), None)
             totals += [float((some[chosen] ** 2).sum(dtype=np.float64)) for some in (away, electrons)]
         return float(np.sqrt(totals[0] / totals[1]))
 
+    def work(self) -> list[float]:
+        """Return the work of each stage of `answer`, in their order."""
+        left, top, right, bottom = self.box
+        pixels = (right - left) * (bottom - top)
+
+        def run(planes: Sequence[float], steps: int = ITERATIONS) -> tuple[float, float]:
+            blurs = [self.camera.blur_diameter(plane) / self.camera.mla_pitch for plane in planes]
+            products = sum(16 * (blur + 2) ** 2 for blur in blurs)
+            return 64 * _OF_POINTS * len(blurs), steps * pixels * (_OF_PIXEL + _OF_PRODUCT * products)
+
+        tried = [] if self._planes else distances_of(self.camera, *_SEARCHED)
+        search = [sum(map(sum, (run([plane], _SEARCH_STEPS) for plane in tried)))] if tried else []
+        points, runs = run(self._planes or [self.camera.focus_distance] * _MOST_PLANES)
+        of_light = [points + runs, *[runs] * (len(STRENGTHS) * SEEDS)]
+        cameras = [_OF_CAMERA * self.pictures.white.size] * 2
+        return [*cameras, *search, *of_light, *of_light, runs, runs, points + runs, runs]
+
     def answer(self) -> Answer:
         """Run what has not been run, and return the answer."""
-        squares: dict[tuple[str, str, str], np.ndarray] = {}
-        strengths = {}
-        volumes = {}
+        self.stages.expect(self.work())
+        for light in LIGHTS:
+            self.model(light)
+        squares = {}
         # All runs of one projection follow each other.
         for light in LIGHTS:
-            strengths[light] = {test: self.strength(light, test) for test in TESTS}
-            volumes[light] = self.volume(light)
+            for test in TESTS:
+                squares[light, test] = np.sum([self.squares(light, test, seed) for seed in range(SEEDS)], axis=0)
             self.simulated(light)
-            for camera in CAMERAS:
-                for test in TESTS:
-                    sums_of_seeds = [self.squares(Setup(camera, light), test, seed) for seed in range(SEEDS)]
-                    squares[camera, light, test] = np.sum(sums_of_seeds, axis=0)
-        relative = {
-            camera: {light: {test: self.relative(Setup(camera, light), test) for test in TESTS} for light in LIGHTS}
-            for camera in CAMERAS
-        }
-        ratios = {
-            camera: {test: Ratio.of(*(squares[camera, light, test] for light in LIGHTS)) for test in TESTS}
-            for camera in CAMERAS
-        }
-        control = {
-            (light, of): self.squares(Setup("fitted", light), "pixels", 0, of) for light in LIGHTS for of in LIGHTS
-        }
-        near = {}
-        for length in (self.wavelength - BAND, self.wavelength, self.wavelength + BAND):
-            another_wavelength = None if length == self.wavelength else length
-            sums = self.squares(Setup("fitted", "waves", another_wavelength), "pixels", 0)
-            near[length] = float(np.sqrt(sums[0].sum() / sums[1].sum()))
+        control = {(light, of): self.squares(light, "pixels", 0, of) for light in reversed(LIGHTS) for of in LIGHTS}
         return Answer(
-            ratios=ratios,
-            relative=relative,
-            strengths=strengths,
-            stray={light: stray for light, (_, stray) in volumes.items()},
+            ratios={test: Ratio.of(*(squares[light, test] for light in LIGHTS)) for test in TESTS},
+            relative={light: {test: self.relative(light, test) for test in TESTS} for light in LIGHTS},
+            strengths={light: {test: self.strength(light, test) for test in TESTS} for light in LIGHTS},
+            stray={light: self.scene(light)[1] for light in LIGHTS},
             controls={of: Ratio.of(*(control[light, of] for light in LIGHTS)) for of in LIGHTS},
-            wavelengths=near,
+            distances=self.distances,
+            noise=self.pictures.noise.source,
         )

@@ -9,6 +9,7 @@ from test_recording import CAMERA, recorded
 
 from mitsuba_plenoptic.extensions.paper import real_light
 from mitsuba_plenoptic.extensions.paper.recording import Recording, Shape
+from mitsuba_plenoptic.io import StageOptions
 
 SHAPES = {
     "near": {"distance": 390, "region": [1, 1, 3, 6], "even": [1, 2, 2, 4]},
@@ -28,7 +29,10 @@ def folder_of(folder):
 
 @pytest.mark.slow
 def test_real_light_is_judged_beside_its_control(tmp_path):
-    results = real_light.reproduce_real(tmp_path / "out", folder_of(tmp_path))
+    said = []
+    stages = StageOptions(finished=lambda name, *_: said.append(name))
+    results = real_light.reproduce_real(tmp_path / "out", folder_of(tmp_path), stages=stages)
+    assert said[-1] == f"quality, {len(said)} of {len(said)}"
     assert results["alignment"]["moved"] == pytest.approx((0.3, -0.2), abs=0.05)
     real, control = (results[name] for name in ("real", "control"))
     assert [claim["statement"] for claim in real["claims"]] == [claim["statement"] for claim in control["claims"]]

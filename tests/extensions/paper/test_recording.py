@@ -10,11 +10,11 @@ from scipy import ndimage
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.detector import SHARP, DetectorOperator
 from mitsuba_plenoptic.errors import InputError
+from mitsuba_plenoptic.extensions.calibrate.photon_transfer import electrons
 from mitsuba_plenoptic.extensions.paper.real_light import grid
 from mitsuba_plenoptic.extensions.paper.recording import (
     Recording,
     aligned,
-    electrons,
     moved_by,
     read_recording_of,
     stray_width,

@@ -9,9 +9,9 @@ from mitsuba_plenoptic.extensions.calibrate.array_fit import fit_array
 from mitsuba_plenoptic.extensions.calibrate.field_fit import FieldNumbers
 from mitsuba_plenoptic.extensions.calibrate.micro_image import PupilNumbers
 from mitsuba_plenoptic.extensions.prediction.array_part import ArrayPart, CameraModel, PartPixels
-from mitsuba_plenoptic.extensions.prediction.point_patterns import depths_of, plane_of
-from mitsuba_plenoptic.extensions.prediction.projector import VolumeProjection
-from mitsuba_plenoptic.extensions.prediction.volume_fit import fit_volume
+from mitsuba_plenoptic.extensions.prediction.point_patterns import distances_of, plane_of
+from mitsuba_plenoptic.extensions.prediction.projector import SceneProjection
+from mitsuba_plenoptic.extensions.prediction.scene_fit import fit_scene
 from mitsuba_plenoptic.extensions.prediction.withheld import Ratio, Withheld, by_lens, misfit
 
 CAMERA = PlenopticCamera(
@@ -22,10 +22,19 @@ CAMERA = PlenopticCamera(
 """Fifteen lenses of twelve pixels along a side, turned."""
 
 
+THIN = PlenopticCamera(
+    focal_length=200, aperture_radius=3.06, mla_distance=400, mla_pitch=0.3, mla_focal_length=18.6, mla_rotation=0.3,
+    mla_offset=(0.06, 0.0), detector_width=4.4, resolution=(220, 220), detector_blur=0.02,
+)  # fmt: skip
+"""Fourteen lenses of sixteen pixels along a side, turned, behind a thin lens."""
+
+
 def model_of(camera, wavelength=550.0):
     """The model of a camera that is known, with a round and even pupil."""
-    index = np.stack(np.meshgrid(np.arange(-8, 7), np.arange(-8, 7)), axis=-1).reshape(-1, 2).astype(float)
-    centre = np.stack(camera.lattice.centre(*index.T), axis=-1)
+    row = np.repeat(np.arange(-8, 7), 15)
+    aside = 0.0 if camera.lattice.rectangular else 0.5
+    index = np.column_stack([np.tile(np.arange(-8.0, 7), 15) + aside * (row % 2), row])
+    centre = np.stack(camera.lattice.centre(index[:, 0] - aside * row, row), axis=-1)
     place = centre * camera.image_growth / camera.pixel_size + (np.array(camera.resolution) - 1) / 2
     array = fit_array(place, index, camera)
     pupil = PupilNumbers(camera.pupil_radius / camera.pupil_step, blur=camera.detector_blur / camera.pixel_size)
@@ -41,7 +50,7 @@ def part_of(model):
 MODEL = model_of(CAMERA)
 PART = part_of(MODEL)
 FINE, MIDDLE, FAR = (plane_of(PART, depth) for depth in (0.0, 0.012, -0.03))
-PROJECTOR = VolumeProjection(PART, [FINE, MIDDLE, FAR])
+PROJECTOR = SceneProjection(PART, [FINE, MIDDLE, FAR])
 
 
 def test_every_pixel_belongs_to_one_lens_whose_micro_image_is_near():
@@ -53,26 +62,34 @@ def test_every_pixel_belongs_to_one_lens_whose_micro_image_is_near():
     assert (np.hypot(*away.T).min(1) <= np.hypot(*(PART.within.T * 12)) + 1e-6).all()
 
 
-@pytest.mark.parametrize("plane", [FINE, MIDDLE, FAR], ids=["focus", "near", "far"])
-def test_voxels_are_recorded_as_their_points_are(plane):
-    """Fine points of one voxel of the middle lens, through the whole turned camera."""
-    projector, across = VolumeProjection(PART, [plane]), plane.across
-    volume = np.zeros(projector.source_shape, np.float32)
-    row, column = projector.source_shape[0] // 2, projector.source_shape[1] // 2
-    voxel = across + 2
-    volume[row, column, voxel] = 1
-    lens = PART.place[(PART.lenses[1] // 2) * PART.lenses[0] + PART.lenses[0] // 2]
-    angle = np.deg2rad(CAMERA.mla_rotation)
+@pytest.mark.parametrize(
+    ("camera", "distance"),
+    [
+        *((CAMERA, distance) for distance in (0.0, 0.012, -0.03)),
+        (THIN, 380.0),
+        (THIN.replace(mla_lattice="hexagonal"), 470.0),
+    ],
+)
+def test_elements_are_recorded_as_their_points_are(camera, distance):
+    """Fine points of one element of a lens near the middle, through the whole turned camera."""
+    part = part_of(model_of(camera))
+    projector = SceneProjection(part, [plane_of(part, distance)])
+    across = projector.planes[0].across
+    lens = len(part.place) // 2
+    row, column = np.divmod(lens, part.lenses[0])
+    scene = np.zeros(projector.source_shape, np.float32)
+    scene[row + projector.reach, column + projector.reach, across + 2] = 1
+    angle = np.deg2rad(camera.mla_rotation)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    centre = (lens - 89.5) * CAMERA.pixel_size / CAMERA.image_growth
+    centre = (part.place[lens] - (np.array(camera.resolution) - 1) / 2) * camera.pixel_size / camera.image_growth
     step = (np.arange(6) + 0.5) / 6
-    at = (
-        np.stack(np.meshgrid((2 + step) / across - 0.5, (1 + step) / across - 0.5), -1).reshape(-1, 2) * 0.125
-    ) @ turn.T
-    points = np.column_stack([-(centre + at) / 20, np.full(36, plane.depth)])
-    operator = CaptureOperator(CAMERA, points, wavelength=550.0, accuracy=0)
-    exact = operator.forward(np.full(36, 1 / 36)).ravel()[PART.pixel]
-    found = projector.direct(volume)
+    at = np.stack(np.meshgrid((2 + step) / across - 0.5, (1 + step) / across - 0.5), -1).reshape(-1, 2)
+    at = at * [camera.mla_pitch, camera.lattice.row_distance] @ turn.T
+    points = -(centre + at) * camera.bin_size(distance) / camera.mla_pitch
+    operator = CaptureOperator(camera, np.column_stack([points, np.full(36, distance)]), wavelength=550.0, accuracy=0)
+    exact = operator.forward(np.full(36, 1 / 36)).ravel()[part.pixel]
+    # Pixels of the regular array are smaller.
+    found = projector.direct(scene) * part.along * part.down / part.model.pitch.prod()
     # The white picture, by which pixels are weighted, has an even pupil; points radiate evenly over angles.
     assert np.linalg.norm(found - exact) < 0.04 * np.linalg.norm(exact)
     assert found.sum() == pytest.approx(exact.sum(), rel=0.03)
@@ -82,7 +99,7 @@ def test_pictures_with_sharp_borders_are_weighted_evenly():
     """Without a blur rays of an even volume end within a pixel, beyond which nothing may be amplified."""
     model = model_of(CAMERA.replace(detector_blur=0.0), None)
     part = part_of(model)
-    projector = VolumeProjection(part, [plane_of(part, 0.0), plane_of(part, 0.012)])
+    projector = SceneProjection(part, [plane_of(part, 0.0), plane_of(part, 0.012)])
     even = projector.direct(np.ones(projector.source_shape, np.float32))
     white = part.white * (even.sum() / part.white.sum())
     assert np.abs(even - white).max() < 0.15 * white.max()
@@ -144,9 +161,7 @@ def test_withheld_pixels_of_a_simulated_volume_are_predicted():
     expected = PROJECTOR.direct(volume)
     electrons = generator.poisson(expected * (400 / expected.mean())).astype(np.float32)
     withheld = Withheld.drawn(PART.pixels, np.ones(len(PART.pixel), bool), 0)
-    fit = fit_volume(
-        PROJECTOR, electrons, withheld.used, dark_variance=1.0, strength=1e-3, iterations=60, progress=lambda *_: None
-    )
+    fit = fit_scene(PROJECTOR, electrons, withheld.used, dark_variance=1.0, strength=1e-3, iterations=60)
     over_noise = misfit(electrons, fit.predicted, 1.0)
     tested = withheld.tested["pixels"]
     assert fit.stray < 0.02
@@ -170,9 +185,8 @@ def test_verdicts_can_come_out_either_way():
 
 
 def test_planes_grow_apart_and_thin_lenses_are_refused():
-    depths = np.array(depths_of(CAMERA))
+    depths = np.array(distances_of(CAMERA))
     assert depths[len(depths) // 2] == 0
     assert depths == pytest.approx(-depths[::-1])
     assert (np.diff(depths[depths >= 0], 2) > 0).all()
-    refuses("microscopes", depths_of, PlenopticCamera())
     refuses("lenses lie in it", PartPixels.of, MODEL, (80, 80, 130, 130))

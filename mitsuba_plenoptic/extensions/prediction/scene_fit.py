@@ -1,31 +1,31 @@
-r"""The volume that explains a part of a light field's pixels, by Richardson and Lucy's iteration with a prior.
+r"""The scene that explains a part of a light field's pixels, by Richardson and Lucy's iteration with a prior.
 
 .. math:: x \leftarrow \frac{x A^T \frac{y + \sigma^2}{A x + \sigma^2} + \beta L \bar x}{A^T 1 + \beta L}
 
-where A has the pixels that are used, L is the light of a voxel on all pixels, and :math:`\bar x` the mean of x nearby:
-a gamma prior of that mean (Lange, Bahn and Little 1987, IEEE Trans. Med. Imaging 6, 106), so that voxels which no used
-pixel sees are those around. Photons and read noise of variance :math:`\sigma^2` are a Poisson law of shifted values
-(Snyder, Hammoud and White 1993, J. Opt. Soc. Am. A 10, 1014). Steps are extrapolated as in
+where A has the pixels that are used, L is the light of an element on all pixels, and :math:`\bar x` the mean of x
+nearby: a gamma prior of that mean (Lange, Bahn and Little 1987, IEEE Trans. Med. Imaging 6, 106), so that elements
+which no used pixel sees are those around. Photons and read noise of variance :math:`\sigma^2` are a Poisson law of
+shifted values (Snyder, Hammoud and White 1993, J. Opt. Soc. Am. A 10, 1014). Steps are extrapolated as in
 `mitsuba_plenoptic.linear.solver`. Stray light, the part of a lens's mean light that all of its pixels get, is found by
 least squares on the way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from ...io import Progress
 from ...linear import Steps, solve
-from .projector import VolumeProjection
+from .projector import SceneProjection
 
 _NEAR = 0.7
 """Standard deviation, in pitches, of the mean nearby."""
 
 _UNSEEN = 1e-3
-"""Light of a voxel over that of the brightest one of its plane, below which it is dark."""
+"""Light of an element over that of the brightest one of its plane, below which it is dark."""
 
 _STRAY_STEPS = frozenset((2, 5, 9, 14, 19))
 _MOST_STRAY = 0.5
@@ -33,29 +33,29 @@ _MOST_STRAY = 0.5
 
 
 @dataclass(frozen=True)
-class VolumeFit:
-    """A volume of voxels (see `VolumeProjection`), the stray light, and the pixels' light that they predict."""
+class SceneFit:
+    """A scene's elements (see `SceneProjection`), the stray light, and the pixels' light that they predict."""
 
-    volume: np.ndarray
+    scene: np.ndarray
     stray: float
     predicted: np.ndarray
 
 
 class _Near:
-    """Mean of voxels nearby, over those that are seen."""
+    """Mean of elements nearby, over those that are seen."""
 
-    def __init__(self, projector: VolumeProjection, seen: np.ndarray) -> None:
+    def __init__(self, projector: SceneProjection, seen: np.ndarray) -> None:
         self._projector = projector
         self._seen = seen
         self._whole = np.maximum(self._blurred(seen.astype(np.float32)), 1e-6)
 
-    def _blurred(self, volume: np.ndarray) -> np.ndarray:
-        parts = zip(self._projector.split(volume), self._projector.planes, strict=True)
+    def _blurred(self, scene: np.ndarray) -> np.ndarray:
+        parts = zip(self._projector.split(scene), self._projector.planes, strict=True)
         return self._projector.join([gaussian_filter(image, _NEAR * plane.across) for image, plane in parts])
 
-    def of(self, volume: np.ndarray) -> np.ndarray:
-        """Return the mean nearby of each voxel."""
-        return self._blurred(volume * self._seen) / self._whole
+    def of(self, scene: np.ndarray) -> np.ndarray:
+        """Return the mean nearby of each element."""
+        return self._blurred(scene * self._seen) / self._whole
 
 
 class _PriorSteps(Steps):
@@ -63,7 +63,7 @@ class _PriorSteps(Steps):
 
     def __init__(
         self,
-        projector: VolumeProjection,
+        projector: SceneProjection,
         electrons: np.ndarray,
         used: np.ndarray,
         dark_variance: float,
@@ -84,13 +84,13 @@ class _PriorSteps(Steps):
         return np.maximum(self.operator.adjoint(np.stack([pixels, np.float32(self.stray) * pixels])), 0)
 
     def start(self) -> np.ndarray:
-        """Return an even volume with the light of the pixels that are used."""
+        """Return an even scene with the light of the pixels that are used."""
         electrons = (self.image * self._mask).sum(dtype=np.float64)
         level = np.float32(electrons / self._light.sum(where=self._seen, dtype=np.float64))
         return np.where(self._seen, level, np.float32(0))
 
     def step(self, point: np.ndarray, model: np.ndarray) -> np.ndarray:
-        """Return the volume after a step from a point whose direct light and glow are `model`."""
+        """Return the scene after a step from a point whose direct light and glow are `model`."""
         if self._done in _STRAY_STEPS:
             self.stray = _stray(self.image, self._mask, *model)
             self._light, self._all_light = self._spread(self._mask), self._spread(np.ones_like(self._mask))
@@ -105,20 +105,20 @@ class _PriorSteps(Steps):
         return np.asarray(model[0] + np.float32(self.stray) * model[1])
 
 
-def fit_volume(
-    projector: VolumeProjection,
+def fit_scene(
+    projector: SceneProjection,
     electrons: np.ndarray,
     used: np.ndarray,
     *,
     dark_variance: float,
     strength: float,
     iterations: int,
-    progress: Callable[[int, int], None],
-) -> VolumeFit:
-    """Return the volume that explains electrons (m,) of the pixels that are used; the weight of the prior is beta."""
+    progress: Progress | None = None,
+) -> SceneFit:
+    """Return the scene that explains electrons (m,) of the pixels that are used; the weight of the prior is beta."""
     steps = _PriorSteps(projector, electrons, used, dark_variance, strength)
     solution = solve(steps, iterations=iterations, accelerate=True, progress=progress)
-    return VolumeFit(solution.values, steps.stray, steps.predicted(projector.forward(solution.values)))
+    return SceneFit(solution.values, steps.stray, steps.predicted(projector.forward(solution.values)))
 
 
 def _stray(electrons: np.ndarray, mask: np.ndarray, direct: np.ndarray, glow: np.ndarray) -> float:
