@@ -64,7 +64,7 @@ class CameraModel:
         size = self.camera.resolution
         camera = of_size(camera, size)
         array = fit_array(self.places(self.lens), self.lens, camera, degree=1)
-        camera = camera.replace(**array.lattice_parameters())
+        camera = camera.replace(vignetting=None, **array.lattice_parameters())
         even = FieldNumbers(size, 0, PupilNumbers(camera.pupil_radius / camera.pupil_step))
         return replace(self, camera=camera, array=array, field=even, brightness=np.ones(len(self.lens)))
 
@@ -225,7 +225,7 @@ class ArrayPart:
     @cached_property
     def white(self) -> np.ndarray:
         """Light of each pixel of an evenly white scene, without stray light, over that in the middle of lenses."""
-        camera = self.model.camera.replace(vignetting=None, mla_transmissions=None, mla_warp=(), **SHARP)
+        camera = self.model.camera.replace(mla_transmissions=None, mla_warp=(), **SHARP)
         micro = MicroImageModel(camera, self.model.wavelength)
         numbers = self.model.field.values(self.place)
         numbers[:, NUMBERS.index("stray")] = 0.0

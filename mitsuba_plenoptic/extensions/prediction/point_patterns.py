@@ -7,13 +7,12 @@ light field microscope", Optics Express 21, 25418).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from ...camera import PlenopticCamera, Vignetting
+from ...camera import PlenopticCamera
 from ...detector import SHARP
 from ...errors import InputError
 from ...points import CaptureOperator, ray_spread
@@ -113,8 +112,7 @@ def _regular(part: ArrayPart, lenses: int) -> PlenopticCamera:
     pupil = None
     if camera.vignetting is not None:
         here = camera.vignetting.at(*part.middle)
-        numbers: dict[str, Any] = {name: [float(value)] for name, value in here.items()}
-        pupil = Vignetting(**numbers)
+        pupil = replace(camera.vignetting, **{name: [float(value)] for name, value in here.items()})
     pitch = camera.mla_pitch
     return camera.replace(
         mla_pitch=pitch,
