@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -263,8 +264,8 @@ class WhiteRecording:
     def fit_shape(self, position: np.ndarray, zones: list[np.ndarray], field: FieldNumbers) -> None:
         """Fit the model's shape, which all lenses have alike, to the mean residual of zones' lenses.
 
-        A third of these lenses chooses how many coefficients the map of the transmission and the outline have; more must
-        lower its residual by a hundredth.
+        A third of these lenses chooses how many coefficients map and outline have: more must lower the residual by a
+        twentieth.
         """
         # For lenses that are fitted and that choose: weights of bins, and sums of residuals.
         totals = np.zeros((2, 2, self.side**2))
@@ -288,14 +289,15 @@ class WhiteRecording:
             columns = np.concatenate([np.arange(n) + first for n, first in zip(counts, (0, 12, 37), strict=True)])
             some = design[:, columns]
             equations = [some.T @ np.column_stack([some * w[:, None], r]) for w, r in zip(weights, sums, strict=True)]
-            misfit = sums[1] / weights[1] - some @ solved(equations[0], 1e-7)
+            misfit = sums[1] / weights[1] - some @ solved(equations[0], 1e-5)
             error = float(np.sqrt((weights[1] * misfit**2).sum()))
-            if error < 0.99 * best:
+            if error < 0.95 * best:
                 best = error
-                change = np.split(solved(equations[0] + equations[1], 1e-7), np.cumsum(counts)[:2])
+                change = np.split(solved(equations[0] + equations[1], 1e-5), np.cumsum(counts)[:2])
         for name, step in zip(NUMBERS, change[0][1:], strict=True):
             field.coefficients[name][:1] += step
-        self.model.shape = replace(self.model.shape, **dict(zip(SHAPE, change[1:], strict=True)))
+        coefficients: dict[str, Any] = dict(zip(SHAPE, change[1:], strict=True))
+        self.model.shape = replace(self.model.shape, **coefficients)
 
     @property
     def side(self) -> int:

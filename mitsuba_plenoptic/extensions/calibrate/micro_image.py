@@ -175,6 +175,10 @@ class MicroImageModel:
         drawn[rows, columns] = (outline * (n.radius / self._step) + 0.5).clip(0, 1) * transmission
         return drawn
 
+    def pupil_light(self, numbers: PupilNumbers) -> float:
+        """Return the light of the pupil's image, over that in the middle of an even one and the area of a pixel."""
+        return float(self._pupil(numbers).sum()) * self._step**2
+
     def _blur(self, n: PupilNumbers) -> np.ndarray:
         """Return the transfer of the blur."""
         return np.exp(-2 * (np.pi * n.blur) ** 2 * self._f2)

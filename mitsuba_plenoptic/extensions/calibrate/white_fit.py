@@ -180,7 +180,7 @@ def fit_white(
         "dark picture are wrong",
     )
     return WhiteFit(
-        camera=fitted_camera(camera, array, field, at_array, lens, judged.brightness),
+        camera=fitted_camera(recording.model, camera, array, field, at_array, lens, judged.brightness),
         wavelength=wavelength,
         frame=frame,
         array=array,

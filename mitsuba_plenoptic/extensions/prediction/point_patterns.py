@@ -8,6 +8,7 @@ light field microscope", Optics Express 21, 25418).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -112,7 +113,8 @@ def _regular(part: ArrayPart, lenses: int) -> PlenopticCamera:
     pupil = None
     if camera.vignetting is not None:
         here = camera.vignetting.at(*part.middle)
-        pupil = replace(camera.vignetting, **{name: [float(value)] for name, value in here.items()})
+        numbers: dict[str, Any] = {name: [float(value)] for name, value in here.items()}
+        pupil = replace(camera.vignetting, **numbers)
     pitch = camera.mla_pitch
     return camera.replace(
         mla_pitch=pitch,
