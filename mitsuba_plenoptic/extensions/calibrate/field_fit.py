@@ -8,13 +8,15 @@ brightness of each lens free (variable projection: G. Golub and V. Pereyra 2003,
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
 
 import numpy as np
 
 from ...camera import PlenopticCamera
 from ...runtime import exponents, monomials
-from .micro_image import NUMBERS, MicroImageModel, PupilNumbers
+from .micro_image import NUMBERS, SHAPE, MicroImageModel, PupilNumbers
 from .white_frames import WhiteFrame
 
 Show = Callable[[int, int], None]
@@ -40,7 +42,7 @@ class FieldNumbers:
         most = next(degree for degree in (4, 3, 2, 1, 0) if 4 * len(exponents(degree)) <= max(lenses, 4))
         # Numbers that are missing here are the same everywhere.
         degrees = {"radius": 4, "ellipse_x": 4, "ellipse_y": 4, "centre_x": 3, "centre_y": 3}
-        degrees |= {"slope_x": 2, "slope_y": 2, "apodisation_2": 2}
+        degrees |= {"slope_x": 2, "slope_y": 2, "apodisation_2": 2, "stray": 2}
         self.degrees = {name: -1 if name in zero else min(degrees.get(name, 0), most) for name in NUMBERS}
         self.coefficients = {name: np.zeros(len(exponents(degree))) for name, degree in self.degrees.items()}
         for name in NUMBERS:
@@ -243,28 +245,76 @@ class WhiteRecording:
                 square += float((pixels.weight * pixels.residual**2).sum())
                 count += float(pixels.weight.sum())
             error = np.sqrt(square / count)
+            settled = abs(best - error) < 1e-4 * best
             if error < best:
                 equations = np.concatenate(normals)
                 before = dict(field.coefficients)
-                if best - error < 1e-4 * best:
-                    break
                 best = error
                 damping = damping / 10
             else:
                 damping = max(10 * damping, 1e-3)
+            if settled:
+                break
             change = field.split(solved(equations.sum(0), damping))
             field.coefficients = {name: before[name] + change[name] for name in NUMBERS}
         field.coefficients = before
         show(1, 1)
         return equations
 
+    def fit_shape(self, position: np.ndarray, zones: list[np.ndarray], field: FieldNumbers) -> None:
+        """Fit the model's shape, which all lenses have alike, to the mean residual of zones' lenses.
+
+        A third of these lenses chooses how many coefficients map and outline have: more must lower the residual by a
+        twentieth.
+        """
+        # For lenses that are fitted and that choose: weights of bins, and sums of residuals.
+        totals = np.zeros((2, 2, self.side**2))
+        for lenses in zones:
+            pixels = self.beside(position[lenses], field)
+            choosing = np.repeat(np.arange(len(lenses)) % 3 == 0, np.diff(pixels.first))
+            for total, weight in zip(totals, (pixels.weight * ~choosing, pixels.weight * choosing), strict=True):
+                total[0] += np.bincount(self.bins(pixels), weight, self.side**2)
+                total[1] += np.bincount(self.bins(pixels), weight * pixels.residual, self.side**2)
+        lit = np.flatnonzero(totals[:, 0].min(0) > 0)
+        weights, sums = totals[:, :, lit].transpose(1, 0, 2)
+        row, column = np.divmod(lit, self.side)
+        splines = self.model.splines((column - self.side // 2) / _BINS, (row - self.side // 2) / _BINS)
+        numbers = PupilNumbers(*field.values(position[np.concatenate(zones)]).mean(0))
+        images = [self.model.samples(numbers), *self.model.slopes(numbers), *self.model.shape_slopes(numbers)]
+        design = np.stack([splines @ image.ravel() for image in images], axis=-1)
+        best = np.inf
+        for terms, waves in product((0, 3, 7, 12, 18, 25), range(0, 29, 2)):
+            # With the brightness and the numbers of the field.
+            counts = (1 + len(NUMBERS), terms, waves)
+            columns = np.concatenate([np.arange(n) + first for n, first in zip(counts, (0, 12, 37), strict=True)])
+            some = design[:, columns]
+            equations = [some.T @ np.column_stack([some * w[:, None], r]) for w, r in zip(weights, sums, strict=True)]
+            # Damped: micro-images that overlap do not tell all.
+            misfit = sums[1] / weights[1] - some @ solved(equations[0], 1e-3)
+            error = float(np.sqrt((weights[1] * misfit**2).sum()))
+            if error < 0.95 * best:
+                best = error
+                change = np.split(solved(equations[0] + equations[1], 1e-3), np.cumsum(counts)[:2])
+        for name, step in zip(NUMBERS, change[0][1:], strict=True):
+            field.coefficients[name][:1] += step
+        coefficients: dict[str, Any] = dict(zip(SHAPE, change[1:], strict=True))
+        self.model.shape = replace(self.model.shape, **coefficients)
+
+    @property
+    def side(self) -> int:
+        """Bins along a side of mean micro-images."""
+        return 2 * _BINS * int(np.ceil(self.model.reach)) + 1
+
+    def bins(self, pixels: LensPixels) -> np.ndarray:
+        """Return the bin in the mean micro-image of each pixel."""
+        column, row = (np.rint(_BINS * offsets).astype(int) + self.side // 2 for offsets in (pixels.x, pixels.y))
+        return np.asarray(row * self.side + column)
+
     def judged(self, position: np.ndarray, zones: list[np.ndarray], field: FieldNumbers, show: Show) -> Judgement:
         """Return how well zones' lenses at places (n, 2) agree with the model."""
         moved = np.full(position.shape, np.nan)
         brightness = np.full(len(position), np.nan)
-        half = _BINS * int(np.ceil(self.model.reach))
-        side = 2 * half + 1
-        totals = np.zeros((2, side * side))
+        totals = np.zeros((2, self.side**2))
         shared = np.zeros(2)
         squares = 0.0
         common = 0.0
@@ -279,11 +329,9 @@ class WhiteRecording:
             brightness[lenses] = pixels.brightness
             counts = pixels.weight > 0
             dust += int((~counts).sum())
-            column, row = (np.rint(_BINS * offsets[counts]).astype(int) + half for offsets in (pixels.x, pixels.y))
+            bins = self.bins(pixels)[counts]
             residual = pixels.residual[counts]
-            count, total, square = (
-                np.bincount(row * side + column, residual**power, minlength=side * side) for power in (0.0, 1.0, 2.0)
-            )
+            count, total, square = (np.bincount(bins, residual**power, self.side**2) for power in (0.0, 1.0, 2.0))
             squares += float(square.sum())
             pairs = counts[1:] & counts[:-1] & (np.abs(np.diff(pixels.x) - 1) < 1e-6) & (np.diff(pixels.y) == 0)
             shared += np.array([(pixels.residual[1:] * pixels.residual[:-1])[pairs].sum(), pairs.sum()])
@@ -302,7 +350,7 @@ class WhiteRecording:
             structure=float(np.sqrt(max(shared[0] / max(shared[1], 1), 0))),
             mean_image=float(np.sqrt((totals[0] * mean**2).sum() / pixel_count)),
             outliers=dust / (pixel_count + dust),
-            difference=mean.reshape(side, side),
+            difference=mean.reshape(self.side, self.side),
             place=moved,
             brightness=brightness,
         )

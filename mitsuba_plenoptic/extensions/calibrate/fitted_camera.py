@@ -8,13 +8,19 @@ from typing import Any
 import numpy as np
 import scipy.interpolate
 
-from ...camera import VIGNETTING_NUMBERS, LensTransmissions, PlenopticCamera, Vignetting
+from ...camera import VIGNETTING_NUMBERS, LensTransmissions, PlenopticCamera, StrayLight
 from ...prescription import Objective
+from ...runtime import exponents, monomials
 from .array_fit import ArrayFit
 from .field_fit import FieldNumbers
+from .micro_image import NUMBERS, MicroImageModel, PupilNumbers
+
+_ALONG = 9
+"""Values along a side of the table of stray light."""
 
 
 def fitted_camera(
+    model: MicroImageModel,
     camera: PlenopticCamera,
     array: ArrayFit,
     field: FieldNumbers,
@@ -28,18 +34,22 @@ def fitted_camera(
     rows, see `array_fit.lattice_index`, and `light` (n,) the light in their middle.
     """
     shrunk = camera.pixel_size / camera.image_growth
-    # The widest pupil, which the vignetting of other places makes narrower.
-    radius = float((field.terms(position)[:, field.number == 0] @ field.coefficients["radius"]).max())
-    polynomials = {name: field.coefficients[name] for name in VIGNETTING_NUMBERS}
-    polynomials |= {name: -polynomials[name] for name in ("slope_x", "slope_y")}
-    polynomials["radius"] = polynomials["radius"] / radius
+    light = light / light.mean()
+    numbers = dict(zip(NUMBERS, field.values(position).T[..., None], strict=True))
+    # The widest pupil in any direction, which the vignetting of other places makes narrower.
+    angle = np.linspace(0, 2 * np.pi, 360)
+    outline, _ = model.shape.outline(np.cos(angle), np.sin(angle), 0.0, 0.0)
+    elongated = numbers["ellipse_x"] * np.cos(2 * angle) + numbers["ellipse_y"] * np.sin(2 * angle)
+    radius = float((numbers["radius"] * (1 + outline) * (1 + elongated)).max())
+    polynomials = {name: field.coefficients[name].tolist() for name in VIGNETTING_NUMBERS}
+    polynomials["radius"] = (field.coefficients["radius"] / radius).tolist()
     changes: dict[str, Any] = {
         **array.lattice_parameters(),
         "mla_warp": tuple(array.warp.tolist()) if array.warp.any() else (),
         "detector_blur": abs(float(field.coefficients["blur"][0])) * camera.pixel_size,
-        "stray_light": stray_fraction(camera, field),
-        "mla_transmissions": _transmissions(camera, array, lens, light / light.mean()),
-        "vignetting": Vignetting(scale=field.scale * shrunk, **{name: p.tolist() for name, p in polynomials.items()}),
+        "stray_light": stray_light(model, camera, field, position, light),
+        "mla_transmissions": _transmissions(camera, array, lens, light),
+        "vignetting": replace(model.shape, scale=field.scale * shrunk, **polynomials),
     }
     wider = radius * camera.pupil_step / camera.pupil_radius
     if camera.objective is None:
@@ -62,9 +72,18 @@ def _transmissions(camera: PlenopticCamera, array: ArrayFit, lens: np.ndarray, l
     return LensTransmissions(values, first=(int(low[0]), int(low[1])))
 
 
-def stray_fraction(camera: PlenopticCamera, field: FieldNumbers) -> float:
+def stray_light(
+    model: MicroImageModel, camera: PlenopticCamera, field: FieldNumbers, position: np.ndarray, light: np.ndarray
+) -> float | StrayLight:
     """Return stray light over the mean irradiance of a white picture, from that over the light in lenses' middles."""
-    n = {name: float(values[0]) for name, values in field.coefficients.items()}
-    bright = 1 + n["apodisation_2"] / 2 + n["apodisation_4"] / 3
+    some = slice(None, None, max(len(position) // 32, 1))
     cell = camera.lattice.cell_area * (camera.image_growth / camera.pixel_size) ** 2
-    return max(n["stray"], 0.0) / (np.pi * n["radius"] ** 2 * bright / cell)
+    direct = [model.pupil_light(PupilNumbers(*numbers)) / cell for numbers in field.values(position[some])]
+    share = light * field.values(position)[:, NUMBERS.index("stray")] / np.mean(light[some] * direct)
+    if np.ptp(share) < 2e-3:
+        return max(float(share.mean()), 0.0)
+    grid = np.stack(np.meshgrid(*(np.linspace(-0.5, count - 0.5, _ALONG) for count in camera.resolution)), axis=-1)
+    (x, y), (across, down) = (((places - field.middle) / field.scale).T for places in (position, grid.reshape(-1, 2)))
+    coefficients = np.linalg.lstsq(np.stack(monomials(x, y, exponents(2)), axis=-1), share)[0]
+    table = np.stack(monomials(across, down, exponents(2)), axis=-1) @ coefficients
+    return StrayLight(table.clip(0, 1).reshape(_ALONG, _ALONG))

@@ -17,7 +17,7 @@ import scipy.fft
 from scipy.ndimage import map_coordinates
 from scipy.sparse import csr_array
 
-from ...camera import PlenopticCamera
+from ...camera import PlenopticCamera, Vignetting
 from ...errors import refuse_if
 from ...runtime import require_memory
 
@@ -42,7 +42,7 @@ class PupilNumbers:
     centre_x, centre_y : float
         Place of the pupil's centre on the micro-image, from the image of the lens's regular place.
     slope_x, slope_y : float
-        Rise of the transmission across the radius.
+        Rise of the transmission across the radius of the pupil, whose image is upside down.
     apodisation_2, apodisation_4 : float
         Coefficients of the transmission's second and fourth power of the radius, in units of the rim's.
     blur : float
@@ -66,6 +66,9 @@ class PupilNumbers:
 
 NUMBERS = tuple(field.name for field in fields(PupilNumbers))
 
+SHAPE = {"transmission": 25, "harmonics": 28}
+"""Most coefficients of what the vignetting of all lenses has alike."""
+
 _STEPS = {"stray": 0.001, "ellipse_x": 0.002, "ellipse_y": 0.002}
 """Steps of differences that give derivatives, where they are not 0.01."""
 
@@ -76,7 +79,7 @@ class MicroImageModel:
     Parameters
     ----------
     camera : PlenopticCamera
-        The camera, with one focal length of its lenses.
+        The camera, with one focal length of its lenses. Of its vignetting, what is the same over the field counts.
     wavelength : float or None
         Wavelength in nanometres for waves; None for rays.
     """
@@ -88,6 +91,7 @@ class MicroImageModel:
             len(camera.mla_focal_lengths) > 1,
             "mla_focal_length: white pictures are fitted for arrays of one focal length",
         )
+        self.shape = replace(camera.vignetting or Vignetting(1.0), radius=1.0, scale=1.0)
         step = max(1 / 4, _PITCHES * pitch / _WIDEST)
         count = scipy.fft.next_fast_len(int(np.ceil(_PITCHES * pitch / step)), real=True)
         require_memory(200.0 * count**2, f"model of micro-images of {count} x {count} samples")
@@ -141,15 +145,39 @@ class MicroImageModel:
                 slope[:] = self._image((self._pupil(moved) - pupil) / step, blur)
         return slopes
 
+    def shape_slopes(self, numbers: PupilNumbers) -> list[np.ndarray]:
+        """Return the derivatives of `samples` by all numbers of `SHAPE`, of a shape that has none yet."""
+        blur = self._blur(numbers)
+        even = self.shape
+        pupil = self._pupil(numbers)
+        slopes = []
+        for name, count in SHAPE.items():
+            for step in 0.01 * np.eye(count):
+                self.shape = replace(even, **{name: step})
+                slopes.append(self._image((self._pupil(numbers) - pupil) / 0.01, blur))
+        self.shape = even
+        return slopes
+
     def _pupil(self, n: PupilNumbers) -> np.ndarray:
         """Return the pupil's transmission in the window's middle."""
-        x = self._axis - n.centre_x
-        y = self._axis[:, None] - n.centre_y
-        u = ((1 - n.ellipse_x) * x - n.ellipse_y * y) / n.radius
-        v = ((1 + n.ellipse_x) * y - n.ellipse_y * x) / n.radius
-        r2 = u * u + v * v
-        inside = ((1 - np.sqrt(r2)) * (n.radius / self._step) + 0.5).clip(0, 1)
-        return inside * (1 + n.slope_x * u + n.slope_y * v + r2 * (n.apodisation_2 + n.apodisation_4 * r2)).clip(0)
+        own = ("ellipse_x", "ellipse_y", "slope_x", "slope_y", "apodisation_2", "apodisation_4")
+        pupil = replace(self.shape, **{name: float(getattr(n, name)) for name in own})
+        drawn = np.zeros((len(self._axis), len(self._axis)))
+        # The outline lies within.
+        reach = n.radius * (1.1 + 2 * np.hypot(n.ellipse_x, n.ellipse_y)) + 2 * self._step
+        columns, rows = (
+            slice(*np.searchsorted(self._axis, (middle - reach, middle + reach))) for middle in (n.centre_x, n.centre_y)
+        )
+        # The pupil's image is upside down.
+        x = (n.centre_x - self._axis[columns]) / n.radius
+        y = (n.centre_y - self._axis[rows, None]) / n.radius
+        outline, transmission = pupil.outline(x, y, 0.0, 0.0)
+        drawn[rows, columns] = (outline * (n.radius / self._step) + 0.5).clip(0, 1) * transmission
+        return drawn
+
+    def pupil_light(self, numbers: PupilNumbers) -> float:
+        """Return the light of the pupil's image, over that in the middle of an even one and the area of a pixel."""
+        return float(self._pupil(numbers).sum()) * self._step**2
 
     def _blur(self, n: PupilNumbers) -> np.ndarray:
         """Return the transfer of the blur."""

@@ -151,6 +151,9 @@ def fit_white(
         start = PupilNumbers(*field.values(position[:1])[0])
     field = FieldNumbers(size, int((~withheld).sum()), start)
     zones = zones_of(position, ~withheld, ZONE_LENSES, generator)
+    # What all lenses have alike is told best where the field is known, which then follows.
+    recording.fit(position, zones, field, lambda done, total: show(done + total, 4 * total))
+    recording.fit_shape(position, zones, field)
     equations = recording.fit(position, zones, field, lambda done, total: show(done + total, 4 * total))
     deviations = field.deviations(equations, generator)
     everything = zones_of(position, np.ones(len(position), bool))
@@ -177,7 +180,7 @@ def fit_white(
         "dark picture are wrong",
     )
     return WhiteFit(
-        camera=fitted_camera(camera, array, field, at_array, lens, judged.brightness),
+        camera=fitted_camera(recording.model, camera, array, field, at_array, lens, judged.brightness),
         wavelength=wavelength,
         frame=frame,
         array=array,

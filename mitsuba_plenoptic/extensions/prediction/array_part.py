@@ -225,7 +225,7 @@ class ArrayPart:
     @cached_property
     def white(self) -> np.ndarray:
         """Light of each pixel of an evenly white scene, without stray light, over that in the middle of lenses."""
-        camera = self.model.camera.replace(vignetting=None, mla_transmissions=None, mla_warp=(), **SHARP)
+        camera = self.model.camera.replace(mla_transmissions=None, mla_warp=(), **SHARP)
         micro = MicroImageModel(camera, self.model.wavelength)
         numbers = self.model.field.values(self.place)
         numbers[:, NUMBERS.index("stray")] = 0.0

@@ -8,14 +8,14 @@ elements before one lens stand for all, and a plane has as many bins as the part
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter
 
-from ...camera import PlenopticCamera, Vignetting
+from ...camera import PlenopticCamera
 from ...detector import SHARP
 from ...points import CaptureOperator, ray_spread
 from .array_part import ArrayPart
@@ -102,7 +102,7 @@ def _regular(part: ArrayPart, lenses: int) -> PlenopticCamera:
     if camera.vignetting is not None:
         here = camera.vignetting.at(*part.middle)
         numbers: dict[str, Any] = {name: [float(value)] for name, value in here.items()}
-        pupil = Vignetting(**numbers)
+        pupil = replace(camera.vignetting, **numbers)
     pitch = camera.mla_pitch
     first = camera.lattice.unit_centre(0, 0)
     pixel = pitch * camera.image_growth / part.along
