@@ -102,13 +102,19 @@ def test_full_wells_below_the_largest_number(white, kind, level):
     """Of pairs the pixels below the full well tell the gain, unless there are none; single pictures are refused."""
     detector = mp.Detector(quantum_efficiency=1, full_well=8000, read_noise=4, bits=16, gain=0.5, black_level=100)
     light = {"even": np.ones((300, 300)), "slope": np.ones((300, 1)) * np.linspace(0, 1.05, 300), "lenses": white}[kind]
-    random, light = np.random.default_rng(1), light[-300:, -300:]
-    bright = [detector.digital_numbers(level * 8000 * light, random).astype(float) for _ in range(2)]
-    dark = [detector.digital_numbers(0 * light, random).astype(float) for _ in range(2)]
-    refuses("full wells cut off their noise", mp.photon_transfer, bright if kind == "even" else bright[0], dark)
-    if kind != "even":
-        found = mp.photon_transfer(bright, dark)
-        assert found.gain == pytest.approx(0.5, rel=0.03)
+    light = light[-300:, -300:]
+    gains = []
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        bright = [detector.digital_numbers(level * 8000 * light, random).astype(float) for _ in range(2)]
+        dark = [detector.digital_numbers(0 * light, random).astype(float) for _ in range(2)]
+        refuses("full wells cut off their noise", mp.photon_transfer, bright if kind == "even" else bright[0], dark)
+        if kind != "even":
+            found = mp.photon_transfer(bright, dark)
+            gains.append(found.gain)
+    # Single pairs of so few pixels scatter by up to 2 %.
+    if gains:
+        assert np.mean(gains) == pytest.approx(0.5, rel=0.02)
         assert found.saturated_pixels > 1000
 
 
