@@ -381,8 +381,8 @@ MOST_STRETCH = 10.0
 MOST_JITTER = 0.1
 """Standard deviation of lenses' positions, over the pitch, and of their focal lengths, over these, at most."""
 
-WARP_TERMS = 14
-"""Coefficients of a warp: of seven terms along x, then along y."""
+WARP_COUNTS = (14, 36)
+"""Coefficients of a warp of third and of fifth degree: of 7 or 18 terms along x, then along y."""
 
 MOST_WARP = 0.5
 MOST_WARP_SLOPE = 0.1
@@ -461,12 +461,13 @@ def require_wavefront(name: str, value: Any) -> tuple[float, ...]:
 
 
 def require_warp(name: str, value: Any) -> tuple[float, ...]:
-    """Return up to 14 coefficients of a warp, filled up with zeros; none if all are zero."""
+    """Return 14 or 36 coefficients of a warp, fewer than 14 filled up with zeros; none if all are zero."""
     value = _plain(value)
-    if not isinstance(value, (tuple, list)) or len(value) > WARP_TERMS:
-        raise InputError(f"{name} = {short_repr(value)}: it must be at most {WARP_TERMS} numbers")
+    cubic, quintic = WARP_COUNTS
+    if not isinstance(value, (tuple, list)) or (len(value) > cubic and len(value) != quintic):
+        raise InputError(f"{name} = {short_repr(value)}: it must be at most {cubic} numbers, or {quintic}")
     numbers = require_numbers(name, value, count=len(value))
-    return numbers + (0.0,) * (WARP_TERMS - len(numbers)) if any(numbers) else ()
+    return numbers + (0.0,) * (cubic - len(numbers)) if any(numbers) else ()
 
 
 def require_response(name: str, value: Any) -> tuple[float, ...]:

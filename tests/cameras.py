@@ -63,6 +63,27 @@ def disk(position, radius, **extra):
     }
 
 
+ACROSS = (0.5, -0.4, 0.3, 0.5, -0.35, 0.25, 0.2, 0.3, -0.2, 0.1, 0.2, 0.3, 0.4, 0.1, -0.3, 0.5, -0.6, 0.2)
+UP = (-0.3, 0.5, 0.4, -0.3, 0.5, 0.2, -0.35, 0.1, 0.3, -0.2, 0.2, -0.3, 0.1, 0.5, 0.2, -0.4, 0.3, 0.6)
+"""Coefficients of displacements over positions from -1 to 1: of x^2, xy, y^2, x^3 ... y^5."""
+
+
+def warped(camera, farthest, terms=7):
+    """Return the camera with lenses displaced by up to so many pixels, and the displacement as a function."""
+    half = camera.detector_width / 2
+    powers = np.array([(i, degree - i) for degree in range(2, 6) for i in range(degree, -1, -1)][:terms])
+    coefficients = np.array([ACROSS[:terms], UP[:terms]])
+
+    def moved(x, y, size=1.0):
+        u, v = x / half, y / half
+        return size * np.tensordot(coefficients, np.array([u**i * v**j for i, j in powers]), 1)
+
+    places = np.meshgrid(*2 * [np.linspace(-half, half, 65)])
+    size = farthest * camera.pixel_size / np.hypot(*moved(*places)).max()
+    numbers = size * coefficients / half ** powers.sum(1)
+    return camera.replace(mla_warp=tuple(numbers.ravel())), lambda x, y: moved(x, y, size)
+
+
 def pinhole_picture(scene, columns, rows, width, x=0.0, y=0.0, **options):
     """Render what a point (x, y) of the main lens sees of the plane at 240 mm, whose image is of this width."""
     sensor = {
@@ -179,7 +200,7 @@ THIN = {
     "parabolic": {"lens_model": "parabolic"},
     "medium": {"mla_medium": 1.5, "mla_focal_length": 0.768},
     "sphere": {"mla_shape": Conic(0.25), "mla_focal_length": None},
-    "warped": {"mla_warp": (0.2, -0.08, 0.12, 0, 0, 0, 0, 0.08, 0.16, -0.12, 0, 0, 0, 0)},
+    "warped": {"mla_warp": warped(small_camera(4, **HALF), 1.5, 18)[0].mla_warp},
     "unequal lenses": {"mla_transmissions": TABLE},
     "aberrated": {"wavefront": (0.0, 0.1, 0.0, 0.3, -0.2)},
     "vignetted": {"vignetting": UNEVEN},

@@ -19,8 +19,8 @@ Corner = Sequence[float] | Doubles
 MOST_DEVIATIONS = 3.0
 """Standard deviations at which deviates are clipped."""
 
-WARP_POWERS = exponents(3, lowest=2)
-"""Powers of x and y of the terms of a warp."""
+WARP_POWERS = exponents(5, lowest=2)
+"""Powers of x and y of the terms of a warp; those of a warp of lower degree are the first ones."""
 
 _STEPS = 3
 """Steps from a position to the regular one, each of which leaves the gradient's part of the error."""
@@ -46,7 +46,7 @@ class Displacement:
     Positions are floats, NumPy or Dr.Jit arrays, in the camera frame.
     """
 
-    # Coefficients of the smooth displacement along x, then along y, for `WARP_POWERS`; may be empty.
+    # Coefficients of the smooth displacement along x, then along y, for as many of `WARP_POWERS`; may be empty.
     warp: tuple[float, ...] = ()
     # Pairs of an image height in mm and a chief-ray angle in degrees; may be empty.
     chief_rays: tuple[float, ...] = ()
@@ -62,11 +62,16 @@ class Displacement:
         """Whether the lens of a position depends on smooth displacements."""
         return bool(self.warp or self.chief_rays)
 
+    @property
+    def powers(self) -> list[tuple[int, int]]:
+        """Powers of x and y of the terms of the warp, whose degree its number of coefficients tells."""
+        return WARP_POWERS[: len(self.warp) // 2]
+
     def smooth(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Return the smooth displacements of lenses at regular positions."""
         right, up = self._to_chief_rays(x, y) if self.chief_rays else (0.0, 0.0)
         if self.warp:
-            terms = monomials(x, y, WARP_POWERS)
+            terms = monomials(x, y, self.powers)
             right += sum(coefficient * term for coefficient, term in zip(self.warp[: len(terms)], terms, strict=True))
             up += sum(coefficient * term for coefficient, term in zip(self.warp[len(terms) :], terms, strict=True))
         return right, up
@@ -122,9 +127,9 @@ class Displacement:
         if not self.warp or not degrees:
             return self
         # As many places as there are terms determine the polynomials of the new frame.
-        x, y = np.random.default_rng(0).uniform(-1, 1, (2, 4 * len(WARP_POWERS)))
+        x, y = np.random.default_rng(0).uniform(-1, 1, (2, 2 * len(self.warp)))
         moved = turn(*replace(self, chief_rays=()).smooth(*turn(x, y, degrees)), -degrees)
-        terms = np.stack(monomials(x, y, WARP_POWERS), axis=-1)
+        terms = np.stack(monomials(x, y, self.powers), axis=-1)
         return replace(self, warp=tuple(np.linalg.lstsq(terms, np.stack(moved, -1))[0].T.ravel().tolist()))
 
 

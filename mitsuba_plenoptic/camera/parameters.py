@@ -416,12 +416,12 @@ class CoreParameters:
         words=(
             "Smooth displacement of the lenses from their regular positions (x, y) in millimetres, as by a relay or a "
             "mount: up to 14 coefficients, of :math:`x^2, xy, y^2` in 1/mm and of :math:`x^3, x^2 y, x y^2, y^3` in "
-            "1/mm², first of the displacement along x, then of that along y. The displacement must stay below half a "
-            "pitch over the detector, and its change per millimetre below 0.1. Lenses keep their size and shape."
+            "1/mm², first of the displacement along x, then of that along y; or 36, with the terms of fourth and fifth "
+            "degree. The displacement must stay below half a pitch over the detector, and its change per millimetre "
+            "below 0.1. Lenses keep their size and shape."
         ),
         form=Form.NUMBERS,
         otherwise="a regular array",
-        unit=("1/mm", "1/mm", "1/mm", "1/mm²", "1/mm²", "1/mm²", "1/mm²") * 2,
         of_array=True,
     )
     mla_figure_error: Parameter[Sequence[float], tuple[float, ...]] = Parameter(

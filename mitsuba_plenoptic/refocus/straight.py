@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter, uniform_filter
 
-from ..array import WARP_POWERS, Displacement
+from ..array import Displacement
 from ..camera import PlenopticCamera
 from ..runtime import Floats
 from ..views import white_image
@@ -177,7 +177,7 @@ def displaced_image(image: Floats, camera: PlenopticCamera, oversample: int) -> 
     """Return a refocused image (rows, columns, channels) with its bins displaced like the camera's lenses."""
     if straightened(camera) is camera:
         return image
-    warp = np.array(camera.mla_warp or np.zeros(2 * len(WARP_POWERS))).reshape(2, -1)
+    warp = np.array(camera.mla_warp or np.zeros(6)).reshape(2, -1)
     # A tilt moves lenses by c h / b, where h is linear in c.
     across, up = np.tan(np.deg2rad(camera.mla_tilt)) * (camera.image_growth > 1) / camera.pupil_distance
     warp[0, :2] += across, up

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..array import WARP_POWERS, Displacement
+from ..array import Displacement
 from ..camera import PlenopticCamera, Use, require_support
 from ..errors import MOST_PIXELS, put, refuse_if, require_count, require_number, require_pair, require_warp
 from ..optics import rays
@@ -39,7 +39,7 @@ class LensGrid:
         (clockwise as one looks at the picture).
     shifted_rows : {0, 1}, optional
         Which rows are shifted by half a spacing: the even or the odd ones. None: a rectangular grid.
-    warp : tuple of 14 floats, optional
+    warp : tuple of 14 or 36 floats, optional
         Coefficients of a smooth displacement from these rows and columns in pixels, along columns, then along rows:
         those of `mla_warp`, over positions in pixels from `middle`.
     middle : (float, float)
@@ -181,7 +181,7 @@ def _warped(grid: LensGrid, camera: PlenopticCamera) -> LensGrid:
     size = camera.pixel_size / camera.image_growth
     warp = [
         coefficient * size ** (sum(powers) - 1)
-        for coefficient, powers in zip(camera.mla_warp, WARP_POWERS * 2, strict=True)
+        for coefficient, powers in zip(camera.mla_warp, Displacement(camera.mla_warp).powers * 2, strict=True)
     ]
     x, y = np.array(camera.resolution) / 2 - camera.crop_offset
     return replace(grid, warp=tuple(warp), middle=(float(x), float(y)))
@@ -223,8 +223,8 @@ def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
     return camera.lattice.lens_type(*lens_indices(camera, centres)).astype(np.int64)
 
 
-def lens_numbers(camera: PlenopticCamera) -> Integers:
-    """Return the index of the lens of each recorded pixel's chief ray."""
+def lenses_of_pixels(camera: PlenopticCamera) -> Integers:
+    """Return the lattice indices i and j of the lens of each recorded pixel's chief ray, (2, rows, columns)."""
     x, y = (
         rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.reduced_distance)
         for axis in (0, 1)
@@ -235,7 +235,12 @@ def lens_numbers(camera: PlenopticCamera) -> Integers:
         rows = slice(first, first + height)
         for indices, values in zip(index, camera.lattice.cell(*np.meshgrid(x, y[rows])), strict=True):
             indices[rows] = np.rint(values)
-    i, j = index.astype(np.int64)
+    return index.astype(np.int64)
+
+
+def lens_numbers(camera: PlenopticCamera) -> Integers:
+    """Return a number for the lens of each recorded pixel's chief ray, (rows, columns)."""
+    i, j = lenses_of_pixels(camera)
     return np.asarray((i - i.min()) * (np.ptp(j) + 1) + j - j.min())
 
 

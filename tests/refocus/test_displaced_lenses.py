@@ -5,7 +5,7 @@ import functools
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import HALF
+from cameras import HALF, warped
 from cases import facing, scene_of
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct, render_capture
@@ -16,13 +16,9 @@ from mitsuba_plenoptic.views import white_image
 STRAIGHT = PlenopticCamera(**HALF, resolution=(192, 192), detector_width=0.768)
 """12 x 12 lenses of 16 x 16 pixels."""
 
-PIXEL = 0.004
 HALF_WIDTH = 0.384
-WARP = tuple(
-    (0.45 * PIXEL * np.array([0.5, -0.4, 0.3, 0.5, -0.35, 0.25, 0.2, -0.3, 0.5, 0.4, -0.3, 0.5, 0.2, -0.35])
-     / np.array(2 * [*3 * [HALF_WIDTH**2], *4 * [HALF_WIDTH**3]])).tolist()
-)  # fmt: skip
-"""Up to 0.6 pixels in the corners."""
+WARP = warped(STRAIGHT, 0.6, 18)[0].mla_warp
+"""Up to 0.6 pixels in the corners, of fifth degree."""
 
 CAMERAS = {
     "straight": {},

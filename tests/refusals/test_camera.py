@@ -93,7 +93,7 @@ IRREGULAR = [
     ({"pixel_response": (5, 1, 10, 0.5)}, "its angles must rise from 0"),
     ({"pixel_response": (0, 1, 10, 1.5)}, "its responses must be from 0 to 1"),
     ({"mla_warp": 3.0}, "mla_warp = 3.0: it must be at most 14 numbers"),
-    ({"mla_warp": [0.0] * 15}, "it must be at most 14 numbers"),
+    ({"mla_warp": [0.0] * 15}, "it must be at most 14 numbers, or 36"),
     ({"mla_warp": [math.nan]}, "mla_warp = nan: it must be finite"),
     ({"mla_warp": ["a"]}, "mla_warp = 'a': it must be a number"),
     (

@@ -6,13 +6,22 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
 
 from ...array import WARP_POWERS, Displacement
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
 from ...runtime import exponents, monomials
 from ...views import LensGrid
+
+_LENSES_PER_TERM = 20
+"""Lenses that each term of a warp needs."""
+
+_SURE = 3.0
+"""Standard errors by which one warp must place withheld lenses better than another to count as better."""
+
+_NOISE = 0.2
+_STEPS = 8
+"""Distance in pixels from which on a place has less weight, and steps of least squares with such weights."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +36,8 @@ class ArrayFit:
         Rotation in degrees.
     offset : (float, float)
         The camera's `mla_offset` in millimetres.
-    warp : (14,) array
-        Coefficients of `mla_warp`, in mm^-1 and mm^-2.
+    warp : (14,) or (36,) array
+        Coefficients of `mla_warp`, of third or fifth degree, in powers of 1/mm.
     nearest : (2,) array
         Index of the lens nearest to the axis, which is the camera's lens (0, 0).
     """
@@ -71,53 +80,71 @@ def require_alike(grid: LensGrid, camera: PlenopticCamera) -> None:
     )
 
 
-def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera, degree: int = 3) -> ArrayFit:
+def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera, degree: int = 5) -> ArrayFit:
     """Fit the array to places (n, 2) in pixels, where the first pixel's centre is 0, of lenses with indices (n, 2).
 
-    The warp has the degree at most, and a lower one for few lenses; of degree 1 there is none.
+    The warp has the lowest degree up to `degree`, as far as lenses suffice, that places lenses no worse than another
+    does, within three standard errors, where each third of them is withheld in turn; of degree 1 there is none.
     """
     scale = camera.pixel_size / camera.image_growth
     at_axis = (np.array(camera.resolution) / 2 - camera.crop_offset) - 0.5
-    target = (pixels - at_axis) * scale
+    target = pixels - at_axis
+    # Coefficients of a warp are pixels at the farthest lens.
+    reach = np.abs(target).max()
     nearest = index[np.hypot(*target.T).argmin()]
     steps = index - nearest
     matrix = np.column_stack([np.ones(len(steps)), steps])
     middle, along, across = np.linalg.lstsq(matrix, target)[0]
-    angle_of_rows = math.atan2(along[1], along[0])
-    degree = min(degree, 3 if len(pixels) >= 200 else 2 if len(pixels) >= 60 else 1)
-    terms = exponents(degree, lowest=2)
-    # Coefficients of a warp in pixels at the farthest lens, so that all numbers are of one size.
-    reach = np.abs(target).max()
+    pitch = math.hypot(*along)
+    row = (along[0] * across[1] - along[1] * across[0]) / pitch
+    start = [pitch, row, math.atan2(along[1], along[0]), *middle]
 
-    def displaced(numbers: np.ndarray) -> np.ndarray:
-        pitch, row, angle, x0, y0 = numbers[:5]
-        c = math.cos(angle)
-        s = math.sin(angle)
-        u = steps[:, 0] * pitch
-        v = steps[:, 1] * row
-        x = x0 + c * u - s * v
-        y = y0 + s * u + c * v
-        powers = np.stack(monomials(x / reach, y / reach, terms), axis=-1) if terms else np.zeros((1, 0))
-        warp = (powers @ numbers[5:].reshape(2, -1).T) * scale
-        return np.stack([x, y], axis=-1) + warp
+    def placed(numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return places (n, 2), and their derivatives by the numbers, but for the small gradient of the warp."""
+        pitch, row, angle = numbers[:3]
+        axes = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+        from_first = steps * [pitch, row] @ axes
+        regular = numbers[3:5] + from_first
+        warp = numbers[5:].reshape(2, -1)
+        x, y = regular.T / reach
+        terms = np.reshape(monomials(x, y, WARP_POWERS[: warp.shape[1]]), (-1, len(steps))).T
+        slopes = np.zeros((*regular.shape, len(numbers)))
+        slopes[:, :, :2] = steps[:, None] * axes.T
+        slopes[:, :, 2] = from_first[:, ::-1] * [-1, 1]
+        slopes[:, :, 3:5] = np.eye(2)
+        for axis, columns in enumerate(np.split(slopes[:, :, 5:], 2, axis=-1)):
+            columns[:, axis] = terms
+        return regular + terms @ warp.T, slopes
 
-    start = [
-        math.hypot(*along),
-        float(-along[1] * across[0] + along[0] * across[1]) / math.hypot(*along),
-        angle_of_rows,
-        *middle,
-    ]
-    solution = scipy.optimize.least_squares(
-        lambda numbers: ((displaced(numbers) - target) / scale).ravel(),
-        np.array([*start, *np.zeros(2 * len(terms))]),
-        x_scale=np.array([1e-3 * scale] * 2 + [1e-4, scale, scale] + [0.1] * (2 * len(terms))),
-        loss="soft_l1",
-        f_scale=0.2,
-    ).x
-    pitch, row, angle, x0, y0 = solution[:5]
-    warp = np.zeros((2, len(WARP_POWERS)))
-    for column, (i, j) in enumerate(terms):
-        warp[:, column] = solution[5:].reshape(2, -1)[:, column] * scale / reach ** (i + j)
+    def fitted(degree: int, lenses: np.ndarray) -> np.ndarray:
+        """Return pitch, distance of rows, angle, place of the nearest lens, and warp, by weighted least squares."""
+        numbers = np.array([*start, *np.zeros(2 * len(exponents(degree, lowest=2)))])
+        for _ in range(_STEPS):
+            place, slopes = placed(numbers)
+            off = (target - place)[lenses].ravel()
+            slopes = slopes[lenses].reshape(len(off), -1)
+            weighted = slopes.T / np.sqrt(1 + (off / _NOISE) ** 2)
+            numbers += np.linalg.lstsq(weighted @ slopes, weighted @ off)[0]
+        return numbers
+
+    third = np.random.default_rng(0).integers(3, size=len(pixels))
+    losses = []
+    for candidate in range(1, degree + 1):
+        if len(pixels) >= _LENSES_PER_TERM * len(exponents(candidate, lowest=2)):
+            off = np.empty_like(target)
+            for withheld in (third == part for part in range(3)):
+                off[withheld] = (target - placed(fitted(candidate, ~withheld))[0])[withheld]
+            losses.append(np.sqrt(1 + (off / _NOISE) ** 2).sum(1))
+    # Differences from the best, lens by lens: the noise of places is in both.
+    more = np.array(losses) - min(losses, key=np.mean)
+    worse = more.mean(1) > _SURE * more.std(1) / math.sqrt(len(pixels))
+    degree = 1 + int(np.argmin(worse))
+    numbers = fitted(degree, np.ones(len(pixels), bool))
+    pitch, row, angle, x0, y0 = numbers[:5] * [scale, scale, 1, scale, scale]
+    powers = exponents(degree, lowest=2)
+    # In millimetres, with zeros up to the third or the fifth degree.
+    warp = np.zeros((2, len(exponents(3 if degree <= 3 else 5, lowest=2))))
+    warp[:, : len(powers)] = numbers[5:].reshape(2, -1) * scale / [(reach * scale) ** (i + j) for i, j in powers]
     aspect = camera.lattice.row_distance / camera.mla_pitches[1]
     pitches = float(pitch), float(row / aspect)
     plain = camera.replace(mla_pitch=pitches, mla_rotation=math.degrees(angle), mla_offset=(0.0, 0.0))
