@@ -46,11 +46,11 @@ def study() -> Study:
     given = Pictures(*(sensor_values(FOLDER / name) for name in names))
     rows, columns = given.white.shape
     box = PART[0] * columns, PART[1] * rows, PART[2] * columns, PART[3] * rows
-    return Study(given, mp.PlenopticCamera.preset("lfm_water"), 510.0, box, Cache(STORED))
+    return Study(given, mp.PlenopticCamera.preset("lfm_water"), 510.0, box, [], Cache(STORED))
 
 
 def light_field() -> Plot:
-    """Return the recorded light field beside those that volumes found by waves and by rays predict."""
+    """Return the recorded light field beside those that scenes found by waves and by rays predict."""
     return pictures(study())
 
 

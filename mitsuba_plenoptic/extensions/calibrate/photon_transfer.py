@@ -343,7 +343,8 @@ class SensorNoise:
             reason = str(error)
         gain = 1 / electrons(white)
         # What differs in the darkest places is hardly of photons.
-        darkest = light_field <= np.quantile(light_field, 0.02)
+        around = ndimage.uniform_filter(light_field, 5)
+        darkest = around <= np.quantile(around, 0.02)
         read_noise = _deviation(light_field, darkest) / gain
         source = (
             "noise: from differences of neighbours, of photons in the white picture and of the sensor in the darkest "
