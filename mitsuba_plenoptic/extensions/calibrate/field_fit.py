@@ -273,7 +273,7 @@ class WhiteRecording:
         mean = np.bincount(bins, residual) / np.maximum(np.bincount(bins), 1)
         # Dust is on single lenses: it is off the others' residual.
         off = np.abs(residual - mean[bins])
-        clean = off < 6.0 * 1.4826 * np.median(off)
+        clean = off < 6.0 * max(1.4826 * float(np.median(off)), 0.005)
         choosing = np.concatenate(
             [np.repeat(np.arange(len(n)) % 3 == 0, n) for n in (np.diff(p.first) for p in pixels)]
         )
