@@ -185,7 +185,8 @@ def thin_as_real(camera, field, nearness):
 TABLE = np.random.default_rng(3).uniform(0.2, 1.3, (6, 6))
 UNEVEN = Vignetting(
     radius=[0.8, 0.1, -0.05, 0, 0.05, 0.1], ellipse_x=[0.05, 0.1, 0], ellipse_y=[0.1], slope_x=[0.2, 0.1, -0.3],
-    slope_y=[-0.25], apodisation_2=[-0.3, 0, 0.2], apodisation_4=[0.1], scale=0.16,
+    slope_y=[-0.25], apodisation_2=[-0.3, 0, 0.2], apodisation_4=[0.1], scale=0.16, transmission=[0.1, -0.2, 0.05],
+    harmonics=[0.05, -0.03, 0.0, 0.04],
 )  # fmt: skip
 CODE = np.pad(np.array([[1, 1, 0, 1, 0], [0, 1, 1, 0, 1], [1, 0, 0, 1, 1], [0.5, 1, 0, 0, 1], [1, 0, 1, 0.2, 0]]), 1)
 

@@ -11,6 +11,7 @@ from mitsuba_plenoptic.views import white_image
 VIGNETTING = Vignetting(
     radius=[0.95, 0.0, 0.0, -0.15, 0.02, -0.1], scale=0.6, ellipse_x=[0.03, 0.02, 0.0], ellipse_y=[0.02],
     slope_x=[0.1, 0.1, 0.0], slope_y=[-0.05], apodisation_2=[-0.2], apodisation_4=[0.05],
+    transmission=[0.1, -0.1, 0.05, 0, 0.2, 0, -0.1], harmonics=[0.02, -0.03, 0.0, 0.02],
 )  # fmt: skip
 
 # The detector is in the image of the pupil, so that a pixel sees one place of it through the whole lens.

@@ -267,16 +267,24 @@ class WhiteRecording:
         A third of these lenses chooses how many coefficients map and outline have: more must lower the residual by a
         twentieth.
         """
-        # For lenses that are fitted and that choose: weights of bins, and sums of residuals.
-        totals = np.zeros((2, 2, self.side**2))
-        for lenses in zones:
-            pixels = self.beside(position[lenses], field)
-            choosing = np.repeat(np.arange(len(lenses)) % 3 == 0, np.diff(pixels.first))
-            for total, weight in zip(totals, (pixels.weight * ~choosing, pixels.weight * choosing), strict=True):
-                total[0] += np.bincount(self.bins(pixels), weight, self.side**2)
-                total[1] += np.bincount(self.bins(pixels), weight * pixels.residual, self.side**2)
-        lit = np.flatnonzero(totals[:, 0].min(0) > 0)
-        weights, sums = totals[:, :, lit].transpose(1, 0, 2)
+        pixels = [self.beside(position[lenses], field) for lenses in zones]
+        bins = np.concatenate([self.bins(some) for some in pixels])
+        residual = np.concatenate([some.residual for some in pixels])
+        mean = np.bincount(bins, residual) / np.maximum(np.bincount(bins), 1)
+        # Dust is on single lenses: it is off the others' residual.
+        off = np.abs(residual - mean[bins])
+        clean = off < 6.0 * max(1.4826 * float(np.median(off)), 0.005)
+        choosing = np.concatenate(
+            [np.repeat(np.arange(len(n)) % 3 == 0, n) for n in (np.diff(p.first) for p in pixels)]
+        )
+        groups = (clean & ~choosing, clean & choosing)
+        weights, sums = (
+            np.array([np.bincount(bins[group], values[group], self.side**2) for group in groups])
+            for values in (np.ones(len(bins)), residual)
+        )
+        lit = np.flatnonzero(weights.min(0) > 0)
+        weights = weights[:, lit]
+        sums = sums[:, lit]
         row, column = np.divmod(lit, self.side)
         splines = self.model.splines((column - self.side // 2) / _BINS, (row - self.side // 2) / _BINS)
         numbers = PupilNumbers(*field.values(position[np.concatenate(zones)]).mean(0))

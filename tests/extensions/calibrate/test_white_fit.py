@@ -9,7 +9,7 @@ import scipy.ndimage
 from PIL import Image
 from refusals import refuses
 
-from mitsuba_plenoptic import PlenopticCamera, render_capture
+from mitsuba_plenoptic import PlenopticCamera, Vignetting, render_capture
 from mitsuba_plenoptic.calibration import fit_white
 from mitsuba_plenoptic.camera.camera_files import camera_and_record
 from mitsuba_plenoptic.camera.lens_transmissions import LensTransmissions
@@ -67,6 +67,18 @@ def test_numbers_of_a_drawn_white_are_found(camera, stray):
     # Nothing but noise of photons is left.
     assert found.judgement.systematic < 0.006
     assert found.judgement.residual < 0.011
+
+
+def test_an_iris_and_a_map_of_the_pupil_are_found():
+    """Seven dents of the outline, and light that falls along a diagonal, which stray light alike everywhere is not."""
+    iris = Vignetting(0.95, transmission=[0.0, 0.3, 0.0], harmonics=[*[0.0] * 8, 0.03, -0.02])
+    camera = THIN.replace(mla_pitch=0.15, aperture_radius=4.8, vignetting=iris, detector_blur=0.005)
+    white, dark = recorded(white_image(camera))
+    found = fit_white(white, camera, dark=dark, wavelength=None).camera.vignetting
+    assert found.harmonics[8:10] == pytest.approx((0.03, -0.02), abs=0.002)
+    corner = [found.power(0.5, y, 0, 0) / found.power(0, 0, 0, 0) for y in (0.5, -0.5)]
+    assert corner == pytest.approx((1.083, 0.917), abs=0.01)
+    assert camera.replace(vignetting=found.to_plain()).vignetting == found
 
 
 @pytest.mark.slow
