@@ -3,7 +3,6 @@
 import itertools
 import json
 import math
-from functools import partial
 from pathlib import Path
 from unittest import mock
 
@@ -28,7 +27,7 @@ from mitsuba_plenoptic.extensions.raw.hci import read_hci
 from mitsuba_plenoptic.extensions.studio.sweep import read_grid
 from mitsuba_plenoptic.optics.spectrum import read_responses
 from mitsuba_plenoptic.prescription.lens_file import read_lens, read_prescription
-from mitsuba_plenoptic.views import depth_map, focal_stack, refocus, white_image
+from mitsuba_plenoptic.views import depth_map, focal_stack, white_image
 
 SHORTEST, LONGEST = 1e-9, 1e9
 LENGTHS = st.sampled_from(["focal_length", "aperture_radius", "mla_distance", "mla_focal_length", "mla_pitch",
@@ -383,47 +382,3 @@ class TestExtremeCameras:
             # Bins that no light can come from are NaN, but not all of them.
             assert result is None or np.isfinite(result).any()
             assert result is None or not np.isinf(result).any()
-
-
-def light_field():
-    return mp.decode(IMAGE, camera=CAMERA)
-
-
-DISTANCES = (0, -240, 79.9, 80.0, math.nan, -math.inf, "240", None, 1j, True, {}, [], [240.0, "x"], [[240.0]])
-WAVELENGTHS = (0, -633, math.nan, math.inf, "633", None, [], [633.0, 500.0], True, 1e-3, 1e7)
-POINTS = (None, 240.0, "abc", [], (0, 0), (0, 0, 0, 240), {1}, (0, 0, 10**400), (0, 0, math.nan), (0, 0, 0))
-SIZES = (4096, (), (1,), (1, 2, 3), "ab", (64, "64"), (64, None), (10**400, 64), {"a": 1}, (True, 64), (1.5, 5))
-
-
-def point():
-    return mp.CaptureOperator(CAMERA, [(0, 0, 240)], wavelength=633)
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        *(partial(mp.reconstruct, IMAGE, distance, camera=CAMERA) for distance in DISTANCES),
-        *(partial(mp.reconstruct, IMAGE, 240, camera=CAMERA, method="coherent", wavelength=nm) for nm in WAVELENGTHS),
-        *(partial(mp.point_spread_function, CAMERA, place, wavelength=633) for place in POINTS),
-        *(partial(mp.PlenopticCamera, resolution=size) for size in SIZES),
-        *(partial(mp.decode, np.zeros(shape), camera=CAMERA) for shape in (0, (32, 31), (1, 32, 32), (32, 32, 0))),
-        *(partial(mp.Capture, IMAGE.astype(kind), CAMERA) for kind in (complex, str, object, "M8[s]")),
-        *(lambda distance=distance: refocus(light_field(), distance) for distance in (0, math.nan, "240", [[240.0]])),
-        *(lambda planes=planes: depth_map(light_field(), planes=planes) for planes in (0, 1, 2, 2.5, "9", 10**6)),
-        *(
-            lambda weights=weights: point().forward(weights)
-            for weights in ([math.nan], [[math.inf]], [1, 2], "a", [[]])
-        ),
-        *(lambda image=image: point().adjoint(image) for image in (IMAGE[:5], IMAGE * math.nan, "a", None)),
-        lambda: depth_map(light_field(), near=400, far=300),
-        lambda: depth_map(light_field() * np.inf),
-        lambda: focal_stack(light_field(), []),
-        lambda: focal_stack(light_field(), [240.0], method="magic"),
-        lambda: mp.decode(IMAGE, camera=CAMERA, grid=3),
-        lambda: mp.decode(IMAGE, white=IMAGE),
-    ],
-)
-def test_bad_input(call):
-    with pytest.raises(mp.InputError) as caught:
-        call()
-    assert str(caught.value).isprintable()

@@ -20,6 +20,7 @@ from .grid import bin_grid as bin_grid
 from .grid import lens_grid as lens_grid
 from .grid import lens_numbers as lens_numbers
 from .grid import lens_types as lens_types
+from .grid import lenses_of_pixels as lenses_of_pixels
 from .grid_estimation import Discs as Discs
 from .grid_estimation import estimate_lens_grid as estimate_lens_grid
 from .grid_estimation import pixels_around as pixels_around

@@ -223,8 +223,8 @@ def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
     return camera.lattice.lens_type(*lens_indices(camera, centres)).astype(np.int64)
 
 
-def lens_numbers(camera: PlenopticCamera) -> Integers:
-    """Return the index of the lens of each recorded pixel's chief ray."""
+def lenses_of_pixels(camera: PlenopticCamera) -> Integers:
+    """Return the lattice indices i and j of the lens of each recorded pixel's chief ray, (2, rows, columns)."""
     x, y = (
         rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.reduced_distance)
         for axis in (0, 1)
@@ -235,7 +235,12 @@ def lens_numbers(camera: PlenopticCamera) -> Integers:
         rows = slice(first, first + height)
         for indices, values in zip(index, camera.lattice.cell(*np.meshgrid(x, y[rows])), strict=True):
             indices[rows] = np.rint(values)
-    i, j = index.astype(np.int64)
+    return index.astype(np.int64)
+
+
+def lens_numbers(camera: PlenopticCamera) -> Integers:
+    """Return a number for the lens of each recorded pixel's chief ray, (rows, columns)."""
+    i, j = lenses_of_pixels(camera)
     return np.asarray((i - i.min()) * (np.ptp(j) + 1) + j - j.min())
 
 

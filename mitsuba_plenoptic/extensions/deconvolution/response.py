@@ -26,7 +26,8 @@ from ...optics import in_millimetres
 from ...points import Copies, Fields, Grid, Recorder, Scatter, band_for, chunks_of, place, radiance_weight, scene_points
 from ...rays import Passage, Walk
 from ...refocus import regular_place, straightened
-from ...runtime import Box, Doubles, Job, Part, active_backend, add
+from ...runtime import Box, Doubles, Floats, Job, Part, active_backend, add
+from ...views import lenses_of_pixels
 from .cells import BinCells, UprightBins
 from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, merged, require_response_memory, zones
 
@@ -267,7 +268,10 @@ class Response(StoredResponse):
         self._oversample = oversample
         # Kernels are of the light of regular lenses; displaced and dimmer ones send it elsewhere, and pixels mix it.
         self._detector = DetectorOperator.of(camera)
-        self._gain = None if camera.mla_transmissions is None else lens_gain(camera)
+        self._gain: Floats | None = None
+        if camera.mla_transmissions is not None:
+            gain = camera.mla_transmissions.at(camera.lattice, *lenses_of_pixels(camera).astype(np.float64))
+            self._gain = gain.astype(np.float32)
         strays = bool(camera.stray_light)
         places, aside = None, 0.0
         if camera.lattice.displacement is not None or any(camera.mla_tilt):
@@ -505,13 +509,6 @@ def _require_equal_lenses(camera: PlenopticCamera) -> None:
         f"mla_jitter = {camera.mla_jitter}: its focal lengths spread light over {width / camera.pixel_size:.2g} "
         f"pixels: responses, of equal lenses, allow {_WIDEST_SPREAD:g}; use method ray, or leave it out",
     )
-
-
-def lens_gain(camera: PlenopticCamera) -> NDArray[np.float32]:
-    """Return the brightness of the lens that the chief ray of each pixel passes."""
-    growth = camera.image_growth
-    rows = np.meshgrid(*(camera.pixel_coordinates(axis) / growth for axis in (0, 1)))
-    return np.asarray(camera.lenslet(*camera.lattice.cell(*rows)).gain, np.float32)
 
 
 def _farthest(camera: PlenopticCamera) -> float:

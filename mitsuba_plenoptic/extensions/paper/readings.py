@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from ...camera import PlenopticCamera
 from ...errors import InputError
 from ...io import Cache, Capture
 from ...rays import follow_back
 from ...refocus import reconstruct
 from ...report import Experiment, metrics
+from ...views import lenses_of_pixels
 
 
 def quarters(i: NDArray[Any], j: NDArray[Any]) -> NDArray[Any]:
@@ -84,7 +84,7 @@ def surroundings(capture: Capture, window: tuple[slice, slice], distance: float)
     # Lenses around a letter whose light its blurred image needs besides half the blur, for diffraction.
     margin = math.ceil(camera.blur_diameter(distance) / camera.mla_pitch / 2) + 4
     needed = np.ones(camera.shape, bool)
-    for bins, index, count in zip(window[::-1], lens_indices(camera), camera.bin_count, strict=True):
+    for bins, index, count in zip(window[::-1], lenses_of_pixels(camera), camera.bin_count, strict=True):
         first, end = (bin - count // 2 for bin in (bins.start - margin, bins.stop + margin))
         needed &= (index >= first) & (index < end)
     return replace(capture, image=np.where(needed, capture.image, np.float32(0)))
@@ -97,7 +97,7 @@ def of_subsets(
     oversample: int = 1,
 ) -> NDArray[Any]:
     """Return the summed intensities of one coherent wave for each label of lenses, by their indices i and j."""
-    labels = label(*lens_indices(capture.camera))
+    labels = label(*lenses_of_pixels(capture.camera))
     subsets = [replace(capture, image=np.where(labels == k, capture.image, np.float32(0))) for k in range(4)]
     images = [reconstruct(subset, distance, method="coherent", oversample=oversample).image for subset in subsets]
     return np.sum(images, axis=0)
@@ -112,7 +112,7 @@ def colour_count(capture: Capture, distance: float) -> int:
     """
     camera = capture.camera
     y, x = np.nonzero(capture.image > 0)
-    i, j = (index[y, x] for index in lens_indices(camera))
+    i, j = (index[y, x] for index in lenses_of_pixels(camera))
     centres = camera.lattice.centre(i.astype(float), j.astype(float))
     (across, u), (down, v) = (
         follow_back(camera.pixel_coordinates(axis)[pixel], centre, centre, distance, camera)
@@ -150,10 +150,3 @@ def _counted(places: NDArray[Any]) -> NDArray[np.int64]:
     """Return the bins of places, counted from 1."""
     bins = np.floor(places).astype(np.int64)
     return bins - bins.min(initial=0) + 1
-
-
-def lens_indices(camera: PlenopticCamera) -> list[NDArray[np.int64]]:
-    """Return the indices i and j of the lens of each pixel (rows, columns), counted from the axis."""
-    growth = camera.image_growth
-    places = np.meshgrid(*(camera.pixel_coordinates(axis) / growth for axis in (0, 1)))
-    return [np.asarray(index).astype(np.int64) for index in camera.lattice.cell(*places)]

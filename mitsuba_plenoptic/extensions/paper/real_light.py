@@ -1,12 +1,12 @@
 """The paper's experiment on real light, and on light that the same camera is simulated to record, as a control.
 
-The verdicts are those on simulated letters: `claims.check_claims` of the same measurements. It deconvolves with the
-responses of the extension `deconvolution`.
+The verdicts are those on simulated letters: `claims.check_claims` of the same measurements.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from ...camera import PlenopticCamera
 from ...io import Cache, Capture, StageOptions, digest, write_json
@@ -42,6 +43,10 @@ FINE = 8
 
 _SHOWN = 4
 """The same of the other pictures."""
+
+_FINER = 4
+_BEYOND = 2.0
+"""Bins of a control's sheets along one of `FINE`, and bins of one a lens by which sheets reach beyond the picture."""
 
 STEPS = 4
 """Steps of deconvolution: with more, what noise and the model's own errors add between lenses grows, not the detail."""
@@ -87,10 +92,7 @@ def reproduce_real(
     real = aligned(recorded, placed["moved"], placed["stray_width"])
     judged = {"real": judge(real, store, folder.name, wavelength)}
     simulated = open_store(output / "control", stages)
-    planes = {
-        name: judged["real"].pictures["deconvolved", shape.distance][shape.window("region", FINE)]
-        for name, shape in real.shapes.items()
-    }
+    planes = {name: judged["real"].pictures["deconvolved", shape.distance] for name, shape in real.shapes.items()}
     control = _control(real, planes, simulated, wavelength, placed["electrons"])
     judged["control"] = judge(control, simulated, f"{folder.name}, simulated", wavelength)
     command = f"mitsuba-plenoptic reproduce --real {folder}"
@@ -136,7 +138,7 @@ def judge(recording: Recording, store: Cache, scene: str, wavelength: float) -> 
         truths={},
         images=images,
         pinhole=np.zeros(camera.bin_count[::-1]),
-        boxes={name: _box(camera, shape) for name, shape in recording.shapes.items()},
+        boxes={name: _box(camera, shape.distance, shape.areas["region"]) for name, shape in recording.shapes.items()},
         seconds=store.seconds,
         ordinary=None,
     )
@@ -169,14 +171,14 @@ def judge(recording: Recording, store: Cache, scene: str, wavelength: float) -> 
     return Judged(pictures, measured, check_claims(experiment, measured, None, near, far), quality)
 
 
-def _box(camera: PlenopticCamera, shape: Shape) -> tuple[Doubles, Doubles]:
-    """Return the corners of a shape's region in the camera's frame."""
-    left, top, width, height = shape.areas["region"]
+def _box(camera: PlenopticCamera, distance: float, area: Sequence[float]) -> tuple[Doubles, Doubles]:
+    """Return the corners in the camera's frame of left, top, width and height in bins."""
+    left, top, width, height = area
     columns, rows = camera.bin_count
-    bin_size = camera.bin_size(shape.distance)
+    bin_size = camera.bin_size(distance)
     x = np.array([left + width, left]) - columns / 2
     y = np.array([top + height, top]) - rows / 2
-    low, high = (np.array([-x[k] * bin_size, -y[k] * bin_size, shape.distance]) for k in (0, 1))
+    low, high = (np.array([-x[k] * bin_size, -y[k] * bin_size, distance]) for k in (0, 1))
     return low, high
 
 
@@ -246,10 +248,12 @@ def _control(
     T = mi.ScalarTransform4f()
     sheets = {}
     for name, image in planes.items():
-        low, high = _box(real.camera, real.shapes[name])
+        shape = real.shapes[name]
+        area, values = _sheet(shape, [other for other in real.shapes.values() if other is not shape], image)
+        low, high = _box(real.camera, shape.distance, area)
         middle, half = (low + high) / 2, abs(high - low) / 2
         # The first row of a texture is at the bottom of a rectangle that faces the camera.
-        texture = mi.Bitmap(np.ascontiguousarray(np.nan_to_num(image[::-1]).clip(0)[..., None], np.float32))
+        texture = mi.Bitmap(np.ascontiguousarray(values[::-1, :, None], np.float32))
         sheets[name] = {
             "type": "rectangle",
             "to_world": T.translate(middle.tolist()).rotate([0, 1, 0], 180).scale([half[0], half[1], 1]),
@@ -277,6 +281,43 @@ def _control(
         random = np.random.default_rng(len(pictures))
         pictures.append((random.poisson(light.clip(0) * counts) / counts).astype(np.float32))
     return replace(real, light=pictures[0], white=pictures[1])
+
+
+def _sheet(
+    shape: Shape, others: Sequence[Shape], image: NDArray[np.float32]
+) -> tuple[tuple[float, ...], NDArray[np.float32]]:
+    """Return the area in bins, and the radiance, of a shape's sheet, which reaches the other regions or the borders.
+
+    The shape's edge is a sharp one, so that its width in the control is that of the camera and the method.
+    """
+    # Light comes from beyond the picture, too.
+    rows, columns = (size // FINE for size in image.shape)
+    low, high = np.array([-_BEYOND] * 2), np.array([columns, rows]) + _BEYOND
+    start, size = np.split(np.array(shape.areas["region"]), 2)
+    for other in others:
+        first, width = np.split(np.array(other.areas["region"]), 2)
+        gaps = np.stack([start - first - width, first - start - size])
+        side, axis = np.unravel_index(gaps.argmax(), gaps.shape)
+        if side == 0:
+            low[axis] = max(low[axis], first[axis] + width[axis])
+        else:
+            high[axis] = min(high[axis], first[axis])
+    unknown = ~np.isfinite(image)
+    nearest = ndimage.distance_transform_edt(unknown, return_distances=False, return_indices=True)
+    values = image[tuple(nearest)].clip(0).repeat(_FINER, 0).repeat(_FINER, 1)
+    if "edge" in shape.areas:
+        window = shape.window("edge", FINE)
+        edge = window_sharpness(image[window].astype(np.float64))
+        finer = shape.window("edge", FINE * _FINER)
+        part = values[finer]
+        y, x = (np.indices(part.shape) + 0.5) / _FINER - 0.5
+        across = x - edge.column - math.tan(math.radians(edge.angle)) * (y - edge.row)
+        left, right = (np.median(part[side * across > edge.width / 2]) for side in (-1, 1))
+        values[finer] = np.where(across < 0, left, right)
+    padding = round(_BEYOND * FINE * _FINER)
+    values = np.pad(values, padding, "edge")
+    left, top, right, bottom = (round(FINE * _FINER * (value + _BEYOND)) for value in (*low, *high))
+    return (*low, *(high - low)), values[top:bottom, left:right]
 
 
 @plots.styled

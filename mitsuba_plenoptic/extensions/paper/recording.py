@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ...camera import PlenopticCamera, camera_and_record
-from ...choices import RAW_SUFFIXES
 from ...detector import DetectorOperator
 from ...errors import naming, refuse_if, refusing, require_choice, require_number
 from ...io import Capture
 from ...runtime import read_text
-from ...views import lens_numbers, read_recording
+from ...views import lens_numbers
+from ..calibrate.white_command import sensor_values
 
 _AREAS = ("region", "even", "edge")
 
@@ -71,15 +71,12 @@ def read_recording_of(folder: Path) -> Recording:
     paths = {
         name: path
         for name in names
-        for suffix in (*RAW_SUFFIXES, ".exr")
+        for suffix in (".png", ".tif", ".tiff", ".exr")
         if (path := folder / f"{name}{suffix}").exists()
     }
     for name in names[:2]:
         refuse_if(name not in paths, f"{folder}: it has no {name}.png, .tiff or .exr")
-    pictures = {}
-    for name, path in paths.items():
-        stored = read_recording(path, linear=True)
-        pictures[name] = np.asarray(stored.image if isinstance(stored, Capture) else stored, np.float32)
+    pictures = {name: sensor_values(path).astype(np.float32) for name, path in paths.items()}
     dark = pictures.get("dark", np.zeros_like(pictures["light"]))
     with naming(folder / "camera.json"):
         camera = camera_and_record(folder / "camera.json")[0]

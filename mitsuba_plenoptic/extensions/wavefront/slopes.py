@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
-from ...errors import LONGEST, SHORTEST, InputError, refuse_if, require_count, require_length, require_number
+from ...errors import InputError, refuse_if, require_count, require_length, require_number
 from ...lenses import Wavefront, main_lens
 from ...optics import rays
 from ...points import check_positions
@@ -134,7 +134,7 @@ def spot_slopes(
         f"image of shape {pixels.shape}: its sides must be multiples of {n} pixels a lens",
     )
     growth = require_number("magnification", magnification)
-    refuse_if(not SHORTEST <= abs(growth) <= LONGEST, f"magnification = {growth:g}: it must be a ratio other than 0")
+    require_length("magnification", abs(growth))
     spots = pixels.reshape(rows // n, n, columns // n, n)
     light = spots.sum((1, 3))
     refuse_if(not light.any(), "image: it is black: nothing can be found by it")

@@ -47,8 +47,8 @@ def test_the_control_shows_a_plane_where_it_was_found(monkeypatch):
     camera = CAMERA.replace(mla_rotation=0.0)
     shape = Shape(391.0, {"region": (1.0, 2.0, 4.0, 5.0)})
     black = np.zeros(camera.shape, np.float32)
-    image = np.zeros((40, 32), np.float32)
-    image[:20, :16] = 1
+    image = np.zeros((64, 64), np.float32)
+    image[16:36, 8:24] = 1
     by_waves = real_light.render_capture
     monkeypatch.setattr(real_light, "render_capture", lambda scene, **_: by_waves(scene, model="ray", spp=4))
 
@@ -61,3 +61,17 @@ def test_the_control_shows_a_plane_where_it_was_found(monkeypatch):
     assert np.nanmean(found[2:4, 1:3]) > 0.6
     assert np.nanmean(found[5:7, 1:5]) < 0.1
     assert np.nanmean(found[2:5, 4:]) < 0.2
+
+
+def test_a_sheet_reaches_the_other_shape_and_has_a_sharp_edge():
+    left = Shape(391.0, {"region": (0.0, 0.0, 4.0, 8.0), "edge": (1.0, 2.0, 2.0, 3.0)})
+    right = Shape(406.0, {"region": (5.0, 0.0, 3.0, 8.0)})
+    blurred = 1 + 2 / (1 + np.exp(-(np.arange(64) - 15.4) / 1.5)) + np.zeros((64, 1))
+    blurred[:, 40:] = np.nan
+    (*low, width, height), sharp = real_light._sheet(left, [right], blurred.astype(np.float32))
+    assert (*low, width, height) == (-2, -2, 7, 12)
+    assert sharp.shape == (12 * 32, 7 * 32)
+    assert np.isfinite(sharp).all()
+    row = sharp[(2 + 3) * 32]
+    assert 1 + np.abs(np.diff(row[(2 + 1) * 32 : (2 + 3) * 32])).argmax() == pytest.approx(4 * 15.9 - 32, abs=1)
+    assert np.unique(row[(2 + 1) * 32 : (2 + 3) * 32]).size == 2
