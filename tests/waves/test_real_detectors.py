@@ -248,6 +248,7 @@ def test_white_images_are_blurred():
     [
         ("ray", {"detector_blur": BLUR}, 0.2),
         ("wave", {"pixel_crosstalk": 0.05}, 0.015),
+        ("ray", {"stray_light": TABLE}, 0.015),
         pytest.param("wave", {"detector_blur": BLUR}, 0.2, marks=pytest.mark.slow),
         pytest.param("ray", {"pixel_crosstalk": 0.05}, 0.015, marks=pytest.mark.slow),
     ],

@@ -225,14 +225,16 @@ def _wave_transfer(camera: PlenopticCamera, wavelength: float, fx: np.ndarray, f
     lag = reach * float(fx[0, 1])
     half = int(np.ceil(camera.lattice.aperture_reach / lag))
     refuse_if(half > _WIDEST, f"wavelength = {wavelength:g}: the lenses are too large for it; fit by rays")
-    aperture = camera.lattice.aperture_image(lag, 1.0)
-    size = len(aperture)
-    offset = (np.arange(size) - size // 2) * lag
+    # Fine samples are in or out: those that a border covers in part would count by their squares without a lag.
+    finer = int(np.ceil(_WIDEST / (2 * half + 1)))
+    size = scipy.fft.next_fast_len(2 * half * finer + 1)
+    offset = (np.arange(size) - size // 2) * (lag / finer)
+    aperture = camera.lattice.in_aperture(*np.broadcast_arrays(offset, offset[:, None]))
     curvature = np.pi / length * camera.pupil_shift(camera.mla_focal_length) / camera.pupil_distance
-    field = aperture / aperture.max() * np.exp(1j * curvature * (offset**2 + offset[:, None] ** 2))
+    field = aperture * np.exp(1j * curvature * (offset**2 + offset[:, None] ** 2))
     padded = scipy.fft.fft2(field, (2 * size, 2 * size))
     correlation = scipy.fft.ifft2(np.abs(padded) ** 2)
     correlation = correlation / correlation[0, 0].real
-    across, down = (np.rint(frequencies * reach / lag).astype(int) for frequencies in (fx, fy))
+    across, down = (finer * np.rint(frequencies * reach / lag).astype(int) for frequencies in (fx, fy))
     within = (np.abs(across) < size) & (np.abs(down) < size)
     return np.where(within, correlation[down % (2 * size), across % (2 * size)], 0)

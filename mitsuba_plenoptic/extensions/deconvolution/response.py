@@ -272,6 +272,7 @@ class Response(StoredResponse):
         if camera.mla_transmissions is not None:
             gain = camera.mla_transmissions.at(camera.lattice, *lenses_of_pixels(camera).astype(np.float64))
             self._gain = gain.astype(np.float32)
+        strays = bool(camera.stray_light)
         places, aside = None, 0.0
         if camera.lattice.displacement is not None or any(camera.mla_tilt):
             even = camera.replace(mla_transmissions=None)
@@ -350,6 +351,12 @@ class Response(StoredResponse):
         ]
         self.shapes = [bins.shape for bins in self.bins]
         super().__init__((sum(math.prod(shape) for shape in self.shapes),), camera.shape)
+        if strays:
+            # Interpolation leaves less than no light between micro-images, which steps would divide stray light by.
+            # 0.005: Light of a white scene there, over that of the brightest pixel, as in `RichardsonLucy`.
+            white = self._direct(np.ones(self.source_shape, np.float32))
+            gain = np.float32(1) if self._gain is None else self._gain
+            self._gain = np.where(white > 0.005 * white.max(), gain, np.float32(0))
 
     def _kernels(
         self, distance: float, groups: Sequence[NDArray[np.int64]], job: Job, done: int, total: int
@@ -470,6 +477,10 @@ class Response(StoredResponse):
 
     def forward(self, values: NDArray[np.float32], /) -> NDArray[np.float32]:
         """Return the image that the detector records of planes."""
+        return np.asarray(self._detector.forward(self._direct(values)))
+
+    def _direct(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the light of planes that falls on the detector."""
         width, height = self.cells.size
         libraries = active_backend()
         samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
@@ -477,7 +488,7 @@ class Response(StoredResponse):
             plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), samples)
         sums = self.cells.join(samples, self._sampled, self._recorder.box)
         image = self._recorder.record(sums[None])[..., 0]
-        return np.asarray(self._detector.forward(image if self._gain is None else self._gain * image))
+        return image if self._gain is None else np.asarray(self._gain * image)
 
     def adjoint(self, image: NDArray[np.float32], /) -> NDArray[np.float32]:
         """Return the transpose of `forward`, applied to an image."""

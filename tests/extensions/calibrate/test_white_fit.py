@@ -95,6 +95,8 @@ def test_waves_are_told_from_rays():
     radius, blur = ({key: fit.field.coefficients[name][0] for key, fit in found.items()} for name in ("radius", "blur"))
     assert radius[550.0] == pytest.approx(camera.pupil_radius / camera.pupil_step, rel=2e-3)
     assert abs(blur[550.0]) < 0.25 < 0.7 < blur[None]
+    # Light that lenses diffract far is no stray light.
+    assert abs(found[550.0].field.coefficients["stray"][0]) < 0.002
     waves, rays = (found[length].judgement for length in (550.0, None))
     assert waves.mean_image < 0.003
     assert rays.mean_image > 2 * waves.mean_image

@@ -7,22 +7,32 @@ from __future__ import annotations
 
 import json
 import os
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
-from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic import InputError, PlenopticCamera, StrayLight
 from mitsuba_plenoptic.calibration import WhiteFit, fit_white
+from mitsuba_plenoptic.camera.camera_files import camera_and_record
+from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.calibrate.white_page import side_by_side
 from mitsuba_plenoptic.extensions.paper.real_light import TITLES, grid
 from mitsuba_plenoptic.io.exr import read_exr
 from mitsuba_plenoptic.io.pictures import read_picture
 from mitsuba_plenoptic.report import window_sharpness
 
-from .. import Row, case, figure
+from .. import Row, at_most, case, figure, pick
 from ..timing import once
+
+LETTERS = {
+    "focal_length": 200, "aperture_radius": 3.3, "mla_distance": 400, "mla_pitch": 0.3, "mla_focal_length": 18.6,
+    "detector_distance": 18.6, "detector_width": 8.256, "resolution": [1280, 960],
+}  # fmt: skip
+"""The camera of the letters as it is known."""
 
 MIDDLE = 300.0
 """Half the side, in pixels, of the part in the middle whose lenses' scatter is measured."""
@@ -51,18 +61,28 @@ def scatter_of_lenses(found: WhiteFit) -> float:
     rows, columns = found.frame.light.shape
     central = np.abs(found.place - [(columns - 1) / 2, (rows - 1) / 2]).max(1) < MIDDLE
     reach = int(0.7 * found.camera.micro_image_pitch / found.camera.pixel_size)
+    count, _, variance = mean_micro_image(found.frame.light, found.place[central], found.brightness[central], reach)
+    return float(np.sqrt(variance[count > 20].mean()))
+
+
+def mean_micro_image(
+    image: np.ndarray, place: np.ndarray, brightness: np.ndarray, reach: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return how many pixels of lenses over their brightness are in bins of half a pixel, their mean and variance."""
     window = np.arange(-reach, reach + 1)
     values, bins = [], []
-    for (x, y), light in zip(found.place[central], found.brightness[central], strict=True):
+    for (x, y), light in zip(place, brightness, strict=True):
         column, row = round(x), round(y)
-        values.append(found.frame.light[row - reach : row + reach + 1, column - reach : column + reach + 1] / light)
+        values.append(image[row - reach : row + reach + 1, column - reach : column + reach + 1] / light)
         i, j = (np.rint(2 * (first + window - at)).astype(int) + 2 * reach + 2 for first, at in ((column, x), (row, y)))
         bins.append(j[:, None] * (4 * reach + 5) + i)
     value, bin_ = np.ravel(values), np.ravel(bins)
-    count, total, square = (np.bincount(bin_, value**power) for power in (0.0, 1.0, 2.0))
-    seen = count > 20
-    variance = square[seen] / count[seen] - (total[seen] / count[seen]) ** 2
-    return float(np.sqrt(variance.clip(0).mean()))
+    known = np.isfinite(value)
+    count, total, square = (
+        np.bincount(bin_[known], value[known] ** power, minlength=(4 * reach + 5) ** 2) for power in (0.0, 1.0, 2.0)
+    )
+    mean = total / np.maximum(count, 1)
+    return count, mean, (square / np.maximum(count, 1) - mean**2).clip(0)
 
 
 @case(
@@ -97,6 +117,106 @@ def white(*, samples: int = 128) -> Iterator[Row]:
         rms = 100 * float(np.sqrt(((recorded - simulated) ** 2).mean()))
         yield figure(f"{name}: simulated capture of 12 x 12 lenses from the recorded", rms, unit="%")
         yield figure(f"{name}: processor time of the fit", seconds, unit="s")
+
+
+EVEN = """<scene version="3.0.0"><integrator type="direct"/><emitter type="constant"/><sensor type="plenoptic">
+<film type="hdrfilm"><string name="pixel_format" value="luminance"/><rfilter type="box"/></film></sensor></scene>"""
+"""A scene that is white in all directions, so that every camera sees it."""
+
+STRAY = StrayLight([[0.05, 0.075, 0.05], [0.075, 0.1, 0.075], [0.05, 0.075, 0.05]])
+SIMULATED = PlenopticCamera(
+    focal_length=50, aperture_radius=1.3, focus_distance=400, mla_focal_length=1.6, detector_distance=1.6,
+    mla_pitch=0.08, mla_rotation=0.2, resolution=(640, 480), detector_width=3.2, stray_light=STRAY,
+    detector_blur=0.004,
+)  # fmt: skip
+"""A camera of 40 x 30 lenses with stray light of 10 % in the middle and half of it in the corners."""
+
+
+def white_pictures(folder: Path, light: tuple[str, ...]) -> dict[str, tuple[Path, Path, str, str]]:
+    """Return white and dark picture, known camera and wavelength of two real cameras and a simulated one."""
+    real = folder_of_pictures().parent
+    (folder / "even.xml").write_text(EVEN)
+    (folder / "letters.json").write_text(json.dumps(LETTERS))
+    (folder / "known.json").write_text(SIMULATED.replace(stray_light=0.0).to_json())
+    (folder / "true.json").write_text(SIMULATED.to_json())
+    shown = "--camera", folder / "true.json", *light, "--spp", 1024, "-o", folder / "true.exr"
+    command("render", folder / "even.xml", *shown)
+    random, image = np.random.default_rng(0), np.squeeze(np.asarray(read_exr(folder / "true.exr")[0]))
+    for name, light_in_electrons in (("white", random.poisson(200000 * image)), ("dark", np.zeros(image.shape))):
+        numbers = light_in_electrons / 4 + random.normal(100, 1, image.shape)
+        Image.fromarray(np.rint(numbers).astype(np.uint16)).save(folder / f"{name}.tif")
+    letters = real / "letters_ulf" / "letters_ULF_M1"
+    return {
+        "ant's leg": (real / "antleg/radiometry_frame.png", real / "antleg/dark_frame.tif", "lfm_water", "510"),
+        "letters": (Path(f"{letters}_white.png"), Path(f"{letters}_dark.png"), str(folder / "letters.json"), "550"),
+        "simulated": (folder / "white.tif", folder / "dark.tif", str(folder / "known.json"), "550"),
+    }
+
+
+def command(*words: object) -> None:
+    """Run a command of the package."""
+    if main([*map(str, words)]):
+        raise InputError(f"{words[0]}: it failed")
+
+
+@case(
+    "real.rendered",
+    "White scenes as `calibrate` and `render --camera` show them: mean micro-image less the recorded one, over the "
+    "scatter of pixels about the mean image in the middle of the field, and over what differs from lens to lens",
+    {
+        "camera": "{camera}", "model": "{model}", "lenses": "{part}", "difference": "{difference:.2%}",
+        "scatter": "{scatter:.2%}", "ratio": "{ratio:.2f}", "lens to lens": "{noise:.2%}", "to this": "{closer:.2f}",
+    },
+    (at_most("ratio", 1.1), at_most("closer", "closest")),
+)  # fmt: skip
+def rendered(*, cameras: tuple[str, ...] = (), spp: int = 128) -> Iterator[Row]:
+    """Fit cameras to white pictures and render a white scene; where stray light is known, compare corners, too."""
+    for model in ("wave", "ray"):
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            sources = white_pictures(folder, ("--model", model, *["--wavelength", "550"] * (model == "wave")))
+            for title, (white, dark, known, wavelength) in pick(sources, cameras).items():
+                light = ("--model", model, *["--wavelength", wavelength] * (model == "wave"))
+                fitted, capture = folder / "fitted.json", folder / "capture.exr"
+                command("calibrate", white, "--dark", dark, "--camera", known, *light, "-o", fitted)
+                command("render", folder / "even.xml", "--camera", fitted, *light, "--spp", spp, "-o", capture)
+                recorded, black = (read_picture(path, linear=True).astype(float) for path in (white, dark))
+                simulated = np.squeeze(np.asarray(read_exr(capture)[0]))
+                camera, record = camera_and_record(fitted)
+                corners = title == "simulated"
+                for row in differences(recorded - black, simulated, camera, corners):
+                    noise = record["withheld"]["scatter"]
+                    closer = {"noise": noise, "closer": row["difference"] / noise, "closest": 1.1 if corners else None}
+                    yield {"camera": title, "model": model, **row, **closer}
+
+
+def differences(recorded: np.ndarray, simulated: np.ndarray, camera: PlenopticCamera, corners: bool) -> Iterator[Row]:
+    """Yield how far mean micro-images of two pictures are apart, over all lenses and over those of parts."""
+    size = np.array(camera.resolution)
+    half = size * camera.pixel_size / camera.image_growth / 2
+    index = camera.lattice.lenses_within(tuple(-half), tuple(half)).astype(float)
+    place = np.stack(camera.lattice.centre(*index.T), axis=-1) * camera.image_growth / camera.pixel_size
+    reach = int(camera.micro_image_pitch / camera.pixel_size / 2)
+    whole = (np.abs(place) < size / 2 - reach - 2).all(1)
+    brightness = camera.mla_transmissions.at(camera.lattice, *index[whole].T)
+    x, y = (place[whole] / size).T
+
+    def of_both(lenses: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        centre = place[whole][lenses] + (size - 1) / 2
+        return [mean_micro_image(image, centre, brightness[lenses], reach) for image in (recorded, simulated)]
+
+    parts = {"all": x < 1, "middle": np.maximum(abs(x), abs(y)) < 0.15}
+    parts |= {"upper left": np.maximum(x, y) < -0.3, "lower right": np.minimum(x, y) > 0.3}
+    means = {part: of_both(lenses) for part, lenses in parts.items()}
+    # Of an exposure that makes both pictures equally bright.
+    (count, mean, _), (_, other, _) = means["all"]
+    exposure = (count * other).sum() / (count * mean).sum()
+    count, _, variance = means["middle"][0]
+    scatter = exposure * float(np.sqrt(variance[count > 5].mean()))
+    for part, ((count, mean, _), (_, other, _)) in means.items():
+        if corners or part == "all":
+            apart = float(np.sqrt(((exposure * mean - other)[count > 5] ** 2).mean()))
+            yield {"part": part, "difference": apart, "scatter": scatter, "ratio": apart / scatter}
 
 
 CORNER = (1.36, 1.01)
