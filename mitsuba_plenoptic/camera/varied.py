@@ -40,13 +40,10 @@ def varied_camera(stated: Mapping[str, Any], varied: Mapping[str, Any]) -> Pleno
 def _joined(stated: Mapping[str, Any], varied: Mapping[str, Any]) -> dict[str, Any]:
     """Return stated values with varied ones in place of those that they replace."""
     replaced = {partner for first, two in _EITHER for name, partner in ((first, two), (two, first)) if name in varied}
-    if "crop_size" in stated and tuple(stated["crop_size"]) == _resolution(stated):
+    size: Any = stated.get("resolution")
+    if "crop_size" in stated and hasattr(size, "__len__") and tuple(stated["crop_size"]) == tuple(size):
         replaced.add("crop_size")
     return {name: value for name, value in stated.items() if name not in replaced} | dict(varied)
-
-
-def _resolution(stated: Mapping[str, Any]) -> tuple[int, ...] | None:
-    return tuple(stated["resolution"]) if hasattr(stated.get("resolution"), "__len__") else None
 
 
 def _sheet_of(stated: Mapping[str, Any], of_sheet: list[str], varied: Mapping[str, Any]) -> dict[str, Any]:
