@@ -142,8 +142,7 @@ def test_without_a_dark_picture_neighbours_tell_the_noise():
     random = np.random.default_rng(0)
     sensor = mp.Detector(quantum_efficiency=1, gain=0.5, read_noise=6, full_well=20000, bits=16)
     white, dark = (sensor.digital_numbers(np.full((300, 300), level), random).astype(float) for level in (9000.0, 0.0))
-    light_field = np.where(np.arange(300) < 200, white, dark)
-    found = SensorNoise.of(white, None, light_field)
+    found = SensorNoise.of(white, None, np.where(np.arange(300) < 200, white, dark))
     assert found.gain == pytest.approx(0.5, rel=0.05)
     assert found.dark_variance == pytest.approx(36 + 1 / 3, rel=0.2)
     assert "no dark picture" in found.source
