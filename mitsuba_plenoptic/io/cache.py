@@ -77,7 +77,7 @@ class Cache:
         """
         self.expected = work
         self._forecast = Forecast(
-            lambda seconds: _log.info("all %d stages: about %s", len(work), in_words(seconds)), settled=2.0
+            lambda seconds: _log.info("all %d stages: about %s", len(work), in_words(seconds)), least=0.04
         )
 
     def capture(self, name: str, inputs: Any, make: Callable[[Progress, Checkpoint], Capture]) -> tuple[Capture, str]:

@@ -66,17 +66,17 @@ class ProgressBar:
 class Forecast:
     """Passes progress on, and reports once, when it can be estimated, how many seconds the whole work takes.
 
-    It can be after `settled` seconds, by default `SETTLED`.
+    The fraction `least` of the work must be done.
     """
 
     def __init__(
         self,
         tell: Callable[[float], None],
         progress: Callable[[int, int], None] | None = None,
-        settled: float | None = None,
+        least: float = 0.0,
     ) -> None:
         self._progress = progress
-        self._settled = settled
+        self._least = least
         self._tell = tell
         self._start = time.monotonic()
         self._first: tuple[float, float] | None = None
@@ -95,7 +95,7 @@ class Forecast:
             self._first = now, fraction
         elapsed = now - self._first[0]
         done_since = fraction - self._first[1]
-        if elapsed >= (SETTLED if self._settled is None else self._settled) and done_since > 0:
+        if elapsed >= SETTLED and fraction >= self._least and done_since > 0:
             self._known = True
             self._tell(now - self._start + (1 - fraction) * elapsed / done_since)
 
