@@ -90,7 +90,7 @@ def white(*, samples: int = 128) -> Iterator[Row]:
         yield figure(f"{name}: residual of withheld lenses", 100 * judged.residual, at_most=limit, unit="%")
         yield figure(f"{name}: what zones have alike", 100 * judged.systematic, unit="%")
         mean = 100 * judged.mean_image
-        yield figure(f"{name}: mean micro-image", mean, at_most=2.0 if wavelength else None, unit="%")
+        yield figure(f"{name}: mean micro-image", mean, at_most=0.52 if wavelength else None, unit="%")
         yield figure(f"{name}: blur", found.camera.detector_blur / found.camera.pixel_size, unit="px")
         yield figure(f"{name}: stray light over the middle", 100 * found.field.coefficients["stray"][0], unit="%")
         recorded, simulated = side_by_side(found, samples)
