@@ -70,7 +70,10 @@ def summary(fit: WhiteFit, noise: PhotonTransfer | str | None) -> list[str]:
     lines = [f"pixels left out: {left_out}; {judgement.outliers:.2%} of the others lie off the model, as of dust"]
     for name, values in fit.field.coefficients.items():
         lines.append(f"{name:>16} {values[0]:10.4g} +- {fit.deviations[name][0]:.2g}")
+    pupil = fit.camera.vignetting
+    assert pupil is not None
     lines += [
+        f"pupil: a map of {len(pupil.transmission)} coefficients, an outline of {len(pupil.harmonics)}",
         f"withheld, {np.count_nonzero(fit.withheld)} micro-images, by {light}: residual {judgement.residual:.2%} of "
         f"the light in their middle, {judgement.systematic:.2%} of it alike in zones, {judgement.scatter:.2%} from "
         "lens to lens",
