@@ -87,7 +87,9 @@ def test_a_picture_by_waves_is_predicted_better_by_waves(kind, tmp_path, monkeyp
     assert ("no dark picture" in out) == (kind == "search")
     results = json.loads((tmp_path / "out" / "results.json").read_text())
     assert results["ratios"]["pixels"]["low"] > 1
-    assert kind == "objective" or results["distances"] == pytest.approx([385, 420], abs=8)
+    # A search may put a third plane between these, whose steps are coarse here.
+    found = np.array([[385, 420]] if kind == "objective" else results["distances"]).ravel()
+    assert max(min(abs(found - plane)) for plane in (385, 420)) < 8
     assert results["verdict"] in out
     assert "<img" in (tmp_path / "out" / "report.html").read_text()
     # Finished runs are not repeated.
