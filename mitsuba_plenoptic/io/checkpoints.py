@@ -165,7 +165,7 @@ class Checkpoint:
 
     def begin_arrays(self, **facts: Any) -> dict[str, NDArray[Any]] | None:
         """Register a run whose state is arrays instead of a sum; return the saved arrays, None if there are none."""
-        return self._begin(facts, _named_arrays)
+        return self._begin(facts, lambda archive, _: {name: archive[name] for name in archive if name != "header"})
 
     def _begin(self, facts: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State | None:
         self._lock.close()
@@ -317,10 +317,6 @@ def _snapshot(shape: tuple[int, ...], archive: Mapping[str, NDArray[Any]], heade
     if "partial" in archive:
         unfinished = PartialSum(int(header["batches"]), archive["partial"], float(header["arrived"]))
     return Snapshot(int(header["sums"]), image, unfinished)
-
-
-def _named_arrays(archive: Mapping[str, NDArray[Any]], header: dict[str, Any]) -> dict[str, NDArray[Any]]:
-    return {name: archive[name] for name in archive if name != "header"}
 
 
 def differences(there: Any, here: Any) -> list[str]:

@@ -409,10 +409,6 @@ class CaptureOperator(CoherentPoints, LinearMap):
         cost = self._plans.at(wavelength).cost(workers)
         return Cost(self.sums * cost.points, self.sums * cost.patterns, self.sums * cost.seconds, cost.memory)
 
-    def as_linear_operator(self) -> CaptureOperator:
-        """Return the operator itself, which SciPy's solvers take."""
-        return self
-
     def _matmat(self, weights: NDArray[Any]) -> NDArray[Any]:
         """Return the images (pixels, k) of several columns of weights, which share their spreads."""
         if self.spectrum is not None:

@@ -133,21 +133,10 @@ def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
 
 def _gather(window: np.ndarray, footprint: np.ndarray) -> np.ndarray:
     """Return the transpose of `_spread`: (rows + taps - 1, columns + taps - 1) to (rows, columns, fine**2)."""
-    taps = footprint.shape[0]
-    kernels = footprint.reshape(taps, taps, -1)
-    rows = window.shape[0] - taps + 1
-    columns = window.shape[1] - taps + 1
-    spectrum = scipy.fft.rfft2(window)
-    # A correlation of the window with each kernel; values that wrap around lie outside the returned rows and columns.
-    return np.stack(
-        [
-            scipy.fft.irfft2(spectrum * scipy.fft.rfft2(kernels[..., fine], window.shape).conj(), window.shape)[
-                :rows, :columns
-            ]
-            for fine in range(kernels.shape[2])
-        ],
-        axis=-1,
-    )
+    from scipy.signal import fftconvolve
+
+    kernels = footprint.reshape(*footprint.shape[:2], -1)
+    return np.asarray(fftconvolve(window[..., None], kernels[::-1, ::-1], "valid", axes=(0, 1)))
 
 
 def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float, step: float) -> np.ndarray:

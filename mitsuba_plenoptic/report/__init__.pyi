@@ -36,3 +36,4 @@ from .output_files import write_stack as write_stack
 from .output_files import write_views as write_views
 from .sheet import Row as Row
 from .sheet import design_sheet as design_sheet
+from .sheet import sheet_tables as sheet_tables

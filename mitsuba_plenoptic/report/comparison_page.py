@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from .experiment import METHOD_TITLES, SLIDER_METHODS, Experiment
 from .images import Brightness, data_url, encoded, to_bytes
 from .metrics import ssim_text
 from .pages import Block, Page, Section, Table, pictures_in, prose, template
-from .sheet import design_sheet
+from .sheet import sheet_tables
 from .windows import Window, Zoom, lit_window
 
 _EXPLANATIONS = {
@@ -68,7 +67,6 @@ def write_report(
     height, width = window.of(next(iter(experiment.truths.values()))).shape[:2]
     titles = {name: METHOD_TITLES[name] for name in _EXPLANATIONS}
     first = distances.index(experiment.settings.distances[0])
-    sheet = groupby(design_sheet(camera, wavelength), key=lambda row: row.group)
     warnings = [
         Markup('<p class="warning">{}.</p>').format(prose(warning[:1].upper() + warning[1:]))
         for warning in design.design_warnings(camera, wavelength)
@@ -82,7 +80,7 @@ def write_report(
         *others,
         Section("In numbers", _numbers(measured)),
         Section("Figures", pictures_in(folder, plates)),
-        Section("The camera", [*warnings, widgets.sheet([(group, list(rows)) for group, rows in sheet])]),
+        Section("The camera", [*warnings, sheet_tables(camera, wavelength)]),
         Section(
             "Make it again",
             [

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from markupsafe import Markup
 
 from .. import design
 from ..camera import PlenopticCamera, Round
 from ..errors import InputError
 from ..prescription import LINE_C, LINE_F, Collimator, Objective, Prescription, image_distance, paraxial
 from .lens_drawing import field_figures, lateral_colour
+from .pages import template
 
 
 class Row(NamedTuple):
@@ -36,6 +40,14 @@ class Row(NamedTuple):
 
 # A row without its group: quantity, value, unit and note.
 _Line = tuple[str, str, str, str]
+
+
+def sheet_tables(camera: PlenopticCamera, wavelength: float | None = None) -> Markup:
+    """Return the HTML of a camera's design sheet, a table for each group."""
+    groups = itertools.groupby(design_sheet(camera, wavelength), key=lambda row: row.group)
+    widgets: Any = template("comparison.html").module
+    tables: Markup = widgets.sheet([(group, list(rows)) for group, rows in groups])
+    return tables
 
 
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:

@@ -235,16 +235,10 @@ def convolve(image: NDArray[Any], kernel: NDArray[Any]) -> Doubles:
 
     Shapes: `image`, `kernel` (rows, columns).
     """
-    # Larger images are convolved part by part.
-    if image.size > 2**24:
-        from scipy.signal import oaconvolve
+    # It takes a while to load, and most work needs no convolution.
+    from scipy.signal import oaconvolve
 
-        return np.asarray(oaconvolve(image, kernel))
-    size = [n + k - 1 for n, k in zip(image.shape, kernel.shape, strict=True)]
-    quick = [scipy.fft.next_fast_len(n, real=True) for n in size]
-    spectrum = scipy.fft.rfft2(np.asarray(image, np.float64), quick)
-    spectrum *= scipy.fft.rfft2(np.asarray(kernel, np.float64), quick)
-    return np.asarray(scipy.fft.irfft2(spectrum, quick, overwrite_x=True))[: size[0], : size[1]]
+    return np.asarray(oaconvolve(np.asarray(image, np.float64), kernel))
 
 
 def blur(image: NDArray[Any], kernel: NDArray[Any]) -> Doubles:

@@ -143,7 +143,7 @@ def flat_field(response: LinearMap, white: NDArray[np.float32]) -> NDArray[np.fl
     computed = response.forward(np.ones(response.source_shape, np.float32))
     lit = computed > _DARK * computed.max()
     ratio = np.divide(white, computed, out=np.ones_like(computed), where=lit)
-    ratio /= np.median(ratio[lit])
+    ratio /= np.median(ratio[lit & (white > 0)])
     # Micro-images of lenses of another brightness are no dust.
     return np.where(lit, np.where(abs(ratio - 1) < _SPOILT, ratio, 0), 1).astype(np.float32)
 

@@ -5,9 +5,11 @@ The verdicts are those on simulated letters: `claims.check_claims` of the same m
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ...camera import PlenopticCamera
+from ...errors import naming
 from ...io import Cache, Capture, StageOptions, digest, write_json
 from ...refocus import reconstruct
 from ...report import (
@@ -32,12 +35,13 @@ from ...report import (
 )
 from ...runtime import Doubles, software
 from ...scene import render_capture
+from ...views import lens_numbers
 from ..calibrate.photon_transfer import electrons
 from ..deconvolution.deconvolved import flat_field
 from ..deconvolution.response import Response
 from .claims import Claim, check_claims, claims_section
 from .readings import measure_readings, of_subsets, quarters
-from .recording import Recording, Shape, aligned, moved_by, read_recording_of, stray_width
+from .recording import Recording, Shape, aligned, moved_by, paper_of, read_recording_of, stray_width
 
 FINE = 8
 """Bins along a lens of deconvolved pictures."""
@@ -49,8 +53,13 @@ _FINER = 4
 _BEYOND = 2.0
 """Bins of a control's sheets along one of `FINE`, and bins of one a lens by which sheets reach beyond the picture."""
 
-STEPS = 4
-"""Steps of deconvolution: with more, what noise and the model's own errors add between lenses grows, not the detail."""
+STEPS = 30
+VARIATION = 0.01
+_RIM = 0.3
+"""Steps, weight of the total variation, and light over the brightest of a lens below which pixels are left out.
+
+The camera's model is worst at the rims of micro-images, and steps make a grid of lenses of what is wrong there.
+"""
 
 TITLES = {
     "ray": "Rays, lens footprint",
@@ -124,6 +133,7 @@ def judge(recording: Recording, store: Cache, scene: str, wavelength: float) -> 
     """Refocus a light field to all shapes by all methods, and compute verdicts and the quality of deconvolution."""
     camera = recording.camera
     capture, white = recording.capture(wavelength), replace(recording.capture(wavelength), image=recording.white)
+    paper = paper_of(recording)
     key = f"{digest(recording.light, recording.white)} {camera.to_json()} {wavelength:g}"
     keys = {"capture": key}
     near, *_, far = recording.shapes
@@ -152,13 +162,14 @@ def judge(recording: Recording, store: Cache, scene: str, wavelength: float) -> 
         "readings": measure_readings(experiment, store, near, far),
     }
     pictures = {}
-    for name, distance in ((name, distance) for name in TITLES for distance in distances):
-        make = _divided if name != "deconvolved" else _deconvolved
+    makers = {name: partial(_divided, name, capture, white) for name in TITLES}
+    makers["deconvolved"] = partial(_deconvolved, capture, paper)
+    for (name, make), distance in itertools.product(makers.items(), distances):
         pictures[name, distance], _ = store.image(
             f"picture_{name}_{distance:g}",
-            {**keys, "name": name, "distance": distance, "steps": STEPS},
-            lambda _, make=make, name=name, distance=distance: (  # type: ignore[misc]
-                make(name, capture, white, distance),
+            {**keys, "paper": digest(paper), "distance": distance, "steps": [STEPS, VARIATION, _RIM]},
+            lambda _, make=make, distance=distance: (  # type: ignore[misc]
+                make(distance),
                 {"kind": "reconstruction", "distance": distance},
             ),
         )
@@ -167,7 +178,7 @@ def judge(recording: Recording, store: Cache, scene: str, wavelength: float) -> 
         {**keys, "shapes": {name: asdict(shape) for name, shape in recording.shapes.items()}},
         lambda _: {
             "rows": [
-                _quality(name, shape, recording, pictures["deconvolved", shape.distance], wavelength)
+                _quality(name, shape, recording, paper, pictures["deconvolved", shape.distance], wavelength)
                 for name, shape in recording.shapes.items()
             ]
         },
@@ -199,16 +210,30 @@ def _divided(name: str, capture: Capture, white: Capture, distance: float) -> ND
     return np.divide(light, even, out=np.full_like(light, np.nan), where=even > 0.05 * np.nanmax(even))
 
 
-def _deconvolved(name: str, capture: Capture, white: Capture, distance: float) -> NDArray[np.float32]:
+def _deconvolved(capture: Capture, paper: NDArray[np.float32], distance: float) -> NDArray[np.float32]:
     """Return the plane that explains a light field, over the radiance of white."""
+    lenses = lens_numbers(capture.camera)
+    brightest = ndimage.maximum(paper, lenses, np.arange(lenses.max() + 1))[lenses]
     found = reconstruct(
-        capture, distance, method=name, response="wave", oversample=FINE, iterations=STEPS, white=white.image
+        capture,
+        distance,
+        method="deconvolved",
+        response="wave",
+        oversample=FINE,
+        iterations=STEPS,
+        variation=VARIATION,
+        white=np.where(paper > _RIM * brightest, paper, 0),
     )
-    return np.asarray(found.image / np.quantile(white.image, 0.9), np.float32)
+    return np.asarray(found.image / np.quantile(paper, 0.9), np.float32)
 
 
 def _quality(
-    name: str, shape: Shape, recording: Recording, image: NDArray[np.float32], wavelength: float
+    name: str,
+    shape: Shape,
+    recording: Recording,
+    paper: NDArray[np.float32],
+    image: NDArray[np.float32],
+    wavelength: float,
 ) -> dict[str, Any]:
     """Return what is left of the lenses' grid, what is unexplained, and the width of an edge, in a shape's plane."""
     row: dict[str, Any] = {"shape": name, "distance": shape.distance}
@@ -216,19 +241,16 @@ def _quality(
     if "even" in shape.areas:
         row["grid"] = grid(image[shape.window("even", FINE)])
         with Response(camera, [shape.distance], wavelength=wavelength, oversample=FINE) as response:
-            flat = flat_field(response, recording.white)
-            radiance = np.nan_to_num(image) * np.float32(np.quantile(recording.white, 0.9))
+            flat = flat_field(response, paper)
+            radiance = np.nan_to_num(image) * np.float32(np.quantile(paper, 0.9))
             model = flat * response.forward(response.from_image(radiance, 0))
         seen = np.where(flat > 0, recording.light, 0)
-        pixels = camera.micro_image_pitch / camera.pixel_size
-        left, top, width, height = (pixels * value for value in shape.areas["even"])
-        # Bins are counted from where the middle of the picture lies.
-        x, y = (size / 2 - count * pixels / 2 for size, count in zip(camera.resolution, camera.bin_count, strict=True))
-        part = np.s_[round(top + y) : round(top + height + y), round(left + x) : round(left + width + x)]
+        part = shape.pixels(camera, "even")
         row["unexplained"] = float(np.linalg.norm((seen - model)[part]) / np.linalg.norm(seen[part]))
         row["left_out"] = float((flat == 0).mean())
     if "edge" in shape.areas:
-        edge = window_sharpness(image[shape.window("edge", FINE)].astype(np.float64))
+        with naming(f"{name}: edge = {shape.areas['edge']}"):
+            edge = window_sharpness(image[shape.window("edge", FINE)].astype(np.float64))
         row["width_mm"] = float(edge.width * camera.bin_size(shape.distance) / FINE)
     return row
 
@@ -280,6 +302,7 @@ def _control(
             )
 
         inputs = {"planes": digest(*planes.values()), "camera": real.camera.to_dict(), "wavelength": wavelength}
+        inputs["shapes"] = {name: asdict(shape) for name, shape in real.shapes.items()}
         made, _ = store.capture(name, inputs, make)
         light = level * np.atleast_3d(made.image)[..., 0]
         random = np.random.default_rng(len(pictures))

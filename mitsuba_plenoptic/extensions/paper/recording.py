@@ -12,11 +12,11 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from skimage.registration import phase_cross_correlation
 
 from ...camera import PlenopticCamera, camera_and_record
 from ...detector import DetectorOperator
@@ -27,12 +27,6 @@ from ...views import lens_numbers
 from ..calibrate.white_command import sensor_values
 
 _AREAS = ("region", "even", "edge")
-
-_SLOPE = np.array([1, -8, 0, 8, -1]) / 12
-"""Weights of pixels whose sum is the slope, exact for polynomials of fourth degree."""
-
-_DARK = 0.1
-"""Light of a lens over that of the brightest one, below which it is dark."""
 
 _WIDTHS = (8.0, 12.0, 16.0, 20.0, 25.0, 32.0, 45.0, 64.0)
 """Widths of stray light that are compared, in pixels."""
@@ -49,6 +43,15 @@ class Shape:
         """Return the rows and columns of bins in one of the areas."""
         left, top, width, height = (round(oversample * value) for value in self.areas[area])
         return slice(top, top + height), slice(left, left + width)
+
+    def pixels(self, camera: PlenopticCamera, area: str) -> tuple[slice, slice]:
+        """Return the rows and columns of the pixels below one of the areas."""
+        width = camera.micro_image_pitch / camera.pixel_size
+        # Bins are counted from where the middle of the picture lies.
+        x, y = (pixels / 2 - bins * width / 2 for pixels, bins in zip(camera.resolution, camera.bin_count, strict=True))
+        left, top, across, down = (width * value for value in self.areas[area])
+        rows, columns = ((max(round(at), 0), round(at + size)) for at, size in ((top + y, down), (left + x, across)))
+        return slice(*rows), slice(*columns)
 
 
 @dataclass(frozen=True)
@@ -89,15 +92,17 @@ def read_recording_of(folder: Path) -> Recording:
     # Noise below black is no light; it is a small part of a pixel's value.
     light, white = (np.maximum(pictures[name] - dark, 0) for name in names[:2])
     with naming(folder / "shapes.json"):
-        shapes = _shapes(json.loads(read_text(folder / "shapes.json", 2**20)), camera)
+        shapes = _shapes(read_text(folder / "shapes.json", 2**20), camera)
     return Recording(light, white, camera, shapes)
 
 
-def _shapes(values: Any, camera: PlenopticCamera) -> dict[str, Shape]:
+def _shapes(text: str, camera: PlenopticCamera) -> dict[str, Shape]:
     """Return the shapes, nearest first, of a file's content."""
     shapes = {}
-    with refusing("it holds no shapes by name, with distance, region, even and edge:", AttributeError, TypeError):
-        for name, entry in values.items():
+    with refusing(
+        "it holds no shapes by name, with distance, region, even and edge:", AttributeError, TypeError, ValueError
+    ):
+        for name, entry in json.loads(text).items():
             for key in entry:
                 require_choice(f"{name}", key, ("distance", *_AREAS))
             distance = require_number(f"{name}: distance", entry.get("distance"), positive=True)
@@ -107,47 +112,32 @@ def _shapes(values: Any, camera: PlenopticCamera) -> dict[str, Shape]:
                 refuse_if(
                     len(corners) != 4
                     or min(corners) < 0
+                    or min(corners[2:]) < 1
                     or corners[0] + corners[2] > columns
                     or corners[1] + corners[3] > rows,
                     f"{name}: {area} = {entry[area]}: it must be LEFT,TOP,WIDTH,HEIGHT within {columns} x {rows} bins",
                 )
             refuse_if("region" not in areas, f"{name}: it has no region")
             shapes[name] = Shape(distance, areas)
-    refuse_if(len({shape.distance for shape in shapes.values()}) < 2, "it must hold shapes at two distances or more")
+    refuse_if(len({shape.distance for shape in shapes.values()}) != 2, "it must hold shapes at two distances")
     return dict(sorted(shapes.items(), key=lambda item: item[1].distance))
 
 
 def moved_by(recording: Recording) -> tuple[float, float]:
     """Return the pixels along x and y by which the light field has moved since the white picture.
 
-    Each micro-image of the light field is fitted by that of white, times a parabola, plus its slopes times the
-    displacement; the median is of those in which nothing else is seen.
+    The borders of micro-images are correlated, all lenses at the brightness of white and dark ones left out.
     """
-    light, white = (picture.astype(np.float64) for picture in (recording.light, recording.white))
-    camera = recording.camera
-    lenses = lens_numbers(camera)
-    across, down = (ndimage.correlate1d(white, _SLOPE, axis) for axis in (1, 0))
-    least = 0.8 * lenses.size / len(np.unique(lenses))
-    fits = []
-    for index, box in enumerate(ndimage.find_objects(lenses + 1)):
-        inside = None if box is None else lenses[box] == index
-        if inside is None or inside.sum() < least:
-            continue
-        y, x = (values / max(inside.shape) for values in np.nonzero(inside))
-        even, seen = (picture[box][inside] for picture in (white, light))
-        terms = [even * factor for factor in (1, x, y, x * x, x * y, y * y)]
-        terms += [np.ones_like(even), -across[box][inside], -down[box][inside]]
-        design = np.stack(terms, axis=-1)
-        numbers = np.linalg.solve(design.T @ design, design.T @ seen)
-        misfit = float(np.sqrt(np.mean((seen - design @ numbers) ** 2)))
-        brightness = float(seen.sum() / even.sum())
-        fits.append((brightness, misfit / max(float(seen.mean()), 1e-12), *(numbers[-2:] / max(brightness, 1e-12))))
-    bright, misfits, *moves = np.array(fits).T
-    # The edges of shapes change some micro-images.
-    counted = (bright > 0.3 * bright.max()) & (misfits < 0.03)
-    refuse_if(counted.sum() < 3, "light: hardly any of its micro-images is like one of white")
-    x, y = (float(np.median(values[counted])) for values in moves)
-    return x, y
+    lenses = lens_numbers(recording.camera)
+    full, lit = (np.bincount(lenses.ravel(), picture.ravel()) for picture in (recording.white, recording.light))
+    brightness = lit / np.maximum(full, 1e-12)
+    bright = np.where(brightness > 0.3 * brightness.max(), 1.0, 0.0)
+    pictures = bright[lenses] * recording.white, (bright / np.maximum(brightness, 1e-12))[lenses] * recording.light
+    borders = (ndimage.gaussian_gradient_magnitude(picture, 1.0) for picture in pictures)
+    y, x = phase_cross_correlation(*borders, upsample_factor=100, normalization=None)[0].tolist()
+    lens = recording.camera.micro_image_pitch / recording.camera.pixel_size
+    refuse_if(max(abs(x), abs(y)) > lens / 4, f"light: it lies {-x:g} and {-y:g} pixels off the white picture")
+    return -x, -y
 
 
 def stray_width(recording: Recording) -> float | None:
@@ -157,7 +147,7 @@ def stray_width(recording: Recording) -> float | None:
     """
     numbers = lens_numbers(recording.camera)
     brightness = np.bincount(numbers.ravel(), recording.light.ravel()) / np.maximum(np.bincount(numbers.ravel()), 1)
-    dark = (brightness < _DARK * brightness.max())[numbers]
+    dark = (brightness < brightness.max() / 10)[numbers]
     refuse_if(dark.mean() < 0.02, "light: hardly any of its lenses are dark, by which stray light is measured")
     lit = np.where(dark, 0, recording.light)
     seen = recording.light[dark].astype(np.float64)
@@ -182,3 +172,29 @@ def aligned(recording: Recording, moved: tuple[float, float], width: float | Non
     white = ndimage.shift(recording.white, moved[::-1], order=3, mode="nearest")
     camera = camera.replace(mla_offset=(x, y), stray_width=width)
     return replace(recording, white=np.maximum(white, 0).astype(np.float32), camera=camera)
+
+
+def paper_of(recording: Recording) -> NDArray[np.float32]:
+    """Return the white picture as the shapes' papers record it, whose light comes otherwise from each direction.
+
+    In an even area the light field is, lens by lens, the white picture times a brightness and a parabola over the
+    micro-image, which is that of the shape's whole region.
+    """
+    camera = recording.camera
+    white = recording.white.astype(np.float64)
+    lenses = lens_numbers(camera)
+    centres = ndimage.center_of_mass(white, lenses, np.arange(lenses.max() + 1))
+    away = np.indices(lenses.shape) - np.moveaxis(np.nan_to_num(centres)[lenses], -1, 0)
+    y, x = away * camera.pixel_size / camera.micro_image_pitch
+    parabola = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+    paper = white.copy()
+    for shape in (shape for shape in recording.shapes.values() if "even" in shape.areas):
+        part, region = (shape.pixels(camera, area) for area in ("even", "region"))
+        lens, seen, even = lenses[part], recording.light[part], white[part]
+        lit, full = (np.bincount(lens.ravel(), values.ravel()) for values in (seen, even))
+        even = even * (lit / np.maximum(full, 1e-12))[lens]
+        # Rims of micro-images, shadows and dust tell nothing of directions.
+        bright = even > even.max() / 2
+        numbers = np.linalg.lstsq(parabola[part][bright] * even[bright][:, None], seen[bright])[0]
+        paper[region] = white[region] * (parabola[region] @ numbers).clip(0)
+    return paper.astype(np.float32)

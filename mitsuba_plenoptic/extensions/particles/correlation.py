@@ -14,7 +14,7 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.fft
+import scipy.signal
 import xarray as xr
 from numpy.typing import NDArray
 
@@ -78,12 +78,11 @@ def correlate_volumes(
     displacement = np.zeros((*counts, 3))
     best = np.zeros(counts)
     outlier = np.zeros(counts, bool)
-    corners = list(itertools.product(*starts))
-    indices = list(np.ndindex(counts))
-    for number_of_pass in range(passes):
+    corners = [*zip(np.ndindex(counts), itertools.product(*starts), strict=True)]
+    places = iter(counted(corners * passes, progress))
+    for _ in range(passes):
         guess = np.rint(np.nan_to_num(displacement)).astype(int)
-        report = None if progress is None else _part_of(progress, number_of_pass, passes)
-        for index, corner in zip(indices, counted(corners, report), strict=False):
+        for index, corner in itertools.islice(places, len(corners)):
             start = np.array(corner)
             moved = np.clip(start + guess[index], 0, np.array(before.shape) - size)
             windows = (
@@ -114,29 +113,23 @@ def correlate_volumes(
     )
 
 
-def _part_of(progress: Progress, index: int, passes: int) -> Progress:
-    """Return the progress of one of several passes."""
-    return lambda done, total: progress(index * total + done, passes * total)
-
-
 def _displacement(before: Doubles, after: Doubles) -> tuple[Doubles, float]:
     """Return the displacement in voxels of one window's content in the other, and their correlation coefficient.
 
     If a window is empty, they are NaN and 0.
     """
     size = np.array(before.shape)
-    shape = [scipy.fft.next_fast_len(int(2 * n), real=True) for n in size]
     a = before - before.mean()
     b = after - after.mean()
     norm = float(np.linalg.norm(a) * np.linalg.norm(b))
     if not norm:
         return np.full(3, np.nan), 0.0
-    spectrum = np.conj(scipy.fft.rfftn(a, shape)) * scipy.fft.rfftn(b, shape)
-    products = scipy.fft.irfftn(spectrum, shape)
     # 0.25: Overlap of the windows, over their size, below which a displacement is not looked for.
     reach = ((1 - 0.25) * size).astype(int)
     lags = [np.arange(-most, most + 1) for most in reach]
-    products = products[np.ix_(*lags)]
+    products = scipy.signal.correlate(b, a, method="fft")[
+        np.ix_(*(lag + n - 1 for lag, n in zip(lags, size, strict=True)))
+    ]
     peak = np.array(np.unravel_index(int(products.argmax()), products.shape))
     coefficient = float(products[tuple(peak)]) / norm
     # Fewer voxels meet at a displacement, which draws the peak towards 0.

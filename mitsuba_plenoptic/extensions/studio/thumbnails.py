@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from html import escape
-from itertools import groupby
 
 import numpy as np
 
 from ...camera import PlenopticCamera
 from ...io import Capture
 from ...refocus import Reconstruction
-from ...report import design_sheet, images
+from ...report import images, sheet_tables
 
 # Longest side of a picture in pixels, and the size at which it is shown.
 _LONGEST = 512
@@ -35,16 +34,8 @@ def show_reconstruction(result: Reconstruction) -> str:
 
 
 def show_camera(camera: PlenopticCamera) -> str:
-    """Return the HTML of a camera: the design sheet as a collapsible table."""
-    rows = []
-    for group, members in groupby(design_sheet(camera), key=lambda row: row.group):
-        inner = "".join(
-            f"<tr><td>{escape(row.quantity)}</td><td>{escape(row.value)} {escape(row.unit)}</td>"
-            f"<td>{escape(row.note)}</td></tr>"
-            for row in members
-        )
-        rows.append(f'<tr><th colspan="3" style="text-align: left">{escape(group)}</th></tr>{inner}')
-    return f"<details open><summary>{escape(repr(camera))}</summary><table>{''.join(rows)}</table></details>"
+    """Return the HTML of a camera: the design sheet as collapsible tables."""
+    return f"<details open><summary>{escape(repr(camera))}</summary>{sheet_tables(camera)}</details>"
 
 
 def _figure(image: np.ndarray, caption: str) -> str:
