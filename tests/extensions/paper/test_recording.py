@@ -14,12 +14,14 @@ from mitsuba_plenoptic.extensions.calibrate.photon_transfer import electrons
 from mitsuba_plenoptic.extensions.paper.real_light import grid
 from mitsuba_plenoptic.extensions.paper.recording import (
     Recording,
+    Shape,
     aligned,
     moved_by,
+    paper_of,
     read_recording_of,
     stray_width,
 )
-from mitsuba_plenoptic.views import white_image
+from mitsuba_plenoptic.views import lens_numbers, white_image
 
 CAMERA = PlenopticCamera(
     focal_length=200, aperture_radius=3.06, mla_distance=400, mla_pitch=0.2973, mla_focal_length=18.6,
@@ -52,6 +54,21 @@ def test_the_displacement_of_a_light_field_is_found_to_three_hundredths_of_a_pix
         np.abs(brought.light / 1.2 - brought.white)[bright].mean()
         < 0.8 * np.abs(recording.light / 1.2 - recording.white)[bright].mean()
     )
+
+
+def test_paper_has_the_light_of_white_times_a_parabola_over_micro_images():
+    white = recorded().white
+    lenses, x = lens_numbers(CAMERA), np.indices(CAMERA.shape)[1]
+    across = (x - ndimage.mean(x, lenses, np.arange(lenses.max() + 1))[lenses]) / 48
+    shape = Shape(390, {"region": (0, 0, 4, 8), "even": (1, 2, 2, 4)})
+    light = (0.7 * white * (1 + 0.2 * across + 0.4 * across**2)).astype(np.float32)
+    paper = paper_of(Recording(light, white, CAMERA, {"a": shape}))
+    even = shape.pixels(CAMERA, "even")
+    bright = white[even] > 0.5 * white.max()
+    for picture, least, most in ((white, 0.03, 0.2), (paper, 0, 0.004)):
+        ratio = (light / picture)[even][bright]
+        assert least <= ratio.std() / ratio.mean() < most
+    assert (paper == white)[:, 240:].all()
 
 
 @pytest.mark.parametrize("width", [20.0, 64.0, np.inf])
@@ -97,6 +114,7 @@ def test_a_folder_is_read_with_its_nearest_shape_first(tmp_path):
         ({"a": {"distance": 385}, "b": SHAPES["b"]}, ("light", "white"), "a: it has no region"),
         (SHAPES | {"b": {"distance": 9, "region": [4, 0, 9, 8]}}, ("light", "white"), "within 8 x 8 bins"),
         (SHAPES | {"b": {"distance": -1, "region": [4, 0, 4, 8]}}, ("light", "white"), "distance = -1"),
+        ({"a": SHAPES["a"] | {"even": [1, 1, 0, 2]}}, ("light", "white"), "a: even = .1, 1, 0, 2.: it must be"),
         ([], ("light", "white"), "no shapes by name"),
     ],
 )
