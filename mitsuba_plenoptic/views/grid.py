@@ -244,8 +244,12 @@ def lens_numbers(camera: PlenopticCamera) -> Integers:
     return np.asarray((i - i.min()) * (np.ptp(j) + 1) + j - j.min())
 
 
-def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9) -> tuple[np.ndarray, bool]:
+def lattice_rows(
+    vectors: np.ndarray, tolerance: float = 1e-9, like: np.ndarray | None = None
+) -> tuple[np.ndarray, bool]:
     """Return steps along and across the rows from two lattice vectors; rows are chosen nearest to horizontal.
+
+    If steps `like` along and across rows are given, those nearest to their direction and to their ratio are chosen.
 
     Rows and columns are at right angles. Let a and b be the two shortest vectors. A rectangular lattice has rows along
     a and columns along b. A hexagonal lattice, stretched or not, has rows along a + b and columns along a - b, or rows
@@ -267,8 +271,17 @@ def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9) -> tuple[np.ndarr
     ]
     if not shifted:
         candidates = [(a, b), (b, a)]
-    along, across = min(candidates, key=lambda pair: abs(pair[0][1]) / math.hypot(*pair[0]))
-    unit = along / math.hypot(*along) * (1 if along[0] > 0 else -1)
+    row = np.array([1.0, 0.0]) if like is None else like[0] / math.hypot(*like[0])
+    ratio = 0 if like is None else math.hypot(*like[1]) * (1 + shifted) / math.hypot(*like[0])
+
+    def unlike(pair: tuple[np.ndarray, np.ndarray]) -> float:
+        """Return the sine of the angle from the preferred rows, plus the logarithm of the stretching across them."""
+        along, across = (math.hypot(*step) for step in pair)
+        turned = abs(row[0] * pair[0][1] - row[1] * pair[0][0]) / along
+        return turned + (abs(math.log(across / along / ratio)) if ratio else 0.0)
+
+    along, across = min(candidates, key=unlike)
+    unit = along / math.hypot(*along) * (1 if along @ row > 0 else -1)
     normal = np.array([-unit[1], unit[0]])
     return np.array([unit * math.hypot(*along), normal * (math.hypot(*across) / (2 if shifted else 1))]), shifted
 

@@ -128,7 +128,7 @@ def fit_white(
     camera = of_size(plain, size)
     # What the lenses' light cannot be is known before their places are.
     MicroImageModel(camera, wavelength)
-    centres = find_centres(filled(frame))
+    centres = find_centres(filled(frame), camera=camera)
     require_alike(centres.grid, camera)
     sure = ~centres.doubtful
     array = fit_array(centres.pixel[sure], lattice_index(centres.grid, centres.lens)[sure], camera)

@@ -27,7 +27,7 @@ THIN = PlenopticCamera(
     mla_offset=(0.013, -0.021), detector_width=1.6, resolution=(240, 200),
 )  # fmt: skip
 
-HEXAGONAL = THIN.replace(mla_lattice="hexagonal", mla_rotation=-0.3)
+HEXAGONAL = THIN.replace(mla_lattice="hexagonal", mla_rotation=23.0)
 
 
 def recorded(light, seed=0, photons=20000, dark=100.0):
@@ -106,7 +106,7 @@ def test_waves_are_told_from_rays():
     ("pitch", "lattice", "rotation"),
     [
         (15.4, "square", 0.0),
-        (10.5, "hexagonal", 2.0),
+        (10.5, "hexagonal", 90.0),
         pytest.param(12.5, "square", 1.0, marks=pytest.mark.slow),
         pytest.param(15.4, "hexagonal", 0.0, marks=pytest.mark.slow),
     ],
@@ -182,7 +182,7 @@ def test_wrong_pictures_are_refused(white, dark, camera, words):
     ],
 )
 def test_wrong_numbers_are_refused_before_lenses_are_searched(dark, camera, wavelength, words, monkeypatch):
-    monkeypatch.setattr(white_fit, "find_centres", lambda white: pytest.fail("searched"))
+    monkeypatch.setattr(white_fit, "find_centres", lambda white, camera: pytest.fail("searched"))
     refuses(words, fit_white, WHITE, camera, dark=dark, wavelength=wavelength)
 
 
