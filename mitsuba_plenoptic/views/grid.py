@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..array import Displacement
+from ..array import Displacement, Lattice
 from ..camera import PlenopticCamera, Use, require_support
 from ..errors import MOST_PIXELS, put, refuse_if, require_count, require_number, require_pair, require_warp
 from ..optics import rays
@@ -244,12 +244,10 @@ def lens_numbers(camera: PlenopticCamera) -> Integers:
     return np.asarray((i - i.min()) * (np.ptp(j) + 1) + j - j.min())
 
 
-def lattice_rows(
-    vectors: np.ndarray, tolerance: float = 1e-9, like: np.ndarray | None = None
-) -> tuple[np.ndarray, bool]:
+def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9, like: Lattice | None = None) -> tuple[np.ndarray, bool]:
     """Return steps along and across the rows from two lattice vectors; rows are chosen nearest to horizontal.
 
-    If steps `like` along and across rows are given, those nearest to their direction and to their ratio are chosen.
+    Given a lattice, those are chosen that are most `like` the lattice's, in direction and in distance over pitch.
 
     Rows and columns are at right angles. Let a and b be the two shortest vectors. A rectangular lattice has rows along
     a and columns along b. A hexagonal lattice, stretched or not, has rows along a + b and columns along a - b, or rows
@@ -261,24 +259,16 @@ def lattice_rows(
     # Step along a row, and twice that from row to row; of a rectangular lattice, steps of one.
     crossings = [(a, b), (a + b, a - b), (a, 2 * b + a), (b, 2 * a + b)]
     errors = [abs(p @ q) / (math.hypot(*p) * math.hypot(*q)) for p, q in crossings]
-    best = min(errors)
-    shifted = errors[0] > best + tolerance
-    candidates = [
-        (along, across)
-        for pair, error in zip(crossings[1:], errors[1:], strict=True)
-        if error <= best + tolerance
-        for along, across in (pair, pair[::-1])
-    ]
-    if not shifted:
-        candidates = [(a, b), (b, a)]
-    row = np.array([1.0, 0.0]) if like is None else like[0] / math.hypot(*like[0])
-    ratio = 0 if like is None else math.hypot(*like[1]) * (1 + shifted) / math.hypot(*like[0])
+    most = min(errors) + tolerance
+    shifted = errors[0] > most
+    pairs = [pair for pair, error in zip(crossings, errors, strict=True) if error <= most]
+    candidates = [rows for pair in (pairs if shifted else pairs[:1]) for rows in (pair, pair[::-1])]
+    row = (1.0, 0.0) if like is None else like.from_frame(1.0, 0.0)
 
     def unlike(pair: tuple[np.ndarray, np.ndarray]) -> float:
-        """Return the sine of the angle from the preferred rows, plus the logarithm of the stretching across them."""
-        along, across = (math.hypot(*step) for step in pair)
-        turned = abs(row[0] * pair[0][1] - row[1] * pair[0][0]) / along
-        return turned + (abs(math.log(across / along / ratio)) if ratio else 0.0)
+        pitch, apart = (math.hypot(*step) for step in pair)
+        turned = abs(row[0] * pair[0][1] - row[1] * pair[0][0]) / pitch
+        return turned if like is None else turned + abs(math.log(apart / pitch * np.divide(*like.period())))
 
     along, across = min(candidates, key=unlike)
     unit = along / math.hypot(*along) * (1 if along @ row > 0 else -1)

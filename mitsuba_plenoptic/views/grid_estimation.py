@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.ndimage
 
-from ..camera import PlenopticCamera
+from ..array import Lattice
 from ..errors import refuse_if
 from ..runtime import as_pixels
 from .grid import LensGrid, covering_grid, lattice_rows, reduced
@@ -24,7 +24,7 @@ _CELL = 24
 NO_LATTICE = "white: no regular lattice of micro-images is seen in it"
 
 
-def estimate_lens_grid(white: np.ndarray, camera: PlenopticCamera | None = None) -> LensGrid:
+def estimate_lens_grid(white: np.ndarray, like: Lattice | None = None) -> LensGrid:
     """Return pitches, rotation and offset of a square, rectangular or hexagonal array, found in a white image.
 
     The spectrum of the image's middle gives the lattice to a fraction of a pixel per lens. From there the centroids
@@ -37,8 +37,8 @@ def estimate_lens_grid(white: np.ndarray, camera: PlenopticCamera | None = None)
     ----------
     white : (rows, columns[, channels]) array
         A picture of something evenly white. Micro-images must be brighter than the gaps between them.
-    camera : PlenopticCamera, optional
-        A camera whose rows are most like those to be counted. Default: rows are nearest to horizontal.
+    like : Lattice, optional
+        Lattice whose rows the grid's are to follow. Default: rows are nearest to horizontal.
 
     Returns
     -------
@@ -60,10 +60,6 @@ def estimate_lens_grid(white: np.ndarray, camera: PlenopticCamera | None = None)
     if image.ndim == 3:
         image = image.mean(axis=2)
     vectors, origin = _guess(image)
-    like = None
-    if camera is not None:
-        lattice = camera.lattice
-        like = np.array([lattice.from_frame(lattice.pitches[0], 0.0), lattice.from_frame(0.0, lattice.row_distance)])
     return covering_grid(image.shape, *_fit(image, origin, reduced(vectors), like))
 
 
@@ -240,12 +236,9 @@ def _refined(spectrum: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 
 def _fit(
-    image: np.ndarray, origin: np.ndarray, vectors: np.ndarray, like: np.ndarray | None
+    image: np.ndarray, origin: np.ndarray, vectors: np.ndarray, like: Lattice | None
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Return the lattice fitted to the micro-images' centroids, first about the middle and then everywhere.
-
-    Shapes: `like` (2, 2), see `lattice_rows`.
-    """
+    """Return the lattice fitted to the micro-images' centroids, first about the middle and then everywhere."""
     size = np.array(image.shape[::-1])
     discs = Discs.of(image, vectors)
     radius = discs.pitch / 2

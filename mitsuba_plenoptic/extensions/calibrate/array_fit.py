@@ -69,9 +69,7 @@ def require_alike(grid: LensGrid, camera: PlenopticCamera) -> None:
         f"mla_lattice = {camera.mla_lattice}: the picture shows rows that are "
         f"{'not ' if hexagonal else ''}shifted by half a pitch",
     )
-    lattice = camera.lattice
-    scale = camera.image_growth / camera.pixel_size
-    nominal = lattice.nearest_distance * scale
+    nominal = camera.lattice.nearest_distance * camera.image_growth / camera.pixel_size
     measured = grid.nearest_distance
     refuse_if(
         abs(measured / nominal - 1) > 0.03,
@@ -87,8 +85,7 @@ def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera, de
     does, within three standard errors, where each third of them is withheld in turn; of degree 1 there is none.
     """
     scale = camera.pixel_size / camera.image_growth
-    at_axis = (np.array(camera.resolution) / 2 - camera.crop_offset) - 0.5
-    target = pixels - at_axis
+    target = pixels - (np.array(camera.resolution) - 1) / 2
     # Coefficients of a warp are pixels at the farthest lens.
     reach = np.abs(target).max()
     nearest = index[np.hypot(*target.T).argmin()]
@@ -159,5 +156,4 @@ def places(fit: ArrayFit, index: np.ndarray, camera: PlenopticCamera) -> np.ndar
     u, v = (index - fit.nearest).T * np.array([[lattice.pitches[0]], [lattice.row_distance]])
     x, y = (first + step for first, step in zip(lattice.centre(0.0, 0.0), lattice.from_frame(u, v), strict=True))
     warped = np.stack([x, y], axis=-1) + np.stack(Displacement(tuple(fit.warp.tolist())).smooth(x, y), axis=-1)
-    at_axis = (np.array(camera.resolution) / 2 - camera.crop_offset) - 0.5
-    return np.asarray(warped * camera.image_growth / camera.pixel_size + at_axis)
+    return np.asarray(warped * camera.image_growth / camera.pixel_size + (np.array(camera.resolution) - 1) / 2)

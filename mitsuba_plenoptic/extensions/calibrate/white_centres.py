@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...camera import PlenopticCamera
+from ...array import Lattice
 from ...errors import refuse_if
 from ...runtime import as_array, atomic_output
 from ...views import Discs, LensGrid, estimate_lens_grid, pixels_around
@@ -68,7 +68,7 @@ class Centres:
         return Table(name, {"k": k, "l": l, "u": u, "v": v, DOUBTFUL_COLUMN: self.doubtful.astype(int)})
 
 
-def find_centres(*whites: np.ndarray, camera: PlenopticCamera | None = None) -> Centres:
+def find_centres(*whites: np.ndarray, like: Lattice | None = None) -> Centres:
     """Return the centre of each micro-image in a white image.
 
     Parameters
@@ -76,8 +76,8 @@ def find_centres(*whites: np.ndarray, camera: PlenopticCamera | None = None) -> 
     *whites : (rows, columns[, channels]) arrays
         Pictures of something evenly white, with values proportional to light: one, or several of one camera at several
         apertures, over which the centres are averaged.
-    camera : PlenopticCamera, optional
-        A camera whose rows are most like those to be counted. Default: rows are nearest to horizontal.
+    like : Lattice, optional
+        Lattice whose rows are counted. Default: rows are nearest to horizontal.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def find_centres(*whites: np.ndarray, camera: PlenopticCamera | None = None) -> 
     images = [as_array("white", white, np.float64) for white in whites]
     sizes = {image.shape[:2] for image in images}
     refuse_if(len(sizes) != 1, f"white images: they have {len(sizes)} sizes of pictures: one is needed, of one camera")
-    grid = estimate_lens_grid(images[0], camera)
+    grid = estimate_lens_grid(images[0], like)
     images = [image.mean(axis=2) if image.ndim == 3 else image for image in images]
     first = grid.centres()
     radius = grid.nearest_distance / 2

@@ -27,7 +27,7 @@ THIN = PlenopticCamera(
     mla_offset=(0.013, -0.021), detector_width=1.6, resolution=(240, 200),
 )  # fmt: skip
 
-HEXAGONAL = THIN.replace(mla_lattice="hexagonal", mla_rotation=23.0)
+HEXAGONAL = THIN.replace(mla_lattice="hexagonal", mla_rotation=27.0)
 
 
 def recorded(light, seed=0, photons=20000, dark=100.0):
@@ -182,7 +182,7 @@ def test_wrong_pictures_are_refused(white, dark, camera, words):
     ],
 )
 def test_wrong_numbers_are_refused_before_lenses_are_searched(dark, camera, wavelength, words, monkeypatch):
-    monkeypatch.setattr(white_fit, "find_centres", lambda white, camera: pytest.fail("searched"))
+    monkeypatch.setattr(white_fit, "find_centres", lambda white, like: pytest.fail("searched"))
     refuses(words, fit_white, WHITE, camera, dark=dark, wavelength=wavelength)
 
 
