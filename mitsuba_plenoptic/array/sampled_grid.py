@@ -40,7 +40,7 @@ def known_samples(name: str, value: Any, units: Mapping[str, float]) -> Doubles:
         not all(low <= size <= high for size in samples.shape),
         f"{name} of shape {samples.shape}: it must be {low} to {high} rows of as many columns",
     )
-    refuse_if(not np.isfinite(samples).all(), f"{name}: its numbers must be finite")
+    _require_all(name, samples, np.isfinite(samples), "finite")
     values = np.array([[float(str(sample)) for sample in row] for row in samples])
     values.flags.writeable = False
     return values
@@ -88,7 +88,7 @@ def read_samples(name: str, value: Any, units: Mapping[str, float] | None) -> Do
     return samples
 
 
-def _require_all(name: str, samples: Doubles, right: NDArray[np.bool_], rule: str) -> None:
+def _require_all(name: str, samples: NDArray[Any], right: NDArray[np.bool_], rule: str) -> None:
     """Refuse samples (rows, columns) of which one is not right."""
     for row, column in np.argwhere(~right)[:1]:
         raise InputError(f"{name}[{row}, {column}] = {samples[row, column]:g}: it must be {rule}")

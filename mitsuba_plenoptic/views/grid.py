@@ -16,7 +16,7 @@ from ..array import Displacement, Lattice
 from ..camera import PlenopticCamera, Use, require_support
 from ..errors import MOST_PIXELS, put, refuse_if, require_count, require_number, require_pair, require_warp
 from ..optics import rays
-from ..runtime import Doubles, Integers, require_memory
+from ..runtime import Doubles, Integers, require_memory, turn
 
 
 @dataclass(frozen=True)
@@ -61,20 +61,24 @@ class LensGrid:
     middle: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        spacing = require_pair("spacing", self.spacing, "(along a row, between rows)")
-        offset = require_pair("offset", self.offset, "(column, row)")
-        shape = require_pair("shape", self.shape, "(rows, columns)")
         put(
             self,
             spacing=tuple(
-                require_number("spacing", value, positive=True, minimum=1e-3, maximum=1e6) for value in spacing
+                require_number("spacing", value, positive=True, minimum=1e-3, maximum=1e6)
+                for value in require_pair("spacing", self.spacing, "(along a row, between rows)")
             ),
-            offset=tuple(require_number("offset", value, minimum=-1e9, maximum=1e9) for value in offset),
-            shape=tuple(require_count("shape", value, maximum=MOST_PIXELS) for value in shape),
+            offset=tuple(
+                require_number("offset", value, minimum=-1e9, maximum=1e9)
+                for value in require_pair("offset", self.offset, "(column, row)")
+            ),
+            shape=tuple(
+                require_count("shape", value, maximum=MOST_PIXELS)
+                for value in require_pair("shape", self.shape, "(rows, columns)")
+            ),
             rotation=require_number("rotation", self.rotation, minimum=-math.tau, maximum=math.tau),
+            warp=require_warp("warp", self.warp),
+            middle=tuple(require_number("middle", value, minimum=-1e9, maximum=1e9) for value in self.middle),
         )
-        put(self, warp=require_warp("warp", self.warp))
-        put(self, middle=tuple(require_number("middle", value, minimum=-1e9, maximum=1e9) for value in self.middle))
         if self.shifted_rows is not None:
             put(self, shifted_rows=require_count("shifted_rows", self.shifted_rows, minimum=0, maximum=1))
 
@@ -102,12 +106,7 @@ class LensGrid:
             column += 0.5 * (row % 2 == self.shifted_rows)
         along = column * self.spacing[0]
         across = row * self.spacing[1]
-        cosine = math.cos(self.rotation)
-        sine = math.sin(self.rotation)
-        regular = np.stack(
-            [self.offset[0] + cosine * along - sine * across, self.offset[1] + sine * along + cosine * across],
-            axis=-1,
-        )
+        regular = self.offset + np.stack(turn(along, across, math.degrees(self.rotation)), axis=-1)
         if not self.warp:
             return regular
         moved = Displacement(self.warp).smooth(*np.moveaxis(regular - self.middle, -1, 0))

@@ -91,12 +91,11 @@ def find_centres(*whites: np.ndarray, like: Lattice | None = None) -> Centres:
     images = [image.mean(axis=2) if image.ndim == 3 else image for image in images]
     first = grid.centres()
     radius = grid.nearest_distance / 2
-    row, column = np.indices(grid.shape)
     size = np.array(images[0].shape[::-1])
     inside = ((first > radius + 1) & (first < size - radius - 1)).all(-1)
-    lens = np.stack([column[inside], row[inside]], axis=-1)
+    lens = np.indices(grid.shape)[::-1, inside].T
     start = first[inside]
-    vectors = np.array([first[0, 1] - first[0, 0], first[1, 0] - first[0, 0]])
+    vectors = first[[0, 1], [1, 0]] - first[0, 0]
     blocks = np.array_split(start, -(-len(start) // 2048))
     measured = []
     for image in images:

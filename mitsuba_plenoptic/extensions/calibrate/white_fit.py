@@ -200,7 +200,7 @@ def fit_white(
 def whole_lenses(recording: WhiteRecording, position: np.ndarray) -> np.ndarray:
     """Return which lenses at places (n, 2) have their cells within the picture, and light there."""
     camera = recording.camera
-    scale = recording.camera.image_growth / recording.camera.pixel_size
+    scale = camera.image_growth / camera.pixel_size
     corners = position[:, None] + camera.lattice.cell_corners() * scale + 0.5
     complete = np.asarray(((corners >= 0) & (corners <= recording.frame.light.shape[::-1])).all((1, 2)))
     first, value, _, _ = recording.pixels(position[complete])
