@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_module, require_number, require_wavelength
 from ..runtime import IMAGE, Doubles, as_array, module_of, require_file, take, unit_of
@@ -39,7 +40,7 @@ def known_samples(name: str, value: Any, units: Mapping[str, float]) -> Doubles:
         not all(low <= size <= high for size in samples.shape),
         f"{name} of shape {samples.shape}: it must be {low} to {high} rows of as many columns",
     )
-    refuse_if(not np.isfinite(samples).all(), f"{name}: its numbers must be finite")
+    _require_all(name, samples, np.isfinite(samples), "finite")
     values = np.array([[float(str(sample)) for sample in row] for row in samples])
     values.flags.writeable = False
     return values
@@ -52,7 +53,7 @@ def read_table(name: str, value: Any, *, largest: int, most: float, decimals: in
         not all(1 <= size <= largest for size in values.shape),
         f"{name} of shape {values.shape}: it must have 1 to {largest} rows and columns",
     )
-    refuse_if(values.min() < 0 or values.max() > most, f"{name}: its numbers must be from 0 to {most:g}")
+    _require_all(name, values, (values >= 0) & (values <= most), f"from 0 to {most:g}")
     values = values.round(decimals)
     values.flags.writeable = False
     return values
@@ -83,8 +84,14 @@ def read_samples(name: str, value: Any, units: Mapping[str, float] | None) -> Do
             samples *= require_wavelength(nanometres, "WAVELEN") * units["nm"]
         samples *= units[plain]
     refuse_if(samples.ndim != 2, f"{name} of shape {samples.shape}: it must be rows of as many columns")
-    refuse_if(not np.isfinite(samples).all(), f"{name}: its numbers must be finite")
+    _require_all(name, samples, np.isfinite(samples), "finite")
     return samples
+
+
+def _require_all(name: str, samples: NDArray[Any], right: NDArray[np.bool_], rule: str) -> None:
+    """Refuse samples (rows, columns) of which one is not right."""
+    for row, column in np.argwhere(~right)[:1]:
+        raise InputError(f"{name}[{row}, {column}] = {samples[row, column]:g}: it must be {rule}")
 
 
 def _read(path: Path) -> tuple[Any, Mapping[str, Any]]:

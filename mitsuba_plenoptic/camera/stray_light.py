@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..array import read_table
-from ..errors import put, require_number, suggest_keywords
+from ..errors import put, refuse_if, require_number, suggest_keywords
 from ..runtime import Doubles, Floats, PlainData, known_record
 
 _LARGEST = 256
@@ -48,7 +48,11 @@ class StrayLight(PlainData):
     values: Any
 
     def __post_init__(self) -> None:
-        put(self, values=read_table("values", self.values, largest=_LARGEST, most=_MOST))
+        table = read_table("values", self.values, largest=_LARGEST, most=_MOST)
+        # NumPy takes truth values for numbers.
+        for value in np.array(self.values, object).flat:
+            refuse_if(isinstance(value, bool), f"values = {value}: it must be a number")
+        put(self, values=table)
 
     def at(self, across: Doubles, down: Doubles) -> Floats:
         """Return the fractions (rows, columns) at positions over the detector's width and height, from 0 to 1."""

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from ..array import Displacement
+from ..array import Displacement, Lattice
 from ..camera import PlenopticCamera, Use, require_support
 from ..errors import MOST_PIXELS, put, refuse_if, require_count, require_number, require_pair, require_warp
 from ..optics import rays
-from ..runtime import Doubles, Integers, require_memory
+from ..runtime import Doubles, Integers, require_memory, turn
 
 
 @dataclass(frozen=True)
@@ -61,20 +61,24 @@ class LensGrid:
     middle: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        spacing = require_pair("spacing", self.spacing, "(along a row, between rows)")
-        offset = require_pair("offset", self.offset, "(column, row)")
-        shape = require_pair("shape", self.shape, "(rows, columns)")
         put(
             self,
             spacing=tuple(
-                require_number("spacing", value, positive=True, minimum=1e-3, maximum=1e6) for value in spacing
+                require_number("spacing", value, positive=True, minimum=1e-3, maximum=1e6)
+                for value in require_pair("spacing", self.spacing, "(along a row, between rows)")
             ),
-            offset=tuple(require_number("offset", value, minimum=-1e9, maximum=1e9) for value in offset),
-            shape=tuple(require_count("shape", value, maximum=MOST_PIXELS) for value in shape),
+            offset=tuple(
+                require_number("offset", value, minimum=-1e9, maximum=1e9)
+                for value in require_pair("offset", self.offset, "(column, row)")
+            ),
+            shape=tuple(
+                require_count("shape", value, maximum=MOST_PIXELS)
+                for value in require_pair("shape", self.shape, "(rows, columns)")
+            ),
             rotation=require_number("rotation", self.rotation, minimum=-math.tau, maximum=math.tau),
+            warp=require_warp("warp", self.warp),
+            middle=tuple(require_number("middle", value, minimum=-1e9, maximum=1e9) for value in self.middle),
         )
-        put(self, warp=require_warp("warp", self.warp))
-        put(self, middle=tuple(require_number("middle", value, minimum=-1e9, maximum=1e9) for value in self.middle))
         if self.shifted_rows is not None:
             put(self, shifted_rows=require_count("shifted_rows", self.shifted_rows, minimum=0, maximum=1))
 
@@ -102,12 +106,7 @@ class LensGrid:
             column += 0.5 * (row % 2 == self.shifted_rows)
         along = column * self.spacing[0]
         across = row * self.spacing[1]
-        cosine = math.cos(self.rotation)
-        sine = math.sin(self.rotation)
-        regular = np.stack(
-            [self.offset[0] + cosine * along - sine * across, self.offset[1] + sine * along + cosine * across],
-            axis=-1,
-        )
+        regular = self.offset + np.stack(turn(along, across, math.degrees(self.rotation)), axis=-1)
         if not self.warp:
             return regular
         moved = Displacement(self.warp).smooth(*np.moveaxis(regular - self.middle, -1, 0))
@@ -244,8 +243,10 @@ def lens_numbers(camera: PlenopticCamera) -> Integers:
     return np.asarray((i - i.min()) * (np.ptp(j) + 1) + j - j.min())
 
 
-def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9) -> tuple[np.ndarray, bool]:
+def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9, like: Lattice | None = None) -> tuple[np.ndarray, bool]:
     """Return steps along and across the rows from two lattice vectors; rows are chosen nearest to horizontal.
+
+    Given a lattice, those are chosen that are most `like` the lattice's, in direction and in distance over pitch.
 
     Rows and columns are at right angles. Let a and b be the two shortest vectors. A rectangular lattice has rows along
     a and columns along b. A hexagonal lattice, stretched or not, has rows along a + b and columns along a - b, or rows
@@ -257,18 +258,19 @@ def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9) -> tuple[np.ndarr
     # Step along a row, and twice that from row to row; of a rectangular lattice, steps of one.
     crossings = [(a, b), (a + b, a - b), (a, 2 * b + a), (b, 2 * a + b)]
     errors = [abs(p @ q) / (math.hypot(*p) * math.hypot(*q)) for p, q in crossings]
-    best = min(errors)
-    shifted = errors[0] > best + tolerance
-    candidates = [
-        (along, across)
-        for pair, error in zip(crossings[1:], errors[1:], strict=True)
-        if error <= best + tolerance
-        for along, across in (pair, pair[::-1])
-    ]
-    if not shifted:
-        candidates = [(a, b), (b, a)]
-    along, across = min(candidates, key=lambda pair: abs(pair[0][1]) / math.hypot(*pair[0]))
-    unit = along / math.hypot(*along) * (1 if along[0] > 0 else -1)
+    most = min(errors) + tolerance
+    shifted = errors[0] > most
+    pairs = [pair for pair, error in zip(crossings, errors, strict=True) if error <= most]
+    candidates = [rows for pair in (pairs if shifted else pairs[:1]) for rows in (pair, pair[::-1])]
+    row = (1.0, 0.0) if like is None else like.from_frame(1.0, 0.0)
+
+    def unlike(pair: tuple[np.ndarray, np.ndarray]) -> float:
+        pitch, apart = (math.hypot(*step) for step in pair)
+        turned = abs(row[0] * pair[0][1] - row[1] * pair[0][0]) / pitch
+        return turned if like is None else turned + abs(math.log(apart / pitch * np.divide(*like.period())))
+
+    along, across = min(candidates, key=unlike)
+    unit = along / math.hypot(*along) * (1 if along @ row > 0 else -1)
     normal = np.array([-unit[1], unit[0]])
     return np.array([unit * math.hypot(*along), normal * (math.hypot(*across) / (2 if shifted else 1))]), shifted
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.ndimage
 
+from ..array import Lattice
 from ..errors import refuse_if
 from ..runtime import as_pixels
 from .grid import LensGrid, covering_grid, lattice_rows, reduced
@@ -23,7 +24,7 @@ _CELL = 24
 NO_LATTICE = "white: no regular lattice of micro-images is seen in it"
 
 
-def estimate_lens_grid(white: np.ndarray) -> LensGrid:
+def estimate_lens_grid(white: np.ndarray, like: Lattice | None = None) -> LensGrid:
     """Return pitches, rotation and offset of a square, rectangular or hexagonal array, found in a white image.
 
     The spectrum of the image's middle gives the lattice to a fraction of a pixel per lens. From there the centroids
@@ -36,6 +37,8 @@ def estimate_lens_grid(white: np.ndarray) -> LensGrid:
     ----------
     white : (rows, columns[, channels]) array
         A picture of something evenly white. Micro-images must be brighter than the gaps between them.
+    like : Lattice, optional
+        Lattice whose rows the grid's are to follow. Default: rows are nearest to horizontal.
 
     Returns
     -------
@@ -57,7 +60,7 @@ def estimate_lens_grid(white: np.ndarray) -> LensGrid:
     if image.ndim == 3:
         image = image.mean(axis=2)
     vectors, origin = _guess(image)
-    return covering_grid(image.shape, *_fit(image, origin, reduced(vectors)))
+    return covering_grid(image.shape, *_fit(image, origin, reduced(vectors), like))
 
 
 def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -232,7 +235,9 @@ def _refined(spectrum: np.ndarray, position: np.ndarray) -> np.ndarray:
     return result
 
 
-def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
+def _fit(
+    image: np.ndarray, origin: np.ndarray, vectors: np.ndarray, like: Lattice | None
+) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return the lattice fitted to the micro-images' centroids, first about the middle and then everywhere."""
     size = np.array(image.shape[::-1])
     discs = Discs.of(image, vectors)
@@ -272,7 +277,7 @@ def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np
                 break
     refuse_if(np.median(moved[clear]) > 0.2 * radius, NO_LATTICE)
     # Directions of rows through the lattice count as the same if they part by no more of a lens at the image's corners.
-    rows, shifted = lattice_rows(vectors, 0.02 / farthest)
+    rows, shifted = lattice_rows(vectors, 0.02 / farthest, like)
     steps = np.round(np.linalg.solve(rows.T, (index[clear] @ vectors).T).T * 2) / 2
     return *_rows_at_right_angles(steps, measured[clear]), shifted
 

@@ -343,7 +343,8 @@ class ArrayKernels(LensWaves):
         lattice = self.lattice
         # A lag of whole steps moves both points of a pair to points of the grid.
         step = lattice.pitches[0] / USUAL.pitch_lags / 2
-        reach = math.ceil(lattice.cell_reach / step) + farthest * stride + 1
+        # Samples count in part up to one beyond the cell, which with them is wider by two samples.
+        reach = math.ceil(lattice.cell_reach * (1 / step + 2 / lattice.pitches[0])) + farthest * stride
         along = (np.arange(-reach, reach) + 0.5) * step
         y, x = np.meshgrid(along, along, indexing="ij")
         (x, y), T, share = self.transmission((x, y), kind, cosines)
@@ -380,10 +381,9 @@ class ArrayKernels(LensWaves):
         result = np.zeros((coefficients.shape[1], count, count), np.complex64)
         # Views (column, row, place) of T, from each column on.
         lines = np.lib.stride_tricks.sliding_window_view(T, width, axis=1).transpose(1, 0, 2)
-        after = lines[left - most : left + most + 1 : stride]
-        before = lines[left + most : left - most - 1 : -stride]
-        after = after[first:]
-        before = before[first:]
+        lines = lines[left - most : left + most + 1 : stride]
+        after = lines[first:]
+        before = lines[::-1][first:]
 
         def integrate(lags: Integers) -> None:
             product = np.empty((count - first, bottom - top, width), np.complex64)

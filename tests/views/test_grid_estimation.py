@@ -15,38 +15,28 @@ ROOT3 = math.sqrt(3)
 def distances(found, truth, shape):
     """Distance of every true centre within the image from the nearest one found, and of each found from a true one."""
     ours, theirs = (grid.centres().reshape(-1, 2) for grid in (found, truth))
-    theirs = theirs[((theirs > 0) & (theirs < shape[::-1])).all(1)]
-    ours = ours[((ours > 5) & (ours < np.array(shape[::-1]) - 5)).all(1)]
-    return cKDTree(found.centres().reshape(-1, 2)).query(theirs)[0], cKDTree(truth.centres().reshape(-1, 2)).query(
-        ours
-    )[0]
+    seen = theirs[((theirs > 0) & (theirs < shape[::-1])).all(1)]
+    inner = ours[((ours > 5) & (ours < np.array(shape[::-1]) - 5)).all(1)]
+    return cKDTree(ours).query(seen)[0], cKDTree(theirs).query(inner)[0]
 
 
-@pytest.mark.parametrize(
-    "grid",
-    [
-        LensGrid((16.317, 16.317), (-23.3, -17.2), (70, 70), math.radians(0.3)),
-        LensGrid((17.1, 17.1 * ROOT3 / 2), (-23.3, -17.2), (80, 70), math.radians(0.3), 1),
-        LensGrid((17.1 * ROOT3, 17.1 / 2), (-23.3, -17.2), (140, 45), math.radians(-0.3), 0),
-        LensGrid((17.0, 15.5), (-60.0, 17.3), (90, 80), math.radians(-3.0)),
-        LensGrid((17.1, 0.93 * 17.1 * ROOT3 / 2), (-23.3, -80.2), (80, 70), math.radians(4.0), 1),
-        LensGrid((17.1 * ROOT3, 1.003 * 17.1 / 2), (-23.3, -17.2), (140, 45), math.radians(-3.0), 0),
-        LensGrid((20.0, 1.3 * 20.0 * ROOT3 / 2), (-95.3, -17.2), (60, 60), math.radians(-5.0), 1),
-    ],
-    ids=[
-        "square",
-        "hexagonal",
-        "hexagonal, upright",
-        "rectangular",
-        "hexagonal, flat",
-        "hexagonal, upright, hardly stretched",
-        "hexagonal, tall",
-    ],
-)
+GRIDS = {
+    "square": LensGrid((16.317, 16.317), (-23.3, -17.2), (70, 70), math.radians(0.3)),
+    "hexagonal": LensGrid((17.1, 17.1 * ROOT3 / 2), (-23.3, -17.2), (80, 70), math.radians(0.3), 1),
+    "hexagonal, upright": LensGrid((17.1 * ROOT3, 17.1 / 2), (-23.3, -17.2), (140, 45), math.radians(-0.3), 0),
+    "rectangular": LensGrid((17.0, 15.5), (-60.0, 17.3), (90, 80), math.radians(-3.0)),
+    "hexagonal, flat": LensGrid((17.1, 0.93 * 17.1 * ROOT3 / 2), (-23.3, -80.2), (80, 70), math.radians(4.0), 1),
+    "hexagonal, upright, hardly stretched": LensGrid(
+        (17.1 * ROOT3, 1.003 * 17.1 / 2), (-23.3, -17.2), (140, 45), math.radians(-3.0), 0
+    ),
+    "hexagonal, tall": LensGrid((20.0, 1.3 * 20.0 * ROOT3 / 2), (-95.3, -17.2), (60, 60), math.radians(-5.0), 1),
+}
+
+
+@pytest.mark.parametrize("grid", GRIDS.values(), ids=GRIDS)
 def test_centres_of_an_unknown_lattice(grid):
     # A micro-image is 10.7 pixels wide. The picture is darker towards its corners and noisy.
-    camera = PlenopticCamera(detector_width=3.2, resolution=(800, 720))
-    image = white_image(camera, grid)
+    image = white_image(PlenopticCamera(detector_width=3.2, resolution=(800, 720)), grid)
     y, x = (np.linspace(-1, 1, n) for n in image.shape)
     image = 900 * image * (1 - 0.15 * (x**2 + y[:, None] ** 2)) + 40
     image += np.random.default_rng(0).normal(0, 20, image.shape)
@@ -87,7 +77,6 @@ def test_lattices_of_micro_images_that_overlap(diameter, lattice, rotation, pitc
 
 
 def test_colour_pictures_count_by_their_mean():
-    camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
-    white = white_image(camera)
+    white = white_image(PlenopticCamera(detector_width=0.512, resolution=(256, 256)))
     grey, colour = estimate_lens_grid(white), estimate_lens_grid(white[..., None] * [0.5, 1.0, 1.5])
     assert colour.offset == pytest.approx(grey.offset, abs=1e-3)

@@ -69,9 +69,7 @@ def require_alike(grid: LensGrid, camera: PlenopticCamera) -> None:
         f"mla_lattice = {camera.mla_lattice}: the picture shows rows that are "
         f"{'not ' if hexagonal else ''}shifted by half a pitch",
     )
-    lattice = camera.lattice
-    scale = camera.image_growth / camera.pixel_size
-    nominal = lattice.nearest_distance * scale
+    nominal = camera.lattice.nearest_distance * camera.image_growth / camera.pixel_size
     measured = grid.nearest_distance
     refuse_if(
         abs(measured / nominal - 1) > 0.03,
@@ -87,8 +85,7 @@ def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera, de
     does, within three standard errors, where each third of them is withheld in turn; of degree 1 there is none.
     """
     scale = camera.pixel_size / camera.image_growth
-    at_axis = (np.array(camera.resolution) / 2 - camera.crop_offset) - 0.5
-    target = pixels - at_axis
+    target = pixels - (np.array(camera.resolution) - 1) / 2
     # Coefficients of a warp are pixels at the farthest lens.
     reach = np.abs(target).max()
     nearest = index[np.hypot(*target.T).argmin()]
@@ -96,7 +93,7 @@ def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera, de
     matrix = np.column_stack([np.ones(len(steps)), steps])
     middle, along, across = np.linalg.lstsq(matrix, target)[0]
     pitch = math.hypot(*along)
-    row = (along[0] * across[1] - along[1] * across[0]) / pitch
+    row = np.linalg.det([along, across]) / pitch
     start = [pitch, row, math.atan2(along[1], along[0]), *middle]
 
     def placed(numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -145,8 +142,7 @@ def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera, de
     # In millimetres, with zeros up to the third or the fifth degree.
     warp = np.zeros((2, len(exponents(3 if degree <= 3 else 5, lowest=2))))
     warp[:, : len(powers)] = numbers[5:].reshape(2, -1) * scale / [(reach * scale) ** (i + j) for i, j in powers]
-    aspect = camera.lattice.row_distance / camera.mla_pitches[1]
-    pitches = float(pitch), float(row / aspect)
+    pitches = float(pitch), float(row / camera.lattice.row_ratio)
     plain = camera.replace(mla_pitch=pitches, mla_rotation=math.degrees(angle), mla_offset=(0.0, 0.0))
     first = plain.lattice.centre(0.0, 0.0)
     return ArrayFit(pitches, math.degrees(angle), (float(x0 - first[0]), float(y0 - first[1])), warp.ravel(), nearest)
@@ -154,10 +150,8 @@ def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera, de
 
 def places(fit: ArrayFit, index: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
     """Return the places (n, 2) in pixels of the micro-images of lenses with indices (n, 2), see `lattice_index`."""
-    fitted = camera.replace(mla_pitch=fit.pitches, mla_rotation=fit.rotation, mla_offset=fit.offset)
-    lattice = fitted.lattice
+    lattice = camera.replace(**fit.lattice_parameters()).lattice
     u, v = (index - fit.nearest).T * np.array([[lattice.pitches[0]], [lattice.row_distance]])
     x, y = (first + step for first, step in zip(lattice.centre(0.0, 0.0), lattice.from_frame(u, v), strict=True))
     warped = np.stack([x, y], axis=-1) + np.stack(Displacement(tuple(fit.warp.tolist())).smooth(x, y), axis=-1)
-    at_axis = (np.array(camera.resolution) / 2 - camera.crop_offset) - 0.5
-    return np.asarray(warped * camera.image_growth / camera.pixel_size + at_axis)
+    return np.asarray(warped * camera.image_growth / camera.pixel_size + (np.array(camera.resolution) - 1) / 2)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...array import Lattice
 from ...errors import refuse_if
 from ...runtime import as_array, atomic_output
 from ...views import Discs, LensGrid, estimate_lens_grid, pixels_around
@@ -67,7 +68,7 @@ class Centres:
         return Table(name, {"k": k, "l": l, "u": u, "v": v, DOUBTFUL_COLUMN: self.doubtful.astype(int)})
 
 
-def find_centres(*whites: np.ndarray) -> Centres:
+def find_centres(*whites: np.ndarray, like: Lattice | None = None) -> Centres:
     """Return the centre of each micro-image in a white image.
 
     Parameters
@@ -75,6 +76,8 @@ def find_centres(*whites: np.ndarray) -> Centres:
     *whites : (rows, columns[, channels]) arrays
         Pictures of something evenly white, with values proportional to light: one, or several of one camera at several
         apertures, over which the centres are averaged.
+    like : Lattice, optional
+        Lattice whose rows are counted. Default: rows are nearest to horizontal.
 
     Raises
     ------
@@ -84,16 +87,15 @@ def find_centres(*whites: np.ndarray) -> Centres:
     images = [as_array("white", white, np.float64) for white in whites]
     sizes = {image.shape[:2] for image in images}
     refuse_if(len(sizes) != 1, f"white images: they have {len(sizes)} sizes of pictures: one is needed, of one camera")
-    grid = estimate_lens_grid(images[0])
+    grid = estimate_lens_grid(images[0], like)
     images = [image.mean(axis=2) if image.ndim == 3 else image for image in images]
     first = grid.centres()
     radius = grid.nearest_distance / 2
-    row, column = np.indices(grid.shape)
     size = np.array(images[0].shape[::-1])
     inside = ((first > radius + 1) & (first < size - radius - 1)).all(-1)
-    lens = np.stack([column[inside], row[inside]], axis=-1)
+    lens = np.indices(grid.shape)[::-1, inside].T
     start = first[inside]
-    vectors = np.array([first[0, 1] - first[0, 0], first[1, 0] - first[0, 0]])
+    vectors = first[[0, 1], [1, 0]] - first[0, 0]
     blocks = np.array_split(start, -(-len(start) // 2048))
     measured = []
     for image in images:

@@ -10,7 +10,7 @@ import scipy.ndimage
 
 from ...camera import PlenopticCamera
 from ...detector import SHARP
-from ...errors import refuse_if, require_wavelength
+from ...errors import naming, refuse_if, require_wavelength
 from ...runtime import single_threaded_blas
 from .array_fit import ArrayFit, fit_array, lattice_index, places, require_alike
 from .field_fit import ZONE_LENSES, FieldNumbers, Judgement, WhiteRecording, zones_of
@@ -68,10 +68,8 @@ class WhiteFit:
         """Return how the centres that `find_centres` counts are the camera's lenses, as files of cameras state."""
         along, row = self.array.nearest
         # Rows are shifted by half a pitch where indices are not whole.
-        shifted = np.unique(self.lens[:, 0][self.lens[:, 1] % 2 == 1] % 1)
-        even = np.unique(self.lens[:, 0][self.lens[:, 1] % 2 == 0] % 1)
-        odd_rows = float(shifted[0] - even[0]) if len(shifted) and len(even) else 0.0
-        return {"odd_rows": odd_rows, "row_sign": 1, "first": [int(along // 1), int(row)]}
+        odd, even = (float(self.lens[self.lens[:, 1] % 2 == parity, 0][0] % 1) for parity in (1, 0))
+        return {"odd_rows": odd - even, "row_sign": 1, "first": [int(along // 1), int(row)]}
 
 
 @single_threaded_blas()
@@ -111,6 +109,7 @@ def fit_white(
     InputError
         If the pictures cannot be of such a camera, or are not evenly white.
     """
+    camera.require_array("calibrate")
     show = progress or (lambda done, total: None)
     if wavelength is not None:
         require_wavelength(wavelength)
@@ -128,7 +127,7 @@ def fit_white(
     camera = of_size(plain, size)
     # What the lenses' light cannot be is known before their places are.
     MicroImageModel(camera, wavelength)
-    centres = find_centres(filled(frame))
+    centres = find_centres(filled(frame), like=camera.lattice)
     require_alike(centres.grid, camera)
     sure = ~centres.doubtful
     array = fit_array(centres.pixel[sure], lattice_index(centres.grid, centres.lens)[sure], camera)
@@ -147,7 +146,10 @@ def fit_white(
     few = [generator.choice(seen, min(len(seen), 4 * ZONE_LENSES), replace=False)]
     for zero in (("apodisation_2", "apodisation_4"), ()):
         field = FieldNumbers(size, 0, start, zero)
-        recording.fit(position, few, field, lambda done, total: show(done, 4 * total))
+        with naming(
+            "white: it is no white picture by this camera, or the camera's numbers, as its aperture, are far off"
+        ):
+            recording.fit(position, few, field, lambda done, total: show(done, 4 * total))
         start = PupilNumbers(*field.values(position[:1])[0])
     field = FieldNumbers(size, int((~withheld).sum()), start)
     zones = zones_of(position, ~withheld, ZONE_LENSES, generator)
@@ -198,7 +200,7 @@ def fit_white(
 def whole_lenses(recording: WhiteRecording, position: np.ndarray) -> np.ndarray:
     """Return which lenses at places (n, 2) have their cells within the picture, and light there."""
     camera = recording.camera
-    scale = recording.camera.image_growth / recording.camera.pixel_size
+    scale = camera.image_growth / camera.pixel_size
     corners = position[:, None] + camera.lattice.cell_corners() * scale + 0.5
     complete = np.asarray(((corners >= 0) & (corners <= recording.frame.light.shape[::-1])).all((1, 2)))
     first, value, _, _ = recording.pixels(position[complete])

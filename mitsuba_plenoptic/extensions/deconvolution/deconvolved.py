@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...design import resolution_limit
-from ...errors import InputError, argument, refuse_if, refusing, require_number
+from ...errors import argument, refuse_if, refusing, require_number
 from ...io import digest
 from ...linear import LinearMap, PixelNoise, RichardsonLucy, SolverState, StopRule, misfit, relative_residual, solve
 from ...refocus import Found, Task, method, portion, work_of
@@ -28,6 +28,9 @@ MOST_ITERATIONS = 100
 
 LEAST_SEEN = 0.01
 """Light of a bin, over that of the best one, below which it is NaN."""
+
+_ROUNDING = 1e-6
+"""Fraction of the brightest pixel by which rounding may leave a pixel without noise below 0."""
 
 _SPAN = 10
 _LEAST_FALL = 0.95
@@ -159,7 +162,8 @@ def _solve(
     report: Callable[[float], None],
 ) -> Iterator[Solved]:
     """Yield the result of each plane for one channel, from the state in a checkpoint's arrays if there is one."""
-    image = np.ascontiguousarray(task.image[..., channel])
+    # What rounding leaves below 0 is no light; noise may be.
+    image = np.maximum(task.image[..., channel], -np.inf if noise else 0)
     iterations = options["iterations"]
     variation = options["variation"]
     most = iterations or (MOST_ITERATIONS if noise else DEFAULT_ITERATIONS)
@@ -222,13 +226,13 @@ def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str,
 def _require_light(image: NDArray[np.float32], noise: PixelNoise | None) -> None:
     """Refuse a capture that no light can have produced, as its sum is not positive."""
     refuse_if(not (image > 0).any(), "capture: none of its pixels is lit: there is nothing to deconvolve")
-    negative = int(np.count_nonzero(image < 0))
-    if negative and noise is None:
-        raise InputError(
-            f"capture: {negative} of its pixels are below 0, the least of them {float(image.min()):.3g}: no light "
-            f"makes these; their noise is known from {argument('photons')} or from what 'expose' keeps with a capture"
-        )
+    negative = np.count_nonzero(image < -_ROUNDING * image.max())
     refuse_if(
-        float(image.sum(dtype=np.float64)) <= 0,
+        noise is None and negative,
+        f"capture: {negative} of its pixels are below 0, the least of them {image.min():.3g}: no light makes these; "
+        f"their noise is known from {argument('photons')} or from what 'expose' keeps with a capture",
+    )
+    refuse_if(
+        image.sum(dtype=np.float64) <= 0,
         "capture: the sum of its pixels is not above 0: there is no light to deconvolve",
     )

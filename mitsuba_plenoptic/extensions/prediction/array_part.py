@@ -101,10 +101,7 @@ class CameraModel:
 
     def within(self, offset: np.ndarray) -> np.ndarray:
         """Return places in cells, in pitches along and across the rows, of offsets in pixels from lenses' places."""
-        angle = np.deg2rad(self.camera.mla_rotation)
-        along = np.cos(angle) * offset[:, 0] + np.sin(angle) * offset[:, 1]
-        across = np.cos(angle) * offset[:, 1] - np.sin(angle) * offset[:, 0]
-        return np.stack([along, across], axis=-1) / self.pitch
+        return np.stack(self.camera.lattice.to_frame(*offset.T), axis=-1) / self.pitch
 
 
 @dataclass(frozen=True, eq=False)

@@ -114,7 +114,7 @@ def test_screens_in_files_and_scenes(tmp_path):
 def test_bad_screens_are_refused(tmp_path):
     for arguments, message in (
         (([[0, 1], [1, 0]], 10), r"^waves of shape \(2, 2\)"),
-        ((np.full((8, 8), np.nan), 10), "^waves: its numbers must be finite"),
+        ((np.full((8, 8), np.nan), 10), r"^waves\[0, 0\] = nan: it must be finite"),
         ((np.zeros((8, 8)), -1), "^width = -1"),
         (("waves.txt", 10), r"waves\.txt"),
     ):
