@@ -24,7 +24,10 @@ import pytest
 import mitsuba_plenoptic  # chooses LLVM before Dr.Jit loads
 
 import mitsuba as mi  # isort: skip
+import numpy as np  # isort: skip
+from mitsuba_plenoptic import Capture, PlenopticCamera, decode, read_capture, write_capture  # isort: skip
 from mitsuba_plenoptic.extension import installed  # isort: skip
+from mitsuba_plenoptic.views import white_image  # isort: skip
 import cameras  # isort: skip
 
 
@@ -168,6 +171,21 @@ def raw(tmp_path_factory):
     path = tmp_path_factory.mktemp("capture") / "raw.exr"
     assert mitsuba_plenoptic.cli.main(["render", "letters", "-o", str(path), "--spp", "4", "-D", "resolution=256"]) == 0
     return path
+
+
+@pytest.fixture(scope="session")
+def shot(tmp_path_factory):
+    """Write a capture of random light once."""
+    camera = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
+    image = np.random.default_rng(0).random(camera.shape, dtype=np.float32) * white_image(camera)
+    path = tmp_path_factory.mktemp("capture") / "raw.exr"
+    write_capture(path, Capture(image, camera))
+    return path
+
+
+@pytest.fixture(scope="session")
+def lf(shot):
+    return decode(read_capture(shot))
 
 
 CHROMIUM = (

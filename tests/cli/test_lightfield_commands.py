@@ -12,27 +12,13 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, decode, read_capture, reconstruct, write_capture
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, read_capture, reconstruct, write_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.refocus import read_reconstruction, write_reconstruction
 from mitsuba_plenoptic.views import depth_map, epipolar_image, focal_stack, refocus, white_image
 from mitsuba_plenoptic.views.light_field_files import open_light_field
 
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
-
-
-@pytest.fixture(scope="module")
-def raw(tmp_path_factory):
-    """Write a capture of random light once."""
-    image = np.random.default_rng(0).random(CAMERA.shape, dtype=np.float32) * white_image(CAMERA)
-    path = tmp_path_factory.mktemp("capture") / "raw.exr"
-    write_capture(path, Capture(image, CAMERA))
-    return path
-
-
-@pytest.fixture(scope="module")
-def lf(raw):
-    return decode(read_capture(raw))
 
 
 def parts(path):
@@ -45,8 +31,8 @@ def parts(path):
     return images, json.loads(found[0].header["mitsuba_plenoptic"])
 
 
-def test_views(raw, lf, tmp_path, run):
-    run("views", raw, "-o", tmp_path / "all.exr")
+def test_views(shot, lf, tmp_path, run):
+    run("views", shot, "-o", tmp_path / "all.exr")
     images, header = parts(tmp_path / "all.exr")
     assert len(images) == lf.sizes["v"] * lf.sizes["u"]
     name = f"v={float(lf.v[2]):.4g} u={float(lf.u[3]):.4g}"
@@ -54,51 +40,53 @@ def test_views(raw, lf, tmp_path, run):
     assert header["coordinates"]["s"] == pytest.approx(lf.s.values.tolist())
     assert PlenopticCamera.from_dict(header["camera"]) == CAMERA
 
-    assert "3 x 3 views of 8 x 8 pixels" in run("views", raw, "-o", tmp_path / "some.png", "--count", 3)
+    assert "3 x 3 views of 8 x 8 pixels" in run("views", shot, "-o", tmp_path / "some.png", "--count", 3)
     assert Image.open(tmp_path / "some.png").size == (960, 960)
     # The radiance of a white image is of no account: light fields stay in units of the capture.
     write_capture(tmp_path / "white.exr", Capture(2 * white_image(CAMERA), CAMERA))
-    run("views", raw, "-o", tmp_path / "one.exr", "--count", 1, "--white", tmp_path / "white.exr")
+    run("views", shot, "-o", tmp_path / "one.exr", "--count", 1, "--white", tmp_path / "white.exr")
     (image,) = parts(tmp_path / "one.exr")[0].values()
     middle = lf.sizes["u"] // 2
     np.testing.assert_allclose(image, lf.values[middle, middle], rtol=1e-5)
 
 
-def test_epi(raw, lf, tmp_path, run):
-    run("epi", raw, "-o", tmp_path / "a.exr", "--axis", "vertical", "--at", float(lf.s[5]), "--through", float(lf.u[2]))
+def test_epi(shot, lf, tmp_path, run):
+    run(
+        "epi", shot, "-o", tmp_path / "a.exr", "--axis", "vertical", "--at", float(lf.s[5]), "--through", float(lf.u[2])
+    )
     image = parts(tmp_path / "a.exr")[0]["epipolar"]
     np.testing.assert_array_equal(image, epipolar_image(lf, "vertical", at=lf.s[5], through=lf.u[2]).values)
-    run("epi", raw, "-o", tmp_path / "a.png")
+    run("epi", shot, "-o", tmp_path / "a.png")
     assert Image.open(tmp_path / "a.png").size == (960 // 11 * 8, 960 // 11 * 11)
 
 
 @pytest.mark.parametrize("method", ["shift", "fourier"])
-def test_stack(raw, lf, method, tmp_path, run):
+def test_stack(shot, lf, method, tmp_path, run):
     distances = ("--distance", 210, "--distance", 250.5, "--distance", 280)
-    run("stack", raw, "-o", tmp_path / "a.exr", *distances, "--method", method)
+    run("stack", shot, "-o", tmp_path / "a.exr", *distances, "--method", method)
     images, header = parts(tmp_path / "a.exr")
     assert list(images) == ["210 mm", "250.5 mm", "280 mm"]
     expected = focal_stack(lf, [210, 250.5, 280], method=method)
     for image, plane in zip(images.values(), expected.values, strict=True):
         np.testing.assert_allclose(image, plane, atol=1e-5)
     assert header["coordinates"]["distance"] == [210, 250.5, 280]
-    run("stack", raw, "-o", tmp_path / "a.png", *distances, "--method", method)
+    run("stack", shot, "-o", tmp_path / "a.png", *distances, "--method", method)
     # Three pictures in two rows of two.
     assert Image.open(tmp_path / "a.png").size == (960, 960)
 
 
-def test_depth(raw, lf, tmp_path, run):
+def test_depth(shot, lf, tmp_path, run):
     options = ("--near", 200, "--far", 300, "--planes", 8)
-    run("depth", raw, "-o", tmp_path / "a.exr", *options)
+    run("depth", shot, "-o", tmp_path / "a.exr", *options)
     images, header = parts(tmp_path / "a.exr")
     found = depth_map(lf, 200, 300, planes=8)
     for name in ("depth", "disparity", "confidence", "image"):
         np.testing.assert_allclose(images[name], found[name].values, rtol=1e-5, atol=1e-6)
     assert (header["near"], header["far"], header["planes"]) == (200, 300, 8)
-    assert "confidence above half" in run("depth", raw, "-o", tmp_path / "a.png", *options, "--scale", 40)
+    assert "confidence above half" in run("depth", shot, "-o", tmp_path / "a.png", *options, "--scale", 40)
     assert Image.open(tmp_path / "a.png").size == (3 * 40 * 8, 40 * 8)
     # A figure, with labels, as wide as a page.
-    run("depth", raw, "-o", tmp_path / "b.png", *options)
+    run("depth", shot, "-o", tmp_path / "b.png", *options)
     assert Image.open(tmp_path / "b.png").size[0] == 7 * 300
 
 
@@ -124,19 +112,19 @@ def test_depth_says_where_to_widen_the_search(tmp_path, capfd):
     assert 205 < found < 285
 
 
-def test_expose(raw, tmp_path, run):
+def test_expose(shot, tmp_path, run):
     told = run(
-        "expose", raw, "-o", tmp_path / "a.exr", "--photons", 500, "--bits", 10, "--seed", 4, "--full-well", 2000
+        "expose", shot, "-o", tmp_path / "a.exr", "--photons", 500, "--bits", 10, "--seed", 4, "--full-well", 2000
     )
     assert "300 electrons" in told
     noisy = read_capture(tmp_path / "a.exr")
-    assert noisy.image.mean() == pytest.approx(read_capture(raw).image.mean(), rel=0.02)
+    assert noisy.image.mean() == pytest.approx(read_capture(shot).image.mean(), rel=0.02)
     assert noisy.metadata["exposure"]["full_well"] == 2000
     assert noisy.metadata["exposure"]["seed"] == 4
 
 
-def test_convert_there_and_back(raw, lf, tmp_path, run):
-    run("convert", raw, "-o", tmp_path / "a.nc")
+def test_convert_there_and_back(shot, lf, tmp_path, run):
+    run("convert", shot, "-o", tmp_path / "a.nc")
     # A light field is as good a source as a capture, with its distances where it tells the camera.
     run("stack", tmp_path / "a.nc", "-o", tmp_path / "a.exr", "--distance", 210)
     np.testing.assert_allclose(parts(tmp_path / "a.exr")[0]["210 mm"], refocus(lf, 210).values, atol=1e-5)
@@ -147,40 +135,40 @@ def test_convert_there_and_back(raw, lf, tmp_path, run):
     np.testing.assert_allclose(found / found.max(), lf.values / lf.values.max(), atol=2e-4)
 
 
-def test_figures_enlarged_pictures_and_animations(raw, lf, tmp_path, run, coarse_figures):
+def test_figures_enlarged_pictures_and_animations(shot, lf, tmp_path, run, coarse_figures):
     distances = ["--distance", 236, "--distance", 244]
     # Each command draws by the same function for either kind of file.
     for command, *options in (["reconstruct", *distances], ["views"], ["depth"]):
-        run(command, raw, "-o", tmp_path / f"{command}.png", "--figure", *options)
+        run(command, shot, "-o", tmp_path / f"{command}.png", "--figure", *options)
         assert Image.open(tmp_path / f"{command}.png").width in (255, 525)
     for command, *options in (["stack", *distances], ["epi"], ["views"]):
-        run(command, raw, "-o", tmp_path / f"{command}.pdf", *options)
+        run(command, shot, "-o", tmp_path / f"{command}.pdf", *options)
         assert (tmp_path / f"{command}.pdf").read_bytes()[:5] == b"%PDF-"
     assert len(list(tmp_path.iterdir())) == 6
 
     for command, *options in (["stack", *distances], ["views", "--count", 2]):
-        run(command, raw, "-o", tmp_path / "plain.png", "--scale", 1, *options)
-        run(command, raw, "-o", tmp_path / "large.png", "--scale", 3, *options)
+        run(command, shot, "-o", tmp_path / "plain.png", "--scale", 1, *options)
+        run(command, shot, "-o", tmp_path / "large.png", "--scale", 3, *options)
         plain, large = (np.asarray(Image.open(tmp_path / f"{name}.png")) for name in ("plain", "large"))
         np.testing.assert_array_equal(large[1::3, 1::3], plain)
         assert large.shape == (3 * plain.shape[0], 3 * plain.shape[1])
-    run("epi", raw, "-o", tmp_path / "large.png", "--scale", 1)
+    run("epi", shot, "-o", tmp_path / "large.png", "--scale", 1)
     assert Image.open(tmp_path / "large.png").size == (8, lf.sizes["u"])
 
     assert "46 images from 236 to 244 mm and back" in run(
-        "stack", raw, "-o", tmp_path / "a.gif", *distances, "--scale", 2
+        "stack", shot, "-o", tmp_path / "a.gif", *distances, "--scale", 2
     )
     with Image.open(tmp_path / "a.gif") as picture:
         assert (picture.n_frames, picture.size) == (46, (16, 16))
-    assert "one after the other" in run("views", raw, "-o", tmp_path / "b.gif")
+    assert "one after the other" in run("views", shot, "-o", tmp_path / "b.gif")
     assert Image.open(tmp_path / "b.gif").size == (480, 480)
 
 
 @pytest.fixture(scope="module")
-def results(raw, tmp_path_factory):
+def results(shot, tmp_path_factory):
     """Write reconstructions by one method at two distances, and by another at one of them."""
     folder = tmp_path_factory.mktemp("results")
-    capture = read_capture(raw)
+    capture = read_capture(shot)
     found = [
         *reconstruct(capture, [240, math.inf], method="ray"),
         *reconstruct(capture, [240], method="ray", footprint="point"),
@@ -218,14 +206,14 @@ def test_figures_follow_no_settings_of_matplotlib_python_or_a_display(option, re
     assert path.read_bytes() == (tmp_path / "plain.png").read_bytes()
 
 
-def test_a_name_that_is_no_text_is_refused_first(raw, complaint):
+def test_a_name_that_is_no_text_is_refused_first(shot, complaint):
     name = os.fsdecode(b"sheet\xff.png")
-    assert "must be text in UTF-8" in complaint("reconstruct", raw, "--distance", "240", "-o", name)
+    assert "must be text in UTF-8" in complaint("reconstruct", shot, "--distance", "240", "-o", name)
 
 
-def test_refused(results, raw, tmp_path, complaint):
+def test_refused(results, shot, tmp_path, complaint):
     path = tmp_path / "sheet.pdf"
-    assert complaint("sheet", raw, "-o", path) == f"{raw}: it holds a 'capture', not a reconstruction"
+    assert complaint("sheet", shot, "-o", path) == f"{shot}: it holds a 'capture', not a reconstruction"
     assert complaint("sheet", results[0][0], "-o", tmp_path / "a.gif").endswith("give a name that ends in .pdf or .png")
     assert "Missing argument" in complaint("sheet", "-o", path)
     with pytest.raises(InputError, match="there is no such file"):

@@ -86,33 +86,27 @@ def field(amplitudes=(1,) * 12, points=NEAR, camera=None, plane="detector", **op
             for place in ((0, 0), (0, 0, 0), (0, 0, -240), (0, np.nan, 240), ("a", 0, 240))
         ),
         (lambda: spread(wavelength=-1), "^wavelength"),
-        (lambda: spread(wavelength=None), "^wavelength"),
         (lambda: spread(method="fast"), "^method"),
         (
             lambda: mp.point_spread_function(HUGE, POINT[0], wavelength=633, method="full_field"),
             "full field of position.*GiB",
         ),
-        (lambda: operator(points=np.zeros((2, 2))), "^positions of shape"),
         (lambda: operator(points=[(0, 0, 240), (0, np.nan, 240)]), "^position"),
         (lambda: operator(points=[(0, 0, 240), (0, 0, 0)]), "^position.*g at least"),
         (lambda: operator(wavelength=0), "^wavelength"),
-        (lambda: operator(wavelength=None), "^wavelength, spectrum: give one of the two"),
         (lambda: operator(spectrum=mp.Spectrum.lines(633)), "^wavelength, spectrum: give one of the two"),
         *(
             (lambda bound=bound: operator(system=OpticalSystem(*bound)), "bound to another camera")
             for bound in ((small_camera(2), WAVELENGTH), (SMALL, 550.0))
         ),
         (lambda: operator(method="rays"), "^method"),
-        (lambda: operator(accuracy="best"), "^accuracy"),
         (lambda: operator(accuracy=-0.1), "^accuracy.*from 0"),
-        (lambda: operator(accuracy=1), "^accuracy.*below 1"),
         (lambda: operator(accuracy=0.02, method="full_field"), "^accuracy = 0.02: method = full_field takes none"),
         *(
             (lambda weights=weights: operator(pupil_weights=weights), "^pupil_weights")
             for weights in (-np.ones((2, 4, 4)), np.full((2, 4, 4), np.nan), np.full((2, 4, 4), "x"))
         ),
         (lambda: operator(pupil_weights=np.ones((2, 4, 5), bool)), "^pupil_weights of shape"),
-        (lambda: operator(pupil_weights=np.ones((3, 4, 4), bool)), "^pupil_weights of shape"),
         *(
             (lambda weights=weights: coloured().forward(weights), "^weights")
             for weights in (np.ones(3), np.ones((2, 0)), np.ones((2, 1, 1)), [1.0, np.inf], "ab", np.ones((2, 3)))

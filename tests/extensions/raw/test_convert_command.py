@@ -12,27 +12,13 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.exchange import open_light_field, read_hci
 from mitsuba_plenoptic.io.exr import read_exr, read_exr_parts
 from mitsuba_plenoptic.report.images import Brightness, to_bytes
-from mitsuba_plenoptic.views import camera_of, depth_map, focal_stack, refocus, view, white_image
+from mitsuba_plenoptic.views import camera_of, depth_map, focal_stack, refocus, view
 
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 
 
-@pytest.fixture(scope="module")
-def raw(tmp_path_factory):
-    """Write a capture of random light once."""
-    image = np.random.default_rng(0).random(CAMERA.shape, dtype=np.float32) * white_image(CAMERA)
-    path = tmp_path_factory.mktemp("capture") / "raw.exr"
-    write_capture(path, Capture(image, CAMERA))
-    return path
-
-
-@pytest.fixture(scope="module")
-def lf(raw):
-    return decode(read_capture(raw))
-
-
-def test_convert_there_and_back(raw, lf, tmp_path, run, complaint):
-    run("convert", raw, "-o", tmp_path / "a.mat")
+def test_convert_there_and_back(shot, lf, tmp_path, run, complaint):
+    run("convert", shot, "-o", tmp_path / "a.mat")
     run("convert", tmp_path / "a.mat", "-o", tmp_path / "a.eslf.png")
     run("convert", tmp_path / "a.eslf.png", "--view-count", lf.sizes["u"], "-o", tmp_path / "b.mat")
     # Mosaics state their number of views and how these lie, whatever their name.
@@ -51,9 +37,9 @@ def test_convert_there_and_back(raw, lf, tmp_path, run, complaint):
 
 def test_hci_states_the_size_of_pictures_of_a_cropped_capture(tmp_path, run):
     camera = PlenopticCamera(resolution=(128, 128), detector_width=0.512, crop_offset=(40, 16), crop_size=(64, 80))
-    raw, folder = tmp_path / "raw.exr", tmp_path / "hci"
-    write_capture(raw, Capture(np.ones(camera.shape, np.float32), camera))
-    run("convert", raw, "-o", folder, "--format", "hci")
+    shot, folder = tmp_path / "raw.exr", tmp_path / "hci"
+    write_capture(shot, Capture(np.ones(camera.shape, np.float32), camera))
+    run("convert", shot, "-o", folder, "--format", "hci")
     stated = configparser.ConfigParser()
     stated.read(folder / "parameters.cfg")
     with Image.open(folder / "input_Cam000.png") as picture:
@@ -64,13 +50,13 @@ def test_hci_states_the_size_of_pictures_of_a_cropped_capture(tmp_path, run):
 
 
 def test_one_capture_is_converted_to_a_folder_of_another_benchmark(tmp_path, run, complaint):
-    raw, folder = tmp_path / "raw.exr", tmp_path / "hci"
+    shot, folder = tmp_path / "raw.exr", tmp_path / "hci"
     words = ["-D", "resolution=256", "-D", "detector_width=0.512", "--spp", "4", "--aov", "depth"]
-    run("render", "letters", "-o", raw, *words)
-    assert run("convert", raw, "-o", folder, "--format", "hci") == f"{folder}: 15 x 15 views of 8 x 8 pixels\n"
+    run("render", "letters", "-o", shot, *words)
+    assert run("convert", shot, "-o", folder, "--format", "hci") == f"{folder}: 15 x 15 views of 8 x 8 pixels\n"
     read = configparser.ConfigParser()
     read.read(folder / "parameters.cfg")
-    camera, lf = read_capture(raw).camera, decode(read_capture(raw))
+    camera, lf = read_capture(shot).camera, decode(read_capture(shot))
     assert float(read["extrinsics"]["baseline_mm"]) == pytest.approx(camera.pupil_step)
     assert float(read["extrinsics"]["focus_distance_m"]) == pytest.approx(camera.focus_distance / 1000)
     assert read["meta"]["scene"] == "raw" and int(read["extrinsics"]["num_cams_x"]) == 15
@@ -88,7 +74,7 @@ def test_one_capture_is_converted_to_a_folder_of_another_benchmark(tmp_path, run
         assert (head, size, scale) == (b"Pf", b"8 8", b"-1")
         maps[name] = np.frombuffer(values, "<f4").reshape(8, 8)[::-1]
     depth, shift = maps.values()
-    np.testing.assert_allclose(1000 * depth, open_light_field(raw, truth=True).depth.values[middle, middle], rtol=1e-5)
+    np.testing.assert_allclose(1000 * depth, open_light_field(shot, truth=True).depth.values[middle, middle], rtol=1e-5)
     # The formula by which that benchmark turns depths, in metres, into disparities.
     inside, outside = read["intrinsics"], read["extrinsics"]
     factor = float(outside["baseline_mm"]) / 1000 * float(inside["focal_length_mm"]) * 8
@@ -111,9 +97,9 @@ def test_one_capture_is_converted_to_a_folder_of_another_benchmark(tmp_path, run
     assert complaint("convert", folder, "-o", back) == f"{folder / 'input_Cam007.png'}: there is no such file"
     (folder / "parameters.cfg").write_bytes(b"\xff\xfe")
     assert "it is not text in UTF-8" in complaint("convert", folder, "-o", back)
-    assert complaint("convert", raw, "-o", folder, "--format", "hcl").startswith("--format = 'hcl': it must be")
-    assert complaint("convert", raw, "-o", raw, "--format", "hci") == f"{raw}: it is a file; name a folder"
-    run("convert", raw, "-o", tmp_path / "a.eslf.png")
+    assert complaint("convert", shot, "-o", folder, "--format", "hcl").startswith("--format = 'hcl': it must be")
+    assert complaint("convert", shot, "-o", shot, "--format", "hci") == f"{shot}: it is a file; name a folder"
+    run("convert", shot, "-o", tmp_path / "a.eslf.png")
     views = ["--view-count", lf.sizes["u"]]
     words = complaint("convert", tmp_path / "a.eslf.png", *views, "-o", folder, "--format", "hci")
     assert words.startswith(f"{tmp_path / 'a.eslf.png'}: ") and "camera" in words
