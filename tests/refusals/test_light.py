@@ -37,28 +37,18 @@ def derived(names, by_points=False, **parameters):
         (lambda: LensKinds(PlenopticCamera(mla_jitter=(0.0, 0.03), mla_tilt=(0.3, 0.3))), r"mla_tilt = .* kinds of"),
         (lambda: derived(["aperture_radius"]), "aperture_radius: captures by signed rays have derivatives by"),
         (lambda: derived(["mla_pitch"], mla_pitch=(0.064, 0.07)), "mla_pitch: .* no derivative by one of two pitches"),
-        (
-            lambda: derived(["mla_offset"], main_lens="double_gauss"),
-            "main_lens = .*: derivatives of wave captures of scenes",
+        *(
+            (lambda n=name, v=value: derived(["mla_offset"], **{n: v}), f"{name} = .*: derivatives of wave captures of")
+            for name, value in {
+                "main_lens": "double_gauss",
+                "distortion": (1e-4, 0, 0, 0, 0),
+                "mla_jitter": (1e-3, 0),
+                "mla_tilt": (1, 0),
+                "pixel_response": (0, 1, 3, 0.5),
+                "mla_warp": (0.00005,) * 14,
+                "glass": 1.5,
+            }.items()
         ),
-        (
-            lambda: derived(["focal_length"], distortion=(1e-4, 0, 0, 0, 0)),
-            "distortion = .*: derivatives of wave captures of scenes",
-        ),
-        (
-            lambda: derived(["mla_pitch"], mla_jitter=(1e-3, 0)),
-            "mla_jitter = .*: derivatives of wave captures of scenes",
-        ),
-        (lambda: derived(["mla_pitch"], mla_tilt=(1, 0)), "mla_tilt = .*: derivatives of wave captures of scenes"),
-        (
-            lambda: derived(["mla_pitch"], pixel_response=(0, 1, 3, 0.5)),
-            "pixel_response = .*: derivatives of wave captures of scenes",
-        ),
-        (
-            lambda: derived(["focal_length"], mla_warp=(0.00005,) * 14),
-            "mla_warp = .*: derivatives of wave captures of scenes",
-        ),
-        (lambda: derived(["focal_length"], glass=1.5), "glass = .*: derivatives of wave captures of scenes"),
         (lambda: derived(["focal_length"], True, detector_distance=0.3), "focal_length: .*detector_distance = 0.3 is"),
         (lambda: estimate_capture(load_scene("letters"), spp=0), "spp = 0"),
         (lambda: load_scene("white", parameters={"widht": "4"}), r"widht: the scene .* has none .*resolution"),
