@@ -1,16 +1,15 @@
 r"""Micro-image of an even white scene behind one lens of an array, by waves or by rays, and what a camera's relay adds.
 
 White light fills the pupil with points that are incoherent with each other, if the scene is wide. Each casts the same
-pattern behind the array, beside its own place, so that the micro-images are the pupil's transmission convolved with this
-pattern: by waves the Fresnel diffraction of the whole array, whose neighbouring lenses interfere, and which a Fourier
-series gives exactly (J. W. Goodman, "Introduction to Fourier Optics", section 4.5.2); by rays the apertures, reduced by
-the defocus of the pupil. Relay lenses and pixels add a Gaussian blur and the width of a pixel; light that is scattered
-farther than a lens is a constant.
+pattern behind the array, beside its own place, so that micro-images are the pupil's transmission convolved with this
+pattern: by waves the Fresnel diffraction of the whole array, whose neighbouring lenses interfere (J. W. Goodman,
+"Introduction to Fourier Optics", section 4.5.2); by rays the apertures, reduced by the defocus of the pupil. Both are
+periodic, with one coefficient for each order of a Fourier series. Relay lenses and pixels add a Gaussian blur and the
+width of a pixel; light that is scattered farther than a lens is a constant.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -74,8 +73,7 @@ _STEPS = {"stray": 0.001, "ellipse_x": 0.002, "ellipse_y": 0.002}
 
 
 class MicroImageModel:
-    """Micro-images of an even white scene under a camera's lenses, sampled along the lattice vectors from the image
-    of a lens's centre.
+    """Micro-images of an even white scene under a camera's lenses, sampled on a cell along the lattice vectors.
 
     Parameters
     ----------
@@ -106,10 +104,10 @@ class MicroImageModel:
         down = scipy.fft.fftfreq(count, 1 / count)
         fx, fy = (a * along + b * down[:, None] for a, b in np.linalg.inv(vectors))
         self._f2 = fx * fx + fy * fy
-        pattern = _wave_pattern(camera, wavelength) if wavelength else _ray_pattern(camera)
+        pattern = _wave_pattern(camera, wavelength, along, down) if wavelength else _ray_pattern(camera, along, down)
         # Coefficients of cubic splines from their values (M. Unser 1999, "Splines").
         spline = np.outer(*(3 / (2 + np.cos(2 * np.pi * orders / count)) for orders in (down, along)))
-        self._transfer = pattern(along, down) * np.sinc(fx) * np.sinc(fy) * spline
+        self._transfer = pattern * np.sinc(fx) * np.sinc(fy) * spline
 
     def samples(self, numbers: PupilNumbers) -> np.ndarray:
         """Return the spline coefficients, for `at`, of a micro-image that is 1 in the middle of an even pupil."""
@@ -198,43 +196,35 @@ class MicroImageModel:
         return csr_array((taps, columns, rows), shape=(len(x), self._count**2))
 
 
-Pattern = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Fourier coefficients of a pupil point's light, of orders along the first and the second lattice vector."""
-
-
-def _ray_pattern(camera: PlenopticCamera) -> Pattern:
-    """Return the pattern of a pupil point behind the array by rays: the apertures, as large as its defocus."""
+def _ray_pattern(camera: PlenopticCamera, along: np.ndarray, down: np.ndarray) -> np.ndarray:
+    """Return orders of the light of a pupil point behind the array by rays: apertures as large as its defocus."""
     unit = (np.arange(_POINTS) + 0.5) / _POINTS
     points = np.reshape(camera.lattice.aperture_point(*np.meshgrid(unit, unit)), (2, -1))
     smear = camera.pupil_shift(camera.mla_focal_length) * camera.pixel_size / (camera.pupil_step * camera.image_growth)
-    moved = np.linalg.solve(np.transpose(camera.lattice.basis), points) * smear
-
-    def pattern(along: np.ndarray, down: np.ndarray) -> np.ndarray:
-        first, second = (np.exp(2j * np.pi * np.outer(n, steps)) for n, steps in zip((along, down), moved, strict=True))
-        return np.asarray(second @ first.T / len(points[0]))
-
-    return pattern
+    places = np.linalg.solve(np.transpose(camera.lattice.basis), smear * points)
+    first, second = (np.exp(2j * np.pi * np.outer(n, place)) for n, place in zip((along, down), places, strict=True))
+    return np.asarray(second @ first.T / _POINTS**2)
 
 
-def _wave_pattern(camera: PlenopticCamera, wavelength: float) -> Pattern:
-    """Return the pattern of a pupil point behind the array by waves, with the interference of neighbouring lenses."""
+def _wave_pattern(camera: PlenopticCamera, wavelength: float, along: np.ndarray, down: np.ndarray) -> np.ndarray:
+    """Return orders of the light of a pupil point behind the array by waves: its lenses interfere."""
     lattice = camera.lattice
+    refuse_if(
+        not lattice.fills, "mla_fill, mla_aperture: waves are fitted to lenses that fill their cells; fit by rays"
+    )
     length = wavelength * 1e-6
     power = np.pi / length / camera.reduced_focal_lengths[0]
-    size = scipy.fft.next_fast_len(int(np.ceil(max(_WIDEST, 3 * power * lattice.cell_reach**2))))
+    size = scipy.fft.next_fast_len(int(max(_WIDEST, 3 * power * lattice.cell_reach**2)))
     refuse_if(size > 4 * _WIDEST, f"wavelength = {wavelength:g}: the lenses are too large for it; fit by rays")
     vectors = np.array(lattice.basis)
     steps = np.arange(size) / size
-    x, y = (c + a * steps + b * steps[:, None] for c, a, b in zip(lattice.centre(0.0, 0.0), *vectors, strict=True))
-    near = lattice.centre(*lattice.cell(x, y))
-    x -= near[0]
-    y -= near[1]
-    # Cells that are lenses to their borders are it there, too.
-    field = (lattice.aperture_inset(x, y) > -1e-9) * np.exp(-1j * power * (x * x + y * y))
     orders = scipy.fft.fftfreq(size, 1 / size)
+    x, y = (c + a * steps + b * steps[:, None] for c, a, b in zip(lattice.centre(0.0, 0.0), *vectors, strict=True))
     fx, fy = (a * orders + b * orders[:, None] for a, b in np.linalg.inv(vectors))
-    # A spherical wave makes the same pattern, enlarged, at a shorter distance.
+    centre = lattice.centre(*lattice.cell(x, y))
+    field = np.exp(-1j * power * ((x - centre[0]) ** 2 + (y - centre[1]) ** 2))
+    # A spherical wave casts the pattern of a plane one at a shorter distance, enlarged.
     distance = camera.reduced_distance / camera.image_growth
     field = scipy.fft.ifft2(scipy.fft.fft2(field) * np.exp(-1j * np.pi * length * distance * (fx * fx + fy * fy)))
-    light = scipy.fft.fft2(np.abs(field) ** 2)
-    return lambda along, down: light[np.ix_(down.astype(int), along.astype(int))] / light[0, 0].real
+    light = scipy.fft.fft2(np.abs(field) ** 2) / size**2
+    return np.asarray(light[np.ix_(down.astype(int), along.astype(int))])
