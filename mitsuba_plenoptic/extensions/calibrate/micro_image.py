@@ -1,11 +1,11 @@
 r"""Micro-image of an even white scene behind one lens of an array, by waves or by rays, and what a camera's relay adds.
 
-White light fills the pupil with points that are incoherent with each other, if the scene is wide. A lens images each of
-them alike, so that the micro-image is the pupil's transmission convolved with the lens's point spread: by waves the
-diffraction of its aperture with the defocus of the pupil, by rays the aperture itself, reduced by the defocus (J. W.
-Goodman, "Introduction to Fourier Optics", sections 6.3 and 6.4). Relay lenses and pixels add a Gaussian blur and the
-width of a pixel; light that is scattered farther than a lens is a constant. Neighbours' micro-images add without
-interference, which cancels in white light.
+White light fills the pupil with points that are incoherent with each other, if the scene is wide. Each casts the same
+pattern behind the array, beside its own place, so that micro-images are the pupil's transmission convolved with this
+pattern: by waves the Fresnel diffraction of the whole array, whose neighbouring lenses interfere (J. W. Goodman,
+"Introduction to Fourier Optics", section 4.5.2); by rays the apertures, reduced by the defocus of the pupil. Both are
+periodic, with one coefficient for each order of a Fourier series. Relay lenses and pixels add a Gaussian blur and the
+width of a pixel; light that is scattered farther than a lens is a constant.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import scipy.fft
-from scipy.ndimage import map_coordinates
 from scipy.sparse import csr_array
 
 from ...camera import PlenopticCamera, Vignetting
@@ -22,10 +21,10 @@ from ...errors import refuse_if
 from ...runtime import require_memory
 
 _WIDEST = 512
-"""Samples of the model along a side, about."""
+"""Most samples of micro-images along a lattice vector, and fewest of the field behind the array."""
 
-_PITCHES = 3
-"""Pitches along the side of the model's window."""
+_POINTS = 60
+"""Points along a side of a lens, by rays."""
 
 
 @dataclass
@@ -74,7 +73,7 @@ _STEPS = {"stray": 0.001, "ellipse_x": 0.002, "ellipse_y": 0.002}
 
 
 class MicroImageModel:
-    """Micro-images of an even white scene under a camera's lenses, sampled about the image of a lens's centre.
+    """Micro-images of an even white scene under a camera's lenses, sampled on a cell along the lattice vectors.
 
     Parameters
     ----------
@@ -92,38 +91,23 @@ class MicroImageModel:
             "mla_focal_length: white pictures are fitted for arrays of one focal length",
         )
         self.shape = replace(camera.vignetting or Vignetting(1.0), radius=1.0, scale=1.0)
-        step = max(1 / 4, _PITCHES * pitch / _WIDEST)
-        count = scipy.fft.next_fast_len(int(np.ceil(_PITCHES * pitch / step)), real=True)
+        vectors = np.array(camera.lattice.basis) * camera.image_growth / camera.pixel_size
+        count = scipy.fft.next_fast_len(int(np.ceil(min(4 * np.hypot(*vectors.T).max(), _WIDEST))), real=True)
         require_memory(200.0 * count**2, f"model of micro-images of {count} x {count} samples")
-        self._step = step
+        self.reach = camera.lattice.cell_reach * camera.image_growth / camera.pixel_size
         self._count = count
-        fx, fy = np.meshgrid(scipy.fft.rfftfreq(count, step), scipy.fft.fftfreq(count, step))
+        # In pixels, from sample to sample.
+        self._steps = vectors / count
+        self._area = abs(np.linalg.det(self._steps))
+        # Images of all lenses together have the frequencies of the reciprocal lattice alone.
+        along = scipy.fft.rfftfreq(count, 1 / count)
+        down = scipy.fft.fftfreq(count, 1 / count)
+        fx, fy = (a * along + b * down[:, None] for a, b in np.linalg.inv(vectors))
         self._f2 = fx * fx + fy * fy
-        vectors = np.array(camera.lattice.basis) * (camera.image_growth / camera.pixel_size)
-        i, j = (index.ravel() for index in np.mgrid[-2:3, -2:3])
-        near = i[:, None] * vectors[0] + j[:, None] * vectors[1]
-        near = near[np.hypot(*near.T) < 1.6 * np.hypot(*vectors.T).max()]
-        # Micro-images of neighbours in the window, moved by the theorem of displacement.
-        neighbours = sum(np.exp(-2j * np.pi * (fx * x + fy * y)) for x, y in near)
-        lens = _wave_transfer(camera, wavelength, fx, fy) if wavelength else self._ray_transfer(camera)
-        # Pupils are drawn in the middle two of three pitches.
-        half = count // 3
-        self._axis = np.arange(-half, half + 1) * step
-        drawn_at = np.exp(-2j * np.pi * (fx + fy) * step * (count // 2 - half))
+        pattern = _wave_pattern(camera, wavelength, along, down) if wavelength else _ray_pattern(camera, along, down)
         # Coefficients of cubic splines from their values (M. Unser 1999, "Splines").
-        spline = 9 / (2 + np.cos(2 * np.pi * fx * step)) / (2 + np.cos(2 * np.pi * fy * step))
-        self._transfer = lens * neighbours * np.sinc(fx) * np.sinc(fy) * drawn_at * spline
-        self.reach = np.floor(count * step / 2) - 1
-
-    def _ray_transfer(self, camera: PlenopticCamera) -> np.ndarray:
-        """Return the transfer of the aperture that rays see beside its focus."""
-        smear = abs(camera.pupil_shift(camera.mla_focal_length)) / camera.pupil_step
-        image = camera.lattice.aperture_image(self._step, smear)
-        size = len(image)
-        refuse_if(size > self._count, "camera: its lenses see the pupil out of focus by more than three pitches")
-        padded = np.zeros((self._count, self._count))
-        padded[:size, :size] = image
-        return scipy.fft.rfft2(np.roll(padded, (-(size // 2), -(size // 2)), (0, 1)))
+        spline = np.outer(*(3 / (2 + np.cos(2 * np.pi * orders / count)) for orders in (down, along)))
+        self._transfer = pattern * np.sinc(fx) * np.sinc(fy) * spline
 
     def samples(self, numbers: PupilNumbers) -> np.ndarray:
         """Return the spline coefficients, for `at`, of a micro-image that is 1 in the middle of an even pupil."""
@@ -159,50 +143,48 @@ class MicroImageModel:
         return slopes
 
     def _pupil(self, n: PupilNumbers) -> np.ndarray:
-        """Return the pupil's transmission in the window's middle."""
+        """Return the pupil's transmission, that of the neighbours' pupils added, on the samples of a cell."""
         own = ("ellipse_x", "ellipse_y", "slope_x", "slope_y", "apodisation_2", "apodisation_4")
         pupil = replace(self.shape, **{name: float(getattr(n, name)) for name in own})
-        drawn = np.zeros((len(self._axis), len(self._axis)))
+        centre = np.array([n.centre_x, n.centre_y])
+        to_samples = np.linalg.inv(self._steps)
         # The outline lies within.
-        reach = n.radius * (1.1 + 2 * np.hypot(n.ellipse_x, n.ellipse_y)) + 2 * self._step
-        columns, rows = (
-            slice(*np.searchsorted(self._axis, (middle - reach, middle + reach))) for middle in (n.centre_x, n.centre_y)
+        reach = (n.radius * (1.1 + 2 * np.hypot(n.ellipse_x, n.ellipse_y)) + 1) * np.hypot(*to_samples)
+        first, last = (
+            np.rint(centre @ to_samples + side * reach).astype(int).clip(-self._count, self._count) for side in (-1, 1)
         )
+        columns, rows = map(np.arange, first, last)
         # The pupil's image is upside down.
-        x = (n.centre_x - self._axis[columns]) / n.radius
-        y = (n.centre_y - self._axis[rows, None]) / n.radius
+        x, y = ((c - a * columns - b * rows[:, None]) / n.radius for c, a, b in zip(centre, *self._steps, strict=True))
         outline, transmission = pupil.outline(x, y, 0.0, 0.0)
-        drawn[rows, columns] = (outline * (n.radius / self._step) + 0.5).clip(0, 1) * transmission
-        return drawn
+        drawn = np.zeros((2 * self._count, 2 * self._count))
+        drawn[np.ix_(rows, columns)] = (outline * (n.radius / np.sqrt(self._area)) + 0.5).clip(0, 1) * transmission
+        return drawn.reshape(2, self._count, 2, self._count).sum((0, 2))
 
     def pupil_light(self, numbers: PupilNumbers) -> float:
         """Return the light of the pupil's image, over that in the middle of an even one and the area of a pixel."""
-        return float(self._pupil(numbers).sum()) * self._step**2
+        return float(self._pupil(numbers).sum()) * self._area
 
     def _blur(self, n: PupilNumbers) -> np.ndarray:
         """Return the transfer of the blur."""
         return np.exp(-2 * (np.pi * n.blur) ** 2 * self._f2)
 
     def _image(self, pupil: np.ndarray, blur: np.ndarray) -> np.ndarray:
-        """Return the spline coefficients of the image of a pupil's transmission in the window's middle."""
-        # Rows beyond the pupil are dark.
-        spectrum = scipy.fft.fft(scipy.fft.rfft(pupil, self._count), self._count, axis=0, overwrite_x=True)
+        """Return the spline coefficients of the image of a pupil's transmission."""
+        spectrum = scipy.fft.rfft2(pupil)
         spectrum *= self._transfer
         spectrum *= blur
         return np.asarray(scipy.fft.irfft2(spectrum, (self._count, self._count), overwrite_x=True))
 
     def at(self, samples: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return values of `samples`'s samples at offsets in pixels from the image of the lens's regular place."""
-        middle = self._count // 2
-        places = np.stack([y / self._step + middle, x / self._step + middle])
-        return map_coordinates(samples, places, prefilter=False, mode="grid-wrap")
+        return np.asarray(self.splines(x, y) @ samples.ravel())
 
     def splines(self, x: np.ndarray, y: np.ndarray) -> csr_array:
         """Return the matrix that multiplies flat `samples` to values at offsets in pixels, as `at` does."""
         weights = []
         index = []
-        for offset in (y, x):
-            place = offset / self._step + self._count // 2
+        for place in np.linalg.solve(self._steps.T, np.stack([x, y]))[::-1]:
             first = np.floor(place)
             t = place - first
             s = 1 - t
@@ -214,27 +196,35 @@ class MicroImageModel:
         return csr_array((taps, columns, rows), shape=(len(x), self._count**2))
 
 
-def _wave_transfer(camera: PlenopticCamera, wavelength: float, fx: np.ndarray, fy: np.ndarray) -> np.ndarray:
-    """Return the optical transfer function of a lens for light of the pupil, at frequencies per pixel.
+def _ray_pattern(camera: PlenopticCamera, along: np.ndarray, down: np.ndarray) -> np.ndarray:
+    """Return orders of the light of a pupil point behind the array by rays: apertures as large as its defocus."""
+    unit = (np.arange(_POINTS) + 0.5) / _POINTS
+    points = np.reshape(camera.lattice.aperture_point(*np.meshgrid(unit, unit)), (2, -1))
+    smear = camera.pupil_shift(camera.mla_focal_length) * camera.pixel_size / (camera.pupil_step * camera.image_growth)
+    places = np.linalg.solve(np.transpose(camera.lattice.basis), smear * points)
+    first, second = (np.exp(2j * np.pi * np.outer(n, place)) for n, place in zip((along, down), places, strict=True))
+    return np.asarray(second @ first.T / _POINTS**2)
 
-    The autocorrelation of the aperture, with the phase of its defocus, at distances of wavelength times distance times
-    frequency (Goodman, equation 6-28).
-    """
+
+def _wave_pattern(camera: PlenopticCamera, wavelength: float, along: np.ndarray, down: np.ndarray) -> np.ndarray:
+    """Return orders of the light of a pupil point behind the array by waves: its lenses interfere."""
+    lattice = camera.lattice
+    refuse_if(
+        not lattice.fills, "mla_fill, mla_aperture: waves are fitted to lenses that fill their cells; fit by rays"
+    )
     length = wavelength * 1e-6
-    reach = length * camera.reduced_distance / camera.pixel_size
-    lag = reach * float(fx[0, 1])
-    half = int(np.ceil(camera.lattice.aperture_reach / lag))
-    refuse_if(half > _WIDEST, f"wavelength = {wavelength:g}: the lenses are too large for it; fit by rays")
-    # Fine samples are in or out: those that a border covers in part would count by their squares without a lag.
-    finer = int(np.ceil(_WIDEST / (2 * half + 1)))
-    size = scipy.fft.next_fast_len(2 * half * finer + 1)
-    offset = (np.arange(size) - size // 2) * (lag / finer)
-    aperture = camera.lattice.in_aperture(*np.broadcast_arrays(offset, offset[:, None]))
-    curvature = np.pi / length * camera.pupil_shift(camera.mla_focal_length) / camera.pupil_distance
-    field = aperture * np.exp(1j * curvature * (offset**2 + offset[:, None] ** 2))
-    padded = scipy.fft.fft2(field, (2 * size, 2 * size))
-    correlation = scipy.fft.ifft2(np.abs(padded) ** 2)
-    correlation = correlation / correlation[0, 0].real
-    across, down = (finer * np.rint(frequencies * reach / lag).astype(int) for frequencies in (fx, fy))
-    within = (np.abs(across) < size) & (np.abs(down) < size)
-    return np.where(within, correlation[down % (2 * size), across % (2 * size)], 0)
+    power = np.pi / length / camera.reduced_focal_lengths[0]
+    size = scipy.fft.next_fast_len(int(max(_WIDEST, 3 * power * lattice.cell_reach**2)))
+    refuse_if(size > 4 * _WIDEST, f"wavelength = {wavelength:g}: the lenses are too large for it; fit by rays")
+    vectors = np.array(lattice.basis)
+    steps = np.arange(size) / size
+    orders = scipy.fft.fftfreq(size, 1 / size)
+    x, y = (c + a * steps + b * steps[:, None] for c, a, b in zip(lattice.centre(0.0, 0.0), *vectors, strict=True))
+    fx, fy = (a * orders + b * orders[:, None] for a, b in np.linalg.inv(vectors))
+    centre = lattice.centre(*lattice.cell(x, y))
+    field = np.exp(-1j * power * ((x - centre[0]) ** 2 + (y - centre[1]) ** 2))
+    # A spherical wave casts the pattern of a plane one at a shorter distance, enlarged.
+    distance = camera.reduced_distance / camera.image_growth
+    field = scipy.fft.ifft2(scipy.fft.fft2(field) * np.exp(-1j * np.pi * length * distance * (fx * fx + fy * fy)))
+    light = scipy.fft.fft2(np.abs(field) ** 2) / size**2
+    return np.asarray(light[np.ix_(down.astype(int), along.astype(int))])

@@ -83,10 +83,8 @@ def test_an_iris_and_a_map_of_the_pupil_are_found():
 @pytest.mark.slow
 def test_waves_are_told_from_rays():
     """The white of a wave capture is fitted by waves without a blur; rays explain its diffraction by a wide one."""
-    camera = THIN.replace(
-        mla_pitch=0.08, mla_focal_length=1.6, detector_distance=1.6, aperture_radius=1.3, resolution=(160, 120)
-    )
-    camera = camera.replace(detector_width=0.8)
+    camera = THIN.replace(mla_pitch=0.08, mla_focal_length=1.6, detector_distance=1.6, aperture_radius=1.3)
+    camera = camera.replace(detector_width=0.8, resolution=(160, 120), mla_lattice="hexagonal", mla_rotation=7.0)
     scene = {"type": "scene", "lamp": {"type": "constant"}}
     waves = {"type": "plenoptic_wave", "wavelength": 550.0, "child": {"type": "direct"}}
     light = render_capture(mi.load_dict(scene | {"camera": camera.to_sensor(), "integrator": waves}), spp=256).image
@@ -180,6 +178,7 @@ def test_wrong_pictures_are_refused(white, dark, camera, words):
         (DARK[:-1], SMALL, None, "dark of shape"),
         (DARK, SMALL, 0.55, "wavelength = 0.55: it must be from 200 to 2500 nm; it looks like"),
         (DARK, SMALL.replace(mla_pitch=4e-3, mla_focal_length=0.032), None, "pixels wide: at least 4"),
+        (DARK, SMALL.replace(mla_aperture="circle"), 550.0, "lenses that fill their cells; fit by rays"),
     ],
 )
 def test_wrong_numbers_are_refused_before_lenses_are_searched(dark, camera, wavelength, words, monkeypatch):
