@@ -66,10 +66,10 @@ def stage_lines(resume: bool) -> Iterator[StageOptions]:
         tasks: dict[str, TaskID] = {}
 
         def notify(name: str, done: int, total: int) -> None:
-            line.label = name.replace("_", " ")
-            line(done, total)
             if name not in tasks:
+                line.begin(name.replace("_", " "))
                 tasks[name] = bar.add_task(line.label, total=1)
+            line(done, total)
             bar.update(tasks[name], completed=done, total=total or 1)
 
         def finished(name: str, seconds: float, was_there: bool) -> None:

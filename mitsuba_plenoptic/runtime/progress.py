@@ -41,11 +41,16 @@ class ProgressBar:
     """Display of progress, for the argument `progress` of this package's long computations."""
 
     def __init__(self, label: str, show: Callable[[int, int], None] | None = None, hint: str = "") -> None:
-        self.fraction = 0.0
-        self.label = label
-        self.begun: float | None = None  # the first fraction: what was done by an earlier run
         self._show = show
         self._hint = hint
+        self.begin(label)
+
+    def begin(self, label: str) -> None:
+        """Begin work that is shown by a label, such as a stage."""
+        self.label = label
+        self.fraction = 0.0
+        self.begun: float | None = None  # the first fraction: what was done by an earlier run
+        self.start = time.monotonic()
 
     def __call__(self, done: int, total: int) -> None:
         """Show the fraction of the total that is done; end the work if Ctrl-C was pressed."""
@@ -190,11 +195,10 @@ def plain_lines(label: str, hint: str = "") -> Iterator[ProgressBar]:
 
 
 def _print_lines(ended: threading.Event, output: TextIO) -> None:
-    start = time.monotonic()
     wait = FIRST_LINE
     while not ended.wait(wait) and _under_way:
         line = _under_way[-1]
-        elapsed = time.monotonic() - start
+        elapsed = time.monotonic() - line.start
         done = f"{100 * line.fraction:.0f} %, " if line.fraction else ""
         done_here = line.fraction - (line.begun or 0.0)
         left = elapsed * (1 - line.fraction) / max(done_here, FORESEEN)
@@ -206,4 +210,4 @@ def _print_lines(ended: threading.Event, output: TextIO) -> None:
                 print(text, end="", file=output, flush=True)
         except (OSError, ValueError):
             return  # Nobody reads it any more.
-        wait = min(max(INTERVAL, elapsed / 10), LONGEST_INTERVAL)
+        wait = min(max(INTERVAL, wait * 1.1), LONGEST_INTERVAL)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -35,22 +36,16 @@ def test_other_software_makes_entries_again(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["image.exr", ".image.exr.key"])
-@pytest.mark.parametrize(
-    "damage", [lambda content: content[: len(content) // 2], lambda content: b"", lambda content: b"?"]
-)
+@pytest.mark.parametrize("damage", [lambda content: content[: len(content) // 2], lambda _: b"", lambda _: b"?"])
 def test_what_is_damaged_is_made_again(tmp_path, name, damage):
-    def image():
-        made = np.arange(64, dtype=np.float32).reshape(8, 8), {"kind": "image"}
-        return Cache(tmp_path).image("image", {}, lambda _: runs.append(1) or made)
-
-    runs = []
-    first, key = image()
+    make = Mock(return_value=(np.arange(64, dtype=np.float32).reshape(8, 8), {"kind": "image"}))
+    first, key = Cache(tmp_path).image("image", {}, make)
     path = tmp_path / name
     path.write_bytes(damage(path.read_bytes()))
-    again, same = image()
-    np.testing.assert_array_equal(again, first)
-    assert key == same and len(runs) == 2
-    assert image()[1] == key and len(runs) == 2
+    for _ in range(2):
+        again, same = Cache(tmp_path).image("image", {}, make)
+        np.testing.assert_array_equal(again, first)
+        assert key == same and make.call_count == 2
 
 
 def test_an_entry_that_another_process_makes_is_refused(tmp_path):
@@ -82,12 +77,9 @@ def test_two_at_once_keep_both_results(tmp_path):
 
 
 def test_a_full_disk_loses_nothing_finished(tmp_path, monkeypatch):
-    def full(path, content):
-        raise InputError(f"{path}: it cannot be written: No space left on device")
-
     Cache(tmp_path).facts("first", {}, lambda _: {"answer": 42})
-    with monkeypatch.context() as patch, pytest.raises(InputError, match="No space left"):
-        patch.setattr(cache, "write_json", full)
+    with monkeypatch.context() as patch, pytest.raises(OSError, match="No space left"):
+        patch.setattr(cache, "write_json", Mock(side_effect=OSError("No space left on device")))
         Cache(tmp_path).facts("second", {}, lambda _: {})
     assert Cache(tmp_path).facts("first", {}, lambda _: pytest.fail("made again")) == {"answer": 42}
     assert Cache(tmp_path).facts("second", {}, lambda _: {"answer": 43}) == {"answer": 43}
@@ -96,13 +88,7 @@ def test_a_full_disk_loses_nothing_finished(tmp_path, monkeypatch):
 def test_a_file_of_another_key_is_never_taken(tmp_path, monkeypatch):
     """Where a run ends between the file and its key."""
     Cache(tmp_path).facts("facts", {"a": 1}, lambda _: {"a": 1})
-    write = cache.write_text
-
-    def killed(path, text):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(cache, "write_text", killed)
-    with pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(cache, "write_text", Mock(side_effect=KeyboardInterrupt))
         Cache(tmp_path).facts("facts", {"a": 2}, lambda _: {"a": 2})
-    monkeypatch.setattr(cache, "write_text", write)
     assert Cache(tmp_path).facts("facts", {"a": 1}, lambda _: {"a": 1}) == {"a": 1}

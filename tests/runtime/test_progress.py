@@ -7,6 +7,7 @@ import time
 import pytest
 
 from mitsuba_plenoptic import progress_bar
+from mitsuba_plenoptic.cli.stopping import stage_lines
 from mitsuba_plenoptic.runtime import progress
 
 
@@ -30,11 +31,10 @@ def printed(capsys, pattern):
 
 def wait_for_threads(count):
     """Wait until only so many threads are left: the one that prints has ended."""
-    for _ in range(5000):
-        if threading.active_count() <= count:
-            return
+    end = time.monotonic() + 100
+    while threading.active_count() > count:
+        assert time.monotonic() < end, "its thread is still there"
         time.sleep(0.02)
-    raise AssertionError("its thread is still there")
 
 
 def test_lines_come_without_a_report_and_go_on_with_the_last_one(often, capsys):
@@ -56,6 +56,16 @@ def test_lines_come_without_a_report_and_go_on_with_the_last_one(often, capsys):
         )
         assert 3 * (elapsed - 0.5) <= left <= 3 * (elapsed + 0.5)
     wait_for_threads(before)
+
+
+def test_the_time_left_counts_from_the_start_of_a_stage(often, capsys, monkeypatch):
+    now = time.monotonic
+    with stage_lines(resume=False) as stages:
+        stages.notify("first", 0, 0)
+        monkeypatch.setattr(progress.time, "monotonic", lambda: now() + 3600)
+        for done in (0, 1):
+            stages.notify("second", done, 20)
+        printed(capsys, r"second: 5 %, \d+ s, about [\d.]+ s left$")
 
 
 def test_the_first_percentage_of_a_minute_of_work_says_what_makes_it_shorter(often, capsys, monkeypatch):
@@ -80,24 +90,21 @@ def test_what_is_quick_prints_nothing(capsys):
     wait_for_threads(before)
 
 
-@pytest.mark.parametrize(("seconds", "told"), [(4.0, []), (400.0, [pytest.approx(400)])])
+@pytest.mark.parametrize(
+    ("seconds", "told"),
+    [
+        ({part: 0.04 * part for part in range(101)}, []),
+        ({part: 4.0 * part for part in range(101)}, [pytest.approx(400)]),
+        # 100 s of plans and kernels, then a quarter in six seconds.
+        ({0: 100.0, 50: 110.0, 75: 116.0}, [pytest.approx(122)]),
+    ],
+)
 def test_work_is_forecast_once_when_its_speed_is_known(monkeypatch, seconds, told):
-    now = iter(seconds * part / 100 for part in (0, *range(101)))
+    now = iter([0.0, 0.0, *seconds.values()])
     monkeypatch.setattr(progress.time, "monotonic", lambda: next(now))
     found, shown = [], progress.ProgressBar("work")
     forecast = progress.Forecast(found.append, shown)
-    for part in range(101):
+    for part in seconds:
         forecast(part, 100)
     assert found == told
-    assert shown.fraction == 1
-
-
-def test_plans_and_kernels_do_not_count_as_speed_in_a_forecast(monkeypatch):
-    now = iter([0.0, 100.0, 110.0, 116.0])
-    monkeypatch.setattr(progress.time, "monotonic", lambda: next(now))
-    found = []
-    forecast = progress.Forecast(found.append)
-    # 100 s of plans, then a quarter in six seconds.
-    for part in (0, 50, 75):
-        forecast(part, 100)
-    assert found == [pytest.approx(122)]
+    assert shown.fraction == max(seconds) / 100

@@ -19,6 +19,7 @@ from ...detector import Detector
 from ...errors import InputError, refuse_if, require_count, suggest_keywords
 from ...linear import dark_variance
 from ...runtime import IMAGE, Doubles, as_array
+from .white_frames import matching, stuck
 
 _ORDERS = 2, 4, 6
 """Orders of the differences along either axis that remove a picture's structure: low ones leave slopes of it, and high
@@ -114,10 +115,7 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
     """
     bright = _frames("white", white)
     black = _frames("dark", dark)
-    refuse_if(
-        bright.shape[1:] != black.shape[1:],
-        f"dark of shape {black.shape[1:]}: it must have the pixels of the white picture, {bright.shape[1:]}",
-    )
+    matching("dark", black[0], bright[0])
     if bits is None:
         bits = 8 if max(bright.max(), black.max()) <= 255 else 16
     bits = require_count("bits", bits, maximum=16)
@@ -133,10 +131,7 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
     noise = 1.4826 * float(np.median(np.abs(offset - np.median(offset)))) + 1
     hot = np.abs(offset - level) > 10.0 * noise
     mean_light = bright.mean(0) - level
-    ring = np.ones((3, 3), bool)
-    ring[1, 1] = False
-    around = ndimage.minimum_filter(mean_light, footprint=ring, mode="mirror")
-    dead = (mean_light < 0.25 * around) & (around > 10.0 * noise)
+    dead, _ = stuck(mean_light, noise)
     saturated = (bright >= top).any(0)
     bad = hot | dead | saturated
     refuse_if(

@@ -10,6 +10,9 @@ import scipy.ndimage
 from ...errors import refuse_if, warn
 from ...runtime import as_pixels
 
+_AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]])
+"""The neighbours of a pixel."""
+
 
 @dataclass(frozen=True)
 class WhiteFrame:
@@ -42,20 +45,10 @@ class WhiteFrame:
             If a picture has several channels, their sizes differ, or too much is saturated or dark.
         """
         light = single_channel("white", white)
-        saturated = light >= light.max()
-        if saturated.mean() < 1e-4:
-            saturated[:] = False
-        refuse_if(
-            saturated.mean() > 0.1,
-            f"white: {saturated.mean():.0%} of its pixels have its largest value: at most 10% may be saturated",
-        )
+        saturated = clipped("white", light)
         defective = np.zeros(light.shape, bool)
         if dark is not None:
-            dark = single_channel("dark", dark)
-            refuse_if(
-                dark.shape != light.shape,
-                f"dark of shape {dark.shape}: it must have the pixels of the white picture, {light.shape}",
-            )
+            dark = matching("dark", dark, light)
             away = dark - np.median(dark)
             defective = np.abs(away) > 10.0 * max(1.4826 * float(np.median(np.abs(away))), 1e-3 * np.ptp(light))
             refuse_if(dark.mean() > 0.5 * light.mean(), "dark: it is not darker than half of the white picture")
@@ -73,25 +66,53 @@ class WhiteFrame:
         return cls(light, good, int(saturated.sum()), int(defective.sum()), int(unlit.sum()))
 
 
+def clipped(name: str, picture: np.ndarray) -> np.ndarray:
+    """Return the pixels with the largest value of a picture, if they are not few; refuse too many."""
+    highest = picture >= picture.max()
+    refuse_if(
+        highest.mean() > 0.1,
+        f"{name}: {highest.mean():.0%} of its pixels have its largest value: at most 10% may be saturated",
+    )
+    return highest & (highest.mean() >= 1e-4)
+
+
+def stuck(light: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return single dead pixels, and hot ones: four times darker and brighter than all their neighbours.
+
+    Blurred light does not differ so much. By noise alone none does, as the difference must be ten times the noise, too.
+    """
+    least = scipy.ndimage.minimum_filter(light, footprint=_AROUND, mode="mirror")
+    most = scipy.ndimage.maximum_filter(light, footprint=_AROUND, mode="mirror")
+    return (light < least / 4) & (least - light > 10 * noise), (light > 4 * most) & (light - most > 10 * noise)
+
+
 def black_level(light: np.ndarray) -> float:
     """Return the black level, with a warning, of a light field less its dark picture, (rows, columns), or 0.
 
     Pixels of the darkest places, which their neighbours tell, cannot be darker than no light. Where they lie below 0 by
     more than 1% of the mean light, the light field has another black level than the dark picture.
     """
-    around = np.ones((3, 3)) / 8
-    around[1, 1] = 0
-    near = scipy.ndimage.convolve(light, around)
+    near = scipy.ndimage.convolve(light, _AROUND / 8)
     darkest = light.ravel()[np.argsort(near, axis=None)[: max(light.size // 3000, 30)]]
     level = float(np.median(darkest))
     mean = light.mean() - level
-    if level > -0.01 * mean:
+    if level >= -0.01 * mean:
         return 0.0
     warn(
         f"light field: its darkest places lie {-level:.4g} numbers below the dark picture, {-level / mean:.1%} of the "
         "mean light: its black level is taken as that much lower"
     )
     return level
+
+
+def matching(name: str, picture: np.ndarray, white: np.ndarray) -> np.ndarray:
+    """Return a picture of one channel with the pixels of a white one; refuse others."""
+    values = single_channel(name, picture)
+    refuse_if(
+        values.shape != white.shape,
+        f"{name} of shape {values.shape}: it must have the pixels of the white picture, {white.shape}",
+    )
+    return values
 
 
 def single_channel(name: str, picture: np.ndarray) -> np.ndarray:

@@ -19,9 +19,6 @@ from ..calibrate.white_fit import WhiteFit
 _ZONE = 4
 """Lenses along a side for which one micro-image serves, at their own brightness."""
 
-_FEWEST = 8
-"""Lenses along a side of a part that are needed."""
-
 
 @dataclass(frozen=True)
 class CameraModel:
@@ -136,10 +133,6 @@ class PartPixels:
         refuse_if(not inside.any(), "part: no micro-image lies in it")
         first, last = (find(np.floor(model.lens[inside]), axis=0).astype(int) for find in (np.min, np.max))
         across, down = (last - first + 1).tolist()
-        refuse_if(
-            min(across, down) < _FEWEST,
-            f"part: {across} x {down} lenses lie in it: at least {_FEWEST} along a side are needed",
-        )
         # Rows are shifted by half a pitch where indices are not whole.
         odd = model.lens[(model.lens[:, 0] % 1 == 0.5), 1] % 2
         shift = 0.5 * ((first[1] + np.arange(down)) % 2 == odd[:1]) if len(odd) else np.zeros(down)
@@ -226,12 +219,11 @@ class ArrayPart:
         micro = MicroImageModel(camera, self.model.wavelength)
         numbers = self.model.field.values(self.place)
         numbers[:, NUMBERS.index("stray")] = 0.0
-        column = self.lens_of % self.lenses[0]
-        row = self.lens_of // self.lenses[0]
+        row, column = np.divmod(self.lens_of, self.lenses[0])
         zone = (row // _ZONE) * self.lenses[0] + column // _ZONE
-        order = np.argsort(zone, kind="stable")
         light = np.empty(len(self.pixel))
-        for some in np.split(order, np.flatnonzero(np.diff(zone[order])) + 1):
+        for index in np.unique(zone):
+            some = zone == index
             mean = numbers[np.unique(self.lens_of[some])].mean(0)
             light[some] = micro.at(micro.samples(PupilNumbers(*mean)), *self._offset[some].T)
         return np.asarray(light * self._bright[self.lens_of])

@@ -13,7 +13,7 @@ from ...errors import naming, refuse_if, refusing
 from ...io import Cache, StageOptions, write_json
 from ..calibrate.white_command import sensor_values
 from .real_page import write_page
-from .study import LIGHTS, Pictures, Study
+from .study import Pictures, Study
 
 PART = "0.25,0.25,0.75,0.75"
 """Left, top, right and bottom of the part that is studied, over the picture's size."""
@@ -34,11 +34,12 @@ def compare_real(
     """Fit the camera by waves and by rays, predict withheld pixels of a light field, and write a page on it."""
     corners = _corners(part or PART)
     pictures = Pictures(sensor_values(light_field), sensor_values(white), None if dark is None else sensor_values(dark))
-    rows, columns = pictures.white.shape[:2]
+    rows, columns = pictures.white.shape
     box = tuple(corner * size for corner, size in zip(corners, (columns, rows) * 2, strict=True))
-    with naming(light_field):
-        study = Study(pictures, camera, wavelength, box, planes, Cache(folder, options))
-        answer = study.answer()
+    study = Study(pictures, camera, wavelength, box, planes, Cache(folder, options))
+    with naming(white):
+        study.fit_cameras()
+    answer = study.answer()
     write_json(folder / "results.json", asdict(answer) | {"verdict": answer.verdict})
     write_page(folder / "report.html", study, answer)
     for test, ratio in answer.ratios.items():
@@ -46,8 +47,8 @@ def compare_real(
     if camera.objective is None:
         typer.echo(f"planes at {', '.join(f'{distance:.4g}' for distance in answer.distances)} mm")
     typer.echo(answer.noise)
-    stray = " and ".join(f"{answer.stray[light]:.1%} by {light}" for light in LIGHTS)
-    typer.echo(f"stray light within lenses: {stray}")
+    stray = answer.stray
+    typer.echo(f"stray light within lenses: {stray['waves']:.1%} by waves and {stray['rays']:.1%} by rays")
     typer.echo(answer.verdict)
     typer.echo(f"{folder / 'report.html'}: open it in a browser")
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 from markupsafe import Markup
+from scipy.signal import oaconvolve
 
 from ...report import pages, plots
-from .array_part import ArrayPart
 from .study import LIGHTS, Answer, Study
 
 _SHOWN = 10
@@ -48,12 +48,13 @@ def write_page(path: Path, study: Study, answer: Answer) -> None:
         f"{ratio.better}."
         for light, ratio in answer.controls.items()
     ]
-    for light in LIGHTS:
-        stray = f"{100 * answer.stray[light]:.1f} % of a lens's mean light"
-        strengths = ", ".join(f"{strength:g} for {test}" for test, strength in answer.strengths[light].items())
-        controls.append(f"Stray light by {light}: {stray}; strength of the prior {strengths}.")
+    controls += [
+        f"Stray light by {light}: {100 * answer.stray[light]:.1f} % of a lens's mean light; strength of the prior "
+        f"{strength['pixels']:g} for pixels, {strength['lenses']:g} for lenses."
+        for light, strength in answer.strengths.items()
+    ]
     controls.append(f"{answer.noise.capitalize()}.")
-    facts = (
+    compared = (
         "Recorded pixels, simulated ones by waves and by rays, their differences, and a line of pixels. Lenses that "
         "differ as a whole are withheld ones."
     )
@@ -63,7 +64,7 @@ def write_page(path: Path, study: Study, answer: Answer) -> None:
         f"{study.wavelength:g} nm and by rays; it predicts those that are withheld."
     )
     sections = [
-        pages.Section("Predictions", [how, pages.Picture(pictures(study).png(), facts), results]),
+        pages.Section("Predictions", [how, pages.Picture(pictures(study).png(), compared), results]),
         pages.Section("Controls", [controls]),
         pages.Section("The scene", [pages.Picture(slices(study).png(), planes)]),
     ]
@@ -75,11 +76,10 @@ def write_page(path: Path, study: Study, answer: Answer) -> None:
 def pictures(study: Study) -> plots.Plot:
     """Return a figure of recorded and predicted pixels, their differences, and a line of pixels through them."""
     part = study.part("waves")
-    recorded = _picture(study, part, study.electrons(None))
-    predicted = {}
-    for light in LIGHTS:
-        electrons = study.predicted(light, 0, study.strength(light, "pixels"), None)
-        predicted[light] = _picture(study, part, electrons)
+    recorded = _picture(study, study.electrons(None))
+    predicted = {
+        light: _picture(study, study.predicted(light, 0, study.strength(light, "pixels"), None)) for light in LIGHTS
+    }
     rows, columns = _most_structured(recorded, int(_SHOWN * part.model.pitch.max()))
     peak = float(np.nanquantile(recorded[rows, columns], _BRIGHT))
     plot = plots.Plot(11.7)
@@ -92,40 +92,30 @@ def pictures(study: Study) -> plots.Plot:
     plot.colour_bar(shades, below, "of bright pixels")
     axes.set_frame_on(True)
     row = (rows.start + rows.stop) // 2
-    across = np.arange(columns.start, columns.stop) - columns.start
-    within = across < 4 * part.model.pitch.max()
-    for name, image, colour in (
-        ("recorded", recorded, "#8a94a3"),
-        ("waves", predicted["waves"], plots.INK),
-        ("rays", predicted["rays"], "#d1495b"),
-    ):
-        style = "o" if name == "recorded" else "-"
-        axes.plot(across[within], image[row, columns][within] / peak, style, color=colour, markersize=3, label=name)
-    axes.set(xticks=np.arange(0, across[within][-1] + 1, 25), yticks=[0, 0.5, 1], ylim=(0, None))
+    length = int(4 * part.model.pitch.max())
+    images = {"recorded": recorded, **predicted}.items()
+    for (name, image), style, colour in zip(images, ("o", "-", "-"), ("#8a94a3", plots.INK, "#d1495b"), strict=True):
+        axes.plot(image[row, columns][:length] / peak, style, color=colour, markersize=3, label=name)
+    axes.set(yticks=[0, 0.5, 1], ylim=(0, None))
     axes.tick_params(labelsize=8)
     axes.legend(frameon=False, fontsize=8)
     plots.annotate(axes, title="A line of pixels", foot="pixels")
     return plot
 
 
-def _picture(study: Study, part: ArrayPart, values: np.ndarray) -> np.ndarray:
+def _picture(study: Study, values: np.ndarray) -> np.ndarray:
     """Return a part's values as a picture, cut to the box of the study."""
-    rows, columns = study.pictures.light_field.shape
-    flat = np.full(rows * columns, np.nan)
-    flat[part.pixel] = values
+    image = np.full(study.pictures.white.shape, np.nan)
+    image.flat[study.part("waves").pixel] = values
     left, top, right, bottom = (round(side) for side in study.box)
-    return flat.reshape(rows, columns)[top:bottom, left:right]
+    return image[top:bottom, left:right]
 
 
 def _most_structured(image: np.ndarray, size: int) -> tuple[slice, slice]:
     """Return the square of a size within an image whose pixels differ most from their neighbours."""
-    change = np.abs(np.nan_to_num(image[1:, 1:] - image[:-1, 1:])) + np.abs(
-        np.nan_to_num(image[1:, 1:] - image[1:, :-1])
-    )
-    change[~np.isfinite(image[1:, 1:])] = 0
-    size = min(size, *(side - 1 for side in change.shape))
-    sums = np.pad(change.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
-    total = sums[size:, size:] - sums[:-size, size:] - sums[size:, :-size] + sums[:-size, :-size]
+    change = np.nan_to_num(np.abs(np.diff(image, axis=0)[:, 1:]) + np.abs(np.diff(image, axis=1)[1:]))
+    size = min(size, *change.shape)
+    total = oaconvolve(change, np.ones((size, size)), "valid")
     row, column = np.unravel_index(total.argmax(), total.shape)
     return slice(int(row), int(row) + size), slice(int(column), int(column) + size)
 

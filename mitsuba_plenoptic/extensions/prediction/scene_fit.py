@@ -109,7 +109,6 @@ def fit_scene(
     projector: SceneProjection,
     electrons: np.ndarray,
     used: np.ndarray,
-    *,
     dark_variance: float,
     strength: float,
     iterations: int,

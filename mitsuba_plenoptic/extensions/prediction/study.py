@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property, lru_cache
 from typing import Any
 
@@ -14,12 +14,12 @@ from ...errors import put, refuse_if, require_wavelength
 from ...io import Cache, Progress, digest
 from ..calibrate.photon_transfer import SensorNoise
 from ..calibrate.white_fit import fit_white
-from ..calibrate.white_frames import WhiteFrame, black_level, single_channel
+from ..calibrate.white_frames import WhiteFrame, black_level, clipped, matching, single_channel, stuck
 from .array_part import ArrayPart, CameraModel, PartPixels
 from .point_patterns import distances_of, plane_of
 from .projector import SceneProjection
-from .scene_fit import SceneFit, fit_scene
-from .withheld import TESTS, Ratio, Withheld, by_lens, misfit
+from .scene_fit import fit_scene
+from .withheld import FEWEST, TESTS, Ratio, Withheld, by_lens, misfit
 
 LIGHTS = ("waves", "rays")
 
@@ -31,6 +31,13 @@ SEEDS = 3
 
 ITERATIONS = 30
 """Steps of each fit."""
+
+_EXPLAINS = 10.0
+"""Residual over noise, of withheld pixels, up to which a model explains a picture."""
+
+_LIT = 5.0
+_BRIGHT = 0.999
+"""Light over noise in the dark that a quantile of a light field must reach."""
 
 _SEARCHED = (0.25, 1.25)
 _SEARCH_STEPS = 10
@@ -49,22 +56,29 @@ and step of a run, and per product of a pixel with an element in it."""
 
 @dataclass(frozen=True)
 class Pictures:
-    """Pictures of a real camera, of one size: a light field, something evenly white, and, if there is one, no light."""
+    """Pictures of a real camera, of one size: a light field, something evenly white, and, if there is one, no light.
+
+    `good` are the pixels, flat, that are neither saturated nor defective.
+    """
 
     light_field: np.ndarray
     white: np.ndarray
     dark: np.ndarray | None
+    good: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        shape = single_channel("white", self.white).shape
-        for name in ("light_field", "white", *(["dark"] if self.dark is not None else [])):
-            label = name.replace("_", " ")
-            picture = single_channel(label, getattr(self, name))
-            refuse_if(
-                picture.shape != shape,
-                f"{label} of shape {picture.shape}: it must have the pixels of the white picture, {shape}",
-            )
-            put(self, **{name: picture})
+        white = single_channel("white", self.white)
+        dark = self.dark if self.dark is None else matching("dark", self.dark, white)
+        put(self, light_field=matching("light field", self.light_field, white), white=white, dark=dark)
+        good = WhiteFrame.of(white, dark).good
+        noise = self.noise.dark_variance**0.5
+        bright = float(np.quantile(self.electrons, _BRIGHT))
+        refuse_if(
+            bright < _LIT * noise,
+            f"light field: bright pixels hold {bright:.3g} electrons, at a noise of {noise:.3g}: it has no light",
+        )
+        dead, hot = stuck(self.electrons.reshape(white.shape), noise)
+        put(self, good=(good & ~(clipped("light field", self.light_field) | dead | hot)).ravel())
 
     @cached_property
     def noise(self) -> SensorNoise:
@@ -81,12 +95,6 @@ class Pictures:
     def key(self) -> str:
         """Hash of the white and the dark picture."""
         return digest(self.white, *([] if self.dark is None else [self.dark]))
-
-    @cached_property
-    def good(self) -> np.ndarray:
-        """Pixels, flat, that are neither saturated nor defective."""
-        light = self.light_field
-        return np.asarray((WhiteFrame.of(self.white, self.dark).good & (light < light.max())).ravel())
 
 
 @dataclass(frozen=True)
@@ -124,11 +132,17 @@ class Answer:
         """A sentence that says which light predicts better, and by how much, or that the test cannot tell."""
         if not all(ratio.better == light for light, ratio in self.controls.items()):
             return "The test cannot tell simulated pictures by rays from those by waves: it says nothing."
-        said = []
-        for test, ratio in self.ratios.items():
-            by = f"{ratio.ratio:.3f} times (95 %: {ratio.low:.3f} to {ratio.high:.3f})"
-            better = {"neither": "neither is better"}.get(ratio.better, f"{ratio.better} are better")
-            said.append(f"of withheld {test}, {better}: the residual by rays is {by} that by waves")
+        pixels = self.ratios["pixels"]
+        if not np.minimum(pixels.waves, pixels.rays) < _EXPLAINS:
+            return (
+                "Neither waves nor rays explain the picture: of withheld pixels, the residual is "
+                f"{pixels.waves:.1f} and {pixels.rays:.1f} times the noise. Are planes and camera right?"
+            )
+        said = [
+            f"of withheld {test}, {ratio.better} {'is' if ratio.better == 'neither' else 'are'} better: the residual "
+            f"by rays is {ratio.ratio:.3f} times (95 %: {ratio.low:.3f} to {ratio.high:.3f}) that by waves"
+            for test, ratio in self.ratios.items()
+        ]
         return "In predictions " + "; ".join(said) + "."
 
 
@@ -169,8 +183,16 @@ class Study:
             or (objective is None and not camera.lens_data.is_thin),
             "camera: light fields are predicted behind thin lenses, and objectives with the array in their image",
         )
-        nearest = min(planes, default=1.0)
-        refuse_if(objective is None and nearest <= 0, f"plane = {nearest:g}: it must be greater than 0")
+        nearest = min(planes, default=np.inf)
+        least = camera.focal_length if objective is None else -np.inf
+        refuse_if(nearest <= least, f"plane = {nearest:g}: it must be beyond the focal length, {least:g} mm")
+        refuse_if(len(set(planes)) < len(planes), f"plane = {list(planes)}: none may be given twice")
+        left, top, right, bottom = box
+        self._size = (right - left) * (bottom - top)
+        pitch, _ = camera.lattice.pitches
+        image = (camera.micro_image_pitch / camera.pixel_size) ** 2 * camera.lattice.row_distance / pitch
+        lenses = self._size / image
+        refuse_if(lenses < FEWEST, f"part: it shows {lenses:.0f} lenses: at least {FEWEST} are needed to withhold 10 %")
         self.pictures = pictures
         self.camera = camera
         self.wavelength = wavelength
@@ -202,9 +224,8 @@ class Study:
     @cached_property
     def _given(self) -> list[Any]:
         """What all stages depend on."""
-        pixels = digest(self.pictures.light_field)
         return [
-            pixels,
+            digest(self.pictures.light_field),
             self.pictures.key,
             self.camera.to_dict(),
             list(self.box),
@@ -230,20 +251,22 @@ class Study:
         def found(progress: Progress) -> dict[str, Any]:
             tried = distances_of(self.camera, *_SEARCHED)
             used = self.withheld(0).used
+            electrons = self.electrons(None)
             misfits = []
             for done, distance in enumerate(tried):
                 progress(done, len(tried))
                 projector = SceneProjection(self.part("rays"), [plane_of(self.part("rays"), distance)])
-                fit = self._fit(projector, self.electrons(None), used, STRENGTHS[0], iterations=_SEARCH_STEPS)
-                values = misfit(self.electrons(None), fit.predicted, self.dark_variance)
+                fit = fit_scene(projector, electrons, used, self.dark_variance, STRENGTHS[0], _SEARCH_STEPS)
+                values = misfit(electrons, fit.predicted, self.dark_variance)
                 misfits.append(by_lens(values, used, self._pixels)[0])
             left = np.full(len(misfits[0]), np.inf)
             chosen: list[float] = []
             while len(chosen) < _MOST_PLANES:
-                best = min(range(len(tried)), key=lambda plane: np.minimum(left, misfits[plane]).sum())
-                before, left = left.sum(), np.minimum(left, misfits[best])
-                if left.sum() > (1 - _EXPLAINED) * before:
+                totals = np.minimum(left, misfits).sum(1)
+                best = int(totals.argmin())
+                if totals[best] > (1 - _EXPLAINED) * left.sum():
                     break
+                left = np.minimum(left, misfits[best])
                 chosen.append(tried[best])
             return {"distances": chosen}
 
@@ -264,7 +287,8 @@ class Study:
         mask = self.withheld(seed).used
 
         def fitted(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
-            fit = self._fit(self.projector(light), self.electrons(simulated), mask, strength, progress)
+            electrons = self.electrons(simulated)
+            fit = fit_scene(self.projector(light), electrons, mask, self.dark_variance, strength, ITERATIONS, progress)
             return fit.predicted[None], {"stray_light": fit.stray}
 
         words = [light, f"seed_{seed}", f"{strength:g}"] + ([f"of_{simulated}"] if simulated else [])
@@ -275,30 +299,13 @@ class Study:
 
         def fitted(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
             mask = self.pictures.good[self._pixels.pixel]
-            fit = self._fit(self.projector(light), self.electrons(None), mask, self.strength(light, "pixels"), progress)
+            electrons = self.electrons(None)
+            strength = self.strength(light, "pixels")
+            fit = fit_scene(self.projector(light), electrons, mask, self.dark_variance, strength, ITERATIONS, progress)
             return np.append(fit.scene.ravel(), np.float32(fit.stray))[None], {}
 
         flat = self.stages.image(f"scene_{light}", [self._given, self.distances], fitted)[0].ravel()
         return flat[:-1].reshape(self.projector(light).source_shape), float(flat[-1])
-
-    def _fit(
-        self,
-        projector: SceneProjection,
-        electrons: np.ndarray,
-        used: np.ndarray,
-        strength: float,
-        progress: Progress | None = None,
-        iterations: int = ITERATIONS,
-    ) -> SceneFit:
-        return fit_scene(
-            projector,
-            electrons,
-            used,
-            dark_variance=self.dark_variance,
-            strength=strength,
-            iterations=iterations,
-            progress=progress,
-        )
 
     @property
     def dark_variance(self) -> float:
@@ -325,11 +332,9 @@ class Study:
         electrons = self.electrons(None)
 
         def residual(strength: float) -> float:
-            total = 0.0
-            for seed in range(SEEDS):
-                values = misfit(electrons, self.predicted(light, seed, strength, None), self.dark_variance)
-                total += float(values[self.withheld(seed).choosing[test]].sum())
-            return total
+            predicted = (self.predicted(light, seed, strength, None) for seed in range(SEEDS))
+            values = (misfit(electrons, some, self.dark_variance) for some in predicted)
+            return sum(float(some[self.withheld(seed).choosing[test]].sum()) for seed, some in enumerate(values))
 
         return min(STRENGTHS, key=residual)
 
@@ -348,31 +353,32 @@ class Study:
         for seed in range(SEEDS):
             chosen = self.withheld(seed).tested[test]
             away = electrons - self.predicted(light, seed, self.strength(light, test), None)
-            totals += [float((some[chosen] ** 2).sum(dtype=np.float64)) for some in (away, electrons)]
+            totals += [np.linalg.norm(some[chosen]) ** 2 for some in (away, electrons)]
         return float(np.sqrt(totals[0] / totals[1]))
 
     def work(self) -> list[float]:
         """Return the work of each stage of `answer`, in their order."""
-        left, top, right, bottom = self.box
-        pixels = (right - left) * (bottom - top)
 
         def run(planes: Sequence[float], steps: int = ITERATIONS) -> tuple[float, float]:
             blurs = [self.camera.blur_diameter(plane) / self.camera.mla_pitch for plane in planes]
             products = sum(16 * (blur + 2) ** 2 for blur in blurs)
-            return 64 * _OF_POINTS * len(blurs), steps * pixels * (_OF_PIXEL + _OF_PRODUCT * products)
+            return 64 * _OF_POINTS * len(blurs), steps * self._size * (_OF_PIXEL + _OF_PRODUCT * products)
 
         tried = [] if self._planes else distances_of(self.camera, *_SEARCHED)
         search = [sum(map(sum, (run([plane], _SEARCH_STEPS) for plane in tried)))] if tried else []
         points, runs = run(self._planes or [self.camera.focus_distance] * _MOST_PLANES)
         of_light = [points + runs, *[runs] * (len(STRENGTHS) * SEEDS)]
-        cameras = [_OF_CAMERA * self.pictures.white.size] * 2
-        return [*cameras, *search, *of_light, *of_light, runs, runs, points + runs, runs]
+        camera = _OF_CAMERA * self.pictures.white.size
+        return [camera, camera, *search, *of_light, *of_light, runs, runs, points + runs, runs]
 
-    def answer(self) -> Answer:
-        """Run what has not been run, and return the answer."""
+    def fit_cameras(self) -> None:
+        """Fit the camera to the white picture by both lights."""
         self.stages.expect(self.work())
         for light in LIGHTS:
             self.model(light)
+
+    def answer(self) -> Answer:
+        """Run what `fit_cameras` has not run, and return the answer."""
         squares = {}
         # All runs of one projection follow each other.
         for light in LIGHTS:

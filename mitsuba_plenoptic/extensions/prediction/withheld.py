@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...errors import refuse_if
 from .array_part import PartPixels
 
 TESTS = ("pixels", "lenses")
@@ -19,6 +20,10 @@ _CHOOSING = 0.05
 
 _BORDER = 2
 """Lenses from the part's border that are not judged: they see what lies outside."""
+
+FEWEST = 110
+_FEWEST_JUDGED = 36
+"""Lenses of a part, and of them those that can be judged, that are needed so that several are withheld."""
 
 _DRAWS = 1000
 _LEVEL = 0.95
@@ -38,16 +43,21 @@ class Withheld:
         """Draw pixels of a part at random, of those that are good."""
         generator = np.random.default_rng(seed)
         columns, rows = part.lenses
-        column = part.lens_of % columns
-        row = part.lens_of // columns
-        inner = np.minimum(np.minimum(column, columns - 1 - column), np.minimum(row, rows - 1 - row)) >= _BORDER
+        within = np.zeros((rows, columns), bool)
+        within[_BORDER:-_BORDER, _BORDER:-_BORDER] = True
+        count = within.sum()
+        refuse_if(
+            count < _FEWEST_JUDGED,
+            f"part: {count} of its lenses are not at its border: at least {_FEWEST_JUDGED} are needed to withhold 10 %",
+        )
+        inner = within.ravel()[part.lens_of]
         draw = {
             "pixels": generator.random(len(part.pixel)),
             "lenses": generator.random(columns * rows)[part.lens_of],
         }
         test = {name: draw[name] < _TESTED[name] for name in TESTS}
-        third = {name: (draw[name] > 1 - _CHOOSING) & ~test[name] for name in TESTS}
-        remaining = good & ~test["pixels"] & ~test["lenses"] & ~third["pixels"] & ~third["lenses"]
+        third = {name: draw[name] > 1 - _CHOOSING for name in TESTS}
+        remaining = good & ~np.any([*test.values(), *third.values()], axis=0)
         # Pixels of lenses that are withheld belong to their lens alone.
         alone = test["lenses"] | third["lenses"]
         kinds = {"pixels": ~alone & good & inner, "lenses": good & inner}
@@ -96,10 +106,10 @@ class Ratio:
     @classmethod
     def of(cls, waves: np.ndarray, rays: np.ndarray) -> Ratio:
         """Return the ratio of squared differences by lens (2, lenses), as `by_lens` sums them over all seeds."""
-        generator = np.random.default_rng(0)
-        count = waves.shape[1]
-        counts = generator.multinomial(count, np.full(count, 1 / count), _DRAWS)
-        ratios = np.sqrt((counts @ rays[0]) / (counts @ waves[0]))
+        judged = waves[1] > 0
+        count = judged.sum()
+        counts = np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), _DRAWS)
+        ratios = np.sqrt((counts @ rays[0, judged]) / (counts @ waves[0, judged]))
         low, high = np.quantile(ratios, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2]).tolist()
         by_waves, by_rays = (float(np.sqrt(some[0].sum() / some[1].sum())) for some in (waves, rays))
         return cls(by_waves, by_rays, low, high)

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 import scipy.ndimage
 from PIL import Image
+from refusals import refuses
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, extension, load_scene, render_capture
+from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, extension, load_scene, render_capture
 from mitsuba_plenoptic.extensions.calibrate.white_command import sensor_values
 from mitsuba_plenoptic.extensions.prediction import point_patterns, study
+from mitsuba_plenoptic.extensions.prediction.withheld import TESTS, Ratio
 from mitsuba_plenoptic.views import white_image
 
 LETTERS = Path(os.environ.get("MITSUBA_PLENOPTIC_DATA", "/nowhere")) / "letters_ulf"
@@ -44,10 +46,11 @@ def record(folder, camera, white, level=100):
     (folder / "camera.json").write_text(json.dumps(camera.replace(mla_offset=(0, 0)).to_dict()))
 
 
-@pytest.fixture
-def pictures(tmp_path):
-    record(tmp_path, CAMERA, scipy.ndimage.gaussian_filter(white_image(CAMERA), 0.6))
-    return tmp_path
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("real")
+    record(folder, CAMERA, scipy.ndimage.gaussian_filter(white_image(CAMERA), 0.6))
+    return folder, [sensor_values(folder / f"{name}.tif") for name in ("light", "white", "dark")]
 
 
 @pytest.fixture
@@ -97,12 +100,29 @@ def test_a_picture_by_waves_is_predicted_better_by_waves(kind, tmp_path, monkeyp
     run(*words, "--resume")
 
 
-def test_a_light_field_40_numbers_low_has_the_same_electrons(pictures):
-    light, white, dark = (sensor_values(pictures / f"{name}.tif") for name in ("light", "white", "dark"))
+def test_a_light_field_40_numbers_low_has_the_same_electrons(recorded):
+    light, white, dark = recorded[1]
     right = study.Pictures(light, white, dark).electrons
     with pytest.warns(UserWarning, match="numbers below the dark picture"):
         low = study.Pictures(light - 40, white, dark).electrons
     assert np.abs(low - right).max() < 0.01 * right.mean()
+
+
+def test_dead_hot_and_clipped_pixels_are_left_out(recorded):
+    light, white, dark = recorded[1]
+    bad = np.random.default_rng(0).random(light.shape) < 0.004
+    np.place(stuck := light.copy(), bad, [0, 65535, 7 * light.max() // 2])
+    good = study.Pictures(stuck, white, dark).good.reshape(light.shape)
+    assert good[bad].mean() < 0.2 < 0.999 < good[~bad].mean()
+    for wrong, words in (light.clip(0, 150), "% of its pixels have its largest value"), (dark, "it has no light"):
+        refuses(f"light field: .*{words}", study.Pictures, wrong, white, dark)
+
+
+@pytest.mark.parametrize(("waves", "words"), [(3.0, "waves are better"), (30.0, "Neither waves nor rays explain")])
+def test_residuals_far_above_the_noise_have_no_winner(waves, words):
+    clear, other = Ratio(waves, 2 * waves, 1.9, 2.1), Ratio(2.0, 1.0, 0.4, 0.6)
+    answer = study.Answer(dict.fromkeys(TESTS, clear), {}, {}, {}, {"waves": clear, "rays": other}, [], "")
+    assert words in answer.verdict
 
 
 @pytest.mark.slow
@@ -135,35 +155,34 @@ def test_wrong_options_get_one_line(empty, words, line, complaint):
     assert not (empty / "out").exists()
 
 
-def test_the_wavelength_is_not_guessed(empty, complaint):
-    words = command(empty)
-    words[words.index("--wavelength") : words.index("--wavelength") + 2] = []
-    assert "give --white, --camera and --wavelength, too" in complaint(*words)
-
-
-def test_a_scene_or_a_light_field_is_needed(tmp_path, complaint):
-    assert "give a scene and a distance, or --real" in complaint("compare", "-o", tmp_path / "out")
-    words = ["compare", "chart", "--distance", "200", "--part", "0,0,1,1", "-o", tmp_path / "out"]
+def test_what_is_missing_is_said(empty, complaint):
+    *words, _, _, option, folder = command(empty)
+    assert "give --white, --camera and --wavelength, too" in complaint(*words, option, folder)
+    assert "give a scene and a distance, or --real" in complaint("compare", option, folder)
+    words = ["compare", "chart", "--distance", "200", "--part", "0,0,1,1", option, folder]
     assert "they are for --real" in complaint(*words)
 
 
-def test_pictures_of_other_sizes_are_refused(pictures, complaint):
-    image = np.asarray(Image.open(pictures / "light.tif"))
-    Image.fromarray(image[:-1]).save(pictures / "light.tif")
-    words = "light field of shape (191, 192): it must have the pixels of the white picture"
-    assert words in complaint(*command(pictures))
+def test_messages_name_the_picture_that_is_wrong(recorded, complaint):
+    folder, (light, white, dark) = recorded
+    (folder / "camera.json").write_text(CAMERA.replace(mla_lattice="hexagonal").to_json())
+    words = f"{folder / 'white.tif'}: mla_lattice = hexagonal: the picture shows"
+    assert words in complaint(*command(folder, "--part", "0,0,1,1"))
+    refuses(r"light field of shape \(191, 192\): it must have the pixels", study.Pictures, light[:-1], white, dark)
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "part", "planes", "words"),
     [
-        ({"mla_tilt": (1.0, 0.0)}, "mla_tilt = .*: waves of points by method patch refuse it"),
-        ({"pupil_apodisation": (-0.2, 0.0)}, "pupil_apodisation = .*predictions.* refuse it: .*round pupil"),
+        ({"mla_tilt": (1.0, 0.0)}, 210, [], "mla_tilt = .*: waves of points by method patch refuse it"),
+        ({"pupil_apodisation": (-0.2, 0.0)}, 210, [], "pupil_apodisation = .*predictions.* refuse it: .*round pupil"),
+        ({}, 210, [385.0, 200.0], "plane = 200: it must be beyond the focal length, 200 mm"),
+        ({}, 210, [385.0, 385.0], r"plane = \[385.0, 385.0\]: none may be given twice"),
+        ({}, 150, [], "part: it shows 9[0-9] lenses: at least 110 are needed"),
     ],
 )
-def test_cameras_that_waves_or_rays_do_not_follow_are_refused(changes, words):
-    with pytest.raises(InputError, match=words):
-        study.Study(None, CAMERA.replace(**changes), 550.0, (0, 0, 192, 192), [], None)
+def test_what_cannot_be_judged_is_refused_at_once(changes, part, planes, words):
+    refuses(words, study.Study, None, THIN.replace(**changes), 550.0, (0, 0, part, part), planes, None)
 
 
 def test_without_the_extension_one_line_says_so(empty, monkeypatch, complaint):
