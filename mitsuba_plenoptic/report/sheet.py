@@ -46,8 +46,7 @@ def sheet_tables(camera: PlenopticCamera, wavelength: float | None = None) -> Ma
     """Return the HTML of a camera's design sheet, a table for each group."""
     groups = itertools.groupby(design_sheet(camera, wavelength), key=lambda row: row.group)
     widgets: Any = template("comparison.html").module
-    tables: Markup = widgets.sheet([(group, list(rows)) for group, rows in groups])
-    return tables
+    return Markup(widgets.sheet([(group, list(rows)) for group, rows in groups]))
 
 
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:
