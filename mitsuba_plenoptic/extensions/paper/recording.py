@@ -99,9 +99,7 @@ def read_recording_of(folder: Path) -> Recording:
 def _shapes(text: str, camera: PlenopticCamera) -> dict[str, Shape]:
     """Return the shapes, nearest first, of a file's content."""
     shapes = {}
-    with refusing(
-        "it holds no shapes by name, with distance, region, even and edge:", AttributeError, TypeError, ValueError
-    ):
+    with refusing("it holds no shapes by name, with distance and areas:", AttributeError, TypeError, ValueError):
         for name, entry in json.loads(text).items():
             for key in entry:
                 require_choice(f"{name}", key, ("distance", *_AREAS))
@@ -188,7 +186,9 @@ def paper_of(recording: Recording) -> NDArray[np.float32]:
     y, x = away * camera.pixel_size / camera.micro_image_pitch
     parabola = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
     paper = white.copy()
-    for shape in (shape for shape in recording.shapes.values() if "even" in shape.areas):
+    for shape in recording.shapes.values():
+        if "even" not in shape.areas:
+            continue
         part, region = (shape.pixels(camera, area) for area in ("even", "region"))
         lens, seen, even = lenses[part], recording.light[part], white[part]
         lit, full = (np.bincount(lens.ravel(), values.ravel()) for values in (seen, even))
