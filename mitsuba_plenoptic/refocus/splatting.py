@@ -133,10 +133,10 @@ def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
 
 def _gather(window: np.ndarray, footprint: np.ndarray) -> np.ndarray:
     """Return the transpose of `_spread`: (rows + taps - 1, columns + taps - 1) to (rows, columns, fine**2)."""
-    from scipy.signal import fftconvolve
+    from scipy.signal import fftconvolve  # loads slowly
 
-    kernels = footprint.reshape(*footprint.shape[:2], -1)
-    return np.asarray(fftconvolve(window[..., None], kernels[::-1, ::-1], "valid", axes=(0, 1)))
+    kernels = footprint.reshape(*footprint.shape[:2], -1)[::-1, ::-1]
+    return np.asarray(fftconvolve(window[..., None], kernels, "valid", axes=(0, 1)))
 
 
 def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float, step: float) -> np.ndarray:

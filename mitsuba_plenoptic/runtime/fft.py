@@ -235,8 +235,7 @@ def convolve(image: NDArray[Any], kernel: NDArray[Any]) -> Doubles:
 
     Shapes: `image`, `kernel` (rows, columns).
     """
-    # It takes a while to load, and most work needs no convolution.
-    from scipy.signal import oaconvolve
+    from scipy.signal import oaconvolve  # loads slowly
 
     return np.asarray(oaconvolve(np.asarray(image, np.float64), kernel))
 
