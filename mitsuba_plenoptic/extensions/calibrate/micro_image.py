@@ -92,7 +92,7 @@ class MicroImageModel:
         )
         self.shape = replace(camera.vignetting or Vignetting(1.0), radius=1.0, scale=1.0)
         vectors = np.array(camera.lattice.basis) * camera.image_growth / camera.pixel_size
-        count = scipy.fft.next_fast_len(int(np.ceil(min(4 * np.hypot(*vectors.T).max(), _WIDEST))), real=True)
+        count = scipy.fft.next_fast_len(int(min(4 * np.hypot(*vectors.T).max(), _WIDEST)), real=True)
         require_memory(200.0 * count**2, f"model of micro-images of {count} x {count} samples")
         self.reach = camera.lattice.cell_reach * camera.image_growth / camera.pixel_size
         self._count = count

@@ -17,6 +17,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from skimage.util import view_as_blocks
 
 from ...camera import PlenopticCamera
 from ...errors import naming
@@ -89,7 +90,7 @@ def reproduce_real(
     store = open_store(output, stages)
     recorded = read_recording_of(folder)
     shapes = {name: asdict(shape) for name, shape in recorded.shapes.items()}
-    key = {"pictures": digest(recorded.light, recorded.white), "camera": recorded.camera.to_dict(), "shapes": shapes}
+    key = {"pictures": digest(recorded.light, recorded.white), "camera": recorded.camera.to_dict()}
     stages_of_light = 2 + 2 * (len(TITLES) + sum(method.source == "wave" for method in COMPARED_METHODS))
     simulated = open_store(output / "control", stages)
     for cache in (store, simulated):
@@ -256,14 +257,14 @@ def _quality(
 
 
 def grid(image: NDArray[np.float32], oversample: int = FINE) -> float:
-    """Return the deviation of what repeats from lens to lens in an even area, over its mean, slow changes aside."""
+    """Return the deviation of what repeats from lens to lens in an even area, over its mean, slow changes and chance aside."""
     down, across = (size // oversample for size in image.shape)
     area = image[: down * oversample, : across * oversample].astype(np.float64)
     y, x = (values / max(area.shape) for values in np.indices(area.shape))
     terms = np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=-1).reshape(area.size, -1)
     slow = (terms @ np.linalg.lstsq(terms, area.ravel())[0]).reshape(area.shape)
-    repeated = (area - slow).reshape(down, oversample, across, oversample).mean((0, 2))
-    return float(repeated.std() / area.mean())
+    lenses = view_as_blocks(area - slow, (oversample, oversample)).reshape(down * across, -1)
+    return math.sqrt(max(lenses.mean(0).var() - lenses.var(0).mean() / len(lenses), 0)) / float(area.mean())
 
 
 def _control(
@@ -272,12 +273,13 @@ def _control(
     """Return what the camera records, by waves, of the planes that were found in a real light field, with its noise."""
     mi.set_variant("llvm_ad_mono")
     T = mi.ScalarTransform4f()
-    sheets = {}
+    sheets, textures = {}, []
     for name, image in planes.items():
         shape = real.shapes[name]
         area, values = _sheet(shape, [other for other in real.shapes.values() if other is not shape], image)
         low, high = _box(real.camera, shape.distance, area)
         middle, half = (low + high) / 2, abs(high - low) / 2
+        textures.append(values)
         # The first row of a texture is at the bottom of a rectangle that faces the camera.
         texture = mi.Bitmap(np.ascontiguousarray(values[::-1, :, None], np.float32))
         sheets[name] = {
@@ -301,8 +303,7 @@ def _control(
                 checkpoint=checkpoint,
             )
 
-        inputs = {"planes": digest(*planes.values()), "camera": real.camera.to_dict(), "wavelength": wavelength}
-        inputs["shapes"] = {name: asdict(shape) for name, shape in real.shapes.items()}
+        inputs = {"planes": digest(*textures), "camera": real.camera.to_dict(), "wavelength": wavelength}
         made, _ = store.capture(name, inputs, make)
         light = level * np.atleast_3d(made.image)[..., 0]
         random = np.random.default_rng(len(pictures))
