@@ -68,8 +68,8 @@ NUMBERS = tuple(field.name for field in fields(PupilNumbers))
 SHAPE = {"transmission": 25, "harmonics": 28}
 """Most coefficients of what the vignetting of all lenses has alike."""
 
-_STEPS = {"stray": 0.001, "ellipse_x": 0.002, "ellipse_y": 0.002}
-"""Steps of differences that give derivatives, where they are not 0.01."""
+_STEPS = {"stray": 0.001, "ellipse_x": 0.002, "ellipse_y": 0.002, "blur": 0.1}
+"""Steps of differences that give derivatives, where they are not 0.01; at no blur only a wide one gives any."""
 
 
 class MicroImageModel:
@@ -92,7 +92,7 @@ class MicroImageModel:
         )
         self.shape = replace(camera.vignetting or Vignetting(1.0), radius=1.0, scale=1.0)
         vectors = np.array(camera.lattice.basis) * camera.image_growth / camera.pixel_size
-        count = scipy.fft.next_fast_len(int(np.ceil(min(4 * np.hypot(*vectors.T).max(), _WIDEST))), real=True)
+        count = scipy.fft.next_fast_len(int(min(4 * np.hypot(*vectors.T).max(), _WIDEST)), real=True)
         require_memory(200.0 * count**2, f"model of micro-images of {count} x {count} samples")
         self.reach = camera.lattice.cell_reach * camera.image_growth / camera.pixel_size
         self._count = count
