@@ -68,8 +68,8 @@ NUMBERS = tuple(field.name for field in fields(PupilNumbers))
 SHAPE = {"transmission": 25, "harmonics": 28}
 """Most coefficients of what the vignetting of all lenses has alike."""
 
-_STEPS = {"stray": 0.001, "ellipse_x": 0.002, "ellipse_y": 0.002}
-"""Steps of differences that give derivatives, where they are not 0.01."""
+_STEPS = {"stray": 0.001, "ellipse_x": 0.002, "ellipse_y": 0.002, "blur": 0.1}
+"""Steps of differences that give derivatives, where they are not 0.01; at no blur only a wide one gives any."""
 
 
 class MicroImageModel:

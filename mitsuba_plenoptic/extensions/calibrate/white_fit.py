@@ -176,8 +176,8 @@ def fit_white(
     blur, stray = (float(field.coefficients[name][0]) for name in ("blur", "stray"))
     apart = camera.lattice.nearest_distance * camera.image_growth / camera.pixel_size
     refuse_if(
-        abs(blur) >= 0.1 * apart or stray < -0.01,
-        f"white: the fit failed, with a blur of {abs(blur):.3g} pixels (below 0.1 of a lens, "
+        blur >= 0.1 * apart or stray < -0.01,
+        f"white: the fit failed, with a blur of {blur:.3g} pixels (below 0.1 of a lens, "
         f"{0.1 * apart:.3g}) and stray light of {stray:.2g} (not negative): the camera's numbers or the "
         "dark picture are wrong",
     )

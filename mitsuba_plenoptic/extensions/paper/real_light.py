@@ -57,10 +57,8 @@ _BEYOND = 2.0
 STEPS = 30
 VARIATION = 0.01
 _RIM = 0.3
-"""Steps, weight of the total variation, and light over the brightest of a lens below which pixels are left out.
-
-The camera's model is worst at the rims of micro-images, and steps make a grid of lenses of what is wrong there.
-"""
+"""Steps, weight of the total variation, and light over the brightest of a lens below which pixels are left out: at the
+rims of micro-images the model is worst, and steps make a grid of lenses of it."""
 
 TITLES = {
     "ray": "Rays, lens footprint",
@@ -168,7 +166,7 @@ def judge(recording: Recording, store: Cache, scene: str, wavelength: float) -> 
     for (name, make), distance in itertools.product(makers.items(), distances):
         pictures[name, distance], _ = store.image(
             f"picture_{name}_{distance:g}",
-            {**keys, "paper": digest(paper), "distance": distance, "steps": [STEPS, VARIATION, _RIM]},
+            {**keys, "paper": digest(paper), "steps": [STEPS, VARIATION, _RIM]},
             lambda _, make=make, distance=distance: (  # type: ignore[misc]
                 make(distance),
                 {"kind": "reconstruction", "distance": distance},
@@ -257,7 +255,7 @@ def _quality(
 
 
 def grid(image: NDArray[np.float32], oversample: int = FINE) -> float:
-    """Return the deviation of what repeats from lens to lens in an even area, over its mean, slow changes and chance aside."""
+    """Return the deviation of what repeats in all lenses of an area, over its mean, without slow changes and noise."""
     down, across = (size // oversample for size in image.shape)
     area = image[: down * oversample, : across * oversample].astype(np.float64)
     y, x = (values / max(area.shape) for values in np.indices(area.shape))

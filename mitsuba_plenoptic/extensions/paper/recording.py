@@ -46,12 +46,12 @@ class Shape:
 
     def pixels(self, camera: PlenopticCamera, area: str) -> tuple[slice, slice]:
         """Return the rows and columns of the pixels below one of the areas."""
+        corner, size = np.split(np.array(self.areas[area]), 2)
         width = camera.micro_image_pitch / camera.pixel_size
         # Bins are counted from where the middle of the picture lies.
-        x, y = (pixels / 2 - bins * width / 2 for pixels, bins in zip(camera.resolution, camera.bin_count, strict=True))
-        left, top, across, down = (width * value for value in self.areas[area])
-        rows, columns = ((max(round(at), 0), round(at + size)) for at, size in ((top + y, down), (left + x, across)))
-        return slice(*rows), slice(*columns)
+        start = np.array(camera.resolution) / 2 + width * (corner - np.array(camera.bin_count) / 2)
+        left, top, right, bottom = np.rint([*start, *start + width * size]).astype(int).clip(0)
+        return slice(top, bottom), slice(left, right)
 
 
 @dataclass(frozen=True)
@@ -124,13 +124,13 @@ def _shapes(text: str, camera: PlenopticCamera) -> dict[str, Shape]:
 def moved_by(recording: Recording) -> tuple[float, float]:
     """Return the pixels along x and y by which the light field has moved since the white picture.
 
-    The borders of micro-images are correlated, all lenses at the brightness of white and dark ones left out.
+    The borders of micro-images are correlated, of white at the brightness of the light field, dark ones left out.
     """
     lenses = lens_numbers(recording.camera)
     full, lit = (np.bincount(lenses.ravel(), picture.ravel()) for picture in (recording.white, recording.light))
     brightness = lit / np.maximum(full, 1e-12)
-    bright = np.where(brightness > 0.3 * brightness.max(), 1.0, 0.0)
-    pictures = bright[lenses] * recording.white, (bright / np.maximum(brightness, 1e-12))[lenses] * recording.light
+    bright = brightness > 0.3 * brightness.max()
+    pictures = (bright * brightness)[lenses] * recording.white, bright[lenses] * recording.light
     borders = (ndimage.gaussian_gradient_magnitude(picture, 1.0) for picture in pictures)
     y, x = phase_cross_correlation(*borders, upsample_factor=100, normalization=None)[0].tolist()
     lens = recording.camera.micro_image_pitch / recording.camera.pixel_size
@@ -173,10 +173,9 @@ def aligned(recording: Recording, moved: tuple[float, float], width: float | Non
 
 
 def paper_of(recording: Recording) -> NDArray[np.float32]:
-    """Return the white picture as the shapes' papers record it, whose light comes otherwise from each direction.
+    """Return the white picture as the shapes' papers record it, which spread light otherwise over directions.
 
-    In an even area the light field is, lens by lens, the white picture times a brightness and a parabola over the
-    micro-image, which is that of the shape's whole region.
+    By an even area, it is white times a parabola over each micro-image.
     """
     camera = recording.camera
     white = recording.white.astype(np.float64)

@@ -84,7 +84,7 @@ def test_an_iris_and_a_map_of_the_pupil_are_found():
 def test_waves_are_told_from_rays():
     """The white of a wave capture is fitted by waves without a blur; rays explain its diffraction by a wide one."""
     camera = THIN.replace(mla_pitch=0.08, mla_focal_length=1.6, detector_distance=1.6, aperture_radius=1.3)
-    camera = camera.replace(detector_width=0.8, resolution=(160, 120), mla_lattice="hexagonal", mla_rotation=7.0)
+    camera = camera.replace(detector_width=0.8, resolution=(160, 120), mla_rotation=23.0)
     scene = {"type": "scene", "lamp": {"type": "constant"}}
     waves = {"type": "plenoptic_wave", "wavelength": 550.0, "child": {"type": "direct"}}
     light = render_capture(mi.load_dict(scene | {"camera": camera.to_sensor(), "integrator": waves}), spp=256).image
