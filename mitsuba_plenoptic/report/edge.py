@@ -327,6 +327,7 @@ def _transfer(distance: Doubles, values: Doubles, reach: float, density: float) 
     # Outwards from the middle, as noise crosses these heights elsewhere.
     middle = len(fine) // 2
     width = fine[middle + np.argmax(rising[middle:] >= 0.9)] - fine[middle + 1 - np.argmax(rising[middle::-1] < 0.1)]
+    refuse_if(width <= 0, "image: its edge does not reach from 10 to 90 % of the step")
     # Flat over the middle, so that it does not widen the spread; noise far from the edge is faded out.
     fade = np.clip((reach - np.abs(fine)) / (0.4 * reach), 0, 1)
     spread = profile.derivative()(fine) * np.sin(0.5 * math.pi * fade) ** 2
