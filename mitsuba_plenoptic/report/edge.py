@@ -327,7 +327,6 @@ def _transfer(distance: Doubles, values: Doubles, reach: float, density: float) 
     # Outwards from the middle, as noise crosses these heights elsewhere.
     middle = len(fine) // 2
     width = fine[middle + np.argmax(rising[middle:] >= 0.9)] - fine[middle + 1 - np.argmax(rising[middle::-1] < 0.1)]
-    refuse_if(width <= 0, "image: its edge does not reach from 10 to 90 % of the step")
     # Flat over the middle, so that it does not widen the spread; noise far from the edge is faded out.
     fade = np.clip((reach - np.abs(fine)) / (0.4 * reach), 0, 1)
     spread = profile.derivative()(fine) * np.sin(0.5 * math.pi * fade) ** 2
@@ -340,7 +339,8 @@ def _refuse_saturated(step: Doubles, values: Doubles) -> None:
     """Refuse an edge with a saturated side: many equal values, and hardly any values close to them."""
     for limit in (values.min(), values.max()):
         plateau = step[values == limit]
-        if plateau.size < 0.2 * values.size:
+        # No light at all is black, as beside a lamp that is simulated.
+        if plateau.size < 0.2 * values.size or limit == 0:
             continue
         height = np.abs(step - plateau[0])
         approaching, leaving = (np.count_nonzero((away > 0.02) & (away < 0.1)) for away in (height, 1 - height))

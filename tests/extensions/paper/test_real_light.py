@@ -46,9 +46,9 @@ def test_real_light_is_judged_beside_its_control(tmp_path):
     assert [claim["statement"] for claim in real["claims"]] == [claim["statement"] for claim in control["claims"]]
     assert len(real["claims"]) == 10
     near, far = real["quality"]
-    # No plane explains light that ends with a lens, so that some grid is left beside.
+    # No plane explains light that ends with a lens, so that some is left beside; noise alone is 0.012.
     assert near["grid"] < 0.01
-    assert near["unexplained"] < 0.025
+    assert near["unexplained"] < 0.03
     assert 0 < far["width_mm"] < 0.3
     assert "0.3" in (tmp_path / "out" / "report.html").read_text()
 
