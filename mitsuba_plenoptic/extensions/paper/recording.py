@@ -124,7 +124,7 @@ def _shapes(text: str, camera: PlenopticCamera) -> dict[str, Shape]:
 def moved_by(recording: Recording) -> tuple[float, float]:
     """Return the pixels along x and y by which the light field has moved since the white picture.
 
-    The borders of micro-images are correlated, of white at the brightness of the light field, dark ones left out.
+    White is dimmed to the light field's brightness, lens by lens; borders of micro-images are then correlated.
     """
     lenses = lens_numbers(recording.camera)
     full, lit = (np.bincount(lenses.ravel(), picture.ravel()) for picture in (recording.white, recording.light))
@@ -173,9 +173,9 @@ def aligned(recording: Recording, moved: tuple[float, float], width: float | Non
 
 
 def paper_of(recording: Recording) -> NDArray[np.float32]:
-    """Return the white picture as the shapes' papers record it, which spread light otherwise over directions.
+    """Return the white picture as it would be of each shape's paper, which spreads light otherwise over directions.
 
-    By an even area, it is white times a parabola over each micro-image.
+    In a shape's region it is multiplied by one parabola over each micro-image, which its even area tells.
     """
     camera = recording.camera
     white = recording.white.astype(np.float64)
