@@ -257,7 +257,7 @@ class WhiteRecording:
                 break
             change = field.split(solved(equations.sum(0), damping))
             field.coefficients = {name: before[name] + change[name] for name in NUMBERS}
-            field.coefficients["blur"] = np.abs(field.coefficients["blur"])  # one number, of which the sign says nothing
+            field.coefficients["blur"] = np.abs(field.coefficients["blur"])  # its sign says nothing
         field.coefficients = before
         show(1, 1)
         return equations
