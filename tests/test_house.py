@@ -50,21 +50,21 @@ GOALS = {
 }
 
 REACHED = {
-    "lines": 75_176,
-    "lines of the core": 49_705,
-    "tokens": 524_069,
-    "tokens of the core": 340_067,
-    "functions": 4_012,
+    "lines": 75_576,
+    "lines of the core": 50_005,
+    "tokens": 527_069,
+    "tokens of the core": 342_267,
+    "functions": 4_042,
     "percentage of functions of at most three statements": 49.2,
-    "checks and raises": 1_870,
+    "checks and raises": 1_895,
     "definitions of checks": 130,
-    "names of the core that extensions import": 353,
+    "names of the core that extensions import": 358,
     "modules of the core that extensions import": 29,
-    "constants of modules": 1_026,
-    "lines of tests": 38_850,
-    "words of docs": 53_736,
+    "constants of modules": 1_041,
+    "lines of tests": 39_750,
+    "words of docs": 54_036,
     "modules that a ray capture loads": 97,
-    "lines that a ray capture loads": 16_058,
+    "lines that a ray capture loads": 16_208,
     "modules that a wave capture loads": 133,
 }
 """Values where the goal is not reached, with one hundredth for changes."""

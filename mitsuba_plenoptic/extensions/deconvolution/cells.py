@@ -68,57 +68,28 @@ class CellSet:
         return CellSet(int(tops[0]), first, last - first)
 
 
-@dataclass(frozen=True)
 class BinCells:
     """A camera's bins and samples, divided into cells."""
 
-    grid: Grid
-    oversample: int
-
-    @property
-    def camera(self) -> PlenopticCamera:
-        """The camera in the lattice frame."""
-        return self.grid.camera
-
-    @cached_property
-    def _types(self) -> int:
-        return len(self.camera.mla_focal_lengths)
-
-    @cached_property
-    def vectors(self) -> Doubles:
-        """The two vectors (rows) by which cells repeat on the MLA, in millimetres."""
-        return self._steps.astype(np.float64) @ np.array(self.camera.lattice.basis)
-
-    @cached_property
-    def _steps(self) -> NDArray[np.int64]:
+    def __init__(self, grid: Grid, oversample: int) -> None:
+        self.grid = grid
+        self.oversample = oversample
+        # In the lattice frame.
+        self.camera = camera = grid.camera
         # A lens's type is (i - j) modulo the count of types.
-        return np.array([[self._types, 0], [0 if self._types == 1 else 1, 1]])
-
-    @cached_property
-    def samples(self) -> NDArray[np.int64]:
-        """The two vectors by which cells repeat, in samples of the grid."""
-        return self._steps @ self.grid.lens_samples
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Number of samples of a cell along x and y."""
-        return int(self.samples[0, 0]), int(self.samples[1, 1])
-
-    @cached_property
-    def bins(self) -> tuple[int, int]:
-        """Number of bins of a cell along x and y; a side is at most the pitch along the rows over `oversample`."""
-        height = float(self.vectors[1, 1]) / self.camera.mla_pitch
-        return self.oversample * self._types, math.ceil(self.oversample * height * (1 - 1e-9))
-
-    @cached_property
-    def bin_sizes(self) -> tuple[float, float]:
-        """Width and height of a bin on the MLA in millimetres."""
-        return float(self.vectors[0, 0]) / self.bins[0], float(self.vectors[1, 1]) / self.bins[1]
-
-    @cached_property
-    def first_sample(self) -> NDArray[np.int64]:
-        """Index of the sample on the axis, the first one of cell (0, 0)."""
-        return np.rint(-self.grid.origin / self.grid.pitch).astype(np.int64)
+        types = len(camera.mla_focal_lengths)
+        steps = np.array([[types, 0], [0 if types == 1 else 1, 1]])
+        # The two vectors (rows) by which cells repeat, on the MLA in millimetres, and in samples of the grid.
+        self.vectors = steps.astype(np.float64) @ np.array(camera.lattice.basis)
+        self.samples: NDArray[np.int64] = steps @ grid.lens_samples
+        # Samples of a cell, bins of a cell, and millimetres of a bin on the MLA, along x and y. A side of a bin is at
+        # most the pitch along the rows over `oversample`.
+        self.size = int(self.samples[0, 0]), int(self.samples[1, 1])
+        width, height = float(self.vectors[0, 0]), float(self.vectors[1, 1])
+        self.bins = oversample * types, math.ceil(oversample * height / camera.mla_pitch * (1 - 1e-9))
+        self.bin_sizes = width / self.bins[0], height / self.bins[1]
+        # Index of the sample on the axis, the first one of cell (0, 0).
+        self.first_sample = np.rint(-grid.origin / grid.pitch).astype(np.int64)
 
     def bin_places(self, cell: NDArray[np.int64], parts: int = 1) -> Doubles:
         """Return points on the MLA that are evenly spaced in each bin of a cell."""

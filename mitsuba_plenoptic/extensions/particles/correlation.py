@@ -11,19 +11,21 @@ result before.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import scipy.signal
 import xarray as xr
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ...errors import refuse_if, require_count, require_number, require_numbers, suggest_keywords
 from ...runtime import Doubles, Progress, counted
 from .voxels import values_of
 
-MEDIAN_LIMIT = 2.0
-MEDIAN_FLOOR = 0.1
+_MEDIAN_LIMIT = 2.0
+_MEDIAN_FLOOR = 0.1
 """Residual over that of the neighbours above which a vector is an outlier, and voxels that are added to the latter."""
 
 
@@ -58,58 +60,47 @@ def correlate_volumes(
         ``displacement`` (z, y, x, axis) in mm, at the centres of windows; ``outlier``, 1 where it was replaced by
         what its neighbours expect, as those of empty windows are, and NaN if these are empty, too; ``correlation``, the
         correlation coefficient of the windows then.
-
-    Raises
-    ------
-    InputError
-        If the volumes differ in their grid, are empty, or are smaller than a window.
     """
     before, after = values_of(first, second)
-    axes = [first[axis].values for axis in "zyx"]
     size = np.array([require_count("window", n, minimum=4) for n in require_numbers("window", window, count=3)])
     overlap = require_number("overlap", overlap, minimum=0, maximum=0.9)
     passes = require_count("passes", passes, maximum=10)
     refuse_if((size > before.shape).any(), f"window = {tuple(size.tolist())}: the volumes have {before.shape} voxels")
     for name, values in (("first", before), ("second", after)):
         refuse_if(not values.any(), f"{name}: the volume is empty")
-    step = np.maximum(1, np.rint(size * (1 - overlap))).astype(int)
-    starts = [np.arange(0, count - width + 1, by) for count, width, by in zip(before.shape, size, step, strict=True)]
-    counts = tuple(map(len, starts))
+    step = tuple(np.maximum(1, np.rint(size * (1 - overlap))).astype(int).tolist())
+    every = tuple(slice(None, None, by) for by in step)
+    windows = sliding_window_view(before, size)[every]
+    counts = windows.shape[:3]
+    others = sliding_window_view(after, size)
+    starts = np.moveaxis(np.indices(counts), 0, -1) * step
     displacement = np.zeros((*counts, 3))
     best = np.zeros(counts)
     outlier = np.zeros(counts, bool)
-    corners = [*zip(np.ndindex(counts), itertools.product(*starts), strict=True)]
-    places = iter(counted(corners * passes, progress))
+    indices = iter(counted([*np.ndindex(counts)] * passes, progress))
     for _ in range(passes):
         guess = np.rint(np.nan_to_num(displacement)).astype(int)
-        for index, corner in itertools.islice(places, len(corners)):
-            start = np.array(corner)
-            moved = np.clip(start + guess[index], 0, np.array(before.shape) - size)
-            windows = (
-                volume[tuple(slice(low, low + width) for low, width in zip(at, size, strict=True))]
-                for volume, at in ((before, start), (after, moved))
-            )
-            shift, best[index] = _displacement(*windows)
-            displacement[index] = moved - start + shift
+        moved = np.clip(starts + guess, 0, np.array(others.shape[:3]) - 1)
+        for index in itertools.islice(indices, best.size):
+            shift, best[index] = _displacement(windows[index], others[tuple(moved[index])])
+            displacement[index] = moved[index] - starts[index] + shift
         # Which vectors (z, y, x, axis), in voxels, differ from what their neighbours expect. By Westerweel and Scarano
         # (2005), both as the neighbours are and less their gradient, which few neighbours at a corner tell less well.
         # Vectors that are NaN do, too; what has no neighbours differs from none.
         expected = [_expected(displacement, linear) for linear in (False, True)]
         apart = [np.linalg.norm((displacement - middle) / typical, axis=-1) for middle, typical in expected]
-        outlier = ~(np.minimum(*apart) <= MEDIAN_LIMIT)
-        displacement = np.where(outlier[..., None], _expected(displacement)[0], displacement)
+        outlier = ~(np.minimum(*apart) <= _MEDIAN_LIMIT)
+        displacement = np.where(outlier[..., None], expected[1][0], displacement)
+    axes = [first[axis].values for axis in "zyx"]
     voxel = np.array([axis[1] - axis[0] for axis in axes])
-    centres = {
-        name: axis[0] + (start + (width - 1) / 2) * spacing
-        for name, axis, start, width, spacing in zip("zyx", axes, starts, size, voxel, strict=True)
-    }
+    centres = [sliding_window_view(axis, n)[some].mean(1) for axis, n, some in zip(axes, size, every, strict=True)]
     return xr.Dataset(
         {
             "displacement": (("z", "y", "x", "axis"), (displacement * voxel)[..., ::-1], {"units": "mm"}),
             "outlier": (("z", "y", "x"), outlier.astype(np.int8)),
             "correlation": (("z", "y", "x"), best),
         },
-        coords={**centres, "axis": list("xyz")},
+        coords={**dict(zip("zyx", centres, strict=True)), "axis": list("xyz")},
     )
 
 
@@ -126,43 +117,41 @@ def _displacement(before: Doubles, after: Doubles) -> tuple[Doubles, float]:
         return np.full(3, np.nan), 0.0
     # 0.25: Overlap of the windows, over their size, below which a displacement is not looked for.
     reach = ((1 - 0.25) * size).astype(int)
-    lags = [np.arange(-most, most + 1) for most in reach]
-    products = scipy.signal.correlate(b, a, method="fft")[
-        np.ix_(*(lag + n - 1 for lag, n in zip(lags, size, strict=True)))
-    ]
+    searched = tuple(slice(n - 1 - most, n + most) for n, most in zip(size, reach, strict=True))
+    products = scipy.signal.correlate(b, a, method="fft")[searched]
     peak = np.array(np.unravel_index(int(products.argmax()), products.shape))
     coefficient = float(products[tuple(peak)]) / norm
     # Fewer voxels meet at a displacement, which draws the peak towards 0.
-    for axis, (lag, n) in enumerate(zip(lags, size, strict=True)):
-        products = products / np.expand_dims(1 - np.abs(lag) / n, [i for i in range(3) if i != axis])
-    shift = peak - reach + [_beside(products, peak, axis) for axis in range(3)]
-    return shift, coefficient
+    meeting = np.ix_(*(1 - np.abs(np.arange(-most, most + 1)) / n for n, most in zip(size, reach, strict=True)))
+    products = products / math.prod(meeting)
+    return peak - reach + [_beside(products, peak, axis) for axis in range(3)], coefficient
 
 
 def _beside(products: Doubles, peak: NDArray[np.int64], axis: int) -> float:
     """Return the distance of a peak from its voxel along an axis, of the normal curve through three values."""
-    if not 0 < peak[axis] < products.shape[axis] - 1:
+    at = peak[axis]
+    line = np.moveaxis(products, axis, -1)[tuple(np.delete(peak, axis))][max(at - 1, 0) : at + 2]
+    if len(line) < 3:
         return 0.0
-    line = products[tuple(slice(n - 1, n + 2) if i == axis else n for i, n in enumerate(peak))]
     low, middle, high = np.log(line) if (line > 0).all() else line
     bent = low - 2 * middle + high
     # The peak is that before the correction for how many voxels meet, and can move to the next voxel by it.
     return float(np.clip(0.5 * (low - high) / bent, -1, 1)) if bent < 0 else 0.0
 
 
-def _expected(vectors: Doubles, linear: bool = True) -> tuple[Doubles, Doubles]:
+def _expected(vectors: Doubles, linear: bool) -> tuple[Doubles, Doubles]:
     """Return the median of the up to 26 neighbours of vectors (z, y, x, axis), in voxels, and by how much they differ.
 
     The neighbours are less their gradient if `linear`. A vector without neighbours is as expected.
     """
     padded = np.pad(vectors, [(1, 1)] * 3 + [(0, 0)], constant_values=np.nan)
-    around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3, 3), (0, 1, 2)).copy()
+    around = sliding_window_view(padded, (3, 3, 3), (0, 1, 2)).copy()
     around[..., 1, 1, 1] = np.nan
     for axis in (-3, -2, -1) if linear else ():
         steps = np.expand_dims(np.arange(-1, 2), [i for i in (-3, -2, -1) if i != axis])
         around -= _median(np.diff(around, axis=axis)) * steps
     middle = _median(around)
-    typical = _median(np.abs(around - middle))[..., 0, 0, 0] + MEDIAN_FLOOR
+    typical = _median(np.abs(around - middle))[..., 0, 0, 0] + _MEDIAN_FLOOR
     alone = np.isnan(around).all((-3, -2, -1))
     return np.where(alone, vectors, middle[..., 0, 0, 0]), typical
 

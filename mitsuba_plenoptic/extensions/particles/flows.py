@@ -7,8 +7,9 @@ dataclass with `velocity`, and an entry in `FLOWS`; a flow without a closed form
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,44 +18,19 @@ import xarray as xr
 from scipy.integrate import solve_ivp
 from scipy.interpolate import RegularGridInterpolator
 
-from ...errors import (
-    InputError,
-    put,
-    refuse_if,
-    refusing,
-    require_choice,
-    require_length,
-    require_number,
-    require_numbers,
-)
+from ...errors import InputError, put, refuse_if, refusing, require_choice, require_length, require_number
 from ...runtime import MILLIMETRES, Doubles, as_array, require_file, require_units
+from .seeding import PLACE, put_checked
 
 Points = Doubles
 """Positions or velocities, (n, 3)."""
 
-_TOLERANCE = 1e-11
-"""Error of an integrated path, over its length and over the flow's own size."""
+_AXES = ("x", "y", "z")
+_AXIS = partial(require_choice, choices=_AXES)
+_SPEED = partial(require_number, minimum=-1e9, maximum=1e9)
+"""Rules of an axis, and of a velocity or what it is proportional to."""
 
-_FASTEST = 1e9
-
-_AXES = "xyz"
-
-_SPEEDS = "mm/s", "mm s-1", "mm s^-1", "mm.s-1"
-"""Names of the unit of velocities."""
-
-
-def _cylinder(axis: str) -> list[int]:
-    """Return the indices of two axes and of the one that they turn about, in this order."""
-    last = _AXES.index(axis)
-    return [(last + 1) % 3, (last + 2) % 3, last]
-
-
-def _centre(value: Sequence[float]) -> tuple[float, ...]:
-    return require_numbers("centre", value, count=3, minimum=-1e9, maximum=1e9)
-
-
-def _speed(name: str, value: float) -> float:
-    return require_number(name, value, minimum=-_FASTEST, maximum=_FASTEST)
+_SPEED_UNITS = "mm/s", "mm s-1", "mm s^-1", "mm.s-1"
 
 
 class Flow:
@@ -65,19 +41,7 @@ class Flow:
         raise NotImplementedError
 
     def advected(self, points: Points, time: float) -> Points:
-        """Return where particles at some positions are after a time in seconds, which may be negative.
-
-        Parameters
-        ----------
-        points : float64 array (n, 3)
-            Positions in mm.
-        time : float
-            The time.
-
-        Raises
-        ------
-        InputError
-            If the path of a particle cannot be followed.
+        """Return where particles at positions (n, 3) in mm are after a time in seconds, which may be negative.
         """
         if time == 0 or not len(points):
             return points.copy()
@@ -86,15 +50,48 @@ class Flow:
             (0.0, time),
             points.ravel(),
             method="DOP853",
-            rtol=_TOLERANCE,
-            atol=_TOLERANCE,
+            rtol=1e-11,
+            atol=1e-11,
         )
         refuse_if(not paths.success, f"flow: paths over {time:g} s cannot be followed: {paths.message}")
         return np.asarray(paths.y[:, -1].reshape(-1, 3))
 
 
+class ParallelFlow(Flow):
+    """A flow in which each particle keeps its velocity."""
+
+    def advected(self, points: Points, time: float) -> Points:
+        """Return where particles at positions (n, 3) in mm are after a time in seconds, which may be negative."""
+        return np.asarray(points + time * self.velocity(points))
+
+
+class Vortex(Flow):
+    """A flow about an axis.
+
+    Parameters
+    ----------
+    axis : {"x", "y", "z"}
+        Axis about which it turns.
+    centre : (float, float, float)
+        The vortex's centre in mm: for vortices that are alike along the axis, a point of it.
+    """
+
+    axis: str
+    centre: tuple[float, ...]
+
+    def velocity(self, points: Points) -> Points:
+        """Return the velocities at positions."""
+        turned = -1 - _AXES.index(self.axis)
+        around = self._around(*np.roll(points - self.centre, turned, axis=1).T)
+        return np.roll(np.stack(np.broadcast_arrays(*around), -1), -turned, axis=1)
+
+    def _around(self, p: Doubles, q: Doubles, along: Doubles) -> tuple[Doubles | float, ...]:
+        """Return the velocity at places from the centre; p, q and the axis are right-handed."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
-class Uniform(Flow):
+class Uniform(ParallelFlow):
     """The same velocity everywhere.
 
     Parameters
@@ -106,20 +103,15 @@ class Uniform(Flow):
     speed: tuple[float, ...] = (1.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        speed = require_numbers("speed", self.speed, count=3, minimum=-_FASTEST, maximum=_FASTEST)
-        put(self, speed=speed)
+        put_checked(self, speed=PLACE)
 
     def velocity(self, points: Points) -> Points:
         """Return the velocities at positions."""
         return np.broadcast_to(np.array(self.speed), points.shape)
 
-    def advected(self, points: Points, time: float) -> Points:
-        """Return where particles at some positions are after a time in seconds."""
-        return np.asarray(points + time * np.array(self.speed))
-
 
 @dataclass(frozen=True)
-class Shear(Flow):
+class Shear(ParallelFlow):
     """A velocity along one axis that grows evenly along another one.
 
     Parameters
@@ -138,26 +130,20 @@ class Shear(Flow):
     centre: tuple[float, ...] = (0.0, 0.0, 240.0)
 
     def __post_init__(self) -> None:
-        for name in ("along", "across"):
-            require_choice(name, getattr(self, name), tuple(_AXES))
+        put_checked(self, rate=_SPEED, along=_AXIS, across=_AXIS, centre=PLACE)
         refuse_if(self.along == self.across, f"along = {self.along}, across = {self.across}: they must differ")
-        put(self, rate=_speed("rate", self.rate), centre=_centre(self.centre))
 
     def velocity(self, points: Points) -> Points:
         """Return the velocities at positions."""
-        result = np.zeros(points.shape)
-        across = _AXES.index(self.across)
-        result[:, _AXES.index(self.along)] = self.rate * (points[:, across] - self.centre[across])
-        return result
-
-    def advected(self, points: Points, time: float) -> Points:
-        """Return where particles at some positions are after a time in seconds."""
-        return np.asarray(points + time * self.velocity(points))
+        along, across = (np.eye(3)[_AXES.index(axis)] for axis in (self.along, self.across))
+        return self.rate * ((points - self.centre) @ across)[:, None] * along
 
 
 @dataclass(frozen=True)
-class TaylorGreen(Flow):
+class TaylorGreen(Vortex):
     """Rows of square vortices that turn about one axis, each against its neighbours (Taylor and Green 1937).
+
+    The `centre` is a corner of four vortices.
 
     Parameters
     ----------
@@ -165,10 +151,6 @@ class TaylorGreen(Flow):
         Largest velocity in mm/s.
     length : float
         Width of a vortex in mm.
-    axis : {"x", "y", "z"}
-        Axis about which they turn.
-    centre : (float, float, float)
-        A corner of four vortices, in mm.
     """
 
     speed: float = 1.0
@@ -177,22 +159,15 @@ class TaylorGreen(Flow):
     centre: tuple[float, ...] = (0.0, 0.0, 240.0)
 
     def __post_init__(self) -> None:
-        require_choice("axis", self.axis, tuple(_AXES))
-        length = require_length("length", self.length)
-        put(self, speed=_speed("speed", self.speed), length=length, centre=_centre(self.centre))
+        put_checked(self, speed=_SPEED, length=require_length, axis=_AXIS, centre=PLACE)
 
-    def velocity(self, points: Points) -> Points:
-        """Return the velocities at positions."""
-        first, second, _ = _cylinder(self.axis)
-        p, q = ((points[:, i] - self.centre[i]) * math.pi / self.length for i in (first, second))
-        result = np.zeros(points.shape)
-        result[:, first] = self.speed * np.sin(p) * np.cos(q)
-        result[:, second] = -self.speed * np.cos(p) * np.sin(q)
-        return result
+    def _around(self, p: Doubles, q: Doubles, along: Doubles) -> tuple[Doubles | float, ...]:
+        p, q = p * math.pi / self.length, q * math.pi / self.length
+        return self.speed * np.sin(p) * np.cos(q), -self.speed * np.cos(p) * np.sin(q), 0.0
 
 
 @dataclass(frozen=True)
-class LambOseen(Flow):
+class LambOseen(Vortex):
     r"""A line vortex with a core, at one moment: :math:`v = \Gamma / 2 \pi r \, (1 - e^{-r^2 / c^2})` (Lamb 1932).
 
     Parameters
@@ -201,10 +176,6 @@ class LambOseen(Flow):
         Circulation :math:`\Gamma` in mm^2/s.
     core : float
         Radius c of the core in mm.
-    axis : {"x", "y", "z"}
-        Axis about which it turns.
-    centre : (float, float, float)
-        A point of its axis, in mm.
     """
 
     circulation: float = 10.0
@@ -213,41 +184,17 @@ class LambOseen(Flow):
     centre: tuple[float, ...] = (0.0, 0.0, 240.0)
 
     def __post_init__(self) -> None:
-        require_choice("axis", self.axis, tuple(_AXES))
-        circulation = _speed("circulation", self.circulation)
-        core = require_length("core", self.core)
-        put(self, circulation=circulation, core=core, centre=_centre(self.centre))
+        put_checked(self, circulation=_SPEED, core=require_length, axis=_AXIS, centre=PLACE)
 
-    def _turning(self, p: Doubles, q: Doubles) -> Doubles:
-        """Return the angular velocity in 1/s at distances from the axis of the vortex."""
-        square = (p * p + q * q) / self.core**2
-        # (1 - exp(-s)) / s is 1 at s = 0.
-        ratio = np.where(square > 0, -np.expm1(-square) / np.where(square > 0, square, 1), 1.0)
-        return np.asarray(self.circulation / (2 * math.pi * self.core**2) * ratio)
-
-    def velocity(self, points: Points) -> Points:
-        """Return the velocities at positions."""
-        first, second, _ = _cylinder(self.axis)
-        p, q = (points[:, i] - self.centre[i] for i in (first, second))
-        turning = self._turning(p, q)
-        result = np.zeros(points.shape)
-        result[:, first] = -turning * q
-        result[:, second] = turning * p
-        return result
-
-    def advected(self, points: Points, time: float) -> Points:
-        """Return where particles at some positions are after a time in seconds: on circles about the axis."""
-        first, second, _ = _cylinder(self.axis)
-        p, q = (points[:, i] - self.centre[i] for i in (first, second))
-        angle = time * self._turning(p, q)
-        result = points.copy()
-        result[:, first] = self.centre[first] + p * np.cos(angle) - q * np.sin(angle)
-        result[:, second] = self.centre[second] + p * np.sin(angle) + q * np.cos(angle)
-        return result
+    def _around(self, p: Doubles, q: Doubles, along: Doubles) -> tuple[Doubles | float, ...]:
+        # On the axis (1 - exp(-s)) / s is 1, also of the smallest s.
+        square = np.maximum((p * p + q * q) / self.core**2, 1e-300)
+        turning = self.circulation / (2 * math.pi * self.core**2) * -np.expm1(-square) / square
+        return -turning * q, turning * p, 0.0
 
 
 @dataclass(frozen=True)
-class HillVortex(Flow):
+class HillVortex(Vortex):
     r"""Hill's spherical vortex, which stands in a stream of velocity :math:`-U` along its axis (Hill 1894).
 
     The stream function is :math:`\tfrac34 U r^2 (1 - R^2 / a^2)` within the sphere of radius a, and
@@ -259,10 +206,6 @@ class HillVortex(Flow):
         Velocity U in mm/s.
     radius : float
         Radius a of the sphere in mm.
-    axis : {"x", "y", "z"}
-        Axis of the vortex.
-    centre : (float, float, float)
-        Centre of the sphere, in mm.
     """
 
     speed: float = 1.0
@@ -271,25 +214,19 @@ class HillVortex(Flow):
     centre: tuple[float, ...] = (0.0, 0.0, 240.0)
 
     def __post_init__(self) -> None:
-        require_choice("axis", self.axis, tuple(_AXES))
-        radius = require_length("radius", self.radius)
-        put(self, speed=_speed("speed", self.speed), radius=radius, centre=_centre(self.centre))
+        put_checked(self, speed=_SPEED, radius=require_length, axis=_AXIS, centre=PLACE)
 
-    def velocity(self, points: Points) -> Points:
-        """Return the velocities at positions."""
-        first, second, last = _cylinder(self.axis)
-        p, q, along = ((points[:, i] - self.centre[i]) / self.radius for i in (first, second, last))
+    def _around(self, p: Doubles, q: Doubles, along: Doubles) -> tuple[Doubles | float, ...]:
+        p, q, along = p / self.radius, q / self.radius, along / self.radius
         square = p * p + q * q
-        distance = np.maximum(np.sqrt(square + along * along), 1.0)
-        within = square + along * along < 1
-        outer = 1.5 * self.speed / distance**5
-        bent = np.where(within, 1.5 * self.speed, outer) * along
-        result = np.empty(points.shape)
-        result[:, first] = bent * p
-        result[:, second] = bent * q
-        stream = -self.speed * (1 - distance**-3.0) - outer * square
-        result[:, last] = np.where(within, 1.5 * self.speed * (1 - 2 * square - along * along), stream)
-        return result
+        distance = np.sqrt(square + along * along).clip(1)
+        bent = 1.5 * self.speed / distance**5
+        stream = np.where(
+            distance > 1,
+            -self.speed * (1 - distance**-3.0) - bent * square,
+            1.5 * self.speed * (1 - 2 * square - along * along),
+        )
+        return bent * along * p, bent * along * q, stream
 
 
 @dataclass(frozen=True)
@@ -303,11 +240,6 @@ class ImportedFlow(Flow):
     ----------
     field : path or xarray.Dataset
         The file or the data set.
-
-    Raises
-    ------
-    InputError
-        If it is no velocity field, or a particle leaves its grid.
     """
 
     field: str | Path | xr.Dataset
@@ -315,38 +247,31 @@ class ImportedFlow(Flow):
     def __post_init__(self) -> None:
         name = "field"
         data: Any = self.field
-        if isinstance(self.field, (str, Path)):
-            name = str(self.field)
+        if isinstance(data, (str, Path)):
+            name = str(data)
             with refusing(f"{name}: it cannot be read as a velocity field:"):
-                data = xr.load_dataset(require_file(self.field))
+                data = xr.load_dataset(require_file(data))
         refuse_if(
-            not isinstance(data, xr.Dataset) or any(component not in data for component in "uvwxyz"),
+            not isinstance(data, xr.Dataset) or not {*"uvwxyz"} <= {*data.variables},
             f"{name}: it must be a data set with u, v and w on x, y and z",
         )
-        try:
-            axes = [as_array(axis, data[axis], np.float64) for axis in _AXES]
-            parts = [
-                as_array(component, data[component].transpose(*_AXES), np.float64, tuple(_AXES)) for component in "uvw"
-            ]
-        except ValueError:
-            raise InputError(f"{name}: u, v and w must have the dimensions x, y and z, and no other") from None
-        require_units(name, data, dict.fromkeys("uvw", _SPEEDS) | dict.fromkeys(_AXES, MILLIMETRES))
-        for axis, values in zip(_AXES, axes, strict=True):
-            refuse_if(len(values) < 2 or not (np.diff(values) > 0).all(), f"{name}: {axis} must rise, over two values")
-        values = np.stack(parts, -1)
-        refuse_if(not np.isfinite(values).all(), f"{name}: its velocities must be finite")
-        put(self, field=name, _interpolated=RegularGridInterpolator(axes, values))
+        require_units(name, data, dict.fromkeys("uvw", _SPEED_UNITS) | dict.fromkeys(_AXES, MILLIMETRES))
+        with refusing(f"{name}: u, v and w must be on axes x, y and z that rise, and on no other:", ValueError):
+            values = np.stack([as_array(part, data[part].transpose(*_AXES), np.float64, _AXES) for part in "uvw"], -1)
+            flow = RegularGridInterpolator([as_array(axis, data[axis], np.float64) for axis in _AXES], values)
+        refuse_if(min(values.shape) < 2 or not np.isfinite(values).all(), f"{name}: give two finite values or more")
+        put(self, field=name, _interpolated=flow)
 
     def velocity(self, points: Points) -> Points:
         """Return the velocities at positions, which must be within the grid."""
-        interpolated: RegularGridInterpolator = getattr(self, "_interpolated")  # noqa: B009
-        bounds = np.array([(axis[0], axis[-1]) for axis in interpolated.grid])
+        flow: RegularGridInterpolator = vars(self)["_interpolated"]
+        bounds = np.array([(axis[0], axis[-1]) for axis in flow.grid])
         outside = ((points < bounds[:, 0]) | (points > bounds[:, 1])).any(1)
         if outside.any():
             where = ", ".join(f"{value:.4g}" for value in points[outside][0])
             grid = ", ".join(f"{low:g} to {high:g}" for low, high in bounds)
             raise InputError(f"flow: {self.field}: a particle at ({where}) leaves its grid, {grid} mm")
-        return np.asarray(interpolated(points))
+        return np.asarray(flow(points))
 
 
 FLOWS: dict[str, Callable[..., Flow]] = {

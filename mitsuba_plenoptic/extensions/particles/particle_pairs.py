@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -11,28 +11,13 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_choice, require_number
 from ...io import Capture
-from .flows import FLOWS, Flow
+from .flows import FLOWS, Flow, Vortex
 from .particle_images import ParticleImages
-from .seeding import LightSheet, ParticleVolume, Seeding
+from .seeding import ParticleVolume, Seeding
 from .sequence import particle_sequence
-
-_WAVELENGTH = 550.0
-
-_STRENGTH = {
-    "uniform": "speed",
-    "shear": "rate",
-    "taylor_green": "speed",
-    "lamb_oseen": "circulation",
-    "hill": "speed",
-}
-"""The parameter of each flow to which its velocities are proportional."""
-
-_SIZE = {"taylor_green": "length", "lamb_oseen": "core", "hill": "radius"}
 
 _VORTEX = (0.2, 0.5)
 """Size of a vortex over the smallest extent of the volume."""
-
-_NODES = 4000
 
 
 @dataclass(frozen=True)
@@ -53,12 +38,15 @@ class ParticlePairs:
     displacement: float = 1.0
 
     def __post_init__(self) -> None:
-        require_choice("flow", self.flow, tuple(_STRENGTH))
+        require_choice("flow", self.flow, [name for name in FLOWS if name != "file"])
         for name in ("near", "far"):
             if getattr(self, name) is not None:
                 require_number(name, getattr(self, name), minimum=-1e9, maximum=1e9)
         require_number("displacement", self.displacement, positive=True, maximum=1e3)
-        Seeding(per_lens=self.per_lens, diameter=self.diameter, spread=self.spread)
+        self._seeding()
+
+    def _seeding(self) -> Seeding:
+        return Seeding(per_lens=self.per_lens, diameter=self.diameter, spread=self.spread)
 
     @property
     def meanings(self) -> dict[str, str]:
@@ -75,50 +63,45 @@ class ParticlePairs:
 
     def _random_flow(self, volume: ParticleVolume, largest: float, random: np.random.Generator) -> Flow:
         """Return a flow at a random place and of random orientation, with a given largest velocity."""
+        kind: Any = FLOWS[self.flow]
+        # Velocities are proportional to the first one; the second one of a vortex is its size.
+        names = [field.name for field in fields(kind)]
         values: dict[str, Any] = {}
         if self.flow == "uniform":
             values["speed"] = tuple(random.normal(size=3))
         else:
             values["centre"] = tuple(random.uniform(volume.lower, volume.upper))
-            axes = random.permutation(list("xyz"))
-            orientation = {"along": axes[0], "across": axes[1]} if self.flow == "shear" else {"axis": axes[0]}
-            values |= {name: str(axis) for name, axis in orientation.items()}
-        if self.flow in _SIZE:
-            values[_SIZE[self.flow]] = random.uniform(*_VORTEX) * float(volume.size.min())
-        trial = FLOWS[self.flow](**values)
-        places = random.uniform(volume.lower, volume.upper, (_NODES, 3))
+            axes = random.permutation(list("xyz")).tolist()
+            values |= dict(zip([name for name in names if name in ("along", "across", "axis")], axes, strict=False))
+        if issubclass(kind, Vortex):
+            values[names[1]] = random.uniform(*_VORTEX) * float(volume.size.min())
+        trial = kind(**values)
+        places = random.uniform(volume.lower, volume.upper, (4000, 3))
         factor = largest / float(np.linalg.norm(trial.velocity(places), axis=1).max())
-        strength = _STRENGTH[self.flow]
-        grown = factor * np.array(getattr(trial, strength))
-        return FLOWS[self.flow](**values | {strength: grown.tolist() if grown.ndim else float(grown)})
+        return replace(trial, **{names[0]: (factor * np.array(getattr(trial, names[0]))).tolist()})
 
     def captures(
         self, camera: PlenopticCamera, options: Mapping[str, Mapping[str, Any]], random: np.random.Generator
     ) -> tuple[dict[str, Capture], dict[str, np.ndarray]]:
         """Return both captures by each model, and the particles."""
-        focus = camera.focus_distance
-        near = 0.95 * focus if self.near is None else self.near
-        far = 1.05 * focus if self.far is None else self.far
         refuse_if(
             camera.objective is not None and None in (self.near, self.far),
             f"main_lens = {camera.lens_data.label}: give near and far, in mm beyond the native object plane",
         )
+        near = 0.95 * camera.focus_distance if self.near is None else self.near
+        far = 1.05 * camera.focus_distance if self.far is None else self.far
         refuse_if(not near < far, f"near = {near:g}, far = {far:g}: they must follow one another")
         # 0.8: Part of the field of view that the volume fills.
-        width, height = (
-            0.8 * extent / 2 * camera.bin_size(near) / camera.mla_pitch
-            for extent in (camera.detector_width, camera.detector_height)
-        )
+        extents = np.array([camera.detector_width, camera.detector_height])
+        width, height = 0.8 * extents / 2 * camera.bin_size(near) / camera.mla_pitch
         volume = ParticleVolume((-width, -height, near), (width, height, far))
-        largest = self.displacement * camera.bin_size(volume.centre[2])
-        flow = self._random_flow(volume, largest, random)
-        seeding = Seeding(per_lens=self.per_lens, diameter=self.diameter, spread=self.spread)
+        flow = self._random_flow(volume, self.displacement * camera.bin_size(volume.centre[2]), random)
         seed = int(random.integers(2**32))
-        truth = particle_sequence(camera, volume, seeding, flow, interval=1.0, sheet=LightSheet(), seed=seed)
+        truth = particle_sequence(camera, volume, self._seeding(), flow, interval=1.0, seed=seed)
         frames: dict[str, Capture] = {}
-        for model, of_model in options.items():
-            light = {"accuracy": of_model["accuracy"]} if "accuracy" in of_model else {}
-            images = ParticleImages(truth, wavelength=of_model.get("wavelength", _WAVELENGTH), model=model, **light)
+        for model, chosen in options.items():
+            given = {name: chosen[name] for name in ("wavelength", "accuracy") if name in chosen}
+            images = ParticleImages(truth, model=model, **{"wavelength": 550.0} | given)
             frames |= {model: images.capture(0), f"{model}_next": images.capture(1)}
         inside = truth["inside"].values[..., None] == 1
         arrays = {

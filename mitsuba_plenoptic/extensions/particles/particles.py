@@ -2,7 +2,8 @@
 
 `particle_sequence` carries particles through a volume, and `ParticleImages` captures them by waves or by rays.
 `reconstruct_volume` finds the light of voxels again, `correlate_volumes` the displacements between two volumes, and
-`locate_particles`, `refine_particles` and `match_particles` those of single particles.
+`locate_particles`, `refine_particles` and `match_particles` those of single particles. Values out of range, empty or
+dark volumes, and such as are not before the camera, raise an `InputError`.
 """
 
 from typing import NoReturn
@@ -10,9 +11,9 @@ from typing import NoReturn
 from ...extension import without
 from .correlation import correlate_volumes
 from .flows import FLOWS, Flow, HillVortex, ImportedFlow, LambOseen, Shear, TaylorGreen, Uniform
-from .mie import cross_sections
 from .particle_images import ParticleImages
 from .projection import RayProjector, VoxelProjector
+from .scattering import cross_sections
 from .seeding import LightSheet, ParticleVolume, Seeding
 from .sequence import particle_sequence
 from .tomography import reconstruct_volume

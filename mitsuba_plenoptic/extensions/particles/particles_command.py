@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,14 +11,11 @@ import typer
 
 from ... import choices
 from ...cli import inputs, options, stopping
-from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_count, require_known, short_repr
+from ...errors import naming, refuse_if, refusing, require_choice, require_count, require_known, short_repr
 from ...runtime import progress_bar
 
 if TYPE_CHECKING:
     from .flows import Flow
-
-_FILE = "particles.nc"
-"""File of the particles in the output's folder."""
 
 
 def particles(
@@ -91,11 +89,10 @@ def particles(
 
     corners = _numbers("volume", volume, 6)
     box = ParticleVolume(corners[:3], corners[3:])
-    densities = {"per_lens": per_lens, "per_volume": per_volume, "count": count}
     truth = particle_sequence(
         inputs.named_camera(camera) or PlenopticCamera(),
         box,
-        Seeding(**densities, diameter=diameter, spread=spread, index=index, medium=medium),
+        Seeding(per_lens, per_volume, count, diameter, spread, index, medium),
         _flow(flow, FLOWS, box.centre),
         interval=interval,
         frames=frames,
@@ -105,10 +102,11 @@ def particles(
     images = ParticleImages(truth, wavelength=wavelength, model=model, accuracy=accuracy)
     with refusing(f"{output}: no folder can be made there", OSError):
         output.mkdir(parents=True, exist_ok=True)
-    with atomic_output(output / _FILE) as temporary:
+    path = output / "particles.nc"
+    with atomic_output(path) as temporary:
         truth.to_netcdf(temporary, engine="scipy")
     lit = int((truth["inside"][0].values * (truth["irradiance"][0].values > 0)).sum())
-    typer.echo(f"{output / _FILE}: {truth.sizes['particle']} particles, {lit} of them lit in the first frame")
+    typer.echo(f"{path}: {truth.sizes['particle']} particles, {lit} of them lit in the first frame")
     for frame in range(frames):
         path = output / f"{model}_{frame:04d}.exr"
         with stopping.checkpoint_of(path, resume) as saved, progress_bar(f"Frame {frame + 1} of {frames}") as progress:
@@ -125,7 +123,7 @@ def _numbers(name: str, text: str, count: int) -> tuple[float, ...]:
     """Return the numbers of an option, separated by commas."""
     rule = f"{name} = {short_repr(text)}: it must be {count} numbers, separated by commas"
     with refusing(rule, ValueError):
-        values = tuple(float(number) for number in text.split(","))
+        values = tuple(map(float, text.split(",")))
     refuse_if(len(values) != count, rule)
     return values
 
@@ -145,16 +143,9 @@ def _flow(text: str, flows: Mapping[str, Callable[..., Flow]], centre: tuple[flo
         key, equals, value = setting.partition("=")
         refuse_if(not equals, f"flow = {short_repr(text)}: write it as NAME:KEY=VALUE,KEY=VALUE")
         require_known(f"flow: {name}: ", [key], names)
-        try:
-            numbers = [float(number) for number in value.split("/")]
-            values[key] = numbers[0] if len(numbers) == 1 else tuple(numbers)
-        except ValueError:
-            values[key] = value
-    with naming(f"flow: {name}"):
-        try:
-            return kind(**values)
-        except TypeError as error:
-            raise InputError(str(error)) from None
-        except InputError as error:
-            form = "; write them with slashes, as 1/0/0.5" if "it must be 3 numbers" in str(error) else ""
-            raise InputError(f"{error}{form}") from None
+        numbers = value.split("/")
+        with contextlib.suppress(ValueError):
+            numbers = [float(number) for number in numbers]
+        values[key] = numbers[0] if len(numbers) == 1 else tuple(numbers)
+    with naming(f"flow: {name} (vectors with slashes, as 1/0/0.5)"):
+        return kind(**values)

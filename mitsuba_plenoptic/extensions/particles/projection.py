@@ -8,12 +8,15 @@ weights W, and these share spreads: the operator is :math:`A W`, and its adjoint
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
-from ...errors import refuse_if, require_accuracy, require_count, require_number, require_wavelength, suggest_keywords
+from ...errors import refuse_if, require_count, require_number, require_wavelength, suggest_keywords
 from ...fields import OpticalSystem
 from ...lenses import inverse_distance
 from ...linear import LinearMap
@@ -21,7 +24,6 @@ from ...points import CaptureOperator
 from ...runtime import POINTS, Doubles, Job, Progress, as_array, counted
 from ..inverse.point_rays import PointRays
 from ..inverse.stored import StoredOperator
-from .seeding import ParticleVolume
 from .voxels import VoxelGrid
 
 
@@ -31,10 +33,8 @@ class VoxelProjector(LinearMap):
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
-    grid : VoxelGrid
-        The voxels.
+    camera, grid : PlenopticCamera, VoxelGrid
+        The camera, and voxels beyond the focus of its main lens.
     wavelength : float
         Wavelength in nanometres.
     per_lens : int
@@ -44,11 +44,6 @@ class VoxelProjector(LinearMap):
     budget : float, optional
         Memory in GiB in which all point spreads are stored, so that only the first product computes them. Default: they
         are computed in each product.
-
-    Raises
-    ------
-    InputError
-        If an argument is out of range, or a voxel is not beyond the focus of the main lens.
 
     Examples
     --------
@@ -75,31 +70,25 @@ class VoxelProjector(LinearMap):
         require_support(camera, Use.POINTS)
         wavelength = require_wavelength(wavelength)
         per_lens = require_count("per_lens", per_lens, maximum=32)
-        ParticleVolume(grid.lower, grid.upper).before(camera)
+        grid.before(camera)
         points = grid.points
         lens = OpticalSystem(camera, wavelength).waves_of(points)
         basis = np.array(camera.lattice.basis)
         steps = (lens.images(points) - np.array(camera.mla_offset)) @ np.linalg.inv(basis) * per_lens
         plane = np.repeat(np.arange(grid.shape[0]), len(points) // grid.shape[0])
         low = np.floor(steps).astype(np.int64)
-        beyond = steps - low
-        corners = np.array([(0, 0), (0, 1), (1, 0), (1, 1)])
-        keys = [np.column_stack([plane, low + corner]) for corner in corners]
-        weights = [np.abs(1 - corner - beyond).prod(1) for corner in corners]
-        nodes, index = np.unique(np.concatenate(keys), axis=0, return_inverse=True)
-        voxels = np.tile(np.arange(len(points)), 4)
-        entries = np.concatenate(weights), (index.reshape(-1), voxels)
+        corners = np.array([(0, 0), (0, 1), (1, 0), (1, 1)])[:, None]
+        weights = np.abs(1 - corners - (steps - low)).prod(-1).ravel()
+        keys = np.column_stack([np.tile(plane, 4), (low + corners).reshape(-1, 2)])
+        nodes, index = np.unique(keys, axis=0, return_inverse=True)
+        entries = weights, (index.reshape(-1), np.tile(np.arange(len(points)), 4))
         self._spread = scipy.sparse.csr_array(entries, shape=(len(nodes), len(points)))
         inverse = inverse_distance(lens, points.reshape(grid.shape[0], -1, 3)[:, 0])[nodes[:, 0]]
         # A little aside, so that points at the borders of lenses belong to one of them alike.
         places = (nodes[:, 1:] + 1e-6) / per_lens @ basis + np.array(camera.mla_offset)
         at = lens.points(places, inverse)
-        accuracy = require_accuracy(accuracy)
-        self.points: CaptureOperator = (
-            CaptureOperator(camera, at, wavelength=wavelength, accuracy=accuracy)
-            if budget is None
-            else StoredOperator(camera, at, wavelength=wavelength, accuracy=accuracy, budget=budget)
-        )
+        kind: Any = CaptureOperator if budget is None else partial(StoredOperator, budget=budget)
+        self.points: CaptureOperator = kind(camera, at, wavelength=wavelength, accuracy=accuracy)
         super().__init__((len(points),), camera.shape)
         self.camera = camera
         self.grid = grid
@@ -119,21 +108,14 @@ class RayProjector(LinearMap):
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
-    grid : VoxelGrid
-        The voxels, each a point at its centre.
+    camera, grid : PlenopticCamera, VoxelGrid
+        The camera, and voxels beyond the focus of its main lens, each a point at its centre.
     wavelength : float
         Wavelength in nanometres.
     budget : float
         Memory in GiB that the matrix may take.
     progress : callable, optional
         Called with the numbers of voxels done and of all.
-
-    Raises
-    ------
-    InputError
-        If the budget is too small, an argument is out of range, or a voxel is not beyond the main lens's focus.
     """
 
     def __init__(
@@ -148,24 +130,23 @@ class RayProjector(LinearMap):
         require_support(camera, Use.POINT_RAYS)
         wavelength = require_wavelength(wavelength)
         budget = require_number("budget", budget, positive=True)
-        ParticleVolume(grid.lower, grid.upper).before(camera)
+        grid.before(camera)
         system = OpticalSystem(camera, wavelength)
         points = grid.points
-        pixels = []
-        values = []
-        size = 0
+        columns = []
+        entries = 0
         for point in counted(np.split(points, len(points)), progress):
-            spread = PointRays(camera, point, wavelength).image(system, np.ones(1)).ravel()
-            pixels.append(np.flatnonzero(spread).astype(np.int32))
-            values.append(spread[pixels[-1]].astype(np.float32))
-            size += pixels[-1].nbytes + values[-1].nbytes
-            # Joined, they take as much again.
-            refuse_if(2 * size > budget * 2**30, f"budget = {budget:g} GiB: the matrix takes more; take fewer voxels")
-        entries = np.concatenate(values), np.concatenate(pixels), np.cumsum([0, *map(len, pixels)])
+            spread = PointRays(camera, point, wavelength).image(system, np.ones(1)).astype(np.float32)
+            columns.append(scipy.sparse.csc_array(spread.reshape(-1, 1)))
+            entries += columns[-1].nnz
+            # Of 8 bytes each; joined, they take as much again.
+            refuse_if(
+                16 * entries > budget * 2**30, f"budget = {budget:g} GiB: the matrix takes more; take fewer voxels"
+            )
         super().__init__((len(points),), camera.shape)
         self.camera = camera
         self.grid = grid
-        self._matrix = scipy.sparse.csc_array(entries, shape=self.shape)
+        self._matrix = scipy.sparse.hstack(columns, format="csc")
 
     def forward(self, weights: ArrayLike) -> NDArray[np.float32]:
         """Return the image (rows, columns) of voxels with the given light, (n,)."""

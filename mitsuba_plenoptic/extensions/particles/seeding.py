@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +15,22 @@ from ...camera import PlenopticCamera
 from ...errors import put, refuse_if, require_choice, require_length, require_number, require_numbers, suggest_keywords
 from ...runtime import Doubles
 
-Record = TypeVar("Record")
-
 MOST = 10**7
 """Particles at most."""
 
 MOST_SHADOW = 0.1
 """Part of the volume's front that the particles' cross-sections cover, at most: they do not hide each other."""
 
-PROFILES = ("even", "gaussian")
+PLACE = partial(require_numbers, count=3, minimum=-1e9, maximum=1e9)
+"""Rule of a place, direction or velocity."""
+
+
+def put_checked(record: Any, **rules: Callable[[str, Any], Any]) -> None:
+    """Replace fields of a frozen dataclass that is being made by what their rules return; a default of None stays."""
+    for name, rule in rules.items():
+        value = getattr(record, name)
+        if value is not None or getattr(type(record), name, "") is not None:
+            put(record, **{name: rule(name, value)})
 
 
 @suggest_keywords
@@ -33,26 +42,22 @@ class ParticleVolume:
     ----------
     lower, upper : (float, float, float)
         Corners: x, y and z: the distance from the main lens, or the depth beyond a microscope's native object plane.
-
-    Raises
-    ------
-    InputError
-        If the box has no extent along an axis.
     """
 
     lower: tuple[float, ...]
     upper: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        for name in ("lower", "upper"):
-            put(self, **{name: require_numbers(name, getattr(self, name), count=3, minimum=-1e9, maximum=1e9)})
-        empty = any(low >= high for low, high in zip(self.lower, self.upper, strict=True))
-        refuse_if(empty, f"lower = {self.lower}, upper = {self.upper}: the volume is empty; upper must be beyond lower")
+        put_checked(self, lower=PLACE, upper=PLACE)
+        refuse_if(
+            (self.size <= 0).any(),
+            f"lower = {self.lower}, upper = {self.upper}: the volume is empty; upper must be beyond lower",
+        )
 
     @property
     def size(self) -> Doubles:
         """Extent along x, y and z."""
-        return np.array(self.upper) - np.array(self.lower)
+        return np.subtract(self.upper, self.lower)
 
     @property
     def centre(self) -> tuple[float, ...]:
@@ -65,27 +70,25 @@ class ParticleVolume:
 
     def before(self, camera: PlenopticCamera) -> None:
         """Refuse a volume that is not in front of a camera's main lens, or reaches its focal plane."""
-        near = self.lower[2]
-        far = self.upper[2]
         nearest = camera.lens_data.nearest
-        if nearest is not None:
-            refuse_if(
-                near <= nearest,
-                f"lower = {self.lower}: z = {near:g}: particles must be before the objective, beyond z = {nearest:.4g} "
-                "(in mm, from the native object plane)",
-            )
-            return
-        refuse_if(near <= 0, f"lower = {self.lower}: z = {near:g}: particles must be in front of the main lens")
-        refuse_if(
-            near <= camera.focal_length,
-            f"lower = {self.lower}, upper = {self.upper}: z = {near:g} to {far:g}: the main lens forms images of what "
-            f"is beyond its focus at {camera.focal_length:g} only",
-        )
+        rule = f"before the objective, beyond z = {nearest or 0:.4g} (in mm, from the native object plane)"
+        if nearest is None:
+            nearest = camera.focal_length
+            rule = f"in front of the main lens, which forms images of what is beyond its focus at {nearest:g} only"
+        near = self.lower[2]
+        refuse_if(near <= nearest, f"lower = {self.lower}: z = {near:g}: particles must be {rule}")
 
     def lenses(self, camera: PlenopticCamera) -> float:
         """Return the number of microlenses on which the middle plane of the volume is imaged."""
         per_pitch = (camera.mla_pitch / camera.bin_size(self.centre[2])) ** 2
         return float(self.size[0] * self.size[1] * per_pitch / camera.lattice.lens_area)
+
+
+def _direction(name: str, value: Any) -> tuple[float, ...]:
+    """Return a direction as a unit vector."""
+    vector = np.array(PLACE(name, value))
+    refuse_if(not vector.any(), f"{name} = {value}: it must not be 0")
+    return tuple((vector / np.linalg.norm(vector)).tolist())
 
 
 @suggest_keywords
@@ -105,11 +108,6 @@ class LightSheet:
         A point in the middle of the sheet. Default: the centre of the volume.
     profile : {"even", "gaussian"}
         Irradiance across the sheet: 1 within its thickness, or a normal curve which falls to 1/e^2 at its bounds.
-
-    Raises
-    ------
-    InputError
-        If a direction is 0, or light does not travel in the sheet.
     """
 
     direction: tuple[float, ...] = (1.0, 0.0, 0.0)
@@ -119,20 +117,14 @@ class LightSheet:
     profile: str = "even"
 
     def __post_init__(self) -> None:
-        for name in ("direction", "normal"):
-            vector = np.array(require_numbers(name, getattr(self, name), count=3, minimum=-1e9, maximum=1e9))
-            length = float(np.linalg.norm(vector))
-            refuse_if(length == 0, f"{name} = {getattr(self, name)}: it must not be 0")
-            put(self, **{name: tuple((vector / length).tolist())})
-        require_choice("profile", self.profile, PROFILES)
-        if self.thickness is not None:
-            put(self, thickness=require_length("thickness", self.thickness))
-            refuse_if(
-                abs(float(np.dot(self.direction, self.normal))) > 1e-6,
-                f"direction = {self.direction}, normal = {self.normal}: light travels along its sheet, across normal",
-            )
-        if self.centre is not None:
-            put(self, centre=require_numbers("centre", self.centre, count=3, minimum=-1e9, maximum=1e9))
+        profile = partial(require_choice, choices=("even", "gaussian"))
+        put_checked(
+            self, direction=_direction, thickness=require_length, normal=_direction, centre=PLACE, profile=profile
+        )
+        refuse_if(
+            self.thickness is not None and abs(float(np.dot(self.direction, self.normal))) > 1e-6,
+            f"direction = {self.direction}, normal = {self.normal}: light travels along its sheet, across normal",
+        )
 
     def irradiance(self, points: Doubles, volume: ParticleVolume) -> Doubles:
         """Return the irradiance at points (..., 3), over that in the middle of the sheet."""
@@ -165,11 +157,6 @@ class Seeding:
         None they are fluorescent beads, whose light is the same in all directions and proportional to their volume.
     medium : float
         Refractive index of the fluid, in which the camera is, too. Default: water.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range, or there is not exactly one density.
     """
 
     per_lens: float | None = None
@@ -181,34 +168,28 @@ class Seeding:
     medium: float = 1.333
 
     def __post_init__(self) -> None:
-        stated = [name for name in ("per_lens", "per_volume", "count") if getattr(self, name) is not None]
-        refuse_if(len(stated) != 1, f"per_lens, per_volume, count: give one of them, not {len(stated)}")
-        put(self, **{stated[0]: require_number(stated[0], getattr(self, stated[0]), positive=True)})
-        put(
+        stated = 3 - [self.per_lens, self.per_volume, self.count].count(None)
+        refuse_if(stated != 1, f"per_lens, per_volume, count: give one of them, not {stated}")
+        density = partial(require_number, positive=True)
+        put_checked(
             self,
-            diameter=require_number("diameter", self.diameter, minimum=0.01, maximum=250),
-            spread=require_number("spread", self.spread, minimum=0, maximum=1),
-            medium=require_number("medium", self.medium, minimum=1, maximum=5),
+            per_lens=density,
+            per_volume=density,
+            count=density,
+            diameter=partial(require_number, minimum=0.01, maximum=250),
+            spread=partial(require_number, minimum=0, maximum=1),
+            index=_index,
+            medium=partial(require_number, minimum=1, maximum=5),
         )
-        if self.index is None:
-            return
-        index = complex(self.index)
         refuse_if(
-            not 0.1 <= index.real <= 10 or not 0 <= index.imag <= 10,
-            f"index = {self.index}: its real part must be from 0.1 to 10, and its imaginary part from 0 to 10",
+            self.index == self.medium, f"index = {self.index}: as that of the medium, so that nothing is scattered"
         )
-        refuse_if(index == self.medium, f"index = {self.index}: as that of the medium, so that nothing is scattered")
 
     def density(self, volume: ParticleVolume, camera: PlenopticCamera) -> float:
         """Return the number of particles in a cubic millimetre; refuse densities at which they hide each other."""
         contents = float(volume.size.prod())
-        if self.per_volume is not None:
-            density = self.per_volume
-        elif self.count is not None:
-            density = self.count / contents
-        else:
-            assert self.per_lens is not None
-            density = self.per_lens * volume.lenses(camera) / contents
+        count = self.count or (self.per_volume or 0) * contents or (self.per_lens or 0) * volume.lenses(camera)
+        density = count / contents
         # Of log-normal diameters the mean square is above that of the median.
         section = math.pi / 4 * (self.diameter * 1e-3) ** 2 * math.exp(2 * self.spread**2)
         shadow = density * section * float(volume.size[2])
@@ -217,7 +198,7 @@ class Seeding:
             f"{density:.3g} particles in a cubic millimetre: they cover {shadow:.0%} of the view through the volume; "
             f"as none hides another one in images, {MOST_SHADOW:.0%} at most",
         )
-        refuse_if(density * contents > MOST, f"{density * contents:.3g} particles in the volume: {MOST:.0e} at most")
+        refuse_if(count > MOST, f"{count:.3g} particles in the volume: {MOST:.0e} at most")
         return density
 
     def diameters(self, count: int, random: np.random.Generator) -> Doubles:
@@ -225,7 +206,13 @@ class Seeding:
         return np.asarray(self.diameter * np.exp(self.spread * random.normal(size=count)))
 
 
-def from_plain(kind: type[Record], values: dict[str, Any]) -> Record:
-    """Return a record made of plain values, in which a complex number is a pair."""
-    index = values.get("index")
-    return kind(**values | ({"index": complex(*index)} if isinstance(index, (list, tuple)) else {}))
+def _index(name: str, value: Any) -> complex | None:
+    """Return a refractive index, None for beads; files hold its real and imaginary part."""
+    if value is None:
+        return None
+    index = complex(*value) if isinstance(value, (list, tuple)) else complex(value)
+    refuse_if(
+        not 0.1 <= index.real <= 10 or not 0 <= index.imag <= 10,
+        f"{name} = {value}: its real part must be from 0.1 to 10, and its imaginary part from 0 to 10",
+    )
+    return index

@@ -15,13 +15,8 @@ from ...runtime import Doubles
 from .flows import Flow
 from .seeding import MOST, LightSheet, ParticleVolume, Seeding
 
-MOST_FRAMES = 10000
-
-_PLACES = 1000
-_STEP = 1e-4
 _CHANGE = 0.05
-"""Places of the volume at which divergence is looked for, by differences over a part of its size; and the part of
-particles by which their density may change."""
+"""Part of the particles by which divergence may change their density."""
 
 
 @suggest_keywords
@@ -43,14 +38,10 @@ def particle_sequence(
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera before which the volume is.
-    volume : ParticleVolume
-        The volume.
-    seeding : Seeding
-        Density, sizes and material.
-    flow : Flow
-        The flow.
+    camera, volume : PlenopticCamera, ParticleVolume
+        The camera, and a volume before it.
+    seeding, flow : Seeding, Flow
+        What the particles are, and how they move.
     interval : float
         Seconds from frame to frame.
     frames : int
@@ -67,20 +58,14 @@ def particle_sequence(
         the last one to where that would be; ``diameter`` (particle,) in micrometres; ``inside`` (frame, particle), 1
         for particles within the volume, others are not recorded; and ``irradiance`` (frame, particle). The attribute
         ``particles`` is a JSON object of all settings.
-
-    Raises
-    ------
-    InputError
-        If the volume is not before the camera, the density is too high, or displacements exceed the volume.
     """
     require_camera(camera)
     interval = require_number("interval", interval, positive=True, maximum=1e9)
-    frames = require_count("frames", frames, minimum=1, maximum=MOST_FRAMES)
+    frames = require_count("frames", frames, minimum=1, maximum=10000)
     volume.before(camera)
     sheet = sheet or LightSheet()
-    density = seeding.density(volume, camera)
     random = np.random.default_rng(require_count("seed", seed, minimum=0))
-    expected = density * float(volume.size.prod())
+    expected = seeding.density(volume, camera) * float(volume.size.prod())
     first = random.uniform(volume.lower, volume.upper, (random.poisson(expected), 3))
     if frames > 1:
         _check_motion(flow, volume, interval, frames, first)
@@ -101,13 +86,12 @@ def particle_sequence(
     moved = np.diff(followed, axis=0)
     diameters = seeding.diameters(position.shape[1], random)
     inside = volume.contains(position)
-    _within(volume, interval, moved[:-1][inside[:-1]])
-    index = seeding.index
+    _check_within(volume, interval, moved[:-1][inside[:-1]])
     settings = {
         "camera": camera.to_dict(),
         "volume": {"lower": volume.lower, "upper": volume.upper},
         "sheet": vars(sheet),
-        "seeding": vars(seeding) | ({} if index is None else {"index": (complex(index).real, complex(index).imag)}),
+        "seeding": vars(seeding) | {"index": seeding.index and (seeding.index.real, seeding.index.imag)},
         "flow": {"kind": type(flow).__name__} | {key: value for key, value in vars(flow).items() if key[0] != "_"},
         "interval": interval,
         "seed": seed,
@@ -129,13 +113,13 @@ def particle_sequence(
 def _check_motion(flow: Flow, volume: ParticleVolume, interval: float, frames: int, points: Doubles) -> None:
     """Refuse flows that carry particles farther than the volume reaches, or too many of them; warn of divergence."""
     after = flow.advected(points, interval)
-    _within(volume, interval, after - points)
+    _check_within(volume, interval, after - points)
     passing = len(points) + (frames - 1.0) * float((~volume.contains(after)).sum())
     refuse_if(passing > MOST, f"frames = {frames}: {passing:.3g} particles pass through the volume; {MOST:.0e} at most")
-    step = _STEP * volume.size
-    places = np.random.default_rng(0).uniform(volume.lower + step, volume.upper - step, (_PLACES, 3))
-    ends = [(flow.velocity(places + move), flow.velocity(places - move)) for move in np.diag(step)]
-    divergence = sum((end - start)[:, axis] / (2 * step[axis]) for axis, (end, start) in enumerate(ends))
+    step = 1e-4 * volume.size
+    places = np.random.default_rng(0).uniform(volume.lower + step, volume.upper - step, (1000, 3))
+    slopes = [flow.velocity(places + move) - flow.velocity(places - move) for move in np.diag(step)]
+    divergence = sum(slope[:, axis] / (2 * step[axis]) for axis, slope in enumerate(slopes))
     change = interval * max(float(np.sqrt((divergence**2).mean())), (frames - 1) * abs(float(divergence.mean())))
     if change > _CHANGE:
         warn(
@@ -144,8 +128,8 @@ def _check_motion(flow: Flow, volume: ParticleVolume, interval: float, frames: i
         )
 
 
-def _within(volume: ParticleVolume, interval: float, moves: Doubles) -> None:
-    """Refuse displacements (n, 3) of particles in the volume that are as long as this."""
+def _check_within(volume: ParticleVolume, interval: float, moves: Doubles) -> None:
+    """Refuse displacements (n, 3) of particles that are as long as the volume."""
     for axis, move, size in zip("xyz", np.abs(moves).max(0, initial=0), volume.size, strict=True):
         refuse_if(
             move >= size,

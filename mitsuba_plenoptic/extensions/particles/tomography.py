@@ -14,7 +14,7 @@ from ...linear import LinearMap, Sirt, Smart, SolverState, StopRule, relative_re
 from ...runtime import Progress, as_array
 from .voxels import VoxelGrid
 
-METHODS: dict[str, type[Smart] | type[Sirt]] = {"mart": Smart, "sirt": Sirt}
+_METHODS: dict[str, type[Smart] | type[Sirt]] = {"mart": Smart, "sirt": Sirt}
 
 
 @suggest_keywords
@@ -63,46 +63,36 @@ def reconstruct_volume(
         The light of the voxels, with their centres in mm. The attributes are the ``method``, the ``iterations`` made,
         the ``residual`` after them (root mean square, over that of the image), and ``stopped``: iterations, noise or
         tolerance.
-
-    Raises
-    ------
-    InputError
-        If the image is empty, not finite or has another shape, or an argument is out of range.
     """
-    require_choice("method", method, METHODS)
+    require_choice("method", method, _METHODS)
     iterations = require_count("iterations", iterations)
     relaxation = require_number("relaxation", relaxation, positive=True, maximum=2)
     tolerance = require_number("tolerance", tolerance, minimum=0, maximum=1)
     refuse_if(getattr(operator, "grid", grid) != grid, f"grid of shape {grid.shape}: it is not the operator's")
+    pixels = capture
     if isinstance(capture, Capture):
-        camera = getattr(operator, "camera", capture.camera)
+        pixels = capture.image
         refuse_if(
-            capture.camera != camera,
+            capture.camera != getattr(operator, "camera", capture.camera),
             "capture: its camera is not the operator's; give its image alone to reconstruct it with that",
         )
-    image = as_array("capture", capture.image if isinstance(capture, Capture) else capture, np.float64)
+    image = as_array("capture", pixels, np.float64)
     refuse_if(not np.isfinite(image).all(), "capture: its pixels must be finite")
     image = np.maximum(image, 0)
     scale = math.sqrt(float((image**2).mean()))
     refuse_if(scale == 0, "capture: it is dark everywhere, so that there is nothing to reconstruct")
     aim = 0.0 if noise is None else require_number("noise", noise, positive=True) / scale
-    steps = METHODS[method](operator, image, relaxation)
+    steps = _METHODS[method](operator, image, relaxation)
     voxels = math.prod(grid.shape)
     refuse_if(steps.light.shape != (voxels,), f"grid of {voxels} voxels: the operator's differ")
     refuse_if(steps.light.max() <= 0, "grid: no light of its voxels reaches the detector")
     facts = {"method": method, "relaxation": relaxation, "grid": vars(grid), "image": digest(image)}
-    stored = checkpoint.begin_arrays(**facts) if checkpoint else None
-
-    def save(state: SolverState) -> None:
-        if checkpoint:
-            checkpoint.save_arrays(state.arrays)
-
     solution = solve(
         steps,
         iterations=iterations,
         stop=StopRule(relative_residual, aim, 1, 1 - tolerance if tolerance else math.inf),
-        state=SolverState.of(stored or {}, (voxels,)),
-        save=save,
+        state=SolverState.of(checkpoint.begin_arrays(**facts) or {} if checkpoint else {}, (voxels,)),
+        save=(lambda state: checkpoint.save_arrays(state.arrays)) if checkpoint else None,
         progress=progress,
     )
     return grid.labelled(

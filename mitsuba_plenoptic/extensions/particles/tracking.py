@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 from scipy.spatial import cKDTree
 
-from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_count, require_number, require_numbers, require_wavelength, suggest_keywords
 from ...io import Capture
-from ...runtime import MILLIMETRES, POINTS, Doubles, Progress, as_array
+from ...runtime import POINTS, Doubles, Progress, as_array, counted
 from ..inverse.stored import StoredOperator
 from .voxels import elongation, require_points, values_of
 
@@ -47,32 +46,22 @@ def locate_particles(
     apart : (int, int, int)
         Voxels, along z, y and x, of the boxes in which a maximum is the largest value. The position is the centroid of
         the box, and the light its sum.
-
-    Raises
-    ------
-    InputError
-        If the volume is empty.
     """
     values = np.maximum(values_of(volume)[0], 0)
     refuse_if(not values.any(), "volume: it is empty")
-    box = tuple(int(n) // 2 * 2 + 1 for n in require_numbers("apart", apart, count=3, minimum=1))
+    box = np.array([int(n) // 2 * 2 + 1 for n in require_numbers("apart", apart, count=3, minimum=1)])
     threshold = require_number("threshold", threshold, minimum=0, maximum=1)
     # Of equal values that lie side by side, the last one counts.
     ranked = values * (1 + np.linspace(0, 1e-9, values.size).reshape(values.shape))
     peaks = np.argwhere((ranked == maximum_filter(ranked, box)) & (values >= threshold * values.max()))
-    half = [n // 2 for n in box]
-    padded = np.pad(values, [(n, n) for n in half])
+    padded = np.pad(values, [(n // 2, n // 2) for n in box])
+    around = np.lib.stride_tricks.sliding_window_view(padded, box)[tuple(peaks.T)]
+    light = around.sum((1, 2, 3))
     positions = np.empty((len(peaks), 3))
-    light = np.empty(len(peaks))
-    axes = [volume[name].values for name in "zyx"]
-    for index, peak in enumerate(peaks):
-        around = padded[tuple(slice(n, n + width) for n, width in zip(peak, box, strict=True))]
-        light[index] = around.sum()
-        for axis, (name, places) in enumerate(zip("zyx", axes, strict=True)):
-            spacing = places[1] - places[0] if len(places) > 1 else 0.0
-            profile = around.sum(axis=tuple(i for i in range(3) if i != axis))
-            offset = profile @ (np.arange(box[axis]) - half[axis]) / profile.sum()
-            positions[index, "xyz".index(name)] = places[peak[axis]] + offset * spacing
+    for axis, name in enumerate("zyx"):
+        profile = around.sum(tuple(other for other in (1, 2, 3) if other != axis + 1))
+        index = peaks[:, axis] + profile @ (np.arange(box[axis]) - box[axis] // 2) / light
+        positions[:, 2 - axis] = np.interp(index, np.arange(values.shape[axis]), volume[name].values)
     return positions, light
 
 
@@ -97,10 +86,8 @@ def refine_particles(
     ----------
     capture : Capture
         The image.
-    positions : float64 array (n, 3)
-        Positions to start from, in mm.
-    light : float64 array (n,)
-        Light of the particles to start from.
+    positions, light : float64 array (n, 3), (n,)
+        Positions in mm and light to start from.
     wavelength : float, optional
         In nanometres. Default: that of the capture.
     iterations : int
@@ -114,11 +101,6 @@ def refine_particles(
     -------
     positions : float64 array (n, 3)
     light : float64 array (n,)
-
-    Raises
-    ------
-    InputError
-        If there is no particle, or the point spreads take more than 8 GiB.
     """
     iterations = require_count("iterations", iterations)
     positions = require_points("positions", positions)
@@ -126,54 +108,42 @@ def refine_particles(
     wavelength = require_wavelength(capture.wavelength if wavelength is None else wavelength)
     refuse_if(not count, "positions: there is none to start from")
     refuse_if(np.shape(light) != (count,), f"light of shape {np.shape(light)}: there are {count} positions")
-    positions = as_array("positions", positions, np.float64, POINTS, units=MILLIMETRES)
     light = as_array("light", light, np.float64, POINTS)
     camera = capture.camera
+
+    def spreads(places: Doubles) -> Any:
+        return StoredOperator(camera, places, wavelength=wavelength, accuracy=0, budget=_BUDGET).to_sparse()
+
     damping = _DAMPING
-    levels = [level for level in bins for _ in range(iterations)]
-    for step, level in enumerate(levels):
-        if progress:
-            progress(step, len(levels))
-        lens = np.array([camera.bin_size(g) for g in positions[:, 2]])
-        scale = np.stack([lens, lens, lens * [elongation(camera, g) for g in positions[:, 2]]], -1)
-        # The sparse matrix that adds side x side pixels of an image.
-        side = require_count("bins", level)
+    sides = [require_count("bins", side) for side in bins for _ in range(iterations)]
+    for side in counted(sides, progress):
+        # The matrix that adds side x side pixels of an image.
         rows, columns = np.indices(camera.shape) // side
-        index = (rows * (-(-camera.shape[1] // side)) + columns).ravel()
+        index = (rows * (columns.max() + 1) + columns).ravel()
         summed = scipy.sparse.csr_array((np.ones(len(index)), (index, np.arange(len(index)))))
         image = summed @ np.asarray(capture.image, np.float64).ravel()
-        unmoved, slopes = _slopes(camera, positions, scale, wavelength)
-        jacobian = scipy.sparse.hstack([summed @ unmoved, *(summed @ slope * light for slope in slopes)], format="csc")
-        error = image - summed @ (unmoved @ light)
-        while True:
-            change = scipy.sparse.linalg.lsqr(
-                jacobian, error, damp=damping * float(np.sqrt(jacobian.power(2).sum() / (4 * count)))
-            )[0].reshape(4, count)
-            moved = positions + scale * np.clip(change[1:].T, -_LARGEST_STEP, _LARGEST_STEP)
+        # Point spreads, and their derivatives along x, y and z for motions in units of `scale`.
+        lens = np.array([camera.bin_size(g) for g in positions[:, 2]])
+        scale = np.stack([lens, lens, lens * [elongation(camera, g) for g in positions[:, 2]]], -1)
+        moves = _STEP * scale * np.eye(3)[:, None]
+        places = [positions, *(positions + moves), *(positions - moves)]
+        binned = summed @ spreads(np.concatenate(places))
+        unmoved, *moved = (binned[:, first : first + count] for first in range(0, 7 * count, count))
+        slopes = [(more - less) / (2 * _STEP) * light for more, less in zip(moved[:3], moved[3:], strict=True)]
+        jacobian = scipy.sparse.hstack([unmoved, *slopes], format="csc")
+        error = image - unmoved @ light
+        typical = float(np.sqrt(jacobian.power(2).sum() / (4 * count)))
+        while damping <= _MOST_DAMPING:
+            change = scipy.sparse.linalg.lsqr(jacobian, error, damp=damping * typical)[0].reshape(4, count)
+            there = positions + scale * np.clip(change[1:].T, -_LARGEST_STEP, _LARGEST_STEP)
             lit = np.maximum(light + change[0], 0)
-            spreads = StoredOperator(camera, moved, wavelength=wavelength, accuracy=0, budget=_BUDGET).to_sparse()
-            better = np.linalg.norm(image - summed @ (spreads @ lit)) < np.linalg.norm(error)
-            damping = max(damping / 3, 1e-4) if better else damping * 4
-            if better:
-                positions = moved
-                light = lit
-            if better or damping > _MOST_DAMPING:
-                damping = min(damping, 1.0)
+            if np.linalg.norm(image - summed @ (spreads(there) @ lit)) < np.linalg.norm(error):
+                positions, light = there, lit
+                damping = max(damping / 3, 1e-4)
                 break
-    if progress:
-        progress(len(levels), len(levels))
+            damping *= 4
+        damping = min(damping, 1.0)
     return positions, light
-
-
-def _slopes(camera: PlenopticCamera, positions: Doubles, scale: Doubles, wavelength: float) -> tuple[Any, list[Any]]:
-    """Return the point spreads (pixels, n), and their derivatives along x, y and z for motions in units of `scale`."""
-    moves = _STEP * scale[:, None] * np.eye(3)
-    places = [positions, *(positions + sign * moves[:, axis] for axis in range(3) for sign in (1, -1))]
-    spreads = StoredOperator(
-        camera, np.concatenate(places), wavelength=wavelength, accuracy=0, budget=_BUDGET
-    ).to_sparse()
-    unmoved, *sides = (spreads[:, motion * len(positions) : (motion + 1) * len(positions)] for motion in range(7))
-    return unmoved, [(sides[2 * axis] - sides[2 * axis + 1]) / (2 * _STEP) for axis in range(3)]
 
 
 def match_particles(

@@ -16,8 +16,7 @@ from scipy.special import ndtr
 from ...camera import PlenopticCamera
 from ...errors import put, refuse_if, require_count, require_numbers, suggest_keywords
 from ...runtime import MILLIMETRES, POINTS, Doubles, as_array, require_units
-
-MOST_VOXELS = 10**8
+from .seeding import ParticleVolume
 
 _TRUNCATED = 4.0
 """Standard deviations beyond which a drawn particle is left out."""
@@ -25,53 +24,40 @@ _TRUNCATED = 4.0
 _NARROWEST = 0.5
 """Standard deviation of a drawn particle at least, in voxels: narrower ones do not show where in a voxel they are."""
 
-_ROUNDING = 2e-7
-_SAME = 1e-4
-"""Differences of voxels' places, over these and over the voxels' size, that are due to files in single precision."""
-
 
 @suggest_keywords
 @dataclass(frozen=True)
-class VoxelGrid:
-    """A box cut into equal voxels.
+class VoxelGrid(ParticleVolume):
+    """A box cut into equal voxels, with the corners `lower` and `upper`.
 
     Parameters
     ----------
-    lower, upper : (float, float, float)
-        Corners in millimetres of the camera frame.
     shape : (int, int, int)
         Numbers of voxels along z, y and x, as arrays have them.
-
-    Raises
-    ------
-    InputError
-        If the box is empty, or has too many voxels.
     """
 
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
     shape: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        for name in ("lower", "upper"):
-            put(self, **{name: require_numbers(name, getattr(self, name), count=3, minimum=-1e9, maximum=1e9)})
+        super().__post_init__()
         put(self, shape=tuple(require_count("shape", n) for n in require_numbers("shape", self.shape, count=3)))
-        refuse_if(
-            any(low >= high for low, high in zip(self.lower, self.upper, strict=True)),
-            f"lower = {self.lower}, upper = {self.upper}: the volume is empty; upper must be beyond lower",
-        )
-        refuse_if(math.prod(self.shape) > MOST_VOXELS, f"shape = {self.shape}: {MOST_VOXELS:.0e} voxels at most")
+        refuse_if(math.prod(self.shape) > 10**8, f"shape = {self.shape}: 1e+08 voxels at most")
 
     @property
     def voxel(self) -> Doubles:
         """Size of a voxel along x, y and z in millimetres."""
-        return np.subtract(self.upper, self.lower) / np.array(self.shape[::-1])
+        return self.size / np.array(self.shape[::-1])
 
     @property
     def axes(self) -> list[Doubles]:
         """Centres of the voxels along x, y and z."""
+        return [(edges[1:] + edges[:-1]) / 2 for edges in self.edges]
+
+    @property
+    def edges(self) -> list[Doubles]:
+        """Bounds of the voxels along x, y and z."""
         parts = zip(self.lower, self.voxel, self.shape[::-1], strict=True)
-        return [low + size * (np.arange(count) + 0.5) for low, size, count in parts]
+        return [low + size * np.arange(count + 1) for low, size, count in parts]
 
     @property
     def points(self) -> Doubles:
@@ -81,10 +67,8 @@ class VoxelGrid:
 
     def labelled(self, values: NDArray[Any], **attributes: str | float) -> xr.DataArray:
         """Return values of all voxels with their coordinates in millimetres."""
-        x, y, z = ((name, axis, {"units": "mm"}) for name, axis in zip("xyz", self.axes, strict=True))
-        return xr.DataArray(
-            np.reshape(values, self.shape), dims=tuple("zyx"), coords={"z": z, "y": y, "x": x}, attrs=attributes
-        )
+        places = {name: (name, axis, {"units": "mm"}) for name, axis in zip("zyx", self.axes[::-1], strict=True)}
+        return xr.DataArray(np.reshape(values, self.shape), places, tuple("zyx"), attrs=attributes)
 
 
 def values_of(*volumes: xr.DataArray) -> list[Doubles]:
@@ -92,10 +76,11 @@ def values_of(*volumes: xr.DataArray) -> list[Doubles]:
     for volume in volumes:
         require_units("volume", volume, dict.fromkeys("zyx", MILLIMETRES))
     for axis in "zyx":
-        first, *others = [volume[axis].values for volume in volumes]
-        allowed = _SAME * np.ptp(first) / max(len(first) - 1, 1)
+        first, *others = (volume[axis].values for volume in volumes)
+        # Of a part of a voxel, and of a place in single precision, as files have them.
+        allowed = 1e-4 * np.ptp(first) / max(len(first) - 1, 1)
         refuse_if(
-            any(first.shape != volume.shape or not np.allclose(volume, first, _ROUNDING, allowed) for volume in others),
+            any(first.shape != other.shape or not np.allclose(other, first, 2e-7, allowed) for other in others),
             f"volumes: they must be on the same voxels, but differ in {axis}",
         )
     values = [as_array("volume", volume, np.float64, tuple("zyx")) for volume in volumes]
@@ -126,13 +111,7 @@ def drawn_particles(grid: VoxelGrid, positions: Doubles, weights: Doubles, width
         Light of each particle.
     width : (float, float, float)
         Standard deviations along x, y and z in mm, half a voxel at least.
-
-    Raises
-    ------
-    InputError
-        If curves are narrower, or a position or weight is not finite.
     """
-    values = np.zeros(grid.shape)
     deviations = require_numbers("width", width, count=3, minimum=1e-9)
     positions = require_points("positions", positions)
     weights = as_array("weights", weights, np.float64, POINTS)
@@ -144,18 +123,17 @@ def drawn_particles(grid: VoxelGrid, positions: Doubles, weights: Doubles, width
         (deviations < (1 - 1e-9) * _NARROWEST * grid.voxel).any(),
         f"width = {tuple(width)}: it must be half a voxel at least, of {tuple(grid.voxel.tolist())}",
     )
-    edges = [np.append(axis - size / 2, axis[-1] + size / 2) for axis, size in zip(grid.axes, grid.voxel, strict=True)]
-    for position, weight in zip(positions, weights, strict=True):
-        spans = []
-        curves = []
-        for centre, edge, deviation in zip(position, edges, deviations, strict=True):
-            reach = _TRUNCATED * deviation
-            first, last = np.searchsorted(edge, [centre - reach, centre + reach])
-            spans.append(span := slice(max(first - 1, 0), min(last, len(edge) - 1)))
-            away = np.clip((edge[span.start : span.stop + 1] - centre) / deviation, -_TRUNCATED, _TRUNCATED)
-            curves.append(np.diff(ndtr(away)) / (2 * ndtr(_TRUNCATED) - 1))
-        x, y, z = curves
-        values[spans[2], spans[1], spans[0]] += weight * z[:, None, None] * y[:, None] * x
+    # Parts of each particle's light in the voxels of an axis, (particles, voxels).
+    parts = [
+        np.diff(ndtr(((edges - centres[:, None]) / deviation).clip(-_TRUNCATED, _TRUNCATED)))
+        / (2 * ndtr(_TRUNCATED) - 1)
+        for edges, centres, deviation in zip(grid.edges, positions.T, deviations, strict=True)
+    ]
+    values = np.zeros(grid.shape)
+    for weight, *lines in zip(weights, *parts[::-1], strict=True):
+        lit = [np.flatnonzero(line) for line in lines]
+        z, y, x = (line[voxels] for line, voxels in zip(lines, lit, strict=True))
+        values[np.ix_(*lit)] += weight * z[:, None, None] * y[:, None] * x
     return grid.labelled(values)
 
 
@@ -188,17 +166,15 @@ def ghost_fraction(volume: xr.DataArray, positions: Doubles, reach: Sequence[flo
         Semi-axes along x, y and z, in mm, of the ellipsoid around a particle that is its own.
     """
     semi_axes = np.array(require_numbers("reach", reach, count=3, minimum=1e-9))
-    values = np.maximum(values_of(volume)[0], 0)
-    total = float(values.sum())
-    if not total:
-        return 0.0
-    lit = np.argwhere(values > 0)
-    z, y, x = (volume[name].values[index] for name, index in zip("zyx", lit.T, strict=True))
     positions = require_points("positions", positions)
-    if not len(positions):
-        return 1.0
-    away = cKDTree(positions / semi_axes).query(np.stack([x, y, z], -1) / semi_axes, distance_upper_bound=1.0)[0]
-    return float(values[tuple(lit[np.isinf(away)].T)].sum()) / total
+    values = np.maximum(values_of(volume)[0], 0)
+    lit = np.argwhere(values > 0)
+    light = values[values > 0]
+    if not len(light) or not len(positions):
+        return float(len(light) > 0)
+    places = np.stack([volume[name].values[index] for name, index in zip("xyz", lit.T[::-1], strict=True)], -1)
+    away = cKDTree(positions / semi_axes).query(places / semi_axes, distance_upper_bound=1.0)[0]
+    return float(light[np.isinf(away)].sum() / light.sum())
 
 
 def elongation(camera: PlenopticCamera, distance: float) -> float:

@@ -97,6 +97,7 @@ def test_a_field_in_a_file_is_followed_as_the_flow_it_was_sampled_from(tmp_path,
 test_bad_flows_are_refused_in_one_line = refused(
     (lambda: pt.Shear(along="x", across="x"), "along = x, across = x: they must differ"),
     (lambda: pt.HillVortex(radius=0), "radius = 0: it must be greater than 0"),
+    (lambda: pt.HillVortex(radius=None), "radius = None: it must be a number"),
     (lambda: pt.TaylorGreen(axis="w"), "axis = 'w': it must be one of x, y, z"),
     (lambda: pt.Uniform((1, 2)), r"speed = \(1, 2\): it must be 3 numbers"),
     (lambda: pt.ImportedFlow(still(v="m/s")), "field: v is in m/s: it must be in mm/s"),
