@@ -23,9 +23,11 @@ demo: $(VENV)/.installed
 	@$(BIN)/python tools/ensure_llvm.py
 	$(BIN)/mitsuba-plenoptic reproduce --preset quick -o demo
 
-# The tests of a file stay in one process, which they share captures and compiled kernels in.
+# The tests of a file stay in one process, which they share captures and compiled kernels in. A process that dies ends
+# the run at once, and so does a test that hangs.
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --max-worker-restart=0
 test: $(VENV)/.ready llvm
-	$(BIN)/python -m pytest -n 2 --dist loadfile $(if $(COVERAGE),--cov --cov-report=term)
+	$(PYTEST) --timeout=300 $(if $(COVERAGE),--cov --cov-report=term)
 
 # PyTorch's default wheel brings CUDA, several GB: an environment apart, and no part of 'make test'.
 TENSORS := .venv-tensors
@@ -41,10 +43,10 @@ $(TENSORS)/.ready: pyproject.toml $(VENV)/.ready
 # Measuring takes a sixth more of the processor, so 'make test' leaves it out unless COVERAGE=yes, as .ci/run has it.
 coverage: $(VENV)/.ready llvm
 	rm -rf build/coverage && mkdir -p build/coverage
-	$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=html --cov-report=term
+	$(PYTEST) --timeout=300 --cov --cov-report=html --cov-report=term
 
 slow: $(VENV)/.ready llvm
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m slow --timeout=1800
 
 examples: $(VENV)/.ready llvm
 	$(BIN)/python tools/make_examples.py

@@ -42,6 +42,13 @@ def pytest_collection():
         gc.enable()
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node, error):
+    """End the run when a test process dies: others would go on for minutes."""
+    if error:
+        pytest.exit(f"test process {node.gateway.id} died: {error}", returncode=3)
+
+
 def pytest_runtest_setup(item):
     """Skip a test of the core that needs an extension where this one is not installed."""
     for marker in item.iter_markers("needs_extension"):

@@ -51,8 +51,8 @@ def with_sensor_parameters(docstring: str) -> str:
             rows.append(f"   - {', '.join(flags)}")
     # The docstring is indented where Python reads it, and not where the site does.
     indent = re.search(r"^( *) \* - CAMERA$", docstring, re.MULTILINE)
-    assert indent is not None
-    return docstring.replace(indent[0], "\n".join(indent[1] + row for row in rows))
+    # Python without docstrings (-OO) has none.
+    return docstring.replace(indent[0], "\n".join(indent[1] + row for row in rows)) if indent else docstring
 
 
 def _written(default: Any) -> str:

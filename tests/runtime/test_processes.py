@@ -225,3 +225,89 @@ def test_fields_that_end_with_a_page():
     """The next page is protected: reading it would end the process."""
     made = subprocess.run([sys.executable, "-c", AT_THE_END_OF_A_PAGE], capture_output=True, text=True, timeout=100)
     assert (made.returncode, made.stdout.strip()) == (0, "fine"), made.stderr
+
+
+def test_python_without_docstrings_and_assertions():
+    """Scenes load, capture and refocus as ever, and all commands have help."""
+    code = """
+    import sys, mitsuba as mi
+    import mitsuba_plenoptic as mp
+    from mitsuba_plenoptic.cli.program import COMMANDS, main
+    mi.set_variant("llvm_ad_mono")
+    small = {"detector_width": "0.512", "resolution": "64"}
+    for model in ("ray", "wave"):
+        capture = mp.render_capture(mp.load_scene("letters", parameters=small), model=model, spp=2)
+        for method in ("ray", "coherent", "deconvolved"):
+            if not mp.reconstruct(capture, 240, method=method, wavelength=633).image.max() > 0:
+                sys.exit(method)
+    for name in COMMANDS:
+        if main([name, "--help"]):
+            sys.exit(name)
+    print("right")
+    """
+    command = [sys.executable, "-OO", "-c", textwrap.dedent(code)]
+    told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    assert told.stdout.endswith("right\n")
+
+
+@pytest.mark.parametrize("swept", ["frozen", "symbolic"])
+def test_collected_garbage_destroys_no_scene_that_drjit_counts(python, swept):
+    """Neither frozen nor symbolic code ends the process when scenes of before are collected meanwhile."""
+    told = python(
+        """
+        import gc, sys
+        import drjit as dr, mitsuba as mi, numpy as np
+        import mitsuba_plenoptic as mp
+        mi.set_variant("llvm_ad_mono")
+        sweeping = False
+
+        class Swept(mi.BSDF):
+            def __init__(self, props):
+                super().__init__(props)
+                self.inner = mi.load_dict({"type": "diffuse"})
+                self.m_components, self.m_flags = [self.inner.flags()], self.inner.flags()
+
+            def sample(self, *arguments):
+                if sweeping:
+                    gc.collect()
+                return self.inner.sample(*arguments)
+
+            eval = lambda self, *arguments: self.inner.eval(*arguments)
+            pdf = lambda self, *arguments: self.inner.pdf(*arguments)
+            eval_pdf = lambda self, *arguments: self.inner.eval_pdf(*arguments)
+
+        mi.register_bsdf("swept", Swept)
+
+        def scene():
+            sensor = mp.PlenopticCamera(resolution=(32, 32), detector_width=0.128, detector_blur=0.004).to_sensor()
+            ball = {"type": "sphere", "center": [0, 0, 240], "radius": 9, "bsdf": {"type": "swept"}}
+            parts = {"i": {"type": "path"}, "e": {"type": "constant"}, "s": sensor}
+            return mi.load_dict({"type": "scene", **parts, **({"ball": ball} if sys.argv[1] == "symbolic" else {})})
+
+        def garbage():
+            held = {"scene": scene()}
+            held["parameters"], held["itself"] = mi.traverse(held["scene"]), held
+            mi.render(held["scene"], spp=1)
+
+        def render(scene, seed):
+            if sys.argv[1] == "frozen":
+                gc.collect()
+            return mi.render(scene, spp=2, seed=seed)
+
+        gc.disable()
+        for _ in range(3):
+            garbage()
+            kept = scene()
+            frozen = dr.freeze(render) if sys.argv[1] == "frozen" else render
+            for seed in (1, 2):
+                expected = np.array(mi.render(kept, spp=2, seed=seed))
+                garbage()
+                sweeping = True
+                assert np.array_equal(frozen(kept, mi.UInt32(seed)), expected)
+                sweeping = False
+        assert gc.get_freeze_count() == 0 and gc.collect() > 10
+        print("right")
+        """,
+        swept,
+    )
+    assert told.stdout.endswith("right\n"), told.stderr
