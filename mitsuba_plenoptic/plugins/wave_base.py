@@ -93,6 +93,11 @@ def make_base() -> type:
             refuse_if(len(nested) > 1, f"{self.plugin}: {len(nested)} nested plugins: it takes one integrator")
             self.child = nested[0] if nested else mi.load_dict({"type": "path"})
             require_read(props, self.plugin)
+            extra = ", ".join(self.child.aov_names()) if isinstance(self.child, mi.Integrator) else ""
+            refuse_if(
+                extra,
+                f"{self.plugin}: nested {self.child.class_name()}: its extra outputs {extra} would be lost",
+            )
 
         def render(
             self,
