@@ -204,6 +204,7 @@ def load_scene(
             )
         if scene.get("type") != "scene":
             raise InputError(f"scene: its 'type' is {short_repr(scene.get('type'))}: it must be 'scene'")
+        _refuse_none(scene)
         set_variant(variant)
         where = "scene"
         name = "dictionary"
@@ -249,6 +250,14 @@ def load_scene(
     if sensors := loaded.sensors():
         warn_of_metres(loaded, sensors[0])
     return loaded
+
+
+def _refuse_none(entries: Mapping[str, Any], names: str = "") -> None:
+    """Refuse a dictionary with a value of None, on which Mitsuba's loader ends the process."""
+    for name, value in entries.items():
+        refuse_if(value is None, f"scene: {names}{name} = None: it must have a value; leave it out for the default")
+        if isinstance(value, Mapping):
+            _refuse_none(value, f"{names}{name}.")
 
 
 def with_objects(scene: mi.Scene, new: Sequence[mi.Object], old: Sequence[mi.Object]) -> mi.Scene:
