@@ -44,7 +44,10 @@ def test_parameters_of_the_sensor(camera_dict, parameters, words):
         ({"method": "magic"}, "method = 'magic': it must be one of signed_rays, points"),
         ({"accuracy": -0.01}, "accuracy = -0.01: it must be from 0"),
         ({"child": {"type": "ptracer"}}, "it cannot tell the radiance along a ray"),
-        ({"child": {"type": "aov", "aovs": "d:depth"}}, "nested AOVIntegrator: .* also tells what a capture would lose"),
+        (
+            {"child": {"type": "aov", "aovs": "d:depth"}},
+            "nested AOVIntegrator: .* also tells what a capture would lose",
+        ),
     ],
 )
 def test_parameters_of_the_integrator(parameters, words):
@@ -125,7 +128,12 @@ MOMENT = {"type": "moment", "p": {"type": "path"}}
     ("variant", "camera", "integrator", "words"),
     [
         ("llvm_ad_mono", {"detector_blur": 0.01}, MOMENT, r"plenoptic: output m2_p.Z: .* without detector_blur"),
-        ("llvm_ad_rgb", {"glass": "N-BK7"}, MOMENT, "plenoptic: output m2_p.Z: .* without dispersion"),
+        (
+            "llvm_ad_rgb",
+            {"glass": '{"index": 1.5, "abbe": 50}'},
+            MOMENT,
+            "plenoptic: output m2_p.Z: .* without dispersion",
+        ),
         ("llvm_ad_mono", {}, MOMENT | {"samples_per_pass": 2}, "plenoptic: samples_per_pass: .* in one pass"),
     ],
 )
