@@ -15,32 +15,19 @@ import numpy as np
 from ..errors import refuse_if
 from .operator import DetectorOperator
 
-_STOKES = [f"S{component}.{channel}" for component in range(4) for channel in "RGB"]
-"""Names of the outputs that Mitsuba's integrator ``stokes`` puts before those of its child."""
 
+def light_power(output: str, outputs: list[str]) -> int:
+    """Return the power of light in an extra output of nested integrators: 1 in radiance, 0 in depth or an index.
 
-def light_powers(names: list[str], channels: str = "RGB") -> list[int]:
-    """Return the powers of light in the extra outputs of nested integrators: 1 in radiance, 0 in depth or an index.
-
-    Outputs begin with the names of children, whose radiance has the given channels.
+    Names tell it. Integrators within ``aov`` have an alpha, which colours of surfaces have not. Within ``moment`` the
+    second moment of what a child returns has the child's name, that of a point which the child finds has not.
     """
-    half = len(names) // 2
-    if half and names[half:] == [f"m2_{name}" for name in names[:half]]:
-        powers = light_powers(names[:half], "XYZ")
-        return powers + [2 * power for power in powers]
-    if names[:12] == _STOKES:
-        return [1] * 12 + light_powers(names[12:])
-    pairs = [name.partition(".")[::2] for name in names]
-    nested = {
-        child: iter(light_powers([rest for name, rest in pairs if name == child and "." in rest])) for child, _ in pairs
-    }
-    # Integrators within ``aov`` have an alpha, which colours of surfaces have not.
-    return [
-        next(nested[child])
-        if "." in rest
-        else int(rest in [*channels] and (channels == "XYZ" or f"{child}.A" in names))
-        for child, rest in pairs
-    ]
+    stem, _, channel = output.replace("m2_", "").rpartition(".")
+    place, dot, child = stem.rpartition(".")
+    is_light = (
+        channel in [*"RGB"] and (f"{stem}.A" in outputs or (stem in ("S0", "S1", "S2", "S3") and "S3.B" in outputs))
+    ) or (channel in [*"XYZ"] and f"{place}{dot}m2_{child}.{channel}" in outputs)
+    return int(is_light) * 2 ** output.count("m2_")
 
 
 def behind_detector(film: Any) -> Any:
@@ -95,7 +82,7 @@ def _film_class(variant: str) -> type:
             alpha = ["A"] * int(mi.has_flag(self.m_flags, mi.FilmFlags.Alpha))
             self._channels = [*"RGB", *alpha, "W", *aovs]
             # Powers of light in means over rays that pass, and the means of these powers of the rays' weights.
-            self._powers = [None, None, None, *(0 for _ in alpha), None, *light_powers(aovs)]
+            self._powers = [None, None, None, *(0 for _ in alpha), None, *(light_power(aov, aovs) for aov in aovs)]
             self._weights: list[Any] = []
             self.redraws = len(self._powers) > 4
             has_moments = 2 in self._powers

@@ -9,7 +9,7 @@ from cases import facing, radiating, scene_of
 from scipy.ndimage import binary_erosion
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
-from mitsuba_plenoptic.detector.film import light_powers
+from mitsuba_plenoptic.detector.film import light_power
 from mitsuba_plenoptic.views import white_image
 
 VARIANTS = [
@@ -214,7 +214,8 @@ def test_an_index_is_that_of_one_ray_and_alpha_of_rays_that_pass():
     ],
 )
 def test_powers_of_light_follow_from_the_names_of_outputs(names, powers):
-    assert light_powers(names.split()) == [int(power) for power in powers.split()]
+    outputs = names.split()
+    assert [light_power(output, outputs) for output in outputs] == [int(power) for power in powers.split()]
 
 
 def test_shutter_times_reach_the_rays(camera_dict):
