@@ -1,7 +1,10 @@
-"""The film of a sensor whose pixels do not record the light as it falls on them."""
+"""The film of a plenoptic sensor, whose pixels record light through a detector, and extra outputs of rays that pass."""
 
 from __future__ import annotations
 
+import functools
+import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -9,88 +12,160 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..errors import refuse_if
 from .operator import DetectorOperator
 
 
-def behind_detector(film: Any, detector: DetectorOperator) -> Any:
-    """Return a film around another one that develops what a detector records of the light on it.
+def light_power(output: str, outputs: list[str]) -> int:
+    """Return the power of light in an extra output of nested integrators: 1 in radiance, 0 in depth or an index.
 
-    Any integrator records the light on the inner film. The detector acts on its colours, not on alpha and extra
-    channels such as depth.
+    Names tell it. Integrators within ``aov`` have an alpha, which colours of surfaces have not. Within ``moment`` the
+    second moment of what a child returns has the child's name, that of a point which the child finds has not.
     """
+    stem, _, channel = output.replace("m2_", "").rpartition(".")
+    place, dot, child = stem.rpartition(".")
+    is_light = (
+        channel in [*"RGB"] and (f"{stem}.A" in outputs or (stem in ("S0", "S1", "S2", "S3") and "S3.B" in outputs))
+    ) or (channel in [*"XYZ"] and f"{place}{dot}m2_{child}.{channel}" in outputs)
+    return int(is_light) * 2 ** output.count("m2_")
+
+
+def behind_detector(film: Any) -> Any:
+    """Return a film around another one that develops what the detector of its sensor records of the light on it.
+
+    Any integrator records the light on the inner film. The detector acts on radiance, not on alpha and on outputs such
+    as depth. These are means over rays that pass, which the sensor draws again in the place of others.
+    """
+    return _film_class(mi.variant())(film)
+
+
+def _of_inner_film(name: str) -> Callable[..., Any]:
+    """Return a method that calls that of the inner film."""
+    return lambda film, *arguments: getattr(film.inner, name)(*arguments)
+
+
+def _fit(film: Any, other: Any) -> None:
+    """Give a film the size and crop window of another one."""
+    parameters = mi.traverse(film)
+    window = {name: getattr(other, name)() for name in ("size", "crop_size", "crop_offset")}
+    if any(list(parameters[name]) != list(value) for name, value in window.items()):
+        parameters.update(window)
+
+
+@functools.cache
+def _film_class(variant: str) -> type:
+    """Return the class of films for the active variant; one class for each film would be garbage in a cycle."""
 
     class DetectorFilm(mi.Film):
-        def __init__(self, props: Any) -> None:
-            super().__init__(props)
-            self.m_flags, self._extra = film.flags(), 0
-            self.stand_before(detector)
+        redraws = False
+        """Whether an integrator is about to render means over rays that pass."""
 
-        def stand_before(self, detector: DetectorOperator) -> None:
-            """Record by a detector, whose map of stray light becomes a tensor: `dr.freeze` knows no others."""
+        def __init__(self, film: Any) -> None:
+            props = mi.Properties("detector_film")
+            props["rfilter"] = film.rfilter()
+            super().__init__(props)
+            self.m_flags = film.flags()
+            self.inner = film
+            _fit(self, film)
+
+        def stand_before(self, detector: DetectorOperator, is_coloured: bool) -> None:
+            """Record by a detector light along rays, whose weights may differ by colour.
+
+            Its map of stray light becomes a tensor: `dr.freeze` knows no others.
+            """
             if isinstance(detector.stray_light, np.ndarray):
                 detector = replace(detector, stray_light=mi.TensorXf(detector.stray_light[..., None]))
             self.detector = detector
+            self._is_coloured = is_coloured
 
         def prepare(self, aovs: list[str]) -> int:
-            self._extra = len(aovs)
-            return int(film.prepare(aovs))
+            alpha = ["A"] * int(mi.has_flag(self.m_flags, mi.FilmFlags.Alpha))
+            self._channels = [*"RGB", *alpha, "W", *aovs]
+            # Powers of light in means over rays that pass, and the means of these powers of the rays' weights.
+            self._powers = [None, None, None, *(0 for _ in alpha), None, *(light_power(aov, aovs) for aov in aovs)]
+            self._weights: list[Any] = []
+            self.redraws = len(self._powers) > 4
+            has_moments = 2 in self._powers
+            refuse_if(
+                (self._is_coloured and (has_moments or "S0.R" in aovs))
+                or (has_moments and not self.detector.is_identity),
+                f"plenoptic: output {self._channels[-1]}: Stokes vectors and moments need rays without dispersion, "
+                "moments also pixels without detector_blur, pixel_crosstalk and stray_light",
+            )
+            _fit(self.inner, self)
+            return int(self.inner.prepare(aovs))
+
+        def draw_again(self, weight: Any, samples: tuple[Any, ...]) -> tuple[tuple[Any, ...], Any]:
+            """Return the samples of rays drawn again in proportion to their weights, and factors of their new weights.
+
+            Each pixel draws systematically among its rays, of which those without weight are blocked. If an output is
+            an index, of which there is no mean, all rays of a pixel are one of them.
+            """
+            refuse_if(self._weights, "plenoptic: samples_per_pass: extra outputs need all samples in one pass")
+            lanes = dr.arange(mi.UInt32, dr.width(samples[2]))
+            count = len(lanes) // math.prod(self.crop_size())
+            pixel = lanes // count
+            first = pixel * count
+            weight = weight + dr.zeros(mi.Float, len(lanes))
+            highest = max(power or 1 for power in self._powers)
+            means = [dr.block_sum(weight**power, count) / count for power in range(1, highest + 1)]
+            passes = dr.select(means[0] > 0, mi.Float(1), 0)
+            self._weights = [passes, *(mean * (dr.nan if self._is_coloured else 1) for mean in means)]
+            sums = dr.block_prefix_sum(weight, count, exclusive=False)
+            seed = dr.reinterpret_array(mi.UInt32, dr.gather(mi.Float, samples[2].x, first))
+            position = mi.sample_tea_float32(pixel, seed)
+            if not any(name.endswith(".I") for name in self._channels):
+                position = (mi.Float(lanes - first) + position) / count
+            position = dr.minimum(position, 1 - dr.epsilon(mi.Float)) * dr.gather(mi.Float, sums, first + (count - 1))
+            ray = first + dr.binary_search(0, count - 1, lambda ray: dr.gather(mi.Float, sums, first + ray) <= position)
+            weight = dr.gather(mi.Float, weight, ray)
+            growth = dr.select(weight > 0, dr.gather(mi.Float, means[0], pixel) / weight, 0)
+            return tuple(dr.gather(type(x), x, ray) if dr.width(x) > 1 else x for x in samples), growth
+
+        def put_block(self, block: Any) -> None:
+            self.redraws = False
+            if self._weights:
+                block = mi.ImageBlock(self._of_passing_rays(block.tensor()), block.offset())
+            self.inner.put_block(block)
+
+        def _of_passing_rays(self, sums: Any) -> Any:
+            """Return sums over all rays of a pixel, from those in which blocked rays are replaced."""
+            channels = []
+            for channel, (name, power) in enumerate(zip(self._channels, self._powers, strict=True)):
+                value = sums[:, :, channel : channel + 1]
+                if power is not None:
+                    value = value * mi.TensorXf(self._weights[power], value.shape)
+                if power:
+                    value = self.detector.forward(value)
+                if name.endswith(".I"):
+                    # 2**24: single precision holds no larger sum of indices.
+                    value = dr.select(value < 2**24, value, dr.nan)
+                channels.append(value)
+            return dr.concat(channels, axis=2)
 
         def develop(self, raw: bool = False) -> Any:
-            image = film.develop(raw)
-            if raw:
+            image = self.inner.develop(raw)
+            if raw or self.detector.is_identity:
                 return image
-            colours = image.shape[2] - self._extra - int(mi.has_flag(film.flags(), mi.FilmFlags.Alpha))
+            # Without alpha, which counts as a colour of the film.
+            colours = self.inner.base_channels_count() - ("A" in self._channels)
             recorded = self.detector.forward(image[:, :, :colours])
             return recorded if colours == image.shape[2] else dr.concat([recorded, image[:, :, colours:]], axis=2)
 
         def bitmap(self, raw: bool = False) -> Any:
-            plain = film.bitmap(raw)
+            plain = self.inner.bitmap(raw)
             names = [field.name for field in plain.struct_()]
-            return plain if raw else mi.Bitmap(self.develop(), plain.pixel_format(), names)
+            is_plain = raw or self.detector.is_identity
+            return plain if is_plain else mi.Bitmap(self.develop(), plain.pixel_format(), names)
 
         def write(self, path: Any) -> None:
-            self.bitmap().write(path)
+            (self.inner if self.detector.is_identity else self.bitmap()).write(path)
 
-        def create_block(self, size: Any = (0, 0), normalize: bool = False, borders: bool = False) -> Any:
-            return film.create_block(size, normalize, borders)
+        create_block = _of_inner_film("create_block")
+        clear = _of_inner_film("clear")
+        base_channels_count = _of_inner_film("base_channels_count")
+        schedule_storage = _of_inner_film("schedule_storage")
+        class_name = _of_inner_film("class_name")
+        to_string = _of_inner_film("__str__")
 
-        def put_block(self, block: Any) -> None:
-            film.put_block(block)
-
-        def clear(self) -> None:
-            film.clear()
-
-        def base_channels_count(self) -> int:
-            return int(film.base_channels_count())
-
-        def schedule_storage(self) -> None:
-            film.schedule_storage()
-
-        def sensor_response_function(self) -> Any:
-            return film.sensor_response_function()
-
-        def prepare_sample(self, *given: Any, **options: Any) -> Any:
-            return film.prepare_sample(*given, **options)
-
-        def parameters_changed(self, keys: list[str] | None = None) -> None:
-            super().parameters_changed(keys or [])
-            inner = mi.traverse(film)
-            for name in ("size", "crop_size", "crop_offset"):
-                inner[name] = getattr(self, name)()
-            inner.update()
-
-        def class_name(self) -> str:
-            return str(film.class_name())
-
-        def to_string(self) -> str:
-            return str(film)
-
-    size = film.size()
-    crop = film.crop_size()
-    offset = film.crop_offset()
-    props = mi.Properties("detector_film")
-    for axis, side in enumerate(("width", "height")):
-        props[side], props[f"crop_{side}"] = int(size[axis]), int(crop[axis])
-        props[f"crop_offset_{'xy'[axis]}"] = int(offset[axis])
-    props["rfilter"] = film.rfilter()
-    return DetectorFilm(props)
+    return DetectorFilm

@@ -30,8 +30,7 @@ def require_samples(spp: int) -> None:
 class PassSpread:
     """The mean of several passes of a capture, and its standard deviation from the passes' spread.
 
-    Mitsuba's own integrator ``moment`` gives the spread of single samples, but omits the weights of rays, which a
-    plenoptic sensor needs.
+    Mitsuba's own integrator ``moment`` gives the spread of single samples, which is not known behind every camera.
     """
 
     def __init__(self) -> None:

@@ -74,9 +74,6 @@ SRGB = "srgb"
 SHARED = 32
 """Count of wavelengths of a band whose light is distributed to the nodes of signed rays."""
 
-# Integrators that trace light from the emitters, and do not estimate the radiance along a ray.
-_LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
-
 
 def make_class() -> type:
     """Return the plugin's class, defined for the active Mitsuba variant, to which its types are bound."""
@@ -200,9 +197,6 @@ def make_class() -> type:
             self.method = read_choice(props, NAME, "method", (SIGNED_RAYS, POINTS))
             self.accuracy = require_accuracy(read_plain(props, "accuracy", DEFAULT_ACCURACY), f"{NAME}: accuracy")
             self.read_child(props)
-            kind = self.child.class_name() if hasattr(self.child, "class_name") else type(self.child).__name__
-            if not isinstance(self.child, mi.SamplingIntegrator) or kind in _LIGHT_TRACERS:
-                raise InputError(f"{NAME}: nested {kind}: it cannot tell the radiance along a ray; use path or direct")
 
         def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
             """Return the change of the capture along the parameters' tangents, for `mi.render`."""

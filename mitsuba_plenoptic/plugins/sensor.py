@@ -122,10 +122,9 @@ def make_class() -> type:
             # Only objects are read here: Mitsuba refuses as unknown only the parameters that were never read.
             objects = [name for name in props.keys() if props.type(name) == mi.Properties.Type.Object]  # noqa: SIM118
             film_name = next((name for name in objects if isinstance(props[name], mi.Film)), None)
-            if film_name is not None and props[film_name].rfilter().is_box_filter():
-                detector = DetectorOperator.of(read_camera(props, NAME, props[film_name])[0])
-                if not detector.is_identity:
-                    props[film_name] = behind_detector(props[film_name], detector)
+            # Of films with bands of their own, what the integrator hands on is known to C++ alone.
+            if film_name is not None and not mi.has_flag(props[film_name].flags(), mi.FilmFlags.Special):
+                props[film_name] = behind_detector(props[film_name])
             super().__init__(props)
             film = self.film()
             if not film.rfilter().is_box_filter():
@@ -187,8 +186,6 @@ def make_class() -> type:
                 plain = _plain(value, self._plain[name])
                 self._plain[name] = plain[0] if PARAMETERS[name].form is Form.NUMBER else plain
             self._rays = sampler_of(self.camera, numbers)
-            if hasattr(self.film(), "detector"):
-                self.film().stand_before(DetectorOperator.of(self.camera))
             self._second_leg = second_leg(self.pixel_response, self.mla_absorption or 0.0)
             tables = (
                 place(package, text)(getattr(self, name))
@@ -196,6 +193,14 @@ def make_class() -> type:
                 if getattr(self, name) is not None
             )
             self._table: Any = next(tables, None)
+            is_coloured = self._rays.dispersion is not None or (self._table is not None and not mi.is_monochromatic)
+            detector = DetectorOperator.of(self.camera)
+            film = self.film()
+            if hasattr(film, "stand_before"):
+                film.stand_before(detector, is_coloured)
+            else:
+                needed = "an hdrfilm behind detector_blur, pixel_crosstalk or stray_light"
+                refuse_if(not detector.is_identity, f"{NAME}: film of type {film.class_name()}: it must be {needed}")
 
         @property
         def camera(self) -> PlenopticCamera:
@@ -236,7 +241,7 @@ def make_class() -> type:
 
         def _sample(
             self, time: Any, wavelength_sample: Any, film_sample: Any, lens_sample: Any, active: Any, differential: bool
-        ) -> tuple[Any, Any]:
+        ) -> tuple[Any, Any, Any]:
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
             rays = self._rays
             width = self.detector_width / self.film().size()[0]
@@ -250,10 +255,14 @@ def make_class() -> type:
             px, py = self._on_detector(film_sample)
             if self._table is not None:
                 sample, side, behind = cast(LensRays, rays).sample_pupil((px, py), width, lens_sample)
-                weight = weight * mi.Spectrum(self._table(side, behind, wavelengths) * sample.weight)
+                passing = self._table(side, behind, wavelengths) * sample.weight
+                weight = weight * mi.Spectrum(passing)
+                passing = dr.mean(passing, axis=0)
             else:
                 sample, passage = rays.sample((px, py), lens_sample, dispersion)
-                weight = weight * sample.weight * self._second_leg(*rays.second_leg(sample))
+                behind = self._second_leg(*rays.second_leg(sample))
+                weight = weight * sample.weight * behind
+                passing = sample.weight * behind
             point = sample.origin
             slope = sample.slope
             open_ = sample.valid & active
@@ -277,19 +286,27 @@ def make_class() -> type:
                     setattr(ray, f"o_{name}", to_world @ mi.Point3f(*beside))
                     setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(*slope_beside, 1)))
                 ray.has_differentials = True
-            return ray, dr.select(open_, weight, 0)
+            return ray, dr.select(open_, weight, 0), dr.select(open_, passing, 0)
 
         def sample_ray(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> tuple[Any, Any]:
             """Return a random ray and its weight, from positions on the crop window (`sample2`) and on the lens."""
-            return self._sample(time, sample1, sample2, sample3, active, differential=False)
+            return self._sample(time, sample1, sample2, sample3, active, differential=False)[:2]
 
         def sample_ray_differential(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> tuple[Any, Any]:
             """Return a random ray with differentials: rays from the next pixels through the same lens point."""
-            return self._sample(time, sample1, sample2, sample3, active, differential=True)
+            samples = time, sample1, sample2, sample3
+            film = self.film()
+            if not getattr(film, "redraws", False):
+                return self._sample(*samples, active, differential=True)[:2]
+            with dr.suspend_grad():
+                passing = self._sample(*samples, active, differential=False)[2]
+                (time, sample1, sample2, sample3), growth = film.draw_again(passing, samples)
+            ray, weight, _ = self._sample(time, sample1, sample2, sample3, active, differential=True)
+            return ray, weight * growth
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
             """Refuse light tracing, as a scene point sees the detector through many lenses at once."""

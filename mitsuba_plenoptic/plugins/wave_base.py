@@ -81,6 +81,10 @@ def asked_for(scene: Any, sensor: Any, seed: Any, spp: int) -> tuple[Any, int, i
     return sensor, int(seed[0]) if hasattr(seed, "__len__") else int(seed), spp or sensor.sampler().sample_count()
 
 
+# Integrators that trace light from the emitters, and do not estimate the radiance along a ray.
+_LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
+
+
 def make_base() -> type:
     """Define the base class of integrators with `record` and `parameters` for the active Mitsuba variant."""
 
@@ -93,6 +97,10 @@ def make_base() -> type:
             refuse_if(len(nested) > 1, f"{self.plugin}: {len(nested)} nested plugins: it takes one integrator")
             self.child = nested[0] if nested else mi.load_dict({"type": "path"})
             require_read(props, self.plugin)
+            kind = self.child.class_name() if hasattr(self.child, "class_name") else type(self.child).__name__
+            if not isinstance(self.child, mi.SamplingIntegrator) or kind in _LIGHT_TRACERS or self.child.aov_names():
+                reason = "it cannot tell the radiance along a ray, or also tells what a capture would lose"
+                raise InputError(f"{self.plugin}: nested {kind}: {reason}; use path or direct")
 
         def render(
             self,

@@ -279,6 +279,9 @@ def chosen_integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> An
         require_choice("model", model, MODELS)
     is_wave = hasattr(integrator, "wavelengths")
     child = integrator.child if is_wave else integrator
+    instead = advice(python="ground_truth(scene) returns depth and normals", shell="--aov writes depth and normals")
+    extra = ", ".join(child.aov_names())
+    refuse_if(extra, f"integrator: it has the extra outputs {extra}; a capture needs one without; {instead}")
     if model == "ray" or (model is None and not is_wave):
         refuse_by_rays(**wave)
         integrator = child
@@ -290,9 +293,6 @@ def chosen_integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> An
             integrator = mi.load_dict({**properties, **wave, "child": child})
         except RuntimeError as error:
             raise InputError(mitsuba_sentence(error)) from None
-    instead = advice(python="ground_truth(scene) returns depth and normals", shell="--aov writes depth and normals")
-    extra = ", ".join(integrator.aov_names())
-    refuse_if(extra, f"integrator: it has the extra outputs {extra}; a capture needs one without; {instead}")
     return integrator
 
 

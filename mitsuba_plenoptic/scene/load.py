@@ -204,6 +204,8 @@ def load_scene(
             )
         if scene.get("type") != "scene":
             raise InputError(f"scene: its 'type' is {short_repr(scene.get('type'))}: it must be 'scene'")
+        without = ", ".join(_keys_of_none(scene))
+        refuse_if(without, f"scene: {without} = None: it must have a value; leave it out for the default")
         set_variant(variant)
         where = "scene"
         name = "dictionary"
@@ -249,6 +251,15 @@ def load_scene(
     if sensors := loaded.sensors():
         warn_of_metres(loaded, sensors[0])
     return loaded
+
+
+def _keys_of_none(entries: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the keys of values that are None, on which Mitsuba's loader ends the process."""
+    for key, value in entries.items():
+        if value is None:
+            yield str(key)
+        elif isinstance(value, Mapping):
+            yield from (f"{key}.{rest}" for rest in _keys_of_none(value))
 
 
 def with_objects(scene: mi.Scene, new: Sequence[mi.Object], old: Sequence[mi.Object]) -> mi.Scene:

@@ -5,10 +5,11 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from cameras import disk
-from cases import scene_of
+from cases import facing, radiating, scene_of
 from scipy.ndimage import binary_erosion
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
+from mitsuba_plenoptic.detector.film import light_power
 from mitsuba_plenoptic.views import white_image
 
 VARIANTS = [
@@ -128,18 +129,93 @@ def test_scenes_of_two_variants_live_side_by_side(camera_dict):
     assert render_capture(first, spp=4).image.shape == (64, 64)
 
 
-def test_outputs_of_dark_pixels_are_zero(camera_dict):
-    scene = white_scene(
-        camera_dict(resolution=128, detector_width=0.256, film={"pixel_format": "rgb"}),
-        wall=picture_wall(smooth_texture(), 250.0, 5.0),
-    )
-    aov = mi.load_dict({"type": "aov", "aovs": "depth:depth"})
-    depth = np.array(mi.render(scene, integrator=aov, spp=16))[..., -1]
-    pupil, _ = pupil_of_pixels(PlenopticCamera(detector_width=0.256, resolution=(128, 128)))
-    radius = np.hypot(pupil[:, None], pupil[None, :])
-    np.testing.assert_array_equal(depth[radius > 5.4], 0)
-    # Rays start on the main lens: the distance along them is a little more than the plane's.
-    assert np.all((depth[radius < 4.6] > 249.9) & (depth[radius < 4.6] < 250.5))
+LENSES = {"detector_width": 0.256, "resolution": (64, 48)}
+DOUBLE_GAUSS = {"mla_lattice": "none", "main_lens": "double_gauss", "focal_length": 50, "focus_distance": 800}
+SLANTED = (0.6, 0.0, -0.8)
+
+
+def outputs(camera, integrator, spp=64, pixel_format="luminance", **objects):
+    """Return the image and the extra outputs before a sky and a slanted wall of radiance 1, in mm from the lens."""
+    distance = camera.focus_distance or 240.0
+    to_world = mi.ScalarTransform4f().translate([0, 0, distance]).rotate([0, 1, 0], np.degrees(np.arccos(-0.8)))
+    wall = {"type": "rectangle", "to_world": to_world.scale(900), "emitter": {"type": "area", "radiance": 1.0}}
+    scene = white_scene(camera.to_sensor(pixel_format=pixel_format), **(objects or {"wall": wall}))
+    image = np.array(mi.render(scene, integrator=mi.load_dict(integrator), spp=spp))
+    return np.split(image, [scene.sensors()[0].film().base_channels_count()], axis=2)
+
+
+@pytest.mark.parametrize(
+    ("camera", "is_one"),
+    [
+        (LENSES, True),
+        ({**DOUBLE_GAUSS, "detector_width": 24, "resolution": (36, 24)}, False),
+        ({**LENSES, "aperture_radius": 10.0}, False),
+        ({**LENSES, "detector_distance": 0.7, "crop_offset": (10, 8), "crop_size": (30, 20)}, False),
+        (
+            {**LENSES, "mla_lattice": "hexagonal", "mla_focal_length": (0.5, 0.6, 0.7), "pixel_response": (0, 1, 9, 0)},
+            False,
+        ),
+    ],
+)
+def test_extra_outputs_are_those_of_rays_that_pass(camera, is_one):
+    """First moments are the image, mean points are on the wall, dark pixels read 0; the sky is behind blocked rays."""
+    camera = PlenopticCamera(**camera)
+    child = {"type": "aov", "aovs": "p:position,n:geo_normal", "q": {"type": "path"}}
+    image, found = outputs(camera, {"type": "moment", "a": child})
+    names = mi.load_dict({"type": "moment", "a": child}).aov_names()
+    of = {name: found[..., channel] for channel, name in enumerate(names)}
+    for name in ("a.q.R", "a.X", "a.Y", "a.Z"):
+        assert of[name] == pytest.approx(image[..., 0], abs=1e-6)
+    dark, lit = image[..., 0] == 0, image[..., 0] > 0
+    assert not found[dark].any() and (of["a.q.A"][lit] == 1).all()
+    place, normal = ([of[f"a.{name}.{axis}"][lit] for axis in "XYZ"] for name in "pn")
+    distance = camera.focus_distance or 240.0
+    assert np.dot(SLANTED, np.subtract(place, [[0], [0], [distance]])) == pytest.approx(0, abs=5e-6 * distance)
+    assert np.abs(SLANTED @ np.array(normal)) == pytest.approx(1, abs=1e-5)
+    # Weights of 0 and 1 are their own squares; of other weights the mean square is the larger.
+    assert np.allclose(of["m2_a.Y"], image[..., 0], atol=1e-6) == is_one
+    assert (of["m2_a.Y"] >= image[..., 0] ** 2 - 1e-6).all()
+    expected = outputs(camera, {"type": "volpath"})[0]
+    assert image.mean() == pytest.approx(expected.mean(), rel=0.01)
+
+
+def test_stokes_vectors_of_polarized_light_are_as_bright_as_the_image():
+    mi.set_variant("llvm_ad_mono_polarized")
+    filtered = facing(200.0, 900.0, bsdf={"type": "polarizer"})
+    integrator = {"type": "stokes", "d": {"type": "aov", "aovs": "d:depth", "p": {"type": "path"}}}
+    camera = PlenopticCamera(**LENSES, detector_blur=0.004)
+    image, found = outputs(camera, integrator, filter=filtered, wall=facing(240.0, 900.0, **radiating()))
+    assert found[..., 0] == pytest.approx(image[..., 0], abs=1e-6)
+    assert np.abs(found[..., 3]) == pytest.approx(image[..., 0], abs=1e-5)
+    assert found[..., [6, 9]] == pytest.approx(0, abs=1e-4)
+    assert found[found[..., -1] > 0, -1] == pytest.approx(200, abs=0.2)
+
+
+def test_an_index_is_that_of_one_ray_and_alpha_of_rays_that_pass():
+    camera = PlenopticCamera(**LENSES)
+    balls = {f"ball{k}": {"type": "sphere", "center": [0.12 * k - 0.24, 0, 240], "radius": 0.05} for k in range(5)}
+    integrator = {"type": "aov", "aovs": "d:depth,i:shape_index", "p": {"type": "path"}}
+    image, found = outputs(camera, integrator, pixel_format="luminance_alpha", **balls)
+    assert len(np.unique(found[..., 1])) == 1 + len(balls) and (found[..., 1] % 1 == 0).all()
+    assert ((found[..., 1] > 0) == (found[..., 0] > 239)).all()
+    # Rays that pass meet the sky or a dark ball.
+    assert (image[..., 1] == ((image[..., 0] > 0) | (found[..., 0] > 0))).all() and image[..., 1].min() == 0
+
+
+@pytest.mark.parametrize(
+    ("names", "powers"),
+    [
+        ("p.R p.G p.B p.A p.T d.T p.X c.R c.G c.B", "1 1 1 0 0 0 0 0 0 0"),
+        ("p.R p.G p.B p.A q.R q.G q.B q.A q.c.X q.c.Y q.c.Z q.m2_c.X q.m2_c.Y q.m2_c.Z", "1 1 1 0 1 1 1 0 1 1 1 2 2 2"),
+        ("a.p.X a.d.T a.X a.Y a.Z m2_a.p.X m2_a.d.T m2_a.X m2_a.Y m2_a.Z", "0 0 1 1 1 0 0 2 2 2"),
+        ("m.c.X m.m2_c.X m.X m2_m.c.X m2_m.m2_c.X m2_m.X", "1 2 1 2 4 2"),
+        (" ".join(f"S{i}.{c}" for i in range(4) for c in "RGB") + " d.T", "1 " * 12 + "0"),
+        ("noise.0 S0.R m2_x", "0 0 0"),
+    ],
+)
+def test_powers_of_light_follow_from_the_names_of_outputs(names, powers):
+    outputs = names.split()
+    assert [light_power(output, outputs) for output in outputs] == [int(power) for power in powers.split()]
 
 
 def test_shutter_times_reach_the_rays(camera_dict):

@@ -44,6 +44,10 @@ def test_parameters_of_the_sensor(camera_dict, parameters, words):
         ({"method": "magic"}, "method = 'magic': it must be one of signed_rays, points"),
         ({"accuracy": -0.01}, "accuracy = -0.01: it must be from 0"),
         ({"child": {"type": "ptracer"}}, "it cannot tell the radiance along a ray"),
+        (
+            {"child": {"type": "aov", "aovs": "d:depth"}},
+            "nested AOVIntegrator: .* also tells what a capture would lose",
+        ),
     ],
 )
 def test_parameters_of_the_integrator(parameters, words):
@@ -59,6 +63,9 @@ def test_a_sensor_needs_a_film_a_variant_and_a_lens_that_can_be_read(camera_dict
     (tmp_path / "bad.yaml").write_text("surfaces: [{radius: 5, semi_aperture: 9, stop: true}]")
     with pytest.raises(RuntimeError, match="semi_aperture = 9: the surface of radius 5 ends before that"):
         mi.load_dict(camera_dict(main_lens=str(tmp_path / "bad.yaml")))
+    mi.set_variant("llvm_ad_spectral")
+    with pytest.raises(RuntimeError, match="film of type SpecFilm: it must be an hdrfilm behind detector_blur"):
+        mi.load_dict(camera_dict(detector_blur=0.01) | {"film": BANDS})
     mi.set_variant("scalar_rgb")
     with pytest.raises(RuntimeError, match="this plugin needs an llvm_ad_"):
         mi.load_dict(camera_dict())
@@ -102,8 +109,9 @@ MICROMETRES = {"focal_length": 80e3, "aperture_radius": 5e3, "mla_distance": 120
 
 def test_scenes_that_are_not_captured(camera_dict):
     depths = {"type": "aov", "aovs": "d:depth", "of": {"type": "path"}}
-    with pytest.raises(mp.InputError, match=r"the extra outputs .*d\.T; .* ground_truth\(scene\) returns depth"):
-        mp.render_capture(scene_before(camera_dict(resolution=64), integrator=depths))
+    for model in ("ray", "wave"):
+        with pytest.raises(mp.InputError, match=r"the extra outputs .*d\.T; .* ground_truth\(scene\) returns depth"):
+            mp.render_capture(scene_before(camera_dict(resolution=64), integrator=depths), model=model)
     sensor = camera_dict(resolution=16, detector_width=128, mla_pitch=64.0, **MICROMETRES)
     with pytest.raises(mp.InputError, match=r"^detector_width = 128: pixels of 8 mm.*kernels of .* samples: it would"):
         mp.render_capture(scene_before(sensor, lamp=disk((0.0, 0.0, 240e3), 2e3)), model="wave", spp=1)
@@ -111,6 +119,29 @@ def test_scenes_that_are_not_captured(camera_dict):
         mp.render_capture(scene_before(camera_dict(resolution=64), sky={"type": "constant"}), model="wave", passes=2)
     with pytest.raises(ValueError, match="needs a sensor of type 'plenoptic'"):
         mi.load_dict({"type": "plenoptic_wave"}).render(scene_before({"type": "perspective"}), 0)
+
+
+MOMENT = {"type": "moment", "p": {"type": "path"}}
+
+
+@pytest.mark.parametrize(
+    ("variant", "camera", "integrator", "words"),
+    [
+        ("llvm_ad_mono", {"detector_blur": 0.01}, MOMENT, r"plenoptic: output m2_p.Z: .* without detector_blur"),
+        (
+            "llvm_ad_rgb",
+            {"glass": '{"index": 1.5, "abbe": 50}'},
+            MOMENT,
+            "plenoptic: output m2_p.Z: .* without dispersion",
+        ),
+        ("llvm_ad_mono", {}, MOMENT | {"samples_per_pass": 2}, "plenoptic: samples_per_pass: .* in one pass"),
+    ],
+)
+def test_outputs_that_blocked_rays_would_dilute_are_refused(variant, camera, integrator, words, camera_dict):
+    mi.set_variant(variant)
+    scene = scene_before(camera_dict(resolution=16, detector_width=0.128, **camera), sky={"type": "constant"})
+    with pytest.raises(mp.InputError, match=words):
+        mi.load_dict(integrator).render(scene, scene.sensors()[0], spp=4)
 
 
 def test_a_sensor_that_scales_is_refused(tmp_path):

@@ -329,6 +329,9 @@ def test_dictionaries_are_scenes_and_any_sensor_renders(camera_dict):
         load_scene({"type": "sphere"})
     with pytest.raises(InputError, match=r"scene: .*focal_lenght"):
         load_scene({"type": "scene", "sensor": camera_dict(focal_lenght=3.0)})
+    for unit in ("mm", "m"):
+        with pytest.raises(InputError, match="^scene: sensor.focal_length = None: it must have a value"):
+            load_scene({"type": "scene", "sensor": camera_dict(focal_length=None)}, unit=unit)
 
 
 def test_passes_of_large_ray_captures_have_a_power_of_two_of_samples(monkeypatch):
