@@ -39,6 +39,7 @@ def light_field(
     camera: PlenopticCamera | None = None,
     bins: LensGrid | None = None,
     lenses: LensGrid | None = None,
+    white: np.ndarray | None = None,
 ) -> xr.DataArray:
     """Return sampled values as a labelled light field.
 
@@ -55,18 +56,21 @@ def light_field(
         Upright grid of the bins on the detector; needed with a camera.
     lenses : LensGrid, optional
         Grid of the micro-images from which the light field was decoded.
+    white : (v, u, t, s) float32 array, optional
+        What the sample reads of an even radiance of 1, by which it was divided: how bright its lens is and how much of
+        the pupil it sees. Above 1 where lenses are brighter than near the axis. Default: `weight`.
 
     Returns
     -------
     xarray.DataArray
-        With the coordinate `weight`, and in `attrs` the camera under ``camera`` and the grid of the micro-images under
-        ``grid``, as JSON texts that every file format keeps; without them where they are unknown. `camera_of` and
-        `grid_of` read them.
+        With the coordinates `weight` and `white`, and in `attrs` the camera under ``camera`` and the grid of the
+        micro-images under ``grid``, as JSON texts that every file format keeps; without them where they are unknown.
+        `camera_of` and `grid_of` read them.
 
     Raises
     ------
     InputError
-        If a value is NaN, infinite or above 1e30 in magnitude, or a weight is not from 0 to 1.
+        If a value is NaN, infinite or above 1e30 in magnitude, a weight is not from 0 to 1, or a white is negative.
     """
     require_pixels("light field", values)
     if weight is None:
@@ -74,7 +78,9 @@ def light_field(
         weight = np.broadcast_to(lit.reshape(*lit.shape[:4]), values.shape[:4]).astype(np.float32)
     # Written so that NaN is refused.
     refuse_if(weight.size and not (weight.min() >= 0 and weight.max() <= 1), "light field: a weight is not from 0 to 1")
-    coordinates: dict[str, Any] = {"weight": (DIMS, weight)}
+    white = weight if white is None else white
+    refuse_if(white.size and not 0 <= white.min() <= white.max() < math.inf, "light field: a white is not 0 or more")
+    coordinates: dict[str, Any] = {"weight": (DIMS, weight), "white": (DIMS, white)}
     for axis, (angular, spatial) in enumerate((("u", "s"), ("v", "t"))):
         views = values.shape[DIMS.index(angular)]
         size = values.shape[DIMS.index(spatial)]

@@ -13,11 +13,11 @@ from ..camera import PlenopticCamera, Use, are_alike, require_camera, require_su
 from ..design import objective_of
 from ..errors import InputError, refuse_if, short_repr, suggest_keywords
 from ..io import TRUTH_COORDINATES, Capture, GroundTruth, channel_planes, require_demosaiced
-from ..runtime import as_pixels, require_memory
+from ..runtime import Floats, as_pixels, require_memory
 from .coordinates import DIMS, light_field
 from .fourier_views import decode_views
 from .grid import LensGrid, bin_grid, lens_grid
-from .white import divide_by_weight, recorded_white, white_image
+from .white import clear, divide_by_white, open_fraction, recorded_white, white_image
 
 
 @suggest_keywords
@@ -50,7 +50,8 @@ def decode(
         A picture of something evenly white that fills the view, with the same camera. It is scaled to a radiance of 1
         (see `mitsuba_plenoptic.views.white.recorded_white`). Default: computed by rays from the camera's pupil;
         diffraction blurs the rims of micro-images, so that for wave captures a white wave capture is better. Without a
-        camera a white picture is needed; its brightness in the middle of micro-images counts as 1.
+        camera a white picture is needed; the median brightness in the middle of micro-images counts as 1, over the
+        quarter of the lenses that is nearest to the middle of the grid.
     grid : LensGrid, optional
         Micro-image centres, as `estimate_lens_grid` finds them. Default: those of the camera.
     truth : GroundTruth, optional
@@ -61,7 +62,9 @@ def decode(
     -------
     xarray.DataArray
         Dimensions ``v, u, t, s[, c]``, see `mitsuba_plenoptic.views.coordinates`. Values are radiance in units of
-        the capture, 0 where the coordinate `weight` (the fraction of the sample that sees through the pupil) is 0.
+        the capture, 0 where the coordinate `weight` is 0: the fraction of the pupil's part that belongs to the sample
+        through which it sees. The coordinate `white` is what the sample reads of an even radiance of 1. Samples that
+        see less than a tenth, or whose lens reads less than that, are left out.
 
     Raises
     ------
@@ -75,7 +78,7 @@ def decode(
     >>> dict(lf.sizes)
     {'v': 11, 'u': 11, 't': 48, 's': 48}
     """
-    image, reference, camera = checked_images(capture, camera, white, grid)
+    image, reference, seen, camera = checked_images(capture, camera, white, grid)
     if camera is not None and camera.lens_data.images_stop:
         for name, argument in (("grid", grid), ("truth", truth)):
             refuse_if(
@@ -92,22 +95,29 @@ def decode(
     half, alone = view_window(camera, lenses)
     views = 2 * half + 1
     height, width, channels = image.shape
-    # Light and white, each as sampled and in the order of the light field; and the images.
-    samples = (math.prod(bins.shape) + math.prod(lenses.shape)) * views**2 * (channels + 1)
+    # Light, white and weight, each as sampled and in the order of the light field; and the images.
+    samples = (math.prod(bins.shape) + math.prod(lenses.shape)) * views**2 * (channels + 2)
     require_memory(
         4.0 * samples + 12.0 * height * width,
         f"light field of {views} x {views} views of {bins.shape[1]} x {bins.shape[0]} pixels",
     )
-    resampling = None if lenses == bins else _between_lenses(lenses, bins)
-
-    light = _sample(image, lenses, half, resampling, bins)
-    fraction = _sample(reference, lenses, half, resampling, bins)[..., 0]
-    if camera is None:
-        middle = fraction[half, half]
-        refuse_if(not (middle > 0).any(), "white: it is black in the middle of every micro-image")
-        fraction /= np.float32(np.median(middle[middle > 0]))
-    weight = divide_by_weight(light, fraction, alone[:, :, None, None])
-    lf = light_field(light if light.shape[-1] == 3 else light[..., 0], weight, camera, bins, lenses)
+    light, divisor, weight = lens_samples(image, reference, seen, lenses, alone, camera is not None)
+    if lenses != bins:
+        # Lenses count by what they see, however bright they are.
+        resampling = _between_lenses(lenses, bins)
+        light *= weight[..., None]
+        light, divisor, weight = (
+            (resampling @ of_lenses.reshape(math.prod(lenses.shape), -1)).reshape(*bins.shape, *of_lenses.shape[2:])
+            for of_lenses in (light, divisor, weight)
+        )
+        divide_by_white(light, weight.copy(), weight)
+        divisor[weight == 0] = 0
+        np.minimum(weight, 1, out=weight)
+    light, divisor, weight = (
+        np.ascontiguousarray(of_bins.transpose(2, 3, 0, 1, *range(4, of_bins.ndim)))
+        for of_bins in (light, divisor, weight)
+    )
+    lf = light_field(light if light.shape[-1] == 3 else light[..., 0], weight, camera, bins, lenses, divisor)
     if truth is None:
         return lf
     planes = {TRUTH_COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
@@ -126,11 +136,11 @@ def checked_images(
     camera: PlenopticCamera | None,
     white: Capture | np.ndarray | None,
     grid: LensGrid | None,
-) -> tuple[np.ndarray, Any, PlenopticCamera | None]:
-    """Return the image (rows, columns, channels), the white image (rows, columns, 1) and the camera for `decode`.
+) -> tuple[np.ndarray, Any, np.ndarray | None, PlenopticCamera | None]:
+    """Return image, white image, fractions of the pupil, each (rows, columns, channels), and the camera for `decode`.
 
     The white image is in units of the radiance 1, but for Fourier microscopes: the recorded one as it is, if there is
-    one, since views of it are scaled.
+    one, since views of it are scaled. The fractions are those of the camera, None where a recorded white tells more.
     """
     cameras = [] if camera is None else [camera]
     if isinstance(capture, Capture):
@@ -155,18 +165,23 @@ def checked_images(
     refuse_if(
         upright is None and white is None, "white = None: without a camera the pupil is known from a white image only"
     )
-    reference = None
+    reference = seen = None
     if white is not None:
         reference = recorded_white(white, (*image.shape[:2], 3), cameras).astype(np.float32).mean(2, keepdims=True)
     if upright is not None and not upright.lens_data.images_stop:
-        computed = white_image(upright, grid)
+        computed = white_image(upright, grid)[..., None]
+        opened = clear(upright)
+        # Of an even pupil a recorded white tells more than the camera: what else cuts it.
+        if reference is None or any(getattr(upright, name) != getattr(opened, name) for name in _OVER_PUPIL):
+            seen = computed if opened == upright else white_image(opened, grid)[..., None]
         reference = (
-            computed[..., None]
-            if reference is None
-            else recorded_white(reference, reference.shape, [upright], computed)
+            computed if reference is None else recorded_white(reference, reference.shape, [upright], computed[..., 0])
         )
-    return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False), reference, upright
+    return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False), reference, seen, upright
 
+
+_OVER_PUPIL = ("aperture_image", "pupil_apodisation", "vignetting")
+"""Parameters by which parts of the pupil may be darker than others."""
 
 _ROUNDING = 1e-6
 """Fraction of a pixel by which lengths may be off that are computed from detectors of different sizes."""
@@ -226,22 +241,30 @@ def _between_lenses(lenses: LensGrid, bins: LensGrid) -> scipy.sparse.csr_array:
     return scipy.sparse.csr_array((weight, (target, source)), shape=(dx.size, rows * columns))
 
 
-def _sample(
-    image: np.ndarray, lenses: LensGrid, half: int, resampling: scipy.sparse.csr_array | None, bins: LensGrid
-) -> np.ndarray:
-    """Return samples of an image for all lenses, interpolated between lenses.
+def lens_samples(
+    image: Floats, white: Floats, seen: Floats | None, lenses: LensGrid, alone: np.ndarray, is_scaled: bool
+) -> tuple[Floats, Floats, Floats]:
+    """Return the radiance of each lens's samples, (rows, columns, v, u, channels), their white, and their weight.
 
-    The result has the shape (2 half + 1, 2 half + 1, rows, columns, channels).
+    `seen` tells the fraction of the pupil that pixels see; without it the white does. A white that is not scaled reads
+    1 in the middle of the quarter of its lenses that is nearest to their middle, by their median.
     """
-    samples = sample_lenses(image, lenses, half)
-    if resampling is not None:
-        samples = (resampling @ samples.reshape(len(samples) * samples.shape[1], -1)).reshape(
-            *bins.shape, *samples.shape[2:]
-        )
-    return np.ascontiguousarray(samples.transpose(2, 3, 0, 1, 4))
+    half = alone.shape[0] // 2
+    light = _sampled(image, lenses, half)
+    divisor = _sampled(white, lenses, half)[..., 0]
+    weight = open_fraction(divisor, alone) if seen is None else _sampled(seen, lenses, half)[..., 0].clip(0, 1)
+    if not is_scaled:
+        level = divisor[:, :, half, half]
+        lit = level > 0
+        refuse_if(not lit.any(), "white: it is black in the middle of every micro-image")
+        centres = lenses.centres()
+        away = np.hypot(*np.moveaxis(centres - centres.mean(axis=(0, 1)), 2, 0))[lit]
+        divisor /= np.median(level[lit][away <= np.quantile(away, 0.25)])
+    divide_by_white(light, divisor, weight, alone)
+    return light, divisor, weight
 
 
-def sample_lenses(image: np.ndarray, lenses: LensGrid, half: int) -> np.ndarray:
+def _sampled(image: Floats, lenses: LensGrid, half: int) -> Floats:
     """Return samples of an image at whole-pixel steps about each micro-image's centre.
 
     The result has the shape (rows, columns, 2 half + 1, 2 half + 1, channels).

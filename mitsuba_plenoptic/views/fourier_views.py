@@ -21,7 +21,7 @@ from ..lenses import main_lens
 from ..prescription import Objective
 from ..runtime import Doubles, Floats, Integers, require_memory
 from .coordinates import DIMS, labelled
-from .white import MINIMUM_WEIGHT, divide_by_weight, recorded_white
+from .white import MINIMUM_WEIGHT, divide_by_white, recorded_white
 
 _SAMPLES = 64
 """Positions along a lens at which the stop is looked up."""
@@ -37,10 +37,12 @@ class LensViews:
     # Positions of the columns and rows on the array in millimetres, rising; (columns,).
     across: Doubles
     down: Doubles
-    # What a lens there records of an even object, over what all the stop lets through evenly; 0 where there is no lens,
-    # as at every second position of a hexagonal array, or where it lies beyond the image of the stop; (rows, columns).
+    # Fraction of a lens there that sees the stop open, and what it records of an even object, over what all the stop
+    # lets through evenly; 0 where there is no lens, as at every second position of a hexagonal array, or where it lies
+    # beyond the image of the stop; both (rows, columns).
     fraction: Floats
-    # Pixels of its picture on either side of the one in the middle, along x and y.
+    light: Floats
+    # Pixels of their pictures on either side of the one in the middle, along x and y.
     half: tuple[int, int]
 
     @classmethod
@@ -61,15 +63,16 @@ class LensViews:
         reach = lens.blur_diameter(0) / 2 + lattice.cell_reach
         lenses = lattice.lenses_within((-reach, -reach), (reach, reach))
         x, y = (np.asarray(values, np.float64) for values in lattice.centre(*lenses.T.astype(np.float64)))
-        fraction = _in_stop(camera, lens, x, y)
+        fraction, light = _in_stop(camera, lens, x, y)
+        light *= camera.lenslet(*lenses.T).gain
         lit = fraction >= MINIMUM_WEIGHT
         refuse_if(not lit.any(), f"mla_offset = {camera.mla_offset}: no lens lies in the image of the stop")
         tolerance = _SAME * min(camera.mla_pitches)
         across, column = _lines(x[lit], tolerance)
         down, row = _lines(y[lit], tolerance)
-        table = np.zeros((len(down), len(across)), np.float32)
-        table[row, column] = fraction[lit]
-        return cls(across, down, table, (half[0], half[1]))
+        tables = np.zeros((2, len(down), len(across)), np.float32)
+        tables[:, row, column] = fraction[lit], light[lit]
+        return cls(across, down, tables[0], tables[1], (half[0], half[1]))
 
 
 def decode_views(image: Floats, camera: PlenopticCamera, lens: Objective, white: Floats | None) -> xr.DataArray:
@@ -86,16 +89,16 @@ def decode_views(image: Floats, camera: PlenopticCamera, lens: Objective, white:
     )
     values = _sampled(image, camera, views)
     there = _sampled(np.ones((*camera.shape, 1), np.float32), camera, views)[..., 0]
-    weight = there * views.fraction[:, :, None, None]
+    weight, divisor = (there * of_lens[:, :, None, None] for of_lens in (views.fraction, views.light))
     if white is not None:
         lens_number = np.arange(views.fraction.size).reshape(views.fraction.shape)
         away = np.hypot(views.across, views.down[:, None])
         lenses = (np.broadcast_to(lens_number[..., None, None], shape), np.broadcast_to(away[..., None, None], shape))
         recorded = _sampled(white, camera, views)
-        weight = recorded_white(recorded, recorded.shape, [camera], weight, lenses)[..., 0]
-    weight = divide_by_weight(values, weight)
+        divisor = recorded_white(recorded, recorded.shape, [camera], divisor, lenses)[..., 0]
+    divide_by_white(values, divisor, weight)
     scale = -lens.tube_focal_length / lens.last_focal_length
-    coordinates: dict[str, object] = {"weight": (DIMS, weight)}
+    coordinates: dict[str, object] = {"weight": (DIMS, weight), "white": (DIMS, divisor)}
     for name, positions, axis in (("u", views.across, "x"), ("v", views.down, "y")):
         coordinates[name] = (name, scale * positions, {"units": "mm", "long_name": f"{axis} on the stop"})
     for name, half, axis in (("s", views.half[0], "x"), ("t", views.half[1], "y")):
@@ -106,7 +109,7 @@ def decode_views(image: Floats, camera: PlenopticCamera, lens: Objective, white:
 
 
 def _in_stop(camera: PlenopticCamera, lens: Objective, x: Doubles, y: Doubles) -> Floats:
-    """Return the light that lens apertures receive, relative to a uniformly lit stop."""
+    """Return the open fraction of lens apertures, and the light they receive relative to a uniformly lit stop."""
     lattice = camera.lattice
     stop = main_lens(camera)
     reach = lattice.cell_reach
@@ -118,12 +121,13 @@ def _in_stop(camera: PlenopticCamera, lens: Objective, x: Doubles, y: Doubles) -
     growth = -lens.tube_focal_length / lens.last_focal_length
     # The mean power over the stop is 1.
     mean = stop.passed_power / (math.pi * stop.pupil.radius**2)
-    light = np.empty(len(x), np.float32)
+    seen = np.empty((2, len(x)), np.float32)
     for index, (cx, cy) in enumerate(zip(x.tolist(), y.tolist(), strict=True)):
         pupil = (cx + dx) * growth, (cy + dy) * growth
-        power = np.where(stop.inside(pupil) >= 0, stop.amplitude(pupil, (0.0, 0.0, 0.0)) ** 2, 0)
-        light[index] = power.mean() / mean
-    return light
+        is_open = stop.inside(pupil) >= 0
+        power = np.where(is_open, stop.amplitude(pupil, (0.0, 0.0, 0.0)) ** 2, 0)
+        seen[:, index] = is_open.mean(), power.mean() / mean
+    return seen
 
 
 def _lines(positions: Doubles, tolerance: float) -> tuple[Doubles, Integers]:

@@ -17,9 +17,8 @@ from ..errors import InputError, advice, refuse_if
 from ..io import Capture
 from ..runtime import require_memory
 from .coordinates import camera_of, grid_of, view_steps
-from .decoding import checked_images, sample_lenses, view_window
+from .decoding import checked_images, lens_samples, view_window
 from .grid import LensGrid, bin_grid, lens_grid, lens_types
-from .white import divide_by_weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +30,7 @@ class MicroImages:
     values : (rows, columns, v, u, channels) float32 array
         Radiance that each lens of the grid shows, 0 where the weight is 0.
     weight : (rows, columns, v, u) float32 array
-        Fraction of the sample that sees through the pupil.
+        Fraction of the sample that sees through the pupil, however bright its lens is.
     grid : LensGrid
         Positions of the micro-images on the recorded image.
     bins : LensGrid
@@ -80,7 +79,7 @@ def micro_images(
     InputError
         As `decode` does, if there is no camera, and of Fourier microscopes.
     """
-    image, reference, upright = checked_images(capture, camera, white, grid)
+    image, reference, seen, upright = checked_images(capture, camera, white, grid)
     if upright is None:
         raise InputError("camera = None: of micro-images the camera must be known")
     refuse_if(
@@ -91,12 +90,11 @@ def micro_images(
     half, alone = view_window(upright, lenses)
     size = math.prod(lenses.shape) * (2 * half + 1) ** 2
     require_memory(
-        4.0 * size * (image.shape[2] + 1) + 12.0 * image.shape[0] * image.shape[1],
+        4.0 * size * (image.shape[2] + 2) + 12.0 * image.shape[0] * image.shape[1],
         f"micro-images of {lenses.shape[1]} x {lenses.shape[0]} lenses",
     )
-    values = sample_lenses(image, lenses, half)
-    weight = sample_lenses(reference, lenses, half)[..., 0]
-    return MicroImages(values, divide_by_weight(values, weight, alone), lenses, bin_grid(upright), upright)
+    values, _, weight = lens_samples(image, reference, seen, lenses, alone, is_scaled=True)
+    return MicroImages(values, weight, lenses, bin_grid(upright), upright)
 
 
 def micro_images_of(lf: xr.DataArray) -> MicroImages:

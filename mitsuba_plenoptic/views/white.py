@@ -10,12 +10,13 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import drjit as dr
 import numpy as np
 
 from ..array import hashed
-from ..camera import Opening, PlenopticCamera, Round, Use, are_alike, require_support
+from ..camera import Aperture, Opening, PlenopticCamera, Round, Use, are_alike, require_support
 from ..design import crosstalk_neighbours
 from ..detector import DetectorOperator
 from ..errors import InputError, refuse_if, short_repr, warn
@@ -25,8 +26,12 @@ from ..rays import Passage, Walk, detector_rows, even_steps
 from ..runtime import Floats, array_module, as_pixels, fft, require_memory
 from .grid import LensGrid, lens_indices, lens_numbers, lens_types, micro_image_centres
 
-# Samples that see less of the pupil than this are left out: dividing by so little would only raise their noise.
+# Samples that see less of the pupil than this, or whose lens is darker, are left out: dividing by so little would only
+# raise their noise.
 MINIMUM_WEIGHT = 0.1
+
+# Fraction of the pupil from which samples count as fully open when a recorded white's level is found.
+_FULL = 0.9
 
 # Samples of a table of the pupil along a side, at most.
 _WIDEST = 4096
@@ -320,15 +325,61 @@ def recorded_white(
     return np.asarray(image / np.where(scaled_channels, radiance, 1), np.float32)
 
 
-def divide_by_weight(light: np.ndarray, weight: np.ndarray, alone: np.ndarray | bool = True) -> np.ndarray:
-    """Divide samples in place by their weights, the fractions of the pupil they see; return the weights, at most 1.
+def clear(camera: PlenopticCamera) -> PlenopticCamera:
+    """Return a camera whose openings let all light through, without stray light: its white is what pixels see of them.
 
-    Both are set to 0 where the weight is too small, or where a sample is not of one lens `alone`.
+    The white of the camera itself also tells how bright lenses are.
     """
-    weight[(weight < MINIMUM_WEIGHT) | np.logical_not(alone)] = 0
-    np.divide(light, weight[..., None], out=light, where=weight[..., None] > 0)
-    light[weight == 0] = 0
-    return np.minimum(weight, 1)
+    picture = camera.aperture_image
+    vignetting = camera.vignetting
+    return camera.replace(
+        mla_transmissions=None,
+        pupil_apodisation=(0.0, 0.0),
+        aperture_image=picture and Aperture(picture.transmission > 0),
+        vignetting=vignetting
+        and replace(vignetting, slope_x=0.0, slope_y=0.0, apodisation_2=0.0, apodisation_4=0.0, transmission=()),
+        stray_light=0.0,
+        stray_width=None,
+    )
+
+
+def open_fraction(white: Floats, alone: np.ndarray) -> Floats:
+    """Return the fraction of the pupil that samples see by a recorded white, both (rows, columns, v, u).
+
+    Of each lens, what its fully open samples read is a plane over the micro-image, as brightness falls off within it,
+    too. The fraction is the white over this plane, at most 1.
+    """
+    half = alone.shape[0] // 2
+    # Over the micro-image from -1 to 1.
+    step = np.arange(-half, half + 1) / max(half, 1)
+    terms = np.stack([np.ones(alone.shape), *np.meshgrid(step, step)], axis=-1)[alone].astype(np.float32)
+    samples = white[:, :, alone]
+    fit = np.zeros((*white.shape[:2], 3), np.float32)
+    # Noise of a few samples must not count as the level.
+    fit[..., 0] = np.quantile(samples, 0.95, axis=2)
+    for _ in range(3):
+        # What sees part of the pupil takes no part.
+        full = samples >= _FULL * (fit @ terms.T)
+        moments = np.einsum("rcn,ni,nj->rcij", full, terms, terms, optimize=True)
+        # Few samples, or samples in a line, have no slope.
+        moments[..., (0, 1, 2), (0, 1, 2)] += (1e-6, 0.1, 0.1)
+        sums = np.einsum("rcn,ni->rci", full * samples, terms, optimize=True)
+        fit = np.linalg.solve(moments, sums[..., None])[..., 0]
+    plane = fit @ terms.T
+    fraction = np.zeros_like(white)
+    fraction[:, :, alone] = np.divide(samples, plane, out=np.zeros_like(samples), where=plane > 0).clip(0, 1)
+    return fraction
+
+
+def divide_by_white(light: Floats, white: Floats, weight: Floats, alone: np.ndarray | bool = True) -> None:
+    """Divide samples in place by their white; all three are set to 0 where a sample is not of one lens `alone`.
+
+    So they are where samples see too little of the pupil, or their lens is too dark.
+    """
+    dark = (weight < MINIMUM_WEIGHT) | (white < MINIMUM_WEIGHT * weight) | np.logical_not(alone)
+    np.divide(light, white[..., None], out=light, where=~dark[..., None])
+    for samples in (light, white, weight):
+        samples[dark] = 0
 
 
 def mean_response(camera: PlenopticCamera) -> float:

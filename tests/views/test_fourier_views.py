@@ -91,6 +91,6 @@ def test_a_white_capture_and_colours():
     assert colour.dims == ("v", "u", "t", "s", "c")
     lit = plain.weight.values > 0.9
     # This white knows no stop; its radiance is found by the computed one near the axis.
-    near = float(plain.weight.max(("t", "s"))[1:4, 1:4].median())
-    expected = plain.values * plain.weight.values / near
+    near = float(plain.white.max(("t", "s"))[1:4, 1:4].median())
+    expected = plain.values * plain.white.values / near
     assert np.allclose(colour.values[..., 0][lit], expected[lit], atol=1e-3 * float(plain.max()))

@@ -1,16 +1,25 @@
 """Decoding: where samples come from, what they are worth, and what the axes mean."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 from cameras import disk, letters, pinhole_picture
 from cases import scene_of
-from light_field_cases import PAPER, all_cameras, square_cameras
+from light_field_cases import LATTICES, PAPER, all_cameras, square_cameras
 from refusals import refuses
 from scipy.spatial import cKDTree
 
-from mitsuba_plenoptic import Capture, PlenopticCamera, decode, load_scene, render_capture
+from mitsuba_plenoptic import (
+    Capture,
+    LensTransmissions,
+    PlenopticCamera,
+    Vignetting,
+    decode,
+    load_scene,
+    render_capture,
+)
 from mitsuba_plenoptic.views import (
     LensGrid,
     camera_of,
@@ -20,7 +29,9 @@ from mitsuba_plenoptic.views import (
     epipolar_image,
     lens_grid,
     lens_mosaic,
+    open_light_field,
     pick_views,
+    save_light_field,
     view,
     view_mosaic,
     white_image,
@@ -95,6 +106,22 @@ class TestWhiteImage:
         assert np.sqrt(np.mean(difference**2)) < 0.012
 
 
+OUTLINE = Vignetting([1, 0, 0, -0.3, 0, -0.3], scale=0.5)
+UNEVEN = {
+    "lenses": {"mla_transmissions": LensTransmissions(np.random.default_rng(0).uniform(0.45, 1.4, (20, 20)))},
+    "hexagonal": {"mla_transmissions": LensTransmissions(np.random.default_rng(0).uniform(0.45, 1.4, (20, 20)))},
+    "apodised": {"pupil_apodisation": (-0.6, 0)},
+    "outline": {"vignetting": dataclasses.replace(OUTLINE, apodisation_2=-0.3, slope_x=(0, 0.3, 0))},
+}
+
+
+def fall_off_of(camera, corner):
+    """Give a factor of pixels that falls from 1 on the axis to that of the corners."""
+    x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    square = x**2 + y[:, None] ** 2
+    return np.exp(np.log(corner) * square / square.max())
+
+
 class TestDecode:
     @all_cameras
     def test_white_is_one_wherever_the_pupil_is_seen(self, camera):
@@ -155,6 +182,36 @@ class TestDecode:
         white = white_image(PAPER) * vignette
         lf = decode(0.7 * white, camera=PAPER, white=Capture(white, PAPER))
         np.testing.assert_allclose(lf.values[lf.weight.values > 0], 0.7, atol=1e-4)
+
+    @pytest.mark.parametrize("source", ["camera", "white", "white alone"])
+    @pytest.mark.parametrize("name", UNEVEN)
+    def test_what_is_seen_of_the_pupil_is_not_how_bright_it_is(self, name, source, tmp_path):
+        even = PAPER.replace(**LATTICES["hexagonal"]) if name == "hexagonal" else PAPER
+        dim = even.replace(**UNEVEN[name])
+        known = even.replace(vignetting=OUTLINE) if name == "outline" else even
+        fall_off = np.ones(dim.shape) if source == "camera" else fall_off_of(dim, 0.2)
+        white = (white_image(dim) * fall_off).astype(np.float32)
+        given = {} if source == "camera" else {"white": 3 * white}
+        lf = decode(0.7 * white, **given, **({"grid": lens_grid(dim)} if source == "white alone" else {"camera": dim}))
+        inner = np.s_[:, :, 1:-1, 1:-1]
+        seen = lf.weight.values > 0
+        assert np.ptp(lf.values[seen]) < 1e-4 * lf.values.max()
+        # Of a recorded white, lenses near the axis count as 1; alone it does not tell that they are dim.
+        if source == "camera" or name == "apodised":
+            assert lf.values.max() == pytest.approx(0.7 * (1 if source == "camera" else 0.88), rel=0.05)
+        expected = decode(white_image(known), camera=known).weight.values
+        around = (lf.shape[0] - len(expected)) // 2
+        weight = lf.weight.values[around : len(expected) + around, around : len(expected) + around]
+        if source != "white alone" or name == "lenses":
+            # Samples that see a tenth of the pupil are just left out, or just not.
+            both = (weight > 0) & (expected > 0)
+            assert np.abs(np.where(both, weight - expected, 0)[inner]).max() < (1e-5 if source == "camera" else 0.04)
+            assert np.mean((weight > 0) == (expected > 0)) > 0.98
+        save_light_field(tmp_path / "a.nc", lf)
+        back = open_light_field(tmp_path / "a.nc")
+        assert back.identical(lf)
+        save_light_field(tmp_path / "a.nc", lf.drop_vars("white"))
+        assert open_light_field(tmp_path / "a.nc").identical(lf.drop_vars("white"))
 
     def test_colour(self):
         image = white_image(PAPER)[..., None] * [0.2, 0.5, 0.9]

@@ -86,9 +86,8 @@ def decoded(capture: Capture, white: Capture | np.ndarray | None = None) -> xr.D
     pupil = camera.replace(main_lens=None, focal_length=distance / 2, aperture_radius=radius, mla_distance=distance)
     by = white.image if isinstance(white, Capture) else white
     light_field_of_pupil = decode(replace(capture, camera=pupil), white=by)
-    return light_field(
-        light_field_of_pupil.values, light_field_of_pupil["weight"].values, lenses=grid_of(light_field_of_pupil)
-    )
+    weight, white_samples = (light_field_of_pupil[name].values for name in ("weight", "white"))
+    return light_field(light_field_of_pupil.values, weight, lenses=grid_of(light_field_of_pupil), white=white_samples)
 
 
 @dataclass(frozen=True)
