@@ -22,7 +22,6 @@ from .checkpoints import Checkpoint as Checkpoint
 from .checkpoints import differences as differences
 from .checkpoints import digest as digest
 from .checkpoints import hash_of as hash_of
-from .checkpoints import locked as locked
 from .checkpoints import write_json as write_json
 from .examples import example as example
 from .examples import example_truth as example_truth

@@ -1,4 +1,4 @@
-"""Resuming after a stop: checkpoints of unfinished computations, and locks.
+"""Resuming after a stop: checkpoints of unfinished computations.
 
 A checkpoint is a NumPy archive (``.npz``) of arrays and a ``header``, a JSON text with everything on which the run's
 bits depend; a run with a different header is refused. Checkpoints are never unpickled.
@@ -12,9 +12,8 @@ import json
 import logging
 import math
 import os
-import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -23,21 +22,19 @@ from typing import Any, Literal, TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, refuse_if, require_choice, warn
+from ..errors import InputError, require_choice, warn
 from ..runtime import (
     PartialSum,
     Snapshot,
     atomic_output,
     backend_of,
+    hold,
     remove_leftovers,
     require_memory,
     software,
     write_text,
 )
 from .versions import KEY, VERSION, stamped
-
-if sys.platform != "win32":
-    import fcntl
 
 FORMAT = 2
 CHECKPOINT_SUFFIX = ".checkpoint"
@@ -53,49 +50,6 @@ FRACTION = 0.05
 _State = TypeVar("_State")
 
 _log = logging.getLogger(__name__)
-
-
-@contextlib.contextmanager
-def locked(path: Path, refusal: str | None = None) -> Iterator[None]:
-    """Hold the lock file `path`; if another process holds it, refuse with a message, or wait without one.
-
-    The system releases the lock when this process ends, however it ends. Windows and some network drives have no such
-    lock; a warning tells of the latter.
-    """
-    new = not path.parent.exists()
-    mine = False
-    while not mine:
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            file = path.open("w")
-        except OSError as error:
-            raise InputError(f"{path.parent}: {error.strerror}") from error
-        try:
-            if sys.platform != "win32":
-                fcntl.flock(file, fcntl.LOCK_EX | (fcntl.LOCK_NB if refusal else 0))
-            # The process that had it may have removed the file between the two calls.
-            mine = os.path.samestat(os.fstat(file.fileno()), path.stat())
-        except (BlockingIOError, FileNotFoundError):
-            pass
-        except OSError as error:
-            mine = True
-            warn(f"{path.parent}: it cannot be locked: {error.strerror}")
-        if not mine:
-            file.close()
-            refuse_if(refusal is not None, f"{refusal}; wait until it has ended")
-    with file:
-        try:
-            yield
-        finally:
-            path.unlink(missing_ok=True)
-            with contextlib.suppress(OSError):
-                if new:
-                    path.parent.rmdir()
-
-
-def lock_of(path: Path) -> Path:
-    """Return the path of the lock file for a file."""
-    return path.with_name(f".{path.name}.lock")
 
 
 class Checkpoint:
@@ -114,7 +68,8 @@ class Checkpoint:
     Raises
     ------
     InputError
-        If `existing` is another word; on entering, if there is a file that may not be replaced.
+        If `existing` is another word; on entering, if there is a file that may not be replaced, or another process uses
+        it.
     """
 
     def __init__(self, path: str | Path, existing: Existing = "refuse") -> None:
@@ -126,10 +81,12 @@ class Checkpoint:
         self._due = math.inf
         self._complained = False
         self._stopping = False
-        self._lock = contextlib.ExitStack()
+        self._lock: contextlib.ExitStack | None = None
 
     def __enter__(self) -> Checkpoint:
+        self._lock = hold(self.path)
         if self.existing == "refuse" and self.path.exists():
+            self._lock.close()
             raise InputError(
                 f"{self.path}: the checkpoint of a run that was stopped; resume from it with existing='resume', or "
                 "remove the file"
@@ -142,7 +99,8 @@ class Checkpoint:
         # A run that never began has no claim to a file that is there.
         if error_type is None and self._due < math.inf:
             self.path.unlink(missing_ok=True)
-        self._lock.close()
+        if self._lock:
+            self._lock.close()
 
     def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
         """Register the run; return the state saved by an earlier process, None if there is none.
@@ -158,8 +116,7 @@ class Checkpoint:
         Raises
         ------
         InputError
-            If the file is damaged, is the checkpoint of another run (the message states the differences), or is used by
-            another process.
+            If the file is damaged, or is the checkpoint of another run (the message states the differences).
         """
         return self._begin(facts, partial(_snapshot, shape))
 
@@ -168,13 +125,7 @@ class Checkpoint:
         return self._begin(facts, lambda archive, _: {name: archive[name] for name in archive if name != "header"})
 
     def _begin(self, facts: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State | None:
-        self._lock.close()
-        try:
-            self._lock.enter_context(locked(lock_of(self.path), f"{self.path}: another process is computing this"))
-        except InputError as error:
-            # What cannot be locked cannot be written either, of which `save` tells.
-            if error.__cause__ is None:
-                raise
+        self._lock = self._lock or hold(self.path)
         self._due = time.monotonic() + INTERVAL
         self._facts = {**self.run, **facts, "software": software()}
         remove_leftovers(self.path)

@@ -54,8 +54,14 @@ from .batches import counted as counted
 from .batches import on_all_cores as on_all_cores
 from .files import Sink as Sink
 from .files import atomic_output as atomic_output
+from .files import claim as claim
+from .files import claiming as claiming
 from .files import h5py_module as h5py_module
+from .files import hold as hold
+from .files import lock_of as lock_of
+from .files import locked as locked
 from .files import native_output_dropped as native_output_dropped
+from .files import of_one_file as of_one_file
 from .files import parse_yaml as parse_yaml
 from .files import read_json_value as read_json_value
 from .files import read_table as read_table

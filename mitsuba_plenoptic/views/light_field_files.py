@@ -25,7 +25,7 @@ from ..io import (
     read_pixels,
     states_detector,
 )
-from ..runtime import atomic_output, require_file, require_memory, require_writable, require_zarr
+from ..runtime import atomic_output, of_one_file, require_file, require_memory, require_writable, require_zarr
 from .coordinates import camera_of, require_light_field
 from .decoding import decode
 from .grid_estimation import estimate_lens_grid
@@ -256,6 +256,7 @@ def write_labelled(path: str | Path, lf: xr.DataArray) -> None:
             lf.to_zarr(temporary, zarr_format=2)
 
 
+@of_one_file
 def read_labelled(path: str | Path) -> xr.DataArray:
     """Read a light field that `write_labelled` wrote.
 
