@@ -42,7 +42,10 @@ CHECKPOINT_SUFFIX = ".checkpoint"
 Existing = Literal["refuse", "resume", "resume_if_same"]
 
 INTERVAL = 10.0
-"""Seconds between checkpoints, at least."""
+"""Seconds between checkpoints, at least. The first waits for half of it, and for the end of a batch."""
+
+_PREPARED = "prepared."
+"""Start of the names of arrays that a run needs before its first batch."""
 
 FRACTION = 0.05
 """Fraction of the time that writing them may take."""
@@ -82,6 +85,7 @@ class Checkpoint:
         self._complained = False
         self._stopping = False
         self._lock: contextlib.ExitStack | None = None
+        self._prepared: dict[str, NDArray[Any]] | None = None
 
     def __enter__(self) -> Checkpoint:
         self._lock = hold(self.path)
@@ -122,11 +126,16 @@ class Checkpoint:
 
     def begin_arrays(self, **facts: Any) -> dict[str, NDArray[Any]] | None:
         """Register a run whose state is arrays instead of a sum; return the saved arrays, None if there are none."""
-        return self._begin(facts, lambda archive, _: {name: archive[name] for name in archive if name != "header"})
+        return self._begin(
+            facts,
+            lambda archive, _: {
+                name: archive[name] for name in archive if name != "header" and not name.startswith(_PREPARED)
+            },
+        )
 
     def _begin(self, facts: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State | None:
         self._lock = self._lock or hold(self.path)
-        self._due = time.monotonic() + INTERVAL
+        self._due = min(self._due, time.monotonic() + INTERVAL / 2)
         self._facts = {**self.run, **facts, "software": software()}
         remove_leftovers(self.path)
         if not self.path.exists():
@@ -138,8 +147,27 @@ class Checkpoint:
                 raise
             _log.info("%s; beginning anew", error)
             return None
-        _log.info("%s: resuming from there", self.path)
+        if state is not None:
+            _log.info("%s: resuming from there", self.path)
         return state
+
+    def prepared(self, key: Any, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+        """Return an array that a run needs before its first batch, stored by an earlier process or made.
+
+        The key, plain JSON values, states all that the array depends on, but the software.
+        """
+        if self._prepared is None:
+            self._lock = self._lock or hold(self.path)
+            is_free, self._prepared = _preparation(self.path)
+            # The state of a run, perhaps another one, is not replaced before the run is known.
+            self._due = time.monotonic() + INTERVAL / 2 if is_free else math.inf
+        name = _PREPARED + hash_of([key, software()])
+        if name not in self._prepared:
+            self._prepared[name] = make()
+            if self._due < math.inf and not self._facts:
+                arrays = self._prepared
+                self._save(lambda path: _write_archive(path, None, {}, arrays))
+        return self._prepared[name]
 
     def stop(self) -> bool:
         """Make the run save its next state and end with a KeyboardInterrupt.
@@ -167,11 +195,11 @@ class Checkpoint:
         KeyboardInterrupt
             After `stop`.
         """
-        self._save(lambda path: _write(path, self._known_facts(), snapshot))
+        self._save(lambda path: _write(path, self._known_facts(), snapshot, self._prepared or {}))
 
     def save_arrays(self, arrays: Callable[[], Mapping[str, NDArray[Any]]]) -> None:
         """Write the float32 and float64 arrays for `begin_arrays` if the time since the last save is long enough."""
-        self._save(lambda path: _write_archive(path, self._known_facts(), {}, dict(arrays())))
+        self._save(lambda path: _write_archive(path, self._known_facts(), {}, {**arrays(), **(self._prepared or {})}))
 
     def _known_facts(self) -> dict[str, Any]:
         """Return the facts of the run as plain JSON values; functions are called once."""
@@ -220,9 +248,21 @@ def write_json(path: Path, content: Any) -> None:
     write_text(path, json.dumps(content, indent=1, sort_keys=True) + "\n")
 
 
-def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
+def _preparation(path: Path) -> tuple[bool, dict[str, NDArray[Any]]]:
+    """Return whether a checkpoint holds no run, and the prepared arrays in it, none if it cannot be read."""
+    try:
+        require_memory(path.stat().st_size, f"{path.stat().st_size} bytes")
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive if name.startswith(_PREPARED)}
+            return json.loads(str(archive["header"]))["run"] is None, arrays
+    except Exception:
+        # `_read` tells of what it cannot read.
+        return not path.exists(), {}
+
+
+def _write(path: Path, run: dict[str, Any], snapshot: Snapshot, prepared: dict[str, NDArray[Any]]) -> None:
     header: dict[str, Any] = {"sums": snapshot.sums}
-    arrays: dict[str, Any] = {"image": snapshot.image}
+    arrays: dict[str, Any] = {"image": snapshot.image, **prepared}
     if snapshot.partial:
         unfinished = snapshot.partial
         header |= {"batches": unfinished.batches, "arrived": unfinished.arrived}
@@ -230,7 +270,7 @@ def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
     _write_archive(path, run, header, arrays)
 
 
-def _write_archive(path: Path, run: dict[str, Any], header: dict[str, Any], arrays: dict[str, Any]) -> None:
+def _write_archive(path: Path, run: dict[str, Any] | None, header: dict[str, Any], arrays: dict[str, Any]) -> None:
     with path.open("wb") as file:
         np.savez(file, header=json.dumps(stamped({"format": FORMAT, "run": run, **header})), **arrays)
         file.flush()
@@ -238,12 +278,14 @@ def _write_archive(path: Path, run: dict[str, Any], header: dict[str, Any], arra
         os.fsync(file.fileno())
 
 
-def _read(path: Path, run: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State:
-    """Return the state in the checkpoint of a run; refuse damaged checkpoints and checkpoints of other runs."""
+def _read(path: Path, run: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State | None:
+    """Return the state in a run's checkpoint, None if only preparation is there; refuse damage and other runs."""
     try:
         require_memory(path.stat().st_size, f"{path.stat().st_size} bytes")
         with np.load(path, allow_pickle=False) as archive:
             header = json.loads(str(archive["header"]))
+            if header["run"] is None:
+                return None
             # Those of version 1.0 and earlier state none.
             version = {KEY: header[KEY]} if KEY in header else {}
             there = {"format": header["format"], **version, **header["run"]}
