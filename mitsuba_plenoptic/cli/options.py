@@ -26,6 +26,7 @@ from ..errors import (
 from ..extension import missing
 from ..presets import PRESETS
 from ..refocus_options import method_names
+from ..runtime import claim
 from ..scene_files import scene_names, scene_path
 
 WAVES = "Options of waves"
@@ -46,14 +47,26 @@ def checked(check: Callable[[str, Any], object]) -> Callable[..., Any]:
     return callback
 
 
-def ends_in(*suffixes: str) -> Callable[..., Any]:
-    """Return the callback of an option that names a file to be written, which must end in one of the suffixes."""
-    return checked(lambda _, path: None if path.is_dir() else require_suffix(path, suffixes))
+def ends_in(*suffixes: str, is_folder: bool = False) -> Callable[..., Any]:
+    """Return the callback of an option that names an output, which must end in one of the suffixes, and claims it.
+
+    No other process may compute the output meanwhile; an estimate claims nothing.
+    """
+
+    def callback(context: typer.Context, path: Path | None) -> Path | None:
+        if path is not None and suffixes and not path.is_dir():
+            require_suffix(path, suffixes)
+        if path is not None and not context.params.get("estimate"):
+            claim(path, is_folder)
+        return path
+
+    return callback
 
 
-def output_option(metavar: str, text: str, *suffixes: str) -> Any:
+def output_option(metavar: str, text: str, *suffixes: str, is_folder: bool = False) -> Any:
     """Return the option ``-o`` of a command that writes a file that ends in one of the suffixes, or a folder."""
-    return typer.Option("-o", "--output", metavar=metavar, help=text, callback=ends_in(*suffixes) if suffixes else None)
+    callback = ends_in(*suffixes, is_folder=is_folder)
+    return typer.Option("-o", "--output", metavar=metavar, help=text, callback=callback)
 
 
 def numeric(
@@ -128,7 +141,7 @@ CaptureFile = Annotated[
     Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote.", callback=RECORDING)
 ]
 
-OutputFolder = Annotated[Path, output_option("DIR", "Folder to write into; made if it is not there.")]
+OutputFolder = Annotated[Path, output_option("DIR", "Folder to write into; made if it is not there.", is_folder=True)]
 
 Definitions = Annotated[
     list[str] | None,
@@ -194,7 +207,9 @@ Scheduler = Annotated[
     ),
 ]
 
-Estimate = Annotated[bool, typer.Option("--estimate", help="Print what it would take, after a few seconds, and stop.")]
+Estimate = Annotated[
+    bool, typer.Option("--estimate", is_eager=True, help="Print what it would take, after a few seconds, and stop.")
+]
 
 CameraFile = Annotated[
     str | None,

@@ -16,6 +16,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -23,7 +24,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from ..errors import InputError, at_shell, did_you_mean, relation, require_choice, short_repr
 from ..extension import entries, missing
-from ..runtime import INTERRUPTED, plain_lines
+from ..runtime import INTERRUPTED, claiming, plain_lines
 
 PROGRAM = "mitsuba-plenoptic"
 
@@ -54,12 +55,16 @@ COMMANDS = {name: (f"{__package__}.{module}", line) for name, (module, line) in 
 _OPTIONS = {"views": "--view-count", "names": "--parameter", "parameters": "-D", "batch_map": "--workers"}
 
 
-_STOPPED = 130
-"""Exit status after Ctrl-C."""
+STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals that end a command in order: Ctrl-C, and those of batch systems and of a terminal that closes."""
+
+received: list[int] = []
+checkpoints: list[Path] = []
+"""Signals that the running command has received, and files from which the same command goes on, where they exist."""
 
 
 class StoppedError(Exception):
-    """Ends a command after Ctrl-C with a line that says how to go on."""
+    """Ends a command after a signal with a line that says how to go on."""
 
 
 class _Commands(TyperGroup):
@@ -179,7 +184,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Options before the command, of which none is given: Typer would import pydantic to judge them.
         group.params.clear()
         group.add_help_option = False
-    with _remarks(), _interrupts():
+    with _remarks(), _interrupts(), claiming():
         try:
             # Progress begins before the options are read, thus before --quiet is.
             has_progress = called is not None and {"-h", "--help", "-q", "--quiet"}.isdisjoint(words)
@@ -187,12 +192,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             with at_shell(_OPTIONS), plain_lines(words[0]) if has_progress else contextlib.nullcontext():
                 status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
             # Typer makes a status of Ctrl-C.
-            if status == _STOPPED:
+            if status == 128 + signal.SIGINT:
                 raise KeyboardInterrupt
+            # A full disk shows here, instead of after the end.
+            sys.stdout.flush()
             return status if isinstance(status, int) else 0
         except (KeyboardInterrupt, typer.Abort, StoppedError) as stopped:
-            _complain(str(stopped) or "stopped: nothing is kept; the same command begins anew")
-            return _STOPPED
+            goes_on = any(path.exists() for path in checkpoints)
+            anew = "the same command goes on from there" if goes_on else "nothing unfinished is kept"
+            _complain(str(stopped) or f"stopped: {anew}")
+            return 128 + (received or [signal.SIGINT])[-1]
         except Exception as error:
             command = load(called) if called else group
             message = _mistake(error, {option for parameter in command.params for option in parameter.opts})
@@ -207,7 +216,7 @@ def _mistake(error: Exception, options: Collection[str]) -> str | None:
     Arguments named in the message are spelled as options of the command.
     """
     if isinstance(error, OSError):
-        return f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
+        return f"{error.filename or 'standard output'}: {error.strerror}" if error.strerror else str(error)
     # The class of usage errors of Typer has no public name in all versions.
     if hasattr(error, "format_message"):
         unknown = getattr(error, "option_name", "")
@@ -237,24 +246,28 @@ def _mistake(error: Exception, options: Collection[str]) -> str | None:
 
 @contextlib.contextmanager
 def _interrupts() -> Iterator[None]:
-    """Note Ctrl-C for bars of progress, which end the command where a library has dropped the KeyboardInterrupt."""
+    """Note signals that end a command for bars of progress, since some libraries drop the KeyboardInterrupt."""
     INTERRUPTED.clear()
+    received.clear()
+    checkpoints.clear()
 
     def stop(signal_number: int, frame: object) -> None:
+        received.append(signal_number)
         INTERRUPTED.set()
         raise KeyboardInterrupt
 
     # Other handlers, and threads that receive no signals, keep what they have.
-    ours = threading.current_thread() is threading.main_thread() and (
-        signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    )
-    if ours:
-        signal.signal(signal.SIGINT, stop)
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {number: signal.getsignal(number) for number in STOPS}
+    ours = [number for number, handler in before.items() if handler in (signal.default_int_handler, signal.SIG_DFL)]
+    for number in ours:
+        signal.signal(number, stop)
     try:
         yield
     finally:
-        if ours:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number in ours:
+            signal.signal(number, before[number])
         INTERRUPTED.clear()
 
 
@@ -270,6 +283,9 @@ def _remarks() -> Iterator[None]:
     level = _logger.level
     handler.emit = emit  # type: ignore[method-assign]
     _logger.addHandler(handler)
+    # What libraries log of files stands in our line, too.
+    silent = logging.NullHandler()
+    logging.getLogger().addHandler(silent)
     _logger.setLevel(logging.INFO)
     try:
         with warnings.catch_warnings():
@@ -278,6 +294,7 @@ def _remarks() -> Iterator[None]:
     finally:
         _logger.setLevel(level)
         _logger.removeHandler(handler)
+        logging.getLogger().removeHandler(silent)
 
 
 def _with_options(message: str, options: Collection[str]) -> str:
@@ -301,4 +318,6 @@ def _fail(message: str) -> int:
 
 def _complain(message: str) -> None:
     # In one piece, so that neither Ctrl-C nor a line of progress comes between the text and the end of its line.
-    print(f"{PROGRAM}: {' '.join(message.split())}\n", end="", file=sys.stderr)
+    # Nobody may read it any more.
+    with contextlib.suppress(OSError):
+        print(f"{PROGRAM}: {' '.join(message.split())}\n", end="", file=sys.stderr)

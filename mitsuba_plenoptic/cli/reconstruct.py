@@ -169,7 +169,7 @@ def reconstruct(
     recorded, reference = _recorded(capture, white, camera_of_option, linear, variant)
     saved = checkpoint_of(output, bool(resume)) if chosen.long else None
     with saved or nullcontext(), batches_on(workers, scheduler) as batch_map:
-        with progress_bar("Refocusing") as progress, resumable(progress, saved):
+        with progress_bar("Refocusing") as progress, resumable(progress, saved) if saved else nullcontext():
             results = reconstruction.reconstruct(
                 recorded,
                 distance,

@@ -84,6 +84,7 @@ def render(
             metavar="FILE",
             show_default="FILE.exr.checkpoint",
             help="Wave captures: file for what is done until the capture is written.",
+            callback=ends_in(),
         ),
     ] = None,
     workers: Workers = None,
@@ -170,18 +171,18 @@ def render(
     names = None if aov is None else require_quantities(name.strip() for name in aov.split(","))
     for path in filter(None, (output, white)):
         require_writable(path)
-    truth_file = require_writable(truth_path(output))
-    require_different(output, white, truth_file if names else None)
-    saved = checkpoint_of(output, resume, checkpoint)
+    truth_file = require_writable(truth_path(output)) if names else None
+    require_different(output, white, truth_file)
     with progress_bar("Loading the scene"):
         loaded = open_scene(scene, parameters, variant, camera, replaced, unit)
     remove_leftovers(output)
     by_waves = is_wave_capture(loaded, model)
     if not by_waves:
         refuse_by_rays(resume=resume or None, checkpoint=checkpoint, workers=workers, scheduler=scheduler)
-    with saved if by_waves else nullcontext(), batches_on(workers, scheduler) as batch_map:
+    saved = checkpoint_of(output, resume, checkpoint) if by_waves else None
+    with saved or nullcontext(), batches_on(workers, scheduler) as batch_map:
         bar = progress_bar("Rendering", _shorter(loaded, sensor, spp, method))
-        with bar as progress, resumable(progress, saved if by_waves else None):
+        with bar as progress, resumable(progress, saved) if saved else nullcontext():
             start = time.perf_counter()
             capture = render_capture(
                 loaded,
@@ -190,13 +191,13 @@ def render(
                 spp=spp,
                 seed=seed,
                 progress=progress,
-                checkpoint=saved if by_waves else None,
+                checkpoint=saved,
                 batch_map=batch_map,
                 noise=noise,
                 **wave,
             )
         seconds = time.perf_counter() - start
-        if names:
+        if names and truth_file:
             # Brings libraries that take a second to load.
             from ..views import ground_truth
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..runtime import ProgressBar, in_words, is_quiet, moving_bar, plain_lines
-from .program import StoppedError
+from .program import STOPS, StoppedError, checkpoints, received
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -27,34 +27,40 @@ def checkpoint_of(output: Path, resume: bool, path: Path | None = None) -> Check
     from ..runtime import require_writable
 
     path = require_writable(path or output.with_name(output.name + CHECKPOINT_SUFFIX))
+    checkpoints.append(path)
     return Checkpoint(path, "resume" if resume else "resume_if_same")
 
 
 @contextlib.contextmanager
 def resumable(progress: ProgressBar | None = None, checkpoint: Checkpoint | None = None) -> Iterator[None]:
-    """Let Ctrl-C end a run, with its checkpoint written, and say how to go on; a second Ctrl-C ends it at once."""
-    # Only the main thread receives signals.
+    """Let Ctrl-C, or another of `STOPS`, end a run, with its checkpoint written, and say how to go on.
+
+    A second Ctrl-C ends it at once. A run without a checkpoint keeps its stages itself.
+    """
+    # Only the main thread receives signals, and what is ignored, as by nohup, stays so.
     waits = checkpoint is not None and threading.current_thread() is threading.main_thread()
-    before: Any = signal.getsignal(signal.SIGINT)
+    handlers: dict[int, Any] = {number: signal.getsignal(number) for number in STOPS if waits}
+    before = {number: handler for number, handler in handlers.items() if callable(handler)}
 
     def stop(signal_number: int, frame: Any) -> None:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, before.get(signal.SIGINT, signal.default_int_handler))
         if checkpoint is None or not checkpoint.stop():
-            raise KeyboardInterrupt
+            before[signal_number](signal_number, frame)
+        received.append(signal_number)
         _log.info("stopping after the current batch; Ctrl-C again stops at once")
 
-    if waits:
-        signal.signal(signal.SIGINT, stop)
+    for number in before:
+        signal.signal(number, stop)
     try:
         yield
     except KeyboardInterrupt:
         if checkpoint is not None and not checkpoint.path.exists():
             raise
-        done = f" at {100 * progress.fraction:.0f} %" if progress else ""
+        done = f" at {100 * progress.fraction:.0f} %" if progress and progress.fraction else ""
         raise StoppedError(f"stopped{done}: the same command goes on from there") from None
     finally:
-        if waits:
-            signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextlib.contextmanager

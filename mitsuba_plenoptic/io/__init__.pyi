@@ -22,7 +22,6 @@ from .checkpoints import Checkpoint as Checkpoint
 from .checkpoints import differences as differences
 from .checkpoints import digest as digest
 from .checkpoints import hash_of as hash_of
-from .checkpoints import locked as locked
 from .checkpoints import write_json as write_json
 from .examples import example as example
 from .examples import example_truth as example_truth
@@ -34,6 +33,8 @@ from .exr import read_parts as read_parts
 from .exr import read_pixels as read_pixels
 from .exr import write_exr as write_exr
 from .exr import write_exr_parts as write_exr_parts
+from .labelled import read_labelled_data as read_labelled_data
+from .labelled import write_labelled_data as write_labelled_data
 from .pictures import TIFF as TIFF
 from .pictures import StoredPicture as StoredPicture
 from .pictures import linear_of as linear_of

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..runtime import Forecast, in_words, read_text, software, write_text
+from ..runtime import Forecast, in_words, lock_of, locked, read_text, software, write_text
 from .captures import Capture, read_capture, write_capture
-from .checkpoints import CHECKPOINT_SUFFIX, Checkpoint, hash_of, lock_of, locked, write_json
+from .checkpoints import CHECKPOINT_SUFFIX, Checkpoint, hash_of, write_json
 from .exr import read_exr, write_exr
 
 Progress = Callable[[int, int], None]

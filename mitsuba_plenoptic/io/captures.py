@@ -37,7 +37,7 @@ from ..errors import (
     suggest_keywords,
 )
 from ..extension import Displayed, format_of, place
-from ..runtime import as_pixels, atomic_output, require_writable
+from ..runtime import as_pixels, atomic_output, of_one_file, require_writable
 from .exr import read_attributes, read_exr, read_pixels, write_exr
 from .pictures import KEY, StoredPicture, read_numbers
 from .versions import camera_of_waves, is_of_1_0, require_seal, sealed
@@ -240,6 +240,7 @@ def _remark(path: str | Path, lens_model: str) -> None:
     _log.info("%s: a wave capture of version 1.0 or earlier: its lens_model is read as %s", path, lens_model)
 
 
+@of_one_file
 def read_capture(
     path: str | Path, *, camera: PlenopticCamera | None = None, linear: bool = False, black_level: float = 0
 ) -> Capture:

@@ -1,4 +1,4 @@
-"""Resuming after a stop: checkpoints of unfinished computations, and locks.
+"""Resuming after a stop: checkpoints of unfinished computations.
 
 A checkpoint is a NumPy archive (``.npz``) of arrays and a ``header``, a JSON text with everything on which the run's
 bits depend; a run with a different header is refused. Checkpoints are never unpickled.
@@ -12,9 +12,8 @@ import json
 import logging
 import math
 import os
-import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -23,12 +22,13 @@ from typing import Any, Literal, TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, refuse_if, require_choice, warn
+from ..errors import InputError, require_choice, warn
 from ..runtime import (
     PartialSum,
     Snapshot,
     atomic_output,
     backend_of,
+    hold,
     remove_leftovers,
     require_memory,
     software,
@@ -36,16 +36,16 @@ from ..runtime import (
 )
 from .versions import KEY, VERSION, stamped
 
-if sys.platform != "win32":
-    import fcntl
-
 FORMAT = 2
 CHECKPOINT_SUFFIX = ".checkpoint"
 
 Existing = Literal["refuse", "resume", "resume_if_same"]
 
 INTERVAL = 10.0
-"""Seconds between checkpoints, at least."""
+"""Seconds between checkpoints, at least. The first waits for half of it, and for the end of a batch."""
+
+_PREPARED = "prepared."
+"""Start of the names of arrays that a run needs before its first batch."""
 
 FRACTION = 0.05
 """Fraction of the time that writing them may take."""
@@ -53,49 +53,6 @@ FRACTION = 0.05
 _State = TypeVar("_State")
 
 _log = logging.getLogger(__name__)
-
-
-@contextlib.contextmanager
-def locked(path: Path, refusal: str | None = None) -> Iterator[None]:
-    """Hold the lock file `path`; if another process holds it, refuse with a message, or wait without one.
-
-    The system releases the lock when this process ends, however it ends. Windows and some network drives have no such
-    lock; a warning tells of the latter.
-    """
-    new = not path.parent.exists()
-    mine = False
-    while not mine:
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            file = path.open("w")
-        except OSError as error:
-            raise InputError(f"{path.parent}: {error.strerror}") from error
-        try:
-            if sys.platform != "win32":
-                fcntl.flock(file, fcntl.LOCK_EX | (fcntl.LOCK_NB if refusal else 0))
-            # The process that had it may have removed the file between the two calls.
-            mine = os.path.samestat(os.fstat(file.fileno()), path.stat())
-        except (BlockingIOError, FileNotFoundError):
-            pass
-        except OSError as error:
-            mine = True
-            warn(f"{path.parent}: it cannot be locked: {error.strerror}")
-        if not mine:
-            file.close()
-            refuse_if(refusal is not None, f"{refusal}; wait until it has ended")
-    with file:
-        try:
-            yield
-        finally:
-            path.unlink(missing_ok=True)
-            with contextlib.suppress(OSError):
-                if new:
-                    path.parent.rmdir()
-
-
-def lock_of(path: Path) -> Path:
-    """Return the path of the lock file for a file."""
-    return path.with_name(f".{path.name}.lock")
 
 
 class Checkpoint:
@@ -114,7 +71,8 @@ class Checkpoint:
     Raises
     ------
     InputError
-        If `existing` is another word; on entering, if there is a file that may not be replaced.
+        If `existing` is another word; on entering, if there is a file that may not be replaced, or another process uses
+        it.
     """
 
     def __init__(self, path: str | Path, existing: Existing = "refuse") -> None:
@@ -126,10 +84,13 @@ class Checkpoint:
         self._due = math.inf
         self._complained = False
         self._stopping = False
-        self._lock = contextlib.ExitStack()
+        self._lock: contextlib.ExitStack | None = None
+        self._prepared: dict[str, NDArray[Any]] | None = None
 
     def __enter__(self) -> Checkpoint:
+        self._lock = hold(self.path)
         if self.existing == "refuse" and self.path.exists():
+            self._lock.close()
             raise InputError(
                 f"{self.path}: the checkpoint of a run that was stopped; resume from it with existing='resume', or "
                 "remove the file"
@@ -142,7 +103,8 @@ class Checkpoint:
         # A run that never began has no claim to a file that is there.
         if error_type is None and self._due < math.inf:
             self.path.unlink(missing_ok=True)
-        self._lock.close()
+        if self._lock:
+            self._lock.close()
 
     def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
         """Register the run; return the state saved by an earlier process, None if there is none.
@@ -158,24 +120,22 @@ class Checkpoint:
         Raises
         ------
         InputError
-            If the file is damaged, is the checkpoint of another run (the message states the differences), or is used by
-            another process.
+            If the file is damaged, or is the checkpoint of another run (the message states the differences).
         """
         return self._begin(facts, partial(_snapshot, shape))
 
     def begin_arrays(self, **facts: Any) -> dict[str, NDArray[Any]] | None:
         """Register a run whose state is arrays instead of a sum; return the saved arrays, None if there are none."""
-        return self._begin(facts, lambda archive, _: {name: archive[name] for name in archive if name != "header"})
+        return self._begin(
+            facts,
+            lambda archive, _: {
+                name: archive[name] for name in archive if name != "header" and not name.startswith(_PREPARED)
+            },
+        )
 
     def _begin(self, facts: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State | None:
-        self._lock.close()
-        try:
-            self._lock.enter_context(locked(lock_of(self.path), f"{self.path}: another process is computing this"))
-        except InputError as error:
-            # What cannot be locked cannot be written either, of which `save` tells.
-            if error.__cause__ is None:
-                raise
-        self._due = time.monotonic() + INTERVAL
+        self._lock = self._lock or hold(self.path)
+        self._due = min(self._due, time.monotonic() + INTERVAL / 2)
         self._facts = {**self.run, **facts, "software": software()}
         remove_leftovers(self.path)
         if not self.path.exists():
@@ -187,8 +147,27 @@ class Checkpoint:
                 raise
             _log.info("%s; beginning anew", error)
             return None
-        _log.info("%s: resuming from there", self.path)
+        if state is not None:
+            _log.info("%s: resuming from there", self.path)
         return state
+
+    def prepared(self, key: Any, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+        """Return an array that a run needs before its first batch, stored by an earlier process or made.
+
+        The key, plain JSON values, states all that the array depends on, but the software.
+        """
+        if self._prepared is None:
+            self._lock = self._lock or hold(self.path)
+            is_free, self._prepared = _preparation(self.path)
+            # The state of a run, perhaps another one, is not replaced before the run is known.
+            self._due = time.monotonic() + INTERVAL / 2 if is_free else math.inf
+        name = _PREPARED + hash_of([key, software()])
+        if name not in self._prepared:
+            self._prepared[name] = make()
+            if self._due < math.inf and not self._facts:
+                arrays = self._prepared
+                self._save(lambda path: _write_archive(path, None, {}, arrays))
+        return self._prepared[name]
 
     def stop(self) -> bool:
         """Make the run save its next state and end with a KeyboardInterrupt.
@@ -216,11 +195,11 @@ class Checkpoint:
         KeyboardInterrupt
             After `stop`.
         """
-        self._save(lambda path: _write(path, self._known_facts(), snapshot))
+        self._save(lambda path: _write(path, self._known_facts(), snapshot, self._prepared or {}))
 
     def save_arrays(self, arrays: Callable[[], Mapping[str, NDArray[Any]]]) -> None:
         """Write the float32 and float64 arrays for `begin_arrays` if the time since the last save is long enough."""
-        self._save(lambda path: _write_archive(path, self._known_facts(), {}, dict(arrays())))
+        self._save(lambda path: _write_archive(path, self._known_facts(), {}, {**arrays(), **(self._prepared or {})}))
 
     def _known_facts(self) -> dict[str, Any]:
         """Return the facts of the run as plain JSON values; functions are called once."""
@@ -269,9 +248,21 @@ def write_json(path: Path, content: Any) -> None:
     write_text(path, json.dumps(content, indent=1, sort_keys=True) + "\n")
 
 
-def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
+def _preparation(path: Path) -> tuple[bool, dict[str, NDArray[Any]]]:
+    """Return whether a checkpoint holds no run, and the prepared arrays in it, none if it cannot be read."""
+    try:
+        require_memory(path.stat().st_size, f"{path.stat().st_size} bytes")
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive if name.startswith(_PREPARED)}
+            return json.loads(str(archive["header"]))["run"] is None, arrays
+    except Exception:
+        # `_read` tells of what it cannot read.
+        return not path.exists(), {}
+
+
+def _write(path: Path, run: dict[str, Any], snapshot: Snapshot, prepared: dict[str, NDArray[Any]]) -> None:
     header: dict[str, Any] = {"sums": snapshot.sums}
-    arrays: dict[str, Any] = {"image": snapshot.image}
+    arrays: dict[str, Any] = {"image": snapshot.image, **prepared}
     if snapshot.partial:
         unfinished = snapshot.partial
         header |= {"batches": unfinished.batches, "arrived": unfinished.arrived}
@@ -279,7 +270,7 @@ def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
     _write_archive(path, run, header, arrays)
 
 
-def _write_archive(path: Path, run: dict[str, Any], header: dict[str, Any], arrays: dict[str, Any]) -> None:
+def _write_archive(path: Path, run: dict[str, Any] | None, header: dict[str, Any], arrays: dict[str, Any]) -> None:
     with path.open("wb") as file:
         np.savez(file, header=json.dumps(stamped({"format": FORMAT, "run": run, **header})), **arrays)
         file.flush()
@@ -287,12 +278,14 @@ def _write_archive(path: Path, run: dict[str, Any], header: dict[str, Any], arra
         os.fsync(file.fileno())
 
 
-def _read(path: Path, run: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State:
-    """Return the state in the checkpoint of a run; refuse damaged checkpoints and checkpoints of other runs."""
+def _read(path: Path, run: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State | None:
+    """Return the state in a run's checkpoint, None if only preparation is there; refuse damage and other runs."""
     try:
         require_memory(path.stat().st_size, f"{path.stat().st_size} bytes")
         with np.load(path, allow_pickle=False) as archive:
             header = json.loads(str(archive["header"]))
+            if header["run"] is None:
+                return None
             # Those of version 1.0 and earlier state none.
             version = {KEY: header[KEY]} if KEY in header else {}
             there = {"format": header["format"], **version, **header["run"]}

@@ -13,7 +13,7 @@ import OpenEXR
 
 from ..camera import PlenopticCamera
 from ..errors import advice, content_of, naming, refuse_if, refusing, short_repr
-from ..runtime import atomic_output, native_output_dropped, require_file, require_memory
+from ..runtime import atomic_output, native_output_dropped, of_one_file, require_file, require_memory
 from .versions import require_seal, sealed
 
 ATTRIBUTE = "mitsuba_plenoptic"
@@ -115,6 +115,7 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
     return image, noise if noisy else None, attributes
 
 
+@of_one_file
 def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, Any]]:
     """Return the float32 channels of each part, and the attributes, of a file of `write_exr_parts`."""
     path = require_file(path)
@@ -146,6 +147,7 @@ def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], 
     return planes_of_parts, attributes
 
 
+@of_one_file
 def read_pixels(path: str | Path, camera: PlenopticCamera | None = None) -> np.ndarray:
     """Return the pixels, (rows, columns[, 3]) in single precision, in the display window of another program's file.
 
@@ -200,6 +202,7 @@ def _only_layer(parts: list[ExrPart]) -> tuple[ExrPart, tuple[str, ...]]:
     return part, names
 
 
+@of_one_file
 def read_attributes(path: str | Path) -> dict[str, Any]:
     """Return the attributes of an OpenEXR file without its pixels; files of other programs have none."""
     path = require_file(path)

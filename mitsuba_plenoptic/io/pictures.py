@@ -19,7 +19,7 @@ from PIL import Image
 from tifffile import EXTRASAMPLE, PHOTOMETRIC
 
 from ..errors import refusing, require_number
-from ..runtime import atomic_output, native_output_dropped, require_file, require_memory
+from ..runtime import atomic_output, native_output_dropped, of_one_file, require_file, require_memory
 
 TIFF = (".tif", ".tiff")
 
@@ -82,6 +82,7 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
         return picture.values(linear)
 
 
+@of_one_file
 def read_numbers(path: str | Path) -> StoredPicture:
     """Return the numbers in a PNG or TIFF; refuse numbers whose meaning the file does not say."""
     path = require_file(path)

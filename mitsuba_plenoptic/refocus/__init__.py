@@ -34,6 +34,7 @@ __all__ = [
     "Volume",
     "estimate_reconstruction",
     "read_reconstruction",
+    "read_volume",
     "reconstruct",
     "write_reconstruction",
     "write_volume",

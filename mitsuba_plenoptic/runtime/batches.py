@@ -16,12 +16,14 @@ import threading
 from collections import deque
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from types import MappingProxyType, TracebackType
 from typing import Any, Protocol, TypeVar
 
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError, refuse_if, require_count, require_module
 from .backend import Floats, Integers, active_backend, on_cuda, set_variant
@@ -115,7 +117,8 @@ class Threads:
         with resting_drjit(), ThreadPoolExecutor(self.threads) as pool:
             for batch in batches:
                 pending.append(pool.submit(batch.prepare()))
-                if len(pending) > self.threads:
+                # What is done is not held back, so that a checkpoint can have it.
+                while len(pending) > self.threads or (pending and pending[0].done()):
                     yield pending.popleft().result()
             while pending:
                 yield pending.popleft().result()
@@ -209,6 +212,28 @@ class CheckpointStore(Protocol):
 
     def save(self, snapshot: Snapshot) -> None:
         """Store a snapshot if the time since the last one is long enough."""
+
+    def prepared(self, key: Any, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+        """Return a stored array by its key, or make and store it."""
+
+
+_preparation: ContextVar[CheckpointStore | None] = ContextVar("preparation", default=None)
+
+
+@contextlib.contextmanager
+def preparing(store: CheckpointStore | None) -> Iterator[None]:
+    """Let `prepared` arrays be those of a checkpoint within the context."""
+    before = _preparation.set(store)
+    try:
+        yield
+    finally:
+        _preparation.reset(before)
+
+
+def prepared(key: Any, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+    """Return an array that takes long to make, from the checkpoint of the run if there is one that has it."""
+    store = _preparation.get()
+    return store.prepared(key, make) if store else make()
 
 
 @dataclass

@@ -9,7 +9,7 @@ import xarray as xr
 
 from ..camera import PlenopticCamera, are_alike
 from ..choices import LIGHT_FIELDS, RAW_SUFFIXES
-from ..errors import InputError, argument, content_of, naming, refuse_if, refusing
+from ..errors import InputError, argument, content_of, naming, refuse_if
 from ..extension import format_of, place
 from ..io import (
     TIFF,
@@ -20,12 +20,14 @@ from ..io import (
     read_attributes,
     read_capture,
     read_ground_truth,
+    read_labelled_data,
     read_numbers,
     read_picture,
     read_pixels,
     states_detector,
+    write_labelled_data,
 )
-from ..runtime import atomic_output, require_file, require_memory, require_writable, require_zarr
+from ..runtime import require_writable
 from .coordinates import camera_of, require_light_field
 from .decoding import decode
 from .grid_estimation import estimate_lens_grid
@@ -226,10 +228,6 @@ def _refuse(path: Path, **options: object) -> None:
         refuse_if(value is not None, f"{name} = {value}: of no use for {path}")
 
 
-# Bytes that reading takes for each of a file: the file, and the arrays of which a light field is made and checked.
-_PER_BYTE = 3
-
-
 def write_labelled(path: str | Path, lf: xr.DataArray) -> None:
     """Write a light field to a file that `read_labelled` or ``xarray.open_dataarray`` opens.
 
@@ -245,21 +243,14 @@ def write_labelled(path: str | Path, lf: xr.DataArray) -> None:
     InputError
         If it cannot be written.
     """
-    path = Path(path)
     lf = require_light_field(lf)
-    with atomic_output(path, ".nc", ".zarr") as temporary:
-        if path.suffix.lower() == ".nc":
-            lf.to_netcdf(temporary, engine="scipy")
-        else:
-            require_zarr(path)
-            # The third format has no texts of fixed length yet, as the names of the channels are.
-            lf.to_zarr(temporary, zarr_format=2)
+    write_labelled_data(path, lf.to_dataset(name=lf.name or "radiance"))
 
 
 def read_labelled(path: str | Path) -> xr.DataArray:
     """Read a light field that `write_labelled` wrote.
 
-    NetCDF 4 is not read.
+    NetCDF 4 is not read. A file of this package states a digest of its values and attributes, which is checked.
 
     Parameters
     ----------
@@ -271,29 +262,10 @@ def read_labelled(path: str | Path) -> xr.DataArray:
     InputError
         If there is no such file, or it is damaged or something else.
     """
-    path = Path(path)
-    with refusing(f"{path}: it cannot be read as a light field:"):
-        if path.suffix.lower() == ".nc":
-            require_memory(_PER_BYTE * require_file(path).stat().st_size, f"{path}: a light field")
-            with path.open("rb") as file:
-                begins = file.read(3)
-            refuse_if(
-                begins != b"CDF",
-                f"{path}: it is not NetCDF 3; open other formats with xarray and convert them in Python",
-            )
-            stored = xr.load_dataarray(path, engine="scipy")
-        else:
-            refuse_if(
-                not (path / "zarr.json").is_file() and not (path / ".zgroup").is_file(),
-                f"{path}: there is no such folder of Zarr",
-            )
-            require_zarr(path)
-            # Without pixels so far.
-            stored = xr.open_dataarray(path, engine="zarr")
-            require_memory(_PER_BYTE * float(stored.nbytes), f"{path}: a light field")
-            stored.load()
+    data = read_labelled_data(path, "light field")
     with naming(path):
-        lf = require_light_field(stored)
+        refuse_if(len(data.data_vars) != 1, f"it holds the variables {', '.join(map(str, data.data_vars))}, not one")
+        lf = require_light_field(next(iter(data.data_vars.values())))
         if lf.attrs.get("camera"):
             camera_of(lf)
     return lf

@@ -12,6 +12,7 @@ because the integrals of the coefficients over m are known. `SignedRaySum.estima
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import itertools
 import math
@@ -37,6 +38,7 @@ from ..runtime import (
     fft,
     interleaved,
     on_cuda,
+    prepared,
     quotient,
     single_threaded_blas,
 )
@@ -53,6 +55,9 @@ from .spectral_nodes import Node, RayWavelengths, WavelengthSampler, chances, mi
 
 _BLOCK_BYTES = 2**27
 """Bytes of the images of one block of the detector: few, for memory, and as progress is counted in blocks."""
+
+_BLOCK_RAYS = 2**24
+"""Approximate most rays of a block: some seconds', as checkpoints wait for the end of one."""
 
 _LANES = 2**22
 """Approximate count of rays that are traced at once."""
@@ -163,7 +168,10 @@ class SignedRaySum:
         self._coefficients = coefficients_of(plans)
         self._bins = box_of(camera, max(map(margin_of, self._flat_kernels)))
         values = sum(len(flat) * len(node.channels) for flat, node in zip(self._flat_kernels, nodes, strict=True))
-        self._blocks = blocks_of(self._bins, _BLOCK_BYTES // (4 * values))
+        rays_of_pixel = self._together * self._passes * max(1, round(self._sampler.lit_lenses))
+        self._blocks = blocks_of(
+            self._bins, min(_BLOCK_BYTES // (4 * values), max(2**12, _BLOCK_RAYS // rays_of_pixel))
+        )
         self.items = np.array([block.rows * block.columns for block in self._blocks])
 
     def batches(self, first: int) -> Iterator[Block]:
@@ -613,7 +621,11 @@ class _Grid(NamedTuple):
 def _kernels_of(plan: Plan, grid: _Grid, kind: int) -> PixelKernels:
     """Return the kernels of a plan for one kind of lenses, cached for further captures of the camera."""
     camera = plan.camera
-    kernels = plan.kernels(camera.pixel_size / grid.parts, plan.reach, kind)
+    values = [getattr(plan, field.name) for field in dataclasses.fields(plan) if field.name != "camera"]
+    kernels = prepared(
+        [type(plan).__name__, camera.to_dict(), repr(values), grid.parts, kind],
+        lambda: plan.kernels(camera.pixel_size / grid.parts, plan.reach, kind),
+    )
     return grid.for_pixels(plan, kernels, keeps_light=True)
 
 

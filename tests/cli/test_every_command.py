@@ -1,6 +1,7 @@
 """What all commands have in common: -q, -v, the line after Ctrl-C, and values that are refused at once."""
 
 import contextlib
+import contextvars
 import io
 import json
 import os
@@ -11,6 +12,7 @@ import sys
 import textwrap
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 from rich.console import Console
@@ -18,7 +20,8 @@ from stopped_runs import start_command
 from test_imports import loaded
 
 from mitsuba_plenoptic.cli import COMMANDS, load, main, render_command
-from mitsuba_plenoptic.runtime import progress
+from mitsuba_plenoptic.io import write_capture
+from mitsuba_plenoptic.runtime import claim, claiming, progress
 
 STUDIO, SHARPNESS, INVERSE = (pytest.mark.needs_extension(name) for name in ("studio", "sharpness", "inverse"))
 
@@ -97,21 +100,88 @@ def test_ctrl_c_in_a_wave_capture_says_how_to_go_on(tmp_path):
     words = [*WAVES, "--method", "points", "-o", str(tmp_path / "raw.exr"), "--checkpoint", str(tmp_path / "kept")]
     early = subprocess.run([sys.executable, "-c", EARLY, *words], capture_output=True, text=True, timeout=600)
     assert early.returncode == 130
-    assert early.stderr.splitlines()[-1] == (
-        "mitsuba-plenoptic: stopped: nothing is kept; the same command begins anew"
-    )
+    assert early.stderr.splitlines()[-1] == ("mitsuba-plenoptic: stopped: nothing unfinished is kept")
     process = start_command(*words, interrupt_after=1)
     _, error = process.communicate(timeout=600)
     assert process.returncode == 130, error
     stopping, stopped = error.splitlines()[-2:]
     assert "stopping after the current batch" in stopping
-    assert re.fullmatch(r"mitsuba-plenoptic: stopped at \d+ %: the same command goes on from there", stopped)
+    assert re.fullmatch(r"mitsuba-plenoptic: stopped( at [1-9]\d* %)?: the same command goes on from there", stopped)
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
     process = start_command(*words)
     output, error = process.communicate(timeout=600)
     assert process.returncode == 0, error
     assert "resuming from there" in error
     assert "raw.exr: capture" in output
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals differ")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("model", ["ray", "wave"])
+def test_signals_end_commands_in_order(monkeypatch, capsys, tmp_path, name, model):
+    """Batch systems send others than Ctrl-C; a checkpoint of an earlier run stays, and is named."""
+    number = getattr(signal, name)
+    monkeypatch.setattr("mitsuba_plenoptic.scene.render_capture", lambda *_, **__: os.kill(os.getpid(), number))
+    before = signal.getsignal(number)
+    words = ["render", "letters", "-o", str(tmp_path / "raw.exr"), "--model", model, "-D", "resolution=64"]
+    for earlier, line in ((), "nothing unfinished is kept"), (("raw.exr.checkpoint",), "the same command goes on from"):
+        for path in earlier:
+            (tmp_path / path).touch()
+        line = line if model == "wave" else "nothing unfinished is kept"
+        assert main(words) == 128 + number
+        assert f"mitsuba-plenoptic: stopped: {line}" in capsys.readouterr().err.splitlines()[-1]
+        assert signal.getsignal(number) == before and [path.name for path in tmp_path.iterdir()] == [*earlier]
+
+
+OUTPUTS = {
+    "render": ["letters", "-D", "resolution=64"],
+    "reconstruct": ["letters-ray.exr", "--distance", "240"],
+    "expose": ["letters-ray.exr", "--photons", "100"],
+    "views": ["letters-ray.exr"],
+    "compare": ["letters", "--distance", "240"],
+    "dataset": ["recipe.yaml"],
+}
+
+
+@pytest.mark.parametrize("command", OUTPUTS)
+@pytest.mark.parametrize("name", ["same", "symbolic", "hard", "path"])
+def test_an_output_is_computed_by_one_process(monkeypatch, capsys, tmp_path, command, name):
+    """Whatever it is called, and before anything is computed."""
+    monkeypatch.chdir(tmp_path)
+    Path("letters-ray.exr").write_bytes(b"")
+    Path("recipe.yaml").touch()
+    folder = command in ("compare", "dataset")
+    output = Path("out" if folder else "out.exr")
+    output.mkdir() if folder else output.write_bytes(b"yesterday's")
+    other = {"same": output, "path": tmp_path / "." / output}.get(name, Path(f"other{output.suffix}"))
+    if name == "symbolic":
+        other.symlink_to(output)
+    elif name == "hard" and not folder:
+        other.hardlink_to(output)
+    elif name == "hard":
+        pytest.skip("folders have none")
+    with claiming():
+        claim(output, folder)
+        # Locks exclude each other within a process, too, where each is taken for itself.
+        assert contextvars.Context().run(main, [command, *OUTPUTS[command], "-o", str(other)]) == 2
+    line = capsys.readouterr().err
+    assert line == f"mitsuba-plenoptic: error: {other}: another process is computing this; wait until it has ended\n"
+    assert not any(".lock" in path.name for path in tmp_path.rglob("*"))
+
+
+def test_an_output_is_held_until_it_is_written(monkeypatch, capsys, tmp_path):
+    """Of a name of which a checkpoint's would be too long."""
+    output = tmp_path / f"{'a' * 245}.exr"
+    said = []
+
+    def write(path, capture):
+        said.append(contextvars.Context().run(main, words))
+        write_capture(path, capture)
+
+    monkeypatch.setattr("mitsuba_plenoptic.io.write_capture", write)
+    words = ["render", "letters", "-o", str(output), "-q", "-D", "resolution=64", "-D", "detector_width=0.128"]
+    assert (main(words), said) == (0, [2]), capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == [output.name]
 
 
 def test_ctrl_c_while_a_scene_is_loaded(monkeypatch, capsys):

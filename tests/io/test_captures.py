@@ -3,8 +3,11 @@
 import numpy as np
 import OpenEXR
 import pytest
+from cameras import small_camera
+from refusals import refuses
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, read_capture, write_capture
+from mitsuba_plenoptic.io import exr
 
 
 @pytest.fixture
@@ -42,3 +45,23 @@ def test_any_viewer_sees_the_window_and_the_pixels(tmp_path, camera):
         assert [tuple(corner) for corner in header["dataWindow"]] == [(8, 4), (47, 35)]
         assert [tuple(corner) for corner in header["displayWindow"]] == [(0, 0), (63, 47)]
         assert file.channels()["Y"].pixels.dtype == np.float32
+
+
+@pytest.mark.parametrize("within", ["read_parts", "_opened", "require_seal"])
+def test_a_capture_that_another_process_replaces_meanwhile_is_read_again(tmp_path, monkeypatch, within):
+    """The header of one file and the pixels of another would be damaged, or silently mixed."""
+    path = tmp_path / "raw.exr"
+    of_size = {size: Capture(np.ones((size, size)), small_camera(size // 32)) for size in (64, 32)}
+    write_capture(path, of_size[64])
+    step = getattr(exr, within)
+
+    def replaced(*arguments):
+        result = step(*arguments)
+        monkeypatch.setattr(exr, within, step)
+        write_capture(path, of_size[32])
+        return result
+
+    monkeypatch.setattr(exr, within, replaced)
+    assert read_capture(path).image.shape == (32, 32)
+    path.write_bytes(path.read_bytes()[:-40])
+    refuses("damaged", read_capture, path)

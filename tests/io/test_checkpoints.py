@@ -21,6 +21,7 @@ from stopped_runs import CheckpointStore, StoppedError, start_command, stopped_b
 from mitsuba_plenoptic import CaptureOperator, Checkpoint, InputError, Job, load_scene, read_capture, render_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io import checkpoints
+from mitsuba_plenoptic.waves import array_kernels, scheme, signed_rays
 
 SMALL = small_camera()
 SCENE = letters(4)
@@ -200,7 +201,7 @@ def test_checkpoints_take_a_small_fraction_of_the_time(tmp_path, monkeypatch):
     clock, written = [0.0], []
     monkeypatch.setattr(checkpoints.time, "monotonic", lambda: clock[0])
 
-    def write(path, run, snapshot):
+    def write(path, run, snapshot, prepared):
         path.write_bytes(b"")
         clock[0] += 2
         written.append(clock[0])
@@ -211,7 +212,7 @@ def test_checkpoints_take_a_small_fraction_of_the_time(tmp_path, monkeypatch):
         while clock[0] < 1000:
             clock[0] += 0.5
             checkpoint.save(None)
-    assert written[0] == 12
+    assert written[0] == 7
     assert 2 * len(written) <= 0.05 * clock[0] + 2
     assert len(written) > 20
 
@@ -228,6 +229,74 @@ def test_a_full_disk_is_named_once(tmp_path, monkeypatch):
         with pytest.warns(UserWarning) as warned:
             checkpoint.save(None)
     assert str(warned[0].message) == f"{path}: no checkpoint can be written: No space left on device"
+
+
+def test_preparation_is_kept_and_belongs_to_any_run_that_needs_it(tmp_path, monkeypatch):
+    """From the first half interval on, before the state of a run, beside that state, and until the run has ended."""
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    path, made = tmp_path / "raw.checkpoint", []
+
+    def array(checkpoint, key):
+        return checkpoint.prepared([key], lambda: made.append(key) or np.arange(9.0) * key)
+
+    def killed(*keys, existing="resume", state=None, **facts):
+        checkpoint = Checkpoint(path, existing)
+        checkpoint.__enter__()
+        for key in keys:
+            np.testing.assert_array_equal(array(checkpoint, key), np.arange(9.0) * key)
+        if facts and (begun := checkpoint.begin_arrays(**facts)) is not None:
+            assert begun.keys() == {"numbers"}
+        if state is not None:
+            checkpoint.save_arrays(lambda: {"numbers": np.array([state])})
+        checkpoint._lock.close()
+
+    killed(1)
+    assert path.exists()
+    killed(1, 2, seed=3)
+    killed(1, 2, seed=3, state=5.0)
+    # Another run is refused with what it prepares in vain, or takes the place.
+    with pytest.raises(InputError, match="seed = 3 there, 4 here"):
+        killed(1, 6, seed=4)
+    killed(1, 2, seed=3)
+    killed(1, 6, existing="resume_if_same", seed=4, state=7.0)
+    killed(1, 6, seed=4)
+    assert made == [1, 2, 6, 6]
+    path.write_bytes(path.read_bytes()[:500])
+    with Checkpoint(path, "resume_if_same") as checkpoint:
+        assert array(checkpoint, 1)[1] == 1 and checkpoint.begin_arrays(seed=4) is None
+    assert made == [1, 2, 6, 6, 1] and list(tmp_path.iterdir()) == []
+
+
+def test_a_capture_that_was_killed_keeps_its_kernels(tmp_path, monkeypatch):
+    """Those of signed rays; the first state is saved before a second block is traced."""
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    monkeypatch.setattr(signed_rays, "_BLOCK_RAYS", 0)
+    path, options = tmp_path / "checkpoint", {"method": "signed_rays", "spp": 4}
+
+    def image(existing, progress=None):
+        signed_rays._kernels_of.cache_clear()
+        scheme.plan_of.cache_clear()
+        with Checkpoint(path, existing) as checkpoint:
+            return render(checkpoint, progress=progress, **options).image
+
+    whole, counts, make = image("refuse"), [], array_kernels.ArrayKernels.kernels
+
+    def counted(plan, *arguments):
+        counts.append(arguments)
+        return make(plan, *arguments)
+
+    def stop(done, total):
+        if path.exists() and done > 0.2 * total:
+            raise StoppedError
+
+    monkeypatch.setattr(array_kernels.ArrayKernels, "kernels", counted)
+    with pytest.raises(StoppedError):
+        image("refuse", stop)
+    made = len(counts)
+    with np.load(path) as archive:
+        assert json.loads(str(archive["header"]))["batches"] <= 3
+    np.testing.assert_array_equal(image("resume"), whole)
+    assert made and len(counts) == made
 
 
 def test_a_second_process_is_refused_until_the_first_has_ended(tmp_path, python):

@@ -12,13 +12,16 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
+import xarray as xr
 from cameras import SMALL_SENSOR, write_scene
 from foreign_files import LARGE, large, png, write_exr_parts
 from refusals import refused, refuses
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.io import write_labelled_data
 from mitsuba_plenoptic.io.pictures import read_picture
+from mitsuba_plenoptic.refocus import Volume, read_volume, write_volume
 from mitsuba_plenoptic.views.light_field_files import open_light_field, save_light_field
 
 CAMERA = mp.PlenopticCamera(resolution=(64, 64), detector_width=0.256)
@@ -172,6 +175,34 @@ class TestCaptures:
         refuses("device or a pipe", mp.write_capture, "/dev/null", mp.Capture(np.ones((64, 64)), CAMERA))
 
 
+def labelled(path):
+    """Write data of the kind that a name stands for; return the reader."""
+    pixels = np.random.default_rng(1).random((64, 64), np.float32)
+    if path.name.startswith("volume"):
+        pytest.importorskip("zarr")
+        about = {"camera": CAMERA.to_dict(), "facts": [{"planes": 2}]}
+        write_volume(path, Volume(pixels.reshape(4, 32, 32), (210.0, 220.0, 230.0, 250.0), 0.03, about))
+        return read_volume
+    if path.name.startswith("particles"):
+        particles = pytest.importorskip("mitsuba_plenoptic.particles")
+        box = particles.ParticleVolume((-1, -1, 238), (1, 1, 242))
+        flow = particles.Uniform((0.5, 0, 0))
+        write_labelled_data(
+            path, particles.particle_sequence(CAMERA, box, particles.Seeding(count=9), flow, interval=0.1, frames=2)
+        )
+        return particles.read_sequence
+    if path.suffix == ".zarr":
+        pytest.importorskip("zarr")
+    save_light_field(path, mp.decode(np.stack([pixels, pixels**2, pixels**3], -1), camera=CAMERA))
+    return open_light_field
+
+
+def alike(one, other):
+    if isinstance(one, Volume):
+        return one.to_xarray().identical(other.to_xarray())
+    return one.identical(other)
+
+
 class TestLightFields:
     def test_records_of_zarr_have_an_end(self, tmp_path, monkeypatch):
         pytest.importorskip("zarr")
@@ -182,6 +213,35 @@ class TestLightFields:
         for file in path.rglob(".zmetadata"):
             file.unlink()
         refuses("a light field: it would need", open_light_field, path)
+
+    @pytest.mark.parametrize("name", ["lf.nc", "lf.zarr", "volume.zarr", "particles.nc"])
+    def test_flipped_bits_change_no_value(self, tmp_path, name):
+        """Refused, or without effect: values, coordinates, types and attributes alike."""
+        path, read = tmp_path / name, labelled(tmp_path / name)
+        whole, random = read(path), np.random.default_rng(3)
+        files = [file for file in sorted(path.rglob("*") if path.is_dir() else [path]) if file.is_file()]
+        refusals = 0
+        for number in range(90):
+            file = files[number % len(files)]
+            data = bytearray(content := file.read_bytes())
+            data[random.integers(len(data))] ^= 1 << random.integers(8)
+            file.write_bytes(data)
+            try:
+                same = alike(read(path), whole)
+            except mp.InputError as error:
+                refusals, same = refusals + (name in str(error)), name in str(error)
+            assert same, (file, number)
+            file.write_bytes(content)
+        assert alike(read(path), whole) and refusals > 20
+
+    def test_files_without_a_digest_are_read_and_changed_ones_are_not(self, tmp_path):
+        path, read = tmp_path / "lf.nc", labelled(tmp_path / "lf.nc")
+        data = xr.load_dataset(path)
+        changed = data.assign_coords(weight=0.5 * data.weight)
+        changed.to_netcdf(path, engine="scipy")
+        refuses(r"lf\.nc: its digest, .*another program has changed it", read, path)
+        changed.drop_attrs(deep=False).to_netcdf(path, engine="scipy")
+        assert read(path).weight.max() == 0.5 * data.weight.max()
 
     @pytest.mark.parametrize("size", [(10**6, 10**6), (2**31 - 1, 2**31 - 1), (100_000, 100_000)])
     def test_a_picture_that_claims_more_than_memory(self, tmp_path, size):

@@ -13,9 +13,8 @@ import numpy as np
 import yaml
 
 from ...errors import naming
-from ...io import locked
 from ...report import images
-from ...runtime import BatchMap, Progress, remove_leftovers, set_variant, write_text
+from ...runtime import BatchMap, Progress, locked, remove_leftovers, set_variant, write_text
 from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample
 from .shards import (

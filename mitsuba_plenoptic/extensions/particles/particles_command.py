@@ -80,8 +80,7 @@ def particles(
     """
     from ...camera import PlenopticCamera
     from ...detector import Detector, expose
-    from ...io import write_capture
-    from ...runtime import atomic_output
+    from ...io import write_capture, write_labelled_data
     from .flows import FLOWS
     from .particle_images import ParticleImages
     from .seeding import LightSheet, ParticleVolume, Seeding
@@ -103,8 +102,7 @@ def particles(
     with refusing(f"{output}: no folder can be made there", OSError):
         output.mkdir(parents=True, exist_ok=True)
     path = output / "particles.nc"
-    with atomic_output(path) as temporary:
-        truth.to_netcdf(temporary, engine="scipy")
+    write_labelled_data(path, truth)
     lit = int((truth["inside"][0].values * (truth["irradiance"][0].values > 0)).sum())
     typer.echo(f"{path}: {truth.sizes['particle']} particles, {lit} of them lit in the first frame")
     for frame in range(frames):

@@ -1,0 +1,91 @@
+"""Labelled arrays in NetCDF 3 and Zarr, with a digest of all values, names and attributes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import naming, refuse_if, refusing
+from ..runtime import atomic_output, of_one_file, require_file, require_memory, require_zarr
+from .versions import DIGEST, require_seal, sealed
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+# Bytes that reading takes for each of a file: the file, and the arrays that are made of it and checked.
+_PER_BYTE = 3
+
+
+def write_labelled_data(path: str | Path, data: xr.Dataset) -> None:
+    """Write a data set as NetCDF 3, or as Zarr to a folder whose name ends in ``.zarr``, with its digest."""
+    path = Path(path)
+    stamped = data.assign_attrs({DIGEST: sealed(*_content(data))[DIGEST]})
+    with atomic_output(path, ".nc", ".zarr") as temporary:
+        if path.suffix.lower() == ".nc":
+            stamped.to_netcdf(temporary, engine="scipy")
+        else:
+            require_zarr(path)
+            # The third format has no texts of fixed length yet, as the names of the channels are.
+            stamped.to_zarr(temporary, zarr_format=2)
+
+
+@of_one_file
+def read_labelled_data(path: str | Path, what: str) -> xr.Dataset:
+    """Return the data set, `what` for messages, in a file that states the right digest or, like foreign ones, none."""
+    # It takes half a second to load.
+    import xarray as xr
+
+    path = Path(path)
+    with refusing(f"{path}: it cannot be read as a {what}:"):
+        if path.suffix.lower() == ".nc":
+            require_memory(_PER_BYTE * require_file(path).stat().st_size, f"{path}: a {what}")
+            with path.open("rb") as file:
+                begins = file.read(3)
+            refuse_if(
+                begins != b"CDF",
+                f"{path}: it is not NetCDF 3; open other formats with xarray and convert them in Python",
+            )
+            data = xr.load_dataset(path, engine="scipy")
+        else:
+            refuse_if(
+                not (path / "zarr.json").is_file() and not (path / ".zgroup").is_file(),
+                f"{path}: there is no such folder of Zarr",
+            )
+            require_zarr(path)
+            # Without values so far.
+            data = xr.open_dataset(path, engine="zarr")
+            require_memory(_PER_BYTE * float(data.nbytes), f"{path}: a {what}")
+            data.load()
+        with naming(path):
+            stated = data.attrs.pop(DIGEST, None)
+            record, values = _content(data)
+            require_seal(sealed(record, []) | {DIGEST: stated}, values)
+    return data
+
+
+def _content(data: xr.Dataset) -> tuple[dict[str, Any], list[dict[str, np.ndarray]]]:
+    """Return the names and attributes of a data set, and its values, as they are before and after writing."""
+    record = {
+        str(name): [list(map(str, variable.dims)), str(name) in map(str, data.coords), _plain(variable.attrs)]
+        for name, variable in data.variables.items()
+    }
+    values = {str(name): _as_stored(np.asarray(variable.values)) for name, variable in data.variables.items()}
+    return {"attributes": _plain(data.attrs), "variables": record}, [values]
+
+
+def _plain(attributes: dict[Any, Any]) -> dict[str, str]:
+    """Return attributes as texts; files make arrays of lists, and single numbers of arrays of one."""
+    return {
+        str(name): value if isinstance(value, str) else json.dumps(np.ravel(value).tolist())
+        for name, value in attributes.items()
+    }
+
+
+def _as_stored(values: np.ndarray) -> np.ndarray:
+    """Return values in a type that does not depend on the format: texts as bytes, and whole numbers of 64 bits."""
+    if values.dtype.kind not in "fiub":
+        return np.frombuffer("\0".join(map(str, values.ravel().tolist())).encode(), np.uint8)
+    return values.astype(values.dtype.newbyteorder("=") if values.dtype.kind == "f" else np.int64, copy=False)
