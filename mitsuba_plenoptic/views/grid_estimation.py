@@ -225,7 +225,8 @@ class Discs:
         inner, inner_risen, inner_moved = sums[0]
         rim, risen, moved = (beyond - within for within, beyond in zip(*sums, strict=True))
         # Of fifth degree over the micro-images.
-        terms = np.array(monomials(*((centres - centres.mean(0)) / self.size).T, exponents(5)))
+        column, row = ((centres - centres.mean(0)) / self.size).T
+        terms = np.array(monomials(column, row, exponents(5)))
         rows = terms * (inner_risen - inner_moved * risen / moved)
         rise = terms.T @ np.linalg.lstsq(rows.T, (inner - inner_moved * rim / moved).T)[0]
         shift = (rim.T - rise * risen[:, None]) / moved[:, None]
