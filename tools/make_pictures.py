@@ -586,6 +586,8 @@ def particles() -> Image.Image:
     axes.quiver(
         place[:, 0], place[:, 2], move[:, 0], move[:, 2], color="tab:orange", angles="xy", scale_units="xy", scale=1
     )
+    # From above, x points to the left of a camera that looks upwards on the page.
+    axes.invert_xaxis()
     axes.set_title("Volume, z over x in mm", size=9, loc="left", pad=3)
     axes.set_xticks([-0.5, 0, 0.5], ["-0.5", "0", "0.5"], fontsize=8)
     axes.set_yticks([96, 100, 104], ["96", "100", "104"], fontsize=8)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,7 +20,7 @@ from ..prescription import LINE_C, LINE_D, LINE_F, height
 from ..runtime import require_writable
 from .plots import INK, Plot, bare, scale_bar, styled
 
-_ACROSS = 201
+_ACROSS = 301
 """Rays across the pupil."""
 
 
@@ -51,40 +53,45 @@ def _reach(camera: PlenopticCamera) -> float:
     return float(main_lens(camera).reach)
 
 
-class _DrawnRays:
-    """Bundles of rays from positions on the MLA to the object plane in focus, at one wavelength."""
+def _chief(camera: PlenopticCamera, wavelength: float | None, height: float) -> tuple[float, float]:
+    """Return Y/g of the chief ray of a height on the MLA in the object plane in focus, and Y where the lens begins."""
+    lens = main_lens(camera, wavelength)
+    slope = np.atleast_1d(lens.chief_slope(np.array([height])))
+    (_, y, z), (_, t), _ = lens.trace((np.zeros(1), np.full(1, height)), (np.zeros(1), slope))
+    nearness = _nearness(camera)
+    return float((y * nearness + (1 - z * nearness) * t)[0]), float((y + (lens.front - z) * t)[0])
 
-    def __init__(self, camera: PlenopticCamera, wavelength: float | None) -> None:
-        self.lens = main_lens(camera, wavelength)
-        self._g = camera.focus_distance if camera.focus_distance > 0 else math.inf
-        axis = np.linspace(-1, 1, _ACROSS) * _reach(camera)
-        self._pupil = tuple(values.ravel() for values in np.meshgrid(axis, axis))
 
-    def directions(
-        self, height: float, slopes: tuple[np.ndarray, np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return X/g and Y/g of the object points where rays arrive, and a mask of rays that pass."""
-        point, slope, is_open = self.lens.trace((np.zeros_like(slopes[0]), np.full_like(slopes[0], height)), slopes)
-        X, Y = (p / self._g + (1 - point[2] / self._g) * t for p, t in zip(point[:2], slope, strict=True))
-        return X, Y, is_open
+def _nearness(camera: PlenopticCamera) -> float:
+    """Return the reciprocal distance in 1/mm of the object plane, at infinity where no real plane is in focus."""
+    return 1 / camera.focus_distance if camera.focus_distance > 0 else 0.0
 
-    def all_of(self, height: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the directions of rays through the whole exit pupil, and a mask of rays that pass."""
-        Px, Py = self._pupil
-        distance = self.lens.pupil.distance
-        return self.directions(height, (Px / distance, (Py - height) / distance))
 
-    def chief(self, height: float) -> float:
-        """Return Y/g of the chief ray for an image height."""
-        slope = np.atleast_1d(self.lens.chief_slope(np.array([height])))
-        return float(self.directions(height, (np.zeros(1), slope))[1][0])
+def _passing(
+    traced: Callable[[np.ndarray, np.ndarray], tuple[Any, ...]], middle: float, reach: float
+) -> tuple[Any, np.ndarray, float]:
+    """Return what is traced from a grid that rays through the lens fill, which of them pass, and their area.
+
+    The grid lies about (0, `middle`), within `reach` of which all rays pass.
+    """
+    low = np.array([-reach, middle - reach])
+    high = np.array([reach, middle + reach])
+    # First grids are coarse, but for the ray in the middle; each is as wide as what passes the one before.
+    for across in (65, 65, 65, _ACROSS):
+        x, y = np.meshgrid(*np.linspace(low, high, across).T)
+        result, is_open = traced(x.ravel(), y.ravel())
+        step = (high - low) / (across - 1)
+        if is_open.any() and across < _ACROSS:
+            places = np.stack([x.ravel(), y.ravel()])[:, is_open]
+            low = places.min(1) - step
+            high = places.max(1) + step
+    return result, is_open, float(is_open.sum() * step.prod())
 
 
 def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions on the MLA of the rays of one object point that pass the lens.
 
-    The object point is where the chief ray of a position on the MLA meets the object plane. Rays are traced back from
-    the position to that plane, and their distances from the point are scaled to the size of its image.
+    The object point is where the chief ray of a position on the MLA meets the object plane. Its rays fill the stop.
 
     Parameters
     ----------
@@ -100,9 +107,18 @@ def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.
     x, y : float64 arrays (n,)
         Positions in millimetres; y is across to the axis.
     """
-    middle = _DrawnRays(camera, None).chief(height)
-    X, Y, is_open = _DrawnRays(camera, wavelength).all_of(height)
-    return camera.mla_distance * X[is_open], camera.mla_distance * (Y[is_open] - middle)
+    seen, entered = _chief(camera, None, height)
+    lens = main_lens(camera, wavelength)
+    nearness = _nearness(camera)
+
+    def traced(x: np.ndarray, y: np.ndarray) -> tuple[Any, Any]:
+        slope = (-x * nearness, seen - y * nearness)
+        distance = 1 - lens.front * nearness
+        place, _, is_open, _ = lens.through((x, y, np.full_like(x, lens.front)), tuple(t / distance for t in slope))
+        return place, is_open
+
+    (x, y), is_open, _ = _passing(traced, entered, abs(entered) + 1.5 * lens.front_bounds[0])
+    return x[is_open], y[is_open] - height
 
 
 def lateral_colour(camera: PlenopticCamera, height: float, wavelengths: tuple[float, float]) -> float:
@@ -117,7 +133,7 @@ def lateral_colour(camera: PlenopticCamera, height: float, wavelengths: tuple[fl
     wavelengths : (float, float)
         Wavelengths in nanometres.
     """
-    first, second = (_DrawnRays(camera, wavelength).chief(height) for wavelength in wavelengths)
+    first, second = (_chief(camera, wavelength, height)[0] for wavelength in wavelengths)
     # What is seen farther out from the same position is imaged nearer to the axis.
     return camera.mla_distance * (second - first)
 
@@ -163,7 +179,7 @@ def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[n
 
 
 def field_figures(camera: PlenopticCamera, heights: tuple[float, ...]) -> list[FieldFigures]:
-    """Return the field figures of a real main lens, from ray bundles traced from the MLA to the plane in focus.
+    """Return the field figures of a real main lens, from rays that fill its stop.
 
     Parameters
     ----------
@@ -177,17 +193,21 @@ def field_figures(camera: PlenopticCamera, heights: tuple[float, ...]) -> list[F
     list of FieldFigures
         The figures of each height.
     """
-    bundles = _DrawnRays(camera, None)
-    b = camera.mla_distance
+    lens = main_lens(camera)
     figures: list[FieldFigures] = []
-    area = 1
+    area = 1.0
     for field in (0.0, *heights):
-        X, Y, is_open = bundles.all_of(field)
-        count = int(np.count_nonzero(is_open))
-        spot = b * math.sqrt(np.var(X[is_open]) + np.var(Y[is_open])) if count else math.nan
-        distortion = -field / (b * bundles.chief(field)) - 1 if field else 0.0
-        figures.append(FieldFigures(field, spot, count / max(1, area), distortion))
-        area = count if len(figures) == 1 else area
+
+        def traced(x: np.ndarray, y: np.ndarray, field: float = field) -> tuple[Any, Any]:
+            return None, lens.ray((x, y), (0 * x, field + 0 * x))[2]
+
+        middle = field + lens.pupil.distance * float(lens.chief_slope(np.array([field]))[0])
+        passing = _passing(traced, middle, abs(middle) + _reach(camera))[2]
+        x, y = spot(camera, field, lens.light)
+        radius = math.sqrt(np.var(x) + np.var(y)) if x.size else math.nan
+        distortion = -field / (camera.mla_distance * _chief(camera, None, field)[0]) - 1 if field else 0.0
+        figures.append(FieldFigures(field, radius, passing / area, distortion))
+        area = (passing or 1.0) if len(figures) == 1 else area
     return figures[1:]
 
 

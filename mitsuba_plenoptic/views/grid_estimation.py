@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ import scipy.ndimage
 
 from ..array import Lattice
 from ..errors import refuse_if
-from ..runtime import as_pixels
+from ..runtime import as_pixels, exponents, monomials
 from .grid import LensGrid, covering_grid, lattice_rows, reduced
 
 # Part of a step by which a wave may miss a wave of a lattice.
@@ -27,7 +26,7 @@ NO_LATTICE = "white: no regular lattice of micro-images is seen in it"
 def estimate_lens_grid(white: np.ndarray, like: Lattice | None = None) -> LensGrid:
     """Return pitches, rotation and offset of a square, rectangular or hexagonal array, found in a white image.
 
-    The spectrum of the image's middle gives the lattice to a fraction of a pixel per lens. From there the centroids
+    The spectrum of the image's middle gives the lattice to a fraction of a pixel per lens. From there the middles
     of the micro-images are fitted by least squares, first about the middle, then further and further out. A hexagonal
     array may be stretched. After
     D. G. Dansereau, O. Pizarro and S. B. Williams, "Decoding, calibration and rectification for lenslet-based
@@ -130,8 +129,8 @@ class Discs:
         The centre nearest to the image's middle, to a few per cent of the pitch.
     radius, pitch : float
         Radius of the discs, and distance of the nearest centres, in pixels.
-    height : float
-        Brightness of a disc.
+    vectors : (2, 2) array
+        The lattice vectors in pixels.
     size : (2,) array
         Columns and rows of the image.
     """
@@ -140,7 +139,7 @@ class Discs:
     centre: np.ndarray
     radius: float
     pitch: float
-    height: float
+    vectors: np.ndarray
     size: np.ndarray
 
     @classmethod
@@ -176,45 +175,62 @@ class Discs:
         first = (np.array(best[1:]) + 0.5) / _CELL
         image_size = np.array(image.shape[::-1])
         centre = (first + np.round(image_size / 2 @ inverse - first)) @ vectors
-        height = float((common / power)[best])
-        return cls(float(explained[best]), centre, float(radii[best[0]]), pitch, height, image_size)
+        return cls(float(explained[best]), centre, float(radii[best[0]]), pitch, vectors, image_size)
 
     @property
     def reach(self) -> int:
         """Pixels on each side of a centre that `measured` looks at, a pixel aside."""
-        overlap = self.radius > self.pitch / 2
-        return math.ceil(self.radius + self._rim if overlap else self.pitch / 2) + 1
+        return math.ceil(max(self.radius + self._rim, self.pitch / 2)) + 1
 
     @property
     def _rim(self) -> float:
-        return max(0.1 * self.pitch, 2.0)
+        return max(0.1 * self.pitch, 2.5)
 
     def measured(
-        self,
-        patches: tuple[np.ndarray, np.ndarray, np.ndarray],
-        centres: np.ndarray,
-        weight_at: Callable[[np.ndarray], np.ndarray],
+        self, patches: tuple[np.ndarray, np.ndarray, np.ndarray], centres: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the middles of micro-images about centres, and their brightness.
 
-        The middle is the centroid by a weight, or, of discs that overlap, that of the disc's rim: of two discs there,
-        one ends.
+        Brightness that rises over a micro-image displaces its centroid. Where light I has risen by g u at u, and its
+        middle lies at e, a round window w has the moment sum(w u I) = g (B - A / 12) + e A with A the sum of
+        (w + |u| w' / 2) I, B that of w u^2 I / 2; a pixel, of variance 1/12 along each axis, blurs what has risen. Two
+        windows, the rim and what lies within, give g, which is smooth over the picture.
         """
-        if self.radius <= self.pitch / 2:
-            return centroids(patches, centres, weight_at)
         x, y, patch = patches
         dx = (x + 0.5 - centres[:, 0, None])[:, None, :]
         dy = (y + 0.5 - centres[:, 1, None])[:, :, None]
         distance = np.hypot(dx, dy)
-        light = (weight_at(distance) * patch).sum((1, 2))
-        rim = np.cos(0.5 * np.pi * ((distance - self.radius) / self._rim).clip(-1, 1)) ** 2
-        # Where the image's border cuts one side of the rim, the other does not count either.
-        room = np.minimum(centres, self.size - centres)
-        rim *= (room[:, None, None, 0] - abs(dx)).clip(0, 1) * (room[:, None, None, 1] - abs(dy)).clip(0, 1)
-        rim *= patch / np.maximum(distance, 1)
-        scale = math.pi * self.radius * self.height * (light / np.median(light)).clip(0.1)
-        shift = np.stack([(rim * dx).sum((1, 2)), (rim * dy).sum((1, 2))], axis=1)
-        return centres + (shift / scale[:, None]).clip(-1, 1), light
+        # Where the image's border cuts one side, the other does not count either.
+        room = np.minimum(centres, self.size - centres)[:, :, None, None]
+        counts = (room[:, 0] - abs(dx)).clip(0, 1) * (room[:, 1] - abs(dy)).clip(0, 1)
+        # To a few per cent of the radius.
+        if self.radius < 0.51 * self.pitch:
+            # What is nearer to another centre is another's light.
+            for step in (*self.vectors, self.vectors.sum(0), self.vectors[0] - self.vectors[1]):
+                length = math.hypot(*step)
+                counts *= (length / 2 + 0.5 - abs(dx * step[0] + dy * step[1]) / length).clip(0, 1)
+            # The darkest pixel is too dark in noise.
+            dark = int(0.03 * abs(np.linalg.det(self.vectors)))
+            cell = np.where(counts > 0, patch, np.inf).reshape(len(patch), -1)
+            patch = patch - np.partition(cell, dark)[:, dark, None, None]
+        light = ((self.pitch / 2 + 0.5 - distance).clip(0, 1) * patch).sum((1, 2))
+        sums = []
+        for edge in (max(self.radius - self._rim, 0.0), self.radius):
+            phase = 0.5 * np.pi * ((distance - edge) / self._rim).clip(0, 1)
+            seen = np.cos(phase) ** 2 * counts * patch
+            falls = 0.5 * np.pi / self._rim * np.sin(2 * phase) * counts * patch
+            moved = (seen - distance * falls / 2).sum((1, 2))
+            risen = (seen * distance**2).sum((1, 2)) / 2 - moved / 12
+            sums.append((np.stack([(seen * dx).sum((1, 2)), (seen * dy).sum((1, 2))]), risen, moved))
+        inner, inner_risen, inner_moved = sums[0]
+        rim, risen, moved = (beyond - within for within, beyond in zip(*sums, strict=True))
+        # Of fifth degree over the micro-images.
+        column, row = ((centres - centres.mean(0)) / self.size).T
+        terms = np.array(monomials(column, row, exponents(5)))
+        rows = terms * (inner_risen - inner_moved * risen / moved)
+        rise = terms.T @ np.linalg.lstsq(rows.T, (inner - inner_moved * rim / moved).T)[0]
+        shift = (rim.T - rise * risen[:, None]) / moved[:, None]
+        return centres + shift.clip(-1, 1), light
 
 
 def _middle(image: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
@@ -238,7 +254,7 @@ def _refined(spectrum: np.ndarray, position: np.ndarray) -> np.ndarray:
 def _fit(
     image: np.ndarray, origin: np.ndarray, vectors: np.ndarray, like: Lattice | None
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Return the lattice fitted to the micro-images' centroids, first about the middle and then everywhere."""
+    """Return the lattice fitted to the micro-images' middles, first about the middle and then everywhere."""
     size = np.array(image.shape[::-1])
     discs = Discs.of(image, vectors)
     radius = discs.pitch / 2
@@ -254,14 +270,8 @@ def _fit(
         index = index[inside]
         centres = centres[inside]
         # Of the light within a disc about each centre.
-        of_blocks = (
-            discs.measured(
-                pixels_around(image, block, discs.reach),
-                block,
-                lambda distance: (radius + 0.5 - distance).clip(0, 1),
-            )
-            for block in np.array_split(centres, -(-len(centres) // 2048))
-        )
+        blocks = np.array_split(centres, -(-len(centres) // 2048))
+        of_blocks = (discs.measured(pixels_around(image, block, discs.reach), block) for block in blocks)
         measured, light = (np.concatenate(parts) for parts in zip(*of_blocks, strict=True))
         clear = light > 0.1 * np.median(light)
         moved = np.hypot(*(measured - centres).T)
@@ -290,22 +300,6 @@ def pixels_around(image: np.ndarray, centres: np.ndarray, half: int) -> tuple[np
     rows, columns = image.shape
     patch = image[y.clip(0, rows - 1)[:, :, None], x.clip(0, columns - 1)[:, None, :]]
     return x, y, patch.astype(np.float64, copy=False)
-
-
-def centroids(
-    patches: tuple[np.ndarray, np.ndarray, np.ndarray],
-    centres: np.ndarray,
-    weight_at: Callable[[np.ndarray], np.ndarray],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return centroids of patches above their darkest pixels, weighted by distance, and their brightness."""
-    x, y, patch = patches
-    dx = x + 0.5 - centres[:, 0, None]
-    dy = y + 0.5 - centres[:, 1, None]
-    weight = weight_at(np.hypot(dx[:, None, :], dy[:, :, None]))
-    lit = (patch - np.where(weight > 0, patch, np.inf).min(axis=(1, 2), keepdims=True)) * weight
-    light = lit.sum(axis=(1, 2))
-    shift = np.stack([(lit.sum(1) * dx).sum(1), (lit.sum(2) * dy).sum(1)], axis=1)
-    return centres + shift / np.where(light > 0, light, 1)[:, None], light
 
 
 def _rows_at_right_angles(steps: np.ndarray, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

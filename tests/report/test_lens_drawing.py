@@ -33,11 +33,37 @@ def test_paths_end_where_rays_leave_the_lens(height):
     assert (np.diff(z, axis=0) > 0).all()
 
 
-def test_spots_are_those_of_the_sheet():
-    """At the prescription's own wavelength the root mean square radius is that of `field_figures`."""
-    for height in (0.0, 4.0):
-        x, y = spot(CAMERA, height, CAMERA.main_lens.wavelength)
-        assert np.sqrt(x.var() + y.var()) == pytest.approx(field_figures(CAMERA, (height,))[0].spot, rel=1e-12)
+@pytest.mark.parametrize(
+    ("changes", "height"),
+    [
+        ({"main_lens": "singlet", "aperture_radius": 14}, 0.0),
+        ({"main_lens": "singlet", "aperture_radius": 14}, 5.0),
+        ({"main_lens": "double_gauss", "aperture_radius": 13, "focus_distance": 1000}, 6.0),
+        ({"main_lens": "double_gauss", "aperture_radius": 13, "focus_distance": 1e9}, 6.0),
+        ({"main_lens": "cooke_triplet", "aperture_radius": 0.5, "focus_distance": 1000}, 6.0),
+    ],
+)
+def test_spots_and_light_are_those_of_a_dense_trace(changes, height):
+    """From a point before the lens, through all that its first surface takes in; light by rays back to the scene."""
+    camera = CAMERA.replace(**changes)
+    lens, g = LensSystem.of(camera), camera.focus_distance
+    start, slope, _ = lens.trace((0.0, height), (0.0, float(lens.chief_slope(height))))
+    seen = start[1] + (g - start[2]) * slope[1]
+    # All rays pass this disc, twice as wide as the entrance pupil, about the chief ray where the pupil stands.
+    wide, random = 1.6 * camera.aperture_radius, np.random.default_rng(0)
+    depth = lens.front - lens.scale * lens.numbers.entrance_pupil
+    x, y = random.uniform(-wide, wide, (2, 400_000))
+    y = y + start[1] + (depth - start[2]) * slope[1]
+    (px, py), _, is_open, _ = lens.through((x, y, depth + 0 * x), (x / (depth - g), (y - seen) / (depth - g)))
+    radius = np.sqrt(px[is_open].var() + py[is_open].var())
+    x, y = spot(camera, height, camera.main_lens.wavelength)
+    (figures,) = field_figures(camera, (height,))
+    assert figures.spot == np.sqrt(x.var() + y.var()) == pytest.approx(radius, rel=5e-3)
+    # Which way the image lies about the chief ray's place.
+    assert y.mean() == pytest.approx(py[is_open].mean() - height, abs=0.01 * radius)
+    exit_x, exit_y = random.uniform(-1.3 * camera.pupil_radius, 1.3 * camera.pupil_radius, (2, 400_000))
+    passing = [lens.ray((exit_x, exit_y), (0 * exit_x, field + 0 * exit_x))[2].mean() for field in (0.0, height)]
+    assert figures.light == pytest.approx(passing[1] / passing[0], abs=4e-3)
 
 
 def test_lateral_colour_is_that_of_forward_rays():

@@ -1,9 +1,8 @@
 """Centres of micro-images from a white image, found lens by lens.
 
-`views.estimate_lens_grid` finds the lattice. Each micro-image is then located by its centroid in a disc with a soft
-rim; the disc follows the centroid until both agree, so that the centre of a symmetrical micro-image is found wherever
-it lies between pixels (the windowed centroid of E. Bertin's SExtractor, 2011). Where micro-images overlap, a ring about
-their rim follows in its place.
+`views.estimate_lens_grid` finds the lattice. Each micro-image is then located by its light within two discs with soft
+rims, which follow it until both agree, so that the centre of a symmetrical micro-image is found wherever it lies
+between pixels (as by the windowed centroid of E. Bertin's SExtractor, 2011), and however brightness rises over it.
 
 Dust on the array or the detector darkens part of a micro-image and displaces its centroid. Such centres are doubtful:
 they lie off their neighbours' lattice, or their light differs from that of the neighbours.
@@ -18,6 +17,7 @@ import numpy as np
 
 from ...array import Lattice
 from ...errors import refuse_if
+from ...io import Capture, require_demosaiced
 from ...runtime import as_array, atomic_output
 from ...views import Discs, LensGrid, estimate_lens_grid, pixels_around
 from .adjustment import OUTLIER
@@ -68,12 +68,12 @@ class Centres:
         return Table(name, {"k": k, "l": l, "u": u, "v": v, DOUBTFUL_COLUMN: self.doubtful.astype(int)})
 
 
-def find_centres(*whites: np.ndarray, like: Lattice | None = None) -> Centres:
+def find_centres(*whites: Capture | np.ndarray, like: Lattice | None = None) -> Centres:
     """Return the centre of each micro-image in a white image.
 
     Parameters
     ----------
-    *whites : (rows, columns[, channels]) arrays
+    *whites : captures or (rows, columns[, channels]) arrays
         Pictures of something evenly white, with values proportional to light: one, or several of one camera at several
         apertures, over which the centres are averaged.
     like : Lattice, optional
@@ -82,9 +82,12 @@ def find_centres(*whites: np.ndarray, like: Lattice | None = None) -> Centres:
     Raises
     ------
     InputError
-        If a picture shows no lattice of micro-images, or they differ in size.
+        If a picture shows no lattice of micro-images or is a mosaic of colours, or they differ in size.
     """
-    images = [as_array("white", white, np.float64) for white in whites]
+    for white in whites:
+        if isinstance(white, Capture):
+            require_demosaiced(white)
+    images = [as_array("white", getattr(white, "image", white), np.float64) for white in whites]
     sizes = {image.shape[:2] for image in images}
     refuse_if(len(sizes) != 1, f"white images: they have {len(sizes)} sizes of pictures: one is needed, of one camera")
     grid = estimate_lens_grid(images[0], like)
@@ -117,15 +120,11 @@ def find_centres(*whites: np.ndarray, like: Lattice | None = None) -> Centres:
 
 
 def _centred(image: np.ndarray, centre: np.ndarray, discs: Discs) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres that equal the centroids of their windows, and the light in each window above its minimum."""
+    """Return centres that stand still under `Discs.measured`, and the light of each."""
     patches = pixels_around(image, centre, discs.reach + 1)
     light = np.zeros(len(centre))
     for _ in range(6):
-        centre, light = discs.measured(
-            patches,
-            centre,
-            lambda distance: np.cos(0.5 * np.pi * (1 + (distance - discs.pitch / 2) / 2).clip(0, 1)) ** 2,
-        )
+        centre, light = discs.measured(patches, centre)
     return centre, light
 
 

@@ -142,7 +142,7 @@ def _draw_from_above(axes: Axes, preview: Preview) -> None:
     for side in (-0.5, 0.5):
         border = [side * view.field(end)[0] for end in (start, reach)]
         axes.plot([start, reach], border, color="#667080", linewidth=0.8)
-    axes.plot(points[:, 2], -points[:, 0], ".", color="#1b1f24", markersize=1, label="seen of the scene")
+    axes.plot(points[:, 2], points[:, 0], ".", color="#1b1f24", markersize=1, label="seen of the scene")
     axes.set_xlim(start, reach)
     axes.set_xticks(*zip(*view.ticks(reach).items(), strict=True), fontsize=8)
     low, high = axes.get_ylim()

@@ -58,6 +58,46 @@ def test_centres_are_found(shifted, diameters, tmp_path):
     np.testing.assert_allclose(read_centres(path).pixel, found.pixel, atol=1e-4)
 
 
+def faded(fill, shifted, brightness):
+    """Discs over 24 x 24 lenses, whose light over a cell's 4 x 4 parts of a pixel falls off as `brightness` states."""
+    row = math.sqrt(0.75) * PITCH if shifted is not None else PITCH
+    grid = LensGrid((PITCH, row), (-12.3, -17.6), (int(25 * PITCH / row) + 2, 27), math.radians(ROTATION), shifted)
+    columns, rows = 395, 390
+    image = np.zeros((4 * rows, 4 * columns))
+    y, x = (np.indices(image.shape) + 0.5) / 4
+    for cx, cy in grid.centres().reshape(-1, 2):
+        left, top = (max(0, int(4 * (c - 12))) for c in (cx, cy))
+        part = np.s_[top : max(0, int(4 * (cy + 12))), left : max(0, int(4 * (cx + 12)))]
+        image[part] += (4 * (fill * PITCH / 2 - np.hypot(x[part] - cx, y[part] - cy)) + 0.5).clip(0, 1)
+    image *= brightness(x / columns * 2 - 1, y / rows * 2 - 1)
+    return 0.98 * image.reshape(rows, 4, columns, 4).mean((1, 3)) + 0.02, row
+
+
+FADED = {
+    "square": (0.855, None, lambda x, y: 0.25 ** ((x * x + y * y) / 2)),
+    "off the middle, hexagonal": (0.855, 0, lambda x, y: 0.25 ** (((x - 0.4) ** 2 + (y + 0.3) ** 2) / 3.65)),
+    "along one axis, touching": (1.0, None, lambda x, y: 0.25 ** (0.85 * x * x + 0.15 * y * y)),
+    "polynomial, gaps": (0.6, None, lambda x, y: 1 - 0.45 * (x * x + y * y) / 2 - 0.3 * (x * x + y * y) ** 2 / 4),
+    "overlapping": (1.1, 0, lambda x, y: 0.25 ** ((x * x + y * y) / 2)),
+}
+
+
+@pytest.mark.parametrize(("fill", "shifted", "brightness"), FADED.values(), ids=FADED)
+def test_centres_do_not_follow_the_fall_off(fill, shifted, brightness):
+    light, row = faded(fill, shifted, brightness)
+    noisy = np.random.default_rng(2).poisson(PHOTONS * light) / PHOTONS
+    for image in (light, noisy):
+        found = find_centres(image)
+        np.testing.assert_allclose(found.grid.spacing, (PITCH, row), rtol=1e-5)
+        assert math.degrees(found.grid.rotation) == pytest.approx(ROTATION, abs=1e-3)
+        assert found.error < 0.03
+        # The pitches of the centres, too.
+        steps = found.lens + [[0.5, 0]] * (found.lens[:, 1:] % 2 == found.grid.shifted_rows)
+        matrix = np.column_stack([np.ones(len(steps)), steps])
+        _, along, across = np.linalg.lstsq(matrix, found.pixel)[0]
+        np.testing.assert_allclose([math.hypot(*along), math.hypot(*across)], (PITCH, row), rtol=1.5e-5)
+
+
 @pytest.mark.parametrize("diameters", [pytest.param((14.0,), marks=pytest.mark.slow), (14.0, 13.4, 13.7)])
 def test_centres_that_dust_displaces_are_doubtful(diameters, tmp_path, capsys):
     image, true = drawn((640, 700), 0, diameters)
@@ -111,6 +151,8 @@ def test_centres_at_several_apertures(tmp_path, capsys):
     assert len(error) > 150
     assert np.sqrt((error**2).sum(1).mean()) < 0.05
     refuses("2 sizes", find_centres, white_image(CAMERA), white_image(CAMERA)[:100])
+    white = Capture(white_image(CAMERA), CAMERA)
+    np.testing.assert_array_equal(find_centres(white).pixel, find_centres(white.image).pixel)
 
 
 def test_centres_of_other_programs(tmp_path):

@@ -122,6 +122,20 @@ def test_no_text_runs_into_another_or_out_of_the_picture(tmp_path, monkeypatch):
     assert max(extent.x1 for extent in shown.values()) <= made[0].bbox.x1
 
 
+def test_the_plan_shows_the_left_of_a_camera_that_looks_to_the_right_above(tmp_path, monkeypatch):
+    made = []
+    monkeypatch.setattr(preview.plots.Plot, "save", lambda plot, path: made.append(plot))
+    draw_preview(tmp_path / "seen.png", "left", preview_of(scene_of(WIDTH / 4, 240.0, WIDTH / 4), CAMERA))
+    picture, plan = made[0].axes[:2]
+    (seen,) = (line for line in plan.lines if line.get_label() == "seen of the scene")
+    assert seen.get_ydata().mean() == pytest.approx(WIDTH / 4, rel=0.05)
+    assert seen.get_xdata() == pytest.approx(240.0, rel=1e-3)
+    assert np.diff(plan.get_xlim()) > 0 and np.diff(plan.get_ylim()) > 0
+    # The picture beside has it at the left.
+    columns = np.asarray(picture.images[1].get_array())[..., 3].sum(0)
+    assert columns[:32].sum() > 0 == columns[32:].sum() and np.diff(picture.get_xlim()) > 0
+
+
 def test_colours_are_seen_and_what_is_in_focus_is_tinted(tmp_path, monkeypatch):
     mi.set_variant("llvm_ad_rgb")
     scene = scene_of(WIDTH / 2, 240.0, light={"type": "constant", "radiance": {"type": "rgb", "value": [1, 0.5, 0.25]}})
