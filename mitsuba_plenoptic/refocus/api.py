@@ -238,6 +238,7 @@ def reconstruct(
     by_itself = reference is None and not chosen.as_it_is
     # A white by waves takes about as long as a part of the refocusing.
     works = [1, 2] if by_itself and capture.model == "wave" else [0, 1]
+    computed = computed_white(as_recorded, portion(report, 0, works)) if by_itself else None
     with guards.watch() as found, memory_asked() as sizes:
         task = Task(
             image=image,
@@ -246,7 +247,7 @@ def reconstruct(
             oversample=oversample,
             wavelengths=wavelengths,
             white=reference,
-            computed=computed_white(as_recorded, portion(report, 0, works)) if by_itself else None,
+            computed=computed,
             progress=portion(report, 1, works),
             passed=None if chosen.as_recorded else passed_light(tilted),
             recorded=recorded_at,

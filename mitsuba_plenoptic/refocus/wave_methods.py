@@ -114,7 +114,8 @@ def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]
         for index, channel in enumerate(channels):
             system = task.system(task.wavelengths[channel])
             given = image[..., channel], system, distances, task.distances, interleave, relay, task.oversample
-            found[channel] = _signed_power(*given, portion(progress, index, works))
+            # What the guards find is of the capture, whether or not its white is known already.
+            found[channel] = _signed_power(*given, portion(progress, index, works), checked=image is task.image)
         of_planes = zip(*(found[channel] for channel in sorted(found)), strict=True)
         return [np.stack(planes, axis=-1) for planes in of_planes]
 
@@ -142,6 +143,7 @@ def _signed_power(
     relay: bool,
     oversample: int,
     progress: Progress,
+    checked: bool,
 ) -> list[np.ndarray]:
     """Return the power in bins, in pixel values times pixels, spread over lenses if lenses are not aligned with bins.
 
@@ -166,7 +168,7 @@ def _signed_power(
     found = [np.zeros(()) for _ in distances]
     for index, (sign, part) in enumerate(parts):
         # Guards look at the light, not at the noise below zero.
-        options: dict[str, Any] = {"relay": relay, "oversample": oversample * fine, "checked": sign > 0}
+        options: dict[str, Any] = {"relay": relay, "oversample": oversample * fine, "checked": checked and sign > 0}
         options |= {
             "progress": portion(progress, index, [1] * len(parts)),
             "conjugates": real or ThinConjugates(system),

@@ -24,8 +24,12 @@ from ..runtime import DEFAULT_VARIANT, Doubles, Floats, Job, set_variant
 from .white import mean_response, white_image
 
 _SAMPLES = 64
-"""Rays a pixel; of even arrays less with more lenses than these, and more with fewer, for less noise than 0.2 %."""
 _LENSES = 576
+"""Rays a pixel, and lenses of an even array for which they leave noise of less than 0.2 %; fewer lenses get more."""
+
+_RAYS = 2**26
+_MOST = 1024
+"""Rays for which pixels of other arrays get more, and the most a pixel gets."""
 
 _KNOTS = 2
 _PLACES = 8
@@ -103,10 +107,10 @@ def _by_waves(
         flat = np.ones((1, len(spectrum.wavelengths)))
         even = _is_even(camera)
         lenses = math.prod(camera.shape) / math.prod(_period(camera))
-        spp = min(1024, max(8, round(_SAMPLES * _LENSES / lenses))) if even else _SAMPLES
+        spp = max(8, round(_SAMPLES * _LENSES / lenses)) if even else max(_SAMPLES, _RAYS // math.prod(camera.shape))
         with guards.watch():
             capture = kind(camera, white, spectrum, flat, None, DEFAULT_ACCURACY)
-            image = capture.compute(seed=0, spp=spp, job=Job(progress), noise=False)
+            image = capture.compute(seed=0, spp=min(spp, _MOST), job=Job(progress), noise=False)
     image /= spectrum.matrix().sum(1)
     if even:
         image = np.stack([_folded(image[..., channel], camera) for channel in range(image.shape[2])], axis=-1)
