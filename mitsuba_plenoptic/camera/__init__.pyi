@@ -28,6 +28,7 @@ from .phase_screen import frozen_flow as frozen_flow
 from .plenoptic_camera import PlenopticCamera as PlenopticCamera
 from .plenoptic_camera import are_alike as are_alike
 from .plenoptic_camera import film_numbers as film_numbers
+from .plenoptic_camera import once_a_camera as once_a_camera
 from .plenoptic_camera import require_camera as require_camera
 from .stray_light import StrayLight as StrayLight
 from .support import is_supported as is_supported

@@ -8,8 +8,9 @@ from __future__ import annotations
 import functools
 import json
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+import weakref
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 from xml.etree import ElementTree
 
 import numpy as np
@@ -630,6 +631,29 @@ def film_numbers(film: Any) -> dict[str, Any]:
         "crop_offset": tuple(film.crop_offset()),
         "crop_size": tuple(film.crop_size()),
     }
+
+
+_MOST_RESULTS = 32
+"""Results of a camera that are remembered by each function."""
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+_results: weakref.WeakKeyDictionary[PlenopticCamera, dict[str, dict[Any, Any]]] = weakref.WeakKeyDictionary()
+
+
+def once_a_camera(function: _F) -> _F:
+    """Cache a function's result by its positional arguments for the lifetime of the camera; a decorator."""
+
+    @functools.wraps(function)
+    def known(camera: PlenopticCamera, *given: Any, **besides: Any) -> Any:
+        results = _results.setdefault(camera, {}).setdefault(function.__name__, {})
+        if given not in results:
+            if len(results) == _MOST_RESULTS:
+                del results[next(iter(results))]
+            results[given] = function(camera, *given, **besides)
+        return results[given]
+
+    return cast(_F, known)
 
 
 def are_alike(first: PlenopticCamera, second: PlenopticCamera | None) -> bool:

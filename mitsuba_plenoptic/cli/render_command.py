@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -98,7 +99,7 @@ def render(
         Path | None,
         typer.Option(
             metavar="FILE.exr",
-            help="Write the camera's white image, too: by rays, without noise, for any model.",
+            help="Write the camera's white image, too, by the capture's model of light and at its wavelengths.",
             callback=ends_in(".exr"),
         ),
     ] = None,
@@ -140,7 +141,7 @@ def render(
 
       mitsuba-plenoptic render still_life -o raw.exr --aov depth,normal,shape_index
     """
-    from ..io import TRUTH_NAME, Capture, require_quantities, truth_path, write_capture, write_ground_truth
+    from ..io import TRUTH_NAME, require_quantities, truth_path, write_capture, write_ground_truth
     from ..runtime import remove_leftovers, require_different, require_writable
     from ..scene import estimate_capture, is_wave_capture, refuse_by_rays, render_capture
 
@@ -207,10 +208,15 @@ def render(
         write_capture(output, capture)
     if white:
         # Brings libraries that take a second to load.
-        from ..views import white_image
+        import numpy as np
 
-        write_capture(white, Capture(white_image(capture.camera), capture.camera, metadata={"scene": "white image"}))
-        typer.echo(f"{white}: white image, by rays")
+        from ..views import capture_white
+
+        shape = np.atleast_3d(capture.image).shape
+        with progress_bar("White image") as progress:
+            even = np.broadcast_to(capture_white(capture, shape[2], progress), shape).reshape(capture.image.shape)
+        write_capture(white, replace(capture, image=even, noise=None, metadata={"scene": "white image"}))
+        typer.echo(f"{white}: white image, by {capture.model}s")
     rows, columns = capture.camera.shape
     deviation = "" if capture.noise is None else f", noise {capture.relative_noise:.2%} of the mean"
     typer.echo(f"{output}: capture of {columns} x {rows} pixels, rendered in {seconds:.1f} s{deviation}")

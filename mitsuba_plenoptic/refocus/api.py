@@ -36,7 +36,7 @@ from .methods import (
     used_by,
     work_of,
 )
-from .radiance import as_reference
+from .radiance import as_reference, computed_white
 from .results import Reconstruction
 from .straight import displaced_image, passed_light, straightened, straightened_image
 
@@ -130,9 +130,8 @@ def reconstruct(
         same method, and images are divided by it. For unfocused cameras with thin main lenses, displacements of the
         light by borders, diffraction and interference are also corrected to first order (see
         `mitsuba_plenoptic.refocus.displacement`). This takes the time of one refocusing for the white and of two
-        more for each distance. Default: the white image of the ray model. Wave captures, whose micro-images lose light
-        at their edges, then read less than the radiance (0.85 for the paper's camera), except with
-        ``incoherent``, whose computed white has lost the same light.
+        more for each distance. Default: the white image of the capture's model of light, computed, refocused likewise,
+        and kept with the camera; a capture whose model is not known counts as one by rays.
         With ``deconvolved`` it shows what of its light each pixel records, over that of the camera's response: images
         are not divided by it, and pixels at which it is far from the response, behind dust, are left out.
     progress : callable, optional
@@ -188,6 +187,7 @@ def reconstruct(
     if not chosen.as_recorded:
         image = straightened_image(image, tilted)
         camera = straightened(tilted)
+    as_recorded = capture
     capture = dataclasses.replace(capture, camera=camera, image=image.reshape(capture.image.shape))
     options_used = used_by(
         chosen,
@@ -235,6 +235,10 @@ def reconstruct(
     recorded_at = None
     if capture.model == "wave" and capture.wavelength is not None:
         recorded_at = np.broadcast_to(capture.wavelength, image.shape[2]).tolist()
+    by_itself = reference is None and not chosen.as_it_is
+    # A white by waves takes about as long as a part of the refocusing.
+    works = [1, 2] if by_itself and capture.model == "wave" else [0, 1]
+    computed = computed_white(as_recorded, portion(report, 0, works)) if by_itself else None
     with guards.watch() as found, memory_asked() as sizes:
         task = Task(
             image=image,
@@ -243,7 +247,8 @@ def reconstruct(
             oversample=oversample,
             wavelengths=wavelengths,
             white=reference,
-            progress=report,
+            computed=computed,
+            progress=portion(report, 1, works),
             passed=None if chosen.as_recorded else passed_light(tilted),
             recorded=recorded_at,
             exposure=capture.metadata.get("exposure"),
@@ -288,6 +293,9 @@ def _refocused(task: Task, chosen: RegisteredMethod, settings: dict[str, Any]) -
                 wavelengths=task.wavelengths[channel : channel + 1],
                 recorded=None if task.recorded is None else task.recorded[channel : channel + 1],
                 white=None if task.white is None else np.ascontiguousarray(task.white[..., channel : channel + 1]),
+                computed=None
+                if task.computed is None
+                else np.ascontiguousarray(task.computed[..., channel : channel + 1]),
             )
             for channel, wavelength in enumerate(wavelengths)
         ] or tasks

@@ -247,10 +247,6 @@ class LensSet:
         self.bin = bins - np.array(self.first)
         self.bins = int(self.bin[:, 0].max()) + 1, int(self.bin[:, 1].max()) + 1
 
-    def find(self, i: float, j: float) -> int:
-        """Return the position in this set of the lens with given lattice indices."""
-        return int(np.flatnonzero((self._index == (int(i), int(j))).all(1))[0])
-
     def pixels(self, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the first recorded column and row (n, 2) that may belong to lenses, and those after the last."""
         camera = self.tile.camera
@@ -265,17 +261,6 @@ class LensSet:
         ends = np.floor(low + 1e-9).astype(np.int64), np.ceil(high - 1e-9).astype(np.int64)
         first, end = (np.clip(end, 0, camera.crop_size) for end in ends)
         return first, end
-
-    def light_of(self, image: np.ndarray, number: int) -> float:
-        """Return the sum of an image's pixels whose chief rays pass one lens."""
-        camera = self.tile.camera
-        (left, top), (right, bottom) = (ends[0].tolist() for ends in self.pixels(np.array([number])))
-        x, y = (
-            rays.chief_point(camera.pixel_coordinates(axis)[pixels], camera.mla_distance, camera.reduced_distance)
-            for axis, pixels in enumerate((slice(left, right), slice(top, bottom)))
-        )
-        own = np.all(np.stack(camera.lattice.cell(*np.meshgrid(x, y)), -1) == self._index[number], -1)
-        return float(image[top:bottom, left:right][own].sum(dtype=np.float64))
 
     def lit(self, image: np.ndarray) -> np.ndarray:
         """Return the indices, in this set, of lenses whose pixels contain light, an int64 array (n,)."""
@@ -441,14 +426,6 @@ def object_patches(
     scale = tile.pupil_pitch**2 / in_millimetres(tile.wavelength) * slope / camera.pixel_size
     # The object is upside down in camera coordinates: bins grow with -X.
     return intensity[:, ::-1, ::-1] * np.float32(scale**2)
-
-
-def passing_power(
-    fields: fft.Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates
-) -> float:
-    """Return the power of lenses' fields that passes the pupil, in pixel values times areas."""
-    aimed = _aim(fields, tile, batch, distance, conjugates)
-    return float((abs(aimed) ** 2).sum(dtype=np.float64)) * tile.pupil_pitch**2
 
 
 def _aim(fields: fft.Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> fft.Field:

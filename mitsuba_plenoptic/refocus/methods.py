@@ -5,11 +5,9 @@ Each method is a module that registers one function of a `Task`.
 
 from __future__ import annotations
 
-import functools
-import weakref
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
 
@@ -33,29 +31,6 @@ from ..optics import in_millimetres
 from ..refocus_options import Option, all_options, options_of_methods
 from ..runtime import BatchMap, as_array, require_memory_for
 
-_MOST_RESULTS = 32
-"""Results of a camera that are remembered by each function."""
-
-_F = TypeVar("_F", bound=Callable[..., Any])
-
-_results: weakref.WeakKeyDictionary[PlenopticCamera, dict[str, dict[Any, Any]]] = weakref.WeakKeyDictionary()
-
-
-def once_a_camera(function: _F) -> _F:
-    """Cache a function's result for a camera for the lifetime of the camera; a decorator."""
-
-    @functools.wraps(function)
-    def known(camera: PlenopticCamera, *given: Any) -> Any:
-        results = _results.setdefault(camera, {}).setdefault(function.__name__, {})
-        if given not in results:
-            if len(results) == _MOST_RESULTS:
-                del results[next(iter(results))]
-            results[given] = function(camera, *given)
-        return results[given]
-
-    return cast(_F, known)
-
-
 Progress = Callable[[float], None]
 """Called with the fraction of the work that is done."""
 
@@ -78,6 +53,9 @@ class Task:
         Wavelengths of the channels in nanometres; empty for ray methods.
     white : (rows, columns, 1 or channels) float32 array, or None
         Capture of a scene of uniform radiance 1 by the same camera.
+    computed : (rows, columns, 1 or channels) float32 array, or None
+        Computed capture of such a scene, by the capture's model of light; None if `white` is given, or for methods that
+        compute white themselves.
     progress : callable
         Called with the fraction of the work that is done.
     passed : (rows, columns) float32 array, optional
@@ -101,6 +79,7 @@ class Task:
     wavelengths: Sequence[float]
     white: np.ndarray | None
     progress: Progress
+    computed: np.ndarray | None = None
     passed: np.ndarray | None = None
     recorded: Sequence[float] | None = None
     exposure: dict[str, Any] | None = None

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from .methods import Task, method
+from .methods import Progress, Task, method
 from .projection import pupil_radius, ray_sums
-from .radiance import captures, light_of_bins, to_radiance
+from .radiance import divided_by_white
 
 
 @method("ray", waves=False)
@@ -29,11 +31,12 @@ def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
         Radiance.
     """
     radius = pupil_radius(task.camera)
-    reach = [light_of_bins(task, g, radius, footprint) for g in task.distances]
-    sums: list[list[np.ndarray]] = []
-    for image, distances, progress in captures(task):
-        sums.append([])
+
+    def sums_of(image: np.ndarray, distances: Sequence[float], progress: Progress) -> list[np.ndarray]:
+        sums = []
         for index, distance in enumerate(distances):
-            sums[-1].append(ray_sums(image, task.camera, distance, radius, footprint, task.oversample))
+            sums.append(ray_sums(image, task.camera, distance, radius, footprint, task.oversample))
             progress((index + 1) / len(distances))
-    return to_radiance(task, sums, reach, reach)
+        return sums
+
+    return divided_by_white(task, sums_of, radius, footprint, "ray", radius, footprint)

@@ -29,10 +29,9 @@ import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter, uniform_filter
 
 from ..array import Displacement
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, once_a_camera
 from ..runtime import Floats
 from ..views import white_image
-from .methods import once_a_camera
 
 _BLOCK = 2**20
 """Pixels that are looked up together."""

@@ -85,7 +85,7 @@ from .planning import (
     plan,
     require_feasible,
 )
-from .radiance import captures, lens_scale, light_of_bins, over_lenses, to_radiance
+from .radiance import divided_by_white, lens_scale, over_lenses
 
 _APART = 2
 """Bins between the geometric images of two lenses that do not interfere, for diffraction."""
@@ -104,31 +104,23 @@ def partial(task: Task, *, interleave: int | str, relay: bool) -> list[np.ndarra
 
 
 def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]:
-    """Return the refocused images, channel by channel.
+    """Return the refocused images, channel by channel."""
 
-    Without a white capture, bins are divided by the white of rays: without interference, and without the light that
-    waves lose from a micro-image at the pupil's edge.
-    """
-    camera = task.camera
-    oversample = task.oversample
-    sums = []
-    for image, distances, progress in captures(task):
+    def sums_of(image: np.ndarray, distances: Sequence[float], progress: Progress) -> list[np.ndarray]:
         # The shortest waves, which take the most memory, come first.
-        channels = np.argsort(task.wavelengths[: image.shape[2]]).tolist()
+        channels = np.argsort(task.wavelengths).tolist()
         works = work_of([task.wavelengths[channel] for channel in channels])
         found = {}
         for index, channel in enumerate(channels):
             system = task.system(task.wavelengths[channel])
-            given = image[..., channel], system, distances, task.distances, interleave, relay, oversample
-            found[channel] = _signed_power(*given, portion(progress, index, works))
+            given = image[..., channel], system, distances, task.distances, interleave, relay, task.oversample
+            # What the guards find is of the capture, whether or not its white is known already.
+            found[channel] = _signed_power(*given, portion(progress, index, works), checked=image is task.image)
         of_planes = zip(*(found[channel] for channel in sorted(found)), strict=True)
-        sums.append([np.stack(planes, axis=-1) for planes in of_planes])
-    white = [
-        np.stack([light_of_bins(task, g, camera.lit_radius, "lens", w, relay) for w in task.wavelengths], axis=-1)
-        for g in (task.distances if task.white is None else ())
-    ]
-    reach = [light_of_bins(task, g, camera.lit_radius, "lens") for g in task.distances]
-    return to_radiance(task, sums, white, reach)
+        return [np.stack(planes, axis=-1) for planes in of_planes]
+
+    key = tuple(task.wavelengths), interleave, relay
+    return divided_by_white(task, sums_of, task.camera.lit_radius, "lens", "waves", *key)
 
 
 def signed_parts(image: np.ndarray) -> list[tuple[float, np.ndarray]]:
@@ -151,6 +143,7 @@ def _signed_power(
     relay: bool,
     oversample: int,
     progress: Progress,
+    checked: bool,
 ) -> list[np.ndarray]:
     """Return the power in bins, in pixel values times pixels, spread over lenses if lenses are not aligned with bins.
 
@@ -175,7 +168,7 @@ def _signed_power(
     found = [np.zeros(()) for _ in distances]
     for index, (sign, part) in enumerate(parts):
         # Guards look at the light, not at the noise below zero.
-        options: dict[str, Any] = {"relay": relay, "oversample": oversample * fine, "checked": sign > 0}
+        options: dict[str, Any] = {"relay": relay, "oversample": oversample * fine, "checked": checked and sign > 0}
         options |= {
             "progress": portion(progress, index, [1] * len(parts)),
             "conjugates": real or ThinConjugates(system),

@@ -34,6 +34,8 @@ from .light_field_files import read_recording as read_recording
 from .light_field_files import require_light_field_path as require_light_field_path
 from .light_field_files import save_light_field as save_light_field
 from .light_field_files import write_labelled as write_labelled
+from .model_white import capture_white as capture_white
+from .model_white import white_pixels as white_pixels
 from .mosaics import LAYOUTS as LAYOUTS
 from .mosaics import read_mosaic as read_mosaic
 from .mosaics import write_mosaic as write_mosaic

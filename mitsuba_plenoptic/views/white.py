@@ -231,8 +231,7 @@ def recorded_white(
     nearest to the axis, where main lenses hardly vignette. Within 5 % of 1 it counts as 1: wave captures may lose as
     much between microlenses with gaps.
 
-    Each lens is judged by its light, the sum over the pixels whose chief rays pass it, over the computed light. For
-    wave captures this ratio is the same as for rays, as neighbouring lenses exchange equal light by diffraction.
+    Each lens is judged by its light, the sum over the pixels whose chief rays pass it, over the computed light.
 
     Parameters
     ----------
@@ -243,8 +242,8 @@ def recorded_white(
     cameras : sequence of PlenopticCamera
         Allowed cameras of a white `Capture`, apart from `lens_model`; the first one scales the image.
     computed : (rows, columns) array, optional
-        `white_image` of the capture's camera. Default: the image is not scaled, as without a camera, or before views
-        are sampled.
+        Computed white image of the capture's camera, without the response of its pixels to oblique light. Default: the
+        image is not scaled, as without a camera, or before views are sampled.
     lenses : pair of arrays, optional
         For samples of other shapes than the detector's: the number of each sample's lens, and the distance of the
         sample from the axis.

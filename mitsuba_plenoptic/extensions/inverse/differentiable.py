@@ -41,6 +41,7 @@ from ...refocus import (
     ray_sums,
     ray_sums_vjp,
     signed_parts,
+    white_pixels,
     white_sums,
 )
 from ...refocus_options import FOOTPRINTS
@@ -239,6 +240,7 @@ class CoherentRefocus:
     ) -> None:
         require_support(camera, Use.FIELDS | Use.FIELD_DERIVATIVES | Use.RECONSTRUCTION_DERIVATIVES)
         wavelength = require_wavelength(wavelength)
+        white = white_pixels(camera.regular)
         camera = camera.regular.at_wavelength(wavelength)
         camera.require_resolved()
         # Images are formed by the ideal lens, without aberrations.
@@ -262,8 +264,8 @@ class CoherentRefocus:
         (self._step,) = grids.to_objects
         (self._zone,) = ThinConjugates(system).zones(distance)
         rays = white_sums(camera, distance, camera.lit_radius, "lens", oversample)
-        white = white_sums(camera, distance, camera.lit_radius, "lens", oversample, wavelength)
-        divisor, reached = divisors(white, rays, distance, computed=True)
+        self._factor = np.ones(rays.shape)
+        divisor, reached = divisors(_CoherentChannel(self, white).bins, rays, distance)
         self._factor = np.divide(1.0, divisor, out=np.zeros(divisor.shape), where=reached)[..., 0]
 
     @property

@@ -11,7 +11,7 @@ elsewhere, and dark gaps between micro-images have no colour. Recorded pixels ar
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +22,7 @@ from ... import choices
 from ...detector import filters
 from ...errors import InputError, argument, refuse_if, require_choice, suggest_keywords
 from ...io import EXPOSED, RECORDED, Capture, mosaic_of, recording_of
-from ...views import lens_numbers, recorded_white, white_image
+from ...views import capture_white, lens_numbers, recorded_white, white_image
 
 METHODS = ("micro-images", "plain")
 
@@ -34,6 +34,7 @@ def demosaic(
     mosaic: str | None = None,
     white: Capture | None = None,
     method: str = "micro-images",
+    progress: Callable[[int, int], None] | None = None,
 ) -> Capture:
     """Estimate all three colours of every pixel of a capture that was recorded through a mosaic of filters.
 
@@ -45,11 +46,13 @@ def demosaic(
         The filters of the first two pixels of the detector's first row and of its second. Default: what the capture
         says.
     white : Capture, optional
-        Capture of something white by the same camera, with one channel or three. Default: computed by rays from the
-        camera, which real main lenses do not allow.
+        Capture of something white by the same camera, with one channel or three. Default: computed by the capture's
+        model of light; a recorded picture counts as one by rays.
     method : {"micro-images", "plain"}
         ``micro-images`` keeps micro-images apart, and knows how they darken towards their rims. ``plain`` does not:
         bilinear interpolation, as for photographs, to compare with, and for cameras without microlenses.
+    progress : callable, optional
+        Called with the finished and the total amount of work while a white image by waves is computed.
 
     Returns
     -------
@@ -84,7 +87,7 @@ def demosaic(
         lenses = np.zeros(camera.shape, np.int64)
     else:
         camera.require_resolved()
-        certainty = _certainty(capture, white)
+        certainty = _certainty(capture, white, progress)
         lenses = lens_numbers(camera)
     # An image (rows, columns, 3) with the missing channels of each pixel interpolated.
     reach = 1 if method == "plain" else 2
@@ -125,12 +128,15 @@ def balanced(white: Capture, mosaic: str) -> NDArray[np.float32]:
     return np.asarray(image / means[filter_channels], np.float32)
 
 
-def _certainty(capture: Capture, white: Capture | None) -> NDArray[np.float32]:
+def _certainty(
+    capture: Capture, white: Capture | None, progress: Callable[[int, int], None] | None
+) -> NDArray[np.float32]:
     """Return the white image, (rows, columns, 3), as the certainty of each pixel and channel."""
     if white is None:
-        return np.repeat(white_image(capture.camera)[..., None], 3, axis=2)
-    computed = white_image(capture.camera) if capture.camera.lens_data.is_thin else None
-    image = recorded_white(white, (*capture.image.shape, 3), [capture.camera], computed)
+        image = capture_white(capture, 3, progress)
+    else:
+        computed = white_image(capture.camera) if capture.camera.lens_data.is_thin else None
+        image = recorded_white(white, (*capture.image.shape, 3), [capture.camera], computed)
     return np.ascontiguousarray(np.broadcast_to(np.maximum(image, 0), (*capture.image.shape, 3)))
 
 

@@ -11,6 +11,7 @@ import typer
 from ... import choices
 from ...cli import inputs, options
 from ...errors import refuse_if
+from ...runtime import progress_bar
 
 
 def demosaic(
@@ -87,6 +88,7 @@ def demosaic(
                 camera_seen = lattice_from_white(camera_seen, balanced(reference, tile))
             recorded = replace(recorded, camera=camera_seen)
             reference = interpolate(replace(reference, camera=camera_seen))
-    result = interpolate(recorded, mosaic=mosaic, white=reference)
+    with progress_bar("Demosaicking") as progress:
+        result = interpolate(recorded, mosaic=mosaic, white=reference, progress=progress)
     write_capture(output, result)
     typer.echo(f"{output}: {result.camera.shape[1]} x {result.camera.shape[0]} pixels of three colours")
