@@ -41,8 +41,7 @@ class Flow:
         raise NotImplementedError
 
     def advected(self, points: Points, time: float) -> Points:
-        """Return where particles at positions (n, 3) in mm are after a time in seconds, which may be negative.
-        """
+        """Return where particles at positions (n, 3) in mm are after a time in seconds, which may be negative."""
         if time == 0 or not len(points):
             return points.copy()
         paths = solve_ivp(

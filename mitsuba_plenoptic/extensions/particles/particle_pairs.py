@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from ...errors import refuse_if, require_choice, require_number
 from ...io import Capture
 from .flows import FLOWS, Flow, Vortex
 from .particle_images import ParticleImages
-from .seeding import ParticleVolume, Seeding
+from .seeding import ParticleVolume, Seeding, Window, put_checked
 from .sequence import particle_sequence
 
 _VORTEX = (0.2, 0.5)
@@ -34,19 +35,25 @@ class ParticlePairs:
     # Median diameter in micrometres, and standard deviation of its logarithm.
     diameter: float = 10.0
     spread: float = 0.0
+    # Refractive index of the fluid, and distance of its window. Default: the near one.
+    medium: float = 1.333
+    window: float | None = None
     # Largest displacement over the width of a microlens, imaged into the volume's middle.
     displacement: float = 1.0
 
     def __post_init__(self) -> None:
-        require_choice("flow", self.flow, [name for name in FLOWS if name != "file"])
-        for name in ("near", "far"):
-            if getattr(self, name) is not None:
-                require_number(name, getattr(self, name), minimum=-1e9, maximum=1e9)
-        require_number("displacement", self.displacement, positive=True, maximum=1e3)
+        put_checked(
+            self,
+            flow=partial(require_choice, choices=[name for name in FLOWS if name != "file"]),
+            near=require_number,
+            far=require_number,
+            displacement=partial(require_number, positive=True, maximum=1e3),
+        )
         self._seeding()
 
     def _seeding(self) -> Seeding:
-        return Seeding(per_lens=self.per_lens, diameter=self.diameter, spread=self.spread)
+        names = "per_lens", "diameter", "spread", "medium", "window"
+        return Seeding(**{name: getattr(self, name) for name in names})
 
     @property
     def meanings(self) -> dict[str, str]:
@@ -93,9 +100,11 @@ class ParticlePairs:
         refuse_if(not near < far, f"near = {near:g}, far = {far:g}: they must follow one another")
         # 0.8: Part of the field of view that the volume fills.
         extents = np.array([camera.detector_width, camera.detector_height])
-        width, height = 0.8 * extents / 2 * camera.bin_size(near) / camera.mla_pitch
+        window = Window(near if self.window is None else self.window, self.medium)
+        lens, middle = (camera.bin_size(window.seen(z, camera)) for z in (near, (near + far) / 2))
+        width, height = 0.8 * extents / 2 * lens / camera.mla_pitch
         volume = ParticleVolume((-width, -height, near), (width, height, far))
-        flow = self._random_flow(volume, self.displacement * camera.bin_size(volume.centre[2]), random)
+        flow = self._random_flow(volume, self.displacement * middle, random)
         seed = int(random.integers(2**32))
         truth = particle_sequence(camera, volume, self._seeding(), flow, interval=1.0, seed=seed)
         frames: dict[str, Capture] = {}
