@@ -35,9 +35,6 @@ class ParticlePairs:
     # Median diameter in micrometres, and standard deviation of its logarithm.
     diameter: float = 10.0
     spread: float = 0.0
-    # Refractive index of the fluid, and distance of its window. Default: the near one.
-    medium: float = 1.333
-    window: float | None = None
     # Largest displacement over the width of a microlens, imaged into the volume's middle.
     displacement: float = 1.0
 
@@ -52,8 +49,7 @@ class ParticlePairs:
         self._seeding()
 
     def _seeding(self) -> Seeding:
-        names = "per_lens", "diameter", "spread", "medium", "window"
-        return Seeding(**{name: getattr(self, name) for name in names})
+        return Seeding(per_lens=self.per_lens, diameter=self.diameter, spread=self.spread)
 
     @property
     def meanings(self) -> dict[str, str]:
@@ -100,11 +96,10 @@ class ParticlePairs:
         refuse_if(not near < far, f"near = {near:g}, far = {far:g}: they must follow one another")
         # 0.8: Part of the field of view that the volume fills.
         extents = np.array([camera.detector_width, camera.detector_height])
-        window = Window(near if self.window is None else self.window, self.medium)
-        lens, middle = (camera.bin_size(window.seen(z, camera)) for z in (near, (near + far) / 2))
-        width, height = 0.8 * extents / 2 * lens / camera.mla_pitch
+        width, height = 0.8 * extents / 2 * camera.bin_size(near) / camera.mla_pitch
         volume = ParticleVolume((-width, -height, near), (width, height, far))
-        flow = self._random_flow(volume, self.displacement * middle, random)
+        middle = Window(near, self._seeding().medium).seen(volume.centre[2], camera)
+        flow = self._random_flow(volume, self.displacement * camera.bin_size(middle), random)
         seed = int(random.integers(2**32))
         truth = particle_sequence(camera, volume, self._seeding(), flow, interval=1.0, seed=seed)
         frames: dict[str, Capture] = {}

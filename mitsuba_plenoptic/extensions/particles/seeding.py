@@ -17,16 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...camera import PlenopticCamera
-from ...errors import (
-    put,
-    refuse_if,
-    require_choice,
-    require_length,
-    require_number,
-    require_numbers,
-    suggest_keywords,
-    warn,
-)
+from ...errors import refuse_if, require_choice, require_length, require_number, require_numbers, suggest_keywords, warn
 from ...runtime import MILLIMETRES, POINTS, Doubles, as_array
 
 MOST = 10**7
@@ -39,7 +30,7 @@ PLACE = partial(require_numbers, count=3, minimum=-1e9, maximum=1e9)
 """Rule of a place, direction or velocity."""
 
 _MEDIUM = partial(require_number, minimum=1, maximum=5)
-"""Rule of the refractive index of a fluid."""
+"""Rule of a refractive index."""
 
 
 def put_checked(record: Any, **rules: Callable[[str, Any], Any]) -> None:
@@ -47,7 +38,7 @@ def put_checked(record: Any, **rules: Callable[[str, Any], Any]) -> None:
     for name, rule in rules.items():
         value = getattr(record, name)
         if value is not None or getattr(type(record), name, "") is not None:
-            put(record, **{name: rule(name, value)})
+            object.__setattr__(record, name, rule(name, value))
 
 
 def require_points(name: str, points: ArrayLike) -> Doubles:
@@ -83,46 +74,33 @@ class Window:
         """Return the refractive index before the window over that behind it."""
         if self.medium is None:
             return 1.0
-        before, nearest, aperture = 1.0, 0.0, 0.0
-        if camera.objective is not None:
-            before, aperture = camera.objective.immersion, camera.objective.numerical_aperture
-            nearest = camera.objective.nearest
+        lens = camera.objective
+        before, nearest, aperture = (lens.immersion, lens.nearest, lens.numerical_aperture) if lens else (1.0, 0.0, 0.0)
         refuse_if(
             self.distance < nearest or self.medium <= aperture,
-            f"window at {self.distance:g} before an index of {self.medium:g}: it must be in front of the lens, beyond "
-            f"z = {nearest:g}, and the index above the numerical aperture, {aperture:g}",
+            f"{self}: its distance must be before the lens, at least {nearest:g}, and its medium above {aperture:g}",
         )
         return before / self.medium
 
-    def seen(self, z: Any, camera: PlenopticCamera) -> Any:
-        """Return the z in mm at which a camera sees points at z."""
-        return z + np.maximum(z - self.distance, 0) * (self.ratio(camera) - 1)
-
-    def actual(self, z: Any, camera: PlenopticCamera) -> Any:
-        """Return the z in mm of points that a camera sees at z."""
-        return z + np.maximum(z - self.distance, 0) * (1 / self.ratio(camera) - 1)
+    def seen(self, z: Any, camera: PlenopticCamera, *, power: int = 1) -> Any:
+        """Return the z in mm at which a camera sees points at z; with power -1 where points are that it sees there."""
+        return z + np.maximum(z - self.distance, 0) * (self.ratio(camera) ** power - 1)
 
     def apparent(self, points: ArrayLike, camera: PlenopticCamera, wavelength: float) -> Doubles:
-        """Return where a camera sees points, (n, 3) in mm, and warn where the window's aberration blurs them.
+        """Return where a camera sees points (n, 3) in mm, and warn where the window's aberration blurs them.
 
-        Parameters
-        ----------
-        points : array (n, 3)
-            Positions in mm of the camera frame.
-        camera : PlenopticCamera
-            The camera.
-        wavelength : float
-            Wavelength in vacuum, in nanometres.
+        The wavelength is that in vacuum, in nanometres.
         """
         x, y, z = require_points("points", points).T
         seen = self.seen(z, camera)
+        lens = camera.objective
+        # Angles before the window, of the chief ray and of the pupil's radius, and the depth behind it in waves.
+        chief = 0 * z if lens else np.hypot(x, y) / seen
+        cone = lens.half_angle if lens else camera.aperture_radius / seen
+        depth = np.maximum(z - self.distance, 0) * 1e6 / wavelength
         ratio = self.ratio(camera)
-        # Angles before the window, of the chief ray and of the pupil's radius.
-        before, chief, cone = 1.0, np.hypot(x, y) / seen, camera.aperture_radius / seen
-        if camera.objective is not None:
-            before, chief, cone = camera.objective.immersion, 0 * z, camera.objective.half_angle + 0 * z
-        path = before * ratio * (1 - ratio**2) / 8 * np.maximum(z - self.distance, 0) * ((chief + cone) ** 4 - chief**4)
-        waves = float(np.abs(path).max(initial=0)) * 1e6 / wavelength
+        factor = (lens.immersion if lens else 1) * ratio * (1 - ratio**2) / 8
+        waves = np.abs(factor * depth * ((chief + cone) ** 4 - chief**4)).max(initial=0)
         # 1 / 14: Waves up to which a point stays sharp, by Maréchal.
         if waves > 1 / 14:
             warn(

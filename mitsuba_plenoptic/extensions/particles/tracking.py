@@ -149,7 +149,7 @@ def refine_particles(
                 break
             damping *= 4
         damping = min(damping, 1.0)
-    return np.column_stack([positions[:, :2], window.actual(positions[:, 2], camera)]), light
+    return np.column_stack([positions[:, :2], window.seen(positions[:, 2], camera, power=-1)]), light
 
 
 def match_particles(

@@ -16,7 +16,7 @@ from scipy.special import ndtr
 from ...camera import PlenopticCamera
 from ...errors import put, refuse_if, require_count, require_numbers, suggest_keywords
 from ...runtime import MILLIMETRES, POINTS, Doubles, as_array, require_units
-from .seeding import ParticleVolume, Window, require_points
+from .seeding import ParticleVolume, require_points
 
 _TRUNCATED = 4.0
 """Standard deviations beyond which a drawn particle is left out."""
@@ -167,25 +167,22 @@ def ghost_fraction(volume: xr.DataArray, positions: Doubles, reach: Sequence[flo
     return float(light[np.isinf(away)].sum() / light.sum())
 
 
-def elongation(camera: PlenopticCamera, distance: float, window: Window | None = None) -> float:
+def elongation(camera: PlenopticCamera, distance: float) -> float:
     r"""Return how much less precisely the depth of a point is seen than its place across the axis: :math:`\sqrt2 g/a`.
 
     Each part of the pupil of radius a sees the point from another direction. The slopes of these have the variance
     :math:`(a / g)^2 / 4` along each axis, and both axes tell of the depth, so that the standard deviation of a least
     squares estimate of depth over that of a lateral one is :math:`1 / \sqrt{2 (a / g)^2 / 4}`.
     Slopes before an objective have the mean square :math:`1 / \cos\alpha - 1` over the light, whatever the depth.
-    Behind a window g is that at which the camera sees the point, and depths are longer by the ratio of indices.
+    Behind a `Window`, depths are longer by 1 / `ratio` than those that the camera sees, `seen`.
 
     Parameters
     ----------
     camera : PlenopticCamera
         The camera.
     distance : float
-        Distance of the point from the main lens, in mm.
-    window : Window, optional
-        The window between camera and point.
+        Distance g of the point from the main lens, in mm, where the camera sees it.
     """
-    window = window or Window()
     if camera.objective is not None:
-        return (1 / math.cos(camera.objective.half_angle) - 1) ** -0.5 / window.ratio(camera)
-    return math.sqrt(2) * float(window.seen(distance, camera)) / camera.aperture_radius / window.ratio(camera)
+        return (1 / math.cos(camera.objective.half_angle) - 1) ** -0.5
+    return math.sqrt(2) * distance / camera.aperture_radius

@@ -94,9 +94,7 @@ def test_densities_and_elongation_are_those_of_the_microscope():
     cosine = np.sqrt(1 - (0.5 / 1.33) ** 2)
     steps = np.linspace(cosine, 1, 20001)
     # The mean over directions of the squared tangent, of which either axis has half.
-    expected = (1 / steps**2 - 1).mean() ** -0.5
-    assert pt.elongation(CAMERA, 0.01) == pytest.approx(expected, rel=1e-3)
-    assert pt.elongation(CAMERA, 0.01, pt.Window(0, 1.52)) == pytest.approx(expected * 1.52 / 1.33, rel=1e-3)
+    assert pt.elongation(CAMERA, 0.01) == pytest.approx((1 / steps**2 - 1).mean() ** -0.5, rel=1e-3)
 
 
 SLOW = pytest.mark.slow
@@ -132,7 +130,7 @@ def test_positions_of_beads_are_found(model, medium):
 
 test_bad_microscopes_are_refused_in_one_line = refused(
     (lambda: one_bead((0, 0, -12.0)), "z = -12.*: particles must be before the objective, beyond z = -11.97"),
-    (lambda: one_bead((0, 0, 0.1), OILY), "index of 1.333: .* the index above the numerical aperture, 1.4"),
+    (lambda: one_bead((0, 0, 0.1), OILY), "medium=1.333.*: .*its medium above 1.4"),
     (
         lambda: pt.RayProjector(FOURIER, pt.VoxelGrid((0, 0, 0), (1, 1, 1), (1, 1, 1)), wavelength=550),
         "objective: fits and projections of points by rays refuse it: the array is in the image of the stop",

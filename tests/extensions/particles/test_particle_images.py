@@ -166,7 +166,7 @@ def test_rays_by_snells_law_come_from_where_particles_are_seen():
         # On the way to the window, and on from there towards the camera.
         height = place[0, 0] + 30 * np.tan(np.arcsin(np.sin(angle) / 1.5))
         assert height + np.tan(angle) * (90 - seen[2]) == pytest.approx(seen[0], abs=1e-7)
-    assert window.actual(seen[2], CAMERA) == pytest.approx(120)
+    assert window.seen(seen[2], CAMERA, power=-1) == pytest.approx(120)
     assert window.seen(80.0, CAMERA) == 80
     # Of the whole path from a particle on the axis to the rim against that on the axis, less that in air alone.
     camera = CAMERA.replace(aperture_radius=12.0)
@@ -339,7 +339,8 @@ test_bad_input_is_refused_in_one_line = refused(
     (lambda: pt.Seeding(count=1, index="x"), "index = 'x': it must be a number"),
     (lambda: pt.Seeding(count=1, index=[1.5]), r"index = \[1.5\]: it must be 2 numbers"),
     (lambda: sequence(window=231), "window = 231: it must be before the volume, whose near face is at z = 230"),
-    (lambda: sequence(window=-1), "window at -1 .*: it must be in front of the lens, beyond z = 0"),
+    (lambda: pt.Seeding(count=1, window="x"), "window = 'x': it must be a number"),
+    (lambda: sequence(window=-1), r"Window\(distance=-1.*: its distance must be before the lens, at least 0"),
     (lambda: sequence(volume=pt.ParticleVolume((0, 0, 81), (1, 1, 90)), window=70), "z = 78.2.*: particles must be in"),
     (lambda: pt.Seeding(count=1, index=1.333), "as that of the medium, so that nothing is scattered"),
     (lambda: pt.LightSheet(direction=(0, 0, 0)), r"direction = .*: it must not be 0"),

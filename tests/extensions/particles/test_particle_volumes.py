@@ -1,6 +1,7 @@
 """Reconstruction against dense matrices, correlation on exact shifts, and tracking against known positions."""
 
 import json
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -171,7 +172,6 @@ def test_quality_and_ghosts():
     assert pt.ghost_fraction(volume, places, (0.5, 0.5, 1)) == pytest.approx(0, abs=1e-5)
     assert pt.ghost_fraction(volume, places[:1], (0.35, 0.35, 0.5)) == pytest.approx(2 / 3, abs=0.02)
     assert pt.elongation(CAMERA, 240) == pytest.approx(2**0.5 * 240 / 5)
-    assert pt.elongation(CAMERA, 240, pt.Window(200, 1.25)) == pytest.approx(2**0.5 * 232 / 5 * 1.25)
 
 
 def shifted_pair(move, count=500):
@@ -210,6 +210,18 @@ def test_correlation_finds_shears_up_to_the_borders(across, rate, window):
     # Layers to a tenth of a voxel; the outer ones, which have neighbours on one side, as the others.
     assert np.abs(layers - rate * place).max() < 0.1 * 2 / 48
     assert found["outlier"].mean() < 0.1
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("voxels", "is_wrong"), [(6, False), (10, False), (14, True), (20, True)])
+def test_displacements_beyond_a_window_are_warned_of(voxels, is_wrong):
+    pair = shifted_pair(lambda places: np.array([voxels / 24, 0, 0]), 1500)
+    with (
+        pytest.warns(UserWarning, match=r"window = \(16, 16, 16\): .* of the vectors are outliers, and others")
+        if is_wrong
+        else nullcontext()
+    ):
+        pt.correlate_volumes(*pair, window=(16, 16, 16))
 
 
 def test_outliers_are_replaced():
