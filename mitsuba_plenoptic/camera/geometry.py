@@ -20,7 +20,7 @@ from ..array import (
     make_lattice,
     random_figure_error,
 )
-from ..errors import InputError, refuse_if
+from ..errors import InputError, refuse_if, require_number
 from ..prescription import THIN, Collimator, LensData, Objective, Prescription, defocus_factor, even_count
 from ..runtime import take
 from .aperture import Apodised, Opening, Round
@@ -173,6 +173,9 @@ class CameraGeometry(CameraParameters):
 
         A lattice, and one focal length in air or one for each type of lens, may stand for the camera's own.
         """
+        for name, index in {"i": i, "j": j}.items():
+            if not hasattr(index, "shape"):
+                require_number(name, index)
         lattice = self.lattice if lattice is None else lattice
         focal_length = np.array(self.reduced_focal_lengths) if focal_lengths is None else focal_lengths
         centre = lattice.centre(i, j)

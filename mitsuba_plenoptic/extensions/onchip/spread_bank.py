@@ -54,7 +54,7 @@ def psf_bank(
     camera : PlenopticCamera
         A camera of 2 x 2 pixels a lens.
     depths : sequence of float
-        Object distances from the main lens in millimetres.
+        Object distances from the main lens in millimetres; may be infinite.
     fields : array (n, 2)
         Positions x and y on the detector in millimetres. Each is moved to the middle of the nearest lens's pixels, and
         points are where the chief ray through this lens comes from. Default: the lens next to the axis.
@@ -87,7 +87,7 @@ def psf_bank(
     require_support(camera, Use.SPREAD_BANKS)
     require_choice("model", model, choices.MODELS)
     wavelength = require_wavelength(wavelength)
-    distances = [require_number("depths", depth, positive=True) for depth in depths]
+    distances = [require_number("depths", depth, positive=True, finite=False) for depth in depths]
     positions = np.asarray(fields, np.float64)
     if not distances or positions.ndim != 2 or positions.shape[1] != 2 or not np.isfinite(positions).all():
         raise InputError(
@@ -130,8 +130,9 @@ def psf_bank(
 def _points(camera: PlenopticCamera, chief: tuple[float, float], distances: Sequence[float]) -> Doubles:
     """Return the points (n, 3) at given distances whose chief rays meet the array at one position."""
     start, slope, _ = main_lens(camera).ray((0.0, 0.0), chief)
-    position = [float(start[i]) + (np.array(distances) - float(start[2])) * float(slope[i]) for i in (0, 1)]
-    return np.stack([*position, np.array(distances)], -1)
+    # 1e12: Millimetres, as good as infinity.
+    z = np.minimum(distances, 1e12)
+    return np.stack([*(float(start[i]) + (z - float(start[2])) * float(slope[i]) for i in (0, 1)), z], -1)
 
 
 def _reach(camera: PlenopticCamera, distances: Sequence[float], positions: Doubles, wavelength: float) -> float:

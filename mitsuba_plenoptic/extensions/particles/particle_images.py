@@ -5,8 +5,8 @@ within the volume in the first frame. For irradiance 1 a particle sends the inte
 over the pupil's solid angle, whose mean is the `reference` of a capture, in square micrometres. There is no speckle, as
 particles are incoherent; no particle hides another one, and light is scattered once.
 
-The camera is immersed: light goes straight from particles to the pupil, without a window. Behind a flat one, angles in
-the fluid are smaller by its refractive index, and solid angles by the square of it.
+The camera looks through a plane window, behind which it sees particles at their paraxial positions. Angles in the fluid
+are smaller by Snell's law, and solid angles with them.
 
 Fluorescent beads emit the same light in all directions. In the place of the cross-section they have their volume, so
 that the `reference` is in cubic micrometres, as if all of the light that a bead absorbs on a micrometre were emitted.
@@ -29,7 +29,7 @@ from ...points import CaptureOperator
 from ...runtime import Job, Progress
 from ..inverse.point_rays import PointRays
 from .scattering import ScatteredLight
-from .seeding import LightSheet, ParticleVolume, Seeding
+from .seeding import LightSheet, ParticleVolume, Seeding, Window
 from .sequence import settings_of
 
 
@@ -41,12 +41,14 @@ def scattered_light(truth: xr.Dataset, frame: int, wavelength: float, camera: Pl
     position, diameter, irradiance = (chosen[name].values[lit] for name in ("position", "diameter", "irradiance"))
     direction = LightSheet(**settings["sheet"]).direction
     seeding = Seeding(**settings["seeding"])
-    return ScatteredLight(camera, position, diameter, irradiance, direction, seeding, wavelength)
+    window = Window(**settings["window"])
+    seen = window.apparent(position, camera, wavelength)
+    return ScatteredLight(camera, seen, diameter, irradiance, direction, seeding, window, wavelength)
 
 
 @suggest_keywords
 class ParticleImages:
-    """The captures of a sequence of particles by one model of light, with the camera immersed in their medium.
+    """The captures of a sequence of particles by one model of light, through the window of their medium.
 
     A capture's pixels are in units of a mean particle, whose pixels have the sum 1. To record them with noise, give
     `expose` the photons of a mean particle through the pupil.
@@ -92,7 +94,7 @@ class ParticleImages:
         refuse_if(model == "ray" and accuracy is not None, f"accuracy = {accuracy}: rays take none; leave it out")
         self._accuracy = 0.01 if accuracy is None else accuracy
         self.camera = camera or PlenopticCamera.from_dict(self._settings["camera"])
-        ParticleVolume(**self._settings["volume"]).before(self.camera)
+        ParticleVolume(**self._settings["volume"]).before(self.camera, Window(**self._settings["window"]))
         first = scattered_light(truth, 0, self.wavelength, self.camera)
         refuse_if(not len(first.positions), "volume: no particle is lit within it; raise the density or the thickness")
         self._reference = float(first.powers.sum(0).mean())

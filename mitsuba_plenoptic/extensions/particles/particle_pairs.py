@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from ...errors import refuse_if, require_choice, require_number
 from ...io import Capture
 from .flows import FLOWS, Flow, Vortex
 from .particle_images import ParticleImages
-from .seeding import ParticleVolume, Seeding
+from .seeding import ParticleVolume, Seeding, Window, put_checked
 from .sequence import particle_sequence
 
 _VORTEX = (0.2, 0.5)
@@ -38,11 +39,13 @@ class ParticlePairs:
     displacement: float = 1.0
 
     def __post_init__(self) -> None:
-        require_choice("flow", self.flow, [name for name in FLOWS if name != "file"])
-        for name in ("near", "far"):
-            if getattr(self, name) is not None:
-                require_number(name, getattr(self, name), minimum=-1e9, maximum=1e9)
-        require_number("displacement", self.displacement, positive=True, maximum=1e3)
+        put_checked(
+            self,
+            flow=partial(require_choice, choices=[name for name in FLOWS if name != "file"]),
+            near=require_number,
+            far=require_number,
+            displacement=partial(require_number, positive=True, maximum=1e3),
+        )
         self._seeding()
 
     def _seeding(self) -> Seeding:
@@ -95,7 +98,8 @@ class ParticlePairs:
         extents = np.array([camera.detector_width, camera.detector_height])
         width, height = 0.8 * extents / 2 * camera.bin_size(near) / camera.mla_pitch
         volume = ParticleVolume((-width, -height, near), (width, height, far))
-        flow = self._random_flow(volume, self.displacement * camera.bin_size(volume.centre[2]), random)
+        middle = Window(near, self._seeding().medium).seen(volume.centre[2], camera)
+        flow = self._random_flow(volume, self.displacement * camera.bin_size(middle), random)
         seed = int(random.integers(2**32))
         truth = particle_sequence(camera, volume, self._seeding(), flow, interval=1.0, seed=seed)
         frames: dict[str, Capture] = {}

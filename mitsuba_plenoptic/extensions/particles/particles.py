@@ -14,7 +14,7 @@ from .flows import FLOWS, Flow, HillVortex, ImportedFlow, LambOseen, Shear, Tayl
 from .particle_images import ParticleImages
 from .projection import RayProjector, VoxelProjector
 from .scattering import cross_sections
-from .seeding import LightSheet, ParticleVolume, Seeding
+from .seeding import LightSheet, ParticleVolume, Seeding, Window
 from .sequence import particle_sequence, read_sequence
 from .tomography import reconstruct_volume
 from .tracking import locate_particles, match_particles, refine_particles
@@ -36,6 +36,7 @@ __all__ = [
     "Uniform",
     "VoxelGrid",
     "VoxelProjector",
+    "Window",
     "correlate_volumes",
     "cross_sections",
     "drawn_particles",

@@ -46,6 +46,9 @@ def particles(
     spread: Annotated[float, options.numeric("Standard deviation of the logarithm of diameters.")] = 0.0,
     index: Annotated[float, options.numeric("Refractive index of particles.")] = 1.59,
     medium: Annotated[float, options.numeric("Refractive index of the fluid.")] = 1.333,
+    window: Annotated[
+        float | None, options.numeric("Position z of the fluid's plane window.", "near face of the volume", unit="MM")
+    ] = None,
     direction: Annotated[
         str, typer.Option(metavar="X,Y,Z", help="Direction in which the sheet's light travels.")
     ] = "1,0,0",
@@ -91,7 +94,7 @@ def particles(
     truth = particle_sequence(
         inputs.named_camera(camera) or PlenopticCamera(),
         box,
-        Seeding(per_lens, per_volume, count, diameter, spread, index, medium),
+        Seeding(per_lens, per_volume, count, diameter, spread, index, medium, window),
         _flow(flow, FLOWS, box.centre),
         interval=interval,
         frames=frames,

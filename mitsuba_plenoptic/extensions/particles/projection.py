@@ -24,6 +24,7 @@ from ...points import CaptureOperator
 from ...runtime import POINTS, Doubles, Job, Progress, as_array, counted
 from ..inverse.point_rays import PointRays
 from ..inverse.stored import StoredOperator
+from .seeding import Window
 from .voxels import VoxelGrid
 
 
@@ -34,9 +35,11 @@ class VoxelProjector(LinearMap):
     Parameters
     ----------
     camera, grid : PlenopticCamera, VoxelGrid
-        The camera, and voxels beyond the focus of its main lens.
+        The camera, and voxels that it sees beyond the focus of its main lens.
     wavelength : float
-        Wavelength in nanometres.
+        Wavelength in vacuum, in nanometres.
+    window : Window, optional
+        The window between the camera and the voxels.
     per_lens : int
         Points to a microlens along an axis between which point spreads are interpolated.
     accuracy : float
@@ -63,6 +66,7 @@ class VoxelProjector(LinearMap):
         grid: VoxelGrid,
         *,
         wavelength: float,
+        window: Window | None = None,
         per_lens: int = 4,
         accuracy: float = 0.1,
         budget: float | None = None,
@@ -70,8 +74,9 @@ class VoxelProjector(LinearMap):
         require_support(camera, Use.POINTS)
         wavelength = require_wavelength(wavelength)
         per_lens = require_count("per_lens", per_lens, maximum=32)
-        grid.before(camera)
-        points = grid.points
+        self.window = window or Window()
+        grid.before(camera, self.window)
+        points = self.window.apparent(grid.points, camera, wavelength)
         lens = OpticalSystem(camera, wavelength).waves_of(points)
         basis = np.array(camera.lattice.basis)
         steps = (lens.images(points) - np.array(camera.mla_offset)) @ np.linalg.inv(basis) * per_lens
@@ -109,9 +114,11 @@ class RayProjector(LinearMap):
     Parameters
     ----------
     camera, grid : PlenopticCamera, VoxelGrid
-        The camera, and voxels beyond the focus of its main lens, each a point at its centre.
+        The camera, and voxels that it sees beyond the focus of its main lens, each a point at its centre.
     wavelength : float
-        Wavelength in nanometres.
+        Wavelength in vacuum, in nanometres.
+    window : Window, optional
+        The window between the camera and the voxels.
     budget : float
         Memory in GiB that the matrix may take.
     progress : callable, optional
@@ -124,15 +131,17 @@ class RayProjector(LinearMap):
         grid: VoxelGrid,
         *,
         wavelength: float,
+        window: Window | None = None,
         budget: float = 4.0,
         progress: Progress | None = None,
     ) -> None:
         require_support(camera, Use.POINT_RAYS)
         wavelength = require_wavelength(wavelength)
         budget = require_number("budget", budget, positive=True)
-        grid.before(camera)
+        self.window = window or Window()
+        grid.before(camera, self.window)
         system = OpticalSystem(camera, wavelength)
-        points = grid.points
+        points = self.window.apparent(grid.points, camera, wavelength)
         columns = []
         entries = 0
         for point in counted(np.split(points, len(points)), progress):

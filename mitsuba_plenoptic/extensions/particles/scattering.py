@@ -3,15 +3,15 @@ r"""Light that small spheres scatter, by angle and polarisation (Mie 1908), and 
 The package miepython has the coefficients of the series, and equations 4.47 and 4.74 of Bohren and Huffman 1983,
 "Absorption and Scattering of Light by Small Particles", are their sum.
 
-The pupil of a lens stands in a plane before the particles. That of an objective is infinitely far, and by the sine
-condition the point P of its stop sends rays in the direction with :math:`n \sin\theta = |P| / f`, alike for all
-particles.
+The pupil of a lens stands in a plane before the particles, as the camera sees them; Snell's law tells the directions
+behind the window. That of an objective is infinitely far, and by the sine condition the point P of its stop sends rays
+in the direction with :math:`n \sin\theta = |P| / f`, alike for all particles.
 """
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -23,7 +23,7 @@ from ...errors import refuse_if, require_module
 from ...fields import OpticalSystem
 from ...points import BORDER, PupilWeights
 from ...runtime import Doubles, require_memory
-from .seeding import Seeding
+from .seeding import Seeding, Window
 
 _LARGEST = 2000.0
 """Size parameter at most: 250 micrometres in water, where rays would do, and the series has 2000 terms."""
@@ -98,13 +98,14 @@ class ScatteredLight:
     """
 
     camera: PlenopticCamera
-    # Positions in the camera frame, (n, 3), diameters in micrometres, (n,), and the irradiance on each, (n,).
+    # Positions at which the camera sees particles, (n, 3), diameters in micrometres, (n,), and the irradiance, (n,).
     positions: Doubles
     diameters: Doubles
     irradiance: Doubles
     # Direction in which the light travels.
     direction: tuple[float, ...]
     seeding: Seeding
+    window: Window
     # In vacuum, in nanometres.
     wavelength: float
 
@@ -114,12 +115,18 @@ class ScatteredLight:
         return float(OpticalSystem(self.camera, self.wavelength).lens.entrance.pupil)
 
     def _pupil(self, positions: Doubles, x: Doubles, y: Doubles) -> tuple[Doubles, Doubles]:
-        """Return unit vectors (n, q, 3) from positions to points (q,) of the pupil, and the solid angles of a mm^2."""
+        """Return unit vectors (n, q, 3) in the fluid to points (q,) of the pupil, and the solid angles of a mm^2."""
         objective = self.camera.objective
+        ratio = self.window.ratio(self.camera)
         if objective is None:
             towards = _unit(np.stack([x, y, np.full(len(x), self._plane)], -1) - positions[:, None])
-            return towards, -(towards[..., 2] ** 3) / (positions[:, 2:] - self._plane) ** 2
-        length = objective.immersion * objective.focal_length
+            solid = -(towards[..., 2] ** 3) / (positions[:, 2:] - self._plane) ** 2
+            if ratio == 1:
+                return towards, solid
+            sines = ratio * towards[..., :2]
+            cosine = np.sqrt(1 - (sines**2).sum(-1, keepdims=True))
+            return np.concatenate([sines, -cosine], -1), solid * ratio**2 * -towards[..., 2] / cosine[..., 0]
+        length = objective.immersion / ratio * objective.focal_length
         sines = np.stack([x, y]) / length
         # The corners of the square around the pupil may lie beyond the horizon.
         sines *= np.minimum(1, 0.999 / np.maximum(np.hypot(*sines), 1e-300))
@@ -138,7 +145,7 @@ class ScatteredLight:
         nearest = np.abs(self.positions[:, 2] - self._plane).min(initial=np.inf)
         angle = objective.half_angle if objective else self.camera.aperture_radius / nearest
         # As many as the series has terms, over the angle that the pupil covers.
-        waves = (size + 4 * size ** (1 / 3)) * angle / np.pi
+        waves = (size + 4 * size ** (1 / 3)) * angle * self.window.ratio(self.camera) / np.pi
         return max(_FEWEST, int(np.ceil(_PER_WAVE * waves)))
 
     def _over_pupil(self, x: Doubles, y: Doubles) -> NDArray[np.complex128]:
@@ -206,7 +213,9 @@ class ScatteredLight:
         at = np.concatenate([[0, 0.25], np.arange(cells) + 0.5, [cells - 0.25, cells]])
         knots = np.arange(-3.5, cells + 4)
         x, y = (self.camera.aperture_radius * (2 / cells * mesh.ravel() - 1) for mesh in np.meshgrid(at, at))
-        table = self._over_pupil(x, y)[strong].reshape(-1, len(at), len(at))
+        # Per solid angle before the window, as the light of points is.
+        behind, before = (light._pupil(self.positions, x, y)[1] for light in (self, replace(self, window=Window())))
+        table = (self._over_pupil(x, y)[strong] * np.sqrt(behind / before)).reshape(-1, len(at), len(at))
         for _ in "yx":
             table = make_interp_spline(at, table, t=knots, axis=1).c.transpose(1, 2, 0)
         powers = self.powers[strong]

@@ -1,4 +1,9 @@
-"""Particles in a volume, and the light sheet that shines on them."""
+r"""Particles in a volume, the light sheet that shines on them, and the window through which a camera looks at them.
+
+Rays obey Snell's law at the window: :math:`n \sin\theta = n_0 \sin\theta_0`, with the index :math:`n_0` of the
+immersion before an objective, and 1 before other lenses. Those near its normal come from :math:`z_w + (z - z_w) n_0 /
+n`, where the camera sees a particle at z.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +14,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ...camera import PlenopticCamera
-from ...errors import put, refuse_if, require_choice, require_length, require_number, require_numbers, suggest_keywords
-from ...runtime import Doubles
+from ...errors import refuse_if, require_choice, require_length, require_number, require_numbers, suggest_keywords, warn
+from ...runtime import MILLIMETRES, POINTS, Doubles, as_array
 
 MOST = 10**7
 """Particles at most."""
@@ -24,13 +29,85 @@ MOST_SHADOW = 0.1
 PLACE = partial(require_numbers, count=3, minimum=-1e9, maximum=1e9)
 """Rule of a place, direction or velocity."""
 
+_MEDIUM = partial(require_number, minimum=1, maximum=5)
+"""Rule of a refractive index."""
+
 
 def put_checked(record: Any, **rules: Callable[[str, Any], Any]) -> None:
     """Replace fields of a frozen dataclass that is being made by what their rules return; a default of None stays."""
     for name, rule in rules.items():
         value = getattr(record, name)
         if value is not None or getattr(type(record), name, "") is not None:
-            put(record, **{name: rule(name, value)})
+            object.__setattr__(record, name, rule(name, value))
+
+
+def require_points(name: str, points: ArrayLike) -> Doubles:
+    """Return points (n, 3) as floats; refuse other shapes, and points that are not finite."""
+    places = as_array(name, points, np.float64, POINTS, rule="they must be numbers, (n, 3)", units=MILLIMETRES)
+    refuse_if(
+        places.shape[1:] != (3,) or not np.isfinite(places).all(),
+        f"{name} of shape {places.shape}: they must be finite, and (n, 3)",
+    )
+    return places
+
+
+@suggest_keywords
+@dataclass(frozen=True)
+class Window:
+    """A thin plane window, square to the axis, between a camera and a fluid; by default there is none.
+
+    Parameters
+    ----------
+    distance : float
+        Position z of the window in mm of the camera frame.
+    medium : float, optional
+        Refractive index of the fluid behind it. Default: as before it.
+    """
+
+    distance: float = 0.0
+    medium: float | None = None
+
+    def __post_init__(self) -> None:
+        put_checked(self, distance=require_number, medium=_MEDIUM)
+
+    def ratio(self, camera: PlenopticCamera) -> float:
+        """Return the refractive index before the window over that behind it."""
+        if self.medium is None:
+            return 1.0
+        lens = camera.objective
+        before, nearest, aperture = (lens.immersion, lens.nearest, lens.numerical_aperture) if lens else (1.0, 0.0, 0.0)
+        refuse_if(
+            self.distance < nearest or self.medium <= aperture,
+            f"{self}: its distance must be before the lens, at least {nearest:g}, and its medium above {aperture:g}",
+        )
+        return before / self.medium
+
+    def seen(self, z: Any, camera: PlenopticCamera, *, power: int = 1) -> Any:
+        """Return the z in mm at which a camera sees points at z; with power -1 where points are that it sees there."""
+        return z + np.maximum(z - self.distance, 0) * (self.ratio(camera) ** power - 1)
+
+    def apparent(self, points: ArrayLike, camera: PlenopticCamera, wavelength: float) -> Doubles:
+        """Return where a camera sees points (n, 3) in mm, and warn where the window's aberration blurs them.
+
+        The wavelength is that in vacuum, in nanometres.
+        """
+        x, y, z = require_points("points", points).T
+        seen = self.seen(z, camera)
+        lens = camera.objective
+        # Angles before the window, of the chief ray and of the pupil's radius, and the depth behind it in waves.
+        chief = 0 * z if lens else np.hypot(x, y) / seen
+        cone = lens.half_angle if lens else camera.aperture_radius / seen
+        depth = np.maximum(z - self.distance, 0) * 1e6 / wavelength
+        ratio = self.ratio(camera)
+        factor = (lens.immersion if lens else 1) * ratio * (1 - ratio**2) / 8
+        waves = np.abs(factor * depth * ((chief + cone) ** 4 - chief**4)).max(initial=0)
+        # 1 / 14: Waves up to which a point stays sharp, by Maréchal.
+        if waves > 1 / 14:
+            warn(
+                f"window = {self.distance:g}: its aberration is {waves:.1g} waves, above a fourteenth, and left out: "
+                "images are sharp, and where rays near the window's normal have them"
+            )
+        return np.stack([x, y, seen], -1)
 
 
 @suggest_keywords
@@ -68,19 +145,20 @@ class ParticleVolume:
         """Return whether points (..., 3) are within the volume, its lower faces included."""
         return np.asarray(((points >= self.lower) & (points < self.upper)).all(-1))
 
-    def before(self, camera: PlenopticCamera) -> None:
-        """Refuse a volume that is not in front of a camera's main lens, or reaches its focal plane."""
+    def before(self, camera: PlenopticCamera, window: Window) -> None:
+        """Refuse a volume that is not in front of a camera's main lens, or is seen in its focal plane."""
         nearest = camera.lens_data.nearest
         rule = f"before the objective, beyond z = {nearest or 0:.4g} (in mm, from the native object plane)"
         if nearest is None:
             nearest = camera.focal_length
             rule = f"in front of the main lens, which forms images of what is beyond its focus at {nearest:g} only"
         near = self.lower[2]
+        near = window.seen(near, camera) if near > nearest else near
         refuse_if(near <= nearest, f"lower = {self.lower}: z = {near:g}: particles must be {rule}")
 
-    def lenses(self, camera: PlenopticCamera) -> float:
+    def lenses(self, camera: PlenopticCamera, window: Window) -> float:
         """Return the number of microlenses on which the middle plane of the volume is imaged."""
-        per_pitch = (camera.mla_pitch / camera.bin_size(self.centre[2])) ** 2
+        per_pitch = (camera.mla_pitch / camera.bin_size(window.seen(self.centre[2], camera))) ** 2
         return float(self.size[0] * self.size[1] * per_pitch / camera.lattice.lens_area)
 
 
@@ -99,7 +177,7 @@ class LightSheet:
     Parameters
     ----------
     direction : (float, float, float)
-        Direction in which the light travels, in the camera frame. Default: across the axis, along x.
+        Direction in which the light travels in the fluid, in the camera frame. Default: across the axis, along x.
     thickness : float, optional
         Thickness of the sheet in mm. Default: light everywhere.
     normal : (float, float, float)
@@ -156,7 +234,10 @@ class Seeding:
         Refractive index of the particles, with a positive imaginary part where they absorb. Default: polystyrene. With
         None they are fluorescent beads, whose light is the same in all directions and proportional to their volume.
     medium : float
-        Refractive index of the fluid, in which the camera is, too. Default: water.
+        Refractive index of the fluid. Default: water.
+    window : float, optional
+        Position z in mm, in the camera frame, of the plane window through which the camera looks at the fluid, from
+        air or an objective's immersion. Default: the near face of the volume.
     """
 
     per_lens: float | None = None
@@ -166,6 +247,7 @@ class Seeding:
     spread: float = 0.0
     index: complex | None = 1.59
     medium: float = 1.333
+    window: float | None = None
 
     def __post_init__(self) -> None:
         stated = 3 - [self.per_lens, self.per_volume, self.count].count(None)
@@ -179,16 +261,17 @@ class Seeding:
             diameter=partial(require_number, minimum=0.01, maximum=250),
             spread=partial(require_number, minimum=0, maximum=1),
             index=_index,
-            medium=partial(require_number, minimum=1, maximum=5),
+            medium=_MEDIUM,
+            window=require_number,
         )
         refuse_if(
             self.index == self.medium, f"index = {self.index}: as that of the medium, so that nothing is scattered"
         )
 
-    def density(self, volume: ParticleVolume, camera: PlenopticCamera) -> float:
+    def density(self, volume: ParticleVolume, camera: PlenopticCamera, window: Window) -> float:
         """Return the number of particles in a cubic millimetre; refuse densities at which they hide each other."""
         contents = float(volume.size.prod())
-        count = self.count or (self.per_volume or 0) * contents or (self.per_lens or 0) * volume.lenses(camera)
+        count = self.count or (self.per_volume or 0) * contents or (self.per_lens or 0) * volume.lenses(camera, window)
         density = count / contents
         # Of log-normal diameters the mean square is above that of the median.
         section = math.pi / 4 * (self.diameter * 1e-3) ** 2 * math.exp(2 * self.spread**2)
@@ -210,7 +293,8 @@ def _index(name: str, value: Any) -> complex | None:
     """Return a refractive index, None for beads; files hold its real and imaginary part."""
     if value is None:
         return None
-    index = complex(*value) if isinstance(value, (list, tuple)) else complex(value)
+    parts = value if isinstance(value, (list, tuple)) else (getattr(value, "real", value), getattr(value, "imag", 0))
+    index = complex(*require_numbers(name, parts, count=2))
     refuse_if(
         not 0.1 <= index.real <= 10 or not 0 <= index.imag <= 10,
         f"{name} = {value}: its real part must be from 0.1 to 10, and its imaginary part from 0 to 10",

@@ -14,7 +14,7 @@ from ...errors import naming, refuse_if, require_count, require_number, suggest_
 from ...io import read_labelled_data, versions
 from ...runtime import Doubles
 from .flows import Flow
-from .seeding import MOST, LightSheet, ParticleVolume, Seeding
+from .seeding import MOST, LightSheet, ParticleVolume, Seeding, Window
 
 _CHANGE = 0.05
 """Part of the particles by which divergence may change their density."""
@@ -32,7 +32,7 @@ def particle_sequence(
     sheet: LightSheet | None = None,
     seed: int = 0,
 ) -> xr.Dataset:
-    """Return particles that a flow carries through a volume, at the times of several frames.
+    """Return particles that a flow carries through a volume, at the times of several frames, in mm in the fluid.
 
     Particles leave the volume and others enter it, so that in each frame those within it are spread evenly. A flow with
     divergence, such as an imported one, gathers or thins them out, of which a warning tells.
@@ -63,10 +63,16 @@ def particle_sequence(
     require_camera(camera)
     interval = require_number("interval", interval, positive=True, maximum=1e9)
     frames = require_count("frames", frames, minimum=1, maximum=10000)
-    volume.before(camera)
+    near = volume.lower[2]
+    window = Window(near if seeding.window is None else seeding.window, seeding.medium)
+    refuse_if(
+        window.distance > near,
+        f"window = {window.distance:g}: it must be before the volume, whose near face is at z = {near:g}",
+    )
+    volume.before(camera, window)
     sheet = sheet or LightSheet()
     random = np.random.default_rng(require_count("seed", seed, minimum=0))
-    expected = seeding.density(volume, camera) * float(volume.size.prod())
+    expected = seeding.density(volume, camera, window) * float(volume.size.prod())
     first = random.uniform(volume.lower, volume.upper, (random.poisson(expected), 3))
     if frames > 1:
         _check_motion(flow, volume, interval, frames, first)
@@ -91,6 +97,7 @@ def particle_sequence(
     settings = {
         "camera": camera.to_dict(),
         "volume": {"lower": volume.lower, "upper": volume.upper},
+        "window": vars(window),
         "sheet": vars(sheet),
         "seeding": vars(seeding) | {"index": seeding.index and (seeding.index.real, seeding.index.imag)},
         "flow": {"kind": type(flow).__name__} | {key: value for key, value in vars(flow).items() if key[0] != "_"},

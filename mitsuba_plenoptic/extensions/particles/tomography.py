@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from ...errors import refuse_if, require_choice, require_count, require_number, suggest_keywords
 from ...io import Capture, Checkpoint, digest
 from ...linear import LinearMap, Sirt, Smart, SolverState, StopRule, relative_residual, solve
+from ...points import CaptureOperator
 from ...runtime import Progress, as_array
+from .seeding import Window
 from .voxels import VoxelGrid
 
 _METHODS: dict[str, type[Smart] | type[Sirt]] = {"mart": Smart, "sirt": Sirt}
@@ -85,6 +87,16 @@ def reconstruct_volume(
     steps = _METHODS[method](operator, image, relaxation)
     voxels = math.prod(grid.shape)
     refuse_if(steps.light.shape != (voxels,), f"grid of {voxels} voxels: the operator's differ")
+    if isinstance(capture, Capture) and "window" in capture.metadata.get("particles", {}):
+        window = Window(**capture.metadata["particles"]["window"])
+        z = grid.points[:, 2]
+        seen = getattr(operator, "window", window).seen(z, capture.camera)
+        if isinstance(operator, CaptureOperator):
+            seen = operator.points[:, 2]
+        refuse_if(
+            not np.allclose(seen, window.seen(z, capture.camera), 1e-9),
+            f"capture: it is through {window}; give the projector that window, or the operator its apparent points",
+        )
     refuse_if(steps.light.max() <= 0, "grid: no light of its voxels reaches the detector")
     facts = {"method": method, "relaxation": relaxation, "grid": vars(grid), "image": digest(image)}
     solution = solve(

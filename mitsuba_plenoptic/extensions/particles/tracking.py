@@ -16,7 +16,8 @@ from ...errors import refuse_if, require_count, require_number, require_numbers,
 from ...io import Capture
 from ...runtime import POINTS, Doubles, Progress, as_array, counted
 from ..inverse.stored import StoredOperator
-from .voxels import elongation, require_points, values_of
+from .seeding import Window, require_points
+from .voxels import elongation, values_of
 
 _STEP = 0.02
 """Lateral step of derivatives, over the width of a lens imaged to the particle; along the axis by the elongation."""
@@ -72,6 +73,7 @@ def refine_particles(
     light: Doubles,
     *,
     wavelength: float | None = None,
+    window: Window | None = None,
     iterations: int = 4,
     bins: Sequence[int] = (4, 2, 1),
     progress: Progress | None = None,
@@ -89,7 +91,9 @@ def refine_particles(
     positions, light : float64 array (n, 3), (n,)
         Positions in mm and light to start from.
     wavelength : float, optional
-        In nanometres. Default: that of the capture.
+        In vacuum, in nanometres. Default: that of the capture.
+    window : Window, optional
+        The window between camera and particles. Default: that of the capture, if it is one of `ParticleImages`.
     iterations : int
         Number of steps for each of `bins`.
     bins : sequence of int
@@ -110,6 +114,8 @@ def refine_particles(
     refuse_if(np.shape(light) != (count,), f"light of shape {np.shape(light)}: there are {count} positions")
     light = as_array("light", light, np.float64, POINTS)
     camera = capture.camera
+    window = window or Window(**capture.metadata.get("particles", {}).get("window", {}))
+    positions = window.apparent(positions, camera, wavelength)
 
     def spreads(places: Doubles) -> Any:
         return StoredOperator(camera, places, wavelength=wavelength, accuracy=0, budget=_BUDGET).to_sparse()
@@ -143,7 +149,7 @@ def refine_particles(
                 break
             damping *= 4
         damping = min(damping, 1.0)
-    return positions, light
+    return np.column_stack([positions[:, :2], window.seen(positions[:, 2], camera, power=-1)]), light
 
 
 def match_particles(

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
 from ...camera import PlenopticCamera
 from ...errors import put, refuse_if, require_count, require_numbers, suggest_keywords
 from ...runtime import MILLIMETRES, POINTS, Doubles, as_array, require_units
-from .seeding import ParticleVolume
+from .seeding import ParticleVolume, require_points
 
 _TRUNCATED = 4.0
 """Standard deviations beyond which a drawn particle is left out."""
@@ -61,7 +61,7 @@ class VoxelGrid(ParticleVolume):
 
     @property
     def points(self) -> Doubles:
-        """Centres of all voxels, (n, 3), for a `CaptureOperator`."""
+        """Centres of all voxels, (n, 3), in mm; a `CaptureOperator` takes what `Window.apparent` makes of them."""
         x, y, z = self.axes
         return np.stack(np.meshgrid(z, y, x, indexing="ij")[::-1], -1).reshape(-1, 3)
 
@@ -86,16 +86,6 @@ def values_of(*volumes: xr.DataArray) -> list[Doubles]:
     values = [as_array("volume", volume, np.float64, tuple("zyx")) for volume in volumes]
     refuse_if(not all(np.isfinite(volume).all() for volume in values), "volumes: their voxels must be finite")
     return values
-
-
-def require_points(name: str, points: ArrayLike) -> Doubles:
-    """Return points (n, 3) as floats; refuse other shapes, and points that are not finite."""
-    places = as_array(name, points, np.float64, POINTS, rule="they must be numbers, (n, 3)", units=MILLIMETRES)
-    refuse_if(
-        places.shape[1:] != (3,) or not np.isfinite(places).all(),
-        f"{name} of shape {places.shape}: they must be finite, and (n, 3)",
-    )
-    return places
 
 
 def drawn_particles(grid: VoxelGrid, positions: Doubles, weights: Doubles, width: Sequence[float]) -> xr.DataArray:
@@ -184,13 +174,14 @@ def elongation(camera: PlenopticCamera, distance: float) -> float:
     :math:`(a / g)^2 / 4` along each axis, and both axes tell of the depth, so that the standard deviation of a least
     squares estimate of depth over that of a lateral one is :math:`1 / \sqrt{2 (a / g)^2 / 4}`.
     Slopes before an objective have the mean square :math:`1 / \cos\alpha - 1` over the light, whatever the depth.
+    Behind a `Window`, depths are longer by 1 / `ratio` than those that the camera sees, `seen`.
 
     Parameters
     ----------
     camera : PlenopticCamera
         The camera.
     distance : float
-        Distance g of the point from the main lens, in mm.
+        Distance g of the point from the main lens, in mm, where the camera sees it.
     """
     if camera.objective is not None:
         return (1 / math.cos(camera.objective.half_angle) - 1) ** -0.5

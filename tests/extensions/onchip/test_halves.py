@@ -334,6 +334,16 @@ def test_a_bank_by_waves_has_the_light_and_the_disparity_of_rays():
     assert 0.85 < float(bank_disparity(waves)[0, 0] / bank_disparity(rays)[0, 0]) < 1
 
 
+@pytest.mark.parametrize("model", ["ray", "wave"])
+def test_a_bank_at_infinity_is_the_limit_of_far_points(model):
+    field = (0.02, -0.015)
+    bank = psf_bank(CAMERA, [1e9, math.inf], [field], model=model, size=19)
+    far, infinite = bank.values
+    assert np.linalg.norm(infinite - far) < 1e-4 * np.linalg.norm(far) and bank["depth"][1] == math.inf
+    if model == "ray":
+        assert float(bank_disparity(bank)[1, 0]) == pytest.approx(half_disparity(CAMERA, math.inf), rel=0.01)
+
+
 @pytest.mark.slow
 def test_vignetted_halves_follow_the_traced_pupil():
     """The double Gauss on the axis, at the edge and in the corner, against rays from the scene's point."""
@@ -346,6 +356,7 @@ def test_vignetted_halves_follow_the_traced_pupil():
     ("arguments", "message"),
     [
         (([0.0],), "depths = 0"),
+        (([-math.inf],), "depths = -inf: it must be greater than 0"),
         (([500.0], [1.0]), "they must be distances and pairs"),
         (([500.0], [(5.0, 0.0)]), r"fields = \(5, 0\): .* leave the detector"),
     ],

@@ -1,9 +1,12 @@
 """Reconstruction against dense matrices, correlation on exact shifts, and tracking against known positions."""
 
+import json
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from refusals import refused
+from refusals import refused, refuses
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import particles as pt
@@ -114,6 +117,26 @@ def test_voxels_by_rays_are_points_by_rays():
     assert_allclose((image * other).sum(dtype=float), projector.adjoint(other) @ light, rtol=1e-5)
 
 
+@pytest.mark.parametrize("projector", [pt.RayProjector, pt.VoxelProjector])
+def test_voxels_are_projected_from_where_they_are_seen(projector):
+    seen = pt.VoxelGrid((-0.2, -0.2, 220 + 16 / 1.4), (0.2, 0.2, 220 + 26 / 1.4), (2, 3, 3))
+    light = np.random.default_rng(2).random(18)
+    window = pt.Window(220, 1.4)
+    through = projector(CAMERA, GRID, wavelength=550, window=window)
+    image, expected = (each.forward(light) for each in (through, projector(CAMERA, seen, wavelength=550)))
+    assert_allclose(image, expected, atol=2e-5 * expected.max())
+    # Only a projector that looks through the window explains what it shows, or points where it shows them.
+    truth = pt.particle_sequence(
+        CAMERA, GRID, pt.Seeding(count=1, index=None, medium=1.4, window=220), pt.Uniform((0, 0, 0)), interval=1, seed=1
+    )
+    capture = mp.Capture(image, CAMERA, metadata={"particles": json.loads(truth.attrs["particles"])})
+    apparent = mp.CaptureOperator(CAMERA, window.apparent(GRID.points, CAMERA, 550), wavelength=550)
+    for other in (through, apparent):
+        assert pt.reconstruct_volume(other, capture, GRID, iterations=1).attrs["iterations"] == 1
+    for other in (projector(CAMERA, GRID, wavelength=550), mp.CaptureOperator(CAMERA, GRID.points, wavelength=550)):
+        refuses(r"capture: it is through Window\(.*=220.*1.4\)", pt.reconstruct_volume, other, capture, GRID)
+
+
 @pytest.mark.parametrize(
     "camera",
     [CAMERA.replace(mla_rotation=7.0, mla_offset=(0.01, 0.02)), CAMERA.replace(mla_lattice="hexagonal")],
@@ -189,6 +212,18 @@ def test_correlation_finds_shears_up_to_the_borders(across, rate, window):
     assert found["outlier"].mean() < 0.1
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("voxels", "is_wrong"), [(6, False), (10, False), (14, True), (20, True)])
+def test_displacements_beyond_a_window_are_warned_of(voxels, is_wrong):
+    pair = shifted_pair(lambda places: np.array([voxels / 24, 0, 0]), 1500)
+    with (
+        pytest.warns(UserWarning, match=r"window = \(16, 16, 16\): .* of the vectors are outliers, and others")
+        if is_wrong
+        else nullcontext()
+    ):
+        pt.correlate_volumes(*pair, window=(16, 16, 16))
+
+
 def test_outliers_are_replaced():
     first, second = shifted_pair(lambda places: np.array([0.1, 0, 0]))
     # Noise instead of particles in one window.
@@ -232,10 +267,13 @@ def test_particles_are_located_and_matched():
 
 def test_least_squares_find_positions_and_light():
     places, light = np.array([[0.05, 0.02, 231.0], [-0.07, -0.04, 250.0]]), np.array([1.0, 0.6])
-    image = mp.CaptureOperator(CAMERA, places, wavelength=550, accuracy=0).forward(light)
+    # In water behind a window at 225 mm.
+    seen = np.where([0, 0, 1], 225 + (places - 225) / 1.333, places)
+    image = mp.CaptureOperator(CAMERA, seen, wavelength=550, accuracy=0).forward(light)
     start = places + np.array([[0.01, -0.01, 0.3], [-0.01, 0.01, -0.3]])
     capture = mp.Capture(image, CAMERA, 550.0, "wave")
-    found, power = pt.refine_particles(capture, start, np.ones(2), iterations=3, bins=(2, 1))
+    window = pt.Window(225, 1.333)
+    found, power = pt.refine_particles(capture, start, np.ones(2), window=window, iterations=3, bins=(2, 1))
     assert np.abs((found - places)[:, :2]).max() < 5e-4
     assert np.abs((found - places)[:, 2]).max() < 0.03
     assert_allclose(power, light, rtol=0.02)
