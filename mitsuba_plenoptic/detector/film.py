@@ -12,8 +12,8 @@ import numpy as np
 from .operator import DetectorOperator
 
 
-def behind_detector(film: Any, detector: DetectorOperator) -> Any:
-    """Return a film around another one that develops what a detector records of the light on it.
+def behind_detector(film: Any) -> Any:
+    """Return a film around another one that develops what the detector of its sensor records of the light on it.
 
     Any integrator records the light on the inner film. The detector acts on its colours, not on alpha and extra
     channels such as depth.
@@ -23,13 +23,15 @@ def behind_detector(film: Any, detector: DetectorOperator) -> Any:
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             self.m_flags, self._extra = film.flags(), 0
-            self.stand_before(detector)
 
-        def stand_before(self, detector: DetectorOperator) -> None:
-            """Record by a detector, whose map of stray light becomes a tensor: `dr.freeze` knows no others."""
+        def stand_before(self, detector: DetectorOperator, width: Any) -> None:
+            """Record by a detector of a width, with whose gradient the detector's lengths in pixels change.
+
+            Its map of stray light becomes a tensor: `dr.freeze` knows no others.
+            """
             if isinstance(detector.stray_light, np.ndarray):
                 detector = replace(detector, stray_light=mi.TensorXf(detector.stray_light[..., None]))
-            self.detector = detector
+            self.detector, self._width = detector, width
 
         def prepare(self, aovs: list[str]) -> int:
             self._extra = len(aovs)
@@ -40,7 +42,11 @@ def behind_detector(film: Any, detector: DetectorOperator) -> Any:
             if raw:
                 return image
             colours = image.shape[2] - self._extra - int(mi.has_flag(film.flags(), mi.FilmFlags.Alpha))
-            recorded = self.detector.forward(image[:, :, :colours])
+            light = image[:, :, :colours]
+            recorded = self.detector.forward(light)
+            if dr.grad_enabled(self._width):
+                growth = dr.log(self._width / dr.detach(self._width))
+                recorded += growth * self.detector.slope(dr.detach(light))
             return recorded if colours == image.shape[2] else dr.concat([recorded, image[:, :, colours:]], axis=2)
 
         def bitmap(self, raw: bool = False) -> Any:

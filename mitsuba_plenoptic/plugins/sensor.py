@@ -123,9 +123,8 @@ def make_class() -> type:
             objects = [name for name in props.keys() if props.type(name) == mi.Properties.Type.Object]  # noqa: SIM118
             film_name = next((name for name in objects if isinstance(props[name], mi.Film)), None)
             if film_name is not None and props[film_name].rfilter().is_box_filter():
-                detector = DetectorOperator.of(read_camera(props, NAME, props[film_name])[0])
-                if not detector.is_identity:
-                    props[film_name] = behind_detector(props[film_name], detector)
+                if not DetectorOperator.of(read_camera(props, NAME, props[film_name])[0]).is_identity:
+                    props[film_name] = behind_detector(props[film_name])
             super().__init__(props)
             film = self.film()
             if not film.rfilter().is_box_filter():
@@ -187,8 +186,8 @@ def make_class() -> type:
                 plain = _plain(value, self._plain[name])
                 self._plain[name] = plain[0] if PARAMETERS[name].form is Form.NUMBER else plain
             self._rays = sampler_of(self.camera, numbers)
-            if hasattr(self.film(), "detector"):
-                self.film().stand_before(DetectorOperator.of(self.camera))
+            if hasattr(self.film(), "stand_before"):
+                self.film().stand_before(DetectorOperator.of(self.camera), self.detector_width)
             self._second_leg = second_leg(self.pixel_response, self.mla_absorption or 0.0)
             tables = (
                 place(package, text)(getattr(self, name))
