@@ -123,7 +123,8 @@ def make_class() -> type:
             objects = [name for name in props.keys() if props.type(name) == mi.Properties.Type.Object]  # noqa: SIM118
             film_name = next((name for name in objects if isinstance(props[name], mi.Film)), None)
             if film_name is not None and props[film_name].rfilter().is_box_filter():
-                if not DetectorOperator.of(read_camera(props, NAME, props[film_name])[0]).is_identity:
+                read, _ = read_camera(props, NAME, props[film_name])
+                if not DetectorOperator.of(read).is_identity:
                     props[film_name] = behind_detector(props[film_name])
             super().__init__(props)
             film = self.film()

@@ -7,7 +7,6 @@ an integer number of samples apart, so that a point spread can be moved from len
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -57,8 +56,8 @@ class Band:
 
 
 _WITHIN = ((np.multiply.outer((1, 13), np.arange(21)) + 0.5) / 21 % 1 - 0.5).T
-"""Places in a sample over which the light of lenses of unequal brightness is averaged: a lattice by Fibonacci's numbers,
-whose coordinates all differ, so that edges along an axis are placed to a 42nd of a sample."""
+"""Places in a sample over which the light of lenses of unequal brightness is averaged: a Fibonacci lattice, whose
+coordinates all differ, so that edges along an axis are placed to a 42nd of a sample."""
 
 
 def lens_amplitude(camera: PlenopticCamera, x: Any, y: Any, steps: Doubles) -> Any:

@@ -24,7 +24,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
 import numpy as np
 
 from ..camera import PlenopticCamera
