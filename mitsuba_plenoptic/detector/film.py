@@ -68,14 +68,15 @@ def _film_class(variant: str) -> type:
             self.inner = film
             _fit(self, film)
 
-        def stand_before(self, detector: DetectorOperator, is_coloured: bool) -> None:
-            """Record by a detector light along rays, whose weights may differ by colour.
+        def stand_before(self, detector: DetectorOperator, width: Any, is_coloured: bool) -> None:
+            """Record by a detector of a width in mm light along rays, whose weights may differ by colour.
 
-            Its map of stray light becomes a tensor: `dr.freeze` knows no others.
+            A map of stray light becomes a tensor: `dr.freeze` knows no others.
             """
             if isinstance(detector.stray_light, np.ndarray):
                 detector = replace(detector, stray_light=mi.TensorXf(detector.stray_light[..., None]))
             self.detector = detector
+            self._width = width
             self._is_coloured = is_coloured
 
         def prepare(self, aovs: list[str]) -> int:
@@ -136,12 +137,20 @@ def _film_class(variant: str) -> type:
                 if power is not None:
                     value = value * mi.TensorXf(self._weights[power], value.shape)
                 if power:
-                    value = self.detector.forward(value)
+                    value = self._recorded(value)
                 if name.endswith(".I"):
                     # 2**24: single precision holds no larger sum of indices.
                     value = dr.select(value < 2**24, value, dr.nan)
                 channels.append(value)
             return dr.concat(channels, axis=2)
+
+        def _recorded(self, light: Any) -> Any:
+            """Return what pixels record of light; with the width's gradient, lengths change as counts of pixels."""
+            recorded = self.detector.forward(light)
+            if dr.grad_enabled(self._width):
+                growth = dr.log(self._width / dr.detach(self._width))
+                recorded += growth * self.detector.slope(dr.detach(light))
+            return recorded
 
         def develop(self, raw: bool = False) -> Any:
             image = self.inner.develop(raw)
@@ -149,7 +158,7 @@ def _film_class(variant: str) -> type:
                 return image
             # Without alpha, which counts as a colour of the film.
             colours = self.inner.base_channels_count() - ("A" in self._channels)
-            recorded = self.detector.forward(image[:, :, :colours])
+            recorded = self._recorded(image[:, :, :colours])
             return recorded if colours == image.shape[2] else dr.concat([recorded, image[:, :, colours:]], axis=2)
 
         def bitmap(self, raw: bool = False) -> Any:

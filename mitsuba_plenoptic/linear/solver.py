@@ -72,6 +72,11 @@ class Steps:
         """Return uniform light that sends as much to the detector as the image has."""
         return np.where(self.inside, self.total / self.sent, 0.0).astype(self.light.dtype)
 
+    @cached_property
+    def first(self) -> Array:
+        """Image of the start."""
+        return np.asarray(self.operator.forward(self.start()))
+
     def step(self, point: Array, model: Array) -> Array:
         """Return the light after a step from a point whose image is `model`."""
         raise NotImplementedError
@@ -188,7 +193,7 @@ def solve(
             point = np.maximum(ahead, 0.5 * state.values)
         if state.done == iterations and stop is None:
             return Solution(state.values, point, state.done, "", steps.operator)
-        model = steps.operator.forward(point)
+        model = steps.operator.forward(point) if state.done else steps.first
         stopped = ""
         if stop is not None:
             state.residuals = [*state.residuals[-stop.steps :], stop.residual(steps.image, model)]
@@ -231,10 +236,9 @@ class RichardsonLucy(Steps):
         self._shifted = np.maximum(image + self.shift, 0)
         self.weight = np.divide(1, self.light, out=np.zeros_like(self.light), where=self.inside)
         # Pixels that hardly any light reaches explain nothing: interpolation may leave less than none there.
-        white = operator.forward(np.asarray(self.inside, np.float32))
         # 0.005: Light of a white scene in a pixel, over that of the brightest one, below which Richardson and Lucy
         # leave it out.
-        self.lit = white > 0.005 * white.max()
+        self.lit = self.first > 0.005 * self.first.max()
 
     def ratio(self, model: Array) -> Array:
         """Return the image divided by the model, both with the added light."""

@@ -204,8 +204,7 @@ def make_class() -> type:
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=True)
             tangents = {name: np.ravel(np.array(dr.grad(getattr(sensor, name)), np.float64)) for name in names}
             with guards.watch():
-                change = gradients.forward(tangents)
-            return develop(sensor.film(), change)
+                return develop(sensor.film(), gradients.compensated[0], gradients.forward(tangents))
 
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
@@ -213,9 +212,8 @@ def make_class() -> type:
             """Add the gradients of parameters, from the gradient with respect to the capture, for `mi.render`."""
             sensor, seed, spp = asked_for(scene, sensor, seed, spp)
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=False)
-            shape = *gradients.capture.camera.shape, gradients.capture.spectrum.channels
             with guards.watch():
-                back = develop_back(sensor.film(), grad_in, shape)
+                back = develop_back(sensor.film(), gradients.compensated[0], grad_in)
                 by_name = gradients.backward(back, names)
             for name, gradient in by_name.items():
                 value = getattr(sensor, name)

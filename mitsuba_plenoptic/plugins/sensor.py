@@ -197,7 +197,7 @@ def make_class() -> type:
             detector = DetectorOperator.of(self.camera)
             film = self.film()
             if hasattr(film, "stand_before"):
-                film.stand_before(detector, is_coloured)
+                film.stand_before(detector, self.detector_width, is_coloured)
             else:
                 needed = "an hdrfilm behind detector_blur, pixel_crosstalk or stray_light"
                 refuse_if(not detector.is_identity, f"{NAME}: film of type {film.class_name()}: it must be {needed}")

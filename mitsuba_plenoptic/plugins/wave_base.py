@@ -18,34 +18,37 @@ from .properties import require_read
 def put(film: Any, image: Floats, channels: int) -> None:
     """Fill a film with an image (rows, columns, channels), whose channels after the first `channels` are noise."""
     extra = image.shape[2] - channels
-    film.prepare([f"noise.{channel}" for channel in range(extra)])
-    film.put_block(mi.ImageBlock(drjit_array(mi.TensorXf, _block(image, channels)), film.crop_offset()))
-
-
-def develop(film: Any, image: Floats) -> Any:
-    """Return an image (rows, columns, channels) as the film develops it, which is a linear operation."""
-    put(film, image, image.shape[2])
-    return film.develop()
-
-
-def develop_back(film: Any, gradient: Any, shape: tuple[int, int, int]) -> Floats:
-    """Return the transpose of `develop` applied to a gradient; `shape` is the image's (rows, columns, channels)."""
-    block = drjit_array(mi.TensorXf, _block(np.zeros(shape, np.float32), shape[2]))
-    dr.enable_grad(block)
-    film.prepare([])
-    film.put_block(mi.ImageBlock(block, film.crop_offset()))
-    developed = film.develop()
-    dr.backward(dr.sum(developed * gradient, axis=None))
-    colours = np.array(dr.grad(block))[..., :3]
-    return np.asarray(colours if shape[2] == 3 else colours.sum(axis=2, keepdims=True), np.float32)
-
-
-def _block(image: Floats, channels: int) -> Floats:
-    """Return a block with the channels red, green, blue, a weight of 1, and the extra channels."""
-    block = np.ones((*image.shape[:2], 4 + image.shape[2] - channels), dtype=np.float32)
+    # Red, green, blue, a weight of 1, and the noise.
+    block = np.ones((*image.shape[:2], 4 + extra), np.float32)
     block[..., :3] = image[..., :channels]
     block[..., 4:] = image[..., channels:]
-    return block
+    film.prepare([f"noise.{channel}" for channel in range(extra)])
+    film.put_block(mi.ImageBlock(drjit_array(mi.TensorXf, block), film.crop_offset()))
+
+
+def develop(film: Any, image: Floats, change: Floats) -> Any:
+    """Return the change of what a film develops of an image (rows, columns, channels), for a change of the image."""
+    light, developed = _developed(film, image)
+    dr.set_grad(light, drjit_array(mi.TensorXf, change))
+    return dr.forward_to(developed)
+
+
+def develop_back(film: Any, image: Floats, gradient: Any) -> Floats:
+    """Return the transpose of `develop` applied to a gradient."""
+    light, developed = _developed(film, image)
+    dr.backward(dr.sum(developed * gradient, axis=None))
+    return np.array(dr.grad(light), np.float32)
+
+
+def _developed(film: Any, image: Floats) -> tuple[Any, Any]:
+    """Return an image as a tensor with a gradient, and what a film develops of it."""
+    light = drjit_array(mi.TensorXf, image)
+    dr.enable_grad(light)
+    colours = [light] * (3 // image.shape[2])
+    film.prepare([])
+    block = dr.concat([*colours, dr.ones(mi.TensorXf, (*image.shape[:2], 1))], axis=2)
+    film.put_block(mi.ImageBlock(block, film.crop_offset()))
+    return light, film.develop()
 
 
 NAME = "plenoptic_wave"

@@ -7,7 +7,6 @@ an integer number of samples apart, so that a point spread can be moved from len
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -56,8 +55,29 @@ class Band:
     smooth: bool = False  # whether the softened edges have no kinks, which reduces aliasing
 
 
-_PARTS = 3
-"""Parts of a sample, along an axis, over which the light of lenses of unequal brightness is averaged."""
+_WITHIN = ((np.multiply.outer((1, 13), np.arange(21)) + 0.5) / 21 % 1 - 0.5).T
+"""Places in a sample over which the light of lenses of unequal brightness is averaged: a Fibonacci lattice, whose
+coordinates all differ, so that edges along an axis are placed to a 42nd of a sample."""
+
+
+def lens_amplitude(camera: PlenopticCamera, x: Any, y: Any, steps: Doubles) -> Any:
+    """Return the mean amplitude behind lenses of unequal brightness, in samples some steps apart.
+
+    Positions and steps are in mm on the array, as Dr.Jit arrays and along x and y. At single positions, edges between
+    bright and dark lenses would lie up to half a sample aside.
+    """
+    table = camera.mla_transmissions
+    if table is None:
+        return 1.0
+    lattice = camera.lattice
+    if lattice.displacement is not None:
+        # Once for all parts, as displacements are smooth.
+        x, y = lattice.displacement.regular(x, y)
+    amplitude: Any = 0.0
+    for right, up in (_WITHIN * steps).tolist():
+        cell = lattice.regular.cell(x + dr.opaque(type(x), right), y + dr.opaque(type(y), up))
+        amplitude += dr.sqrt(table.at(lattice, *cell))
+    return amplitude / len(_WITHIN)
 
 
 @dataclass(frozen=True)
@@ -84,25 +104,6 @@ class Grid:
     def is_separable(self) -> bool:
         """Whether all factors on the array are functions of one coordinate."""
         return (0, 1) not in self.microlenses.axes and self.camera.mla_transmissions is None
-
-    def brightness(self, x: Any, y: Any, steps: Doubles) -> Any:
-        """Return the mean amplitude behind lenses of unequal brightness, in samples some steps apart.
-
-        Positions and steps are in mm on the array, as Dr.Jit arrays and along x and y.
-        """
-        table = self.camera.mla_transmissions
-        if table is None:
-            return 1.0
-        lattice = self.camera.lattice
-        parts = (np.arange(_PARTS) + 0.5) / _PARTS
-        if lattice.displacement is not None:
-            # Once for all parts, as displacements are smooth.
-            x, y = lattice.displacement.regular(x, y)
-        amplitude: Any = 0.0
-        for right, up in itertools.product(*((parts - 0.5)[None] * steps[:, None]).tolist()):
-            cell = lattice.regular.cell(x + dr.opaque(type(x), right), y + dr.opaque(type(y), up))
-            amplitude += dr.sqrt(table.at(lattice, *cell))
-        return amplitude / _PARTS**2
 
     @classmethod
     def of(cls, system: OpticalSystem, band: Band, positions: Doubles, together: int = 1) -> Grid:

@@ -24,7 +24,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
 import numpy as np
 
 from ..camera import PlenopticCamera
@@ -46,6 +45,7 @@ from ..fields import (
 from ..optics import guards, in_millimetres, power
 from ..runtime import BatchMap, Box, Cost, Doubles, Floats, Job, Part, PartialSum, active_backend, check_memory, fft
 from .arrival import Arrival, FieldGrids, SampledField, arrival, blocks, field_grids
+from .field_grid import lens_amplitude
 from .pupil_weights import PupilWeights
 
 _FINER = 6
@@ -161,14 +161,14 @@ class Apertures:
 
     def __init__(self, system: OpticalSystem, step: Step) -> None:
         array = system.microlenses
-        lattice = system.lattice
-        table = system.camera.mla_transmissions
+        camera = system.camera
+        pitches = np.array([step.x.pitch, step.y.pitch])
         cosine = in_millimetres(system.wavelength) / (2 * step.x.pitch)
         self.step = step
         self.power = 0.0
         self._brightness = self._openings = None
-        if table is not None:
-            self._brightness = Element(step, lambda x, y: _complex(dr.sqrt(table.at(lattice, *lattice.cell(x, y)))))
+        if camera.mla_transmissions is not None:
+            self._brightness = Element(step, lambda x, y: _complex(lens_amplitude(camera, x, y, pitches)))
         if not array.fills:
             self._openings = Element(step, lambda x, y: _complex(array.open_fraction(cosine, x, y)))
 

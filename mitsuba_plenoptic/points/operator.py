@@ -331,6 +331,9 @@ class CaptureOperator(CoherentPoints, LinearMap):
         image = self._for_derivatives().jvp(factors, checked, wavelengths, matrix, job or Job())
         image = self._detector.forward(image.reshape(*self.camera.shape, -1))
         columns = np.moveaxis(image.reshape(*self.camera.shape, len(checked), len(matrix)), 2, 0)
+        growths = [changes.get("detector_width", np.zeros(1)) for changes in checked]
+        if any(map(np.any, growths)) and self._detector.has_lengths:
+            columns += np.multiply.outer(np.concatenate(growths), self._slope_by_width(factors))
         flat = np.ndim(weights) == 1 and len(matrix) == 1
         return np.ascontiguousarray(columns[..., 0] if flat else columns)
 
@@ -372,7 +375,16 @@ class CaptureOperator(CoherentPoints, LinearMap):
         wavelengths, matrix = self._channels.mixing(factors.shape[1])
         if channels.shape[2] != len(matrix):
             raise InputError(f"image of shape {np.shape(image_gradient)}: the weights make {len(matrix)} channels")
-        return self._for_derivatives().vjp(factors, channels, chosen, wavelengths, matrix, job or Job())
+        gradients = self._for_derivatives().vjp(factors, channels, chosen, wavelengths, matrix, job or Job())
+        if "detector_width" in gradients and self._detector.has_lengths:
+            slope = self._slope_by_width(factors)
+            gradients["detector_width"] += np.vdot(slope, np.reshape(image_gradient, slope.shape))
+        return gradients
+
+    def _slope_by_width(self, weights: Doubles) -> NDArray[Any]:
+        """Return what the detector's lengths, as counts of pixels, add to the derivative by ``detector_width``."""
+        with guards.watch():
+            return np.asarray(self._detector.slope(self._image(weights, Job())) / self.camera.detector_width)
 
     def _for_derivatives(self) -> Differentials:
         """Return the derivatives of the sums; refuse methods without derivatives."""

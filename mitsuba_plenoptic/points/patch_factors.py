@@ -20,7 +20,7 @@ from ..fields import ArrayFactor, VaryingArrayFactor, has_response, recorded_amp
 from ..lenses import Light, MainLens, VaryingLens
 from ..optics import in_millimetres, phasor, smooth_edge, soft_edge, transfer
 from ..runtime import Doubles, Integers, array_module, drjit_array, fft, is_zero, on_cuda, turn
-from .field_grid import Grid, Placement
+from .field_grid import Grid, Placement, lens_amplitude
 from .pupil_weights import PupilWeights
 from .seen_pupil import SeenPupil
 from .windows import part_of
@@ -307,7 +307,7 @@ class PatchFactors:
         size = self.mla_samples
         patch, row, column = fft.split(types, dr.arange(types.UInt32, len(self._positions) * size * size), size, size)
         x, y = (self._position(patch, sample, axis) * elements.growth for axis, sample in enumerate((column, row)))
-        product = types.Complex2f(types.Float(self._grid.brightness(x, y, self._mla_steps)))
+        product = types.Complex2f(types.Float(lens_amplitude(self._grid.camera, x, y, self._mla_steps)))
         for factor in elements.array(self._highest):
             if len(factor.axes) == 2:
                 product = factor.at(x, y) * product

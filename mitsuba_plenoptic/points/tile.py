@@ -18,6 +18,7 @@ import scipy
 
 from ..optics import in_millimetres
 from ..runtime import Box, Doubles, Floats, Integers, Part, active_backend, array_module, backend_of, drjit_array, fft
+from .field_grid import lens_amplitude
 from .patch import PatchBatch, PatchWorkspace
 from .patch_factors import Fields, fields_memory
 from .windows import Windows, add_on_device, products_on_device
@@ -374,7 +375,7 @@ def aperture_power(fields: Fields) -> Doubles:
                 (grid.origin + batch.corner[points] * grid.pitch).T, (column, row), pitch, strict=True
             )
         )
-        power = types.Float64(grid.brightness(x, y, pitch) ** 2)
+        power = types.Float64(lens_amplitude(grid.camera, x, y, pitch) ** 2)
         if not grid.microlenses.fills:
             power = grid.microlenses.open_fraction(cosine, x, y) * power
         power = power + dr.zeros(types.Float64, dr.width(patch))

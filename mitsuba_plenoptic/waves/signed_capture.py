@@ -218,15 +218,25 @@ class SignedGradients:
     seed: int
     spp: int
 
+    @cached_property
+    def compensated(self) -> tuple[Floats, dict[int, NonNegative]]:
+        """The light on the pixels (rows, columns, channels), and the compensation of its noise by channel."""
+        with dr.suspend_grad():
+            image = self._image(SignedRaySum)
+        projections = self.capture.projections(image)
+        for channel, projection in projections.items():
+            image[..., channel] = projection.image
+        return image, projections
+
     def forward(self, changes: Values) -> Floats:
-        """Return the change of the capture, an array (rows, columns, channels)."""
+        """Return the change of the light on the pixels, an array (rows, columns, channels)."""
         with dr.suspend_grad():
             change = np.zeros((*self.capture.camera.shape, self.capture.spectrum.channels), np.float32)
             if self.light is not None:
                 change += self._image(SignedRaySum, self.light)
             if changes:
                 change += self._image(partial(CameraTangents, changes=changes))
-            for channel, projection in self.capture.projections(self._image(SignedRaySum)).items():
+            for channel, projection in self.compensated[1].items():
                 change[..., channel] = projection.forward(change[..., channel])
         return change
 
@@ -237,7 +247,7 @@ class SignedGradients:
         """
         with dr.suspend_grad():
             linear = list(np.moveaxis(gradient, -1, 0))
-            for channel, projection in self.capture.projections(self._image(SignedRaySum)).items():
+            for channel, projection in self.compensated[1].items():
                 linear[channel] = projection.backward(linear[channel])
             if self.light is not None:
                 light = ReplayedLight(self.light)

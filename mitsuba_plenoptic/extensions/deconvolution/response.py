@@ -22,7 +22,7 @@ from ...detector import SHARP, DetectorOperator
 from ...errors import refuse_if
 from ...fields import OpticalSystem, upright
 from ...lenses import FittedLens, RealLens, inverse_distance
-from ...optics import in_millimetres
+from ...optics import in_millimetres, power
 from ...points import Copies, Fields, Grid, Recorder, Scatter, band_for, chunks_of, place, radiance_weight, scene_points
 from ...rays import Passage, Walk
 from ...refocus import regular_place, straightened
@@ -421,13 +421,13 @@ class Response(StoredResponse):
         def nearest(*aim: float) -> int:
             return int(np.argmin(((places - centre - reach * aim) ** 2).sum(1)))
 
-        def light(cell: NDArray[np.int64]) -> NDArray[np.float32]:
+        def light(cell: NDArray[np.int64]) -> Any:
             left, top = (cell @ cells.samples + cells.first_sample - half).tolist()
-            image = np.zeros((1, 2 * half, 2 * half), np.float32)
+            image = active_backend().arrays.zeros((1, 2 * half, 2 * half), np.float32)
             batches = itertools.chain.from_iterable(self._batches(cells, distance, cell, 2))
             with contextlib.closing(job.workers(batches)) as parts:
                 for block in parts:
-                    box, sums = merged(block.box, active_backend().to_host(block.sums)[0], self._together)
+                    box, sums = merged(block.box, block.sums[0], self._together)
                     add(Part(box, sums[None]), Box(left, top, 2 * half, 2 * half), image)
             return image
 
@@ -435,11 +435,12 @@ class Response(StoredResponse):
         aims += [(-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0)]
         middle = nearest(0.0, 0.0)
         at_middle = light(index[middle])
-        if not at_middle.any():
+        bright = power(at_middle[0])
+        if not bright:
             return math.inf
         steepest = 0.0
         for number in {nearest(*aim) for aim in aims} - {middle}:
-            change = float(np.linalg.norm(light(index[number]) - at_middle) / np.linalg.norm(at_middle))
+            change = math.sqrt(power((light(index[number]) - at_middle)[0]) / bright)
             away = math.dist(places[number], places[middle]) / math.hypot(*reach)
             steepest = max(steepest, change / away)
         return steepest
