@@ -330,7 +330,7 @@ def test_dictionaries_are_scenes_and_any_sensor_renders(camera_dict):
     with pytest.raises(InputError, match=r"scene: .*focal_lenght"):
         load_scene({"type": "scene", "sensor": camera_dict(focal_lenght=3.0)})
     for unit in ("mm", "m"):
-        with pytest.raises(InputError, match="^scene: sensor.focal_length = None: it must have a value"):
+        with pytest.raises(InputError, match=r"^scene: sensor\.focal_length = None: it must have a value"):
             load_scene({"type": "scene", "sensor": camera_dict(focal_length=None)}, unit=unit)
 
 
