@@ -19,8 +19,13 @@ noise of their light differs.
 
 # ruff: noqa: E402
 import importlib
+import os
 import pkgutil
 from typing import Any
+
+# Scenes and tables are files.
+if not os.path.isfile(__file__):  # noqa: PTH113
+    raise ImportError(f"{__file__}: the package cannot be imported from an archive: unpack it, or install it with pip")
 
 import lazy_loader
 
@@ -58,7 +63,11 @@ def __getattr__(name: str) -> Any:
     elif absent := missing("modules", name):
         raise AttributeError(absent)
     elif name in modules:
-        found = importlib.import_module(f"{__name__}.{name}")
+        try:
+            found = importlib.import_module(f"{__name__}.{name}")
+        except ImportError as error:
+            # So that `hasattr`, `getattr` with a default and `help` go on without the libraries of extras.
+            raise AttributeError(str(error)) from error
     elif name in _in_stub:
         found = _of_stub(name)
     else:

@@ -42,7 +42,7 @@ QUANTITIES = {
 }
 """Quantities of ground truth, of the point that a ray meets, with their channels."""
 
-RAW_SUFFIXES = (".png", ".tif", ".tiff")
+RAW_SUFFIXES = (".png", ".tif", ".tiff", ".bmp")
 """Of raw pictures."""
 
 PICTURES = (".exr", ".png", ".pdf")

@@ -233,7 +233,13 @@ def suggest_keywords(
 
         # Small numbers may become 0, even where a user lets NumPy raise errors.
         with np.errstate(under="ignore"):
-            return function(*arguments, **options)
+            try:
+                return function(*arguments, **options)
+            except RuntimeError as error:
+                # What a user's function raises within a generator, such as the report of progress of a sum.
+                if isinstance(error.__cause__, StopIteration):
+                    raise error.__cause__ from None
+                raise
 
     return cast(_Call, called)
 

@@ -140,9 +140,18 @@ def hook(key: str, what: str) -> Any:
 
 
 class Displayed:
-    """A class whose objects notebooks show as an extension draws them, or as plain text without that extension."""
+    """A class with an image, which NumPy takes for the object.
+
+    Notebooks show objects as an extension draws them, or as plain text without that extension.
+    """
 
     __slots__ = ()
+    image: Any
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Any:
+        import numpy as np
+
+        return np.array(self.image, dtype, copy=copy)
 
     def _repr_html_(self) -> str | None:
         for package, name, text in entries("displays"):

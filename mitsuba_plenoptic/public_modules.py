@@ -31,8 +31,13 @@ class PublicModules(MetaPathFinder, Loader):
         return None
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
-        """Return the extension's module itself."""
-        module = importlib.import_module(spec.loader_state)
+        """Return the extension's module itself; without a library that it needs, raise an ImportError that says so."""
+        from .errors import InputError
+
+        try:
+            module = importlib.import_module(spec.loader_state)
+        except InputError as error:
+            raise ImportError(str(error), name=spec.name) from None
         spec.loader_state = module.__spec__
         return module
 

@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -58,6 +59,42 @@ def test_the_help_lists_every_command_with_its_first_sentence(capsys):
 def test_public_names_are_found_when_they_are_asked_for():
     assert all(getattr(mitsuba_plenoptic, name) is not None for name in mitsuba_plenoptic.__all__)
     assert mitsuba_plenoptic.decode is mitsuba_plenoptic.views.decode
+
+
+@pytest.mark.parametrize("name", ["jax", "torch"])
+def test_modules_without_their_library_are_no_attributes(python, name):
+    """The words are those of the refusal, and `help` shows what is there."""
+    said = python(f"""
+    import pydoc, sys
+    sys.modules["{name}"] = None
+    import mitsuba_plenoptic as mp
+    print(hasattr(mp, "{name}"), getattr(mp, "{name}", None), "render_capture" in pydoc.render_doc(mp))
+    for statement in ("mp.{name}", "import mitsuba_plenoptic.{name}", "from mitsuba_plenoptic import {name}"):
+        try:
+            exec(statement)
+        except (AttributeError, ImportError) as error:
+            print(type(error).__name__, error)
+    """).stdout.splitlines()
+    words = f"mitsuba_plenoptic.{name} needs the package {name}: pip install 'mitsuba-plenoptic[{name}]'"
+    assert said == ["False None True", f"AttributeError {words}", f"ImportError {words}", f"ImportError {words}"]
+
+
+def test_a_package_in_an_archive_is_refused_in_one_line(tmp_path, python):
+    archive = tmp_path / "package.zip"
+    folder = Path(mitsuba_plenoptic.__file__).parent
+    with zipfile.ZipFile(archive, "w") as file:
+        for path in folder.rglob("*.py*"):
+            file.write(path, path.relative_to(folder.parent))
+    said = python(f"""
+    import sys, zipimport
+    sys.meta_path = [each for each in sys.meta_path if "editable" not in repr(each).lower()]
+    sys.path.insert(0, {str(archive)!r})
+    try:
+        import mitsuba_plenoptic
+    except ImportError as error:
+        print(error)
+    """).stdout
+    assert "package.zip" in said and "cannot be imported from an archive: unpack it" in said and said.count("\n") == 1
 
 
 def test_names_of_the_package_are_public_ones_and_modules():

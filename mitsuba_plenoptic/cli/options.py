@@ -26,7 +26,6 @@ from ..errors import (
 from ..extension import missing
 from ..presets import PRESETS
 from ..refocus_options import method_names
-from ..runtime import claim
 from ..scene_files import scene_names, scene_path
 
 WAVES = "Options of waves"
@@ -57,6 +56,8 @@ def ends_in(*suffixes: str, is_folder: bool = False) -> Callable[..., Any]:
         if path is not None and suffixes and not path.is_dir():
             require_suffix(path, suffixes)
         if path is not None and not context.params.get("estimate"):
+            from ..runtime import claim
+
             claim(path, is_folder)
         return path
 

@@ -24,7 +24,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from ..errors import InputError, at_shell, did_you_mean, relation, require_choice, short_repr
 from ..extension import entries, missing
-from ..runtime import INTERRUPTED, claiming, plain_lines
+from ..runtime import INTERRUPTED, plain_lines
 
 PROGRAM = "mitsuba-plenoptic"
 
@@ -184,7 +184,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Options before the command, of which none is given: Typer would import pydantic to judge them.
         group.params.clear()
         group.add_help_option = False
-    with _remarks(), _interrupts(), claiming():
+        from ..runtime import claiming
+    with _remarks(), _interrupts(), claiming() if called else contextlib.nullcontext():
         try:
             # Progress begins before the options are read, thus before --quiet is.
             has_progress = called is not None and {"-h", "--help", "-q", "--quiet"}.isdisjoint(words)

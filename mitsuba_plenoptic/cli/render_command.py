@@ -236,7 +236,9 @@ def expose(
     capture: CaptureFile,
     output: Annotated[
         Path,
-        output_option("FILE", "File to write: .exr, or .png or .tiff for digital numbers.", ".exr", *RAW_SUFFIXES),
+        output_option(
+            "FILE", "File to write: .exr, or .png or .tiff for digital numbers.", ".exr", ".png", ".tif", ".tiff"
+        ),
     ],
     photons: Annotated[float, numeric("Photons that hit a pixel of value 1 during the exposure.")],
     quantum_efficiency: Annotated[float, numeric("Electrons per photon, up to 1.", unit="FRACTION")] = 0.6,

@@ -39,7 +39,7 @@ from ..errors import (
 from ..extension import Displayed, format_of, place
 from ..runtime import as_pixels, atomic_output, of_one_file, require_writable
 from .exr import read_attributes, read_exr, read_pixels, write_exr
-from .pictures import KEY, StoredPicture, read_numbers
+from .pictures import KEY, TIFF, StoredPicture, read_numbers
 from .versions import camera_of_waves, is_of_1_0, require_seal, sealed
 
 _log = logging.getLogger(__name__)
@@ -323,7 +323,7 @@ def write_raw(path: str | Path, capture: Capture) -> None:
         If the capture was not exposed, its values are no digital numbers of its detector, a PNG would have three
         channels, or the file cannot be written.
     """
-    path = require_writable(path, *RAW_SUFFIXES)
+    path = require_writable(path, ".png", *TIFF)
     numbers = digital_numbers(capture)
     text = json.dumps({KEY: sealed(_record(capture, "raw"), [{"": numbers}])})
     if path.suffix.lower() == ".png":

@@ -8,6 +8,7 @@ refused.
 from __future__ import annotations
 
 import contextlib
+import math
 import struct
 from pathlib import Path
 from typing import NamedTuple
@@ -55,7 +56,7 @@ class StoredPicture(NamedTuple):
 
 
 def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
-    """Return the linear values of a PNG or TIFF, grey or of three colours.
+    """Return the linear values of a PNG, TIFF or BMP, grey or of three colours.
 
     Parameters
     ----------
@@ -84,10 +85,15 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
 
 @of_one_file
 def read_numbers(path: str | Path) -> StoredPicture:
-    """Return the numbers in a PNG or TIFF; refuse numbers whose meaning the file does not say."""
+    """Return the numbers in a PNG, TIFF or BMP; refuse numbers whose meaning the file does not say."""
     path = require_file(path)
     require_memory(2 * path.stat().st_size, f"{path}: {path.stat().st_size} bytes")
     with refusing(f"{path}: it cannot be read as a picture:"):
+        if path.suffix.lower() == ".bmp":
+            with Image.open(path, formats=["BMP"]) as picture:
+                require_memory(4.0 * _SAMPLE_BYTES * math.prod(picture.size), f"{path}: {picture.size} pixels")
+                values = np.array(picture.convert("L" if picture.mode in ("1", "L") else "RGB"))
+            return StoredPicture(values, 255, None, "")
         return read_tiff(path) if path.suffix.lower() in TIFF else read_png(path)
 
 

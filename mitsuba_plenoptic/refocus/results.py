@@ -199,6 +199,9 @@ class Volume:
         }
         return cls(values, distances, size, attributes)
 
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Any:
+        return np.array(self.values, dtype, copy=copy)
+
     @property
     def spacing(self) -> float | None:
         """Distance between planes in mm; None for one plane, and for distances that vary by more than a thousandth."""

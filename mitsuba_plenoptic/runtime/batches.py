@@ -12,6 +12,7 @@ import contextlib
 import gc
 import logging
 import multiprocessing
+import socket
 import threading
 from collections import deque
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
@@ -20,6 +21,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from types import MappingProxyType, TracebackType
 from typing import Any, Protocol, TypeVar
+from urllib.parse import urlsplit
 
 import mitsuba as mi
 import numpy as np
@@ -402,6 +404,10 @@ class Cluster:
             logger.setLevel(logging.CRITICAL + 1)
             try:
                 address: Any = self._scheduler
+                # Dask would go on trying where nobody listens.
+                at = urlsplit(self._scheduler if "://" in (self._scheduler or "") else f"tcp://{self._scheduler}")
+                if self._scheduler and at.scheme in ("tcp", "tls") and at.port:
+                    socket.create_connection((at.hostname, at.port), timeout=5).close()
                 if self._count:
                     address = opened.enter_context(
                         distributed.LocalCluster(
@@ -432,11 +438,15 @@ class Cluster:
     def __exit__(
         self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._client = None
         self._open.close()
 
     @property
     def workers(self) -> int:
         """Number of batches computed at a time."""
+        refuse_if(
+            self._client is None, f"{self._name}: the workers are there within: with mp.Cluster(...) as cluster alone"
+        )
         return max(1, sum(self._client.nthreads().values()))
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ from ..choices import LIGHT_FIELDS, RAW_SUFFIXES
 from ..errors import InputError, argument, content_of, naming, refuse_if
 from ..extension import format_of, place
 from ..io import (
-    TIFF,
     TRUTH_NAME,
     TRUTH_SUFFIX,
     Capture,
@@ -85,7 +85,7 @@ def open_light_field(
     refuse_if(
         white is not None and views is not None, f"{path}: a white image and a number of views exclude each other"
     )
-    if not any(str(source).lower().endswith((".png", *TIFF)) for source in (path, white)):
+    if not any(str(source).lower().endswith(RAW_SUFFIXES) for source in (path, white)):
         _refuse(path, linear=linear or None)
     if name.endswith(".exr"):
         _refuse(path, views=views)
@@ -101,7 +101,7 @@ def open_light_field(
     if name.endswith((".nc", ".zarr")):
         _refuse(path, white=white, views=views, camera=None if camera is None else "given")
         return read_labelled(path)
-    if name.endswith((".png", *TIFF)):
+    if name.endswith(RAW_SUFFIXES):
         picture = read_numbers(path) if camera is None and white is None else None
         stated = picture and stated_mosaic(picture)
         if stated or views is not None:
@@ -125,8 +125,27 @@ def open_light_field(
         f"{path}: a raw picture of such a camera is a mosaic of colours; demosaic it first",
     )
     raise InputError(
-        f"{path}: it is {content_of(path)}; a capture or light field is a folder with {HCI}, or has a name that ends "
-        f"in .exr, {', '.join(LIGHT_FIELDS)} or .tiff"
+        f"{path}: it is {content_of(path)}{_step(path)}; a capture or light field is a folder with {HCI}, or has a "
+        f"name that ends in .exr, {', '.join(LIGHT_FIELDS)}, .tiff or .bmp"
+    )
+
+
+def _step(path: Path) -> str:
+    """Return how a folder of pictures, or an HDF5 file, becomes a mosaic of views."""
+    pictures = [file for file in path.iterdir() if file.suffix.lower() in RAW_SUFFIXES] if path.is_dir() else []
+    if pictures:
+        side = math.isqrt(len(pictures))
+        return (
+            f" of {len(pictures)} pictures: if each is a view, as in the Stanford archive, join them with the upper "
+            f"left one first (ImageMagick: montage *{pictures[0].suffix} -tile {side}x -geometry +0+0 "
+            f"views.png), and give views.png with {argument('views')}"
+        )
+    if path.suffix.lower() not in (".h5", ".hdf5"):
+        return ""
+    return (
+        f": if it is an old light field of HCI, with the views under LF, write them as a mosaic in Python, v, u, rows, "
+        "columns, colours = LF.shape; PIL.Image.fromarray(LF[()].swapaxes(1, 2).reshape(v * rows, u * columns, "
+        f"colours)).save('views.png'), and give views.png with {argument('views')}"
     )
 
 

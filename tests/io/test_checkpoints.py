@@ -299,6 +299,15 @@ def test_a_capture_that_was_killed_keeps_its_kernels(tmp_path, monkeypatch):
     assert made and len(counts) == made
 
 
+@pytest.mark.parametrize("error", [StopIteration, KeyError])
+def test_what_a_report_of_progress_raises_comes_out(error):
+    def report(done, total):
+        raise error("enough")
+
+    with pytest.raises(error, match="enough"):
+        render(progress=report)
+
+
 def test_a_second_process_is_refused_until_the_first_has_ended(tmp_path, python):
     path = tmp_path / "raw.checkpoint"
     code = f"""

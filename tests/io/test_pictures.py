@@ -1,9 +1,11 @@
 """Pictures, units and arrays of other programs, and raw captures as pictures of 16 bits."""
 
 import json
+import re
 
 import numpy as np
 import OpenEXR
+import PIL
 import pytest
 import tifffile
 import xarray as xr
@@ -13,6 +15,7 @@ from refusals import refuses
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, Detector, InputError, PlenopticCamera, expose, read_raw, write_raw
 from mitsuba_plenoptic.exchange import read_picture
+from mitsuba_plenoptic.refocus import Volume
 
 RAMP = np.linspace(0.1, 0.9, 32).reshape(4, 8)
 COLOURS = np.stack([RAMP, RAMP / 2, RAMP / 4], -1)
@@ -35,6 +38,47 @@ CAMERA = mp.PlenopticCamera(detector_width=0.256, resolution=(64, 64))
 def test_samples_of_tiff_mean_what_they_say(tmp_path, numbers, options, expected):
     tifffile.imwrite(tmp_path / "a.tiff", numbers, **options)
     np.testing.assert_allclose(read_picture(tmp_path / "a.tiff", linear=True), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB", "P", "1"])
+def test_a_bmp_means_what_the_same_png_means(tmp_path, mode):
+    picture = Image.fromarray((COLOURS * 255).astype("u1")).convert(mode)
+    picture.save(tmp_path / "a.bmp")
+    picture.convert("L" if mode == "1" else "RGB" if mode == "P" else mode).save(tmp_path / "a.png")
+    for linear in (True, False):
+        np.testing.assert_array_equal(*(read_picture(tmp_path / name, linear=linear) for name in ("a.bmp", "a.png")))
+    camera = CAMERA.replace(crop_offset=(0, 0), crop_size=(8, 4))
+    assert mp.read_capture(tmp_path / "a.bmp", camera=camera).image.shape[:2] == (4, 8)
+    (tmp_path / "a.bmp").write_bytes((tmp_path / "a.bmp").read_bytes()[:-9])
+    refuses("a.bmp: it cannot be read as a picture", read_picture, tmp_path / "a.bmp")
+
+
+def test_folders_of_views_and_old_files_of_hci_become_mosaics(tmp_path):
+    """By the step that the refusal names."""
+    views = np.random.default_rng(2).integers(0, 256, (3, 3, 8, 10, 3), np.uint8)
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "lf.h5", "w") as file:
+        file["LF"] = views
+    for i, view in enumerate(views.reshape(9, 8, 10, 3)):
+        Image.fromarray(view).save(tmp_path / f"out_{i // 3:02}_{i % 3:02}_.png")
+    refuses("folder of 9 pictures.* -tile 3x .*and give views.png with views", mp.exchange.open_light_field, tmp_path)
+    with pytest.raises(InputError) as caught:
+        mp.exchange.open_light_field(tmp_path / "lf.h5")
+    step = re.search(r"Python, (.*?)'\), and", str(caught.value))[1].replace("views.png", str(tmp_path / "m.png"))
+    exec(f"{step}')", {"LF": views, "PIL": PIL})
+    lf = mp.exchange.open_light_field(tmp_path / "m.png", views=3, linear=True)
+    np.testing.assert_allclose(lf.isel(v=2, u=1), views[2, 1] / 255, rtol=1e-6)
+
+
+def test_numpy_takes_the_image_of_a_result():
+    capture = Capture(np.random.default_rng(0).random((64, 64, 3)), CAMERA)
+    result = mp.reconstruct(capture, 240)
+    volume = Volume(np.ones((2, 3, 4), np.float32), (210.0, 230.0), 0.03)
+    for taken, array in ((capture, capture.image), (result, result.image), (volume, volume.values)):
+        assert np.shares_memory(np.asarray(taken), array) and not np.shares_memory(np.array(taken), array)
+        assert np.asarray(taken).shape == array.shape and np.asarray(taken, "f8").dtype == np.float64
+        np.testing.assert_array_equal(np.asarray(taken, np.float64), array)
+    assert np.asarray([result, result]).shape == (2, *result.image.shape)
 
 
 def window(left, top, columns, rows):

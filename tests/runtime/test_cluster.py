@@ -167,8 +167,8 @@ def test_a_scheduler_that_dies_is_told_in_one_line_and_the_checkpoint_stays(tmp_
         (["--scheduler", "here"], "scheduler here: no workers can be had: "),
     ],
 )
-def test_mistakes(tmp_path, capfd, monkeypatch, words, message):
-    monkeypatch.setattr(distributed, "_PATIENCE", "1s")
+def test_mistakes(tmp_path, capfd, words, message):
+    """An address where nobody listens is told at once."""
     output = tmp_path / "raw.exr"
     assert main([*WAVE, "-o", str(output), *words]) == 2
     errors = capfd.readouterr().err
@@ -192,7 +192,14 @@ def test_dask_is_left_as_it_was(monkeypatch, address):
     with pytest.raises(InputError, match="no workers can be had"), Cluster(scheduler=address):
         pass
     assert dask.config.get("scheduler", None) == before
-    assert [client() for client in clients] == [None]
+    assert [client() for client in clients] == [None] * (address == "here")
+
+
+def test_outside_its_context_a_cluster_has_no_workers():
+    cluster = Cluster(scheduler="tcp://127.0.0.1:1")
+    for use in (lambda: cluster.workers, lambda: list(cluster([]))):
+        with pytest.raises(InputError, match=r"^scheduler tcp://127.0.0.1:1: .* within: with mp.Cluster"):
+            use()
 
 
 def test_without_dask_the_error_tells_what_to_install(monkeypatch):

@@ -14,7 +14,7 @@ import yaml
 
 from ...errors import naming
 from ...report import images
-from ...runtime import BatchMap, Progress, locked, remove_leftovers, set_variant, write_text
+from ...runtime import BatchMap, Progress, h5py_module, locked, remove_leftovers, set_variant, write_text
 from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample
 from .shards import (
@@ -84,6 +84,8 @@ def make_dataset(
     InputError
         If the folder holds something else, another process is making it, or a sample cannot be rendered.
     """
+    # Before the first sample is rendered, which needs it not before it is written.
+    h5py_module("a data set")
     folder = Path(folder).absolute()
     set_variant(recipe.variant)
     _try_scenes(recipe)

@@ -19,7 +19,7 @@ import numpy as np
 
 from ... import choices
 from ...capture_spec import scene_fingerprint
-from ...errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_count, short_repr
+from ...errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_number, short_repr
 from ...io import differences, versions, write_json
 from ...runtime import Sink, atomic_output, h5py_module, read_text, require_file, require_memory, software, stored_array
 from .recipe import Recipe
@@ -238,9 +238,10 @@ class DataSet:
         except TypeError:
             kind = type(index).__name__
             raise TypeError(f"sample {short_repr(index)} of type {kind}: give a whole number, or a slice") from None
-        if index >= len(self):
+        number = int(require_number("sample", index))
+        if not -len(self) <= number < len(self):
             raise IndexError(f"sample {index}: there are {len(self)}")
-        index = require_count("sample", index, minimum=0)
+        index = number % len(self)
         shard = index // self._layout.samples_per_shard
         return read_sample(self._open(shard), self._layout.shard(shard), index, self.fields)
 

@@ -182,12 +182,21 @@ def test_a_second_process_in_the_folder_is_refused(made, tmp_path, complaint):
     assert files(folder) == files(made)
 
 
+def test_without_h5py_no_sample_is_rendered(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    monkeypatch.setattr(production, "make_sample", None)
+    refuses("a data set needs the package h5py: pip install h5py", make_dataset, parse_recipe(small()), tmp_path / "a")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_what_is_asked_for_and_not_there_is_named(made):
     samples = DataSet(made)
     for index in (5, np.int64(5)):
         with pytest.raises(IndexError, match=r"^sample 5: there are 5$"):
             samples[index]
-    refuses("sample = -1: it must be at least 0", lambda: samples[-1])
+    assert samples[-1].index == samples[np.int64(-1)].index == 4 and samples[-5].index == 0
+    with pytest.raises(IndexError, match=r"^sample -6: there are 5$"):
+        samples[-6]
     for index in ("a", None, 1.0, (0, 1), [0, 1], [], np.array([0, 1]), np.array([0]), np.array(1.0), {}):
         with pytest.raises(TypeError, match=r"^sample .* of type \w+: give a whole number, or a slice$"):
             samples[index]
