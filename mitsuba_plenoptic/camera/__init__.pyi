@@ -21,6 +21,7 @@ from .geometry import CameraGeometry as CameraGeometry
 from .geometry import has_small_lenses as has_small_lenses
 from .lens_transmissions import LensTransmissions as LensTransmissions
 from .matched import MATCHED as MATCHED
+from .matched import micrometres as micrometres
 from .parameters import FILE_READERS as FILE_READERS
 from .parameters import PARAMETERS as PARAMETERS
 from .phase_screen import PhaseScreen as PhaseScreen

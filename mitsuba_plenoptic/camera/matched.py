@@ -7,6 +7,7 @@ are n p wide and as far apart if :math:`D z / b = n p` and :math:`D_2 (b + z) / 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -21,6 +22,7 @@ from ..errors import (
     require_pair,
     short_repr,
 )
+from .geometry import CameraGeometry
 
 MATCHED = ("f_number", "lenses", "pixels_per_lens", "pixel_size", "sensor_size")
 """Arguments that a camera has not, and that state it together with the main lens's focal length and its focus."""
@@ -35,6 +37,24 @@ FOLLOWING = {
 
 _SQUARE = 0.01
 """Relative difference of a pixel's sides up to which rounded figures of a data sheet state square pixels."""
+
+
+def micrometres(camera: CameraGeometry) -> list[str]:
+    """Return a warning about lengths so large that they look like micrometres; of microscopes and telescopes none."""
+    if not camera.lens_data.converges:
+        return []
+    diagonal = math.hypot(camera.detector_width, camera.detector_height)
+    field = 2 * math.degrees(math.atan(diagonal / 2 / camera.mla_distance))
+    pitch = max(camera.mla_pitches) if camera.has_array else 0.0
+    # In millimetres: larger than in any camera.
+    signs = {
+        f"a pixel is {camera.pixel_size:.4g} mm wide": camera.pixel_size > 0.1,
+        f"the pitch of the lenses is {pitch:g} mm": pitch > 10,
+        f"the detector's diagonal of {diagonal:.4g} mm exceeds ten focal lengths": diagonal > 10 * camera.focal_length,
+        f"the field of view spans {field:.4g} degrees": field > 120,
+    }
+    advice = "lengths are taken as millimetres; if they are micrometres, divide them by 1000"
+    return [f"{words}: {advice}" for words, is_large in signs.items() if is_large][:1]
 
 
 def missing_from(sheet: dict[str, Any]) -> list[str]:

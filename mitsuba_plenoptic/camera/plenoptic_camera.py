@@ -32,6 +32,7 @@ from ..errors import (
     require_number,
     short_repr,
     suggest_keywords,
+    warn,
 )
 from ..extension import Displayed, missing
 from ..prescription import SINGLE, THIN, LensData, image_distance
@@ -39,7 +40,7 @@ from ..presets import PRESETS
 from .documentation import numpy_section, signature
 from .entry import one_if_equal, record
 from .geometry import NO_ARRAY_HERE, CameraGeometry
-from .matched import MATCHED, behind_pupil, require_enough
+from .matched import MATCHED, behind_pupil, micrometres, require_enough
 from .parameters import PARAMETERS
 
 _PLACES = 33
@@ -315,7 +316,10 @@ class PlenopticCamera(CameraGeometry, Displayed):
         )
         if others.get("mla_shape") is not None:
             lengths.pop("mla_focal_length")  # a shape brings its own
-        return cls(**others | {"aperture_radius": behind.aperture_radius} | lengths)
+        camera = cls(**others | {"aperture_radius": behind.aperture_radius} | lengths)
+        for text in micrometres(camera):
+            warn(text)
+        return camera
 
     @classmethod
     def from_sensor(cls, sensor: Any) -> PlenopticCamera:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, micrometres
 from ..prescription import SINGLE
 from .aberration import parabolic_aberration
 from .microscope import microscope_findings
@@ -72,6 +72,7 @@ def mended(camera: PlenopticCamera, wavelength: float | None = None) -> Plenopti
 
 def _findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Finding]:
     """Yield the faults of a camera's design, with remedies."""
+    yield from map(Finding, micrometres(camera))
     if not camera.refocuses:
         return
     if not camera.lens_data.converges:

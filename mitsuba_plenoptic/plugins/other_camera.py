@@ -50,7 +50,7 @@ def with_camera(scene: mi.Scene, camera: PlenopticCamera, sensor: int | None = N
     Examples
     --------
     >>> import mitsuba_plenoptic as mp
-    >>> scene = mp.load_scene("letters", variant="llvm_ad_mono", parameters={"resolution": 64})
+    >>> scene = mp.load_scene("letters", variant="llvm_ad_mono", parameters={"resolution": 128})
     >>> camera = mp.PlenopticCamera(focus_distance=210, detector_width=0.256, resolution=(128, 128))
     >>> mp.render_capture(mp.with_camera(scene, camera), spp=4).camera == camera
     True

@@ -37,7 +37,9 @@ def conjugate_distance(focal_length: float, distance: float) -> float:
 def image_distance(focal_length: float, distance: float, *, name: str = "distance") -> float:
     """Return the distance behind a thin lens at which an object at `distance` is in focus."""
     refuse_if(
-        not distance > focal_length, f"{name} = {distance:g}: it must be greater than the focal length {focal_length:g}"
+        not distance > focal_length,
+        f"{name} = {distance:g}: it must be greater than the focal length {focal_length:g}"
+        + (", in millimetres; multiply metres by 1000" if 0 < distance < focal_length else ""),
     )
     refuse_if(LONGEST < distance < math.inf, f"{name} = {distance:g}: it must be at most {LONGEST:g}")
     power = vergence(focal_length, distance)

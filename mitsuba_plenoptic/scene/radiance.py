@@ -16,6 +16,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..camera import micrometres
 from ..design import depth_ranges
 from ..errors import InputError, advice, refuse_if, warn
 from ..lenses import Pair
@@ -302,12 +303,14 @@ def _touches(scene: Any, sensor: mi.Sensor, radius: float) -> bool:
 
 
 def warn_of_metres(scene: Any, sensor: Any) -> None:
-    """Warn if a surface touches a plenoptic camera, or a whole scene is far too near to it, as scenes in metres are.
+    """Warn if a camera's lengths look like micrometres, a surface touches it, or the scene's look like metres.
 
     Too near means within the focal length, or nearer than half the nearest distance that refocusing makes sharp. Other
     cameras are not checked.
     """
     camera = getattr(sensor, "camera", None)
+    for text in micrometres(camera) if camera is not None else ():
+        warn(text)
     box = scene.bbox()
     # An objective sees what is nearer than its focal length.
     if camera is None or not box.valid() or not camera.lens_data.converges:

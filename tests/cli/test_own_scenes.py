@@ -121,7 +121,7 @@ def test_scenes_of_colours_are_compared_in_colour(tmp_path, monkeypatch, run, co
     <translate z="240"/></transform><emitter type="area"><rgb name="radiance" value="1, 0.4, 0.1"/></emitter></shape>"""
     scene = write_scene(tmp_path, card, sensor='<float name="detector_width" value="0.256"/>', pixel_format="rgb")
     out, words = tmp_path / "out", ("--distance", 240, "--spp", 4)
-    run("compare", scene, "-o", out, *words)
+    run("compare", scene, "-o", out, *words, "--against", "ordinary")
     for model, wavelength in (("ray", None), ("wave", (611.4, 549.1, 464.3))):
         capture = mp.read_capture(out / "data" / f"capture_{model}.exr")
         assert capture.wavelength == wavelength
@@ -134,5 +134,13 @@ def test_scenes_of_colours_are_compared_in_colour(tmp_path, monkeypatch, run, co
     results = json.loads((out / "results.json").read_text())
     assert results["reconstructions"][0]["bins"] == [4, 4] and results["command"].endswith("--variant llvm_ad_rgb")
     assert "611.4, 549.1, 464.3 nm" in (out / "report.html").read_text()
+    pictures = results["ordinary"]["pictures"]
+    assert [row["picture"] for row in pictures] == ["ordinary", "ray", "coherent", "partial"]
+    # Green light, which luminance mostly is, alone.
+    transfer = np.array(results["ordinary"]["diffraction"]) * np.sinc(
+        np.array(results["ordinary"]["frequency_per_mm"]) * 0.5 / pictures[0]["nyquist_per_mm"]
+    )
+    expected = np.interp(-0.5, -transfer, results["ordinary"]["frequency_per_mm"])
+    assert pictures[0]["mtf50_per_mm"] == pytest.approx(expected, rel=0.05)
     message = complaint("compare", scene, "-o", out, *words, "--wavelength", 500)
     assert message.startswith("--wavelength = 500") and message.endswith("take --variant llvm_ad_mono")
