@@ -139,15 +139,8 @@ def test_whites_are_of_each_channel_and_plane_and_known_once(monkeypatch):
         assert len(calls) == count
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {},
-        pytest.param({"mla_lattice": "hexagonal", "mla_rotation": 7.0}, marks=pytest.mark.slow),
-        pytest.param({"mla_fill": 0.8}, marks=pytest.mark.slow),
-    ],
-    ids=str,
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("change", [{}, {"mla_lattice": "hexagonal", "mla_rotation": 7.0}, {"mla_fill": 0.8}], ids=str)
 def test_the_white_of_a_wave_capture_is_by_waves(change):
     """The mean of captures of many samples, whose noise is 0.2 %; that of rays is far off."""
     camera = CAMERA.replace(**change)

@@ -41,7 +41,7 @@ def test_expose_through_a_mosaic(mosaic, crop, tmp_path):
     assert raw.image.ndim == 2 and raw.wavelength is None
     assert np.abs(raw.image - mosaicked(given, mosaic).image).max() < 6 / np.sqrt(5e4)
     write_capture(tmp_path / "raw.exr", raw)
-    white = mp.Capture(white_image(camera), camera)
+    white = mp.Capture(white_image(given.camera), given.camera)
     back = demosaic(mp.read_capture(tmp_path / "raw.exr"), white=white)
     assert back.wavelength == given.wavelength and back.image.shape == given.image.shape
     assert back.metadata["exposure"]["mosaic"] is None and back.metadata["exposure"]["demosaiced"] == mosaic
