@@ -27,9 +27,10 @@ _SAMPLES = 64
 _LENSES = 576
 """Rays a pixel, and lenses of an even array for which they leave noise of less than 0.2 %; fewer lenses get more."""
 
-_RAYS = 2**26
+_RAYS = 2**25
+_LEAST = 8
 _MOST = 1024
-"""Rays for which pixels of other arrays get more, and the most a pixel gets."""
+"""Rays of all pixels up to which each gets more than those, and the least and the most that each gets."""
 
 _KNOTS = 2
 _PLACES = 8
@@ -107,10 +108,11 @@ def _by_waves(
         flat = np.ones((1, len(spectrum.wavelengths)))
         even = _is_even(camera)
         lenses = math.prod(camera.shape) / math.prod(_period(camera))
-        spp = max(8, round(_SAMPLES * _LENSES / lenses)) if even else max(_SAMPLES, _RAYS // math.prod(camera.shape))
+        spp = min(_MOST, max(_SAMPLES, _RAYS // math.prod(camera.shape)))
+        spp = min(spp, max(_LEAST, round(_SAMPLES * _LENSES / lenses))) if even else spp
         with guards.watch():
             capture = kind(camera, white, spectrum, flat, None, DEFAULT_ACCURACY)
-            image = capture.compute(seed=0, spp=min(spp, _MOST), job=Job(progress), noise=False)
+            image = capture.compute(seed=0, spp=spp, job=Job(progress), noise=False)
     image /= spectrum.matrix().sum(1)
     if even:
         image = np.stack([_folded(image[..., channel], camera) for channel in range(image.shape[2])], axis=-1)

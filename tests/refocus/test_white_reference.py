@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.views import white_image
+from mitsuba_plenoptic.refocus import wave_methods
+from mitsuba_plenoptic.views import capture_white, white_image
 
 CAMERA = mp.PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 WHITE = white_image(CAMERA)
@@ -74,3 +75,86 @@ def test_whites_by_pixels_of_slanted_response_restore_the_radiance():
     white = mp.render_capture(mp.load_scene(SKY | {"camera": camera.to_sensor()}), spp=64)
     assert white.image.sum() / WHITE.sum() == pytest.approx(0.85, abs=0.01)
     np.testing.assert_allclose(mp.reconstruct(white, 240.0, white=white).image, 1, rtol=1e-5)
+
+
+WAVES = ({"method": "coherent"}, {"method": "partial"}, {"method": "partial", "interleave": "auto"})
+NARROW = mp.PlenopticCamera(
+    focal_length=40, aperture_radius=5.0, mla_distance=60, mla_focal_length=0.12, mla_pitch=0.01996,
+    detector_width=0.16, resolution=(80, 80),
+)  # fmt: skip
+HEXAGONAL = CAMERA.replace(mla_lattice="hexagonal")
+WHITES = {
+    "eight lenses": (CAMERA, 215.0, {}),
+    "narrow": (NARROW, 115.0, {"oversample": 3}),
+    "hexagonal": (HEXAGONAL, 215.0, {}),
+    "focused": (CAMERA.replace(mla_focal_length=0.45, detector_distance=0.6), 215.0, {"oversample": 3}),
+    "three": (HEXAGONAL.replace(mla_focal_length=(0.48, 0.512, 0.54), detector_distance=0.512), 250.0, {}),
+    "crop": (CROPS[1], 180.0, {}),
+    "displaced": (
+        CAMERA.replace(mla_jitter=(0.004, 0.0), mla_warp=(0, 0.002, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)),
+        215.0,
+        {},
+    ),
+    "slanted": (CAMERA.replace(pixel_response=(0, 1, 10, 0.5)), 215.0, {}),
+}
+
+
+def read_one(capture, distances, options):
+    for result in mp.reconstruct(capture, distances, **options):
+        image = np.atleast_3d(result.image)
+        middle = image[2:-2, 2:-2]
+        known = np.isfinite(image)
+        assert np.nanmean(middle) == pytest.approx(1, abs=0.01)
+        for rim in (image[:2], image[-2:], image[:, :2], image[:, -2:]):
+            assert not np.isfinite(rim).any() or np.nanmean(rim) == pytest.approx(1, abs=0.02)
+        assert known[2:-2, 2:-2].mean() > 0.3
+
+
+@pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")
+@pytest.mark.parametrize("model", ["ray", "wave"])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name not in ("narrow", "crop"))) for name in WHITES]
+)
+def test_white_worlds_read_one_without_a_white(name, model):
+    """In several planes, up to the borders, by every method, in colours of several wavelengths."""
+    camera, distance, options = WHITES[name]
+    scene = mp.load_scene(SKY | {"camera": camera.to_sensor()}, variant="llvm_ad_mono")
+    capture = mp.render_capture(scene, model=model, spp=256, **({} if model == "ray" else {"wavelength": 600.0}))
+    planes = [distance, 1.1 * distance]
+    # The pixels' response by direction is known to rays alone.
+    for waves in () if camera.pixel_response else WAVES[:: 2 if name == "crop" else 1]:
+        read_one(capture, planes, {**options, **waves, "wavelength": 450.0})
+    read_one(capture, planes, {"method": "ray", **options})
+
+
+def test_whites_are_of_each_channel_and_plane_and_known_once(monkeypatch):
+    rgb = np.repeat(WHITE[..., None], 3, axis=2)
+    calls = []
+    propagate = wave_methods.reconstruct_subsets
+    monkeypatch.setattr(
+        wave_methods, "reconstruct_subsets", lambda *given, **more: calls.append(1) or propagate(*given, **more)
+    )
+    for count in (6, 9):
+        read_one(mp.Capture(rgb, CAMERA), [201.0, 240.0], {"method": "coherent", "wavelength": COLOURS})
+        assert len(calls) == count
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", [{}, {"mla_lattice": "hexagonal", "mla_rotation": 7.0}, {"mla_fill": 0.8}], ids=str)
+def test_the_white_of_a_wave_capture_is_by_waves(change):
+    """The mean of captures of many samples, whose noise is 0.2 %; that of rays is far off."""
+    camera = CAMERA.replace(**change)
+    scene = mp.load_scene(SKY | {"camera": camera.to_sensor()}, variant="llvm_ad_mono")
+    captures = [mp.render_capture(scene, model="wave", spp=1024, seed=seed, wavelength=550.0) for seed in range(4)]
+    mean = np.mean([capture.image for capture in captures], 0)
+    white = capture_white(captures[0], 1)[..., 0]
+    assert white.mean() == pytest.approx(mean.mean(), rel=5e-4)
+    assert np.sqrt(np.mean((white - mean) ** 2)) < 4e-3 * mean.mean()
+    assert np.sqrt(np.mean((white_image(camera) - mean) ** 2)) > 0.1 * mean.mean()
+    assert capture_white(captures[0], 1) is capture_white(captures[1], 1)
+
+
+def test_a_wave_capture_without_a_wavelength_says_that_its_white_is_by_rays():
+    capture = mp.Capture(WHITE, CAMERA, model="wave")
+    with pytest.warns(UserWarning, match="white: it is computed by rays, .* the capture states none"):
+        np.testing.assert_allclose(mp.reconstruct(capture, 240.0).image, 1, rtol=1e-5)
