@@ -144,12 +144,11 @@ def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int 
     best = scores.argmax(axis=0)
     inner = np.clip(best, 1, 2 * search - 1)
     below, middle, above = (np.take_along_axis(scores, (inner + step)[None], 0)[0] for step in (-1, 0, 1))
-    reliable = (best == inner) & np.isfinite(below) & np.isfinite(above)
-    below, above = (np.where(reliable, values, 0) for values in (below, above))
+    with np.errstate(all="ignore"):
+        bend = below + above - 2 * middle
+        offset = (below - above) / (2 * bend)
     # Within the search the highest value is above its neighbours, or equal to one of them.
-    bend = np.subtract(below + above, 2 * middle, out=np.zeros_like(middle), where=reliable)
-    reliable &= bend < 0
-    offset = np.divide(below - above, 2 * bend, out=np.zeros_like(bend), where=reliable)
+    reliable = (best == inner) & np.isfinite(offset) & (bend < 0)
     return xr.DataArray(
         np.where(reliable, (inner + offset - search) / _BEYOND, np.nan),
         dims=("t", "s"),

@@ -94,13 +94,11 @@ class Window:
         x, y, z = require_points("points", points).T
         seen = self.seen(z, camera)
         lens = camera.objective
-        # Angles before the window, of the chief ray and of the pupil's radius, and the depth behind it in waves.
-        chief = 0 * z if lens else np.hypot(x, y) / seen
-        cone = lens.half_angle if lens else camera.aperture_radius / seen
-        depth = np.maximum(z - self.distance, 0) * 1e6 / wavelength
+        # Angles before the window, of the chief ray and of the pupil's radius.
+        chief, cone = (0, lens.half_angle) if lens else (np.hypot(x, y) / seen, camera.aperture_radius / seen)
         ratio = self.ratio(camera)
-        factor = (lens.immersion if lens else 1) * ratio * (1 - ratio**2) / 8
-        waves = np.abs(factor * depth * ((chief + cone) ** 4 - chief**4)).max(initial=0)
+        factor = (lens.immersion if lens else 1) * ratio * abs(1 - ratio**2) / 8 * 1e6 / wavelength
+        waves = factor * (np.maximum(z - self.distance, 0) * ((chief + cone) ** 4 - chief**4)).max(initial=0)
         # 1 / 14: Waves up to which a point stays sharp, by Maréchal.
         if waves > 1 / 14:
             warn(

@@ -62,6 +62,29 @@ def test_the_light_of_a_bead_is_that_of_the_cone():
         assert_allclose(images.capture(0).metadata["reference"], np.pi / 6 * 0.8**3 * cone, rtol=1e-4)
 
 
+WIDE = mp.PlenopticCamera(detector_width=1.024, resolution=(256, 256))
+ODD = WIDE.replace(mla_lattice="hexagonal", mla_rotation=5.0, crop_offset=(20, 30), crop_size=(180, 190))
+
+
+@pytest.mark.parametrize("model", ["wave", "ray"])
+@pytest.mark.parametrize(
+    ("camera", "place", "before"),
+    [(WIDE, (0.11, -0.07, 263.0), 1), (ODD, (0, 0, 235), 1), (CAMERA, (0.004, 0.003, 0.06), 1.33)],
+)
+def test_a_bead_is_imaged_as_the_point_where_it_is_seen(camera, place, before, model):
+    seen = np.array([[*place[:2], place[2] - 0.3 + 0.3 * before / 1.4]])
+    if model == "ray":
+        expected = PointRays(camera, seen, 550.0).image(OpticalSystem(camera, 550.0), np.ones(1))
+    else:
+        expected = mp.CaptureOperator(camera, seen, wavelength=550).forward([1.0])
+    # The last one is in what the camera is in, and has the bits of the point.
+    for at, kind in ((place, {"medium": 1.4, "window": place[2] - 0.3}), (seen[0], {"medium": before})):
+        truth = one_bead(at, camera, index=None, **kind)
+        image = pt.ParticleImages(truth, wavelength=550, model=model).capture(0).image
+        assert np.linalg.norm(image - expected) < 1e-3 * np.linalg.norm(expected)
+    assert (image == np.maximum(expected, 0).astype(np.float32)).all()
+
+
 @needs_miepython
 @pytest.mark.parametrize("medium", [1.33, 1.4])
 def test_lobes_are_at_the_angles_of_the_rays(medium):

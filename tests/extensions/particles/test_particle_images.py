@@ -15,8 +15,6 @@ from scipy.special import spherical_jn, spherical_yn
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import particles as pt
 from mitsuba_plenoptic.dataset import make_dataset, parse_recipe
-from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
-from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 
 CAMERA = mp.PlenopticCamera(detector_width=1.024, resolution=(256, 256))
 FAST = CAMERA.replace(aperture_radius=22.2)
@@ -120,42 +118,6 @@ def one_particle(place, diameter, camera=CAMERA, direction=(1.0, 0.0, 0.0), **se
     truth = truth.isel(particle=[0])
     truth["position"][:], truth["diameter"][:] = np.array(place), diameter
     return truth
-
-
-AIR = mp.PlenopticCamera(
-    main_lens=mp.Objective(10, 0.25, tube_focal_length=180),
-    mla_pitch=0.125,
-    mla_focal_length=2.4,
-    detector_width=0.875,
-    resolution=(105, 105),
-)
-
-
-@pytest.mark.parametrize("model", ["wave", "ray"])
-@pytest.mark.parametrize(
-    ("camera", "place"),
-    [
-        (CAMERA, (0.11, -0.07, 263.0)),
-        (
-            CAMERA.replace(mla_lattice="hexagonal", mla_rotation=5.0, crop_offset=(20, 30), crop_size=(180, 190)),
-            (0, 0, 235),
-        ),
-        (AIR, (0.004, 0.003, 0.06)),
-    ],
-    ids=["square", "hexagonal", "objective"],
-)
-def test_a_bead_is_imaged_as_the_point_where_it_is_seen(camera, place, model):
-    truth = one_particle(place, 2.0, camera, index=None, medium=1.4, window=place[2] - 0.3)
-    seen = np.array([[*place[:2], place[2] - 0.3 + 0.3 / 1.4]])
-    if model == "ray":
-        expected = PointRays(camera, seen, 550.0).image(OpticalSystem(camera, 550.0), np.ones(1))
-    else:
-        expected = mp.CaptureOperator(camera, seen, wavelength=550).forward([1.0])
-    image = pt.ParticleImages(truth, wavelength=550, model=model).capture(0).image
-    assert np.linalg.norm(image - expected) < 1e-3 * np.linalg.norm(expected)
-    # Without a fluid it has the bits of the point.
-    plain = pt.ParticleImages(one_particle(seen[0], 2.0, camera, index=None, medium=1), wavelength=550, model=model)
-    assert (plain.capture(0).image == np.maximum(expected, 0).astype(np.float32)).all()
 
 
 def test_rays_by_snells_law_come_from_where_particles_are_seen():

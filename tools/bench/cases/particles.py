@@ -78,7 +78,7 @@ class Setting:
         return pt.VoxelGrid(*self.corners(self.grid), (along, across, across))
 
     def truth(self, per_lens: float, move: Sequence[float], seed: int) -> xr.Dataset:
-        """Return particles that scatter, without a window, as 1 micrometre does in water, and all move by some units."""
+        """Return particles that scatter in air as 1 micrometre does in water, and all move by some units."""
         seeding = pt.Seeding(per_lens=per_lens, diameter=1.333, index=1.59 / 1.333, medium=1.0)
         flow = pt.Uniform(tuple((self.unit * move).tolist()))
         volume = pt.ParticleVolume(*self.corners(self.volume))
