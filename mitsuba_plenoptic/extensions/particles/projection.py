@@ -36,10 +36,8 @@ class VoxelProjector(LinearMap):
     ----------
     camera, grid : PlenopticCamera, VoxelGrid
         The camera, and voxels that it sees beyond the focus of its main lens.
-    wavelength : float
-        Wavelength in vacuum, in nanometres.
-    window : Window, optional
-        The window between the camera and the voxels.
+    wavelength, window : float, Window, optional
+        Wavelength in vacuum, in nanometres, and the window between the camera and the voxels.
     per_lens : int
         Points to a microlens along an axis between which point spreads are interpolated.
     accuracy : float
@@ -115,10 +113,8 @@ class RayProjector(LinearMap):
     ----------
     camera, grid : PlenopticCamera, VoxelGrid
         The camera, and voxels that it sees beyond the focus of its main lens, each a point at its centre.
-    wavelength : float
-        Wavelength in vacuum, in nanometres.
-    window : Window, optional
-        The window between the camera and the voxels.
+    wavelength, window : float, Window, optional
+        Wavelength in vacuum, in nanometres, and the window between the camera and the voxels.
     budget : float
         Memory in GiB that the matrix may take.
     progress : callable, optional
