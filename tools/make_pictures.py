@@ -572,7 +572,9 @@ def particles() -> Image.Image:
     captures = [pt.ParticleImages(truth, wavelength=550, model=model).capture(0) for model in ("wave", "ray")]
     grid = pt.VoxelGrid((-0.85, -0.85, 95), (0.85, 0.85, 105), (20, 28, 28))
     volume = pt.reconstruct_volume(
-        pt.VoxelProjector(camera, grid, wavelength=550, per_lens=2, budget=3.0), captures[0], grid
+        pt.VoxelProjector(camera, grid, wavelength=550, window=pt.Window(96, 1.333), per_lens=2, budget=3.0),
+        captures[0],
+        grid,
     )
     plot = Plot(WIDTH, dpi=DPI)
     ((*pictures, axes),) = plot.panels(1, 3)

@@ -33,6 +33,8 @@ test_refused = refused(
     (lambda: Spectrum((633.0,), ((np.nan,),)), "^spectrum: responses of shape"),
     (lambda: Spectrum((633.0, 532.0), ((1.0,), (1.0, 2.0))), "^spectrum: responses"),
     (lambda: Spectrum((633.0,), (("red",),)), "^spectrum: responses"),
+    (lambda: PlenopticCamera().lenslet("a", 0), "^i = 'a': it must be a number"),
+    (lambda: PlenopticCamera().lenslet(0, [1, 2]), r"^j = \[1, 2\]: it must be a number"),
     (lambda: Spectrum.smooth(bell, 400, 700, 31, [TABLE]), "more than 1024 wavelengths: sample them more coarsely"),
 )
 

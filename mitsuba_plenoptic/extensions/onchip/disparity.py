@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from scipy.ndimage import convolve1d, uniform_filter
+from scipy.ndimage import gaussian_filter, uniform_filter
 
 from ... import choices
 from ...camera import PlenopticCamera, Use, require_support
@@ -23,8 +23,10 @@ from ...views import require_light_field
 _FLAT = 1e-6
 """Least variance in a window, over its mean square, for which there is something to match."""
 
-_COLOURS = (0.25, 0.5, 0.25)
-"""Weights along both axes that give each lens of a Bayer mosaic a quarter of red, half of green, a quarter of blue."""
+_SMOOTHED = 1.0
+_BEYOND = 1.02
+"""Standard deviation in lenses of the curve that smooths pictures, so that a parabola finds peaks between lenses; and
+the disparity of peaks over that of centroids, for half discs with disparities of 0.5 to 3.5 lenses 1.01 to 1.03."""
 
 
 @suggest_keywords
@@ -100,10 +102,9 @@ def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int 
     """Return the disparity from the first to the second picture of a pair for each lens, found by block matching.
 
     The normalised correlation of a window with windows displaced by whole lenses is highest at the disparity; a
-    parabola through the highest value and its neighbours gives fractions of a lens. The blurs of the two pictures are
-    mirror images of each other, so that the result differs from `half_disparity` by a scale that depends on texture and
-    window: calibrate it with captures at known distances. The colours of a mosaic match at even displacements only: its
-    lenses are averaged with their neighbours, so that each has all colours.
+    parabola through the highest value and its neighbours gives fractions of a lens. Medians of textured planes are
+    within 0.1 lenses of `half_disparity`, from 0.5 to 3.5, where pupils are round; otherwise calibrate it with captures
+    at known distances. Mosaics are refused, as the colours that they alias do not move with the scene.
 
     Parameters
     ----------
@@ -133,25 +134,23 @@ def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int 
         raise InputError(f"halves: {halves.sizes[pupil]} pictures along {pupil}: a pair has two")
     refuse_if(require_count("window", window, minimum=3) % 2 == 0, f"window = {window}: it must be odd")
     search = require_count("search", search, maximum=max(1, halves.sizes["st"[1 - along]] - 2))
+    refuse_if(
+        halves.attrs.get("mosaic") and "c" not in halves.dims,
+        f"halves: they are {halves.attrs.get('mosaic')} mosaics, whose colours alias: demosaic first",
+    )
     pair = halves.sum([dim for dim in (second_pupil, "c") if dim in halves.dims]).transpose(pupil, "t", "s")
-    views = np.asarray(pair.values, np.float64)
-    if halves.attrs.get("mosaic") and "c" not in halves.dims:
-        # Mirrored about the last lens, the mosaic goes on.
-        for axis_of_lenses in (1, 2):
-            views = convolve1d(views, _COLOURS, axis=axis_of_lenses, mode="mirror")
-    first, second = views
+    first, second = gaussian_filter(np.asarray(pair.values, np.float64), (0, _SMOOTHED, _SMOOTHED), mode="nearest")
     scores = np.stack([_correlation(first, second, step, along, window) for step in range(-search, search + 1)])
     best = scores.argmax(axis=0)
     inner = np.clip(best, 1, 2 * search - 1)
     below, middle, above = (np.take_along_axis(scores, (inner + step)[None], 0)[0] for step in (-1, 0, 1))
-    reliable = (best == inner) & np.isfinite(below) & np.isfinite(above)
-    below, above = (np.where(reliable, values, 0) for values in (below, above))
+    with np.errstate(all="ignore"):
+        bend = below + above - 2 * middle
+        offset = (below - above) / (2 * bend)
     # Within the search the highest value is above its neighbours, or equal to one of them.
-    bend = np.subtract(below + above, 2 * middle, out=np.zeros_like(middle), where=reliable)
-    reliable &= bend < 0
-    offset = np.divide(below - above, 2 * bend, out=np.zeros_like(bend), where=reliable)
+    reliable = (best == inner) & np.isfinite(offset) & (bend < 0)
     return xr.DataArray(
-        np.where(reliable, inner + offset - search, np.nan),
+        np.where(reliable, (inner + offset - search) / _BEYOND, np.nan),
         dims=("t", "s"),
         coords={dim: halves[dim] for dim in ("t", "s")},
         name="disparity",

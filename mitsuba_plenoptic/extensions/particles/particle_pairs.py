@@ -98,7 +98,7 @@ class ParticlePairs:
         extents = np.array([camera.detector_width, camera.detector_height])
         width, height = 0.8 * extents / 2 * camera.bin_size(near) / camera.mla_pitch
         volume = ParticleVolume((-width, -height, near), (width, height, far))
-        middle = Window(near, self._seeding().medium).seen(volume.centre[2], camera)
+        middle = Window(near, Seeding.medium).seen(volume.centre[2], camera)
         flow = self._random_flow(volume, self.displacement * camera.bin_size(middle), random)
         seed = int(random.integers(2**32))
         truth = particle_sequence(camera, volume, self._seeding(), flow, interval=1.0, seed=seed)

@@ -84,10 +84,7 @@ def particles(
     from ...camera import PlenopticCamera
     from ...detector import Detector, expose
     from ...io import write_capture, write_labelled_data
-    from .flows import FLOWS
-    from .particle_images import ParticleImages
-    from .seeding import LightSheet, ParticleVolume, Seeding
-    from .sequence import particle_sequence
+    from .particles import FLOWS, LightSheet, ParticleImages, ParticleVolume, Seeding, particle_sequence
 
     corners = _numbers("volume", volume, 6)
     box = ParticleVolume(corners[:3], corners[3:])

@@ -36,10 +36,8 @@ class VoxelProjector(LinearMap):
     ----------
     camera, grid : PlenopticCamera, VoxelGrid
         The camera, and voxels that it sees beyond the focus of its main lens.
-    wavelength : float
-        Wavelength in vacuum, in nanometres.
-    window : Window, optional
-        The window between the camera and the voxels.
+    wavelength, window : float, Window, optional
+        Wavelength in vacuum, in nanometres, and the window between the camera and the voxels.
     per_lens : int
         Points to a microlens along an axis between which point spreads are interpolated.
     accuracy : float
@@ -74,9 +72,9 @@ class VoxelProjector(LinearMap):
         require_support(camera, Use.POINTS)
         wavelength = require_wavelength(wavelength)
         per_lens = require_count("per_lens", per_lens, maximum=32)
-        self.window = window or Window()
-        grid.before(camera, self.window)
-        points = self.window.apparent(grid.points, camera, wavelength)
+        window = window or Window()
+        grid.before(camera, window)
+        self.points = points = window.apparent(grid.points, camera, wavelength)
         lens = OpticalSystem(camera, wavelength).waves_of(points)
         basis = np.array(camera.lattice.basis)
         steps = (lens.images(points) - np.array(camera.mla_offset)) @ np.linalg.inv(basis) * per_lens
@@ -93,18 +91,18 @@ class VoxelProjector(LinearMap):
         places = (nodes[:, 1:] + 1e-6) / per_lens @ basis + np.array(camera.mla_offset)
         at = lens.points(places, inverse)
         kind: Any = CaptureOperator if budget is None else partial(StoredOperator, budget=budget)
-        self.points: CaptureOperator = kind(camera, at, wavelength=wavelength, accuracy=accuracy)
+        self.operator: CaptureOperator = kind(camera, at, wavelength=wavelength, accuracy=accuracy)
         super().__init__((len(points),), camera.shape)
         self.camera = camera
         self.grid = grid
 
     def forward(self, weights: ArrayLike, *, job: Job | None = None) -> NDArray[np.float32]:
         """Return the image (rows, columns) of voxels with the given light, (n,)."""
-        return self.points.forward(self._spread @ as_array("weights", weights, np.float64, POINTS), job=job)
+        return self.operator.forward(self._spread @ as_array("weights", weights, np.float64, POINTS), job=job)
 
     def adjoint(self, image: ArrayLike, *, job: Job | None = None) -> Doubles:
         """Return each voxel's inner product with an image, (n,)."""
-        return np.asarray(self._spread.T @ self.points.adjoint(image, job=job))
+        return np.asarray(self._spread.T @ self.operator.adjoint(image, job=job))
 
 
 @suggest_keywords
@@ -115,10 +113,8 @@ class RayProjector(LinearMap):
     ----------
     camera, grid : PlenopticCamera, VoxelGrid
         The camera, and voxels that it sees beyond the focus of its main lens, each a point at its centre.
-    wavelength : float
-        Wavelength in vacuum, in nanometres.
-    window : Window, optional
-        The window between the camera and the voxels.
+    wavelength, window : float, Window, optional
+        Wavelength in vacuum, in nanometres, and the window between the camera and the voxels.
     budget : float
         Memory in GiB that the matrix may take.
     progress : callable, optional
@@ -138,10 +134,10 @@ class RayProjector(LinearMap):
         require_support(camera, Use.POINT_RAYS)
         wavelength = require_wavelength(wavelength)
         budget = require_number("budget", budget, positive=True)
-        self.window = window or Window()
-        grid.before(camera, self.window)
+        window = window or Window()
+        grid.before(camera, window)
         system = OpticalSystem(camera, wavelength)
-        points = self.window.apparent(grid.points, camera, wavelength)
+        self.points = points = window.apparent(grid.points, camera, wavelength)
         columns = []
         entries = 0
         for point in counted(np.split(points, len(points)), progress):
@@ -166,6 +162,8 @@ class RayProjector(LinearMap):
     def adjoint(self, image: ArrayLike) -> NDArray[np.float32]:
         """Return each voxel's inner product with an image, (n,)."""
         image = as_array("image", image, np.float32)
-        refuse_if(image.shape != self.image_shape, f"image of shape {image.shape}: the camera has {self.image_shape}")
-        refuse_if(not np.isfinite(image).all(), "image: its pixels must be finite")
+        refuse_if(
+            image.shape != self.image_shape or not np.isfinite(image).all(),
+            f"image of shape {image.shape}: its pixels must be finite, {self.image_shape}",
+        )
         return np.asarray(self._matrix.T @ image.ravel())

@@ -82,25 +82,28 @@ class Window:
         )
         return before / self.medium
 
-    def seen(self, z: Any, camera: PlenopticCamera, *, power: int = 1) -> Any:
-        """Return the z in mm at which a camera sees points at z; with power -1 where points are that it sees there."""
-        return z + np.maximum(z - self.distance, 0) * (self.ratio(camera) ** power - 1)
+    def seen(self, z: Any, camera: PlenopticCamera) -> Any:
+        """Return the z in mm at which a camera sees points at z."""
+        return z + np.maximum(z - self.distance, 0) * (self.ratio(camera) - 1)
 
     def apparent(self, points: ArrayLike, camera: PlenopticCamera, wavelength: float) -> Doubles:
-        """Return where a camera sees points (n, 3) in mm, and warn where the window's aberration blurs them.
+        """Return where a camera sees points, and warn where the window's aberration blurs them.
 
-        The wavelength is that in vacuum, in nanometres.
+        Parameters
+        ----------
+        points : array (n, 3)
+            Positions in mm.
+        camera, wavelength : PlenopticCamera, float
+            The camera, and the wavelength in vacuum, in nanometres.
         """
         x, y, z = require_points("points", points).T
         seen = self.seen(z, camera)
         lens = camera.objective
-        # Angles before the window, of the chief ray and of the pupil's radius, and the depth behind it in waves.
-        chief = 0 * z if lens else np.hypot(x, y) / seen
-        cone = lens.half_angle if lens else camera.aperture_radius / seen
-        depth = np.maximum(z - self.distance, 0) * 1e6 / wavelength
+        # Angles before the window, of the chief ray and of the pupil's radius.
+        chief, cone = (0, lens.half_angle) if lens else (np.hypot(x, y) / seen, camera.aperture_radius / seen)
         ratio = self.ratio(camera)
-        factor = (lens.immersion if lens else 1) * ratio * (1 - ratio**2) / 8
-        waves = np.abs(factor * depth * ((chief + cone) ** 4 - chief**4)).max(initial=0)
+        factor = (lens.immersion if lens else 1) * ratio * abs(1 - ratio**2) / 8 * 1e6 / wavelength
+        waves = factor * (np.maximum(z - self.distance, 0) * ((chief + cone) ** 4 - chief**4)).max(initial=0)
         # 1 / 14: Waves up to which a point stays sharp, by Maréchal.
         if waves > 1 / 14:
             warn(
@@ -268,10 +271,10 @@ class Seeding:
             self.index == self.medium, f"index = {self.index}: as that of the medium, so that nothing is scattered"
         )
 
-    def density(self, volume: ParticleVolume, camera: PlenopticCamera, window: Window) -> float:
+    def density(self, volume: ParticleVolume, lenses: float) -> float:
         """Return the number of particles in a cubic millimetre; refuse densities at which they hide each other."""
         contents = float(volume.size.prod())
-        count = self.count or (self.per_volume or 0) * contents or (self.per_lens or 0) * volume.lenses(camera, window)
+        count = self.count or (self.per_volume or 0) * contents or (self.per_lens or 0) * lenses
         density = count / contents
         # Of log-normal diameters the mean square is above that of the median.
         section = math.pi / 4 * (self.diameter * 1e-3) ** 2 * math.exp(2 * self.spread**2)

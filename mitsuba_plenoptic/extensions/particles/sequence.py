@@ -72,7 +72,7 @@ def particle_sequence(
     volume.before(camera, window)
     sheet = sheet or LightSheet()
     random = np.random.default_rng(require_count("seed", seed, minimum=0))
-    expected = seeding.density(volume, camera, window) * float(volume.size.prod())
+    expected = seeding.density(volume, volume.lenses(camera, window)) * float(volume.size.prod())
     first = random.uniform(volume.lower, volume.upper, (random.poisson(expected), 3))
     if frames > 1:
         _check_motion(flow, volume, interval, frames, first)

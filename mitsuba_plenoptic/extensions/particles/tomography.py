@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from ...errors import refuse_if, require_choice, require_count, require_number, suggest_keywords
 from ...io import Capture, Checkpoint, digest
 from ...linear import LinearMap, Sirt, Smart, SolverState, StopRule, relative_residual, solve
-from ...points import CaptureOperator
 from ...runtime import Progress, as_array
 from .seeding import Window
 from .voxels import VoxelGrid
@@ -89,12 +88,10 @@ def reconstruct_volume(
     refuse_if(steps.light.shape != (voxels,), f"grid of {voxels} voxels: the operator's differ")
     if isinstance(capture, Capture) and "window" in capture.metadata.get("particles", {}):
         window = Window(**capture.metadata["particles"]["window"])
-        z = grid.points[:, 2]
-        seen = getattr(operator, "window", window).seen(z, capture.camera)
-        if isinstance(operator, CaptureOperator):
-            seen = operator.points[:, 2]
+        seen = window.seen(grid.points[:, 2], capture.camera)
+        points = getattr(operator, "points", None)
         refuse_if(
-            not np.allclose(seen, window.seen(z, capture.camera), 1e-9),
+            points is not None and not np.allclose(points[:, 2], seen, 1e-9),
             f"capture: it is through {window}; give the projector that window, or the operator its apparent points",
         )
     refuse_if(steps.light.max() <= 0, "grid: no light of its voxels reaches the detector")

@@ -149,7 +149,9 @@ def refine_particles(
                 break
             damping *= 4
         damping = min(damping, 1.0)
-    return np.column_stack([positions[:, :2], window.seen(positions[:, 2], camera, power=-1)]), light
+    # Back into the fluid.
+    positions[:, 2] += np.maximum(positions[:, 2] - window.distance, 0) * (1 / window.ratio(camera) - 1)
+    return positions, light
 
 
 def match_particles(

@@ -78,8 +78,8 @@ class Setting:
         return pt.VoxelGrid(*self.corners(self.grid), (along, across, across))
 
     def truth(self, per_lens: float, move: Sequence[float], seed: int) -> xr.Dataset:
-        """Return particles of 1 micrometre, which all move by some units."""
-        seeding = pt.Seeding(per_lens=per_lens, diameter=1.0)
+        """Return particles that scatter in air as 1 micrometre does in water, and all move by some units."""
+        seeding = pt.Seeding(per_lens=per_lens, diameter=1.333, index=1.59 / 1.333, medium=1.0)
         flow = pt.Uniform(tuple((self.unit * move).tolist()))
         volume = pt.ParticleVolume(*self.corners(self.volume))
         return pt.particle_sequence(self.camera, volume, seeding, flow, interval=1.0, seed=seed)
