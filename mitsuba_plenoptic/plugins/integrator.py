@@ -235,7 +235,7 @@ def make_class() -> type:
             names, others = numbers_and_others(params, sensor)
             capture = self._signed(scene, sensor)
             if not capture.has_gradients:
-                pitch = f"{NAME}: mla_pitch = {capture.camera.mla_pitch:g}"
+                pitch = f"{NAME}: mla_pitch = {capture.camera.row_pitch:g}"
                 raise InputError(f"{pitch}: captures behind lenses of a few wavelengths have no gradients")
             with naming(NAME):
                 require_parameters(capture.camera, names, any(node.plan.lands_by_point for node in capture.nodes))
@@ -312,7 +312,7 @@ def make_class() -> type:
                 check_screen(camera, min(spectrum.wavelengths))
             arguments = camera, light, spectrum, conversion, self.nodes, self.accuracy
             if has_small_lenses(camera, max(spectrum.wavelengths)):
-                return hook("small lenses", f"{NAME}: mla_pitch = {camera.mla_pitch:g}")(*arguments)
+                return hook("small lenses", f"{NAME}: mla_pitch = {camera.row_pitch:g}")(*arguments)
             # Derivatives that are refused are so when they are asked for.
             varying: tuple[str, ...] = ()
             if is_supported(camera, Use.SCENE_DERIVATIVES):

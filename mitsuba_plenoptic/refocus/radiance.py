@@ -180,7 +180,7 @@ class LensSpread:
     """
 
     def __init__(self, camera: PlenopticCamera, oversample: int, fine: int, scale: float = 1.0) -> None:
-        self._aperture = camera.lattice.aperture_image(camera.mla_pitch / (oversample * fine), scale)
+        self._aperture = camera.lattice.aperture_image(camera.row_pitch / (oversample * fine), scale)
         self._fine = fine
 
     def forward(self, power: np.ndarray) -> np.ndarray:
@@ -282,7 +282,7 @@ def white_sums(
     if camera.lens_data.traced_surfaces:
         positions, throughput = _traced_throughput(camera, wavelength, distance, relay)
         x, y = (
-            (np.arange(count * oversample) - (count * oversample - 1) / 2) * (camera.mla_pitch / oversample)
+            (np.arange(count * oversample) - (count * oversample - 1) / 2) * (camera.row_pitch / oversample)
             for count in camera.bin_count
         )
         share: Any = np.interp(np.hypot(x, y[:, None]), positions, throughput)
@@ -308,7 +308,7 @@ def _spread_rays(camera: PlenopticCamera, distance: float, oversample: int) -> n
     fine = max(1, min(-(-_RAY_BINS // oversample), math.isqrt(_MOST_RAY_BINS // bins)))
     _, image = follow_back(camera.pixel_size, 0.0, 0.0, distance, camera)
     most = min(math.isqrt(_MOST_RAY_BINS // math.prod(camera.shape)), MOST_PIXELS // max(camera.resolution))
-    parts = max(1, min(max(_PIXEL_PARTS, math.ceil(abs(float(image)) / camera.mla_pitch)), most))
+    parts = max(1, min(max(_PIXEL_PARTS, math.ceil(abs(float(image)) / camera.row_pitch)), most))
     split = camera.replace(
         resolution=tuple(parts * size for size in camera.resolution),
         crop_offset=tuple(parts * size for size in camera.crop_offset),
@@ -321,7 +321,7 @@ def _spread_rays(camera: PlenopticCamera, distance: float, oversample: int) -> n
         lit = np.flatnonzero(is_lit)
         # Divided among the four samples around, as lenses, whose borders would show else, lie between samples.
         places = [
-            values[lit] * (oversample * fine / camera.mla_pitch) + (size - 1) / 2
+            values[lit] * (oversample * fine / camera.row_pitch) + (size - 1) / 2
             for values, size in zip(position, (across, down), strict=True)
         ]
         (column, x), (row, y) = ((np.floor(values), values - np.floor(values)) for values in places)
@@ -462,7 +462,7 @@ def _around_axis(camera: PlenopticCamera, lenses: int) -> PlenopticCamera:
     around = math.ceil(lenses * camera.micro_image_pitch / camera.pixel_size)
     refuse_if(
         around > MOST_PIXELS // 2,
-        f"mla_pitch = {camera.mla_pitch:g}: a micro-image of {around // 2} pixels is too wide for waves",
+        f"mla_pitch = {camera.row_pitch:g}: a micro-image of {around // 2} pixels is too wide for waves",
     )
     columns, rows = (max(size, 2 * around) for size in camera.resolution)
     return camera.replace(

@@ -132,7 +132,7 @@ _NO_WAVE = 1.0
 def ray_grid(camera: PlenopticCamera) -> Grid:
     """Return a grid whose samples are at most half as wide as pixels."""
     turned = upright(camera)
-    steps = np.array(turned.lattice.grid_step) * (turned.micro_image_pitch / turned.mla_pitch)
+    steps = np.array(turned.lattice.grid_step) * (turned.micro_image_pitch / turned.row_pitch)
     origin = -np.array([camera.detector_width, camera.detector_height]) / 2
     pitch = steps / np.ceil(2 * steps / camera.pixel_size)
     system = OpticalSystem(turned, _NO_WAVE)

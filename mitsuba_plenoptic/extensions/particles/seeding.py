@@ -80,7 +80,7 @@ class ParticleVolume:
 
     def lenses(self, camera: PlenopticCamera) -> float:
         """Return the number of microlenses on which the middle plane of the volume is imaged."""
-        per_pitch = (camera.mla_pitch / camera.bin_size(self.centre[2])) ** 2
+        per_pitch = (camera.row_pitch / camera.bin_size(self.centre[2])) ** 2
         return float(self.size[0] * self.size[1] * per_pitch / camera.lattice.lens_area)
 
 
