@@ -243,8 +243,7 @@ class CameraGeometry(CameraParameters):
     @property
     def row_pitch(self) -> float:
         """Pitch of the microlenses along their rows in mm, and width of a bin of reconstructions."""
-        self.require_array("row_pitch")
-        return self.mla_pitches[0]
+        return float(np.ravel(self.mla_pitch)[0])
 
     @property
     def mla_focal_length(self) -> float | tuple[float, ...]:

@@ -31,7 +31,8 @@ def behind_detector(film: Any) -> Any:
             """
             if isinstance(detector.stray_light, np.ndarray):
                 detector = replace(detector, stray_light=mi.TensorXf(detector.stray_light[..., None]))
-            self.detector, self._width = detector, width
+            self.detector = detector
+            self._width = width
 
         def prepare(self, aovs: list[str]) -> int:
             self._extra = len(aovs)

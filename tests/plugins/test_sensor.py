@@ -340,7 +340,7 @@ def test_integrators_that_hold_the_rays_of_the_sensor_refuse_gradients_by_it(kin
     if kind == "prb_projective":
         dr.enable_grad(parameters["cube.vertex_positions"])
         parameters.update()
-        with pytest.raises(InputError, match="^plenoptic: prb_projective .* use path or direct, which leave out"):
+        with pytest.raises(InputError, match=r"^plenoptic: prb_projective .* use path or direct, which leave out"):
             dr.backward(dr.sum(mi.render(scene, parameters, spp=1), axis=None))
 
 

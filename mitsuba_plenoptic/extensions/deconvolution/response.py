@@ -22,7 +22,7 @@ from ...detector import SHARP, DetectorOperator
 from ...errors import refuse_if
 from ...fields import OpticalSystem, upright
 from ...lenses import FittedLens, RealLens, inverse_distance
-from ...optics import in_millimetres, power
+from ...optics import in_millimetres
 from ...points import Copies, Fields, Grid, Recorder, Scatter, band_for, chunks_of, place, radiance_weight, scene_points
 from ...rays import Passage, Walk
 from ...refocus import regular_place, straightened
@@ -435,12 +435,14 @@ class Response(StoredResponse):
         aims += [(-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0)]
         middle = nearest(0.0, 0.0)
         at_middle = light(index[middle])
-        bright = power(at_middle[0])
+        vdot = active_backend().arrays.vdot
+        bright = float(vdot(at_middle, at_middle))
         if not bright:
             return math.inf
         steepest = 0.0
         for number in {nearest(*aim) for aim in aims} - {middle}:
-            change = math.sqrt(power((light(index[number]) - at_middle)[0]) / bright)
+            aside = light(index[number]) - at_middle
+            change = math.sqrt(float(vdot(aside, aside)) / bright)
             away = math.dist(places[number], places[middle]) / math.hypot(*reach)
             steepest = max(steepest, change / away)
         return steepest
