@@ -29,9 +29,6 @@ NAME = "plenoptic"
 
 _CROSSTALK_RAYS = 2**16
 
-_HOLDING_RAYS = {"RBIntegrator", "PathProjectiveIntegrator"}
-"""Mitsuba's classes of integrators in Python that do not differentiate by the sensor's rays."""
-
 _BOX = '<rfilter type="box"/>'
 
 
@@ -294,7 +291,8 @@ def make_class() -> type:
         ) -> tuple[Any, Any]:
             """Return a random ray with differentials: rays from the next pixels through the same lens point."""
             kinds = {kind.__name__ for kind in type(sys._getframe(1).f_locals.get("self")).__mro__}
-            for name in self._numbers if kinds & _HOLDING_RAYS else ():
+            # Mitsuba's integrators in Python that do not differentiate by the sensor's rays.
+            for name in self._numbers if kinds & {"RBIntegrator", "PathProjectiveIntegrator"} else ():
                 refuse_if(
                     dr.grad_enabled(getattr(self, name)),
                     f"{NAME}: {name}: prb, prbvolpath and the like hold the sensor's rays and have no gradient by it; "
