@@ -444,7 +444,7 @@ def known_radiance(camera: PlenopticCamera, wall: str) -> np.ndarray:
 
 def wall_capture(camera: PlenopticCamera, distance: float, wall: str, model: str, spp: int) -> Capture:
     """Capture a wall, or for an infinite distance a sky."""
-    half = camera.bin_count[0] / 2 * camera.mla_pitch / camera.mla_distance
+    half = camera.bin_count[0] / 2 * camera.row_pitch / camera.mla_distance
     blur = camera.blur_diameter(distance) / 2 / camera.mla_distance
     scene = {
         "type": "scene",

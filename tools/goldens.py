@@ -270,7 +270,7 @@ def other_tasks() -> Tasks:
     def fitted() -> Any:
         image = mp.point_spread_function(camera.replace(mla_focal_length=0.52), points[0], wavelength=WAVELENGTH)
         seen = mp.fitting.View(image, points[:1], [1.0], noise=float(image.max()) / 100)
-        return np.array([mp.fit(camera, seen, ["mla_focal_length"], wavelength=WAVELENGTH).camera.mla_focal_length])
+        return np.array([mp.fit(camera, seen, ["mla_focal_length"], wavelength=WAVELENGTH).camera.mla_focal_lengths[0]])
 
     yield "fit", fitted
 

@@ -407,7 +407,7 @@ def phase_space() -> Image.Image:
 def coefficient(plan: walls.PhaseSpace, radius: float, number: int) -> np.ndarray:
     """Draw a coefficient over the 3 x 3 lenses around that of the ray, at a node near a radius of the pupil."""
     node = round((1 - (1 - radius) ** 0.5) * plan.radial)
-    place, side = plan.nodes[node], 3 * plan.camera.mla_pitch
+    place, side = plan.nodes[node], 3 * plan.camera.row_pitch
     along = [(np.arange(count) + 0.5) * s / count - s / 2 for count, s in zip(place.counts, place.sides, strict=True)]
     inside = [np.flatnonzero(np.abs(each) < side / 2) for each in along]
     shown = np.zeros((240, 240, 3), np.uint8) + 255
@@ -626,7 +626,7 @@ def fitting() -> Image.Image:
     def residual(camera: mp.PlenopticCamera) -> np.ndarray:
         return coloured((model(camera) / brightest - seen) / deviation, -5, 5, colours="RdBu_r")
 
-    pitch, (x, y) = 1e3 * found.camera.mla_pitch, (1e3 * value for value in found.camera.mla_offset)
+    pitch, (x, y) = 1e3 * found.camera.row_pitch, (1e3 * value for value in found.camera.mla_offset)
     print(f"fitting: pitch {pitch:.3f} um, offset ({x:.3f}, {y:.3f}) um; true: 64, (0, 0)")
     return sheet(
         [

@@ -24,7 +24,7 @@ from ..errors import InputError, refuse_if, require_number
 from ..prescription import THIN, Collimator, LensData, Objective, Prescription, defocus_factor, even_count
 from ..runtime import take
 from .aperture import Apodised, Opening, Round
-from .entry import record
+from .entry import one_if_equal, one_if_single, record
 from .parameters import CameraParameters
 
 NO_ARRAY_HERE = f"mla_lattice = {NO_LATTICE}: the camera has no microlens array"
@@ -238,16 +238,21 @@ class CameraGeometry(CameraParameters):
         return self.lenses_like_bins and self.mla_offset == (0, 0)
 
     @property
-    def mla_pitch(self) -> float:
-        """Pitch :math:`D_2` of the microlenses along their rows in mm, and width of a bin of reconstructions."""
+    def mla_pitch(self) -> float | tuple[float, ...]:
+        """Pitch :math:`D_2` of the microlenses in mm, as it is given: of two, that along the rows comes first."""
         self.require_array("mla_pitch")
-        return self.mla_pitches[0]
+        return one_if_equal(self.mla_pitches)
 
     @property
-    def mla_focal_length(self) -> float:
-        """Focal length :math:`f_2` of a microlens in millimetres; the first one if there are three."""
+    def row_pitch(self) -> float:
+        """Pitch of the microlenses along their rows in mm, and width of a bin of reconstructions."""
+        return float(np.ravel(self.mla_pitch)[0])
+
+    @property
+    def mla_focal_length(self) -> float | tuple[float, ...]:
+        """Focal length :math:`f_2` of a microlens in millimetres, or of each of three kinds."""
         self.require_array("mla_focal_length")
-        return self.mla_focal_lengths[0]
+        return one_if_single(self.mla_focal_lengths)
 
     @property
     def reduced_distance(self) -> float:
@@ -363,8 +368,8 @@ class CameraGeometry(CameraParameters):
 
         A rotated lattice has as many lenses on the same area.
         """
-        columns, rows = (even_count(width, self.mla_pitch) for width in (self.detector_width, self.detector_height))
-        if self.lattice.row_distance != self.mla_pitch:
+        columns, rows = (even_count(width, self.row_pitch) for width in (self.detector_width, self.detector_height))
+        if self.lattice.row_distance != self.row_pitch:
             rows = max(1, round(self.detector_height / self.lattice.row_distance))
         return columns, rows
 
@@ -376,7 +381,7 @@ class CameraGeometry(CameraParameters):
     @property
     def micro_image_pitch(self) -> float:
         """Distance in mm of neighbouring micro-images of a row: :math:`D_2 (b + z/n) / b`; behind an objective D2."""
-        return self.mla_pitch * self.image_growth
+        return self.row_pitch * self.image_growth
 
     @property
     def image_growth(self) -> float:

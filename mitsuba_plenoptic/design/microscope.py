@@ -38,7 +38,7 @@ def native_field(camera: PlenopticCamera) -> float:
     """
     lens = objective_of(camera)
     if lens.images_stop:
-        return camera.mla_pitch / lens.view_scale(camera.reduced_distance)
+        return camera.row_pitch / lens.view_scale(camera.reduced_distance)
     return camera.detector_width / lens.magnification
 
 
@@ -76,7 +76,7 @@ def depth_of_field(camera: PlenopticCamera, wavelength: float | None = None) -> 
         # Diameter of a point's light on the array for each millimetre of depth.
         growth = lens.blur_diameter(1)
         if focus == "unfocused":
-            reach = direction_count(camera, wavelength) * camera.mla_pitch / growth
+            reach = direction_count(camera, wavelength) * camera.row_pitch / growth
             ranges += [(-reach, reach)]
             continue
         scale = lens.immersion / lens.magnification**2
@@ -120,7 +120,7 @@ def lenses_across_stop(camera: PlenopticCamera) -> float:
     camera : PlenopticCamera
         A microscope in the Fourier arrangement.
     """
-    return _fourier(camera).blur_diameter(0) / camera.mla_pitch
+    return _fourier(camera).blur_diameter(0) / camera.row_pitch
 
 
 def parallax(camera: PlenopticCamera, position: float) -> float:
@@ -163,7 +163,7 @@ def microscope_findings(camera: PlenopticCamera, wavelength: float | None = None
                 (("take narrower lenses", {"mla_pitch": narrower}),),
             )
     else:
-        fill = camera.micro_image_diameter / camera.mla_pitch
+        fill = camera.micro_image_diameter / camera.row_pitch
         matching = f"a microlens of {lens.magnification / (2 * lens.numerical_aperture):.3g} times its pitch suits"
         remedy = (matching, detector_at(camera, camera.reduced_distance / fill))
         if fill > 1.05:

@@ -234,7 +234,7 @@ def effective_resolution(
         line_width=detail * distance / camera.mla_distance,
         columns=camera.detector_width / detail,
         rows=camera.detector_height / detail,
-        samples_per_lens=camera.mla_pitch / detail,
+        samples_per_lens=camera.row_pitch / detail,
         ratio=camera.pixel_size / detail,
     )
 
@@ -291,7 +291,7 @@ def refocus_range(camera: PlenopticCamera, wavelength: float | None = None) -> t
     (258, 358)
     """
     camera.require_lens("the range of refocusing")
-    slack = direction_count(camera, wavelength) * camera.mla_pitch / camera.aperture_diameter
+    slack = direction_count(camera, wavelength) * camera.row_pitch / camera.aperture_diameter
     ends = []
     for focus, a in zip(focus_types(camera), mla_object_distances(camera), strict=True):
         # The defocus of what has its image at 2a; of what has it at the MLA it is 0.
@@ -392,7 +392,7 @@ def mla_f_number(camera: PlenopticCamera) -> float:
 
 def micro_image_distance(camera: PlenopticCamera) -> float:
     """Distance in mm between the closest micro-images; micro-images of a smaller diameter do not touch."""
-    return camera.lattice.nearest_distance * camera.micro_image_pitch / camera.mla_pitch
+    return camera.lattice.nearest_distance * camera.micro_image_pitch / camera.row_pitch
 
 
 # -- Fresnel numbers -------------------------------------------------------------------------------------
@@ -428,7 +428,7 @@ def white_mean(camera: PlenopticCamera) -> float:
     camera : PlenopticCamera
         The camera.
     """
-    growth = camera.micro_image_pitch / camera.mla_pitch
+    growth = camera.micro_image_pitch / camera.row_pitch
     return camera.aperture.share * math.pi / 4 * camera.micro_image_diameter**2 / (camera.lattice.cell_area * growth**2)
 
 

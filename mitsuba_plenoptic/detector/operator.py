@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -55,11 +55,6 @@ class DetectorOperator:
         return not (self.blur or self.crosstalk or self._strays)
 
     @property
-    def has_lengths(self) -> bool:
-        """Whether what pixels record depends on their width, for the same light on them."""
-        return self.blur > 0 or math.isfinite(self.stray_width)
-
-    @property
     def _strays(self) -> bool:
         """Whether there is stray light; a map counts as some."""
         return not isinstance(self.stray_light, float) or self.stray_light > 0
@@ -80,28 +75,26 @@ class DetectorOperator:
 
         The light on each pixel is fixed, and so are the lengths of the detector in millimetres.
         """
-        change = self._leaked(_blurred_slope(image, self.blur)) if self.blur else 0 * image
-        if self._strays:
-            change = change + self._stray(change) * self._around(change)
-            if math.isfinite(self.stray_width):
-                change = change + self._stray(change) * _blurred_slope(self._mixed(image), self.stray_width)
+        change = replace(self, blur=0.0).forward(_blurred_slope(image, self.blur)) if self.blur else 0 * image
+        if self._strays and math.isfinite(self.stray_width):
+            change = change + self._stray(image) * _blurred_slope(self._mixed(image), self.stray_width)
         return -change
 
     def _mixed(self, image: Any) -> Any:
         """Return B of an image."""
-        return self._leaked(_blurred(image, self.blur) if self.blur else image)
-
-    def _leaked(self, image: Any) -> Any:
-        """Return an image after crosstalk."""
-        if not self.crosstalk:
-            return image
-        beside = _correlated(image, (1.0, 0.0, 1.0), 0) + _correlated(image, (1.0, 0.0, 1.0), 1)
-        return (1 - 4 * self.crosstalk) * image + self.crosstalk * beside
+        if self.blur:
+            kernel = _gaussian(self.blur)
+            image = _correlated(_correlated(image, kernel, 0), kernel, 1)
+        if self.crosstalk:
+            beside = _correlated(image, (1.0, 0.0, 1.0), 0) + _correlated(image, (1.0, 0.0, 1.0), 1)
+            image = (1 - 4 * self.crosstalk) * image + self.crosstalk * beside
+        return image
 
     def _around(self, image: Any) -> Any:
         """Return the light around each pixel, over which stray light is spread."""
         if math.isfinite(self.stray_width):
-            return _blurred(image, self.stray_width)
+            kernel = _gaussian(self.stray_width)
+            return _correlated(_correlated(image, kernel, 0), kernel, 1)
         if isinstance(image, np.ndarray):
             return image.mean((0, 1), dtype=np.float64).astype(image.dtype)
         return dr.mean(image, axis=(0, 1))
@@ -114,14 +107,8 @@ class DetectorOperator:
         return type(image)(fraction) if dr.is_tensor_v(image) else fraction.astype(image.dtype)
 
 
-def _blurred(image: Any, deviation: float) -> Any:
-    """Return an image blurred by a Gaussian with a standard deviation in pixels."""
-    kernel = _gaussian(deviation)
-    return _correlated(_correlated(image, kernel, 0), kernel, 1)
-
-
 def _blurred_slope(image: Any, deviation: float) -> Any:
-    """Return the derivative of `_blurred` by the logarithm of the deviation."""
+    """Return the derivative of a blurred image by the logarithm of the deviation, in pixels, of its Gaussian."""
     kernel = _gaussian(deviation)
     squares = (np.arange(len(kernel)) - len(kernel) // 2) ** 2.0
     # Of exp(-k^2/2 w^2) over its sum, whose variance is the deviation's square, by w, and of w by the deviation.

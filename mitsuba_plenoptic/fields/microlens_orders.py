@@ -242,7 +242,7 @@ class PlaneFactor(ArrayFactor):
         # 16: Memory in bytes per sample while the orders are computed.
         check_memory(
             16 * math.prod(side / pitch * fine for side in sides) + 16 * table,
-            f"microlens array of pitch {camera.mla_pitch:g} with {self._counts[1]} x {self._counts[0]} orders",
+            f"microlens array of pitch {camera.row_pitch:g} with {self._counts[1]} x {self._counts[0]} orders",
         )
         shape = [fft.fast_length(side / pitch * fine, 2) for side in sides[::-1]]
         samples = self._samples(shape, axis, power, lens_type)

@@ -139,7 +139,7 @@ class FittedLens:
         """Return the stretch of an object plane's image, up to the corners of the bins."""
         g = min(distance, FAR)
         near = float(self.fitted.pupils.field(np.array([[0.0, 0.0, g]]))[1][0])
-        corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch
+        corner = math.hypot(*camera.bin_count) / 2 * camera.row_pitch
         corner = min(corner, ACCURACY.used_field * self.fitted.aberration.scales.field / near * camera.mla_distance / g)
         positions = np.linspace(0, corner, ACCURACY.stretch_fields)[1:]
         points = np.column_stack([0 * positions, -positions * g / camera.mla_distance, np.full(len(positions), g)])

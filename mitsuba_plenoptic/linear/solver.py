@@ -67,15 +67,12 @@ class Steps:
         self.inside = self.light > least * float(self.light.max())
         self.total = float(np.maximum(image, 0).sum(dtype=np.float64))
         self.sent = float(self.light.sum(where=self.inside, dtype=np.float64))
+        # Image of the start.
+        self.first = operator.forward(self.start())
 
     def start(self) -> Array:
         """Return uniform light that sends as much to the detector as the image has."""
         return np.where(self.inside, self.total / self.sent, 0.0).astype(self.light.dtype)
-
-    @cached_property
-    def first(self) -> Array:
-        """Image of the start."""
-        return np.asarray(self.operator.forward(self.start()))
 
     def step(self, point: Array, model: Array) -> Array:
         """Return the light after a step from a point whose image is `model`."""

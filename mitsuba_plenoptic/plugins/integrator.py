@@ -26,7 +26,7 @@ from ..waves import (
     require_parameters,
 )
 from .properties import read_choice, read_count, read_number, read_plain
-from .wave_base import NAME, asked_for, develop, develop_back, make_base, put, read_wavelengths
+from .wave_base import NAME, asked_for, developed, make_base, put, read_wavelengths
 
 if TYPE_CHECKING:
     from ..points import PointsCapture
@@ -204,7 +204,10 @@ def make_class() -> type:
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=True)
             tangents = {name: np.ravel(np.array(dr.grad(getattr(sensor, name)), np.float64)) for name in names}
             with guards.watch():
-                return develop(sensor.film(), gradients.compensated[0], gradients.forward(tangents))
+                change = gradients.forward(tangents)
+            light, image = developed(sensor.film(), gradients.compensated[0])
+            dr.set_grad(light, mi.TensorXf(change))
+            return dr.forward_to(image)
 
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
@@ -213,8 +216,9 @@ def make_class() -> type:
             sensor, seed, spp = asked_for(scene, sensor, seed, spp)
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=False)
             with guards.watch():
-                back = develop_back(sensor.film(), gradients.compensated[0], grad_in)
-                by_name = gradients.backward(back, names)
+                light, image = developed(sensor.film(), gradients.compensated[0])
+                dr.backward(dr.sum(image * grad_in, axis=None))
+                by_name = gradients.backward(np.array(dr.grad(light)), names)
             for name, gradient in by_name.items():
                 value = getattr(sensor, name)
                 dr.accum_grad(value, type(value)(gradient.tolist()))
@@ -229,7 +233,7 @@ def make_class() -> type:
             names, others = numbers_and_others(params, sensor)
             capture = self._signed(scene, sensor)
             if not capture.has_gradients:
-                pitch = f"{NAME}: mla_pitch = {capture.camera.mla_pitch:g}"
+                pitch = f"{NAME}: mla_pitch = {capture.camera.row_pitch:g}"
                 raise InputError(f"{pitch}: captures behind lenses of a few wavelengths have no gradients")
             with naming(NAME):
                 require_parameters(capture.camera, names, any(node.plan.lands_by_point for node in capture.nodes))
@@ -306,7 +310,7 @@ def make_class() -> type:
                 check_screen(camera, min(spectrum.wavelengths))
             arguments = camera, light, spectrum, conversion, self.nodes, self.accuracy
             if has_small_lenses(camera, max(spectrum.wavelengths)):
-                return hook("small lenses", f"{NAME}: mla_pitch = {camera.mla_pitch:g}")(*arguments)
+                return hook("small lenses", f"{NAME}: mla_pitch = {camera.row_pitch:g}")(*arguments)
             # Derivatives that are refused are so when they are asked for.
             varying: tuple[str, ...] = ()
             if is_supported(camera, Use.SCENE_DERIVATIVES):

@@ -34,7 +34,8 @@ def with_camera(scene: mi.Scene, camera: PlenopticCamera, sensor: int | None = N
     mitsuba.Scene
         The new scene, which shares its objects with the given one; all have the same ids. The camera is its first
         sensor, with the id of the one it replaces; meters on shapes follow, and other sensors are left out. It has the
-        sampler of a plenoptic camera before it, and the count of samples of any other.
+        sampler of a plenoptic camera before it, and the count of samples of any other. Move shapes through
+        ``mi.traverse`` of the new scene: a mesh that is moved through the given one stays where it was in the new one.
 
     Raises
     ------

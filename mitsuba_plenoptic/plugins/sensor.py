@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import sys
 from typing import TYPE_CHECKING, Any, cast
 
 import drjit as dr
@@ -298,6 +299,14 @@ def make_class() -> type:
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> tuple[Any, Any]:
             """Return a random ray with differentials: rays from the next pixels through the same lens point."""
+            kinds = {kind.__name__ for kind in type(sys._getframe(1).f_locals.get("self")).__mro__}
+            # Mitsuba's integrators in Python that do not differentiate by the sensor's rays.
+            for name in self._numbers if kinds & {"RBIntegrator", "PathProjectiveIntegrator"} else ():
+                refuse_if(
+                    dr.grad_enabled(getattr(self, name)),
+                    f"{NAME}: {name}: prb, prbvolpath and the like hold the sensor's rays and have no gradient by it; "
+                    "use path, volpath, direct or plenoptic_wave",
+                )
             samples = time, sample1, sample2, sample3
             film = self.film()
             if not getattr(film, "redraws", False):
@@ -313,6 +322,13 @@ def make_class() -> type:
             raise InputError(
                 f"{NAME}: light tracing (an integrator such as ptracer) cannot reach the detector through the "
                 "lenses; use path or direct"
+            )
+
+        def projection_transform(self) -> Any:
+            """Refuse integrators that project moving edges of shapes onto the film, as many lenses see each of them."""
+            raise InputError(
+                f"{NAME}: prb_projective and direct_projective cannot project edges of moving shapes through the "
+                "lenses; use path or direct, which leave out what edges change, or differences of captures"
             )
 
         def bbox(self) -> Any:

@@ -26,22 +26,8 @@ def put(film: Any, image: Floats, channels: int) -> None:
     film.put_block(mi.ImageBlock(drjit_array(mi.TensorXf, block), film.crop_offset()))
 
 
-def develop(film: Any, image: Floats, change: Floats) -> Any:
-    """Return the change of what a film develops of an image (rows, columns, channels), for a change of the image."""
-    light, developed = _developed(film, image)
-    dr.set_grad(light, drjit_array(mi.TensorXf, change))
-    return dr.forward_to(developed)
-
-
-def develop_back(film: Any, image: Floats, gradient: Any) -> Floats:
-    """Return the transpose of `develop` applied to a gradient."""
-    light, developed = _developed(film, image)
-    dr.backward(dr.sum(developed * gradient, axis=None))
-    return np.array(dr.grad(light), np.float32)
-
-
-def _developed(film: Any, image: Floats) -> tuple[Any, Any]:
-    """Return an image as a tensor with a gradient, and what a film develops of it."""
+def developed(film: Any, image: Floats) -> tuple[Any, Any]:
+    """Return an image (rows, columns, channels) as a tensor with a gradient, and what a film develops of it."""
     light = drjit_array(mi.TensorXf, image)
     dr.enable_grad(light)
     colours = [light] * (3 // image.shape[2])

@@ -110,7 +110,7 @@ def wavefront_step(accuracy: float, camera: PlenopticCamera, lens: MainLens, pos
     if not len(positions):
         return 0.0
     image = lens.images(positions)
-    lenses = np.unique(np.floor(image / camera.mla_pitch), axis=0)
+    lenses = np.unique(np.floor(image / camera.row_pitch), axis=0)
     # 25: Approximate number of lenses whose points have overlapping spreads.
     overlap = min(len(positions), 25 * len(positions) / len(lenses))
     return accuracy * WAVES_PER_ERROR * min(1.0, (overlap / _MANY) ** 0.5)
@@ -195,7 +195,7 @@ def find_patterns(
         )
     # If a pattern is shared by diverging and converging light, their mean may be collimated.
     nearness = np.where(np.abs(mean) > 1 / _FARTHEST, mean, 1 / _FARTHEST)
-    centres = lens.points(_in_pitches(camera, position) * camera.mla_pitch, nearness)
+    centres = lens.points(_in_pitches(camera, position) * camera.row_pitch, nearness)
     return Patterns(centres, slant, pattern, cell - middle[pattern])
 
 
@@ -203,7 +203,7 @@ def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> Doubles:
     """Return positions on the MLA in pitches, from steps along the lattice vectors, (n, 2)."""
     basis = np.array(camera.lattice.basis)
     offset = np.array(camera.mla_offset)
-    return np.asarray(steps @ (basis / camera.mla_pitch) + offset / camera.mla_pitch)
+    return np.asarray(steps @ (basis / camera.row_pitch) + offset / camera.row_pitch)
 
 
 def _depth_steps(
@@ -241,7 +241,7 @@ def _zones(
         first = cell // width * width
         square = np.max(
             [
-                ((_in_pitches(camera, first + np.array(corner) * width) * camera.mla_pitch) ** 2).sum(1)
+                ((_in_pitches(camera, first + np.array(corner) * width) * camera.row_pitch) ** 2).sum(1)
                 for corner in ((0, 0), (0, 1), (1, 0), (1, 1))
             ],
             axis=0,

@@ -132,6 +132,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
             f"pupil_weights: method {method} takes none behind a main_lens; use patch",
         )
         self._detector = DetectorOperator.of(camera)
+        self._has_lengths = bool(camera.detector_blur or camera.stray_width)
         self._method, self._accuracy = method, chosen_accuracy(accuracy, method)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
         if camera.aperture != Round():
@@ -332,7 +333,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
         image = self._detector.forward(image.reshape(*self.camera.shape, -1))
         columns = np.moveaxis(image.reshape(*self.camera.shape, len(checked), len(matrix)), 2, 0)
         growths = [changes.get("detector_width", np.zeros(1)) for changes in checked]
-        if any(map(np.any, growths)) and self._detector.has_lengths:
+        if any(map(np.any, growths)) and self._has_lengths:
             columns += np.multiply.outer(np.concatenate(growths), self._slope_by_width(factors))
         flat = np.ndim(weights) == 1 and len(matrix) == 1
         return np.ascontiguousarray(columns[..., 0] if flat else columns)
@@ -376,7 +377,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
         if channels.shape[2] != len(matrix):
             raise InputError(f"image of shape {np.shape(image_gradient)}: the weights make {len(matrix)} channels")
         gradients = self._for_derivatives().vjp(factors, channels, chosen, wavelengths, matrix, job or Job())
-        if "detector_width" in gradients and self._detector.has_lengths:
+        if "detector_width" in gradients and self._has_lengths:
             slope = self._slope_by_width(factors)
             gradients["detector_width"] += np.vdot(slope, np.reshape(image_gradient, slope.shape))
         return gradients

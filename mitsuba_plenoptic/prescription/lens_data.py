@@ -162,12 +162,12 @@ class LensData(PlainData):
 
     def bin_count(self, camera: Any) -> tuple[int, int]:
         """Return the number of bins across and down a reconstruction."""
-        pitch = camera.mla_pitch
+        pitch = camera.row_pitch
         return even_count(camera.detector_width, pitch), even_count(camera.detector_height, pitch)
 
     def bin_size(self, camera: Any, distance: float) -> float:
         """Return the width in mm of one bin of a reconstruction, in the object plane."""
-        return float(camera.mla_pitch * distance / camera.mla_distance)
+        return float(camera.row_pitch * distance / camera.mla_distance)
 
 
 THIN = LensData()

@@ -209,7 +209,7 @@ class Objective(LensData):
         """Return the object-side width in mm of a lens, or of a pixel in the Fourier arrangement, at all depths."""
         if self.is_fourier:
             return float(camera.pixel_size / self.view_scale(camera.reduced_distance))
-        return float(camera.mla_pitch / self.magnification)
+        return float(camera.row_pitch / self.magnification)
 
     def image_blur(self, camera: Any, distance: float) -> float:
         """Return the diameter in mm of the blur on the array, as `blur_diameter`."""

@@ -232,7 +232,7 @@ def follow_back(p: Any, m: Any, c: Any, distance: float, camera: PlenopticCamera
 
     One axis at a time; returns the points of the pupil, and those of the plane, which may be at infinity, times -b / g.
     """
-    t = rays.microlens_slope(p, m, c, camera.reduced_distance, camera.mla_focal_length / camera.mla_medium)
+    t = rays.microlens_slope(p, m, c, camera.reduced_distance, camera.mla_focal_lengths[0] / camera.mla_medium)
     P = rays.pupil_point(m, t, camera.mla_distance)
     slope = rays.main_lens_slope(t, P, camera.focal_length)
     return P, -camera.mla_distance * rays.object_direction(P, slope, distance)

@@ -137,7 +137,7 @@ class BinSums:
     """
 
     def __init__(self, step: Directions, camera: PlenopticCamera, wavelength: float, oversample: int) -> None:
-        width = camera.mla_pitch / (camera.mla_distance * oversample)
+        width = camera.row_pitch / (camera.mla_distance * oversample)
         columns, rows = (count * oversample for count in camera.bin_count)
         # Lines of the main lens are along y.
         in_x = step.y

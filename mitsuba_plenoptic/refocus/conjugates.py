@@ -148,7 +148,7 @@ class RealConjugates:
                 )
         b = camera.mla_distance
         behind = float(real.pupil.distance)
-        corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch + _MARGIN * camera.mla_pitch
+        corner = math.hypot(*camera.bin_count) / 2 * camera.row_pitch + _MARGIN * camera.row_pitch
         inverse_distance = [1 / (min(distance, FAR) - pupils.entrance) for distance in distances]
         fields = [abs(pupils.magnification) / behind]
         fields += [min(g, FAR) * near / b for g, near in zip(distances, inverse_distance, strict=True)]
@@ -163,7 +163,7 @@ class RealConjugates:
             crop_offset=tuple(first + more for first in behind_thin.crop_offset),
             crop_size=behind_thin.crop_size,
         )
-        return cls(behind_thin, lens, system.wavelength, _ZONE_BLUR * camera.mla_pitch / oversample)
+        return cls(behind_thin, lens, system.wavelength, _ZONE_BLUR * camera.row_pitch / oversample)
 
     def distance(self, distance: float) -> float:
         """Return the distance of an object plane from the thin lens of `camera`."""
@@ -182,7 +182,7 @@ class RealConjugates:
 
     def zones(self, distance: float) -> Iterator[FieldZone]:
         """Yield zones so small that the path of light at a zone's middle serves the whole zone."""
-        bins = np.array(self.camera.bin_count) * self.camera.mla_pitch
+        bins = np.array(self.camera.bin_count) * self.camera.row_pitch
         for count in range(1, _MOST_ZONES + 1):
             if self._blur(bins / count, count, distance) <= self.blur:
                 break
@@ -247,7 +247,7 @@ def undistorted(
     """Return power moved from bins of chief rays on the array to bins of the object plane."""
     stretched = conjugates.lens.image_stretch(camera, distance)
     columns, rows = (count * fine for count in camera.bin_count)
-    step = camera.mla_pitch / fine
+    step = camera.row_pitch / fine
     x, y = ((np.arange(count) - (count - 1) / 2) * step for count in (columns, rows))
     away = np.hypot(x, y[:, None])
     stretch = np.interp(away, stretched.places, stretched.ratio) / step

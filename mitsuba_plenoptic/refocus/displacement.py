@@ -102,7 +102,7 @@ def tilt(camera: PlenopticCamera, distance: float) -> tuple[float, float, float]
     """
     at_pupil, on_bins = follow_back(1.0, 0.0, 0.0, distance, camera)
     of_pupil = on_bins / at_pupil
-    farthest = (max(camera.bin_count) / 2 + 1) * camera.mla_pitch + abs(of_pupil) * camera.lit_radius
+    farthest = (max(camera.bin_count) / 2 + 1) * camera.row_pitch + abs(of_pupil) * camera.lit_radius
     return _SLOPE / farthest, farthest, of_pupil
 
 
@@ -145,7 +145,7 @@ def displacements(tilted: Sequence[Doubles], slope: float, camera: PlenopticCame
     for axis, image in enumerate(tilted):
         count = image.shape[1 - axis]
         axis_offset = (np.arange(count) - (count - 1) / 2).reshape((1, -1, 1) if axis == 0 else (-1, 1, 1))
-        position = (image - 1) / slope * (oversample / camera.mla_pitch)
+        position = (image - 1) / slope * (oversample / camera.row_pitch)
         farthest = _FARTHEST * oversample
         moved.append(np.nan_to_num(position - axis_offset).clip(-farthest, farthest))
     return moved

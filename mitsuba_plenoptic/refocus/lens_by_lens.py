@@ -66,7 +66,7 @@ TILE_MARGIN = 4.5
 
 def tile_lenses(camera: PlenopticCamera, distances: Sequence[float]) -> int:
     """Width of an object patch in lenses, odd: the widest blur and a margin for diffraction on both sides."""
-    blur = max(camera.blur_diameter(g) for g in distances) / camera.mla_pitch
+    blur = max(camera.blur_diameter(g) for g in distances) / camera.row_pitch
     return 2 * math.ceil(blur / 2 + TILE_MARGIN) + 1
 
 
@@ -139,7 +139,7 @@ class LensTile:
         camera = self.camera
         needed = self.fraction * (
             (_FINE_GUARD if self.oversample > 1 and self.resolved else GUARD)
-            * camera.mla_pitch
+            * camera.row_pitch
             * camera.aperture_diameter
             / (in_millimetres(self.wavelength) * camera.mla_distance)
         )
@@ -155,7 +155,7 @@ class LensTile:
     @property
     def pupil_pitch(self) -> float:
         """Distance in mm between pupil samples, for which the object patch is one period."""
-        return in_millimetres(self.wavelength) * self.camera.mla_distance / (self.lenses * self.camera.mla_pitch)
+        return in_millimetres(self.wavelength) * self.camera.mla_distance / (self.lenses * self.camera.row_pitch)
 
     @cached_property
     def pupil(self) -> np.ndarray:
@@ -240,7 +240,7 @@ class LensSet:
         half = tile.cell_width / 2
         self.tile, self._index = tile, camera.lattice.lenses_within(tuple(low - half), tuple(high + half))
         self.centre = np.stack(camera.lattice.centre(*self._index.T.astype(np.float64)), axis=-1)
-        position = self.centre / camera.mla_pitch
+        position = self.centre / camera.row_pitch
         bins = np.floor(position).astype(np.int64)
         self._aside = position - bins - 0.5
         self.first = int(bins[:, 0].min()), int(bins[:, 1].min())
@@ -316,7 +316,7 @@ class LensSet:
         columns, rows = (index[:, None] + np.arange(tile.cell_samples) for index in first.T)
         return LensBatch(
             bin=self.bin[lenses],
-            aside=self._aside[lenses] + aside / tile.camera.mla_pitch,
+            aside=self._aside[lenses] + aside / tile.camera.row_pitch,
             centre=centre,
             rows=rows,
             columns=columns,
@@ -422,7 +422,7 @@ def object_patches(
     intensity = folded.real**2
     intensity += folded.imag**2
     # Areas over the distance, which may be infinite.
-    slope = camera.mla_pitch / camera.mla_distance / tile.samples
+    slope = camera.row_pitch / camera.mla_distance / tile.samples
     scale = tile.pupil_pitch**2 / in_millimetres(tile.wavelength) * slope / camera.pixel_size
     # The object is upside down in camera coordinates: bins grow with -X.
     return intensity[:, ::-1, ::-1] * np.float32(scale**2)

@@ -214,7 +214,7 @@ def check_pupil_diffraction(camera: PlenopticCamera, wavelength: float, distance
 
     The part J0(v)^2 + J1(v)^2 of an Airy pattern lies outside a radius r, v = 2 pi R r / (lambda b) on the array.
     """
-    reach = camera.blur_diameter(distance) / 2 + margin * camera.mla_pitch
+    reach = camera.blur_diameter(distance) / 2 + margin * camera.row_pitch
     edge = 2 * math.pi * camera.aperture_radius * reach / (in_millimetres(wavelength) * camera.mla_distance)
     guards.check(guards.OBJECT, float(j0(edge) ** 2 + j1(edge) ** 2))
 
@@ -326,9 +326,9 @@ def object_extent(
     Both are equal if all light goes to bins.
     """
     b = camera.mla_distance
-    spread = camera.blur_diameter(distance) / 2 / b + OBJECT_MARGIN * camera.mla_pitch / b
+    spread = camera.blur_diameter(distance) / 2 / b + OBJECT_MARGIN * camera.row_pitch / b
     edges = (np.array(lit) - camera.resolution[axis] / 2) * camera.pixel_size
     high, low = -rays.chief_point(edges, b, camera.reduced_distance) / b
     light = (float(low) - spread, float(high) + spread)
-    half_field = camera.bin_count[axis] / 2 * camera.mla_pitch / b
+    half_field = camera.bin_count[axis] / 2 * camera.row_pitch / b
     return light, (min(max(light[0], -half_field), half_field), max(min(light[1], half_field), -half_field))

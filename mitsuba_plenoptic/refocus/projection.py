@@ -84,13 +84,14 @@ def _axis(
     c = camera.lattice.axis_centre(camera.lattice.axis_cell(chief, axis), axis)
 
     pupil, position = follow_back(p, c, c, distance, camera)
-    centre = position * (oversample / camera.mla_pitch) + count / 2
+    centre = position * (oversample / camera.row_pitch) + count / 2
     if footprint == "point":
         return axis_bins(centre, centre, pupil, count, radius)
     width = max(
-        camera.mla_pitch * lens_footprint(camera, distance, camera.mla_focal_length), pixel_footprint(camera, distance)
+        camera.row_pitch * lens_footprint(camera, distance, camera.mla_focal_lengths[0]),
+        pixel_footprint(camera, distance),
     )
-    half = width / 2 * oversample / camera.mla_pitch
+    half = width / 2 * oversample / camera.row_pitch
     return axis_bins(centre - half, centre + half, pupil, count, radius)
 
 

@@ -191,7 +191,7 @@ class LensSpread:
     """
 
     def __init__(self, camera: PlenopticCamera, oversample: int, fine: int, scale: float = 1.0) -> None:
-        self._aperture = camera.lattice.aperture_image(camera.mla_pitch / (oversample * fine), scale)
+        self._aperture = camera.lattice.aperture_image(camera.row_pitch / (oversample * fine), scale)
         self._fine = fine
 
     def forward(self, power: np.ndarray) -> np.ndarray:

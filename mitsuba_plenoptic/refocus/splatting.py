@@ -63,7 +63,7 @@ class Splat:
         footprints = [np.ones((1, 1, 1, 1))] * len(focal_lengths)
         if footprint == "lens":
             fine = max(_LEAST, -(-_FINE // oversample))
-            step = camera.mla_pitch / (oversample * fine)
+            step = camera.row_pitch / (oversample * fine)
             footprints = [_in_bins(_footprint(camera, distance, f2, step), fine) for f2 in focal_lengths]
         # Pixels that land in bins beyond the border may still reach across it.
         margin = max(taps.shape[0] // 2 for taps in footprints)
@@ -181,7 +181,7 @@ def _landing(
     for rows, *position, is_lit in traced:
         lit = np.flatnonzero(is_lit)
         x, y = (
-            values[lit] * (oversample / camera.mla_pitch) + size / 2
+            values[lit] * (oversample / camera.row_pitch) + size / 2
             for values, size in zip(position, shape[::-1], strict=True)
         )
         column = np.floor(x).astype(np.int64)

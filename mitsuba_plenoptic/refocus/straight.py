@@ -182,9 +182,9 @@ def displaced_image(image: Floats, camera: PlenopticCamera, oversample: int) -> 
     warp[0, :2] += across, up
     warp[1, 1:3] += across, up
     moved, rows, columns = Displacement(tuple(warp.ravel().tolist())), *image.shape[:2]
-    pitch = camera.mla_pitch / oversample
+    pitch = camera.row_pitch / oversample
     half = np.array([columns, rows]) * pitch / 2
-    if moved.most_smooth(-half, half)[0] <= _ASIDE * camera.mla_pitch:
+    if moved.most_smooth(-half, half)[0] <= _ASIDE * camera.row_pitch:
         return image
     x, y = np.meshgrid(*((np.arange(size) - (size - 1) / 2) * pitch for size in (columns, rows)))
     x, y = (

@@ -171,7 +171,7 @@ def _edges(experiment: Experiment) -> list[dict[str, Any]]:
         # Ids of the chart's squares, which are slanted edges, begin so.
         if not name.startswith("edge_") or distance not in experiment.settings.distances:
             continue
-        scale = camera.mla_distance / (low[2] * camera.mla_pitch)
+        scale = camera.mla_distance / (low[2] * camera.row_pitch)
         column, row = (camera.bin_count[axis] / 2 - (low[axis] + high[axis]) / 2 * scale for axis in (0, 1))
         side = float(high[0] - low[0]) / (math.cos(EDGE_TILT) + math.sin(EDGE_TILT)) * scale
         for method in METHOD_TITLES:

@@ -73,7 +73,7 @@ def photographic_sensor(
     scene: Any, camera: PlenopticCamera, size: tuple[int, int], pixel_format: str = "luminance", **lens: Any
 ) -> Any:
     """Return a Mitsuba sensor with the camera's field, at the position of the scene's first sensor."""
-    width = camera.bin_count[0] * camera.mla_pitch
+    width = camera.bin_count[0] * camera.row_pitch
     return mi.load_dict(
         {
             "to_world": mi.ScalarTransform4f(scene.sensors()[0].world_transform().matrix.numpy()[..., 0]),

@@ -292,7 +292,7 @@ def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> 
 
 def _spot(axes: Axes, camera: PlenopticCamera, height: float) -> None:
     """Draw the points at which rays of an object point meet the MLA, in three colours."""
-    cell, name = (camera.mla_pitch, "microlens") if camera.has_array else (camera.pixel_size, "pixel")
+    cell, name = (camera.row_pitch, "microlens") if camera.has_array else (camera.pixel_size, "pixel")
     largest = 0.5 * cell
     for line, wavelength, colour in (("F", LINE_F, "#2463d6"), ("d", LINE_D, "#d9a400"), ("C", LINE_C, "#d03b2f")):
         x, y = spot(camera, height, wavelength)

@@ -130,7 +130,7 @@ def shape_window(camera: PlenopticCamera, low: np.ndarray, high: np.ndarray) -> 
     for axis in (1, 0):
         count = camera.bin_count[axis]
         # Image coordinates grow against the scene's.
-        ends = [-value * camera.mla_distance / (z * camera.mla_pitch) + count / 2 for value in (high[axis], low[axis])]
+        ends = [-value * camera.mla_distance / (z * camera.row_pitch) + count / 2 for value in (high[axis], low[axis])]
         span = slice(max(0, math.floor(ends[0])), min(count, math.ceil(ends[1])))
         if span.start >= span.stop:
             return None

@@ -362,8 +362,8 @@ def _telescope(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]
         ("focal length", _four(camera.focal_length), "mm", ""),
         ("diameter", _four(camera.aperture_diameter), "mm", f"f/{camera.f_number:.3g}"),
         ("image of the pupil", _four(image), "mm", ""),
-        ("lenses across it", _four(image / camera.mla_pitch), "", ""),
-        ("field of a lens", _four(camera.mla_pitch * to_sky), "arcsec", "within which a star moves in its cell"),
+        ("lenses across it", _four(image / camera.row_pitch), "", ""),
+        ("field of a lens", _four(camera.row_pitch * to_sky), "arcsec", "within which a star moves in its cell"),
         ("pixel on the sky", _four(camera.pixel_size * to_sky), "arcsec", ""),
     ]
     if wavelength is not None:
@@ -393,16 +393,16 @@ def _image(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
     pixel = camera.pixel_size
     return [
         ("kind of camera", "light-field microscope", "", "array in the native image plane"),
-        ("lens pitch in the object", _four(1e3 * camera.mla_pitch / lens.magnification), "um", ""),
+        ("lens pitch in the object", _four(1e3 * camera.row_pitch / lens.magnification), "um", ""),
         ("f-number z/width", f"{micro:.3g}", "", ""),
         ("objective's M/2NA", f"{main:.3g}", "", "micro-images touch where the two match"),
-        ("micro-image", _four(camera.micro_image_diameter / pixel), "pixels", f"of {_four(camera.mla_pitch / pixel)}"),
+        ("micro-image", _four(camera.micro_image_diameter / pixel), "pixels", f"of {_four(camera.row_pitch / pixel)}"),
         ("mean of a white capture", f"{design.white_mean(camera):.3g}", "", "per unit radiance"),
     ]
 
 
 def _fourier(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
-    outer = 0.5 * (lens.blur_diameter(0) - camera.mla_pitch)
+    outer = 0.5 * (lens.blur_diameter(0) - camera.row_pitch)
     rows = [
         (
             "kind of camera",

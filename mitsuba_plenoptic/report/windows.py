@@ -71,7 +71,7 @@ def brightest_zoom(experiment: Experiment) -> Zoom:
     half = _LENSES // 2
     inner = gradient[half : rows - half, half : columns - half]
     row, column = np.unravel_index(np.argmax(inner), inner.shape) if inner.size else (0, 0)
-    slopes = (np.array([column, row]) + half - np.array([columns, rows]) / 2) * camera.mla_pitch / camera.mla_distance
+    slopes = (np.array([column, row]) + half - np.array([columns, rows]) / 2) * camera.row_pitch / camera.mla_distance
     return zoom_at(f"{_LENSES} x {_LENSES} lenses", camera, slopes)
 
 
@@ -81,7 +81,7 @@ def zoom_at(title: str, camera: PlenopticCamera, slopes: np.ndarray) -> Zoom:
     pitch = camera.micro_image_pitch
     spans = []
     for axis in (1, 0):
-        at = round(slopes[axis] * camera.mla_distance / camera.mla_pitch) * pitch / camera.pixel_size
+        at = round(slopes[axis] * camera.mla_distance / camera.row_pitch) * pitch / camera.pixel_size
         middle = camera.resolution[axis] / 2 + at
         size = round(2 * half)
         first = min(max(0, round(middle - half)), max(0, camera.resolution[axis] - size))

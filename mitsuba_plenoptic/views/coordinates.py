@@ -257,7 +257,7 @@ def disparity(lf: xr.DataArray, distance: float) -> float:
     camera = _camera_behind_a_lens(lf)
     distance = require_number("distance", distance, finite=False)
     image_distance(camera.focal_length, distance)
-    return -camera.defocus(distance) * camera.pupil_step / camera.mla_pitch
+    return -camera.defocus(distance) * camera.pupil_step / camera.row_pitch
 
 
 def distance_of(lf: xr.DataArray | xr.Dataset, disparity: Any) -> Any:
@@ -275,7 +275,7 @@ def distance_of(lf: xr.DataArray | xr.Dataset, disparity: Any) -> Any:
     float64 array of the same shape
     """
     camera = _camera_behind_a_lens(lf)
-    s = -np.asarray(disparity, dtype=np.float64) * camera.mla_pitch / camera.pupil_step
+    s = -np.asarray(disparity, dtype=np.float64) * camera.row_pitch / camera.pupil_step
     power = s - 1 + camera.mla_distance / camera.focal_length
     with np.errstate(divide="ignore"):
         return np.where(power > 0, camera.mla_distance / power, np.inf)

@@ -131,7 +131,7 @@ def bin_grid(camera: PlenopticCamera) -> LensGrid:
     count = []
     spacing = camera.micro_image_pitch / camera.pixel_size
     for axis, bins in enumerate(camera.bin_count):
-        pixel = _pixel(camera, (np.arange(bins) - bins / 2 + 0.5) * camera.mla_pitch, axis)
+        pixel = _pixel(camera, (np.arange(bins) - bins / 2 + 0.5) * camera.row_pitch, axis)
         if camera.crop_size[axis] != camera.resolution[axis]:
             pixel = pixel[(pixel >= 0) & (pixel <= camera.crop_size[axis])]
         refuse_if(not pixel.size, f"crop_size = {camera.crop_size}: no micro-image is centred in the recorded window")

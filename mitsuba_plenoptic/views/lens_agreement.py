@@ -147,7 +147,7 @@ class LensComparison:
         for lens_type, (mean, inwards) in enumerate(self._rims):
             here = types == lens_type
             kappa = camera.pupil_shift(camera.mla_focal_lengths[lens_type])
-            views = kappa / camera.pupil_step + 1 / (slope * camera.mla_pitch)
+            views = kappa / camera.pupil_step + 1 / (slope * camera.row_pitch)
             # What each sample shows belongs so far from it, the other way; `at` shows what belongs at a place.
             away = mean * views - inwards
             at = position

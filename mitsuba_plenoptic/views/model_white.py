@@ -104,7 +104,7 @@ def _by_waves(
     with mi.variant_context(DEFAULT_VARIANT) if mi.variant().startswith("scalar") else nullcontext():
         kind: Any = SignedCapture
         if has_small_lenses(camera, max(spectrum.wavelengths)):
-            kind = hook("small lenses", f"mla_pitch = {camera.mla_pitch:g}")
+            kind = hook("small lenses", f"mla_pitch = {camera.row_pitch:g}")
         flat = np.ones((1, len(spectrum.wavelengths)))
         even = _is_even(camera)
         lenses = math.prod(camera.shape) / math.prod(_period(camera))

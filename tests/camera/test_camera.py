@@ -46,7 +46,7 @@ def test_refocus_range_is_where_the_blur_spans_as_many_lenses_as_there_are_direc
     near, far = design.refocus_range(camera, 633)
     assert near < 240 < far
     for distance in (near, far):
-        lenses = camera.blur_diameter(distance) / camera.mla_pitch
+        lenses = camera.blur_diameter(distance) / camera.row_pitch
         assert lenses == pytest.approx(design.direction_count(camera, 633))
 
 
@@ -118,6 +118,9 @@ def test_one_pitch_is_two_that_are_equal():
     assert camera == PlenopticCamera(mla_pitch=[0.06]) == PlenopticCamera(mla_pitch=0.06)
     assert camera.to_dict()["mla_pitch"] == 0.06
     stretched = PlenopticCamera(mla_pitch=(0.064, 0.06))
-    assert (stretched.mla_pitch, stretched.bin_count, stretched.lens_count) == (0.064, (128, 128), (128, 137))
+    assert (stretched.row_pitch, stretched.bin_count, stretched.lens_count) == (0.064, (128, 128), (128, 137))
+    three = PlenopticCamera(mla_lattice="hexagonal", mla_focal_length=(0.5, 0.6, 0.7))
+    for each in (camera, stretched, three):
+        assert each.replace(mla_pitch=each.mla_pitch, mla_focal_length=each.mla_focal_length) == each
     assert stretched.pixels_per_lens == pytest.approx(30)
     assert design.micro_image_distance(stretched) == pytest.approx(0.06 * 120.512 / 120)

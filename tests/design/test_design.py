@@ -86,7 +86,7 @@ def test_rays_of_a_pixel_meet_in_the_best_plane_and_nowhere_else(camera_dict, nu
 
     np.testing.assert_allclose(spread(240.0), 0, atol=1e-3)
     for distance in (236.0, 245.0):
-        expected = mp.design.lens_footprint(camera, distance, camera.mla_focal_length) * camera.bin_size(distance)
+        expected = mp.design.lens_footprint(camera, distance, camera.mla_focal_lengths[0]) * camera.bin_size(distance)
         np.testing.assert_allclose(spread(distance), expected, rtol=0.01)
 
 
@@ -133,8 +133,8 @@ def test_at_the_ends_of_the_depth_range_a_point_is_a_pixel_wide(numbers):
     assert near < 240 < far
     for distance in (near, far):
         a = camera.mla_distance - 1 / (1 / camera.focal_length - 1 / distance)
-        behind = 1 / (1 / camera.mla_focal_length - 1 / a)  # where the microlens images the point
-        assert camera.mla_pitch * abs(1 - camera.detector_distance / behind) == pytest.approx(camera.pixel_size)
+        behind = 1 / (1 / camera.mla_focal_lengths[0] - 1 / a)  # where the microlens images the point
+        assert camera.row_pitch * abs(1 - camera.detector_distance / behind) == pytest.approx(camera.pixel_size)
     # With diffraction less is asked for.
     ((nearer, farther),) = mp.design.depth_ranges(camera, 633)
     assert nearer < near < far < farther

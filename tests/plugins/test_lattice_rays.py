@@ -146,7 +146,7 @@ def test_all_light_behind_fast_parabolic_lenses_is_found(corner, more):
     radius, angle = camera.aperture_radius * np.sqrt(u.ravel()), 2 * np.pi * v.ravel()
     P = radius * np.stack([np.cos(angle), np.sin(angle)])[:, None]
     slope = (P - (corner + 40 - 1640) * camera.pixel_size - d) / camera.mla_distance
-    sine = slope / np.sqrt(1 + (slope**2).sum(0)) / camera.mla_medium + d / camera.mla_focal_length
+    sine = slope / np.sqrt(1 + (slope**2).sum(0)) / camera.mla_medium + d / camera.mla_focal_lengths[0]
     areas = (1 + (slope**2).sum(0)) ** -2 * (1 - (sine**2).sum(0)) ** -2
     lit = areas.mean() if camera.mla_medium == 1 else 1.0
     assert mean == pytest.approx(mp.design.white_mean(camera) * lit, rel=0.012)

@@ -160,3 +160,12 @@ def test_plugins_are_made_in_the_thread_that_loads(tmp_path):
         load_scene({"type": "scene", **shapes}, unit=unit)
         load_scene(write_scene(tmp_path, text), unit=unit)
     assert found == [threading.get_ident()] * 16
+
+
+def test_meshes_are_moved_through_the_new_scene():
+    described = {"type": "scene", "box": {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 0, 400])}}
+    scene = with_camera(mi.load_dict(described), ORDINARY)
+    parameters = mi.traverse(scene)
+    parameters["box.vertex_positions"] = parameters["box.vertex_positions"] - mi.Float([0, 0, 100] * 24)
+    parameters.update()
+    assert scene.ray_intersect(mi.Ray3f([0, 0, 0], [0, 0, 1])).t[0] == pytest.approx(299)

@@ -399,6 +399,27 @@ def test_a_batch_is_the_pictures_of_its_cameras_and_follows_their_parameters():
             assert np.corrcoef(part.ravel(), expected.ravel())[0, 1] > 0.98
 
 
+@pytest.mark.parametrize("kind", ["prb", "prbvolpath", "prb_projective"])
+def test_integrators_that_hold_the_rays_of_the_sensor_refuse_gradients_by_it(kind):
+    """Their gradient would be 0 in silence; by moving shapes, those that project edges refuse the sensor."""
+    texture = picture_wall(smooth_texture(), 400.0, 40.0)
+    scene = scene_of(small("square").to_sensor(), {"type": kind}, wall=texture, cube={"type": "cube"})
+    parameters = mi.traverse(scene)
+    name = next(key for key in parameters.keys() if key.endswith(".mla_distance"))  # noqa: SIM118
+    dr.enable_grad(parameters[name])
+    parameters.update()
+    with pytest.raises(RuntimeError) as refusal:
+        mi.render(scene, parameters, spp=1)
+    assert str(refusal.value.__cause__).startswith("plenoptic: mla_distance: prb, prbvolpath and the like hold")
+    dr.disable_grad(parameters[name])
+    parameters.update()
+    if kind == "prb_projective":
+        dr.enable_grad(parameters["cube.vertex_positions"])
+        parameters.update()
+        with pytest.raises(InputError, match=r"^plenoptic: prb_projective .* use path or direct, which leave out"):
+            dr.backward(dr.sum(mi.render(scene, parameters, spp=1), axis=None))
+
+
 FROZEN = """
     import sys
     import drjit as dr, mitsuba as mi, numpy as np

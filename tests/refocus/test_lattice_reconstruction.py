@@ -45,7 +45,7 @@ def test_lenses_out_of_focus_take_fewer_samples(blur, monkeypatch):
     """Sums over lenses are those of fine samples, which are taken in focus, and where bins are shown as they are."""
     camera = SMALL.replace(mla_lattice="hexagonal")
     nearness = 1 / camera.focal_length - 1 / camera.mla_distance
-    nearness += blur * camera.mla_pitch / camera.aperture_diameter / camera.mla_distance
+    nearness += blur * camera.row_pitch / camera.aperture_diameter / camera.mla_distance
     px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
     image = (white_capture(camera) * (1.2 + np.sin(30 * px) * np.sin(50 * py[:, None]))).astype(np.float32)
     sums = []
@@ -144,8 +144,8 @@ def test_forward_then_back_lands_where_the_point_is(options, points):
         near = image[row - 1 : row + 2, column - 1 : column + 2].astype(float)
         near -= min(near.min(), 0.2 * near.max())
         rows, columns = np.mgrid[row - 1 : row + 2, column - 1 : column + 2] + 0.5 - 6
-        assert (near * columns).sum() / near.sum() == pytest.approx(cx / camera.mla_pitch, abs=0.25)
-        assert (near * rows).sum() / near.sum() == pytest.approx(cy / camera.mla_pitch, abs=0.25)
+        assert (near * columns).sum() / near.sum() == pytest.approx(cx / camera.row_pitch, abs=0.25)
+        assert (near * rows).sum() / near.sum() == pytest.approx(cy / camera.row_pitch, abs=0.25)
 
 
 def test_far_subsets_are_the_limit_of_single_lenses():

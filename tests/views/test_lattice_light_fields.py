@@ -65,7 +65,7 @@ def test_views_show_the_scene_from_their_place_on_the_pupil(name):
     for u, v in ((0.0, 0.0), (3.0, 0.0), (0.0, -3.0)):
         one = view(lf, u=u, v=v)
         shape = lf.sizes["s"], lf.sizes["t"]
-        width = lf.sizes["s"] * capture.camera.mla_pitch
+        width = lf.sizes["s"] * capture.camera.row_pitch
         expected = pinhole_picture(scene, *shape, width, float(one.u), float(one.v), spp=256)[..., 0]
         aside = [np.roll(expected, step, axis) for step in (-1, 1) for axis in (0, 1)]
         score = np.corrcoef(one.values.ravel(), expected.ravel())[0, 1]

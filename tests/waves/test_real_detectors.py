@@ -238,6 +238,58 @@ def test_points_are_recorded_forward_and_back():
     assert np.sum(slope * other) == pytest.approx(float(np.sum(felt)), rel=1e-3)
 
 
+LENGTHS = CAMERA.replace(detector_blur=BLUR, pixel_crosstalk=0.05, stray_light=TABLE, stray_width=0.04)
+
+
+def by_width(image, slope):
+    """Difference of what detectors of two widths record, for an image and its derivative before the detector."""
+    h = 1e-4
+    sides = (
+        DetectorOperator.of(LENGTHS.replace(detector_width=0.256 + side)).forward(np.float64(image + side * slope))
+        for side in (h, -h)
+    )
+    return np.subtract(*sides) / (2 * h)
+
+
+def test_a_derivative_by_the_width_holds_the_lengths_of_the_detector():
+    """Of several channels and directions; forward by the derivative and the Jacobian, and in reverse."""
+    points, given = [(0.0, 0.0, 236.0), (0.03, 0.02, 240.0)], np.array([[1.0, 3.0], [2.0, 0.0]])
+    plain, operator = (CaptureOperator(each, points, wavelength=633) for each in (CAMERA, LENGTHS))
+    change = {"detector_width": 1.0, "detector_distance": 0.1}
+    right = by_width(plain.forward(given), plain.derivative(given, change))
+    assert error(operator.derivative(given, change), right) < 1e-3
+    slopes = operator.jacobian(given, [{"detector_distance": 0.1}, {"detector_width": 1.0}])
+    assert error(slopes.sum(0), right) < 1e-3
+    other = np.random.default_rng(0).random(right.shape, np.float32)
+    felt = operator.gradient(given, other, change)
+    assert felt["detector_width"] + 0.1 * felt["detector_distance"] == pytest.approx(np.vdot(right, other), rel=1e-3)
+
+
+@pytest.mark.parametrize("integrator", [{"type": "direct"}, {"type": "plenoptic_wave"}], ids=["ray", "wave"])
+def test_gradients_of_renders_by_the_width_hold_the_lengths_of_the_detector(integrator):
+    """Forward and in reverse, with the samples of the derivative of a camera whose pixels are sharp."""
+    name, other = "camera.detector_width", np.random.default_rng(0).random((*CAMERA.shape, 1), np.float32)
+
+    def rendered(camera):
+        loaded = lit(camera, integrator)
+        params = mi.traverse(loaded)
+        dr.enable_grad(params[name])
+        params.update()
+        image = mi.render(loaded, params, spp=16, seed_grad=5)
+        dr.set_grad(params[name], 1.0)
+        dr.enqueue(dr.ADMode.Forward, params[name])
+        dr.traverse(dr.ADMode.Forward)
+        change = np.array(dr.grad(image))
+        dr.set_grad(params[name], 0.0)
+        dr.backward(dr.sum(mi.render(loaded, params, spp=16, seed_grad=5) * mi.TensorXf(other), axis=None))
+        return np.array(mi.render(loaded, spp=16, seed=5)), change, dr.grad(params[name])[0]
+
+    right = by_width(*rendered(CAMERA)[:2])
+    _, change, gradient = rendered(LENGTHS)
+    assert error(change, right) < 1e-3
+    assert gradient == pytest.approx(np.vdot(right, other), rel=1e-3)
+
+
 def test_white_images_are_blurred():
     camera = CAMERA.replace(detector_blur=BLUR)
     assert error(white_image(camera), blurred(white_image(CAMERA), BLUR, camera)) < 1e-5

@@ -164,7 +164,7 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
     numbers = numbers_of(camera)
     lattice = camera.lattice
     principal = numbers[[AT["principal_u"], AT["principal_v"]]]
-    scale = camera.micro_image_pitch / camera.mla_pitch / camera.pixel_size
+    scale = camera.micro_image_pitch / camera.row_pitch / camera.pixel_size
     u = np.array(lattice.from_frame(1.0, 0.0))
     v = np.array(lattice.from_frame(0.0, 1.0))
     offset = numbers[[AT["offset_x"], AT["offset_y"]]]

@@ -200,7 +200,9 @@ def _ray_pattern(camera: PlenopticCamera, along: np.ndarray, down: np.ndarray) -
     """Return orders of the light of a pupil point behind the array by rays: apertures as large as its defocus."""
     unit = (np.arange(_POINTS) + 0.5) / _POINTS
     points = np.reshape(camera.lattice.aperture_point(*np.meshgrid(unit, unit)), (2, -1))
-    smear = camera.pupil_shift(camera.mla_focal_length) * camera.pixel_size / (camera.pupil_step * camera.image_growth)
+    smear = (
+        camera.pupil_shift(camera.mla_focal_lengths[0]) * camera.pixel_size / (camera.pupil_step * camera.image_growth)
+    )
     places = np.linalg.solve(np.transpose(camera.lattice.basis), smear * points)
     first, second = (np.exp(2j * np.pi * np.outer(n, place)) for n, place in zip((along, down), places, strict=True))
     return np.asarray(second @ first.T / _POINTS**2)

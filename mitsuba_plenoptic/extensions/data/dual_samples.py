@@ -79,7 +79,7 @@ def _stopped_down(camera: PlenopticCamera) -> PlenopticCamera:
     index = _lens_indices(camera)
     x, y = camera.lattice.regular.centre(*index)
     right, up = camera.lattice.centre(*index)
-    pitch = camera.mla_pitch * float((x * right + y * up).sum() / (x * x + y * y).sum())
+    pitch = camera.row_pitch * float((x * right + y * up).sum() / (x * x + y * y).sum())
     # Micro-images are then 0.95 of the pitch wide.
     z = 0.95 * pitch * b * _STOPPED / (2 * camera.pupil_radius)
     return camera.replace(

@@ -86,7 +86,7 @@ class BinCells:
         # most the pitch along the rows over `oversample`.
         self.size = int(self.samples[0, 0]), int(self.samples[1, 1])
         width, height = float(self.vectors[0, 0]), float(self.vectors[1, 1])
-        self.bins = oversample * types, math.ceil(oversample * height / camera.mla_pitch * (1 - 1e-9))
+        self.bins = oversample * types, math.ceil(oversample * height / camera.row_pitch * (1 - 1e-9))
         self.bin_sizes = width / self.bins[0], height / self.bins[1]
         # Index of the sample on the axis, the first one of cell (0, 0).
         self.first_sample = np.rint(-grid.origin / grid.pitch).astype(np.int64)
@@ -181,7 +181,7 @@ class UprightBins:
         of cells are known. Behind a real main lens cells are positions of chief rays on the array, and its distortion
         is corrected.
         """
-        pitch = camera.mla_pitch / oversample
+        pitch = camera.row_pitch / oversample
         across, down = cells.bins
         width, height = cells.bin_sizes
         middle = np.array(camera.bin_count) * oversample / 2

@@ -22,7 +22,7 @@ from ...detector import SHARP, DetectorOperator
 from ...errors import refuse_if
 from ...fields import OpticalSystem, upright
 from ...lenses import FittedLens, RealLens, inverse_distance
-from ...optics import in_millimetres, power
+from ...optics import in_millimetres
 from ...points import Copies, Fields, Grid, Recorder, Scatter, band_for, chunks_of, place, radiance_weight, scene_points
 from ...rays import Passage, Walk
 from ...refocus import regular_place, straightened
@@ -132,7 +132,7 @@ _NO_WAVE = 1.0
 def ray_grid(camera: PlenopticCamera) -> Grid:
     """Return a grid whose samples are at most half as wide as pixels."""
     turned = upright(camera)
-    steps = np.array(turned.lattice.grid_step) * (turned.micro_image_pitch / turned.mla_pitch)
+    steps = np.array(turned.lattice.grid_step) * (turned.micro_image_pitch / turned.row_pitch)
     origin = -np.array([camera.detector_width, camera.detector_height]) / 2
     pitch = steps / np.ceil(2 * steps / camera.pixel_size)
     system = OpticalSystem(turned, _NO_WAVE)
@@ -435,12 +435,14 @@ class Response(StoredResponse):
         aims += [(-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0)]
         middle = nearest(0.0, 0.0)
         at_middle = light(index[middle])
-        bright = power(at_middle[0])
+        vdot = active_backend().arrays.vdot
+        bright = float(vdot(at_middle, at_middle))
         if not bright:
             return math.inf
         steepest = 0.0
         for number in {nearest(*aim) for aim in aims} - {middle}:
-            change = math.sqrt(power((light(index[number]) - at_middle)[0]) / bright)
+            aside = light(index[number]) - at_middle
+            change = math.sqrt(float(vdot(aside, aside)) / bright)
             away = math.dist(places[number], places[middle]) / math.hypot(*reach)
             steepest = max(steepest, change / away)
         return steepest

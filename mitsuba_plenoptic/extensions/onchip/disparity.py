@@ -94,7 +94,7 @@ def blur_radius(camera: PlenopticCamera, distance: Any) -> Any:
     with np.errstate(divide="ignore"):
         image = 1 / (1 / camera.focal_length - 1 / np.asarray(distance, np.float64))
     behind = image - camera.mla_distance
-    return camera.pupil_radius / camera.mla_pitch * behind / (camera.pupil_distance + behind)
+    return camera.pupil_radius / camera.row_pitch * behind / (camera.pupil_distance + behind)
 
 
 @suggest_keywords

@@ -63,16 +63,16 @@ def pixels_per_lens(camera: PlenopticCamera) -> int:
         any(size % 2 for size in camera.resolution),
         f"resolution = {camera.resolution}: for waves behind lenses of a few wavelengths it must be even",
     )
-    count = round(camera.mla_pitch / camera.pixel_size)
+    count = round(camera.row_pitch / camera.pixel_size)
     farthest = 0.0
     for axis in (0, 1):
         # The pixels of the first and of the last lens, from the lens's regular position.
         index = np.array(lens_range(camera, count, axis)) - [0, 1]
-        aside = (index + 0.5) * (max(count, 1) * camera.pixel_size - camera.mla_pitch) - camera.mla_offset[axis]
+        aside = (index + 0.5) * (max(count, 1) * camera.pixel_size - camera.row_pitch) - camera.mla_offset[axis]
         farthest = max(farthest, float(np.abs(aside).max()))
     refuse_if(
-        count < 1 or farthest > camera.mla_pitch / 2,
-        f"mla_pitch = {camera.mla_pitch:g}: lenses of {camera.mla_pitch / camera.pixel_size:.4g} pixels shift by "
+        count < 1 or farthest > camera.row_pitch / 2,
+        f"mla_pitch = {camera.row_pitch:g}: lenses of {camera.row_pitch / camera.pixel_size:.4g} pixels shift by "
         f"{farthest:.3g} mm from their pixels; for waves behind lenses of a few wavelengths a lens must stay within "
         "half a pitch of its own pixels",
     )
@@ -109,7 +109,7 @@ class Zones:
         )
         for axis, (first, last) in enumerate(ranges):
             moved = np.ptp(aside[axis]) * camera.mla_medium / camera.detector_distance
-            turned = (last - 1 - first) * camera.mla_pitch / camera.pupil_distance
+            turned = (last - 1 - first) * camera.row_pitch / camera.pupil_distance
             steps = math.ceil(max(moved, turned) / _STEP - 0.2)
             middle = (first + last - 1) / 2
             axes.append(np.linspace(first, last - 1, steps + 1) if steps > 0 else np.array([middle]))
@@ -155,7 +155,7 @@ class PlaneWaveResponses:
     @property
     def width(self) -> float:
         """Width on the array, in lenses, of the diffraction by the pupil: lambda N / D2."""
-        return in_millimetres(self.wavelength) / (2 * self.reach * self.camera.mla_pitch)
+        return in_millimetres(self.wavelength) / (2 * self.reach * self.camera.row_pitch)
 
     @property
     def stride(self) -> int:
@@ -165,7 +165,7 @@ class PlaneWaveResponses:
     @property
     def step(self) -> float:
         """Step of the direction cosines in the table."""
-        return in_millimetres(self.wavelength) / (2 * NEAR * self.stride * self.camera.mla_pitch)
+        return in_millimetres(self.wavelength) / (2 * NEAR * self.stride * self.camera.row_pitch)
 
     @property
     def across(self) -> int:
@@ -185,11 +185,11 @@ class PlaneWaveResponses:
         """Diffraction orders of the lenses along an axis, and their amplitudes (orders along y, orders along x)."""
         camera = self.camera
         wavelength = in_millimetres(self.wavelength)
-        most = math.ceil(camera.mla_medium * camera.mla_pitch / wavelength) + 2
+        most = math.ceil(camera.mla_medium * camera.row_pitch / wavelength) + 2
         order = np.arange(-most, most + 1)
-        x = ((np.arange(_FINE) + 0.5) / _FINE - 0.5) * camera.mla_pitch
-        waves = np.exp(-2j * math.pi * np.outer(order, x) / camera.mla_pitch)
-        waves *= (np.abs(x) <= camera.mla_fill * camera.mla_pitch / 2) / _FINE
+        x = ((np.arange(_FINE) + 0.5) / _FINE - 0.5) * camera.row_pitch
+        waves = np.exp(-2j * math.pi * np.outer(order, x) / camera.row_pitch)
+        waves *= (np.abs(x) <= camera.mla_fill * camera.row_pitch / 2) / _FINE
         phase = camera.microlens.waves(x, x[:, None], self.wavelength)
         return order, waves @ np.exp(2j * math.pi * phase) @ waves.T
 
@@ -236,8 +236,8 @@ class PlaneWaveResponses:
             for row_order, s in ((row, shift[1]), (column, shift[0]))
         )
         sx, sy = (chief + np.arange(-far, far + 1) * self.step for chief in self.chief(x, y))
-        waves_x, waves_y = (np.exp(2j * math.pi * np.outer(order, p) / camera.mla_pitch) for p in (px, py))
-        kx, ky = (k * s[:, None] + 2 * math.pi * order / camera.mla_pitch for s in (sx, sy))
+        waves_x, waves_y = (np.exp(2j * math.pi * np.outer(order, p) / camera.row_pitch) for p in (px, py))
+        kx, ky = (k * s[:, None] + 2 * math.pi * order / camera.row_pitch for s in (sx, sy))
         fields = np.empty((len(sy), len(sx), _POINTS**2), np.complex64)
         for row_order, ky_of_row in enumerate(ky):
             kz = np.sqrt(square - ky_of_row[:, None] ** 2 - kx[:, None, :] ** 2)

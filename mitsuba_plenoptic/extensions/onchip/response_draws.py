@@ -97,7 +97,7 @@ class Tables:
                     for r, offset in zip(random[2:], offsets, strict=True)
                 )
                 indices.append((node * window.across + y) * window.across + x)
-        point = tuple(c + (r - 0.5) * self.camera.mla_pitch for c, r in zip(centre, random[2:], strict=True))
+        point = tuple(c + (r - 0.5) * self.camera.row_pitch for c, r in zip(centre, random[2:], strict=True))
         return Aimed(tuple(pupil), point, is_open, near, far, widest_node)
 
     def drawn(self, node: Any, random: Any) -> tuple[Pair, Any]:

@@ -131,7 +131,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
         memory = wavelengths * self.nbytes
         refuse_if(
             memory > _MOST_MEMORY,
-            f"mla_pitch = {self.camera.mla_pitch:g}: tables of {memory / 2**30:.2g} GiB for {len(self.zones)} zones of "
+            f"mla_pitch = {self.camera.row_pitch:g}: tables of {memory / 2**30:.2g} GiB for {len(self.zones)} zones of "
             f"the detector and {wavelengths} wavelengths: at most 1 GiB; record a smaller window (crop_size)"
             + unit_hint(memory, _MOST_MEMORY),
         )
@@ -202,7 +202,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
         """Return the displacement x, y, in lenses, of the pixels under a zone's lens from the lens's centre."""
         row, column = divmod(zone, len(self.zones.x))
         position = self.zones.x[column], self.zones.y[row]
-        return np.array(displacement(self.camera, self.count, *position)) / self.camera.mla_pitch
+        return np.array(displacement(self.camera, self.count, *position)) / self.camera.row_pitch
 
     def _mirrored(
         self, values: NDArray[np.float16], window: TableWindow, flips: tuple[slice, ...]
@@ -263,7 +263,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
         size = window.across - 1
         gain = (np.sinc(lags / size) ** -2).astype(np.float32)
         chosen = (
-            products[lit] * overlap * (gain[:, None] * gain / np.float32((window.lenses * self.camera.mla_pitch) ** 2))
+            products[lit] * overlap * (gain[:, None] * gain / np.float32((window.lenses * self.camera.row_pitch) ** 2))
         )
         wide = np.zeros((len(chosen), size, size), np.complex64)
         wide[:, (lags % size)[:, None], lags % size] = chosen

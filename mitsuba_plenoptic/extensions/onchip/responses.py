@@ -132,7 +132,7 @@ class ResponseSum:
         scale = camera.detector_distance / (camera.mla_medium * plan.camera.pupil_distance)
         self._scale = (scale / (camera.pixel_size * camera.mla_fill)) ** 2 * math.pi * float(lens.reach) ** 2
         # Of the rays of a ray capture, those that pass the pupil. Two halves of them correct each other.
-        rays = max(1, spp * across**2 * self._scale * (camera.pixel_size / camera.mla_pitch) ** 2 / 2)
+        rays = max(1, spp * across**2 * self._scale * (camera.pixel_size / camera.row_pitch) ** 2 / 2)
         lenses = self._columns[1] - self._columns[0]
         margin = self._tables.margin
         row = lenses + 2 * margin

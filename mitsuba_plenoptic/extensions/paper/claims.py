@@ -216,7 +216,7 @@ def _four_suffice(blurred: list[dict[str, Any]], reading: str) -> Claim:
 def _separate(experiment: Experiment, blurred: list[dict[str, Any]]) -> Claim:
     camera = experiment.camera
     last = blurred[0]["distance"]
-    needed = math.ceil(camera.blur_diameter(last) / camera.mla_pitch)
+    needed = math.ceil(camera.blur_diameter(last) / camera.row_pitch)
     subsets = " and ".join(f"{row['colours']} subsets at {row['distance']:g} mm" for row in blurred)
     return Claim(
         "With four propagations the images of no two lit lenses of a subset overlap.",

@@ -176,5 +176,5 @@ def run_plain_sums(
     bins = np.zeros(camera.bin_count[::-1])
     x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
     distances = camera.detector_distance, camera.mla_distance, camera.focal_length, distance
-    loop(image, x, y, distances, camera.mla_pitch, pupil_radius(camera), bins)
+    loop(image, x, y, distances, camera.row_pitch, pupil_radius(camera), bins)
     return bins

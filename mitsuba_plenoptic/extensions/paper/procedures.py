@@ -99,7 +99,7 @@ def figure_3(path: Path, camera: PlenopticCamera, distance: float, pdf: bool) ->
     _axis(axes, (-1.1 * distance, 1.25 * camera.mla_distance), 1.6 * camera.aperture_radius)
     axes.set_title(f"(a)  By rays: each pixel through the centre of its lens, to {distance:g} mm", size=10, loc="left")
     for index, lens in enumerate((-3.0, 0.0, 3.0)):
-        centre = lens * camera.mla_pitch
+        centre = lens * camera.row_pitch
         for path_ in back_path(camera, centre, micro_image(camera, centre), distance):
             axes.plot(*_stretched(path_, camera).T, color=f"C{index}", linewidth=0.7)
     axes.plot([-distance] * 2, [-camera.aperture_radius, camera.aperture_radius], color=plots.FAINT, linewidth=1)
@@ -116,7 +116,7 @@ def _waves(axes: Axes, camera: PlenopticCamera, distance: float) -> None:
                    size=10, loc="left")  # fmt: skip
     steps = (
         ("detector", r"$\sqrt{I}\;e^{-i\pi|p-c|^2/\lambda z}$", f"z = {camera.detector_distance:g} mm"),
-        ("microlenses", r"$e^{-i\pi|m-c|^2/\lambda f_2}$", f"$f_2$ = {camera.mla_focal_length:g} mm"),
+        ("microlenses", r"$e^{-i\pi|m-c|^2/\lambda f_2}$", f"$f_2$ = {camera.mla_focal_lengths[0]:g} mm"),
         ("main lens", r"$e^{-i\pi P^2/\lambda f_1}$, pupil", f"$f_1$ = {camera.focal_length:g} mm"),
         ("object plane", r"$|U|^2$, summed over bins", f"g = {distance:g} mm"),
     )
@@ -170,7 +170,8 @@ def _array(axes: Axes, camera: PlenopticCamera) -> None:
     axes.plot([detector] * 2, [-half, half], color=plots.INK, linewidth=1)
     columns, rows = camera.bin_count
     text = (
-        f"{columns} x {rows} microlenses,\n$D_2$ = {camera.mla_pitch:g} mm, $f_2$ = {camera.mla_focal_length:g} mm;\n"
+        f"{columns} x {rows} microlenses,\n"
+        f"$D_2$ = {camera.row_pitch:g} mm, $f_2$ = {camera.mla_focal_lengths[0]:g} mm;\n"
         f"detector {camera.detector_distance:g} mm behind,\n{camera.resolution[0]} x {camera.resolution[1]} pixels of "
         f"{1000 * camera.pixel_size:.3g} µm"
     )

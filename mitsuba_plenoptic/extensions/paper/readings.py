@@ -82,7 +82,7 @@ def surroundings(capture: Capture, window: tuple[slice, slice], distance: float)
     """Return a capture with the light of those lenses alone that reaches a window of bins at a distance."""
     camera = capture.camera
     # Lenses around a letter whose light its blurred image needs besides half the blur, for diffraction.
-    margin = math.ceil(camera.blur_diameter(distance) / camera.mla_pitch / 2) + 4
+    margin = math.ceil(camera.blur_diameter(distance) / camera.row_pitch / 2) + 4
     needed = np.ones(camera.shape, bool)
     for bins, index, count in zip(window[::-1], lenses_of_pixels(camera), camera.bin_count, strict=True):
         first, end = (bin - count // 2 for bin in (bins.start - margin, bins.stop + margin))
@@ -120,7 +120,7 @@ def colour_count(capture: Capture, distance: float) -> int:
     )
     passes = down**2 + across**2 <= camera.lit_radius**2
     column, row = (index[passes] - index.min() for index in (i, j))
-    u, v = (_counted(place[passes] / camera.mla_pitch) for place in (u, v))
+    u, v = (_counted(place[passes] / camera.row_pitch) for place in (u, v))
     lenses = int(column.max()) + 1
     width = int(u.max()) + 2
     shape = (int(row.max()) + 1) * lenses, (int(v.max()) + 2) * width

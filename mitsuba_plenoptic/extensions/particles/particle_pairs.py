@@ -96,7 +96,7 @@ class ParticlePairs:
         refuse_if(not near < far, f"near = {near:g}, far = {far:g}: they must follow one another")
         # 0.8: Part of the field of view that the volume fills.
         extents = np.array([camera.detector_width, camera.detector_height])
-        width, height = 0.8 * extents / 2 * camera.bin_size(near) / camera.mla_pitch
+        width, height = 0.8 * extents / 2 * camera.bin_size(near) / camera.row_pitch
         volume = ParticleVolume((-width, -height, near), (width, height, far))
         middle = Window(near, Seeding.medium).seen(volume.centre[2], camera)
         flow = self._random_flow(volume, self.displacement * camera.bin_size(middle), random)

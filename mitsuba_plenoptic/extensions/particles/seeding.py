@@ -161,7 +161,7 @@ class ParticleVolume:
 
     def lenses(self, camera: PlenopticCamera, window: Window) -> float:
         """Return the number of microlenses on which the middle plane of the volume is imaged."""
-        per_pitch = (camera.mla_pitch / camera.bin_size(window.seen(self.centre[2], camera))) ** 2
+        per_pitch = (camera.row_pitch / camera.bin_size(window.seen(self.centre[2], camera))) ** 2
         return float(self.size[0] * self.size[1] * per_pitch / camera.lattice.lens_area)
 
 

@@ -63,7 +63,7 @@ class Plane:
 def distances_of(camera: PlenopticCamera, first: float = _FIRST, growth: float = _GROWTH) -> list[float]:
     """Return the distances of planes in millimetres, in the steps in which a light field resolves them."""
     count = int(np.log(1 + (growth - 1) * _WIDEST / first) / np.log(growth))
-    blurs = first * (growth ** np.arange(1, count + 1) - 1) / (growth - 1) * camera.mla_pitch
+    blurs = first * (growth ** np.arange(1, count + 1) - 1) / (growth - 1) * camera.row_pitch
     beyond = np.concatenate([-blurs[::-1], [0.0], blurs])
     if camera.objective is not None:
         return list((beyond / camera.blur_diameter(1.0)).tolist())
@@ -75,7 +75,7 @@ def distances_of(camera: PlenopticCamera, first: float = _FIRST, growth: float =
 def plane_of(part: ArrayPart, distance: float) -> Plane:
     """Return a plane's elements with their pictures."""
     model = part.model
-    blur = model.camera.blur_diameter(distance) / model.camera.mla_pitch
+    blur = model.camera.blur_diameter(distance) / model.camera.row_pitch
     across = _FINE if blur < _FINE_BLUR or part.pixels.shift.any() else _COARSE
     row_ratio = float(model.pitch[1] / model.pitch[0])
     # An element may be half a pitch from the middle of its lens.
@@ -103,7 +103,7 @@ def _regular(part: ArrayPart, lenses: int) -> PlenopticCamera:
         here = camera.vignetting.at(*part.middle)
         numbers: dict[str, Any] = {name: [float(value)] for name, value in here.items()}
         pupil = replace(camera.vignetting, **numbers)
-    pitch = camera.mla_pitch
+    pitch = camera.row_pitch
     first = camera.lattice.unit_centre(0, 0)
     pixel = pitch * camera.image_growth / part.along
     rows = (lenses + 2 * part.margin / part.down) * camera.lattice.row_distance * camera.image_growth / pixel

@@ -360,7 +360,7 @@ class Study:
         """Return the work of each stage of `answer`, in their order."""
 
         def run(planes: Sequence[float], steps: int = ITERATIONS) -> tuple[float, float]:
-            blurs = [self.camera.blur_diameter(plane) / self.camera.mla_pitch for plane in planes]
+            blurs = [self.camera.blur_diameter(plane) / self.camera.row_pitch for plane in planes]
             products = sum(16 * (blur + 2) ** 2 for blur in blurs)
             return 64 * _OF_POINTS * len(blurs), steps * self._size * (_OF_PIXEL + _OF_PRODUCT * products)
 

@@ -168,7 +168,7 @@ def write_hci(folder: Path, lf: xr.DataArray, depth: np.ndarray | None, *, name:
         "image_resolution_x_px": str(columns),
         "image_resolution_y_px": str(rows),
         "focal_length_mm": f"{camera.mla_distance:.9g}",
-        "sensor_size_mm": f"{max(columns, rows) * camera.mla_pitch:.9g}",
+        "sensor_size_mm": f"{max(columns, rows) * camera.row_pitch:.9g}",
         "fstop": "100",
     }
     parser["extrinsics"] = {

@@ -75,12 +75,12 @@ class LensView:
         camera = self.camera
         image = lens_data.image_distance(camera.focal_length, self.focus)
         blur = camera.aperture_diameter * np.abs(lens_data.defocus_factor(distance, image, camera.focal_length))
-        return np.asarray(blur <= camera.mla_pitch)
+        return np.asarray(blur <= camera.row_pitch)
 
     def field(self, distance: float) -> tuple[float, float]:
         """Return width and height of the field in mm, which grow with the distance."""
         columns, rows = self.camera.bin_count
-        bin_size = self.camera.mla_pitch * distance / self.camera.mla_distance
+        bin_size = self.camera.row_pitch * distance / self.camera.mla_distance
         return columns * bin_size, rows * bin_size
 
     def field_in_units(self) -> str:

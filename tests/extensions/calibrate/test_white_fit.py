@@ -118,7 +118,7 @@ def test_lenses_are_whole_by_their_place(pitch, lattice, rotation):
     from_axis = (found.place + 0.5 - [95, 85]) * size / camera.image_growth
     true = bright.at(camera.lattice, *np.rint(camera.lattice.cell(*from_axis.T)))
     assert (found.brightness / true).std() < 1e-3 * (found.brightness / true).mean()
-    corners = lens_grid(camera).centres().reshape(-1, 1, 2) + camera.lattice.cell_corners() * pitch / camera.mla_pitch
+    corners = lens_grid(camera).centres().reshape(-1, 1, 2) + camera.lattice.cell_corners() * pitch / camera.row_pitch
     assert len(found.place) >= ((corners > 0) & (corners < [190, 170])).all((1, 2)).sum() > 100
 
 

@@ -67,7 +67,7 @@ def test_response_is_that_of_exact_point_spreads(name):
     values[lit] = 1, 2
     # A focused camera tells single radiators apart.
     across = 5 if name == "focused" else 3
-    expected = filled(camera, places[lit], camera.mla_pitch / 2, values[lit], 253.0, across)
+    expected = filled(camera, places[lit], camera.row_pitch / 2, values[lit], 253.0, across)
     found = response.forward(values)
     assert np.linalg.norm(found - expected) <= (0.04 if name == "focused" else 0.025) * np.linalg.norm(expected)
     assert found.sum() == pytest.approx(expected.sum(), rel=0.01)
@@ -161,7 +161,7 @@ def test_filled_bins_come_back_on_every_lattice(name):
     """Bins are squares of one pitch whatever the lattice: a bin keeps its light, and keeps it to itself."""
     distance, camera = 222.0, mp.PlenopticCamera(detector_width=0.512, resolution=(256, 256), **LATTICES[name])
     rows, columns = np.array(camera.bin_count[::-1])[:, None] // 2 + np.array([[1, -3, 1, -3], [1, -2, -3, 1]])
-    size = camera.mla_pitch
+    size = camera.row_pitch
     places = (np.stack([columns, rows], -1) + 0.5 - np.array(camera.bin_count) / 2) * size
     image = filled(camera, places, size, np.ones(4), distance, 5)
     capture = mp.Capture(np.maximum(image, 0), camera, WAVELENGTH, "wave")
@@ -184,7 +184,7 @@ def test_white_is_even_on_every_lattice(name):
     assert whole.mean() == pytest.approx(1, abs=0.002)
     assert np.abs(whole - 1).max() < (1e-5 if name == "square" else 0.25)
     area = np.median(bins.share.sum(1)) * np.prod(cells.bin_sizes)
-    assert area == pytest.approx((CAMERAS[name].mla_pitch / 2) ** 2, rel=1e-4)
+    assert area == pytest.approx((CAMERAS[name].row_pitch / 2) ** 2, rel=1e-4)
 
 
 def test_dim_areas_of_a_plane_stay_as_bright_as_they_are():
@@ -220,7 +220,7 @@ def sources(distance, camera=SMALL):
 def test_points_come_back(distance):
     q, capture = sources(distance)
     result = mp.reconstruct(capture, distance, method="deconvolved", oversample=4, iterations=60)
-    image, size = result.image.astype(np.float64), SMALL.mla_pitch / 4
+    image, size = result.image.astype(np.float64), SMALL.row_pitch / 4
     rows, columns = np.indices(image.shape)
     x, y = ((index - (image.shape[0] - 1) / 2) * size for index in (columns, rows))
     weight = size**2 * np.pi * 25 * 0.512**2 / (120**2 * 0.064**2 * 0.002**2)
@@ -251,8 +251,8 @@ def test_finer_than_the_lenses():
     def contrast(**options):
         image = mp.reconstruct(capture, distance, oversample=oversample, **options).image
         middle = image[len(image) // 4 : -len(image) // 4].mean(0)
-        x = (np.arange(len(middle)) - (len(middle) - 1) / 2) * camera.mla_pitch / oversample
-        window = np.cos(np.pi * x / (len(middle) * camera.mla_pitch / oversample)) ** 2
+        x = (np.arange(len(middle)) - (len(middle) - 1) / 2) * camera.row_pitch / oversample
+        window = np.cos(np.pi * x / (len(middle) * camera.row_pitch / oversample)) ** 2
         return 2 * (window * middle * np.cos(wave * x)).sum() / (window * middle).sum()
 
     assert contrast(method="deconvolved", iterations=20) > 0.5

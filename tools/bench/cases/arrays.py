@@ -144,7 +144,7 @@ def irregular(camera: PlenopticCamera) -> Callable[..., Any]:
 def orders() -> float:
     """Return the difference of the orders of a paraboloid's surface from those of a parabolic phase."""
     camera = PlenopticCamera(mla_medium=1.4, mla_shape=Conic(0.2, -1.0, glass=1.6))
-    plain = camera.replace(mla_shape=None, mla_focal_length=camera.mla_focal_length)
+    plain = camera.replace(mla_shape=None, mla_focal_length=camera.mla_focal_lengths[0])
     along, across = (axis_orders(plain, GREEN, 30, axis)[0] for axis in (0, 1))
     found = PlaneFactor(camera, GREEN, 31 * GREEN * 1e-6 / 0.064 * np.sqrt(2)).orders()
     middle = found.shape[0] // 2

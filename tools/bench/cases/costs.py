@@ -62,7 +62,7 @@ def sharing(*, scene: str = "", count: int = 5) -> Iterator[Row]:
         points = ScenePoints.of(scene_name, parameters)
         camera, positions = points.camera, points.positions
         image = -positions[:, :2] * (camera.mla_distance / positions[:, 2:])
-        part = points.take(np.flatnonzero((np.abs(image - centre) < across / 2 * camera.mla_pitch).all(1)))
+        part = points.take(np.flatnonzero((np.abs(image - centre) < across / 2 * camera.row_pitch).all(1)))
         yield _compare_accuracies(f"{name}: {len(part.positions)} points on {across} x {across} lenses", part)
 
 

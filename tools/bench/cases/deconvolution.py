@@ -122,7 +122,7 @@ def capture(camera: PlenopticCamera, distance: float, waves: list[Waves], allowe
     path = folder / f"capture_{distance:g}_{hashlib.sha256(made_of.encode()).hexdigest()[:12]}.npy"
     if path.exists():
         return np.load(path)
-    pitch, b, z = camera.mla_pitch, camera.mla_distance, camera.detector_distance
+    pitch, b, z = camera.row_pitch, camera.mla_distance, camera.detector_distance
     reach = math.ceil((camera.detector_width + camera.blur_diameter(distance)) / 2 / pitch + 1) * count
     places = (np.arange(-reach, reach) + 0.37) * pitch / count
     X = -np.stack(np.meshgrid(places, places + 0.31 * pitch / count), axis=-1).reshape(-1, 2) * distance / b
@@ -140,7 +140,7 @@ def contrast(
 ) -> tuple[float, float]:
     """Return contrast and error of one pattern in an image of bins."""
     # Of an odd number of lenses a reconstruction shows one less, or one more.
-    size = camera.mla_pitch * camera.bin_count[0] / len(image)
+    size = camera.row_pitch * camera.bin_count[0] / len(image)
     place = (np.arange(len(image)) - (len(image) - 1) / 2) * size
     x, y = np.meshgrid(place, place)
     half = 0.4 * camera.detector_width
@@ -168,8 +168,8 @@ class Plane:
     def __init__(self, d: float, relative: tuple[float, ...], lenses: int, accuracy: float, folder: Path) -> None:
         paper = PlenopticCamera()
         self.d, self.distance, self.relative = d, paper.focus_distance + d, relative
-        lenses = lenses or max(10, math.ceil(paper.blur_diameter(self.distance) / paper.mla_pitch) + 1)
-        self.camera = paper.replace(detector_width=paper.mla_pitch * lenses, resolution=(32 * lenses, 32 * lenses))
+        lenses = lenses or max(10, math.ceil(paper.blur_diameter(self.distance) / paper.row_pitch) + 1)
+        self.camera = paper.replace(detector_width=paper.row_pitch * lenses, resolution=(32 * lenses, 32 * lenses))
         self.limit = resolution_limit(self.camera, self.distance, WAVELENGTH).frequency
         self.oversample = math.ceil(3 * self.limit * self.camera.bin_size(self.distance))
         self.waves = [Waves(self.limit * part) for part in relative]

@@ -110,7 +110,7 @@ def difference(
             # The detector stays where it stands, whatever focal length its distance follows.
             changed = with_parts(camera, {name: value}, detector_distance=camera.detector_distance)
         grids = _grown(base, changed.detector_width / camera.detector_width)
-        order = wavelength / WAVELENGTH * camera.mla_pitch / changed.mla_pitch
+        order = wavelength / WAVELENGTH * camera.row_pitch / changed.row_pitch
         grids = replace(grids, bend=base.bend * order * (1 + 1e-9))
         sides.append(full_field(OpticalSystem(changed, wavelength), point, grids=grids))
     return (sides[0] - sides[1]) / (2 * step)

@@ -60,7 +60,7 @@ def traced(camera: PlenopticCamera, middle: tuple[float, float], distance: float
     Rays start at the scene's point and are followed surface by surface. Behind a microlens they meet the detector where
     its centre, moved by their slope, lies; positions are those of the pairs of pixels that they hit.
     """
-    z, pitch = camera.detector_distance, camera.mla_pitch
+    z, pitch = camera.detector_distance, camera.row_pitch
     lens = LensSystem.of(camera, WAVELENGTH)
     start, slope, _ = lens.ray((0.0, 0.0), (middle[0] * pitch / WIDTH, middle[1] * pitch / WIDTH))
     X, Y = (float(start[i] + (distance - start[2]) * slope[i]) for i in (0, 1))
@@ -123,7 +123,7 @@ def camera_of(f_number: float, lenses: tuple[int, ...]) -> PlenopticCamera:
 
 def inverse_depth(camera: PlenopticCamera, blur: Any) -> Any:
     """Return the reciprocal depth at which points have a signed blur radius in lenses."""
-    return 1 / FOCUS - blur * (camera.mla_pitch / (camera.aperture_radius * camera.mla_distance))
+    return 1 / FOCUS - blur * (camera.row_pitch / (camera.aperture_radius * camera.mla_distance))
 
 
 @case(

@@ -76,9 +76,9 @@ def stars(
                 for place in places:
                     camera = camera_of(number, model, focal_length=8.0, lenses=2)
                     side = (
-                        camera.mla_pitch * place
-                        + round(camera.mla_distance * math.tan(math.radians(angle)) / camera.mla_pitch)
-                        * camera.mla_pitch
+                        camera.row_pitch * place
+                        + round(camera.mla_distance * math.tan(math.radians(angle)) / camera.row_pitch)
+                        * camera.row_pitch
                     )
                     lit = _around(camera, side)
                     distance = camera.focus_distance
@@ -114,20 +114,20 @@ def _around(camera: PlenopticCamera, side: float) -> PlenopticCamera:
 
 def distance_of(camera: PlenopticCamera, blur: float) -> float:
     """Return the distance of the plane whose points light discs of some lenses' radius, behind the focused plane."""
-    power = (1 - blur * camera.mla_pitch / camera.aperture_radius) / camera.mla_distance
+    power = (1 - blur * camera.row_pitch / camera.aperture_radius) / camera.mla_distance
     return 1 / (1 / camera.focal_length - power)
 
 
 def scene_of(camera: PlenopticCamera, distance: float, *, white: bool = False) -> mi.Scene:
     """Return a scene of one wall that fills the view, of smooth random radiance without frequencies near the bins'."""
-    bins = camera.bin_count[0] + 2 * (2 + math.ceil(camera.blur_diameter(distance) / camera.mla_pitch))
+    bins = camera.bin_count[0] + 2 * (2 + math.ceil(camera.blur_diameter(distance) / camera.row_pitch))
     generator, place = np.random.default_rng(0), (np.arange(8 * bins) + 0.5) / 8
     texture = np.ones((8 * bins, 8 * bins))
     for _ in range(_MODES):
         fx, fy = generator.uniform(-_FREQUENCY, _FREQUENCY, 2)
         wave = 2 * np.pi * (fx * place + fy * place[:, None] + generator.uniform())
         texture += _CONTRAST * math.sqrt(2 / _MODES) * np.cos(wave)
-    half = bins * camera.mla_pitch * distance / camera.mla_distance / 2
+    half = bins * camera.row_pitch * distance / camera.mla_distance / 2
     placed = mi.ScalarTransform4f().translate([0, 0, distance]).rotate([0, 1, 0], 180).scale([half, half, 1])
     texture = np.ones_like(texture) if white else texture
     bitmap = mi.Bitmap(np.maximum(texture, 0.05).astype(np.float32)[..., None])
@@ -172,7 +172,7 @@ def fields(
     for number in f_numbers:
         for model in MODELS:
             camera = camera_of(number, model, lenses=lenses) if number else PlenopticCamera(lens_model=model)
-            corner = np.array(camera.bin_count) * camera.mla_pitch / 2
+            corner = np.array(camera.bin_count) * camera.row_pitch / 2
             for blur in blurs:
                 for place in places:
                     aside = place * corner

@@ -257,6 +257,6 @@ def depth(
             middle, each = float(part["z"].mean()), rms(part)
             yield {
                 "f_number": f_number, "near": near - DISTANCE, "far": far - DISTANCE,
-                "blur": camera.lens_data.image_blur(camera, middle) / camera.mla_pitch, "vectors": part.size // 3,
+                "blur": camera.lens_data.image_blur(camera, middle) / camera.row_pitch, "vectors": part.size // 3,
                 **each, "ratio": each["along"] / each["across"], "elongation": pt.elongation(camera, middle),
             }  # fmt: skip

@@ -260,10 +260,10 @@ def _microlenses(size: int, pitch: float, repeats: int) -> list[Row]:
         np.multiply(mine, lenses.along_y[:, None], out=mine)
 
     ours()
-    highest = math.ceil(camera.mla_pitch / pitch / 2) - 1
+    highest = math.ceil(camera.row_pitch / pitch / 2) - 1
     numbers = np.arange(-highest, highest + 1)
-    line = closed_form_orders(numbers, camera.mla_pitch**2 / (WAVE * camera.mla_focal_length))
-    place = (first + pitch * np.arange(size)) / camera.mla_pitch - 0.5
+    line = closed_form_orders(numbers, camera.row_pitch**2 / (WAVE * camera.mla_focal_lengths[0]))
+    place = (first + pitch * np.arange(size)) / camera.row_pitch - 0.5
     waves = np.exp(-2j * math.pi * np.outer(numbers, place)) / size
 
     def off(samples: np.ndarray) -> float:
@@ -272,9 +272,9 @@ def _microlenses(size: int, pitch: float, repeats: int) -> list[Row]:
     def hcipy() -> Peer:
         package = importlib.import_module("hcipy")
         grid = package.make_uniform_grid([size, size], [2.048, 2.048])
-        count = round(2.048 / camera.mla_pitch)
+        count = round(2.048 / camera.row_pitch)
         array = package.MicroLensArray(grid, package.make_uniform_grid([count] * 2, [2.048] * 2),
-                                       camera.mla_focal_length)  # fmt: skip
+                                       camera.mla_focal_lengths[0])  # fmt: skip
         wave = package.Wavefront(package.Field(plane.ravel(), grid), WAVE)
 
         def work() -> np.ndarray:

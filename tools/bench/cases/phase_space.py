@@ -175,7 +175,7 @@ def walls(
 def points_of(camera: PlenopticCamera) -> int:
     """Return how many points across a lens look as an even wall: a `Wall`'s spectrum is cut beyond the pupil's."""
     cut = 2 * camera.pupil_radius / (WAVELENGTH * 1e-6 * camera.pupil_distance)
-    return math.ceil(camera.mla_pitch * cut / (_CUT * (1 - _RAMP)))
+    return math.ceil(camera.row_pitch * cut / (_CUT * (1 - _RAMP)))
 
 
 def planned(camera: PlenopticCamera, finer: bool, parts: int) -> PhaseSpace:
@@ -216,7 +216,7 @@ class Wall:
     """
 
     def __init__(self, camera: PlenopticCamera, blur: float, lenses: int, per_lens: int, off_axis: float) -> None:
-        pitch = camera.mla_pitch
+        pitch = camera.row_pitch
         self.blur = abs(blur)
         self._pupil_distance, self._pupil_radius = camera.pupil_distance, camera.pupil_radius
         self._model = camera.lens_model if camera.main_lens is None else None
@@ -296,9 +296,9 @@ def _scale(camera: PlenopticCamera, distance: float) -> float:
 def around(camera: PlenopticCamera, wall: Wall, margin: int) -> PlenopticCamera:
     """Return the camera with a detector that is cropped to where the wall's light goes."""
     half = math.ceil(
-        (wall.blur + len(wall.axis) * wall.step / camera.mla_pitch / 2 + margin) * camera.mla_pitch / camera.pixel_size
+        (wall.blur + len(wall.axis) * wall.step / camera.row_pitch / 2 + margin) * camera.row_pitch / camera.pixel_size
     )
-    centre = round(wall.centre * camera.micro_image_pitch / camera.mla_pitch / camera.pixel_size)
+    centre = round(wall.centre * camera.micro_image_pitch / camera.row_pitch / camera.pixel_size)
     size = 2 * (abs(centre) + half)
     return camera.replace(
         detector_width=size * camera.pixel_size,

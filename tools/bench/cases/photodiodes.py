@@ -56,8 +56,8 @@ class Wall:
     def __init__(self, camera: PlenopticCamera, wavelength: float, blur: float) -> None:
         self.camera, self.wavelength = camera, wavelength * 1e-6
         self.sine = camera.aperture_radius / math.hypot(camera.aperture_radius, camera.mla_distance)
-        self.distance = blur * camera.mla_pitch * camera.mla_distance / camera.aperture_radius
-        pitch = camera.mla_pitch
+        self.distance = blur * camera.row_pitch * camera.mla_distance / camera.aperture_radius
+        pitch = camera.row_pitch
         half = max(1.0, self.wavelength / (2 * self.sine) / pitch) * pitch
         self.low, self.high = (-1.11 * half, -0.86 * half), (0.79 * half, 1.18 * half)
 
@@ -88,16 +88,16 @@ class Wall:
         """Return the pixels by direct sums."""
         camera, wavelength = self.camera, self.wavelength
         k, b, index = 2 * math.pi / wavelength, camera.mla_distance, camera.mla_medium
-        lenses = round(camera.detector_width / camera.mla_pitch)
-        each = 2 * math.ceil(camera.mla_pitch * 4 * index / wavelength / 2)
-        count, step = each * lenses, camera.mla_pitch / each
+        lenses = round(camera.detector_width / camera.row_pitch)
+        each = 2 * math.ceil(camera.row_pitch * 4 * index / wavelength / 2)
+        count, step = each * lenses, camera.row_pitch / each
         place = (np.arange(count) + 0.5) * step - count * step / 2
         cell = ((np.arange(each * _FINER) + 0.5) / _FINER - each / 2) * step
         order = scipy.fft.fftfreq(len(cell), 1 / len(cell))
         held = np.abs(order) < each // 2
-        amplitude = (scipy.fft.fft(np.exp(-1j * math.pi * index * cell**2 / (wavelength * camera.mla_focal_length))))[
-            held
-        ]
+        amplitude = (
+            scipy.fft.fft(np.exp(-1j * math.pi * index * cell**2 / (wavelength * camera.mla_focal_lengths[0])))
+        )[held]
         lens = np.exp(2j * math.pi * np.outer((np.arange(each) + 0.5 - 0.5 / _FINER) / each, order[held])) @ amplitude
         array = np.tile(lens / len(cell), lenses) * np.exp(1j * k * place**2 / (2 * b))
         frequency = scipy.fft.fftfreq(count, step)
@@ -124,12 +124,12 @@ class Wall:
         shape = np.sinc(scipy.fft.fftfreq(count))
         total = scipy.fft.ifft2(scipy.fft.fft2(total) * shape * shape[:, None]).real * step**2
         pixels = total.reshape(2 * lenses, each // 2, 2 * lenses, each // 2).sum((1, 3))
-        return np.asarray(pixels * (DEPTH / MEDIUM / (camera.pixel_size * camera.mla_pitch)) ** 2)
+        return np.asarray(pixels * (DEPTH / MEDIUM / (camera.pixel_size * camera.row_pitch)) ** 2)
 
     def expected(self, plan: PhotodiodeResponses) -> NDArray[np.float64]:
         """Return the pixels that captures have in the mean over their random numbers."""
         camera, table = self.camera, plan.table
-        lenses, b, size = round(camera.detector_width / camera.mla_pitch), camera.mla_distance, plan.count
+        lenses, b, size = round(camera.detector_width / camera.row_pitch), camera.mla_distance, plan.count
         near, far = (part[0].astype(np.float32) for part in (table.near, table.far))
         lens = np.arange(lenses) + 0.5 - lenses / 2
         edge = plan.near.lenses / 2
@@ -151,7 +151,7 @@ class Wall:
                 # Where the rays through this point of the pupil meet the array, in lenses.
                 ends = [
                     [
-                        (end * b + P * self.distance) / (b + self.distance) / camera.mla_pitch - lens
+                        (end * b + P * self.distance) / (b + self.distance) / camera.row_pitch - lens
                         for end in (first, last)
                     ]
                     for P, first, last in zip((Px, Py), self.low, self.high, strict=True)

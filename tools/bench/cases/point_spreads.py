@@ -106,7 +106,7 @@ def convergence(*, count: int = 6, side: float = 1.4) -> Iterator[Row]:
 
 def blurred(camera: PlenopticCamera, places: np.ndarray, lenses: float) -> np.ndarray:
     """Return scene points (n, 3) with images about places (n, 2) on the array, blurred over some lenses."""
-    image = camera.mla_distance / (1 + lenses * camera.mla_pitch / camera.aperture_diameter)
+    image = camera.mla_distance / (1 + lenses * camera.row_pitch / camera.aperture_diameter)
     g = 1 / (1 / camera.focal_length - 1 / image)
     return np.column_stack([-places * g / camera.mla_distance, np.full(len(places), g)])
 

@@ -90,7 +90,7 @@ def captured(
     camera: PlenopticCamera, distance: float, wall: Callable[..., np.ndarray], model: str, spp: int
 ) -> Capture:
     """Capture a wall whose radiance is a function of the position of its bin, to the right and downwards on the MLA."""
-    half = camera.detector_width / 2 + camera.blur_diameter(distance) + 2 * camera.mla_pitch
+    half = camera.detector_width / 2 + camera.blur_diameter(distance) + 2 * camera.row_pitch
     size = half * distance / camera.mla_distance
     along = half * (2 * (np.arange(TEXELS) + 0.5) / TEXELS - 1)
     # A rectangle that faces the camera has its u to the right in the image, and its v upwards.
@@ -132,14 +132,14 @@ def refocused(capture: Capture, distance: float, method: str) -> tuple[np.ndarra
 def binned(image: np.ndarray, camera: PlenopticCamera, oversample: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Return the bins of an image as values (samples, channels) and positions (2, samples) on the array."""
     rows, columns = image.shape[:2]
-    along = ((np.arange(count) - (count - 1) / 2) * camera.mla_pitch / oversample for count in (columns, rows))
+    along = ((np.arange(count) - (count - 1) / 2) * camera.row_pitch / oversample for count in (columns, rows))
     places = np.array([axis.ravel() for axis in np.meshgrid(*along)])
     return inner_part(np.asarray(image, np.float64).reshape(rows * columns, -1), places, camera)
 
 
 def inner_part(values: np.ndarray, places: np.ndarray, camera: PlenopticCamera) -> tuple[np.ndarray, np.ndarray]:
     """Return the samples in the middle of the field; the point version leaves bins empty that hold no lens's centre."""
-    inner = (np.abs(places) < INNER * camera.mla_pitch).all(0) & np.isfinite(values).all(1)
+    inner = (np.abs(places) < INNER * camera.row_pitch).all(0) & np.isfinite(values).all(1)
     return values[inner], places[:, inner]
 
 
@@ -182,9 +182,9 @@ def judged_in_focus(camera: PlenopticCamera, distance: float, model: str) -> str
     """Return the method whose contrast is known in a plane, None where none is."""
     if focus_type(camera) == "unfocused":
         return (SUMS if model == "wave" or camera.mla_lattice != "square" else "rays") if (
-            camera.blur_diameter(distance) < 0.1 * camera.mla_pitch
+            camera.blur_diameter(distance) < 0.1 * camera.row_pitch
         ) else None  # fmt: skip
-    sharp = camera.mla_pitch * lens_footprint(camera, distance, camera.mla_focal_length)
+    sharp = camera.row_pitch * lens_footprint(camera, distance, camera.mla_focal_lengths[0])
     return "rays" if sharp < 0.1 * pixel_footprint(camera, distance) else None
 
 
@@ -199,7 +199,7 @@ def in_focus(camera: PlenopticCamera, distance: float, frequency: float, angle: 
         # A bin; a pixel, once where it records and once where it is spread over its width; a microlens.
         across, pixel = frequency * np.abs(_direction(angle)), pixel_footprint(camera, distance)
         cutoff = camera.pixel_size / pixel / spot_radius(camera, WAVELENGTH)
-        means = np.sinc(across * camera.mla_pitch) * np.sinc(across * pixel) ** 2
+        means = np.sinc(across * camera.row_pitch) * np.sinc(across * pixel) ** 2
         lens = np.prod(means * (1 - across / cutoff if model == "wave" else 1.0))
     part = frequency * WAVELENGTH * 1e-6 * camera.mla_distance / (2 * camera.aperture_radius)
     pupil = 2 / math.pi * (math.acos(part) - part * math.sqrt(1 - part * part))
@@ -246,7 +246,7 @@ def _of_plane(
     """Measure all methods in one plane; captures of three walls are the channels of one."""
     judged = judged_in_focus(camera, distance, model)
     methods = [method for method in methods if method != SUMS or judged == SUMS]
-    nyquist = 1 / (2 * camera.mla_pitch)
+    nyquist = 1 / (2 * camera.row_pitch)
     waves = [(part * nyquist, angle, phase) for part in relative for angle, phase in PATTERNS]
     walls = [*(sinusoid(*wave) for wave in waves), _edge]
     images = [captured(camera, distance, wall, model, spp).image for wall in walls]
@@ -266,7 +266,7 @@ def _of_plane(
         values, places = np.concatenate([part for part, _ in found], axis=-1), found[0][1]
         each = [contrast(values[:, number], places, *wave[:2]) for number, wave in enumerate(waves)]
         contrasts = np.reshape(each, (len(relative), -1)).mean(1)
-        width = edge_width(values[:, len(waves)], places, camera.mla_pitch)
+        width = edge_width(values[:, len(waves)], places, camera.row_pitch)
         row = {
             "method": method,
             "values": contrasts.tolist(),
@@ -302,7 +302,7 @@ def pixels_and_range(*, steps: int = 6, lenses: int = 12, spp: int = 8) -> Itera
     """Seek the ends of each range; each coarser camera must have the wider one."""
     whole, before = PlenopticCamera(), math.nan
     for each in focused_cameras(whole, WAVELENGTH):
-        size = {"detector_width": whole.mla_pitch * lenses, "resolution": (32 * lenses,) * 2}
+        size = {"detector_width": whole.row_pitch * lenses, "resolution": (32 * lenses,) * 2}
         camera, detail = each.camera.replace(**size), whole.detector_width / each.pixels
         contrast_at = functools.partial(_fine_contrast, camera, 1 / (4 * detail), spp=spp)
         focus = 1 / whole.focus_distance
@@ -327,7 +327,7 @@ def pixels_and_range(*, steps: int = 6, lenses: int = 12, spp: int = 8) -> Itera
 def _fine_contrast(camera: PlenopticCamera, frequency: float, distance: float, *, spp: int) -> float:
     """Return the contrast of a turned sinusoid that rays bring back from its wave capture."""
     capture = captured(camera, distance, sinusoid(frequency, *PATTERNS[1]), "wave", spp)
-    oversample = math.ceil(4 * frequency * camera.mla_pitch) if focus_type(camera) != "unfocused" else 1
+    oversample = math.ceil(4 * frequency * camera.row_pitch) if focus_type(camera) != "unfocused" else 1
     values, places = binned(reconstruct(capture, distance, oversample=oversample).image, camera, oversample)
     return contrast(values[:, 0], places, frequency, PATTERNS[1][0])
 

@@ -99,13 +99,13 @@ class ArrayInFocus(_Sensor):
 
         self.pupil = hcipy.make_pupil_grid(256, DIAMETER)
         focus = hcipy.make_uniform_grid([FINER * camera.resolution[0]] * 2, [camera.detector_width] * 2)
-        b, lenses = camera.mla_distance, round(camera.detector_width / camera.mla_pitch) + 4
-        centres = (np.arange(lenses) - (lenses - 1) / 2) * camera.mla_pitch
+        b, lenses = camera.mla_distance, round(camera.detector_width / camera.row_pitch) + 4
+        centres = (np.arange(lenses) - (lenses - 1) / 2) * camera.row_pitch
         lattice = hcipy.CartesianGrid(hcipy.SeparatedCoords((centres, centres)))
         # Fraunhofer's integral leaves out the curvature of the field in the focal plane.
         self._curvature = np.exp(1j * math.pi * (focus.x**2 + focus.y**2) / (in_millimetres(WAVELENGTH) * b))
         self._to_focus = hcipy.FraunhoferPropagator(self.pupil, focus, b)
-        self._array = hcipy.MicroLensArray(focus, lattice, camera.mla_focal_length)
+        self._array = hcipy.MicroLensArray(focus, lattice, camera.mla_focal_lengths[0])
         self._to_detector = hcipy.FresnelPropagator(focus, camera.detector_distance)
 
     def image(self, phase: np.ndarray) -> np.ndarray:

@@ -58,7 +58,7 @@ class Stage:
         self.camera, self.ranges = CAMERAS[camera]
         self.beyond = BEYOND[camera]
         self.random = np.random.default_rng(seed)
-        self.lenses = self.camera.detector_width / self.camera.mla_pitch
+        self.lenses = self.camera.detector_width / self.camera.row_pitch
         self.objects: dict[str, Any] = {}
         self.depth_of: dict[str, float] = {}
         """Depth of what is seen in mirrors, by the name of the object; NaN where it has none."""

@@ -71,15 +71,15 @@ def expected(camera: PlenopticCamera, distance: float, wavelength: float, wall: 
     spread = np.fft.ifft2(intensity_transfer(amplitude)).real
     # Around the origin of the kernel, which is in the corner.
     shift = np.fft.ifftshift(P - P[SAMPLES // 2])
-    half = np.array([columns, rows]) * camera.mla_pitch / 2
+    half = np.array([columns, rows]) * camera.row_pitch / 2
     seen = [
-        np.abs((np.arange(count) + 0.5) * camera.mla_pitch - end + kappa * P[:, None]) <= end
+        np.abs((np.arange(count) + 0.5) * camera.row_pitch - end + kappa * P[:, None]) <= end
         for count, end in zip((columns, rows), half, strict=True)
     ]
     white = filtered(inside, np.fft.fft2(spread)) * inside
     image = np.empty((rows, columns))
     for column in range(columns):
-        x = (column + 0.5) * camera.mla_pitch - half[0]
+        x = (column + 0.5) * camera.row_pitch - half[0]
         # The image on the array is upside down, and a wall's radiance rises to the left of a picture.
         radiance = cases.wall_radiance(-(x + kappa * shift) / half[0], wall)
         light = filtered(inside, np.fft.fft2(spread * radiance)) * inside
@@ -99,5 +99,5 @@ def interference_shift(camera: PlenopticCamera, distance: float, wavelength: flo
     root = np.sqrt(light.clip(1e-6))
     field, change = (filtered(values, amplitude) for values in (root, slope / (2 * root)))
     d, power = (2 * change / field - P)[inside], field[inside] ** 2
-    to_half_fields = camera.blur_diameter(distance) / radius / (camera.bin_count[0] * camera.mla_pitch)
+    to_half_fields = camera.blur_diameter(distance) / radius / (camera.bin_count[0] * camera.row_pitch)
     return math.sqrt((power * d**2).sum() / power.sum() / 2) * to_half_fields
