@@ -56,12 +56,7 @@ from .batches import prepared as prepared
 from .batches import preparing as preparing
 from .files import Sink as Sink
 from .files import atomic_output as atomic_output
-from .files import claim as claim
-from .files import claiming as claiming
 from .files import h5py_module as h5py_module
-from .files import hold as hold
-from .files import lock_of as lock_of
-from .files import locked as locked
 from .files import native_output_dropped as native_output_dropped
 from .files import of_one_file as of_one_file
 from .files import parse_yaml as parse_yaml
@@ -90,6 +85,11 @@ from .limits import single_threaded_blas as single_threaded_blas
 from .limits import software as software
 from .limits import unit_hint as unit_hint
 from .limits import work_limit as work_limit
+from .locks import claim as claim
+from .locks import claiming as claiming
+from .locks import hold as hold
+from .locks import lock_of as lock_of
+from .locks import locked as locked
 from .plain import PlainData as PlainData
 from .plain import known_record as known_record
 from .polynomials import exponents as exponents

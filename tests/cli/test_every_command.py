@@ -265,7 +265,18 @@ def test_info_prints_json_alone(raw, tmp_path, capfd):
 
 
 # What may be imported for help, and before a value is refused that can be judged without the library.
-LIGHT = {"", "runtime", "runtime.llvm", "runtime.progress", "plugins", "cli", "errors", "presets", "choices"}
+LIGHT = {
+    "",
+    "runtime",
+    "runtime.llvm",
+    "runtime.locks",
+    "runtime.progress",
+    "plugins",
+    "cli",
+    "errors",
+    "presets",
+    "choices",
+}
 LIGHT |= {
     "public_modules",
     "extension",
