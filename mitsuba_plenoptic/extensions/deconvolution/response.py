@@ -16,7 +16,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera, Use, require_support
+from ...camera import PlenopticCamera, Use, Vignetting, require_support
 from ...design import resolution_limit
 from ...detector import SHARP, DetectorOperator
 from ...errors import refuse_if
@@ -27,7 +27,7 @@ from ...points import Copies, Fields, Grid, Recorder, Scatter, band_for, chunks_
 from ...rays import Passage, Walk
 from ...refocus import regular_place, straightened
 from ...runtime import Box, Doubles, Floats, Job, Part, active_backend, add
-from ...views import lenses_of_pixels
+from ...views import lenses_of_pixels, white_image
 from .cells import BinCells, UprightBins
 from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, merged, require_response_memory, zones
 
@@ -73,12 +73,22 @@ def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: f
 
 
 def wave_batches(
-    grid: Grid, cells: BinCells, distance: float, cell: NDArray[np.int64], radiators: int = 0
+    grid: Grid,
+    cells: BinCells,
+    distance: float,
+    cell: NDArray[np.int64],
+    radiators: int = 0,
+    vignetting: Vignetting | None = None,
 ) -> list[list[Scatter]]:
     """Return, for each bin of a cell, the batches whose summed results on a grid are the bin's response.
 
-    By default there are as many `radiators` along a lens as the plane needs.
+    By default there are as many `radiators` along a lens as the plane needs. All light passes the pupil as the cell's
+    middle sees it through `vignetting`.
     """
+    if vignetting is not None:
+        numbers = vignetting.at(*cells.middle(cell))
+        seen = replace(vignetting, **{name: (float(value),) for name, value in numbers.items()})
+        grid = replace(grid, camera=grid.camera.replace(vignetting=seen))
     depth = finite_distance(cells.camera, distance)
     lens = grid.lens
     nearness = float(inverse_distance(lens, np.array([[0.0, 0.0, depth]]))[0])
@@ -230,6 +240,19 @@ _LIT = 0.6
 _WIDEST_SPREAD = 0.35
 """Pixels over which unequal focal lengths may spread light that equal lenses focus."""
 
+_ALIKE_PUPILS = float(__import__("os").environ.get("AP", "0.1"))
+"""Change of the light of two lenses that see other pupils, over this light, for which one kernel serves, weighted."""
+
+_PUPIL_RADII = 24
+_PLACES = 100
+_DARK = 0.05
+
+_AIRY_DEVIATION = 0.376
+"""Standard deviation of a Gaussian as wide, at half of its maximum, as the pattern of a slit, over wavelength/slit."""
+
+_UNLIT = 1e-6
+_BRIGHTEST = 4.0
+
 _EVERYWHERE = 2**40
 
 _PROGRESS = 1000
@@ -269,15 +292,16 @@ class Response(StoredResponse):
         # Kernels are of the light of regular lenses; displaced and dimmer ones send it elsewhere, and pixels mix it.
         self._detector = DetectorOperator.of(camera)
         self._gain: Floats | None = None
+        lens = lenses_of_pixels(camera).astype(np.float64)
         if camera.mla_transmissions is not None:
-            gain = camera.mla_transmissions.at(camera.lattice, *lenses_of_pixels(camera).astype(np.float64))
-            self._gain = gain.astype(np.float32)
+            self._gain = camera.mla_transmissions.at(camera.lattice, *lens).astype(np.float32)
         strays = bool(camera.stray_light)
         places, aside = None, 0.0
         if camera.lattice.displacement is not None or any(camera.mla_tilt):
             even = camera.replace(mla_transmissions=None)
             places, aside = functools.partial(regular_place, even), _farthest(even)
-        camera = straightened(camera).replace(vignetting=camera.vignetting, **SHARP)
+        recorded = camera
+        camera = straightened(camera).replace(**SHARP)
         require_support(camera, Use.RESPONSES | Use.KERNELS)
         _require_equal_lenses(camera)
         if wavelength is None:
@@ -307,11 +331,25 @@ class Response(StoredResponse):
         unlike = 0.0 if _alike(camera) else math.inf
         if wavelength:
             unlike = max(self._unlike(distance, job) for distance in distances)
-        groups_of_cells = self._zones(max(kernel_bytes), unlike)
+        width = max(_ZONE, self._widest if unlike <= _ALIKE else math.floor(self._widest * _ALIKE / unlike))
+        if (vignetting := recorded.vignetting) is not None and wavelength:
+            width = min(width, self._width_of_pupils(vignetting))
+            self._batches = functools.partial(wave_batches, fine, vignetting=vignetting)
+        groups_of_cells = self._zones(max(kernel_bytes), width)
         owner = np.repeat(np.arange(len(groups_of_cells)), list(map(len, groups_of_cells)))[
             np.argsort(np.concatenate(groups_of_cells))
         ]
+        groups = max(groups, groups_of_cells, key=len)
         middles = [owner[members[len(members) // 2]] for members in groups]
+        if vignetting is not None:
+            seen = np.empty((len(self._sampled) + 1, 2))
+            for members, zone in zip(groups, middles, strict=True):
+                seen[members] = self.cells.middle(self._middle(groups_of_cells[zone]))
+            x, y = np.meshgrid(*(recorded.pixel_coordinates(axis) for axis in (0, 1)))
+            cell = self._sampled.find(self.cells.at(*(places(x, y) if places else (x, y))))
+            zone = np.moveaxis(seen[cell], -1, 0) if wavelength else None
+            dimmed = _dimmed(recorded, lens, zone, wavelength or 0.0)
+            self._gain = dimmed if self._gain is None else self._gain * dimmed
         self._store(len(distances) > 1 and _LIT * len(groups_of_cells) * sum(kernel_bytes) > _MEMORY)
         # Far too many bins are refused before they are put into batches.
         stored = self._folder is not None
@@ -395,15 +433,34 @@ class Response(StoredResponse):
         middle: NDArray[np.int64] = cell_index[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
         return middle
 
-    def _zones(self, kernels: float, unlike: float) -> list[NDArray[np.int64]]:
+    def _zones(self, kernels: float, width: int) -> list[NDArray[np.int64]]:
         """Return the cells of each zone of one kernel, as large as its light allows, or as memory asks."""
-        widest = max(len(self._sampled.count), int(self._sampled.count.max()))
-        width = max(_ZONE, widest if unlike <= _ALIKE else math.floor(widest * _ALIKE / unlike))
         while True:
             groups = zones(self._sampled, width)
-            if width >= widest or len(groups) * kernels <= _MEMORY:
+            if width >= self._widest or len(groups) * kernels <= _MEMORY:
                 return groups
             width *= 2
+
+    @property
+    def _widest(self) -> int:
+        """Lenses along the longer side of the detector."""
+        return max(len(self._sampled.count), int(self._sampled.count.max()))
+
+    def _width_of_pupils(self, vignetting: Vignetting) -> int:
+        """Return the width of zones over which the pupil changes by what can be divided out, at most."""
+        radius = np.sqrt((np.arange(_PUPIL_RADII) + 0.5) / _PUPIL_RADII)
+        angle = 2 * np.pi * np.arange(2 * _PUPIL_RADII)[:, None] / (2 * _PUPIL_RADII)
+        pupil = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+        index = self._sampled.index[:: max(1, len(self._sampled) // _PLACES)]
+
+        def light(cells: NDArray[np.int64]) -> Doubles:
+            x, y = np.moveaxis(self.cells.middle(cells), -1, 0)[..., None]
+            return np.asarray(vignetting.power(*pupil, x, y))
+
+        step = max(1, self._widest // 8)
+        here = light(index)
+        change = max(float((abs(light(index + [i, j]) - here).mean(1) / here.mean(1).clip(_DARK)).max()) for i, j in ((step, 0), (0, step)))
+        return max(1, math.floor(step * _ALIKE_PUPILS / change)) if change else self._widest
 
     def _unlike(self, distance: float, job: Job) -> float:
         """Return the change of the light of 2 x 2 points from the middle to the corners, over this light.
@@ -517,6 +574,32 @@ def _farthest(camera: PlenopticCamera) -> float:
     x, y = np.meshgrid(*(np.linspace(end[0], end[-1], 65) for end in ends))
     u, v = regular_place(camera, x, y)
     return 1.1 * float(max(abs(u - x).max(), abs(v - y).max())) + camera.pixel_size
+
+
+def _dimmed(camera: PlenopticCamera, lens: Doubles, zone: Doubles | None, wavelength: float) -> Floats:
+    """Return the light of pixels of some lenses over that with the pupil of the middles of their zones, or the whole.
+
+    An edge of the pupil is blurred as wide as a lens and a pixel see it, and as the aperture of a lens diffracts it.
+    """
+    vignetting = cast(Vignetting, camera.vignetting)
+    radius = camera.micro_image_diameter / 2
+    width = camera.lattice.aperture_width
+    aside = width * abs(1 - camera.reduced_distance / min(camera.reduced_focal_lengths))
+    airy = in_millimetres(wavelength) * camera.reduced_distance / width
+    blur = DetectorOperator(_AIRY_DEVIATION * airy / camera.pixel_size)
+    white = white_image(camera.replace(vignetting=None, mla_transmissions=None, **SHARP))
+    places = np.meshgrid(*(camera.pixel_coordinates(axis) for axis in (0, 1)))
+    centres = camera.lattice.centre(*lens)
+    pupil = [(c * camera.image_growth - q) / radius for c, q in zip(centres, places, strict=True)]
+
+    def light(x: Any, y: Any) -> Floats:
+        outline, passed = vignetting.outline(*pupil, x, y)
+        inside = np.clip(outline * radius / (camera.pixel_size + aside) + 0.5, 0, 1)
+        return np.asarray(blur.forward((white * inside * passed).astype(np.float32)))
+
+    whole = blur.forward(white) if zone is None else light(*zone)
+    ratio = np.divide(light(*centres), whole, out=np.ones_like(whole), where=whole > _UNLIT * whole.max())
+    return ratio.clip(0, _BRIGHTEST)
 
 
 def _alike(camera: PlenopticCamera) -> bool:
