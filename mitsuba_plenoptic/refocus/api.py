@@ -185,7 +185,9 @@ def reconstruct(
     require_support(tilted, chosen.use)
     image = np.atleast_3d(capture.image)
     camera = tilted
-    if not chosen.as_recorded:
+    # A method that knows aberrations knows unequal lenses, too, and divides by what it computes.
+    as_recorded = chosen.as_recorded or (chosen.as_it_is and white is None)
+    if not as_recorded:
         image = straightened_image(image, tilted)
         camera = straightened(tilted)
     capture = dataclasses.replace(capture, camera=camera, image=image.reshape(capture.image.shape))
@@ -213,7 +215,7 @@ def reconstruct(
         # Images are formed by the lens as it should be.
         camera = camera.replace(wavefront=())
     require_image_memory(camera, distances, oversample, image.shape, white is not None and is_known(camera))
-    reference = None if white is None else as_reference(white, capture, tilted, recorded, chosen.as_recorded)
+    reference = None if white is None else as_reference(white, capture, tilted, recorded, as_recorded)
     wavelengths = require_wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
 
     def tell(seconds: float) -> None:
@@ -244,7 +246,7 @@ def reconstruct(
             wavelengths=wavelengths,
             white=reference,
             progress=report,
-            passed=None if chosen.as_recorded else passed_light(tilted),
+            passed=None if as_recorded else passed_light(tilted),
             recorded=recorded_at,
             exposure=capture.metadata.get("exposure"),
             checkpoint=options_used["checkpoint"],
