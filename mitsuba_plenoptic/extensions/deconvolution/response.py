@@ -91,7 +91,8 @@ def wave_batches(
     """
     if vignetting is not None:
         numbers = vignetting.at(*cells.middle(cell))
-        seen = replace(vignetting, **{name: (float(value),) for name, value in numbers.items()})
+        constant: dict[str, Any] = {name: (float(value),) for name, value in numbers.items()}
+        seen = replace(vignetting, **constant)
         grid = replace(grid, camera=grid.camera.replace(vignetting=seen))
     depth = finite_distance(cells.camera, distance)
     lens = grid.lens
@@ -492,11 +493,12 @@ class Response(StoredResponse):
 
     def _width_of_pupils(self, vignetting: Vignetting) -> int:
         """Return the width of zones over which the pupil changes by what can be divided out, at most."""
+        across, down = _pupil_points(_pairs(_PUPIL_POINTS))
         index = self._sampled.index[:: max(1, len(self._sampled) // _PLACES)]
 
         def light(cells: NDArray[np.int64]) -> Doubles:
             x, y = np.moveaxis(self.cells.middle(cells), -1, 0)[..., None]
-            return np.asarray(vignetting.power(*_pupil_points(_pairs(_PUPIL_POINTS)), x, y))
+            return np.asarray(vignetting.power(across, down, x, y))
 
         step = max(1, self._widest // 8)
         here = light(index)
@@ -638,7 +640,7 @@ def _dimmed(camera: PlenopticCamera, lens: Doubles, zone: Doubles | None, wavele
     pupil = [(c * camera.image_growth - q) / radius for c, q in zip(centres, places, strict=True)]
 
     def light(x: Any, y: Any) -> Floats:
-        outline, passed = vignetting.outline(*pupil, x, y)
+        outline, passed = vignetting.outline(pupil[0], pupil[1], x, y)
         inside = np.clip(outline * radius / (camera.pixel_size + aside) + 0.5, 0, 1)
         return np.asarray(blur.forward((white * inside * passed).astype(np.float32)))
 
