@@ -191,9 +191,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
         *_UNEQUAL_LENSES,
         approximate(
             Use.RESPONSES,
-            "of deconvolved, zones of lenses share the pupil of their middle; of incoherent, light that diffracts at "
-            "the outline is that of the round pupil: white scenes are up to 6 per cent too dark behind an outline of "
-            "0.8 of the radius",
+            "zones of lenses share the pupil of their middle, and other light than that is divided out",
         ),
         refused(
             Use.COHERENT_POINTS | Use.WAVEFRONTS, "all points of one field share one pupil", "CaptureOperator.forward"

@@ -168,18 +168,22 @@ class PatchPlan:
         """Factor on the total power that compensates for light diffracted beyond the patches.
 
         In sums of many points that light is a uniform background, exchanged between neighbouring patches. The factor is
-        computed for open pupils and equal lenses, since it differs little from pattern to pattern. It is 1 for few
-        points or high accuracy.
+        computed for open pupils and equal lenses, since it differs little from pattern to pattern; what falls between
+        apertures is lost. It is 1 for few points or high accuracy.
         """
-        if math.isinf(self._grid.band.beyond) or not self._grid.microlenses.fills or not len(self._positions):
+        if math.isinf(self._grid.band.beyond) or not len(self._positions):
             return 1.0
         grid = replace(self._grid, camera=clear(self._grid.camera).replace(mla_transmissions=None, vignetting=None))
-        some = _some(np.arange(len(self._positions)))
-        arrived = sum(
-            float(arrived_power(Fields(grid, self._placement.take(chunk), self._positions[chunk], None)).sum())
-            for chunk in self._alike(some)
+        # Points in focus lose more where they are near a gap.
+        some = _some(np.arange(len(self._positions)), 16 if grid.microlenses.fills else 64)
+        fields = [
+            Fields(grid, self._placement.take(chunk), self._positions[chunk], None) for chunk in self._alike(some)
+        ]
+        arrived = sum(float(arrived_power(chunk).sum()) for chunk in fields)
+        passed = (
+            sum(float(aperture_power(chunk).sum()) for chunk in fields) if not grid.microlenses.fills else len(some)
         )
-        return len(some) / (arrived * float(self._grid.pitch.prod())) if arrived else 1.0
+        return passed / (arrived * float(self._grid.pitch.prod())) if arrived else 1.0
 
     def _alike(self, patterns: Integers) -> list[Integers]:
         """Return patterns in chunks of one patch size."""
@@ -362,11 +366,9 @@ def _areas(samples: Any) -> Any:
     return np.clip(_TILE, samples // 3, 4 * samples)
 
 
-def _some(patterns: Integers) -> Integers:
-    """Return a few of some patterns, at regular intervals."""
-    # 16: Number of patterns from which the loss is estimated if microlenses have gaps, and from which `PatchPlan.gain`
-    # is.
-    return np.unique(patterns[np.linspace(0, len(patterns) - 1, 16).round().astype(np.int64)])
+def _some(patterns: Integers, count: int = 16) -> Integers:
+    """Return a few of some patterns, at regular intervals: as many as losses are estimated from."""
+    return np.unique(patterns[np.linspace(0, len(patterns) - 1, count).round().astype(np.int64)])
 
 
 class PatchSum:

@@ -184,10 +184,12 @@ def reconstruct(
     require_support(tilted, chosen.use)
     image = np.atleast_3d(capture.image)
     camera = tilted
-    if not chosen.as_recorded:
+    # A method that knows aberrations knows unequal lenses, too, and divides by what it computes.
+    as_recorded = chosen.as_recorded or (chosen.as_it_is and white is None)
+    if not as_recorded:
         image = straightened_image(image, tilted)
         camera = straightened(tilted)
-    as_recorded = capture
+    unstraightened = capture
     capture = dataclasses.replace(capture, camera=camera, image=image.reshape(capture.image.shape))
     options_used = used_by(
         chosen,
@@ -213,7 +215,7 @@ def reconstruct(
         # Images are formed by the lens as it should be.
         camera = camera.replace(wavefront=())
     require_image_memory(camera, distances, oversample, image.shape, white is not None and is_known(camera))
-    reference = None if white is None else as_reference(white, capture, tilted, recorded, chosen.as_recorded)
+    reference = None if white is None else as_reference(white, capture, tilted, recorded, as_recorded)
     wavelengths = require_wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
 
     def tell(seconds: float) -> None:
@@ -238,7 +240,7 @@ def reconstruct(
     by_itself = reference is None and not chosen.as_it_is
     # A white by waves takes about as long as a part of the refocusing.
     works = [1, 2] if by_itself and capture.model == "wave" else [0, 1]
-    computed = computed_white(as_recorded, portion(report, 0, works)) if by_itself else None
+    computed = computed_white(unstraightened, portion(report, 0, works)) if by_itself else None
     with guards.watch() as found, memory_asked() as sizes:
         task = Task(
             image=image,
@@ -249,7 +251,7 @@ def reconstruct(
             white=reference,
             computed=computed,
             progress=portion(report, 1, works),
-            passed=None if chosen.as_recorded else passed_light(tilted),
+            passed=None if as_recorded else passed_light(tilted),
             recorded=recorded_at,
             exposure=capture.metadata.get("exposure"),
             checkpoint=options_used["checkpoint"],

@@ -101,6 +101,18 @@ class BinCells:
         positions = np.stack([along_x, along_y], axis=-1).reshape(self.bins[0] * self.bins[1], parts**2, 2)
         return np.asarray(positions + cell @ self.vectors)
 
+    def middle(self, cell: NDArray[np.int64]) -> Doubles:
+        """Return the middles (..., 2) of cells on the MLA, in the camera frame."""
+        x, y = np.moveaxis(cell @ self.vectors + np.diagonal(self.vectors) / 2, -1, 0)
+        return np.stack(turn(x, y, self.grid.rotation), -1)
+
+    def at(self, x: Doubles, y: Doubles) -> NDArray[np.int64]:
+        """Return the cells (..., 2) that contain the samples at places of the detector, in the camera frame."""
+        sample = (np.stack(turn(x, y, -self.grid.rotation), -1) - self.grid.origin) / self.grid.pitch
+        right, down = np.moveaxis(np.rint(sample).astype(np.int64) - self.first_sample, -1, 0)
+        row = down // self.size[1]
+        return np.stack([(right - row * self.samples[1, 0]) // self.size[0], row], -1)
+
     def holding(self, box: Box) -> CellSet:
         """Return the cells that contain the samples of a box of the grid."""
         width, height = self.size

@@ -23,7 +23,7 @@ import dataclasses
 import numpy as np
 
 from ...detector import SHARP, DetectorOperator
-from ...refocus import Task, captures, method, portion, to_radiance, white_pixels, white_sums, work_of
+from ...refocus import Task, captures, method, portion, straightened, to_radiance, white_pixels, white_sums, work_of
 from ...runtime import Job
 from .fourier import response_of
 
@@ -59,7 +59,6 @@ def refocus(task: Task) -> list[np.ndarray]:
                 white = (
                     DetectorOperator.of(camera).forward(response.forward(ones)) if by_waves else white_pixels(camera)
                 )
-                white = white if task.passed is None else white * task.passed
                 for channel in channels:
                     pixels = [*(image[..., channel] for image in images_of_plane), white]
                     weighed = (
@@ -69,7 +68,7 @@ def refocus(task: Task) -> list[np.ndarray]:
         *sums, divisor = (np.stack(parts, axis=-1) for parts in zip(*bins, strict=True))
         if camera.lens_data.converges:
             # As for all methods, bins that hardly any ray reaches are NaN, though light is diffracted there.
-            seen = white_sums(camera, distance, camera.lit_radius, "lens", task.oversample)
+            seen = white_sums(straightened(camera), distance, camera.lit_radius, "lens", task.oversample)
         else:
             seen = divisor.mean(-1)
         images += to_radiance(plane_task, [[total] for total in sums], [divisor], [seen])

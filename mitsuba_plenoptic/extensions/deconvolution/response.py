@@ -15,8 +15,9 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 
-from ...camera import PlenopticCamera, Use, require_support
+from ...camera import PlenopticCamera, Use, Vignetting, require_support
 from ...design import resolution_limit
 from ...detector import SHARP, DetectorOperator
 from ...errors import refuse_if
@@ -27,7 +28,7 @@ from ...points import Copies, Fields, Grid, Recorder, Scatter, band_for, chunks_
 from ...rays import Passage, Walk
 from ...refocus import regular_place, straightened
 from ...runtime import Box, Doubles, Floats, Job, Part, active_backend, add
-from ...views import lenses_of_pixels
+from ...views import lenses_of_pixels, mean_response, white_image
 from .cells import BinCells, UprightBins
 from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, merged, require_response_memory, zones
 
@@ -37,14 +38,17 @@ _ACCURACY = 0.01
 _MANY = 2**20
 
 _RADIATORS = 8
-_MOST_RADIATORS = 32
+_MOST_RADIATORS = 48
 """Points along a lens, at least and at most, whose mean stands for the light of its bins."""
 
 _RADIATORS_PER_LINE = 4
 """The same along a period of the finest lines that the plane's light resolves."""
 
-_RADIATORS_PER_SPOT = 1.5
-"""The same along the spot of a point on the array, which shows how much light crosses the borders of lenses."""
+_RADIATORS_PER_SPOT = 1.1
+"""The same along a period of the finest detail that the pupil resolves, above 1: no pixel then feels the grid."""
+
+_BLURRED = 2
+"""Pitches as wide as which blur hides the grid of the fewest points."""
 
 _PIXEL_SAMPLES = 3
 """Samples across a pixel, at least, in which the light of kernels is kept."""
@@ -73,19 +77,31 @@ def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: f
 
 
 def wave_batches(
-    grid: Grid, cells: BinCells, distance: float, cell: NDArray[np.int64], radiators: int = 0
+    grid: Grid,
+    cells: BinCells,
+    distance: float,
+    cell: NDArray[np.int64],
+    radiators: int = 0,
+    vignetting: Vignetting | None = None,
 ) -> list[list[Scatter]]:
     """Return, for each bin of a cell, the batches whose summed results on a grid are the bin's response.
 
-    By default there are as many `radiators` along a lens as the plane needs.
+    By default there are as many `radiators` along a lens as the plane needs. All light passes the pupil as the cell's
+    middle sees it through `vignetting`.
     """
+    if vignetting is not None:
+        numbers = vignetting.at(*cells.middle(cell))
+        constant: dict[str, Any] = {name: (float(value),) for name, value in numbers.items()}
+        seen = replace(vignetting, **constant)
+        grid = replace(grid, camera=grid.camera.replace(vignetting=seen))
     depth = finite_distance(cells.camera, distance)
     lens = grid.lens
     nearness = float(inverse_distance(lens, np.array([[0.0, 0.0, depth]]))[0])
     limit = resolution_limit(cells.camera, distance, grid.wavelength)
     lines = 0.0 if limit.in_focus else limit.frequency / (2 * limit.lenses)  # along a lens
     airy = in_millimetres(grid.wavelength) * lens.pupil.distance / (2 * lens.pupil.radius)
-    spots = max(cells.camera.mla_pitches) / (airy + cells.camera.blur_diameter(distance))
+    pitch = max(cells.camera.mla_pitches)
+    spots = pitch / airy if cells.camera.blur_diameter(distance) < _BLURRED * pitch else 0.0
     wanted = math.ceil(max(_RADIATORS_PER_LINE * lines, _RADIATORS_PER_SPOT * spots))
     points_along = radiators or max(_RADIATORS, min(_MOST_RADIATORS, wanted))
     places = cells.bin_places(cell, math.ceil(points_along / cells.oversample))
@@ -176,6 +192,12 @@ def _pairs(count: int) -> Doubles:
     return scene_points.sample_pairs(count)
 
 
+def _pupil_points(pairs: Doubles) -> Doubles:
+    """Return points (2, n) that are even over the unit disc."""
+    angle = 2 * np.pi * pairs[:, 3]
+    return np.sqrt(pairs[:, 2]) * np.stack([np.cos(angle), np.sin(angle)])
+
+
 def _trace(batch: RayBatch) -> Part:
     """Return the light of a bin's rays, each distributed to the four nearest samples."""
     cells = batch.cells
@@ -187,9 +209,8 @@ def _trace(batch: RayBatch) -> Part:
     pairs = _pairs(batch.samples)
     b = camera.mla_distance
     q = batch.corner + pairs[:, :2] * cells.bin_sizes
-    radius = lens.pupil.radius * np.sqrt(pairs[:, 2])
-    angle = 2 * np.pi * pairs[:, 3]
-    pupil = radius * np.cos(angle), radius * np.sin(angle)
+    across, down = lens.pupil.radius * _pupil_points(pairs)
+    pupil = across, down
     g = finite_distance(camera, batch.distance)
     point = -q[:, 0] * g / b, -q[:, 1] * g / b, np.full(len(q), g)
     m = light.land(pupil, point)
@@ -230,6 +251,23 @@ _LIT = 0.6
 _WIDEST_SPREAD = 0.35
 """Pixels over which unequal focal lengths may spread light that equal lenses focus."""
 
+_ALIKE_PUPILS = 0.1
+"""Change of the light of two lenses that see other pupils, over this light, for which one kernel serves, weighted."""
+
+_PUPIL_POINTS = 2**10
+_PLACES = 100
+_DARK = 0.05
+
+_EVENLY = 0.5
+_AROUND = 4
+"""Part of the light beyond kernels that gaps scatter evenly, and micro-images to each side over which."""
+
+_AIRY_DEVIATION = 0.376
+"""Standard deviation of a Gaussian as wide, at half of its maximum, as the pattern of a slit, over wavelength/slit."""
+
+_UNLIT = 1e-6
+_BRIGHTEST = 4.0
+
 _EVERYWHERE = 2**40
 
 _PROGRESS = 1000
@@ -269,15 +307,16 @@ class Response(StoredResponse):
         # Kernels are of the light of regular lenses; displaced and dimmer ones send it elsewhere, and pixels mix it.
         self._detector = DetectorOperator.of(camera)
         self._gain: Floats | None = None
+        lens = lenses_of_pixels(camera).astype(np.float64)
         if camera.mla_transmissions is not None:
-            gain = camera.mla_transmissions.at(camera.lattice, *lenses_of_pixels(camera).astype(np.float64))
-            self._gain = gain.astype(np.float32)
+            self._gain = camera.mla_transmissions.at(camera.lattice, *lens).astype(np.float32)
         strays = bool(camera.stray_light)
         places, aside = None, 0.0
         if camera.lattice.displacement is not None or any(camera.mla_tilt):
             even = camera.replace(mla_transmissions=None)
             places, aside = functools.partial(regular_place, even), _farthest(even)
-        camera = straightened(camera).replace(vignetting=camera.vignetting, **SHARP)
+        recorded = camera
+        camera = straightened(camera).replace(**SHARP)
         require_support(camera, Use.RESPONSES | Use.KERNELS)
         _require_equal_lenses(camera)
         if wavelength is None:
@@ -307,11 +346,26 @@ class Response(StoredResponse):
         unlike = 0.0 if _alike(camera) else math.inf
         if wavelength:
             unlike = max(self._unlike(distance, job) for distance in distances)
-        groups_of_cells = self._zones(max(kernel_bytes), unlike)
+        width = max(_ZONE, self._widest if unlike <= _ALIKE else math.floor(self._widest * _ALIKE / unlike))
+        self._vignetting = vignetting = recorded.vignetting
+        if vignetting is not None and wavelength:
+            width = min(width, self._width_of_pupils(vignetting))
+            self._batches = functools.partial(wave_batches, fine, vignetting=vignetting)
+        groups_of_cells = self._zones(max(kernel_bytes), width)
         owner = np.repeat(np.arange(len(groups_of_cells)), list(map(len, groups_of_cells)))[
             np.argsort(np.concatenate(groups_of_cells))
         ]
+        groups = max(groups, groups_of_cells, key=len)
         middles = [owner[members[len(members) // 2]] for members in groups]
+        if vignetting is not None:
+            seen = np.empty((len(self._sampled) + 1, 2))
+            for members, zone in zip(groups, middles, strict=True):
+                seen[members] = self.cells.middle(self._middle(groups_of_cells[zone]))
+            x, y = np.meshgrid(*(recorded.pixel_coordinates(axis) for axis in (0, 1)))
+            cell = self._sampled.find(self.cells.at(*(places(x, y) if places else (x, y))))
+            zone = np.moveaxis(seen[cell], -1, 0) if wavelength else None
+            dimmed = _dimmed(recorded, lens, zone, wavelength or 0.0)
+            self._gain = dimmed if self._gain is None else self._gain * dimmed
         self._store(len(distances) > 1 and _LIT * len(groups_of_cells) * sum(kernel_bytes) > _MEMORY)
         # Far too many bins are refused before they are put into batches.
         stored = self._folder is not None
@@ -329,10 +383,14 @@ class Response(StoredResponse):
         self.prepared = self._prepared(spreads, steps)
         total = math.ceil(_PROGRESS * len(distances) * len(groups_of_cells) * bins / self.prepared)
         self.planes: list[PlaneResponse] = []
+        far = []
         for distance in distances:
             kernels = self._kernels(
                 distance, groups_of_cells, job, _PROGRESS * len(self.planes) * len(groups_of_cells) * bins, total
             )
+            if wavelength:
+                zone = middles[len(middles) // 2]
+                far.append(self._far_light(kernels[zone], distance, self._middle(groups_of_cells[zone])))
             matrices = [block.matrix for kernel in kernels for block in kernel.blocks]
             held = iter(self._stored(matrices, f"{len(self.planes)}"))
             kernels = [
@@ -340,6 +398,7 @@ class Response(StoredResponse):
                 for kernel in kernels
             ]
             self.planes.append(PlaneResponse(self.cells, self._sampled, groups, [kernels[index] for index in middles]))
+        self._far = float(np.mean(far)) if far else 0.0
         self.bins = [
             UprightBins.over(self.cells, plane.lit, camera, distance, oversample)
             for plane, distance in zip(self.planes, distances, strict=True)
@@ -380,6 +439,30 @@ class Response(StoredResponse):
                 for cell, bins in zip(cells, batches, strict=True)
             ]
 
+    def _far_light(self, kernel: Kernel, distance: float, cell: NDArray[np.int64]) -> float:
+        """Return the light that falls beyond a cell's kernel, over that within.
+
+        As bins tile cells, apertures pass the part of their light which they cover of the array.
+        """
+        camera = self.cells.camera
+        batches = itertools.chain.from_iterable(self._batches(self.cells, distance, cell))
+        sent = sum(copy.weights.sum() for batch in batches for copy in batch.copies)
+        types = len(camera.mla_focal_lengths)
+        sent *= camera.lattice.lens_area * types / self.cells.vectors.diagonal().prod() * mean_response(camera)
+        if self._vignetting is not None:
+            sent *= self._vignetting.power(*_pupil_points(_pairs(_PUPIL_POINTS)), *self.cells.middle(cell)).mean()
+        arrived = sum(float(block.matrix.sum(dtype=np.float64)) for block in kernel.blocks)
+        return max(0.0, sent / (arrived * self.cells.grid.pitch.prod()) - 1)
+
+    def _with_far(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return an image with the light beyond kernels, which gaps scatter evenly in part; its own adjoint."""
+        far = np.float32(self._far)
+        if not far or self._camera.lattice.fills:
+            return image * (1 + far)
+        width = 2 * math.ceil(_AROUND * self._camera.micro_image_pitch / self._camera.pixel_size) + 1
+        evenly = np.float32(_EVENLY)
+        return image * (1 + far * (1 - evenly)) + far * evenly * uniform_filter(image, width, mode="reflect")
+
     def _prepared(self, spreads: float, steps: float) -> float:
         """Return the fraction that point spreads take of the time of an inversion of some steps."""
         products = 0.0
@@ -395,15 +478,35 @@ class Response(StoredResponse):
         middle: NDArray[np.int64] = cell_index[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
         return middle
 
-    def _zones(self, kernels: float, unlike: float) -> list[NDArray[np.int64]]:
+    def _zones(self, kernels: float, width: int) -> list[NDArray[np.int64]]:
         """Return the cells of each zone of one kernel, as large as its light allows, or as memory asks."""
-        widest = max(len(self._sampled.count), int(self._sampled.count.max()))
-        width = max(_ZONE, widest if unlike <= _ALIKE else math.floor(widest * _ALIKE / unlike))
         while True:
             groups = zones(self._sampled, width)
-            if width >= widest or len(groups) * kernels <= _MEMORY:
+            if width >= self._widest or len(groups) * kernels <= _MEMORY:
                 return groups
             width *= 2
+
+    @property
+    def _widest(self) -> int:
+        """Lenses along the longer side of the detector."""
+        return max(len(self._sampled.count), int(self._sampled.count.max()))
+
+    def _width_of_pupils(self, vignetting: Vignetting) -> int:
+        """Return the width of zones over which the pupil changes by what can be divided out, at most."""
+        across, down = _pupil_points(_pairs(_PUPIL_POINTS))
+        index = self._sampled.index[:: max(1, len(self._sampled) // _PLACES)]
+
+        def light(cells: NDArray[np.int64]) -> Doubles:
+            x, y = np.moveaxis(self.cells.middle(cells), -1, 0)[..., None]
+            return np.asarray(vignetting.power(across, down, x, y))
+
+        step = max(1, self._widest // 8)
+        here = light(index)
+        change = max(
+            float((abs(light(index + np.array([i, j])) - here).mean(1) / here.mean(1).clip(_DARK)).max())
+            for i, j in ((step, 0), (0, step))
+        )
+        return max(1, math.floor(step * _ALIKE_PUPILS / change)) if change else self._widest
 
     def _unlike(self, distance: float, job: Job) -> float:
         """Return the change of the light of 2 x 2 points from the middle to the corners, over this light.
@@ -490,13 +593,14 @@ class Response(StoredResponse):
         for plane, bins, radiance in zip(self.planes, self.bins, self.planes_of(values), strict=True):
             plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), samples)
         sums = self.cells.join(samples, self._sampled, self._recorder.box)
-        image = self._recorder.record(sums[None])[..., 0]
+        image = self._with_far(self._recorder.record(sums[None])[..., 0])
         return image if self._gain is None else np.asarray(self._gain * image)
 
     def adjoint(self, image: NDArray[np.float32], /) -> NDArray[np.float32]:
         """Return the transpose of `forward`, applied to an image."""
         light = self._detector.adjoint(image)
-        sums = self._recorder.spread((light if self._gain is None else self._gain * light)[..., None])[0]
+        light = self._with_far(light if self._gain is None else self._gain * light)
+        sums = self._recorder.spread(light[..., None])[0]
         samples = self.cells.split(sums, self._recorder.box, self._sampled)
         planes = zip(self.planes, self.bins, strict=True)
         return np.concatenate([bins.share @ plane.adjoint(samples).ravel() for plane, bins in planes])
@@ -520,6 +624,32 @@ def _farthest(camera: PlenopticCamera) -> float:
     x, y = np.meshgrid(*(np.linspace(end[0], end[-1], 65) for end in ends))
     u, v = regular_place(camera, x, y)
     return 1.1 * float(max(abs(u - x).max(), abs(v - y).max())) + camera.pixel_size
+
+
+def _dimmed(camera: PlenopticCamera, lens: Doubles, zone: Doubles | None, wavelength: float) -> Floats:
+    """Return the light of pixels of some lenses over that with the pupil of the middles of their zones, or the whole.
+
+    An edge of the pupil is blurred as wide as a lens and a pixel see it, and as the aperture of a lens diffracts it.
+    """
+    vignetting = cast(Vignetting, camera.vignetting)
+    radius = camera.micro_image_diameter / 2
+    width = camera.lattice.aperture_width
+    aside = width * abs(1 - camera.reduced_distance / min(camera.reduced_focal_lengths))
+    airy = in_millimetres(wavelength) * camera.reduced_distance / width
+    blur = DetectorOperator(_AIRY_DEVIATION * airy / camera.pixel_size)
+    white = white_image(camera.replace(vignetting=None, mla_transmissions=None, **SHARP))
+    places = np.meshgrid(*(camera.pixel_coordinates(axis) for axis in (0, 1)))
+    centres = camera.lattice.centre(*lens)
+    pupil = [(c * camera.image_growth - q) / radius for c, q in zip(centres, places, strict=True)]
+
+    def light(x: Any, y: Any) -> Floats:
+        outline, passed = vignetting.outline(pupil[0], pupil[1], x, y)
+        inside = np.clip(outline * radius / (camera.pixel_size + aside) + 0.5, 0, 1)
+        return np.asarray(blur.forward((white * inside * passed).astype(np.float32)))
+
+    whole = blur.forward(white) if zone is None else light(*zone)
+    ratio = np.divide(light(*centres), whole, out=np.ones_like(whole), where=whole > _UNLIT * whole.max())
+    return ratio.clip(0, _BRIGHTEST)
 
 
 def _alike(camera: PlenopticCamera) -> bool:
