@@ -113,12 +113,11 @@ def divided_by_white(
             progress(1.0)
         else:
             sums.append(make())
-    white = [] if task.white is not None else sums.pop()
     lit = [white_sums(task.camera, g, radius, footprint, task.oversample) for g in task.distances]
     if task.passed is not None:
         pixels = (white_pixels(task.camera) * task.passed)[..., None]
         lit = [ray_sums(pixels, task.camera, g, radius, footprint, task.oversample)[..., 0] for g in task.distances]
-    return to_radiance(task, sums, white, lit)
+    return to_radiance(task, sums, (), lit)
 
 
 def to_radiance(
@@ -133,7 +132,7 @@ def to_radiance(
     sums : sequence of sequences of (rows, columns, channels) arrays
         For each of the `captures` of the task the sums over bins at its distances.
     white : sequence of arrays (rows, columns) or (rows, columns, channels)
-        Sums over bins of the computed white image, for every distance; ignored if there is a white capture.
+        Sums over bins of white, for every distance, if it is not among the captures; else ignored.
     reach : sequence of (rows, columns) arrays
         Pixels of white whose rays reach the bins, for every distance.
 
@@ -143,7 +142,7 @@ def to_radiance(
         Radiance.
     """
     light, *others = sums
-    whites = white if task.white is None else others.pop(0)
+    whites = others.pop(0) if others else white
     images = []
     for index, (distance, total, divisor, hits) in enumerate(zip(task.distances, light, whites, reach, strict=True)):
         divisor, reached = divisors(divisor, hits, distance)
