@@ -29,7 +29,6 @@ extensions = [
     "myst_nb",
     "sphinx_design",
     "sphinx_copybutton",
-    "sphinx_reredirects",
     "generated_reference",
     "python_reference",
 ]
@@ -39,44 +38,6 @@ autodoc_mock_imports = ["hcipy", "jax", "torch"]
 _MockObject.__setitem__ = lambda *_: None  # type: ignore[attr-defined]
 exclude_patterns = ["_extensions", "**/.ipynb_checkpoints"]
 default_role = "py:obj"
-
-# Pages of earlier sites lead to the pages in their place: those of a folder to its shelf, merged ones by name.
-SHELVES = {"howto": "guides", "gallery": "guides/gallery", "develop": "reference/develop", "": "guides"}
-MERGED = {
-    "start/index": ["start", "gallery/first_capture"],
-    "start/compare": ["howto/compare"],
-    "start/own_scene": ["howto/own_scene", "gallery/your_own_scene"],
-    "guides/other_programs": ["peers", "which_tool", "coming_from"],
-    "guides/datasets": ["benchmark", "wave_training"],
-    "guides/long_runs": ["howto/run_files"],
-    "reference/models": ["models"],
-    "reference/numbers": ["numbers"],
-    "reference/changelog": ["changelog", "upgrading"],
-    "reference/develop/extending": [
-        "develop/extension",
-        "develop/parameter",
-        "develop/lattice",
-        "develop/microlens",
-        "develop/main_lens",
-        "develop/method",
-    ],
-    "reference/develop/house": ["develop/light_to_pixels"],
-    "guides/inverse_problems": ["fitting"],
-    "guides/calibration": ["howto/real_camera"],
-    "guides/main_lenses": ["howto/realistic_lens"],
-    "theory/accuracy": ["theory/image_quality", "theory/cost"],
-    "theory/wavefronts": ["theory/wavefront_sensing", "theory/wavefront_reconstruction"],
-    "reference/develop/index": ["develop/questions"],
-    "guides/sweeps": ["gallery/sweeps"],
-    "guides/exchange": ["gallery/exchange"],
-}
-redirects = {
-    f"{old}/{page.stem}".lstrip("/"): f"/{shelf}/{page.stem}"
-    for old, shelf in SHELVES.items()
-    for page in sorted((HERE / shelf).glob("*.md"))
-    if old or page.stem != "index"
-} | {old: f"/{new}" for new, merged in MERGED.items() for old in merged}
-redirects = {old: f"{'../' * old.count('/')}{new[1:]}.html" for old, new in redirects.items()}
 
 # The site works without a network: its fonts are the reader's, MathJax is among its files.
 html_theme = "furo"

@@ -47,7 +47,6 @@ from .io import example as example
 from .io import example_truth as example_truth
 from .io import read_capture as read_capture
 from .io import read_ground_truth as read_ground_truth
-from .io import read_raw as read_raw
 from .io import write_capture as write_capture
 from .io import write_ground_truth as write_ground_truth
 from .io import write_raw as write_raw

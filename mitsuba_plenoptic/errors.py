@@ -203,25 +203,22 @@ def did_you_mean(name: Any, names_known: Iterable[Any]) -> str:
 def suggest_keywords(
     function: _Call,
     others: Iterable[str] = (),
-    gone: Mapping[str, str] | None = None,
     absent: Callable[[str], str] = lambda name: "",
 ) -> _Call:
     """Return a function that answers an unknown keyword with the most similar known one.
 
-    `others` are keywords that the function hands on; for a class, the constructor counts. `gone` names, for keywords of
-    earlier versions, what serves instead; `absent` returns the line for keywords that a missing extension would add.
+    `others` are keywords that the function hands on; for a class, the constructor counts. `absent` returns the line for
+    keywords that a missing extension would add.
     """
     if isinstance(function, type):
         constructor = function.__init__  # type: ignore[misc]
-        type.__setattr__(function, "__init__", suggest_keywords(constructor, others, gone, absent))
+        type.__setattr__(function, "__init__", suggest_keywords(constructor, others, absent))
         return cast(_Call, function)
     keywords = {*inspect.signature(function).parameters, *others}
 
     @functools.wraps(function)
     def called(*arguments: Any, **options: Any) -> Any:
         for name in options:
-            if gone and name in gone:
-                raise InputError(f"{name}: it is gone since version 2.0; use {gone[name]}")
             if name not in keywords and absent(name):
                 raise InputError(absent(name))
             if name not in keywords:

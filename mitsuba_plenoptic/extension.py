@@ -172,40 +172,6 @@ def format_of(suffix: str, holds: str, what: str, write: bool = False) -> tuple[
     return None
 
 
-GONE = {
-    "benchmark": "a recipe of a data set serves instead (docs/guides/datasets.md)",
-    "run": "a Makefile or Snakemake serves instead (docs/guides/long_runs.md)",
-    "--save-run": "a Makefile or Snakemake serves instead (docs/guides/long_runs.md)",
-    "--fit": "preview says which distances refocusing makes sharp, and info --fix mends a camera",
-    "--partition": "--interleave K takes every K-th lens along both axes",
-    "--overview": "napari and ImageJ show the file of the volume",
-    "fitting.Layers": "mi.render fits textures (docs/guides/inverse_problems.md)",
-    "fitting.fit_layers": "mi.render fits textures (docs/guides/inverse_problems.md)",
-    "particles.read_netcdf": "read_sequence reads the files",
-    "particles.write_netcdf": "the method to_netcdf of xarray.Dataset writes the files",
-    "wavefront.CorrectedObject": "wavefront.fit_wavefronts fits the wavefront of known points",
-    "wavefront.deconvolve_zones": "wavefront.fit_wavefronts fits the wavefront of known points",
-    "wavefront.digital_adaptive_optics": "wavefront.fit_wavefronts fits the wavefront of known points",
-}
-"""Commands, options, modules and their names of version 1.0 that are gone, and what serves instead."""
-
-MOVED = {
-    "system": "fields.optical_system",
-    "capture": "scene.render_capture",
-    "lattice": "array",
-    "microlens": "array",
-    "reconstruction": "refocus",
-    "operator": "points",
-    "lightfield": "views",
-    "lens_data": "prescription.lens_data",
-    "phase_screen": "camera.phase_screen",
-    "sharpness": "report.edge",
-    "objective": "prescription.objective",
-    "collimator": "prescription.collimator",
-    "focusing": "extensions.lensdesign.focusing",
-}
-"""Modules of version 1.0, and what they are called now."""
-
 SHIPPED = {
     "calibrate": ("calibrate", "calibration", "photon_transfer", "libpleno"),
     "data": ("dataset",),
@@ -232,19 +198,8 @@ SHIPPED = {
 
 
 def missing(kind: str, name: str) -> str:
-    """Return the line on what is gone, or on a shipped extension that has it and is not installed; else no text."""
-    if kind in ("commands", "modules", "options") and name in GONE:
-        return f"{name}: it is gone since version 2.0; {GONE[name]}"
-    if kind == "modules" and name in MOVED:
-        return f"mitsuba_plenoptic.{name} is called mitsuba_plenoptic.{MOVED[name]} since version 2.0"
+    """Return the line on a shipped extension that has a name and is not installed; else no text."""
     for owner, names in SHIPPED.items():
         if name in names and f"{GROUP}.{owner}" not in installed():
             return f"{name}: extension {owner} is not installed"
     return ""
-
-
-def without(module: str, name: str) -> Exception:
-    """Return the error of a name that a public module lacks; of one that is gone it says what serves instead."""
-    gone = missing("modules", f"{module.rpartition('.')[2]}.{name}")
-    # An `AttributeError` would be replaced by ``from module import name``.
-    return ImportError(gone) if gone else AttributeError(f"module {module!r} has no attribute {name!r}")

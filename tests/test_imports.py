@@ -114,32 +114,6 @@ def test_ipython_completes_public_names_and_modules_alone():
     assert {name.rpartition(".")[2] for name in complete("mp.with_c")} == {"with_camera"}
 
 
-@pytest.mark.parametrize(
-    ("former", "now"),
-    [("lightfield", "views"), ("lens_data", "prescription.lens_data"), ("objective", "prescription.objective")],
-)
-def test_modules_of_1_0_say_what_they_are_called_now(python, former, now):
-    importlib.import_module(f"mitsuba_plenoptic.{now}")
-    # This one has its name again.
-    assert mitsuba_plenoptic.detector.Detector is mitsuba_plenoptic.Detector
-    line = f"mitsuba_plenoptic.{former} is called mitsuba_plenoptic.{now} since version 2.0"
-    with pytest.raises(AttributeError, match=line):
-        getattr(mitsuba_plenoptic, former)
-    for code in (f"import mitsuba_plenoptic.{former}", f"from mitsuba_plenoptic import {former}"):
-        made = python(code)
-        assert made.returncode == 1 and made.stderr.splitlines()[-1] == f"ModuleNotFoundError: {line}"
-
-
-def test_what_is_gone_says_what_serves_instead(capsys):
-    line = "benchmark: it is gone since version 2.0; a recipe of a data set serves instead (docs/guides/datasets.md)"
-    with pytest.raises(AttributeError, match=re.escape(line)):
-        _ = mitsuba_plenoptic.benchmark
-    with pytest.raises(ModuleNotFoundError, match=re.escape(line)):
-        importlib.import_module("mitsuba_plenoptic.benchmark")
-    assert mitsuba_plenoptic.cli.main(["benchmark", "make"]) == 2
-    assert capsys.readouterr().err == f"mitsuba-plenoptic: error: {line}\n"
-
-
 @pytest.mark.parametrize("folder", ["rays", "waves"])
 def test_the_page_of_a_folder_names_all_of_its_modules(folder):
     page = importlib.import_module(f"mitsuba_plenoptic.{folder}").__doc__

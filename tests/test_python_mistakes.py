@@ -53,7 +53,6 @@ NOISY = mp.expose(Capture(IMAGE, CAMERA), mp.Detector(), photons=100)
 MOSAIC = mp.expose(Capture(np.ones((64, 64, 3)), CAMERA), mp.Detector(mosaic="RGGB"), photons=100)
 NO_CAMERA = "camera = 'paper': it must be a PlenopticCamera"
 NO_WHITE = r"white: its camera has mla_pitch = 0\.05, that of the capture 0\.064"
-GONE = r"it is gone since version 2\.0; use"
 
 
 test_mistakes = refused(
@@ -62,12 +61,6 @@ test_mistakes = refused(
     (lambda: refocused(distance=np.array([[210.0, 220.0]])), "it must be a number"),
     (lambda: refocused(distance={210, 220}), "it must be a number"),
     (lambda: refocused(method="coherent", relay="no"), "relay = 'no': it must be True or False"),
-    (lambda: refocused(method="partial", partition=[[0]]), f"^partition: {GONE} interleave"),
-    (lambda: operator(method="bank"), f"^method = bank: {GONE} patch"),
-    (
-        lambda: mp.point_spread_function(CAMERA, (0, 0, 240), wavelength=633, method="bank"),
-        f"^method = bank: {GONE} patch",
-    ),
     (lambda: operator([(0, 0, 240), (0, 0, -240)]), r"position = \(0, 0, -240\): .* in front of the main lens"),
     (lambda: mp.load_scene("letters", parameters=["resolution"]), r"parameters = \['resolution'\]: they must be"),
     (lambda: mp.with_camera(scene(), "paper"), NO_CAMERA),

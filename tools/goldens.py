@@ -9,7 +9,7 @@ takes some rows, in less than five minutes; `--only` those whose names match. No
 
 Equal bits are expected where statements only moved; 1e-6 in relative L2 is allowed for sums in another order, and 1e-4
 for what iterates. The exit status is 1 where a difference is larger, or where a result is missing. Only public names
-serve, which versions 1.0 and later have.
+are called.
 """
 
 from __future__ import annotations

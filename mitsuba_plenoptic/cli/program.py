@@ -223,9 +223,7 @@ def _mistake(error: Exception, options: Collection[str]) -> str | None:
         unknown = getattr(error, "option_name", "")
         message = str(error.format_message()).rstrip(".")
         name = unknown.strip("-").replace("-", "_")
-        if absent := missing("commands", unknown):
-            message = absent
-        elif hasattr(error, "possibilities"):
+        if hasattr(error, "possibilities"):
             rule = relation(name)
             message = f"no such option: {unknown}" + (f"; {rule}" if rule else did_you_mean(unknown, options))
         elif chosen := re.search(r"(?s)'(.*)' is not one of (.*)", getattr(error, "message", "")):

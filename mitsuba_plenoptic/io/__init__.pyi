@@ -10,7 +10,6 @@ from .captures import RECORDED as RECORDED
 from .captures import Capture as Capture
 from .captures import mosaic_of as mosaic_of
 from .captures import read_capture as read_capture
-from .captures import read_raw as read_raw
 from .captures import recording_of as recording_of
 from .captures import require_demosaiced as require_demosaiced
 from .captures import response_of as response_of

@@ -7,9 +7,7 @@ third edition); other programs show the numbers and ignore these.
 
 from __future__ import annotations
 
-import functools
 import json
-import logging
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -40,9 +38,7 @@ from ..extension import Displayed, format_of, place
 from ..runtime import as_pixels, atomic_output, of_one_file, require_writable
 from .exr import read_attributes, read_exr, read_pixels, write_exr
 from .pictures import KEY, TIFF, StoredPicture, read_numbers
-from .versions import camera_of_waves, is_of_1_0, require_seal, sealed
-
-_log = logging.getLogger(__name__)
+from .versions import require_seal, sealed
 
 
 @suggest_keywords
@@ -212,11 +208,9 @@ def _record(capture: Capture, kind: str) -> dict[str, Any]:
     }
 
 
-def _capture_of(
-    path: str | Path, record: dict[str, Any], image: np.ndarray, noise: np.ndarray | None = None
-) -> Capture:
+def _capture_of(record: dict[str, Any], image: np.ndarray, noise: np.ndarray | None = None) -> Capture:
     """Return a capture from its pixels and the record of its other data."""
-    capture = Capture(
+    return Capture(
         image,
         PlenopticCamera.from_dict(record["camera"]),
         record.get("wavelength"),
@@ -224,20 +218,6 @@ def _capture_of(
         record.get("metadata", {}),
         noise,
     )
-    if capture.model == "ray" or not is_of_1_0(record):
-        return capture
-    camera = camera_of_waves(capture.camera, capture.wavelength, capture.metadata)
-    if camera == capture.camera:
-        return capture
-    _remark(path, camera.lens_model)
-    return replace(capture, camera=camera)
-
-
-# Some commands read a capture twice.
-@functools.cache
-def _remark(path: str | Path, lens_model: str) -> None:
-    """Log once that a wave capture is read with the `lens_model` that its waves had."""
-    _log.info("%s: a wave capture of version 1.0 or earlier: its lens_model is read as %s", path, lens_model)
 
 
 @of_one_file
@@ -248,9 +228,7 @@ def read_capture(
 
     Files are those of `write_capture` and `write_raw`, the latter in the units of the capture that was exposed; raw
     pictures of other cameras that extensions read; and, with `camera`, pictures of other programs, ``.png``, ``.tiff``
-    or ``.exr``, grey or of three colours. A wave capture of version 1.0 or earlier gets the ``lens_model`` with which
-    it was computed: ``parabolic`` for a thin main lens and microlenses of at least 20 wavelengths, with a remark in the
-    log.
+    or ``.exr``, grey or of three colours.
 
     Parameters
     ----------
@@ -299,12 +277,8 @@ def read_capture(
         with naming(path):
             refuse_if(record.get("kind") != "capture", f"it holds a {short_repr(record.get('kind'))}, not a capture")
             refuse_if(not isinstance(record.get("camera"), dict), "its header has no camera")
-            capture = _capture_of(path, record, image, noise)
+            capture = _capture_of(record, image, noise)
     return capture if camera is None else replace(capture, camera=camera)
-
-
-read_raw = read_capture
-"""The same function, by its name for raw pictures in version 1.0."""
 
 
 def write_raw(path: str | Path, capture: Capture) -> None:
@@ -350,7 +324,7 @@ def raw_capture(path: Path, picture: StoredPicture) -> Capture:
         refuse_if(picture.white != 65535, "it states a detector of 16 bits: another program changed it")
         gain, black, dark, unit = response_of(about["metadata"]["exposure"])
         image = (((picture.numbers.astype(np.float64) - black) / gain - dark) / unit).astype(np.float32)
-        return _capture_of(path, about, image)
+        return _capture_of(about, image)
 
 
 def states_detector(picture: StoredPicture) -> bool:

@@ -286,9 +286,7 @@ def _read(path: Path, run: dict[str, Any], take: Callable[[Any, dict[str, Any]],
             header = json.loads(str(archive["header"]))
             if header["run"] is None:
                 return None
-            # Those of version 1.0 and earlier state none.
-            version = {KEY: header[KEY]} if KEY in header else {}
-            there = {"format": header["format"], **version, **header["run"]}
+            there = {"format": header["format"], KEY: header[KEY], **header["run"]}
             changed = differences(there, {"format": FORMAT, KEY: VERSION, **run})
             if not changed:
                 return take(archive, header)

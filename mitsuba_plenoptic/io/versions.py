@@ -1,23 +1,16 @@
-"""What files state of themselves: their version, and a digest; and what files without a version mean.
-
-Up to version 1.0 files state no version, and wave captures treated a thin main lens as a parabolic phase, whatever the
-camera's `lens_model`, except in front of microlenses of fewer than 20 wavelengths. Ray captures, and cameras by
-themselves, mean what they state.
-"""
+"""What files state of themselves: their version, and a digest."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
-from ..camera import PlenopticCamera, has_small_lenses
 from ..errors import refuse_if
-from ..prescription import LINE_D
 
 VERSION = version("mitsuba-plenoptic")
 """The version that files written by this process state."""
@@ -39,7 +32,7 @@ def sealed(record: Mapping[str, Any], parts: Sequence[Mapping[str, np.ndarray]])
 
 
 def require_seal(record: dict[str, Any], parts: Sequence[Mapping[str, np.ndarray]]) -> None:
-    """Refuse a file whose pixels or record are not those of its digest; files of earlier versions have none."""
+    """Refuse a file whose pixels or record are not those of its digest; a file may have none."""
     stated = record.get(DIGEST)
     refuse_if(
         stated is not None and stated != _digest(record, parts),
@@ -54,35 +47,3 @@ def _digest(record: Mapping[str, Any], parts: Sequence[Mapping[str, np.ndarray]]
     for name, plane in ((name, planes[name]) for planes in parts for name in sorted(planes)):
         content_hash.update(f"{name} {plane.dtype.name} {plane.shape}".encode() + np.ascontiguousarray(plane).tobytes())
     return content_hash.hexdigest()
-
-
-def is_of_1_0(record: Mapping[str, Any]) -> bool:
-    """Return whether version 1.0 or an earlier one wrote a record, which is the case if it states no version."""
-    return KEY not in record
-
-
-def camera_of_waves(
-    camera: PlenopticCamera, wavelength: float | tuple[float, ...] | None, metadata: Mapping[str, Any]
-) -> PlenopticCamera:
-    """Return the camera of a wave capture of version 1.0 with the `lens_model` that its waves had.
-
-    Whether lenses are small is decided at the longest wavelength of the capture, or at the d line if none is stated.
-    """
-    if camera.main_lens is not None or camera.lens_model == "parabolic":
-        return camera
-    spectrum = metadata.get("spectrum")
-    stated = wavelength, metadata.get("wavelength"), spectrum.get("wavelengths") if isinstance(spectrum, dict) else None
-    longest = max((length for value in stated for length in _numbers(value)), default=LINE_D)
-    return camera if has_small_lenses(camera, longest) else camera.replace(lens_model="parabolic")
-
-
-def _numbers(value: Any) -> Iterator[float]:
-    """Yield the positive numbers in a number, a list, or a text with commas; metadata may hold anything else."""
-    items = value.split(",") if isinstance(value, str) else value if isinstance(value, (list, tuple)) else [value]
-    for item in items:
-        try:
-            positive = float(item)
-        except (TypeError, ValueError):
-            continue
-        if positive > 0:
-            yield positive

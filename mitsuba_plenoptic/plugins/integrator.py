@@ -16,7 +16,7 @@ from ..errors import InputError, naming, refuse_if, require_accuracy, require_nu
 from ..extension import hook
 from ..optics import MOST_WAVELENGTHS, WAVELENGTHS, Spectrum, Table, colour, guards, interpolated, read_responses
 from ..runtime import Cost, Doubles, Job
-from ..scene import GONE_PARAMETERS, LightDerivatives, SceneLight, require_wave_film
+from ..scene import LightDerivatives, SceneLight, require_wave_film
 from ..waves import (
     DEFAULT_ACCURACY,
     SignedCapture,
@@ -189,11 +189,6 @@ def make_class() -> type:
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             self._read_spectrum(props)
-            for name in GONE_PARAMETERS:
-                refuse_if(
-                    name in props,
-                    f"{NAME}: {name}: there are no radiators now; leave it out, and give spp, rays a pixel",
-                )
             self.method = read_choice(props, NAME, "method", (SIGNED_RAYS, POINTS))
             self.accuracy = require_accuracy(read_plain(props, "accuracy", DEFAULT_ACCURACY), f"{NAME}: accuracy")
             self.read_child(props)

@@ -124,7 +124,6 @@ class CaptureOperator(CoherentPoints, LinearMap):
         self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
         self.spectrum = spectrum
         self._channels = WeightChannels(None if wavelength is None else require_wavelength(wavelength), spectrum)
-        refuse_if(method == "bank", "method = bank: it is gone since version 2.0; use patch")
         require_choice("method", method, METHODS)
         require_support(camera, Use.FULL_FIELDS if method == "full_field" else Use.POINTS)
         refuse_if(

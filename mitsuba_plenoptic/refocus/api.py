@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import logging
 import math
 from collections.abc import Callable, Sequence
@@ -78,7 +77,7 @@ def reconstruct(
     batch_map: BatchMap | None = ...,
     **options: Any,
 ) -> list[Reconstruction]: ...
-@functools.partial(suggest_keywords, gone={"partition": "interleave, which takes every K-th lens along both axes"})
+@suggest_keywords
 @one_at_a_time
 @with_options
 def reconstruct(

@@ -17,7 +17,7 @@ from ..errors import InputError, advice, argument, refuse_if, require_choice, re
 from ..io import Capture
 from ..optics import guards
 from ..runtime import BatchMap, Cost, Job, one_at_a_time, preparing, require_memory_for
-from .load import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
+from .load import KNOWN_PARAMETERS, mitsuba_sentence
 from .radiance import require_medium_seen, warn_of_metres
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ _SOFTWARE = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy")
 _version = functools.cache(importlib.metadata.version)
 """Packages whose versions captures state."""
 
-_OF_INTEGRATORS = (*KNOWN_PARAMETERS["plenoptic_wave"], *KNOWN_PARAMETERS["plenoptic_laser"], *GONE_PARAMETERS)
+_OF_INTEGRATORS = (*KNOWN_PARAMETERS["plenoptic_wave"], *KNOWN_PARAMETERS["plenoptic_laser"])
 """Parameters that captures hand on to the integrators."""
 
 

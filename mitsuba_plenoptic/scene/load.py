@@ -141,10 +141,6 @@ def unknown_parameter(plugin: str, name: str) -> str:
     return f"{plugin}: {name}: it has no such parameter{did_you_mean(name, KNOWN_PARAMETERS.get(plugin, ()))}"
 
 
-GONE_PARAMETERS = ("radiators_per_lens", "passes", "occlusion")
-"""Parameters of ``plenoptic_wave`` up to version 0.2, for the radiators that signed rays have replaced."""
-
-
 @suggest_keywords
 @one_at_a_time
 def load_scene(

@@ -1,12 +1,18 @@
 """Captures on disk."""
 
+import json
+from importlib.metadata import version
+from pathlib import Path
+
 import numpy as np
 import OpenEXR
 import pytest
-from cameras import small_camera
+from cameras import letters, small_camera
 from refusals import refuses
 
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, PlenopticCamera, read_capture, write_capture
+from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io import exr
 
 
@@ -45,6 +51,20 @@ def test_any_viewer_sees_the_window_and_the_pixels(tmp_path, camera):
         assert [tuple(corner) for corner in header["dataWindow"]] == [(8, 4), (47, 35)]
         assert [tuple(corner) for corner in header["displayWindow"]] == [(0, 0), (63, 47)]
         assert file.channels()["Y"].pixels.dtype == np.float32
+
+
+def test_files_state_the_version(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scene = mp.load_scene("letters", parameters=letters(4))
+    capture = mp.render_capture(scene, spp=1)
+    write_capture("raw.exr", capture)
+    mp.write_ground_truth("raw.truth.exr", mp.ground_truth(scene))
+    mp.write_raw("raw.png", mp.expose(capture, mp.Detector(), photons=100, seed=1))
+    assert main(["reconstruct", "raw.exr", "-o", "out.exr", "--distance", "240"]) == 0
+    for name in ("raw.exr", "raw.truth.exr", "out.exr"):
+        with OpenEXR.File(name, header_only=True) as file:
+            assert json.loads(file.header()["mitsuba_plenoptic"])["version"] == version("mitsuba-plenoptic")
+    assert f'"version": "{version("mitsuba-plenoptic")}"'.encode() in Path("raw.png").read_bytes()
 
 
 @pytest.mark.parametrize("within", ["read_parts", "_opened", "require_seal"])

@@ -13,7 +13,7 @@ from PIL import Image
 from refusals import refuses
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic import Capture, Detector, InputError, PlenopticCamera, expose, read_raw, write_raw
+from mitsuba_plenoptic import Capture, Detector, InputError, PlenopticCamera, expose, read_capture, write_raw
 from mitsuba_plenoptic.exchange import read_picture
 from mitsuba_plenoptic.refocus import Volume
 
@@ -138,7 +138,7 @@ def test_a_mosaic_comes_back_as_it_was(tmp_path, suffix):
     raw = expose(capture_of(), Detector(mosaic="GBRG", bits=12, dark_electrons=3.0), photons=9000, seed=2)
     path = tmp_path / f"raw{suffix}"
     write_raw(path, raw)
-    back = read_raw(path)
+    back = read_capture(path)
     np.testing.assert_allclose(back.image, raw.image, atol=1e-6)
     assert back.camera == raw.camera and back.metadata == json.loads(json.dumps(raw.metadata))
     seen = np.asarray(Image.open(path)) if suffix == ".png" else tifffile.imread(path)
@@ -149,5 +149,5 @@ def test_a_mosaic_comes_back_as_it_was(tmp_path, suffix):
 def test_three_channels_go_to_tiff(tmp_path):
     raw = expose(capture_of(), Detector(), photons=2000)
     write_raw(tmp_path / "raw.tiff", raw)
-    np.testing.assert_allclose(read_raw(tmp_path / "raw.tiff").image, raw.image, atol=1e-6)
+    np.testing.assert_allclose(read_capture(tmp_path / "raw.tiff").image, raw.image, atol=1e-6)
     refuses(r"raw pictures of three channels are written as .tiff", write_raw, tmp_path / "raw.png", raw)

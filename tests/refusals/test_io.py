@@ -7,7 +7,7 @@ import pytest
 import tifffile
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic import Capture, Detector, PlenopticCamera, expose, read_raw, write_capture, write_raw
+from mitsuba_plenoptic import Capture, Detector, PlenopticCamera, expose, read_capture, write_capture, write_raw
 from mitsuba_plenoptic.exchange import read_picture
 from mitsuba_plenoptic.report.microlens_drawing import draw_microlens
 from refusals import refused, refuses
@@ -87,8 +87,8 @@ def test_other_tiff_are_refused(tmp_path, numbers, options, words):
 def test_pictures_that_are_no_raw_captures(tmp_path, text):
     tifffile.imwrite(tmp_path / "lies.tiff", LIES, description=text, metadata=None)
     (tmp_path / "broken.png").write_bytes(b"\x89PNG\r\n\x1a\nnothing")
-    refuses(r"lies.tiff: ", read_raw, tmp_path / "lies.tiff")
-    refuses(r"broken.png: it cannot be read as a picture", read_raw, tmp_path / "broken.png")
+    refuses(r"lies.tiff: ", read_capture, tmp_path / "lies.tiff")
+    refuses(r"broken.png: it cannot be read as a picture", read_capture, tmp_path / "broken.png")
 
 
 WHOLE = PlenopticCamera(detector_width=0.256, resolution=(64, 64))

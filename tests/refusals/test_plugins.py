@@ -38,9 +38,6 @@ def test_parameters_of_the_sensor(camera_dict, parameters, words):
         ({"wavelength": -633.0}, "plenoptic_wave: wavelength = -633: it must be greater than 0"),
         ({"wavelength": "600, 500, 400"}, "variant llvm_ad_mono has 1 channel"),
         ({"wavelenght": 3.0}, r"plenoptic_wave: wavelenght: it has no such parameter; did you mean wavelength\?"),
-        ({"radiators_per_lens": 8}, "radiators_per_lens: there are no radiators now; leave it out, and give spp"),
-        ({"passes": 2}, "passes: there are no radiators now; leave it out, and give spp"),
-        ({"occlusion": False}, "occlusion: there are no radiators now; leave it out, and give spp"),
         ({"method": "magic"}, "method = 'magic': it must be one of signed_rays, points"),
         ({"accuracy": -0.01}, "accuracy = -0.01: it must be from 0"),
         ({"child": {"type": "ptracer"}}, "it cannot tell the radiance along a ray"),
@@ -115,8 +112,6 @@ def test_scenes_that_are_not_captured(camera_dict):
     sensor = camera_dict(resolution=16, detector_width=128, mla_pitch=64.0, **MICROMETRES)
     with pytest.raises(mp.InputError, match=r"^detector_width = 128: pixels of 8 mm.*kernels of .* samples: it would"):
         mp.render_capture(scene_before(sensor, lamp=disk((0.0, 0.0, 240e3), 2e3)), model="wave", spp=1)
-    with pytest.raises(ValueError, match="passes: there are no radiators now"):
-        mp.render_capture(scene_before(camera_dict(resolution=64), sky={"type": "constant"}), model="wave", passes=2)
     with pytest.raises(ValueError, match="needs a sensor of type 'plenoptic'"):
         mi.load_dict({"type": "plenoptic_wave"}).render(scene_before({"type": "perspective"}), 0)
 

@@ -65,12 +65,9 @@ class Sample:
         return self.capture_called(model + EXPOSED * exposed, model)
 
     def capture_called(self, name: str, model: str) -> Capture:
-        """Return the capture of a name; wave captures of version 1.0 or earlier get the `lens_model` used then."""
+        """Return the capture of a name."""
         about = self.facts["captures"][name]
-        camera = self.camera
-        if model == "wave" and versions.is_of_1_0(self.facts):
-            camera = versions.camera_of_waves(camera, about["wavelength"], about["metadata"])
-        return Capture(self.arrays[name], camera, about["wavelength"], model, about["metadata"])
+        return Capture(self.arrays[name], self.camera, about["wavelength"], model, about["metadata"])
 
     @property
     def truth(self) -> GroundTruth:

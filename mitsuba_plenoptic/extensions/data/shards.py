@@ -17,7 +17,6 @@ from typing import Any, overload
 
 import numpy as np
 
-from ... import choices
 from ...capture_spec import scene_fingerprint
 from ...errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_number, short_repr
 from ...io import differences, versions, write_json
@@ -168,26 +167,13 @@ def read_sample(file: Any, path: Path, index: int, names: Collection[str] | None
         refuse_if(group_name(index) not in file, f"it has no sample {index}")
         group = file[group_name(index)]
         arrays = {}
-        # Files up to version 1.0 have this array, too, which no sample has.
-        for name in sorted(set(group) - {"digests"}) if names is None else [*names, _FACTS]:
+        for name in sorted(group) if names is None else [*names, _FACTS]:
             stored = stored_array(group, name)
             refuse_if(stored is None, f"sample {index}: it has no {name}; it has {', '.join(group)}")
             require_memory(float(stored.size) * stored.dtype.itemsize, f"{name} of sample {index}")
             arrays[name] = np.asarray(stored[()])
         facts = json.loads(arrays.pop(_FACTS).tobytes())
     return Sample(index, arrays, facts)
-
-
-def _remark(folder: Path, manifest: dict[str, Any]) -> None:
-    """Log how the wave captures of a data set of version 1.0 or earlier are read."""
-    recipe = manifest.get("recipe")
-    models = recipe.get("models", choices.MODELS) if isinstance(recipe, dict) else ()
-    if versions.is_of_1_0(manifest) and "wave" in models:
-        _log.info(
-            "%s: a data set of version 1.0 or earlier: the lens_model of its wave captures is read as parabolic, "
-            "unless they have a main_lens or lenses of fewer than 20 wavelengths",
-            folder,
-        )
 
 
 class DataSet:
@@ -215,7 +201,6 @@ class DataSet:
         self._layout = DataFolder(self.folder, self.manifest["count"], self.manifest["samples_per_shard"])
         self._files: dict[int, Any] = {}
         self._process = os.getpid()
-        _remark(self.folder, self.manifest)
         for index in range(self._layout.shards):
             refuse_if(
                 not self._layout.shard(index).is_file(),

@@ -1,8 +1,5 @@
 """Fits to captures by the wave or the ray model, of camera parameters."""
 
-from typing import NoReturn
-
-from ...extension import without
 from ...linear import PixelNoise
 from .approach import coarse_fit, lattice_from_white
 from .capture_fit import fit
@@ -20,7 +17,3 @@ __all__ = [
     "lattice_from_white",
     "noise_of",
 ]
-
-
-def __getattr__(name: str) -> NoReturn:
-    raise without(__name__, name)

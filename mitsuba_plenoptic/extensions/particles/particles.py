@@ -6,9 +6,6 @@
 dark volumes, and such as are not before the camera, raise an `InputError`.
 """
 
-from typing import NoReturn
-
-from ...extension import without
 from .correlation import correlate_volumes
 from .flows import FLOWS, Flow, HillVortex, ImportedFlow, LambOseen, Shear, TaylorGreen, Uniform
 from .particle_images import ParticleImages
@@ -50,7 +47,3 @@ __all__ = [
     "reconstruct_volume",
     "refine_particles",
 ]
-
-
-def __getattr__(name: str) -> NoReturn:
-    raise without(__name__, name)

@@ -1,8 +1,5 @@
 """Wavefronts from captures: slopes, estimates of Zernike terms, and adaptive optics."""
 
-from typing import NoReturn
-
-from ...extension import without
 from .linear import InteractionMatrix
 from .slopes import Slopes, modes_from_slopes, spot_slopes, view_slopes
 from .wavefront_fit import Zone, fit_wavefronts
@@ -16,7 +13,3 @@ __all__ = [
     "spot_slopes",
     "view_slopes",
 ]
-
-
-def __getattr__(name: str) -> NoReturn:
-    raise without(__name__, name)

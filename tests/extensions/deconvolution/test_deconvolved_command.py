@@ -55,8 +55,6 @@ def test_reconstruct_writes_a_volume(tmp_path, run, complaint, capfd):
     uneven = "--distance", 226, "--distance", 253, "--distance", 290
     assert "evenly spaced" in complaint("reconstruct", raw, "-o", out, *options, *uneven)
     assert "variation = 1" in complaint("reconstruct", raw, "-o", out, *planes, *options[:2], "--variation", 1)
-    said = complaint("reconstruct", raw, "-o", out, *planes, "--overview", "seen.png")
-    assert said.startswith("--overview: it is gone since version 2.0; napari and ImageJ show the file of the volume")
     main([str(word) for word in ("reconstruct", raw, "-o", out, *planes, "--resume", "--workers", 2)])
     note = capfd.readouterr().err
     assert note == (

@@ -71,4 +71,3 @@ def test_a_telescope_focused_at_infinity_sees_a_planet_farther_than_mitsubas_cam
 
 def test_refused(tmp_path, complaint):
     assert complaint("preview", "letters", "-o", tmp_path / "a.jpg").endswith("give a name that ends in .png or .pdf")
-    assert complaint("preview", "letters", "--fit").startswith("--fit: it is gone since version 2.0; preview says")

@@ -7,7 +7,7 @@ import pytest
 from refusals import refuses
 from wavefront_cases import ACCURACY, STAR, WAVELENGTH, captured, telescope
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, wavefront
+from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
 from mitsuba_plenoptic.far_sources import star
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
@@ -224,11 +224,3 @@ def test_slopes_that_show_nothing_are_refused():
             modes_from_slopes(Slopes(some, slope, light), 5.0, 4)
     with pytest.raises(InputError, match="magnification = 0"):
         spot_slopes(np.ones((4, 4)), pixels_per_lens=2, pixel_size=0.01, focal_length=2.0, magnification=0)
-
-
-def test_names_that_are_gone_say_what_serves_instead():
-    line = r"wavefront\.deconvolve_zones: it is gone since version 2\.0; wavefront\.fit_wavefronts fits"
-    with pytest.raises(ImportError, match=line):
-        exec("from mitsuba_plenoptic.wavefront import deconvolve_zones")
-    with pytest.raises(AttributeError, match="has no attribute 'deconvolve'"):
-        _ = wavefront.deconvolve
