@@ -187,6 +187,10 @@ _ROUNDING = 1e-6
 """Fraction of a pixel by which lengths may be off that are computed from detectors of different sizes."""
 
 
+_SMEARED = 0.3
+"""Smear of a micro-image's rim, over that of the corners of lenses, up to which it holds hardly any light."""
+
+
 def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:
     """Return the number of views on either side of the central one, and a mask of views through one lens only.
 
@@ -202,8 +206,12 @@ def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, 
     # A sample mixes the pixels whose centres lie within one pixel of it.
     reach = max(reach - 1, 0) + _ROUNDING
     half = int(min(views, math.floor(reach)))
+    if camera is not None:
+        # Lenses out of focus at the pupil smear its rim over their neighbours' samples, whose depths it would move.
+        smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths) - 1
+        reach -= max(_SMEARED * smear * camera.lattice.aperture_reach / camera.pupil_step, 0)
     offset = np.arange(-half, half + 1)
-    return half, np.hypot(offset[:, None], offset) <= reach
+    return half, np.hypot(offset[:, None], offset) <= max(reach, 1 + _ROUNDING)
 
 
 def _upright(lenses: LensGrid) -> LensGrid:

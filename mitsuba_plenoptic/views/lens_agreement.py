@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy
@@ -32,9 +33,9 @@ _WINDOW = 1.0
 # pixel more than what moves by a whole one, and planes of such moves would agree better.
 _SMOOTH = (0.25, 0.5, 0.25)
 
-# Where, in pixels along an axis, the light of a smoothed sample was recorded: by these weights, and by those of linear
-# interpolation about the centre of its micro-image and of the pixel, which have a variance of 1/4 together.
-_SPREAD = np.convolve(_SMOOTH, (0.125, 0.75, 0.125))
+# Where, in pixels along an axis, the light of a sample was recorded: by the weights of linear interpolation about the
+# centre of its micro-image and of the pixel, which have a variance of 1/4 together.
+_SPREAD = (0.125, 0.75, 0.125)
 
 # Points across the square that is mapped to a lens's aperture, for its open part's mean point.
 _POINTS = 32
@@ -183,21 +184,26 @@ class LensComparison:
         # Evenly on a lens's aperture, in mm from its centre.
         point = np.stack(camera.lattice.aperture_point(*(axis.ravel() for axis in np.meshgrid(position, position))))
         rims = []
-        reach = len(_SPREAD) // 2
-        offset = np.arange(-reach, reach + 1)
-        v, u = ((np.arange(-reach, len(step) + reach) + step[0]) * camera.pupil_step for step in self._steps)
+        v, u = (np.append(np.append(step[0] - 1, step), step[-1] + 1) * camera.pupil_step for step in self._steps)
+        # Samples that take part in smoothing.
+        there = (self._images.weight > 0).any(axis=(0, 1))
+        offset = np.arange(-1, 2)
         for f2 in camera.mla_focal_lengths:
             x, y = point * camera.pupil_shift(f2)
             open_ = np.hypot(x - u[None, :, None], y - v[:, None, None]) < camera.aperture_radius
-            count = open_.sum(axis=2)
-            sums = [(open_ * point[axis]).sum(axis=2) for axis in (1, 0)]
-            open_weight = np.maximum(_weighted(count, _SPREAD, _SPREAD), 1e-6)
-            mean = np.stack([_weighted(moment, _SPREAD, _SPREAD) for moment in sums]) / open_weight
+            sums = [open_.sum(axis=2), *((open_ * point[axis]).sum(axis=2) for axis in (1, 0))]
+            count, *moments = (_weighted(total, _SPREAD, _SPREAD)[1:-1, 1:-1] * there for total in sums)
             off = [
-                _weighted(count, _SPREAD * offset, _SPREAD),
-                _weighted(count, _SPREAD, _SPREAD * offset),
-            ] / open_weight
-            rims.append((mean, off))
+                _weighted(sums[0], *kernels)[1:-1, 1:-1] * there
+                for kernels in ((_SPREAD * offset, _SPREAD), (_SPREAD, _SPREAD * offset))
+            ]
+            off = [
+                _weighted(inner, _SMOOTH, _SMOOTH) + _weighted(count, *kernels)
+                for inner, kernels in zip(off, ((_SMOOTH * offset, _SMOOTH), (_SMOOTH, _SMOOTH * offset)), strict=True)
+            ]
+            open_weight = np.maximum(_weighted(count, _SMOOTH, _SMOOTH), 1e-6)
+            mean = np.stack([_weighted(moment, _SMOOTH, _SMOOTH) for moment in moments]) / open_weight
+            rims.append((mean, np.stack(off) / open_weight))
         return rims
 
     def _bins_of(self, slope: float) -> np.ndarray:
@@ -211,10 +217,10 @@ class LensComparison:
         return np.where(inside, rows * shape[1] + columns, math.prod(shape))
 
 
-def _weighted(samples: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Return weighted sums of samples along both axes, where samples exist for all weights."""
-    samples = scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(samples * 1.0, down, axis=0), across, axis=1)
-    return np.asarray(samples[len(down) // 2 : -(len(down) // 2), len(across) // 2 : -(len(across) // 2)])
+def _weighted(samples: np.ndarray, down: Any, across: Any) -> np.ndarray:
+    """Return weighted sums of samples along both axes; beyond them is nothing."""
+    samples = scipy.ndimage.correlate1d(samples * 1.0, down, axis=0, mode="constant")
+    return np.asarray(scipy.ndimage.correlate1d(samples, across, axis=1, mode="constant"))
 
 
 def _moved(samples: np.ndarray, fv: np.float32, fu: np.float32) -> np.ndarray:
