@@ -37,12 +37,12 @@ class Watch:
 
     def watched(self, spectrum: Rows) -> Rows:
         """Yield the blocks of a spectrum: lines along y, of some frequencies along x."""
-        to_host = active_backend().to_host
+        arrays = active_backend().arrays
         for lines, block in spectrum:
-            whole = to_host(power_by_row(block))
-            high = to_host(power_by_row(block[:, self._high]))
+            whole = power_by_row(block)
+            high = power_by_row(block[:, self._high])
             self._total += float(whole.sum())
-            self._at_edge += float(np.where(self._inner[lines], high, whole).sum())
+            self._at_edge += float(arrays.where(arrays.asarray(self._inner[lines]), high, whole).sum())
             yield lines, block
 
     def see_window(self, lines: fft.Field) -> None:

@@ -34,8 +34,9 @@ def with_camera(scene: mi.Scene, camera: PlenopticCamera, sensor: int | None = N
     mitsuba.Scene
         The new scene, which shares its objects with the given one; all have the same ids. The camera is its first
         sensor, with the id of the one it replaces; meters on shapes follow, and other sensors are left out. It has the
-        sampler of a plenoptic camera before it, and the count of samples of any other. Move shapes through
-        ``mi.traverse`` of the new scene: a mesh that is moved through the given one stays where it was in the new one.
+        sampler of a plenoptic camera before it, and the count of samples of any other. Shapes may be
+        moved through either scene, and captures and ``mi.render`` of both show them there; functions of ``dr.freeze``
+        only after one that is not frozen.
 
     Raises
     ------
@@ -87,5 +88,8 @@ def with_camera(scene: mi.Scene, camera: PlenopticCamera, sensor: int | None = N
         plenoptic = mi.load_dict(described, parallel=False)
         plenoptic.set_id((old.id() if old is not None else "") or "camera")
         changed = with_objects(scene, [plenoptic], perspective)
+    for each in (plenoptic, *scene.sensors()):
+        if hasattr(type(each), "camera"):
+            each.shares_shapes = True
     warn_of_metres(changed, plenoptic)
     return changed

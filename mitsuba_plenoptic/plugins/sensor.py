@@ -19,7 +19,7 @@ from ..lenses import Pair, main_lens
 from ..optics import second_leg
 from ..rays import Dispersion, LensRays, sampler_of
 from ..runtime import require_unfrozen
-from ..scene import world_ray
+from ..scene import meet_moved, world_ray
 from .properties import read_camera, require_read
 
 if TYPE_CHECKING:
@@ -299,7 +299,11 @@ def make_class() -> type:
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> tuple[Any, Any]:
             """Return a random ray with differentials: rays from the next pixels through the same lens point."""
-            kinds = {kind.__name__ for kind in type(sys._getframe(1).f_locals.get("self")).__mro__}
+            caller = sys._getframe(1).f_locals
+            # Integrators do not tell sensors what they render.
+            if isinstance(scene := caller.get("scene"), mi.Scene):
+                meet_moved(scene, self)
+            kinds = {kind.__name__ for kind in type(caller.get("self")).__mro__}
             # Mitsuba's integrators in Python that do not differentiate by the sensor's rays.
             for name in self._numbers if kinds & {"RBIntegrator", "PathProjectiveIntegrator"} else ():
                 refuse_if(

@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import InputError, refuse_if, refusing, require_wavelength, short_repr
 from ..optics import RGB_WAVELENGTHS
 from ..runtime import Floats, drjit_array, require_unfrozen
-from ..scene import require_medium_seen
+from ..scene import meet_moved, require_medium_seen
 from .properties import require_read
 
 
@@ -67,6 +67,7 @@ def asked_for(scene: Any, sensor: Any, seed: Any, spp: int) -> tuple[Any, int, i
     """Return the sensor, seed and sample count of a call of `mi.render`, which gives indices, arrays or zeros."""
     require_unfrozen("captures by waves")
     sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+    meet_moved(scene, sensor)
     return sensor, int(seed[0]) if hasattr(seed, "__len__") else int(seed), spp or sensor.sampler().sample_count()
 
 

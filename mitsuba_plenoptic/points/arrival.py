@@ -245,10 +245,11 @@ def arrival(
             return stop_image_arrival(closed, position, wavelength, grids, weights, incident)
         return telecentric_arrival(closed, position, wavelength, grids, weights, camera.vignetting)
     pupil = pupil_field(system, position, grids, weights, incident)
-    lit = np.flatnonzero(active_backend().to_host(power_by_row(pupil.samples)))
+    lit = active_backend().arrays.flatnonzero(power_by_row(pupil.samples))
+    first = int(lit[0])
     paraxial = incident is not None and is_paraxial(camera)
     hop = to_array(camera, wavelength, grids.to_array(), paraxial)
-    return pupil, Arrival(pupil.samples[lit[0] : lit[-1] + 1], int(lit[0]), (hop,))
+    return pupil, Arrival(pupil.samples[first : int(lit[-1]) + 1], first, (hop,))
 
 
 def pupil_field(

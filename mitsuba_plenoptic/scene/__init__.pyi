@@ -19,6 +19,7 @@ from .load import UNITS as UNITS
 from .load import check_scene_file as check_scene_file
 from .load import load_scene as load_scene
 from .load import loading as loading
+from .load import meet_moved as meet_moved
 from .load import names_in as names_in
 from .load import scene_defaults as scene_defaults
 from .load import unknown_parameter as unknown_parameter

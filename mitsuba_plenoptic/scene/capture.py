@@ -17,7 +17,7 @@ from ..errors import InputError, advice, argument, refuse_if, require_choice, re
 from ..io import Capture
 from ..optics import guards
 from ..runtime import BatchMap, Cost, Job, one_at_a_time, preparing, require_memory_for
-from .load import KNOWN_PARAMETERS, mitsuba_sentence
+from .load import KNOWN_PARAMETERS, meet_moved, mitsuba_sentence
 from .radiance import require_medium_seen, warn_of_metres
 
 if TYPE_CHECKING:
@@ -190,7 +190,9 @@ def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
     """Return a scene's plenoptic sensor by its index, or a given sensor; refuse a scene of another variant."""
     require_active("scene", scene, mi.Scene)
     if hasattr(sensor, "variant_name"):
-        return require_active("sensor", sensor, mi.Sensor)
+        require_active("sensor", sensor, mi.Sensor)
+        meet_moved(scene, sensor)
+        return sensor
     instead = advice(python="with_camera gives the scene one", shell="--camera NAME gives it one")
     refuse_if(not scene.sensors(), f"scene: it has no sensor; {instead}, or add one of type 'plenoptic'")
     chosen = numbered_sensor(scene, sensor)
@@ -200,6 +202,7 @@ def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
         if plenoptic := [index for index, item in enumerate(scene.sensors()) if hasattr(type(item), "camera")]:
             instead = advice(python=f"sensor={plenoptic[0]} is one", shell=f"--sensor {plenoptic[0]} is one")
         raise InputError(f"{error}; {instead}") from None
+    meet_moved(scene, chosen)
     return chosen
 
 

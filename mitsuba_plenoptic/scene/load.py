@@ -11,6 +11,7 @@ from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -268,6 +269,18 @@ def with_objects(scene: mi.Scene, new: Sequence[mi.Object], old: Sequence[mi.Obj
     copy = mi.PluginManager.instance().create_object(properties)
     copy.set_id(scene.id())
     return copy
+
+
+def meet_moved(scene: mi.Scene, sensor: Any) -> None:
+    """Rebuild what rays meet in a scene of shared shapes, which may have been moved through another scene."""
+    # Frozen functions record no rebuilding.
+    if dr.flag(dr.JitFlag.FreezingScope) or not getattr(sensor, "shares_shapes", False):
+        return
+    for shape in mi.traverse(scene).hierarchy:
+        if isinstance(shape, mi.Shape):
+            # Normals that are named among the changes are kept.
+            shape.parameters_changed(list(mi.traverse(shape).keys()))
+    scene.parameters_changed([])
 
 
 def _complete(path: Path, parameters: dict[str, str]) -> dict[str, str]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cameras import SMALL_SENSOR, write_scene
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, render_capture, with_camera
+from mitsuba_plenoptic import InputError, PlenopticCamera, ground_truth, load_scene, render_capture, with_camera
 
 ORDINARY = PlenopticCamera(
     mla_lattice="none",
@@ -162,10 +162,45 @@ def test_plugins_are_made_in_the_thread_that_loads(tmp_path):
     assert found == [threading.get_ident()] * 16
 
 
-def test_meshes_are_moved_through_the_new_scene():
-    described = {"type": "scene", "box": {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 0, 400])}}
-    scene = with_camera(mi.load_dict(described), ORDINARY)
-    parameters = mi.traverse(scene)
-    parameters["box.vertex_positions"] = parameters["box.vertex_positions"] - mi.Float([0, 0, 100] * 24)
+def shapes(along):
+    """Describe a mesh, a sphere and an instance, which are moved across the view, before a dim sky."""
+    T, lamp = mi.ScalarTransform4f(), {"type": "area", "radiance": 2.0}
+    return {
+        **{"type": "scene", "integrator": {"type": "path"}, "sky": {"type": "constant", "radiance": 0.1}},
+        "box": {"type": "cube", "to_world": T.translate([along, 0, 400]).scale(8), "lamp": lamp},
+        "ball": {"type": "sphere", "center": [40 - along, 0, 400], "radius": 8, "lamp": lamp},
+        "group": {"type": "shapegroup", "cube": {"type": "cube"}},
+        "copy": {
+            "type": "instance",
+            "to_world": T.translate([-40, along, 400]).scale(8),
+            "tree": {"type": "ref", "id": "group"},
+        },
+    }
+
+
+@pytest.mark.parametrize("back", [False, True])
+@pytest.mark.parametrize(
+    "seen",
+    [
+        lambda scene: np.array(mi.render(scene, spp=16)),
+        lambda scene: np.array(mi.render(scene, spp=16, integrator=mi.load_dict({"type": "prb"}))),
+        lambda scene: render_capture(scene, spp=16).image,
+        lambda scene: render_capture(scene, spp=16, model="wave").image,
+        lambda scene: np.nan_to_num(ground_truth(scene, ["depth"]).pixels["depth"], posinf=0),
+    ],
+)
+def test_shapes_move_in_both_scenes(seen, back):
+    mi.set_variant("llvm_ad_mono")
+    first = with_camera(load_scene(shapes(0)), ORDINARY)
+    moved = with_camera(first, ORDINARY)
+    if back:
+        first, moved = moved, first
+    before = seen(moved)
+    parameters = mi.traverse(first)
+    parameters["box.vertex_positions"] = parameters["box.vertex_positions"] + mi.Float([30, 0, 0] * 24)
+    for name, step in (("ball", [-30, 0, 0]), ("copy", [0, 30, 0])):
+        parameters[f"{name}.to_world"] = mi.Transform4f().translate(step) @ parameters[f"{name}.to_world"]
     parameters.update()
-    assert scene.ray_intersect(mi.Ray3f([0, 0, 0], [0, 0, 1])).t[0] == pytest.approx(299)
+    after = seen(moved)
+    assert np.array_equal(after, seen(with_camera(load_scene(shapes(30)), ORDINARY)))
+    assert not np.array_equal(after, before)

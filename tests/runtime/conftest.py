@@ -4,7 +4,6 @@ import device_stand_in
 import drjit as dr
 import pytest
 
-from mitsuba_plenoptic.refocus import methods
 from mitsuba_plenoptic.runtime import backend as _backend
 
 
@@ -21,8 +20,6 @@ def device(monkeypatch):
     monkeypatch.setattr(_backend, "array_module", lambda: dr.cuda)
     monkeypatch.setattr(dr, "backend_v", lambda array: dr.JitBackend.CUDA)
     monkeypatch.setattr(dr.ArrayBase, "numpy", numpy)
-    methods._results.clear()
     device_stand_in.forget()
     yield stand_in
-    methods._results.clear()
     device_stand_in.forget()
