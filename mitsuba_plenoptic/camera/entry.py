@@ -186,7 +186,7 @@ class Parameter(Generic[Given, Kept]):
     shortest: Callable[[Kept], Any] | None = None  # converts to the form in files, if it is not the stored one
     of_array: bool = False  # whether only a camera with a microlens array has it: None for one without
     instead_of: str = ""  # the parameter that follows from this one and is written to files instead
-    in_first_files: bool = False  # whether all files have it; other parameters may be missing from old files
+    in_all_files: bool = False  # whether all files have it; others may be missing, such as those of extensions
     fit: Callable[[Any], None] | None = None  # refuses cameras that a value other than the default does not fit
     alias: str = ""  # the name of the parameter, if it is not that of the attribute
     attribute: str = field(default="", init=False)

@@ -63,7 +63,7 @@ class CoreParameters:
         otherwise="80, or that of `main_lens`, which is scaled to what is given",
         unit="mm",
         gradients=Captures.ALL & ~Captures.EDGES,
-        in_first_files=True,
+        in_all_files=True,
     )
     aperture_radius: Parameter[float | None, float] = Parameter(
         default=None,
@@ -76,7 +76,7 @@ class CoreParameters:
         otherwise="5, or `main_lens` fully open",
         unit="mm",
         gradients=Captures.POINTS,
-        in_first_files=True,
+        in_all_files=True,
     )
     aperture_blades: Parameter[int | Sequence[float] | Blades | None, Blades | None] = Parameter(
         default=None,
@@ -130,7 +130,7 @@ class CoreParameters:
         otherwise="120, unless `focus_distance` is given",
         unit="mm",
         gradients=Captures.ALL,
-        in_first_files=True,
+        in_all_files=True,
     )
     focus_distance: Parameter[float | None, float] = Parameter(
         default=None,
@@ -159,7 +159,7 @@ class CoreParameters:
         unit="mm",
         gradients=Captures.ALL,
         shortest=one_if_single,
-        in_first_files=True,
+        in_all_files=True,
         alias="mla_focal_length",
         of_array=True,
     )
@@ -176,7 +176,7 @@ class CoreParameters:
         parts=("pitch_along", "pitch_across"),
         gradients=Captures.ALL,
         shortest=one_if_equal,
-        in_first_files=True,
+        in_all_files=True,
         alias="mla_pitch",
         of_array=True,
     )
@@ -313,7 +313,7 @@ class CoreParameters:
         otherwise="`mla_focal_length`, the first of three",
         unit="mm",
         gradients=Captures.ALL,
-        in_first_files=True,
+        in_all_files=True,
         of_array=True,
     )
     detector_width: Parameter[float, float] = Parameter(
@@ -322,21 +322,21 @@ class CoreParameters:
         words="Width :math:`W` that the columns of the full detector span, cropped or not; pixels are square.",
         unit="mm",
         gradients=Captures.ALL,
-        in_first_files=True,
+        in_all_files=True,
     )
     resolution: Parameter[tuple[int, int], tuple[int, int]] = Parameter(
         default=(4096, 4096),
         check=partial(require_pixels, minimum=1),
         words="Columns and rows of the full detector.",
         form=Form.FILM,
-        in_first_files=True,
+        in_all_files=True,
     )
     crop_offset: Parameter[tuple[int, int], tuple[int, int]] = Parameter(
         default=(0, 0),
         check=partial(require_pixels, minimum=0),
         words="Column and row of the first recorded pixel.",
         form=Form.FILM,
-        in_first_files=True,
+        in_all_files=True,
     )
     crop_size: Parameter[tuple[int, int] | None, tuple[int, int]] = Parameter(
         default=None,
@@ -344,7 +344,7 @@ class CoreParameters:
         words="Columns and rows that are recorded.",
         form=Form.FILM,
         otherwise="all from `crop_offset` on",
-        in_first_files=True,
+        in_all_files=True,
     )
     lens_model: Parameter[str, str] = Parameter(
         default="ideal",
@@ -356,7 +356,7 @@ class CoreParameters:
         ),
         form=Form.WORD,
         takes='{"ideal", "parabolic"}',
-        in_first_files=True,
+        in_all_files=True,
     )
     distortion: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(0.0,) * 5,

@@ -359,7 +359,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
             has_array = str(values.get("mla_lattice")) != NO_LATTICE
             for name, entry in sorted(PARAMETERS.items()):
                 refuse_if(
-                    entry.in_first_files and (has_array or not entry.of_array) and name not in values,
+                    entry.in_all_files and (has_array or not entry.of_array) and name not in values,
                     f"{name}: it is missing from the camera parameters",
                 )
         return cls._from_names(values)

@@ -14,8 +14,7 @@ from .entry import Captures, Form
 from .parameters import PARAMETERS
 from .plenoptic_camera import PlenopticCamera
 
-Array = Doubles
-Values = dict[str, Array]
+Values = dict[str, Doubles]
 """Numbers by parameter: one for each of its parts."""
 
 _FARTHEST = 50.0
@@ -34,19 +33,19 @@ def part_units(name: str) -> dict[str, str]:
     return dict(zip(parts, [entry.unit] * len(parts) if isinstance(entry.unit, str) else entry.unit, strict=True))
 
 
-def parts_of(camera: PlenopticCamera, name: str) -> Array:
+def parts_of(camera: PlenopticCamera, name: str) -> Doubles:
     """Return the current components of a parameter: both pitches, each focal length, each coefficient; none without."""
     value = getattr(camera, PARAMETERS[name].attribute)
     return np.array([] if value is None else np.ravel(value), np.float64)
 
 
-def shortest_parts(camera: PlenopticCamera, name: str) -> Array:
+def shortest_parts(camera: PlenopticCamera, name: str) -> Doubles:
     """Return the components of a parameter in its shortest form: one pitch if both are equal."""
     entry = PARAMETERS[name]
     return np.array(np.ravel(entry.plain(getattr(camera, entry.attribute))), np.float64)
 
 
-def change_of(camera: PlenopticCamera, name: str, change: Any) -> Array:
+def change_of(camera: PlenopticCamera, name: str, change: Any) -> Doubles:
     """Return the change of all differentiable components of a parameter; a single value applies to all of them.
 
     Coefficients beyond those given do not change.
@@ -64,7 +63,7 @@ def size_of(camera: PlenopticCamera, name: str) -> int:
     return max(len(parts_of(camera, name)), PARAMETERS[name].room)
 
 
-def with_parts(camera: PlenopticCamera, parts: Mapping[str, Array], **others: Any) -> PlenopticCamera:
+def with_parts(camera: PlenopticCamera, parts: Mapping[str, Doubles], **others: Any) -> PlenopticCamera:
     """Return the camera with parameters set from arrays of their components, and `others` from values."""
     for name, numbers in parts.items():
         others[name] = (
@@ -131,18 +130,18 @@ class CameraVector:
         return tuple(dict.fromkeys(component.name for component in self.components))
 
     @property
-    def values(self) -> Array:
+    def values(self) -> Doubles:
         """Values of the components, in the units of the parameters."""
         return np.array([parts_of(self.camera, component.name)[component.parts[0]] for component in self.components])
 
     @property
-    def scales(self) -> Array:
+    def scales(self) -> Doubles:
         """Steps of a fit, one for each component: a hundredth of its value, a degree, a pitch, or a wave."""
         scales = (PARAMETERS[component.name].scale for component in self.components)
         pairs = zip(scales, self.values, strict=True)
         return np.array([scale(self.camera) if scale else abs(value) / 100 for scale, value in pairs])
 
-    def limits(self, bounds: Mapping[str, tuple[float, float]] | None) -> tuple[Array, Array]:
+    def limits(self, bounds: Mapping[str, tuple[float, float]] | None) -> tuple[Doubles, Doubles]:
         """Return the lowest and highest value of each component: `bounds`, or a range around the present values.
 
         Bounds of other parameters, in the wrong order, or that exclude the camera are refused.
@@ -175,7 +174,7 @@ class CameraVector:
             )
         return low, high
 
-    def at(self, values: Array) -> PlenopticCamera:
+    def at(self, values: Doubles) -> PlenopticCamera:
         """Return the camera with other values of the components."""
         parts: Values = {}
         for component, value in zip(self.components, values.tolist(), strict=True):
@@ -191,6 +190,6 @@ class CameraVector:
             changes.append({component.name: change})
         return changes
 
-    def slopes(self, gradient: Mapping[str, Array]) -> Array:
+    def slopes(self, gradient: Mapping[str, Doubles]) -> Doubles:
         """Return the derivatives with respect to this vector, from derivatives by all components of the parameters."""
         return np.array([gradient[component.name][list(component.parts)].sum() for component in self.components])

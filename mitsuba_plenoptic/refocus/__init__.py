@@ -10,7 +10,6 @@ import lazy_loader
 
 from ..errors import did_you_mean
 from ..extension import entries, missing, place
-from ..refocus_options import FOOTPRINTS as FOOTPRINTS
 
 # `__init__.pyi` names, besides what is public, what other folders and extensions may use.
 _of_stub, __dir__, _in_stub = lazy_loader.attach_stub(__name__, __file__)
@@ -28,7 +27,6 @@ def __getattr__(name: str) -> Any:
 
 
 __all__ = [
-    "FOOTPRINTS",
     "METHODS",
     "Reconstruction",
     "Volume",

@@ -38,5 +38,3 @@ from .straight import regular_place as regular_place
 from .straight import straightened as straightened
 from .wave_methods import BackwardFields as BackwardFields
 from .wave_methods import signed_parts as signed_parts
-
-FOOTPRINTS: tuple[str, ...]

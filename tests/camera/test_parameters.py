@@ -25,7 +25,7 @@ from mitsuba_plenoptic.camera.vector import CameraVector, parts_of
 ROOT = Path(__file__).parents[2]
 PACKAGE = Path(mitsuba_plenoptic.__file__).parent
 
-FIRST_FILE = {
+REQUIRED = {
     "focal_length": 80.0,
     "aperture_radius": 5.0,
     "mla_distance": 120.0,
@@ -38,14 +38,14 @@ FIRST_FILE = {
     "crop_size": [4096, 4096],
     "lens_model": "ideal",
 }
-"""The header of a capture of the first version."""
+"""What each record of a camera must state."""
 
 
-def test_headers_of_the_first_version_stay_readable_and_must_be_whole():
-    assert PlenopticCamera.from_dict(FIRST_FILE) == PlenopticCamera()
-    for name in FIRST_FILE:
+def test_records_of_cameras_must_state_the_required_parameters():
+    assert PlenopticCamera.from_dict(REQUIRED) == PlenopticCamera()
+    for name in REQUIRED:
         with pytest.raises(InputError, match=f"^{name}: it is missing from the camera parameters"):
-            PlenopticCamera.from_dict({other: value for other, value in FIRST_FILE.items() if other != name})
+            PlenopticCamera.from_dict({other: value for other, value in REQUIRED.items() if other != name})
 
 
 def test_the_record_its_signature_and_its_documentation_have_all_entries():

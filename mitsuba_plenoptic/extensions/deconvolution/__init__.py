@@ -8,7 +8,6 @@ response as far as the noise allows (`variation`). Methods `incoherent` and `dec
 from ...extension import Extension
 
 EXTENSION = Extension(
-    names={"refocus.RESPONSES": "options:RESPONSES"},
     methods={"incoherent": "incoherent", "deconvolved": "deconvolved"},
     options={"deconvolved": "options:DeconvolvedOptions"},
 )

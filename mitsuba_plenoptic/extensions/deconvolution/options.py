@@ -8,8 +8,6 @@ from ... import choices
 from ...errors import require_number
 from ...refocus_options import Option
 
-RESPONSES = choices.MODELS
-
 MOST_VARIATION = 0.25
 """Largest weight of the total variation: steps stay positive, as its gradient is at most 3.42."""
 

@@ -22,9 +22,6 @@ from ...errors import InputError, put, refuse_if, refusing, require_choice, requ
 from ...runtime import MILLIMETRES, Doubles, as_array, require_file, require_units
 from .seeding import PLACE, put_checked
 
-Points = Doubles
-"""Positions or velocities, (n, 3)."""
-
 _AXES = ("x", "y", "z")
 _AXIS = partial(require_choice, choices=_AXES)
 _SPEED = partial(require_number, minimum=-1e9, maximum=1e9)
@@ -36,11 +33,11 @@ _SPEED_UNITS = "mm/s", "mm s-1", "mm s^-1", "mm.s-1"
 class Flow:
     """A steady flow."""
 
-    def velocity(self, points: Points) -> Points:
+    def velocity(self, points: Doubles) -> Doubles:
         """Return the velocities at positions."""
         raise NotImplementedError
 
-    def advected(self, points: Points, time: float) -> Points:
+    def advected(self, points: Doubles, time: float) -> Doubles:
         """Return where particles at positions (n, 3) in mm are after a time in seconds, which may be negative."""
         if time == 0 or not len(points):
             return points.copy()
@@ -59,7 +56,7 @@ class Flow:
 class ParallelFlow(Flow):
     """A flow in which each particle keeps its velocity."""
 
-    def advected(self, points: Points, time: float) -> Points:
+    def advected(self, points: Doubles, time: float) -> Doubles:
         """Return where particles at positions (n, 3) in mm are after a time in seconds, which may be negative."""
         return np.asarray(points + time * self.velocity(points))
 
@@ -78,7 +75,7 @@ class Vortex(Flow):
     axis: str
     centre: tuple[float, ...]
 
-    def velocity(self, points: Points) -> Points:
+    def velocity(self, points: Doubles) -> Doubles:
         """Return the velocities at positions."""
         turned = -1 - _AXES.index(self.axis)
         around = self._around(*np.roll(points - self.centre, turned, axis=1).T)
@@ -104,7 +101,7 @@ class Uniform(ParallelFlow):
     def __post_init__(self) -> None:
         put_checked(self, speed=PLACE)
 
-    def velocity(self, points: Points) -> Points:
+    def velocity(self, points: Doubles) -> Doubles:
         """Return the velocities at positions."""
         return np.broadcast_to(np.array(self.speed), points.shape)
 
@@ -132,7 +129,7 @@ class Shear(ParallelFlow):
         put_checked(self, rate=_SPEED, along=_AXIS, across=_AXIS, centre=PLACE)
         refuse_if(self.along == self.across, f"along = {self.along}, across = {self.across}: they must differ")
 
-    def velocity(self, points: Points) -> Points:
+    def velocity(self, points: Doubles) -> Doubles:
         """Return the velocities at positions."""
         along, across = (np.eye(3)[_AXES.index(axis)] for axis in (self.along, self.across))
         return self.rate * ((points - self.centre) @ across)[:, None] * along
@@ -261,7 +258,7 @@ class ImportedFlow(Flow):
         refuse_if(min(values.shape) < 2 or not np.isfinite(values).all(), f"{name}: give two finite values or more")
         put(self, field=name, _interpolated=flow)
 
-    def velocity(self, points: Points) -> Points:
+    def velocity(self, points: Doubles) -> Doubles:
         """Return the velocities at positions, which must be within the grid."""
         flow: RegularGridInterpolator = vars(self)["_interpolated"]
         bounds = np.array([(axis[0], axis[-1]) for axis in flow.grid])

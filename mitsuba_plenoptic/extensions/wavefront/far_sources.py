@@ -19,11 +19,9 @@ INFINITY = 1e12
 _WIDEST = 3600.0 * 10
 """Largest angle from the axis in arcseconds."""
 
-Points = Doubles
-
 
 @suggest_keywords
-def star(direction: tuple[float, float] = (0.0, 0.0), *, weight: float = 1.0) -> tuple[Points, Points]:
+def star(direction: tuple[float, float] = (0.0, 0.0), *, weight: float = 1.0) -> tuple[Doubles, Doubles]:
     """Return the point and the weight of a star.
 
     Parameters
@@ -60,7 +58,7 @@ def star(direction: tuple[float, float] = (0.0, 0.0), *, weight: float = 1.0) ->
 @suggest_keywords
 def binary(
     separation: float, *, angle: float = 0.0, ratio: float = 1.0, direction: tuple[float, float] = (0.0, 0.0)
-) -> tuple[Points, Points]:
+) -> tuple[Doubles, Doubles]:
     """Return the points and weights of two stars, the brighter one first, with a total power of 1.
 
     Parameters
@@ -94,7 +92,7 @@ def binary(
 
 
 @suggest_keywords
-def extended(picture: Any, *, width: float, direction: tuple[float, float] = (0.0, 0.0)) -> tuple[Points, Points]:
+def extended(picture: Any, *, width: float, direction: tuple[float, float] = (0.0, 0.0)) -> tuple[Doubles, Doubles]:
     """Return points and weights of an extended source, one point for each bright pixel of a picture.
 
     Pixels should be narrower than the telescope resolves, wavelength / 2 diameter. The total power is 1.
@@ -137,6 +135,6 @@ def _direction(value: Any) -> tuple[float, float]:
     return x, y
 
 
-def _towards(angles: Points) -> Points:
+def _towards(angles: Doubles) -> Doubles:
     """Return points (n, 3) in directions (n, 2)."""
     return np.column_stack([np.tan(np.deg2rad(angles / 3600)), np.ones(len(angles))]) * INFINITY

@@ -27,8 +27,6 @@ from ...points import CaptureOperator
 from ...runtime import Doubles, as_array, as_pixels
 from .wavefront_fit import Zone, require_zone
 
-Array = Doubles
-
 
 @dataclass(frozen=True)
 class InteractionMatrix:
@@ -45,8 +43,8 @@ class InteractionMatrix:
     """
 
     camera: PlenopticCamera
-    reference: Array
-    responses: Array
+    reference: Doubles
+    responses: Doubles
 
     @classmethod
     @suggest_keywords
@@ -91,7 +89,7 @@ class InteractionMatrix:
         responses = np.asarray(operator.jacobian(weights, directions), np.float64)
         return cls(camera, image / image.sum(), responses / image.sum())
 
-    def estimate(self, image: Any, *, prior: Any = None, rank: int | None = None) -> Array:
+    def estimate(self, image: Any, *, prior: Any = None, rank: int | None = None) -> Doubles:
         """Return the Zernike terms by which the wavefront of a capture differs from the reference.
 
         Parameters

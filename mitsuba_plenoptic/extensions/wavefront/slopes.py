@@ -25,8 +25,6 @@ from ...optics import rays
 from ...points import check_positions
 from ...runtime import Doubles, as_pixels
 
-Array = Doubles
-
 
 @dataclass(frozen=True)
 class Slopes:
@@ -44,9 +42,9 @@ class Slopes:
         Side, in millimetres, of the square about each point over which the slope is the mean; 0 for slopes at points.
     """
 
-    pupil: Array
-    slope: Array
-    light: Array
+    pupil: Doubles
+    slope: Doubles
+    light: Doubles
     width: float = 0.0
 
 
@@ -155,12 +153,12 @@ _LEAST_PIXELS = 3
 """Pixels along a lens from which on the phase of their first Fourier coefficient tells a place."""
 
 
-def _sums(spots: Array, factors: NDArray[Any]) -> NDArray[Any]:
+def _sums(spots: Doubles, factors: NDArray[Any]) -> NDArray[Any]:
     """Return sums over each lens's pixels, weighted by column factors and by row factors, (rows, columns, 2)."""
     return np.stack([np.einsum("imjn,n->ij", spots, factors), np.einsum("imjn,m->ij", spots, factors)], -1)
 
 
-def modes_from_slopes(slopes: Slopes, radius: float, modes: int) -> Array:
+def modes_from_slopes(slopes: Slopes, radius: float, modes: int) -> Doubles:
     """Return Zernike terms fitted to slopes by least squares, weighted by the light of each slope.
 
     Slopes that are means over squares are fitted by means over the part of each square in the pupil; squares outside
@@ -202,7 +200,7 @@ _POINTS = 16
 """Points along a square over which slopes of terms are averaged."""
 
 
-def _mean_slopes(slopes: Slopes, radius: float, modes: int) -> tuple[Array, NDArray[np.bool_]]:
+def _mean_slopes(slopes: Slopes, radius: float, modes: int) -> tuple[Doubles, NDArray[np.bool_]]:
     """Return the slopes of the terms as means over the squares of `slopes`, and a mask of squares in the pupil."""
     if slopes.width == 0:
         return mode_slopes(slopes.pupil, radius, modes), np.ones(len(slopes.pupil), bool)
@@ -214,14 +212,14 @@ def _mean_slopes(slopes: Slopes, radius: float, modes: int) -> tuple[Array, NDAr
     return np.einsum("klsd,ls->kld", terms, share), np.asarray(inside.any(1))
 
 
-def mode_slopes(pupil: Array, radius: float, modes: int) -> Array:
+def mode_slopes(pupil: Doubles, radius: float, modes: int) -> Doubles:
     """Return the slopes (modes - 1, n, 2) at pupil points of each Zernike term, of one unit, without the piston."""
     x, y = pupil.T
     terms = np.eye(modes)[1:]
     return np.stack([np.stack(np.broadcast_arrays(*Wavefront(term, radius).slope(x, y)), -1) for term in terms])
 
 
-def lenses_of_pixels(camera: PlenopticCamera) -> tuple[Array, Array]:
+def lenses_of_pixels(camera: PlenopticCamera) -> tuple[Doubles, Doubles]:
     """Return the centre of each pixel's lens, and the pupil point seen through that centre, each (rows, columns, 2)."""
     b = camera.mla_distance
     z = camera.reduced_distance
@@ -231,7 +229,7 @@ def lenses_of_pixels(camera: PlenopticCamera) -> tuple[Array, Array]:
     return lens, lens + (lens - detector) * (b / z)
 
 
-def _known_image(image: Any, camera: PlenopticCamera | None = None) -> Array:
+def _known_image(image: Any, camera: PlenopticCamera | None = None) -> Doubles:
     """Return a capture of one channel with negative pixels set to 0; refuse other captures."""
     pixels = as_pixels("image", image, np.float64)
     refuse_if(pixels.ndim != 2, f"image of shape {pixels.shape}: wavefronts are measured in images of one channel")

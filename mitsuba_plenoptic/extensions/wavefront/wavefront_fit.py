@@ -30,8 +30,6 @@ from ..inverse.fit_light import Pixels, check_views
 from ..inverse.fitting import Fit, PixelNoise, View, fit
 from .slopes import lenses_of_pixels, modes_from_slopes, view_slopes
 
-Array = Doubles
-
 COUNTS = PixelNoise(1.0)
 """Noise of a capture whose pixels are counted electrons."""
 
@@ -60,7 +58,7 @@ class Zone:
         If an input has a wrong shape or value.
     """
 
-    points: Array
+    points: Doubles
     weights: Any = None
 
     def __post_init__(self) -> None:
@@ -181,18 +179,18 @@ def require_zone(zone: Any) -> None:
         raise InputError(f"zone of type {type(zone).__name__}: it must be one Zone")
 
 
-def _terms(camera: PlenopticCamera, count: int) -> Array:
+def _terms(camera: PlenopticCamera, count: int) -> Doubles:
     """Return the first Zernike terms of a camera, zeros where it has none."""
     return np.pad(np.array(camera.wavefront, np.float64), (0, count))[:count]
 
 
-def _expected(camera: PlenopticCamera, zone: Zone, wavelength: float, accuracy: float) -> Array:
+def _expected(camera: PlenopticCamera, zone: Zone, wavelength: float, accuracy: float) -> Doubles:
     """Return the expected capture of a zone whose points have a total weight of 1, in units of `View`."""
     operator = CaptureOperator(camera, zone.points, wavelength=wavelength, accuracy=accuracy)
     return np.asarray(operator.forward(operator.powers(zone.weights)), np.float64)
 
 
-def _light(view: View, expected: Array, before: Array) -> float:
+def _light(view: View, expected: Doubles, before: Doubles) -> float:
     """Return the weight of an expected capture that is nearest to a view, in units of the noise of a capture before."""
     weight = 1 / Pixels.of([view], np.maximum(before, 0)[None], None).weight[0].ravel()
     row = (expected.ravel() * weight)[:, None]
