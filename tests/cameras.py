@@ -137,7 +137,7 @@ def places_of(bins, camera, oversample):
     """Return the middles of a response's bins on the array, (rows, columns, 2)."""
     rows, columns = np.indices(bins.shape)
     index = np.stack([columns, rows], -1) + bins.first + 0.5
-    return (index - np.array(camera.bin_count) * oversample / 2) * (camera.mla_pitch / oversample)
+    return (index - np.array(camera.bin_count) * oversample / 2) * (camera.row_pitch / oversample)
 
 
 def scattered(count, seed=0, distances=(225.0, 255.0), image=0.2):

@@ -219,7 +219,7 @@ def reconstruct(
 
     def tell(seconds: float) -> None:
         if seconds > _LONG:
-            needed = f"{in_words(seconds)} and {max(sizes) / GIB:.2g} GiB"
+            needed = f"{in_words(seconds)} and {max(sizes, default=0) / GIB:.2g} GiB"
             cheaper = "; method ray takes a small part of that" if chosen.waves else ""
             _log.info("method %s takes about %s%s", method, needed, cheaper)
 
@@ -239,7 +239,8 @@ def reconstruct(
     by_itself = reference is None and not chosen.as_it_is
     # A white by waves takes about as long as a part of the refocusing.
     works = [1, 2] if by_itself and capture.model == "wave" else [0, 1]
-    computed = computed_white(unstraightened, portion(report, 0, works)) if by_itself else None
+    with memory_asked() as sizes:
+        computed = computed_white(unstraightened, portion(report, 0, works)) if by_itself else None
     with guards.watch() as found, memory_asked() as sizes:
         task = Task(
             image=image,

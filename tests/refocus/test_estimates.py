@@ -2,6 +2,7 @@
 
 import re
 
+import numpy as np
 import pytest
 
 import mitsuba_plenoptic as mp
@@ -70,6 +71,23 @@ def test_long_work_says_its_time_and_memory(capture, monkeypatch, caplog):
     reconstruct(capture, 210.0, method="coherent")
     assert re.search(r"method coherent takes about \S+ s and \S+ GiB; method ray", caplog.text)
     assert caplog.text.count("takes about") == 1
+
+
+def test_long_whites_of_waves_say_what_work_needs(monkeypatch, caplog):
+    caplog.set_level("INFO", logger="mitsuba_plenoptic")
+    monkeypatch.setattr(progress, "SETTLED", 0.0)
+    monkeypatch.setattr(api, "_LONG", -1e9)
+
+    def begun(_, report):
+        report(0.3)
+        report(0.6)
+        raise InterruptedError
+
+    monkeypatch.setattr(api, "computed_white", begun)
+    camera = mp.PlenopticCamera(resolution=(32, 32), detector_width=0.128)
+    with pytest.raises(InterruptedError):
+        reconstruct(mp.Capture(np.ones((32, 32)), camera, 550.0, "wave"), 210.0, method="ray")
+    assert "method ray takes about" in caplog.text
 
 
 def test_the_command_prints_time_and_memory_and_writes_nothing(capture, tmp_path, run, complaint):

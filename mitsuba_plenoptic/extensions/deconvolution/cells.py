@@ -106,13 +106,6 @@ class BinCells:
         x, y = np.moveaxis(cell @ self.vectors + np.diagonal(self.vectors) / 2, -1, 0)
         return np.stack(turn(x, y, self.grid.rotation), -1)
 
-    def at(self, x: Doubles, y: Doubles) -> NDArray[np.int64]:
-        """Return the cells (..., 2) that contain the samples at places of the detector, in the camera frame."""
-        sample = (np.stack(turn(x, y, -self.grid.rotation), -1) - self.grid.origin) / self.grid.pitch
-        right, down = np.moveaxis(np.rint(sample).astype(np.int64) - self.first_sample, -1, 0)
-        row = down // self.size[1]
-        return np.stack([(right - row * self.samples[1, 0]) // self.size[0], row], -1)
-
     def holding(self, box: Box) -> CellSet:
         """Return the cells that contain the samples of a box of the grid."""
         width, height = self.size
@@ -166,9 +159,6 @@ _ALIGNED = 1e-6
 
 _POINTS = (np.arange(2)[:, None] + 0.5 + np.array([-1, 1]) / math.sqrt(12)).ravel() / 2
 """Points in a unit interval whose mean integrates parabolas in both halves."""
-
-_NO_SHARE = 1e-6
-"""Share of a bin that counts as none: rounding leaves it."""
 
 
 @dataclass(frozen=True)
@@ -239,7 +229,7 @@ class UprightBins:
             size = (columns, len(lit) * down * across)
             targets = np.broadcast_to(cell_column, np.shape(bins))
             matrix = csr_array((np.ravel(weights), (targets.ravel(), np.ravel(bins))), shape=size)
-            matrix.data[abs(matrix.data) < _NO_SHARE] = 0
+            matrix.data[abs(matrix.data) < 1e-6] = 0  # what rounding leaves
             matrix.eliminate_zeros()
             shares.append(matrix.astype(np.float32))
         return cls((int(low[0]), int(low[1])), (rows, columns), vstack(shares, "csr"))

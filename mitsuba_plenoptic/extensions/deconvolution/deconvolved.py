@@ -26,21 +26,9 @@ DEFAULT_ITERATIONS = 30
 MOST_ITERATIONS = 100
 """Steps where nothing is known of the noise, and at most where it is."""
 
+
 LEAST_SEEN = 0.01
 """Light of a bin, over that of the best one, below which it is NaN."""
-
-_ROUNDING = 1e-6
-"""Fraction of the brightest pixel by which rounding may leave a pixel without noise below 0."""
-
-_SPAN = 10
-_LEAST_FALL = 0.95
-"""Steps in which what is above the noise must fall below this fraction of itself."""
-
-_DARK = 0.03
-"""Light of a white scene's pixel, over that of the brightest one, below which a recorded white says nothing of it."""
-
-_SPOILT = 0.15
-"""Difference of a recorded white from the computed one, over it, from which on a pixel is left out, behind dust."""
 
 
 @method("deconvolved", waves=True, as_it_is=True, long=True, as_recorded=True)
@@ -110,8 +98,8 @@ def noise_of(exposure: dict[str, Any] | None, photons: float | None) -> PixelNoi
 
 
 def until_noise(noise: PixelNoise) -> StopRule:
-    """Return the rule that ends steps where only noise is left, or where what is above it hardly falls any more."""
-    return StopRule(lambda image, model: misfit(noise, image, model) - 1, 0.0, _SPAN, _LEAST_FALL)
+    """Return the rule that ends steps where only noise is left, or where 10 leave more than 0.95 of what is above."""
+    return StopRule(lambda image, model: misfit(noise, image, model) - 1, 0.0, 10, 0.95)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,11 +132,12 @@ class _Flat(LinearMap):
 def flat_field(response: LinearMap, white: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return what pixels record over a response's light, by their recorded white; 0 where the two are far apart."""
     computed = response.forward(np.ones(response.source_shape, np.float32))
-    lit = computed > _DARK * computed.max()
+    # A recorded white says nothing of darker pixels.
+    lit = computed > 0.03 * computed.max()
     ratio = np.divide(white, computed, out=np.ones_like(computed), where=lit)
     ratio /= np.median(ratio[lit & (white > 0)])
-    # Micro-images of lenses of another brightness are no dust.
-    return np.where(lit, np.where(abs(ratio - 1) < _SPOILT, ratio, 0), 1).astype(np.float32)
+    # Pixels behind dust are left out. Micro-images of lenses of another brightness are no dust.
+    return np.where(lit, np.where(abs(ratio - 1) < 0.15, ratio, 0), 1).astype(np.float32)
 
 
 def _solve(
@@ -226,7 +215,7 @@ def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str,
 def _require_light(image: NDArray[np.float32], noise: PixelNoise | None) -> None:
     """Refuse a capture that no light can have produced, as its sum is not positive."""
     refuse_if(not (image > 0).any(), "capture: none of its pixels is lit: there is nothing to deconvolve")
-    negative = np.count_nonzero(image < -_ROUNDING * image.max())
+    negative = np.count_nonzero(image < -1e-6 * image.max())  # what rounding leaves
     refuse_if(
         noise is None and negative,
         f"capture: {negative} of its pixels are below 0, the least of them {image.min():.3g}: no light makes these; "

@@ -34,12 +34,6 @@ from .response import Response
 _MEMORY = 2 * 2**30
 """Bytes of the kernels' spectra beyond which they are stored on disk."""
 
-_DARK = 2
-"""Lens pitches beyond the image of the stop where light of the outermost lenses still goes."""
-
-_SPREAD_TIME = 30.0
-"""Time of a sample of a point spread, over that of a sample of the transforms of an inversion's step."""
-
 _PROGRESS = 1000
 """Parts of a point spread in which progress is counted."""
 
@@ -67,6 +61,8 @@ class FourierResponse(StoredResponse):
         self._camera, self._oversample, self._count = camera, oversample, len(distances)
         columns, rows = (oversample * count for count in camera.bin_count)
         self.shapes = [(rows, columns)] * len(distances)
+        # Bins are ordered as in a lens's picture.
+        self._windows = [(slice(None, None, -1),) * 2] * len(distances)
         super().__init__((len(distances) * rows * columns,), camera.shape)
         bins = np.array(camera.bin_count)
         pixels = np.array(camera.crop_size)
@@ -74,7 +70,14 @@ class FourierResponse(StoredResponse):
         self._store(len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY)
         deepest = max(abs(distance) for distance in distances)
         fine = _fine_camera(camera, wavelength, oversample, deepest)
-        self._require_memory(fine, distances)
+
+        def memory(oversample: int) -> float:
+            spectra = self._spectra_memory(oversample) / (self._count if self._folder else 1)
+            bins = 4.0 * self._count * oversample**2 * math.prod(camera.bin_count)
+            spread = 4.0 * math.prod(fine.resolution) * (oversample / self._oversample) ** 2
+            return spectra + 12 * bins + 6 * spread + 24.0 * math.prod(self._size)
+
+        require_response_memory(memory, oversample, distances)
         # The first bin on the pixel in the middle of a lens's picture.
         size = camera.bin_size(0) / oversample
         x, y = ((oversample * (count // 2) + 0.5 - oversample * count / 2) * size for count in camera.bin_count)
@@ -84,22 +87,13 @@ class FourierResponse(StoredResponse):
         unit = np.ones(1, np.float32)
         batches = [plan.batch(plane, unit) for plane in range(len(distances))]
         self._spectra: list[fft.Field] = []
-        spreads = _SPREAD_TIME * len(batches) * math.prod(fine.resolution)
+        # A sample of a point spread takes 30 times as long as one of the transforms of an inversion's step.
+        spreads = 30.0 * len(batches) * math.prod(fine.resolution)
         self.prepared = spreads / (spreads + steps * len(batches) * oversample**2 * math.prod(self._size))
         total = math.ceil(_PROGRESS * len(batches) / self.prepared)
         for partial_sum in (job or Job()).each(batches, [_PROGRESS] * len(batches), 0, total):
             spectra = self._kernel_spectra(np.asarray(partial_sum.sums[0]), fine)
             self._spectra += self._stored([spectra], f"{len(self._spectra)}")
-
-    def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
-        """Return a plane's bins, of all bins, which are ordered as in a lens's picture, as an upright image."""
-        return np.ascontiguousarray(self.planes_of(values)[plane][::-1, ::-1])
-
-    def from_image(self, image: NDArray[Any], plane: int) -> NDArray[np.float32]:
-        """Return the transpose of `to_image`, applied to an image."""
-        values = np.zeros(self.source_shape, np.float32)
-        self.planes_of(values)[plane][::-1, ::-1] = image
-        return values
 
     def forward(self, values: NDArray[np.float32], /) -> NDArray[np.float32]:
         """Return the image that the detector records of planes."""
@@ -151,8 +145,7 @@ class FourierResponse(StoredResponse):
         o = self._oversample
         camera = self._camera
         per_bin = round(camera.pixel_size / fine.pixel_size / o)
-        for axis in (0, 1):
-            spread = _over_bins(spread, per_bin, axis)
+        spread = _over_bins(_over_bins(spread, per_bin), per_bin)
         # Sums over as much of a pixel as a bin is wide.
         rows, columns = (length // per_bin for length in spread.shape)
         parts = spread.reshape(rows, per_bin, columns, per_bin).sum(axis=(1, 3))
@@ -161,43 +154,26 @@ class FourierResponse(StoredResponse):
         parts *= np.float32(radiance_weight(camera, self._lens, area))
         # From the bin in the middle to the recorded pixels; the fine window has more pixels on both sides.
         windows = np.array([columns, rows]) // o
-        low = [
-            -int(
-                (windows[axis] - camera.resolution[axis]) // 2 + camera.bin_count[axis] // 2 + camera.crop_offset[axis]
-            )
-            for axis in (1, 0)
-        ]
-        spectra: fft.Field = active_backend().arrays.empty((o**2, self._size[0], self._size[1] // 2 + 1), np.complex64)
-        for spectrum, (down, across) in zip(spectra, self._phases, strict=True):
-            kernel = _over_pixels(_over_pixels(parts, o, down.start, 0), o, across.start, 1)
-            spectrum[...] = self._spectrum(self._wrapped(kernel, low))
-        return spectra
-
-    def _wrapped(self, kernel: NDArray[np.float32], low: Sequence[int]) -> NDArray[np.float32]:
-        """Return a kernel placed around the first corner of the period; its first sample lies at `low`."""
+        # Where a kernel's samples lie around the first corner of the period, and which of them.
         positions = []
         sources = []
-        for axis, first in enumerate(low):
-            steps = np.arange(kernel.shape[axis]) + first
-            inside = (steps > -self._camera.bin_count[1 - axis]) & (steps < self._camera.shape[axis])
-            positions.append(steps[inside] % self._size[axis])
+        for axis, bins in zip((1, 0), reversed(camera.bin_count), strict=True):
+            first = (windows[axis] - camera.resolution[axis]) // 2 + bins // 2 + camera.crop_offset[axis]
+            places = np.arange(windows[axis] + 1) - first
+            inside = (places > -bins) & (places < camera.crop_size[axis])
+            positions.append(places[inside] % self._size[1 - axis])
             sources.append(inside)
-        result = np.zeros(self._size, np.float32)
-        result[np.ix_(*positions)] = kernel[np.ix_(*sources)]
-        return result
+        wrapped = np.zeros(self._size, np.float32)
+        spectra: fft.Field = active_backend().arrays.empty((o**2, self._size[0], self._size[1] // 2 + 1), np.complex64)
+        for spectrum, (down, across) in zip(spectra, self._phases, strict=True):
+            kernel = _over_pixels(_over_pixels(parts, o, across.start), o, down.start)
+            wrapped[np.ix_(*positions)] = kernel[np.ix_(*sources)]
+            spectrum[...] = self._spectrum(wrapped)
+        return spectra
 
     def _spectra_memory(self, oversample: int) -> float:
         """Return the bytes of all kernels' spectra."""
         return 4.0 * self._count * oversample**2 * math.prod(self._size)
-
-    def _require_memory(self, fine: PlenopticCamera, distances: Sequence[float]) -> None:
-        def memory(oversample: int) -> float:
-            spectra = self._spectra_memory(oversample) / (self._count if self._folder else 1)
-            bins = 4.0 * self._count * oversample**2 * math.prod(self._camera.bin_count)
-            spread = 4.0 * math.prod(fine.resolution) * (oversample / self._oversample) ** 2
-            return spectra + 12 * bins + 6 * spread + 24.0 * math.prod(self._size)
-
-        require_response_memory(memory, self._oversample, distances)
 
 
 def response_of(camera: PlenopticCamera) -> type[Response] | type[FourierResponse]:
@@ -216,7 +192,8 @@ def _fine_camera(camera: PlenopticCamera, wavelength: float, oversample: int, de
     finest = in_millimetres(wavelength) * z / (2 * camera.lattice.aperture_width)
     per_bin = max(1, math.ceil(p / oversample / finest))
     moved = lens.view_scale(z) * deepest * math.tan(lens.half_angle)
-    lit = math.ceil((lens.blur_diameter(0) + 2 * _DARK * max(camera.mla_pitches) + 2 * moved) / p)
+    # Light of the outermost lenses goes 2 lens pitches beyond the image of the stop.
+    lit = math.ceil((lens.blur_diameter(0) + 4 * max(camera.mla_pitches) + 2 * moved) / p)
     # As many pixels more on one side as on the other.
     window = [
         min(size + 2 * bins, lit + (lit - size) % 2)
@@ -228,20 +205,15 @@ def _fine_camera(camera: PlenopticCamera, wavelength: float, oversample: int, de
     )
 
 
-def _over_bins(spread: NDArray[np.float32], width: int, axis: int) -> NDArray[np.float32]:
-    """Return a point's spread averaged over the positions of the point in a bin `width` samples wide."""
-    length = spread.shape[axis]
-    spectrum = np.fft.rfft(spread, axis=axis).astype(np.complex64)
-    factor = np.sinc(np.fft.rfftfreq(length) * width).astype(np.float32)
-    spectrum *= factor[:, None] if axis == 0 else factor
-    return np.asarray(np.fft.irfft(spectrum, length, axis=axis), np.float32)
+def _over_bins(spread: NDArray[np.float32], width: int) -> NDArray[np.float32]:
+    """Return a point's spread averaged over positions of the point along bins `width` samples wide, transposed."""
+    length = spread.shape[1]
+    spectrum = np.fft.rfft(spread).astype(np.complex64)
+    spectrum *= np.sinc(np.fft.rfftfreq(length) * width).astype(np.float32)
+    return np.asarray(np.fft.irfft(spectrum, length).T, np.float32)
 
 
-def _over_pixels(parts: NDArray[np.float32], count: int, start: int, axis: int) -> NDArray[np.float32]:
-    """Return sums over pixels, each of `count` parts, of parts moved on by `start`; one pixel is added."""
-    before = [(0, 0), (0, 0)]
-    before[axis] = (start, count - start)
-    padded = np.pad(parts, before)
-    shape = list(padded.shape)
-    shape[axis : axis + 1] = [shape[axis] // count, count]
-    return np.asarray(padded.reshape(shape).sum(axis=axis + 1))
+def _over_pixels(parts: NDArray[np.float32], count: int, start: int) -> NDArray[np.float32]:
+    """Return sums along pixels, each of `count` parts, of parts moved on by `start`, transposed; one pixel is added."""
+    padded = np.pad(parts, ((0, 0), (start, count - start)))
+    return np.asarray(padded.reshape(len(parts), -1, count).sum(-1).T)

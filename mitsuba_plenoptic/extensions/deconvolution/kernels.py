@@ -22,12 +22,6 @@ from ...linear import LinearMap
 from ...runtime import Box, Part, active_backend, backend_of, on_all_cores, require_memory_for
 from .cells import BinCells, CellSet
 
-_BLOCK = 8
-"""Samples along an axis of a block, about."""
-
-LEAST = 2e-3
-"""Fraction of the power that is left out."""
-
 
 @dataclass(frozen=True)
 class SampleBlock:
@@ -53,8 +47,9 @@ class StoredResponse(LinearMap):
     The folder is removed when the context ends, or else when the response is no longer referenced.
     """
 
-    # Rows and columns of the bins of each plane.
+    # Rows and columns of the bins of each plane, and those of a reconstruction among them, upright.
     shapes: list[tuple[int, int]]
+    _windows: Sequence[tuple[slice, slice]]
 
     def _store(self, several: bool) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="deconvolution-") if several else None
@@ -72,6 +67,16 @@ class StoredResponse(LinearMap):
         return [
             plane.reshape(shape) for plane, shape in zip(np.split(values.ravel(), ends[:-1]), self.shapes, strict=True)
         ]
+
+    def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
+        """Return a plane's bins, of all bins, as an upright image of a reconstruction's bins."""
+        return np.ascontiguousarray(self.planes_of(values)[plane][self._windows[plane]])
+
+    def from_image(self, image: NDArray[Any], plane: int) -> NDArray[np.float32]:
+        """Return the transpose of `to_image`, applied to an image."""
+        values = np.zeros(self.source_shape, np.float32)
+        self.planes_of(values)[plane][self._windows[plane]] = image
+        return values
 
     def _stored(self, arrays: list[NDArray[Any]], name: str) -> list[NDArray[Any]]:
         """Return arrays of one type as views of a file in the folder; without a folder unchanged, where they lie.
@@ -141,9 +146,8 @@ def sparse_kernel(steps: NDArray[np.int64], dense: NDArray[np.float32]) -> Kerne
     """Return the kernel of a response (steps, bins, rows, columns), without nearly dark blocks."""
     libraries = backend_of(dense)
     libraries.arrays.maximum(dense, 0, out=dense)  # negative values between samples are errors of interpolation
-    edges = [
-        np.linspace(0, length, max(1, round(length / _BLOCK)) + 1).round().astype(int) for length in dense.shape[2:]
-    ]
+    # Blocks of about 8 samples along an axis.
+    edges = [np.linspace(0, length, max(1, round(length / 8)) + 1).round().astype(int) for length in dense.shape[2:]]
     parts = [
         (slice(*rows), slice(*columns))
         for rows, columns in itertools.product(*(itertools.pairwise(edge.tolist()) for edge in edges))
@@ -152,7 +156,7 @@ def sparse_kernel(steps: NDArray[np.int64], dense: NDArray[np.float32]) -> Kerne
     power = libraries.to_host(libraries.arrays.stack(sums))
     order = np.sort(power, axis=None)
     upto = np.cumsum(order)
-    dark = int(np.searchsorted(upto, LEAST * upto[-1]))
+    dark = int(np.searchsorted(upto, 2e-3 * upto[-1]))  # so much of the power is left out
     least = order[dark]
     scale = np.float32(upto[-1] / (upto[-1] - (upto[dark - 1] if dark else 0)))
     blocks = []

@@ -32,30 +32,6 @@ from ...views import lenses_of_pixels, mean_response, white_image
 from .cells import BinCells, UprightBins
 from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, merged, require_response_memory, zones
 
-_ACCURACY = 0.01
-"""Relative error for which the grid, and how much of the diffracted light is retained, are chosen."""
-
-_MANY = 2**20
-
-_RADIATORS = 8
-_MOST_RADIATORS = 48
-"""Points along a lens, at least and at most, whose mean stands for the light of its bins."""
-
-_RADIATORS_PER_LINE = 4
-"""The same along a period of the finest lines that the plane's light resolves."""
-
-_RADIATORS_PER_SPOT = 1.1
-"""The same along a period of the finest detail that the pupil resolves, above 1: no pixel then feels the grid."""
-
-_BLURRED = 2
-"""Pitches as wide as which blur hides the grid of the fewest points."""
-
-_PIXEL_SAMPLES = 3
-"""Samples across a pixel, at least, in which the light of kernels is kept."""
-
-_INFINITY = 1e6
-"""Focal lengths at which light counts as collimated."""
-
 
 def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: float) -> tuple[Grid, int]:
     """Return the grid for the light of planes at some distances, and how many samples are merged on each axis.
@@ -68,11 +44,12 @@ def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: f
     system = OpticalSystem(camera, wavelength)
     if not system.lens.is_uniform:
         points = np.concatenate([points, cast(RealLens, system.lens).farthest(depths)])
-    arguments = system, band_for(_ACCURACY, _MANY), points
+    # 0.01: Relative error for which the grid, and how much of the diffracted light is retained, are chosen.
+    arguments = system, band_for(0.01, 2**20), points
     grid = Grid.of(*arguments)
     together = 1
     if grid.rotation == 0:
-        together = max(1, int(camera.pixel_size / (_PIXEL_SAMPLES * float(grid.pitch.max()))))
+        together = max(1, int(camera.pixel_size / (3 * float(grid.pitch.max()))))
     return Grid.of(*arguments, together), together
 
 
@@ -91,7 +68,7 @@ def wave_batches(
     """
     if vignetting is not None:
         numbers = vignetting.at(*cells.middle(cell))
-        constant: dict[str, Any] = {name: (float(value),) for name, value in numbers.items()}
+        constant: Any = {name: (float(value),) for name, value in numbers.items()}
         seen = replace(vignetting, **constant)
         grid = replace(grid, camera=grid.camera.replace(vignetting=seen))
     depth = finite_distance(cells.camera, distance)
@@ -101,9 +78,10 @@ def wave_batches(
     lines = 0.0 if limit.in_focus else limit.frequency / (2 * limit.lenses)  # along a lens
     airy = in_millimetres(grid.wavelength) * lens.pupil.distance / (2 * lens.pupil.radius)
     pitch = max(cells.camera.mla_pitches)
-    spots = pitch / airy if cells.camera.blur_diameter(distance) < _BLURRED * pitch else 0.0
-    wanted = math.ceil(max(_RADIATORS_PER_LINE * lines, _RADIATORS_PER_SPOT * spots))
-    points_along = radiators or max(_RADIATORS, min(_MOST_RADIATORS, wanted))
+    # With more than one along a period of the finest detail that the pupil resolves no pixel feels the grid, which a
+    # blur of 2 pitches hides; 4 along a period of the finest lines that the plane's light resolves.
+    spots = 1.1 * pitch / airy if cells.camera.blur_diameter(distance) < 2 * pitch else 0.0
+    points_along = radiators or max(8, min(48, math.ceil(max(4 * lines, spots))))
     places = cells.bin_places(cell, math.ceil(points_along / cells.oversample))
     weight = bin_weight(cells) / places.shape[1]
     if not lens.is_uniform:
@@ -115,7 +93,8 @@ def wave_batches(
         positions = lens.points(points, np.full(len(points), nearness))
         placement = place(grid, positions)
         alike = (np.flatnonzero(placement.samples == size) for size in np.unique(placement.samples))
-        groups = [some for same in alike for some in chunks_of(grid, placement, same, math.ceil(len(same) / _BATCHES))]
+        # 4 batches at least: cores share the only kernel, and its speed is known before its end.
+        groups = [some for same in alike for some in chunks_of(grid, placement, same, math.ceil(len(same) / 4))]
         copy = Copies(np.zeros((1, 2), np.int64), np.full((1, 1), weight, np.float32))
         batches.append(
             [
@@ -135,14 +114,7 @@ def bin_weight(cells: BinCells) -> float:
 
 def finite_distance(camera: PlenopticCamera, distance: float) -> float:
     """Return a finite distance in mm; for infinity, one so large that light is collimated."""
-    return min(distance, _INFINITY * camera.focal_length)
-
-
-_RAYS = 256
-"""Square root of the rays of a bin of a reconstruction."""
-
-_NO_WAVE = 1.0
-"""Wavelength, in nanometres, of the grid; nothing depends on it."""
+    return min(distance, 1e6 * camera.focal_length)
 
 
 def ray_grid(camera: PlenopticCamera) -> Grid:
@@ -151,10 +123,11 @@ def ray_grid(camera: PlenopticCamera) -> Grid:
     steps = np.array(turned.lattice.grid_step) * (turned.micro_image_pitch / turned.row_pitch)
     origin = -np.array([camera.detector_width, camera.detector_height]) / 2
     pitch = steps / np.ceil(2 * steps / camera.pixel_size)
-    system = OpticalSystem(turned, _NO_WAVE)
+    wavelength = 1.0  # nothing depends on it
+    system = OpticalSystem(turned, wavelength)
     band = band_for(0.5, 1)
     lens = system.waves_of(np.empty((0, 3)))
-    return Grid(turned, lens, system.microlenses, camera.mla_rotation, _NO_WAVE, band, 0.0, pitch, origin)
+    return Grid(turned, lens, system.microlenses, camera.mla_rotation, wavelength, band, 0.0, pitch, origin)
 
 
 @dataclass(frozen=True)
@@ -188,14 +161,11 @@ def ray_batches(across: int, cells: BinCells, distance: float, cell: NDArray[np.
 
 
 @functools.cache
-def _pairs(count: int) -> Doubles:
-    return scene_points.sample_pairs(count)
-
-
-def _pupil_points(pairs: Doubles) -> Doubles:
-    """Return points (2, n) that are even over the unit disc."""
+def _pairs(count: int) -> tuple[Doubles, Doubles]:
+    """Return points (n, 2) of the unit square, paired with points (2, n) of the unit disc."""
+    pairs = scene_points.sample_pairs(count)
     angle = 2 * np.pi * pairs[:, 3]
-    return np.sqrt(pairs[:, 2]) * np.stack([np.cos(angle), np.sin(angle)])
+    return pairs[:, :2], np.sqrt(pairs[:, 2]) * np.stack([np.cos(angle), np.sin(angle)])
 
 
 def _trace(batch: RayBatch) -> Part:
@@ -206,11 +176,10 @@ def _trace(batch: RayBatch) -> Part:
     lens = grid.lens
     light = grid.lens.bind(np.empty((0, 3)))
     walk = Walk.of(camera, grid.lens)
-    pairs = _pairs(batch.samples)
+    inside, disc = _pairs(batch.samples)
     b = camera.mla_distance
-    q = batch.corner + pairs[:, :2] * cells.bin_sizes
-    across, down = lens.pupil.radius * _pupil_points(pairs)
-    pupil = across, down
+    q = batch.corner + inside * cells.bin_sizes
+    pupil = cast(tuple[Doubles, Doubles], tuple(lens.pupil.radius * disc))
     g = finite_distance(camera, batch.distance)
     point = -q[:, 0] * g / b, -q[:, 1] * g / b, np.full(len(q), g)
     m = light.land(pupil, point)
@@ -224,23 +193,16 @@ def _trace(batch: RayBatch) -> Part:
     columns, rows = (below.max(0) - low + 2).tolist()
     sums = np.zeros(rows * columns)
     over = position - below
-    for right in (0, 1):
-        for down in (0, 1):
-            weight = power * np.abs(1 - right - over[:, 0]) * np.abs(1 - down - over[:, 1])
-            pixel = (below[:, 1] - low[1] + down) * columns + below[:, 0] - low[0] + right
-            sums += np.bincount(pixel, weight, len(sums))
-    sums *= bin_weight(cells) / (len(pairs) * grid.pitch.prod())
+    for right, down in np.ndindex(2, 2):
+        weight = power * np.abs(1 - right - over[:, 0]) * np.abs(1 - down - over[:, 1])
+        pixel = (below[:, 1] - low[1] + down) * columns + below[:, 0] - low[0] + right
+        sums += np.bincount(pixel, weight, len(sums))
+    sums *= bin_weight(cells) / (len(q) * grid.pitch.prod())
     return Part(Box(int(low[0]), int(low[1]), columns, rows), sums.reshape(1, rows, columns).astype(np.float32))
 
 
-_FINE = 6
-"""Bins along a lens, at least, of which upright bins are composed that are not those of the lattice."""
-
 _ZONE = 16
 """Lenses along an axis that one core works on, and for which one kernel serves at least."""
-
-_ALIKE = 0.06
-"""Difference of the light of two lenses, over this light, for which one kernel serves all lenses between them."""
 
 _MEMORY = 2 * 2**30
 """Bytes of a plane's kernels beyond which zones grow, and of all planes' beyond which they are stored on disk."""
@@ -248,41 +210,8 @@ _MEMORY = 2 * 2**30
 _LIT = 0.6
 """Fraction of a kernel's blocks that hold light, at most."""
 
-_WIDEST_SPREAD = 0.35
-"""Pixels over which unequal focal lengths may spread light that equal lenses focus."""
-
-_ALIKE_PUPILS = 0.1
-"""Change of the light of two lenses that see other pupils, over this light, for which one kernel serves, weighted."""
-
-_PUPIL_POINTS = 2**10
-_PLACES = 100
-_DARK = 0.05
-
-_EVENLY = 0.5
-_AROUND = 4
-"""Part of the light beyond kernels that gaps scatter evenly, and micro-images to each side over which."""
-
-_AIRY_DEVIATION = 0.376
-"""Standard deviation of a Gaussian as wide, at half of its maximum, as the pattern of a slit, over wavelength/slit."""
-
-_UNLIT = 1e-6
-_BRIGHTEST = 4.0
-
-_EVERYWHERE = 2**40
-
 _PROGRESS = 1000
 """Parts of a bin's light in which progress is counted."""
-
-_BATCHES = 4
-"""Batches of a bin's radiators, at least: cores share the only kernel, and its speed is known before its end."""
-
-_SPREAD_TIME = 16.0
-_PRODUCT_TIME = 0.05
-_KERNEL_TIME = 0.6
-"""Relative times of a sample of a point spread, and, in a step of an inversion, of a product and of a kernel's sample.
-
-In nanoseconds on two cores of a processor of 2023; a step is a forward and an adjoint response.
-"""
 
 
 class Response(StoredResponse):
@@ -306,11 +235,10 @@ class Response(StoredResponse):
         self._oversample = oversample
         # Kernels are of the light of regular lenses; displaced and dimmer ones send it elsewhere, and pixels mix it.
         self._detector = DetectorOperator.of(camera)
-        self._gain: Floats | None = None
+        self._gain: Any = np.float32(1)
         lens = lenses_of_pixels(camera).astype(np.float64)
         if camera.mla_transmissions is not None:
             self._gain = camera.mla_transmissions.at(camera.lattice, *lens).astype(np.float32)
-        strays = bool(camera.stray_light)
         places, aside = None, 0.0
         if camera.lattice.displacement is not None or any(camera.mla_tilt):
             even = camera.replace(mla_transmissions=None)
@@ -318,126 +246,127 @@ class Response(StoredResponse):
         recorded = camera
         camera = straightened(camera).replace(**SHARP)
         require_support(camera, Use.RESPONSES | Use.KERNELS)
-        _require_equal_lenses(camera)
+        # The width on the detector of light that converges to a point behind a lens of the nominal focal length.
+        width = (
+            camera.mla_jitter[1] * max(camera.mla_pitches) * camera.detector_distance / min(camera.mla_focal_lengths)
+        )
+        pixels = width / camera.pixel_size
+        refuse_if(
+            pixels > 0.35,
+            f"mla_jitter = {camera.mla_jitter}: its focal lengths spread light over {pixels:.2g} pixels: responses, of "
+            "equal lenses, allow 0.35; use method ray, or leave it out",
+        )
         if wavelength is None:
             grid = ray_grid(camera)
             self._together = 1
-            # Several of the finer bins of cells make up a bin.
-            rays = math.ceil(_RAYS * math.sqrt(oversample / _fine(grid, camera, oversample)))
+            # 256 x 256 rays of a bin; several of the finer bins of cells make up one.
+            rays = math.ceil(256 * math.sqrt(oversample / _fine(grid, camera, oversample)))
             self._batches: Callable[..., Sequence[Sequence[Any]]] = functools.partial(ray_batches, rays)
         else:
             camera = camera.at_wavelength(wavelength)
             fine, self._together = wave_grid(camera, distances, wavelength)
             grid = fine.merged(self._together)
             self._batches = functools.partial(wave_batches, fine)
-        self.cells, self._camera, self._distances = (
-            BinCells(grid, _fine(grid, camera, oversample)),
-            camera,
-            tuple(distances),
-        )
-        all_pixels = np.full((1, 2), -_EVERYWHERE), np.full((1, 2), _EVERYWHERE)
-        self._recorder = Recorder(camera, grid, *all_pixels, regular=places, aside=aside)
+        self.cells = BinCells(grid, _fine(grid, camera, oversample))
+        self._camera = camera
+        self._distances = distances
+        everywhere = np.full((1, 2), 2**40)
+        self._recorder = Recorder(camera, grid, -everywhere, everywhere, regular=places, aside=aside)
         self._sampled = self.cells.holding(self._recorder.box)
         kernel_bytes = [self._kernel_memory(distance, oversample) for distance in distances]
         # Far too large kernels are refused before the light of some is computed.
         self._require_memory(1, len(distances) > 1)
         # Zones divide the work among the cores; where lenses are alike, one kernel serves several.
         groups = zones(self._sampled, _ZONE)
-        unlike = 0.0 if _alike(camera) else math.inf
         if wavelength:
             unlike = max(self._unlike(distance, job) for distance in distances)
-        width = max(_ZONE, self._widest if unlike <= _ALIKE else math.floor(self._widest * _ALIKE / unlike))
+        else:
+            # Rays one lens apart are alike with an objective, or without aberrations.
+            ideal = camera.lens_model == "ideal" and camera.mla_medium == 1 and not any(camera.wavefront)
+            unlike = 0.0 if ideal or not camera.lens_data.converges else math.inf
+        # Lenses along the longer side of the detector.
+        widest = max(len(self._sampled.count), int(self._sampled.count.max()))
+        # 0.06: Difference of the light of two lenses, over this light, for which one kernel serves all between them.
+        lenses = max(_ZONE, math.floor(widest / max(1, unlike / 0.06)))
         self._vignetting = vignetting = recorded.vignetting
         if vignetting is not None and wavelength:
-            width = min(width, self._width_of_pupils(vignetting))
+            lenses = min(lenses, self._width_of_pupils(vignetting, widest))
             self._batches = functools.partial(wave_batches, fine, vignetting=vignetting)
-        groups_of_cells = self._zones(max(kernel_bytes), width)
-        owner = np.repeat(np.arange(len(groups_of_cells)), list(map(len, groups_of_cells)))[
-            np.argsort(np.concatenate(groups_of_cells))
-        ]
+        while lenses < widest and len(zones(self._sampled, lenses)) * max(kernel_bytes) > _MEMORY:
+            lenses *= 2
+        groups_of_cells = zones(self._sampled, lenses)
+        middles = [self._middle(members) for members in groups_of_cells]
+        owner = np.empty(len(self._sampled), np.int64)
+        for index, members in enumerate(groups_of_cells):
+            owner[members] = index
         groups = max(groups, groups_of_cells, key=len)
-        middles = [owner[members[len(members) // 2]] for members in groups]
+        owners = [owner[members[len(members) // 2]] for members in groups]
         if vignetting is not None:
-            seen = np.empty((len(self._sampled) + 1, 2))
-            for members, zone in zip(groups, middles, strict=True):
-                seen[members] = self.cells.middle(self._middle(groups_of_cells[zone]))
-            x, y = np.meshgrid(*(recorded.pixel_coordinates(axis) for axis in (0, 1)))
-            cell = self._sampled.find(self.cells.at(*(places(x, y) if places else (x, y))))
-            zone = np.moveaxis(seen[cell], -1, 0) if wavelength else None
-            dimmed = _dimmed(recorded, lens, zone, wavelength or 0.0)
-            self._gain = dimmed if self._gain is None else self._gain * dimmed
-        self._store(len(distances) > 1 and _LIT * len(groups_of_cells) * sum(kernel_bytes) > _MEMORY)
+            zone = None
+            if wavelength:
+                seen = np.ones((3, len(self._sampled)), np.float32)
+                for members, index in zip(groups, owners, strict=True):
+                    seen[:2, members] = self.cells.middle(middles[index])[:, None]
+                samples = np.ones(self.cells.size[::-1], np.float32)
+                x, y, ones = (self._recorded(np.multiply.outer(some, samples)) for some in seen)
+                zone = np.stack([x, y]) / ones
+            self._gain = self._gain * _dimmed(recorded, lens, zone, wavelength or 0.0)
+        self._store(len(distances) > 1 and _LIT * len(middles) * sum(kernel_bytes) > _MEMORY)
         # Far too many bins are refused before they are put into batches.
         stored = self._folder is not None
-        self._require_memory(len(groups_of_cells), stored)
-        middle = self._middle(groups_of_cells[0])
-        batches = [
-            batch for distance in distances for some in self._batches(self.cells, distance, middle) for batch in some
-        ]
+        self._require_memory(len(middles), stored)
+        bins = [some for distance in distances for some in self._batches(self.cells, distance, middles[0])]
+        batches = [batch for some in bins for batch in some]
         # Beside those that the threads compute, another one is prepared.
-        self._require_memory(
-            len(groups_of_cells), stored, (job.workers.threads + 1) * max(batch.memory for batch in batches)
-        )
-        spreads = len(groups_of_cells) * sum(batch.samples for batch in batches)
-        bins = self.cells.bins[0] * self.cells.bins[1]
-        self.prepared = self._prepared(spreads, steps)
-        total = math.ceil(_PROGRESS * len(distances) * len(groups_of_cells) * bins / self.prepared)
+        self._require_memory(len(middles), stored, (job.workers.threads + 1) * max(batch.memory for batch in batches))
+        # In nanoseconds on two cores of a processor of 2023: of a sample of a point spread; of a kernel's sample and of
+        # a product in a step of an inversion, which is a forward and an adjoint response.
+        work = 16.0 * len(middles) * sum(batch.samples for batch in batches)
+        step = 0.6 / self.cells.oversample**2 + 0.05
+        samples_of = sum(self._kernel_memory(distance, self.cells.oversample) for distance in distances) * _LIT / 4
+        self.prepared = work / (work + step * steps * samples_of * len(self._sampled))
+        done = 0
+        total = math.ceil(_PROGRESS * len(bins) * len(middles) / self.prepared)
         self.planes: list[PlaneResponse] = []
         far = []
         for distance in distances:
-            kernels = self._kernels(
-                distance, groups_of_cells, job, _PROGRESS * len(self.planes) * len(groups_of_cells) * bins, total
-            )
+            # A zone may be a single batch: all cores are busy only if the batches of all zones are computed together.
+            of_zones = [self._batches(self.cells, distance, cell) for cell in middles]
+            bins = [some for of_zone in of_zones for some in of_zone]
+            flat = [batch for some in bins for batch in some]
+            share = [np.diff(np.arange(len(some) + 1) * _PROGRESS // len(some)) for some in bins]
+            with contextlib.closing(job.each(flat, np.concatenate(share).tolist(), done, total)) as parts:
+                kernels = [
+                    make_kernel(self.cells, cell, ([next(parts) for _ in some] for some in of_zone), self._together)
+                    for cell, of_zone in zip(middles, of_zones, strict=True)
+                ]
+            done += _PROGRESS * len(bins)
             if wavelength:
-                zone = middles[len(middles) // 2]
-                far.append(self._far_light(kernels[zone], distance, self._middle(groups_of_cells[zone])))
+                zone = owners[len(owners) // 2]
+                far.append(self._far_light(kernels[zone], distance, middles[zone]))
             matrices = [block.matrix for kernel in kernels for block in kernel.blocks]
             held = iter(self._stored(matrices, f"{len(self.planes)}"))
             kernels = [
                 Kernel(kernel.steps, [replace(block, matrix=next(held)) for block in kernel.blocks])
                 for kernel in kernels
             ]
-            self.planes.append(PlaneResponse(self.cells, self._sampled, groups, [kernels[index] for index in middles]))
+            self.planes.append(PlaneResponse(self.cells, self._sampled, groups, [kernels[index] for index in owners]))
         self._far = float(np.mean(far)) if far else 0.0
         self.bins = [
             UprightBins.over(self.cells, plane.lit, camera, distance, oversample)
             for plane, distance in zip(self.planes, distances, strict=True)
         ]
         columns, rows = (oversample * count for count in camera.bin_count)
-        # Of the bins of a reconstruction among these.
         self._windows = [
             (slice(-top, rows - top), slice(-left, columns - left)) for left, top in (bins.first for bins in self.bins)
         ]
         self.shapes = [bins.shape for bins in self.bins]
         super().__init__((sum(math.prod(shape) for shape in self.shapes),), camera.shape)
-        if strays:
+        if recorded.stray_light:
             # Interpolation leaves less than no light between micro-images, which steps would divide stray light by.
             # 0.005: Light of a white scene there, over that of the brightest pixel, as in `RichardsonLucy`.
             white = self._direct(np.ones(self.source_shape, np.float32))
-            gain = np.float32(1) if self._gain is None else self._gain
-            self._gain = np.where(white > 0.005 * white.max(), gain, np.float32(0))
-
-    def _kernels(
-        self, distance: float, groups: Sequence[NDArray[np.int64]], job: Job, done: int, total: int
-    ) -> list[Kernel]:
-        """Return the kernel of each zone, computed from the point spreads of the zone's middle cell.
-
-        A zone may be a single batch, so that all cores are busy only if the batches of all zones are computed together.
-        """
-        cells = [self._middle(members) for members in groups]
-        batches = [self._batches(self.cells, distance, cell) for cell in cells]
-        flat = [batch for bins in batches for some in bins for batch in some]
-        share = [
-            _PROGRESS * (index + 1) // len(some) - _PROGRESS * index // len(some)
-            for bins in batches
-            for some in bins
-            for index in range(len(some))
-        ]
-        with contextlib.closing(job.each(flat, share, done, total)) as parts:
-            return [
-                make_kernel(self.cells, cell, ([next(parts) for _ in some] for some in bins), self._together)
-                for cell, bins in zip(cells, batches, strict=True)
-            ]
+            self._gain = np.where(white > 0.005 * white.max(), self._gain, np.float32(0))
 
     def _far_light(self, kernel: Kernel, distance: float, cell: NDArray[np.int64]) -> float:
         """Return the light that falls beyond a cell's kernel, over that within.
@@ -450,26 +379,17 @@ class Response(StoredResponse):
         types = len(camera.mla_focal_lengths)
         sent *= camera.lattice.lens_area * types / self.cells.vectors.diagonal().prod() * mean_response(camera)
         if self._vignetting is not None:
-            sent *= self._vignetting.power(*_pupil_points(_pairs(_PUPIL_POINTS)), *self.cells.middle(cell)).mean()
+            sent *= self._vignetting.power(*_pairs(2**10)[1], *self.cells.middle(cell)).mean()
         arrived = sum(float(block.matrix.sum(dtype=np.float64)) for block in kernel.blocks)
         return max(0.0, sent / (arrived * self.cells.grid.pitch.prod()) - 1)
 
     def _with_far(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return an image with the light beyond kernels, which gaps scatter evenly in part; its own adjoint."""
+        """Return an image with the light beyond kernels, half of which gaps scatter evenly; its own adjoint."""
         far = np.float32(self._far)
         if not far or self._camera.lattice.fills:
             return image * (1 + far)
-        width = 2 * math.ceil(_AROUND * self._camera.micro_image_pitch / self._camera.pixel_size) + 1
-        evenly = np.float32(_EVENLY)
-        return image * (1 + far * (1 - evenly)) + far * evenly * uniform_filter(image, width, mode="reflect")
-
-    def _prepared(self, spreads: float, steps: float) -> float:
-        """Return the fraction that point spreads take of the time of an inversion of some steps."""
-        products = 0.0
-        for distance in self._distances:
-            kernel = _LIT * self._kernel_memory(distance, self.cells.oversample) / 4 * len(self._sampled)
-            products += kernel * (_PRODUCT_TIME + _KERNEL_TIME / self.cells.oversample**2)
-        return _SPREAD_TIME * spreads / (_SPREAD_TIME * spreads + steps * products)
+        width = 2 * math.ceil(4 * self._camera.micro_image_pitch / self._camera.pixel_size) + 1
+        return image * (1 + far / 2) + far / 2 * uniform_filter(image, width, mode="reflect")
 
     def _middle(self, members: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the cell in the middle of a zone."""
@@ -478,35 +398,19 @@ class Response(StoredResponse):
         middle: NDArray[np.int64] = cell_index[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
         return middle
 
-    def _zones(self, kernels: float, width: int) -> list[NDArray[np.int64]]:
-        """Return the cells of each zone of one kernel, as large as its light allows, or as memory asks."""
-        while True:
-            groups = zones(self._sampled, width)
-            if width >= self._widest or len(groups) * kernels <= _MEMORY:
-                return groups
-            width *= 2
-
-    @property
-    def _widest(self) -> int:
-        """Lenses along the longer side of the detector."""
-        return max(len(self._sampled.count), int(self._sampled.count.max()))
-
-    def _width_of_pupils(self, vignetting: Vignetting) -> int:
-        """Return the width of zones over which the pupil changes by what can be divided out, at most."""
-        across, down = _pupil_points(_pairs(_PUPIL_POINTS))
-        index = self._sampled.index[:: max(1, len(self._sampled) // _PLACES)]
+    def _width_of_pupils(self, vignetting: Vignetting, widest: int) -> int:
+        """Return the width of zones over which the pupil changes by a tenth, which can be divided out, at most."""
+        disc = _pairs(2**10)[1]
+        index = self._sampled.index[:: max(1, len(self._sampled) // 100)]
 
         def light(cells: NDArray[np.int64]) -> Doubles:
-            x, y = np.moveaxis(self.cells.middle(cells), -1, 0)[..., None]
-            return np.asarray(vignetting.power(across, down, x, y))
+            return np.asarray(vignetting.power(*disc, *np.moveaxis(self.cells.middle(cells), -1, 0)[..., None]))
 
-        step = max(1, self._widest // 8)
+        step = max(1, widest // 8)
         here = light(index)
-        change = max(
-            float((abs(light(index + np.array([i, j])) - here).mean(1) / here.mean(1).clip(_DARK)).max())
-            for i, j in ((step, 0), (0, step))
-        )
-        return max(1, math.floor(step * _ALIKE_PUPILS / change)) if change else self._widest
+        darkest = here.mean(1).clip(0.05)
+        changes = [(abs(light(index + np.array(to)) - here).mean(1) / darkest).max() for to in ((step, 0), (0, step))]
+        return max(1, math.floor(step / max(1e-9, 10 * float(max(changes)))))
 
     def _unlike(self, distance: float, job: Job) -> float:
         """Return the change of the light of 2 x 2 points from the middle to the corners, over this light.
@@ -538,16 +442,14 @@ class Response(StoredResponse):
         aims += [(-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0)]
         middle = nearest(0.0, 0.0)
         at_middle = light(index[middle])
-        vdot = active_backend().arrays.vdot
-        bright = float(vdot(at_middle, at_middle))
+        norm = active_backend().arrays.linalg.norm
+        bright = float(norm(at_middle))
         if not bright:
             return math.inf
         steepest = 0.0
         for number in {nearest(*aim) for aim in aims} - {middle}:
-            aside = light(index[number]) - at_middle
-            change = math.sqrt(float(vdot(aside, aside)) / bright)
             away = math.dist(places[number], places[middle]) / math.hypot(*reach)
-            steepest = max(steepest, change / away)
+            steepest = max(steepest, float(norm(light(index[number]) - at_middle)) / (bright * away))
         return steepest
 
     def _kernel_memory(self, distance: float, oversample: int) -> float:
@@ -571,16 +473,6 @@ class Response(StoredResponse):
 
         require_response_memory(memory, self._oversample, self._distances)
 
-    def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
-        """Return a plane's bins, of all bins, as an upright image of a reconstruction's bins."""
-        return np.ascontiguousarray(self.planes_of(values)[plane][self._windows[plane]])
-
-    def from_image(self, image: NDArray[Any], plane: int) -> NDArray[np.float32]:
-        """Return the transpose of `to_image`, applied to an image."""
-        values = np.zeros(self.source_shape, np.float32)
-        self.planes_of(values)[plane][self._windows[plane]] = image
-        return values
-
     def forward(self, values: NDArray[np.float32], /) -> NDArray[np.float32]:
         """Return the image that the detector records of planes."""
         return np.asarray(self._detector.forward(self._direct(values)))
@@ -592,30 +484,20 @@ class Response(StoredResponse):
         samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
         for plane, bins, radiance in zip(self.planes, self.bins, self.planes_of(values), strict=True):
             plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), samples)
-        sums = self.cells.join(samples, self._sampled, self._recorder.box)
-        image = self._with_far(self._recorder.record(sums[None])[..., 0])
-        return image if self._gain is None else np.asarray(self._gain * image)
+        return np.asarray(self._gain * self._with_far(self._recorded(samples)))
+
+    def _recorded(self, samples: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the integrals over pixels of the samples of cells."""
+        sums = self.cells.join(active_backend().arrays.asarray(samples), self._sampled, self._recorder.box)
+        return np.asarray(self._recorder.record(sums[None])[..., 0])
 
     def adjoint(self, image: NDArray[np.float32], /) -> NDArray[np.float32]:
         """Return the transpose of `forward`, applied to an image."""
-        light = self._detector.adjoint(image)
-        light = self._with_far(light if self._gain is None else self._gain * light)
+        light = self._with_far(self._gain * self._detector.adjoint(image))
         sums = self._recorder.spread(light[..., None])[0]
         samples = self.cells.split(sums, self._recorder.box, self._sampled)
         planes = zip(self.planes, self.bins, strict=True)
         return np.concatenate([bins.share @ plane.adjoint(samples).ravel() for plane, bins in planes])
-
-
-def _require_equal_lenses(camera: PlenopticCamera) -> None:
-    """Refuse a camera whose lenses differ by more than responses know."""
-    focal = camera.mla_jitter[1]
-    # The width on the detector of light that converges to a point behind a lens of the nominal focal length.
-    width = focal * max(camera.mla_pitches) * camera.detector_distance / min(camera.mla_focal_lengths)
-    refuse_if(
-        width > _WIDEST_SPREAD * camera.pixel_size,
-        f"mla_jitter = {camera.mla_jitter}: its focal lengths spread light over {width / camera.pixel_size:.2g} "
-        f"pixels: responses, of equal lenses, allow {_WIDEST_SPREAD:g}; use method ray, or leave it out",
-    )
 
 
 def _farthest(camera: PlenopticCamera) -> float:
@@ -626,7 +508,7 @@ def _farthest(camera: PlenopticCamera) -> float:
     return 1.1 * float(max(abs(u - x).max(), abs(v - y).max())) + camera.pixel_size
 
 
-def _dimmed(camera: PlenopticCamera, lens: Doubles, zone: Doubles | None, wavelength: float) -> Floats:
+def _dimmed(camera: PlenopticCamera, lens: Doubles, zone: NDArray[Any] | None, wavelength: float) -> Floats:
     """Return the light of pixels of some lenses over that with the pupil of the middles of their zones, or the whole.
 
     An edge of the pupil is blurred as wide as a lens and a pixel see it, and as the aperture of a lens diffracts it.
@@ -636,7 +518,8 @@ def _dimmed(camera: PlenopticCamera, lens: Doubles, zone: Doubles | None, wavele
     width = camera.lattice.aperture_width
     aside = width * abs(1 - camera.reduced_distance / min(camera.reduced_focal_lengths))
     airy = in_millimetres(wavelength) * camera.reduced_distance / width
-    blur = DetectorOperator(_AIRY_DEVIATION * airy / camera.pixel_size)
+    # 0.376: Standard deviation of a Gaussian as wide, at half of its maximum, as the pattern of a slit.
+    blur = DetectorOperator(0.376 * airy / camera.pixel_size)
     white = white_image(camera.replace(vignetting=None, mla_transmissions=None, **SHARP))
     places = np.meshgrid(*(camera.pixel_coordinates(axis) for axis in (0, 1)))
     centres = camera.lattice.centre(*lens)
@@ -648,18 +531,12 @@ def _dimmed(camera: PlenopticCamera, lens: Doubles, zone: Doubles | None, wavele
         return np.asarray(blur.forward((white * inside * passed).astype(np.float32)))
 
     whole = blur.forward(white) if zone is None else light(*zone)
-    ratio = np.divide(light(*centres), whole, out=np.ones_like(whole), where=whole > _UNLIT * whole.max())
-    return ratio.clip(0, _BRIGHTEST)
-
-
-def _alike(camera: PlenopticCamera) -> bool:
-    """Return whether rays one lens apart are alike: with an objective, or without aberrations."""
-    ideal = camera.lens_model == "ideal" and camera.mla_medium == 1 and not any(camera.wavefront)
-    return ideal or not camera.lens_data.converges
+    ratio = np.divide(light(*centres), whole, out=np.ones_like(whole), where=whole > 1e-6 * whole.max())
+    return ratio.clip(0, 4)
 
 
 def _fine(grid: Grid, camera: PlenopticCamera, oversample: int) -> int:
     """Return the bins of cells along a lens: those of a reconstruction if they repeat with lenses, or finer ones."""
     lattice = camera.lattice
     separable = lattice.separable and lattice.aspect == 1 and grid.lens.is_uniform
-    return oversample if separable else max(_FINE, oversample)
+    return oversample if separable else max(6, oversample)
