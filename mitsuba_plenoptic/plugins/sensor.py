@@ -301,8 +301,7 @@ def make_class() -> type:
             """Return a random ray with differentials: rays from the next pixels through the same lens point."""
             caller = sys._getframe(1).f_locals
             # Integrators do not tell sensors what they render.
-            if isinstance(scene := caller.get("scene"), mi.Scene):
-                meet_moved(scene, self)
+            meet_moved(caller.get("scene"), self)
             kinds = {kind.__name__ for kind in type(caller.get("self")).__mro__}
             # Mitsuba's integrators in Python that do not differentiate by the sensor's rays.
             for name in self._numbers if kinds & {"RBIntegrator", "PathProjectiveIntegrator"} else ():

@@ -271,10 +271,11 @@ def with_objects(scene: mi.Scene, new: Sequence[mi.Object], old: Sequence[mi.Obj
     return copy
 
 
-def meet_moved(scene: mi.Scene, sensor: Any) -> None:
+def meet_moved(scene: Any, sensor: Any) -> None:
     """Rebuild what rays meet in a scene of shared shapes, which may have been moved through another scene."""
+    shares = isinstance(scene, mi.Scene) and getattr(sensor, "shares_shapes", False)
     # Frozen functions record no rebuilding.
-    if dr.flag(dr.JitFlag.FreezingScope) or not getattr(sensor, "shares_shapes", False):
+    if not shares or dr.flag(dr.JitFlag.FreezingScope):
         return
     for shape in mi.traverse(scene).hierarchy:
         if isinstance(shape, mi.Shape):

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from ... import choices
 from ...camera import PlenopticCamera, Use, require_support
@@ -105,17 +104,20 @@ def psf_bank(
     refuse_if(count % 2 == 0, f"size = {count}: it must be odd")
     bank = np.empty((len(distances), len(positions), across, along, count, count), np.float32)
     computed = np.empty_like(positions)
-    detector = DetectorOperator.of(camera)
+    whole = camera.replace(crop_offset=(0, 0), crop_size=camera.resolution)
+    detector = DetectorOperator.of(whole)
     for point_index, position in enumerate(positions):
         local, computed[point_index], chief = _around(camera, position, count)
+        window = np.ix_(*(np.arange(ACROSS * count) + start for start in reversed(local.crop_offset)))
         system = OpticalSystem(local, wavelength)
         for index, point in enumerate(_points(local, chief, distances)):
-            image: NDArray[Any]
+            # Light strays over the whole detector, also from these lenses to others.
+            light = np.zeros(whole.shape, np.float32)
             if model == "wave":
-                image = point_spread_function(local, point, wavelength=wavelength, method=method)
+                light[window] = point_spread_function(local, point, wavelength=wavelength, method=method)
             else:
-                image = PointRays(local, point[None], wavelength).image(system, np.ones(1))
-            bank[index, point_index] = photodiodes(detector.forward(image), along, across)
+                light[window] = PointRays(local, point[None], wavelength).image(system, np.ones(1))
+            bank[index, point_index] = photodiodes(detector.forward(light)[window], along, across)
     steps = np.arange(count) - count // 2
     coordinates: dict[str, Any] = {
         "depth": ("depth", distances, {"units": "mm"}),

@@ -16,6 +16,7 @@ from mitsuba_plenoptic import (
     Detector,
     InputError,
     PlenopticCamera,
+    StrayLight,
     bank_disparity,
     demosaic,
     design,
@@ -321,6 +322,13 @@ def test_crosstalk_adds_each_half_to_the_other():
     near, far = centroids(bank, "s")[0, 0, 0], centroids(crossed, "s")[0, 0, 0]
     # A pixel gives 5 % to the other one of its row, and 5 % to that of the next lens.
     assert far[1] - far[0] == pytest.approx((1 - 4 * 0.05) * (near[1] - near[0]) - 2 * 0.05, rel=1e-3)
+
+
+@pytest.mark.parametrize("stray", [0.2, StrayLight([[0.2, 0.2], [0.2, 0.2]])])
+def test_light_strays_over_the_whole_detector(stray):
+    bank, strayed = (psf_bank(CAMERA.replace(stray_light=x), [400.0], size=19) for x in (0.0, stray))
+    within = (2 * 19) ** 2 / np.prod(CAMERA.resolution)
+    assert float(strayed.sum()) == pytest.approx(float(bank.sum()) * (1 + 0.2 * within), rel=1e-5)
 
 
 def test_a_bank_by_waves_has_the_light_and_the_disparity_of_rays():
