@@ -181,7 +181,7 @@ GONE = {
     "--overview": "napari and ImageJ show the file of the volume",
     "fitting.Layers": "mi.render fits textures (docs/guides/inverse_problems.md)",
     "fitting.fit_layers": "mi.render fits textures (docs/guides/inverse_problems.md)",
-    "particles.read_netcdf": "read_sequence reads the files",
+    "particles.read_netcdf": "exchange.read_labelled_data reads the files",
     "particles.write_netcdf": "the method to_netcdf of xarray.Dataset writes the files",
     "wavefront.CorrectedObject": "wavefront.fit_wavefronts fits the wavefront of known points",
     "wavefront.deconvolve_zones": "wavefront.fit_wavefronts fits the wavefront of known points",

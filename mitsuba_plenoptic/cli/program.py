@@ -60,7 +60,9 @@ STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") 
 
 received: list[int] = []
 checkpoints: list[Path] = []
-"""Signals that the running command has received, and files from which the same command goes on, where they exist."""
+stoppable: list[Any] = []
+"""Signals that the running command has received, files from which the same command goes on, where they exist, and the
+checkpoints that a run writes before it ends."""
 
 
 class StoppedError(Exception):
@@ -254,6 +256,9 @@ def _interrupts() -> Iterator[None]:
 
     def stop(signal_number: int, frame: object) -> None:
         received.append(signal_number)
+        if len(received) == 1 and any(checkpoint.stop() for checkpoint in stoppable):
+            _logger.info("stopping after the current batch; Ctrl-C again stops at once")
+            return
         INTERRUPTED.set()
         raise KeyboardInterrupt
 
