@@ -200,12 +200,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # A full disk shows here, instead of after the end.
             sys.stdout.flush()
             return status if isinstance(status, int) else 0
-        except (KeyboardInterrupt, typer.Abort, StoppedError) as stopped:
-            goes_on = any(path.exists() for path in checkpoints)
-            anew = "the same command goes on from there" if goes_on else "nothing unfinished is kept"
-            _complain(str(stopped) or f"stopped: {anew}")
-            return 128 + (received or [signal.SIGINT])[-1]
-        except Exception as error:
+        except (Exception, KeyboardInterrupt) as error:
+            # Libraries make errors of what stops them.
+            if received or isinstance(error, (KeyboardInterrupt, typer.Abort, StoppedError)):
+                goes_on = any(path.exists() for path in checkpoints)
+                anew = "the same command goes on from there" if goes_on else "nothing unfinished is kept"
+                _complain(str(error) if isinstance(error, StoppedError) else f"stopped: {anew}")
+                return 128 + (received or [signal.SIGINT])[-1]
             command = load(called) if called else group
             message = _mistake(error, {option for parameter in command.params for option in parameter.opts})
             if message is None:
@@ -213,7 +214,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _fail(message)
 
 
-def _mistake(error: Exception, options: Collection[str]) -> str | None:
+def _mistake(error: BaseException, options: Collection[str]) -> str | None:
     """Return the line that describes a user's mistake; None for other exceptions, which are faults of the program.
 
     Arguments named in the message are spelled as options of the command.

@@ -348,9 +348,10 @@ async def _greet(address: str) -> None:
     from distributed import Security
     from distributed.comm import connect
 
-    # Other programs answer with what Dask takes for lengths.
-    with refusing("what answers there is no scheduler", MemoryError):
-        (await connect(address, timeout=5, **Security().get_connection_args("client"))).abort()
+    # Other programs say nothing, for which Dask waits, or what Dask takes for lengths.
+    with refusing("what listens there is no scheduler", MemoryError, asyncio.TimeoutError):
+        reached = await asyncio.wait_for(connect(address, timeout=5, **Security().get_connection_args("client")), 6)
+    reached.abort()
 
 
 class Cluster:
