@@ -64,9 +64,6 @@ class CheckpointStore:
         self.start, self.kept = start, []
         self.save = save or (lambda snapshot: self.kept.append(copy.deepcopy(snapshot)))
 
-    def prepared(self, key, make):
-        return make()
-
     def begin(self, shape, **facts):
         return copy.deepcopy(self.start)
 

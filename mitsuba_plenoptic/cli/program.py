@@ -60,7 +60,9 @@ STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") 
 
 received: list[int] = []
 checkpoints: list[Path] = []
-"""Signals that the running command has received, and files from which the same command goes on, where they exist."""
+stoppable: list[Any] = []
+"""Signals that the running command has received, files from which the same command goes on, where they exist, and the
+checkpoints that a run writes before it ends."""
 
 
 class StoppedError(Exception):
@@ -198,12 +200,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # A full disk shows here, instead of after the end.
             sys.stdout.flush()
             return status if isinstance(status, int) else 0
-        except (KeyboardInterrupt, typer.Abort, StoppedError) as stopped:
-            goes_on = any(path.exists() for path in checkpoints)
-            anew = "the same command goes on from there" if goes_on else "nothing unfinished is kept"
-            _complain(str(stopped) or f"stopped: {anew}")
-            return 128 + (received or [signal.SIGINT])[-1]
-        except Exception as error:
+        except (Exception, KeyboardInterrupt) as error:
+            # Libraries make errors of what stops them.
+            if received or isinstance(error, (KeyboardInterrupt, typer.Abort, StoppedError)):
+                goes_on = any(path.exists() for path in checkpoints)
+                anew = "the same command goes on from there" if goes_on else "nothing unfinished is kept"
+                _complain(str(error) if isinstance(error, StoppedError) else f"stopped: {anew}")
+                return 128 + (received or [signal.SIGINT])[-1]
             command = load(called) if called else group
             message = _mistake(error, {option for parameter in command.params for option in parameter.opts})
             if message is None:
@@ -211,7 +214,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _fail(message)
 
 
-def _mistake(error: Exception, options: Collection[str]) -> str | None:
+def _mistake(error: BaseException, options: Collection[str]) -> str | None:
     """Return the line that describes a user's mistake; None for other exceptions, which are faults of the program.
 
     Arguments named in the message are spelled as options of the command.
@@ -252,6 +255,9 @@ def _interrupts() -> Iterator[None]:
 
     def stop(signal_number: int, frame: object) -> None:
         received.append(signal_number)
+        if len(received) == 1 and any(checkpoint.stop() for checkpoint in stoppable):
+            _logger.info("stopping after the current batch; Ctrl-C again stops at once")
+            return
         INTERRUPTED.set()
         raise KeyboardInterrupt
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import signal
-import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..runtime import ProgressBar, in_words, is_quiet, moving_bar, plain_lines
-from .program import STOPS, StoppedError, checkpoints, received
+from .program import StoppedError, checkpoints, stoppable
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -33,34 +31,20 @@ def checkpoint_of(output: Path, resume: bool, path: Path | None = None) -> Check
 
 @contextlib.contextmanager
 def resumable(progress: ProgressBar | None = None, checkpoint: Checkpoint | None = None) -> Iterator[None]:
-    """Let Ctrl-C, or another of `STOPS`, end a run, with its checkpoint written, and say how to go on.
+    """Let a signal that ends the command end a run after its checkpoint is written, and say how to go on.
 
-    A second Ctrl-C ends it at once. A run without a checkpoint keeps its stages itself.
+    A second signal ends it at once. A run without a checkpoint keeps its stages itself.
     """
-    # Only the main thread receives signals, and what is ignored, as by nohup, stays so.
-    waits = checkpoint is not None and threading.current_thread() is threading.main_thread()
-    handlers: dict[int, Any] = {number: signal.getsignal(number) for number in STOPS if waits}
-    before = {number: handler for number, handler in handlers.items() if callable(handler)}
-
-    def stop(signal_number: int, frame: Any) -> None:
-        signal.signal(signal.SIGINT, before.get(signal.SIGINT, signal.default_int_handler))
-        if checkpoint is None or not checkpoint.stop():
-            before[signal_number](signal_number, frame)
-        received.append(signal_number)
-        _log.info("stopping after the current batch; Ctrl-C again stops at once")
-
-    for number in before:
-        signal.signal(number, stop)
+    stoppable[:] = [checkpoint] if checkpoint else []
     try:
         yield
     except KeyboardInterrupt:
-        if checkpoint is not None and not checkpoint.path.exists():
+        if checkpoint and not checkpoint.path.exists():
             raise
         done = f" at {100 * progress.fraction:.0f} %" if progress and progress.fraction else ""
         raise StoppedError(f"stopped{done}: the same command goes on from there") from None
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        stoppable.clear()
 
 
 @contextlib.contextmanager

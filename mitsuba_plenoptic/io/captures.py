@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 import tifffile
@@ -36,9 +36,11 @@ from ..errors import (
 )
 from ..extension import Displayed, format_of, place
 from ..runtime import as_pixels, atomic_output, of_one_file, require_writable
-from .exr import read_attributes, read_exr, read_pixels, write_exr
-from .pictures import KEY, TIFF, StoredPicture, read_numbers
+from .exr import ATTRIBUTE, read_attributes, read_exr, read_pixels, write_exr
 from .versions import require_seal, sealed
+
+if TYPE_CHECKING:
+    from .pictures import StoredPicture
 
 
 @suggest_keywords
@@ -255,7 +257,11 @@ def read_capture(
     (48, 48)
     """
     path, suffix = Path(path), Path(path).suffix.lower()
-    picture = read_numbers(path) if suffix in RAW_SUFFIXES else None
+    picture = None
+    if suffix in RAW_SUFFIXES:
+        from .pictures import read_numbers
+
+        picture = read_numbers(path)
     foreign = picture is not None and not states_detector(picture)
     rule = "it is for raw pictures of other programs that are linear"
     refuse_if(black_level and not (foreign and linear), f"black_level = {black_level}: {rule}")
@@ -297,13 +303,13 @@ def write_raw(path: str | Path, capture: Capture) -> None:
         If the capture was not exposed, its values are no digital numbers of its detector, a PNG would have three
         channels, or the file cannot be written.
     """
-    path = require_writable(path, ".png", *TIFF)
+    path = require_writable(path, ".png", ".tif", ".tiff")
     numbers = digital_numbers(capture)
-    text = json.dumps({KEY: sealed(_record(capture, "raw"), [{"": numbers}])})
+    text = json.dumps({ATTRIBUTE: sealed(_record(capture, "raw"), [{"": numbers}])})
     if path.suffix.lower() == ".png":
         refuse_if(numbers.ndim == 3, f"{path}: raw pictures of three channels are written as .tiff")
         information = PngInfo()
-        information.add_text(KEY, text)
+        information.add_text(ATTRIBUTE, text)
         with atomic_output(path) as temporary:
             Image.fromarray(numbers).save(temporary, format="PNG", pnginfo=information)
         return
@@ -315,7 +321,7 @@ def write_raw(path: str | Path, capture: Capture) -> None:
 def raw_capture(path: Path, picture: StoredPicture) -> Capture:
     """Return the capture in a picture of `write_raw`."""
     with refusing(f"{path}: it states no camera and detector; a raw picture needs its camera", *NO_RECORD):
-        about = json.loads(picture.text)[KEY]
+        about = json.loads(picture.text)[ATTRIBUTE]
         records = about["camera"], about["metadata"]["exposure"]
         if not all(isinstance(entry, dict) for entry in records):
             raise TypeError("camera and exposure are no objects")
@@ -329,7 +335,7 @@ def raw_capture(path: Path, picture: StoredPicture) -> Capture:
 
 def states_detector(picture: StoredPicture) -> bool:
     """Return whether a picture states camera and detector, as one of `write_raw`."""
-    return f'"{KEY}"' in picture.text
+    return f'"{ATTRIBUTE}"' in picture.text
 
 
 def digital_numbers(capture: Capture) -> NDArray[np.uint16]:

@@ -22,13 +22,14 @@ from typing import Any, Literal, TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, require_choice, warn
+from ..errors import InputError, refuse_if, require_choice, warn
 from ..runtime import (
     PartialSum,
     Snapshot,
     atomic_output,
     backend_of,
     hold,
+    prepared,
     remove_leftovers,
     require_memory,
     software,
@@ -42,7 +43,7 @@ CHECKPOINT_SUFFIX = ".checkpoint"
 Existing = Literal["refuse", "resume", "resume_if_same"]
 
 INTERVAL = 10.0
-"""Seconds between checkpoints, at least. The first waits for half of it, and for the end of a batch."""
+"""Seconds between checkpoints, at least. The first waits for a quarter of it, and for the end of a batch."""
 
 _PREPARED = "prepared."
 """Start of the names of arrays that a run needs before its first batch."""
@@ -84,27 +85,35 @@ class Checkpoint:
         self._due = math.inf
         self._complained = False
         self._stopping = False
-        self._lock: contextlib.ExitStack | None = None
-        self._prepared: dict[str, NDArray[Any]] | None = None
+        self._lock = contextlib.ExitStack()
+        self._prepared: dict[str, NDArray[Any]] = {}
+        self._has_run = True
 
     def __enter__(self) -> Checkpoint:
-        self._lock = hold(self.path)
-        if self.existing == "refuse" and self.path.exists():
-            self._lock.close()
-            raise InputError(
+        with hold(self.path) as lock:
+            refuse_if(
+                self.existing == "refuse" and self.path.exists(),
                 f"{self.path}: the checkpoint of a run that was stopped; resume from it with existing='resume', or "
-                "remove the file"
+                "remove the file",
             )
+            self._lock = lock.pop_all()
+        self._lock.callback(prepared.reset, prepared.set(self._prepare))
+        self._due = time.monotonic() + INTERVAL / 4
+        self._has_run = self.path.exists()
+        # `_begin` tells of what cannot be read.
+        with contextlib.suppress(Exception):
+            header, arrays = _archive(self.path)
+            self._has_run = header["run"] is not None
+            self._prepared = {name: array for name, array in arrays.items() if name.startswith(_PREPARED)}
         return self
 
     def __exit__(
         self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         # A run that never began has no claim to a file that is there.
-        if error_type is None and self._due < math.inf:
+        if error_type is None and self._facts:
             self.path.unlink(missing_ok=True)
-        if self._lock:
-            self._lock.close()
+        self._lock.close()
 
     def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
         """Register the run; return the state saved by an earlier process, None if there is none.
@@ -126,16 +135,12 @@ class Checkpoint:
 
     def begin_arrays(self, **facts: Any) -> dict[str, NDArray[Any]] | None:
         """Register a run whose state is arrays instead of a sum; return the saved arrays, None if there are none."""
-        return self._begin(
-            facts,
-            lambda archive, _: {
-                name: archive[name] for name in archive if name != "header" and not name.startswith(_PREPARED)
-            },
-        )
+        return self._begin(facts, lambda arrays, _: arrays)
 
     def _begin(self, facts: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State | None:
-        self._lock = self._lock or hold(self.path)
-        self._due = min(self._due, time.monotonic() + INTERVAL / 2)
+        if self._due == math.inf:
+            self._lock = hold(self.path)
+        self._due = min(self._due, time.monotonic() + INTERVAL / 4)
         self._facts = {**self.run, **facts, "software": software()}
         remove_leftovers(self.path)
         if not self.path.exists():
@@ -151,20 +156,16 @@ class Checkpoint:
             _log.info("%s: resuming from there", self.path)
         return state
 
-    def prepared(self, key: Any, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+    def _prepare(self, key: Any, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
         """Return an array that a run needs before its first batch, stored by an earlier process or made.
 
         The key, plain JSON values, states all that the array depends on, but the software.
         """
-        if self._prepared is None:
-            self._lock = self._lock or hold(self.path)
-            is_free, self._prepared = _preparation(self.path)
-            # The state of a run, perhaps another one, is not replaced before the run is known.
-            self._due = time.monotonic() + INTERVAL / 2 if is_free else math.inf
         name = _PREPARED + hash_of([key, software()])
         if name not in self._prepared:
             self._prepared[name] = make()
-            if self._due < math.inf and not self._facts:
+            # The state of a run, perhaps another one, is not replaced before the run is known.
+            if not self._facts and not self._has_run:
                 arrays = self._prepared
                 self._save(lambda path: _write_archive(path, None, {}, arrays))
         return self._prepared[name]
@@ -177,7 +178,7 @@ class Checkpoint:
         bool
             Whether a run has begun; if none has, nothing happens.
         """
-        self._stopping = self._due < math.inf
+        self._stopping = bool(self._facts)
         return self._stopping
 
     def save(self, snapshot: Snapshot) -> None:
@@ -195,11 +196,11 @@ class Checkpoint:
         KeyboardInterrupt
             After `stop`.
         """
-        self._save(lambda path: _write(path, self._known_facts(), snapshot, self._prepared or {}))
+        self._save(lambda path: _write(path, self._known_facts(), snapshot, self._prepared))
 
     def save_arrays(self, arrays: Callable[[], Mapping[str, NDArray[Any]]]) -> None:
         """Write the float32 and float64 arrays for `begin_arrays` if the time since the last save is long enough."""
-        self._save(lambda path: _write_archive(path, self._known_facts(), {}, {**arrays(), **(self._prepared or {})}))
+        self._save(lambda path: _write_archive(path, self._known_facts(), {}, {**arrays(), **self._prepared}))
 
     def _known_facts(self) -> dict[str, Any]:
         """Return the facts of the run as plain JSON values; functions are called once."""
@@ -248,18 +249,6 @@ def write_json(path: Path, content: Any) -> None:
     write_text(path, json.dumps(content, indent=1, sort_keys=True) + "\n")
 
 
-def _preparation(path: Path) -> tuple[bool, dict[str, NDArray[Any]]]:
-    """Return whether a checkpoint holds no run, and the prepared arrays in it, none if it cannot be read."""
-    try:
-        require_memory(path.stat().st_size, f"{path.stat().st_size} bytes")
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive if name.startswith(_PREPARED)}
-            return json.loads(str(archive["header"]))["run"] is None, arrays
-    except Exception:
-        # `_read` tells of what it cannot read.
-        return not path.exists(), {}
-
-
 def _write(path: Path, run: dict[str, Any], snapshot: Snapshot, prepared: dict[str, NDArray[Any]]) -> None:
     header: dict[str, Any] = {"sums": snapshot.sums}
     arrays: dict[str, Any] = {"image": snapshot.image, **prepared}
@@ -278,18 +267,24 @@ def _write_archive(path: Path, run: dict[str, Any] | None, header: dict[str, Any
         os.fsync(file.fileno())
 
 
+def _archive(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return the header and the arrays of a checkpoint."""
+    require_memory(path.stat().st_size, f"{path.stat().st_size} bytes")
+    with np.load(path, allow_pickle=False) as archive:
+        arrays = dict(archive)
+    return json.loads(str(arrays.pop("header"))), arrays
+
+
 def _read(path: Path, run: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State | None:
     """Return the state in a run's checkpoint, None if only preparation is there; refuse damage and other runs."""
     try:
-        require_memory(path.stat().st_size, f"{path.stat().st_size} bytes")
-        with np.load(path, allow_pickle=False) as archive:
-            header = json.loads(str(archive["header"]))
-            if header["run"] is None:
-                return None
-            there = {"format": header["format"], KEY: header[KEY], **header["run"]}
-            changed = differences(there, {"format": FORMAT, KEY: VERSION, **run})
-            if not changed:
-                return take(archive, header)
+        header, arrays = _archive(path)
+        if header["run"] is None:
+            return None
+        there = {"format": header["format"], KEY: header[KEY], **header["run"]}
+        changed = differences(there, {"format": FORMAT, KEY: VERSION, **run})
+        if not changed:
+            return take({name: array for name, array in arrays.items() if not name.startswith(_PREPARED)}, header)
     except Exception as error:
         # ZIP, JSON and NumPy report damage by many types of exception; all mean the same to the user.
         raise InputError(f"{path}: it is not a checkpoint of this version, or is damaged: {error}") from None

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import naming, refuse_if, refusing
 from ..runtime import atomic_output, of_one_file, require_file, require_memory, require_zarr
-from .versions import DIGEST, require_seal, sealed
+from .versions import DIGEST, digest_of, require_seal
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -22,7 +22,7 @@ _PER_BYTE = 3
 def write_labelled_data(path: str | Path, data: xr.Dataset) -> None:
     """Write a data set as NetCDF 3, or as Zarr to a folder whose name ends in ``.zarr``, with its digest."""
     path = Path(path)
-    stamped = data.assign_attrs({DIGEST: sealed(*_content(data))[DIGEST]})
+    stamped = data.assign_attrs({DIGEST: digest_of(*_content(data))})
     with atomic_output(path, ".nc", ".zarr") as temporary:
         if path.suffix.lower() == ".nc":
             stamped.to_netcdf(temporary, engine="scipy")
@@ -33,8 +33,27 @@ def write_labelled_data(path: str | Path, data: xr.Dataset) -> None:
 
 
 @of_one_file
-def read_labelled_data(path: str | Path, what: str) -> xr.Dataset:
-    """Return the data set, `what` for messages, in a file that states the right digest or, like foreign ones, none."""
+def read_labelled_data(path: str | Path, what: str = "data set") -> xr.Dataset:
+    """Return the data set in a NetCDF 3 file or a Zarr folder, after a check of the digest that it states.
+
+    Light fields, volumes and particles are written so. Files without a digest are read.
+
+    Parameters
+    ----------
+    path : path
+        The file or folder.
+    what : str
+        Word for the content in messages.
+
+    Returns
+    -------
+    xarray.Dataset
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it is damaged or holds something else.
+    """
     # It takes half a second to load.
     import xarray as xr
 
@@ -62,30 +81,27 @@ def read_labelled_data(path: str | Path, what: str) -> xr.Dataset:
         with naming(path):
             stated = data.attrs.pop(DIGEST, None)
             record, values = _content(data)
-            require_seal(sealed(record, []) | {DIGEST: stated}, values)
+            require_seal({**record, DIGEST: stated}, values)
     return data
 
 
 def _content(data: xr.Dataset) -> tuple[dict[str, Any], list[dict[str, np.ndarray]]]:
-    """Return the names and attributes of a data set, and its values, as they are before and after writing."""
-    record = {
-        str(name): [list(map(str, variable.dims)), str(name) in map(str, data.coords), _plain(variable.attrs)]
-        for name, variable in data.variables.items()
-    }
-    values = {str(name): _as_stored(np.asarray(variable.values)) for name, variable in data.variables.items()}
-    return {"attributes": _plain(data.attrs), "variables": record}, [values]
+    """Return the names and attributes of a data set, and its values, which do not depend on the format of a file."""
+    record: dict[str, Any] = {"": _texts(data.attrs)}
+    values = {}
+    for name, variable in data.variables.items():
+        record[str(name)] = [list(map(str, variable.dims)), name in data.coords, _texts(variable.attrs)]
+        stored = np.asarray(variable.values)
+        if stored.dtype.kind in "iub":
+            stored = stored.astype(np.int64)
+        elif stored.dtype.kind == "f":
+            stored = stored.astype(stored.dtype.newbyteorder("="))
+        else:
+            stored = np.frombuffer("\0".join(map(str, stored.ravel().tolist())).encode(), np.uint8)
+        values[str(name)] = stored
+    return record, [values]
 
 
-def _plain(attributes: dict[Any, Any]) -> dict[str, str]:
-    """Return attributes as texts; files make arrays of lists, and single numbers of arrays of one."""
-    return {
-        str(name): value if isinstance(value, str) else json.dumps(np.ravel(value).tolist())
-        for name, value in attributes.items()
-    }
-
-
-def _as_stored(values: np.ndarray) -> np.ndarray:
-    """Return values in a type that does not depend on the format: texts as bytes, and whole numbers of 64 bits."""
-    if values.dtype.kind not in "fiub":
-        return np.frombuffer("\0".join(map(str, values.ravel().tolist())).encode(), np.uint8)
-    return values.astype(values.dtype.newbyteorder("=") if values.dtype.kind == "f" else np.int64, copy=False)
+def _texts(attributes: dict[Any, Any]) -> dict[str, str]:
+    """Return attributes as texts, since files make arrays of lists, and single numbers of arrays of one."""
+    return {str(name): json.dumps(np.ravel(value).tolist()) for name, value in attributes.items()}

@@ -28,20 +28,21 @@ def stamped(record: Mapping[str, Any]) -> dict[str, Any]:
 def sealed(record: Mapping[str, Any], parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, Any]:
     """Return a file's record, as JSON keeps it, with the version, and the digest of it and the planes of its pixels."""
     plain = json.loads(json.dumps(stamped(record), sort_keys=True))
-    return {**plain, DIGEST: _digest(plain, parts)}
+    return {**plain, DIGEST: digest_of(plain, parts)}
 
 
 def require_seal(record: dict[str, Any], parts: Sequence[Mapping[str, np.ndarray]]) -> None:
     """Refuse a file whose pixels or record are not those of its digest; a file may have none."""
     stated = record.get(DIGEST)
     refuse_if(
-        stated is not None and stated != _digest(record, parts),
+        stated is not None and stated != digest_of(record, parts),
         f"its digest, {str(stated)[:12]}, is not that of its pixels and data: it is damaged, or another program has "
         "changed it and kept the text 'mitsuba_plenoptic'; without this text its pixels are read with a given camera",
     )
 
 
-def _digest(record: Mapping[str, Any], parts: Sequence[Mapping[str, np.ndarray]]) -> str:
+def digest_of(record: Mapping[str, Any], parts: Sequence[Mapping[str, np.ndarray]]) -> str:
+    """Return the digest of planes and of a record without the digest that it states."""
     sealed_record = {name: value for name, value in record.items() if name != DIGEST}
     content_hash = hashlib.sha256(json.dumps(sealed_record, sort_keys=True).encode())
     for name, plane in ((name, planes[name]) for planes in parts for name in sorted(planes)):

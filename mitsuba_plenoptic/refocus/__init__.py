@@ -32,7 +32,6 @@ __all__ = [
     "Volume",
     "estimate_reconstruction",
     "read_reconstruction",
-    "read_volume",
     "reconstruct",
     "write_reconstruction",
     "write_volume",

@@ -30,7 +30,6 @@ from .radiance import white_sums as white_sums
 from .results import Reconstruction as Reconstruction
 from .results import Volume as Volume
 from .results import read_reconstruction as read_reconstruction
-from .results import read_volume as read_volume
 from .results import require_volume_path as require_volume_path
 from .results import write_reconstruction as write_reconstruction
 from .results import write_volume as write_volume

@@ -16,7 +16,7 @@ from ..camera import PlenopticCamera
 from ..choices import VOLUMES
 from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
 from ..extension import Displayed
-from ..io import read_exr, read_labelled_data, write_exr, write_labelled_data
+from ..io import read_exr, write_exr, write_labelled_data
 from ..runtime import Floats, atomic_output, require_memory, require_writable, require_zarr
 
 if TYPE_CHECKING:
@@ -334,32 +334,6 @@ def write_volume(path: str | Path, volume: Volume) -> None:
                 metadata["spacing"] = volume.spacing
             resolution = (1 / volume.voxel_size, 1 / volume.voxel_size)
             tifffile.imwrite(temporary, values, imagej=True, resolution=resolution, metadata=metadata)
-
-
-def read_volume(path: str | Path) -> Volume:
-    """Return the volume in a Zarr folder that `write_volume` wrote, after a check of the digest that it states.
-
-    Parameters
-    ----------
-    path : path
-        The folder.
-
-    Returns
-    -------
-    Volume
-
-    Raises
-    ------
-    InputError
-        If there is no such folder, or it is damaged or holds something else.
-    """
-    data = read_labelled_data(path, "volume")
-    with refusing(f"{path}: it cannot be read as a volume:"):
-        stored = data["radiance"]
-        attributes = {str(name): value for name, value in stored.attrs.items()}
-        size = float(attributes.pop("voxel_size"))
-        distances = tuple(map(float, stored["distance"].values))
-        return Volume(stored.values, distances, size, {name: json.loads(text) for name, text in attributes.items()})
 
 
 def _is_ome(path: Path) -> bool:

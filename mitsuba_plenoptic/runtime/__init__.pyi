@@ -53,7 +53,6 @@ from .batches import add as add
 from .batches import counted as counted
 from .batches import on_all_cores as on_all_cores
 from .batches import prepared as prepared
-from .batches import preparing as preparing
 from .files import Sink as Sink
 from .files import atomic_output as atomic_output
 from .files import h5py_module as h5py_module

@@ -8,11 +8,11 @@ differently, and the threads of a CUDA device add in an order of their own.
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import gc
 import logging
 import multiprocessing
-import socket
 import threading
 from collections import deque
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
@@ -21,13 +21,12 @@ from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from types import MappingProxyType, TracebackType
 from typing import Any, Protocol, TypeVar
-from urllib.parse import urlsplit
 
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, refuse_if, require_count, require_module
+from ..errors import InputError, refuse_if, refusing, require_count, require_module
 from .backend import Floats, Integers, active_backend, on_cuda, set_variant
 from .fft import resting_drjit, stop_threads, worker_count
 from .limits import single_threaded_blas, software
@@ -215,27 +214,11 @@ class CheckpointStore(Protocol):
     def save(self, snapshot: Snapshot) -> None:
         """Store a snapshot if the time since the last one is long enough."""
 
-    def prepared(self, key: Any, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
-        """Return a stored array by its key, or make and store it."""
 
-
-_preparation: ContextVar[CheckpointStore | None] = ContextVar("preparation", default=None)
-
-
-@contextlib.contextmanager
-def preparing(store: CheckpointStore | None) -> Iterator[None]:
-    """Let `prepared` arrays be those of a checkpoint within the context."""
-    before = _preparation.set(store)
-    try:
-        yield
-    finally:
-        _preparation.reset(before)
-
-
-def prepared(key: Any, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
-    """Return an array that takes long to make, from the checkpoint of the run if there is one that has it."""
-    store = _preparation.get()
-    return store.prepared(key, make) if store else make()
+prepared: ContextVar[Callable[[Any, Callable[[], NDArray[Any]]], NDArray[Any]]] = ContextVar(
+    "prepared", default=lambda key, make: make()
+)
+"""Function of a key that returns an array that takes long to make, stored in a checkpoint within its context."""
 
 
 @dataclass
@@ -360,6 +343,17 @@ _PATIENCE = "20s"
 _lock = threading.Lock()
 
 
+async def _greet(address: str) -> None:
+    """Raise an error if no scheduler answers at an address."""
+    from distributed import Security
+    from distributed.comm import connect
+
+    # Other programs say nothing, for which Dask waits, or what Dask takes for lengths.
+    with refusing("what listens there is no scheduler", MemoryError, asyncio.TimeoutError):
+        reached = await asyncio.wait_for(connect(address, timeout=5, **Security().get_connection_args("client")), 6)
+    reached.abort()
+
+
 class Cluster:
     """Workers that compute the batches of wave captures, for the argument `batch_map` of `render_capture`.
 
@@ -404,11 +398,11 @@ class Cluster:
             logger.setLevel(logging.CRITICAL + 1)
             try:
                 address: Any = self._scheduler
-                # Dask would go on trying where nobody listens.
-                at = urlsplit(self._scheduler if "://" in (self._scheduler or "") else f"tcp://{self._scheduler}")
-                if self._scheduler and at.scheme in ("tcp", "tls") and at.port:
-                    socket.create_connection((at.hostname, at.port), timeout=5).close()
-                if self._count:
+                if self._scheduler:
+                    # In a thread, as notebooks have a loop. Clients would go on trying where nobody answers.
+                    with ThreadPoolExecutor(1) as pool:
+                        pool.submit(asyncio.run, _greet(self._scheduler)).result()
+                else:
                     address = opened.enter_context(
                         distributed.LocalCluster(
                             n_workers=self._count,
@@ -422,7 +416,7 @@ class Cluster:
                 self._client = opened.enter_context(client)
                 self._client.wait_for_workers(1, timeout=_PATIENCE)
                 software_of_workers = self._client.run(software)
-            except (OSError, ValueError, ImportError, RuntimeError) as error:
+            except Exception as error:
                 failure = _line(error)
             if failure:
                 # A client that never connected is closed as it is collected. Collected later, while the next one

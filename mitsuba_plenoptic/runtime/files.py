@@ -32,7 +32,6 @@ from ..errors import (
     short_repr,
 )
 from .backend import Doubles
-from .locks import claim, hidden
 
 _one_at_a_time = threading.Lock()
 
@@ -43,6 +42,9 @@ _log = logging.getLogger(__name__)
 
 def require_writable(path: str | Path, *suffixes: str) -> Path:
     """Return a path after a check, before a long computation, that a file can be written there; see `claiming`."""
+    # Captures load nothing that only writers need.
+    from .locks import claim
+
     path = _writable(path, *suffixes)
     claim(path)
     return path
@@ -158,6 +160,8 @@ def _path(path: str | Path) -> Path:
 @contextlib.contextmanager
 def atomic_output(path: str | Path, *suffixes: str) -> Iterator[Path]:
     """Yield a temporary file next to a writable `path`; it replaces `path` once it is complete, or is removed."""
+    from .locks import hidden
+
     path = _writable(path, *suffixes)
     folder = ""
     try:
@@ -221,6 +225,8 @@ def write_text(path: str | Path, text: str, *suffixes: str) -> None:
 
 def remove_leftovers(path: str | Path) -> None:
     """Remove temporary files of `atomic_output` that a killed process left."""
+    from .locks import hidden
+
     path = Path(path)
     for folder in path.parent.glob(f"{glob.escape(hidden(path))}.*"):
         shutil.rmtree(folder, ignore_errors=True)

@@ -16,7 +16,7 @@ from ..choices import MODELS
 from ..errors import InputError, advice, argument, refuse_if, require_choice, require_count, suggest_keywords
 from ..io import Capture
 from ..optics import guards
-from ..runtime import BatchMap, Cost, Job, one_at_a_time, preparing, require_memory_for
+from ..runtime import BatchMap, Cost, Job, one_at_a_time, require_memory_for
 from .load import KNOWN_PARAMETERS, meet_moved, mitsuba_sentence
 from .radiance import require_medium_seen, warn_of_metres
 
@@ -167,8 +167,7 @@ def render_capture(
             if checkpoint:
                 checkpoint.run = {**metadata, "camera": camera.to_dict(), **({"noise": True} if noise else {})}
             job = Job(progress, batch_map, checkpoint)
-            with preparing(checkpoint):
-                film = integrator.record(scene, chosen, seed=seed, spp=spp, job=job, noise=noise)
+            film = integrator.record(scene, chosen, seed=seed, spp=spp, job=job, noise=noise)
             image = np.array(film.develop())
             if noise:
                 image, deviation = _split(image, film.base_channels_count())

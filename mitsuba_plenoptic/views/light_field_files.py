@@ -134,18 +134,16 @@ def _step(path: Path) -> str:
     """Return how a folder of pictures, or an HDF5 file, becomes a mosaic of views."""
     pictures = [file for file in path.iterdir() if file.suffix.lower() in RAW_SUFFIXES] if path.is_dir() else []
     if pictures:
-        side = math.isqrt(len(pictures))
         return (
-            f" of {len(pictures)} pictures: if each is a view, as in the Stanford archive, join them with the upper "
-            f"left one first (ImageMagick: montage *{pictures[0].suffix} -tile {side}x -geometry +0+0 "
-            f"views.png), and give views.png with {argument('views')}"
+            f" of {len(pictures)} pictures: if they are views, join them (ImageMagick: montage *{pictures[0].suffix} "
+            f"-tile {math.isqrt(len(pictures))}x -geometry +0+0 views.png), and give views.png with {argument('views')}"
         )
     if path.suffix.lower() not in (".h5", ".hdf5"):
         return ""
     return (
-        f": if it is an old light field of HCI, with the views under LF, write them as a mosaic in Python, v, u, rows, "
-        "columns, colours = LF.shape; PIL.Image.fromarray(LF[()].swapaxes(1, 2).reshape(v * rows, u * columns, "
-        f"colours)).save('views.png'), and give views.png with {argument('views')}"
+        ": the views of an old file of HCI are a mosaic, v, u, rows, columns, colours = LF.shape; PIL.Image.fromarray("
+        "LF[()].swapaxes(1, 2).reshape(v * rows, u * columns, colours)).save('views.png'); give views.png with "
+        f"{argument('views')}"
     )
 
 

@@ -622,7 +622,7 @@ def _kernels_of(plan: Plan, grid: _Grid, kind: int) -> PixelKernels:
     """Return the kernels of a plan for one kind of lenses, cached for further captures of the camera."""
     camera = plan.camera
     values = [getattr(plan, field.name) for field in dataclasses.fields(plan) if field.name != "camera"]
-    kernels = prepared(
+    kernels = prepared.get()(
         [type(plan).__name__, camera.to_dict(), repr(values), grid.parts, kind],
         lambda: plan.kernels(camera.pixel_size / grid.parts, plan.reach, kind),
     )

@@ -124,46 +124,38 @@ def test_signals_end_commands_in_order(monkeypatch, capsys, tmp_path, name, mode
     monkeypatch.setattr("mitsuba_plenoptic.scene.render_capture", lambda *_, **__: os.kill(os.getpid(), number))
     before = signal.getsignal(number)
     words = ["render", "letters", "-o", str(tmp_path / "raw.exr"), "--model", model, "-D", "resolution=64"]
-    for earlier, line in ((), "nothing unfinished is kept"), (("raw.exr.checkpoint",), "the same command goes on from"):
+    for earlier in ([], ["raw.exr.checkpoint"]):
         for path in earlier:
             (tmp_path / path).touch()
-        line = line if model == "wave" else "nothing unfinished is kept"
+        line = "the same command goes on from" if earlier and model == "wave" else "nothing unfinished is kept"
         assert main(words) == 128 + number
         assert f"mitsuba-plenoptic: stopped: {line}" in capsys.readouterr().err.splitlines()[-1]
-        assert signal.getsignal(number) == before and [path.name for path in tmp_path.iterdir()] == [*earlier]
+        assert signal.getsignal(number) == before and [path.name for path in tmp_path.iterdir()] == earlier
 
 
-OUTPUTS = {
-    "render": ["letters", "-D", "resolution=64"],
-    "reconstruct": ["letters-ray.exr", "--distance", "240"],
-    "expose": ["letters-ray.exr", "--photons", "100"],
-    "views": ["letters-ray.exr"],
-    "compare": ["letters", "--distance", "240"],
-    "dataset": ["recipe.yaml"],
-}
-
-
-@pytest.mark.parametrize("command", OUTPUTS)
 @pytest.mark.parametrize("name", ["same", "symbolic", "hard", "path"])
-def test_an_output_is_computed_by_one_process(monkeypatch, capsys, tmp_path, command, name):
-    """Whatever it is called, and before anything is computed."""
+@pytest.mark.parametrize(
+    "words",
+    ["render letters -D resolution=64", "expose letters-ray.exr --photons 100", "compare letters --distance 240"],
+)
+def test_an_output_is_computed_by_one_process(monkeypatch, capsys, tmp_path, words, name):
+    """Whatever it is called, and before anything is computed; folders have no hard links."""
     monkeypatch.chdir(tmp_path)
-    Path("letters-ray.exr").write_bytes(b"")
-    Path("recipe.yaml").touch()
-    folder = command in ("compare", "dataset")
-    output = Path("out" if folder else "out.exr")
-    output.mkdir() if folder else output.write_bytes(b"yesterday's")
-    other = {"same": output, "path": tmp_path / "." / output}.get(name, Path(f"other{output.suffix}"))
+    Path("letters-ray.exr").touch()
+    is_folder = words.startswith("compare")
+    output = Path("out" if is_folder else "out.exr")
+    output.mkdir() if is_folder else output.touch()
+    other = {"symbolic": Path("other.exr"), "hard": Path("other.exr"), "path": tmp_path / output}.get(name, output)
     if name == "symbolic":
         other.symlink_to(output)
-    elif name == "hard" and not folder:
+    elif name == "hard" and not is_folder:
         other.hardlink_to(output)
     elif name == "hard":
-        pytest.skip("folders have none")
+        other = output
     with claiming():
-        claim(output, folder)
+        claim(output, is_folder)
         # Locks exclude each other within a process, too, where each is taken for itself.
-        assert contextvars.Context().run(main, [command, *OUTPUTS[command], "-o", str(other)]) == 2
+        assert contextvars.Context().run(main, [*words.split(), "-o", str(other)]) == 2
     line = capsys.readouterr().err
     assert line == f"mitsuba-plenoptic: error: {other}: another process is computing this; wait until it has ended\n"
     assert not any(".lock" in path.name for path in tmp_path.rglob("*"))
@@ -184,12 +176,17 @@ def test_an_output_is_held_until_it_is_written(monkeypatch, capsys, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == [output.name]
 
 
-def test_ctrl_c_while_a_scene_is_loaded(monkeypatch, capsys):
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
+def test_ctrl_c_while_a_scene_is_loaded(monkeypatch, capsys, request, error):
     """Mitsuba calls the sensor from C++, and makes an error of what stops it."""
 
     def stop(*_):
-        raise KeyboardInterrupt
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        raise error("KeyboardInterrupt:")
 
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     monkeypatch.setattr("mitsuba_plenoptic.plugins.sensor.read_camera", stop)
     assert main(["info", "letters"]) == 130
     assert capsys.readouterr().err.splitlines()[-1].startswith("mitsuba-plenoptic: stopped")

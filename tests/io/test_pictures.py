@@ -64,8 +64,8 @@ def test_folders_of_views_and_old_files_of_hci_become_mosaics(tmp_path):
     refuses("folder of 9 pictures.* -tile 3x .*and give views.png with views", mp.exchange.open_light_field, tmp_path)
     with pytest.raises(InputError) as caught:
         mp.exchange.open_light_field(tmp_path / "lf.h5")
-    step = re.search(r"Python, (.*?)'\), and", str(caught.value))[1].replace("views.png", str(tmp_path / "m.png"))
-    exec(f"{step}')", {"LF": views, "PIL": PIL})
+    step = re.search(r"mosaic, (.*?); give", str(caught.value))[1].replace("views.png", str(tmp_path / "m.png"))
+    exec(step, {"LF": views, "PIL": PIL})
     lf = mp.exchange.open_light_field(tmp_path / "m.png", views=3, linear=True)
     np.testing.assert_allclose(lf.isel(v=2, u=1), views[2, 1] / 255, rtol=1e-6)
 

@@ -4,8 +4,10 @@ import json
 import os
 import pickle
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 import weakref
 
@@ -193,6 +195,24 @@ def test_dask_is_left_as_it_was(monkeypatch, address):
         pass
     assert dask.config.get("scheduler", None) == before
     assert [client() for client in clients] == [None] * (address == "here")
+
+
+@pytest.mark.parametrize("greeting", [b"", b"HTTP/1.1 400 Bad Request\r\n"])
+def test_what_listens_and_is_no_scheduler_is_refused_within_seconds(greeting):
+    """A silent program as well as one whose words Dask takes for the length of a message."""
+
+    def answer():
+        opened = server.accept()[0]
+        opened.sendall(greeting)
+        while opened.recv(2**16):
+            pass
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=answer, daemon=True).start()
+        start = time.monotonic()
+        with pytest.raises(InputError, match="what listens there is no scheduler"):
+            Cluster(scheduler=f"127.0.0.1:{server.getsockname()[1]}").__enter__()
+        assert time.monotonic() - start < 15
 
 
 def test_outside_its_context_a_cluster_has_no_workers():

@@ -12,7 +12,7 @@ from .particle_images import ParticleImages
 from .projection import RayProjector, VoxelProjector
 from .scattering import cross_sections
 from .seeding import LightSheet, ParticleVolume, Seeding, Window
-from .sequence import particle_sequence, read_sequence
+from .sequence import particle_sequence
 from .tomography import reconstruct_volume
 from .tracking import locate_particles, match_particles, refine_particles
 from .voxels import VoxelGrid, drawn_particles, elongation, ghost_fraction, quality
@@ -43,7 +43,6 @@ __all__ = [
     "match_particles",
     "particle_sequence",
     "quality",
-    "read_sequence",
     "reconstruct_volume",
     "refine_particles",
 ]

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from ...camera import PlenopticCamera, require_camera
-from ...errors import naming, refuse_if, require_count, require_number, suggest_keywords, warn
-from ...io import read_labelled_data, versions
+from ...errors import refuse_if, require_count, require_number, suggest_keywords, warn
+from ...io import versions
 from ...runtime import Doubles
 from .flows import Flow
 from .seeding import MOST, LightSheet, ParticleVolume, Seeding, Window
@@ -144,30 +143,6 @@ def _check_within(volume: ParticleVolume, interval: float, moves: Doubles) -> No
             f"interval = {interval:g}: particles move by {move:.3g} mm along {axis} from frame to frame, beyond the "
             f"volume, which has {size:.3g} mm",
         )
-
-
-def read_sequence(path: str | Path) -> xr.Dataset:
-    """Return the sequence in a ``particles.nc`` that the command wrote, after a check of the digest that it states.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-
-    Returns
-    -------
-    xarray.Dataset
-        As `particle_sequence` returns it.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, or it is damaged or holds something else.
-    """
-    truth = read_labelled_data(path, "sequence of particles")
-    with naming(path):
-        settings_of(truth)
-    return truth
 
 
 def settings_of(truth: xr.Dataset) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Light-field files: NetCDF and Zarr, and formats of other programs: LFToolbox, mosaics and plain raw pictures."""
 
-from ...io import read_picture
+from ...io import read_labelled_data, read_picture
 from ...views import (
     LAYOUTS,
     open_light_field,
@@ -23,6 +23,7 @@ __all__ = [
     "open_micro_images",
     "read_hci",
     "read_labelled",
+    "read_labelled_data",
     "read_lftoolbox",
     "read_lytro",
     "read_mosaic",
