@@ -41,8 +41,8 @@ class Watch:
         for lines, block in spectrum:
             whole = power_by_row(block)
             high = power_by_row(block[:, self._high])
-            self._total += float(whole.sum())
-            self._at_edge += float(arrays.where(arrays.asarray(self._inner[lines]), high, whole).sum())
+            self._total += whole.sum()
+            self._at_edge += arrays.where(arrays.asarray(self._inner[lines]), high, whole).sum()
             yield lines, block
 
     def see_window(self, lines: fft.Field) -> None:
@@ -56,14 +56,14 @@ class Watch:
     @property
     def power(self) -> float:
         """Sum of the squared moduli of the source samples behind the element, if all of their frequencies are held."""
-        return self._total * self._step.x.padded * self._step.y.padded
+        return float(self._total) * self._step.x.padded * self._step.y.padded
 
     @property
     def band_edge(self) -> float:
         """Fraction of the power in the outer eighth of the frequencies."""
-        return fraction(self._at_edge, self._total)
+        return fraction(float(self._at_edge), float(self._total))
 
     @property
     def in_rim(self) -> float:
         """Fraction of the power in the rim of the destination's window, if free space takes none."""
-        return fraction(self._in_rim, self._total * self._step.y.new_padded)
+        return fraction(self._in_rim, float(self._total) * self._step.y.new_padded)
