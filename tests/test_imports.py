@@ -43,7 +43,7 @@ def test_the_package_imports_only_what_registers_its_plugins():
 @pytest.mark.parametrize("words", [[], ["--help"], ["--version"]])
 def test_the_help_imports_no_command(words):
     own, libraries = loaded(f"from mitsuba_plenoptic.cli import main; main({words})")
-    runtime = {"runtime", "runtime.progress", "runtime.llvm"}
+    runtime = {"runtime", "runtime.progress", "runtime.garbage", "runtime.llvm"}
     assert own == {"", "public_modules", "extension", "plugins", "cli", "cli.program", "errors"} | runtime
     assert not libraries & HEAVY
 
