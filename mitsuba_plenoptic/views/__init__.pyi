@@ -37,7 +37,6 @@ from .light_field_files import write_labelled as write_labelled
 from .mosaics import LAYOUTS as LAYOUTS
 from .mosaics import read_mosaic as read_mosaic
 from .mosaics import write_mosaic as write_mosaic
-from .refocusing import FourierRefocuser as FourierRefocuser
 from .refocusing import focal_stack as focal_stack
 from .refocusing import refocus as refocus
 from .refocusing import shift_and_add as shift_and_add
