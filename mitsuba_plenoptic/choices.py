@@ -15,9 +15,6 @@ Unit = Literal["mm", "cm", "m"]
 Axis = Literal["horizontal", "vertical"]
 """Direction of a line in the scene."""
 
-ViewMethod = Literal["shift", "fourier"]
-"""How a focal stack is made of views."""
-
 Example = Literal["letters-ray", "letters-wave", "white"]
 """Captures that come with the package: the letters by both models, and a luminous wall by the same camera."""
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from ..choices import ANIMATED, LIGHT_FIELDS, PICTURES, Axis, ViewMethod
+from ..choices import ANIMATED, LIGHT_FIELDS, PICTURES, Axis
 from ..errors import naming, refuse_if, require_number, require_suffix, warn
 from ..refocus_options import with_parameters
 from ..runtime import progress_bar
@@ -137,7 +137,6 @@ def stack(
             check=require_number,
         ),
     ] = None,
-    method: Annotated[ViewMethod, typer.Option(help="Shift views and add, or slice the spectrum.")] = "shift",
     **options: Any,
 ) -> None:
     """Make a focal stack: one image for each distance, in focus there.
@@ -171,7 +170,7 @@ def stack(
     animated = output.suffix.lower() in ANIMATED
     with progress_bar("Refocusing") as progress:
         images = focal_stack(
-            lf, sweep_distances(planes, by) if animated else planes, method=method, by=by, progress=progress
+            lf, sweep_distances(planes, by) if animated else planes, by=by, progress=progress
         )
     if animated:
         frames = write_focal_sweep(output, images, drawing)

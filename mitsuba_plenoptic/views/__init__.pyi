@@ -39,7 +39,6 @@ from .model_white import white_pixels as white_pixels
 from .mosaics import LAYOUTS as LAYOUTS
 from .mosaics import read_mosaic as read_mosaic
 from .mosaics import write_mosaic as write_mosaic
-from .refocusing import FourierRefocuser as FourierRefocuser
 from .refocusing import focal_stack as focal_stack
 from .refocusing import refocus as refocus
 from .refocusing import shift_and_add as shift_and_add

@@ -88,7 +88,8 @@ def depth_map(
         square needs them, as its light field is interpolated between lenses; others do without.
     planes : int, optional
         Number of planes, at least 3. Default: 64, and more where they would be farther than 1/32 pixel per view apart,
-        or micro-images of a focused camera would move by more than a quarter of a pixel between them.
+        or micro-images of a focused camera would move by more than a quarter of a pixel between them. With fewer,
+        depths are off by up to a seventh of the distance between planes.
     progress : callable, optional
         Called with the planes done and their number.
 

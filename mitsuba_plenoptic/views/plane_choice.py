@@ -28,7 +28,7 @@ _AVERAGED = 2.0
 # Independent samples that the disagreement of a bin's surroundings counts for: of views, and of micro-images of focused
 # cameras. Model errors, which most of them share, leave this few.
 VIEWS = 20.0
-LENSES = 3.0
+LENSES = 6.0
 
 # Fraction of a variance up to which that of noise is known.
 _UNSURE = 0.05

@@ -29,7 +29,7 @@ def wrong_by_repetition(images: MicroImages, slopes: np.ndarray) -> np.ndarray:
     periods = []
     for axis in (2, 3):
         size = values.shape[axis]
-        correlation = [np.ones(values.shape[:2])]
+        lags = [np.ones(values.shape[:2])]
         for lag in range(1, size - 5 + 1):
             first, second = (
                 (slice(None),) * axis + (window,) for window in (slice(0, size - lag), slice(lag, size))
@@ -41,7 +41,9 @@ def wrong_by_repetition(images: MicroImages, slopes: np.ndarray) -> np.ndarray:
             ]
             both, power, moved_power = scipy.ndimage.gaussian_filter(products, (0, _WINDOW, _WINDOW), mode="nearest")
             size_of_both = np.sqrt(power * moved_power)
-            correlation.append(np.divide(both, size_of_both, out=np.zeros(both.shape), where=size_of_both > 0))
+            lags.append(np.divide(both, size_of_both, out=np.zeros(both.shape), where=size_of_both > 0))
+        # Coarse texture is correlated negatively over most of a micro-image, and less so at its end.
+        correlation = np.maximum(lags, 0)
         risen = correlation - np.minimum.accumulate(correlation, axis=0)
         rises.append(risen.max(axis=0))
         # The period is the first move at which it has risen by this fraction of its whole rise.

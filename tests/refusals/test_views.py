@@ -11,7 +11,6 @@ import xarray as xr
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Objective, PlenopticCamera, decode
 from mitsuba_plenoptic.views import (
-    FourierRefocuser,
     LensGrid,
     depth_map,
     depth_range,
@@ -130,7 +129,6 @@ test_refused = refused(
     (lambda: depth_map(even(), 50, 200), "focal length"),
     (lambda: depth_map(even(), math.nan, 200), "near"),
     (lambda: focal_stack(even(), []), "distances"),
-    (lambda: FourierRefocuser(even(), 0.5).refocus(0.7), r"disparity = 0\.7"),
     (lambda: view(np.ones((3, 3, 3, 3))), "light field"),
     (lambda: view(xr.DataArray(np.ones((2, 2, 2, 2)), dims=("v", "u", "t", "s"))), "light field"),
 )
@@ -141,7 +139,6 @@ test_refused = refused(
     [
         lambda: depth_map(even(), 200, 300),
         lambda: focal_stack(even(), [240.0] * 10),
-        lambda: FourierRefocuser(even(), 0.1),
         lambda: even.__wrapped__(),
     ],
 )

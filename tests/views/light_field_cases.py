@@ -1,7 +1,9 @@
 """Cameras that the tests of light fields share."""
 
+import numpy as np
 import pytest
 from cameras import OTHER
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from mitsuba_plenoptic import PlenopticCamera
 
@@ -25,3 +27,55 @@ CAMERAS = SQUARE | {
 
 square_cameras = pytest.mark.parametrize("camera", SQUARE.values(), ids=SQUARE)
 all_cameras = pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
+
+
+def of_square_lenses(pixels, lenses, focused=None, **changes):
+    """Give a camera at f/4 whose micro-images touch, sharp so many detector distances before its array or unfocused."""
+    z = pixels * 0.01 * 62.5 / 12.5
+    changes |= {"mla_focal_length": z if focused is None else 1 / (1 / z + 1 / (focused * z))}
+    return PlenopticCamera(
+        focal_length=50.0, aperture_radius=6.25, mla_distance=62.5, detector_distance=z,
+        mla_pitch=pixels * 0.01 * 62.5 / (62.5 + z), detector_width=pixels * lenses * 0.01,
+        resolution=(pixels * lenses, pixels * lenses), **changes,
+    )  # fmt: skip
+
+
+def straight_rays(camera, radiance, lens_gain=lambda i, j: 1.0):
+    """Capture by rays through 16 points of each lens, and of 4 of each pixel; radiance (x, y, slopes) at the pupil."""
+    generator = np.random.default_rng(0)
+    b, z, pitch, f2 = camera.mla_distance, camera.detector_distance, camera.mla_pitch, camera.mla_focal_length
+    total = np.zeros(camera.shape)
+    for index in range(64):
+        inside = np.array([index // 32, index // 16 % 2]) / 2 + 0.25 - 0.5
+        x, y = np.meshgrid(*(camera.pixel_coordinates(axis) + inside[axis] * camera.pixel_size for axis in (0, 1)))
+        i, j = (np.floor(p * b / (b + z) / pitch) for p in (x, y))
+        jitter = generator.random((2, *x.shape))
+        across, down = ((index // step % 4 + jitter[axis]) / 4 - 0.5 for axis, step in enumerate((4, 1)))
+        t = [(c + 0.5 + at) * pitch - p for c, at, p in ((i, across, x), (j, down, y))]
+        t = [part / z - at * pitch / f2 for part, at in zip(t, (across, down), strict=True)]
+        m = (i + 0.5 + across) * pitch, (j + 0.5 + down) * pitch
+        P = [place + b * slope for place, slope in zip(m, t, strict=True)]
+        light = lens_gain(i.astype(int), j.astype(int)) * (np.hypot(*P) <= camera.aperture_radius)
+        if camera.vignetting is not None:
+            light = light * camera.vignetting.power(*(p / camera.aperture_radius for p in P), *m)
+        total += light * radiance(*P, *(s - p / camera.focal_length for s, p in zip(t, P, strict=True)))
+    return (total / 64).astype(np.float32)
+
+
+def blobs(distance, size, coarseness=0.75):
+    """Give the radiance of a plane with random blobs, which have a standard deviation in lenses of a size."""
+    pattern = gaussian_filter(np.random.default_rng(9).normal(size=(512, 512)), 8 * coarseness, mode="wrap")
+    pattern = (0.5 + 0.15 * pattern / pattern.std()).clip(0.02, 1.5)
+
+    def radiance(x, y, slope_x, slope_y):
+        at = (y + distance * slope_y, x + distance * slope_x)
+        return map_coordinates(pattern, [place * 8 / size for place in at], order=1, mode="grid-wrap")
+
+    return radiance
+
+
+def fall_off_of(camera, corner):
+    """Give a factor of pixels that falls from 1 on the axis to that of the corners."""
+    x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    square = x**2 + y[:, None] ** 2
+    return np.exp(np.log(corner) * square / square.max())

@@ -6,10 +6,11 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from cases import facing, scene_of
+from light_field_cases import blobs, fall_off_of, of_square_lenses, straight_rays
 from scipy.ndimage import gaussian_filter
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.views import depth_map, distance_of, micro_images
+from mitsuba_plenoptic.views import depth_map, distance_of, micro_images, white_image
 
 MULTI_FOCUS = mp.PlenopticCamera.preset("raytrix").replace(detector_width=2.64, resolution=(480, 384))
 # Of 16 pixels a lens, of which micro-images cover nine; lenses blur what is in front by up to half of their width.
@@ -60,6 +61,40 @@ def test_lenses_out_of_focus_do_not_move_depths(camera):
     lf = mp.decode(capture)
     found = depth_map(lf, micro_images=micro_images(capture)).isel(s=slice(5, -5), t=slice(5, -5))
     assert abs(np.median(distance_of(lf, found.disparity.values)) / distance - 1) < 0.004
+
+
+# Where lenses are sharp before the array, and where the card's image is, in detector distances; its texture in lenses;
+# photons; brightness of the corners.
+@pytest.mark.parametrize(
+    "case",
+    [
+        (3, 3, 1.5, 1000, 0.2),
+        *(
+            pytest.param(case, marks=pytest.mark.slow)
+            for case in (
+                (3, 3, 1.5, None, 1),
+                (3, -6, 0.75, 1000, 0.2),
+                (-3, -4, 0.75, None, 0.2),
+                (-3, -6, 0.4, 1000, 1),
+            )
+        ),
+    ],
+)
+def test_light_of_the_next_lens_and_a_falling_white_do_not_move_depths(case):
+    focused, image, coarseness, photons, corner = case
+    camera = of_square_lenses(20, 14, focused)
+    distance = 1 / (1 / 50 - 1 / (62.5 - image))
+    dim = fall_off_of(camera, corner)
+    light = blobs(distance, camera.mla_pitch * distance / 62.5, coarseness)
+    seen = mp.Capture((straight_rays(camera, light) * dim).astype("f4"), camera)
+    if photons:
+        seen = mp.expose(seen, mp.Detector(), photons=photons, seed=1)
+    lf = mp.decode(seen, white=white_image(camera) * dim)
+    found = depth_map(lf)
+    error = distance_of(lf, found.disparity.values) / distance - 1
+    for region in (np.s_[3:-3, 3:-3], np.s_[2:6, 2:6]):
+        assert abs(np.median(error[region])) < 0.003
+        assert found.confidence.values[region].mean() > 0.9
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cameras import disk, letters, pinhole_picture
 from cases import scene_of
-from light_field_cases import LATTICES, PAPER, all_cameras, square_cameras
+from light_field_cases import LATTICES, PAPER, all_cameras, fall_off_of, square_cameras
 from refusals import refuses
 from scipy.spatial import cKDTree
 
@@ -113,13 +113,6 @@ UNEVEN = {
     "apodised": {"pupil_apodisation": (-0.6, 0)},
     "outline": {"vignetting": dataclasses.replace(OUTLINE, apodisation_2=-0.3, slope_x=(0, 0.3, 0))},
 }
-
-
-def fall_off_of(camera, corner):
-    """Give a factor of pixels that falls from 1 on the axis to that of the corners."""
-    x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
-    square = x**2 + y[:, None] ** 2
-    return np.exp(np.log(corner) * square / square.max())
 
 
 class TestDecode:

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import xarray as xr
 from cameras import letters, pinhole_picture
-from scipy.ndimage import gaussian_filter, map_coordinates, uniform_filter
+from light_field_cases import blobs, fall_off_of, of_square_lenses, straight_rays
+from scipy.ndimage import center_of_mass, gaussian_filter, map_coordinates, uniform_filter
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.design import best_distances
 from mitsuba_plenoptic.views import (
-    FourierRefocuser,
     LensGrid,
     depth_map,
     disparity,
@@ -133,12 +133,23 @@ class TestShiftAndAdd:
 
     def test_colour_is_refocused_channel_by_channel(self, colours):
         colours, lf = colours
-        for method in ("shift", "fourier"):
-            stack = focal_stack(lf, [215, 260], method=method)
-            assert stack.dims == ("distance", "t", "s", "c")
-            for channel in range(3):
-                alone = focal_stack(colours[channel], [215, 260], method=method)
-                np.testing.assert_allclose(stack.values[..., channel], alone.values, atol=1e-5)
+        stack = focal_stack(lf, [215, 260])
+        assert stack.dims == ("distance", "t", "s", "c")
+        for channel in range(3):
+            alone = focal_stack(colours[channel], [215, 260])
+            np.testing.assert_allclose(stack.values[..., channel], alone.values, atol=1e-5)
+
+    def test_a_falling_white_moves_no_blur(self):
+        camera = of_square_lenses(10, 20)
+        spot = lambda x, y, sx, sy: np.exp(-((x + 200 * sx - 2) ** 2 + (y + 200 * sy - 2) ** 2))  # noqa: E731
+        picture = straight_rays(camera, spot)
+        white = white_image(camera)
+        centres = []
+        for corner in (1.0, 0.2):
+            dim = fall_off_of(camera, corner)
+            image = refocus(mp.decode(picture * dim, white=white * dim, camera=camera), 240.0)
+            centres.append(center_of_mass(image.values))
+        assert np.abs(np.subtract(*centres)).max() < 0.01
 
     def test_without_a_camera_it_goes_by_lenses_per_view(self):
         lens = LensGrid((32, 32), (16, 16), (20, 20))
@@ -146,46 +157,36 @@ class TestShiftAndAdd:
         np.testing.assert_allclose(shift_and_add(unknown, 0.2).values, 1, atol=1e-5)
 
 
-class TestFourierSlice:
-    def test_is_the_mean_of_views_moved_by_exact_phases(self, blank):
-        lf = flat_scene(blank, 225.0, texture(3))
-        slope, margin = 0.43, 8
-        size = 40 + 2 * margin
-        frequency = np.fft.fftfreq(size)
-        weight = blank.weight.values.mean(axis=(2, 3))
-        padded = np.pad(lf.values, ((0, 0), (0, 0), (margin, margin), (margin, margin)), mode="edge")
-        total = np.zeros((size, size), dtype=complex)
-        for j, dv in enumerate(view_steps(lf, "v")):
-            for i, du in enumerate(view_steps(lf, "u")):
-                phase = np.exp(2j * np.pi * slope * (dv * frequency[:, None] + du * frequency))
-                total += weight[j, i] * np.fft.fft2(padded[j, i]) * phase
-        expected = np.fft.ifft2(total).real[margin:-margin, margin:-margin] / weight.sum()
-        ours = FourierRefocuser(lf, 0.6).refocus(slope).values
-        # The borders are continued as far as views move, here and there.
-        inner = (slice(8, -8), slice(8, -8))
-        assert np.abs(ours - expected)[inner].max() < 2e-3
-        assert expected[inner].std() > 0.05
-
-    @pytest.mark.parametrize("distance", [205.0, 240.0, 280.0])
-    def test_agrees_with_shift_and_add_on_smooth_scenes(self, blank, distance):
-        lf = flat_scene(blank, 225.0, texture())
-        difference = refocus(lf, distance, method="fourier") - refocus(lf, distance)
-        assert float(np.abs(difference[6:-6, 6:-6]).max()) < 0.02
-
-    def test_an_even_number_of_views(self, blank):
-        # With a camera the middle of the pupil stays where it is; without one it lies between the middle views.
-        lf = flat_scene(blank, 215.0, texture()).isel(u=slice(1, None), v=slice(0, -1))
-        sharp = refocus(lf, 215.0, method="fourier").values
-        np.testing.assert_allclose(sharp[6:-6, 6:-6], refocus(lf, 215.0).values[6:-6, 6:-6], atol=0.035)
-        plain = lf.copy()
-        del plain.attrs["camera"]
-        plain = plain.assign_coords({name: np.arange(10) - 4.5 for name in ("u", "v")})
-        slope = disparity(lf, 215.0)
-        ours = FourierRefocuser(plain, 1).refocus(slope).values[6:-6, 6:-6]
-        np.testing.assert_allclose(ours, shift_and_add(plain, slope).values[6:-6, 6:-6], atol=0.035)
-
-
 class TestDepth:
+    @pytest.mark.parametrize("source", ["white", "white alone", "lenses", "vignetting"])
+    @pytest.mark.parametrize("slope", [pytest.param(-0.9, marks=pytest.mark.slow), 0.6])
+    def test_behind_a_falling_white(self, slope, source):
+        camera = of_square_lenses(10, 20)
+        distance = float(distance_of(mp.decode(white_image(camera), camera=camera), slope))
+        gain = np.random.default_rng(3).uniform(0.2, 1.3, (20, 20))
+        if source == "vignetting":
+            camera = camera.replace(
+                vignetting=mp.Vignetting([1, 0, 0, -0.25, 0, -0.25], scale=1.0, slope_x=(0, 0.3, 0))
+            )
+        lens_gain = (lambda i, j: gain[j + 10, i + 10]) if source == "lenses" else lambda i, j: 1.0
+        light = blobs(distance, 2 * camera.mla_pitch * distance / camera.mla_distance)
+        picture = straight_rays(camera, light, lens_gain)
+        if source == "lenses":
+            camera = camera.replace(mla_transmissions=mp.LensTransmissions(gain))
+        if source.startswith("white"):
+            dim = fall_off_of(camera, 0.2)
+            white = white_image(camera) * dim
+            alone = source == "white alone"
+            lf = mp.decode(picture * dim, white=white, **({"grid": lens_grid(camera)} if alone else {"camera": camera}))
+        else:
+            lf = mp.decode(picture, camera=camera)
+        found = depth_map(lf)
+        known = lf if "camera" in lf.attrs else mp.decode(picture, camera=camera)
+        error = distance_of(known, found.disparity.values) / distance - 1
+        for region in (np.s_[3:-3, 3:-3], np.s_[2:7, 2:7]):
+            assert abs(np.median(error[region])) < 0.003
+            assert found.confidence.values[region].mean() > 0.9
+
     def test_views_are_as_noisy_at_any_disparity(self, blank):
         noise = np.random.default_rng(0).normal(0, 0.1, blank.shape)
         lf = blank.copy(data=np.where(blank.weight.values > 0, 0.5 + noise, 0).astype(np.float32))
