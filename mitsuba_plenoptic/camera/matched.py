@@ -46,9 +46,9 @@ def micrometres(camera: CameraGeometry) -> list[str]:
     diagonal = math.hypot(camera.detector_width, camera.detector_height)
     field = 2 * math.degrees(math.atan(diagonal / 2 / camera.mla_distance))
     pitch = max(camera.mla_pitches) if camera.has_array else 0.0
-    # In millimetres: larger than in any camera.
+    # In millimetres: larger than in any camera; ordinary ones are rendered with coarse pixels, too.
     signs = {
-        f"a pixel is {camera.pixel_size:.4g} mm wide": camera.pixel_size > 0.1,
+        f"a pixel is {camera.pixel_size:.4g} mm wide": camera.has_array and camera.pixel_size > 0.1,
         f"the pitch of the lenses is {pitch:g} mm": pitch > 10,
         f"the detector's diagonal of {diagonal:.4g} mm exceeds ten focal lengths": diagonal > 10 * camera.focal_length,
         f"the field of view spans {field:.4g} degrees": field > 120,

@@ -169,9 +169,7 @@ def stack(
     lf = light_field(source, options, camera_of_option)
     animated = output.suffix.lower() in ANIMATED
     with progress_bar("Refocusing") as progress:
-        images = focal_stack(
-            lf, sweep_distances(planes, by) if animated else planes, by=by, progress=progress
-        )
+        images = focal_stack(lf, sweep_distances(planes, by) if animated else planes, by=by, progress=progress)
     if animated:
         frames = write_focal_sweep(output, images, drawing)
         typer.echo(f"{output}: {frames} images from {planes[0]:g} to {planes[-1]:g} {images[by].units} and back")

@@ -59,6 +59,9 @@ _FIRST = 2
 _TRIAL_SECONDS = 0.1
 """Least number of point spreads that are timed for an estimate, and approximate seconds for each patch size."""
 
+_BEHIND_GAPS = 64
+"""Patterns from which light beyond patches is estimated behind gaps; far light of fewer does not come back."""
+
 
 class PatchPlan:
     """Points grouped into patterns, and patterns grouped into chunks of one patch size and neighbourhood.
@@ -169,13 +172,14 @@ class PatchPlan:
 
         In sums of many points that light is a uniform background, exchanged between neighbouring patches. The factor is
         computed for open pupils and equal lenses, since it differs little from pattern to pattern; what falls between
-        apertures is lost. It is 1 for few points or high accuracy.
+        apertures is lost. It is 1 for few points, behind gaps also for few patterns, and for high accuracy.
         """
-        if math.isinf(self._grid.band.beyond) or not len(self._positions):
+        fewest = 1 if self._grid.microlenses.fills else _BEHIND_GAPS
+        if math.isinf(self._grid.band.beyond) or len(self._positions) < fewest:
             return 1.0
         grid = replace(self._grid, camera=clear(self._grid.camera).replace(mla_transmissions=None, vignetting=None))
         # Points in focus lose more where they are near a gap.
-        some = _some(np.arange(len(self._positions)), 16 if grid.microlenses.fills else 64)
+        some = _some(np.arange(len(self._positions)), 16 if grid.microlenses.fills else _BEHIND_GAPS)
         fields = [
             Fields(grid, self._placement.take(chunk), self._positions[chunk], None) for chunk in self._alike(some)
         ]

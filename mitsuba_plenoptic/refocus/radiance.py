@@ -145,7 +145,7 @@ def to_radiance(
     whites = others.pop(0) if others else white
     images = []
     for index, (distance, total, divisor, hits) in enumerate(zip(task.distances, light, whites, reach, strict=True)):
-        divisor, reached = divisors(divisor, hits, distance)
+        divisor, reached = divisors(divisor, hits, distance, computed=task.white is None)
         image = _divided(total, divisor, reached)
         if others:
             rising = [_divided(quantity, divisor, reached) for (quantity,) in others[2 * index : 2 * index + 2]]
@@ -162,11 +162,19 @@ def _divided(total: np.ndarray, divisor: np.ndarray, reached: np.ndarray) -> np.
     return image
 
 
-def divisors(white: np.ndarray, rays: np.ndarray, distance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the divisors of a plane's sums over bins, and a mask of the bins to be divided."""
+def divisors(white: np.ndarray, rays: np.ndarray, distance: float, *, computed: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return the divisors of a plane's sums over bins, and a mask of the bins to be divided.
+
+    Bins that waves hardly reach, as fine ones beside the spots of a focused camera's lenses, are not amplified: computed
+    white counts a quarter of the light that as many rays usually bring at least, and reads less than 1 where it has less.
+    """
     white = np.atleast_3d(white)
     reached = is_reached(rays)[..., None] & (white > 0)
     refuse_if(not reached.any(), f"distance = {distance:g}: no light comes from any of the {rays.size} bins there")
+    if computed:
+        # Both sums are of all bins, since light that misses one of them is in another.
+        usual = white.sum() / (float(rays.sum()) * white.shape[2])
+        white = np.maximum(white, 0.25 * usual * rays[..., None])
     return white, reached
 
 

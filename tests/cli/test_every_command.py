@@ -265,6 +265,7 @@ def test_info_prints_json_alone(raw, tmp_path, capfd):
 LIGHT = {
     "",
     "runtime",
+    "runtime.garbage",
     "runtime.llvm",
     "runtime.locks",
     "runtime.progress",

@@ -109,7 +109,7 @@ test_refused = refused(
     ("changes", "words"),
     [
         (NARROW, "less than a pixel"),
-        ({"aperture_radius": 0.05}, "aperture_radius = 0.05: its micro-images of 0.21 pixels light no pixel"),
+        ({"aperture_radius": 0.05}, "distance = 240: no light comes from any of the 4 bins there"),
     ],
 )
 def test_a_camera_without_white_is_refused(options, changes, words):

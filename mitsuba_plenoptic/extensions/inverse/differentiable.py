@@ -265,7 +265,7 @@ class CoherentRefocus:
         (self._zone,) = ThinConjugates(system).zones(distance)
         rays = white_sums(camera, distance, camera.lit_radius, "lens", oversample)
         self._factor = np.ones(rays.shape)
-        divisor, reached = divisors(_CoherentChannel(self, white).bins, rays, distance)
+        divisor, reached = divisors(_CoherentChannel(self, white).bins, rays, distance, computed=True)
         self._factor = np.divide(1.0, divisor, out=np.zeros(divisor.shape), where=reached)[..., 0]
 
     @property

@@ -78,6 +78,7 @@ class _PriorSteps(Steps):
         self._seen = self._all_light > _UNSEEN * self._all_light.max(axis=(0, 1), keepdims=True)
         self._near = _Near(projector, self._seen)
         self._done = 0
+        self.first = projector.forward(self.start())
 
     def _spread(self, pixels: np.ndarray) -> np.ndarray:
         # Interpolation at sharp borders of micro-images goes below 0, where steps would multiply without bounds.

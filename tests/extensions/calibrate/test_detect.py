@@ -67,7 +67,7 @@ def test_pixels_whose_light_the_rim_cuts_are_told(fill):
     # Through a lens's point d from its centre, a pixel p from its micro-image's sees the pupil at b p / z + d s.
     b, z = camera.mla_distance, camera.detector_distance
     slopes = [abs(1 + b / z - b / f) for f in camera.mla_focal_lengths]
-    reach = camera.aperture_radius - np.array(slopes) * camera.mla_pitch / 2 * fill
+    reach = camera.aperture_radius - np.array(slopes) * camera.row_pitch / 2 * fill
     even = reach * z / b / camera.pixel_size
     found = evenly_lit(white_image(camera), camera_centres(camera).pixel, 9.0)
     assert even.min() - 0.5 <= found <= even.max() + 0.5
