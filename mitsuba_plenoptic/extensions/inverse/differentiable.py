@@ -78,12 +78,12 @@ class RayRefocus:
     ) -> None:
         require_support(camera, Use.RAY_REFOCUSING | Use.RECONSTRUCTION_DERIVATIVES)
         camera = camera.regular
-        self.camera, self._distance = camera, require_number("distance", distance, finite=False)
-        lens_data.image_distance(camera.focal_length, self._distance)
+        self.camera = camera
+        distance = require_number("distance", distance, finite=False)
+        lens_data.image_distance(camera.focal_length, distance)
         require_choice("footprint", footprint, FOOTPRINTS)
-        numbers = camera, self._distance, pupil_radius(camera), footprint, require_count("oversample", oversample)
-        self._numbers = numbers[1:]
-        white = white_sums(*numbers)
+        self._numbers = distance, pupil_radius(camera), footprint, require_count("oversample", oversample)
+        white = white_sums(camera, *self._numbers)
         reached = is_reached(white)
         refuse_if(not reached.any(), f"distance = {distance:g}: no light comes from any of the {white.size} bins there")
         self._factor = np.where(reached, 1 / np.where(reached, white, 1), 0.0)
