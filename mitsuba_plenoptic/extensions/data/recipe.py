@@ -220,7 +220,9 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
     InputError
         If the content is no recipe.
     """
-    _require_names("recipe", content, _KEYS, needed=("count", "camera", "scenes"))
+    require_known("recipe: ", content, _KEYS)
+    for key in ("count", "camera", "scenes"):
+        refuse_if(key not in content, f"recipe: {key} is missing")
     models = content.get("models", list(choices.MODELS))
     refuse_if(
         not isinstance(models, list) or not models or len(set(map(str, models))) < len(models),
@@ -290,10 +292,10 @@ def _source(index: int, entry: Any, folder: Path) -> Source:
     if "generator" in entry:
         kind = entry["generator"]
         settings = tuple(field.name for field in fields(generator_called(f"{name}: generator", kind)))
-        _require_names(name, entry, ("generator", "share", *settings))
+        require_known(f"{name}: ", entry, ("generator", "share", *settings))
         values = {key: value for key, value in entry.items() if key in settings}
         return Source(kind, None, share, {key: parse(f"{name}: {key}", value) for key, value in values.items()})
-    _require_names(name, entry, ("scene", "share", "parameters", "unit"))
+    require_known(f"{name}: ", entry, ("scene", "share", "parameters", "unit"))
     values = entry.get("parameters", {})
     refuse_if(
         not isinstance(values, Mapping), f"{name}: parameters = {short_repr(values)}: they must be values by name"
@@ -310,14 +312,8 @@ def _section(name: str, content: Mapping[str, Any], names: tuple[str, ...]) -> d
     """Return the parsed values of a section of a recipe; refuse unknown names."""
     section = content.get(name, {})
     refuse_if(not isinstance(section, Mapping), f"{name} = {short_repr(section)}: it must be values by name")
-    _require_names(name, section, names)
+    require_known(f"{name}: ", section, names)
     return {key: parse(f"{name}: {key}", value) for key, value in section.items()}
-
-
-def _require_names(name: str, values: Mapping[Any, Any], names: tuple[str, ...], needed: tuple[str, ...] = ()) -> None:
-    require_known(f"{name}: ", values, names)
-    for key in needed:
-        refuse_if(key not in values, f"{name}: {key} is missing")
 
 
 def generator(seed: int, index: int, name: str) -> np.random.Generator:

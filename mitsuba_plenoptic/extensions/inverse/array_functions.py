@@ -70,6 +70,7 @@ class SmoothFunction(Protocol):
         """Return the shape of the result for a first array of a given shape; refuse wrong shapes before computing."""
 
 
+@dataclass(eq=False)
 class Latest:
     """A function that keeps its latest value, with the data that derivatives need.
 
@@ -85,18 +86,17 @@ class Latest:
         Function that converts an array of this library into an argument of `function`.
     """
 
-    def __init__(
-        self,
-        function: SmoothFunction,
-        copied: Callable[[Any], Any],
-        equal: Callable[[Any, Any], bool],
-        working: Callable[[Any], Any],
-    ) -> None:
-        self.taken = working
-        self.shape = function.shape
-        self._function = function
-        self._copied = copied
-        self._equal = equal
+    function: SmoothFunction
+    copied: Callable[[Any], Any]
+    equal: Callable[[Any, Any], bool]
+    taken: Callable[[Any], Any]
+
+    def __post_init__(self) -> None:
+        self.shape = self.function.shape
+        self.forget()
+
+    def forget(self) -> None:
+        """Free the latest value; a later request computes it again."""
         self._given: list[Any] = []
         self._value: Value | None = None
 
@@ -105,18 +105,13 @@ class Latest:
         # Another thread may have this function forget its value meanwhile.
         last = self._given
         value = self._value
-        if value is None or len(last) != len(arrays) or not all(map(self._equal, arrays, last)):
+        if value is None or len(last) != len(arrays) or not all(map(self.equal, arrays, last)):
             # Their owners may use the memory of the arrays for others.
-            last = [self._copied(array) for array in arrays]
-            value = self._function.at(*map(self.taken, last))
+            last = [self.copied(array) for array in arrays]
+            value = self.function.at(*map(self.taken, last))
             self._given = last
             self._value = value
         return value
-
-    def forget(self) -> None:
-        """Free the latest value; a later request computes it again."""
-        self._given = []
-        self._value = None
 
 
 def _batch(name: str, stated: Shape, last: Shape) -> Shape:
@@ -140,35 +135,22 @@ def working_array(array: Array) -> Array:
 # -- points ------------------------------------------------------------------------------------------
 
 
+_WEIGHTS = "weights", "images"
+
+
 def points(operator: CaptureOperator) -> LinearFunction:
     """Return the linear map from weights of points to images of an operator."""
-    both = partial(_images, operator), partial(_products, operator)
-    return LinearFunction(*both, "weights", "images", *_axes(operator))
+    return LinearFunction(partial(_images, operator), partial(_products, operator), *_WEIGHTS, *_axes(operator))
 
 
 def _images(operator: CaptureOperator, weights: Array) -> Array:
     """Return images, the operator applied to weights."""
-    images = [np.moveaxis(operator.forward(columns), -1, 0) for columns in _columns(operator, weights)]
-    before, after = _axes(operator)
-    # In the order of memory that the layers of networks are fast with.
-    return np.ascontiguousarray(np.concatenate(images)).reshape(*weights.shape[: -len(before)], *after)
+    return _applied(operator.forward, _columns(operator, weights), weights, *_axes(operator))
 
 
 def _products(operator: CaptureOperator, images: Array) -> Array:
     """Return weights, the operator's transpose applied to images."""
-    products = [operator.adjoint(channels).T for channels in _channels(operator, images)]
-    after, before = _axes(operator)
-    return np.concatenate(products).reshape(*images.shape[: -len(before)], *after)
-
-
-def _columns(operator: CaptureOperator, weights: Array) -> list[Array]:
-    """Return batched weights as a list in the operator's layout."""
-    return _split("weights", weights, _axes(operator)[0], operator)
-
-
-def _channels(operator: CaptureOperator, images: Array) -> list[Array]:
-    """Return batched images as a list in the operator's layout."""
-    return _split("images", images, _axes(operator)[1], operator)
+    return _applied(operator.adjoint, _columns(operator, images, 1), images, *_axes(operator)[::-1])
 
 
 def _axes(operator: CaptureOperator) -> tuple[Shape, Shape]:
@@ -181,11 +163,21 @@ def _axes(operator: CaptureOperator) -> tuple[Shape, Shape]:
     return (len(spectrum.wavelengths), count), (spectrum.channels, *shape)
 
 
-def _split(name: str, values: Array, last: Shape, operator: CaptureOperator) -> list[Array]:
-    """Return a batch as one array of columns for one wavelength, or as a list of arrays for a spectrum."""
-    _batch(name, values.shape, last)
+def _columns(operator: CaptureOperator, values: Array, side: int = 0) -> list[Array]:
+    """Return a batch of weights (side 0) or images (1) as the operator takes them: at once, or by one of a spectrum."""
+    last = _axes(operator)[side]
+    _batch(_WEIGHTS[side], values.shape, last)
     flat = values.reshape(-1, *last)
     return [np.moveaxis(channel, 0, -1) for channel in ([flat] if operator.spectrum is None else flat)]
+
+
+def _applied(
+    function: Callable[[Array], Array], columns: Sequence[Array], values: Array, before: Shape, after: Shape
+) -> Array:
+    """Return the results of a function of columns of values as a batch like the values."""
+    results = np.concatenate([np.moveaxis(function(column), -1, 0) for column in columns])
+    # In the order of memory that the layers of networks are fast with.
+    return np.ascontiguousarray(results).reshape(*values.shape[: -len(before)], *after)
 
 
 # -- cameras -----------------------------------------------------------------------------------------
@@ -231,54 +223,47 @@ class CameraCapture:
         return *_batch("weights", shape_of_input, before), *after
 
 
+@dataclass(eq=False)
 class CameraValue:
     """Captures of points, and their derivatives with respect to the weights and to camera parameters."""
 
-    def __init__(
-        self,
-        operator: CaptureOperator,
-        camera: PlenopticCamera,
-        names: tuple[str, ...],
-        weights: Array,
-        values: Sequence[Array],
-    ) -> None:
-        self._operator = operator
-        self._names = names
-        self._weights = weights
-        self._shapes = [np.shape(value) for value in values]
-        # A list of one number may stand for all parts, too.
-        self._for_all = [
-            value.size == 1 and np.ndim(getattr(camera, name)) == 0 for name, value in zip(names, values, strict=True)
-        ]
-        self.value = _images(operator, weights)
+    operator: CaptureOperator
+    camera: PlenopticCamera
+    names: tuple[str, ...]
+    weights: Array
+    values: Sequence[Array]
+
+    def __post_init__(self) -> None:
+        self.value = _images(self.operator, self.weights)
 
     def jvp(self, changes: Sequence[Array | None]) -> Array:
         """Return the change of the images for changes of weights and parameters; see `Value`."""
         of_weights, *of_values = changes
-        total = np.zeros(self.value.shape) if of_weights is None else _images(self._operator, of_weights)
-        named = {name: value for name, value in zip(self._names, of_values, strict=True) if value is not None}
+        total = np.zeros(self.value.shape) if of_weights is None else _images(self.operator, of_weights)
+        named = {name: value for name, value in zip(self.names, of_values, strict=True) if value is not None}
         if not named:
             return total
-        columns = _columns(self._operator, self._weights)
-        images = [np.moveaxis(self._operator.derivative(value, named), -1, 0) for value in columns]
-        return total + np.concatenate(images).reshape(total.shape)
+        columns = _columns(self.operator, self.weights)
+        derivative = partial(self.operator.derivative, changes=named)
+        return total + _applied(derivative, columns, self.weights, *_axes(self.operator))
 
     def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
         """Return the gradients with respect to weights and parameters; see `Value`."""
-        names = [name for name, is_needed in zip(self._names, needed[1:], strict=True) if is_needed]
+        names = [name for name, is_needed in zip(self.names, needed[1:], strict=True) if is_needed]
         total: dict[str, Any] = dict.fromkeys(names, 0.0)
         if names:
-            columns = _columns(self._operator, self._weights)
-            channels = _channels(self._operator, gradient)
+            columns = _columns(self.operator, self.weights)
+            channels = _columns(self.operator, gradient, 1)
             for factors, image in zip(columns, channels, strict=True):
-                gradients = self._operator.gradient(factors, image, names)
+                gradients = self.operator.gradient(factors, image, names)
                 total = {name: total[name] + gradients[name] for name in names}
-        by_values: list[Array | None] = [None] * len(self._names)
-        for index, (name, shape, for_all) in enumerate(zip(self._names, self._shapes, self._for_all, strict=True)):
+        by_values: list[Array | None] = [None] * len(self.names)
+        for index, (name, value) in enumerate(zip(self.names, self.values, strict=True)):
             if name in total:
-                part_gradient = total[name].sum() if for_all else total[name][: math.prod(shape)]
-                by_values[index] = np.reshape(part_gradient, shape)
-        return [_products(self._operator, gradient) if needed[0] else None, *by_values]
+                # A list of one number may stand for all parts, too.
+                for_all = value.size == 1 and np.ndim(getattr(self.camera, name)) == 0
+                by_values[index] = np.reshape(total[name].sum() if for_all else total[name][: value.size], value.shape)
+        return [_products(self.operator, gradient) if needed[0] else None, *by_values]
 
 
 # -- reconstructions ---------------------------------------------------------------------------------
@@ -287,11 +272,8 @@ class CameraValue:
 def refocusing(by: Refocus) -> LinearFunction | Refocused:
     """Return the function from captures to refocused images."""
     if isinstance(by, RayRefocus):
-        before = by.camera.shape
-        after = by.shape
-        straight = partial(_together, by.forward, _NAMES[0], before)
-        transposed = partial(_together, by.adjoint, _NAMES[1], after)
-        return LinearFunction(straight, transposed, *_NAMES, before, after)
+        both = partial(_together, by, by.forward), partial(_together, by, by.adjoint, side=1)
+        return LinearFunction(*both, *_NAMES, by.camera.shape, by.shape)
     return Refocused(by)
 
 
@@ -321,23 +303,24 @@ class RefocusedValue:
             self._at = by.at(pixels)
             return self._at.image
 
-        self._axes = by.camera.shape, by.shape
-        self.value = _together(image, _NAMES[0], self._axes[0], captures)
+        self._by = by
+        self.value = _together(by, image, captures)
 
     def jvp(self, changes: Sequence[Array | None]) -> Array:
         """Return the change of the refocused images for a change of the captures; see `Value`."""
         (change,) = changes
         if change is None:
             return np.zeros(self.value.shape)
-        return _together(self._at.jvp, _NAMES[0], self._axes[0], change)
+        return _together(self._by, self._at.jvp, change)
 
     def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
         """Return the gradient with respect to the captures; see `Value`."""
-        return [_together(self._at.vjp, _NAMES[1], self._axes[1], gradient) if needed[0] else None]
+        return [_together(self._by, self._at.vjp, gradient, 1) if needed[0] else None]
 
 
-def _together(function: Callable[[Array], Array], name: str, last: Shape, values: Array) -> Array:
-    """Return a batch of images to which a function of one image with channels was applied."""
-    batch = _batch(name, values.shape, last)
-    results = function(np.moveaxis(values.reshape(-1, *last), 0, -1))
-    return np.ascontiguousarray(np.moveaxis(results, -1, 0)).reshape(*batch, *results.shape[:2])
+def _together(by: Refocus, function: Callable[[Array], Array], values: Array, side: int = 0) -> Array:
+    """Return a batch of captures (side 0) or images (1) to which a function of one with channels was applied."""
+    axes = by.camera.shape, by.shape
+    _batch(_NAMES[side], values.shape, axes[side])
+    columns = [np.moveaxis(values.reshape(-1, *axes[side]), 0, -1)]
+    return _applied(function, columns, values, axes[side], axes[1 - side])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
 
@@ -189,47 +190,41 @@ def _model_of(
     return RayModels(camera, views, wavelength).at
 
 
+@dataclass(eq=False)
 class _Trials:
     """Cameras tried by a fit, of which the latest one is remembered."""
 
-    def __init__(
-        self,
-        vector: CameraVector,
-        model_of: Callable[[PlenopticCamera], Model],
-        progress: Callable[[int, int], None] | None,
-        most: int,
-    ) -> None:
-        self._vector = vector
-        self._progress = progress
-        self._most = most
-        self._model_of = model_of
-        self._checkpoint: Checkpoint | None = None
-        self.count = 0
-        self._x: Doubles | None = None
-        self._slopes: Doubles | None = None
+    vector: CameraVector
+    model_of: Callable[[PlenopticCamera], Model]
+    progress: Callable[[int, int], None] | None
+    most: int
+    checkpoint: Checkpoint | None = None
+    count: int = 0
+    _x: Doubles | None = None
+    _slopes: Doubles | None = None
 
     def expected(self, x: Doubles) -> Doubles:
         """Return the captures of the camera with the parameters x."""
         if self._x is None or not np.array_equal(x, self._x):
-            self._model = self._model_of(self._vector.at(x))
+            self._model = self.model_of(self.vector.at(x))
             self._images, self._slopes, self._x = self._model.images(), None, x.copy()
             self.count += 1
-            if self._progress:
-                self._progress(min(self.count, self._most), self._most)
+            if self.progress:
+                self.progress(min(self.count, self.most), self.most)
         return self._images
 
     def derivatives(self, x: Doubles) -> Doubles:
         """Return the derivatives of the captures at x, requested only where a step led to a better camera."""
         images = self.expected(x)
-        if self._checkpoint:
-            self._checkpoint.save_arrays(lambda: {"numbers": x, "tried": np.array([self.count], np.float64)})
+        if self.checkpoint:
+            self.checkpoint.save_arrays(lambda: {"numbers": x, "tried": np.array([self.count], np.float64)})
         if self._slopes is None:
-            self._slopes = self._model.derivatives(self._vector, images)
+            self._slopes = self._model.derivatives(self.vector, images)
         return self._slopes
 
     def go_on(self, checkpoint: Checkpoint, start: Doubles, **facts: Any) -> Doubles:
         """Save the parameters in a checkpoint; return those of an earlier run of the same fit, or else the start."""
-        self._checkpoint = checkpoint
+        self.checkpoint = checkpoint
         arrays = checkpoint.begin_arrays(**facts)
         if arrays is None:
             return start

@@ -78,12 +78,12 @@ class RayRefocus:
     ) -> None:
         require_support(camera, Use.RAY_REFOCUSING | Use.RECONSTRUCTION_DERIVATIVES)
         camera = camera.regular
-        self.camera, self._distance = camera, require_number("distance", distance, finite=False)
-        lens_data.image_distance(camera.focal_length, self._distance)
+        self.camera = camera
+        distance = require_number("distance", distance, finite=False)
+        lens_data.image_distance(camera.focal_length, distance)
         require_choice("footprint", footprint, FOOTPRINTS)
-        numbers = camera, self._distance, pupil_radius(camera), footprint, require_count("oversample", oversample)
-        self._numbers = numbers[1:]
-        white = white_sums(*numbers)
+        self._numbers = distance, pupil_radius(camera), footprint, require_count("oversample", oversample)
+        white = white_sums(camera, *self._numbers)
         reached = is_reached(white)
         refuse_if(not reached.any(), f"distance = {distance:g}: no light comes from any of the {white.size} bins there")
         self._factor = np.where(reached, 1 / np.where(reached, white, 1), 0.0)
@@ -189,19 +189,21 @@ class RefocusedImage:
 
     def jvp(self, change: Any) -> NDArray[np.float32]:
         """Return the change of the image for a change of the capture, of the capture's shape."""
-        channels = self._of_channels(change, self._pixels, "change")
-        return self._stacked([channel.jvp(plane) for channel, plane in zip(self._channels, channels, strict=True)])
+        return self._of_channels(change, self._pixels, "change", lambda channel, plane: channel.jvp(plane))
 
     def vjp(self, image_gradient: Any) -> NDArray[np.float32]:
         """Return the gradient with respect to the capture, from the gradient with respect to the image."""
-        channels = self._of_channels(image_gradient, self._bins, "image_gradient")
-        return self._stacked([channel.vjp(plane) for channel, plane in zip(self._channels, channels, strict=True)])
+        return self._of_channels(
+            image_gradient, self._bins, "image_gradient", lambda channel, plane: channel.vjp(plane)
+        )
 
-    def _of_channels(self, values: Any, shape: tuple[int, ...], name: str) -> NDArray[Any]:
+    def _of_channels(
+        self, values: Any, shape: tuple[int, ...], name: str, derived: Callable[[Channel, NDArray[Any]], NDArray[Any]]
+    ) -> NDArray[np.float32]:
         channels = as_channels(values, shape, name)
         if channels.shape[2] != len(self._channels):
             raise InputError(f"{name} of {channels.shape[2]} channels: the capture has {len(self._channels)}")
-        return np.moveaxis(channels, -1, 0)
+        return self._stacked(list(map(derived, self._channels, np.moveaxis(channels, -1, 0))))
 
     def _stacked(self, parts: list[NDArray[Any]]) -> NDArray[np.float32]:
         stack = np.stack(parts, -1).astype(np.float32)
@@ -526,12 +528,10 @@ class _DeconvolvedChannel:
         """Return the change of the bins for a change of the pixels."""
         change = np.asarray(change, np.float32)
         step = self._step
-        inside = self._step.inside
-        weight = self._step.weight
         lit = self._image > 0
-        above = self._image + self._step.shift > 0
+        above = self._image + step.shift > 0
         light = float(change[lit].sum(dtype=np.float64))
-        moved = np.where(inside, np.float32(light / step.sent), 0)
+        moved = np.where(step.inside, np.float32(light / step.sent), 0)
         shift = np.float32(light * step.shift_slope)
         for made in step.made:
             below, ratio = self._of(made)
@@ -539,29 +539,27 @@ class _DeconvolvedChannel:
             of_ratio = (np.where(above, change + shift, 0) - ratio * (of_model + shift)) / below
             of_back = self._response.adjoint(of_ratio.astype(np.float32))
             of_back = np.where(made.back > 0, of_back, 0)
-            moved = weight * (moved * np.maximum(made.back, 0) + made.point * of_back)
+            moved = step.weight * (moved * np.maximum(made.back, 0) + made.point * of_back)
         return self._to_image(moved)
 
     def vjp(self, bins: NDArray[Any]) -> Doubles:
         """Return the gradient with respect to the pixels, from the gradient with respect to the bins."""
         adjoint_image = self._response.from_image(bins * self._visible, 0)
         step = self._step
-        inside = self._step.inside
-        weight = self._step.weight
         lit = self._image > 0
-        above = self._image + self._step.shift > 0
+        above = self._image + step.shift > 0
         total = np.zeros(self._image.shape)
         by_shift = 0.0
         for made in reversed(step.made):
             below, ratio = self._of(made)
-            of_back = np.where(made.back > 0, adjoint_image * made.point * weight, 0)
+            of_back = np.where(made.back > 0, adjoint_image * made.point * step.weight, 0)
             of_ratio = self._response.forward(of_back) / below
             total += np.where(above, of_ratio, 0)
             by_shift += float((of_ratio * (above - ratio)).sum(dtype=np.float64))
             of_model = self._response.adjoint(np.where(made.model > 0, of_ratio * ratio, np.float32(0)))
-            adjoint_image = adjoint_image * np.maximum(made.back, 0) * weight - of_model
+            adjoint_image = adjoint_image * np.maximum(made.back, 0) * step.weight - of_model
         return total + lit * (
-            float(adjoint_image[inside].sum(dtype=np.float64)) / step.sent + by_shift * step.shift_slope
+            float(adjoint_image[step.inside].sum(dtype=np.float64)) / step.sent + by_shift * step.shift_slope
         )
 
     def _of(self, made: _Made) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -182,15 +181,6 @@ _WAVES = 0.01
 """Waves by which a point is moved: the change of its path to the rim of the pupil, against that to the middle."""
 
 
-@dataclass(frozen=True)
-class _Move:
-    """Displaced positions (n, 3) of points to both sides, and factors (n, 1, 1) from differences to derivatives."""
-
-    there: Doubles
-    back: Doubles
-    factor: Doubles
-
-
 class DepthInformation:
     r"""Figure of merit: the precision of depths in noisy captures of points of unknown position and brightness.
 
@@ -253,9 +243,9 @@ class DepthInformation:
         camera.require_array("DepthInformation")
         photons = self._photons
         slopes = []
-        for move in self._moves(camera):
-            there, back = (self._spreads.images(camera, points) for points in (move.there, move.back))
-            slopes.append(photons * move.factor * (there - back))
+        for *sides, factor in self._moves(camera):
+            there, back = (self._spreads.images(camera, points) for points in sides)
+            slopes.append(photons * factor * (there - back))
         for slope, tilt in zip(slopes[:2], self._tilts(camera), strict=True):
             slopes[2] = slopes[2] - tilt * slope
         return [photons * self._spreads.images(camera), *slopes]
@@ -274,8 +264,7 @@ class DepthInformation:
             value -= np.log(variance) / 2 / count
             # d ln(1 / sigma) = c' dF c / 2 sigma^2, with c the depth's column of the covariance.
             noise = self._noise(parts[0])
-            columns = _columns(*parts)
-            along = np.tensordot(column, columns, 1)
+            along = np.tensordot(column, np.roll(parts, -1, axis=0), 1)
             for back, gradient_of in zip(cotangents, [column[3], *column[:3]], strict=True):
                 back[index] = gradient_of * along / noise / variance / count
             # The brightness w is relative: its derivative is the image itself.
@@ -292,17 +281,20 @@ class DepthInformation:
         yield self._spreads.points, image
         tilts = self._tilts(camera)
         given = [*(part - tilt * depth for part, tilt in zip(along, tilts, strict=True)), depth]
-        for move, part in zip(self._moves(camera), given, strict=True):
-            yield move.there, move.factor * part
-            yield move.back, -move.factor * part
+        for (there, back, factor), part in zip(self._moves(camera), given, strict=True):
+            yield there, factor * part
+            yield back, -factor * part
 
     def _tilts(self, camera: PlenopticCamera) -> list[Doubles]:
         """Return X/g and Y/g of the chief rays, (n, 1, 1); behind an objective they are 0."""
         x, y, g = self._spreads.points.T[..., None, None]
         return [x / g, y / g] if camera.lens_data.converges else [0 * x, 0 * y]
 
-    def _moves(self, camera: PlenopticCamera) -> list[_Move]:
-        """Return the displacements of the points along X, along Y, and along the chief ray in vergence."""
+    def _moves(self, camera: PlenopticCamera) -> list[tuple[Doubles, Doubles, Doubles]]:
+        """Return positions (n, 3) to both sides of the points, and factors (n, 1, 1) from differences to derivatives.
+
+        The displacements are along X, along Y, and along the chief ray in vergence.
+        """
         points = self._spreads.points
         g = points[:, 2]
         path = _WAVES * self._spreads.wavelength * 1e-6
@@ -324,8 +316,8 @@ class DepthInformation:
         moves = []
         for axis in (0, 1):
             along = sideways[:, None] * (np.arange(3) == axis)
-            moves.append(_Move(points + along, points - along, (1 / (2 * sideways))[:, None, None]))
-        return [*moves, _Move(there, back, rate[:, None, None])]
+            moves.append((points + along, points - along, (1 / (2 * sideways))[:, None, None]))
+        return [*moves, (there, back, rate[:, None, None])]
 
     def _noise(self, expected: Doubles) -> Doubles:
         """Return the noise variance of each pixel for an expected image."""
@@ -333,11 +325,6 @@ class DepthInformation:
 
     def _covariance(self, expected: Doubles, *slopes: Doubles) -> Doubles:
         """Return the Cramer-Rao covariance of X, Y, g and the brightness of one point."""
-        rows = _columns(expected, *slopes) / np.sqrt(self._noise(expected))
+        rows = np.stack([*slopes, expected]) / np.sqrt(self._noise(expected))
         flat = rows.reshape(len(rows), -1)
         return np.asarray(np.linalg.inv(flat @ flat.T))
-
-
-def _columns(expected: Doubles, *slopes: Doubles) -> Doubles:
-    """Return the derivatives with respect to X, Y, g and the logarithm of the brightness, as columns."""
-    return np.stack([*slopes, expected])

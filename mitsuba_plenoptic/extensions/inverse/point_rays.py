@@ -328,26 +328,26 @@ class RayModels:
         )
 
 
+@dataclass(frozen=True, eq=False)
 class RayModel:
     """Expected captures of views by a camera in the ray model; see `RayModels.at`."""
 
-    def __init__(self, models: RayModels, camera: PlenopticCamera) -> None:
-        self._models = models
-        self._camera = camera
+    models: RayModels
+    camera: PlenopticCamera
 
     def images(self) -> Doubles:
         """Return the expected pixels of all views, (views, rows, columns)."""
-        return self._models.images(self._camera)
+        return self.models.images(self.camera)
 
     def derivatives(self, vector: CameraVector, images: Doubles) -> Doubles:
         """Return the derivatives of `images`, an array (parameters, views, rows, columns), by central differences."""
-        own = vector.of(self._camera)
+        own = vector.of(self.camera)
         x = own.values
         steps = _STEP * own.scales
         rows = np.empty((len(x), *images.shape))
         for index, step in enumerate(steps.tolist()):
             sides = (x + side * step * (np.arange(len(x)) == index) for side in (1, -1))
-            more, less = (self._models.images(own.at(side)) for side in sides)
+            more, less = (self.models.images(own.at(side)) for side in sides)
             rows[index] = (more - less) / (2 * step)
         return rows
 
@@ -358,18 +358,18 @@ class RayModel:
         other. Along each of `steps` (directions, parameters), which are deviations by the derivatives, slopes are taken
         on the side on which captures change less, over the length at which the `distance` of captures is 1.
         """
-        own = vector.of(self._camera)
+        own = vector.of(self.camera)
         images = self.images()
         moved = np.empty_like(steps)
         rows = np.empty((len(steps), *images.shape))
         for index, step in enumerate(steps):
-            sides = [(side * step, self._models.images(own.at(own.values + side * step))) for side in (1, -1)]
+            sides = [(side * step, self.models.images(own.at(own.values + side * step))) for side in (1, -1)]
             nearest, changed = min(sides, key=lambda side: distance(side[1]))
             # 2: How often the length over which slopes are averaged is corrected.
             for _ in range(2):
                 most = 1 / np.linalg.norm(nearest / own.scales)
                 nearest = nearest * min(1 / max(distance(changed), 1e-9), most)
-                changed = self._models.images(own.at(own.values + nearest))
+                changed = self.models.images(own.at(own.values + nearest))
             moved[index] = nearest
             rows[index] = changed - images
         return np.tensordot(np.linalg.inv(moved), rows, 1)

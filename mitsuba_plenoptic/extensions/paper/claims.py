@@ -101,6 +101,19 @@ def check_claims(
     sizes = {tuple(row["bins"]) for row in measured["reconstructions"]}
     bins = ", ".join(f"{columns} x {rows}" for columns, rows in sorted(sizes))
     left = [row["partial"] / max(row["coherent"], 1e-9) for row in blurred]
+    literal_left = [row["literal_partial"] / max(row["literal_coherent"], 1e-9) for row in blurred]
+    needed = math.ceil(experiment.camera.blur_diameter(last) / experiment.camera.row_pitch)
+    subsets = " and ".join(f"{row['colours']} subsets at {row['distance']:g} mm" for row in blurred)
+    texts = []
+    alike = []
+    for distance in (first, last):
+        partial, coherent = (
+            metrics.image_metrics(experiment.images[method, distance], experiment.images["ray", distance])
+            for method in ("partial", "coherent")
+        )
+        ssim = metrics.ssim_text(partial.ssim)
+        texts.append(f"{partial.psnr:.1f} dB, SSIM {ssim} at {distance:g} mm, coherent {coherent.psnr:.1f} dB")
+        alike.append(partial.psnr > max(30.0, coherent.psnr + 3.0) and (partial.ssim or 0) > 0.95)
     return [
         Claim(
             "Reconstructions by rays and by waves have the same number of pixels.",
@@ -121,7 +134,14 @@ def check_claims(
             f"Strongly means to less than {_STRONGLY:.0%}, in both letters. Not all goes: lenses of one subset still "
             "interfere.",
         ),
-        _similarity_to_rays(experiment, (first, last)),
+        Claim(
+            "The partially coherent image nearly equals that by rays.",
+            f"PSNR {'; '.join(texts)}.",
+            verdict(alike),
+            "Nearly means above 30 dB and an SSIM of 0.95, and by more than 3 dB nearer "
+            "than the coherent image, which is near, too: most of each image is in what all methods share. The rays "
+            "spread over what their lens sees.",
+        ),
         Claim(
             "Apart from interference, reconstructions by waves and by rays do not differ.",
             f"Without interference: {_in_letters(blurred, 'limit_from_rays')} With it: "
@@ -131,9 +151,37 @@ def check_claims(
             "visible. What remains without interference is fine detail: on the way back, microlenses diffract it "
             "again.",
         ),
-        *(_four_suffice(blurred, reading) for reading in _FOUR),
-        _separate(experiment, blurred),
-        _literal(blurred),
+        *(
+            Claim(
+                f"Four propagations, {lenses}, suffice.",
+                f"{_in_letters(blurred, reading)} Without subsets: {_both([row['coherent'] for row in blurred])}.",
+                # Where nothing stood before, nothing needed to be removed.
+                verdict([row[reading] < 0.01 and row["coherent"] > _VISIBLE for row in blurred]),
+                f"Enough is what brings it below 1%. {remark}",
+            )
+            for reading, (lenses, remark) in _FOUR.items()
+        ),
+        Claim(
+            "With four propagations the images of no two lit lenses of a subset overlap.",
+            f"A colouring of the lit lenses by the overlap of their images takes {subsets}.",
+            verdict([row["colours"] <= 4 for row in blurred]),
+            f"The paper's own condition. By the diameter of the blur alone it would take every {needed}th lens at "
+            f"{last:g} mm, {needed * needed} propagations.",
+        ),
+        Claim(
+            "With a phase at the detector alone, as the paper writes it, interference and its reduction are as "
+            "described.",
+            f"{_in_letters(blurred, 'literal_coherent')} Left of it by every second lens: "
+            f"{_both(literal_left, '.0%')}.",
+            verdict(
+                [
+                    row["literal_coherent"] > _VISIBLE and fraction < _STRONGLY
+                    for row, fraction in zip(blurred, literal_left, strict=True)
+                ]
+            ),
+            "Relative to the limit without interference of the same procedure. All other verdicts let the microlenses "
+            "act a second time on the way back.",
+        ),
         *(_times(seconds) if seconds else ()),
     ]
 
@@ -178,65 +226,6 @@ def _two_digits(value: float) -> str:
 def verdict(holds: list[bool]) -> str:
     """Return the verdict on a statement that holds in some of several cases."""
     return CONFIRMED if all(holds) else PARTLY if any(holds) else DIFFERS
-
-
-def _similarity_to_rays(experiment: Experiment, distances: tuple[float, ...]) -> Claim:
-    texts = []
-    near = []
-    for distance in distances:
-        partial, coherent = (
-            metrics.image_metrics(experiment.images[method, distance], experiment.images["ray", distance])
-            for method in ("partial", "coherent")
-        )
-        ssim = metrics.ssim_text(partial.ssim)
-        texts.append(f"{partial.psnr:.1f} dB, SSIM {ssim} at {distance:g} mm, coherent {coherent.psnr:.1f} dB")
-        alike = partial.psnr > 30.0 and (partial.ssim or 0) > 0.95
-        near.append(alike and partial.psnr - coherent.psnr > 3.0)
-    return Claim(
-        "The partially coherent image nearly equals that by rays.",
-        f"PSNR {'; '.join(texts)}.",
-        verdict(near),
-        "Nearly means above 30 dB and an SSIM of 0.95, and by more than 3 dB nearer "
-        "than the coherent image, which is near, too: most of each image is in what all methods share. The rays spread "
-        "over what their lens sees.",
-    )
-
-
-def _four_suffice(blurred: list[dict[str, Any]], reading: str) -> Claim:
-    lenses, remark = _FOUR[reading]
-    return Claim(
-        f"Four propagations, {lenses}, suffice.",
-        f"{_in_letters(blurred, reading)} Without subsets: {_both([row['coherent'] for row in blurred])}.",
-        # Where nothing stood before, nothing needed to be removed.
-        verdict([row[reading] < 0.01 and row["coherent"] > _VISIBLE for row in blurred]),
-        f"Enough is what brings it below 1%. {remark}",
-    )
-
-
-def _separate(experiment: Experiment, blurred: list[dict[str, Any]]) -> Claim:
-    camera = experiment.camera
-    last = blurred[0]["distance"]
-    needed = math.ceil(camera.blur_diameter(last) / camera.row_pitch)
-    subsets = " and ".join(f"{row['colours']} subsets at {row['distance']:g} mm" for row in blurred)
-    return Claim(
-        "With four propagations the images of no two lit lenses of a subset overlap.",
-        f"A colouring of the lit lenses by the overlap of their images takes {subsets}.",
-        verdict([row["colours"] <= 4 for row in blurred]),
-        f"The paper's own condition. By the diameter of the blur alone it would take every {needed}th lens at "
-        f"{last:g} mm, {needed * needed} propagations.",
-    )
-
-
-def _literal(blurred: list[dict[str, Any]]) -> Claim:
-    left = [row["literal_partial"] / max(row["literal_coherent"], 1e-9) for row in blurred]
-    visible_before = [row["literal_coherent"] > _VISIBLE for row in blurred]
-    return Claim(
-        "With a phase at the detector alone, as the paper writes it, interference and its reduction are as described.",
-        f"{_in_letters(blurred, 'literal_coherent')} Left of it by every second lens: {_both(left, '.0%')}.",
-        verdict([visible and fraction < _STRONGLY for visible, fraction in zip(visible_before, left, strict=True)]),
-        "Relative to the limit without interference of the same procedure. All other verdicts let the microlenses act "
-        "a second time on the way back.",
-    )
 
 
 def _times(seconds: dict[str, float]) -> list[Claim]:

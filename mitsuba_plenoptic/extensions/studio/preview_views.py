@@ -78,9 +78,9 @@ class LensView:
         return np.asarray(blur <= camera.row_pitch)
 
     def field(self, distance: float) -> tuple[float, float]:
-        """Return width and height of the field in mm, which grow with the distance."""
+        """Return width and height of the field in mm, which grow with the distance before a thin lens."""
         columns, rows = self.camera.bin_count
-        bin_size = self.camera.row_pitch * distance / self.camera.mla_distance
+        bin_size = self.camera.bin_size(distance)
         return columns * bin_size, rows * bin_size
 
     def field_in_units(self) -> str:
@@ -163,12 +163,6 @@ class MicroscopeView(LensView):
         """Return a mask of depths whose blur in the object is at most a bin wide."""
         steepest = math.tan(self._objective.half_angle)
         return np.asarray(2 * np.abs(distance) * steepest <= self.camera.bin_size(0))
-
-    def field(self, distance: float) -> tuple[float, float]:
-        """Return width and height of the field in mm, the same at every depth."""
-        columns, rows = self.camera.bin_count
-        bin_size = self.camera.bin_size(0)
-        return columns * bin_size, rows * bin_size
 
     def drawn_range(self, distances: np.ndarray) -> tuple[float, float]:
         """Return a range that reaches as far before the native object plane as beyond it."""

@@ -177,9 +177,17 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
     thinned = [
         _thinned(recording.light_field, _VIEW_BYTES // len(recordings) // (1 + wide)) for recording in recordings
     ]
+    names = [recording.name for recording in recordings]
     recorded = [
-        _recording(recording, name, lf, white, 16 if wide else 8, len(recordings))
-        for recording, name, lf in zip(recordings, _names(recordings), thinned, strict=True)
+        _recording(
+            recording,
+            f"{recording.name} {index}" if names.count(recording.name) > 1 else recording.name,
+            lf,
+            white,
+            16 if wide else 8,
+            len(recordings),
+        )
+        for index, (recording, lf) in enumerate(zip(recordings, thinned, strict=True), 1)
     ]
     data = {
         "white": white,
@@ -192,9 +200,7 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
         rows, columns = planes[0][1].shape[:2]
         methods = ", ".join(sorted({method for _, _, method in planes}))
         facts.append(("Images of the stack", f"{len(planes)} of {columns} x {rows} bins ({methods})"))
-    facts += [
-        ("White", f"the radiance {white:.3g} at an exposure of 0; colours are sRGB"),
-    ]
+    facts.append(("White", f"the radiance {white:.3g} at an exposure of 0; colours are sRGB"))
     # Scene and camera are mostly those of both.
     headline = (
         title
@@ -232,12 +238,6 @@ def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float
                 "reconstructions or depth maps"
             )
     return recordings, sorted(planes, key=lambda plane: plane[0]), depths
-
-
-def _names(recordings: list[Recording]) -> list[str]:
-    """Return different names for light fields."""
-    names = [recording.name for recording in recordings]
-    return [f"{name} {index}" if names.count(name) > 1 else name for index, name in enumerate(names, 1)]
 
 
 def _recording(
@@ -307,7 +307,7 @@ def _raw(image: np.ndarray, lf: xr.DataArray, white: float, count: int) -> tuple
     rows, columns = small.shape[:2]
     averaged = f", averaged over {factor} x {factor} pixels" if factor > 1 else ""
     grid = grid_of(lf)
-    bins = _bins(lf)
+    bins = bin_grid(camera_of(lf)) if lf.attrs.get("camera") and grid else None
     content = {
         "picture": images.encode(small, 8, full),
         "rows": rows,
@@ -323,17 +323,9 @@ def _raw(image: np.ndarray, lf: xr.DataArray, white: float, count: int) -> tuple
             "shifted": grid.shifted_rows,
             "pitch": grid.nearest_distance,
         },
-        "bins": bins,
+        "bins": bins and {"offset": bins.offset, "spacing": bins.spacing},
     }
     return content, f"{image.shape[1]} x {image.shape[0]} pixels{averaged}; 8 bits, up to {full:.3g}"
-
-
-def _bins(lf: xr.DataArray) -> dict[str, Any] | None:
-    """Return the positions of bins on the raw picture, None if they are unknown."""
-    if not lf.attrs.get("camera") or not lf.attrs.get("grid"):
-        return None
-    bins = bin_grid(camera_of(lf))
-    return {"offset": bins.offset, "spacing": bins.spacing}
 
 
 def _planes(planes: list[tuple[float, np.ndarray, str]], white: float) -> list[dict[str, Any]]:

@@ -31,11 +31,12 @@ def read_source(
     `open_light_field` reads, whose options these are.
     """
     path = Path(path)
-    kind = read_attributes(path).get("kind") if path.suffix.lower() == ".exr" else None
+    suffix = path.suffix.lower()
+    kind = read_attributes(path).get("kind") if suffix == ".exr" else None
     if isinstance(kind, str) and kind in _COMPUTED:
         with naming(path):
             return _COMPUTED[kind](path)
-    if path.suffix.lower() == ".exr":
+    if suffix == ".exr":
         capture = read_capture(path, camera=camera)
         lens = capture.camera.lens_data
         if not lens.is_thin and not lens.images_stop and views is None:
@@ -43,14 +44,10 @@ def read_source(
             lf = decoded(capture, reference.image if isinstance(reference, Capture) else reference)
             return Recording.of(capture, path.stem, lf)
     lf = open_light_field(path, white=white, views=views, linear=linear, camera=camera)
-    if path.suffix.lower() == ".exr":
+    if suffix == ".exr":
         return Recording.of(capture, path.stem, lf)
     # Raw pictures were decoded; of mosaics and light fields there is no raw picture.
-    raw = (
-        read_picture(path, linear=linear)
-        if lf.attrs.get("grid") and path.suffix.lower() in choices.RAW_SUFFIXES
-        else None
-    )
+    raw = read_picture(path, linear=linear) if lf.attrs.get("grid") and suffix in choices.RAW_SUFFIXES else None
     return Recording(path.stem, lf, raw)
 
 
@@ -80,17 +77,19 @@ def _planes(images: list[np.ndarray], distances: list[Any], method: str) -> xr.D
 def _depth(path: Path) -> xr.Dataset:
     """Read a depth map that `write_depth` wrote."""
     parts, _ = read_exr_parts(path)
-    for name in ("depth", "confidence", "image"):
+    names = "depth", "confidence", "image"
+    for name in names:
         refuse_if(name not in parts, f"it has no part {name}")
-    images = {name: _image(parts[name]) for name in ("depth", "confidence", "image")}
+    images = {name: _image(parts[name]) for name in names}
     return xr.Dataset({name: (("t", "s", "c")[: image.ndim], image) for name, image in images.items()})
 
 
 def _image(channels: dict[str, np.ndarray]) -> np.ndarray:
     """Return the image of a part, whose channels are Y, or R, G and B."""
-    for names in (("Y",), ("R", "G", "B")):
-        if set(channels) == set(names):
-            return channels["Y"] if names == ("Y",) else np.stack([channels[name] for name in names], axis=-1)
+    if set(channels) == {"Y"}:
+        return channels["Y"]
+    if set(channels) == set("RGB"):
+        return np.stack([channels[name] for name in "RGB"], axis=-1)
     raise InputError(f"it has the channels {', '.join(channels)} instead of Y or R, G, B")
 
 
