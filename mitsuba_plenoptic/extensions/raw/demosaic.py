@@ -6,7 +6,8 @@ A missing colour is estimated from the surrounding pixels of that colour, as rat
 
 with the filters :math:`m_c` and the white image W. This is normalised convolution, with the white image as certainty
 (Knutsson and Westin 1993). Only pixels q of the lens of p count, since light in a neighbour's micro-image comes from
-elsewhere, and dark gaps between micro-images have no colour. Recorded pixels are unchanged.
+elsewhere. Where it has none near p, the sums are over its whole micro-image, or that of the nearest lens that has the
+colour. Recorded pixels are unchanged.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from ... import choices
 from ...detector import filters
@@ -101,11 +103,22 @@ def demosaic(
             same_channel = same * (filter_channels[there] == channel)
             light[(*here, channel)] += same_channel * capture.image[there]
             weight[(*here, channel)] += same_channel * certainty[(*there, channel)]
-    # Part of the weight of the brightest pixel of white below which a colour is not known.
-    covered = weight > 1e-3 * certainty.max(initial=0)
-    result = np.where(covered, certainty * light / np.where(covered, weight, 1), 0)
+    # The colour of the whole lens counts faintly, and alone where no near pixel has the channel.
+    faint = 1e-5 * certainty.max()
+    for channel in range(3):
+        of_lens, white_of_lens = (
+            np.bincount(lenses.ravel(), ((filter_channels == channel) * each).ravel())[lenses]
+            for each in (capture.image, certainty[..., channel])
+        )
+        dark = white_of_lens <= 1e4 * faint
+        refuse_if(dark.all(), f"mosaic = {mosaic}: no lit pixel has the colour {'RGB'[channel]}")
+        nearest = tuple(distance_transform_edt(dark, return_distances=False, return_indices=True))
+        light[..., channel] += faint * of_lens[nearest] / white_of_lens[nearest]
     image = np.asarray(
-        np.where(filter_channels[..., None] == np.arange(3), capture.image[..., None], result), np.float32
+        np.where(
+            filter_channels[..., None] == np.arange(3), capture.image[..., None], certainty * light / (weight + faint)
+        ),
+        np.float32,
     )
     metadata = dict(capture.metadata)
     wavelength: Any = capture.wavelength
@@ -137,7 +150,7 @@ def _certainty(
     else:
         computed = white_image(capture.camera) if capture.camera.lens_data.is_thin else None
         image = recorded_white(white, (*capture.image.shape, 3), [capture.camera], computed)
-    return np.ascontiguousarray(np.broadcast_to(np.maximum(image, 0), (*capture.image.shape, 3)))
+    return np.broadcast_to(np.maximum(image, 0), (*capture.image.shape, 3))
 
 
 def _shifts(reach: int) -> Iterator[tuple[int, int, float]]:
