@@ -165,8 +165,9 @@ def _divided(total: np.ndarray, divisor: np.ndarray, reached: np.ndarray) -> np.
 def divisors(white: np.ndarray, rays: np.ndarray, distance: float, *, computed: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return the divisors of a plane's sums over bins, and a mask of the bins to be divided.
 
-    Bins that waves hardly reach, as fine ones beside the spots of a focused camera's lenses, are not amplified: computed
-    white counts a quarter of the light that as many rays usually bring at least, and reads less than 1 where it has less.
+    Bins that waves hardly reach, as fine ones beside the spots of a focused camera's lenses, are not amplified:
+    computed white counts at least a quarter of the light that as many rays usually bring, and reads less than 1
+    where it has less.
     """
     white = np.atleast_3d(white)
     reached = is_reached(rays)[..., None] & (white > 0)
