@@ -179,59 +179,6 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
     return Evaluation(problem.residuals(numbers, poses), frames, observed.pose, poses)
 
 
-def cross_validate(
-    corners: Table, board: Board, calibration: Calibration, centres: Table | None = None
-) -> dict[int, float]:
-    """Return the error of each pose in pixels, predicted by a calibration without that pose; only its pose is fitted.
-
-    Parameters
-    ----------
-    corners : Table
-        Observed corners, as `read_corners` gives them.
-    board : Board
-        The board that was seen.
-    calibration : Calibration
-        The calibration from all poses.
-    centres : Table, optional
-        Observed centres of micro-images.
-
-    Returns
-    -------
-    dict
-        RMS error in pixels by frame.
-    """
-    observed, frames = observations(corners, board, calibration.index)
-    camera = calibration.camera
-    all_poses = Problem(observed, camera.pixel_size, camera.lattice.row_ratio)
-    if centres:
-        inliers, weight = _used_centres(centres, calibration.index, calibration.evaluation.residuals)
-        all_poses = _with_centres(all_poses, centres, inliers, calibration.index, weight)
-    numbers = np.array(list(calibration.numbers.values()))
-    poses = calibration.evaluation.poses
-    errors = {}
-    for left_out, frame in enumerate(frames):
-        problem = _poses(all_poses, observed.pose != left_out)
-        if not centres:
-            residuals = calibration.evaluation.residuals[observed.pose != left_out]
-            problem = _through_pupil(problem, residuals, ~outlying(np.hypot(*residuals.T)))
-        weights = _weights(
-            problem, Adjusted(numbers, np.delete(poses, left_out, 0), 0.0, 0), np.delete(frames, left_out)
-        )
-        fit = adjust(problem, numbers, np.delete(poses, left_out, 0), weights=weights)
-        alone = _poses(Problem(observed, all_poses.pixel_size, all_poses.row_ratio), observed.pose == left_out)
-        refitted = adjust(alone, fit.numbers, poses[left_out : left_out + 1], ())
-        errors[int(frame)] = float(np.sqrt(2 * refitted.cost / len(alone.corners)))
-    return errors
-
-
-def _poses(problem: Problem, chosen: np.ndarray) -> Problem:
-    """Return a problem restricted to some poses."""
-    observed = problem.corners
-    _, pose = np.unique(observed.pose[chosen], return_inverse=True)
-    selection = replace(observed.keep(chosen), pose=pose)
-    return Problem(selection, problem.pixel_size, problem.row_ratio, problem.centres, problem.centre_weight)
-
-
 def _with_centres(problem: Problem, centres: Table, inliers: np.ndarray, index: LensIndex, weight: float) -> Problem:
     """Return a problem with some of the centres added."""
     nothing = np.zeros((0, 2))

@@ -1,7 +1,7 @@
 """Calibration of a real camera: parameters from corners of a board, centres of micro-images from white images."""
 
 from .blur import Blur
-from .board_fit import calibrate, cross_validate, evaluate
+from .board_fit import calibrate, evaluate
 from .boards import board_scene
 from .calibrated_cameras import read_camera, write_calibration
 from .calibration_result import Calibration, Evaluation, ResidualMap, residual_map
@@ -24,7 +24,6 @@ __all__ = [
     "calibrate",
     "camera_centres",
     "concatenate",
-    "cross_validate",
     "detect_corners",
     "evaluate",
     "find_centres",

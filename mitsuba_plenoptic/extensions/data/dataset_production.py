@@ -6,7 +6,6 @@ import json
 import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +46,12 @@ class SampleTask:
 
     def prepare(self) -> Callable[[], int]:
         """Return the function that renders and writes the sample and returns its index."""
-        return partial(_make, self.recipe, self.index, self.path)
+        return self._make
+
+    def _make(self) -> int:
+        with naming(f"sample {self.index}"):
+            write_samples(self.path, [make_sample(self.recipe, self.index)])
+        return self.index
 
 
 def make_dataset(
@@ -138,12 +142,6 @@ def _produce(recipe: Recipe, layout: DataFolder, batch_map: BatchMap | None, pro
     shutil.rmtree(layout.sample(0).parent)
 
 
-def _make(recipe: Recipe, index: int, path: Path) -> int:
-    with naming(f"sample {index}"):
-        write_samples(path, [make_sample(recipe, index)])
-    return index
-
-
 def _try_scenes(recipe: Recipe) -> None:
     """Load one scene of each source of a recipe, so that errors in files are reported before rendering."""
     left = set(range(len(recipe.scenes)))
@@ -220,9 +218,10 @@ Software: {software}; source of mitsuba_plenoptic {version}.
 def write_card(path: Path, recipe: Recipe, data_set: DataSet) -> None:
     """Write the data card of a data set as Markdown."""
     lines = ["| array | shape | meaning |", "|---|---|---|"]
-    for name, array in sorted(data_set[0].arrays.items()):
+    first = data_set[0]
+    meanings = first.facts.get("arrays", {})
+    for name, array in sorted(first.arrays.items()):
         base = name.removeprefix("views_")
-        meanings = data_set[0].facts.get("arrays", {})
         if name in meanings:
             meaning = meanings[name]
         elif base != name:
@@ -235,7 +234,7 @@ def write_card(path: Path, recipe: Recipe, data_set: DataSet) -> None:
         lines.append(f"| `{name}` | {' x '.join(map(str, np.shape(array)))} | {meaning} |")
     software = dict(data_set.manifest["software"])
     model = recipe.models[-1]
-    names = data_set[0].arrays
+    names = first.arrays
     pair = [name for name in names if name.startswith(f"{model}_") and "exposed" not in name]
     text = _TEXT.format(
         name=recipe.name,

@@ -58,8 +58,8 @@ def _fitted(camera: PlenopticCamera, position: Doubles) -> PlenopticCamera:
     u, v = (np.asarray(coordinate, np.float64) for coordinate in lattice.unit_centre(i, j))
     v = v * lattice.row_ratio
     x, y = position.T
-    ones = np.ones(len(position))
-    none = np.zeros(len(position))
+    ones = np.ones_like(u)
+    none = np.zeros_like(u)
     # Steps (a, b) along the rows and q (-b, a) across them, of which the ratio q of the pitches is refined in turn.
     ratio = camera.mla_pitches[1] / camera.mla_pitches[0]
     for _ in range(8):

@@ -97,7 +97,12 @@ def make_class() -> type:
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            self.lasers = _names(properties.read_plain(props, "lasers", ""))
+            ids = properties.read_plain(props, "lasers", "")
+            refuse_if(
+                not isinstance(ids, str), f"{NAME}: lasers = {ids}: it must be ids of emitters, separated by commas"
+            )
+            self.lasers = [name.strip() for name in ids.split(",") if name.strip()]
+            refuse_if(not self.lasers, f"{NAME}: lasers: give the id of at least one emitter")
             wavelength = properties.read_plain(props, "wavelength", wave_base.DEFAULT_WAVELENGTH)
             self.wavelengths = (require_wavelength(wavelength, f"{NAME}: wavelength"),)
             self.modes = None
@@ -195,11 +200,3 @@ def make_class() -> type:
             return max(1, round(count))
 
     return PlenopticLaserIntegrator
-
-
-def _names(value: Any) -> list[str]:
-    """Return the names in a text, separated by commas."""
-    refuse_if(not isinstance(value, str), f"{NAME}: lasers = {value}: it must be ids of emitters, separated by commas")
-    names = [name.strip() for name in value.split(",") if name.strip()]
-    refuse_if(not names, f"{NAME}: lasers: give the id of at least one emitter")
-    return names

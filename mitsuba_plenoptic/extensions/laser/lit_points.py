@@ -77,6 +77,7 @@ class LaserScene:
     def points(self, per_spot: float, seed: int) -> LitPoints:
         """Return lit points of the scene, with a given number in each square of side lambda b / D on the array."""
         lens = self.system.lens
+        nothing = LitPoints(np.empty((0, 3)), np.empty(0))
         rng = np.random.default_rng(seed)
         window = LensWindow.of(self.system)
         middle = (window.low + window.high) / 2
@@ -92,11 +93,11 @@ class LaserScene:
             hit = self._hit(wide)
             surfaces = self._in_camera(hit)[hit.is_valid().numpy()]
         if not len(surfaces):
-            return LitPoints(np.empty((0, 3)), np.empty(0))
+            return nothing
         blur = self._blur(surfaces)
         reaches = (np.abs(lens.images(surfaces) - middle) <= half + blur[:, None]).all(1)
         if not reaches.any():
-            return LitPoints(np.empty((0, 3)), np.empty(0))
+            return nothing
         half = half + blur[reaches].max()
         spot = in_millimetres(self.system.wavelength) * lens.pupil.distance / (2 * lens.pupil.radius)
         count = np.ceil(2 * half / spot * math.sqrt(per_spot)).astype(int)

@@ -227,9 +227,7 @@ class SweepFile:
         self.variables = file.variables
         self._grid = grid
         axes = [name for name in grid if name != DISTANCE]
-        self.shape = tuple(len(grid[name]) for name in axes) or (1,)
-        # A grid of distances alone has one capture, without an axis.
-        self._scalar = not axes
+        self.shape = tuple(len(grid[name]) for name in axes)
         sizes = {name: len(values) for name, values in grid.items()}
         sizes |= zip(("row", "column", "bin_column", "bin_row"), largest, strict=False)
         channels = ("channel",) if first.image.ndim == 3 else ()
@@ -265,16 +263,16 @@ class SweepFile:
                 "software": json.dumps(software(), sort_keys=True),
             }
         )
-        self.distances = grid.get(DISTANCE, ())
 
     def put(self, index: tuple[Any, ...], capture: Capture, images: list[np.ndarray]) -> None:
         """Write one capture with its reconstructions into the file."""
-        at = () if self._scalar else tuple(int(i) for i in index)
+        # A grid of distances alone has one capture, without an axis.
+        at = tuple(map(int, index))
         rows, columns = capture.image.shape[:2]
         self.variables["capture"][(*at, slice(rows), slice(columns), ...)] = capture.image
         if "pixel_size" not in self._grid:
             self.variables["pixel_size"][at] = capture.camera.pixel_size
-        for plane, (distance, image) in enumerate(zip(self.distances, images, strict=True)):
+        for plane, (distance, image) in enumerate(zip(self._grid.get(DISTANCE, ()), images, strict=True)):
             rows, columns = image.shape[:2]
             self.variables["reconstruction"][(*at, plane, slice(rows), slice(columns), ...)] = image
             self.variables["bin_size"][(*at, plane)] = capture.camera.bin_size(distance)

@@ -14,7 +14,6 @@ from mitsuba_plenoptic.calibration import (
     Board,
     LensIndex,
     Table,
-    cross_validate,
     evaluate,
     read_camera,
     read_centres,
@@ -23,6 +22,7 @@ from mitsuba_plenoptic.calibration import (
 )
 from mitsuba_plenoptic.extensions.calibrate.adjustment import Problem, adjust
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, Observations, numbers_of, predict_centres
+from tools.bench.cases.real_cameras import cross_validate
 
 NOISE = 0.1
 START = PlenopticCamera.preset("raytrix").replace(
