@@ -44,6 +44,8 @@ class Watch:
             self._total += whole.sum()
             self._at_edge += arrays.where(arrays.asarray(self._inner[lines]), high, whole).sum()
             yield lines, block
+        sums = arrays.stack([self._total, self._at_edge])
+        self._total, self._at_edge = active_backend().to_host(sums).tolist()
 
     def see_window(self, lines: fft.Field) -> None:
         """Add the power of lines all over the next window along y."""

@@ -246,10 +246,11 @@ def arrival(
         return telecentric_arrival(closed, position, wavelength, grids, weights, camera.vignetting)
     pupil = pupil_field(system, position, grids, weights, incident)
     lit = active_backend().arrays.flatnonzero(power_by_row(pupil.samples))
-    first = int(lit[0])
+    # In one transfer.
+    first, last = active_backend().to_host(lit[[0, -1]]).tolist()
     paraxial = incident is not None and is_paraxial(camera)
     hop = to_array(camera, wavelength, grids.to_array(), paraxial)
-    return pupil, Arrival(pupil.samples[first : int(lit[-1]) + 1], first, (hop,))
+    return pupil, Arrival(pupil.samples[first : last + 1], first, (hop,))
 
 
 def pupil_field(

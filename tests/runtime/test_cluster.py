@@ -194,7 +194,7 @@ def test_dask_is_left_as_it_was(monkeypatch, address):
     with pytest.raises(InputError, match="no workers can be had"), Cluster(scheduler=address):
         pass
     assert dask.config.get("scheduler", None) == before
-    assert [client() for client in clients] == [None] * (address == "here")
+    assert not any(client() for client in clients)
 
 
 @pytest.mark.parametrize("greeting", [b"", b"HTTP/1.1 400 Bad Request\r\n"])

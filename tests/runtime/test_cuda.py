@@ -191,8 +191,8 @@ HANDED = {
     "derivatives of subsets": 90_000,
 }
 """Numbers beside the result that leave the device."""
-SCALARS = 40
-"""Single numbers that may leave it: what arrived of each batch, and the power by which the physics is guarded."""
+SCALARS = 48
+"""Single numbers that may leave it: what arrived of each batch, of the image and of its white, and guarded powers."""
 QUICK = (
     "step", "sum of patterns", "full field", "fields", "signed rays", "convolution", "derivatives of a reconstruction",
     "derivatives of subsets", "rays", "subdivided pixels", "lens by lens", "adjoint on a turned array",

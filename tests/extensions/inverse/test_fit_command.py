@@ -126,7 +126,7 @@ def test_mistakes_are_one_line(tmp_path, capsys, words, message):
     assert message in error and error.count("\n") == 1
 
 
-@pytest.mark.parametrize("name", ["focal_length=50", "resolution=64", "mla_focal_length=0.5"])
+@pytest.mark.parametrize("name", ["focal_length=50", "resolution=256", "mla_focal_length=0.5"])
 def test_parameters_of_the_scenes_own_camera_are_refused(name, mistake):
     words = "it is of the scene's own camera, which another one replaces; leave it out"
     mistake(f"fit {{raw}} --scene letters --parameter mla_pitch --photons 9 -o {{out}}.json -D {name}", words)
