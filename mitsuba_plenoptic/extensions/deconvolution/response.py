@@ -442,14 +442,14 @@ class Response(StoredResponse):
         aims += [(-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0)]
         middle = nearest(0.0, 0.0)
         at_middle = light(index[middle])
-        norm = active_backend().arrays.linalg.norm
-        bright = float(norm(at_middle))
+        bright = math.sqrt((at_middle**2).sum())
         if not bright:
             return math.inf
         steepest = 0.0
         for number in {nearest(*aim) for aim in aims} - {middle}:
             away = math.dist(places[number], places[middle]) / math.hypot(*reach)
-            steepest = max(steepest, float(norm(light(index[number]) - at_middle)) / (bright * away))
+            change = math.sqrt(((light(index[number]) - at_middle) ** 2).sum())
+            steepest = max(steepest, change / (bright * away))
         return steepest
 
     def _kernel_memory(self, distance: float, oversample: int) -> float:
