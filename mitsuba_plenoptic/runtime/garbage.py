@@ -22,13 +22,13 @@ def hide_scenes(phase: str, info: dict[str, Any]) -> None:
     """Hide all objects from a collection of garbage, where Dr.Jit could not lose any; an entry of `gc.callbacks`."""
     global _hidden
     if phase == "start" and not gc.get_freeze_count():
+        _hidden = dr.flag(dr.JitFlag.SymbolicScope)
         frames: list[Any] = list(sys._current_frames().values())
         while frames and not _hidden:
             frame = frames.pop()
             # A call of a frozen function.
             _hidden = frame.f_globals is vars(dr) and frame.f_code.co_name == "__call__"
-            frames += [frame.f_back] if frame.f_back else []
-        _hidden = _hidden or dr.flag(dr.JitFlag.SymbolicScope)
+            frames += filter(None, [frame.f_back])
         if _hidden:
             gc.freeze()
     elif phase == "stop" and _hidden:

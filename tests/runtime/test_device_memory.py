@@ -68,7 +68,7 @@ def test_caches_are_emptied_between_the_sums_of_a_job(device, flushed):
 
 
 def test_captures_and_reconstructions_name_the_device(device):
-    device.free = 2**20
+    device.free = 2**12
     with pytest.raises(mp.InputError, match="GiB of device memory"):
         mp.reconstruct(np.ones(CAMERA.shape, np.float32), 240.0, camera=CAMERA, wavelength=633, method="coherent")
     with pytest.raises(mp.InputError, match=r"capture of .* GiB of device memory"):

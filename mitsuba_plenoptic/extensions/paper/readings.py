@@ -20,7 +20,7 @@ from ...io import Cache, Capture
 from ...rays import follow_back
 from ...refocus import reconstruct
 from ...report import Experiment, metrics
-from ...views import lenses_of_pixels
+from ...views import capture_white, lenses_of_pixels
 
 
 def quarters(i: NDArray[Any], j: NDArray[Any]) -> NDArray[Any]:
@@ -98,9 +98,18 @@ def of_subsets(
 ) -> NDArray[Any]:
     """Return the summed intensities of one coherent wave for each label of lenses, by their indices i and j."""
     labels = label(*lenses_of_pixels(capture.camera))
-    subsets = [replace(capture, image=np.where(labels == k, capture.image, np.float32(0))) for k in range(4)]
-    images = [reconstruct(subset, distance, method="coherent", oversample=oversample).image for subset in subsets]
-    return np.sum(images, axis=0)
+    # Each image is divided by white of one wave; white of the same subsets takes its place.
+    light, white = (
+        sum(
+            reconstruct(
+                replace(capture, image=np.where(labels == k, image, np.float32(0))),
+                distance, method="coherent", oversample=oversample,
+            ).image
+            for k in range(4)
+        )
+        for image in (capture.image, capture_white(capture, 1).reshape(labels.shape))
+    )  # fmt: skip
+    return light / white
 
 
 def colour_count(capture: Capture, distance: float) -> int:
