@@ -95,7 +95,7 @@ def of_subsets(
     distance: float,
     label: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]],
     oversample: int = 1,
-) -> NDArray[Any]:
+) -> Any:
     """Return the summed intensities of one coherent wave for each label of lenses, by their indices i and j."""
     labels = label(*lenses_of_pixels(capture.camera))
     # Each image is divided by white of one wave; white of the same subsets takes its place.
