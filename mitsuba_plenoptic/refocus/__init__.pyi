@@ -20,8 +20,9 @@ from .projection import pupil_radius as pupil_radius
 from .projection import ray_sums as ray_sums
 from .projection import ray_sums_vjp as ray_sums_vjp
 from .radiance import LensSpread as LensSpread
+from .radiance import WeakBins as WeakBins
 from .radiance import captures as captures
-from .radiance import divisors as divisors
+from .radiance import divided_bins as divided_bins
 from .radiance import is_reached as is_reached
 from .radiance import lens_scale as lens_scale
 from .radiance import to_radiance as to_radiance

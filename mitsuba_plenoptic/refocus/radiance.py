@@ -16,6 +16,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from ..camera import PlenopticCamera, once_a_camera
 from ..design import focus_type, lens_footprint
@@ -145,10 +146,14 @@ def to_radiance(
     whites = others.pop(0) if others else white
     images = []
     for index, (distance, total, divisor, hits) in enumerate(zip(task.distances, light, whites, reach, strict=True)):
-        divisor, reached = divisors(divisor, hits, distance, computed=task.white is None)
-        image = _divided(total, divisor, reached)
+        divisor = np.atleast_3d(divisor)
+        weak = WeakBins(divisor, hits[..., None], task.oversample)
+        divisor = weak.shared(divisor)
+        reached = divided_bins(divisor, hits[..., None], distance)
+        image = _divided(weak.shared(total), divisor, reached)
         if others:
-            rising = [_divided(quantity, divisor, reached) for (quantity,) in others[2 * index : 2 * index + 2]]
+            pairs = others[2 * index : 2 * index + 2]
+            rising = [_divided(weak.shared(quantity), divisor, reached) for (quantity,) in pairs]
             moved = displacements(rising, tilt(task.camera, distance)[0], task.camera, task.oversample)
             image = brought_back(image, moved, np.broadcast_to(divisor, image.shape), task.oversample)
         images.append(image.astype(np.float32, copy=False))
@@ -162,21 +167,34 @@ def _divided(total: np.ndarray, divisor: np.ndarray, reached: np.ndarray) -> np.
     return image
 
 
-def divisors(white: np.ndarray, rays: np.ndarray, distance: float, *, computed: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return the divisors of a plane's sums over bins, and a mask of the bins to be divided.
+class WeakBins:
+    """Bins that waves hardly reach, as fine ones beside the spots of a focused camera's lenses, in one plane.
 
-    Bins that waves hardly reach, as fine ones beside the spots of a focused camera's lenses, are not amplified:
-    computed white counts at least a quarter of the light that as many rays usually bring, and reads less than 1
-    where it has less.
+    The division by white would amplify their light. They share sums with the bins around them, over one lens.
     """
-    white = np.atleast_3d(white)
-    reached = is_reached(rays)[..., None] & (white > 0)
+
+    def __init__(self, white: np.ndarray, rays: np.ndarray, oversample: int) -> None:
+        """Find bins of less than a quarter of the white that as many rays bring around them."""
+        self._lens = oversample // 2 * 2 + 1
+        self._weak = white * self._around(rays) < 0.25 * rays * self._around(white)
+
+    def _around(self, sums: np.ndarray) -> np.ndarray:
+        return np.asarray(uniform_filter(sums, self._lens, mode="constant", axes=(0, 1)))
+
+    def shared(self, sums: np.ndarray) -> np.ndarray:
+        """Return sums (rows, columns, ...), in weak bins the mean around them."""
+        return np.where(self._weak, self._around(sums), sums)
+
+    def shared_vjp(self, bins: np.ndarray) -> np.ndarray:
+        """Return the transpose of `shared`, applied to bins (rows, columns, ...)."""
+        return np.where(self._weak, 0, bins) + self._around(np.where(self._weak, bins, 0))
+
+
+def divided_bins(white: np.ndarray, rays: np.ndarray, distance: float) -> np.ndarray:
+    """Return a mask of the bins whose sums are divided by the sums of white."""
+    reached = is_reached(rays) & (white > 0)
     refuse_if(not reached.any(), f"distance = {distance:g}: no light comes from any of the {rays.size} bins there")
-    if computed:
-        # Both sums are of all bins, since light that misses one of them is in another.
-        usual = white.sum() / (float(rays.sum()) * white.shape[2])
-        white = np.maximum(white, 0.25 * usual * rays[..., None])
-    return white, reached
+    return reached
 
 
 def is_reached(rays: np.ndarray) -> np.ndarray:

@@ -335,7 +335,7 @@ def test_scenes(name, camera):
         ({"mla_pitch": 0.016, "mla_focal_length": 0.128, "resolution": (16384, 16384)}, 633, "hardly focus"),
         ({"lens_model": "parabolic"}, 633, "lens_model parabolic: the main lens aberrates light by 0.74 waves"),
         ({"detector_width": 819.2}, None, "a pixel is 0.2 mm wide: .* if they are micrometres, divide them by 1000"),
-        ({"mla_lattice": "none", "detector_width": 819.2}, None, "a pixel is 0.2 mm wide: .* micrometres"),
+        ({"mla_lattice": "none", "detector_width": 819.2}, None, "ten focal lengths: .* micrometres"),
         ({"main_lens": "double_gauss", "detector_width": 819.2}, None, "a pixel is 0.2 mm wide: .* micrometres"),
         ({"mla_pitch": 64, "detector_width": 819.2}, None, "a pixel is 0.2 mm wide: .* micrometres"),
         ({"mla_pitch": 64}, None, "pitch of the lenses is 64 mm: .* micrometres"),

@@ -32,9 +32,9 @@ from ...refocus import (
     BinSums,
     LensSpread,
     ThinConjugates,
-    divisors,
+    WeakBins,
+    divided_bins,
     fine_bins,
-    is_reached,
     lens_scale,
     planning,
     pupil_radius,
@@ -84,8 +84,7 @@ class RayRefocus:
         require_choice("footprint", footprint, FOOTPRINTS)
         self._numbers = distance, pupil_radius(camera), footprint, require_count("oversample", oversample)
         white = white_sums(camera, *self._numbers)
-        reached = is_reached(white)
-        refuse_if(not reached.any(), f"distance = {distance:g}: no light comes from any of the {white.size} bins there")
+        reached = divided_bins(white, white, distance)
         self._factor = np.where(reached, 1 / np.where(reached, white, 1), 0.0)
 
     @property
@@ -266,9 +265,11 @@ class CoherentRefocus:
         (self._step,) = grids.to_objects
         (self._zone,) = ThinConjugates(system).zones(distance)
         rays = white_sums(camera, distance, camera.lit_radius, "lens", oversample)
-        self._factor = np.ones(rays.shape)
-        divisor, reached = divisors(_CoherentChannel(self, white).bins, rays, distance, computed=True)
-        self._factor = np.divide(1.0, divisor, out=np.zeros(divisor.shape), where=reached)[..., 0]
+        light = _BinnedPower(self, white.astype(np.float32), checked=True).bins
+        self._weak = WeakBins(light, rays, oversample)
+        divisor = self._weak.shared(light)
+        reached = divided_bins(divisor, rays, distance)
+        self._factor = np.divide(1.0, divisor, out=np.zeros(divisor.shape), where=reached)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -338,18 +339,19 @@ class _CoherentChannel:
     """The bins of one channel: from positive pixels, minus those from negative ones, divided by the light of white."""
 
     def __init__(self, refocus: CoherentRefocus, image: NDArray[np.float32]) -> None:
-        self._factor = refocus._factor
+        self._factor, self._weak = refocus._factor, refocus._weak
         self._parts = [(sign, _BinnedPower(refocus, signed, checked=sign > 0)) for sign, signed in signed_parts(image)]
-        self.bins = self._factor * sum(sign * signed.bins for sign, signed in self._parts)
+        self.bins = self._factor * self._weak.shared(np.asarray(sum(sign * part.bins for sign, part in self._parts)))
 
     def jvp(self, change: NDArray[Any]) -> NDArray[Any]:
         """Return the change of the bins for a change of the pixels."""
         # A bin of a part below zero is subtracted, and its capture is minus the pixels: the signs cancel.
-        return np.asarray(self._factor * sum(plane.jvp(change) for _, plane in self._parts))
+        return self._factor * self._weak.shared(np.asarray(sum(plane.jvp(change) for _, plane in self._parts)))
 
     def vjp(self, bins: NDArray[Any]) -> NDArray[Any]:
         """Return the gradient with respect to the pixels, from the gradient with respect to the bins."""
-        return np.asarray(sum(plane.vjp(self._factor * bins) for _, plane in self._parts))
+        bins = self._weak.shared_vjp(self._factor * bins)
+        return np.asarray(sum(plane.vjp(bins) for _, plane in self._parts))
 
 
 class _BinnedPower:
