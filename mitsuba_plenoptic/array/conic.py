@@ -33,11 +33,6 @@ class Conic(MicrolensShape):
         Coefficients :math:`a_0, a_1, ...` of :math:`r^4, r^6, ...`, in :math:`mm^{-3}, mm^{-5}, ...`
     glass : Glass, str, float or dict
         The lens's material, as `Glass.from_plain` takes it, or its index.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
     """
 
     form = "conic"

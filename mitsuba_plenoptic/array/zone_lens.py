@@ -26,11 +26,6 @@ class ZoneLens(MicrolensShape):
         Focal length F in air at the design wavelength, in millimetres. In a medium of index n it is n times as long.
     wavelength : float
         Design wavelength in nanometres.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
     """
 
     form = "zone_lens"

@@ -35,11 +35,6 @@ class LensTransmissions(PlainData):
         lattice frame, at `mla_offset`, of a hexagonal one its centre; each odd row of a hexagonal lattice is half a
         pitch further in x. Default: minus half the counts, rounded down, so that the table is around the axis.
 
-    Raises
-    ------
-    InputError
-        If the values are no table, too many, or out of range, or `first` is not two integers.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp

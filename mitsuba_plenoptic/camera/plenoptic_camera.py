@@ -236,11 +236,6 @@ class PlenopticCamera(CameraGeometry, Displayed):
             "telescope", "shack_hartmann", "full_frame_50mm", "phone", "full_frame_dual", \
             "phone_quad", "phone_quad_bayer"}
             The camera.
-
-        Raises
-        ------
-        InputError
-            If there is no camera of that name; the message lists the names.
         """
         refuse_if(absent := missing("presets", str(name)), absent)
         return cls(**PRESETS[require_choice("preset", name, PRESETS)])
@@ -329,11 +324,6 @@ class PlenopticCamera(CameraGeometry, Displayed):
         ----------
         sensor : mitsuba.Sensor
             A sensor of type ``plenoptic``.
-
-        Raises
-        ------
-        InputError
-            If the sensor is of another type.
         """
         camera = getattr(sensor, "camera", None)
         if not isinstance(camera, cls):
@@ -349,11 +339,6 @@ class PlenopticCamera(CameraGeometry, Displayed):
         ----------
         values : dict
             Parameters by name.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown or missing, or a value is out of range.
         """
         if isinstance(values, dict):
             has_array = str(values.get("mla_lattice")) != NO_LATTICE
@@ -383,11 +368,6 @@ class PlenopticCamera(CameraGeometry, Displayed):
         ----------
         text : str
             The text of the file.
-
-        Raises
-        ------
-        InputError
-            If the text is no JSON object, a name is unknown, or a value is out of range.
         """
         with refusing("camera: it must be a JSON object of camera parameters:", *NO_RECORD):
             values = json.loads(text)
@@ -434,11 +414,6 @@ class PlenopticCamera(CameraGeometry, Displayed):
         -------
         dict
             The sensor, whose film is of single precision. When it is loaded, `from_sensor` returns this camera.
-
-        Raises
-        ------
-        InputError
-            If there is no such format.
         """
         require_choice("pixel_format", pixel_format, ("luminance", "luminance_alpha", "rgb", "rgba", "xyz", "xyza"))
         values = self.to_dict()
@@ -474,11 +449,6 @@ class PlenopticCamera(CameraGeometry, Displayed):
         ----------
         to_world, pixel_format
             As for `to_sensor`; `to_world` may also be an array (4, 4).
-
-        Raises
-        ------
-        InputError
-            If there is no such format, or `to_world` is no rotation and translation.
         """
 
         def element(tag: str, values: dict[str, Any], **attributes: str) -> ElementTree.Element:
@@ -528,11 +498,6 @@ class PlenopticCamera(CameraGeometry, Displayed):
             `focal_length`, `aperture_radius` follows again if nobody gave it, or if a lens of surfaces was fully open;
             so does what an objective or a collimator sets. Files and captures state all numbers: there a thin lens's
             5 mm counts as not given.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown or a value is out of range.
         """
         values = {name: value for name, value in self.arguments().items() if value is not None}
         if str(changes.get("mla_lattice")) == NO_LATTICE:

@@ -61,11 +61,6 @@ class Vignetting(PlainData):
         Coefficients of an outline that is no ellipse, as of an iris: :math:`c_3, d_3, c_4, d_4`, and so on, up to the
         16th.
 
-    Raises
-    ------
-    InputError
-        If a list has another number of coefficients, or a value is not finite or beyond 100.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp

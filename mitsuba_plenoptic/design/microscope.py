@@ -135,11 +135,6 @@ def parallax(camera: PlenopticCamera, position: float) -> float:
         A microscope in the Fourier arrangement.
     position : float
         Distance c in millimetres.
-
-    Raises
-    ------
-    InputError
-        If the lens stands beyond the image of the stop.
     """
     lens = _fourier(camera)
     growth = lens.magnification / lens.last_focal_length

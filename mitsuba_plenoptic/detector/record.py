@@ -69,11 +69,6 @@ class Detector:
         Colours of the filters on the first two pixels of the detector's first row and of its second, repeated all over
         it; of a quad Bayer mosaic on the first two squares of 2 x 2 pixels, each of which may lie under one lens.
         Default: none.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
     """
 
     quantum_efficiency: float = 0.6

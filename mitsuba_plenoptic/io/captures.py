@@ -64,12 +64,6 @@ class Capture(Displayed):
     noise : array like the image, optional
         Standard deviation of each pixel from the samples of which it is made, as `render_capture` estimates it; stored
         as float32. Single pixels are uncertain, by 18 % or more.
-
-    Raises
-    ------
-    InputError
-        If image or noise does not fit the camera or holds a pixel that is not allowed, or the model, a wavelength or
-        the metadata is not a valid one.
     """
 
     image: np.ndarray
@@ -184,11 +178,6 @@ def write_capture(path: str | Path, capture: Capture) -> None:
     capture : Capture
         The capture to write.
 
-    Raises
-    ------
-    InputError
-        If the argument is no capture, its metadata are not plain data, or the file cannot be written.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp
@@ -243,11 +232,6 @@ def read_capture(
         encoded in sRGB; floating-point numbers always are.
     black_level : float
         Number without light in such a picture.
-
-    Raises
-    ------
-    InputError
-        If the file does not exist, is damaged, is not a capture, or states no camera and none is given.
 
     Examples
     --------

@@ -71,12 +71,6 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
     (rows, columns[, 3]) float32 array
         From 0 to 1 for whole numbers, else as they are; without a channel axis where the picture is grey. Transparency
         is dropped.
-
-    Raises
-    ------
-    InputError
-        If the file does not exist, is neither, is damaged, holds several pictures or samples of another kind, or would
-        take more memory than is allowed.
     """
     picture = read_numbers(path)
     with refusing(f"{path}: it cannot be read as a picture:"):

@@ -105,11 +105,6 @@ class Spectrum:
             Middle and full width in nanometres.
         count : int
             Number of Gauss-Legendre nodes; `points.spectral.with_enough_nodes` finds a sufficient number.
-
-        Raises
-        ------
-        InputError
-            If a parameter is out of range.
         """
         return cls.bands((centre,), width, count)
 
@@ -181,11 +176,6 @@ class Spectrum:
             Number of wavelengths; it is increased if the table or `tables` require it.
         tables : sequence of pairs of arrays
             As for `smooth`.
-
-        Raises
-        ------
-        InputError
-            If the file cannot be read or is no such table, or a channel has no response.
         """
         table = path if isinstance(path, np.ndarray) else read_responses(path)
         wavelengths = table[:, 0]
@@ -206,11 +196,6 @@ class Spectrum:
         ----------
         where : str
             Name of the spectrum in error messages.
-
-        Raises
-        ------
-        InputError
-            If a sum is not greater than 0.
         """
         sums = np.array(self.responses).sum(axis=1)
         if not np.all(sums > 0):

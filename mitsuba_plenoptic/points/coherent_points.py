@@ -49,9 +49,6 @@ class CoherentPoints:
 
         Raises
         ------
-        InputError
-            If an input has a wrong shape or value, the camera or operator has no coherent fields, or the work would
-            need too much memory.
         PhysicsError
             If too much of the light is lost.
 

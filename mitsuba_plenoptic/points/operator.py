@@ -84,11 +84,6 @@ class CaptureOperator(CoherentPoints, LinearMap):
     system : OpticalSystem, optional
         The camera bound to the wavelength, if other sums use it, too, so that its data are computed only once.
 
-    Raises
-    ------
-    InputError
-        If an input has a wrong shape or value.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp
@@ -203,8 +198,6 @@ class CaptureOperator(CoherentPoints, LinearMap):
 
         Raises
         ------
-        InputError
-            If the weights have a wrong shape or value, or the work would need too much memory.
         PhysicsError
             If too much of the light is lost (see `optics.guards`).
         """
@@ -243,11 +236,6 @@ class CaptureOperator(CoherentPoints, LinearMap):
         -------
         float64 array (n,) or (n, channels)
             Products with the point spreads; with a spectrum of several wavelengths one column for each of them.
-
-        Raises
-        ------
-        InputError
-            If the image has another shape or is not finite, or the work would need too much memory.
         """
         channels = self._detector.adjoint(self._channels.check_image(image, self.camera.shape, self.dtype))
         wavelengths, _ = self._channels.mixing(channels.shape[2])
@@ -294,12 +282,6 @@ class CaptureOperator(CoherentPoints, LinearMap):
         -------
         float32 array
             Derivative, of the shape of the image.
-
-        Raises
-        ------
-        InputError
-            If an input has a wrong shape or value, the method has no derivatives, or the work would need too much
-            memory.
         """
         return np.asarray(self.jacobian(weights, [changes], job=job)[0])
 
@@ -318,11 +300,6 @@ class CaptureOperator(CoherentPoints, LinearMap):
         -------
         float32 array (directions, ...)
             The derivatives, each of the shape of the image.
-
-        Raises
-        ------
-        InputError
-            As for `derivative`, or if there is no direction.
         """
         factors = self._check(weights)
         checked = [check_changes(self.camera, changes) for changes in directions]
@@ -363,11 +340,6 @@ class CaptureOperator(CoherentPoints, LinearMap):
             them; add the two if both pitches are one parameter) and for ``mla_offset``, one for each
             ``mla_focal_length``, 36 or more for ``wavefront``, and one for all others. `adjoint` gives the derivatives
             by the weights.
-
-        Raises
-        ------
-        InputError
-            As for `derivative`.
         """
         factors = self._check(weights)
         chosen = check_names(self.camera, names)
@@ -410,8 +382,6 @@ class CaptureOperator(CoherentPoints, LinearMap):
 
         Raises
         ------
-        InputError
-            If the work would need too much memory.
         PhysicsError
             If too much of the light would be lost.
         """

@@ -57,8 +57,6 @@ def point_spread_function(
 
     Raises
     ------
-    InputError
-        If an argument is out of range or the work would need too much memory.
     PhysicsError
         If too much of the light is lost.
 

@@ -28,11 +28,6 @@ class Collimator(LensData):
     ----------
     collimator_focal_length : float
         Focal length :math:`f_c` in millimetres.
-
-    Raises
-    ------
-    InputError
-        If the focal length is out of range.
     """
 
     mark: ClassVar[str] = "collimator_focal_length"

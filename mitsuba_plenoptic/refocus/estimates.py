@@ -40,11 +40,6 @@ def estimate_reconstruction(capture: Capture | np.ndarray, distance: float | Seq
         Seconds, and bytes beside those of the program, the capture and the images; points and point spreads are 0.
         With ``deconvolved`` the time is that of as many iterations as there may be.
 
-    Raises
-    ------
-    InputError
-        If `reconstruct` would refuse the arguments.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp

@@ -77,11 +77,6 @@ def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[
         The reconstruction.
     source : dict, optional
         Metadata of the capture, which are written to the header.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
     """
     attributes = {
         "kind": "reconstruction",
@@ -104,11 +99,6 @@ def read_reconstruction(path: str | Path) -> Reconstruction:
     ----------
     path : path
         The file.
-
-    Raises
-    ------
-    InputError
-        If the file does not exist, is damaged, or is not a reconstruction.
     """
     image, _, about = read_exr(path)
     with naming(path):
@@ -162,11 +152,6 @@ class Volume:
         Returns
         -------
         Volume
-
-        Raises
-        ------
-        InputError
-            If the sequence is empty, a distance is infinite or given twice, or images differ in their channels.
         """
         refuse_if(not results, "results = []: a volume needs one plane at least")
         planes = sorted(results, key=lambda result: result.distance)
@@ -242,11 +227,6 @@ class Volume:
         tuple of float32 arrays
             (rows, columns[, channels]) of the plane, (planes, columns[, channels]) of the row, and
             (planes, rows[, channels]) of the column.
-
-        Raises
-        ------
-        InputError
-            If the volume has no such voxel.
         """
         grey = np.nan_to_num(self.values if self.values.ndim == 3 else self.values.mean(-1), nan=-np.inf)
         brightest = np.unravel_index(int(grey.argmax()), grey.shape)
@@ -300,11 +280,6 @@ def write_volume(path: str | Path, volume: Volume) -> None:
         where planes may be unevenly spaced; or in ``.zarr``, which xarray reads and needs the package zarr.
     volume : Volume
         The volume, which is written as float32.
-
-    Raises
-    ------
-    InputError
-        If it cannot be written.
     """
     path = require_volume_path(path, volume.distances)
     if path.suffix.lower() == ".zarr":

@@ -228,11 +228,6 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
         The file.
     camera : PlenopticCamera
         A camera with a real main lens.
-
-    Raises
-    ------
-    InputError
-        If its main lens is thin, the file is neither PNG nor PDF by its name, or it cannot be written.
     """
     require_writable(path, ".png", ".pdf")
     if camera.prescription is None:

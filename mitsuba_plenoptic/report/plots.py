@@ -259,11 +259,6 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
     Plot
         A Matplotlib figure, whose method `save` writes PNG or PDF.
 
-    Raises
-    ------
-    InputError
-        If there is no reconstruction, or they are by several cameras.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp

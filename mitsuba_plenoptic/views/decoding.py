@@ -66,11 +66,6 @@ def decode(
         through which it sees. The coordinate `white` is what the sample reads of an even radiance of 1. Samples that
         see less than a tenth, or whose lens reads less than that, are left out.
 
-    Raises
-    ------
-    InputError
-        If neither camera nor grid is known, or the images or the ground truth do not fit each other or the camera.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp

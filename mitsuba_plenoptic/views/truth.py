@@ -141,12 +141,6 @@ def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor
     -------
     GroundTruth
 
-    Raises
-    ------
-    InputError
-        If there is no such sensor, a name is unknown, its lenses are narrower than a pixel, or it would take more
-        memory than is allowed.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp

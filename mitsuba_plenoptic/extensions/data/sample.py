@@ -110,11 +110,6 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
         The recipe.
     index : int
         Number of the sample.
-
-    Raises
-    ------
-    InputError
-        If the sample cannot be rendered.
     """
     plan = recipe.plan(index)
     scene = open_sample(recipe, plan)

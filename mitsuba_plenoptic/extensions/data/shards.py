@@ -187,11 +187,6 @@ class DataSet:
         The folder of `make_dataset` or ``mitsuba-plenoptic dataset``.
     fields : collection of str, optional
         Names of the arrays to read. Default: all.
-
-    Raises
-    ------
-    InputError
-        If the folder holds no data set, or one whose shards are not all there.
     """
 
     def __init__(self, folder: str | Path, fields: Collection[str] | None = None) -> None:

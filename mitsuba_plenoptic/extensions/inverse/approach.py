@@ -28,11 +28,6 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
         lattice selects, among equivalent lattices, the one of the nearest axis and angle.
     white : array (rows, columns)
         A capture of something evenly white.
-
-    Raises
-    ------
-    InputError
-        If the image shows no lattice.
     """
     camera.require_array("lattice_from_white")
     centres = estimate_lens_grid(white).centres().reshape(-1, 2)
@@ -129,11 +124,6 @@ def coarse_fit(
         Called with the number of cameras tried and the largest possible number.
     checkpoint : Checkpoint, optional
         Keeps the camera found with each blur, so that the same fit resumes from there after a stop.
-
-    Raises
-    ------
-    InputError
-        If an input has a wrong value, a capture is black, or for the reasons of `point_rays.PointRays`.
     """
     observations = [views] if isinstance(views, View) else list(views)
     check_views(camera, observations)

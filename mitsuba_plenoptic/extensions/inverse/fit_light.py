@@ -47,11 +47,6 @@ def noise_of(capture: Capture) -> tuple[PixelNoise | None, float | None]:
         None if no detector has recorded the capture.
     saturation : float or None
         Four standard deviations of the reading below a full well, or below the largest digital number.
-
-    Raises
-    ------
-    InputError
-        If the metadata are damaged, or the capture is a mosaic of colours.
     """
     require_demosaiced(capture)
     exposure = capture.metadata.get("exposure")

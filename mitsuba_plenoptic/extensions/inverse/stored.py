@@ -136,11 +136,6 @@ class StoredOperator(CaptureOperator):
         -------
         array
             The entries of `to_sparse`.
-
-        Raises
-        ------
-        InputError
-            If the spreads take more memory than the budget, or the array would need too much memory.
         """
         wavelengths, matrix = self._channels.mixing(1)
         rows = math.prod(self.camera.shape) * len(matrix)

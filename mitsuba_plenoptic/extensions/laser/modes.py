@@ -78,11 +78,6 @@ def mode_count(
     float
         M, at least 1; `coherent_capture` takes an integer.
 
-    Raises
-    ------
-    InputError
-        If an argument is out of range.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp

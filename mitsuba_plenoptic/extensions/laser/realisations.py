@@ -67,9 +67,6 @@ def coherent_capture(
 
     Raises
     ------
-    InputError
-        If an input has a wrong shape or value, the camera has no coherent fields, or the work would need too much
-        memory.
     PhysicsError
         If too much of the light is lost.
 

@@ -48,11 +48,6 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
         The light field.
     precision : {"uint8", "uint16", "single"}
         MATLAB type of the values.
-
-    Raises
-    ------
-    InputError
-        If the precision is unknown, the light field too large for the format, or the file cannot be written.
     """
     lf = require_light_field(lf)
     require_choice("precision", precision, _TYPES)
@@ -109,11 +104,6 @@ def read_lftoolbox(path: str | Path) -> xr.DataArray:
     xarray.DataArray
         Integers are scaled to 0 to 1 and by ``MaxLum``. Without weights in the file, views that are black throughout
         have none. The coordinates are physical if the file holds the camera.
-
-    Raises
-    ------
-    InputError
-        If the file does not exist, is damaged, too large, or holds no light field.
     """
     path = require_file(path)
     with path.open("rb") as file:

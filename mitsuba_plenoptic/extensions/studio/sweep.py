@@ -318,12 +318,6 @@ def sweep(
         ``pixel_size``; and, where distances are given, ``reconstruction`` over the grid, ``distance``, ``bin_row`` and
         ``bin_column``, with ``bin_size``. Images are in units of radiance; beyond smaller images than the largest they
         are NaN.
-
-    Raises
-    ------
-    InputError
-        If the grid has an unknown name, a value that is no number or twice the same, or none at all; or if the scene,
-        a camera or a distance is refused.
     """
     return prepare(spec, grid, output, method, stages, batch_map=batch_map)(batch_map)
 

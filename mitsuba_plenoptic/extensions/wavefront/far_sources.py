@@ -38,11 +38,6 @@ def star(direction: tuple[float, float] = (0.0, 0.0), *, weight: float = 1.0) ->
     weights : float64 array (1,)
         Weight of the star for `CaptureOperator.forward`.
 
-    Raises
-    ------
-    InputError
-        If a value is out of range.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp
@@ -78,11 +73,6 @@ def binary(
         The stars as points of `CaptureOperator`.
     weights : float64 array (2,)
         Weights of the two stars.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
     """
     separation = require_number("separation", separation, minimum=0, maximum=_WIDEST)
     turned = np.deg2rad(require_number("angle", angle))
@@ -112,11 +102,6 @@ def extended(picture: Any, *, width: float, direction: tuple[float, float] = (0.
         The points of `CaptureOperator`.
     weights : float64 array (n,)
         Weights of the points.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range, or the picture is dark everywhere or negative somewhere.
     """
     values = read_samples("picture", picture, None)
     refuse_if(not values.any() or bool((values < 0).any()), "picture: it must be bright somewhere and nowhere negative")

@@ -71,12 +71,6 @@ class InteractionMatrix:
             Wavelength in nanometres.
         accuracy : float
             As for `CaptureOperator`.
-
-        Raises
-        ------
-        InputError
-            If an input has a wrong value, the detector records no light of the zone, or captures of the camera have
-            no derivatives.
         """
         count = require_count("modes", modes, minimum=2, maximum=36)
         wavelength = require_wavelength(wavelength)

@@ -51,11 +51,6 @@ class Zone:
         Point sources of the zone in the camera frame, in millimetres.
     weights : array (n,), optional
         Their relative brightness, not negative. Default: all alike.
-
-    Raises
-    ------
-    InputError
-        If an input has a wrong shape or value.
     """
 
     points: Doubles
@@ -110,11 +105,6 @@ def fit_wavefronts(
     -------
     Fit
         Its ``camera.wavefront`` are the terms, and its deviations follow from the noise.
-
-    Raises
-    ------
-    InputError
-        If an input has a wrong shape or value, or for the reasons of `fit`.
 
     Warns
     -----
