@@ -35,9 +35,6 @@ FOLLOWING = {
 }
 """Parameters that follow from a data sheet, and from which of its numbers."""
 
-_SQUARE = 0.01
-"""Relative difference of a pixel's sides up to which rounded figures of a data sheet state square pixels."""
-
 
 def micrometres(camera: CameraGeometry) -> list[str]:
     """Return a warning about lengths so large that they look like micrometres; of microscopes and telescopes none."""
@@ -111,7 +108,8 @@ def behind_pupil(
         assert sides is not None and pixels is not None
         size, height = (side / count for side, count in zip(sides, pixels, strict=True))
         refuse_if(
-            abs(height / size - 1) > _SQUARE,
+            # Relative difference of a pixel's sides up to which rounded figures of a data sheet state square pixels.
+            abs(height / size - 1) > 0.01,
             f"sensor_size = {short_repr(sensor_size)}: with resolution = {pixels} pixels are {size:.4g} by "
             f"{height:.4g} mm: they must be square",
         )

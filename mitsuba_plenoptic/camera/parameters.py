@@ -42,8 +42,6 @@ from .phase_screen import PhaseScreen, known_screen
 from .stray_light import StrayLight, known_stray_light
 from .vignetting import Vignetting, known_vignetting
 
-LENS_MODELS = ("ideal", "parabolic")
-
 MOST_APODISATION = 4.0
 """Largest coefficient of a pupil's transmission, which is then at most 9 times as high at the rim as at the centre."""
 
@@ -348,7 +346,7 @@ class CoreParameters:
     )
     lens_model: Parameter[str, str] = Parameter(
         default="ideal",
-        check=partial(require_choice, choices=LENS_MODELS),
+        check=partial(require_choice, choices=("ideal", "parabolic")),
         words=(
             "How a thin main lens refracts, by rays and by waves. ``ideal``: stigmatic, like ``thinlens``. "
             "``parabolic``: as a thin parabolic phase, with its aberrations. By rays also how microlenses refract: "

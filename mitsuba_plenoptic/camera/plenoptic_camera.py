@@ -602,9 +602,6 @@ def film_numbers(film: Any) -> dict[str, Any]:
     }
 
 
-_MOST_RESULTS = 32
-"""Results of a camera that are remembered by each function."""
-
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 _results: weakref.WeakKeyDictionary[PlenopticCamera, dict[str, dict[Any, Any]]] = weakref.WeakKeyDictionary()
@@ -617,7 +614,8 @@ def once_a_camera(function: _F) -> _F:
     def known(camera: PlenopticCamera, *given: Any, **besides: Any) -> Any:
         results = _results.setdefault(camera, {}).setdefault(function.__name__, {})
         if given not in results:
-            if len(results) == _MOST_RESULTS:
+            # Results of a camera that are remembered by each function.
+            if len(results) == 32:
                 del results[next(iter(results))]
             results[given] = function(camera, *given, **besides)
         return results[given]

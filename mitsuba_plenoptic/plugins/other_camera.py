@@ -10,9 +10,6 @@ from ..errors import refuse_if, warn
 from ..runtime import one_at_a_time
 from ..scene import loading, numbered_sensor, require_active, warn_of_metres, with_objects
 
-_WITHOUT_PLACE = ("Batch", "Distant")
-"""First parts of the class names of sensors that are at several places, or at infinity."""
-
 
 @one_at_a_time
 def with_camera(scene: mi.Scene, camera: PlenopticCamera, sensor: int | None = None) -> mi.Scene:
@@ -73,7 +70,8 @@ def with_camera(scene: mi.Scene, camera: PlenopticCamera, sensor: int | None = N
         described["film"]["pixel_format"] = "rgb"
     if old is not None:
         refuse_if(
-            old.get_shape() is not None or old.class_name().startswith(_WITHOUT_PLACE),
+            # First parts of the class names of sensors that are at several places, or at infinity.
+            old.get_shape() is not None or old.class_name().startswith(("Batch", "Distant")),
             f"sensor {old.class_name()} {old.id()!r}: it has no one place and direction for another camera to take",
         )
         described["to_world"] = mi.ScalarTransform4f(np.array(old.world_transform().matrix, np.float64).reshape(4, 4))

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 NAME = "plenoptic"
 
-_CROSSTALK_RAYS = 2**16
 
 _BOX = '<rfilter type="box"/>'
 
@@ -221,7 +220,7 @@ def make_class() -> type:
 
         def crosstalk_missed(self) -> float:
             """Return the fraction of light through lenses that are not sampled, estimated from a sample of rays."""
-            random = mi.PCG32(size=_CROSSTALK_RAYS)
+            random = mi.PCG32(size=2**16)
             film_sample, lens_sample = (
                 mi.Point2f(random.next_float32(), random.next_float32()) for _ in ("film", "lens")
             )

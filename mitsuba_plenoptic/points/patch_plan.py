@@ -52,8 +52,6 @@ _PATCH_LIMIT = 2**26
 _TILE = 1024
 """Approximate number of samples across the region in which the corners of a chunk's patches lie."""
 
-_DEVICE_TILE = 4096
-"""The same on a device, where a larger tile costs less than the kernels of more chunks."""
 
 _FIRST = 2
 _TRIAL_SECONDS = 0.1
@@ -366,7 +364,8 @@ class PatchPlan:
 def _areas(samples: Any) -> Any:
     """Return the width in samples, for each patch size, of the region whose patches are added in one tile."""
     if on_cuda():
-        return np.maximum(_DEVICE_TILE, samples // 3)
+        # On a device a larger tile costs less than the kernels of more chunks.
+        return np.maximum(4096, samples // 3)
     return np.clip(_TILE, samples // 3, 4 * samples)
 
 

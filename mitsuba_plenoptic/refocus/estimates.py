@@ -13,8 +13,6 @@ from ..io import Capture
 from ..runtime import Cost, Forecast, memory_asked
 from .api import reconstruct
 
-_REFUSED = ("progress", "checkpoint")
-
 
 class _KnownError(Exception):
     """Ends a reconstruction whose time is known by now."""
@@ -47,7 +45,7 @@ def estimate_reconstruction(capture: Capture | np.ndarray, distance: float | Seq
     >>> cost.seconds < 60, cost.memory < 2**30
     (True, True)
     """
-    for name in _REFUSED:
+    for name in ("progress", "checkpoint"):
         if options.get(name) is not None:
             raise InputError(f"{argument(name)}: an estimate does not take it; leave it out")
 

@@ -142,11 +142,11 @@ class RegisteredMethod:
         """Return whether the method has an option of `reconstruct` that only some methods have."""
         if option in ("wavelength", "white"):
             return option == "white" or self.waves
-        return option in self.options or (self.long and option in _OF_LONG)
+        # The command has the last three.
+        return option in self.options or (
+            self.long and option in ("checkpoint", "batch_map", "resume", "workers", "scheduler")
+        )
 
-
-_OF_LONG = ("checkpoint", "batch_map", "resume", "workers", "scheduler")
-"""Options of methods that may take long, those of the command, too."""
 
 METHODS: dict[str, RegisteredMethod] = {}
 

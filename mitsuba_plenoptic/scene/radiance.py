@@ -27,9 +27,6 @@ _REPLAYED = {"PathIntegrator": "prb", "VolumetricPathIntegrator": "prbvolpath"}
 _REVERSE_ONLY = "PRBVolpathIntegrator"
 """The class of an integrator that Mitsuba does not differentiate forward."""
 
-_UNATTACHED = "not attached to the AD graph"
-"""Mitsuba's message when the light depends on no parameter that has a gradient."""
-
 
 _NEGATIVE = 0.01
 """Largest fraction of negative light, for interpolated environments and estimates that fall slightly below zero."""
@@ -194,7 +191,8 @@ class Replay:
             )
         except Exception as error:
             # Dr.Jit's loops wrap exceptions that are raised inside them.
-            if _UNATTACHED in f"{error} {error.__cause__}":
+            # Mitsuba's message when the light depends on no parameter that has a gradient.
+            if "not attached to the AD graph" in f"{error} {error.__cause__}":
                 raise InputError(
                     "scene: the light paths that are replayed have no derivative by the parameters with a gradient: "
                     "wave captures have derivatives by radiance, textures and materials, none by positions of lamps; "

@@ -167,7 +167,11 @@ def checked_images(
         computed = white_image(upright, grid)[..., None]
         opened = clear(upright)
         # Of an even pupil a recorded white tells more than the camera: what else cuts it.
-        if reference is None or any(getattr(upright, name) != getattr(opened, name) for name in _OVER_PUPIL):
+        # Parameters by which parts of the pupil may be darker than others.
+        if reference is None or any(
+            getattr(upright, name) != getattr(opened, name)
+            for name in ("aperture_image", "pupil_apodisation", "vignetting")
+        ):
             seen = computed if opened == upright else white_image(opened, grid)[..., None]
         reference = (
             computed if reference is None else recorded_white(reference, reference.shape, [upright], computed[..., 0])
@@ -175,15 +179,8 @@ def checked_images(
     return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False), reference, seen, upright
 
 
-_OVER_PUPIL = ("aperture_image", "pupil_apodisation", "vignetting")
-"""Parameters by which parts of the pupil may be darker than others."""
-
 _ROUNDING = 1e-6
 """Fraction of a pixel by which lengths may be off that are computed from detectors of different sizes."""
-
-
-_SMEARED = 0.3
-"""Smear of a micro-image's rim, over that of the corners of lenses, up to which it holds hardly any light."""
 
 
 def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:
@@ -204,7 +201,8 @@ def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, 
     if camera is not None:
         # Lenses out of focus at the pupil smear its rim over their neighbours' samples, whose depths it would move.
         smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths) - 1
-        reach -= max(_SMEARED * smear * camera.lattice.aperture_reach / camera.pupil_step, 0)
+        # Smear of a micro-image's rim, over that of the corners of lenses, up to which it holds hardly any light.
+        reach -= max(0.3 * smear * camera.lattice.aperture_reach / camera.pupil_step, 0)
     offset = np.arange(-half, half + 1)
     return half, np.hypot(offset[:, None], offset) <= max(reach, 1 + _ROUNDING)
 

@@ -13,9 +13,6 @@ from ...errors import refuse_if
 from ...runtime import exponents, monomials
 from ...views import LensGrid
 
-_LENSES_PER_TERM = 20
-"""Lenses that each term of a warp needs."""
-
 _SURE = 3.0
 """Standard errors by which one warp must place withheld lenses better than another to count as better."""
 
@@ -127,7 +124,8 @@ def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera, de
     third = np.random.default_rng(0).integers(3, size=len(pixels))
     losses = []
     for candidate in range(1, degree + 1):
-        if len(pixels) >= _LENSES_PER_TERM * len(exponents(candidate, lowest=2)):
+        # Lenses that each term of a warp needs.
+        if len(pixels) >= 20 * len(exponents(candidate, lowest=2)):
             off = np.empty_like(target)
             for withheld in (third == part for part in range(3)):
                 off[withheld] = (target - placed(fitted(candidate, ~withheld))[0])[withheld]

@@ -17,9 +17,6 @@ from .particle_images import ParticleImages
 from .seeding import ParticleVolume, Seeding, Window, put_checked
 from .sequence import particle_sequence
 
-_VORTEX = (0.2, 0.5)
-"""Size of a vortex over the smallest extent of the volume."""
-
 
 @dataclass(frozen=True)
 class ParticlePairs:
@@ -77,7 +74,8 @@ class ParticlePairs:
             axes = random.permutation(list("xyz")).tolist()
             values |= dict(zip([name for name in names if name in ("along", "across", "axis")], axes, strict=False))
         if issubclass(kind, Vortex):
-            values[names[1]] = random.uniform(*_VORTEX) * float(volume.size.min())
+            # Size of a vortex over the smallest extent of the volume.
+            values[names[1]] = random.uniform(0.2, 0.5) * float(volume.size.min())
         trial = kind(**values)
         places = random.uniform(volume.lower, volume.upper, (4000, 3))
         factor = largest / float(np.linalg.norm(trial.velocity(places), axis=1).max())

@@ -29,9 +29,6 @@ _DAMPING = 0.03
 _MOST_DAMPING = 10.0
 """Damping of the first step, over the mean derivative, and that above which no step is tried any more."""
 
-_BUDGET = 8.0
-"""GiB that point spreads may take."""
-
 
 def locate_particles(
     volume: xr.DataArray, *, threshold: float = 0.1, apart: Sequence[int] = (3, 3, 3)
@@ -118,7 +115,8 @@ def refine_particles(
     positions = window.apparent(positions, camera, wavelength)
 
     def spreads(places: Doubles) -> Any:
-        return StoredOperator(camera, places, wavelength=wavelength, accuracy=0, budget=_BUDGET).to_sparse()
+        # GiB that point spreads may take.
+        return StoredOperator(camera, places, wavelength=wavelength, accuracy=0, budget=8.0).to_sparse()
 
     damping = _DAMPING
     sides = [require_count("bins", side) for side in bins for _ in range(iterations)]

@@ -127,7 +127,8 @@ def spot_slopes(
     light = spots.sum((1, 3))
     refuse_if(not light.any(), "image: it is black: nothing can be found by it")
     lit = light > 0
-    if n < _LEAST_PIXELS:
+    # Pixels along a lens from which on the phase of their first Fourier coefficient tells a place.
+    if n < 3:
         offset = (np.arange(n) - (n - 1) / 2) * size
         moved = _sums(spots, offset)[lit] / light[lit, None]
     else:
@@ -137,10 +138,6 @@ def spot_slopes(
     lenses = np.stack(np.meshgrid(*centre), -1)
     bend = growth / require_length("focal_length", focal_length)
     return Slopes(lenses[lit], moved * bend, light[lit], abs(n * size / growth))
-
-
-_LEAST_PIXELS = 3
-"""Pixels along a lens from which on the phase of their first Fourier coefficient tells a place."""
 
 
 def _sums(spots: Doubles, factors: NDArray[Any]) -> NDArray[Any]:
