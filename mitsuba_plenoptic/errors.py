@@ -304,14 +304,16 @@ def require_known(where: str, names: Iterable[Any], allowed: Collection[str]) ->
             raise InputError(f"{where}{name}: it is not one of {', '.join(allowed)}{did_you_mean(name, allowed)}")
 
 
-def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:
-    """Return the two entries of a pair, unchecked; refuse anything that is not a pair."""
+def require_pair(
+    name: str, value: Any, meaning: str, rule: Callable[[str, Any], Any] = lambda name, entry: entry
+) -> tuple[Any, Any]:
+    """Return the two entries of a pair, each as a rule returns it; refuse anything that is not a pair."""
     try:
         first, second = value
     except (TypeError, ValueError):
         spelt = advice(python="", shell=f", written {name}={meaning.strip('()').replace(' ', '')}")
         raise InputError(f"{name} = {short_repr(value)}: it must be a pair {meaning}{spelt}") from None
-    return first, second
+    return rule(name, first), rule(name, second)
 
 
 def require_flag(name: str, value: Any) -> bool:
@@ -325,6 +327,14 @@ def put(record: Any, **values: Any) -> None:
     """Replace fields of a frozen dataclass while it is being made, for example by their checked values."""
     for name, value in values.items():
         object.__setattr__(record, name, value)
+
+
+def put_checked(record: Any, **rules: Callable[[str, Any], Any]) -> None:
+    """Replace fields of a frozen dataclass that is being made by what their rules return; a default of None stays."""
+    for name, rule in rules.items():
+        value = getattr(record, name)
+        if value is not None or getattr(type(record), name, "") is not None:
+            put(record, **{name: rule(name, value)})
 
 
 def require_module(name: str, message: str) -> Any:
@@ -439,18 +449,14 @@ def require_pitches(name: str, value: Any) -> tuple[float, float]:
 
 def require_pixels(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
     """Return a pair of counts of pixels, integers from `minimum` to 1048576."""
-    columns, rows = (
-        require_count(name, count, minimum=minimum, maximum=MOST_PIXELS)
-        for count in require_pair(name, value, "(columns, rows)")
-    )
-    return columns, rows
+    rule = functools.partial(require_count, minimum=minimum, maximum=MOST_PIXELS)
+    return require_pair(name, value, "(columns, rows)", rule)
 
 
-def require_place(name: str, value: Any) -> tuple[float, float]:
-    """Return a position in mm in the plane of the microlenses, a pair of coordinates within 1e9 of the axis."""
-    pair = require_pair(name, value, "(x, y)")
-    x, y = (require_number(name, coordinate, minimum=-LONGEST, maximum=LONGEST) for coordinate in pair)
-    return x, y
+require_place = functools.partial(
+    require_pair, meaning="(x, y)", rule=functools.partial(require_number, minimum=-LONGEST, maximum=LONGEST)
+)
+"""Return a position in mm in the plane of the microlenses, a pair of coordinates within 1e9 of the axis."""
 
 
 def require_wavefront(name: str, value: Any) -> tuple[float, ...]:

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from enum import Enum, Flag, auto
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, cast, dataclass_transform, overload
 
+from ..errors import put
+
 Given = TypeVar("Given")
 Kept = TypeVar("Kept")
 _Record = TypeVar("_Record", bound=type)
@@ -194,8 +196,7 @@ class Parameter(Generic[Given, Kept]):
 
     def __set_name__(self, owner: type, attribute: str) -> None:
         """Take the name of the parameter from its attribute in the table."""
-        object.__setattr__(self, "attribute", attribute)
-        object.__setattr__(self, "name", self.alias or attribute)
+        put(self, attribute=attribute, name=self.alias or attribute)
 
     def plain(self, value: Kept) -> Any:
         """Return a value in its shortest form, as in files."""

@@ -8,7 +8,8 @@ are n p wide and as far apart if :math:`D z / b = n p` and :math:`D_2 (b + z) / 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from ..array import LATTICES
@@ -98,7 +99,7 @@ def behind_pupil(
     """Return the microlens and detector parameters behind a pupil of given radius and distance from the array."""
     sides = None
     if sensor_size is not None:
-        sides = [require_length("sensor_size", side) for side in _pair("sensor_size", sensor_size, "(width, height)")]
+        sides = _pair("sensor_size", sensor_size, "(width, height)", require_length)
     pixels = None
     if resolution is not None:
         pixels = _counts("resolution", resolution)
@@ -145,11 +146,9 @@ def behind_pupil(
     }
 
 
-def _pair(name: str, value: object, form: str) -> tuple[Any, Any]:
-    """Return two values, of which one number stands for both."""
-    return require_pair(name, value if hasattr(value, "__len__") else (value, value), form)
+def _pair(name: str, value: object, form: str, rule: Callable[[str, Any], Any]) -> tuple[Any, Any]:
+    """Return two checked values, of which one number stands for both."""
+    return require_pair(name, value if hasattr(value, "__len__") else (value, value), form, rule)
 
 
-def _counts(name: str, value: object) -> tuple[int, int]:
-    columns, rows = _pair(name, value, "(columns, rows)")
-    return require_count(name, columns, maximum=MOST_PIXELS), require_count(name, rows, maximum=MOST_PIXELS)
+_counts = partial(_pair, form="(columns, rows)", rule=partial(require_count, maximum=MOST_PIXELS))

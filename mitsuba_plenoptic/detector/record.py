@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from ..choices import MOSAICS, AnyMosaic
 from ..errors import (
     InputError,
     put,
+    put_checked,
     refuse_if,
     require_choice,
     require_count,
@@ -26,6 +28,7 @@ from ..runtime import Integers
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
 _SMALLEST = 1e-9
 _LARGEST = 1e9
+_positive = partial(require_number, positive=True, minimum=_SMALLEST, maximum=_LARGEST)
 
 # Values of the image that are exposed at once, at most.
 _CHUNK = 2**22
@@ -81,25 +84,25 @@ class Detector:
     mosaic: str | None = None
 
     def __post_init__(self) -> None:
-        put(
+        noise = partial(require_number, minimum=0, maximum=_LARGEST)
+        put_checked(
             self,
-            quantum_efficiency=_positive("quantum_efficiency", self.quantum_efficiency, maximum=1),
-            full_well=require_number("full_well", self.full_well, minimum=1, maximum=_LARGEST),
-            dark_electrons=require_number("dark_electrons", self.dark_electrons, minimum=0, maximum=_LARGEST),
-            read_noise=require_number("read_noise", self.read_noise, minimum=0, maximum=_LARGEST),
-            bits=require_count("bits", self.bits, maximum=16),
+            quantum_efficiency=partial(_positive, maximum=1),
+            full_well=partial(require_number, minimum=1, maximum=_LARGEST),
+            dark_electrons=noise,
+            read_noise=noise,
+            bits=partial(require_count, maximum=16),
+            mosaic=partial(require_choice, choices=AnyMosaic),
         )
         top = 2**self.bits - 1
         black = self.black_level
         if black is None:
-            noise = math.hypot(self.read_noise, math.sqrt(self.dark_electrons))
+            deviation = math.hypot(self.read_noise, math.sqrt(self.dark_electrons))
             scale = top / self.full_well if self.gain is None else _positive("gain", self.gain)
-            black = min(math.ceil(4 * scale * noise), top // 2)
+            black = min(math.ceil(4 * scale * deviation), top // 2)
         black = require_count("black_level", black, minimum=0, maximum=top - 1)
         gain = (top - black) / self.full_well if self.gain is None else self.gain
         put(self, black_level=black, gain=_positive("gain", gain))
-        if self.mosaic is not None:
-            require_choice("mosaic", self.mosaic, AnyMosaic)
 
     def digital_numbers(self, photons: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """Return the digital numbers of pixels that are hit by a given mean number of photons.
@@ -127,10 +130,6 @@ class Detector:
         largest = 2**self.bits - 1
         numbers = np.clip(np.round(self.gain * read + self.black_level), 0, largest).astype(np.uint16)
         return numbers, (electrons >= self.full_well) | (numbers == largest)
-
-
-def _positive(name: str, value: Any, maximum: float = _LARGEST) -> float:
-    return require_number(name, value, positive=True, minimum=_SMALLEST, maximum=maximum)
 
 
 @suggest_keywords

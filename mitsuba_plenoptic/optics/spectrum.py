@@ -19,6 +19,7 @@ import numpy as np
 
 from ..errors import (
     InputError,
+    put,
     refuse_if,
     require_count,
     require_number,
@@ -73,7 +74,7 @@ class Spectrum:
 
     def __post_init__(self) -> None:
         refuse_if(not self.wavelengths, "spectrum: it must have a wavelength")
-        object.__setattr__(self, "wavelengths", tuple(require_wavelength(value) for value in self.wavelengths))
+        put(self, wavelengths=tuple(require_wavelength(value) for value in self.wavelengths))
         rule = "responses must be numbers, as many for every channel"
         matrix = as_array("spectrum", self.responses, np.float64, ("channel", "wavelength"), rule=rule)
         refuse_if(
@@ -81,7 +82,7 @@ class Spectrum:
             f"spectrum: responses of shape {matrix.shape}: every channel must have a finite one to each of "
             f"{len(self.wavelengths)} wavelengths",
         )
-        object.__setattr__(self, "nodes", tuple(require_wavelength(value, "spectrum: node") for value in self.nodes))
+        put(self, nodes=tuple(require_wavelength(value, "spectrum: node") for value in self.nodes))
         refuse_if(len(set(self.nodes)) < len(self.nodes), f"spectrum: nodes = {self.nodes}: they must be different")
 
     @classmethod

@@ -18,9 +18,9 @@ import xarray as xr
 from scipy.integrate import solve_ivp
 from scipy.interpolate import RegularGridInterpolator
 
-from ...errors import InputError, put, refuse_if, refusing, require_choice, require_length, require_number
+from ...errors import InputError, put, put_checked, refuse_if, refusing, require_choice, require_length, require_number
 from ...runtime import MILLIMETRES, Doubles, as_array, require_file, require_units
-from .seeding import PLACE, put_checked
+from .seeding import PLACE
 
 _AXES = ("x", "y", "z")
 _AXIS = partial(require_choice, choices=_AXES)

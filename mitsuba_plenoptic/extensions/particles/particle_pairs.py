@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...errors import refuse_if, require_choice, require_number
+from ...errors import put_checked, refuse_if, require_choice, require_number
 from ...io import Capture
 from .flows import FLOWS, Flow, Vortex
 from .particle_images import ParticleImages
-from .seeding import ParticleVolume, Seeding, Window, put_checked
+from .seeding import ParticleVolume, Seeding, Window
 from .sequence import particle_sequence
 
 

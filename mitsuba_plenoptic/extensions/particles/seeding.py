@@ -8,7 +8,6 @@ n`, where the camera sees a particle at z.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -17,7 +16,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...camera import PlenopticCamera
-from ...errors import refuse_if, require_choice, require_length, require_number, require_numbers, suggest_keywords, warn
+from ...errors import (
+    put_checked,
+    refuse_if,
+    require_choice,
+    require_length,
+    require_number,
+    require_numbers,
+    suggest_keywords,
+    warn,
+)
 from ...runtime import MILLIMETRES, POINTS, Doubles, as_array
 
 MOST = 10**7
@@ -31,14 +39,6 @@ PLACE = partial(require_numbers, count=3, minimum=-1e9, maximum=1e9)
 
 _MEDIUM = partial(require_number, minimum=1, maximum=5)
 """Rule of a refractive index."""
-
-
-def put_checked(record: Any, **rules: Callable[[str, Any], Any]) -> None:
-    """Replace fields of a frozen dataclass that is being made by what their rules return; a default of None stays."""
-    for name, rule in rules.items():
-        value = getattr(record, name)
-        if value is not None or getattr(type(record), name, "") is not None:
-            object.__setattr__(record, name, rule(name, value))
 
 
 def require_points(name: str, points: ArrayLike) -> Doubles:

@@ -5,6 +5,7 @@ Directions are angles in arcseconds in the camera frame: +x is to the left in th
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,13 @@ INFINITY = 1e12
 
 _WIDEST = 3600.0 * 10
 """Largest angle from the axis in arcseconds."""
+
+_direction = partial(
+    require_pair,
+    "direction",
+    meaning="of angles (x, y)",
+    rule=partial(require_number, minimum=-_WIDEST, maximum=_WIDEST),
+)
 
 
 @suggest_keywords
@@ -111,13 +119,6 @@ def extended(picture: Any, *, width: float, direction: tuple[float, float] = (0.
     aside = np.stack([(columns - 1) / 2 - column, (rows - 1) / 2 - row], 1) * pixel
     lit = values[row, column]
     return _towards(np.array(_direction(direction)) + aside), lit / lit.sum()
-
-
-def _direction(value: Any) -> tuple[float, float]:
-    """Return the two angles of a direction."""
-    pair = require_pair("direction", value, "of angles (x, y)")
-    x, y = (require_number("direction", angle, minimum=-_WIDEST, maximum=_WIDEST) for angle in pair)
-    return x, y
 
 
 def _towards(angles: Doubles) -> Doubles:
