@@ -202,11 +202,6 @@ class Parameter(Generic[Given, Kept]):
         """Return a value in its shortest form, as in files."""
         return value if value is None or self.shortest is None else self.shortest(value)
 
-    @property
-    def is_exposed(self) -> bool:
-        """Whether sensors expose the parameter to `mi.traverse`."""
-        return bool(self.gradients)
-
     if TYPE_CHECKING:
         # Of a camera the attribute is the value; the constructor takes `Given`.
         @overload

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator
 
 from ..camera import PlenopticCamera, one_if_equal
-from ..errors import InputError, refuse_if, require_wavelength
+from ..errors import InputError, refuse_if
 from ..optics import in_millimetres
 from ..prescription import SINGLE, Objective
 from .quantities import direction_count, focus_types, mla_object_distances, sharp_images, vergence_slack
@@ -83,19 +83,6 @@ def depth_of_field(camera: PlenopticCamera, wavelength: float | None = None) -> 
         near, far = sharp_images(camera, a, max(camera.mla_pitches) / growth / scale, wavelength)
         ranges += [tuple(sorted(math.copysign(scale * image, a) for image in (near, far)))] if near <= far else []  # type: ignore[list-item]
     return (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else (math.nan, math.nan)
-
-
-def objective_limit(camera: PlenopticCamera, wavelength: float) -> float:
-    r"""Return the finest lines that the objective lets through, :math:`2 NA / \lambda`, in line pairs per millimetre.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        A microscope.
-    wavelength : float
-        Wavelength in nanometres.
-    """
-    return 2 * objective_of(camera).numerical_aperture / in_millimetres(require_wavelength(wavelength))
 
 
 def lens_aperture(camera: PlenopticCamera) -> float:

@@ -119,7 +119,7 @@ def bend(camera: PlenopticCamera) -> float:
     """Return the largest change of a direction cosine by a microlens, along an axis: :math:`n D_2 / 2 f_2`."""
     lattice = camera.lattice
     slopes = np.abs(camera.microlens.deflection(lattice, *aperture_points(lattice), min(camera.reduced_focal_lengths)))
-    return float(slopes.max() if lattice.has_upright_apertures else np.hypot(*slopes).max())
+    return float(slopes.max() if lattice.regular.separable else np.hypot(*slopes).max())
 
 
 def aperture_points(lattice: Lattice) -> tuple[Doubles, Doubles]:

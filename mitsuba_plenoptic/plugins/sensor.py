@@ -139,7 +139,7 @@ def make_class() -> type:
             self._numbers = [
                 name
                 for name, value in parameters.items()
-                if PARAMETERS[name].is_exposed and value not in ((), None) and name not in camera.lens_data.sets
+                if PARAMETERS[name].gradients and value not in ((), None) and name not in camera.lens_data.sets
             ]
             for name, value in parameters.items():
                 if name in self._numbers:

@@ -38,6 +38,11 @@ _PUPIL_BAND = 1.5
 _PUPIL_SAMPLES = 250
 """Least samples across the pupil's radius: an edge softened over one sample loses a third of a sample's light."""
 
+_KEPT_BENDS = 3.3
+"""Lower bound of the band retained behind the microlenses, over the scattering of a wide microlens."""
+
+_KEPT_ORDERS = 20
+"""Lower bound of the same band, in diffraction orders of the aperture of a microlens."""
 
 BLOCK = 512
 """Number of rows that are transformed together."""
@@ -122,9 +127,7 @@ def grids_around(
     lam = in_millimetres(wavelength)
     radius = lens.pupil.radius
     steepest = float((np.abs(image.cosine) + image.half_cosine).max())
-    # Lower bounds of the band retained behind the microlenses, over the scattering of a wide microlens, and in
-    # diffraction orders of the aperture of a microlens.
-    aside = max(3.3 * scattering(camera), diffraction(camera, wavelength, 20))
+    aside = max(_KEPT_BENDS * scattering(camera), diffraction(camera, wavelength, _KEPT_ORDERS))
     # The pupil's edge bends light, too, which counts where nothing else does.
     bent = steepest + aside if aside else _PUPIL_BAND * steepest
     per_pixel = max(1, math.ceil(p * 2 * bent * refinement / lam))

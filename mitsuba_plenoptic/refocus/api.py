@@ -43,6 +43,9 @@ _log = logging.getLogger(__name__)
 
 _PROGRESS_STEPS = 1000
 
+_LONG = 30.0
+"""Seconds from which on the time and memory of a reconstruction are told as soon as they are known."""
+
 
 @overload
 def reconstruct(
@@ -215,8 +218,7 @@ def reconstruct(
     wavelengths = require_wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
 
     def tell(seconds: float) -> None:
-        # Seconds from which on the time and memory of a reconstruction are told as soon as they are known.
-        if seconds > 30.0:
+        if seconds > _LONG:
             needed = f"{in_words(seconds)} and {max(sizes, default=0) / GIB:.2g} GiB"
             cheaper = "; method ray takes a small part of that" if chosen.waves else ""
             _log.info("method %s takes about %s%s", method, needed, cheaper)

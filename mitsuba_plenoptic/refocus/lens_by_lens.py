@@ -44,6 +44,8 @@ from .planning import GUARD, check_pupil_diffraction, detector_step, field_subsa
 _BATCH_SAMPLES = 2**20
 _CUDA_BATCH_SAMPLES = 2**25
 
+_BLURRED = 1.0
+"""Blur in lenses from which on the samples of the field suffice for sums over lenses."""
 
 _STEEP = 8.0
 """Blur in lenses from which on the power takes fewer samples than the field, in inverse proportion to the blur.
@@ -73,8 +75,7 @@ def reconstruction_tile(
     """
     least = min(camera.blur_diameter(g) for g in distances) / max(camera.mla_pitches)
     summed = not camera.lenses_are_bins and focus_type(camera) == "unfocused"
-    # Blur in lenses from which on the samples of the field suffice for sums over lenses.
-    resolved = not summed or least < 1.0
+    resolved = not summed or least < _BLURRED
     fraction = min(1.0, _STEEP / least) if summed and least > 0 else 1.0
     return LensTile(camera, wavelength, tile_lenses(camera, distances), oversample, resolved, fraction)
 

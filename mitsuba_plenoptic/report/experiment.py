@@ -107,6 +107,9 @@ def photograph(scene: Any, sensor: Any, spp: int) -> np.ndarray:
     return total[..., 0] if total.shape[2] == 1 else total
 
 
+OBJECT_COLUMNS = 1024
+
+
 class RefocusMethod(NamedTuple):
     """A refocusing method: name, title in figures, options of `reconstruct`, and the capture that it refocuses."""
 
@@ -317,7 +320,7 @@ def run_experiment(
     if twin is not None:
         ordinary = against_ordinary(store, by_waves, scene, camera, twin, settings.distances[0])
     # Details much finer than the lenses are in no capture, and paths through a room of walls take long.
-    columns = min(1024, max(256, 8 * camera.bin_count[0]))
+    columns = min(OBJECT_COLUMNS, max(256, 8 * camera.bin_count[0]))
     scene_key = replace(by_rays, spp=None).fingerprint()
     pinhole, _ = store.image(
         "object",

@@ -425,7 +425,7 @@ def _microscope_diffraction(camera: PlenopticCamera, lens: Objective, wavelength
     width = camera.lattice.aperture_width
     spot = design.spot_radius(camera, wavelength)
     rows = [
-        ("objective's limit", _four(design.objective_limit(camera, wavelength)), "lp/mm", "2 NA over the wavelength"),
+        ("objective's limit", _four(2e6 * lens.numerical_aperture / wavelength), "lp/mm", "2 NA over the wavelength"),
         ("spot of a microlens", _four(1e3 * spot), "um", f"{_four(spot / camera.pixel_size)} pixels"),
     ]
     if lens.images_stop:

@@ -332,6 +332,9 @@ class Job:
             self.progress(done, items)
 
 
+_GROUP_SAMPLES = 2**22
+"""Samples of the fields that a worker computes at a time, some tenths of a second: more than sending them costs."""
+
 _AHEAD = 3
 """Groups in progress for each worker, so that none is idle and memory stays bounded."""
 
@@ -480,8 +483,7 @@ def _groups(batches: Iterable[Batch]) -> Iterator[list[Batch]]:
     for batch in batches:
         group.append(batch)
         samples += batch.samples
-        # Samples of the fields that a worker computes at a time, some tenths of a second: more than sending them costs.
-        if samples >= 2**22:
+        if samples >= _GROUP_SAMPLES:
             yield group
             group = []
             samples = 0

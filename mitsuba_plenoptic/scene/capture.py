@@ -129,10 +129,7 @@ def render_capture(
     require_taken(integrator, checkpoint=checkpoint, batch_map=batch_map)
     spp = sample_count(chosen, spp)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
-    if noise:
-        from ..detector import require_samples
-
-        require_samples(spp)
+    refuse_if(noise and spp < 2, f"spp = {spp}: it must be at least 2 for an estimate of the noise")
     wavelengths = None
     spectrum = None
     if hasattr(integrator, "wavelengths"):

@@ -58,17 +58,6 @@ class DataFolder:
         return self.folder / "samples" / f"{index:06d}.h5"
 
 
-def facts_of(recipe: Recipe) -> dict[str, Any]:
-    """Return everything that determines the bits of a data set, as plain JSON values."""
-    scenes = {
-        f"scene {index + 1}": scene_fingerprint(source.scene, {})
-        for index, source in enumerate(recipe.scenes)
-        if source.scene
-    }
-    facts = {**versions.stamped({}), "software": software(), "recipe": dict(recipe.content), "files": scenes}
-    return dict(json.loads(json.dumps(facts)))
-
-
 def read_manifest(folder: Path) -> dict[str, Any]:
     """Return the recipe that made a data set, read from its manifest."""
     path = folder / MANIFEST
@@ -93,7 +82,13 @@ def claim(folder: Path, recipe: Recipe) -> DataFolder:
         entries = {name: value for name, value in record["recipe"].items() if name not in {"count", "name"}}
         return {**{name: record[name] for name in facts if name in record}, "recipe": entries}
 
-    facts = facts_of(recipe)
+    scenes = {
+        f"scene {index + 1}": scene_fingerprint(source.scene, {})
+        for index, source in enumerate(recipe.scenes)
+        if source.scene
+    }
+    facts = {**versions.stamped({}), "software": software(), "recipe": dict(recipe.content), "files": scenes}
+    facts = dict(json.loads(json.dumps(facts)))
     if (folder / MANIFEST).exists():
         manifest = read_manifest(folder)
         changed = differences(fixed(manifest), fixed(facts))
@@ -114,6 +109,8 @@ def claim(folder: Path, recipe: Recipe) -> DataFolder:
 
 _FACTS = "facts"
 
+_MOST_OPEN = 32
+"""Files that a data set keeps open: systems allow a process a few hundred, and large data sets have thousands."""
 
 _log = logging.getLogger(__name__)
 
@@ -236,9 +233,7 @@ class DataSet:
             self._files = {}
             self._process = os.getpid()
         if shard not in self._files:
-            # Files that a data set keeps open: systems allow a process a few hundred, and large data sets have
-            # thousands.
-            if len(self._files) >= 32:
+            if len(self._files) >= _MOST_OPEN:
                 # It is closed once no other thread reads it.
                 del self._files[next(iter(self._files))]
             self._files[shard] = open_shard(self._layout.shard(shard))

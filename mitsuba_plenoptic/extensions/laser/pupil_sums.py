@@ -47,6 +47,8 @@ _DIAGONALS = np.array(
 )
 """Directions in the tilt along x and y, and nearness, of a layer's points."""
 
+_BASIS = 2048
+"""Largest number of points of a layer from which its products are found."""
 
 _TOGETHER = 2**22
 """Number of factors that are computed together, which limits their memory."""
@@ -78,8 +80,7 @@ class Layer:
         on_device = active_backend().arrays.asarray
         self._interpolation = [on_device(_interpolation(nodes, grid.along(axis) / self._half)) for axis in (0, 1)]
         x, y = (mesh.ravel() * self._half for mesh in np.meshgrid(nodes, nodes))
-        # Largest number of points of a layer from which its products are found.
-        some = np.linspace(0, len(points) - 1, min(len(points), 2048)).astype(int)
+        some = np.linspace(0, len(points) - 1, min(len(points), _BASIS)).astype(int)
         # Orthonormal functions that represent the factors of some points within the tolerance.
         basis, strength, _ = np.linalg.svd(self._remainder(x, y, points, some), full_matrices=False)
         tail = np.sqrt(np.cumsum(strength[::-1] ** 2)[::-1] / np.sum(strength**2))
