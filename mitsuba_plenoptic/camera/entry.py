@@ -185,7 +185,9 @@ class Parameter(Generic[Given, Kept]):
     highest: float | None = None  # upper limit of fits without bounds, if it is not a multiple of the step
     unseen: int = 0  # count of leading components that affect no capture: fits leave them out
     room: int = 0  # least count of components with derivatives, also if a camera has fewer
-    shortest: Callable[[Kept], Any] | None = None  # converts to the form in files, if it is not the stored one
+    shortest: Callable[[Kept], Any] | None = (
+        None  # converts to the form in files, if another
+    )
     of_array: bool = False  # whether only a camera with a microlens array has it: None for one without
     instead_of: str = ""  # the parameter that follows from this one and is written to files instead
     in_all_files: bool = False  # whether all files have it; others may be missing, such as those of extensions
@@ -199,7 +201,9 @@ class Parameter(Generic[Given, Kept]):
         put(self, attribute=attribute, name=self.alias or attribute)
 
     def plain(self, value: Kept) -> Any:
-        """Return a value in its shortest form, as in files."""
+        """Return a value in its shortest form, as in files; of a record its plain data."""
+        if hasattr(value, "to_plain"):
+            return value.to_plain()
         return value if value is None or self.shortest is None else self.shortest(value)
 
     if TYPE_CHECKING:

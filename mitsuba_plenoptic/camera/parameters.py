@@ -88,7 +88,6 @@ class CoreParameters:
         form=Form.SEVERAL,
         takes="int or (int, float)",
         otherwise="a round aperture",
-        shortest=lambda blades: blades and blades.to_plain(),
         fit=require_alone,
     )
     aperture_image: Parameter[Any, Aperture | None] = Parameter(
@@ -101,7 +100,6 @@ class CoreParameters:
         ),
         form=Form.PICTURE,
         otherwise="a round aperture",
-        shortest=lambda image: image and image.to_plain(),
         fit=require_alone,
     )
     pupil_apodisation: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
@@ -254,7 +252,6 @@ class CoreParameters:
         ),
         form=Form.LENSES,
         otherwise="equal lenses",
-        shortest=lambda table: table and table.to_plain(),
         of_array=True,
     )
     vignetting: Parameter[Any, Vignetting | None] = Parameter(
@@ -267,7 +264,6 @@ class CoreParameters:
         ),
         form=Form.VIGNETTING,
         otherwise="the same pupil for all lenses",
-        shortest=lambda vignetting: vignetting and vignetting.to_plain(),
         of_array=True,
     )
     mla_medium: Parameter[float, float] = Parameter(
@@ -301,7 +297,6 @@ class CoreParameters:
         ),
         form=Form.SHAPE,
         otherwise="a parabolic phase of the focal length",
-        shortest=lambda shape: shape and shape.to_plain(),
         of_array=True,
     )
     detector_distance: Parameter[float | None, float] = Parameter(
@@ -395,7 +390,6 @@ class CoreParameters:
         ),
         form=Form.SCREEN,
         otherwise="none",
-        shortest=lambda screen: screen and screen.to_plain(),
     )
     mla_jitter: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(0.0, 0.0),
@@ -481,7 +475,6 @@ class CoreParameters:
             "in Python also as an array."
         ),
         form=Form.STRAY,
-        shortest=lambda stray: stray.to_plain() if isinstance(stray, StrayLight) else stray,
     )
     stray_width: Parameter[float | None, float | None] = Parameter(
         default=None,
@@ -516,7 +509,6 @@ class CoreParameters:
         ),
         form=Form.LENS,
         otherwise="a thin lens",
-        shortest=lambda lens: lens and lens.to_plain(),
     )
     glass: Parameter[_Glass | None, Glass | None] = Parameter(
         default=None,
@@ -528,7 +520,6 @@ class CoreParameters:
         ),
         form=Form.GLASS,
         otherwise="the same focal length for all wavelengths",
-        shortest=lambda glass: glass and glass.to_plain(),
     )
     mla_glass: Parameter[_Glass | None, Glass | None] = Parameter(
         default=None,
@@ -536,7 +527,6 @@ class CoreParameters:
         words="Glass of the microlenses, written like `glass`: `mla_focal_length` is then that at the line d.",
         form=Form.GLASS,
         otherwise="the same focal length for all wavelengths",
-        shortest=lambda glass: glass and glass.to_plain(),
         of_array=True,
     )
 

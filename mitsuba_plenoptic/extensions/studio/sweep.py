@@ -34,7 +34,7 @@ from ...runtime import BatchMap, Sink, atomic_output, read_yaml, remove_leftover
 from ...scene import check_scene_file, is_wave_capture, names_in, plenoptic_sensor, refuse_by_rays, scene_defaults
 from ...scene_files import scene_path
 
-__all__ = ["check_grid", "merge_grids", "parse_grid", "read_grid", "sweep"]
+__all__ = ["sweep"]
 
 # Names that are not parameters of the scene.
 WAVELENGTH = "wavelength"
@@ -43,34 +43,20 @@ DISTANCE = "distance"
 Grid = Mapping[str, Sequence[float]]
 
 
-def read_grid(path: Path) -> dict[str, list[Any]]:
-    """Return a grid read from YAML: names, each with a number or a list of numbers."""
-    content = read_yaml(path)
+def stated_grid(path: Path | None, texts: Iterable[str]) -> dict[str, list[Any]]:
+    """Return the grid that a YAML file, if any, and texts such as ``name=1,2,3`` state."""
+    content = {} if path is None else read_yaml(path)
     refuse_if(
         not isinstance(content, dict),
         f"{path}: it must hold names, each with a list of numbers, such as 'wavelength: [532, 633]'",
     )
-    return {name: value if isinstance(value, list) else [value] for name, value in content.items()}
-
-
-def parse_grid(texts: Iterable[str]) -> dict[str, list[Any]]:
-    """Return the grid that texts such as ``name=1,2,3`` describe."""
-    grids = []
+    grid = {name: value if isinstance(value, list) else [value] for name, value in content.items()}
     for text in texts:
         name, equals, values = text.partition("=")
         refuse_if(not name or not equals, f"--vary {text}: write it as --vary NAME=VALUE,VALUE,...")
-        grids.append({name: [value.strip() for value in values.split(",")] if values.strip() else []})
-    return merge_grids(*grids)
-
-
-def merge_grids(*grids: Mapping[str, list[Any]]) -> dict[str, list[Any]]:
-    """Return the union of grids that have no name in common."""
-    merged: dict[str, list[Any]] = {}
-    for grid in grids:
-        for name in grid:
-            refuse_if(name in merged, f"grid: {name} is given twice")
-        merged |= grid
-    return merged
+        refuse_if(name in grid, f"grid: {name} is given twice")
+        grid[name] = [value.strip() for value in values.split(",")] if values.strip() else []
+    return grid
 
 
 def check_grid(grid: Mapping[Any, Any]) -> dict[str, tuple[float, ...]]:

@@ -59,9 +59,9 @@ def sweep(
     from ...camera import MATCHED, PARAMETERS
     from ...capture_spec import CaptureSpec
     from ...runtime import DEFAULT_VARIANT
-    from .sweep import check_grid, merge_grids, parse_grid, prepare, read_grid
+    from .sweep import check_grid, prepare, stated_grid
 
-    checked = check_grid(merge_grids(read_grid(grid) if grid else {}, parse_grid(vary or [])))
+    checked = check_grid(stated_grid(grid, vary or []))
     refuse_if(
         method is not None and "distance" not in checked,
         "--method: nothing is refocused without a 'distance' in the grid; leave it out",

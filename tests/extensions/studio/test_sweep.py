@@ -15,7 +15,7 @@ from mitsuba_plenoptic import Cluster, InputError, load_scene, reconstruct, rend
 from mitsuba_plenoptic.capture_spec import CaptureSpec
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.studio import sweep as sweeps
-from mitsuba_plenoptic.extensions.studio.sweep import check_grid, parse_grid, read_grid, sweep
+from mitsuba_plenoptic.extensions.studio.sweep import check_grid, stated_grid, sweep
 from mitsuba_plenoptic.io.cache import StageOptions
 from mitsuba_plenoptic.waves import signed_rays
 
@@ -219,7 +219,7 @@ def test_bad_yaml_is_refused(tmp_path, monkeypatch, text, message):
     path = tmp_path / "grid.yaml"
     path.write_text(text)
     with pytest.raises(InputError) as caught:
-        check_grid(read_grid(path))
+        check_grid(stated_grid(path, []))
     assert message in str(caught.value) and len(str(caught.value)) < 500 and "\n" not in str(caught.value)
     assert os.listdir() == ["grid.yaml"]  # noqa: PTH208
 
@@ -228,8 +228,8 @@ def test_numbers_of_yaml_are_taken_as_people_mean_them(tmp_path):
     """PyYAML reads YAML 1.1, where 1e3 is text and 010 is 8."""
     path = tmp_path / "grid.yaml"
     path.write_text("a: [1e3, 2.5, 010]\n")
-    assert check_grid(read_grid(path)) == {"a": (1000.0, 2.5, 10.0)}
-    assert check_grid(parse_grid(["a=1e3, 2.5"])) == {"a": (1000.0, 2.5)}
+    assert check_grid(stated_grid(path, [])) == {"a": (1000.0, 2.5, 10.0)}
+    assert check_grid(stated_grid(None, ["a=1e3, 2.5"])) == {"a": (1000.0, 2.5)}
 
 
 def test_what_is_missing_is_named(tmp_path, monkeypatch):
