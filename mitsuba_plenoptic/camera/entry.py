@@ -185,9 +185,7 @@ class Parameter(Generic[Given, Kept]):
     highest: float | None = None  # upper limit of fits without bounds, if it is not a multiple of the step
     unseen: int = 0  # count of leading components that affect no capture: fits leave them out
     room: int = 0  # least count of components with derivatives, also if a camera has fewer
-    shortest: Callable[[Kept], Any] | None = (
-        None  # converts to the form in files, if another
-    )
+    shortest: Callable[[Kept], Any] | None = None  # converts to the form in files, if another
     of_array: bool = False  # whether only a camera with a microlens array has it: None for one without
     instead_of: str = ""  # the parameter that follows from this one and is written to files instead
     in_all_files: bool = False  # whether all files have it; others may be missing, such as those of extensions
