@@ -133,7 +133,7 @@ def parallax(camera: PlenopticCamera, position: float) -> float:
     return -camera.reduced_distance * growth * math.tan(math.asin(sine))
 
 
-def microscope_findings(camera: PlenopticCamera, wavelength: float | None = None) -> Iterator[Finding]:
+def microscope_findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Finding]:
     """Yield findings about the design of a microscope."""
     lens = objective_of(camera)
     if lens.images_stop:

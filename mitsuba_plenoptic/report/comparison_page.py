@@ -39,7 +39,7 @@ def write_report(
     zooms: Sequence[Zoom],
     plates: Mapping[str, str],
     command: str,
-    others: Sequence[Section] = (),
+    others: Sequence[Section],
 ) -> dict[str, Any]:
     """Write ``results.json`` and ``report.html`` into the folder that holds the figures; return the results.
 

@@ -140,7 +140,7 @@ class LightDerivatives(SceneLight):
         return channels(change) if wavelengths is None else list(change)
 
     def replay(
-        self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
+        self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None
     ) -> Replay:
         """Trace rays for their radiance, and return their state for the derivatives; see `SceneLight`."""
         sampler, ray = self.rays(point, slope, active, seed, wavelengths)

@@ -221,7 +221,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
 def recorded_white(
     white: Capture | np.ndarray,
     shape: tuple[int, ...],
-    cameras: Sequence[PlenopticCamera] = (),
+    cameras: Sequence[PlenopticCamera],
     computed: np.ndarray | None = None,
     lenses: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:

@@ -101,7 +101,7 @@ def _pixels(view: View, expected: Doubles, default: PixelNoise | None) -> tuple[
     return np.where(mask, np.sqrt(weight) / unit, np.inf), share, spread
 
 
-def check_light(view: View, default: PixelNoise | None = None) -> None:
+def check_light(view: View, default: PixelNoise | None) -> None:
     """Refuse a view without light, or with pixels further below zero than noise explains."""
     noise = default if view.noise is None else view.noise
     if isinstance(noise, PixelNoise):
