@@ -385,24 +385,15 @@ FULL_TURN = 360.0
 STEEPEST_TILT = 5.0
 """Degrees by which an array may be tilted."""
 
-LEAST_FILL = 1e-3
-"""Width of a microlens over its pitch, at least; that of the thinnest line would let no light through."""
-
 MOST_STRETCH = 10.0
 """One pitch over the other, at most."""
 
 MOST_JITTER = 0.1
 """Standard deviation of lenses' positions, over the pitch, and of their focal lengths, over these, at most."""
 
-WARP_COUNTS = (14, 36)
-"""Coefficients of a warp of third and of fifth degree: of 7 or 18 terms along x, then along y."""
-
 MOST_WARP = 0.5
 MOST_WARP_SLOPE = 0.1
 """Displacement of a warped array's lenses over the pitch, and its change per mm of their positions, at most."""
-
-MOST_SEED = 2**32 - 1
-"""Seed of an array's irregularities at most."""
 
 
 def require_wavelength(value: Any, name: str = "wavelength") -> float:
@@ -472,11 +463,11 @@ def require_wavefront(name: str, value: Any) -> tuple[float, ...]:
 def require_warp(name: str, value: Any) -> tuple[float, ...]:
     """Return 14 or 36 coefficients of a warp, fewer than 14 filled up with zeros; none if all are zero."""
     value = _plain(value)
-    cubic, quintic = WARP_COUNTS
-    if not isinstance(value, (tuple, list)) or (len(value) > cubic and len(value) != quintic):
-        raise InputError(f"{name} = {short_repr(value)}: it must be at most {cubic} numbers, or {quintic}")
+    # Terms of third or of fifth degree: 7 or 18 along x, then as many along y.
+    if not isinstance(value, (tuple, list)) or (len(value) > 14 and len(value) != 36):
+        raise InputError(f"{name} = {short_repr(value)}: it must be at most 14 numbers, or 36")
     numbers = require_numbers(name, value, count=len(value))
-    return numbers + (0.0,) * (cubic - len(numbers)) if any(numbers) else ()
+    return numbers + (0.0,) * (14 - len(numbers)) if any(numbers) else ()
 
 
 def require_response(name: str, value: Any) -> tuple[float, ...]:

@@ -16,8 +16,6 @@ from typing import TYPE_CHECKING, Any, cast
 from ..array import APERTURES, LATTICES, NO_LATTICE, MicrolensShape, known_shape
 from ..errors import (
     FULL_TURN,
-    LEAST_FILL,
-    MOST_SEED,
     STEEPEST_TILT,
     require_chief_rays,
     require_choice,
@@ -236,7 +234,8 @@ class CoreParameters:
     )
     mla_fill: Parameter[float, float] = Parameter(
         default=1.0,
-        check=partial(require_number, positive=True, minimum=LEAST_FILL, maximum=1),
+        # The thinnest line would let no light through.
+        check=partial(require_number, positive=True, minimum=1e-3, maximum=1),
         words="Width of a lens's aperture over the pitch, at most 1; of a disc's over the shorter pitch.",
         gradients=Captures.ALL & ~Captures.SCENES,
         highest=1.0,
@@ -429,7 +428,7 @@ class CoreParameters:
     )
     mla_seed: Parameter[int, int] = Parameter(
         default=0,
-        check=partial(require_count, minimum=0, maximum=MOST_SEED),
+        check=partial(require_count, minimum=0, maximum=2**32 - 1),
         words="Seed, up to 4294967295, that chooses one of all arrays with this `mla_jitter` and `mla_figure_error`.",
         form=Form.COUNT,
         of_array=True,

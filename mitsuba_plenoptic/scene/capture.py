@@ -40,7 +40,6 @@ each need 0.25 GiB in addition to the film."""
 _SAMPLES_PER_PASS = 2**14
 """Dr.Jit gives blocks of so many rays to its threads; pixels of more samples would be shared by two of them."""
 
-_SOFTWARE = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy")
 _version = functools.cache(importlib.metadata.version)
 """Packages whose versions captures state."""
 
@@ -150,7 +149,7 @@ def render_capture(
         "variant": mi.variant(),
         "integrator": getattr(integrator, "child", integrator).class_name(),
         **(integrator.parameters() if hasattr(integrator, "parameters") else {}),
-        "software": {name: _version(name) for name in _SOFTWARE},
+        "software": {name: _version(name) for name in ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy")},
         "seed": seed,
         "spp": spp,
         **label,

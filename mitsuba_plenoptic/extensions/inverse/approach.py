@@ -80,9 +80,6 @@ _BLURS = (2.0, 1.0, 0.5, 0.25, 0.125)
 _SHARPEST = 1.0
 """Least of them, in pixels."""
 
-_LATTICE = ("mla_pitch", "mla_rotation", "mla_offset")
-_TELLS_LATTICE = 0.5
-"""Blur, in microlenses, below which the lattice is sought, too: what is blurred more does not show it."""
 
 _MOST_STEPS = 15
 """Cameras that are tried with each."""
@@ -150,8 +147,9 @@ def coarse_fit(
             progress(tried, _MOST_STEPS * len(blurs))
 
     for stage, blur in enumerate(blurs[first:], first + 1):
-        is_coarse = blur >= _TELLS_LATTICE * camera.pixels_per_lens
-        sought = np.array([not (is_coarse and component.name in _LATTICE) for component in vector.components])
+        # What is blurred by half a microlens or more does not show the lattice.
+        fixed = ("mla_pitch", "mla_rotation", "mla_offset") if blur >= 0.5 * camera.pixels_per_lens else ()
+        sought = np.array([component.name not in fixed for component in vector.components])
         if sought.any():
             some = vector.of(fitted).keep(np.array(vector.labels)[sought])
             fitted = _nearest(some, (low[sought], high[sought]), models, observations, blur, count)
