@@ -149,8 +149,8 @@ def methods_of_both(names: Sequence[str]) -> tuple[RefocusMethod, ...]:
         if name in ("ray", *names):
             title, options = _METHODS[name]
             both += [
-                RefocusMethod(f"{name}_of_ray", f"{title}, of the ray capture", options, "ray"),
-                RefocusMethod(name, f"{title}, of the wave capture", options),
+                RefocusMethod(f"{name}_of_ray", f"{title}, ray capture", options, "ray"),
+                RefocusMethod(name, title, options),
             ]
     return (*both, *(method for method in COMPARED_METHODS if method.name == "limit" and "limit" in names))
 
