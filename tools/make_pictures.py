@@ -42,6 +42,7 @@ from mitsuba_plenoptic.fitting import View
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.optimisation import maximise
 from mitsuba_plenoptic.points.units import brightness_of
+from mitsuba_plenoptic.refocus import Volume
 from mitsuba_plenoptic.report.images import Brightness, to_bytes
 from mitsuba_plenoptic.report.plots import Plot, annotate, bare, contact_sheet, depth_figure
 from mitsuba_plenoptic.waves.scheme import plan_of
@@ -323,6 +324,22 @@ def microscope() -> Image.Image:
     image = mp.CaptureOperator(fourier, points, wavelength=550, method="full_field").forward([1.0, 1.0])
     row.append(("two points, Fourier", np.sqrt(image.clip(0) / image.max())))
     return sheet([row], white=1.0)
+
+
+@picture
+def microscope_volume() -> Image.Image:
+    """Show a capture of beads, and the volume that deconvolution finds, from the camera and from above."""
+    size = {"detector_width": "3", "resolution": "300"}
+    scene = mp.load_scene("beads", variant="llvm_ad_mono", parameters=size)
+    capture = mp.render_capture(scene, model="wave", spp=256)
+    planes = [round(0.013 * number, 3) for number in range(-4, 5)]
+    volume = Volume.of(mp.reconstruct(capture, planes, method="deconvolved", volume=True, oversample=5))
+    front, above = (np.sqrt(volume.maximum(axis)) for axis in ("z", "y"))
+    # Voxels of the view from above are as long as they are.
+    above = np.repeat(above, round(volume.spacing / volume.voxel_size), axis=0)
+    above = np.pad(above, ((len(front) - len(above)) // 2, 0))
+    shown = {"the capture": capture.image, "from the camera": front, "from above": above}
+    return sheet([[(title, values / np.nanpercentile(values, 99.9)) for title, values in shown.items()]], white=1.0)
 
 
 @picture

@@ -35,6 +35,14 @@ def compare(
     distance: Annotated[list[float] | None, distances(positive=True)] = None,
     wavelength: Annotated[float | None, wavelength_option("633; --real needs the one of its light")] = None,
     spp: Annotated[int, numeric("Samples per pixel, by rays and by waves.", check=require_count)] = 16,
+    methods: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME,...",
+            help="What both captures are refocused by, and rays; the two last take most of the time. A further one, "
+            "limit, propagates one lens at a time, takes longest, and shows what interference between lenses adds.",
+        ),
+    ] = "ray,coherent,partial,incoherent,deconvolved",
     against: Annotated[
         Against | None,
         typer.Option(
@@ -129,7 +137,7 @@ def compare(
     from ..optics import RGB_WAVELENGTHS
 
     # Figures need libraries that take a second to load, which other commands need not wait for.
-    from ..report import Settings, comparison, metrics
+    from ..report import Settings, comparison, methods_of_both, metrics
     from ..runtime import DEFAULT_VARIANT
     from ..scene import MOST_SAMPLES
 
@@ -149,6 +157,7 @@ def compare(
         camera=camera_instead(camera, scene, parameters),
         camera_name=camera,
         wavelength=wavelength or (RGB_WAVELENGTHS[1] if in_colour else 633.0),
+        methods=methods_of_both(methods.split(",")),
         spp=require_count("spp", spp, maximum=MOST_SAMPLES),
         noise=spp > 1,
         variant=variant,
@@ -172,4 +181,5 @@ def compare(
     if against is not None:
         halves = [f"{row['title']} {row['mtf50_per_mm']:.3g}" for row in results["ordinary"]["pictures"]]
         typer.echo(f"Half the contrast, in cycles per mm: {', '.join(halves)}")
+    typer.echo(results["answer"])
     typer.echo(f"{output / 'report.html'}: open it in a browser")

@@ -265,6 +265,8 @@ def _described(facts: dict[str, Any]) -> str:
         return ""
     ended = "stopped by the noise" if facts["stopped_by_noise"] else "as many as were to be made"
     near = "; in focus, where finer bins add little" if facts["in_focus"] else ""
+    if facts["residual"] > 0.25 and not facts["stopped_by_noise"]:
+        near += "; planes that hold the light may be missing"
     return (
         f"; {facts['iterations']} iterations, {ended}, {facts['residual']:.2%} of the capture left; resolution limit "
         f"{facts['resolution_limit']:.3g} line pairs/mm{near}"

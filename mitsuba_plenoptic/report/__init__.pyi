@@ -15,6 +15,7 @@ from .experiment import COMPARED_METHODS as COMPARED_METHODS
 from .experiment import METHOD_TITLES as METHOD_TITLES
 from .experiment import Experiment as Experiment
 from .experiment import Settings as Settings
+from .experiment import methods_of_both as methods_of_both
 from .experiment import open_store as open_store
 from .experiment import photograph as photograph
 from .experiment import photographic_sensor as photographic_sensor

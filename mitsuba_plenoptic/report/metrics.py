@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -184,6 +184,60 @@ def capture_difference(a: Capture, b: Capture, pixels: np.ndarray | None = None)
     # Variances may be wrong by 3 % themselves: their estimates rest on sixteen numbers a pixel.
     alone = excess <= max(3.0 * uncertain, 0.03 * expected)
     return Difference(measured, _root(expected, reference), _root(excess, reference), alone)
+
+
+@dataclass(frozen=True)
+class ContrastChange:
+    """A change of contrast between two images of one plane that is more than noise.
+
+    Attributes
+    ----------
+    ratio : float
+        Contrast of the second image over that of the first.
+    frequency : float
+        Where it is, in cycles a bin.
+    finest : float
+        The highest frequency, in cycles a bin, at which a change of a twentieth would have been seen.
+    """
+
+    ratio: float
+    frequency: float
+    finest: float
+
+
+def contrast_change(first: np.ndarray, second: np.ndarray, truth: np.ndarray) -> ContrastChange:
+    """Return a change of contrast from the first image to the second; its ratio is 1 if none is more than noise.
+
+    The change is that at the lowest frequency where it reaches a fifth, otherwise the largest.
+
+    Both spectra are projected onto that of the truth, whose noise is independent of theirs; so noise adds nothing to
+    the ratio but its scatter, which is that of what the ratio leaves. Changes count from a twentieth, and three
+    standard deviations, on.
+    """
+    seen = ~np.isnan(first + second + truth)
+    edge = np.outer(*(scipy.signal.windows.hann(size, sym=False) for size in truth.shape))
+    a, b, t = (
+        scipy.fft.fft2(np.where(seen, image - np.mean(image[seen]), 0) * edge) for image in (first, second, truth)
+    )
+    radius = np.hypot(*np.meshgrid(*(scipy.fft.fftfreq(size) for size in truth.shape), indexing="ij"))
+    rings = np.digitize(radius, np.linspace(0.02, 0.5, 17))
+    found = ContrastChange(1.0, 0.0, 0.0)
+    for ring in range(1, 17):
+        where = rings == ring
+        if not where.any():
+            continue
+        along = np.sum(a[where] * t[where].conj()).real
+        left = a[where] - along / np.sum(np.abs(t[where]) ** 2) * t[where]
+        # Where the first image itself is noise, it has no contrast to be changed.
+        if along < 5 * math.sqrt(np.sum(np.abs(left * t[where]) ** 2)):
+            continue
+        ratio = np.sum(b[where] * t[where].conj()).real / along
+        scatter = math.sqrt(np.sum(np.abs((b - ratio * a)[where] * t[where]) ** 2)) / along
+        frequency = float(radius[where].mean())
+        finest = frequency if 3 * scatter < 0.05 else found.finest
+        larger = abs(ratio - 1) > max(3 * scatter, 0.05, abs(found.ratio - 1)) and abs(found.ratio - 1) < 0.2
+        found = ContrastChange(float(ratio), frequency, finest) if larger else replace(found, finest=finest)
+    return found
 
 
 def middle_of_micro_images(camera: PlenopticCamera) -> np.ndarray:

@@ -395,9 +395,12 @@ def _image(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
     micro = camera.reduced_distance / camera.lattice.aperture_width
     main = 1 / (2 * lens.image_aperture)
     pixel = camera.pixel_size
+    # Levoy et al. 2006, section 3: as many planes as directions under a lens.
+    step = 2 * camera.row_pitch / lens.blur_diameter(1)
     return [
         ("kind of camera", "light-field microscope", "", "array in the native image plane"),
         ("lens pitch in the object", 1e3 * camera.row_pitch / lens.magnification, "um"),
+        ("axial step", 1e3 * step, "um", "of depth, by which the blur grows by a lens at either side"),
         ("f-number z/width", f"{micro:.3g}"),
         ("objective's M/2NA", f"{main:.3g}", "", "micro-images touch where the two match"),
         ("micro-image", camera.micro_image_diameter / pixel, "pixels", f"of {_four(camera.row_pitch / pixel)}"),

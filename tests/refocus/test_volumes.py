@@ -70,6 +70,15 @@ def test_files_hold_voxel_sizes(tmp_path):
     planes = [entry.attrib for entry in pixels if entry.tag.endswith("Plane")]
     places = {int(plane["TheZ"]): float(plane["PositionZ"]) for plane in planes}
     assert places == {0: 210, 1: 220, 2: 250}
+    fine = Volume(volume.values, (-0.01, 0.0, 0.01, 0.02), 0.0015)
+    write_volume(tmp_path / "d.tif", fine)
+    write_volume(tmp_path / "d.ome.tif", fine)
+    with tifffile.TiffFile(tmp_path / "d.tif") as file:
+        assert file.imagej_metadata["unit"] == "um" and file.imagej_metadata["spacing"] == pytest.approx(10)
+        numerator, denominator = file.pages[0].tags["XResolution"].value
+        assert denominator / numerator == pytest.approx(1.5, rel=1e-6)
+    with tifffile.TiffFile(tmp_path / "d.ome.tif") as file:
+        assert 'PhysicalSizeX="1.5" PhysicalSizeXUnit="µm"' in file.ome_metadata
     for name in ("c.png", "c"):
         refuses(r"give a name that ends in .tif or", write_volume, tmp_path / name, volume)
 
