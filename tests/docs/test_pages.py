@@ -68,26 +68,6 @@ def test_pages_can_be_pasted_from_their_top(page):
     assert done.returncode == 0, done.stdout
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("page", [page for page in PAGES if page.stem not in OWN_PICTURES], ids=lambda page: page.stem)
-def test_pages_run_from_their_top(page, tmp_path):
-    """Each by itself in an empty folder, in the order of its blocks: files, commands, and all code up to each block."""
-    environment = os.environ | {"MPLBACKEND": "Agg", "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
-    code = ""
-    for name, kind, text in BLOCK.findall(page.read_text()):
-        if name:
-            (tmp_path / name).write_text(text)
-        steps = [line[2:] for line in text.splitlines() if kind == "console" and line.startswith("$ mitsuba-plenoptic")]
-        if kind == "python":
-            code += text
-            steps = [shlex.join([sys.executable, "-c", code])]
-        for step in steps:
-            done = subprocess.run(
-                step, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
-            )
-            assert done.returncode == 0, f"{step}\n{done.stderr}"
-
-
 @pytest.mark.parametrize(
     "page",
     [
