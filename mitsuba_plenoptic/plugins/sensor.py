@@ -19,7 +19,7 @@ from ..lenses import Pair, main_lens
 from ..optics import second_leg
 from ..rays import Dispersion, LensRays, sampler_of
 from ..runtime import require_unfrozen
-from ..scene import meet_moved, world_ray
+from ..scene import meet_moved, refuse_light_tracing, world_ray
 from .properties import read_camera, require_read
 
 if TYPE_CHECKING:
@@ -321,10 +321,7 @@ def make_class() -> type:
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
             """Refuse light tracing, as a scene point sees the detector through many lenses at once."""
-            raise InputError(
-                f"{NAME}: light tracing (an integrator such as ptracer) cannot reach the detector through the "
-                "lenses; use path or direct"
-            )
+            refuse_light_tracing()
 
         def projection_transform(self) -> Any:
             """Refuse integrators that project moving edges of shapes onto the film, as many lenses see each of them."""

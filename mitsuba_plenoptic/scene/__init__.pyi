@@ -28,8 +28,9 @@ from .radiance import LightDerivatives as LightDerivatives
 from .radiance import ReplayedLight as ReplayedLight
 from .radiance import SceneLight as SceneLight
 from .radiance import random_numbers as random_numbers
+from .radiance import refuse_light_tracing as refuse_light_tracing
 from .radiance import refuse_negative as refuse_negative
 from .radiance import require_finite as require_finite
-from .radiance import require_medium_seen as require_medium_seen
+from .radiance import require_seen as require_seen
 from .radiance import warn_of_metres as warn_of_metres
 from .radiance import world_ray as world_ray

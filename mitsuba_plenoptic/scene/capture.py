@@ -18,12 +18,10 @@ from ..io import Capture
 from ..optics import guards
 from ..runtime import BatchMap, Cost, Job, one_at_a_time, require_memory_for
 from .load import KNOWN_PARAMETERS, meet_moved, mitsuba_sentence
-from .radiance import require_medium_seen, warn_of_metres
+from .radiance import require_film, require_seen, warn_of_metres
 
 if TYPE_CHECKING:
     from ..io import Checkpoint
-
-_FILM_RULE = "a capture needs pixel_format 'luminance' or 'rgb'"
 
 MOST_SAMPLES = 2**24
 """Largest count of samples per pixel."""
@@ -124,7 +122,7 @@ def render_capture(
     warn_of_metres(scene, chosen)
     require_film(chosen.film())
     integrator = chosen_integrator(scene, model, wave)
-    require_medium_seen(getattr(integrator, "child", integrator), chosen)
+    require_seen(integrator, chosen)
     require_taken(integrator, checkpoint=checkpoint, batch_map=batch_map)
     spp = sample_count(chosen, spp)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
@@ -237,14 +235,6 @@ def refuse_by_rays(**given: Any) -> None:
     for name, value in given.items():
         if value is not None:
             raise InputError(f"{argument(name)}: a ray capture does not take it; it is for {argument('model')} wave")
-
-
-def require_film(film: Any) -> None:
-    """Refuse films with an alpha channel, or in colours other than red, green and blue."""
-    channels = film.base_channels_count()
-    refuse_if(channels not in (1, 3), f"film: it has {channels} channels; {_FILM_RULE}")
-    # Films show their pixel format only in their description.
-    refuse_if("pixel_format = xyz" in str(film) and channels == 3, f"film: pixel_format = xyz: {_FILM_RULE}")
 
 
 def require_wave_film(film: Any) -> None:
@@ -361,7 +351,7 @@ def estimate_capture(
     camera = PlenopticCamera.from_sensor(sensor)
     require_film(sensor.film())
     integrator = chosen_integrator(scene, model, wave)
-    require_medium_seen(getattr(integrator, "child", integrator), sensor)
+    require_seen(integrator, sensor)
     require_taken(integrator, batch_map=batch_map)
     spp = sample_count(sensor, spp)
     if hasattr(integrator, "wavelengths"):

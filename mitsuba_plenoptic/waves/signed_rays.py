@@ -56,8 +56,11 @@ from .spectral_nodes import Node, RayWavelengths, WavelengthSampler, chances, mi
 _BLOCK_BYTES = 2**27
 """Bytes of the images of one block of the detector: few, for memory, and as progress is counted in blocks."""
 
-_BLOCK_RAYS = 2**24
-"""Approximate most rays of a block: some seconds', as checkpoints wait for the end of one."""
+_BLOCK_RAYS = 2**22
+"""Approximate most rays of a block: about a second's, as the first checkpoint waits for the end of two."""
+
+_BLOCK_PIXELS = 2**8
+"""Approximate fewest pixels of a block with many rays for each."""
 
 _LANES = 2**22
 """Approximate count of rays that are traced at once."""
@@ -170,7 +173,7 @@ class SignedRaySum:
         values = sum(len(flat) * len(node.channels) for flat, node in zip(self._flat_kernels, nodes, strict=True))
         rays_of_pixel = self._together * self._passes * max(1, round(self._sampler.lit_lenses))
         self._blocks = blocks_of(
-            self._bins, min(_BLOCK_BYTES // (4 * values), max(2**12, _BLOCK_RAYS // rays_of_pixel))
+            self._bins, min(_BLOCK_BYTES // (4 * values), max(_BLOCK_PIXELS, _BLOCK_RAYS // rays_of_pixel))
         )
         self.items = np.array([block.rows * block.columns for block in self._blocks])
 
