@@ -116,10 +116,11 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray
             for view, view_weight, across in zip(by_row, row_open, u, strict=True):
                 if not view_weight.any():
                     continue
-                # Between a bin and none, the bin's value counts, for as much as its weight.
                 total, view_open = (moved(pixels, across * slope, axis=1) for pixels in (view, view_weight))
-                values = total / np.maximum(view_open, 1e-6)
-                moments = np.stack([view_open, total, total * values])
+                values = total / np.maximum(view_open, 0.5)
+                # Between a bin and none the values are of places within the field, which moved depths by 1 %.
+                view_open = np.maximum(4 * view_open - 3, 0)
+                moments = view_open * np.stack([np.ones_like(values), values, np.square(values)])
                 passed.append((values, view_open))
                 if len(passed) > _APART:
                     earlier = passed[-1 - _APART][0]
