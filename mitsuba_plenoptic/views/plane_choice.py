@@ -159,7 +159,8 @@ def indications(views: Disagreement, samples: float, tolerance: float) -> tuple[
     best_of_bin = energy.argmin(axis=0) == np.arange(len(energy))[:, None, None]
     neighbours_best = scipy.ndimage.gaussian_filter(best_of_bin.astype(np.float32), (0, 3.0, 3.0), mode="nearest")
     # However far apart planes are, the next ones agree.
-    low, high = np.minimum(low, plane - 1), np.maximum(high, plane + 1)
+    low = np.minimum(low, plane - 1)
+    high = np.maximum(high, plane + 1)
     agreeing = _mass(neighbours_best, low, high)
     del best_of_bin, neighbours_best
     # An average holds so many times the independent samples of a bin, whose window has a standard deviation of 1.

@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 from cameras import letters, pinhole_picture
 from light_field_cases import blobs, fall_off_of, of_square_lenses, straight_rays
+from scipy.io import savemat
 from scipy.ndimage import center_of_mass, gaussian_filter, map_coordinates, uniform_filter
 
 import mitsuba_plenoptic as mp
@@ -158,9 +159,9 @@ class TestShiftAndAdd:
 
 
 class TestDepth:
-    @pytest.mark.parametrize("source", ["white", "white alone", "lenses", "vignetting", "pupil"])
+    @pytest.mark.parametrize("source", ["white", "white alone", "lenses", "vignetting", "pupil", "white of LFToolbox"])
     @pytest.mark.parametrize("slope", [pytest.param(-0.9, marks=pytest.mark.slow), 0.6])
-    def test_behind_a_falling_white(self, slope, source):
+    def test_behind_a_falling_white(self, slope, source, tmp_path):
         camera = of_square_lenses(10, 20)
         distance = float(distance_of(mp.decode(white_image(camera), camera=camera), slope))
         gain = np.random.default_rng(3).uniform(0.2, 1.3, (20, 20))
@@ -182,6 +183,10 @@ class TestDepth:
             lf = mp.decode(picture * dim, white=white, **({"grid": lens_grid(camera)} if alone else {"camera": camera}))
         else:
             lf = mp.decode(picture, camera=camera)
+        if source == "white of LFToolbox":
+            stored = np.stack([lf.values, lf.white.values / lf.white.values.max()], axis=-1)
+            savemat(tmp_path / "a.mat", {"LF": stored})
+            lf = mp.exchange.read_lftoolbox(tmp_path / "a.mat")
         found = depth_map(lf)
         known = lf if "camera" in lf.attrs else mp.decode(picture, camera=camera)
         error = distance_of(known, found.disparity.values) / distance - 1
@@ -246,7 +251,8 @@ class TestDepth:
         lf = mp.decode(
             mp.expose(mp.Capture(card(camera, slope, blob, contrast), camera), mp.Detector(), photons=photons, seed=1)
         )
-        inner = depth_map(lf).isel(s=slice(6, -6), t=slice(6, -6))
+        # Few views see the bins at the border.
+        inner = depth_map(lf).isel(s=slice(2, -2), t=slice(2, -2))
         error = distance_of(lf, inner.disparity.values) / distance_of(lf, slope) - 1
         assert abs(np.median(error)) < 0.003
         right = float((abs(error) < 0.01).mean())
