@@ -123,31 +123,6 @@ class DetectorGrid:
         """Width of a cell in millimetres."""
         return self._camera.pixel_size / self._parts
 
-    def lit(self, box: Box, pixels: Any, has_rays: Any = True) -> list[list[Pair]]:
-        """Return, for each kind of lenses, arrays of the indices of pixels, among some, and of the lenses lighting them.
-
-        Only pixels of a mask are returned.
-        """
-        kinds: list[list[Pair]] = [[] for _ in self.enlargements]
-        width = dr.width(pixels)
-        count = len(self.choice.lenses)
-        together = max(1, min(count, _LANES // width))
-        for first in range(0, count, together):
-            lane = dr.arange(mi.UInt32, width * min(together, count - first))
-            lens = quotient(lane, width)
-            index = lane - lens * dr.opaque(mi.UInt32, width)
-            lens += dr.opaque(mi.UInt32, first)
-            lenses = self.lenses(Pixels(box, dr.gather(mi.UInt32, pixels, index), lens))
-            lights = self.lights(lenses)
-            if has_rays is not True:
-                lights &= dr.gather(mi.Bool, has_rays, index)
-            masks = [lights & (lenses.kind == kind) for kind in range(len(kinds))]
-            dr.eval(index, lens, masks)
-            for of_kind, mask in zip(kinds, masks, strict=True):
-                if dr.width(chosen := dr.compress(mask)):
-                    of_kind.append((dr.gather(mi.UInt32, index, chosen), dr.gather(mi.UInt32, lens, chosen)))
-        return kinds
-
     def _middle(self, pixels: Pixels) -> Pair:
         """Return the centres of pixels."""
         camera = self._camera
@@ -375,7 +350,33 @@ def _lit_lenses(camera: PlenopticCamera, plan: PhaseSpace, parts: int) -> float:
     box = Box(left, top, side, side)
     pixels = dr.arange(mi.UInt32, side * side)
     dr.eval(pixels)
-    return sum(dr.width(index) for of_kind in sampler.lit(box, pixels) for index, _ in of_kind) / side**2
+    return sum(dr.width(index) for of_kind in lit(sampler, box, pixels) for index, _ in of_kind) / side**2
+
+
+def lit(sampler: Any, box: Box, pixels: Any, has_rays: Any = True) -> list[list[Pair]]:
+    """Return, for each kind of lenses, arrays of the indices of pixels, among some, and of the lenses lighting them.
+
+    Only pixels of a mask are returned.
+    """
+    kinds: list[list[Pair]] = [[] for _ in sampler.enlargements]
+    width = dr.width(pixels)
+    count = len(sampler.choice.lenses)
+    together = max(1, min(count, _LANES // width))
+    for first in range(0, count, together):
+        lane = dr.arange(mi.UInt32, width * min(together, count - first))
+        lens = quotient(lane, width)
+        index = lane - lens * dr.opaque(mi.UInt32, width)
+        lens += dr.opaque(mi.UInt32, first)
+        lenses = sampler.lenses(Pixels(box, dr.gather(mi.UInt32, pixels, index), lens))
+        lights = sampler.lights(lenses)
+        if has_rays is not True:
+            lights &= dr.gather(mi.Bool, has_rays, index)
+        masks = [lights & (lenses.kind == kind) for kind in range(len(kinds))]
+        dr.eval(index, lens, masks)
+        for of_kind, mask in zip(kinds, masks, strict=True):
+            if dr.width(chosen := dr.compress(mask)):
+                of_kind.append((dr.gather(mi.UInt32, index, chosen), dr.gather(mi.UInt32, lens, chosen)))
+    return kinds
 
 
 def tent(value: Any) -> Any:

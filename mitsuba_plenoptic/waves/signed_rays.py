@@ -49,7 +49,7 @@ from .convolution import TILE, Block, Convolution, blocks_of, box_of, margin_of
 from .phase_space import coefficients_of
 from .pixel_kernels import PixelKernels
 from .pupil_sampler import PupilSampler
-from .ray_sampler import LensSampler, Pixels, RaySamples
+from .ray_sampler import LensSampler, Pixels, RaySamples, lit
 from .scheme import Plan
 from .spectral_nodes import Node, RayWavelengths, WavelengthSampler, chances, mixed, span
 
@@ -327,9 +327,9 @@ class SignedRaySum:
             within = row % _THINNED * _THINNED + column % _THINNED
             near = ~far | (chosen[row // _THINNED, column // _THINNED] == within)
             has_rays = drjit_array(mi.UInt32, near.ravel()[pixels.numpy()]) != 0
-        lit = sampler.lit(box, pixels, has_rays)
-        rays = self._passes * sum(dr.width(index) for of_kind in lit for index, _ in of_kind)
-        for kind, of_kind in enumerate(lit):
+        kinds = lit(sampler, box, pixels, has_rays)
+        rays = self._passes * sum(dr.width(index) for of_kind in kinds for index, _ in of_kind)
+        for kind, of_kind in enumerate(kinds):
             if not of_kind:
                 continue
             # Batches of all lenses together, since those at the rims of micro-images light few pixels.
