@@ -49,7 +49,7 @@ from .convolution import TILE, Block, Convolution, blocks_of, box_of, margin_of
 from .phase_space import coefficients_of
 from .pixel_kernels import PixelKernels
 from .pupil_sampler import PupilSampler
-from .ray_sampler import LensSampler, Pixels, RaySamples
+from .ray_sampler import LensSampler, Pixels, RaySamples, lit
 from .scheme import Plan
 from .spectral_nodes import Node, RayWavelengths, WavelengthSampler, chances, mixed, span
 
@@ -84,9 +84,6 @@ _THINNED = 2
 
 _LEAST = 2
 """Smallest count of rays from each pixel through each lens: two halves of them correct each other."""
-
-_MASKS = 5
-"""Count of lenses for which masks of the pixels that they light are computed at once."""
 
 
 class RayBatch(NamedTuple):
@@ -333,23 +330,9 @@ class SignedRaySum:
             within = row % _THINNED * _THINNED + column % _THINNED
             near = ~far | (chosen[row // _THINNED, column // _THINNED] == within)
             has_rays = drjit_array(mi.UInt32, near.ravel()[pixels.numpy()]) != 0
-        lit: list[list[Any]] = [[] for _ in sampler.enlargements]
-        count = len(sampler.choice.lenses)
-        for first in range(0, count, _MASKS):
-            # Always as many, as other numbers would compile kernels again.
-            lenses = [dr.opaque(mi.UInt32, min(first + number, count - 1)) for number in range(_MASKS)]
-            views = [sampler.lenses(Pixels(box, pixels, lens)) for lens in lenses]
-            masks = [
-                [has_rays & sampler.lights(view) & (view.kind == kind) for kind in range(len(lit))] for view in views
-            ]
-            dr.eval(masks)
-            for lens, kinds in zip(lenses[: count - first], masks, strict=False):
-                for of_kind, mask in zip(lit, kinds, strict=True):
-                    index = dr.compress(mask)
-                    if dr.width(index):
-                        of_kind.append((index, lens + dr.zeros(mi.UInt32, dr.width(index))))
-        rays = self._passes * sum(dr.width(index) for of_kind in lit for index, _ in of_kind)
-        for kind, of_kind in enumerate(lit):
+        kinds = lit(sampler, box, pixels, has_rays)
+        rays = self._passes * sum(dr.width(index) for of_kind in kinds for index, _ in of_kind)
+        for kind, of_kind in enumerate(kinds):
             if not of_kind:
                 continue
             # Batches of all lenses together, since those at the rims of micro-images light few pixels.
