@@ -69,8 +69,8 @@ def with_camera(scene: mi.Scene, camera: PlenopticCamera, sensor: int | None = N
     else:
         old = numbered_sensor(scene, sensor)
     described = camera.to_sensor()
-    if mi.is_rgb or (mi.is_spectral and (old is None or "pixel_format = y" not in str(old.film()))):
-        described["film"]["pixel_format"] = "rgb"
+    if mi.is_spectral and old is not None and "pixel_format = y" in str(old.film()):
+        described["film"]["pixel_format"] = "luminance"
     if old is not None:
         refuse_if(
             old.get_shape() is not None or old.class_name().startswith(_WITHOUT_PLACE),
