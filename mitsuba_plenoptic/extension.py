@@ -139,11 +139,20 @@ def hook(key: str, what: str) -> Any:
     raise InputError(f"{what}: {missing('hooks', key) or f'no extension has {key}'}")
 
 
-class Displayed:
-    """A class with an image, which NumPy takes for the object.
+class Shown:
+    """A class whose objects notebooks show as an extension draws them, or as plain text without that extension."""
 
-    Notebooks show objects as an extension draws them, or as plain text without that extension.
-    """
+    __slots__ = ()
+
+    def _repr_html_(self) -> str | None:
+        for package, name, text in entries("displays"):
+            if name == type(self).__name__:
+                return str(place(package, text)(self))
+        return None
+
+
+class Displayed(Shown):
+    """A class with an image, which NumPy takes for the object."""
 
     __slots__ = ()
     image: Any
@@ -152,12 +161,6 @@ class Displayed:
         import numpy as np
 
         return np.array(self.image, dtype, copy=copy)
-
-    def _repr_html_(self) -> str | None:
-        for package, name, text in entries("displays"):
-            if name == type(self).__name__:
-                return str(place(package, text)(self))
-        return None
 
 
 def format_of(suffix: str, holds: str, what: str, write: bool = False) -> tuple[str, str] | None:

@@ -10,11 +10,9 @@ from typing import Any, overload
 
 import numpy as np
 
+from .. import design
 from ..camera import PlenopticCamera, require_support
-from ..errors import (
-    require_count,
-    suggest_keywords,
-)
+from ..errors import LONGEST, require_count, suggest_keywords, warn
 from ..io import Capture, Checkpoint
 from ..optics import guards
 from ..refocus_options import all_options, with_options
@@ -36,7 +34,7 @@ from .methods import (
     work_of,
 )
 from .radiance import as_reference, computed_white
-from .results import Reconstruction
+from .results import Reconstruction, Reconstructions
 from .straight import displaced_image, passed_light, straightened, straightened_image
 
 _log = logging.getLogger(__name__)
@@ -63,20 +61,7 @@ def reconstruct(
     **options: Any,
 ) -> Reconstruction: ...
 @overload
-def reconstruct(
-    capture: Capture | np.ndarray,
-    distance: Sequence[float],
-    *,
-    method: str = ...,
-    camera: PlenopticCamera | None = ...,
-    wavelength: float | Sequence[float] | None = ...,
-    oversample: int = ...,
-    white: Capture | np.ndarray | None = ...,
-    progress: Callable[[int, int], None] | None = ...,
-    checkpoint: Checkpoint | None = ...,
-    batch_map: BatchMap | None = ...,
-    **options: Any,
-) -> list[Reconstruction]: ...
+def reconstruct(capture: Capture | np.ndarray, distance: Sequence[float], **options: Any) -> Reconstructions: ...
 @suggest_keywords
 @one_at_a_time
 @with_options
@@ -160,7 +145,8 @@ def reconstruct(
     Warns
     -----
     UserWarning
-        If the method has no use for an option, which other methods have, so that one call serves a loop over methods.
+        If a distance is so far outside the range of refocusing that less than half a sample per lens is resolved; if
+        the method has no use for an option, which other methods have, so that one call serves a loop over methods.
 
     Notes
     -----
@@ -213,6 +199,16 @@ def reconstruct(
     if chosen.waves and not chosen.as_it_is and camera.wavefront:
         # Images are formed by the lens as it should be.
         camera = camera.replace(wavefront=())
+    longest = None if capture.wavelength is None else float(np.max(capture.wavelength))
+    facts = [_resolution(camera, value, longest) for value in distances]
+    for value, fact in zip(distances, facts, strict=True):
+        # 0.5: below, images show hardly anything, which deconvolution alone may undo.
+        if not chosen.as_it_is and fact.get("samples_per_lens", 1.0) < 0.5 and not fact["in_range"]:
+            near, far = design.refocus_range(camera, longest)
+            warn(
+                f"distance = {value:g}: far outside the range of refocusing, {near:.4g} to {far:.4g} mm: "
+                f"{fact['samples_per_lens']:.2g} samples per lens are resolved there"
+            )
     require_image_memory(camera, distances, oversample, image.shape, white is not None and is_known(camera))
     reference = None if white is None else as_reference(white, capture, tilted, recorded, as_recorded)
     wavelengths = require_wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
@@ -272,11 +268,23 @@ def reconstruct(
             camera=straightened(camera),
             options=settings,
             guards=found,
-            facts=image_at.facts,
+            facts={"model": capture.model, **fact, **image_at.facts},
         )
-        for value, image_at in zip(distances, images, strict=True)
+        for value, fact, image_at in zip(distances, facts, images, strict=True)
     ]
-    return results[0] if np.ndim(distance) == 0 else results
+    return results[0] if np.ndim(distance) == 0 else Reconstructions(results)
+
+
+def _resolution(camera: PlenopticCamera, distance: float, wavelength: float | None) -> dict[str, Any]:
+    """Return facts on a distance: whether it is in the range of refocusing, and the samples resolved per lens."""
+    if camera.objective is not None:
+        ranges: list[tuple[float, float] | None] = [design.depth_of_field(camera, wavelength)]
+        facts = {}
+    else:
+        ranges = design.depth_ranges(camera, wavelength)
+        resolution = design.effective_resolution(camera, min(distance, LONGEST), wavelength)
+        facts = {"samples_per_lens": resolution.samples_per_lens}
+    return {"in_range": any(ends is not None and ends[0] <= distance <= ends[1] for ends in ranges), **facts}
 
 
 def _refocused(task: Task, chosen: RegisteredMethod, settings: dict[str, Any]) -> list[Found]:

@@ -100,13 +100,21 @@ class Plot(Figure):
         return explained(bar, label, text)
 
     @styled
-    def save(self, path: str | Path) -> None:
-        """Write the figure as PNG, or as PDF with text as text and lines as lines."""
+    def save(self, path: str | Path, dpi: float | None = None) -> None:
+        """Write the figure as PNG, or as PDF with text as text and lines as lines.
+
+        Parameters
+        ----------
+        path : path
+            File to write.
+        dpi : float, optional
+            Dots per inch of a PNG. Default: those of the figure, 300 for papers.
+        """
         with atomic_output(path, ".png", ".pdf") as temporary:
             # Without the date, the same figure gives the same file.
             dated = {"CreationDate": None} if Path(path).suffix.lower() == ".pdf" else {}
             self._fit()
-            self.savefig(temporary, metadata=dated)
+            self.savefig(temporary, metadata=dated, dpi=dpi or "figure")
 
     def save_both(self, path: Path, pdf: bool = True) -> None:
         """Write the figure as PNG, for a page, and if asked as PDF of the same name and layout, for papers."""
@@ -125,6 +133,9 @@ class Plot(Figure):
         self._fit()
         self.savefig(picture, format="png")
         return picture.getvalue()
+
+    _repr_png_ = png
+    """Notebooks show figures at the end of a cell."""
 
     def _fit(self) -> None:
         """Make the figure as high as its panels with their texts."""
@@ -244,12 +255,13 @@ class Panel:
 
 
 def contact_sheet(results: Sequence[Reconstruction], white: float | None = None) -> Plot:
-    """Return a figure of reconstructions: a row for each method, a column for each distance, on one scale.
+    """Return a figure of reconstructions: a row for each method and capture, a column for each distance, on one scale.
 
     Parameters
     ----------
     results : sequence of Reconstruction
-        In any order. Of several with one method and distance the last is shown; missing images stay empty.
+        In any order. Several with one method, model of light and distance are of several captures, in their order;
+        missing images stay empty.
     white : float, optional
         Radiance shown white. Default: the value that 99.5 % of the bins do not exceed, or less where highlights would
         darken images that are lit all over.
@@ -276,20 +288,25 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
         not all(are_alike(result.camera, results[0].camera) for result in results),
         "results: they must be by one camera",
     )
-    by_key = {(result.method, result.distance): result for result in results}
-    methods = list(dict.fromkeys(result.method for result in results))
     distances = sorted({result.distance for result in results})
+    models = {result.facts.get("model") for result in results}
+    by_label: dict[str, dict[float, Reconstruction]] = {}
+    for result in results:
+        model = result.facts.get("model")
+        label = result.method if len(models) == 1 or model is None else f"{result.method} of {model} capture"
+        labels = (label, *(f"{label} {number}" for number in range(2, len(results) + 1)))
+        row = next(row for row in labels if result.distance not in by_label.get(row, {}))
+        by_label.setdefault(row, {})[result.distance] = result
 
-    def panel(method: str, distance: float) -> Panel:
-        result = by_key.get((method, distance))
+    def panel(result: Reconstruction | None, distance: float) -> Panel:
         title = _distance(distance)
         if result is None:
             return Panel(np.zeros((0, 0)), title)
         width = result.image.shape[1] * result.bin_size if np.isfinite(distance) else None
         return Panel(result.image, title, width)
 
-    rows = [[panel(method, distance) for distance in distances] for method in methods]
-    return _sheet(rows, methods if len(methods) > 1 else [], white, _AT_DISTANCE)
+    rows = [[panel(row.get(distance), distance) for distance in distances] for row in by_label.values()]
+    return _sheet(rows, list(by_label) if len(by_label) > 1 else [], white, _AT_DISTANCE)
 
 
 def stack_figure(stack: xr.DataArray, white: float | None = None) -> Plot:

@@ -144,6 +144,8 @@ def test_figures_enlarged_pictures_and_animations(shot, lf, tmp_path, run, coars
         run(command, shot, "-o", tmp_path / f"{command}.pdf", *options)
         assert (tmp_path / f"{command}.pdf").read_bytes()[:5] == b"%PDF-"
     assert len(list(tmp_path.iterdir())) == 6
+    run("views", shot, "-o", tmp_path / "fine.png", "--dpi", 100)
+    assert Image.open(tmp_path / "fine.png").width == 700
 
     for command, *options in (["stack", *distances], ["views", "--count", 2]):
         run(command, shot, "-o", tmp_path / "plain.png", "--scale", 1, *options)
