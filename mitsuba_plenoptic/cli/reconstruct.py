@@ -264,8 +264,9 @@ def _value_of(option: Option, value: Any) -> Any:
 def _described(facts: dict[str, Any]) -> str:
     """Return facts in words: the resolution outside the range of refocusing; of a deconvolution how it ended."""
     if "iterations" not in facts:
-        samples = f", {facts['samples_per_lens']:.2g} samples per lens" if "samples_per_lens" in facts else ""
-        return "" if facts["in_range"] else f"; outside the range of refocusing{samples}"
+        if facts.get("in_range", True):
+            return ""
+        return f"; outside the range of refocusing, {facts['samples_per_lens']:.2g} samples per lens"
     ended = "stopped by the noise" if facts["stopped_by_noise"] else "as many as were to be made"
     near = "; in focus, where finer bins add little" if facts["in_focus"] else ""
     return (

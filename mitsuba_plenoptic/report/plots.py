@@ -361,12 +361,12 @@ def views_figure(lf: xr.DataArray, white: float | None = None) -> Plot:
     values = _sampled(lf)
     rows = [
         [
-            Panel(values[j, i], across[i] if j == 0 else "", _in_focus(lf) if i == j == 0 else None)
+            Panel(values[j, i], across[i] if j == 0 else "", _in_focus(lf) if j + 1 == len(values) and i == 0 else None)
             for i in range(lf.sizes["u"])
         ]
         for j in range(lf.sizes["v"])
     ]
-    return _sheet(rows, down, white, f"bar: length {IN_FOCUS}, in all views")
+    return _sheet(rows, down, white, f"{IN_FOCUS}, in all views", below=True)
 
 
 @styled
@@ -448,23 +448,26 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
 
 
 @styled
-def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float | None, bars: str) -> Plot:
-    """Return a figure of panels of equal size and scale, with labels on the left and bars below."""
+def _sheet(
+    rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float | None, bars: str, below: bool = False
+) -> Plot:
+    """Return a figure of panels of equal size and scale, with labels on the left, and scale bars in or below panels."""
     images = [panel.image for row in rows for panel in row if panel.image.size]
     grey = images[0].ndim == 2
     columns = max(len(row) for row in rows)
     norm = _grey(images, white)
     scaled: Any = None
     stated = [] if grey else [f"white: radiance {norm.vmax:.3g}"]
-    stated += [bars] if any(panel.width is not None for row in rows for panel in row) else []
+    has_bars = any(panel.width is not None for row in rows for panel in row)
+    stated += [bars] if has_bars and not below else []
     # Constrained layout takes minutes for the hundreds of views of a light field. All texts are of one size.
     across = _COLUMN if columns < 3 else _PAGE
-    left = 0.24 if labels else 0.0
+    left = 0.24 if labels else _GAP
     right = across - (0.6 if grey else 0.0)
     wide = (right - left - (columns - 1) * _GAP) / columns
     tall = wide * images[0].shape[0] / images[0].shape[1]
     between = _LINE if any(panel.title for row in rows[1:] for panel in row) else _GAP
-    foot = _LINE if stated else _GAP
+    foot = (_LINE if stated else _GAP) + (_LINE if has_bars and below else 0.0)
     height = _LINE + len(rows) * tall + (len(rows) - 1) * between + foot
     plot = Plot(across, height, PRINT_DPI)
     plot.set_layout_engine("none")
@@ -479,7 +482,7 @@ def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float 
                 artist = _draw(axes, panel.image, norm)
                 scaled = scaled or artist
                 if panel.width is not None:
-                    scale_bar(axes, panel.width, size=_TEXT)
+                    scale_bar(axes, panel.width, bars if below else "", below=below, size=_TEXT)
         for axes in panels[down, len(row) :]:
             axes.remove()
     if stated:

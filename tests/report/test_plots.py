@@ -92,8 +92,11 @@ def test_every_panel_has_a_bar_and_a_figure_says_where_it_is_a_length(lf):
     *panels, _ = plots.contact_sheet(results).axes
     assert all(len(axes.patches) == 1 for axes in panels)
     assert plots.contact_sheet(results).get_supxlabel() == "bars: lengths at the distance of each image"
-    first, second, *_ = plots.views_figure(pick_views(lf, 3)).axes
-    assert len(first.patches) == 1 and not second.patches
+    *panels, _ = plots.views_figure(pick_views(lf, 3)).axes
+    assert [len(axes.patches) for axes in panels] == [0] * 6 + [1, 0, 0]
+    # Below the views, which are small.
+    assert panels[6].texts[0].get_text().endswith("mm in the plane in focus, in all views")
+    assert panels[6].patches[0].get_y() < 0
     shown = plots.depth_figure(depth_map(lf, 200, 300, planes=8)).axes
     named = [axes for axes in shown if axes.get_title(loc="left")]
     assert len(named) == 3
