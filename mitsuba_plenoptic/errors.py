@@ -180,6 +180,7 @@ _RELATIONS = {
     "detector_size": ("detector_width", "its first number; the second follows from resolution, as pixels are square"),
     "detector_height": ("detector_width", "detector_height * columns / rows of resolution, as pixels are square"),
     "lattice": ("mla_lattice", "square or hexagonal"),
+    "load": ("from_json", "of the text of a camera's file; read_capture and load_scene read files"),
     "radius": ("core", "the radius of a vortex's core"),
     "pitch": ("mla_pitch", "the distance of neighbouring microlenses in millimetres"),
 }

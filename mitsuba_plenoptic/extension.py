@@ -16,7 +16,7 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
-from .errors import InputError, refuse_if
+from .errors import InputError, did_you_mean, refuse_if
 
 GROUP = "mitsuba_plenoptic.extensions"
 """Name of the entry point group of extensions in other packages, and of the package of the shipped ones."""
@@ -139,7 +139,15 @@ def hook(key: str, what: str) -> Any:
     raise InputError(f"{what}: {missing('hooks', key) or f'no extension has {key}'}")
 
 
-class Shown:
+class Suggesting(type):
+    """Class of classes that answer an unknown attribute with the most similar known one."""
+
+    def __getattr__(cls, name: str) -> Any:
+        public = [] if name.startswith("_") else dir(cls)
+        raise AttributeError(f"type object {cls.__name__!r} has no attribute {name!r}{did_you_mean(name, public)}")
+
+
+class Shown(metaclass=Suggesting):
     """A class whose objects notebooks show as an extension draws them, or as plain text without that extension."""
 
     __slots__ = ()

@@ -120,6 +120,8 @@ def test_mistakes_of_deconvolution(options, words):
             r"aperture_radius is focal_l.*; .* take f_number",
         ),
         (lambda: mp.design.refocus_range(CAMERA, wavelenght=633), TypeError, "did you mean wavelength?"),
+        (lambda: PlenopticCamera.load, AttributeError, "'load'; from_json is of the text of a camera's file"),
+        (lambda: PlenopticCamera.prest, AttributeError, "did you mean preset?"),
         (lambda: mp.depth, AttributeError, r"did you mean views\.depth_map?"),
         (lambda: mp.depth_map, AttributeError, r"did you mean views\.depth_map?"),
         (lambda: CAMERA.replace(mla_pich=0.05), InputError, "mla_pich: .*; did you mean mla_pitch?"),
