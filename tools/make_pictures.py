@@ -126,7 +126,7 @@ def refocused_still_life() -> list[tuple[str, np.ndarray]]:
     capture = still_life("wave")
     near, middle, far = (result.image for result in mp.reconstruct(capture, [212, 258, 284]))
     return [
-        ("Detector, 16 x 16 lenses", micro_images(capture, -12, -42, 16)),
+        ("Detector, close-up", micro_images(capture, -12, -42, 16)),
         ("Refocused to 212 mm", near),
         ("Refocused to 258 mm", middle),
         ("Refocused to 284 mm", far),
