@@ -124,29 +124,32 @@ def depth() -> Any:
     return mp.views.depth_map(mp.decode(capture), 190, 315)
 
 
+def refocused_still_life() -> list[tuple[str, np.ndarray]]:
+    """Return the detector, images refocused to near, middle and far, and an image in focus everywhere, with titles."""
+    capture = still_life("wave")
+    near, middle, far = (result.image for result in mp.reconstruct(capture, [212, 258, 284]))
+    return [
+        ("Detector, close-up", micro_images(capture, -12, -42, 16)),
+        ("Refocused to 212 mm", near),
+        ("Refocused to 258 mm", middle),
+        ("Refocused to 284 mm", far),
+        ("In focus everywhere", depth()["image"].values),
+    ]
+
+
+@picture
+def readme() -> Image.Image:
+    """Show in one row what the package is about: a capture in colour, and images refocused from it."""
+    return sheet([refocused_still_life()])
+
+
 @picture
 def start() -> Image.Image:
     """Show what the package is about: a capture, images refocused from it, and the depth."""
-    capture = still_life("wave")
-    near, middle, far = (result.image for result in mp.reconstruct(capture, [212, 258, 284]))
-    found = depth()["depth"].values
     scale = ScalarMappable(Normalize(190, 310), "viridis_r")
-    shown = coloured(found, 190, 310, colours="viridis_r", unknown=238)
-    return sheet(
-        [
-            [
-                ("Detector: 16 x 16 microlenses", micro_images(capture, -12, -42, 16)),
-                ("Refocused to 212 mm", near),
-                ("Refocused to 258 mm", middle),
-            ],
-            [
-                ("Refocused to 284 mm", far),
-                ("In focus everywhere", depth()["image"].values),
-                ("Depth; grey: unknown", shown),
-            ],
-        ],
-        colours=(scale, "mm from the main lens"),
-    )
+    shown = coloured(depth()["depth"].values, 190, 310, colours="viridis_r", unknown=238)
+    panels = [*refocused_still_life(), ("Depth; grey: unknown", shown)]
+    return sheet([panels[:3], panels[3:]], colours=(scale, "mm from the main lens"))
 
 
 def of_report(name: str) -> Image.Image:

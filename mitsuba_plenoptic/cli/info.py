@@ -99,7 +99,7 @@ def info(
     from ..extension import format_of
     from ..io import read_capture
     from ..report import design_sheet
-    from ..runtime import require_writable, write_text
+    from ..runtime import read_yaml, require_writable, write_text
 
     refuse_if((source is None) == (camera is None), "SCENE, --camera: give one of the two")
     source = str(camera if source is None else source)
@@ -109,6 +109,9 @@ def info(
     suffix = Path(source).suffix.lower()
     recorded = suffix in (".exr", *RAW_SUFFIXES) or format_of(suffix, "capture", source) is not None
     is_lens = Path(source).is_file() and format_of(suffix, "lens", source) is not None
+    if Path(source).is_file() and suffix in (".yaml", ".yml", ".json"):
+        with contextlib.suppress(InputError, TypeError):
+            is_lens = "surfaces" in read_yaml(source)
     refuse_if(
         parameters and (recorded or is_lens),
         f"-D: {source} is no scene, and has no scene parameters; leave it out",

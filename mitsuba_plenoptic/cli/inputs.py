@@ -137,7 +137,11 @@ def drawing_of(options: Mapping[str, Any], *paths: Path | None) -> images.Drawin
             f"--{name}: it is for pictures ({', '.join(images.SHOWN)}); {outputs[0]} keeps the values as they are",
         )
     suffix = outputs[0].suffix.lower()
-    figure = options["figure"]
+    dpi = options.get("dpi")
+    refuse_if(
+        dpi is not None and suffix != ".png", f"--dpi {dpi}: it is for figures in .png; the output is {outputs[0]}"
+    )
+    figure = options["figure"] or dpi is not None
     scale = options["scale"]
     refuse_if(
         figure and suffix not in (".png", ".pdf"), f"--figure: it is for .png and .pdf; the output is {outputs[0]}"
@@ -145,11 +149,11 @@ def drawing_of(options: Mapping[str, Any], *paths: Path | None) -> images.Drawin
     if scale is not None:
         refuse_if(
             figure or suffix not in (".png", *ANIMATED),
-            f"--scale {scale}: it is for plain pictures (.png, {', '.join(ANIMATED)}), without --figure; the output is "
-            f"{outputs[0]}",
+            f"--scale {scale}: it is for plain pictures (.png, {', '.join(ANIMATED)}), without --figure and --dpi; the "
+            f"output is {outputs[0]}",
         )
         require_count("scale", scale, maximum=64)
-    return images.Drawing(images.Brightness(options["exposure"], options["percentile"]), scale, figure)
+    return images.Drawing(images.Brightness(options["exposure"], options["percentile"]), scale, figure, dpi)
 
 
 def named_camera(source: str | None) -> PlenopticCamera | None:

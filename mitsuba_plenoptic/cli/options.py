@@ -303,7 +303,22 @@ _Figure = Annotated[
     ),
 ]
 
-PICTURE: dict[str, Any] = {"exposure": Exposure, "percentile": Percentile, "scale": _Scale, "figure": _Figure}
+Dpi = Annotated[
+    int | None,
+    numeric(
+        "Make a .png a labelled figure of so many dots per inch.",
+        "300 for figures",
+        check=lambda name, value: require_count(name, value, minimum=20, maximum=2400),
+    ),
+]
+
+PICTURE: dict[str, Any] = {
+    "exposure": Exposure,
+    "percentile": Percentile,
+    "scale": _Scale,
+    "figure": _Figure,
+    "dpi": Dpi,
+}
 """Options of commands that write pictures: see `inputs.drawing_of`."""
 
 Resume = Annotated[

@@ -241,6 +241,8 @@ def _mistake(error: BaseException, options: Collection[str]) -> str | None:
             kind = {"int": "a whole number", "float": "a number"}.get(wrong["type"].partition("_")[0])
             rule = f"it must be {kind}" if kind else wrong["msg"]
             message = f"{max(error.param.opts, key=len)} = {short_repr(wrong['input'])}: {rule}"  # type: ignore[attr-defined]
+            unit = error.param.metavar  # type: ignore[attr-defined]
+            message += f" of {unit.lower()}, without the unit" if unit in ("MM", "NM", "PIXELS") else ""
         context = getattr(error, "ctx", None)
         return f"{message} (see {context.command_path if context else PROGRAM} --help)"
     return _with_options(str(error), options) if isinstance(error, InputError) else None

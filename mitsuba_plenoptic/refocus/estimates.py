@@ -6,10 +6,8 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from ..errors import InputError, argument
-from ..io import Capture
+from ..io import CaptureLike
 from ..runtime import Cost, Forecast, memory_asked
 from .api import reconstruct
 
@@ -21,7 +19,7 @@ class _KnownError(Exception):
         self.seconds = seconds
 
 
-def estimate_reconstruction(capture: Capture | np.ndarray, distance: float | Sequence[float], **options: Any) -> Cost:
+def estimate_reconstruction(capture: CaptureLike, distance: float | Sequence[float], **options: Any) -> Cost:
     """Return the estimated time and memory of `reconstruct` with the same arguments.
 
     The reconstruction is begun, and abandoned as soon as its speed is known: some five seconds after the first results,

@@ -16,6 +16,7 @@ from .capture_cost import seconds_by_rays as seconds_by_rays
 from .capture_cost import seconds_by_waves as seconds_by_waves
 from .load import LARGEST_SCENE as LARGEST_SCENE
 from .load import UNITS as UNITS
+from .load import as_scene as as_scene
 from .load import check_scene_file as check_scene_file
 from .load import load_scene as load_scene
 from .load import loading as loading

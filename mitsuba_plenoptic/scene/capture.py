@@ -17,7 +17,7 @@ from ..errors import InputError, advice, argument, refuse_if, require_choice, re
 from ..io import Capture
 from ..optics import guards
 from ..runtime import BatchMap, Cost, Job, one_at_a_time, require_memory_for
-from .load import KNOWN_PARAMETERS, meet_moved, mitsuba_sentence
+from .load import KNOWN_PARAMETERS, as_scene, meet_moved, mitsuba_sentence
 from .radiance import require_film, require_seen, warn_of_metres
 
 if TYPE_CHECKING:
@@ -64,8 +64,8 @@ def render_capture(
 
     Parameters
     ----------
-    scene : mitsuba.Scene
-        A scene with a sensor of type ``plenoptic``.
+    scene : mitsuba.Scene, str, path or dict
+        A scene with a sensor of type ``plenoptic``, or what `load_scene` makes one of.
     sensor : int or mitsuba.Sensor
         Index of the sensor in the scene, counted from 0, or a sensor, which need not be in the scene.
     model : {"ray", "wave"}, optional
@@ -117,6 +117,7 @@ def render_capture(
     >>> capture.image.shape, capture.model
     ((128, 128), 'ray')
     """
+    scene = as_scene(scene)
     chosen = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(chosen)
     warn_of_metres(scene, chosen)
@@ -347,6 +348,7 @@ def estimate_capture(
     >>> cost.seconds < 60, cost.memory < 2**30
     (True, True)
     """
+    scene = as_scene(scene)
     sensor = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(sensor)
     require_film(sensor.film())

@@ -142,6 +142,11 @@ def unknown_parameter(plugin: str, name: str) -> str:
     return f"{plugin}: {name}: it has no such parameter{did_you_mean(name, KNOWN_PARAMETERS.get(plugin, ()))}"
 
 
+def as_scene(scene: Any) -> Any:
+    """Return a scene, loaded if it is a file, a built-in scene's name or a dictionary."""
+    return load_scene(scene) if isinstance(scene, (str, Path, Mapping)) else scene
+
+
 @suggest_keywords
 @one_at_a_time
 def load_scene(

@@ -186,6 +186,13 @@ def test_info_of_scenes_and_presets(run):
         assert words in run("info", name)
 
 
+def test_info_of_the_lens_file_of_the_page(run, tmp_path):
+    page = (Path(__file__).parents[2] / "docs/guides/main_lenses.md").read_text().partition("## Your own lens")[2]
+    (tmp_path / "achromat.yaml").write_text(page.partition("```yaml")[2].partition("```")[0])
+    assert "Achromat" in (output := run("info", tmp_path / "achromat.yaml")) and "rear principal plane" in output
+    assert "infinity" in run("info", "focus_distance=inf")
+
+
 def test_info_of_a_capture_tells_how_it_was_made(raw, tmp_path, run):
     output = run("info", raw)
     assert all(words in output for words in ("model: ray", "spp: 4", "seed: 0", "variant: llvm_ad_mono"))

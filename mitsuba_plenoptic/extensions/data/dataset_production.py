@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from ...errors import naming
-from ...report import images
+from ...report import images, plots
 from ...runtime import BatchMap, Progress, h5py_module, locked, remove_leftovers, set_variant, write_text
 from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample
@@ -252,21 +252,28 @@ def write_card(path: Path, recipe: Recipe, data_set: DataSet) -> None:
 
 
 def write_preview(path: Path, samples: DataSet) -> None:
-    """Write a PNG with one row for each of the first eight samples: captures, and depth (near is white)."""
+    """Write a figure with a labelled row for each of the first eight samples: captures, and depth (near is white)."""
     rows = []
     for index in range(min(8, len(samples))):
         arrays = samples[index].arrays
         depth = arrays.get("lens_depth", arrays.get("depth"))
-        captures = [array for name, array in arrays.items() if name.startswith(("ray", "wave"))]
+        pictures = {name: array for name, array in arrays.items() if name.startswith(("ray", "wave"))}
         if "lens_depth" in arrays:
-            captures = [array for array in captures if array.shape[:2] == arrays["lens_depth"].shape]
-        peak = max(float(np.percentile(capture, 99.5)) for capture in captures) or 1.0
-        pictures = [(capture.mean(axis=2) if capture.ndim == 3 else capture) / peak for capture in captures]
+            shape = arrays["lens_depth"].shape
+            pictures = {name: array for name, array in pictures.items() if array.shape[:2] == shape}
+        peak = max(float(np.percentile(capture, 99.5)) for capture in pictures.values()) or 1.0
+        pictures = {name: capture / peak for name, capture in pictures.items()}
         if depth is not None:
-            pictures.append(inverse_distance(depth))
-        rows.append(np.concatenate([images.shrink(picture, 256) for picture in pictures], axis=1))
-    width = min(row.shape[1] for row in rows)
-    images.write_png(path, np.concatenate([row[:, :width] for row in rows]), peak=1.0)
+            pictures["depth, near in white"] = inverse_distance(depth)
+        rows.append({name: images.shrink(picture, 256) for name, picture in pictures.items()})
+    first = next(iter(rows[0].values()))
+    plot = plots.Plot(1 + 2.0 * len(rows[0]))
+    panels = plot.panels(len(rows), len(rows[0]), first.shape[0] / first.shape[1])
+    for index, row in enumerate(rows):
+        for axes, (name, picture) in zip(panels[index], row.items(), strict=True):
+            plots.show(axes, picture, name.replace("_", " ") if index == 0 else "", peak=1.0)
+        plots.annotate(panels[index, 0], title=panels[index, 0].get_title("left"), side=f"sample {index}")
+    plot.save(path)
 
 
 def inverse_distance(depth: np.ndarray) -> np.ndarray:
