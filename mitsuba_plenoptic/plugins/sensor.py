@@ -18,7 +18,7 @@ from ..extension import entries, place
 from ..lenses import Pair, main_lens
 from ..optics import second_leg
 from ..rays import Dispersion, LensRays, sampler_of
-from ..runtime import require_unfrozen
+from ..runtime import count_lanes, require_unfrozen
 from ..scene import meet_moved, world_ray
 from .properties import read_camera, require_read
 
@@ -311,6 +311,7 @@ def make_class() -> type:
                     "use path, volpath, direct or plenoptic_wave",
                 )
             samples = time, sample1, sample2, sample3
+            count_lanes(dr.width(sample2))
             film = self.film()
             if not getattr(film, "redraws", False):
                 return self._sample(*samples, active, differential=True)[:2]
