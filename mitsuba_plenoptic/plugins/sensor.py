@@ -311,14 +311,14 @@ def make_class() -> type:
                     "use path, volpath, direct or plenoptic_wave",
                 )
             samples = time, sample1, sample2, sample3
-            count_lanes(dr.width(sample2))
             film = self.film()
-            if not getattr(film, "redraws", False):
-                return self._sample(*samples, active, differential=True)[:2]
-            with dr.suspend_grad():
-                passing = self._sample(*samples, active, differential=False)[2]
-                (time, sample1, sample2, sample3), growth = film.draw_again(passing, samples)
-            ray, weight, _ = self._sample(time, sample1, sample2, sample3, active, differential=True)
+            growth = 1.0
+            if getattr(film, "redraws", False):
+                with dr.suspend_grad():
+                    passing = self._sample(*samples, active, differential=False)[2]
+                    samples, growth = film.draw_again(passing, samples)
+            ray, weight, _ = self._sample(*samples, active, differential=True)
+            count_lanes(dr.width(sample2))
             return ray, weight * growth
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:

@@ -18,7 +18,7 @@ from ..io import Capture
 from ..optics import guards
 from ..runtime import BatchMap, Cost, Job, lanes_reported, one_at_a_time, require_memory_for
 from .load import KNOWN_PARAMETERS, meet_moved, mitsuba_sentence
-from .radiance import random_numbers, require_medium_seen, sample, warn_of_metres
+from .radiance import SceneLight, require_medium_seen, warn_of_metres
 
 if TYPE_CHECKING:
     from ..io import Checkpoint
@@ -409,10 +409,9 @@ def _render_passes(
         if progress:
             progress(done + round(fraction * pixels * count), rays)
 
-    if progress:
+    if progress and isinstance(integrator, mi.SamplingIntegrator):
         # What Mitsuba evaluates as rays are first recorded, such as textures, would be counted as the kernel.
-        ray, _ = sensor.sample_ray_differential(0.0, 0.5, mi.Point2f(0.5), mi.Point2f(0.5))
-        sample(integrator, scene, random_numbers(0, 1), ray, sensor.get_medium(), True)
+        SceneLight(scene, sensor, integrator)((0.0, 0.0, 0.0), (0.0, 0.0), mi.Bool(True), 0)
     try:
         for index, (pass_seed, count) in enumerate(zip(seeds.tolist(), counts, strict=True)):
             with lanes_reported(progress and report, pixels * count):

@@ -343,7 +343,7 @@ def prepare(
     h5netcdf = require_module("h5netcdf", "sweep: datasets need h5netcdf: pip install h5netcdf h5py")
     output = require_writable(output, ".nc")
     grid = check_grid(grid)
-    store = Cache(output.with_suffix(".points"), stages)
+    store = Cache(output.with_suffix(".points"), replace(stages or StageOptions(), number=itertools.count(1)))
     points = Points(spec, grid, method, store)
     points.check(**for_waves)
 
