@@ -57,7 +57,7 @@ def stage_lines(resume: bool) -> Iterator[StageOptions]:
 
         def notify(name: str, done: int, total: int) -> None:
             if name not in tasks:
-                if total:
+                if done:
                     line.label = name.replace("_", " ")
                 else:
                     line.begin(name.replace("_", " "))

@@ -157,11 +157,13 @@ class SignedCapture:
                 progress(round(_REPORTED * done), _REPORTED)
 
         planned = 0.0
-        if job.progress:
+        path = getattr(job.keeper, "path", None)
+        # The progress of a resumed run begins with what is done.
+        if job.progress and not (path and path.exists()):
             # Plans are a larger part of the work the fewer rays there are.
             plans = _STEPS * len(self.nodes)
             planned = plans / (plans + _STEPS_OF_RAY * math.prod(self.camera.shape) * spp)
-        with steps_counted(lambda done: show(planned * done), _STEPS * len(self.nodes)):
+        with steps_counted(lambda done: show(planned * done) if planned else None, _STEPS * len(self.nodes)):
             sums = self.sums(spp, seed, runs, SignedRaySum)
             first = sums[0]()
         items = int(first.items.sum())

@@ -199,7 +199,7 @@ def _peak(camera: PlenopticCamera, blur: float, spp: int, model: str) -> float:
     (at_most("off", 1.5),),
     quick={"pixels": 256, "samples": 16},
 )
-def progress_told(*, pixels: int = 720, samples: int = 64, variant: str = "llvm_ad_rgb") -> Iterator[Row]:
+def progress_told(*, pixels: int = 720, samples: int = 64, variant: str = "llvm_ad_mono") -> Iterator[Row]:
     """Capture the still life by rays and by waves, and refocus the wave capture by every method of the core."""
     size = {"resolution": pixels, "detector_width": 0.002 * pixels}
     scene = load_scene("still_life", variant=variant, parameters=size)
@@ -229,4 +229,6 @@ def _told(work: str, run: Callable[[Any], Any]) -> Row:
     known = [at + left for at, _, left in told if left and at <= seconds / 10]
     known = known[-1:] or [at + left for at, _, left in told if left][:1] or [math.inf]
     estimate = known[0] / seconds
-    return {"work": work, "seconds": seconds, "first": first, "estimate": estimate, "off": max(estimate, 1 / estimate)}
+    # Short work needs no estimate.
+    off = max(estimate, 1 / estimate) if seconds >= 10 else 1.0
+    return {"work": work, "seconds": seconds, "first": first, "estimate": estimate, "off": off}
