@@ -281,12 +281,7 @@ def colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
 
 def parse_definitions(definitions: list[str] | None) -> dict[str, str]:
     """Return ``name=value`` texts as a dictionary."""
-    parameters = {}
-    for text in definitions or []:
-        name, equals, value = text.partition("=")
-        refuse_if(not name or not equals, f"-D {text}: write it as -D NAME=VALUE")
-        parameters[name] = value
-    return parameters
+    return {name: value for name, _, value in (text.partition("=") for text in definitions or [])}
 
 
 def batches_on(workers: int | None, scheduler: str | None) -> contextlib.AbstractContextManager[BatchMap | None]:

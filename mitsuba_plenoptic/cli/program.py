@@ -192,7 +192,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # Progress begins before the options are read, thus before --quiet is.
             has_progress = called is not None and {"-h", "--help", "-q", "--quiet"}.isdisjoint(words)
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
-            with at_shell(_OPTIONS), plain_lines(words[0]) if has_progress else contextlib.nullcontext():
+            with at_shell(_OPTIONS), plain_lines() if has_progress else contextlib.nullcontext():
                 status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
             # Typer makes a status of Ctrl-C.
             if status == 128 + signal.SIGINT:

@@ -126,7 +126,10 @@ def reconstruct(
 
       mitsuba-plenoptic reconstruct raw.tiff -o out.png --distance 600 --camera camera.json --linear
     """
+    if output is None and not estimate:
+        raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
     camera_of_option = require_in_sight(capture, named_camera(camera), *distance)
+    require_linear(linear, capture, white)
 
     # Brings libraries that take a while to load.
     from .. import refocus as reconstruction
@@ -137,8 +140,6 @@ def reconstruct(
     chosen = registered(method)
     if estimate:
         refuse_options("an estimate", resume=resume, workers=workers, scheduler=scheduler)
-    elif output is None:
-        raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
     # Those that the command alone knows, too, so that there is one note on all.
     arguments = used_by(
         chosen,
@@ -151,7 +152,6 @@ def reconstruct(
     )
     white, resume, workers, scheduler = (arguments.pop(name) for name in ("white", "resume", "workers", "scheduler"))
     arguments |= {"method": method, "oversample": oversample}
-    require_linear(linear, capture, white)
     if estimate or output is None:
         with progress_bar("Estimating") as progress:
             recorded, reference = _recorded(capture, white, camera_of_option, linear, variant)

@@ -16,9 +16,9 @@ from ..choices import MODELS
 from ..errors import InputError, advice, argument, refuse_if, require_choice, require_count, suggest_keywords
 from ..io import Capture
 from ..optics import guards
-from ..runtime import BatchMap, Cost, Job, one_at_a_time, require_memory_for
+from ..runtime import BatchMap, Cost, Job, lanes_reported, one_at_a_time, require_memory_for
 from .load import KNOWN_PARAMETERS, as_scene, meet_moved, mitsuba_sentence
-from .radiance import require_film, require_seen, warn_of_metres
+from .radiance import SceneLight, require_film, require_seen, warn_of_metres
 
 if TYPE_CHECKING:
     from ..io import Checkpoint
@@ -79,8 +79,7 @@ def render_capture(
         Seed of the random numbers; the same seed gives the same bits, with any thread count and in any process, except
         on CUDA.
     progress : callable, optional
-        Called with the finished and the total amount of work: samples per pixel or, for wave captures, parts of the
-        detector.
+        Called with the finished and the total amount of work, sometimes by another thread, while this one waits.
     checkpoint : Checkpoint, optional
         For wave captures: intermediate results are saved to its file, and read from there. Ray captures do not take
         one.
@@ -390,17 +389,29 @@ def _render_passes(
     image = np.zeros(())
     sampler = sensor.sampler()
     count_before = sampler.sample_count()
+    pixels = camera.shape[0] * camera.shape[1]
+    rays = pixels * sum(counts)
+    done = 0
+
+    def report(fraction: float) -> None:
+        if progress:
+            progress(done + round(fraction * pixels * count), rays)
+
+    if progress and isinstance(integrator, mi.SamplingIntegrator):
+        # What Mitsuba evaluates as rays are first recorded, such as textures, would be counted as the kernel.
+        SceneLight(scene, sensor, integrator)((0.0, 0.0, 0.0), (0.0, 0.0), mi.Bool(True), 0)
     try:
         for index, (pass_seed, count) in enumerate(zip(seeds.tolist(), counts, strict=True)):
-            # `integrator.render` rather than `mi.render`, which hides the cause of an error.
-            rendered = np.array(integrator.render(scene, sensor, seed=pass_seed, spp=count, develop=True))
+            with lanes_reported(progress and report, pixels * count):
+                # `integrator.render` rather than `mi.render`, which hides the cause of an error.
+                rendered = np.array(integrator.render(scene, sensor, seed=pass_seed, spp=count, develop=True))
             if spread:
                 spread.add(rendered, count)
             else:
                 rendered *= count / sum(counts)
                 image = np.add(image, rendered, out=image) if index else rendered
-            if progress:
-                progress(min(sum(counts[: index + 1]), spp), spp)
+            report(1.0)
+            done += pixels * count
     finally:
         # Passes leave their count in the scene's sampler, where the next capture would look for its own.
         sampler.set_sample_count(count_before)

@@ -36,7 +36,7 @@ from ..camera import PlenopticCamera, Round
 from ..errors import InputError, short_repr
 from ..fields import OpticalSystem, opaque_lattice
 from ..optics import in_millimetres
-from ..runtime import Floats, drjit_array, empty_packets, monomials, on_all_cores, single_threaded_blas
+from ..runtime import Floats, begin_step, drjit_array, empty_packets, monomials, on_all_cores, single_threaded_blas
 from .accuracy import FINER, USUAL
 from .array_kernels import ArrayKernels
 
@@ -348,7 +348,10 @@ def tabulate(plans: Sequence[PhaseSpace]) -> None:
 
     Tables with the same places lie side by side, so that rays find the coefficients of all wavelengths in one place.
     """
-    by_key = {plan.key: plan for plan in plans}
+    by_key = {}
+    for plan in plans:
+        begin_step("functions of diffraction")
+        by_key[plan.key] = plan
     alike: dict[Any, list[tuple[Any, PhaseSpace]]] = {}
     for key, plan in by_key.items():
         if key not in _tables:
@@ -359,6 +362,7 @@ def tabulate(plans: Sequence[PhaseSpace]) -> None:
             if sum(table.size for table in (*tables, *_tables.values())) > _BYTES:
                 del _tables[key]
         for (key, plan), table in zip(some, tables, strict=True):
+            begin_step("tables of diffraction")
             plan.tabulated(table)
             _tables[key] = table
 

@@ -21,7 +21,7 @@ from ..detector import PARTS, NonNegative, keep_spread, variance_left, with_spre
 from ..errors import warn
 from ..io import digest
 from ..optics import Spectrum
-from ..runtime import Cost, Doubles, Floats, Job, SumTask
+from ..runtime import Cost, Doubles, Floats, Job, SumTask, steps_counted
 from ..scene import LightDerivatives, ReplayedLight, SceneLight, seconds_by_rays, seconds_by_waves
 from .expansion import ExpandedPlan, nearby
 from .phase_space import FINE, PhaseSpace
@@ -37,6 +37,14 @@ _SAMPLES = 4
 
 _TRACING = 0.9
 """Approximate fraction of a capture's time in which rays are traced; then their images are convolved."""
+
+
+_STEPS = 4
+_STEPS_OF_RAY = 1e-6
+"""Steps of the plan of a node, and the time of a ray in that of a step, approximately."""
+
+_REPORTED = 10**6
+"""What is reported as the total of progress."""
 
 
 @dataclass(frozen=True)
@@ -142,18 +150,32 @@ class SignedCapture:
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> Floats:
         """Return the light on the pixels (rows, columns, channels), with the deviations of what pixels make of it."""
         runs = max(2, min(PARTS, spp // _SAMPLES)) if noise else 1
-        sums = self.sums(spp, seed, runs, SignedRaySum)
-        first = sums[0]()
+        progress = job.progress
+
+        def show(done: float) -> None:
+            if progress:
+                progress(round(_REPORTED * done), _REPORTED)
+
+        planned = 0.0
+        path = getattr(job.keeper, "path", None)
+        # The progress of a resumed run begins with what is done.
+        if job.progress and not (path and path.exists()):
+            # Plans are a larger part of the work the fewer rays there are.
+            plans = _STEPS * len(self.nodes)
+            planned = plans / (plans + _STEPS_OF_RAY * math.prod(self.camera.shape) * spp)
+        with steps_counted(lambda done: show(planned * done) if planned else None, _STEPS * len(self.nodes)):
+            sums = self.sums(spp, seed, runs, SignedRaySum)
+            first = sums[0]()
         items = int(first.items.sum())
         if runs == 1:
             sums = [lambda: first]
 
-        def planned(plan: Callable[[], SignedRaySum]) -> SignedRaySum:
+        def watched(plan: Callable[[], SignedRaySum]) -> SignedRaySum:
             work = plan()
             work.traced = lambda more: report("traced", reached["traced"] + more)
             return work
 
-        tasks = [SumTask(items, partial(planned, plan), lambda image: image * np.float32(1 / runs)) for plan in sums]
+        tasks = [SumTask(items, partial(watched, plan), lambda image: image * np.float32(1 / runs)) for plan in sums]
         if noise:
             tasks = [keep_spread(task, self.camera) for task in tasks]
         channels = self.spectrum.channels
@@ -164,10 +186,9 @@ class SignedCapture:
         def report(label: str, count: float) -> None:
             reached[label] = count
             reached["traced"] = max(reached.values())
-            if progress:
-                progress(round(_TRACING * reached["traced"] + (1 - _TRACING) * reached["convolved"]), items_of_all)
+            done = _TRACING * reached["traced"] + (1 - _TRACING) * reached["convolved"]
+            show(planned + (1 - planned) * done / items_of_all)
 
-        progress = job.progress
         job = replace(job, progress=lambda done, _: report("convolved", done))
         image = job.run(tasks, shape, items_of_all, {"scene_digest": lambda: digest(first.probe())})
         if not image.any():

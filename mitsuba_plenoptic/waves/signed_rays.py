@@ -34,9 +34,12 @@ from ..runtime import (
     Doubles,
     PartialSum,
     active_backend,
+    begin_step,
+    count_lanes,
     drjit_array,
     fft,
     interleaved,
+    lanes_reported,
     on_cuda,
     prepared,
     quotient,
@@ -260,13 +263,15 @@ class SignedRaySum:
         # Dr.Jit's own threads rest while others convolve; here they are needed, but for the last batch.
         with fft.busy_drjit():
             for batch in self._ray_batches(box, pixels, seeds):
-                means = self.estimate(batch)
+                report = _portions(traced, batch.share * count)
+                rays = dr.width(batch.index) * self._together * len(self._groups)
+                with lanes_reported(report, rays):
+                    means = self.estimate(batch)
                 # While a batch is added to the images, other threads sum the rays of the next one.
                 if before:
                     self._add(*before, sums)
                 before = batch, means
-                if traced:
-                    traced(batch.share * count)
+                report(1.0)
             dr.sync_thread()
         if before:
             self._add(*before, sums)
@@ -457,6 +462,7 @@ class SignedRaySum:
             colours = batch.wavelengths[group]
             # The radiance along the rays, as far as the pixels receive it.
             radiance = [light * power for light in self._light(*self._scene_rays(walk, samples, colours, batch.seed))]
+            count_lanes(dr.width(power))
             # What the coefficients depend on, once for nodes that have those of a ray at the same place of tables.
             alike: dict[Any, list[int]] = {}
             for number in nodes:
@@ -577,6 +583,19 @@ def memory_of(pixels: float, rays: float, nodes: Sequence[Node]) -> float:
     return blocks + spectra + len(nodes) * _TABLE_BYTES + _RAY_BYTES * min(_LANES, rays) + 8 * pixels
 
 
+def _portions(traced: Callable[[float], None] | None, items: float) -> Callable[[float], None]:
+    """Return a function of the fraction of items that is done; `traced` is called with the increases."""
+    reached = 0.0
+
+    def report(fraction: float) -> None:
+        nonlocal reached
+        if traced:
+            traced(items * (fraction - reached))
+        reached = fraction
+
+    return report
+
+
 def _of_cells(values: Any, pixel: Any) -> Any:
     """Return values of pixels, in nested sequences, for the pixel of each cell; single values are for all pixels."""
     if isinstance(values, Sequence):
@@ -606,6 +625,7 @@ class _Grid(NamedTuple):
 @functools.lru_cache(maxsize=16)
 def _kernels_of(plan: Plan, grid: _Grid, kind: int) -> PixelKernels:
     """Return the kernels of a plan for one kind of lenses, cached for further captures of the camera."""
+    begin_step("kernels of diffraction")
     camera = plan.camera
     values = [getattr(plan, field.name) for field in dataclasses.fields(plan) if field.name != "camera"]
     kernels = prepared.get()(
@@ -620,4 +640,5 @@ def _convolution_of(
     camera: PlenopticCamera, sets: tuple[PixelKernels, ...], size: tuple[int, int], cuda: bool
 ) -> Convolution:
     """Return the convolution with kernels, whose spectra are cached, on CUDA there, for further captures."""
+    begin_step("convolutions")
     return Convolution(camera, [kernel for of_set in sets for kernel in of_set.kernels], size)

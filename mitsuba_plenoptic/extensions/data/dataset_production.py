@@ -46,11 +46,12 @@ class SampleTask:
 
     def prepare(self) -> Callable[[], int]:
         """Return the function that renders and writes the sample and returns its index."""
-        return self._make
+        return self.make
 
-    def _make(self) -> int:
+    def make(self, progress: Progress | None = None) -> int:
+        """Render and write the sample, and return its index."""
         with naming(f"sample {self.index}"):
-            write_samples(self.path, [make_sample(self.recipe, self.index)])
+            write_samples(self.path, [make_sample(self.recipe, self.index, progress)])
         return self.index
 
 
@@ -77,7 +78,7 @@ def make_dataset(
         Who renders, for example `Cluster`; workers must see folder and scene files under the same names. Default: this
         process.
     progress : callable, optional
-        Called with the samples that are done and their number.
+        Called with the finished and the total work, in thousandths of a sample.
 
     Returns
     -------
@@ -129,16 +130,20 @@ def _produce(recipe: Recipe, layout: DataFolder, batch_map: BatchMap | None, pro
             return read_sample(file, path, index)
 
     tasks = [SampleTask(recipe, index, layout.sample(index)) for index in missing]
-    results: Iterable[int] = batch_map(tasks) if batch_map and tasks else (task.prepare()() for task in tasks)
+
+    def report(done: int, total: int) -> None:
+        if progress:
+            finished = recipe.count - len(waiting)
+            progress(round(1000 * (finished + done / max(total, 1))), 1000 * recipe.count)
+
+    results: Iterable[int] = batch_map(tasks) if batch_map and tasks else (task.make(report) for task in tasks)
     for shard in range(layout.shards):
         pack(shard)
-    if progress:
-        progress(recipe.count - len(waiting), recipe.count)
+    report(0, 1)
     for index in results:
         waiting.discard(index)
         pack(index // layout.samples_per_shard)
-        if progress:
-            progress(recipe.count - len(waiting), recipe.count)
+        report(0, 1)
     shutil.rmtree(layout.sample(0).parent)
 
 
