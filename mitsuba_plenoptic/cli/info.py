@@ -98,7 +98,7 @@ def info(
 
     from ..extension import format_of
     from ..io import read_capture
-    from ..runtime import require_writable, write_text
+    from ..runtime import read_yaml, require_writable, write_text
 
     source = str(camera if source is None else source)
     if fix is not None:
