@@ -169,8 +169,7 @@ def render(
                 cost = estimate_capture(
                     loaded, sensor=sensor, model=model, spp=spp, seed=seed, batch_map=batch_map, **wave
                 )
-        counts = f"{cost.points} points, {cost.patterns} point spreads, " if cost.points else ""
-        typer.echo(f"{scene}: {counts}about {cost.seconds:.3g} s and {cost.memory / 2**30:.2g} GiB")
+        typer.echo(f"{scene}: about {cost.seconds:.3g} s and {cost.memory / 2**30:.2g} GiB")
         if hint := _shorter(loaded, sensor, spp, method):
             typer.echo(hint)
         return

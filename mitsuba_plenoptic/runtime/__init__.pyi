@@ -50,6 +50,7 @@ from .batches import Snapshot as Snapshot
 from .batches import SumTask as SumTask
 from .batches import Threads as Threads
 from .batches import add as add
+from .batches import cost_of as cost_of
 from .batches import counted as counted
 from .batches import on_all_cores as on_all_cores
 from .batches import prepared as prepared

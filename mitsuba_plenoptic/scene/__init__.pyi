@@ -12,8 +12,6 @@ from .capture import refuse_by_rays as refuse_by_rays
 from .capture import render_capture as render_capture
 from .capture import require_active as require_active
 from .capture import require_wave_film as require_wave_film
-from .capture_cost import seconds_by_rays as seconds_by_rays
-from .capture_cost import seconds_by_waves as seconds_by_waves
 from .load import LARGEST_SCENE as LARGEST_SCENE
 from .load import UNITS as UNITS
 from .load import as_scene as as_scene

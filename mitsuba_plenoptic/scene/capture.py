@@ -16,7 +16,7 @@ from ..choices import MODELS
 from ..errors import InputError, advice, argument, refuse_if, require_choice, require_count, suggest_keywords
 from ..io import Capture
 from ..optics import guards
-from ..runtime import BatchMap, Cost, Job, lanes_reported, one_at_a_time, require_memory_for
+from ..runtime import BatchMap, Cost, Job, cost_of, lanes_reported, one_at_a_time, require_memory_for
 from .load import KNOWN_PARAMETERS, as_scene, meet_moved, mitsuba_sentence
 from .radiance import SceneLight, require_film, require_seen, warn_of_metres
 
@@ -305,39 +305,21 @@ def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
     return image, deviation
 
 
-@functools.partial(suggest_keywords, others=_OF_INTEGRATORS)
-@one_at_a_time
-def estimate_capture(
-    scene: Any,
-    *,
-    sensor: int | Any = 0,
-    model: str | None = None,
-    spp: int | None = None,
-    seed: int = 0,
-    batch_map: BatchMap | None = None,
-    **wave: Any,
-) -> Cost:
+def estimate_capture(scene: Any, **options: Any) -> Cost:
     """Return the estimated time and memory of `render_capture` with the same arguments.
 
-    Some of the rays are traced. What waves take beside them is taken from known scenes, and may be wrong by a factor of
-    two. For method ``points``, all points are found and some of their spreads are computed.
+    The capture is begun, and abandoned as soon as its speed is known: some five seconds after the first results, or at
+    its end.
 
     Parameters
     ----------
-    scene, sensor, model, spp, seed, batch_map, **wave
-        As in `render_capture`.
+    scene, **options
+        As in `render_capture`, without `progress` and `checkpoint`.
 
     Returns
     -------
     Cost
-        Points and point spreads (0 except for method ``points``), seconds, and bytes.
-
-    Raises
-    ------
-    InputError
-        If `render_capture` would refuse the arguments, or the capture would not fit into memory.
-    PhysicsError
-        If too much of the light would be lost.
+        Seconds, and bytes beside those of the program, the scene and the light's paths.
 
     Examples
     --------
@@ -347,20 +329,7 @@ def estimate_capture(
     >>> cost.seconds < 60, cost.memory < 2**30
     (True, True)
     """
-    scene = as_scene(scene)
-    sensor = plenoptic_sensor(scene, sensor)
-    camera = PlenopticCamera.from_sensor(sensor)
-    require_film(sensor.film())
-    integrator = chosen_integrator(scene, model, wave)
-    require_seen(integrator, sensor)
-    require_taken(integrator, batch_map=batch_map)
-    spp = sample_count(sensor, spp)
-    if hasattr(integrator, "wavelengths"):
-        return integrator.estimate(scene, sensor, seed=seed, spp=spp, job=Job(batch_map=batch_map))
-    from .capture_cost import seconds_by_rays
-
-    seconds = seconds_by_rays(scene, sensor, integrator, seed=seed, spp=spp)
-    return Cost(0, 0, seconds, film_memory(camera, spp))
+    return cost_of(render_capture, scene, **options)
 
 
 def _render_passes(

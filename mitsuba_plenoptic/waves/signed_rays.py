@@ -157,8 +157,10 @@ class SignedRaySum:
         plans = [node.plan for node in nodes]
         self._groups = walks_of(plan.system for plan in plans)
         self._sampler = (LensSampler if camera.has_array else PupilSampler)(camera, plans, parts)
-        rays, least = rays_of_a_cell(spp, parts, self._sampler.lit_lenses)
-        # Rays of a cell. With drawn wavelengths, a pass has only the fewest that correct each other and share these.
+        least = -(-_LEAST // parts**2)
+        rays = max(least, round(spp / (parts**2 * max(1.0, self._sampler.lit_lenses))))
+        # Rays of a cell through each lens. With drawn wavelengths, a pass has only the fewest that correct each other
+        # and share these.
         self._spp = rays if wavelengths is None else least
         self._passes = round(rays / self._spp)
         # Rays of a pixel and a lens in a pass.
@@ -566,12 +568,6 @@ class SignedRaySum:
         pixel = dr.gather(mi.UInt32, pixels, number)
         start = (lane - number * cells) * spp
         return pixel, pixel * together + start, start
-
-
-def rays_of_a_cell(spp: int, parts: int, lit_lenses: float) -> tuple[int, int]:
-    """Return the rays of each cell through each lens that lights it, and the fewest that correct each other."""
-    least = -(-_LEAST // parts**2)
-    return max(least, round(spp / (parts**2 * max(1.0, lit_lenses)))), least
 
 
 def memory_of(pixels: float, rays: float, nodes: Sequence[Node]) -> float:

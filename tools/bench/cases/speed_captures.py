@@ -20,7 +20,7 @@ import numpy as np
 from cases import relative
 from scipy.ndimage import uniform_filter
 
-from mitsuba_plenoptic import PlenopticCamera, estimate_capture, load_scene, reconstruct, render_capture
+from mitsuba_plenoptic import PlenopticCamera, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.runtime import progress
 
 from .. import Row, at_most, case
@@ -47,7 +47,6 @@ _LIT, _NOISY = 0.1, 0.01
     },
     (
         at_most("light_off", 0.01), at_most("median", 1.3), at_most("highest_of_noisy", "most"),
-        at_most("estimate_part", 0.1),
     ),
     page="docs/theory/accuracy.md",
     quick={"scenes": ("letters",), "pixels": 256, "runs": 1, "seeds": 2},
@@ -74,12 +73,11 @@ def _times(name: str, pixels: int, samples: int, runs: int) -> Row:
         means[model] = float(render_capture(scene, spp=samples, **MODELS[model]).image.mean())
 
     works = {model: lambda model=model: capture(model) for model in MODELS}
-    timings = paired(works | {"estimate": lambda: estimate_capture(scene, spp=samples, **MODELS["wave"])}, runs)
+    timings = paired(works, runs)
     light = means["wave"] / means["ray"]
     return {
         "scene": name, "memory": peak_memory(), "light": light, "light_off": abs(light - 1),
         "ratio": timings["wave"].processor_ratio, "elapsed_ratio": timings["wave"].ratio,
-        "estimate_part": timings["estimate"].processor / timings["wave"].processor,
         **{model: [timing.processor, timing.seconds] for model, timing in timings.items()},
     }  # fmt: skip
 
