@@ -180,24 +180,37 @@ _RELATIONS = {
     "detector_size": ("detector_width", "its first number; the second follows from resolution, as pixels are square"),
     "detector_height": ("detector_width", "detector_height * columns / rows of resolution, as pixels are square"),
     "lattice": ("mla_lattice", "square or hexagonal"),
+    "load": ("from_json", "of the text of a camera's file; read_capture and load_scene read files"),
+    "radius": ("core", "the radius of a vortex's core"),
     "pitch": ("mla_pitch", "the distance of neighbouring microlenses in millimetres"),
 }
-"""Names that a camera's parameters have elsewhere: the parameter, and how it follows."""
+"""Names that parameters, most of them a camera's, have elsewhere: the parameter, and how it follows."""
 
 
 def relation(name: str) -> str:
     """Return a sentence on the camera parameter that replaces a commonly used name, empty for other names."""
-    parameter, rule = _RELATIONS.get(name.lower(), ("", ""))
-    return f"{parameter} is {rule.format(name)}" if parameter else ""
+    plain = re.sub(r"[\W_]", "", name.lower())
+    for usual, (parameter, rule) in _RELATIONS.items():
+        if usual.replace("_", "") == plain:
+            return f"{parameter} is {rule.format(usual)}"
+    return ""
 
 
 def did_you_mean(name: Any, names_known: Iterable[Any]) -> str:
-    """Return the end of a message on an unknown name: the most similar known name, or nothing."""
-    names = {str(candidate).lower(): str(candidate) for candidate in names_known}
-    if _RELATIONS.get(str(name).lower(), ("",))[0] in names:
-        return f"; {relation(str(name))}"
+    """Return the end of a message on an unknown name: the most similar known name, or nothing.
+
+    Of dotted names the last component counts.
+    """
+    names = {str(candidate).lower().rpartition(".")[2]: str(candidate) for candidate in names_known}
+    rule = relation(str(name))
+    if rule.partition(" ")[0] in names:
+        return f"; {rule}"
     closest = difflib.get_close_matches(str(name).lower()[:_LONGEST_VALUE], names, n=1)
     return f"; did you mean {names[closest[0]]}?" if closest else ""
+
+
+_PLAIN = {"int", "float", "bool", "str", "tuple", "list", "dict", "Sequence", "Mapping", "Path", "None"}
+"""Types of arguments that are not recognised as swapped."""
 
 
 def suggest_keywords(
@@ -214,10 +227,25 @@ def suggest_keywords(
         constructor = function.__init__  # type: ignore[misc]
         type.__setattr__(function, "__init__", suggest_keywords(constructor, others, absent))
         return cast(_Call, function)
-    keywords = {*inspect.signature(function).parameters, *others}
+    parameters = inspect.signature(function).parameters
+    keywords = {*parameters, *others}
+    types = [set(re.findall(r"\w+", str(parameter.annotation))) for parameter in parameters.values()]
 
     @functools.wraps(function)
     def called(*arguments: Any, **options: Any) -> Any:
+        # Numbers, texts and rows of numbers may be anything, but cameras, scenes and images have one position.
+        kinds = [
+            {kind.__name__ for kind in type(value).__mro__} - _PLAIN if getattr(value, "ndim", 2) > 1 else set()
+            for value in arguments
+        ]
+        for index, other in itertools.permutations(range(min(len(kinds), len(types))), 2):
+            fits = kinds[index] & (types[other] - types[index])
+            if fits and "Any" not in types[index] and not kinds[other] & types[other]:
+                names = list(parameters)
+                raise InputError(
+                    f"{names[index]} of type {type(arguments[index]).__name__}, {names[other]} = "
+                    f"{short_repr(arguments[other])}: they are swapped; {names[min(index, other)]} comes first"
+                )
         for name in options:
             if name not in keywords and absent(name):
                 raise InputError(absent(name))
@@ -252,7 +280,9 @@ def require_number(
 ) -> float:
     """Return `value` as a float if it is a number within the bounds; refuse anything else."""
     if _is_flag(value) or isinstance(value, (str, bytes, bytearray)) or value is None:
-        raise InputError(f"{name} = {short_repr(value)}: it must be a number")
+        has_unit = isinstance(value, str) and re.fullmatch(r"[-+]?\d[\d.e+-]*\s*[^\W\d]+", value.strip())
+        units = ", without a unit: lengths are in mm, wavelengths in nm" if has_unit else ""
+        raise InputError(f"{name} = {short_repr(value)}: it must be a number{units}")
     try:
         result = float(value)
     except OverflowError:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 from xml.etree import ElementTree
 
+import mitsuba as mi
 import numpy as np
 
 from ..array import LATTICES, NO_LATTICE, Displacement, focal_length_of, require_cover
@@ -400,22 +401,28 @@ class PlenopticCamera(CameraGeometry, Displayed):
         put(camera, _given=frozenset(name for name in camera._given if getattr(camera, name) != of_lens[name]))
         return camera
 
-    def to_sensor(self, to_world: Any = None, pixel_format: str = "luminance") -> dict[str, Any]:
+    def to_sensor(self, to_world: Any = None, pixel_format: str | None = None) -> dict[str, Any]:
         """Return the sensor plugin ``plenoptic`` of this camera for ``mi.load_dict``, film included.
 
         Parameters
         ----------
         to_world : mitsuba.ScalarTransform4f, optional
             Camera to world, without scale. Default: the camera is at the origin and looks along +z.
-        pixel_format : {"luminance", "luminance_alpha", "rgb", "rgba", "xyz", "xyza"}
-            Channels of Mitsuba's ``hdrfilm``.
+        pixel_format : {"luminance", "luminance_alpha", "rgb", "rgba", "xyz", "xyza"}, optional
+            Channels of Mitsuba's ``hdrfilm``. Default: luminance in mono variants, rgb in others; where no variant is
+            active yet, that of the variant in which the sensor is loaded.
 
         Returns
         -------
         dict
             The sensor, whose film is of single precision. When it is loaded, `from_sensor` returns this camera.
         """
-        require_choice("pixel_format", pixel_format, ("luminance", "luminance_alpha", "rgb", "rgba", "xyz", "xyza"))
+        formats = ("luminance", "luminance_alpha", "rgb", "rgba", "xyz", "xyza")
+        channels = (
+            {} if pixel_format is None else {"pixel_format": require_choice("pixel_format", pixel_format, formats)}
+        )
+        if pixel_format is None and mi.variant() is not None:
+            channels = {"pixel_format": "luminance" if mi.is_monochromatic else "rgb"}
         values = self.to_dict()
         columns, rows = values.pop("resolution")
         left, top = values.pop("crop_offset")
@@ -437,12 +444,12 @@ class PlenopticCamera(CameraGeometry, Displayed):
             # Of a full film a crop would remain where its size is changed later.
             **(crop if self.is_cropped else {}),
             "rfilter": {"type": "box"},
-            "pixel_format": pixel_format,
+            **channels,
             "component_format": "float32",
         }
         return sensor
 
-    def to_xml(self, to_world: Any = None, pixel_format: str = "luminance") -> str:
+    def to_xml(self, to_world: Any = None, pixel_format: str | None = None) -> str:
         """Write the sensor plugin ``plenoptic`` of this camera, film included, as text for a scene file.
 
         Parameters

@@ -14,6 +14,7 @@ from .inputs import COLOURS, camera_instead, colours_of_film, named_camera, pars
 from .options import (
     EXISTING,
     SCENE,
+    VARIANT,
     CameraFile,
     Definitions,
     OutputFolder,
@@ -93,6 +94,7 @@ def compare(
             metavar="NAME",
             show_default="llvm_ad_rgb if the film records rgb, else llvm_ad_mono",
             help="Mitsuba variant of one colour or in rgb, for example cuda_ad_mono.",
+            callback=VARIANT,
         ),
     ] = None,
 ) -> None:

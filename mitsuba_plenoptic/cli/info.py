@@ -92,16 +92,14 @@ def info(
 
       mitsuba-plenoptic info camera.json --fix better.json
     """
+    refuse_if((source is None) == (camera is None), "SCENE, --camera: give one of the two")
     from rich.console import Console
     from rich.markup import escape
 
-    from ..design import design_warnings, mended
     from ..extension import format_of
     from ..io import read_capture
-    from ..report import design_sheet
-    from ..runtime import require_writable, write_text
+    from ..runtime import read_yaml, require_writable, write_text
 
-    refuse_if((source is None) == (camera is None), "SCENE, --camera: give one of the two")
     source = str(camera if source is None else source)
     if fix is not None:
         require_writable(fix, ".json")
@@ -109,6 +107,9 @@ def info(
     suffix = Path(source).suffix.lower()
     recorded = suffix in (".exr", *RAW_SUFFIXES) or format_of(suffix, "capture", source) is not None
     is_lens = Path(source).is_file() and format_of(suffix, "lens", source) is not None
+    if Path(source).is_file() and suffix in (".yaml", ".yml", ".json"):
+        with contextlib.suppress(InputError, TypeError):
+            is_lens = "surfaces" in read_yaml(source)
     refuse_if(
         parameters and (recorded or is_lens),
         f"-D: {source} is no scene, and has no scene parameters; leave it out",
@@ -120,6 +121,10 @@ def info(
         shown_camera = _behind_lens(source)
     else:
         shown_camera = capture.camera if capture else load_camera(source, parameters, unit)[0]
+    # Bring libraries that take seconds to load.
+    from ..design import design_warnings, mended
+    from ..report import design_sheet
+
     if capture and wavelength is None and isinstance(capture.wavelength, float):
         wavelength = capture.wavelength
     if drawing is not None:

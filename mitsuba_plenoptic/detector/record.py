@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
-from ..io import Capture, recording_of, require_demosaiced
+from ..io import Capture, read_if_path, recording_of, require_demosaiced
 from ..runtime import Integers
 
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
@@ -133,7 +134,9 @@ class Detector:
 
 
 @suggest_keywords
-def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 0) -> Capture:
+def expose(
+    capture: Capture | str | Path, detector: Detector | None = None, *, photons: float, seed: int = 0
+) -> Capture:
     """Record a noise-free capture with a real detector.
 
     The result is in units of the capture again: digital numbers less black level and dark signal, divided by gain,
@@ -144,10 +147,10 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
 
     Parameters
     ----------
-    capture : Capture
-        The capture; values below 0, which interpolation may leave, count as dark.
-    detector : Detector
-        The image sensor.
+    capture : Capture or path
+        The capture, or its file; values below 0, which interpolation may leave, count as dark.
+    detector : Detector, optional
+        The image sensor. Default: that of a `Detector` without arguments.
     photons : float
         Photons that hit a pixel of value 1 during the exposure, 1e-9 to 1e9.
     seed : int
@@ -175,6 +178,8 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     >>> exposed.metadata["exposure"]["saturated_pixels"]
     0
     """
+    capture = read_if_path(capture)
+    detector = Detector() if detector is None else detector
     if not isinstance(capture, Capture) or not isinstance(detector, Detector):
         raise InputError(f"expose({short_repr(capture)}, {short_repr(detector)}): it takes a Capture and a Detector")
     photons = _positive("photons", photons)

@@ -140,6 +140,9 @@ class Capture(Displayed):
         return float(np.sqrt(np.mean(np.square(self.noise, dtype=np.float64)))) / mean if mean else 0.0
 
 
+CaptureLike = Capture | NDArray[Any] | str | Path
+"""A capture, its pixels, or its file."""
+
 EXPOSED = "exposure"
 RECORDED = "raw"
 """Entries of a capture's metadata on its detector: a simulated one, and that of a real camera."""
@@ -161,6 +164,11 @@ def require_demosaiced(capture: Capture) -> None:
     """Refuse a capture with a mosaic of colours, for computations that treat all pixels alike."""
     mosaic = mosaic_of(capture)
     refuse_if(mosaic is not None, f"mosaic = {mosaic}: each pixel of the capture has one colour; demosaic it first")
+
+
+def read_if_path(capture: Any, camera: PlenopticCamera | None = None) -> Any:
+    """Return a capture, read from its file where a path is given."""
+    return read_capture(capture, camera=camera) if isinstance(capture, (str, Path)) else capture
 
 
 def write_capture(path: str | Path, capture: Capture) -> None:

@@ -18,8 +18,8 @@ from ..extension import entries, place
 from ..lenses import Pair, main_lens
 from ..optics import second_leg
 from ..rays import Dispersion, LensRays, sampler_of
-from ..runtime import require_unfrozen
-from ..scene import meet_moved, world_ray
+from ..runtime import count_lanes, require_unfrozen
+from ..scene import meet_moved, refuse_light_tracing, world_ray
 from .properties import read_camera, require_read
 
 if TYPE_CHECKING:
@@ -311,20 +311,18 @@ def make_class() -> type:
                 )
             samples = time, sample1, sample2, sample3
             film = self.film()
-            if not getattr(film, "redraws", False):
-                return self._sample(*samples, active, differential=True)[:2]
-            with dr.suspend_grad():
-                passing = self._sample(*samples, active, differential=False)[2]
-                (time, sample1, sample2, sample3), growth = film.draw_again(passing, samples)
-            ray, weight, _ = self._sample(time, sample1, sample2, sample3, active, differential=True)
+            growth = 1.0
+            if getattr(film, "redraws", False):
+                with dr.suspend_grad():
+                    passing = self._sample(*samples, active, differential=False)[2]
+                    samples, growth = film.draw_again(passing, samples)
+            ray, weight, _ = self._sample(*samples, active, differential=True)
+            count_lanes(dr.width(sample2))
             return ray, weight * growth
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
             """Refuse light tracing, as a scene point sees the detector through many lenses at once."""
-            raise InputError(
-                f"{NAME}: light tracing (an integrator such as ptracer) cannot reach the detector through the "
-                "lenses; use path or direct"
-            )
+            refuse_light_tracing()
 
         def projection_transform(self) -> Any:
             """Refuse integrators that project moving edges of shapes onto the film, as many lenses see each of them."""

@@ -17,7 +17,7 @@ from ..fields import OpticalSystem
 from ..io import digest
 from ..linear import LinearMap
 from ..optics import Spectrum, guards
-from ..runtime import Cost, Doubles, Floats, Job, LongSum, SumTask, one_at_a_time
+from ..runtime import Cost, Doubles, Floats, Job, LongSum, Progress, SumTask, cost_of, one_at_a_time
 from .accuracy import chosen_accuracy
 from .coherent_points import CoherentPoints
 from .derivatives import DerivativePlan, Differentials, check_changes, check_names
@@ -31,8 +31,8 @@ from .units import brightness_at
 PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan}
 """Methods of computing point spreads at one wavelength, by name: the types of their plans.
 
-A plan is made for an optical system, points, their pupil weights and an accuracy. It offers `sum`, `gather`,
-`check_memory` and `cost`, as `PatchPlan` does.
+A plan is made for an optical system, points, their pupil weights and an accuracy. It offers `sum`, `gather` and
+`check_memory`, as `PatchPlan` does.
 """
 
 METHODS = tuple(PLANS)
@@ -373,23 +373,18 @@ class CaptureOperator(CoherentPoints, LinearMap):
         return self._differentials
 
     def estimate(self, job: Job | None = None) -> Cost:
-        """Return the estimated cost of `forward`, from a small part of the sum at the middle wavelength.
+        """Return the estimated cost of `forward`, which is begun, and abandoned as soon as its speed is known.
 
         Parameters
         ----------
         job : Job, optional
             Executor of the work.
-
-        Raises
-        ------
-        PhysicsError
-            If too much of the light would be lost.
         """
-        wavelengths = sorted(spectral_sum.wavelength for spectral_sum in self._channels.parts(1))
-        workers = (job or Job()).workers
-        wavelength = wavelengths[len(wavelengths) // 2]
-        cost = self._plans.at(wavelength).cost(workers)
-        return Cost(self.sums * cost.points, self.sums * cost.patterns, self.sums * cost.seconds, cost.memory)
+
+        def begin(progress: Progress) -> Floats:
+            return self.forward(np.ones(self.source_shape), job=Job(progress, job.batch_map if job else None))
+
+        return cost_of(begin)
 
     def _matmat(self, weights: NDArray[Any]) -> NDArray[Any]:
         """Return the images (pixels, k) of several columns of weights, which share their spreads."""

@@ -6,7 +6,7 @@ Each method is a module that registers one function of a `Task`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -210,7 +210,7 @@ def as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) ->
         require_demosaiced(capture)
         if camera is None:
             return capture
-        return Capture(capture.image, camera, capture.wavelength, capture.model, capture.metadata)
+        return replace(capture, camera=camera)
     if camera is None:
         raise InputError("camera = None: a plain array needs the camera that recorded it; give camera")
     return Capture(as_array("capture", capture), camera)

@@ -15,7 +15,7 @@ import tifffile
 from ..camera import PlenopticCamera
 from ..choices import VOLUMES
 from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
-from ..extension import Displayed
+from ..extension import Displayed, Shown
 from ..io import read_exr, write_exr, write_labelled_data
 from ..runtime import Floats, atomic_output, require_memory, require_writable, require_zarr
 
@@ -28,7 +28,7 @@ _EVEN = 1e-3
 _ALONG = {"z": 0, "y": 1, "x": 2}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Reconstruction(Displayed):
     """An image refocused to one object distance.
 
@@ -50,8 +50,10 @@ class Reconstruction(Displayed):
     guards : dict
         Fractions of the light that the guards of the physics found lost, by their names.
     facts : dict
-        Facts that the method states. ``deconvolved``: the ``iterations`` made, the ``residual`` (root mean square of
-        the unexplained part of the capture, over that of the capture), whether it was ``stopped_by_noise``, the
+        The ``model`` of the capture's light and, but for objectives, whether the distance is ``in_range`` of refocusing
+        and the ``samples_per_lens`` resolved there (see `design.depth_ranges`, `design.effective_resolution`). Of
+        ``deconvolved`` also: the ``iterations`` made, the ``residual`` (root mean square of the unexplained part of
+        the capture, over that of the capture), whether it was ``stopped_by_noise``, the
         ``resolution_limit`` in line pairs per scene unit (at infinity per unit of slope), and whether the plane is
         ``in_focus``, where finer bins show little more (see `design.resolution_limit`).
     """
@@ -64,6 +66,15 @@ class Reconstruction(Displayed):
     options: dict[str, Any] = field(default_factory=dict)
     guards: dict[str, float] = field(default_factory=dict)
     facts: dict[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """Return a description of the reconstruction in one line."""
+        rows, columns = self.image.shape[:2]
+        return f"Reconstruction({columns} x {rows} bins at {self.distance:g} mm by {self.method})"
+
+
+class Reconstructions(Shown, list[Reconstruction]):
+    """List of reconstructions of one capture, which notebooks show as pictures on one scale."""
 
 
 def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[str, Any] | None = None) -> None:

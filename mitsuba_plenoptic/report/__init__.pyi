@@ -22,6 +22,7 @@ from .experiment import photographic_sensor as photographic_sensor
 from .experiment import refocused as refocused
 from .experiment import run_experiment as run_experiment
 from .installation import inspect_installation as inspect_installation
+from .lens_drawing import camera_figure as camera_figure
 from .lens_drawing import draw_main_lens as draw_main_lens
 from .microlens_drawing import draw_microlens as draw_microlens
 from .output_files import as_parts as as_parts

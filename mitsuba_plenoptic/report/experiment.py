@@ -449,7 +449,7 @@ def edge_scene(camera: PlenopticCamera, distance: float) -> mi.Scene:
         {
             "type": "scene",
             "integrator": {"type": "direct"},
-            "camera": camera.to_sensor(pixel_format="rgb" if mi.is_rgb else "luminance"),
+            "camera": camera.to_sensor(),
             "edge": {
                 "type": "rectangle",
                 "to_world": turned @ T.rotate([0, 1, 0], 180) @ T.scale(half),

@@ -149,13 +149,15 @@ class Brightness:
 
 @dataclass(frozen=True)
 class Drawing:
-    """Settings for drawing pictures: exposure, scale and whether to draw a figure."""
+    """Settings for drawing pictures: exposure, scale, whether to draw a figure, and its dots per inch."""
 
     brightness: Brightness = field(default_factory=Brightness)
     # Pixels that a bin is wide; None: as suits the picture.
     scale: int | None = None
     # Whether a PNG is a labelled figure; a PDF always is.
     figure: bool = False
+    # Dots per inch of a figure in a PNG; None: as figures of papers have.
+    dpi: int | None = None
 
     def is_figure(self, path: Path) -> bool:
         """Return whether a file is written as a labelled figure."""

@@ -244,6 +244,25 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
     plot.save(path)
 
 
+@styled
+def camera_figure(camera: PlenopticCamera) -> Plot:
+    """Return a figure of a camera whose main lens forms an image, from the side, with rays of a point in focus."""
+    plot = Plot(6.0, 1.8, dpi=100)
+    axes = bare(plot.subplots())
+    corner = math.hypot(camera.detector_width, camera.detector_height) / 2
+    if camera.prescription is not None:
+        _surfaces(axes, camera, corner, camera.prescription.name or "main lens")
+        return plot
+    heights = camera.aperture_radius * np.linspace(-1, 1, 5)
+    start = -1 / max(_nearness(camera), 1 / (1.5 * camera.mla_distance))
+    rays = [heights * (1 + start * _nearness(camera)), heights, 0 * heights]
+    axes.plot([start, 0, camera.mla_distance], rays, color=_RAYS[0], lw=0.7)
+    ends = np.array([camera.aperture_radius, corner])
+    axes.vlines([0, camera.mla_distance], -ends, ends, color=INK, lw=2)
+    scale_bar(axes, float(np.ptp(axes.get_xlim())), below=True)
+    return plot
+
+
 def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> None:
     """Draw a lens's glasses and stop, with rays from the axis, 0.7 of the field and the corner."""
     lens = main_lens(camera)

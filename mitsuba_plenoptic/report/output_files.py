@@ -61,7 +61,7 @@ def write_reconstructions(
     """
     peak = drawing.brightness.peak([result.image for result in results])
     if drawing.is_figure(paths[0]):
-        _plots().contact_sheet(results, peak).save(paths[0])
+        _plots().contact_sheet(results, peak).save(paths[0], drawing.dpi)
         return
     for path, result in zip(paths, results, strict=True):
         if path.suffix.lower() == ".png":
@@ -184,7 +184,7 @@ def write_drawn(
     """Write a data file of parts with coordinates and attributes, a picture, or a figure, chosen by the suffix."""
     path = require_picture_path(path)
     if drawing.is_figure(path):
-        figure().save(path)
+        figure().save(path, drawing.dpi)
         return
     if path.suffix.lower() == ".png":
         write_png(path, _enlarged(picture, drawing), peak=peak)

@@ -50,6 +50,7 @@ from .batches import Snapshot as Snapshot
 from .batches import SumTask as SumTask
 from .batches import Threads as Threads
 from .batches import add as add
+from .batches import cost_of as cost_of
 from .batches import counted as counted
 from .batches import on_all_cores as on_all_cores
 from .batches import prepared as prepared
@@ -73,6 +74,8 @@ from .files import require_zarr as require_zarr
 from .files import stored_array as stored_array
 from .files import write_text as write_text
 from .garbage import hide_scenes as hide_scenes
+from .lanes import count_lanes as count_lanes
+from .lanes import lanes_reported as lanes_reported
 from .limits import GIB as GIB
 from .limits import MEMORY_LIMIT as MEMORY_LIMIT
 from .limits import check_memory as check_memory
@@ -96,8 +99,10 @@ from .polynomials import monomials as monomials
 from .progress import INTERRUPTED as INTERRUPTED
 from .progress import Forecast as Forecast
 from .progress import ProgressBar as ProgressBar
+from .progress import begin_step as begin_step
 from .progress import in_words as in_words
 from .progress import is_quiet as is_quiet
 from .progress import moving_bar as moving_bar
 from .progress import plain_lines as plain_lines
 from .progress import progress_bar as progress_bar
+from .progress import steps_counted as steps_counted

@@ -189,16 +189,11 @@ class Backend:
     def release(self) -> None:
         """Give the memory that is not in use back to the device: neither library takes it from the other's cache."""
         if self.is_cuda:
-            self.synchronize()
+            dr.sync_thread()
+            self.arrays.cuda.Device().synchronize()
             dr.flush_malloc_cache()
             self.arrays.get_default_memory_pool().free_all_blocks()
             self.arrays.get_default_pinned_memory_pool().free_all_blocks()
-
-    def synchronize(self) -> None:
-        """Wait until all requested computations are finished."""
-        dr.sync_thread()
-        if self.is_cuda:
-            self.arrays.cuda.Device().synchronize()
 
 
 def active_backend() -> Backend:

@@ -14,6 +14,7 @@ import gc
 import logging
 import multiprocessing
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
@@ -26,10 +27,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, refuse_if, refusing, require_count, require_module
+from ..errors import InputError, argument, refuse_if, refusing, require_count, require_module
 from .backend import Floats, Integers, active_backend, on_cuda, set_variant
 from .fft import resting_drjit, stop_threads, worker_count
-from .limits import single_threaded_blas, software
+from .limits import memory_asked, single_threaded_blas, software
 
 
 @dataclass(frozen=True)
@@ -517,9 +518,36 @@ def _line(error: BaseException) -> str:
 
 @dataclass(frozen=True)
 class Cost:
-    """Estimated time in seconds and memory in bytes of a capture."""
+    """Estimated time in seconds on this machine, and memory in bytes, of a computation."""
 
-    points: int  # number of points whose light reaches the recorded window; 0 if not determined
-    patterns: int  # number of point spreads that are computed for them
-    seconds: float  # time, extrapolated from a few point spreads on this machine
-    memory: float  # largest memory in bytes
+    seconds: float
+    memory: float  # largest memory asked for
+
+
+class _KnownError(Exception):
+    """Ends work whose time is known by now."""
+
+
+def cost_of(work: Callable[..., Any], *values: Any, **options: Any) -> Cost:
+    """Return the estimated cost of a function called with values and options, and with `progress`.
+
+    The work is begun, and abandoned as soon as its forecast stands, or done if it ends before.
+    """
+    # Not needed by captures.
+    from .progress import Forecast
+
+    for name in ("progress", "checkpoint"):
+        if options.get(name) is not None:
+            raise InputError(f"{argument(name)}: an estimate does not take it; leave it out")
+
+    def leave(seconds: float) -> None:
+        raise _KnownError(seconds)
+
+    start = time.monotonic()
+    with memory_asked() as sizes:
+        try:
+            work(*values, **options | {"progress": Forecast(leave)})
+            seconds = time.monotonic() - start
+        except _KnownError as known:
+            (seconds,) = known.args
+    return Cost(seconds, max(sizes))

@@ -12,7 +12,7 @@ import xarray as xr
 from ..camera import PlenopticCamera, Use, are_alike, require_camera, require_support
 from ..design import objective_of
 from ..errors import InputError, refuse_if, short_repr, suggest_keywords
-from ..io import TRUTH_COORDINATES, Capture, GroundTruth, channel_planes, require_demosaiced
+from ..io import TRUTH_COORDINATES, Capture, CaptureLike, GroundTruth, channel_planes, read_if_path, require_demosaiced
 from ..runtime import Floats, as_pixels, require_memory
 from .coordinates import DIMS, light_field
 from .fourier_views import decode_views
@@ -22,10 +22,10 @@ from .white import clear, divide_by_white, open_fraction, recorded_white, white_
 
 @suggest_keywords
 def decode(
-    capture: Capture | np.ndarray,
+    capture: CaptureLike,
     *,
     camera: PlenopticCamera | None = None,
-    white: Capture | np.ndarray | None = None,
+    white: CaptureLike | None = None,
     grid: LensGrid | None = None,
     truth: GroundTruth | None = None,
 ) -> xr.DataArray:
@@ -42,14 +42,15 @@ def decode(
 
     Parameters
     ----------
-    capture : Capture or (rows, columns[, 3]) array
-        The capture. A plain array needs `camera` or `grid`.
+    capture : Capture, (rows, columns[, 3]) array, or path
+        The capture, or a file that `read_capture` takes. A plain array needs `camera` or `grid`.
     camera : PlenopticCamera, optional
         The camera of a plain array, or another one than the capture's.
-    white : Capture or (rows, columns[, 3]) array, optional
+    white : Capture, (rows, columns[, 3]) array, or path, optional
         A picture of something evenly white that fills the view, with the same camera. It is scaled to a radiance of 1
         (see `mitsuba_plenoptic.views.white.recorded_white`). Default: computed by rays from the camera's pupil;
-        diffraction blurs the rims of micro-images, so that for wave captures a white wave capture is better. Without a
+        diffraction blurs the rims of micro-images, so that wave captures of the paper's lenses read 7 % low, and a
+        white wave capture is better. Without a
         camera a white picture is needed; the median brightness in the middle of micro-images counts as 1, over the
         quarter of the lenses that is nearest to the middle of the grid.
     grid : LensGrid, optional
@@ -127,9 +128,9 @@ def decode(
 
 
 def checked_images(
-    capture: Capture | np.ndarray,
+    capture: CaptureLike,
     camera: PlenopticCamera | None,
-    white: Capture | np.ndarray | None,
+    white: CaptureLike | None,
     grid: LensGrid | None,
 ) -> tuple[np.ndarray, Any, np.ndarray | None, PlenopticCamera | None]:
     """Return image, white image, fractions of the pupil, each (rows, columns, channels), and the camera for `decode`.
@@ -138,11 +139,13 @@ def checked_images(
     one, since views of it are scaled. The fractions are those of the camera, None where a recorded white tells more.
     """
     cameras = [] if camera is None else [camera]
-    if isinstance(capture, Capture):
-        require_demosaiced(capture)
-        cameras.append(capture.camera)
-        capture = capture.image
-    image = as_pixels("capture", capture)
+    recorded = read_if_path(capture, camera)
+    divisor = read_if_path(white, camera)
+    if isinstance(recorded, Capture):
+        require_demosaiced(recorded)
+        cameras.append(recorded.camera)
+        recorded = recorded.image
+    image = as_pixels("capture", recorded)
     refuse_if(
         image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3)),
         f"capture of shape {image.shape}: it must be an image of 1 or 3 channels",
@@ -162,7 +165,7 @@ def checked_images(
     )
     reference = seen = None
     if white is not None:
-        reference = recorded_white(white, (*image.shape[:2], 3), cameras).astype(np.float32).mean(2, keepdims=True)
+        reference = recorded_white(divisor, (*image.shape[:2], 3), cameras).astype(np.float32).mean(2, keepdims=True)
     if upright is not None and not upright.lens_data.images_stop:
         computed = white_image(upright, grid)[..., None]
         opened = clear(upright)

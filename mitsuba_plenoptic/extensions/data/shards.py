@@ -186,6 +186,7 @@ class DataSet:
 
     def __init__(self, folder: str | Path, fields: Collection[str] | None = None) -> None:
         self.folder = Path(folder)
+        refuse_if(not self.folder.is_dir(), f"{folder}: there is no such folder of a data set")
         self.manifest = read_manifest(self.folder)
         self.fields = None if fields is None else tuple(fields)
         self._layout = DataFolder(self.folder, self.manifest["count"], self.manifest["samples_per_shard"])

@@ -15,7 +15,10 @@ def sweep(
     scene: options.Scene,
     output: Annotated[Path, options.output_option("FILE.nc", "NetCDF file to write.", ".nc")],
     grid: Annotated[
-        Path | None, typer.Option(metavar="FILE.yaml", help="The grid: names, each with a list of numbers.")
+        Path | None,
+        typer.Option(
+            metavar="FILE.yaml", help="The grid: names, each with a list of numbers.", callback=options.EXISTING
+        ),
     ] = None,
     vary: Annotated[
         list[str] | None,
@@ -23,6 +26,7 @@ def sweep(
             metavar="NAME=V1,V2,...",
             help="One name of the grid and its values: a $NAME of the scene, a parameter of the camera or of its data "
             "sheet, 'wavelength' in nanometres, or 'distance' to refocus to; repeat for several.",
+            callback=options.assigned("--vary", "NAME=VALUE,VALUE,..."),
         ),
     ] = None,
     model: options.Model = None,
