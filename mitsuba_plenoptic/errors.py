@@ -474,10 +474,10 @@ def require_pixels(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
     return require_pair(name, value, "(columns, rows)", rule)
 
 
-require_place = functools.partial(
-    require_pair, meaning="(x, y)", rule=functools.partial(require_number, minimum=-LONGEST, maximum=LONGEST)
-)
-"""Return a position in mm in the plane of the microlenses, a pair of coordinates within 1e9 of the axis."""
+def require_place(name: str, value: Any) -> tuple[float, float]:
+    """Return a position in mm in the plane of the microlenses, a pair of coordinates within 1e9 of the axis."""
+    rule = functools.partial(require_number, minimum=-LONGEST, maximum=LONGEST)
+    return require_pair(name, value, meaning="(x, y)", rule=rule)
 
 
 def require_wavefront(name: str, value: Any) -> tuple[float, ...]:

@@ -34,7 +34,7 @@ _COMMANDS_OF_CORE = {
     "example": ("example", "Write a finished capture, with its ground truth next to it, to try the other commands on."),
     "render": ("render_command", "Render what a scene's plenoptic camera records."),
     "reconstruct": ("reconstruct", "Refocus a capture to one or several distances."),
-    "sheet": ("reconstruct", "Lay reconstructions out in one figure: a row a method, a column a distance."),
+    "sheet": ("reconstruct", "Lay reconstructions out in one figure: a row a method and capture, a column a distance."),
     "views": ("light_field", "Show the scene from many positions on the main lens."),
     "epi": ("light_field", "Show one line of the scene from every view along the same direction."),
     "stack": ("light_field", "Make a focal stack: one image for each distance, in focus there."),
