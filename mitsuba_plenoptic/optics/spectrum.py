@@ -76,7 +76,7 @@ class Spectrum:
         refuse_if(not self.wavelengths, "spectrum: it must have a wavelength")
         put(self, wavelengths=tuple(require_wavelength(value) for value in self.wavelengths))
         rule = "responses must be numbers, as many for every channel"
-        matrix = as_array("spectrum", self.responses, np.float64, ("channel", "wavelength"), rule=rule)
+        matrix = as_array("spectrum", self.responses, ("channel", "wavelength"), rule=rule)
         refuse_if(
             matrix.ndim != 2 or matrix.shape[1] != len(self.wavelengths) or not np.isfinite(matrix).all(),
             f"spectrum: responses of shape {matrix.shape}: every channel must have a finite one to each of "

@@ -104,7 +104,7 @@ def _bounds(landing: Doubles, cosine: Doubles) -> Footprint:
 def check_positions(positions: Any, camera: PlenopticCamera | None = None, *, virtual: bool = False) -> Doubles:
     """Return scene points as a float64 array (n, 3); refuse anything else."""
     rule = "it must be numbers (X, Y, g)"
-    points = as_array("position", positions, np.float64, POINTS, rule=rule, units=MILLIMETRES)
+    points = as_array("position", positions, POINTS, rule=rule, units=MILLIMETRES)
     refuse_if(
         points.ndim != 2 or points.shape[1] != 3,
         f"positions of shape {points.shape}: it must be (n, 3), for X, Y and g",

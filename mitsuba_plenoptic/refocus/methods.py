@@ -213,7 +213,7 @@ def as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) ->
         return replace(capture, camera=camera)
     if camera is None:
         raise InputError("camera = None: a plain array needs the camera that recorded it; give camera")
-    return Capture(as_array("capture", capture), camera)
+    return Capture(as_array("capture", capture, dtype=None), camera)
 
 
 def require_distances(distance: Any, camera: PlenopticCamera) -> list[float]:

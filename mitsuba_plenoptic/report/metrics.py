@@ -63,7 +63,7 @@ def image_metrics(image: np.ndarray, reference: np.ndarray) -> ImageMetrics:
     Samples that are NaN in either are not compared: the error, the peak and the sums are those of all others, the
     structural similarity that of the windows without such samples, by channel.
     """
-    image, reference = (as_array(*pixels, np.float32) for pixels in (("image", image), ("reference", reference)))
+    image, reference = (as_array(*pixels, dtype=np.float32) for pixels in (("image", image), ("reference", reference)))
     finite = ~(np.isnan(image) | np.isnan(reference))
     if not finite.any():
         return ImageMetrics(psnr=math.nan, ssim=None, energy=math.nan)
@@ -90,7 +90,7 @@ def image_metrics(image: np.ndarray, reference: np.ndarray) -> ImageMetrics:
 
 def relative_error(image: np.ndarray, reference: np.ndarray) -> float:
     """Return the root of the summed squared differences over the root of the reference's squared sum."""
-    image, reference = (as_array(*named, np.float64) for named in (("image", image), ("reference", reference)))
+    image, reference = (as_array(*named) for named in (("image", image), ("reference", reference)))
     return float(np.linalg.norm(image - reference) / np.linalg.norm(reference))
 
 
@@ -109,8 +109,8 @@ def interference(image: np.ndarray, limit: np.ndarray, region: np.ndarray | tupl
     region : array of bool, or pair of slice
         The bins that count, such as those of `lit_region`.
     """
-    limit = as_array("limit", limit)
-    difference = as_array("image", image, np.float64)[region] - limit[region]
+    limit = as_array("limit", limit, dtype=None)
+    difference = as_array("image", image)[region] - limit[region]
     mean = float(np.nanmean(limit[region], dtype=np.float64))
     return float(np.sqrt(np.nanmean(difference**2)) / mean) if mean > 0 else 0.0
 

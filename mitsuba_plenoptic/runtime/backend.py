@@ -377,9 +377,9 @@ BRIGHTEST = 1e30
 def as_array(
     name: str,
     values: Any,
-    dtype: DTypeLike | None = None,
     dims: Names = IMAGE,
     *,
+    dtype: DTypeLike | None = np.float64,
     rule: str = "",
     units: Names | None = None,
 ) -> np.ndarray:
@@ -396,7 +396,7 @@ def as_array(
         # NumPy would drop masks, units and names of arrays in a list.
         arrays = (hasattr(item, "__array__") and not isinstance(item, np.generic) for item in values)
         values = [
-            as_array(name, item, None, dims[1:], rule=rule, units=units) if is_array else item
+            as_array(name, item, dims[1:], dtype=None, rule=rule, units=units) if is_array else item
             for item, is_array in zip(values, arrays, strict=True)
         ]
     named = getattr(values, "dims", None)
@@ -437,7 +437,7 @@ def require_units(name: str, data: Any, expected: Mapping[str, Names]) -> None:
 
 def as_pixels(name: str, values: ArrayLike, dtype: DTypeLike | None = None) -> np.ndarray:
     """Return a new array of the pixels of an image, which are finite and not too large."""
-    image = as_array(name, values)
+    image = as_array(name, values, dtype=None)
     require_pixels(name, image)
     return image.astype(dtype or image.dtype, copy=False)
 

@@ -151,7 +151,7 @@ class _RefocusOp(dr.CustomOp):
 
 def as_channels(values: Any, shape: tuple[int, ...], name: str) -> NDArray[Any]:
     """Return an array as (rows, columns, channels), or refuse another shape."""
-    array = as_array(name, values)
+    array = as_array(name, values, dtype=None)
     if array.ndim not in (2, 3) or array.shape[:2] != shape:
         raise InputError(f"{name} of shape {array.shape}: it must have {shape[0]} rows and {shape[1]} columns")
     return array if array.ndim == 3 else array[..., None]

@@ -31,7 +31,7 @@ def volume_points(values: Any, lower: Any, upper: Any) -> tuple[Doubles, Doubles
         Emission times the volume of a voxel.
     """
     rule = "they must be numbers, (planes, rows, columns)"
-    grid = as_array("values", values, np.float64, ("z", "y", "x"), rule=rule)
+    grid = as_array("values", values, ("z", "y", "x"), rule=rule)
     # Mitsuba has its types once a variant is set.
     if mi.variant() and isinstance(values, mi.VolumeGrid) and grid.ndim == 4 and grid.shape[3] == 1:
         grid = grid[..., 0]

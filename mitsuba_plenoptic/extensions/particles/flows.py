@@ -250,8 +250,8 @@ class ImportedFlow(Flow):
         )
         require_units(name, data, dict.fromkeys("uvw", _SPEED_UNITS) | dict.fromkeys(_AXES, MILLIMETRES))
         with refusing(f"{name}: u, v and w must be on axes x, y and z that rise, and on no other:", ValueError):
-            values = np.stack([as_array(part, data[part].transpose(*_AXES), np.float64, _AXES) for part in "uvw"], -1)
-            flow = RegularGridInterpolator([as_array(axis, data[axis], np.float64) for axis in _AXES], values)
+            values = np.stack([as_array(part, data[part].transpose(*_AXES), _AXES) for part in "uvw"], -1)
+            flow = RegularGridInterpolator([as_array(axis, data[axis]) for axis in _AXES], values)
         refuse_if(min(values.shape) < 2 or not np.isfinite(values).all(), f"{name}: give two finite values or more")
         put(self, field=name, _interpolated=flow)
 

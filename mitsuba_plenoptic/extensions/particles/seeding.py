@@ -43,7 +43,7 @@ _MEDIUM = partial(require_number, minimum=1, maximum=5)
 
 def require_points(name: str, points: ArrayLike) -> Doubles:
     """Return points (n, 3) as floats; refuse other shapes, and points that are not finite."""
-    places = as_array(name, points, np.float64, POINTS, rule="they must be numbers, (n, 3)", units=MILLIMETRES)
+    places = as_array(name, points, POINTS, rule="they must be numbers, (n, 3)", units=MILLIMETRES)
     refuse_if(
         places.shape[1:] != (3,) or not np.isfinite(places).all(),
         f"{name} of shape {places.shape}: they must be finite, and (n, 3)",

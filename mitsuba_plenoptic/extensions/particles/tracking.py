@@ -105,7 +105,7 @@ def refine_particles(
     wavelength = require_wavelength(capture.wavelength if wavelength is None else wavelength)
     refuse_if(not count, "positions: there is none to start from")
     refuse_if(np.shape(light) != (count,), f"light of shape {np.shape(light)}: there are {count} positions")
-    light = as_array("light", light, np.float64, POINTS)
+    light = as_array("light", light, POINTS)
     camera = capture.camera
     window = window or Window(**capture.metadata.get("particles", {}).get("window", {}))
     positions = window.apparent(positions, camera, wavelength)
