@@ -118,11 +118,6 @@ def _require_recording(name: str, path: Path) -> None:
     scene = content_of(path) == SCENE_XML if path.exists() else str(path) in scene_names()
     refuse_if(scene, f"{path}: it is a scene: give what 'render' made of it")
     _require_file(name, path)
-    content = content_of(path)
-    refuse_if(
-        content.startswith("text"),
-        f"{path}: it is {content}; give a capture (.exr), a light field or a raw picture, as .png or .tiff",
-    )
 
 
 def assigned(option: str, form: str) -> Callable[..., Any]:
