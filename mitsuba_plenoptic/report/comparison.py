@@ -99,20 +99,20 @@ def answer(experiment: Experiment, difference: Difference) -> str:
         by_rays, by_waves = (experiment.images[name, distance] for name in ("ray_of_ray", "ray"))
         changes[distance] = contrast_change(by_rays, by_waves, experiment.truths[distance])
     distance, change = max(changes.items(), key=lambda item: abs(item[1].ratio - 1))
-    per_mm = {at: 1 / experiment.camera.bin_size(at) for at in changes}
+    finest = min(found.finest for found in changes.values())
     if change.ratio != 1:
+        frequency = change.frequency / experiment.camera.bin_size(distance)
+        unit = "radian" if math.isinf(distance) else "mm"
         refocused = (
-            f"At {distance:g} mm waves change contrast at {change.frequency * per_mm[distance]:.2g} cycles a mm by "
-            f"{change.ratio - 1:+.0%}"
+            f"At {distance:g} mm waves change contrast at {frequency:.2g} cycles a {unit} by {change.ratio - 1:+.0%}"
+        )
+    elif finest:
+        refocused = (
+            "At these distances rays suffice for refocused images: contrast differs by less than 5 % up to "
+            f"{finest:.2g} cycles a bin"
         )
     else:
-        reach = min(found.finest * per_mm[at] for at, found in changes.items())
-        refocused = (
-            f"At these distances rays suffice for refocused images: contrast differs by less than 5 % up to "
-            f"{reach:.2g} cycles a mm"
-            if reach
-            else "Noise hides whether waves change the contrast of refocused images: take more samples"
-        )
+        refocused = "Noise hides whether waves change the contrast of refocused images: take more samples"
     noise, true = difference.noise, difference.true
     if noise is None or true is None:
         return f"{refocused}. Of raw pixels it is not known, as one sample tells no noise: take two or more."
