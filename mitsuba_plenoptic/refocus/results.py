@@ -284,8 +284,7 @@ def require_volume_path(path: str | Path, distances: Sequence[float]) -> Path:
 def write_volume(path: str | Path, volume: Volume) -> None:
     """Write a volume with its voxel sizes: TIFF for ImageJ, OME-TIFF or Zarr.
 
-    Both TIFF state lengths in micrometres if voxels are less than 0.01 mm wide, otherwise in millimetres; Zarr in
-    millimetres.
+    Both TIFF state lengths in micrometres, Zarr in millimetres.
 
     Parameters
     ----------
@@ -304,26 +303,23 @@ def write_volume(path: str | Path, volume: Volume) -> None:
     if values.ndim == 4:
         values = np.moveaxis(values, -1, 1)
         axes = "ZCYX"
-    # Lengths in a microscope are read in micrometres.
-    unit, scale = ("um", 1000.0) if volume.voxel_size < 0.01 else ("mm", 1.0)
-    size = scale * volume.voxel_size
-    spacing = None if volume.spacing is None else scale * volume.spacing
+    size = 1000 * volume.voxel_size
+    spacing = volume.spacing and 1000 * volume.spacing
     with atomic_output(path) as temporary:
         metadata: dict[str, Any] = {"axes": axes}
         if _is_ome(path):
-            ome_unit = unit.replace("u", "µ")
             for axis in "XY":
-                metadata |= {f"PhysicalSize{axis}": size, f"PhysicalSize{axis}Unit": ome_unit}
+                metadata |= {f"PhysicalSize{axis}": size, f"PhysicalSize{axis}Unit": "µm"}
             if spacing is not None:
-                metadata |= {"PhysicalSizeZ": spacing, "PhysicalSizeZUnit": ome_unit}
+                metadata |= {"PhysicalSizeZ": spacing, "PhysicalSizeZUnit": "µm"}
             channels = volume.values.shape[3] if volume.values.ndim == 4 else 1
-            positions = [scale * distance for distance in volume.distances for _ in range(channels)]
-            metadata["Plane"] = {"PositionZ": positions, "PositionZUnit": [ome_unit] * len(positions)}
+            positions = [1000 * distance for distance in volume.distances for _ in range(channels)]
+            metadata["Plane"] = {"PositionZ": positions, "PositionZUnit": ["µm"] * len(positions)}
             metadata["Description"] = json.dumps(volume.attributes)
             tifffile.imwrite(temporary, values, ome=True, photometric="minisblack", metadata=metadata)
         else:
             about = {"distances": list(volume.distances), **volume.attributes}
-            metadata |= {"unit": unit, "Info": json.dumps(about)}
+            metadata |= {"unit": "um", "Info": json.dumps(about)}
             if spacing is not None:
                 metadata["spacing"] = spacing
             resolution = (1 / size, 1 / size)

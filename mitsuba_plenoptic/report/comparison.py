@@ -120,9 +120,8 @@ def answer(experiment: Experiment, difference: Difference) -> str:
         # Differences that are not told from noise are smaller than three hundredths of its power.
         most = max(true, 0.17 * noise)
         enough = math.ceil(spp * (noise / most) ** 2)
-        about = "at most " if difference.noise_alone else ""
         return (
-            f"{refocused}. What waves change in raw pixels ({about}{most:.1%}) is below the noise of {spp} samples "
+            f"{refocused}. What waves change in raw pixels ({most:.1%} at most) is below the noise of {spp} samples "
             f"({noise:.1%}); {enough} samples would show it."
         )
     return (

@@ -145,9 +145,8 @@ def methods_of_both(names: Sequence[str]) -> tuple[RefocusMethod, ...]:
     for name in names:
         require_choice("methods", name, (*_METHODS, "limit"))
     both: list[RefocusMethod] = []
-    for name in _METHODS:
+    for name, (title, options) in _METHODS.items():
         if name in ("ray", *names):
-            title, options = _METHODS[name]
             both += [
                 RefocusMethod(f"{name}_of_ray", f"{title}, ray capture", options, "ray"),
                 RefocusMethod(name, title, options),
@@ -211,9 +210,8 @@ class Settings(CaptureSpec):
     @property
     def slider_methods(self) -> tuple[str, ...]:
         """The names of those methods of the wave capture whose pictures the report's slider shows."""
-        if self.methods == COMPARED_METHODS:
-            return SLIDER_METHODS
-        return tuple(method.name for method in self.methods if method.source == "wave" and method.name != "limit")
+        waves = [method.name for method in self.methods if method.source == "wave"]
+        return tuple(name for name in waves if name not in ("limit", "ray_point"))
 
 
 @dataclass(frozen=True)

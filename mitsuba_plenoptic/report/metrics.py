@@ -219,24 +219,22 @@ def contrast_change(first: np.ndarray, second: np.ndarray, truth: np.ndarray) ->
     a, b, t = (
         scipy.fft.fft2(np.where(seen, image - np.mean(image[seen]), 0) * edge) for image in (first, second, truth)
     )
-    radius = np.hypot(*np.meshgrid(*(scipy.fft.fftfreq(size) for size in truth.shape), indexing="ij"))
-    rings = np.digitize(radius, np.linspace(0.02, 0.5, 17))
+    radius = np.hypot(*np.meshgrid(*map(scipy.fft.fftfreq, truth.shape), indexing="ij"))
     found = ContrastChange(1.0, 0.0, 0.0)
-    for ring in range(1, 17):
-        where = rings == ring
-        if not where.any():
-            continue
-        along = np.sum(a[where] * t[where].conj()).real
-        left = a[where] - along / np.sum(np.abs(t[where]) ** 2) * t[where]
+    for low in np.arange(0.02, 0.5, 0.03):
+        ring = (radius >= low) & (radius < low + 0.03)
+        waves, by_rays, by_waves = t[ring], a[ring], b[ring]
+        along = np.vdot(waves, by_rays).real
+        left = by_rays - along / (np.vdot(waves, waves).real or 1) * waves
         # Where the first image itself is noise, it has no contrast to be changed.
-        if along < 5 * math.sqrt(np.sum(np.abs(left * t[where]) ** 2)):
+        if along <= 5 * np.linalg.norm(left * waves):
             continue
-        ratio = np.sum(b[where] * t[where].conj()).real / along
-        scatter = math.sqrt(np.sum(np.abs((b - ratio * a)[where] * t[where]) ** 2)) / along
-        frequency = float(radius[where].mean())
-        finest = frequency if 3 * scatter < 0.05 else found.finest
-        larger = abs(ratio - 1) > max(3 * scatter, 0.05, abs(found.ratio - 1)) and abs(found.ratio - 1) < 0.2
-        found = ContrastChange(float(ratio), frequency, finest) if larger else replace(found, finest=finest)
+        ratio = float(np.vdot(waves, by_waves).real / along)
+        scatter = 3 * np.linalg.norm((by_waves - ratio * by_rays) * waves) / along
+        if scatter < 0.05:
+            found = replace(found, finest=low)
+        if abs(ratio - 1) > max(scatter, 0.05, abs(found.ratio - 1)) and abs(found.ratio - 1) < 0.2:
+            found = replace(found, ratio=ratio, frequency=low + 0.015)
     return found
 
 
