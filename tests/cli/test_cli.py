@@ -231,12 +231,8 @@ _SLOW_TO_LOAD = ("scipy.fft", "xarray", "matplotlib", "mitsuba_plenoptic.refocus
 
 
 def test_wrong_arguments_are_refused_before_anything_slow_is_loaded(tmp_path):
-    (tmp_path / "notes.exr").write_text("notes")
     wrong = {
-        "reconstruct notes.exr -o a.png --distance 240": "notes.exr: it is text",
         "reconstruct missing.exr -o a.png --distance 240": "missing.exr: there is no such file",
-        "depth notes.exr -o a.png": "notes.exr: it is text",
-        "expose notes.exr -o a.exr --photons 3": "notes.exr: it is text",
         "info f_number=-1": "f_number: it is not a camera parameter",
         "render letters": "name the file to write",
         "render letters -o a.exr -D res": "-D res: write it as -D NAME=VALUE",
@@ -247,7 +243,6 @@ def test_wrong_arguments_are_refused_before_anything_slow_is_loaded(tmp_path):
         "sweep letters -o a.nc --vary wavelength": "--vary wavelength: write it as",
         "sweep letters -o a.nc --grid missing.yaml": "missing.yaml: there is no such file",
         "dataset missing.yaml -o d": "missing.yaml: there is no such file",
-        "calibrate missing.png -o a.json": "missing.png: there is no such file",
     }
     script = f"""
 import sys

@@ -30,7 +30,6 @@ def calibrate(
             metavar="CORNERS.csv|WHITE|PICTURES...",
             help="Corners of a board seen through the lenses; or white images (.exr, .png, .tiff) at one or several "
             "apertures; or, with --board, raw pictures of the board, one for each pose.",
-            callback=options.EXISTING,
         ),
     ] = None,
     output: Annotated[
@@ -54,11 +53,7 @@ def calibrate(
     ] = None,
     evaluate: Annotated[
         Path | None,
-        typer.Option(
-            metavar="CORNERS.csv",
-            help="Hold the camera, refit the poses, and print how far off it is.",
-            callback=options.EXISTING,
-        ),
+        typer.Option(metavar="CORNERS.csv", help="Hold the camera, refit the poses, and print how far off it is."),
     ] = None,
     report: Annotated[
         Path | None, typer.Option(metavar="FILE.html", help="Also write a page with parameters, poses and residuals.")
@@ -93,12 +88,15 @@ def calibrate(
     """
     from ...runtime import require_apart, require_different
     from ..raw.lytro_file import SUFFIXES as LYTRO_SUFFIXES
+    from .calibration import Board
 
     sources = sources or []
     if bool(sources) == (evaluate is not None):
         raise typer.BadParameter("give corners or pictures, or corners to --evaluate", param_hint="SOURCE")
     for path in [*sources, *filter(None, [evaluate])]:
-        content = content_of(path) if path == evaluate or path.suffix.lower() not in _PICTURES else "text"
+        content = (
+            content_of(path) if path.exists() and (path == evaluate or path.suffix.lower() not in _PICTURES) else "text"
+        )
         refuse_if(
             not content.startswith("text") and path.suffix.lower() not in LYTRO_SUFFIXES,
             f"{path}: it is {content}; corners are a table (.csv), pictures and white images .exr, .png or .tiff",
@@ -128,7 +126,7 @@ def calibrate(
         _fit(sources, output, camera, dark, wavelength, model, report)
     elif all(pictures) and board is not None:
         inputs.refuse_options("detecting corners", square=square)
-        _detect(sources, output, camera, _board(board, 1.0), centres, white, linear)
+        _detect(sources, output, camera, Board.parse(board, 1.0), centres, white, linear)
     elif all(pictures):
         inputs.refuse_options(
             "finding centres in white images", camera=camera, square=square, centres=centres, white=white
@@ -166,11 +164,11 @@ def _output(output: Path | None, suffix: str) -> Path:
 
 
 def _evaluate(path: Path, camera: str | None, board: str | None, square: float | None) -> None:
-    tested, record = inputs.load_camera(_camera(camera), {})
     from . import calibration
     from .calibrated_cameras import lens_index
     from .calibration_result import error_line, outlier_lines
 
+    tested, record = inputs.load_camera(_camera(camera), {})
     index = lens_index(record)
     size = _board(board, square)
     evaluation = calibration.evaluate(calibration.read_corners(path, size, tested.crop_size), size, tested, index)
@@ -261,12 +259,12 @@ def _fit(
     model: str | None,
     report: Path | None,
 ) -> None:
-    if len(sources) > 1:
-        raise typer.BadParameter("a camera is fitted to one white picture", param_hint="SOURCE")
-    nominal, _ = inputs.load_camera(_camera(camera), {})
     from ...runtime import require_writable
     from .white_command import fit_camera
 
+    if len(sources) > 1:
+        raise typer.BadParameter("a camera is fitted to one white picture", param_hint="SOURCE")
+    nominal, _ = inputs.load_camera(_camera(camera), {})
     by_rays = model == "ray"
     refuse_if(by_rays and wavelength is not None, f"--wavelength = {wavelength}: a fit by rays has none; leave it out")
     if report:
@@ -284,13 +282,13 @@ def _calibrate(
     centres: Path | None,
     report: Path | None,
 ) -> None:
-    output = _output(output, ".json")
-    start, _ = inputs.load_camera(_camera(camera), {})
     from ...runtime import require_writable
     from . import calibration
     from .board_model import UNITS
     from .calibration_result import summary
 
+    output = _output(output, ".json")
+    start, _ = inputs.load_camera(_camera(camera), {})
     size = _board(board, square)
     corners = calibration.read_corners(path, size, start.crop_size)
     middles = None if centres is None else calibration.read_centres(centres)
