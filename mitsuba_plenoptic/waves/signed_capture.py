@@ -151,6 +151,12 @@ class SignedCapture:
         """Return the light on the pixels (rows, columns, channels), with the deviations of what pixels make of it."""
         runs = max(2, min(PARTS, spp // _SAMPLES)) if noise else 1
         progress = job.progress
+        rows, columns = self.camera.shape
+        check_memory(
+            memory_of(float(rows) * columns, float(rows) * columns * spp, self.nodes),
+            f"wave capture of {columns} x {rows} pixels, nodes = {len(self.nodes)}",
+            most=math.inf,
+        )
 
         def show(done: float) -> None:
             if progress:
@@ -178,12 +184,6 @@ class SignedCapture:
         tasks = [SumTask(items, partial(watched, plan), lambda image: image * np.float32(1 / runs)) for plan in sums]
         if noise:
             tasks = [keep_spread(task, self.camera) for task in tasks]
-        rows, columns = self.camera.shape
-        check_memory(
-            memory_of(float(rows) * columns, float(rows) * columns * spp, self.nodes),
-            f"wave capture of {columns} x {rows} pixels, nodes = {len(self.nodes)}",
-            most=math.inf,
-        )
         channels = self.spectrum.channels
         shape = (rows, columns, channels * (3 if noise else 1))
         items_of_all = sum(task.items for task in tasks)
