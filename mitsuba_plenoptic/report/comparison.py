@@ -102,9 +102,9 @@ def answer(experiment: Experiment, difference: Difference) -> str:
     finest = min(found.finest for found in changes.values())
     if change.ratio != 1:
         frequency = change.frequency / experiment.camera.bin_size(distance)
-        unit = "radian" if math.isinf(distance) else "mm"
         refocused = (
-            f"At {distance:g} mm waves change contrast at {frequency:.2g} cycles a {unit} by {change.ratio - 1:+.0%}"
+            f"At {distance:g} mm waves change contrast at {frequency:.2g} cycles a "
+            f"{'radian' if math.isinf(distance) else 'mm'} by {change.ratio - 1:+.0%}"
         )
     elif finest:
         refocused = (
