@@ -5,7 +5,7 @@ Directions are angles in arcseconds in the camera frame: +x is to the left in th
 
 from __future__ import annotations
 
-from functools import partial
+import functools
 from typing import Any
 
 import numpy as np
@@ -20,11 +20,11 @@ INFINITY = 1e12
 _WIDEST = 3600.0 * 10
 """Largest angle from the axis in arcseconds."""
 
-_direction = partial(
+_direction = functools.partial(
     require_pair,
     "direction",
     meaning="of angles (x, y)",
-    rule=partial(require_number, minimum=-_WIDEST, maximum=_WIDEST),
+    rule=functools.partial(require_number, minimum=-_WIDEST, maximum=_WIDEST),
 )
 
 
