@@ -51,7 +51,9 @@ from .batches import SumTask as SumTask
 from .batches import Threads as Threads
 from .batches import add as add
 from .batches import cost_of as cost_of
+from .batches import count_lanes as count_lanes
 from .batches import counted as counted
+from .batches import lanes_reported as lanes_reported
 from .batches import on_all_cores as on_all_cores
 from .batches import prepared as prepared
 from .files import Sink as Sink
@@ -74,8 +76,6 @@ from .files import require_zarr as require_zarr
 from .files import stored_array as stored_array
 from .files import write_text as write_text
 from .garbage import hide_scenes as hide_scenes
-from .lanes import count_lanes as count_lanes
-from .lanes import lanes_reported as lanes_reported
 from .limits import GIB as GIB
 from .limits import MEMORY_LIMIT as MEMORY_LIMIT
 from .limits import check_memory as check_memory

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ctypes
 import gc
 import logging
 import multiprocessing
@@ -23,6 +24,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType, TracebackType
 from typing import Any, Protocol, TypeVar
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
@@ -551,3 +553,53 @@ def cost_of(work: Callable[..., Any], *values: Any, **options: Any) -> Cost:
         except _KnownError as known:
             (seconds,) = known.args
     return Cost(seconds, max(sizes))
+
+
+_LOOK = 0.25
+"""Seconds between two reports of a kernel."""
+
+_lane_count: ContextVar[Any] = ContextVar("count", default=None)
+
+
+def count_lanes(lanes: int) -> None:
+    """Let the kernel that is being recorded count its lanes, if anyone asks for them: see `lanes_reported`."""
+    if (count := _lane_count.get()) is not None:
+        # Without a copy of the count for each thread, which Dr.Jit would add up at the end.
+        dr.scatter_add(count, mi.UInt32(1), dr.zeros(mi.UInt32, lanes), mode=dr.ReduceMode.Local)
+
+
+@contextlib.contextmanager
+def lanes_reported(report: Callable[[float], None] | None, lanes: int) -> Iterator[None]:
+    """Report the fraction of lanes that kernels within the context have counted, from a thread while they run.
+
+    What the report raises is raised at the end of the context. On CUDA nothing is reported.
+    """
+    if report is None or on_cuda():
+        yield
+        return
+    count = dr.zeros(mi.UInt32, 1)
+    dr.make_opaque(count)
+    dr.sync_thread()
+    counted = ctypes.c_uint32.from_address(count.numpy().ctypes.data)
+    ended = threading.Event()
+    errors: list[BaseException] = []
+
+    def watch() -> None:
+        try:
+            while not ended.wait(_LOOK):
+                if counted.value:
+                    report(min(counted.value / lanes, 1.0))
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=watch, daemon=True)
+    before = _lane_count.set(count)
+    thread.start()
+    try:
+        yield
+    finally:
+        _lane_count.reset(before)
+        ended.set()
+        thread.join()
+    if errors:
+        raise errors[0]

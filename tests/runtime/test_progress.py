@@ -8,7 +8,7 @@ import pytest
 
 from mitsuba_plenoptic import load_scene, progress_bar, render_capture
 from mitsuba_plenoptic.cli.stopping import stage_lines
-from mitsuba_plenoptic.runtime import lanes, progress
+from mitsuba_plenoptic.runtime import batches, progress
 
 
 @pytest.fixture
@@ -133,7 +133,7 @@ def captured(scene, model, reports=None, **options):
 
 @pytest.mark.parametrize("model", ["ray", "wave"])
 def test_kernels_report_while_they_run_and_give_the_same_bits(monkeypatch, model):
-    monkeypatch.setattr(lanes, "_INTERVAL", 0.001)
+    monkeypatch.setattr(batches, "_LOOK", 0.001)
     scene = load_scene("letters", variant="llvm_ad_mono", parameters={"resolution": 128, "detector_width": 0.256})
     reports = []
     image = captured(scene, model, reports)
@@ -145,7 +145,7 @@ def test_kernels_report_while_they_run_and_give_the_same_bits(monkeypatch, model
 
 
 def test_what_a_report_raises_ends_the_work(monkeypatch):
-    monkeypatch.setattr(lanes, "_INTERVAL", 0.001)
+    monkeypatch.setattr(batches, "_LOOK", 0.001)
     scene = load_scene("letters", variant="llvm_ad_mono", parameters={"resolution": 128, "detector_width": 0.256})
 
     def stop(done, total):

@@ -339,7 +339,7 @@ def test_passes_of_large_ray_captures_have_a_power_of_two_of_samples(monkeypatch
     mi.set_variant("llvm_ad_mono")
     scene, done = load_scene("letters", parameters={"resolution": "32", "detector_width": "0.064"}), []
     monkeypatch.setattr("mitsuba_plenoptic.scene.capture._RAYS_PER_PASS", 28 * 32**2)
-    monkeypatch.setattr("mitsuba_plenoptic.runtime.lanes._INTERVAL", 1e9)
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.batches._LOOK", 1e9)
     for spp in (28, 40):
         render_capture(
             scene, model="ray", spp=spp, progress=lambda count, total, spp=spp: done.append(count * spp // total)
