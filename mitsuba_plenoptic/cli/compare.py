@@ -40,7 +40,7 @@ def compare(
         str,
         typer.Option(
             metavar="NAME,...",
-            help="What both captures are refocused by, and rays; the two last take most of the time. A further one, "
+            help="What both captures are refocused by, and rays; the last two take most of the time. A further one, "
             "limit, propagates one lens at a time, takes longest, and shows what interference between lenses adds.",
         ),
     ] = "ray,coherent,partial,incoherent,deconvolved",

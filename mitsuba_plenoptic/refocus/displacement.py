@@ -170,8 +170,8 @@ def brought_back(image: Doubles, moved: Sequence[Doubles], weights: Doubles, rea
     xv = covariance(0, 2, x * value)
     yv = covariance(1, 2, y * value)
     determinant = xx * yy - xy**2
-    # A few bins in a line determine no plane.
-    # Covariance of the positions of the bins to which a plane is fitted, in bins: four in a square have 0.06.
+    # A few bins in a line determine no plane. The determinant is that of the covariance of positions, in bins: four in
+    # a square have 0.06.
     known_plane = determinant > 1e-3
     safe = np.where(known_plane, determinant, 1)
     across = (yy * xv - xy * yv) / safe

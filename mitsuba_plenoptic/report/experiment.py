@@ -209,7 +209,7 @@ class Settings(CaptureSpec):
 
     @property
     def slider_methods(self) -> tuple[str, ...]:
-        """The names of those methods of the wave capture whose pictures the report's slider shows."""
+        """Names of the wave capture's methods whose pictures the slider of the report shows."""
         waves = [method.name for method in self.methods if method.source == "wave"]
         return tuple(name for name in waves if name not in ("limit", "ray_point"))
 

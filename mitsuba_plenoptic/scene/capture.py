@@ -39,7 +39,6 @@ _SAMPLES_PER_PASS = 2**14
 """Dr.Jit gives blocks of so many rays to its threads; pixels of more samples would be shared by two of them."""
 
 _version = functools.cache(importlib.metadata.version)
-"""Packages whose versions captures state."""
 
 _OF_INTEGRATORS = (*KNOWN_PARAMETERS["plenoptic_wave"], *KNOWN_PARAMETERS["plenoptic_laser"])
 """Parameters that captures hand on to the integrators."""
