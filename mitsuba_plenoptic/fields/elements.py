@@ -10,7 +10,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..optics import parabola, phasor, rays
-from ..runtime import active_backend, drjit_array, fft
+from ..runtime import Array, Pair, active_backend, drjit_array, fft
 from .microlens_orders import MicrolensArray
 from .steps import Step
 from .transmittance import is_separable, transmission
@@ -91,7 +91,7 @@ class Element:
         return _evaluate(self._step.x.source, self._step.y.source[rows], self._function)
 
 
-def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any]) -> fft.Field:
+def _evaluate(x: Array, y: Array, function: Callable[[Any, Any], Any]) -> fft.Field:
     """Return a function of two Dr.Jit arrays at all pairs of coordinates."""
     types = active_backend().types
     _, row, column = fft.split(types, dr.arange(types.UInt32, len(x) * len(y)), len(y), len(x))
@@ -148,7 +148,7 @@ def _centre(camera: PlenopticCamera, index: tuple[int, int]) -> tuple[float, flo
     return float(x), float(y)
 
 
-def _of_subset(light: Any, index: tuple[Any, Any], interleave: int, subset: tuple[int, int]) -> Any:
+def _of_subset(light: Any, index: Pair, interleave: int, subset: tuple[int, int]) -> Any:
     """Return light with the contributions of lenses outside the subset set to 0."""
     period = dr.opaque(type(index[0]), interleave)
     mine = [

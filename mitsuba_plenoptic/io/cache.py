@@ -20,12 +20,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..runtime import Forecast, in_words, lock_of, locked, read_text, software, write_text
+from ..runtime import Array, Forecast, Progress, in_words, lock_of, locked, read_text, software, write_text
 from .captures import Capture, read_capture, write_capture
 from .checkpoints import CHECKPOINT_SUFFIX, Checkpoint, hash_of, write_json
 from .exr import read_exr, write_exr
-
-Progress = Callable[[int, int], None]
 
 _log = logging.getLogger(__name__)
 
@@ -90,8 +88,8 @@ class Cache:
             )
 
     def image(
-        self, name: str, inputs: Any, make: Callable[[Progress], tuple[np.ndarray, dict[str, Any]]]
-    ) -> tuple[np.ndarray, str]:
+        self, name: str, inputs: Any, make: Callable[[Progress], tuple[Array, dict[str, Any]]]
+    ) -> tuple[Array, str]:
         """Return an image and its key; facts about it go into the file's header."""
         (image, *_), key = self._get(f"{name}.exr", inputs, make, lambda path, made: write_exr(path, *made), read_exr)
         return np.asarray(image, dtype=np.float32), key

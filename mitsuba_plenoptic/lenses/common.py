@@ -14,9 +14,8 @@ from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import in_millimetres, rays
 from ..prescription import Collimator, Objective, Prescription
-from ..runtime import Doubles
+from ..runtime import Doubles, Pair
 from .protocol import MainLens
-from .pupil import Pair
 
 if TYPE_CHECKING:
     from .fitted_lens import FittedLens

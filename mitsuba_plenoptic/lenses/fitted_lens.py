@@ -27,10 +27,10 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import put, refuse_if
 from ..optics import in_millimetres
-from ..runtime import Doubles, Integers, drjit_array, single_threaded_blas, turn
+from ..runtime import Doubles, Integers, Pair, drjit_array, single_threaded_blas, turn
 from .accuracy import ACCURACY
 from .protocol import Entrance, Traced
-from .pupil import Pair, Pupil
+from .pupil import Pupil
 from .pupil_fit import PupilFit, PupilRays, entrance_place, nodes, trace_all
 from .pupil_polynomials import LensLight, Polynomial, PupilPolynomial, fit
 

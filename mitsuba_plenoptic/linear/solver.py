@@ -38,16 +38,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import refuse_if, refusing
-from ..runtime import Progress
+from ..runtime import Array, Flags, Progress
 from .map import LinearMap
-
-Array = NDArray[Any]
 
 _ADDED = 1e-4
 """Their least addition to every pixel and its model, over the mean of those that are lit, so that all are above 0."""
@@ -221,7 +217,7 @@ class RichardsonLucy(Steps):
         operator: LinearMap,
         image: Array,
         shift: float = 0.0,
-        penalty: Callable[[Array, NDArray[np.bool_]], Array] | None = None,
+        penalty: Callable[[Array, Flags], Array] | None = None,
     ) -> None:
         # 1e-4: Light of an element on the detector, over that of the best one, below which they take it for dark.
         super().__init__(operator, image, 1e-4)

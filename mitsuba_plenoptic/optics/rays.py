@@ -20,10 +20,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..prescription import defocus_factor
-from ..runtime import drjit_array, module_of, rsqrt, take
-
-Pair = tuple[Any, Any]
-"""x and y of slopes or direction cosines."""
+from ..runtime import Pair, drjit_array, module_of, rsqrt, take
 
 
 def chief_point(p: Any, mla_distance: Any, detector_distance: Any) -> Any:
@@ -69,19 +66,19 @@ def conjugate_coordinate(X: Any, distance: Any, mla_distance: Any) -> Any:
     return -X * mla_distance / distance
 
 
-def slopes_to_cosines(tx: Any, ty: Any) -> tuple[Any, Any]:
+def slopes_to_cosines(tx: Any, ty: Any) -> Pair:
     """Return direction cosines from slopes, t / sqrt(1 + tx^2 + ty^2)."""
     scale = rsqrt(1 + tx * tx + ty * ty)
     return tx * scale, ty * scale
 
 
-def cosines_to_slopes(sx: Any, sy: Any) -> tuple[Any, Any]:
+def cosines_to_slopes(sx: Any, sy: Any) -> Pair:
     """Return slopes from direction cosines, s / sqrt(1 - sx^2 - sy^2)."""
     scale = rsqrt(1 - sx * sx - sy * sy)
     return sx * scale, sy * scale
 
 
-def refracted(slope: tuple[Any, Any], index: float) -> tuple[Any, Any]:
+def refracted(slope: Pair, index: float) -> Pair:
     """Return the slope behind a border at which direction cosines grow by a relative index, by Snell's law."""
     sx, sy = slopes_to_cosines(*slope)
     return cosines_to_slopes(index * sx, index * sy)

@@ -19,7 +19,7 @@ import drjit as dr
 import numpy as np
 
 from ..errors import refuse_if, require_number, require_wavelength
-from ..runtime import Doubles, active_backend, array_module, backend_of, drjit_array, fft, one_at_a_time
+from ..runtime import Array, Doubles, active_backend, array_module, backend_of, drjit_array, fft, one_at_a_time
 from . import guards
 
 _MM_PER_NM = 1e-6
@@ -81,9 +81,7 @@ def rim(size: int) -> int:
     return max(1, round(size * EDGE / 2))
 
 
-def band_edge_fraction(
-    spectrum: fft.Field, frequencies: np.ndarray | None = None, weight: np.ndarray | float = 1.0
-) -> float:
+def band_edge_fraction(spectrum: fft.Field, frequencies: Array | None = None, weight: Array | float = 1.0) -> float:
     """Fraction of a spectrum's power in the outer eighth of the frequencies; zero frequency is first.
 
     `spectrum` has the shape (rows, columns); `frequencies` and `weight` have one value for each row.
@@ -97,7 +95,7 @@ def band_edge_fraction(
     return fraction(edge, weighted(weight * np.ones(len(rows)), spectrum))
 
 
-def frequencies_of(size: int) -> np.ndarray:
+def frequencies_of(size: int) -> Array:
     """Frequencies of a transform over the grid's band limit, zero first, as float64 (size,)."""
     return np.fft.fftfreq(size) * 2
 
@@ -107,7 +105,7 @@ def fraction(share: float, total: float) -> float:
     return float(share / total) if total > 0 else 0.0
 
 
-def weighted(weight: np.ndarray, field: fft.Field) -> float:
+def weighted(weight: Array, field: fft.Field) -> float:
     """Return the sum of the power of rows, each multiplied by a weight."""
     return float((backend_of(field).arrays.asarray(weight.astype(np.float64)) * power_by_row(field)).sum())
 
@@ -193,7 +191,7 @@ def _row_step(field: fft.Field) -> int:
     return len(field) // _ROWS | 1 if field.size > _SMALL else 1
 
 
-def _packed_rows(packed: Any, shape: tuple[int, ...], chosen: np.ndarray | None) -> fft.Field:
+def _packed_rows(packed: Any, shape: tuple[int, ...], chosen: Array | None) -> fft.Field:
     """Return some or all rows of a field that is stored as 64-bit words."""
     field = fft.as_field(packed, shape)
     return field if chosen is None else field[backend_of(field).arrays.asarray(chosen)]

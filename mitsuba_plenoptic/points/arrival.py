@@ -27,7 +27,7 @@ from ..fields import (
 )
 from ..lenses import ClosedLens, ExitPupil, PointLight, ThinLens, cone
 from ..optics import band_edge_fraction, guards, in_millimetres, phasor, power, power_by_row, soft_edge
-from ..runtime import Doubles, active_backend, check_memory, fft
+from ..runtime import Doubles, Pair, active_backend, check_memory, fft
 from .pupil_weights import PupilWeights
 from .sampling import Footprint, bundle_footprint, footprint
 from .seen_pupil import SeenPupil
@@ -403,7 +403,7 @@ def _stop_field(
     lens: ClosedLens,
     position: Doubles,
     wavelength: float,
-    pupil: tuple[Any, Any],
+    pupil: Pair,
     sample: float,
     weights: PupilWeights | None,
     vignetting: Vignetting | None = None,

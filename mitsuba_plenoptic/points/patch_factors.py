@@ -14,12 +14,11 @@ from typing import Any, cast
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ..fields import ArrayFactor, VaryingArrayFactor, has_response, recorded_amplitude
 from ..lenses import Light, MainLens, VaryingLens
 from ..optics import in_millimetres, phasor, smooth_edge, soft_edge, transfer
-from ..runtime import Doubles, Integers, array_module, drjit_array, fft, is_zero, on_cuda, turn
+from ..runtime import Array, Doubles, Integers, Pair, Triple, array_module, drjit_array, fft, is_zero, on_cuda, turn
 from .field_grid import Grid, Placement, lens_amplitude
 from .pupil_weights import PupilWeights
 from .seen_pupil import SeenPupil
@@ -184,7 +183,7 @@ class PatchFactors:
             values = drjit_array(self._types.Float64, values)
         return dr.gather(self._types.Float64, values, patch)
 
-    def _pupil(self, elements: Elements) -> tuple[Any, Any]:
+    def _pupil(self, elements: Elements) -> Pair:
         """Return plane waves from the pupil, (n, along y, along x), and the power of each point through it."""
         types = self._types
         lens = elements.lens()
@@ -194,7 +193,7 @@ class PatchFactors:
         index = dr.arange(types.UInt32, len(self._positions) * size * size)
         patch, row, column = fft.split(types, index, size, size)
 
-        def value(values: NDArray[Any]) -> Any:
+        def value(values: Array) -> Any:
             return self._each(values, patch)
 
         steps = self._steps
@@ -240,8 +239,8 @@ class PatchFactors:
         self,
         elements: Elements,
         light: Light,
-        pupil: tuple[Any, Any],
-        point: tuple[Any, Any, Any],
+        pupil: Pair,
+        point: Triple,
     ) -> Any:
         """Return the path in waves from points to the pupil, both given in the lattice frame."""
         camera = self._grid.camera
@@ -258,7 +257,7 @@ class PatchFactors:
             return waves
         return waves + elements.aberration(*in_camera) / self._constant(in_millimetres(elements.wavelength))
 
-    def _in_camera(self, elements: Elements, x: Any, y: Any) -> tuple[Any, Any]:
+    def _in_camera(self, elements: Elements, x: Any, y: Any) -> Pair:
         """Return the camera-frame components of a vector given in the lattice frame."""
         angle = self._grid.rotation + elements.turned
         return (x, y) if is_zero(angle) else turn(x, y, self._constant(angle))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..runtime import Box, Doubles, Floats, Integers, active_backend, turn
+from ..runtime import Box, Doubles, Floats, Integers, Pair, active_backend, turn
 from .field_grid import Grid
 from .pixels import PixelIntegrals, TurnedSamples
 
@@ -36,7 +36,7 @@ class Recorder:
         low: Integers,
         high: Integers,
         parent: Recorder | None = None,
-        regular: Callable[[Any, Any], tuple[Any, Any]] | None = None,
+        regular: Callable[[Any, Any], Pair] | None = None,
         aside: float = 0.0,
     ) -> None:
         self._camera = camera

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, overload
 
 import numpy as np
@@ -16,7 +16,7 @@ from ..errors import LONGEST, require_count, suggest_keywords, warn
 from ..io import CaptureLike, Checkpoint, read_if_path
 from ..optics import guards
 from ..refocus_options import all_options, with_options
-from ..runtime import GIB, BatchMap, Forecast, in_words, memory_asked, one_at_a_time
+from ..runtime import GIB, BatchMap, Forecast, Progress, in_words, memory_asked, one_at_a_time
 from .displacement import is_known
 from .methods import (
     Found,
@@ -61,7 +61,7 @@ def reconstruct(
     wavelength: float | Sequence[float] | None = None,
     oversample: int = 1,
     white: CaptureLike | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     checkpoint: Checkpoint | None = None,
     batch_map: BatchMap | None = None,
     **options: Any,

@@ -35,7 +35,7 @@ from ..camera import PlenopticCamera
 from ..design import focus_type
 from ..fields import FreeSpace, Hop, OpticalSystem, Step, converging, is_paraxial, retained_workspace
 from ..optics import guards, in_millimetres, parabola, phasor, rays, soft_edge
-from ..runtime import active_backend, check_memory, drjit_array, fft, single_threaded_blas
+from ..runtime import Array, active_backend, check_memory, drjit_array, fft, single_threaded_blas
 from .conjugates import Conjugates, ThinConjugates, behind_thin_lens
 from .methods import Progress
 from .planning import GUARD, check_pupil_diffraction, detector_step, field_subsamples
@@ -114,7 +114,7 @@ class LensTile:
         return float(lattice.aperture_width if lattice.aperture == "circle" else self.cell_width * lattice.fill)
 
     @cached_property
-    def cell(self) -> np.ndarray:
+    def cell(self) -> Array:
         """MLA coordinates in mm, from a lens's centre, that contain its aperture wherever samples lie."""
         count = self.cell_samples
         return (np.arange(count) - (count - 1) / 2) * self.pitch
@@ -153,7 +153,7 @@ class LensTile:
         return in_millimetres(self.wavelength) * self.camera.mla_distance / (self.lenses * self.camera.row_pitch)
 
     @cached_property
-    def pupil(self) -> np.ndarray:
+    def pupil(self) -> Array:
         """Pupil coordinates along an axis, in millimetres."""
         count = 2 * math.ceil(self.camera.aperture_radius / self.pupil_pitch) + 1
         return (np.arange(count) - (count - 1) / 2) * self.pupil_pitch
@@ -208,13 +208,13 @@ class LensBatch:
     are the samples of the windows, and `offset` their distances (2, n, cell) from the lens's centre along x and y.
     """
 
-    bin: np.ndarray
-    aside: np.ndarray
-    centre: np.ndarray
-    rows: np.ndarray
-    columns: np.ndarray
-    offset: np.ndarray
-    focal_length: np.ndarray
+    bin: Array
+    aside: Array
+    centre: Array
+    rows: Array
+    columns: Array
+    offset: Array
+    focal_length: Array
 
 
 class LensSet:
@@ -239,7 +239,7 @@ class LensSet:
         self.bin = bins - np.array(self.first)
         self.bins = int(self.bin[:, 0].max()) + 1, int(self.bin[:, 1].max()) + 1
 
-    def pixels(self, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def pixels(self, which: Array) -> tuple[Array, Array]:
         """Return the first recorded column and row (n, 2) that may belong to lenses, and those after the last."""
         camera = self.tile.camera
         half = self.tile.cell_width / 2
@@ -254,14 +254,14 @@ class LensSet:
         first, end = (np.clip(end, 0, camera.crop_size) for end in ends)
         return first, end
 
-    def lit(self, image: np.ndarray) -> np.ndarray:
+    def lit(self, image: Array) -> Array:
         """Return the indices, in this set, of lenses whose pixels contain light, an int64 array (n,)."""
         counts = np.pad((image > 0).cumsum(0, np.int32).cumsum(1, np.int32), ((1, 0), (1, 0)))
         (left, top), (right, bottom) = (ends.T for ends in self.pixels(np.arange(len(self._index))))
         lit = counts[bottom, right] - counts[top, right] - counts[bottom, left] + counts[top, left]
         return np.flatnonzero(lit)
 
-    def blocks(self, which: np.ndarray) -> Iterator[np.ndarray]:
+    def blocks(self, which: Array) -> Iterator[Array]:
         """Yield the lenses in square blocks, whose light comes from the detector at once."""
         # Samples across the lenses whose light comes from the detector at once.
         width = max(2**10 * self.tile.pitch, 4 * self.tile.cell_width)
@@ -270,7 +270,7 @@ class LensSet:
         for block in np.unique(number):
             yield which[number == block]
 
-    def to_array(self, which: np.ndarray) -> Step:
+    def to_array(self, which: Array) -> Step:
         """Return the step from the pixels around some lenses to samples on the array, which hold their windows."""
         tile = self.tile
         first, end = self.pixels(which)
@@ -282,7 +282,7 @@ class LensSet:
         )
         return Step(across, down)
 
-    def on_array(self, amplitude: np.ndarray, which: np.ndarray) -> tuple[fft.Field, Step]:
+    def on_array(self, amplitude: Array, which: Array) -> tuple[fft.Field, Step]:
         """Return the field on the array from the pixels around some lenses, and the step to its samples.
 
         Light that strays from another lens's pixels into a cell is deflected by a micro-image and misses the main lens.
@@ -299,7 +299,7 @@ class LensSet:
             pixels = workspace.repeated(amplitude[top:bottom, left:right], tile.subsamples)
             return workspace.whole(hop.forward(pixels, workspace), step.shape), step
 
-    def batch(self, lenses: np.ndarray, step: Step) -> LensBatch:
+    def batch(self, lenses: Array, step: Step) -> LensBatch:
         """Return the batch of the lenses at the given positions, with their windows in the samples of a step."""
         tile = self.tile
         centre = self.centre[lenses]
@@ -320,7 +320,7 @@ class LensSet:
 
 @single_threaded_blas()  # a lens's products are too small for threads, which would wait for each other actively
 def reconstruct_lens_by_lens(
-    image: np.ndarray,
+    image: Array,
     camera: PlenopticCamera,
     distances: Sequence[float],
     wavelength: float,
@@ -330,7 +330,7 @@ def reconstruct_lens_by_lens(
     checked: bool = True,
     progress: Progress = lambda done: None,
     conjugates: Conjugates | None = None,
-) -> list[np.ndarray]:
+) -> list[Array]:
     """Return images from lenses propagated one by one, the limit of `reconstruct_subsets` for large periods."""
     tile = reconstruction_tile(camera, wavelength, distances, oversample)
     lenses = LensSet(tile)
@@ -398,7 +398,7 @@ def _product(fields: fft.Field, matrix: fft.Field) -> fft.Field:
 
 def object_patches(
     fields: fft.Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates
-) -> np.ndarray:
+) -> Array:
     """Return the power of each lens's light at the samples around its bin, upright; float32 (n, samples, samples)."""
     camera = tile.camera
     focused = _aim(fields, tile, batch, distance, conjugates)
@@ -462,7 +462,7 @@ def _aim(fields: fft.Field, tile: LensTile, batch: LensBatch, distance: float, c
     return fft.as_field(fft.pack(aimed), fields.shape)
 
 
-def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
+def on_bins(total: Array, lenses: LensSet) -> Array:
     """Return the bins of the image, cut from the sum of power at samples over lenses."""
     tile = lenses.tile
     for axis in (0, 1):
@@ -483,7 +483,7 @@ def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
     return image
 
 
-def integrated(power: np.ndarray, tile: LensTile, axis: int) -> np.ndarray:
+def integrated(power: Array, tile: LensTile, axis: int) -> Array:
     r"""Return the integrals over bins, along an axis, of power that is sampled several times for each lens.
 
     Where the samples resolve the power, the power is the trigonometric polynomial through them, whose integrals over

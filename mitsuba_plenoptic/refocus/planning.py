@@ -44,7 +44,7 @@ from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..fields import AxisStep, Directions, LensAxis, Step, bend
 from ..optics import guards, in_millimetres, rays
-from ..runtime import check_memory, fft, work_limit
+from ..runtime import Array, check_memory, fft, work_limit
 
 Span = tuple[int, int]
 Window = tuple[Span, Span]
@@ -305,7 +305,7 @@ def _beyond_paraxial(
     return AxisStep(on_array.start, pitch, on_array.wanted, padded, new_padded, start, samples)
 
 
-def _cells(camera: PlenopticCamera, ends: np.ndarray, axis: int) -> tuple[float, float]:
+def _cells(camera: PlenopticCamera, ends: Array, axis: int) -> tuple[float, float]:
     """Return the range of the cells that contain all points between two coordinates on the MLA."""
     lattice = camera.lattice
     if lattice.axis_aligned:

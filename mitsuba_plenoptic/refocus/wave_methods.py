@@ -70,7 +70,7 @@ from ..fields import (
     microlenses,
 )
 from ..optics import guards, phasor, power, soft_edge
-from ..runtime import Doubles, Floats, Integers, active_backend, array_module, check_memory, fft, work_limit
+from ..runtime import Array, Doubles, Floats, Integers, active_backend, array_module, check_memory, fft, work_limit
 from .bins import BinSums
 from .conjugates import Conjugates, FieldZone, RealConjugates, ThinConjugates, undistorted
 from .lens_by_lens import LensTile, fine_bins, reconstruct_lens_by_lens, tile_lenses
@@ -92,21 +92,21 @@ _APART = 2
 
 
 @method("coherent", waves=True)
-def coherent(task: Task, *, relay: bool) -> list[np.ndarray]:
+def coherent(task: Task, *, relay: bool) -> list[Array]:
     """Return images refocused by propagating the light back as one coherent wave."""
     return _refocus(task, 1, relay)
 
 
 @method("partial", waves=True)
-def partial(task: Task, *, interleave: int | str, relay: bool) -> list[np.ndarray]:
+def partial(task: Task, *, interleave: int | str, relay: bool) -> list[Array]:
     """Return images refocused by propagating the light back as one wave for each subset of lenses, or for each lens."""
     return _refocus(task, interleave, relay)
 
 
-def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]:
+def _refocus(task: Task, interleave: int | str, relay: bool) -> list[Array]:
     """Return the refocused images, channel by channel."""
 
-    def sums_of(image: np.ndarray, distances: Sequence[float], progress: Progress) -> list[np.ndarray]:
+    def sums_of(image: Array, distances: Sequence[float], progress: Progress) -> list[Array]:
         # The shortest waves, which take the most memory, come first.
         channels = np.argsort(task.wavelengths).tolist()
         works = work_of([task.wavelengths[channel] for channel in channels])
@@ -123,7 +123,7 @@ def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]
     return divided_by_white(task, sums_of, task.camera.lit_radius, "lens", "waves", *key)
 
 
-def signed_parts(image: np.ndarray) -> list[tuple[float, np.ndarray]]:
+def signed_parts(image: Array) -> list[tuple[float, Array]]:
     """Return the non-negative pixels with the sign 1 and, if any, the magnitudes of negative ones with the sign -1.
 
     Amplitudes are square roots. Pixels below zero, which `expose` may make of dark ones, are refocused separately, and
@@ -135,7 +135,7 @@ def signed_parts(image: np.ndarray) -> list[tuple[float, np.ndarray]]:
 
 
 def _signed_power(
-    image: np.ndarray,
+    image: Array,
     system: OpticalSystem,
     distances: Sequence[float],
     planned: Sequence[float],
@@ -144,7 +144,7 @@ def _signed_power(
     oversample: int,
     progress: Progress,
     checked: bool,
-) -> list[np.ndarray]:
+) -> list[Array]:
     """Return the power in bins, in pixel values times pixels, spread over lenses if lenses are not aligned with bins.
 
     The propagation to the main lens is done once for all distances. Seen from behind, a real main lens is a thin one.
@@ -190,7 +190,7 @@ def _signed_power(
 
 
 def full_field_period(
-    image: np.ndarray, camera: PlenopticCamera, distances: Sequence[float], wavelength: float
+    image: Array, camera: PlenopticCamera, distances: Sequence[float], wavelength: float
 ) -> int | None:
     """Return the period from which on subsets of lenses do not interfere, or None if single lenses are cheaper.
 
@@ -211,7 +211,7 @@ def full_field_period(
 
 
 def reconstruct_subsets(
-    image: np.ndarray,
+    image: Array,
     camera: PlenopticCamera,
     distances: Sequence[float],
     wavelength: float,
@@ -223,7 +223,7 @@ def reconstruct_subsets(
     progress: Progress = lambda done: None,
     conjugates: Conjugates | None = None,
     planned: Sequence[float] | None = None,
-) -> list[np.ndarray]:
+) -> list[Array]:
     """Return the power in bins of object planes, from subsets of lenses propagated coherently.
 
     The image must not be negative. The propagation to the main lens is done once for all distances. The period of a
@@ -267,7 +267,7 @@ def reconstruct_subsets(
     return totals
 
 
-def lit_window(image: np.ndarray, camera: PlenopticCamera) -> Window | None:
+def lit_window(image: Array, camera: PlenopticCamera) -> Window | None:
     """Return the first column and row of the full detector with light, and those after the last; None if dark."""
     window = []
     for axis in (0, 1):

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import refuse_if
 from ..io import StageOptions
+from ..runtime import Array
 from .comparison_page import write_report
 from .edge import square_sharpness
 from .experiment import EDGE_TILT, METHOD_TITLES, Experiment, Settings, open_store, run_experiment
@@ -235,7 +236,7 @@ def _edges(experiment: Experiment) -> list[dict[str, Any]]:
     return rows
 
 
-def _depth(low: np.ndarray) -> float:
+def _depth(low: Array) -> float:
     """Return the distance of a flat shape in mm, rounded to remove the noise of single precision."""
     return round(float(low[2]), 3)
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from .. import design
 from ..io import write_json
-from ..runtime import software
+from ..runtime import Array, software
 from .experiment import METHOD_TITLES, Experiment
 from .images import Brightness, data_url, encoded, to_bytes
 from .metrics import ssim_text
@@ -251,7 +251,7 @@ def reconstructions(experiment: Experiment, measured: Mapping[str, Any], window:
     }
 
 
-def _webp(image: np.ndarray, peak: float) -> str:
+def _webp(image: Array, peak: float) -> str:
     picture = Image.fromarray(to_bytes(image, peak))
     content = b""
     for quality in (85, 70, 50, 30):

@@ -17,9 +17,10 @@ from ..camera import PlenopticCamera
 from ..capture_spec import CaptureSpec
 from ..choices import Against
 from ..errors import naming, refuse_if, require_choice
-from ..io import Cache, Capture, Checkpoint, Progress, StageOptions
+from ..io import Cache, Capture, Checkpoint, StageOptions
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, reconstruct, require_distances
+from ..runtime import Progress
 from ..scene import pass_counts
 from .images import luminance
 

@@ -29,7 +29,7 @@ from ..camera import PlenopticCamera, are_alike
 from ..errors import refuse_if
 from ..io import linear_of
 from ..refocus import Reconstruction
-from ..runtime import atomic_output
+from ..runtime import Array, atomic_output
 from .images import Brightness, srgb, to_bytes
 from .windows import Window, Zoom
 
@@ -72,7 +72,7 @@ class Plot(Figure):
         super().__init__((width, height or width), dpi or DPI, facecolor="white", layout=self._engine)
         FigureCanvasAgg(self)
 
-    def panels(self, rows: int, columns: int, aspect: float | Sequence[float] = 1.0) -> np.ndarray:
+    def panels(self, rows: int, columns: int, aspect: float | Sequence[float] = 1.0) -> Array:
         """Return axes (rows, columns) without frame and ticks; `aspect` is height over width, of all or of each row."""
         aspects = np.broadcast_to(aspect, rows).tolist()
         if self._fits_panels:
@@ -165,13 +165,13 @@ IN_FOCUS = "in the plane in focus"
 """Planes of scale bars, besides distances."""
 
 
-def show(axes: Axes, image: np.ndarray, title: str, *, peak: float | None = None, size: float = 10) -> None:
+def show(axes: Axes, image: Array, title: str, *, peak: float | None = None, size: float = 10) -> None:
     """Show a linear image, whose `peak` becomes white."""
     axes.imshow(to_bytes(image, peak), cmap="gray", vmin=0, vmax=255, interpolation="auto", aspect="auto")
     annotate(axes, title=title, size=size)
 
 
-def show_difference(axes: Axes, difference: np.ndarray, bound: float) -> Any:
+def show_difference(axes: Axes, difference: Array, bound: float) -> Any:
     """Draw a difference in colours from blue at `-bound` to red at `bound`; return the artist for a colour bar."""
     return axes.imshow(difference, cmap="RdBu_r", vmin=-bound, vmax=bound, interpolation="auto", aspect="auto")
 
@@ -249,7 +249,7 @@ _AT_DISTANCE = "bars: lengths at the distance of each image"
 class Panel:
     """Image on a sheet with its title and, if known, its width in millimetres of the object."""
 
-    image: np.ndarray
+    image: Array
     title: str = ""
     width: float | None = None
 
@@ -421,7 +421,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
     finite = depth[np.isfinite(depth)]
     near, far = (float(finite.min()), float(finite.max())) if finite.size else (found.attrs["near"], found.attrs["far"])
     unknown = "" if finite.size == depth.size else "; hatched: unknown"
-    maps: list[tuple[str, np.ndarray, Any, str, str]] = [
+    maps: list[tuple[str, Array, Any, str, str]] = [
         ("In focus everywhere", image, _grey([image], white), "gray", "radiance"),
         (sought, depth, Normalize(near, far), "viridis_r", f"{unit}{unknown}"),
         ("Confidence", np.asarray(found["confidence"].values), Normalize(0, 1), "gray", "probability"),
@@ -491,7 +491,7 @@ def _sheet(
     return plot
 
 
-def _grey(images: Sequence[np.ndarray], white: float | None) -> FuncNorm:
+def _grey(images: Sequence[Array], white: float | None) -> FuncNorm:
     """Return the scale of radiances from black to white, encoded in sRGB like pictures."""
     peak = Brightness().peak(images) if white is None else white
     return FuncNorm(
@@ -501,7 +501,7 @@ def _grey(images: Sequence[np.ndarray], white: float | None) -> FuncNorm:
     )
 
 
-def _draw(axes: Axes, values: np.ndarray, norm: Normalize, colours: str = "gray", **options: Any) -> Any:
+def _draw(axes: Axes, values: Array, norm: Normalize, colours: str = "gray", **options: Any) -> Any:
     """Draw an image or a map with hatched NaN; return the artist."""
     finite = np.isfinite(values if values.ndim == 2 else values.sum(axis=2))
     if not finite.all():
@@ -523,23 +523,23 @@ def _in_focus(lf: xr.DataArray | xr.Dataset) -> float | None:
     return abs(float(lf.s[0] - lf.s[-1])) * lf.sizes["s"] / max(1, lf.sizes["s"] - 1)
 
 
-def _end(values: np.ndarray, norm: Normalize) -> str:
+def _end(values: Array, norm: Normalize) -> str:
     """Return the shape of a scale's end: an arrow if values exceed the end."""
     return "max" if np.any(values > 1.001 * (norm.vmax or 0.0)) else "neither"
 
 
-def _sampled(lf: xr.DataArray) -> np.ndarray:
+def _sampled(lf: xr.DataArray) -> Array:
     """Return the samples of a light field; NaN where no light comes from."""
     return np.asarray((lf.where(lf.weight > 0) if "weight" in lf.coords else lf).transpose(*lf.dims).values)
 
 
-def _edges(positions: np.ndarray) -> tuple[float, float]:
+def _edges(positions: Array) -> tuple[float, float]:
     """Return the outer edges of evenly spaced samples; a single sample is drawn 1 wide."""
     half = (positions[-1] - positions[0]) / (len(positions) - 1) / 2 if len(positions) > 1 else 0.5
     return float(positions[0] - half), float(positions[-1] + half)
 
 
-def _labels(positions: np.ndarray, name: str, unit: str) -> list[str]:
+def _labels(positions: Array, name: str, unit: str) -> list[str]:
     """Return labels of positions, few enough not to overlap; the first names the quantity."""
     stride = -(-len(positions) // 9)
     texts = [f"{value:.2f}" if index % stride == 0 else "" for index, value in enumerate(positions + 0.0)]

@@ -6,10 +6,14 @@ from .backend import DEFAULT_VARIANT as DEFAULT_VARIANT
 from .backend import IMAGE as IMAGE
 from .backend import MILLIMETRES as MILLIMETRES
 from .backend import POINTS as POINTS
+from .backend import Array as Array
 from .backend import Backend as Backend
 from .backend import Doubles as Doubles
+from .backend import Flags as Flags
 from .backend import Floats as Floats
 from .backend import Integers as Integers
+from .backend import Pair as Pair
+from .backend import Triple as Triple
 from .backend import active_backend as active_backend
 from .backend import array_module as array_module
 from .backend import as_array as as_array

@@ -17,7 +17,7 @@ from ..array import Displacement, Lattice
 from ..camera import PlenopticCamera, Use, require_support
 from ..errors import MOST_PIXELS, put_checked, refuse_if, require_count, require_number, require_pair, require_warp
 from ..optics import rays
-from ..runtime import Doubles, Integers, require_memory, turn
+from ..runtime import Array, Doubles, Integers, require_memory, turn
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class LensGrid:
         across, down = self.spacing
         return min(across, down) if self.shifted_rows is None else min(across, math.hypot(across / 2, down), 2 * down)
 
-    def centres(self) -> np.ndarray:
+    def centres(self) -> Array:
         """Return the column and row coordinates of all centres.
 
         Returns
@@ -105,7 +105,7 @@ class LensGrid:
         moved = Displacement(self.warp).smooth(*np.moveaxis(regular - self.middle, -1, 0))
         return np.asarray(regular + np.stack(moved, axis=-1))
 
-    def regular(self, places: np.ndarray) -> np.ndarray:
+    def regular(self, places: Array) -> Array:
         """Return the positions (n, 2) from which the warp displaces to given ones."""
         if not self.warp:
             return places
@@ -179,7 +179,7 @@ def _warped(grid: LensGrid, camera: PlenopticCamera) -> LensGrid:
     return replace(grid, warp=tuple(warp), middle=(float(x), float(y)))
 
 
-def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
+def micro_image_centres(camera: PlenopticCamera, margin: float) -> Array:
     """Return the centres of all micro-images on a camera's recorded image, and up to `margin` pixels beyond.
 
     The result has the shape (lenses, 2).
@@ -197,7 +197,7 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
     return centres[((centres >= -margin) & (centres <= np.array(camera.crop_size) + margin)).all(1)]
 
 
-def lens_indices(camera: PlenopticCamera, centres: np.ndarray) -> tuple[Doubles, Doubles]:
+def lens_indices(camera: PlenopticCamera, centres: Array) -> tuple[Doubles, Doubles]:
     """Return the lattice indices of the lenses of micro-image centres (..., 2), columns and rows."""
     p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
     chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
@@ -205,7 +205,7 @@ def lens_indices(camera: PlenopticCamera, centres: np.ndarray) -> tuple[Doubles,
     return i, j
 
 
-def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
+def lens_types(camera: PlenopticCamera, centres: Array) -> Array:
     """Return the lens type of each micro-image: the index of its focal length.
 
     The centres, (..., 2) columns and rows on the recorded image, are computed or estimated ones.
@@ -236,7 +236,7 @@ def lens_numbers(camera: PlenopticCamera) -> Integers:
     return np.asarray((i - i.min()) * (np.ptp(j) + 1) + j - j.min())
 
 
-def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9, like: Lattice | None = None) -> tuple[np.ndarray, bool]:
+def lattice_rows(vectors: Array, tolerance: float = 1e-9, like: Lattice | None = None) -> tuple[Array, bool]:
     """Return steps along and across the rows from two lattice vectors; rows are chosen nearest to horizontal.
 
     Given a lattice, those are chosen that are most `like` the lattice's, in direction and in distance over pitch.
@@ -257,7 +257,7 @@ def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9, like: Lattice | N
     candidates = [rows for pair in (pairs if shifted else pairs[:1]) for rows in (pair, pair[::-1])]
     row = (1.0, 0.0) if like is None else like.from_frame(1.0, 0.0)
 
-    def unlike(pair: tuple[np.ndarray, np.ndarray]) -> float:
+    def unlike(pair: tuple[Array, Array]) -> float:
         pitch, apart = (math.hypot(*step) for step in pair)
         turned = abs(row[0] * pair[0][1] - row[1] * pair[0][0]) / pitch
         return turned if like is None else turned + abs(math.log(apart / pitch * np.divide(*like.period())))
@@ -268,7 +268,7 @@ def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9, like: Lattice | N
     return np.array([unit * math.hypot(*along), normal * (math.hypot(*across) / (2 if shifted else 1))]), shifted
 
 
-def reduced(vectors: np.ndarray) -> np.ndarray:
+def reduced(vectors: Array) -> Array:
     """Return the two shortest vectors of the lattice that two vectors span, at no less than 90 degrees (Lagrange)."""
     a, b = vectors
     while True:
@@ -281,7 +281,7 @@ def reduced(vectors: np.ndarray) -> np.ndarray:
         b = b - round(projection) * a
 
 
-def covering_grid(shape: tuple[int, ...], origin: np.ndarray, vectors: np.ndarray, shifted: bool) -> LensGrid:
+def covering_grid(shape: tuple[int, ...], origin: Array, vectors: Array, shifted: bool) -> LensGrid:
     """Return the grid of a lattice's lenses, counted from the first row and column needed for an image.
 
     Shapes: `shape` (int, int), `origin` (2,).

@@ -8,7 +8,6 @@ fitted to all pixels, and replaces them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from contextlib import nullcontext
 from typing import Any
 
@@ -20,7 +19,7 @@ from ..errors import InputError, warn
 from ..extension import hook
 from ..io import Capture, mosaic_of, recording_of
 from ..optics import Spectrum, guards
-from ..runtime import DEFAULT_VARIANT, Doubles, Floats, Job, set_variant
+from ..runtime import DEFAULT_VARIANT, Doubles, Floats, Job, Progress, set_variant
 from .white import mean_response, white_image
 
 _SAMPLES = 64
@@ -46,7 +45,7 @@ _UNEVEN = (
 """Parameters of a camera that make lenses, or the light on them, unequal."""
 
 
-def capture_white(capture: Capture, channels: int, progress: Callable[[int, int], None] | None = None) -> Floats:
+def capture_white(capture: Capture, channels: int, progress: Progress | None = None) -> Floats:
     """Return the white image (rows, columns, 1 or `channels`) of a capture's model of light, for a radiance of 1.
 
     A recorded capture, and one that states no wavelength or that signed rays do not compute, has that of rays, without
@@ -86,9 +85,7 @@ def _spectrum_of(capture: Capture, channels: int) -> Spectrum:
 
 
 @once_a_camera
-def _by_waves(
-    camera: PlenopticCamera, spectrum: Spectrum, progress: Callable[[int, int], None] | None = None
-) -> Floats:
+def _by_waves(camera: PlenopticCamera, spectrum: Spectrum, progress: Progress | None = None) -> Floats:
     """Return the white image (rows, columns, channels) of a spectrum's channels, each of which records 1 of white."""
     # Most white images need neither of these.
     import drjit as dr

@@ -25,7 +25,17 @@ from numpy.typing import NDArray
 
 from ..fields import Kind
 from ..optics import in_millimetres
-from ..runtime import Doubles, Floats, Integers, exponents, fft, on_all_cores, require_memory, single_threaded_blas
+from ..runtime import (
+    Doubles,
+    Flags,
+    Floats,
+    Integers,
+    exponents,
+    fft,
+    on_all_cores,
+    require_memory,
+    single_threaded_blas,
+)
 from .accuracy import USUAL
 from .array_field import LensWaves
 from .lens_functions import LensFunctions, of_middles
@@ -160,7 +170,7 @@ class ArrayKernels(LensWaves):
         spectra = transfer * (weights[:, None] * weights)
         return np.concatenate([spectra.real, spectra.imag], axis=1).reshape(len(spectra), -1)
 
-    def aperture_grid(self, samples: int) -> tuple[Doubles, Doubles, NDArray[np.bool_]]:
+    def aperture_grid(self, samples: int) -> tuple[Doubles, Doubles, Flags]:
         """Return coordinates of a grid around a lens, in the frame of the lattice, and a mask of its aperture."""
         reach = float(self.lattice.cell_reach)
         count = 2 * math.ceil(reach * samples / self.lattice.pitches[0])

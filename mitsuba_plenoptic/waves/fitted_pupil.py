@@ -28,7 +28,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..runtime import Doubles, drjit_array, monomials, on_all_cores, single_threaded_blas
+from ..runtime import Doubles, Pair, drjit_array, monomials, on_all_cores, single_threaded_blas
 from .accuracy import USUAL
 from .lens_functions import edge_covariance, even_polynomials
 from .pupil_samples import PupilSamples, along, means, spread_points
@@ -120,7 +120,7 @@ class FittedPupil:
         density = (1 - CLOSED) * densities[0] + CLOSED * densities[1]
         return [*places, *(dr.select(density > 0, share_of_density / density, 0) for share_of_density in densities)]
 
-    def _boxed(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def _boxed(self, x: Any, y: Any) -> Pair:
         """Return coordinates in the box around the open parts, from -1 to 1."""
         boxed = []
         for axis, coordinate in enumerate((x, y)):

@@ -13,8 +13,7 @@ from ...cli import inputs, options
 from ...errors import content_of, refuse_if
 
 if TYPE_CHECKING:
-    import numpy as np
-
+    from ...runtime import Array
     from .calibration import Board
 
 # Outliers that are printed by line.
@@ -178,7 +177,7 @@ def _evaluate(path: Path, camera: str | None, board: str | None, square: float |
         typer.echo(line)
 
 
-def _picture(path: Path, linear: bool) -> np.ndarray:
+def _picture(path: Path, linear: bool) -> Array:
     from ...io import Capture
     from ...views import read_recording
 

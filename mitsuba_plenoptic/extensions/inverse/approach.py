@@ -12,7 +12,7 @@ import numpy as np
 from ...camera import CameraVector, PlenopticCamera
 from ...errors import require_wavelength, warn
 from ...io import Checkpoint
-from ...runtime import Doubles
+from ...runtime import Doubles, Progress
 from ...views import estimate_lens_grid
 from .fit_light import View, check_views, kept_numbers, light_digest
 from .point_rays import RayModels, check_numbers, vector_of
@@ -95,7 +95,7 @@ def coarse_fit(
     *,
     wavelength: float = 633.0,
     bounds: Mapping[str, tuple[float, float]] | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> PlenopticCamera:
     """Return a camera from which `fit` converges, for a start whose lengths are some percent off.

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from ...lenses import ThinLens
 from ...optics import in_millimetres, phasor
 from ...points import blocks
-from ...runtime import Doubles, active_backend, array_module, backend_of, fft, on_cuda
+from ...runtime import Doubles, Pair, active_backend, array_module, backend_of, fft, on_cuda
 from .nonuniform import PlaneWaves
 
 _FADED = 0.3
@@ -70,7 +70,7 @@ class Carrier(Protocol):
     def adjoint(self, samples: Iterator[tuple[slice, fft.Field]]) -> fft.Field:
         """Return each wave's inner product with samples, which come in blocks of rows."""
 
-    def common(self, pupil: tuple[Any, Any]) -> Any:
+    def common(self, pupil: Pair) -> Any:
         """Return the additional path in waves, common to all points, at points of the pupil."""
 
     def remainder(self, waves: Doubles, x: Doubles, y: Doubles, points: Any) -> Doubles:
@@ -100,7 +100,7 @@ class Tilts:
         """Return an upper bound, in bytes, of the memory of the sums, apart from memory that grows with the points."""
         return PlaneWaves.memory(grid.count)
 
-    def common(self, pupil: tuple[Any, Any]) -> Any:
+    def common(self, pupil: Pair) -> Any:
         """Return the path in waves of the middle of the layer."""
         opaque = array_module().Float64
         X, Y, g = (dr.opaque(opaque, float(value)) for value in self.middle)
@@ -173,7 +173,7 @@ class Spheres:
 
         return self._waves.adjoint(spectra())
 
-    def common(self, pupil: tuple[Any, Any]) -> Any:
+    def common(self, pupil: Pair) -> Any:
         """Return the path in waves of the lens's aberrations at points of the pupil."""
         return self._lens.aberration(pupil, self._wavelength)
 

@@ -29,7 +29,7 @@ from ...fields import OpticalSystem
 from ...lenses import ThinLens
 from ...optics import in_millimetres, phasor, soft_edge
 from ...points import blocks
-from ...runtime import Doubles, active_backend, array_module, fft
+from ...runtime import Array, Doubles, Integers, active_backend, array_module, fft
 from .carriers import Carrier, PupilGrid, Spheres, Tilts
 
 _TOLERANCE = 5e-6
@@ -189,7 +189,7 @@ def carrier_type(lens: ThinLens, points: Doubles, grid: PupilGrid) -> type[Spher
     return Spheres if spheres else Tilts
 
 
-def layers(system: OpticalSystem, lens: ThinLens, points: Doubles) -> list[NDArray[np.int64]]:
+def layers(system: OpticalSystem, lens: ThinLens, points: Doubles) -> list[Integers]:
     """Return the indices of the points (n, 3) of each layer of distance."""
     defocus = lens.pupil.radius**2 / (2 * in_millimetres(system.wavelength)) / points[:, 2]
     order = np.argsort(defocus, kind="stable")
@@ -238,7 +238,7 @@ def _squares(columns: NDArray[np.complex128]) -> Doubles:
     return np.asarray((columns.real**2 + columns.imag**2).sum(0))
 
 
-def _interpolation(nodes: Doubles, at: Doubles, kind: type = np.float32) -> NDArray[Any]:
+def _interpolation(nodes: Doubles, at: Doubles, kind: type = np.float32) -> Array:
     """Return the matrix of polynomial interpolation from Chebyshev nodes to positions between -1 and 1."""
     degree = len(nodes) - 1
     chebyshev = np.polynomial.chebyshev.chebvander

@@ -18,6 +18,7 @@ from scipy.spatial import ConvexHull
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...report import images, plots
+from ...runtime import Array
 from .preview_views import LensView, view_of
 
 # Columns of pictures at least, and samples of each of their pixels. Small luminous things blur widely through an
@@ -48,13 +49,13 @@ class Preview:
         The camera's view.
     """
 
-    picture: np.ndarray
-    points: np.ndarray
-    shapes: np.ndarray
+    picture: Array
+    points: Array
+    shapes: Array
     view: LensView
 
     @property
-    def distance(self) -> np.ndarray:
+    def distance(self) -> Array:
         """Distances of the visible points along the axis, in the view's unit; NaN where nothing is visible."""
         return np.asarray(self.points[..., 2])
 

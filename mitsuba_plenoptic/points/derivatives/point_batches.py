@@ -10,12 +10,12 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...runtime import (
     Box,
     Doubles,
+    Flags,
     Floats,
     Integers,
     Part,
@@ -74,7 +74,7 @@ class SpreadCopies(Copies):
     """Positions and weights of the copies of a point spread, and the changes of the copies."""
 
     places: Doubles  # shifts on the microlens array in millimetres, (copies, 2)
-    moving: NDArray[np.bool_]  # whether the motion of the lattice against the point is included, (copies,)
+    moving: Flags  # whether the motion of the lattice against the point is included, (copies,)
 
     @classmethod
     def joined(cls, batches: Sequence[SpreadCopies]) -> SpreadCopies:
