@@ -144,4 +144,4 @@ def _sums(image: Array) -> Doubles:
     if any(size % 2 for size in image.shape):
         image = np.pad(image, [(0, size % 2) for size in image.shape])
     rows = np.add(image[::2], image[1::2], dtype=np.float64)
-    return np.asarray(rows[:, ::2] + rows[:, 1::2])
+    return rows[:, ::2] + rows[:, 1::2]

@@ -219,4 +219,4 @@ def filters(camera: PlenopticCamera, mosaic: str) -> Integers:
     repeats = 1 if mosaic in MOSAICS else 2
     left, top = camera.crop_offset
     rows, columns = camera.shape
-    return np.asarray(tile[np.ix_((np.arange(rows) + top) // repeats % 2, (np.arange(columns) + left) // repeats % 2)])
+    return tile[np.ix_((np.arange(rows) + top) // repeats % 2, (np.arange(columns) + left) // repeats % 2)]

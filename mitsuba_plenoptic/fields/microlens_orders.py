@@ -274,7 +274,7 @@ class PlaneFactor(ArrayFactor):
                 factor = dr.select(lattice.lens_type(*cell) == lens_type, factor, 0)
             samples *= factor
         packed = fft.pack(samples)
-        return np.asarray(backend_of(packed).to_host(fft.as_field(packed, tuple(shape))))
+        return backend_of(packed).to_host(fft.as_field(packed, tuple(shape)))
 
 
 class MicrolensArray:

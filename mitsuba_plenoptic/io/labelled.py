@@ -86,7 +86,7 @@ def _content(data: xr.Dataset) -> tuple[dict[str, Any], list[dict[str, Array]]]:
     values = {}
     for name, variable in data.variables.items():
         record[str(name)] = [list(map(str, variable.dims)), name in data.coords, _texts(variable.attrs)]
-        stored = np.asarray(variable.values)
+        stored = variable.values
         if stored.dtype.kind in "iub":
             stored = stored.astype(np.int64)
         elif stored.dtype.kind == "f":

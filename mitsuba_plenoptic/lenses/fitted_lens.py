@@ -174,7 +174,7 @@ class FittedLens:
     def within(self, images: Doubles) -> Doubles:
         """Return positions (..., 2) on the MLA, moved to the edge of the illuminated field if they lie outside."""
         away = np.hypot(images[..., 0], images[..., 1])[..., None]
-        return np.asarray(images * np.minimum(1, self._covered / np.maximum(away, 1e-12)))
+        return images * np.minimum(1, self._covered / np.maximum(away, 1e-12))
 
     @functools.cached_property
     def _covered(self) -> float:

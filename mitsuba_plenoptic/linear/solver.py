@@ -269,7 +269,7 @@ class Smart(_Averages):
         # 1e-3: Least value of pixels and of their model, over the mean of the image, for SMART's logarithm.
         floor = 1e-3 * float(self.image.mean())
         ratio = np.log(np.maximum(self.image, floor) / np.maximum(model, floor))
-        return np.asarray(point * np.exp(self._averaged(ratio)))
+        return point * np.exp(self._averaged(ratio))
 
 
 class Sirt(_Averages):

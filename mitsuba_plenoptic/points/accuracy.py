@@ -196,7 +196,7 @@ def _in_pitches(camera: PlenopticCamera, steps: Array) -> Doubles:
     """Return positions on the MLA in pitches, from steps along the lattice vectors, (n, 2)."""
     basis = np.array(camera.lattice.basis)
     offset = np.array(camera.mla_offset)
-    return np.asarray(steps @ (basis / camera.row_pitch) + offset / camera.row_pitch)
+    return steps @ (basis / camera.row_pitch) + offset / camera.row_pitch
 
 
 def _depth_steps(

@@ -171,7 +171,7 @@ class WavelengthPlans:
 
 def mix(image: Array, matrix: Floats) -> Array:
     """Return an image (..., channels) with its channels mixed by a matrix (new channels, channels)."""
-    return image if np.array_equal(matrix, np.eye(len(matrix))) else np.asarray(image @ matrix.T)
+    return image if np.array_equal(matrix, np.eye(len(matrix))) else image @ matrix.T
 
 
 def groups(wavelengths: tuple[float, ...]) -> Iterator[tuple[float, list[int]]]:

@@ -162,7 +162,7 @@ def brought_back(image: Doubles, moved: Sequence[Doubles], weights: Doubles, rea
     x, y, value = (_mean_about(light * term, reach) / mass for term in terms)
 
     def covariance(i: int, j: int, means: Doubles) -> Doubles:
-        return np.asarray(_mean_about(light * terms[i] * terms[j], reach) / mass - means)
+        return _mean_about(light * terms[i] * terms[j], reach) / mass - means
 
     xx = covariance(0, 0, x * x)
     xy = covariance(0, 1, x * y)

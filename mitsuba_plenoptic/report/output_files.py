@@ -89,7 +89,7 @@ def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing) -> None:
 
 def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing) -> None:
     """Write an epipolar image; a PNG is enlarged."""
-    values = np.asarray(image.values)
+    values = image.values
     white = drawing.brightness.peak([values])
     parts = as_parts(epipolar=values)
     write_drawn(

@@ -416,15 +416,15 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
     """
     sought, unit = ("Depth", "mm from the main lens") if "depth" in found else ("Disparity", "pixels per view")
     found = found if "depth" in found else found.assign(depth=found.disparity.where(found.confidence > 0.5))
-    image = np.asarray(found["image"].values)
-    depth = np.asarray(found["depth"].values)
+    image = found["image"].values
+    depth = found["depth"].values
     finite = depth[np.isfinite(depth)]
     near, far = (float(finite.min()), float(finite.max())) if finite.size else (found.attrs["near"], found.attrs["far"])
     unknown = "" if finite.size == depth.size else "; hatched: unknown"
     maps: list[tuple[str, Array, Any, str, str]] = [
         ("In focus everywhere", image, _grey([image], white), "gray", "radiance"),
         (sought, depth, Normalize(near, far), "viridis_r", f"{unit}{unknown}"),
-        ("Confidence", np.asarray(found["confidence"].values), Normalize(0, 1), "gray", "probability"),
+        ("Confidence", found["confidence"].values, Normalize(0, 1), "gray", "probability"),
     ]
     plot = Plot(_PAGE, dpi=PRINT_DPI)
     (panels,) = plot.panels(1, len(maps), depth.shape[0] / depth.shape[1])
@@ -530,7 +530,7 @@ def _end(values: Array, norm: Normalize) -> str:
 
 def _sampled(lf: xr.DataArray) -> Array:
     """Return the samples of a light field; NaN where no light comes from."""
-    return np.asarray((lf.where(lf.weight > 0) if "weight" in lf.coords else lf).transpose(*lf.dims).values)
+    return (lf.where(lf.weight > 0) if "weight" in lf.coords else lf).transpose(*lf.dims).values
 
 
 def _edges(positions: Array) -> tuple[float, float]:

@@ -103,7 +103,7 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array, A
     """
     # Samples that see at least this much of the pupil take part. The others see it nearer to its middle than their
     # coordinate says, which would pull depths towards the plane in focus.
-    weight = (np.asarray(lf["weight"].values) >= 0.9).astype(np.float32)
+    weight = (lf["weight"].values >= 0.9).astype(np.float32)
     v = _places(lf, "v")
     u = _places(lf, "u")
     variance, mean, views = np.zeros((3, 5, *lf.shape[2:4]), dtype=np.float32)

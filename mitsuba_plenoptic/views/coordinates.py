@@ -205,7 +205,7 @@ def _camera_behind_a_lens(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:
 
 def channel_planes(lf: xr.DataArray) -> list[Array]:
     """Return the values (v, u, t, s) of each channel."""
-    values = np.asarray(lf.values)
+    values = lf.values
     return [values] if values.ndim == 4 else list(np.moveaxis(values, 4, 0))
 
 

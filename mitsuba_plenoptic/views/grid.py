@@ -109,7 +109,7 @@ class LensGrid:
         """Return the positions (n, 2) from which the warp displaces to given ones."""
         if not self.warp:
             return places
-        return np.asarray(self.middle + np.stack(Displacement(self.warp).regular(*(places - self.middle).T), axis=-1))
+        return self.middle + np.stack(Displacement(self.warp).regular(*(places - self.middle).T), axis=-1)
 
 
 def bin_grid(camera: PlenopticCamera) -> LensGrid:

@@ -242,7 +242,7 @@ def _weighted(samples: Array, down: Any, across: Any) -> Array:
 def _moved(samples: Array, fv: np.float32, fu: np.float32) -> Array:
     """Return samples (rows, columns, v, u, ...) interpolated by fractions of a view; each axis has one view fewer."""
     samples = samples[:, :, :-1] + fv * (samples[:, :, 1:] - samples[:, :, :-1])
-    return np.asarray(samples[:, :, :, :-1] + fu * (samples[:, :, :, 1:] - samples[:, :, :, :-1]))
+    return samples[:, :, :, :-1] + fu * (samples[:, :, :, 1:] - samples[:, :, :, :-1])
 
 
 def _overlap(views: int, move: float) -> tuple[slice, slice, np.float32]:

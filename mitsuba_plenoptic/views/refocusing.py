@@ -35,7 +35,7 @@ def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
     """
     lf = require_light_field(lf)
     disparity = require_number("disparity", disparity, minimum=-1e6, maximum=1e6)
-    weight = np.asarray(lf["weight"].values)
+    weight = lf["weight"].values
     planes = [weight] + [plane * weight for plane in channel_planes(lf)]
     v = view_steps(lf, "v")
     u = view_steps(lf, "u")

@@ -81,7 +81,7 @@ def view_mosaic(lf: xr.DataArray) -> Array:
     -------
     (v t, u s[, 3]) array
     """
-    values = np.asarray(require_light_field(lf).values)
+    values = require_light_field(lf).values
     v, u, t, s = values.shape[:4]
     return values.swapaxes(1, 2).reshape(v * t, u * s, *values.shape[4:])
 
@@ -98,7 +98,7 @@ def lens_mosaic(lf: xr.DataArray) -> Array:
     -------
     (t v, s u[, 3]) array
     """
-    values = np.asarray(require_light_field(lf).values)
+    values = require_light_field(lf).values
     v, u, t, s = values.shape[:4]
     return values.transpose(2, 0, 3, 1, *range(4, values.ndim)).reshape(t * v, s * u, *values.shape[4:])
 

@@ -62,7 +62,7 @@ class PupilFunctions:
     def values(self, x: Doubles, y: Doubles, shares: Doubles) -> Doubles:
         """Return the values (points, functions) at points, whose shares are an array (shares, points)."""
         terms = np.stack(monomials(x, y, self.exponents), -1)
-        return np.asarray(np.concatenate([share[:, None] * terms for share in shares], 1) @ self.combined)
+        return np.concatenate([share[:, None] * terms for share in shares], 1) @ self.combined
 
 
 @dataclass(frozen=True)
@@ -209,7 +209,7 @@ class FittedPupil:
             model = np.concatenate([others.real, others.imag], 2)
             target = np.concatenate([weight * (ahead + behind).T, -1j * weight * (ahead - behind).T], 1) / 2
             solution = np.linalg.solve(model @ model.transpose(0, 2, 1) + noise, model @ target[..., None])
-            return np.asarray(solution[..., 0].T)
+            return solution[..., 0].T
 
         return np.stack(on_all_cores(fitted, range(len(frequencies[0]))), 1)
 

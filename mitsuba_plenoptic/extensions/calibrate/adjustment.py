@@ -29,7 +29,7 @@ def deviation(distance: Array) -> float:
 
 def outlying(distance: Array) -> Array:
     """Return a mask of outliers by their distance from the expected position."""
-    return np.asarray(distance > OUTLIER * max(deviation(distance), 1e-9))
+    return distance > OUTLIER * max(deviation(distance), 1e-9)
 
 
 def huber(distance: Array) -> Array:

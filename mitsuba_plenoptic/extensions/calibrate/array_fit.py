@@ -152,4 +152,4 @@ def places(fit: ArrayFit, index: Array, camera: PlenopticCamera) -> Array:
     u, v = (index - fit.nearest).T * np.array([[lattice.pitches[0]], [lattice.row_distance]])
     x, y = (first + step for first, step in zip(lattice.centre(0.0, 0.0), lattice.from_frame(u, v), strict=True))
     warped = np.stack([x, y], axis=-1) + np.stack(Displacement(tuple(fit.warp.tolist())).smooth(x, y), axis=-1)
-    return np.asarray(warped * camera.image_growth / camera.pixel_size + (np.array(camera.resolution) - 1) / 2)
+    return warped * camera.image_growth / camera.pixel_size + (np.array(camera.resolution) - 1) / 2

@@ -154,7 +154,7 @@ class CutBlur:
         r"""Return the relative blur :math:`\kappa = 1 - z/f + z/a` of points of given disparities (`boards`)."""
         over = self._z / self._b
         # From lens to lens a point moves by 1 + z/a in the array's plane, and micro-images by 1 + z/b.
-        return np.asarray(1 - self._ratios[kind] + over + disparity * (1 + over))
+        return 1 - self._ratios[kind] + over + disparity * (1 + over)
 
     def displaced(self, kind: Array, defocus: Array, arm: Array) -> Array:
         """Return the displacement, in pixels, from a pixel's position to the mean position that the pixel shows.

@@ -87,7 +87,7 @@ def solved(equations: Array, damping: float = 0.0) -> Array:
     """Return the change of coefficients that solves damped normal equations (n, n + 1)."""
     scale = np.sqrt(np.maximum(equations[:, :-1].diagonal(), 1e-12))
     normal = equations[:, :-1] / np.outer(scale, scale) + (damping + 1e-10) * np.eye(len(scale))
-    return np.asarray(np.linalg.solve(normal, equations[:, -1] / scale) / scale)
+    return np.linalg.solve(normal, equations[:, -1] / scale) / scale
 
 
 def zones_of(

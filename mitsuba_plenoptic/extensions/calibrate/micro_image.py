@@ -205,7 +205,7 @@ def _ray_pattern(camera: PlenopticCamera, along: Array, down: Array) -> Array:
     )
     places = np.linalg.solve(np.transpose(camera.lattice.basis), smear * points)
     first, second = (np.exp(2j * np.pi * np.outer(n, place)) for n, place in zip((along, down), places, strict=True))
-    return np.asarray(second @ first.T / _POINTS**2)
+    return second @ first.T / _POINTS**2
 
 
 def _wave_pattern(camera: PlenopticCamera, wavelength: float, along: Array, down: Array) -> Array:

@@ -140,10 +140,10 @@ def fit(
         return Pixels.of(observations, trial.expected(x), default)
 
     def residuals(x: Doubles, pixels: Pixels) -> Doubles:
-        return np.asarray(((trial.expected(x) - images) / pixels.weight).ravel())
+        return ((trial.expected(x) - images) / pixels.weight).ravel()
 
     def jacobian(x: Doubles, pixels: Pixels) -> Doubles:
-        return np.asarray((trial.derivatives(x) / pixels.weight).reshape(len(start), -1).T)
+        return (trial.derivatives(x) / pixels.weight).reshape(len(start), -1).T
 
     options = {"bounds": limits, "x_scale": unit, "xtol": _DONE, "ftol": _DONE, "max_nfev": steps}
     for _ in range(_ROUNDS if any(by_model(view, default) for view in observations) else 1):

@@ -514,7 +514,7 @@ class _DeconvolvedChannel:
         self.bins = self._to_image(solve(self._step, iterations=refocus.iterations).values)
 
     def _to_image(self, values: Floats) -> Floats:
-        return np.asarray(self._response.to_image(values, 0) * self._visible)
+        return self._response.to_image(values, 0) * self._visible
 
     def jvp(self, change: Array) -> Floats:
         """Return the change of the bins for a change of the pixels."""

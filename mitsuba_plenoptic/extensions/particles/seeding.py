@@ -289,7 +289,7 @@ class Seeding:
 
     def diameters(self, count: int, random: np.random.Generator) -> Doubles:
         """Return random diameters in micrometres, (count,)."""
-        return np.asarray(self.diameter * np.exp(self.spread * random.normal(size=count)))
+        return self.diameter * np.exp(self.spread * random.normal(size=count))
 
 
 def _index(name: str, value: Any) -> complex | None:

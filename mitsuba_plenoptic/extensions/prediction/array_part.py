@@ -91,7 +91,7 @@ class CameraModel:
         """Distances of micro-images along and across the rows, in pixels."""
         lattice = self.camera.lattice
         pitches = np.array([lattice.pitches[0], lattice.row_distance])
-        return np.asarray(pitches * self.camera.image_growth / self.camera.pixel_size)
+        return pitches * self.camera.image_growth / self.camera.pixel_size
 
     def places(self, lens: Array) -> Array:
         """Return the places (n, 2) in pixels of the micro-images of lenses with indices (n, 2)."""

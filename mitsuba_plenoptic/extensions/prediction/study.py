@@ -88,7 +88,7 @@ class Pictures:
     def electrons(self) -> Array:
         """Electrons of the light field's pixels, flat."""
         light = self.light_field - (0 if self.dark is None else self.dark)
-        return np.asarray(((light - black_level(light)) / self.noise.gain).ravel())
+        return ((light - black_level(light)) / self.noise.gain).ravel()
 
     @cached_property
     def key(self) -> str:

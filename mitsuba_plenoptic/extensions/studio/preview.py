@@ -57,7 +57,7 @@ class Preview:
     @property
     def distance(self) -> Array:
         """Distances of the visible points along the axis, in the view's unit; NaN where nothing is visible."""
-        return np.asarray(self.points[..., 2])
+        return self.points[..., 2]
 
     @property
     def filled(self) -> float:

@@ -161,7 +161,7 @@ class MicroscopeView(LensView):
     def is_focused(self, distance: Array) -> Array:
         """Return a mask of depths whose blur in the object is at most a bin wide."""
         steepest = math.tan(self._objective.half_angle)
-        return np.asarray(2 * np.abs(distance) * steepest <= self.camera.bin_size(0))
+        return 2 * np.abs(distance) * steepest <= self.camera.bin_size(0)
 
     def drawn_range(self, distances: Array) -> tuple[float, float]:
         """Return a range that reaches as far before the native object plane as beyond it."""
