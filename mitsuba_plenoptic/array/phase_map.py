@@ -87,7 +87,7 @@ class PhaseMap(MicrolensShape):
         middle = np.unwrap(smooth[:, :, columns // 2], period=1, axis=1)
         smooth += (middle - smooth[:, :, columns // 2])[..., None]
         centre = smooth[:, rows // 2, columns // 2]
-        return np.asarray(smooth + (np.unwrap(centre, period=1) - centre)[:, None, None])
+        return smooth + (np.unwrap(centre, period=1) - centre)[:, None, None]
 
     @cached_property
     def _grids(self) -> list[SampledGrid]:

@@ -111,7 +111,7 @@ class Blades:
         """Return the parts of small cells within the polygon."""
         along = (np.arange(_CELLS * _POINTS) + 0.5) * (2 / (_CELLS * _POINTS)) - 1
         inside = self.power(along + 0 * along[:, None], along[:, None] + 0 * along)
-        return np.asarray(inside.reshape(_CELLS, _POINTS, _CELLS, _POINTS).mean((1, 3)))
+        return inside.reshape(_CELLS, _POINTS, _CELLS, _POINTS).mean((1, 3))
 
     def to_plain(self) -> int | tuple[int, float]:
         """Return the number of blades, with their angle if there is one."""

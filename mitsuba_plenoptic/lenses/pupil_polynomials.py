@@ -71,7 +71,7 @@ class Polynomial:
         f, d = self.scales.of_points((field**2).sum(1), inverse_distance)
         depth, fields, pairs = self.coefficients.shape
         powers = np.vander(d, depth, increasing=True)[:, :, None] * np.vander(f, fields, increasing=True)[:, None]
-        return np.asarray(powers.reshape(len(f), depth * fields) @ self.coefficients.reshape(-1, pairs))
+        return powers.reshape(len(f), depth * fields) @ self.coefficients.reshape(-1, pairs)
 
     def over_pupil(self, coefficients: list[Any], field: Pair) -> PupilPolynomial:
         """Return the pupil polynomial of points with given fields, from the coefficients that `at` returns."""

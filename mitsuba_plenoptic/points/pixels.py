@@ -117,7 +117,7 @@ def windowed_sinc(distance: Doubles) -> Doubles:
     """Return the weight of a sample at a distance in samples: a sinc under a Kaiser window."""
     inside = np.sqrt(np.maximum(0, 1 - (distance / HALF_WIDTH) ** 2))
     window = scipy.special.i0(_KAISER * inside) / scipy.special.i0(_KAISER)
-    return np.asarray(np.sinc(distance) * window)
+    return np.sinc(distance) * window
 
 
 class PixelIntegrals:

@@ -72,7 +72,7 @@ def sample_pairs(count: int, seed: int = 0) -> Doubles:
     from scipy.stats import qmc
 
     # The sequence is drawn to the next power of two, where it is balanced.
-    return np.asarray(qmc.Sobol(4, scramble=True, rng=seed).random_base2(math.ceil(math.log2(count)))[:count])
+    return qmc.Sobol(4, scramble=True, rng=seed).random_base2(math.ceil(math.log2(count)))[:count]
 
 
 def require_matte(scene: Any, sensor: Any, integrator: Any) -> None:

@@ -54,7 +54,7 @@ class PupilCentroid:
         inside = soft_edge((camera.aperture_radius - np.hypot(P, P[:, None])) / self._pitch)
 
         def blurred(values: Doubles) -> Doubles:
-            return np.asarray(scipy.fft.irfft2(scipy.fft.rfft2(values) * transfer, s=(size, size)))
+            return scipy.fft.irfft2(scipy.fft.rfft2(values) * transfer, s=(size, size))
 
         light = blurred(inside)
         # Far from the pupil the rounding of the transform is not light.
@@ -181,4 +181,4 @@ def brought_back(image: Doubles, moved: Sequence[Doubles], weights: Doubles, rea
 
 def _mean_about(image: Doubles, reach: int) -> Doubles:
     """Return the mean over the square of bins around each bin; bins outside the image count as 0."""
-    return np.asarray(scipy.ndimage.uniform_filter(image, 2 * reach + 1, mode="constant", axes=(0, 1)))
+    return scipy.ndimage.uniform_filter(image, 2 * reach + 1, mode="constant", axes=(0, 1))

@@ -177,7 +177,7 @@ class WeakBins:
         self._weak = white * self._around(rays) < 0.25 * rays * self._around(white)
 
     def _around(self, sums: Array) -> Array:
-        return np.asarray(uniform_filter(sums, self._lens, mode="constant", axes=(0, 1)))
+        return uniform_filter(sums, self._lens, mode="constant", axes=(0, 1))
 
     def shared(self, sums: Array) -> Array:
         """Return sums (rows, columns, ...), in weak bins the mean around them."""

@@ -221,7 +221,7 @@ class Volume:
             x; 0 where no voxel shows anything.
         """
         along = _ALONG[require_choice("axis", axis, tuple(_ALONG))]
-        return np.asarray(np.nan_to_num(self.values, nan=0.0).max(axis=along))
+        return np.nan_to_num(self.values, nan=0.0).max(axis=along)
 
     def slices(
         self, plane: int | None = None, row: int | None = None, column: int | None = None

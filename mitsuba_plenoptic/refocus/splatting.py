@@ -135,7 +135,7 @@ def _gather(window: Array, footprint: Array) -> Array:
     from scipy.signal import fftconvolve  # loads slowly
 
     kernels = footprint.reshape(*footprint.shape[:2], -1)[::-1, ::-1]
-    return np.asarray(fftconvolve(window[..., None], kernels, "valid", axes=(0, 1)))
+    return fftconvolve(window[..., None], kernels, "valid", axes=(0, 1))
 
 
 def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float, step: float) -> Array:

@@ -98,7 +98,7 @@ def shrink(image: Array, longest: int) -> Array:
     across = min(factor, columns)
     divisible = image[: rows // down * down, : columns // across * across]
     blocks = divisible.reshape(rows // down, down, columns // across, across, *image.shape[2:])
-    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
+    return blocks.mean(axis=(1, 3), dtype=np.float32)
 
 
 def srgb(linear: Array) -> Array:

@@ -129,7 +129,7 @@ def write_focal_sweep(path: Path, stack: xr.DataArray, drawing: Drawing) -> int:
 
 def write_orbit(path: Path, lf: xr.DataArray, drawing: Drawing) -> int:
     """Write views on a circle of the pupil as an animation; return the number of its frames."""
-    frames = [(np.asarray(lf.values[j, i]), "") for j, i in orbit(lf)]
+    frames = [(lf.values[j, i], "") for j, i in orbit(lf)]
     write_animation(path, frames, drawing.brightness.peak([image for image, _ in frames]), drawing.scale)
     return len(frames)
 

@@ -320,12 +320,12 @@ def stack_figure(stack: xr.DataArray, white: float | None = None) -> Plot:
         A Matplotlib figure, whose method `save` writes PNG or PDF.
     """
     if "disparity" in stack.dims:
-        panels = [Panel(np.asarray(image.values), f"disparity {float(image.disparity):g}", None) for image in stack]
+        panels = [Panel(image.values, f"disparity {float(image.disparity):g}", None) for image in stack]
         return _sheet([panels], [], white, "pixels per view")
     camera = views.camera_of(stack)
     panels = [
         Panel(
-            np.asarray(image.values),
+            image.values,
             _distance(float(image.distance)),
             image.sizes["s"] * camera.bin_size(float(image.distance)) if np.isfinite(image.distance) else None,
         )

@@ -237,7 +237,7 @@ def convolve(image: Array, kernel: Array) -> Doubles:
     """
     from scipy.signal import oaconvolve  # loads slowly
 
-    return np.asarray(oaconvolve(np.asarray(image, np.float64), kernel))
+    return oaconvolve(np.asarray(image, np.float64), kernel)
 
 
 def blur(image: Array, kernel: Array) -> Doubles:

@@ -92,7 +92,7 @@ def finer_stripes(image: Array, moved: Array) -> Array:
     # What is dark or has no frequency is far above 1.3, and must not overflow.
     ratio = np.minimum(contrast, 1e3) / np.maximum(finer, 1e-6)
     possible = aliased * ((1.3 - ratio) / 0.3).clip(0, 1)
-    return np.asarray(possible * np.square(coarser) / (np.square(coarser) + np.square(finer)))
+    return possible * np.square(coarser) / (np.square(coarser) + np.square(finer))
 
 
 def _moved_views(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array, Array]:

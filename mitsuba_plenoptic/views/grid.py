@@ -103,7 +103,7 @@ class LensGrid:
         if not self.warp:
             return regular
         moved = Displacement(self.warp).smooth(*np.moveaxis(regular - self.middle, -1, 0))
-        return np.asarray(regular + np.stack(moved, axis=-1))
+        return regular + np.stack(moved, axis=-1)
 
     def regular(self, places: Array) -> Array:
         """Return the positions (n, 2) from which the warp displaces to given ones."""

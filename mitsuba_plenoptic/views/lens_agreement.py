@@ -236,7 +236,7 @@ def _noise_of(images: MicroImages) -> Array:
 def _weighted(samples: Array, down: Any, across: Any) -> Array:
     """Return weighted sums of samples along both axes; beyond them is nothing."""
     samples = scipy.ndimage.correlate1d(samples * 1.0, down, axis=0, mode="constant")
-    return np.asarray(scipy.ndimage.correlate1d(samples, across, axis=1, mode="constant"))
+    return scipy.ndimage.correlate1d(samples, across, axis=1, mode="constant")
 
 
 def _moved(samples: Array, fv: np.float32, fu: np.float32) -> Array:

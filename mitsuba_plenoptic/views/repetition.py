@@ -65,4 +65,4 @@ def wrong_by_repetition(images: MicroImages, slopes: Array) -> Array:
     shape = images.bins.shape
     rows, columns = np.indices(shape)
     _, nearest = cKDTree(images.places.reshape(-1, 2)).query(np.stack([columns.ravel(), rows.ravel()], axis=1))
-    return np.asarray((repeated * (1 - right)).ravel()[nearest].reshape(shape))
+    return (repeated * (1 - right)).ravel()[nearest].reshape(shape)

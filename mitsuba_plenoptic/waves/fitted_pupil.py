@@ -168,7 +168,7 @@ class FittedPupil:
         # The other half plane of frequencies has the conjugate spectrum.
         combined = ((along_y * np.where(y > 0, 2, 1)) @ self._spectra @ along_x.T).real / USUAL.unit_frequencies**2
         fall = (np.hypot(places, places[:, None]) / (USUAL.unit_frequencies / 2) - USUAL.taper) / (1 - USUAL.taper)
-        return np.asarray(combined * np.cos(np.pi / 2 * np.clip(fall, 0, 1)) ** 2)
+        return combined * np.cos(np.pi / 2 * np.clip(fall, 0, 1)) ** 2
 
     @cached_property
     def _spectra(self) -> NDArray[np.complex128]:

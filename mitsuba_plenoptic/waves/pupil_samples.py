@@ -58,7 +58,7 @@ def along(count: int) -> Doubles:
 def means(values: Array, count: int) -> Array:
     """Return the means over `count` x `count` samples of values on a grid that divides these."""
     finer = len(values) // count
-    return np.asarray(values.reshape(count, finer, count, finer).mean((1, 3)))
+    return values.reshape(count, finer, count, finer).mean((1, 3))
 
 
 def spread_points(density: Doubles) -> tuple[Doubles, Doubles]:

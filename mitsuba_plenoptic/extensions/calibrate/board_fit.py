@@ -212,7 +212,7 @@ def _used_centres(centres: Table, index: LensIndex, residuals: Array) -> tuple[A
 
 def _distance(problem: Problem, numbers: Array, poses: Array) -> Array:
     """Return the distance between predicted and observed position of each corner, in pixels."""
-    return np.asarray(np.hypot(*problem.residuals(numbers, poses).T))
+    return np.hypot(*problem.residuals(numbers, poses).T)
 
 
 def _require_matching_pupil(

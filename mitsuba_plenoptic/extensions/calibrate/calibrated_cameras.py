@@ -178,4 +178,4 @@ def _inverse_distortion(distortion: Array, reach: float) -> Array:
     columns = [np.concatenate(undistort(u, v, e)) - np.concatenate([u, v]) for e in unit]
     scale = np.array([np.abs(column).max() for column in columns])
     target = np.concatenate([x - u, y - v])
-    return np.asarray(np.linalg.lstsq(np.stack(columns, axis=-1) / scale, target)[0] / scale)
+    return np.linalg.lstsq(np.stack(columns, axis=-1) / scale, target)[0] / scale

@@ -174,11 +174,11 @@ class MicroImageModel:
         spectrum = scipy.fft.rfft2(pupil)
         spectrum *= self._transfer
         spectrum *= blur
-        return np.asarray(scipy.fft.irfft2(spectrum, (self._count, self._count), overwrite_x=True))
+        return scipy.fft.irfft2(spectrum, (self._count, self._count), overwrite_x=True)
 
     def at(self, samples: Array, x: Array, y: Array) -> Array:
         """Return values of `samples`'s samples at offsets in pixels from the image of the lens's regular place."""
-        return np.asarray(self.splines(x, y) @ samples.ravel())
+        return self.splines(x, y) @ samples.ravel()
 
     def splines(self, x: Array, y: Array) -> csr_array:
         """Return the matrix that multiplies flat `samples` to values at offsets in pixels, as `at` does."""
@@ -229,4 +229,4 @@ def _wave_pattern(camera: PlenopticCamera, wavelength: float, along: Array, down
     distance = camera.reduced_distance / camera.image_growth
     field = scipy.fft.ifft2(scipy.fft.fft2(field) * np.exp(-1j * np.pi * length * distance * (fx * fx + fy * fy)))
     light = scipy.fft.fft2(np.abs(field) ** 2) / size**2
-    return np.asarray(light[np.ix_(down.astype(int), along.astype(int))])
+    return light[np.ix_(down.astype(int), along.astype(int))]

@@ -300,7 +300,7 @@ class _Spread:
 
 def _both(picture: Doubles, weights: Doubles) -> Doubles:
     """Return a picture filtered by weights along both axes."""
-    return np.asarray(ndimage.correlate1d(ndimage.correlate1d(picture, weights, 0), weights, 1))
+    return ndimage.correlate1d(ndimage.correlate1d(picture, weights, 0), weights, 1)
 
 
 def electrons(white: NDArray[np.floating]) -> float:

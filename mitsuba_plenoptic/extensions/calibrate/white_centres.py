@@ -136,7 +136,7 @@ def _doubtful(lens: Array, residuals: Array, light: Array) -> Array:
     typical = np.maximum(_local_medians(lens, sizes), np.median(sizes, axis=0))
     beyond = sizes > OUTLIER * typical
     beyond[:, 1] &= np.abs(differs[:, 2]) > 0.02
-    return np.asarray(beyond.any(1))
+    return beyond.any(1)
 
 
 def _local_medians(lens: Array, values: Array) -> Array:

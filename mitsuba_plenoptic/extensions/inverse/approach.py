@@ -183,7 +183,7 @@ def _nearest(
     unit = vector.scales
 
     def blurred(images: Doubles) -> Doubles:
-        return np.asarray(gaussian_filter(images * masks / brightest, blur, axes=(-2, -1)))
+        return gaussian_filter(images * masks / brightest, blur, axes=(-2, -1))
 
     def camera_at(step: Doubles) -> PlenopticCamera:
         return vector.at(start + step * unit)

@@ -109,7 +109,7 @@ class Tilts:
     def remainder(self, waves: Doubles, x: Doubles, y: Doubles, points: Any) -> Doubles:
         """Return paths in waves less the middle point's path and the tilts."""
         of_middle = self._lens.path((x[:, None], y[:, None]), tuple(self.middle), self._wavelength)
-        return np.asarray(waves - of_middle - np.stack([x, y], 1) @ self._frequencies[points].T)
+        return waves - of_middle - np.stack([x, y], 1) @ self._frequencies[points].T
 
     def _cosines(self, points: Doubles) -> Doubles:
         return np.stack(self._lens.cosines((0.0, 0.0), (points[:, 0], points[:, 1], points[:, 2])), -1)

@@ -234,7 +234,7 @@ class LaserScene:
             path = -(positions * towards).sum(1)
         else:
             path = np.linalg.norm(positions - sample.p.numpy().T.astype(np.float64), axis=1)
-        return np.asarray(np.fmod(path / in_millimetres(self.system.wavelength), 1))
+        return np.fmod(path / in_millimetres(self.system.wavelength), 1)
 
 
 def named_lasers(scene: Any, names: Sequence[str], plugin: str) -> list[Any]:

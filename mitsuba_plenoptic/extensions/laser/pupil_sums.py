@@ -180,7 +180,7 @@ class Layer:
         waves = self._carrier.remainder(waves, x, y, indices)
         amplitude = self._lens.amplitude((x[:, None], y[:, None]), point)
         amplitude = amplitude / np.sqrt(passed_power(self._lens, points[indices]))
-        return np.asarray(amplitude * np.exp(2j * math.pi * waves))
+        return amplitude * np.exp(2j * math.pi * waves)
 
 
 def carrier_type(lens: ThinLens, points: Doubles, grid: PupilGrid) -> type[Spheres | Tilts]:
@@ -208,7 +208,7 @@ def passed_power(lens: ThinLens, points: Doubles) -> Doubles:
     x, y = (np.outer(radius, turn(angle)).ravel()[:, None] for turn in (np.cos, np.sin))
     amplitude = lens.amplitude((x, y), (points[:, 0], points[:, 1], points[:, 2]))
     area = math.pi * lens.pupil.radius**2
-    return np.asarray(np.repeat(weights / 2, _SPOKES) @ amplitude**2 * (area / _SPOKES))
+    return np.repeat(weights / 2, _SPOKES) @ amplitude**2 * (area / _SPOKES)
 
 
 def _completed(
@@ -235,7 +235,7 @@ def _completed(
 
 def _squares(columns: NDArray[np.complex128]) -> Doubles:
     """Return the squared norm of each column."""
-    return np.asarray((columns.real**2 + columns.imag**2).sum(0))
+    return (columns.real**2 + columns.imag**2).sum(0)
 
 
 def _interpolation(nodes: Doubles, at: Doubles, kind: type = np.float32) -> Array:

@@ -149,7 +149,7 @@ def _correlation(first: Array, second: Array, step: int, axis: int, window: int)
     moved = np.roll(second, -step, axis)
 
     def mean(values: Array) -> Array:
-        return np.asarray(uniform_filter(values, window, mode="nearest"))
+        return uniform_filter(values, window, mode="nearest")
 
     a = mean(first)
     b = mean(moved)

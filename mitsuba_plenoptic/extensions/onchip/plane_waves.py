@@ -205,7 +205,7 @@ class PlaneWaveResponses:
         pupil = tuple(drjit_array(mi.Float, lens.pupil.point(c, t)) for c, t in zip(centre, slopes, strict=True))
         inner = Walk.of(self.camera, lens).round_pupil(pupil, tuple(mi.Float(c) for c in centre))
         square = sum(coordinate.numpy().astype(float) ** 2 for coordinate in inner)
-        return np.asarray(square <= self.camera.pupil_radius**2).reshape(sx.shape)
+        return (square <= self.camera.pupil_radius**2).reshape(sx.shape)
 
     @single_threaded_blas()
     def modes(self, x: float, y: float, diode: int) -> NDArray[np.complex64]:

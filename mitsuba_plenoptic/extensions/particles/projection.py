@@ -102,7 +102,7 @@ class VoxelProjector(LinearMap):
 
     def adjoint(self, image: ArrayLike, *, job: Job | None = None) -> Doubles:
         """Return each voxel's inner product with an image, (n,)."""
-        return np.asarray(self._spread.T @ self.operator.adjoint(image, job=job))
+        return self._spread.T @ self.operator.adjoint(image, job=job)
 
 
 @suggest_keywords
@@ -157,7 +157,7 @@ class RayProjector(LinearMap):
         """Return the image (rows, columns) of voxels with the given light, (n,)."""
         weights = as_array("weights", weights, POINTS, dtype=np.float32)
         refuse_if(not np.isfinite(weights).all(), "weights: all must be finite")
-        return np.asarray(self._matrix @ weights).reshape(self.image_shape)
+        return (self._matrix @ weights).reshape(self.image_shape)
 
     def adjoint(self, image: ArrayLike) -> Floats:
         """Return each voxel's inner product with an image, (n,)."""
@@ -166,4 +166,4 @@ class RayProjector(LinearMap):
             image.shape != self.image_shape or not np.isfinite(image).all(),
             f"image of shape {image.shape}: its pixels must be finite, {self.image_shape}",
         )
-        return np.asarray(self._matrix.T @ image.ravel())
+        return self._matrix.T @ image.ravel()

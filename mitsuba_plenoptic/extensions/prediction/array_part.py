@@ -227,4 +227,4 @@ class ArrayPart:
             some = zone == index
             mean = numbers[np.unique(self.lens_of[some])].mean(0)
             light[some] = micro.at(micro.samples(PupilNumbers(*mean)), *self._offset[some].T)
-        return np.asarray(light * self._bright[self.lens_of])
+        return light * self._bright[self.lens_of]

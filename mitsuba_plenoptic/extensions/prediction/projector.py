@@ -122,7 +122,7 @@ class SceneProjection(LinearMap):
 
     def _record(self, cells: Array) -> Array:
         """Return the pixels' light from that in the cells of the regular array."""
-        return np.asarray(self._weight * (self._to_pixels @ cells.ravel()))
+        return self._weight * (self._to_pixels @ cells.ravel())
 
     def direct(self, scene: Array) -> Array:
         """Return the pixels' light of a scene's elements, without stray light."""
