@@ -45,7 +45,7 @@ from numpy.typing import NDArray
 from ..array import Lattice
 from ..camera import PlenopticCamera
 from ..optics import in_millimetres
-from ..runtime import Array, Pair, array_module, backend_of, check_memory, drjit_array, empty_packets, fft, turn
+from ..runtime import Array, Field, Pair, array_module, backend_of, check_memory, drjit_array, empty_packets, fft, turn
 from .accuracy import ACCURACY
 from .transmittance import factor_axes, opaque_lattice, transmission
 
@@ -253,7 +253,7 @@ class PlaneFactor(ArrayFactor):
         inside = np.hypot(order[0][:, None] / sides[1], order[1] / sides[0]) * wave <= self._cosine
         return (spectrum[np.ix_(*order)] * np.exp(-2j * math.pi * waves) * inside).astype(np.complex64)
 
-    def _samples(self, shape: list[int], axis: int, power: int, lens_type: int | None) -> fft.Field:
+    def _samples(self, shape: list[int], axis: int, power: int, lens_type: int | None) -> Field:
         """Return samples of one period of the transmission, at the centres of equal rectangles, on the host."""
         types = array_module()
         _, row, column = fft.split(types, dr.arange(types.UInt32, shape[0] * shape[1]), *shape)

@@ -18,7 +18,20 @@ import numpy as np
 from ..fields import ArrayFactor, VaryingArrayFactor, has_response, recorded_amplitude
 from ..lenses import Light, MainLens, VaryingLens
 from ..optics import in_millimetres, phasor, smooth_edge, soft_edge, transfer
-from ..runtime import Array, Doubles, Integers, Pair, Triple, array_module, drjit_array, fft, is_zero, on_cuda, turn
+from ..runtime import (
+    Array,
+    Doubles,
+    Field,
+    Integers,
+    Pair,
+    Triple,
+    array_module,
+    drjit_array,
+    fft,
+    is_zero,
+    on_cuda,
+    turn,
+)
 from .field_grid import Grid, Placement, lens_amplitude
 from .pupil_weights import PupilWeights
 from .seen_pupil import SeenPupil
@@ -138,7 +151,7 @@ class PatchFactors:
         mine = [None if factor is None else factor[points] for factor in factors]
         return [*mine, None if transfer is None else self.directions_of(transfer, points)]
 
-    def directions_of(self, transfer: fft.Field, points: slice) -> fft.Field:
+    def directions_of(self, transfer: Field, points: slice) -> Field:
         """Return the part of a transfer function, (points, along y, along x), that the fields of points contain."""
         return part_of(transfer, self.first_directions[points, ::-1], (self.samples, self.samples))
 

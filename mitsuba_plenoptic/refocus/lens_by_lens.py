@@ -35,7 +35,7 @@ from ..camera import PlenopticCamera
 from ..design import focus_type
 from ..fields import FreeSpace, Hop, OpticalSystem, Step, converging, is_paraxial, retained_workspace
 from ..optics import guards, in_millimetres, parabola, phasor, rays, soft_edge
-from ..runtime import Array, active_backend, check_memory, drjit_array, fft, single_threaded_blas
+from ..runtime import Array, Field, active_backend, check_memory, drjit_array, fft, single_threaded_blas
 from .conjugates import Conjugates, ThinConjugates, behind_thin_lens
 from .methods import Progress
 from .planning import GUARD, check_pupil_diffraction, detector_step, field_subsamples
@@ -159,7 +159,7 @@ class LensTile:
         return (np.arange(count) - (count - 1) / 2) * self.pupil_pitch
 
     @cached_property
-    def to_pupil(self) -> fft.Field:
+    def to_pupil(self) -> Field:
         r"""Matrix from the cell to the pupil along an axis, :math:`\exp(-i k P \mu / b) d\mu / (\lambda b)^{1/2}`."""
         wave_path = in_millimetres(self.wavelength) * self.camera.mla_distance
         matrix = phasor(np.outer(self.pupil, self.cell) / -wave_path) * np.float32(self.pitch / math.sqrt(wave_path))
@@ -282,7 +282,7 @@ class LensSet:
         )
         return Step(across, down)
 
-    def on_array(self, amplitude: Array, which: Array) -> tuple[fft.Field, Step]:
+    def on_array(self, amplitude: Array, which: Array) -> tuple[Field, Step]:
         """Return the field on the array from the pixels around some lenses, and the step to its samples.
 
         Light that strays from another lens's pixels into a cell is deflected by a micro-image and misses the main lens.
@@ -369,7 +369,7 @@ def reconstruct_lens_by_lens(
     return [on_bins(total, lenses) for total in totals]
 
 
-def pupil_fields(light: fft.Field, tile: LensTile, batch: LensBatch, *, relay: bool) -> fft.Field:
+def pupil_fields(light: Field, tile: LensTile, batch: LensBatch, *, relay: bool) -> Field:
     """Return the fields of some lenses at the main lens, relative to a spherical wave from the lens's centre.
 
     They start from a field on the array; complex64 (n, pupil, pupil). The microlenses act with `relay` only.
@@ -391,14 +391,12 @@ def pupil_fields(light: fft.Field, tile: LensTile, batch: LensBatch, *, relay: b
     return arrays.ascontiguousarray(_product(_product(cell, tile.to_pupil), tile.to_pupil))
 
 
-def _product(fields: fft.Field, matrix: fft.Field) -> fft.Field:
+def _product(fields: Field, matrix: Field) -> Field:
     """Return the product of a matrix (p, i) with fields (n, i, j) over i, transposed: (n, j, p)."""
     return active_backend().arrays.tensordot(fields, matrix, (1, 1))
 
 
-def object_patches(
-    fields: fft.Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates
-) -> Array:
+def object_patches(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> Array:
     """Return the power of each lens's light at the samples around its bin, upright; float32 (n, samples, samples)."""
     camera = tile.camera
     focused = _aim(fields, tile, batch, distance, conjugates)
@@ -421,7 +419,7 @@ def object_patches(
     return intensity[:, ::-1, ::-1] * np.float32(scale**2)
 
 
-def _aim(fields: fft.Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> fft.Field:
+def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> Field:
     """Return pupil fields multiplied by the pupil, and by the phase from the lens's centre to its image."""
     types = active_backend().types
     camera = tile.camera

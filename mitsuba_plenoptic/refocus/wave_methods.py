@@ -70,7 +70,18 @@ from ..fields import (
     microlenses,
 )
 from ..optics import guards, phasor, power, soft_edge
-from ..runtime import Array, Doubles, Floats, Integers, active_backend, array_module, check_memory, fft, work_limit
+from ..runtime import (
+    Array,
+    Doubles,
+    Field,
+    Floats,
+    Integers,
+    active_backend,
+    array_module,
+    check_memory,
+    fft,
+    work_limit,
+)
 from .bins import BinSums
 from .conjugates import Conjugates, FieldZone, RealConjugates, ThinConjugates, undistorted
 from .lens_by_lens import LensTile, fine_bins, reconstruct_lens_by_lens, tile_lenses
@@ -339,7 +350,7 @@ class BackwardFields:
     def _subsets(self) -> list[tuple[int, int]]:
         return [(i, j) for j, i in np.ndindex(self._interleave, self._interleave)]
 
-    def at_pupil(self, amplitude: Floats) -> Iterator[fft.Field]:
+    def at_pupil(self, amplitude: Floats) -> Iterator[Field]:
         """Yield every subset's field directly before the main lens, in lines along y, zero outside the pupil.
 
         Each field is valid until the next one is requested.
@@ -359,7 +370,7 @@ class BackwardFields:
                 self._add_within(field, self._to_pupil(strip, subset).forward(light, self._workspace))
             yield field
 
-    def _at_pupil(self) -> fft.Field:
+    def _at_pupil(self) -> Field:
         """Return a zero field on the main lens, in lines along y."""
         field = self._workspace.array("pupil", (self._grids.pupil[0].count, self._grids.pupil[1].count))
         field[...] = 0
@@ -374,11 +385,11 @@ class BackwardFields:
         path = Fresnel(strip.to_main_lens, self._grids.pupil, self._camera.mla_distance, self._wavelength)
         return Chain([Hop(step, self._beyond_paraxial, lenses), path])
 
-    def to_object(self, field: fft.Field, zone: FieldZone, step: Directions) -> Rows:
+    def to_object(self, field: Field, zone: FieldZone, step: Directions) -> Rows:
         """Yield the field at the directions of an object plane, from the field directly before the main lens."""
         return Spectrum(step, _main_lens(step, zone)).forward(self._workspace.blocks(field), self._workspace)
 
-    def vjp(self, gradients: Iterable[fft.Field], zone: FieldZone, step: Directions) -> Doubles:
+    def vjp(self, gradients: Iterable[Field], zone: FieldZone, step: Directions) -> Doubles:
         """Return the gradient with respect to the amplitudes, from the gradients of all subsets' fields."""
         workspace = self._workspace
         arrays = workspace.libraries.arrays
@@ -400,7 +411,7 @@ class BackwardFields:
             found.append(real.reshape(shape).sum((1, 3), dtype=np.float64))
         return np.concatenate(found)
 
-    def power(self, field: fft.Field) -> float:
+    def power(self, field: Field) -> float:
         """Return the power of a field that passes the pupil, in pixel values times pixels."""
         x, y = self._grids.pupil
         return power(field) * x.pitch * y.pitch / self._camera.pixel_size**2
@@ -419,7 +430,7 @@ class BackwardFields:
         light = converging(strip.to_mla, self._camera, self._wavelength, self._interleave, subset)
         return Hop(strip.to_mla, self._to_mla, light)
 
-    def _add_within(self, field: fft.Field, blocks: Rows) -> None:
+    def _add_within(self, field: Field, blocks: Rows) -> None:
         """Add lines to a field within the pupil, with the pupil's edge softened over one sample."""
         for lines, samples in blocks:
             numbers, places, passed = self._pupil.edge(lines)

@@ -60,6 +60,7 @@ from .batches import counted as counted
 from .batches import lanes_reported as lanes_reported
 from .batches import on_all_cores as on_all_cores
 from .batches import prepared as prepared
+from .fft import Field as Field
 from .files import Sink as Sink
 from .files import atomic_output as atomic_output
 from .files import h5py_module as h5py_module

@@ -17,7 +17,7 @@ from ...errors import refuse_if
 from ...fields import Chain, OpticalSystem, retained_workspace
 from ...lenses import MainLens
 from ...points import Arrival, Footprint, SampledField, footprint, grids_around, intensity, to_array, to_detector
-from ...runtime import Doubles, Floats, Integers, active_backend, check_memory, fft
+from ...runtime import Doubles, Field, Floats, Integers, active_backend, check_memory, fft
 from .carriers import PupilGrid
 from .nonuniform import POINT_BYTES
 from .pupil_sums import Layer, carrier_type, layers
@@ -73,7 +73,7 @@ class CoherentFields:
         """Return the inner product of each point's field with samples of one of the planes."""
         arrays = active_backend().arrays
         grid = self._pupil
-        field: fft.Field = arrays.asarray(samples, np.complex64)
+        field: Field = arrays.asarray(samples, np.complex64)
         if plane == "pupil":
             field = arrays.ascontiguousarray(field[grid.rows, grid.columns])
         else:
@@ -85,7 +85,7 @@ class CoherentFields:
             result[block] = active_backend().to_host(layer.adjoint(field))
         return result
 
-    def _inner(self, amplitudes: NDArray[np.complex64]) -> fft.Field:
+    def _inner(self, amplitudes: NDArray[np.complex64]) -> Field:
         """Return the field on those samples that contain the pupil."""
         arrays = active_backend().arrays
         count = self._pupil.count

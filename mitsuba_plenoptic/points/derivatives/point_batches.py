@@ -15,6 +15,7 @@ from ...camera import PlenopticCamera
 from ...runtime import (
     Box,
     Doubles,
+    Field,
     Flags,
     Floats,
     Integers,
@@ -326,7 +327,7 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
     return VjpResult(cotangents, products, None if spreads is None else Part(box, spreads.total()))
 
 
-def _added_directions(total: fft.Field, parts: fft.Field, starts: Integers) -> fft.Field:
+def _added_directions(total: Field, parts: Field, starts: Integers) -> Field:
     """Return cotangents of a transfer function with those of points (n, rows, columns) added to their windows."""
     if backend_of(total).is_cuda:
         windows = Windows(np.arange(len(parts)), starts * np.array([1, 2]))
