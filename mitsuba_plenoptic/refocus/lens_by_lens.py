@@ -80,83 +80,45 @@ def reconstruction_tile(
     return LensTile(camera, wavelength, tile_lenses(camera, distances), oversample, resolved, fraction)
 
 
-@dataclass(frozen=True)
 class LensTile:
     """Sampling of one lens's light in the four planes."""
 
-    camera: PlenopticCamera
-    wavelength: float
-    lenses: int
-    oversample: int
-    resolved: bool = True
-    fraction: float = 1.0
-
-    @cached_property
-    def pitch(self) -> float:
-        """Distance between samples on detector and MLA, in millimetres."""
-        return self.camera.pixel_size / self.subsamples
-
-    @cached_property
-    def subsamples(self) -> int:
-        """Number of samples across a pixel."""
-        return field_subsamples(self.camera, self.wavelength)
-
-    @cached_property
-    def cell_width(self) -> float:
-        """Extent in mm of a lattice cell along either axis."""
-        lattice = self.camera.lattice
-        return max(self.camera.mla_pitches) if lattice.axis_aligned else 2 * float(lattice.cell_corners().max())
-
-    @property
-    def lens_width(self) -> float:
-        """Extent in mm of an aperture along either axis."""
-        lattice = self.camera.lattice
-        return float(lattice.aperture_width if lattice.aperture == "circle" else self.cell_width * lattice.fill)
-
-    @cached_property
-    def cell(self) -> Array:
-        """MLA coordinates in mm, from a lens's centre, that contain its aperture wherever samples lie."""
-        count = self.cell_samples
-        return (np.arange(count) - (count - 1) / 2) * self.pitch
-
-    @property
-    def cell_samples(self) -> int:
-        """Number of samples across an aperture, and one more."""
-        return math.ceil(self.lens_width / self.pitch - 1e-6) + 1
-
-    @cached_property
-    def samples(self) -> int:
-        """Number of object samples across a lens's image that its power needs: a multiple of the bins, or fewer.
-
-        A bin as wide as the lens's image averages over all frequencies that a few samples cannot distinguish.
-        """
-        camera = self.camera
-        needed = self.fraction * (
-            # Several bins per lens resolve the power, which has twice the frequencies of the field.
-            (2 * GUARD if self.oversample > 1 and self.resolved else GUARD)
-            * camera.row_pitch
-            * camera.aperture_diameter
-            / (in_millimetres(self.wavelength) * camera.mla_distance)
-        )
-        if needed < self.oversample:
-            return math.ceil(needed)
-        return self.oversample * math.ceil(needed / self.oversample)
-
-    @property
-    def object_samples(self) -> int:
-        """Number of object samples across the patch."""
-        return self.lenses * self.samples
-
-    @property
-    def pupil_pitch(self) -> float:
-        """Distance in mm between pupil samples, for which the object patch is one period."""
-        return in_millimetres(self.wavelength) * self.camera.mla_distance / (self.lenses * self.camera.row_pitch)
-
-    @cached_property
-    def pupil(self) -> Array:
-        """Pupil coordinates along an axis, in millimetres."""
-        count = 2 * math.ceil(self.camera.aperture_radius / self.pupil_pitch) + 1
-        return (np.arange(count) - (count - 1) / 2) * self.pupil_pitch
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        wavelength: float,
+        lenses: int,
+        oversample: int,
+        resolved: bool = True,
+        fraction: float = 1.0,
+    ) -> None:
+        self.camera = camera
+        self.wavelength = wavelength
+        self.lenses = lenses
+        self.oversample = oversample
+        wave_path = in_millimetres(wavelength) * camera.mla_distance
+        # Samples across a pixel, and the distance between them on detector and MLA, in millimetres.
+        self.subsamples = field_subsamples(camera, wavelength)
+        self.pitch = camera.pixel_size / self.subsamples
+        # Extent in mm along either axis of a lattice cell, samples across an aperture, and one more, and coordinates in
+        # mm on the MLA, from a lens's centre, that contain its aperture wherever samples lie.
+        lattice = camera.lattice
+        self.cell_width = max(camera.mla_pitches) if lattice.axis_aligned else 2 * float(lattice.cell_corners().max())
+        lens_width = float(lattice.aperture_width if lattice.aperture == "circle" else self.cell_width * lattice.fill)
+        self.cell_samples = math.ceil(lens_width / self.pitch - 1e-6) + 1
+        self.cell = (np.arange(self.cell_samples) - (self.cell_samples - 1) / 2) * self.pitch
+        # Object samples across a lens's image that its power needs: a multiple of the bins, or fewer, as a bin as wide
+        # as the lens's image averages over all frequencies that a few samples cannot distinguish. Several bins per lens
+        # resolve the power, which has twice the frequencies of the field.
+        guard = 2 * GUARD if oversample > 1 and resolved else GUARD
+        needed = fraction * (guard * camera.row_pitch * camera.aperture_diameter / wave_path)
+        per_bin = math.ceil(needed / oversample)
+        self.samples = math.ceil(needed) if needed < oversample else oversample * per_bin
+        self.object_samples = lenses * self.samples
+        # Coordinates along an axis of the pupil, in mm, for whose distance the object patch is one period.
+        self.pupil_pitch = wave_path / (lenses * camera.row_pitch)
+        count = 2 * math.ceil(camera.aperture_radius / self.pupil_pitch) + 1
+        self.pupil = (np.arange(count) - (count - 1) / 2) * self.pupil_pitch
 
     @cached_property
     def to_pupil(self) -> Field:
