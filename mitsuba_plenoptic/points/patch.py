@@ -93,26 +93,17 @@ class PatchBatch:
             fft.as_field(fft.pack(value), shape)
             for value, shape in zip(factors_of_points.values(), factors_of_points.shapes, strict=True)
         ]
-
-    @property
-    def pupil(self) -> Field:
-        """Plane waves from the pupil, (points, along y, along x)."""
-        return self.parts[0]
-
-    @property
-    def is_separable(self) -> bool:
-        """Whether every factor on the array depends on one axis alone."""
-        return len(self.factors.axes) == 2
+        # Plane waves from the pupil, (points, along y, along x).
+        self.pupil = self.parts[0]
+        # Whether every factor on the array depends on one axis alone.
+        self.is_separable = len(factors_of_points.axes) == 2
+        # Points that are transformed at a time: small fields in groups, so that calls cost little.
+        self.together = min(len(self.pupil), max(1, self.sizes.group // self.mla_samples**2))
 
     @cached_property
     def _transfer(self) -> Field:
         """Transfer function from array to detector, (directions along x, along y)."""
         return self.libraries.arrays.ascontiguousarray(self.parts[-1].T)
-
-    @property
-    def together(self) -> int:
-        """Number of points transformed at a time: small fields in groups, so that calls cost little."""
-        return min(len(self.pupil), max(1, self.sizes.group // self.mla_samples**2))
 
     def chained(self, finer: int) -> list[slice]:
         """Return the points of each `FieldChain`, whose fields are `finer` on the detector by a factor."""

@@ -123,10 +123,14 @@ class PatchFactors:
         placement = fields.placement
         self._elements_of = functools.cache(elements or (lambda lanes: self._own))
         self.samples = int(placement.samples[0])
-        finest = float((in_millimetres(grid.wavelength) / (self.samples * grid.pitch)).min())
+        # Distances between neighbouring direction cosines along x and y.
+        self._steps = (in_millimetres(grid.wavelength) / (self.samples * grid.pitch)).tolist()
+        finest = min(self._steps)
         half = 2 * grid.cosine / finest
         # Orders that would be aliased into the band are omitted; a few more samples represent the others.
         self.mla_samples = max(self.samples, fft.fast_length(0.87 * (self.samples + half)))
+        # Distances in mm between samples on the array along x and y.
+        self._mla_steps = self.samples * grid.pitch / self.mla_samples
         self._highest = min(self.samples + half, 2 * self.mla_samples - self.samples - half) / 2 * finest
         # Each axis has a factor: the curvature and the microlenses' factor of its coordinate. A factor of both is
         # separate.
@@ -134,6 +138,8 @@ class PatchFactors:
         self.chief = (placement.first + placement.last) // 2  # index of the central direction of each point, (n, 2)
         directions = int((placement.last - placement.first).max()) + 1
         self._low, count = self.chief.min(0), len(self._positions)
+        # First of the transfer function's directions, along x and y, that each point's field contains, (n, 2).
+        self.first_directions = self.chief - self._low
         columns, rows = (int(size) for size in self.chief.max(0) - self._low + self.samples)
         on_array = [(count, *[self.mla_samples] * len(axes)) for axes in self.axes]
         self.shapes: list[tuple[int, ...]] = [(count, directions, directions), *on_array, (rows, columns)]
@@ -155,11 +161,6 @@ class PatchFactors:
         """Return the part of a transfer function, (points, along y, along x), that the fields of points contain."""
         return part_of(transfer, self.first_directions[points, ::-1], (self.samples, self.samples))
 
-    @property
-    def first_directions(self) -> Integers:
-        """First of the transfer function's directions, along x and y, that each point's field contains, (n, 2)."""
-        return np.asarray(self.chief - self._low)
-
     def values(self) -> Iterator[Any]:
         """Yield the factors as flat Dr.Jit arrays Complex2f."""
         pupil, power = self._pupil(self._elements(self.shapes[0]))
@@ -180,11 +181,6 @@ class PatchFactors:
     def _elements(self, shape: tuple[int, ...]) -> Elements:
         """Return the optical elements in arrays of the shape that a factor has."""
         return self._elements_of(math.prod(shape))
-
-    @property
-    def _steps(self) -> list[float]:
-        """Distances between neighbouring direction cosines along x and y."""
-        return (in_millimetres(self._grid.wavelength) / (self.samples * self._grid.pitch)).tolist()
 
     def _constant(self, value: Any) -> Any:
         """Return a value that is not compiled into kernels."""
@@ -280,11 +276,6 @@ class PatchFactors:
         grid = self._grid
         corner = grid.origin[axis] + self._placement.corner[:, axis] * grid.pitch[axis]
         return self._each(corner, patch) + self._types.Float64(sample) * self._constant(float(self._mla_steps[axis]))
-
-    @property
-    def _mla_steps(self) -> Doubles:
-        """Distances in mm between samples on the array along x and y."""
-        return self.samples * self._grid.pitch / self.mla_samples
 
     def _on_axis(self, elements: Elements, axis: int, scale: Any) -> Any:
         """Return the factor on the MLA along an axis, (n, samples): curvature, microlenses, and along y the scale.
