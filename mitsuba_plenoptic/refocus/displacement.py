@@ -119,7 +119,7 @@ def rising(
         for first in range(0, len(py), height):
             rows = slice(first, first + height)
             p = px, py[rows, None]
-            cells = camera.lattice.cell(*(rays.chief_point(q, camera.mla_distance, camera.reduced_distance) for q in p))
+            cells = rays.chief_lenses(camera, *p)
             ends = [
                 np.broadcast_arrays(*follow_back(q, c, c, distance, camera))
                 for q, c in zip(p, camera.lattice.centre(*cells), strict=True)

@@ -190,7 +190,7 @@ class LensSet:
         camera = tile.camera
         ends = np.array([camera.pixel_coordinates(axis)[[0, -1]] for axis in (0, 1)])
         ends += np.array([-0.5, 0.5]) * camera.pixel_size
-        low, high = rays.chief_point(ends, camera.mla_distance, camera.reduced_distance).T
+        low, high = rays.chief_point(camera, ends).T
         half = tile.cell_width / 2
         self.tile, self._index = tile, camera.lattice.lenses_within(tuple(low - half), tuple(high + half))
         self.centre = np.stack(camera.lattice.centre(*self._index.T.astype(np.float64)), axis=-1)
@@ -206,8 +206,7 @@ class LensSet:
         camera = self.tile.camera
         half = self.tile.cell_width / 2
         low, high = (
-            rays.chief_detector_point(self.centre[which] + side, camera.mla_distance, camera.reduced_distance)
-            / camera.pixel_size
+            rays.chief_detector_point(camera, self.centre[which] + side) / camera.pixel_size
             + np.array(camera.resolution) / 2
             - camera.crop_offset
             for side in (-half, half)

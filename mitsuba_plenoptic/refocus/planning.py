@@ -234,12 +234,10 @@ def detector_step(
 
     The window has room for all directions on both sides. `beside` are more samples beside the cells.
     """
-    b = camera.mla_distance
-    z = camera.reduced_distance
     count = round((lit[1] - lit[0]) * camera.pixel_size / pitch)
     first = (lit[0] - camera.resolution[axis] / 2) * camera.pixel_size + pitch / 2
-    spread = math.ceil(z * in_millimetres(wavelength) / (2 * pitch) / pitch)
-    low, high = _cells(camera, rays.chief_point(first + pitch * np.array([0, count - 1.0]), b, z), axis)
+    spread = math.ceil(camera.reduced_distance * in_millimetres(wavelength) / (2 * pitch) / pitch)
+    low, high = _cells(camera, rays.chief_point(camera, first + pitch * np.array([0, count - 1.0])), axis)
     wanted = math.ceil((high - low) / pitch - 1e-6) + 2 * beside  # the width of cells is often a multiple of the pitch
     start = (low + high) / 2 - (wanted - 1) / 2 * pitch
     # Few pixels may belong to wide cells.
@@ -327,7 +325,7 @@ def object_extent(
     b = camera.mla_distance
     spread = camera.blur_diameter(distance) / 2 / b + OBJECT_MARGIN * camera.row_pitch / b
     edges = (np.array(lit) - camera.resolution[axis] / 2) * camera.pixel_size
-    high, low = -rays.chief_point(edges, b, camera.reduced_distance) / b
+    high, low = -rays.chief_point(camera, edges) / b
     light = (float(low) - spread, float(high) + spread)
     half_field = camera.bin_count[axis] / 2 * camera.row_pitch / b
     return light, (min(max(light[0], -half_field), half_field), max(min(light[1], half_field), -half_field))

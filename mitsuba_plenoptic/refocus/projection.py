@@ -80,7 +80,7 @@ def _axis(
     """Return the positions of the pixels of one axis, on the bins and on the pupil."""
     count = camera.bin_count[axis] * oversample
     p = camera.pixel_coordinates(axis)
-    chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
+    chief = rays.chief_point(camera, p)
     c = camera.lattice.axis_centre(camera.lattice.axis_cell(chief, axis), axis)
 
     pupil, position = follow_back(p, c, c, distance, camera)

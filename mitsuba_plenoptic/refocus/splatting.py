@@ -192,9 +192,8 @@ def _landing(
         lens_type = np.zeros(lit.size, np.int8)
         if len(camera.mla_focal_lengths) > 1:
             pixel = camera.pixel_coordinates(0)[lit % columns], camera.pixel_coordinates(1)[rows][lit // columns]
-            b = camera.pupil_distance
-            z = camera.reduced_distance
-            lens_type = lattice.lens_type(*lattice.cell(*(rays.chief_point(p, b, z) for p in pixel))).astype(np.int8)
+            lens = rays.chief_lenses(camera, *pixel, camera.pupil_distance)
+            lens_type = lattice.lens_type(*lens).astype(np.int8)
         places.append([sample, lens_type, lit + rows.start * columns])
     sample, lens_type, pixels = (np.concatenate(parts) for parts in zip(*places, strict=True))
     return sample, lens_type, pixels
@@ -209,7 +208,7 @@ def thin_places(camera: PlenopticCamera, distance: float, radius: float) -> Iter
     height = max(1, _BLOCK // px.size)
     for first in range(0, down.size, height):
         p = px, down[first : first + height, None]
-        cell = camera.lattice.cell(*(rays.chief_point(q, camera.mla_distance, camera.reduced_distance) for q in p))
+        cell = rays.chief_lenses(camera, *p)
         shape = p[1].size, px.size
         (Px, x), (Py, y) = (
             [(pixel * q + lens * c) for pixel, lens in zip(of_pixel, of_lens, strict=True)]

@@ -39,7 +39,7 @@ Flags = NDArray[np.bool_]
 
 Pair = tuple[Any, Any]
 Triple = tuple[Any, Any, Any]
-"""Coordinates in a plane and in space, numbers or arrays of the backend."""
+"""Two and three numbers or arrays of the backend, such as coordinates in a plane and in space."""
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")

@@ -158,7 +158,7 @@ def lens_grid(camera: PlenopticCamera) -> LensGrid:
         not len(micro_image_centres(camera, 0)),
         f"crop_size = {camera.crop_size}: no micro-image is centred in the recorded window",
     )
-    scale = rays.chief_detector_point(1 / camera.pixel_size, camera.mla_distance, camera.reduced_distance)
+    scale = rays.chief_detector_point(camera, 1 / camera.pixel_size)
     vectors, shifted = lattice_rows(np.array(lattice.basis) * scale)
     x, y = lattice.centre(0.0, 0.0)
     origin = np.array([_pixel(camera, x, 0), _pixel(camera, y, 1)])
@@ -186,10 +186,7 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> Array:
     """
     require_support(camera, Use.LENS_CENTRES)
     camera.require_resolved()
-    x, y = (
-        rays.chief_point(camera.pixel_coordinates(axis)[[0, -1]], camera.mla_distance, camera.reduced_distance)
-        for axis in (0, 1)
-    )
+    x, y = (rays.chief_point(camera, camera.pixel_coordinates(axis)[[0, -1]]) for axis in (0, 1))
     around = (margin + 1) * camera.pixel_size
     index = camera.lattice.lenses_within((x[0] - around, y[0] - around), (x[1] + around, y[1] + around))
     centre = camera.lattice.centre(*index.T.astype(np.float64))
@@ -200,9 +197,7 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> Array:
 def lens_indices(camera: PlenopticCamera, centres: Array) -> tuple[Doubles, Doubles]:
     """Return the lattice indices of the lenses of micro-image centres (..., 2), columns and rows."""
     p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
-    chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
-    i, j = camera.lattice.cell(chief[..., 0], chief[..., 1])
-    return i, j
+    return rays.chief_lenses(camera, p[..., 0], p[..., 1])
 
 
 def lens_types(camera: PlenopticCamera, centres: Array) -> Array:
@@ -217,15 +212,14 @@ def lens_types(camera: PlenopticCamera, centres: Array) -> Array:
 
 def lenses_of_pixels(camera: PlenopticCamera) -> Integers:
     """Return the lattice indices i and j of the lens of each recorded pixel's chief ray, (2, rows, columns)."""
-    x, y = (
-        rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.reduced_distance)
-        for axis in (0, 1)
-    )
+    x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
     index = np.empty((2, *camera.shape), np.int32)
     height = max(1, 2**20 // len(x))
     for first in range(0, len(y), height):
         rows = slice(first, first + height)
-        for indices, values in zip(index, camera.lattice.cell(*np.meshgrid(x, y[rows])), strict=True):
+        for indices, values in zip(
+            index, rays.chief_lenses(camera, *np.meshgrid(x, y[rows]), camera.pupil_distance), strict=True
+        ):
             indices[rows] = np.rint(values)
     return index.astype(np.int64)
 
@@ -304,5 +298,5 @@ def covering_grid(shape: tuple[int, ...], origin: Array, vectors: Array, shifted
 
 def _pixel(camera: PlenopticCamera, centre: Any, axis: int) -> Any:
     """Return the coordinate of a lens's micro-image on the recorded image, in pixels."""
-    p = rays.chief_detector_point(centre, camera.mla_distance, camera.reduced_distance)
+    p = rays.chief_detector_point(camera, centre)
     return p / camera.pixel_size + camera.resolution[axis] / 2 - camera.crop_offset[axis]

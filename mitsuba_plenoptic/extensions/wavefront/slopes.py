@@ -205,8 +205,7 @@ def lenses_of_pixels(camera: PlenopticCamera) -> tuple[Doubles, Doubles]:
     b = camera.mla_distance
     z = camera.reduced_distance
     detector = np.stack(np.meshgrid(camera.pixel_coordinates(0), camera.pixel_coordinates(1)), -1)
-    chief = rays.chief_point(detector, b, z)
-    lens = np.stack(camera.lattice.centre(*camera.lattice.cell(chief[..., 0], chief[..., 1])), -1)
+    lens = np.stack(camera.lattice.centre(*rays.chief_lenses(camera, detector[..., 0], detector[..., 1])), -1)
     return lens, lens + (lens - detector) * (b / z)
 
 
