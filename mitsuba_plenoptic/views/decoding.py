@@ -137,7 +137,7 @@ def checked_images(
     camera: PlenopticCamera | None,
     white: CaptureLike | None,
     grid: LensGrid | None,
-    progress: Callable[[int, int], None] | None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[np.ndarray, Any, np.ndarray | None, PlenopticCamera | None]:
     """Return image, white image, fractions of the pupil, each (rows, columns, channels), and the camera for `decode`.
 
@@ -150,7 +150,7 @@ def checked_images(
     if isinstance(recorded, Capture):
         require_demosaiced(recorded)
         cameras.append(recorded.camera)
-    image = as_pixels("capture", recorded.image if isinstance(recorded, Capture) else recorded)
+    image = as_pixels("capture", recorded)
     refuse_if(
         image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3)),
         f"capture of shape {image.shape}: it must be an image of 1 or 3 channels",
@@ -265,9 +265,8 @@ def lens_samples(
     light = _sampled(image, lenses, half)
     of_colours = _sampled(white, lenses, half)
     divisor = of_colours.mean(-1)
-    if of_colours.shape[-1] > 1:
-        # Diffraction blurs rims more in red than in blue.
-        light *= divisor[..., None] / np.maximum(of_colours, 1e-6)
+    # Diffraction blurs rims more in red than in blue.
+    light *= divisor[..., None] / np.maximum(of_colours, 1e-6)
     weight = open_fraction(divisor, alone) if seen is None else _sampled(seen, lenses, half)[..., 0].clip(0, 1)
     if not is_scaled:
         level = divisor[:, :, half, half]

@@ -7,7 +7,6 @@ this destroys detail finer than the pitch of the lenses, which its micro-images 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,13 +62,12 @@ def micro_images(
     camera: PlenopticCamera | None = None,
     white: CaptureLike | None = None,
     grid: LensGrid | None = None,
-    progress: Callable[[int, int], None] | None = None,
 ) -> MicroImages:
     """Return the micro-images of a capture, sampled for `depth_map`.
 
     Parameters
     ----------
-    capture, camera, white, grid, progress
+    capture, camera, white, grid
         As for `decode`; the camera must be known.
 
     Returns
@@ -81,7 +79,7 @@ def micro_images(
     InputError
         As `decode` does, if there is no camera, and of Fourier microscopes.
     """
-    image, reference, seen, upright = checked_images(capture, camera, white, grid, progress)
+    image, reference, seen, upright = checked_images(capture, camera, white, grid)
     if upright is None:
         raise InputError("camera = None: of micro-images the camera must be known")
     refuse_if(
