@@ -252,13 +252,14 @@ def white_of_waves(camera, wavelength, points=81, step=4e-4, around=8):
         ({"mla_focal_length": 0.8533333}, 118.5),
         ({"mla_fill": 0.8}, 112.0),
         ({"mla_fill": 0.5}, 120.0),
+        ({"mla_fill": 0.8, "mla_medium": 1.5, "detector_distance": 0.96, "mla_focal_length": 0.96}, 112.0),
         ({"vignetting": NARROWING}, 112.0),
         ({"vignetting": {"radius": [0.8]}}, 120.0),
     ],
 )
 def test_an_even_world_reads_1_in_all_planes_and_behind_gaps(options, distance):
     """Points do not show on pixels that resolve them, and light beyond kernels counts. Without gaps, too."""
-    camera = FAST.replace(detector_distance=0.64, **options)
+    camera = FAST.replace(**{"detector_distance": 0.64} | options)
     capture = mp.Capture(white_of_waves(camera, 550.0), camera, 550.0, "wave")
     for method in ("incoherent", "deconvolved"):
         image = mp.reconstruct(capture, distance, method=method).image
