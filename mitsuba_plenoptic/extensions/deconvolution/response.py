@@ -352,7 +352,8 @@ class Response(StoredResponse):
                 for kernel in kernels
             ]
             self.planes.append(PlaneResponse(self.cells, self._sampled, groups, [kernels[index] for index in owners]))
-        self._far = float(np.mean(far)) if far else 0.0
+        # Gaps between lenses scatter half of it.
+        self._far = np.float32(np.mean(far or [0.0]) / (1 if camera.lattice.fills else 2))
         self.bins = [
             UprightBins.over(self.cells, plane.lit, camera, distance, oversample)
             for plane, distance in zip(self.planes, distances, strict=True)
@@ -397,13 +398,17 @@ class Response(StoredResponse):
         arrived = sum(float(block.matrix.sum(dtype=np.float64)) for block in kernel.blocks)
         return max(0.0, sent / (arrived * self.cells.grid.pitch.prod()) - 1)
 
-    def _with_far(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return an image with the light beyond kernels, half of which gaps scatter evenly; its own adjoint."""
-        far = np.float32(self._far)
-        if not far or self._camera.lattice.fills:
-            return image * (1 + far)
+    def _spread(self, values: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+        """Return planes with the light that the pupil's edge diffracts beyond kernels, to other bins; self-adjoint."""
+        width = 8 * self._oversample + 1
+        return [plane + self._far * uniform_filter(plane, width, mode="reflect") for plane in self.planes_of(values)]
+
+    def _scattered(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return an image with the light that gaps between lenses scatter evenly; its own adjoint."""
+        if self._camera.lattice.fills:
+            return image
         width = 2 * math.ceil(4 * self._camera.micro_image_pitch / self._camera.pixel_size) + 1
-        return image * (1 + far / 2) + far / 2 * uniform_filter(image, width, mode="reflect")
+        return image + self._far * uniform_filter(image, width, mode="reflect")
 
     def _middle(self, members: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the cell in the middle of a zone."""
@@ -498,9 +503,9 @@ class Response(StoredResponse):
         width, height = self.cells.size
         libraries = active_backend()
         samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
-        for plane, bins, radiance in zip(self.planes, self.bins, self.planes_of(values), strict=True):
+        for plane, bins, radiance in zip(self.planes, self.bins, self._spread(values), strict=True):
             plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), samples)
-        return np.asarray(self._gain * self._with_far(self._recorded(samples)))
+        return np.asarray(self._gain * self._scattered(self._recorded(samples)))
 
     def _recorded(self, samples: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the integrals over pixels of the samples of cells."""
@@ -509,11 +514,12 @@ class Response(StoredResponse):
 
     def adjoint(self, image: NDArray[np.float32], /) -> NDArray[np.float32]:
         """Return the transpose of `forward`, applied to an image."""
-        light = self._with_far(self._gain * self._detector.adjoint(image))
+        light = self._scattered(self._gain * self._detector.adjoint(image))
         sums = self._recorder.spread(light[..., None])[0]
         samples = self.cells.split(sums, self._recorder.box, self._sampled)
         planes = zip(self.planes, self.bins, strict=True)
-        return np.concatenate([bins.share @ plane.adjoint(samples).ravel() for plane, bins in planes])
+        values = np.concatenate([bins.share @ plane.adjoint(samples).ravel() for plane, bins in planes])
+        return np.concatenate(self._spread(values), axis=None)
 
 
 def _farthest(camera: PlenopticCamera) -> float:

@@ -524,7 +524,7 @@ class _DeconvolvedChannel:
         above = self._image + step.shift > 0
         light = float(change[lit].sum(dtype=np.float64))
         moved = np.where(step.inside, np.float32(light / step.sent), 0)
-        shift = np.float32(light * step.shift_slope)
+        shift = np.float32(np.vdot(change, step.shift_slope))
         for made in step.made:
             below, ratio = self._of(made)
             of_model = np.where(made.model > 0, self._response.forward(moved), 0)
@@ -550,9 +550,8 @@ class _DeconvolvedChannel:
             by_shift += float((of_ratio * (above - ratio)).sum(dtype=np.float64))
             of_model = self._response.adjoint(np.where(made.model > 0, of_ratio * ratio, np.float32(0)))
             adjoint_image = adjoint_image * np.maximum(made.back, 0) * step.weight - of_model
-        return total + lit * (
-            float(adjoint_image[step.inside].sum(dtype=np.float64)) / step.sent + by_shift * step.shift_slope
-        )
+        start = float(adjoint_image[step.inside].sum(dtype=np.float64)) / step.sent
+        return total + lit * start + by_shift * step.shift_slope
 
     def _of(self, made: _Made) -> tuple[Floats, Floats]:
         """Return the denominator of the ratio of images, and the ratio."""
