@@ -5,13 +5,16 @@ White pictures of mosaics need the extension `inverse`.
 
 from ...extension import Extension, FileFormat
 
+LYTRO_SUFFIXES = (".lfp", ".lfr", ".raw")
+"""Of raw pictures; a file ``.raw`` has its metadata in a text file of the same name."""
+
 EXTENSION = Extension(
     modules={"exchange": "exchange"},
     commands={
         "demosaic": ("demosaic_command", "Estimate all three colours of every pixel, micro-image by micro-image."),
     },
     formats={
-        **dict.fromkeys((".lfp", ".lfr", ".raw"), FileFormat("capture", "lytro_file:read_lytro")),
+        **dict.fromkeys(LYTRO_SUFFIXES, FileFormat("capture", "lytro_file:read_lytro")),
         "parameters.cfg": FileFormat("light field", "hci:read_hci", "hci:write_hci"),
         ".mat": FileFormat("light field", "lftoolbox:read_lftoolbox", "lftoolbox:write_lftoolbox"),
     },
