@@ -295,7 +295,7 @@ def draw_comparison(
     figure_pairs(
         folder / ANSWER,
         {distance_text(distance): refocused},
-        0.2,
+        0.4,
         lambda axes, _: object_bar(axes, camera, distance, window),
         pdf,
     )
@@ -352,7 +352,7 @@ def figure_pairs(
             show(axes, image, "", peak=peak)
         mesh = show_difference(row[2], luminance(pair[1] - pair[0]), bound * peak)
         for axes, name in zip(row, ("By rays", "By waves", "Waves minus rays"), strict=True):
-            annotate(axes, title=name if row is panels[0] else "", side=title if axes is row[0] else "")
+            annotate(axes, title=name if row[0] is panels[0, 0] else "", side=title if axes is row[0] else "")
             bar(axes, pair[0])
     plot.colour_bar(mesh, panels, "radiance")
     plot.save_both(path, pdf)

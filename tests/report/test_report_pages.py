@@ -86,17 +86,9 @@ def test_a_comparison_says_whether_rays_suffice(pitch, spp, rule, tmp_path, monk
     camera = mp.PlenopticCamera(
         mla_pitch=pitch, mla_focal_length=8 * pitch, detector_width=32 * pitch, resolution=(256, 256)
     )
-    settings = Settings(
-        "letters",
-        camera=camera.to_dict(),
-        parameters={"letter_scale": str(4 * pitch)},
-        distances=(240.0,),
-        methods=methods_of_both(["ray"]),
-        spp=spp,
-        truth_spp=256,
-        noise=True,
-        pdf=False,
-    )
+    size = {"camera": camera.to_dict(), "parameters": {"letter_scale": str(4 * pitch)}, "distances": (240.0,)}
+    spent = {"methods": methods_of_both(["ray"]), "spp": spp, "truth_spp": 256, "noise": True, "pdf": False}
+    settings = Settings("letters", **size, **spent)
     stages = []
     with caplog.at_level("INFO", "mitsuba_plenoptic"):
         results = compare(settings, tmp_path, stages=StageOptions(finished=lambda name, *_: stages.append(name)))
