@@ -82,8 +82,8 @@ def test_long_whites_of_waves_say_what_work_needs(monkeypatch, caplog):
     monkeypatch.setattr(api, "_LONG", -1e9)
 
     def begun(_, report):
-        report(0.3)
-        report(0.6)
+        for done in (0.2, 0.4, 0.6):
+            report(done)
         raise InterruptedError
 
     monkeypatch.setattr(api, "computed_white", begun)
