@@ -128,7 +128,7 @@ def _by_waves(
             image = capture.compute(seed=0, spp=spp, job=Job(shown), noise=False)
     image /= spectrum.matrix().sum(1)
     if even:
-        steps = image.shape[2] * (2 + math.ceil(math.prod(camera.shape) / _BLOCK))
+        steps = image.shape[2] * (1 + math.ceil(math.prod(camera.shape) / _BLOCK))
         with steps_counted(lambda done: progress and progress(round(1000 * (1 + done)), 2000), steps):
             image = np.stack([_folded(image[..., channel], camera) for channel in range(image.shape[2])], axis=-1)
     return np.asarray(DetectorOperator.of(camera).forward(image), np.float32)
