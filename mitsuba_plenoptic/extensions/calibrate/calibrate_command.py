@@ -88,7 +88,6 @@ def calibrate(
       mitsuba-plenoptic calibrate --evaluate corners.csv --camera camera.json --board 9x5 --square 10
     """
     from ...runtime import require_apart, require_different
-    from ..raw import LYTRO_SUFFIXES
 
     sources = sources or []
     if bool(sources) == (evaluate is not None):
@@ -96,11 +95,11 @@ def calibrate(
     for path in [*sources, *filter(None, [evaluate])]:
         content = content_of(path) if path == evaluate or path.suffix.lower() not in _PICTURES else "text"
         refuse_if(
-            not content.startswith("text") and path.suffix.lower() not in LYTRO_SUFFIXES,
+            not content.startswith("text") and path.suffix.lower() not in choices.LYTRO_SUFFIXES,
             f"{path}: it is {content}; corners are a table (.csv), pictures and white images .exr, .png or .tiff",
         )
         refuse_if(
-            path.suffix.lower() in LYTRO_SUFFIXES,
+            path.suffix.lower() in choices.LYTRO_SUFFIXES,
             f"{path}: a raw picture of a Lytro camera is a mosaic of colours; demosaic it first",
         )
     pictures = [path.suffix.lower() in _PICTURES for path in sources]

@@ -3,10 +3,8 @@
 White pictures of mosaics need the extension `inverse`.
 """
 
+from ... import choices
 from ...extension import Extension, FileFormat
-
-LYTRO_SUFFIXES = (".lfp", ".lfr", ".raw")
-"""Of raw pictures; a file ``.raw`` has its metadata in a text file of the same name."""
 
 EXTENSION = Extension(
     modules={"exchange": "exchange"},
@@ -14,7 +12,7 @@ EXTENSION = Extension(
         "demosaic": ("demosaic_command", "Estimate all three colours of every pixel, micro-image by micro-image."),
     },
     formats={
-        **dict.fromkeys(LYTRO_SUFFIXES, FileFormat("capture", "lytro_file:read_lytro")),
+        **dict.fromkeys(choices.LYTRO_SUFFIXES, FileFormat("capture", "lytro_file:read_lytro")),
         "parameters.cfg": FileFormat("light field", "hci:read_hci", "hci:write_hci"),
         ".mat": FileFormat("light field", "lftoolbox:read_lftoolbox", "lftoolbox:write_lftoolbox"),
     },

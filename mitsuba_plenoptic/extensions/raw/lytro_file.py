@@ -27,11 +27,11 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import choices
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, require_choice, require_count, require_number, short_repr
 from ...io import RECORDED, Capture, recording_of
 from ...runtime import Doubles, read_text, require_memory, require_size
-from . import LYTRO_SUFFIXES
 
 CONTAINERS = (".lfp", ".lfr")
 
@@ -128,7 +128,7 @@ def nearest_white(folder: str | Path, capture: Capture) -> Path:
     refuse_if(not folder.is_dir(), f"{folder}: there is no such folder")
     pictures: dict[tuple[float, float], list[Path]] = {}
     for path in sorted(folder.iterdir()):
-        if path.suffix.lower() in LYTRO_SUFFIXES:
+        if path.suffix.lower() in choices.LYTRO_SUFFIXES:
             picture = _read(path)
             with naming(path):
                 steps = picture.steps
@@ -146,7 +146,7 @@ def _brightness(path: Path) -> tuple[bool, float]:
 
 
 def _read(path: Path) -> _Picture:
-    suffix = require_choice("suffix", path.suffix.lower(), LYTRO_SUFFIXES)
+    suffix = require_choice("suffix", path.suffix.lower(), choices.LYTRO_SUFFIXES)
     content = require_size(path, 2**28).read_bytes()
     with naming(path):
         if suffix in CONTAINERS:
