@@ -3,7 +3,6 @@
 White pictures of mosaics need the extension `inverse`.
 """
 
-from ... import choices
 from ...extension import Extension, FileFormat
 
 EXTENSION = Extension(
@@ -12,7 +11,7 @@ EXTENSION = Extension(
         "demosaic": ("demosaic_command", "Estimate all three colours of every pixel, micro-image by micro-image."),
     },
     formats={
-        **dict.fromkeys(choices.LYTRO_SUFFIXES, FileFormat("capture", "lytro_file:read_lytro")),
+        **dict.fromkeys((".lfp", ".lfr", ".raw"), FileFormat("capture", "lytro_file:read_lytro")),
         "parameters.cfg": FileFormat("light field", "hci:read_hci", "hci:write_hci"),
         ".mat": FileFormat("light field", "lftoolbox:read_lftoolbox", "lftoolbox:write_lftoolbox"),
     },
