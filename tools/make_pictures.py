@@ -27,6 +27,7 @@ import matplotlib
 import mitsuba as mi
 import numpy as np
 import real_pictures
+import scipy
 import xarray as xr
 from bench.cases import phase_space as walls
 from check_release import page_code, page_files
@@ -147,8 +148,12 @@ def readme() -> Image.Image:
 def start() -> Image.Image:
     """Show what the package is about: a capture, images refocused from it, and the depth."""
     scale = ScalarMappable(Normalize(190, 310), "viridis_r")
-    shown = coloured(depth()["depth"].values, 190, 310, colours="viridis_r", unknown=238)
-    panels = [*refocused_still_life(), ("Depth; grey: unknown", shown)]
+    known = depth()["depth"].values
+    nearest = scipy.ndimage.distance_transform_edt(np.isnan(known), return_distances=False, return_indices=True)
+    panels = [
+        *refocused_still_life(),
+        ("Depth; gaps from nearest", coloured(known[tuple(nearest)], 190, 310, colours="viridis_r")),
+    ]
     return sheet([panels[:3], panels[3:]], colours=(scale, "mm from the main lens"))
 
 

@@ -16,6 +16,7 @@ from ..refocus_options import Option, all_options, with_parameters
 from ..runtime import in_words, progress_bar
 from .inputs import batches_on, drawing_of, named_camera, refuse_options, require_in_sight, require_linear
 from .options import (
+    EXISTING,
     EXPERT,
     PICTURE,
     WAVES,
@@ -195,7 +196,10 @@ def reconstruct(
 
 def sheet(
     results: Annotated[
-        list[Path], typer.Argument(metavar="RESULT.exr...", help="Files that 'reconstruct' wrote, in any order.")
+        list[Path],
+        typer.Argument(
+            metavar="RESULT.exr...", help="Files that 'reconstruct' wrote, in any order.", callback=EXISTING
+        ),
     ],
     output: Annotated[Path, output_option("FILE", "Figure to write, .pdf or .png.", ".pdf", ".png")],
     distance: Annotated[

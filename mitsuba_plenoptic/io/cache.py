@@ -76,7 +76,7 @@ class Cache:
         """
         self.expected = work
         self._forecast = Forecast(
-            lambda seconds: _log.info("all %d stages: about %s", len(work), in_words(seconds)), least=0.04
+            lambda seconds: _log.info("all %d stages: about %s", len(work), in_words(seconds)), least=0.1
         )
 
     def capture(self, name: str, inputs: Any, make: Callable[[Progress, Checkpoint], Capture]) -> tuple[Capture, str]:
@@ -115,7 +115,7 @@ class Cache:
         beside = self.folder / f".{file}.key"
         name = file.rpartition(".")[0]
         number = next(self._number)
-        label = f"{name}, {number} of {len(self.expected)}" if self.expected else name
+        label = f"{name}, {number} of {len(self.expected)}" if number <= len(self.expected) else name
         before, work = sum(self.expected[: number - 1]), sum(self.expected[number - 1 : number])
 
         def progress(done: int, total: int) -> None:

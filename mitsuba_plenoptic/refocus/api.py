@@ -222,8 +222,8 @@ def reconstruct(
     if capture.model == "wave" and capture.wavelength is not None:
         recorded_at = np.broadcast_to(capture.wavelength, image.shape[2]).tolist()
     by_itself = reference is None and not chosen.as_it_is
-    # A white by waves takes about as long as a part of the refocusing.
-    works = [1, 2] if by_itself and capture.model == "wave" else [0, 1]
+    # A white by waves takes longer than the refocusing.
+    works = [4, 1] if by_itself and capture.model == "wave" else [0, 1]
     with memory_asked() as sizes:
         computed = computed_white(unstraightened, portion(report, 0, works)) if by_itself else None
     with guards.watch() as found, memory_asked() as sizes:

@@ -230,7 +230,8 @@ def contrast_change(first: Array, second: Array, truth: Array) -> ContrastChange
         if along <= 5 * np.linalg.norm(left * waves):
             continue
         ratio = float(np.vdot(waves, by_waves).real / along)
-        scatter = 3 * np.linalg.norm((by_waves - ratio * by_rays) * waves) / along
+        # The window correlates neighbouring frequencies, whose sum scatters twice as much as if they were independent.
+        scatter = 6 * np.linalg.norm((by_waves - ratio * by_rays) * waves) / along
         if scatter < 0.05:
             found = replace(found, finest=low)
         if abs(ratio - 1) > max(scatter, 0.05, abs(found.ratio - 1)) and abs(found.ratio - 1) < 0.2:

@@ -294,7 +294,7 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
         by_label.setdefault(row, {})[result.distance] = result
 
     def panel(result: Reconstruction | None, distance: float) -> Panel:
-        title = _distance(distance)
+        title = distance_text(distance)
         if result is None:
             return Panel(np.zeros((0, 0)), title)
         width = result.image.shape[1] * result.bin_size if np.isfinite(distance) else None
@@ -326,7 +326,7 @@ def stack_figure(stack: xr.DataArray, white: float | None = None) -> Plot:
     panels = [
         Panel(
             image.values,
-            _distance(float(image.distance)),
+            distance_text(float(image.distance)),
             image.sizes["s"] * camera.bin_size(float(image.distance)) if np.isfinite(image.distance) else None,
         )
         for image in stack
@@ -546,5 +546,6 @@ def _labels(positions: Array, name: str, unit: str) -> list[str]:
     return [f"{name} = {texts[0]}{unit}", *texts[1:]]
 
 
-def _distance(distance: float) -> str:
+def distance_text(distance: float) -> str:
+    """Return a distance in focus, in millimetres, as text."""
     return f"{distance:g} mm" if np.isfinite(distance) else "infinity"

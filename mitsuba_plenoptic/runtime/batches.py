@@ -593,11 +593,18 @@ def lanes_reported(report: Callable[[float], None] | None, lanes: int) -> Iterat
 
     thread = threading.Thread(target=watch, daemon=True)
     before = _lane_count.set(count)
+    # The only thread of a single core would run a kernel as one piece, which counts at its end.
+    alone = worker_count() == dr.thread_count() == 1
+    if alone:
+        dr.set_thread_count(2)
     thread.start()
     try:
         yield
     finally:
         _lane_count.reset(before)
+        if alone:
+            dr.sync_thread()
+            stop_threads()
         ended.set()
         thread.join()
     if errors:

@@ -19,7 +19,7 @@ from ..errors import InputError, warn
 from ..extension import hook
 from ..io import Capture, mosaic_of, recording_of
 from ..optics import Spectrum, guards
-from ..runtime import DEFAULT_VARIANT, Doubles, Floats, Job, Progress, set_variant
+from ..runtime import DEFAULT_VARIANT, Doubles, Floats, Job, Progress, begin_step, set_variant, steps_counted
 from .white import mean_response, white_image
 
 _SAMPLES = 64
@@ -34,6 +34,9 @@ _MOST = 1024
 _KNOTS = 2
 _PLACES = 8
 """Splines along a pixel, and places along it at which pixels count as one."""
+
+_BLOCK = 2**20
+"""Pixels whose splines are evaluated at once."""
 
 _ASIDE = 0.02
 """Pixels by which oblique light may move micro-images of an array that counts as even."""
@@ -117,10 +120,14 @@ def _by_waves(camera: PlenopticCamera, spectrum: Spectrum, progress: Progress | 
         spp = min(spp, max(_LEAST, round(_SAMPLES * _LENSES / lenses))) if even else spp
         with guards.watch():
             capture = kind(camera, white, spectrum, flat, None, DEFAULT_ACCURACY)
-            image = capture.compute(seed=0, spp=spp, job=Job(progress), noise=False)
+            # The fit takes about as long as the capture.
+            shown = progress and (lambda done, total: progress(done, (1 + even) * total))
+            image = capture.compute(seed=0, spp=spp, job=Job(shown), noise=False)
     image /= spectrum.matrix().sum(1)
     if even:
-        image = np.stack([_folded(image[..., channel], camera) for channel in range(image.shape[2])], axis=-1)
+        steps = image.shape[2] * (1 + math.ceil(math.prod(camera.shape) / _BLOCK))
+        with steps_counted(lambda done: progress and progress(round(1000 * (1 + done)), 2000), steps):
+            image = np.stack([_folded(image[..., channel], camera) for channel in range(image.shape[2])], axis=-1)
     return np.asarray(DetectorOperator.of(camera).forward(image), np.float32)
 
 
@@ -149,20 +156,21 @@ def _folded(image: Floats, camera: PlenopticCamera) -> Doubles:
     used = np.flatnonzero(pixels)
     means = [np.bincount(place, values.ravel(), math.prod(places))[used] / pixels[used] for values in (*phases, image)]
     root = np.sqrt(pixels[used])
+    splines = scipy.sparse.diags_array(root) @ _splines(means[0], means[1], count)
+    begin_step("periodic image of white")
     fitted = scipy.sparse.linalg.lsqr(
-        scipy.sparse.diags_array(root) @ _splines(means[0], means[1], count),
+        splines,
         root * means[2],
         atol=1e-5,
         btol=1e-5,
         iter_lim=30,
     )[0]
-    rows = np.array_split(np.arange(len(image)), -(-image.size // 2**20))
-    return np.concatenate(
-        [
-            (_splines(phases[0][some].ravel(), phases[1][some].ravel(), count) @ fitted).reshape(len(some), -1)
-            for some in rows
-        ]
-    )
+    rows = []
+    for some in np.array_split(np.arange(len(image)), -(-image.size // _BLOCK)):
+        begin_step("white image")
+        values = _splines(phases[0][some].ravel(), phases[1][some].ravel(), count) @ fitted
+        rows.append(values.reshape(len(some), -1))
+    return np.concatenate(rows)
 
 
 def _splines(x: Doubles, y: Doubles, count: tuple[int, int]) -> Any:
