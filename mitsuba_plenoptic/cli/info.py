@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,18 +12,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..choices import RAW_SUFFIXES
-from ..errors import InputError, printable, refuse_if
+from ..errors import InputError, printable, refuse_if, require_number
 from ..presets import PRESETS
-from .inputs import load_camera, parse_definitions
-from .options import CAMERA, Definitions, Unit, wavelength_option
+from .inputs import load_camera, parse_definitions, refuse_options
+from .options import CAMERA, Definitions, Unit, numeric, wavelength_option
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from ..camera import PlenopticCamera
     from ..io import Capture
+    from ..prescription import Prescription
     from ..report import Row
 
+
+_positive = partial(require_number, positive=True)
+_angle = partial(require_number, minimum=0, maximum=85)
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for other programs, and nothing else.")]
 
@@ -32,7 +35,7 @@ def info(
     source: Annotated[
         str | None,
         typer.Argument(
-            metavar="SCENE|PRESET|CAMERA.json|NAME=VALUE,...|CAPTURE.exr|LENS.zmx",
+            metavar="SCENE|PRESET|CAMERA.json|NAME=VALUE,...|CAPTURE.exr|LENS.zmx|LENS.yaml",
             show_default=False,
             help=f"A Mitsuba XML file, a built-in scene's name, a camera's ({', '.join(PRESETS)}), its file or "
             "parameters, as for --camera of 'render', a capture, a raw picture of a Lytro camera, or a lens's file.",
@@ -64,6 +67,15 @@ def info(
             help="Write the camera that the fewest of the changes which the warnings name make of this one.",
         ),
     ] = None,
+    pupil: Annotated[
+        float | None,
+        numeric("Of a lens: diameter of its entrance pupil.", "the file's", unit="MM", check=_positive),
+    ] = None,
+    f_number: Annotated[float | None, numeric("Of a lens: f-number.", "the file's", check=_positive)] = None,
+    field: Annotated[
+        list[float] | None,
+        numeric("Of a lens: angle from the axis; repeat for several.", "the file's", unit="DEG", check=_angle),
+    ] = None,
     camera: Annotated[
         str | None,
         typer.Option(
@@ -80,7 +92,7 @@ def info(
     """Print what follows from a camera's parameters, and warnings about its design.
 
     Nothing is rendered. For a capture, the way it was made is printed too. Warnings name their remedies, which --fix
-    applies.
+    applies. Of a lens, spots and modulation transfer functions are printed, at the fields and wavelengths of its file.
 
     [bold]Examples:[/bold]
 
@@ -91,6 +103,8 @@ def info(
       mitsuba-plenoptic info camera.json --drawing lens.png
 
       mitsuba-plenoptic info camera.json --fix better.json
+
+      mitsuba-plenoptic info lens.zmx --f-number 4 --field 14
     """
     from rich.console import Console
     from rich.markup import escape
@@ -108,18 +122,22 @@ def info(
     parameters = parse_definitions(define)
     suffix = Path(source).suffix.lower()
     recorded = suffix in (".exr", *RAW_SUFFIXES) or format_of(suffix, "capture", source) is not None
-    is_lens = Path(source).is_file() and format_of(suffix, "lens", source) is not None
+    lens = _named_lens(source)
     refuse_if(
-        parameters and (recorded or is_lens),
+        parameters and (recorded or lens),
         f"-D: {source} is no scene, and has no scene parameters; leave it out",
     )
-    refuse_if(unit != "mm" and (recorded or is_lens), f"--unit {unit}: {source} is no scene; leave it out")
-    refuse_if(is_lens and microlens, f"--microlens {microlens}: {source} is a main lens; leave it out")
+    refuse_if(unit != "mm" and (recorded or lens), f"--unit {unit}: {source} is no scene; leave it out")
+    if lens is not None:
+        refuse_options(f"{source}, a main lens,", microlens=microlens, fix=fix, wavelength=wavelength)
+        try:
+            pupil = pupil or (lens.paraxial.focal_length / f_number if f_number else 0.0)
+            return _print_lens(lens, pupil, field or [], drawing, as_json)
+        except InputError as error:
+            raise InputError(f"{source}: {str(error).removeprefix('main_lens: ')}") from None
+    refuse_options(f"{source}, which is no lens,", pupil=pupil, f_number=f_number, field=field)
     capture = read_capture(source) if recorded else None
-    if is_lens:
-        shown_camera = _behind_lens(source)
-    else:
-        shown_camera = capture.camera if capture else load_camera(source, parameters, unit)[0]
+    shown_camera = capture.camera if capture else load_camera(source, parameters, unit)[0]
     if capture and wavelength is None and isinstance(capture.wavelength, float):
         wavelength = capture.wavelength
     if drawing is not None:
@@ -166,27 +184,36 @@ def info(
             console.print(f"[bold]Still:[/bold] {escape(warning)}.", soft_wrap=True)
 
 
-def _behind_lens(source: str) -> PlenopticCamera:
-    """Return a camera that judges the lens of a file: it is in focus at infinity, or else at twice its focal length.
+def _named_lens(source: str) -> Prescription | None:
+    """Return the lens of a file; None where a source names no lens of surfaces."""
+    from ..extension import format_of
+    from ..prescription import read_prescription
+    from ..runtime import read_yaml
 
-    The detector has the default's size over the focal length, about 8 degrees from corner to corner.
-    """
-    from ..camera import PlenopticCamera
-    from ..prescription import THIN, read_prescription
-
-    lens = read_prescription(source)
-    try:
-        focal_length, _ = lens.own_numbers(None)
-    except InputError as error:
-        raise InputError(f"{source}: {str(error).removeprefix('main_lens: ')}") from None
-    width = PlenopticCamera().detector_width / THIN.own_numbers(None)[0] * focal_length
-    for distance in (math.inf, 2 * focal_length):
+    path = Path(source)
+    suffix = path.suffix.lower()
+    is_lens = path.is_file() and format_of(suffix, "lens", source) is not None
+    if path.is_file() and suffix in (".json", ".yaml", ".yml"):
+        # What is no YAML is refused as a camera's file.
         with contextlib.suppress(InputError):
-            return PlenopticCamera(main_lens=lens, focus_distance=distance, detector_width=width, mla_lattice="none")
-    raise InputError(
-        f"{source}: the images of objects at infinity and at twice its focal length, {focal_length:.4g} mm, lie within "
-        "the lens or before its exit pupil: no detector can stand there"
-    )
+            is_lens = "surfaces" in (read_yaml(path) or ())
+    return read_prescription(source) if is_lens else None
+
+
+def _print_lens(lens: Prescription, pupil: float, fields: list[float], drawing: Path | None, as_json: bool) -> None:
+    """Print the sheet of a lens of surfaces, and draw the lens."""
+    from rich.console import Console
+
+    from ..report import behind_lens, draw_main_lens, lens_sheet
+
+    rows = lens_sheet(lens, pupil, fields)
+    if drawing is not None:
+        camera, distance, _ = behind_lens(lens, pupil, fields)
+        draw_main_lens(drawing, camera, distance)
+    if as_json:
+        typer.echo(json.dumps({"lens": lens.to_plain(), "sheet": [row._asdict() for row in rows]}, indent=1))
+    else:
+        Console(highlight=False).print(_table(rows))
 
 
 def _origin(capture: Capture) -> dict[str, Any]:

@@ -44,6 +44,8 @@ _TOUCHING = 1e-9
 
 _NAMES = {"radius", "thickness", "glass", "semi_aperture", "conic", "asphere", "stop"}
 
+_USE = {"object_distance", "image_distance", "pupil_diameter", "fields", "wavelengths"}
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -189,6 +191,13 @@ class Prescription(LensData):
         Where the lens is published.
     wavelength : float
         Wavelength in nanometres at which rays are traced and focal length and pupils are given; the line d by default.
+    object_distance, image_distance : float
+        Distances in millimetres from the object to the first vertex, and from the last vertex to the image, for which
+        the lens is designed; 0: the image plane is not known.
+    pupil_diameter : float
+        Diameter in millimetres of the entrance pupil in use; 0: the stop is fully open.
+    fields, wavelengths : tuple of float
+        Angles in degrees from the axis, seen from the entrance pupil, and wavelengths in nanometres in use.
     """
 
     mark = "surfaces"
@@ -199,6 +208,11 @@ class Prescription(LensData):
     name: str = ""
     source: str = ""
     wavelength: float = LINE_D
+    object_distance: float = math.inf
+    image_distance: float = 0.0
+    pupil_diameter: float = 0.0
+    fields: tuple[float, ...] = ()
+    wavelengths: tuple[float, ...] = ()
 
     @property
     def traced_surfaces(self) -> tuple[Surface, ...]:
@@ -256,7 +270,8 @@ class Prescription(LensData):
         surfaces = [surface.to_plain() for surface in self.surfaces]
         surfaces[self.stop]["stop"] = True
         facts = {name: text for name in ("name", "source") if (text := getattr(self, name))}
-        return {**facts, "wavelength": self.wavelength, "surfaces": surfaces}
+        use = {name: value for name in sorted(_USE) if (value := getattr(self, name)) not in (0.0, (), math.inf)}
+        return {**facts, "wavelength": self.wavelength, **use, "surfaces": surfaces}
 
     @classmethod
     def from_plain(cls, value: Any) -> Prescription:
@@ -266,7 +281,7 @@ class Prescription(LensData):
         ----------
         value : dict
             ``surfaces``, a list of what `Surface.from_plain` takes, one of them with ``stop: true``; and any of
-            ``name``, ``source``, ``wavelength``.
+            ``name``, ``source``, ``wavelength`` and the other fields of a `Prescription`.
 
         Raises
         ------
@@ -276,7 +291,7 @@ class Prescription(LensData):
             that cross within their semi-apertures end there, with a warning.
         """
         if isinstance(value, dict):
-            require_known("main_lens: ", value, ("surfaces", "name", "source", "wavelength"))
+            require_known("main_lens: ", value, ("surfaces", "name", "source", "wavelength", *_USE))
         refuse_if(
             not isinstance(value, dict) or "surfaces" not in value,
             f"main_lens = {short_repr(value)}: it must have surfaces, and may have name, source, wavelength",
@@ -301,10 +316,19 @@ class Prescription(LensData):
         texts = {name: value.get(name, "") for name in ("name", "source")}
         for name, text in texts.items():
             refuse_if(not isinstance(text, str), f"main_lens: {name} = {short_repr(text)}: it must be text")
+        use: dict[str, Any] = {}
+        for name in _USE & value.keys():
+            # Slopes of fields stay moderate, and distances may be infinite.
+            bounds = {"minimum": 0, "maximum": 85 if name == "fields" else LONGEST, "finite": name != "object_distance"}
+            entries = [
+                require_number(f"main_lens: {name}", entry, **bounds) for entry in np.ravel(value[name]).tolist()
+            ]
+            use[name] = tuple(entries) if name.endswith("s") else entries[0]
         lens = cls(
             surfaces,
             stops[0],
             **texts,
+            **use,
             wavelength=require_wavelength(value.get("wavelength", LINE_D), "main_lens: wavelength"),
         )
         lens.indices(lens.wavelength)

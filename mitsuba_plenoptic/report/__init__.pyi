@@ -22,6 +22,7 @@ from .experiment import refocused as refocused
 from .experiment import run_experiment as run_experiment
 from .installation import inspect_installation as inspect_installation
 from .lens_drawing import draw_main_lens as draw_main_lens
+from .lens_quality import behind_lens as behind_lens
 from .microlens_drawing import draw_microlens as draw_microlens
 from .output_files import as_parts as as_parts
 from .output_files import reconstruction_paths as reconstruction_paths
@@ -36,4 +37,5 @@ from .output_files import write_stack as write_stack
 from .output_files import write_views as write_views
 from .sheet import Row as Row
 from .sheet import design_sheet as design_sheet
+from .sheet import lens_sheet as lens_sheet
 from .sheet import sheet_tables as sheet_tables

@@ -53,18 +53,21 @@ def _reach(camera: PlenopticCamera) -> float:
     return float(main_lens(camera).reach)
 
 
-def _chief(camera: PlenopticCamera, wavelength: float | None, height: float) -> tuple[float, float]:
-    """Return Y/g of the chief ray of a height on the MLA in the object plane in focus, and Y where the lens begins."""
+def chief(
+    camera: PlenopticCamera, wavelength: float | None, height: float, distance: float | None
+) -> tuple[float, float]:
+    """Return Y/g of the chief ray of a height on the MLA in an object plane, and Y in mm where the lens begins."""
     lens = main_lens(camera, wavelength)
     slope = np.atleast_1d(lens.chief_slope(np.array([height])))
     (_, y, z), (_, t), _ = lens.trace((np.zeros(1), np.full(1, height)), (np.zeros(1), slope))
-    nearness = _nearness(camera)
+    nearness = _nearness(camera, distance)
     return float((y * nearness + (1 - z * nearness) * t)[0]), float((y + (lens.front - z) * t)[0])
 
 
-def _nearness(camera: PlenopticCamera) -> float:
-    """Return the reciprocal distance in 1/mm of the object plane, at infinity where no real plane is in focus."""
-    return 1 / camera.focus_distance if camera.focus_distance > 0 else 0.0
+def _nearness(camera: PlenopticCamera, distance: float | None) -> float:
+    """Return the reciprocal of an object plane's distance in 1/mm; None means the plane in focus or, without, 0."""
+    distance = camera.focus_distance if distance is None else distance
+    return 1 / distance if distance > 0 else 0.0
 
 
 def _passing(
@@ -88,8 +91,10 @@ def _passing(
     return result, is_open, float(is_open.sum() * step.prod())
 
 
-def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the positions on the MLA of the rays of one object point that pass the lens.
+def spot(
+    camera: PlenopticCamera, height: float, wavelength: float, distance: float | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the positions and slopes on the MLA of the rays of one object point that pass the lens.
 
     The object point is where the chief ray of a position on the MLA meets the object plane. Its rays fill the stop.
 
@@ -101,24 +106,29 @@ def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.
         Distance of the position from the axis in millimetres.
     wavelength : float
         Wavelength in nanometres; the object point is that of the chief ray at the prescription's own.
+    distance : float, optional
+        Distance of the object plane in millimetres; may be infinite. Default: that in focus.
 
     Returns
     -------
     x, y : float64 arrays (n,)
-        Positions in millimetres; y is across to the axis.
+        Positions in millimetres; y is along the direction from the axis.
+    slopes : float64 array (2, n)
+        dx/dz and dy/dz, z towards the scene.
     """
-    seen, entered = _chief(camera, None, height)
+    seen, entered = chief(camera, None, height, distance)
     lens = main_lens(camera, wavelength)
-    nearness = _nearness(camera)
+    nearness = _nearness(camera, distance)
 
     def traced(x: np.ndarray, y: np.ndarray) -> tuple[Any, Any]:
         slope = (-x * nearness, seen - y * nearness)
-        distance = 1 - lens.front * nearness
-        place, _, is_open, _ = lens.through((x, y, np.full_like(x, lens.front)), tuple(t / distance for t in slope))
-        return place, is_open
+        scale = 1 - lens.front * nearness
+        place, turned, is_open, _ = lens.through((x, y, np.full_like(x, lens.front)), tuple(t / scale for t in slope))
+        return np.array([*place, *turned]), is_open
 
-    (x, y), is_open, _ = _passing(traced, entered, abs(entered) + 1.5 * lens.front_bounds[0])
-    return x[is_open], y[is_open] - height
+    rays, is_open, _ = _passing(traced, entered, abs(entered) + 1.5 * lens.front_bounds[0])
+    x, y, *slopes = rays[:, is_open]
+    return x, y - height, np.array(slopes)
 
 
 def lateral_colour(camera: PlenopticCamera, height: float, wavelengths: tuple[float, float]) -> float:
@@ -133,7 +143,7 @@ def lateral_colour(camera: PlenopticCamera, height: float, wavelengths: tuple[fl
     wavelengths : (float, float)
         Wavelengths in nanometres.
     """
-    first, second = (_chief(camera, wavelength, height)[0] for wavelength in wavelengths)
+    first, second = (chief(camera, wavelength, height, None)[0] for wavelength in wavelengths)
     # What is seen farther out from the same position is imaged nearer to the axis.
     return camera.mla_distance * (second - first)
 
@@ -178,7 +188,9 @@ def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[n
     return lens.scale * np.array(z), lens.scale * np.array(y)
 
 
-def field_figures(camera: PlenopticCamera, heights: tuple[float, ...]) -> list[FieldFigures]:
+def field_figures(
+    camera: PlenopticCamera, heights: tuple[float, ...], distance: float | None = None
+) -> list[FieldFigures]:
     """Return the field figures of a real main lens, from rays that fill its stop.
 
     Parameters
@@ -187,6 +199,8 @@ def field_figures(camera: PlenopticCamera, heights: tuple[float, ...]) -> list[F
         The camera; where no real plane is in focus, infinitely far points are taken.
     heights : tuple of float
         Distances from the axis on the MLA in millimetres.
+    distance : float, optional
+        Distance of the object plane in millimetres. Default: that in focus.
 
     Returns
     -------
@@ -203,9 +217,9 @@ def field_figures(camera: PlenopticCamera, heights: tuple[float, ...]) -> list[F
 
         middle = field + lens.pupil.distance * float(lens.chief_slope(np.array([field]))[0])
         passing = _passing(traced, middle, abs(middle) + _reach(camera))[2]
-        x, y = spot(camera, field, lens.light)
+        x, y, _ = spot(camera, field, lens.light, distance)
         radius = math.sqrt(np.var(x) + np.var(y)) if x.size else math.nan
-        distortion = -field / (camera.mla_distance * _chief(camera, None, field)[0]) - 1 if field else 0.0
+        distortion = -field / (camera.mla_distance * chief(camera, None, field, distance)[0]) - 1 if field else 0.0
         figures.append(FieldFigures(field, radius, passing / area, distortion))
         area = (passing or 1.0) if len(figures) == 1 else area
     return figures[1:]
@@ -219,7 +233,7 @@ _RAYS = ("#1b6ca8", "#2a8f52", "#b8442e")
 
 
 @styled
-def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
+def draw_main_lens(path: Path, camera: PlenopticCamera, distance: float | None = None) -> None:
     """Draw the main lens of a camera into a PNG or PDF.
 
     Parameters
@@ -228,6 +242,8 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
         The file.
     camera : PlenopticCamera
         A camera with a real main lens.
+    distance : float, optional
+        Distance in millimetres of the objects whose spots are drawn. Default: that in focus.
 
     Raises
     ------
@@ -242,10 +258,13 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
     rows = plot.add_gridspec(2, 1, height_ratios=(3.6, 2.8))
     _surfaces(bare(plot.add_subplot(rows[0])), camera, corner, camera.prescription.name or "main lens")
     *spots, light, distortion = rows[1].subgridspec(1, 5, width_ratios=(2, 2, 2, 1.6, 1.6)).subplots(squeeze=False)[0]
-    for axes, fraction in zip(spots, _FIELDS, strict=True):
-        _spot(axes, camera, fraction * corner)
+    largest = max([_spot(axes, camera, part * corner, distance) for axes, part in zip(spots, _FIELDS, strict=True)])
+    for axes in spots:
+        axes.set_xlim(-1.1 * largest, 1.1 * largest)
+        axes.set_ylim(-1.1 * largest, 1.1 * largest)
+    scale_bar(spots[0], 2200 * largest, below=True, unit="um")
     spots[-1].legend(fontsize=6, loc="upper left", bbox_to_anchor=(1, 1), frameon=False, markerscale=4, handletextpad=0)
-    _curves(light, distortion, camera, corner)
+    _curves(light, distortion, camera, corner, distance)
     plot.save(path)
 
 
@@ -290,26 +309,33 @@ def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> 
     axes.set_title(f"{name}: {sizes}", size=10, color=INK, loc="left")
 
 
-def _spot(axes: Axes, camera: PlenopticCamera, height: float) -> None:
-    """Draw the points at which rays of an object point meet the MLA, in three colours."""
-    cell, name = (camera.row_pitch, "microlens") if camera.has_array else (camera.pixel_size, "pixel")
-    largest = 0.5 * cell
-    for line, wavelength, colour in (("F", LINE_F, "#2463d6"), ("d", LINE_D, "#d9a400"), ("C", LINE_C, "#d03b2f")):
-        x, y = spot(camera, height, wavelength)
-        some = slice(None, None, max(1, len(x) // 600))
+def _spot(axes: Axes, camera: PlenopticCamera, height: float, distance: float | None) -> float:
+    """Draw the points at which rays of an object point meet the MLA, and return the largest coordinate in mm."""
+    largest = 0.0
+    colours = ("#2463d6", "#d9a400", "#d03b2f")
+    lens = camera.prescription
+    lines = {"F": LINE_F, "d": LINE_D, "C": LINE_C}
+    if lens is not None and lens.wavelengths:
+        lines = {f"{w:.4g} nm": w for w in (min(lens.wavelengths), lens.wavelength, max(lens.wavelengths))}
+    for (line, wavelength), colour in zip(lines.items(), colours, strict=False):
+        x, y, _ = spot(camera, height, wavelength, distance)
+        # A regular choice of a regular grid would be a coarse grid, and show patterns that the spot does not have.
+        some = np.random.default_rng(0).permutation(x.size)[:600]
         axes.plot(x[some], y[some], ".", color=colour, markersize=1.2, label=line)
         largest = max([largest, *np.abs(x), *np.abs(y)])
-    axes.plot(np.array([-1, 1, 1, -1, -1]) * cell / 2, np.array([-1, -1, 1, 1, -1]) * cell / 2, color=INK, lw=0.6)
-    axes.set_xlim(-1.1 * largest, 1.1 * largest)
-    axes.set_ylim(-1.1 * largest, 1.1 * largest)
     bare(axes).set_aspect("equal")
     axes.set_title(f"spot at {height:.3g} mm", size=9, color=INK, loc="left")
-    axes.set_xlabel(f"square: a {name}, {1e3 * cell:.3g} um", size=7, color=INK)
+    if camera.has_array:
+        cell = camera.row_pitch
+        axes.plot(np.array([-1, 1, 1, -1, -1]) * cell / 2, np.array([-1, -1, 1, 1, -1]) * cell / 2, color=INK, lw=0.6)
+        axes.set_xlabel(f"square: a microlens, {1e3 * cell:.3g} um", size=7, color=INK)
+        largest = max(largest, cell / 2)
+    return largest
 
 
-def _curves(light: Axes, distortion: Axes, camera: PlenopticCamera, corner: float) -> None:
+def _curves(light: Axes, distortion: Axes, camera: PlenopticCamera, corner: float, distance: float | None) -> None:
     """Draw light and distortion over the field."""
-    figures = field_figures(camera, tuple((corner * np.linspace(0, 1, 13)).tolist()))
+    figures = field_figures(camera, tuple((corner * np.linspace(0, 1, 13)).tolist()), distance)
     heights = [field_height.height for field_height in figures]
     for axes, values, title in (
         (light, [100 * field_height.light for field_height in figures], "light, %"),

@@ -192,15 +192,17 @@ def mark(axes: Axes, zoom: Zoom, corner: tuple[int, int], factor: float, name: s
     )
 
 
-def scale_bar(axes: Axes, width: float, plane: str = "", *, below: bool = False, size: float = 8) -> None:
-    """Draw a bar of a round length into or below a picture that is `width` millimetres wide.
+def scale_bar(
+    axes: Axes, width: float, plane: str = "", *, below: bool = False, size: float = 8, unit: str = "mm"
+) -> None:
+    """Draw a bar of a round length into or below a picture of a width in a unit.
 
     The label states the bar's length and the plane in which it is measured.
     """
     digit = 10.0 ** math.floor(math.log10(0.3 * width))
     length = next(step * digit for step in (5.0, 2.0, 1.0) if step * digit <= 0.3 * width)
     fraction = length / width
-    label = f"{length:g} mm {plane}".strip()
+    label = f"{length:g} {unit} {plane}".strip()
     thick = 0.045
     left, low, colour = (0.0, -3 * thick, INK) if below else (0.04, 2.5 * thick, "white")
     # Along the picture in fractions of its width, upwards in inches from its lower edge.

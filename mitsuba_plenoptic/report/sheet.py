@@ -4,15 +4,27 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 from markupsafe import Markup
 
 from .. import design
 from ..camera import PlenopticCamera, Round
 from ..errors import InputError
-from ..prescription import LINE_C, LINE_F, Collimator, Objective, Prescription, image_distance, paraxial
-from .lens_drawing import field_figures, lateral_colour
+from ..prescription import (
+    LINE_C,
+    LINE_F,
+    Collimator,
+    Objective,
+    Prescription,
+    conjugate_distance,
+    image_distance,
+    paraxial,
+)
+from .lens_drawing import FieldFigures, field_figures, lateral_colour, spot
+from .lens_quality import FREQUENCIES, behind_lens, transfer
 from .pages import template
 
 
@@ -63,7 +75,13 @@ def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> li
     else:
         groups = {"Main lens": _main_lens(camera)}
         if camera.prescription is not None:
-            groups["Surfaces of the main lens"] = _surfaces(camera, camera.prescription)
+            rows = _surfaces(camera, camera.prescription)
+            corner = math.hypot(camera.detector_width, camera.detector_height) / 2
+            for figures in field_figures(camera, (0.0, 0.7 * corner, corner)):
+                at = f", {_four(figures.height)} mm from the axis"
+                rows.append(("spot", _four(1e3 * figures.spot), "um", f"root mean square radius in the image{at}"))
+                rows += _field(camera, camera.prescription, figures, at)
+            groups["Surfaces of the main lens"] = rows
         if camera.has_array:
             groups["Microlenses"] = _microlenses(camera)
         groups["Detector"] = _detector(camera)
@@ -98,7 +116,8 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
             rows.append((name, glass.name or glass.form, "", "focal lengths are those at 587.56 nm"))
     if camera.aperture != Round():
         rows.append(("open part of the aperture", f"{camera.aperture.share:.3g}", "", "of its circle"))
-    rows.append(("lens model", camera.lens_model, "", ""))
+    if camera.lens_data.is_thin:
+        rows.append(("lens model", camera.lens_model, "", ""))
     if any(camera.distortion):
         rows.append(("distortion", ", ".join(map(_four, camera.distortion)), "", "k1, k2, k3, p1, p2; by rays only"))
     return rows + _aberrations(camera)
@@ -114,14 +133,47 @@ def _aberrations(camera: PlenopticCamera) -> list[_Line]:
     return rows
 
 
+def lens_sheet(lens: Prescription, pupil: float = 0.0, angles: Sequence[float] = ()) -> list[Row]:
+    """Return what lens programs print of a lens, as rows; the arguments are those of `behind_lens`."""
+    camera, distance, fields = behind_lens(lens, pupil, angles)
+    groups = {}
+    moment = spread = 0.0
+    for angle, figures in zip(fields, field_figures(camera, tuple(fields.values()), distance), strict=True):
+        rows = [("image height", f"{figures.height:.6g}", "mm", "of the chief ray")]
+        for wavelength in lens.wavelengths or (lens.wavelength,):
+            x, y, slopes = spot(camera, figures.height, wavelength, distance)
+            # One ray has no spread, and no light no rays.
+            covariance = np.cov([x, y, *slopes]) if x.size > 1 else np.full((4, 4), math.nan)
+            radius = math.sqrt(covariance[0, 0] + covariance[1, 1])
+            rows.append(("spot", _four(1e3 * radius), "um", f"root mean square radius at {wavelength:g} nm"))
+            moment += covariance[0, 2] + covariance[1, 3]
+            spread += covariance[2, 2] + covariance[3, 3]
+        for name, contrasts in zip(("tangential", "sagittal"), transfer(camera, figures.height, distance), strict=True):
+            values = ", ".join(f"{contrast:.3f}" for contrast in contrasts)
+            note = f"at {', '.join(map(str, FREQUENCIES))} per mm, {lens.wavelength:g} nm"
+            rows.append((f"MTF, {name}", values, "", note))
+        groups[f"Field of {angle:.4g} deg"] = rows + _field(camera, lens, figures)
+    diameter = pupil or lens.pupil_diameter or camera.aperture_diameter
+    behind = lens.paraxial.rear_principal
+    focus = conjugate_distance(camera.focal_length, distance)
+    planes = [
+        ("entrance pupil's diameter", f"{diameter:.6g}", "mm", f"f/{camera.focal_length / diameter:.4g}"),
+        ("image plane", f"{behind + camera.mla_distance:.6g}", "mm", "behind the last vertex"),
+        ("paraxial focus", f"{behind + focus:.6g}", "mm", "behind the last vertex"),
+        ("best focus", f"{behind + camera.mla_distance + moment / spread:.6g}", "mm", "of least mean square spots"),
+    ]
+    groups = {"Lens": _surfaces(camera, lens) + planes} | groups
+    return [Row(group, *line) for group, lines in groups.items() for line in lines]
+
+
 def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
-    """Return lines with a real main lens's paraxial quantities, and its spots and light over the field."""
+    """Return lines with a real main lens's paraxial quantities."""
     cardinal = paraxial(lens)
     scale = camera.focal_length / cardinal.focal_length
     note = f"at {lens.wavelength:g} nm"
-    rows = [
+    return [
         ("prescription", lens.name or "without a name", "", f"{len(lens.surfaces)} surfaces, scaled by {scale:.6g}"),
-        ("focal length", f"{camera.focal_length:.6g}", "mm", note),
+        ("focal length", f"{camera.focal_length:.8g}", "mm", note),
         ("back focal length", f"{scale * cardinal.back_focal:.6g}", "mm", "from the last vertex"),
         ("front principal plane", f"{scale * cardinal.front_principal:.6g}", "mm", "behind the first vertex"),
         ("rear principal plane", f"{scale * cardinal.rear_principal:.6g}", "mm", "behind the last vertex"),
@@ -129,21 +181,19 @@ def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
         ("exit pupil", f"{scale * cardinal.exit_pupil:.6g}", "mm", "behind the last vertex"),
         ("radius of the exit pupil", f"{camera.pupil_radius:.6g}", "mm", ""),
     ]
-    corner = math.hypot(camera.detector_width, camera.detector_height) / 2
+
+
+def _field(camera: PlenopticCamera, lens: Prescription, figures: FieldFigures, at: str = "") -> list[_Line]:
+    """Return lines on a real main lens at one height, after whose notes `at` stands."""
+    rows = [
+        ("light", f"{figures.light:.1%}", "", f"of that on the axis{at}"),
+        ("distortion", f"{figures.distortion:+.3%}", "", at.removeprefix(", ")),
+    ]
     reaches = [surface.glass.reach for surface in lens.surfaces if surface.glass is not None]
     in_colour = camera.is_dispersive and all(low <= LINE_F and high >= LINE_C for low, high in reaches)
-    for figures in field_figures(camera, tuple(fraction * corner for fraction in (0.0, 0.7, 1.0))):
-        at = f"{_four(figures.height)} mm from the axis"
-        rows += [
-            ("spot", _four(1e3 * figures.spot), "um", f"root mean square radius in the image, {at}"),
-            ("light", f"{figures.light:.1%}", "", f"of that on the axis, {at}"),
-            ("distortion", f"{figures.distortion:+.3%}", "", at),
-        ]
-        if in_colour and figures.height > 0:
-            colour = 1e3 * lateral_colour(camera, figures.height, (LINE_C, LINE_F))
-            rows.append(
-                ("lateral colour", f"{colour:+.3g}", "um", f"line F (486 nm) farther out than C (656 nm), {at}")
-            )
+    if in_colour and figures.height > 0:
+        colour = 1e3 * lateral_colour(camera, figures.height, (LINE_C, LINE_F))
+        rows.append(("lateral colour", f"{colour:+.3g}", "um", f"line F (486 nm) farther out than C (656 nm){at}"))
     return rows
 
 

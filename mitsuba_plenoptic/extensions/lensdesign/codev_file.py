@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
 from ...errors import InputError, refuse_if
 from ...prescription import Glass, Prescription, catalogue_glass
-from .lens_designs import UNITS, DesignSurface, Line, read_text, to_prescription
+from .lens_designs import FIELD_KINDS, UNITS, DesignSurface, Line, read_text, to_prescription
 
 _UNITS = {"M": UNITS["MM"], "MM": UNITS["MM"], "C": UNITS["CM"], "I": UNITS["IN"]}
 
 _OF_THE_FILE = """
-    LEN INI EPD FNO NA NAO WTW CWL XAN YAN XOB YOB XIM YIM XRI YRI WTF VUX VLX VUY VLY DOR POL CLS DER UID CA GO
+    LEN INI NA NAO WTW CWL WTF VUX VLX VUY VLY DOR POL CLS DER UID CA GO
 """
-"""Commands without effect on the lens itself: the program, pupil, fields, weights, vignetting, derivatives, labels.
+"""Commands without effect on the lens itself: the program, apertures, weights, vignetting, derivatives, labels.
 
 What the stop lets through is written as its aperture.
 """
@@ -86,6 +87,7 @@ class _CodevReader:
         self.radii: bool | None = None
         self.wavelengths: list[float] = []
         self.primary: int | None = None
+        self.use: dict[str, list[float]] = {}
         self.stop: Line | None = None
         self.surfaces: list[DesignSurface] = []
         self.ended = False
@@ -111,6 +113,9 @@ class _CodevReader:
         if keyword in {"DIM", "RDM", "WL", "REF"}:
             line.refuse_if(keyword in self.given, f"{keyword} is given twice")
             self.given.add(keyword)
+        if keyword in ("EPD", "FNO") or (keyword[:1] in "XY" and keyword[1:] in FIELD_KINDS):
+            self.use[keyword] = line.values()
+            return
         match keyword:
             case "TIT" | "TITLE":
                 self.name = " ".join(line.words[1:]).strip("'\"")
@@ -123,7 +128,7 @@ class _CodevReader:
             case "RDM":
                 self.radii = len(line.words) == 1 or line.words[1].upper()[0] == "Y"
             case "WL":
-                self.wavelengths = [line.value(index) for index in range(1, len(line.words))]
+                self.wavelengths = line.values()
             case "REF":
                 self.primary = int(line.value(1))
             case "TEM":
@@ -194,7 +199,9 @@ class _CodevReader:
             )
             self.surfaces[index].stop = True
         wavelength = self.wavelengths[self.primary - 1]
-        return to_prescription(self.path, self.name, wavelength, self.unit, self.surfaces[1:-1], "CIR", at_ends=True)
+        self.use |= {"WL": self.wavelengths, "SO": [self.surfaces[0].thickness]}
+        lens = self.surfaces[1:-1]
+        return to_prescription(self.path, self.name, wavelength, self.unit, lens, "CIR", self.use, at_ends=True)
 
     def _only_value(self, line: Line, index: int = 1) -> float:
         """Return the number at the end of a surface's command, which may be given only once."""
@@ -213,8 +220,9 @@ class _CodevReader:
         if self.radii is None:
             raise line.refused("RDM must precede it: whether radii or curvatures are written is not known")
         shape = line.value(1)
-        # How far the object is does not matter: it may be written as infinite.
-        thickness = line.value(2) if self.surfaces else 0.0
+        # CODE V writes an infinite distance of the object as 1e10 or more, and other programs as a word.
+        far = not self.surfaces and (line.word(2).lower().startswith("inf") or line.value(2) >= 1e9)
+        thickness = math.inf if far else line.value(2)
         surface = DesignSurface(1 / shape if self.radii and shape else shape, thickness, asphere=[0.0] * len(_TERMS))
         line.refuse_if(len(line.words) > 4, "a surface has radius or curvature, thickness and glass")
         if len(line.words) == 4:

@@ -9,17 +9,20 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from ...errors import InputError, naming, short_repr
-from ...prescription import Glass, Prescription
+from ...errors import LONGEST, InputError, naming, short_repr
+from ...prescription import Glass, Prescription, paraxial, vergence
 from ...runtime import require_size
 
 UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}
 """Millimetres in a unit of length."""
+
+FIELD_KINDS = ("AN", "OB", "IM", "RI")
+"""Fields as angles, and heights of objects, of paraxial images and of real images; in CODE V's commands behind X, Y."""
 
 _log = logging.getLogger(__name__)
 
@@ -61,9 +64,13 @@ class Line:
         self.refuse_if(not math.isfinite(value), f"value {index} must be a number")
         return value
 
+    def values(self) -> list[float]:
+        """Return all words behind the keyword as finite numbers."""
+        return [self.value(index) for index in range(1, len(self.words))]
+
     def require_zero(self, rule: str) -> None:
         """Refuse the command unless all its values are 0."""
-        self.refuse_if(any(self.value(index) for index in range(1, len(self.words))), rule)
+        self.refuse_if(any(self.values()), rule)
 
 
 @dataclass
@@ -138,11 +145,24 @@ def to_prescription(
     unit: float,
     surfaces: list[DesignSurface],
     keyword: str,
+    use: dict[str, list[float]],
     *,
     at_ends: bool = False,
 ) -> Prescription:
-    """Return the prescription of a file's surfaces, without object and image; `_open` completes their apertures."""
+    """Return the prescription of a file's surfaces, without object and image, with what CODE V's commands say of light.
+
+    `_open` completes their apertures. If there are none, but `use` has a pupil, they are those of its paraxial rays.
+    """
     plain = []
+    image_distance = surfaces[-1].thickness
+    if at_ends and use.keys() & {"EPD", "FNO"} and not any(surface.semi_aperture for surface in surfaces):
+        for surface in surfaces:
+            # So small that no surface ends within it.
+            surface.semi_aperture = 1e-6 / max(1.0, abs(surface.curvature))
+        needed = _needed(to_prescription(path, name, wavelength, unit, surfaces, keyword, use))
+        for surface, radius in zip(surfaces, needed, strict=True):
+            surface.semi_aperture = radius / unit
+        _log.info("%s: no %s: apertures are a tenth wider than paraxial rays of pupil and fields", path, keyword)
     surfaces = _open(path, surfaces, keyword, at_ends=at_ends)
     for surface_number, surface in enumerate(surfaces, start=1):
         terms = [term * unit ** -(2 * order + 3) for order, term in enumerate(surface.asphere)]
@@ -160,5 +180,42 @@ def to_prescription(
             entry["glass"] = surface.glass.to_plain()
         plain.append(entry)
     facts = {"name": name or path.stem, "source": f"read from {path.name}", "wavelength": wavelength}
+    facts |= {"object_distance": use["SO"][0] * unit or math.inf, "image_distance": max(0.0, image_distance * unit)}
+    facts |= {"wavelengths": use["WL"], "pupil_diameter": use.get("EPD", [0.0])[0] * unit}
     with naming(path):
-        return Prescription.from_plain({**facts, "surfaces": plain})
+        lens = Prescription.from_plain({**facts, "surfaces": plain})
+        if "FNO" in use and math.isinf(lens.object_distance):
+            lens = replace(lens, pupil_diameter=paraxial(lens).focal_length / use["FNO"][0])
+        return replace(lens, fields=_angles(lens, use, unit))
+
+
+def _angles(lens: Prescription, use: dict[str, list[float]], unit: float) -> tuple[float, ...]:
+    """Return the angles in degrees, seen from the entrance pupil, of a file's fields; none of real image heights."""
+    kind = next((kind for kind in FIELD_KINDS[:3] if use.keys() & {"X" + kind, "Y" + kind}), None)
+    if kind is None:
+        return ()
+    x, y = (np.array(use.get(axis + kind, [0.0])) for axis in "XY")
+    if kind == "AN":
+        return tuple(np.degrees(np.arctan(np.hypot(*(np.tan(np.radians(angle)) for angle in (x, y))))).tolist())
+    numbers = paraxial(lens)
+    distance = min(lens.object_distance, LONGEST)
+    heights = unit * np.hypot(x, y)
+    if kind == "IM":
+        distances = distance + numbers.front_principal
+        heights = heights * distances * vergence(numbers.focal_length, distances)
+    return tuple(np.degrees(np.arctan(heights / (distance + numbers.entrance_pupil))).tolist())
+
+
+def _needed(lens: Prescription) -> list[float]:
+    """Return the semi-aperture in mm that each surface needs for paraxial rays, a tenth more for all but the stop."""
+    pupil = paraxial(lens).entrance_pupil
+    slope = math.tan(math.radians(max((0.0, *lens.fields))))
+    needed = []
+    for stop, surface in enumerate(lens.surfaces):
+        # The surface's image before the lens, at which rays are as far from the axis as before any refraction.
+        image = paraxial(replace(lens, stop=stop))
+        away = image.entrance_pupil - pupil
+        height = abs(lens.pupil_diameter / 2 * (1 + away / (lens.object_distance + pupil))) + abs(away * slope)
+        margin = 1.0 if stop == lens.stop else 1.1
+        needed.append(margin * height * surface.semi_aperture / image.entrance_radius)
+    return needed

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
 from ...errors import InputError, refuse_if
 from ...prescription import Glass, Prescription, catalogue_glass
-from .lens_designs import UNITS, DesignSurface, Line, read_text, to_prescription
+from .lens_designs import FIELD_KINDS, UNITS, DesignSurface, Line, read_text, to_prescription
 
 _OF_THE_FILE = """
-    VERS NOTE PFIL LANG ENPD FNUM FLOA OBNA GFAC RAIM FTYP PUSH SDMA ROPD HYPR PICB XFLN YFLN XFLD YFLD FWGN FWGT VDXN
-    VDYN VCXN VCYN VANN ZVDX ZVDY ZVCX ZVCY ZVAN WWGN WWGT POLS GLRS GLCZ GSTD NSCD COFN IWDP OMMA STUD LUID AUTH DBDT
-    EERA RCMF
+    VERS NOTE PFIL LANG FLOA OBNA GFAC RAIM PUSH SDMA ROPD HYPR PICB FWGN FWGT VDXN VDYN VCXN VCYN VANN ZVDX ZVDY ZVCX
+    ZVCY ZVAN WWGN WWGT POLS GLRS GLCZ GSTD NSCD COFN IWDP OMMA STUD LUID AUTH DBDT EERA RCMF
 """
-"""Keywords without effect on the lens itself: the program, notes, fields and light, aiming, and analyses' settings.
+"""Keywords without effect on the lens itself: the program, notes, weights and light, aiming, and analyses' settings.
 
 What the stop lets through is written as its semi-diameter.
 """
@@ -24,7 +24,10 @@ _OF_A_SURFACE = "COMM HIDE MIRR SLAB POPS FIMP COAT MEMA OEMA SSID SCOL MAZH PZU
 
 _WITHOUT_EFFECT = frozenset(f"{_OF_THE_FILE} {_OF_A_SURFACE}".split())
 
-_HEADERS = frozenset(["MODE", "NAME", "UNIT", "GCAT", "ENVD", "WAVM", "WAVL", "WAVN", "PWAV", "MNUM", "SURF"])
+_OF_USE = {"ENPD": "EPD", "FNUM": "FNO", "XFLN": "X", "XFLD": "X", "YFLN": "Y", "YFLD": "Y", "FTYP": "FTYP"}
+"""Keywords on the light for which a lens is designed, by those of CODE V."""
+
+_HEADERS = frozenset(["MODE", "NAME", "UNIT", "GCAT", "ENVD", "WAVM", "WAVL", "WAVN", "PWAV", "MNUM", "SURF", *_OF_USE])
 """Keywords of the whole file, and the one that begins a surface."""
 
 _OF_SURFACES = frozenset(["TYPE", "CURV", "DISZ", "CONI", "PARM", "GLAS", "STOP", "DIAM", "CLAP", "FLAP", "OBDC"])
@@ -72,6 +75,7 @@ class _ZemaxReader:
         self.makers: list[str] = []
         self.wavelengths: dict[int, float] = {}
         self.primary = 1
+        self.use: dict[str, list[float]] = {}
         self.surfaces: list[DesignSurface] = []
         self.kinds: list[str] = []
         self.parameters: list[list[Line]] = []
@@ -96,6 +100,8 @@ class _ZemaxReader:
         entry = keyword, *(line.words[1:2] if keyword in ("PARM", "WAVM") else ())
         line.refuse_if(entry in self.taken, f"{' '.join(entry)} is given twice")
         self.taken.add(entry)
+        if keyword in _OF_USE:
+            self.use[_OF_USE[keyword]] = line.values()
         match keyword:
             case "MODE":
                 line.refuse_if(line.words[1:] != ("SEQ",), "only sequential lenses are read")
@@ -135,8 +141,8 @@ class _ZemaxReader:
             case "CURV":
                 self.surfaces[-1].curvature = line.value(1)
             case "DISZ":
-                if line.word(1) != "INFINITY" or len(self.surfaces) > 1:
-                    self.surfaces[-1].thickness = line.value(1)
+                far = line.word(1) == "INFINITY" and len(self.surfaces) == 1
+                self.surfaces[-1].thickness = math.inf if far else line.value(1)
             case "CONI":
                 self.surfaces[-1].conic = line.value(1)
             case "PARM":
@@ -183,7 +189,14 @@ class _ZemaxReader:
         if first.glass is not None:
             raise self.glasses[0].refused("air must precede the first surface")
         refuse_if(image.curvature, f"{self.path}: surface {len(lens) + 1}, the image, is curved: the array is a plane")
-        return to_prescription(self.path, self.name, self.wavelengths[self.primary] * 1e3, self.unit, lens, "DIAM")
+        # Files list more fields and wavelengths than are in use.
+        field_kind, _, fields, colours = [*map(int, self.use.pop("FTYP", ())), 0, 0, 0, 0][:4]
+        for axis in self.use.keys() & {"X", "Y"}:
+            self.use[axis + FIELD_KINDS[min(field_kind, 3)]] = self.use.pop(axis)[: fields or None]
+        self.use["WL"] = [1e3 * self.wavelengths[number] for number in sorted(self.wavelengths)[: colours or None]]
+        self.use["SO"] = [first.thickness]
+        wavelength = self.wavelengths[self.primary] * 1e3
+        return to_prescription(self.path, self.name, wavelength, self.unit, lens, "DIAM", self.use)
 
     def _glass(self, surface: int) -> Glass:
         line = self.glasses[surface]

@@ -1,0 +1,109 @@
+"""Spots and modulation transfer functions of lenses by themselves, against Optiland and closed forms."""
+
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import read_prescription
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.prescription import Prescription
+from mitsuba_plenoptic.report.lens_drawing import chief, spot
+from mitsuba_plenoptic.report.lens_quality import behind_lens, transfer
+
+RECORDS = Path(__file__).parent.parent / "optiland_records"
+QUALITY = json.loads((RECORDS / "quality.json").read_text())
+
+HYPERBOLOID = {
+    "surfaces": [
+        {"thickness": 4, "semi_aperture": 6, "glass": 1.5, "stop": True},
+        {"radius": -25, "semi_aperture": 6, "conic": -(1.5**2)},
+    ]
+}
+"""A lens that makes one point of parallel light on its axis."""
+
+
+@pytest.mark.parametrize("name", [name for name in QUALITY if name != "optiland"])
+def test_lenses_are_those_of_optiland(name):
+    """Which lets all rays through the stop pass; its FFT takes even steps in the pupil for those of the image."""
+    lens = read_prescription(RECORDS / name)
+    wide = [replace(surface, semi_aperture=1.6 * surface.semi_aperture) for surface in lens.surfaces]
+    wide[lens.stop] = lens.surfaces[lens.stop]
+    lens, theirs = replace(lens, surfaces=tuple(wide)), QUALITY[name]
+    assert lens.paraxial.focal_length == pytest.approx(theirs["focal_length"], rel=1e-6)
+    camera, distance, heights = behind_lens(lens, theirs["pupil_diameter"])
+    assert list(heights) == pytest.approx(theirs["fields"])
+    for wavelength, spots in zip(lens.wavelengths, theirs["spots"], strict=True):
+        rays = [spot(camera, height, wavelength, distance)[:2] for height in heights.values()]
+        assert [1e3 * math.hypot(x.std(), y.std()) for x, y in rays] == pytest.approx(spots, rel=0.01)
+    mine = np.array([transfer(camera, height, distance) for height in heights.values()])
+    assert mine == pytest.approx(np.array(theirs["mtf"]), abs=3e-3)
+    assert mine[0] == pytest.approx(np.array(theirs["fft_mtf"][0]), abs=0.01)
+
+
+@pytest.mark.parametrize("f_number", [5, 16])
+def test_a_perfect_lens_is_limited_by_diffraction(f_number):
+    lens = Prescription.from_plain(HYPERBOLOID)
+    camera, distance, _ = behind_lens(lens, lens.paraxial.focal_length / f_number)
+    rays = spot(camera, 0.0, lens.wavelength, distance)
+    # Marginal rays determine the aperture in the image.
+    part = np.array([10, 30, 50]) * lens.wavelength * 1e-6 / (2 * math.sin(math.atan(np.hypot(*rays[2]).max())))
+    expected = 2 / math.pi * (np.arccos(part) - part * np.sqrt(1 - part**2))
+    assert transfer(camera, 0.0, distance) == pytest.approx(np.array([expected] * 2), abs=5e-3)
+
+
+ZEMAX = (RECORDS / "cooke_triplet.zmx").read_text().replace("DISZ INFINITY", "DISZ 300")
+F = 49.9997830714
+LENS = read_prescription(RECORDS / "cooke_triplet.zmx").paraxial
+AWAY = 300 + LENS.entrance_pupil
+"""The triplet for an object 300 mm before its first vertex."""
+
+
+@pytest.mark.parametrize(
+    ("kind", "angles"),
+    [
+        (0, [0, 14, 20]),
+        (1, [math.degrees(math.atan(height / AWAY)) for height in (0, 14, 20)]),
+        # Paraxial images are smaller than objects by f / (g - f), with g from the front principal plane.
+        (2, [math.degrees(math.atan(h * (300 + LENS.front_principal - F) / F / AWAY)) for h in (0, 14, 20)]),
+        (3, []),
+    ],
+)
+def test_fields_of_near_objects_of_any_kind(kind, angles, tmp_path):
+    path = tmp_path / "lens.zmx"
+    path.write_text(re.sub("FTYP 0", f"FTYP {kind}", ZEMAX))
+    lens = read_prescription(path)
+    assert lens.object_distance == 300 and lens.fields == pytest.approx(angles, rel=1e-9)
+    camera, distance, heights = behind_lens(lens)
+    for angle, height in heights.items():
+        # Chief rays come from object points that the entrance pupil sees at the angle.
+        assert -chief(camera, None, height, distance)[0] * distance == pytest.approx(
+            AWAY * math.tan(math.radians(angle)), abs=1e-6
+        )
+
+
+def test_codev_without_apertures_has_those_of_its_pupil(tmp_path):
+    text = (RECORDS / "double_gauss.seq").read_text()
+    (tmp_path / "lens.seq").write_text(re.sub(r"\n  CIR.*", "", text))
+    lens = read_prescription(tmp_path / "lens.seq")
+    assert lens.paraxial.entrance_radius == pytest.approx(lens.paraxial.focal_length / 10, rel=1e-9)
+    stated = read_prescription(RECORDS / "double_gauss.seq")
+    for mine, theirs in zip(lens.surfaces, stated.surfaces, strict=True):
+        assert mine.semi_aperture > theirs.semi_aperture or mine is lens.surfaces[lens.stop]
+
+
+def test_info_of_a_lens_of_ones_own(tmp_path, capsys):
+    """The lens of the page, with nothing that is not of the lens."""
+    page = (Path(__file__).parent.parent.parent / "docs/guides/main_lenses.md").read_text()
+    (tmp_path / "own.yaml").write_text(re.search("```yaml\n(name: Achromat.*?)```", page, re.S)[1])
+    picture = tmp_path / "own.png"
+    options = ["--field", "3", "--f-number", "8", "--drawing", str(picture)]
+    assert main(["info", str(tmp_path / "own.yaml"), *options]) == 0 and picture.stat().st_size > 10_000
+    told = capsys.readouterr().out
+    assert "f/8" in told and "Field of 2.1 deg" in told and not re.search("[Dd]etector|pixel|ideal", told)
+    assert main(["info", "paper", "--field", "3"]) == 2
+    assert "--field: paper, which is no lens, does not take it" in capsys.readouterr().err
