@@ -74,8 +74,8 @@ def behind_lens(
         array = conjugate_distance(numbers.focal_length, distance)
     refuse_if(
         not max(-numbers.rear_principal, numbers.exit_pupil - numbers.rear_principal) < array < math.inf,
-        f"image plane {array + numbers.rear_principal:.4g} mm behind the last vertex: no detector can stand there, as it "
-        "must be finite, behind the lens and its exit pupil",
+        f"image plane {array + numbers.rear_principal:.4g} mm behind the last vertex: no detector can stand there, "
+        "as it must be finite, behind the lens and its exit pupil",
     )
     camera = PlenopticCamera(
         main_lens=lens, aperture_radius=opening, mla_distance=array, mla_lattice="none", detector_width=array

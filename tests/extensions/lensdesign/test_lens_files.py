@@ -259,10 +259,35 @@ def test_glasses_of_catalogues_by_just_their_names(tmp_path):
     assert hyphens.surfaces[0].glass.at(587.5618) == pytest.approx(1.62229, abs=1e-5)
 
 
-def test_glasses_by_name_need_optiland(monkeypatch, tmp_path):
+# Index and Abbe number of the data sheets, by name.
+SHEETS = """
+N-BK7 1.51680 64.17  N-K5 1.52249 59.48  N-KF9 1.52346 51.54  N-FK5 1.48749 70.41  N-FK51A 1.48656 84.47
+N-PK51 1.52855 76.98  N-PK52A 1.49700 81.61  N-PSK53A 1.61800 63.39  N-BAK1 1.57250 57.55  N-BAK2 1.53996 59.71
+N-BAK4 1.56883 55.98  N-BALF4 1.57956 53.87  N-BAF4 1.60568 43.72  N-BAF10 1.67003 47.11  N-BASF64 1.70400 39.38
+N-SK2 1.60738 56.65  N-SK4 1.61272 58.63  N-SK5 1.58913 61.27  N-SK11 1.56384 60.80  N-SK14 1.60311 60.60
+N-SK16 1.62041 60.32  N-SSK2 1.62229 53.27  N-SSK5 1.65844 50.88  N-SSK8 1.61773 49.83  N-LAK7 1.65160 58.52
+N-LAK9 1.69100 54.71  N-LAK10 1.72003 50.62  N-LAK14 1.69680 55.41  N-LAK21 1.64049 60.10  N-LAK22 1.65113 55.89
+N-LAK33B 1.75500 52.30  N-LAF2 1.74397 44.85  N-LAF21 1.78800 47.49  N-LAF33 1.78582 44.05  N-LAF34 1.77250 49.62
+N-LAF35 1.74330 49.40  N-LASF9 1.85025 32.17  N-LASF43 1.80610 40.61  N-LASF44 1.80420 46.50  N-KZFS4 1.61336 44.49
+N-KZFS5 1.65412 39.70  N-F2 1.62005 36.43  F2 1.62004 36.37  F5 1.60342 38.03  LF5 1.58144 40.85  LLF1 1.54814 45.75
+N-SF1 1.71736 29.62  N-SF4 1.75513 27.38  N-SF5 1.67271 32.25  N-SF6 1.80518 25.36  N-SF8 1.68894 31.31
+N-SF10 1.72828 28.53  N-SF11 1.78472 25.68  N-SF14 1.76182 26.53  N-SF57 1.84666 23.78  N-ZK7 1.50847 61.19
+N-BASF2 1.66446 36.00  SF1 1.71736 29.51  SF2 1.64769 33.85  SF4 1.75520 27.58  SF5 1.67270 32.21  SF6 1.80518 25.43
+SF10 1.72825 28.41  SF11 1.78472 25.76  SF57 1.84666 23.83  SILICA 1.45846 67.82
+"""
+
+
+def test_usual_glasses_need_no_optiland(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "optiland.materials", None)
-    with pytest.raises(InputError, match=r"lens\.zmx, line 27: glass = 'F2': glasses by name need Optiland; pip"):
-        read(tmp_path, ZEMAX.replace("GLAS ___BLANK 1", "GLAS F2 0"))
+    for name, index, abbe in re.findall(r"(\S+) (\S+) (\S+)", SHEETS):
+        glass = Glass.from_plain(name if name.startswith(("N-", "SILICA")) else f"schott:{name}")
+        d, f, c = (glass.at(line) for line in (587.5618, 486.1327, 656.2725))
+        assert d == pytest.approx(float(index), abs=1e-5) and (d - 1) / (f - c) == pytest.approx(float(abbe), abs=0.05)
+    named = ZEMAX.replace("GLAS ___BLANK 1", "GLAS F2 0")
+    assert read(tmp_path, named).surfaces[0].glass.at(587.5618) == pytest.approx(1.62004, abs=1e-5)
+    for maker, glass in [("HOYA SCHOTT", "F2"), ("SCHOTT", "S-LAH53"), ("OHARA", "N-BK7")]:
+        with pytest.raises(InputError, match=rf"line 27: glass = '{glass}': it is not among the glasses included, and"):
+            read(tmp_path, named.replace("SCHOTT", maker).replace("GLAS F2", f"GLAS {glass}"))
 
 
 OWN = {
