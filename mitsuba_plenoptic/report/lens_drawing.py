@@ -56,7 +56,19 @@ def _reach(camera: PlenopticCamera) -> float:
 def chief(
     camera: PlenopticCamera, wavelength: float | None, height: float, distance: float | None
 ) -> tuple[float, float]:
-    """Return Y/g of the chief ray of a height on the MLA in an object plane, and Y in mm where the lens begins."""
+    """Return Y/g of the chief ray of a height on the MLA in an object plane, and Y in mm where the lens begins.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A camera with a real main lens.
+    wavelength : float or None
+        Wavelength in nanometres; None means the prescription's.
+    height : float
+        Distance from the axis on the MLA in millimetres.
+    distance : float or None
+        Distance g of the object plane in millimetres; None means the plane in focus.
+    """
     lens = main_lens(camera, wavelength)
     slope = np.atleast_1d(lens.chief_slope(np.array([height])))
     (_, y, z), (_, t), _ = lens.trace((np.zeros(1), np.full(1, height)), (np.zeros(1), slope))
