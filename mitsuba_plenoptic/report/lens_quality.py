@@ -85,8 +85,13 @@ def behind_lens(
     for angle in angles:
         slope = scale * math.tan(math.radians(angle))
         height = array * slope
+        step = 1.0
         for _ in range(30 if slope else 0):
-            height *= -slope / chief(camera, None, height, distance)[0]
+            step = -slope / chief(camera, None, height, distance)[0]
+            height *= step
+        refuse_if(
+            not abs(step - 1) < 1e-6, f"field of {angle:g} degrees: no chief ray of it was found in the image plane"
+        )
         heights[angle] = height
     width = max(math.sqrt(2) * height, 1e-3 * array)
     return camera.replace(detector_width=width), distance, heights
