@@ -30,6 +30,7 @@ extensions = [
     "sphinx_design",
     "sphinx_copybutton",
     "generated_reference",
+    "picture_texts",
     "python_reference",
 ]
 # The reference of the modules for them needs no PyTorch or JAX.

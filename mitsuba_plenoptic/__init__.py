@@ -73,7 +73,13 @@ def __getattr__(name: str) -> Any:
     else:
         added = [place(package, text) for package, key, text in entries("names") if key == name]
         if not added:
-            public = [each for each in __dir__() if not each.startswith("__")]
+            # Names of the package itself come last, and so before others.
+            public = [
+                f"{module}.{each}"
+                for module in ("refocus", "design", "dataset", "views")
+                for each in dir(importlib.import_module(f"{__name__}.{module}"))
+            ]
+            public += [each for each in __dir__() if not each.startswith("__")]
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}{did_you_mean(name, public)}")
         found = added[0]
     # From the second time on Python finds it in the module itself.

@@ -59,13 +59,7 @@ class CaptureSpec:
     variant: str = DEFAULT_VARIANT
 
     def load(self) -> mi.Scene:
-        """Return the scene in the variant, with `camera` in place of its sensor; refuse one without a plenoptic camera.
-
-        Raises
-        ------
-        InputError
-            If the scene, its parameters or the camera is refused.
-        """
+        """Return the scene in the variant, with `camera` in place of its sensor; refuse one without a plenoptic one."""
         set_variant(self.variant)
         # Mitsuba warns that films of colours record luminance, which the variant says.
         with quiet() if mi.is_monochromatic else nullcontext():

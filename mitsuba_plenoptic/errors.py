@@ -180,24 +180,37 @@ _RELATIONS = {
     "detector_size": ("detector_width", "its first number; the second follows from resolution, as pixels are square"),
     "detector_height": ("detector_width", "detector_height * columns / rows of resolution, as pixels are square"),
     "lattice": ("mla_lattice", "square or hexagonal"),
+    "load": ("from_json", "of the text of a camera's file; read_capture and load_scene read files"),
+    "radius": ("core", "the radius of a vortex's core"),
     "pitch": ("mla_pitch", "the distance of neighbouring microlenses in millimetres"),
 }
-"""Names that a camera's parameters have elsewhere: the parameter, and how it follows."""
+"""Names that parameters, most of them a camera's, have elsewhere: the parameter, and how it follows."""
 
 
 def relation(name: str) -> str:
     """Return a sentence on the camera parameter that replaces a commonly used name, empty for other names."""
-    parameter, rule = _RELATIONS.get(name.lower(), ("", ""))
-    return f"{parameter} is {rule.format(name)}" if parameter else ""
+    plain = re.sub(r"[\W_]", "", name.lower())
+    for usual, (parameter, rule) in _RELATIONS.items():
+        if usual.replace("_", "") == plain:
+            return f"{parameter} is {rule.format(usual)}"
+    return ""
 
 
 def did_you_mean(name: Any, names_known: Iterable[Any]) -> str:
-    """Return the end of a message on an unknown name: the most similar known name, or nothing."""
-    names = {str(candidate).lower(): str(candidate) for candidate in names_known}
-    if _RELATIONS.get(str(name).lower(), ("",))[0] in names:
-        return f"; {relation(str(name))}"
+    """Return the end of a message on an unknown name: the most similar known name, or nothing.
+
+    Of dotted names the last component counts.
+    """
+    names = {str(candidate).lower().rpartition(".")[2]: str(candidate) for candidate in names_known}
+    rule = relation(str(name))
+    if rule.partition(" ")[0] in names:
+        return f"; {rule}"
     closest = difflib.get_close_matches(str(name).lower()[:_LONGEST_VALUE], names, n=1)
     return f"; did you mean {names[closest[0]]}?" if closest else ""
+
+
+_PLAIN = {"int", "float", "bool", "str", "tuple", "list", "dict", "Sequence", "Mapping", "Path", "None"}
+"""Types of arguments that are not recognised as swapped."""
 
 
 def suggest_keywords(
@@ -214,10 +227,25 @@ def suggest_keywords(
         constructor = function.__init__  # type: ignore[misc]
         type.__setattr__(function, "__init__", suggest_keywords(constructor, others, absent))
         return cast(_Call, function)
-    keywords = {*inspect.signature(function).parameters, *others}
+    parameters = inspect.signature(function).parameters
+    keywords = {*parameters, *others}
+    types = [set(re.findall(r"\w+", str(parameter.annotation))) for parameter in parameters.values()]
 
     @functools.wraps(function)
     def called(*arguments: Any, **options: Any) -> Any:
+        # Numbers, texts and rows of numbers may be anything, but cameras, scenes and images have one position.
+        kinds = [
+            {kind.__name__ for kind in type(value).__mro__} - _PLAIN if getattr(value, "ndim", 2) > 1 else set()
+            for value in arguments
+        ]
+        for index, other in itertools.permutations(range(min(len(kinds), len(types))), 2):
+            fits = kinds[index] & (types[other] - types[index])
+            if fits and "Any" not in types[index] and not kinds[other] & types[other]:
+                names = list(parameters)
+                raise InputError(
+                    f"{names[index]} of type {type(arguments[index]).__name__}, {names[other]} = "
+                    f"{short_repr(arguments[other])}: they are swapped; {names[min(index, other)]} comes first"
+                )
         for name in options:
             if name not in keywords and absent(name):
                 raise InputError(absent(name))
@@ -252,7 +280,9 @@ def require_number(
 ) -> float:
     """Return `value` as a float if it is a number within the bounds; refuse anything else."""
     if _is_flag(value) or isinstance(value, (str, bytes, bytearray)) or value is None:
-        raise InputError(f"{name} = {short_repr(value)}: it must be a number")
+        has_unit = isinstance(value, str) and re.fullmatch(r"[-+]?\d[\d.e+-]*\s*[^\W\d]+", value.strip())
+        units = ", without a unit: lengths are in mm, wavelengths in nm" if has_unit else ""
+        raise InputError(f"{name} = {short_repr(value)}: it must be a number{units}")
     try:
         result = float(value)
     except OverflowError:
@@ -304,14 +334,16 @@ def require_known(where: str, names: Iterable[Any], allowed: Collection[str]) ->
             raise InputError(f"{where}{name}: it is not one of {', '.join(allowed)}{did_you_mean(name, allowed)}")
 
 
-def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:
-    """Return the two entries of a pair, unchecked; refuse anything that is not a pair."""
+def require_pair(
+    name: str, value: Any, meaning: str, rule: Callable[[str, Any], Any] = lambda name, entry: entry
+) -> tuple[Any, Any]:
+    """Return the two entries of a pair, each as a rule returns it; refuse anything that is not a pair."""
     try:
         first, second = value
     except (TypeError, ValueError):
         spelt = advice(python="", shell=f", written {name}={meaning.strip('()').replace(' ', '')}")
         raise InputError(f"{name} = {short_repr(value)}: it must be a pair {meaning}{spelt}") from None
-    return first, second
+    return rule(name, first), rule(name, second)
 
 
 def require_flag(name: str, value: Any) -> bool:
@@ -325,6 +357,14 @@ def put(record: Any, **values: Any) -> None:
     """Replace fields of a frozen dataclass while it is being made, for example by their checked values."""
     for name, value in values.items():
         object.__setattr__(record, name, value)
+
+
+def put_checked(record: Any, **rules: Callable[[str, Any], Any]) -> None:
+    """Replace fields of a frozen dataclass that is being made by what their rules return; a default of None stays."""
+    for name, rule in rules.items():
+        value = getattr(record, name)
+        if value is not None or getattr(type(record), name, "") is not None:
+            put(record, **{name: rule(name, value)})
 
 
 def require_module(name: str, message: str) -> Any:
@@ -375,24 +415,15 @@ FULL_TURN = 360.0
 STEEPEST_TILT = 5.0
 """Degrees by which an array may be tilted."""
 
-LEAST_FILL = 1e-3
-"""Width of a microlens over its pitch, at least; that of the thinnest line would let no light through."""
-
 MOST_STRETCH = 10.0
 """One pitch over the other, at most."""
 
 MOST_JITTER = 0.1
 """Standard deviation of lenses' positions, over the pitch, and of their focal lengths, over these, at most."""
 
-WARP_COUNTS = (14, 36)
-"""Coefficients of a warp of third and of fifth degree: of 7 or 18 terms along x, then along y."""
-
 MOST_WARP = 0.5
 MOST_WARP_SLOPE = 0.1
 """Displacement of a warped array's lenses over the pitch, and its change per mm of their positions, at most."""
-
-MOST_SEED = 2**32 - 1
-"""Seed of an array's irregularities at most."""
 
 
 def require_wavelength(value: Any, name: str = "wavelength") -> float:
@@ -439,18 +470,14 @@ def require_pitches(name: str, value: Any) -> tuple[float, float]:
 
 def require_pixels(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
     """Return a pair of counts of pixels, integers from `minimum` to 1048576."""
-    columns, rows = (
-        require_count(name, count, minimum=minimum, maximum=MOST_PIXELS)
-        for count in require_pair(name, value, "(columns, rows)")
-    )
-    return columns, rows
+    rule = functools.partial(require_count, minimum=minimum, maximum=MOST_PIXELS)
+    return require_pair(name, value, "(columns, rows)", rule)
 
 
 def require_place(name: str, value: Any) -> tuple[float, float]:
     """Return a position in mm in the plane of the microlenses, a pair of coordinates within 1e9 of the axis."""
-    pair = require_pair(name, value, "(x, y)")
-    x, y = (require_number(name, coordinate, minimum=-LONGEST, maximum=LONGEST) for coordinate in pair)
-    return x, y
+    rule = functools.partial(require_number, minimum=-LONGEST, maximum=LONGEST)
+    return require_pair(name, value, meaning="(x, y)", rule=rule)
 
 
 def require_wavefront(name: str, value: Any) -> tuple[float, ...]:
@@ -466,11 +493,11 @@ def require_wavefront(name: str, value: Any) -> tuple[float, ...]:
 def require_warp(name: str, value: Any) -> tuple[float, ...]:
     """Return 14 or 36 coefficients of a warp, fewer than 14 filled up with zeros; none if all are zero."""
     value = _plain(value)
-    cubic, quintic = WARP_COUNTS
-    if not isinstance(value, (tuple, list)) or (len(value) > cubic and len(value) != quintic):
-        raise InputError(f"{name} = {short_repr(value)}: it must be at most {cubic} numbers, or {quintic}")
+    # Terms of third or of fifth degree: 7 or 18 along x, then as many along y.
+    if not isinstance(value, (tuple, list)) or (len(value) > 14 and len(value) != 36):
+        raise InputError(f"{name} = {short_repr(value)}: it must be at most 14 numbers, or 36")
     numbers = require_numbers(name, value, count=len(value))
-    return numbers + (0.0,) * (cubic - len(numbers)) if any(numbers) else ()
+    return numbers + (0.0,) * (14 - len(numbers)) if any(numbers) else ()
 
 
 def require_response(name: str, value: Any) -> tuple[float, ...]:

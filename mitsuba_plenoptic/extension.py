@@ -16,7 +16,7 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
-from .errors import InputError, refuse_if
+from .errors import InputError, did_you_mean, refuse_if
 
 GROUP = "mitsuba_plenoptic.extensions"
 """Name of the entry point group of extensions in other packages, and of the package of the shipped ones."""
@@ -139,11 +139,28 @@ def hook(key: str, what: str) -> Any:
     raise InputError(f"{what}: {missing('hooks', key) or f'no extension has {key}'}")
 
 
-class Displayed:
-    """A class with an image, which NumPy takes for the object.
+class Suggesting(type):
+    """Class of classes that answer an unknown attribute with the most similar known one."""
 
-    Notebooks show objects as an extension draws them, or as plain text without that extension.
-    """
+    def __getattr__(cls, name: str) -> Any:
+        public = [] if name.startswith("_") else dir(cls)
+        raise AttributeError(f"type object {cls.__name__!r} has no attribute {name!r}{did_you_mean(name, public)}")
+
+
+class Shown(metaclass=Suggesting):
+    """A class whose objects notebooks show as an extension draws them, or as plain text without that extension."""
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str | None:
+        for package, name, text in entries("displays"):
+            if name == type(self).__name__:
+                return str(place(package, text)(self))
+        return None
+
+
+class Displayed(Shown):
+    """A class with an image, which NumPy takes for the object."""
 
     __slots__ = ()
     image: Any
@@ -152,12 +169,6 @@ class Displayed:
         import numpy as np
 
         return np.array(self.image, dtype, copy=copy)
-
-    def _repr_html_(self) -> str | None:
-        for package, name, text in entries("displays"):
-            if name == type(self).__name__:
-                return str(place(package, text)(self))
-        return None
 
 
 def format_of(suffix: str, holds: str, what: str, write: bool = False) -> tuple[str, str] | None:

@@ -26,11 +26,6 @@ def scene_path(name: str) -> Path:
     ----------
     name : str
         Name without suffix, such as ``letters``.
-
-    Raises
-    ------
-    InputError
-        If there is no scene of that name; the message lists the names.
     """
     path = _folder() / f"{name}.xml"
     if path.name != f"{name}.xml" or not path.is_file():

@@ -160,6 +160,11 @@ def capture(camera, points, weights, *, wavelength=WAVELENGTH, job=None, **optio
     return CaptureOperator(camera, points, wavelength=wavelength, **options).forward(weights, job=job)
 
 
+def pattern_count(operator, wavelength=WAVELENGTH):
+    """Count the point spreads that an operator computes at a wavelength for its points."""
+    return len(operator._plans.at(wavelength)._positions)
+
+
 error = relative
 
 

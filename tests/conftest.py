@@ -1,7 +1,6 @@
 """Shared scenes and cameras for the tests."""
 
 import gc
-import itertools
 import os
 import shutil
 import subprocess
@@ -9,7 +8,6 @@ import sys
 import textwrap
 import warnings
 from pathlib import Path
-from types import SimpleNamespace
 
 # Glasses by name need Optiland, an extra of 800 MB: where it is not installed, what was recorded of it stands in.
 sys.path.append(str(Path(__file__).parent / "optiland_records" / "stand_in"))
@@ -73,21 +71,6 @@ def guarded_physics():
 def no_progress_lines(monkeypatch):
     """Keep the plain lines of progress, which come with time, out of what commands print in tests."""
     monkeypatch.setattr("mitsuba_plenoptic.runtime.progress.FIRST_LINE", float(2**20))
-
-
-@pytest.fixture(autouse=True)
-def short_trials(monkeypatch):
-    """Have estimates of time, which come from trials, try a few point spreads or one pass of rays only."""
-    monkeypatch.setattr("mitsuba_plenoptic.points.patch_plan._TRIAL_SECONDS", 0.0)
-    monkeypatch.setattr("mitsuba_plenoptic.scene.capture_cost._SECONDS", 1e-9)
-
-
-@pytest.fixture
-def trials_of_a_second(monkeypatch):
-    """Have every trial of an estimate by waves last a second, however fast the machine is."""
-    clock = SimpleNamespace(perf_counter=itertools.count(1.0).__next__)
-    for name in ("points.patch_plan", "points.full_fields", "scene.capture_cost"):
-        monkeypatch.setattr(f"mitsuba_plenoptic.{name}.time", clock)
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ from mitsuba_plenoptic.dataset import read_recipe
 from mitsuba_plenoptic.extensions.calibrate.observations import read_centres, read_foreign_centres
 from mitsuba_plenoptic.extensions.onchip.photodiode_response import known_response
 from mitsuba_plenoptic.extensions.raw.hci import read_hci
-from mitsuba_plenoptic.extensions.studio.sweep import read_grid
+from mitsuba_plenoptic.extensions.studio.sweep import stated_grid
 from mitsuba_plenoptic.optics.spectrum import read_responses
 from mitsuba_plenoptic.prescription.lens_file import read_lens, read_prescription
 from mitsuba_plenoptic.views import depth_map, focal_stack, white_image
@@ -208,7 +208,7 @@ TEXTS = {
     "centres.csv": ("k,l,u,v\n0,0,8.0,8.0\n1,0,24.0,8.0\n", read_centres),
     "centres.json": (json.dumps({"mic_list": [[8.0, 8.0, 0, 0], [8.0, 24.0, 0, 1]]}), read_foreign_centres),
     "recipe.yaml": (RECIPE, read_recipe),
-    "varied.yaml": ("samples: [1, 2]\ndistance: [210.0, 2.8e2]\n", read_grid),
+    "varied.yaml": ("samples: [1, 2]\ndistance: [210.0, 2.8e2]\n", lambda path: stated_grid(path, [])),
     "parameters.cfg": (HCI, read_views),
 }
 """Whole files of text and their readers, by the names of the files."""

@@ -63,11 +63,24 @@ test_mistakes = refused(
     (lambda: refocused(method="coherent", relay="no"), "relay = 'no': it must be True or False"),
     (lambda: operator([(0, 0, 240), (0, 0, -240)]), r"position = \(0, 0, -240\): .* in front of the main lens"),
     (lambda: mp.load_scene("letters", parameters=["resolution"]), r"parameters = \['resolution'\]: they must be"),
-    (lambda: mp.with_camera(scene(), "paper"), NO_CAMERA),
+    (lambda: mp.with_camera(scene(), 5), "camera = 5: it must be a PlenopticCamera"),
     (lambda: mp.decode(IMAGE, camera="paper"), NO_CAMERA),
     (lambda: mp.point_spread_function("paper", (0, 0, 240), wavelength=633), NO_CAMERA),
     (lambda: Capture(IMAGE, "paper"), NO_CAMERA),
-    (lambda: mp.with_camera("letters", CAMERA), r"scene of type str: it must be a mitsuba\.Scene"),
+    (lambda: mp.with_camera(5, CAMERA), r"scene of type int: it must be a mitsuba\.Scene"),
+    (lambda: mp.with_camera(CAMERA, scene()), "camera of type Scene, scene = .*: they are swapped; scene comes first"),
+    (
+        lambda: mp.design.refocus_range(633, CAMERA),
+        "wavelength of type Plenop.*, camera = 633: they are swapped",
+    ),
+    (lambda: mp.reconstruct([240], Capture(IMAGE, CAMERA)), r"capture = \[240\]: .* swapped; capture comes first"),
+    (lambda: mp.reconstruct([240], IMAGE, camera=CAMERA), r"distance of type ndarray, capture = \[240\]: they are sw"),
+    (lambda: Capture(CAMERA, IMAGE), "image of type PlenopticCamera, camera = .*: they are swapped; image comes first"),
+    (
+        lambda: PlenopticCamera(detector_width="5.5 mm"),
+        "'5.5 mm': .* without a unit: lengths are in mm, ",
+    ),
+    (lambda: PlenopticCamera(detector_width="large"), "detector_width = 'large': it must be a number$"),
     (by_another_variant, "sensor of .* of variant llvm_ad_rgb: it must be .* active variant llvm_ad_mono"),
     (lambda: captured(model="wave", wavelength=[633, 500]), "wavelength: a value of type list is none that"),
     (lambda: CAMERA.defocus(0), "distance = 0"),
@@ -101,6 +114,16 @@ def test_mistakes_of_deconvolution(options, words):
     ("call", "error", "words"),
     [
         (lambda: PlenopticCamera(focal_lenght=80), TypeError, "'focal_lenght'; did you mean focal_length?"),
+        (
+            lambda: PlenopticCamera(fnumber=2.8),
+            TypeError,
+            r"aperture_radius is focal_l.*; .* take f_number",
+        ),
+        (lambda: mp.design.refocus_range(CAMERA, wavelenght=633), TypeError, "did you mean wavelength?"),
+        (lambda: PlenopticCamera.load, AttributeError, "'load'; from_json is of the text of a camera's file"),
+        (lambda: PlenopticCamera.prest, AttributeError, "did you mean preset?"),
+        (lambda: mp.depth, AttributeError, r"did you mean views\.depth_map?"),
+        (lambda: mp.depth_map, AttributeError, r"did you mean views\.depth_map?"),
         (lambda: CAMERA.replace(mla_pich=0.05), InputError, "mla_pich: .*; did you mean mla_pitch?"),
         (lambda: PlenopticCamera.from_json('{"mla_pich": 1}'), InputError, "did you mean mla_pitch?"),
         (lambda: PlenopticCamera.preset("litro"), InputError, "preset = 'litro': .*; did you mean lytro?"),
@@ -130,6 +153,8 @@ def test_an_unknown_name_comes_with_the_one_that_it_resembles_if_any(call, error
 
 
 def test_what_suits_is_taken():
+    assert refocused(distance=np.array([210.0, 240.0]))[1].distance == 240
+    assert mp.reconstruct(IMAGE.tolist(), np.array([240.0]), camera=CAMERA)[0].distance == 240
     for work in (mp.decode, mp.views.micro_images):
         work(Capture(IMAGE, CAMERA), white=Capture(mp.views.white_image(CAMERA), CAMERA))
     assert len(operator([(0, 0, -240)], virtual=True).points) == 1

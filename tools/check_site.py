@@ -20,6 +20,7 @@ ASKED = {
     "lattic": "reference/develop/extending",
     "cite": "theory/sources",
     "airi": "theory/accuracy",
+    "bokeh": "guides/ordinary",
 }
 """Stems of words, as the search has them, and a page that it must offer for each."""
 
@@ -35,6 +36,7 @@ class Page(HTMLParser):
         self.places: set[str] = set()
         self.links: list[str] = []
         self.loaded: list[str] = []
+        self.unnamed: list[str] = []
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
@@ -43,6 +45,8 @@ class Page(HTMLParser):
         self.places |= {value for name in ("id", "name") if (value := values.get(name))}
         if tag == "a" and values.get("href"):
             self.links.append(values["href"] or "")
+        if tag == "img" and not values.get("alt"):
+            self.unnamed.append(values.get("src") or "")
         if (name := LOADED.get(tag)) and values.get(name) and values.get("rel") != "canonical":
             self.loaded.append(values[name] or "")
 
@@ -53,6 +57,7 @@ def broken_links(site: Path) -> list[str]:
     found = []
     for path, page in pages.items():
         name = path.relative_to(site)
+        found += [f"{name}: {source}: a picture without a text" for source in page.unnamed]
         for link in page.links + page.loaded:
             parts = urlsplit(link)
             if parts.scheme or parts.netloc:

@@ -27,8 +27,10 @@ import matplotlib
 import mitsuba as mi
 import numpy as np
 import real_pictures
+import xarray as xr
 from bench.cases import phase_space as walls
 from check_release import page_code, page_files
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from picture_layout import DPI, WIDTH, coloured, drawn, in_browser, narrowed, sheet, write
@@ -42,6 +44,7 @@ from mitsuba_plenoptic.fitting import View
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.optimisation import maximise
 from mitsuba_plenoptic.points.units import brightness_of
+from mitsuba_plenoptic.refocus import Volume
 from mitsuba_plenoptic.report.images import Brightness, to_bytes
 from mitsuba_plenoptic.report.plots import Plot, annotate, bare, contact_sheet, depth_figure
 from mitsuba_plenoptic.waves.scheme import plan_of
@@ -121,29 +124,32 @@ def depth() -> Any:
     return mp.views.depth_map(mp.decode(capture), 190, 315)
 
 
+def refocused_still_life() -> list[tuple[str, np.ndarray]]:
+    """Return the detector, images refocused to near, middle and far, and an image in focus everywhere, with titles."""
+    capture = still_life("wave")
+    near, middle, far = (result.image for result in mp.reconstruct(capture, [212, 258, 284]))
+    return [
+        ("Detector, close-up", micro_images(capture, -12, -42, 16)),
+        ("Refocused to 212 mm", near),
+        ("Refocused to 258 mm", middle),
+        ("Refocused to 284 mm", far),
+        ("In focus everywhere", depth()["image"].values),
+    ]
+
+
+@picture
+def readme() -> Image.Image:
+    """Show in one row what the package is about: a capture in colour, and images refocused from it."""
+    return sheet([refocused_still_life()])
+
+
 @picture
 def start() -> Image.Image:
     """Show what the package is about: a capture, images refocused from it, and the depth."""
-    capture = still_life("wave")
-    near, middle, far = (result.image for result in mp.reconstruct(capture, [212, 258, 284]))
-    found = depth()["depth"].values
     scale = ScalarMappable(Normalize(190, 310), "viridis_r")
-    shown = coloured(found, 190, 310, colours="viridis_r", unknown=238)
-    return sheet(
-        [
-            [
-                ("Detector: 16 x 16 microlenses", micro_images(capture, -12, -42, 16)),
-                ("Refocused to 212 mm", near),
-                ("Refocused to 258 mm", middle),
-            ],
-            [
-                ("Refocused to 284 mm", far),
-                ("In focus everywhere", depth()["image"].values),
-                ("Depth; grey: unknown", shown),
-            ],
-        ],
-        colours=(scale, "mm from the main lens"),
-    )
+    shown = coloured(depth()["depth"].values, 190, 310, colours="viridis_r", unknown=238)
+    panels = [*refocused_still_life(), ("Depth; grey: unknown", shown)]
+    return sheet([panels[:3], panels[3:]], colours=(scale, "mm from the main lens"))
 
 
 def of_report(name: str) -> Image.Image:
@@ -323,6 +329,22 @@ def microscope() -> Image.Image:
     image = mp.CaptureOperator(fourier, points, wavelength=550, method="full_field").forward([1.0, 1.0])
     row.append(("two points, Fourier", np.sqrt(image.clip(0) / image.max())))
     return sheet([row], white=1.0)
+
+
+@picture
+def microscope_volume() -> Image.Image:
+    """Show a capture of beads, and the volume that deconvolution finds, from the camera and from above."""
+    size = {"detector_width": "3", "resolution": "300"}
+    scene = mp.load_scene("beads", variant="llvm_ad_mono", parameters=size)
+    capture = mp.render_capture(scene, model="wave", spp=256)
+    planes = [round(0.013 * number, 3) for number in range(-4, 5)]
+    volume = Volume.of(mp.reconstruct(capture, planes, method="deconvolved", volume=True, oversample=5))
+    front, above = (np.sqrt(volume.maximum(axis)) for axis in ("z", "y"))
+    # Voxels of the view from above are as long as they are.
+    above = np.repeat(above, round(volume.spacing / volume.voxel_size), axis=0)
+    above = np.pad(above, ((len(front) - len(above)) // 2, 0))
+    shown = {"the capture": capture.image, "from the camera": front, "from above": above}
+    return sheet([[(title, values / np.nanpercentile(values, 99.9)) for title, values in shown.items()]], white=1.0)
 
 
 @picture
@@ -554,6 +576,17 @@ def dual_pixel() -> Image.Image:
     return sheet([list(panels.items())[:2], list(panels.items())[2:]])
 
 
+def draw_from_above(axes: Axes, volume: xr.DataArray, place: np.ndarray, move: np.ndarray) -> None:
+    """Draw a volume from above, and particles (n, 3) with their displacements."""
+    above = volume.max("y")
+    axes.pcolormesh(above["x"], above["z"], np.sqrt(above), cmap="gray")
+    axes.quiver(
+        place[:, 0], place[:, 2], move[:, 0], move[:, 2], color="tab:orange", angles="xy", scale_units="xy", scale=1
+    )
+    # From above, x points to the left of a camera that looks upwards on the page.
+    axes.invert_xaxis()
+
+
 @picture
 def particles() -> Image.Image:
     """Show particles by waves and by rays, and from above those found again beside those that were there."""
@@ -581,15 +614,8 @@ def particles() -> Image.Image:
     for shown, capture, title in zip(pictures, captures, ("By waves", "By rays"), strict=True):
         shown.imshow(np.sqrt(np.maximum(capture.image, 0)), cmap="gray", vmax=0.12, interpolation="none")
         annotate(shown, title=title, size=9)
-    above = volume.max("y")
-    axes.pcolormesh(above["x"], above["z"], np.sqrt(above), cmap="gray")
     chosen = truth["inside"].values[0] == 1
-    place, move = truth["position"].values[0, chosen], truth["displacement"].values[0, chosen]
-    axes.quiver(
-        place[:, 0], place[:, 2], move[:, 0], move[:, 2], color="tab:orange", angles="xy", scale_units="xy", scale=1
-    )
-    # From above, x points to the left of a camera that looks upwards on the page.
-    axes.invert_xaxis()
+    draw_from_above(axes, volume, truth["position"].values[0, chosen], truth["displacement"].values[0, chosen])
     axes.set_title("Volume, z over x in mm", size=9, loc="left", pad=3)
     axes.set_xticks([-0.5, 0, 0.5], ["-0.5", "0", "0.5"], fontsize=8)
     axes.set_yticks([96, 100, 104], ["96", "100", "104"], fontsize=8)

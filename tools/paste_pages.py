@@ -1,10 +1,9 @@
 """Paste the Python and console blocks of the documentation into a plain install: ``python tools/paste_pages.py``.
 
-A page's blocks run in order, in a folder with the files that the page asks to save and the capture ``raw.exr``; Python
-has the names ``mp``, ``capture`` and ``camera``. A block that needs an extra says so in its first line, as
-``# pip install 'mitsuba-plenoptic[sweep]'`` or ``# pip install pylops``, and is left out without the extra. Wrong is
-what lacks a module, a name of the package, a command or an option. What lacks only what readers bring, or takes too
-long, is listed.
+A page's blocks run in order, each page by itself in an empty folder with the files that it asks to save. A block that
+needs an extra says so in its first line, as ``# pip install 'mitsuba-plenoptic[sweep]'`` or ``# pip install pylops``,
+and is left out without the extra. Wrong is what lacks a name, a module, a command or an option. What lacks only what
+readers bring, or takes too long, is listed.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"^```(?:\{code-(?:block|cell)\} )?(python|console)\n(.*?)^```", flags=re.MULTILINE | re.DOTALL)
 NEEDS = re.compile(r".*pip install (?:'[\w-]+\[([\w,]+)\]'|([\w-]+)$)", flags=re.MULTILINE)
 WRONG = re.compile(
-    r"ModuleNotFoundError|ImportError|AttributeError: module|[Nn]o such (?:option|command)|command not found"
-    r"|pip install "
+    r"ModuleNotFoundError|ImportError|NameError|TypeError|AttributeError: module|[Nn]o such (?:option|command)"
+    r"|command not found|pip install "
 )
 EXTRAS = {
     "matlab": "h5py", "calibration": "cv2", "sweep": "h5netcdf", "dataset": "h5py",
@@ -56,11 +55,7 @@ def paste(page: Path, limit: int) -> None:
     text = page.read_text()
     for name, content in page_files(text).items():
         Path(name).write_text(content)
-    import mitsuba_plenoptic as mp
-
-    capture = mp.example("letters-ray")
-    mp.write_capture("raw.exr", capture)
-    names = {"mp": mp, "capture": capture, "camera": capture.camera, "__name__": "__main__"}
+    names = {"__name__": "__main__"}
     # Which ends a block with KeyboardInterrupt.
     signal.signal(signal.SIGALRM, signal.default_int_handler)
     for number, (kind, body) in enumerate(blocks(text), 1):

@@ -101,7 +101,11 @@ def commands(text: str) -> str:
     """Write the page of the command, below what it says itself, from its Typer application."""
     from mitsuba_plenoptic.cli import COMMANDS, PROGRAM, command_group, load
 
-    parts = [text, "", *_help(command_group().help)]
+    parts = [text, "", *_help(command_group().help), ".. list-table::", "   :class: options", "   :widths: 22 78", ""]
+    for name in COMMANDS:
+        first = inspect.cleandoc(load(name).help or "").partition("\n\n")[0].replace("\n", " ")
+        parts += [f"   * - `{name}`_", f"     - {_options_as_code(first)}"]
+    parts.append("")
     for name in COMMANDS:
         command = load(name)
         usage = [PROGRAM, name, "[OPTIONS]", *(value_name(p) for p in command.params if is_argument(p))]

@@ -225,12 +225,7 @@ class Lattice(abc.ABC):
     @property
     def separable(self) -> bool:
         """Whether cells and apertures are products of an interval along x and one along y."""
-        return self.axis_aligned and self.has_upright_apertures
-
-    @property
-    def has_upright_apertures(self) -> bool:
-        """Whether each aperture is a product of an interval along x and one along y, wherever it lies."""
-        return self._upright and self.aperture == "cell"
+        return self.axis_aligned and self.aperture == "cell"
 
     @property
     def regular(self) -> Lattice:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from ..errors import put, refuse_if, require_number
+from ..errors import put_checked, refuse_if, require_number, require_numbers
 from ..prescription import LINE_D
 from ..runtime import module_of
 from .shape import MicrolensShape, excess_index, known_index, per_millimetre
@@ -33,11 +34,6 @@ class Conic(MicrolensShape):
         Coefficients :math:`a_0, a_1, ...` of :math:`r^4, r^6, ...`, in :math:`mm^{-3}, mm^{-5}, ...`
     glass : Glass, str, float or dict
         The lens's material, as `Glass.from_plain` takes it, or its index.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
     """
 
     form = "conic"
@@ -53,12 +49,12 @@ class Conic(MicrolensShape):
             not hasattr(coefficients, "__len__") or isinstance(coefficients, str),
             f"coefficients = {coefficients}: it must be a list",
         )
-        put(
+        put_checked(
             self,
-            curvature_radius=require_number("curvature_radius", self.curvature_radius, positive=True),
-            conic=require_number("conic", self.conic),
-            coefficients=tuple(require_number("coefficients", coefficient) for coefficient in coefficients),
-            glass=known_index("glass", self.glass),
+            curvature_radius=partial(require_number, positive=True),
+            conic=require_number,
+            coefficients=partial(require_numbers, count=len(coefficients)),
+            glass=known_index,
         )
 
     def waves(self, x: Any, y: Any, wavelength: float) -> Any:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 
-from ..errors import put, require_number
+from ..errors import put_checked, require_number
 from ..prescription import LINE_D
 from ..runtime import Doubles
 from .sampled_grid import LENGTHS, SampledGrid, known_samples
@@ -46,11 +46,11 @@ class Sampled(MicrolensShape):
     glass: Any = 1.5
 
     def __post_init__(self) -> None:
-        put(
+        put_checked(
             self,
-            height=known_samples("height", self.height, LENGTHS),
-            width=require_number("width", self.width, positive=True),
-            glass=known_index("glass", self.glass),
+            height=partial(known_samples, units=LENGTHS),
+            width=partial(require_number, positive=True),
+            glass=known_index,
         )
 
     @cached_property

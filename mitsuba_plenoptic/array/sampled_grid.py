@@ -70,7 +70,7 @@ def read_samples(name: str, value: Any, units: Mapping[str, float] | None) -> Do
         value, header = _read(require_file(Path(value)))
     unit = str(header.get("BUNIT", unit_of(value))).strip()
     rule = "it must be rows of numbers"
-    samples = as_array(name, value, np.float64, IMAGE[:2], rule=rule, units=(unit,))
+    samples = as_array(name, value, IMAGE[:2], rule=rule, units=(unit,))
     # Symbols of units differ by case.
     plain = unit if len(unit) < 3 else unit.lower().removesuffix("s")
     if units is not None and plain not in ("", "1", "dimensionless"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from ..errors import put, require_length, require_wavelength
+from ..errors import put_checked, require_length, require_wavelength
 from ..prescription import LINE_D
 from ..runtime import floor
 from .shape import MicrolensShape, per_millimetre
@@ -26,11 +26,6 @@ class ZoneLens(MicrolensShape):
         Focal length F in air at the design wavelength, in millimetres. In a medium of index n it is n times as long.
     wavelength : float
         Design wavelength in nanometres.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
     """
 
     form = "zone_lens"
@@ -39,11 +34,7 @@ class ZoneLens(MicrolensShape):
     wavelength: float = LINE_D
 
     def __post_init__(self) -> None:
-        put(
-            self,
-            focal_length=require_length("focal_length", self.focal_length),
-            wavelength=require_wavelength(self.wavelength),
-        )
+        put_checked(self, focal_length=require_length, wavelength=lambda _, value: require_wavelength(value))
 
     def waves(self, x: Any, y: Any, wavelength: float) -> Any:
         """Return the phase in waves; see `MicrolensShape.waves`."""

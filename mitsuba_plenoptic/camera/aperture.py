@@ -29,9 +29,6 @@ from ..errors import (
 )
 from ..runtime import Doubles, PlainData, known_record, module_of, select, take
 
-_BLADES = 3, 64
-"""Fewest and most blades."""
-
 _CELLS = 512
 _POINTS = 4
 """Cells across a polygon where cells are asked for, and points across a cell."""
@@ -39,8 +36,6 @@ _POINTS = 4
 _LARGEST = 512
 """Most rows and columns of a picture."""
 
-_DECIMALS = 4
-"""Digits to which values of a picture are kept, as files hold them."""
 
 _STEPS = 1024
 """Steps of the square of the radius in which the transmission of an apodised pupil is integrated."""
@@ -160,7 +155,8 @@ class Aperture(PlainData):
 
     def __post_init__(self) -> None:
         name = "transmission"
-        values = read_table(name, self.transmission, largest=_LARGEST, most=1, decimals=_DECIMALS)
+        # Digits to which values of a picture are kept, as files hold them.
+        values = read_table(name, self.transmission, largest=_LARGEST, most=1, decimals=4)
         rows, columns = values.shape
         refuse_if(rows != columns, f"{name} of shape {values.shape}: it must be square")
         refuse_if(not values.any(), f"{name}: it is 0 everywhere, so that no light passes")
@@ -267,9 +263,8 @@ def known_blades(name: str, value: Any) -> Blades | None:
     parts = tuple(value) if isinstance(value, (tuple, list, np.ndarray)) else (value,)
     if len(parts) not in (1, 2):
         raise InputError(f"{name} = {short_repr(value)}: it must be a number of blades, or this and an angle")
-    low, high = _BLADES
     angle = require_number(name, parts[1], minimum=-FULL_TURN, maximum=FULL_TURN) if len(parts) > 1 else 0.0
-    return Blades(require_count(name, parts[0], minimum=low, maximum=high), angle)
+    return Blades(require_count(name, parts[0], minimum=3, maximum=64), angle)
 
 
 known_image = partial(known_record, Aperture, "aperture_image")

@@ -18,31 +18,16 @@ from .plenoptic_camera import PlenopticCamera
 
 _LARGEST_FILE = 2**24
 
-_LIBPLENO = {"mla", "main_lens", "sensor"}
-"""Names in each configuration of libpleno."""
-
 
 def camera_and_record(source: str | Path) -> tuple[PlenopticCamera, Any]:
-    """Return a camera, and the object ``calibration`` of its file (None if there is none).
-
-    Raises
-    ------
-    InputError
-        If the source is missing or is no camera.
-    """
+    """Return a camera, and the object ``calibration`` of its file (None if there is none)."""
     stated, record = stated_and_record(source)
     with naming(Path(source)):
         return PlenopticCamera._from_names(stated), record
 
 
 def stated_and_record(source: str | Path) -> tuple[dict[str, Any], Any]:
-    """Return what a source states of a camera, by name, and its file's object ``calibration`` (None without one).
-
-    Raises
-    ------
-    InputError
-        If the source is missing or states no camera.
-    """
+    """Return what a source states of a camera, by name, and its file's object ``calibration`` (None without one)."""
     if str(source) in PRESETS and not Path(source).is_file():
         return dict(PRESETS[str(source)]), None
     path = Path(source)
@@ -57,7 +42,8 @@ def stated_and_record(source: str | Path) -> tuple[dict[str, Any], Any]:
         text = read_text(path, _LARGEST_FILE)
     with refusing(f"{path}: it is no JSON file:", *NO_RECORD):
         values = json.loads(text)
-    if isinstance(values, dict) and set(values) >= _LIBPLENO:
+    # Names in each configuration of libpleno.
+    if isinstance(values, dict) and set(values) >= {"mla", "main_lens", "sensor"}:
         read = hook("libpleno", str(path))
         with naming(path):
             return read(values).to_dict(), None

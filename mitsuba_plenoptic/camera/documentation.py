@@ -46,7 +46,7 @@ def with_sensor_parameters(docstring: str) -> str:
         # Only in Python are they names that the site links.
         words = re.sub(rf"(?<![`:])`({'|'.join(PARAMETERS)})`", r"``\1``", f"{entry.words} (Default: {default})")
         rows += _filled(words, "   - ", "     ")
-        if entry.is_exposed:
+        if entry.gradients:
             flags = ["|exposed|", *(words for flag, words in _FLAGS.items() if flag in entry.gradients)]
             rows.append(f"   - {', '.join(flags)}")
     # The docstring is indented where Python reads it, and not where the site does.

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from enum import Enum, Flag, auto
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, cast, dataclass_transform, overload
 
+from ..errors import put
+
 Given = TypeVar("Given")
 Kept = TypeVar("Kept")
 _Record = TypeVar("_Record", bound=type)
@@ -146,9 +148,9 @@ def no_effect(uses: Use, words: str) -> Support:
     return Support(uses, "exact", words)
 
 
-def approximate(uses: Use, words: str, where: Condition | None = None) -> Support:
+def approximate(uses: Use, words: str) -> Support:
     """Return the entry of uses that approximate a parameter."""
-    return Support(uses, "approximate", words, where=where)
+    return Support(uses, "approximate", words)
 
 
 def refused(uses: Use, words: str, instead: str = "", where: Condition | None = None) -> Support:
@@ -183,7 +185,7 @@ class Parameter(Generic[Given, Kept]):
     highest: float | None = None  # upper limit of fits without bounds, if it is not a multiple of the step
     unseen: int = 0  # count of leading components that affect no capture: fits leave them out
     room: int = 0  # least count of components with derivatives, also if a camera has fewer
-    shortest: Callable[[Kept], Any] | None = None  # converts to the form in files, if it is not the stored one
+    shortest: Callable[[Kept], Any] | None = None  # converts to the form in files, if another
     of_array: bool = False  # whether only a camera with a microlens array has it: None for one without
     instead_of: str = ""  # the parameter that follows from this one and is written to files instead
     in_all_files: bool = False  # whether all files have it; others may be missing, such as those of extensions
@@ -194,17 +196,13 @@ class Parameter(Generic[Given, Kept]):
 
     def __set_name__(self, owner: type, attribute: str) -> None:
         """Take the name of the parameter from its attribute in the table."""
-        object.__setattr__(self, "attribute", attribute)
-        object.__setattr__(self, "name", self.alias or attribute)
+        put(self, attribute=attribute, name=self.alias or attribute)
 
     def plain(self, value: Kept) -> Any:
-        """Return a value in its shortest form, as in files."""
+        """Return a value in its shortest form, as in files; of a record its plain data."""
+        if hasattr(value, "to_plain"):
+            return value.to_plain()
         return value if value is None or self.shortest is None else self.shortest(value)
-
-    @property
-    def is_exposed(self) -> bool:
-        """Whether sensors expose the parameter to `mi.traverse`."""
-        return bool(self.gradients)
 
     if TYPE_CHECKING:
         # Of a camera the attribute is the value; the constructor takes `Given`.

@@ -104,11 +104,6 @@ class CameraGeometry(CameraParameters):
         ----------
         distance : float
             Object distance from the main lens in millimetres.
-
-        Raises
-        ------
-        InputError
-            If the distance is 0, or the main lens is an objective, whose image has no such cone.
         """
         self.require_lens("defocus")
         refuse_if(distance == 0, "distance = 0: the point lies in the main lens; it has no image")

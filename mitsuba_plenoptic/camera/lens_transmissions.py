@@ -35,11 +35,6 @@ class LensTransmissions(PlainData):
         lattice frame, at `mla_offset`, of a hexagonal one its centre; each odd row of a hexagonal lattice is half a
         pitch further in x. Default: minus half the counts, rounded down, so that the table is around the axis.
 
-    Raises
-    ------
-    InputError
-        If the values are no table, too many, or out of range, or `first` is not two integers.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp
@@ -55,9 +50,8 @@ class LensTransmissions(PlainData):
         values = read_table("values", self.values, largest=_LARGEST, most=_BRIGHTEST)
         rows, columns = values.shape
         first_lens = (-(columns // 2), -(rows // 2)) if self.first is None else self.first
-        pair = require_pair("first", first_lens, "(column, row)")
-        first = tuple(require_count("first", index, minimum=-_FARTHEST, maximum=_FARTHEST) for index in pair)
-        put(self, values=values, first=first)
+        index = partial(require_count, minimum=-_FARTHEST, maximum=_FARTHEST)
+        put(self, values=values, first=require_pair("first", first_lens, "(column, row)", index))
 
     def at(self, lattice: Lattice, i: Any, j: Any) -> Any:
         """Return the values of the lenses with some indices of a lattice, NumPy or Dr.Jit arrays.

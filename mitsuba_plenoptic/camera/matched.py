@@ -8,7 +8,8 @@ are n p wide and as far apart if :math:`D z / b = n p` and :math:`D_2 (b + z) / 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from ..array import LATTICES
@@ -34,9 +35,6 @@ FOLLOWING = {
     "detector_width": "lenses, pixels_per_lens and pixel_size, or resolution and pixel_size",
 }
 """Parameters that follow from a data sheet, and from which of its numbers."""
-
-_SQUARE = 0.01
-"""Relative difference of a pixel's sides up to which rounded figures of a data sheet state square pixels."""
 
 
 def micrometres(camera: CameraGeometry) -> list[str]:
@@ -101,7 +99,7 @@ def behind_pupil(
     """Return the microlens and detector parameters behind a pupil of given radius and distance from the array."""
     sides = None
     if sensor_size is not None:
-        sides = [require_length("sensor_size", side) for side in _pair("sensor_size", sensor_size, "(width, height)")]
+        sides = _pair("sensor_size", sensor_size, "(width, height)", require_length)
     pixels = None
     if resolution is not None:
         pixels = _counts("resolution", resolution)
@@ -111,7 +109,8 @@ def behind_pupil(
         assert sides is not None and pixels is not None
         size, height = (side / count for side, count in zip(sides, pixels, strict=True))
         refuse_if(
-            abs(height / size - 1) > _SQUARE,
+            # Relative difference of a pixel's sides up to which rounded figures of a data sheet state square pixels.
+            abs(height / size - 1) > 0.01,
             f"sensor_size = {short_repr(sensor_size)}: with resolution = {pixels} pixels are {size:.4g} by "
             f"{height:.4g} mm: they must be square",
         )
@@ -147,11 +146,9 @@ def behind_pupil(
     }
 
 
-def _pair(name: str, value: object, form: str) -> tuple[Any, Any]:
-    """Return two values, of which one number stands for both."""
-    return require_pair(name, value if hasattr(value, "__len__") else (value, value), form)
+def _pair(name: str, value: object, form: str, rule: Callable[[str, Any], Any]) -> tuple[Any, Any]:
+    """Return two checked values, of which one number stands for both."""
+    return require_pair(name, value if hasattr(value, "__len__") else (value, value), form, rule)
 
 
-def _counts(name: str, value: object) -> tuple[int, int]:
-    columns, rows = _pair(name, value, "(columns, rows)")
-    return require_count(name, columns, maximum=MOST_PIXELS), require_count(name, rows, maximum=MOST_PIXELS)
+_counts = partial(_pair, form="(columns, rows)", rule=partial(require_count, maximum=MOST_PIXELS))

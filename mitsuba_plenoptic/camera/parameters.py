@@ -16,8 +16,6 @@ from typing import TYPE_CHECKING, Any, cast
 from ..array import APERTURES, LATTICES, NO_LATTICE, MicrolensShape, known_shape
 from ..errors import (
     FULL_TURN,
-    LEAST_FILL,
-    MOST_SEED,
     STEEPEST_TILT,
     require_chief_rays,
     require_choice,
@@ -41,8 +39,6 @@ from .lens_transmissions import LensTransmissions, known_transmissions
 from .phase_screen import PhaseScreen, known_screen
 from .stray_light import StrayLight, known_stray_light
 from .vignetting import Vignetting, known_vignetting
-
-LENS_MODELS = ("ideal", "parabolic")
 
 MOST_APODISATION = 4.0
 """Largest coefficient of a pupil's transmission, which is then at most 9 times as high at the rim as at the centre."""
@@ -90,7 +86,6 @@ class CoreParameters:
         form=Form.SEVERAL,
         takes="int or (int, float)",
         otherwise="a round aperture",
-        shortest=lambda blades: blades and blades.to_plain(),
         fit=require_alone,
     )
     aperture_image: Parameter[Any, Aperture | None] = Parameter(
@@ -103,7 +98,6 @@ class CoreParameters:
         ),
         form=Form.PICTURE,
         otherwise="a round aperture",
-        shortest=lambda image: image and image.to_plain(),
         fit=require_alone,
     )
     pupil_apodisation: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
@@ -240,7 +234,8 @@ class CoreParameters:
     )
     mla_fill: Parameter[float, float] = Parameter(
         default=1.0,
-        check=partial(require_number, positive=True, minimum=LEAST_FILL, maximum=1),
+        # The thinnest line would let no light through.
+        check=partial(require_number, positive=True, minimum=1e-3, maximum=1),
         words="Width of a lens's aperture over the pitch, at most 1; of a disc's over the shorter pitch.",
         gradients=Captures.ALL & ~Captures.SCENES,
         highest=1.0,
@@ -256,7 +251,6 @@ class CoreParameters:
         ),
         form=Form.LENSES,
         otherwise="equal lenses",
-        shortest=lambda table: table and table.to_plain(),
         of_array=True,
     )
     vignetting: Parameter[Any, Vignetting | None] = Parameter(
@@ -269,7 +263,6 @@ class CoreParameters:
         ),
         form=Form.VIGNETTING,
         otherwise="the same pupil for all lenses",
-        shortest=lambda vignetting: vignetting and vignetting.to_plain(),
         of_array=True,
     )
     mla_medium: Parameter[float, float] = Parameter(
@@ -303,7 +296,6 @@ class CoreParameters:
         ),
         form=Form.SHAPE,
         otherwise="a parabolic phase of the focal length",
-        shortest=lambda shape: shape and shape.to_plain(),
         of_array=True,
     )
     detector_distance: Parameter[float | None, float] = Parameter(
@@ -348,7 +340,7 @@ class CoreParameters:
     )
     lens_model: Parameter[str, str] = Parameter(
         default="ideal",
-        check=partial(require_choice, choices=LENS_MODELS),
+        check=partial(require_choice, choices=("ideal", "parabolic")),
         words=(
             "How a thin main lens refracts, by rays and by waves. ``ideal``: stigmatic, like ``thinlens``. "
             "``parabolic``: as a thin parabolic phase, with its aberrations. By rays also how microlenses refract: "
@@ -397,7 +389,6 @@ class CoreParameters:
         ),
         form=Form.SCREEN,
         otherwise="none",
-        shortest=lambda screen: screen and screen.to_plain(),
     )
     mla_jitter: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(0.0, 0.0),
@@ -437,7 +428,7 @@ class CoreParameters:
     )
     mla_seed: Parameter[int, int] = Parameter(
         default=0,
-        check=partial(require_count, minimum=0, maximum=MOST_SEED),
+        check=partial(require_count, minimum=0, maximum=2**32 - 1),
         words="Seed, up to 4294967295, that chooses one of all arrays with this `mla_jitter` and `mla_figure_error`.",
         form=Form.COUNT,
         of_array=True,
@@ -483,7 +474,6 @@ class CoreParameters:
             "in Python also as an array."
         ),
         form=Form.STRAY,
-        shortest=lambda stray: stray.to_plain() if isinstance(stray, StrayLight) else stray,
     )
     stray_width: Parameter[float | None, float | None] = Parameter(
         default=None,
@@ -518,7 +508,6 @@ class CoreParameters:
         ),
         form=Form.LENS,
         otherwise="a thin lens",
-        shortest=lambda lens: lens and lens.to_plain(),
     )
     glass: Parameter[_Glass | None, Glass | None] = Parameter(
         default=None,
@@ -530,7 +519,6 @@ class CoreParameters:
         ),
         form=Form.GLASS,
         otherwise="the same focal length for all wavelengths",
-        shortest=lambda glass: glass and glass.to_plain(),
     )
     mla_glass: Parameter[_Glass | None, Glass | None] = Parameter(
         default=None,
@@ -538,7 +526,6 @@ class CoreParameters:
         words="Glass of the microlenses, written like `glass`: `mla_focal_length` is then that at the line d.",
         form=Form.GLASS,
         otherwise="the same focal length for all wavelengths",
-        shortest=lambda glass: glass and glass.to_plain(),
         of_array=True,
     )
 

@@ -13,7 +13,7 @@ import numpy as np
 from ..array import COUNTS, SampledGrid, known_samples, phases, read_samples
 from ..errors import (
     WAVEFRONT_UNIT,
-    put,
+    put_checked,
     refuse_if,
     require_count,
     require_number,
@@ -63,10 +63,8 @@ class PhaseScreen(PlainData):
     width: float
 
     def __post_init__(self) -> None:
-        put(
-            self,
-            waves=known_samples("waves", self.waves, phases(_MILLIMETRES)),
-            width=require_number("width", self.width, positive=True),
+        put_checked(
+            self, waves=partial(known_samples, units=phases(_MILLIMETRES)), width=partial(require_number, positive=True)
         )
 
     @property

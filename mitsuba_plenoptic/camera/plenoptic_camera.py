@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 from xml.etree import ElementTree
 
+import mitsuba as mi
 import numpy as np
 
 from ..array import LATTICES, NO_LATTICE, Displacement, focal_length_of, require_cover
@@ -236,11 +237,6 @@ class PlenopticCamera(CameraGeometry, Displayed):
             "telescope", "shack_hartmann", "full_frame_50mm", "phone", "full_frame_dual", \
             "phone_quad", "phone_quad_bayer"}
             The camera.
-
-        Raises
-        ------
-        InputError
-            If there is no camera of that name; the message lists the names.
         """
         refuse_if(absent := missing("presets", str(name)), absent)
         return cls(**PRESETS[require_choice("preset", name, PRESETS)])
@@ -329,11 +325,6 @@ class PlenopticCamera(CameraGeometry, Displayed):
         ----------
         sensor : mitsuba.Sensor
             A sensor of type ``plenoptic``.
-
-        Raises
-        ------
-        InputError
-            If the sensor is of another type.
         """
         camera = getattr(sensor, "camera", None)
         if not isinstance(camera, cls):
@@ -349,11 +340,6 @@ class PlenopticCamera(CameraGeometry, Displayed):
         ----------
         values : dict
             Parameters by name.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown or missing, or a value is out of range.
         """
         if isinstance(values, dict):
             has_array = str(values.get("mla_lattice")) != NO_LATTICE
@@ -383,11 +369,6 @@ class PlenopticCamera(CameraGeometry, Displayed):
         ----------
         text : str
             The text of the file.
-
-        Raises
-        ------
-        InputError
-            If the text is no JSON object, a name is unknown, or a value is out of range.
         """
         with refusing("camera: it must be a JSON object of camera parameters:", *NO_RECORD):
             values = json.loads(text)
@@ -420,27 +401,28 @@ class PlenopticCamera(CameraGeometry, Displayed):
         put(camera, _given=frozenset(name for name in camera._given if getattr(camera, name) != of_lens[name]))
         return camera
 
-    def to_sensor(self, to_world: Any = None, pixel_format: str = "luminance") -> dict[str, Any]:
+    def to_sensor(self, to_world: Any = None, pixel_format: str | None = None) -> dict[str, Any]:
         """Return the sensor plugin ``plenoptic`` of this camera for ``mi.load_dict``, film included.
 
         Parameters
         ----------
         to_world : mitsuba.ScalarTransform4f, optional
             Camera to world, without scale. Default: the camera is at the origin and looks along +z.
-        pixel_format : {"luminance", "luminance_alpha", "rgb", "rgba", "xyz", "xyza"}
-            Channels of Mitsuba's ``hdrfilm``.
+        pixel_format : {"luminance", "luminance_alpha", "rgb", "rgba", "xyz", "xyza"}, optional
+            Channels of Mitsuba's ``hdrfilm``. Default: luminance in mono variants, rgb in others; where no variant is
+            active yet, that of the variant in which the sensor is loaded.
 
         Returns
         -------
         dict
             The sensor, whose film is of single precision. When it is loaded, `from_sensor` returns this camera.
-
-        Raises
-        ------
-        InputError
-            If there is no such format.
         """
-        require_choice("pixel_format", pixel_format, ("luminance", "luminance_alpha", "rgb", "rgba", "xyz", "xyza"))
+        formats = ("luminance", "luminance_alpha", "rgb", "rgba", "xyz", "xyza")
+        channels = (
+            {} if pixel_format is None else {"pixel_format": require_choice("pixel_format", pixel_format, formats)}
+        )
+        if pixel_format is None and mi.variant() is not None:
+            channels = {"pixel_format": "luminance" if mi.is_monochromatic else "rgb"}
         values = self.to_dict()
         columns, rows = values.pop("resolution")
         left, top = values.pop("crop_offset")
@@ -462,23 +444,18 @@ class PlenopticCamera(CameraGeometry, Displayed):
             # Of a full film a crop would remain where its size is changed later.
             **(crop if self.is_cropped else {}),
             "rfilter": {"type": "box"},
-            "pixel_format": pixel_format,
+            **channels,
             "component_format": "float32",
         }
         return sensor
 
-    def to_xml(self, to_world: Any = None, pixel_format: str = "luminance") -> str:
+    def to_xml(self, to_world: Any = None, pixel_format: str | None = None) -> str:
         """Write the sensor plugin ``plenoptic`` of this camera, film included, as text for a scene file.
 
         Parameters
         ----------
         to_world, pixel_format
             As for `to_sensor`; `to_world` may also be an array (4, 4).
-
-        Raises
-        ------
-        InputError
-            If there is no such format, or `to_world` is no rotation and translation.
         """
 
         def element(tag: str, values: dict[str, Any], **attributes: str) -> ElementTree.Element:
@@ -528,11 +505,6 @@ class PlenopticCamera(CameraGeometry, Displayed):
             `focal_length`, `aperture_radius` follows again if nobody gave it, or if a lens of surfaces was fully open;
             so does what an objective or a collimator sets. Files and captures state all numbers: there a thin lens's
             5 mm counts as not given.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown or a value is out of range.
         """
         values = {name: value for name, value in self.arguments().items() if value is not None}
         if str(changes.get("mla_lattice")) == NO_LATTICE:
@@ -637,9 +609,6 @@ def film_numbers(film: Any) -> dict[str, Any]:
     }
 
 
-_MOST_RESULTS = 32
-"""Results of a camera that are remembered by each function."""
-
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 _results: weakref.WeakKeyDictionary[PlenopticCamera, dict[str, dict[Any, Any]]] = weakref.WeakKeyDictionary()
@@ -652,7 +621,8 @@ def once_a_camera(function: _F) -> _F:
     def known(camera: PlenopticCamera, *given: Any, **besides: Any) -> Any:
         results = _results.setdefault(camera, {}).setdefault(function.__name__, {})
         if given not in results:
-            if len(results) == _MOST_RESULTS:
+            # Results of a camera that are remembered by each function.
+            if len(results) == 32:
                 del results[next(iter(results))]
             results[given] = function(camera, *given, **besides)
         return results[given]

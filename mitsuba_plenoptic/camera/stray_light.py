@@ -32,11 +32,6 @@ class StrayLight(PlainData):
         Fractions from 0 to 1, kept to five decimals, of rows from the top of the picture and columns from its left; at
         most 256 x 256. Or an NPY, FITS, EXR or grey PNG file of them, whose first row is the top one.
 
-    Raises
-    ------
-    InputError
-        If the values are no table, too many, or out of range.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
-from ..errors import put, refuse_if, require_length, require_numbers, short_repr, suggest_keywords
+from ..errors import put, put_checked, refuse_if, require_length, require_numbers, short_repr, suggest_keywords
 from ..runtime import PlainData, exponents, known_record, module_of, monomials, select
 
 _DEGREES = {1: 0, 3: 1, 6: 2, 10: 3, 15: 4}
@@ -61,11 +61,6 @@ class Vignetting(PlainData):
         Coefficients of an outline that is no ellipse, as of an iris: :math:`c_3, d_3, c_4, d_4`, and so on, up to the
         16th.
 
-    Raises
-    ------
-    InputError
-        If a list has another number of coefficients, or a value is not finite or beyond 100.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp
@@ -86,7 +81,7 @@ class Vignetting(PlainData):
     harmonics: Any = ()
 
     def __post_init__(self) -> None:
-        put(self, scale=require_length("scale", self.scale))
+        put_checked(self, scale=require_length)
         shared = {"transmission": tuple(_MAP_DEGREES), "harmonics": tuple(range(0, 29, 2))}
         for name in (*VIGNETTING_NUMBERS, *shared):
             value = getattr(self, name)

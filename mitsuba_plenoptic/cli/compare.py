@@ -14,6 +14,7 @@ from .inputs import COLOURS, camera_instead, colours_of_film, named_camera, pars
 from .options import (
     EXISTING,
     SCENE,
+    VARIANT,
     CameraFile,
     Definitions,
     OutputFolder,
@@ -35,6 +36,14 @@ def compare(
     distance: Annotated[list[float] | None, distances(positive=True)] = None,
     wavelength: Annotated[float | None, wavelength_option("633; --real needs the one of its light")] = None,
     spp: Annotated[int, numeric("Samples per pixel, by rays and by waves.", check=require_count)] = 16,
+    methods: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME,...",
+            help="What both captures are refocused by, and rays; the last two take most of the time. A further one, "
+            "limit, propagates one lens at a time, takes longest, and shows what interference between lenses adds.",
+        ),
+    ] = "ray,coherent,partial,incoherent,deconvolved",
     against: Annotated[
         Against | None,
         typer.Option(
@@ -85,6 +94,7 @@ def compare(
             metavar="NAME",
             show_default="llvm_ad_rgb if the film records rgb, else llvm_ad_mono",
             help="Mitsuba variant of one colour or in rgb, for example cuda_ad_mono.",
+            callback=VARIANT,
         ),
     ] = None,
 ) -> None:
@@ -129,7 +139,7 @@ def compare(
     from ..optics import RGB_WAVELENGTHS
 
     # Figures need libraries that take a second to load, which other commands need not wait for.
-    from ..report import Settings, comparison, metrics
+    from ..report import Settings, comparison, methods_of_both, metrics
     from ..runtime import DEFAULT_VARIANT
     from ..scene import MOST_SAMPLES
 
@@ -149,6 +159,7 @@ def compare(
         camera=camera_instead(camera, scene, parameters),
         camera_name=camera,
         wavelength=wavelength or (RGB_WAVELENGTHS[1] if in_colour else 633.0),
+        methods=methods_of_both(methods.split(",")),
         spp=require_count("spp", spp, maximum=MOST_SAMPLES),
         noise=spp > 1,
         variant=variant,
@@ -156,20 +167,12 @@ def compare(
     with stage_lines(resume) as stages:
         results = comparison.compare(settings, output, stages=stages, against=against)
     captures = results["captures"]
-    similarity = metrics.ssim_text(captures["ssim"])
-    typer.echo(f"Rays against waves: {captures['psnr']:.1f} dB, SSIM {similarity}, energy {captures['energy']:.3f}")
-    captures = captures["difference"]
-    if captures["all"]["noise"] is None:
-        typer.echo("Noise: not known of one sample; use --spp 2 or more")
-    elif captures["all"]["noise_alone"]:
-        typer.echo(f"They differ by {captures['all']['measured']:.2%}, which noise alone explains; use more --spp")
-    else:
-        typer.echo(
-            f"They differ by {captures['all']['measured']:.2%}: noise {captures['all']['noise']:.2%}, diffraction "
-            f"{captures['all']['true']:.2%} ({captures['middle']['true']:.2%} in the middle of micro-images, "
-            f"{captures['rim']['true']:.2%} at their rim)"
-        )
+    typer.echo(
+        f"Rays against waves: {captures['psnr']:.1f} dB, SSIM {metrics.ssim_text(captures['ssim'])}, energy "
+        f"{captures['energy']:.3f}"
+    )
     if against is not None:
         halves = [f"{row['title']} {row['mtf50_per_mm']:.3g}" for row in results["ordinary"]["pictures"]]
         typer.echo(f"Half the contrast, in cycles per mm: {', '.join(halves)}")
+    typer.echo(results["answer"])
     typer.echo(f"{output / 'report.html'}: open it in a browser")

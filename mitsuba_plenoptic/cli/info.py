@@ -106,16 +106,14 @@ def info(
 
       mitsuba-plenoptic info lens.zmx --f-number 4 --field 14
     """
+    refuse_if((source is None) == (camera is None), "SCENE, --camera: give one of the two")
     from rich.console import Console
     from rich.markup import escape
 
-    from ..design import design_warnings, mended
     from ..extension import format_of
     from ..io import read_capture
-    from ..report import design_sheet
     from ..runtime import require_writable, write_text
 
-    refuse_if((source is None) == (camera is None), "SCENE, --camera: give one of the two")
     source = str(camera if source is None else source)
     if fix is not None:
         require_writable(fix, ".json")
@@ -138,6 +136,10 @@ def info(
     refuse_options(f"{source}, which is no lens,", pupil=pupil, f_number=f_number, field=field)
     capture = read_capture(source) if recorded else None
     shown_camera = capture.camera if capture else load_camera(source, parameters, unit)[0]
+    # Bring libraries that take seconds to load.
+    from ..design import design_warnings, mended
+    from ..report import design_sheet
+
     if capture and wavelength is None and isinstance(capture.wavelength, float):
         wavelength = capture.wavelength
     if drawing is not None:

@@ -137,7 +137,11 @@ def drawing_of(options: Mapping[str, Any], *paths: Path | None) -> images.Drawin
             f"--{name}: it is for pictures ({', '.join(images.SHOWN)}); {outputs[0]} keeps the values as they are",
         )
     suffix = outputs[0].suffix.lower()
-    figure = options["figure"]
+    dpi = options.get("dpi")
+    refuse_if(
+        dpi is not None and suffix != ".png", f"--dpi {dpi}: it is for figures in .png; the output is {outputs[0]}"
+    )
+    figure = options["figure"] or dpi is not None
     scale = options["scale"]
     refuse_if(
         figure and suffix not in (".png", ".pdf"), f"--figure: it is for .png and .pdf; the output is {outputs[0]}"
@@ -145,11 +149,11 @@ def drawing_of(options: Mapping[str, Any], *paths: Path | None) -> images.Drawin
     if scale is not None:
         refuse_if(
             figure or suffix not in (".png", *ANIMATED),
-            f"--scale {scale}: it is for plain pictures (.png, {', '.join(ANIMATED)}), without --figure; the output is "
-            f"{outputs[0]}",
+            f"--scale {scale}: it is for plain pictures (.png, {', '.join(ANIMATED)}), without --figure and --dpi; the "
+            f"output is {outputs[0]}",
         )
         require_count("scale", scale, maximum=64)
-    return images.Drawing(images.Brightness(options["exposure"], options["percentile"]), scale, figure)
+    return images.Drawing(images.Brightness(options["exposure"], options["percentile"]), scale, figure, dpi)
 
 
 def named_camera(source: str | None) -> PlenopticCamera | None:
@@ -277,12 +281,7 @@ def colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
 
 def parse_definitions(definitions: list[str] | None) -> dict[str, str]:
     """Return ``name=value`` texts as a dictionary."""
-    parameters = {}
-    for text in definitions or []:
-        name, equals, value = text.partition("=")
-        refuse_if(not name or not equals, f"-D {text}: write it as -D NAME=VALUE")
-        parameters[name] = value
-    return parameters
+    return {name: value for name, _, value in (text.partition("=") for text in definitions or [])}
 
 
 def batches_on(workers: int | None, scheduler: str | None) -> contextlib.AbstractContextManager[BatchMap | None]:

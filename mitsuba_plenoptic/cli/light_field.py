@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -254,7 +255,7 @@ def depth(
         )
         ends.clear()
     for end, beyond in ends.items():
-        if beyond >= _LITTLE:
+        if beyond >= _LITTLE and math.isfinite(estimate.attrs[end]):
             warn(
                 f"depth: {100 * beyond:.0f} % of the bins agree best at the {end} end of the search, "
                 f"{estimate.attrs[end]:.4g} {unit}, and are probably {'nearer' if end == 'near' else 'farther'}: widen "

@@ -17,6 +17,7 @@ from ..errors import (
     did_you_mean,
     refuse_if,
     refusing,
+    require_choice,
     require_count,
     require_number,
     require_suffix,
@@ -119,6 +120,22 @@ def _require_recording(name: str, path: Path) -> None:
     _require_file(name, path)
 
 
+def assigned(option: str, form: str) -> Callable[..., Any]:
+    """Return the callback of an option whose texts assign a value to a name."""
+
+    def check(parameter: str, text: str) -> None:
+        name, equals, _ = text.partition("=")
+        refuse_if(not name or not equals, f"{option} {text}: write it as {option} {form}")
+
+    return checked(check)
+
+
+def _require_variant(name: str, variant: str) -> None:
+    import mitsuba as mi
+
+    require_choice(name, variant, mi.variants())
+
+
 def require_camera_name(name: str, source: str) -> None:
     """Refuse a text that names no camera, that is, no preset, parameters, file or scene."""
     names = scene_names()
@@ -134,7 +151,8 @@ EXISTING = checked(_require_file)
 RECORDING = checked(_require_recording)
 CAMERA = checked(require_camera_name)
 SCENE = checked(lambda _, scene: Path(scene).is_file() or scene_path(scene))
-"""Callbacks of options that name a file, a file that is no scene, a camera, and a scene."""
+VARIANT = checked(_require_variant)
+"""Callbacks of options that name a file, a file that is no scene, a camera, a scene, and a variant of Mitsuba."""
 
 Scene = Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.", callback=SCENE)]
 
@@ -151,6 +169,7 @@ Definitions = Annotated[
         "--define",
         metavar="NAME=VALUE",
         help="Set a scene parameter, the $NAME in its XML file; repeat for several.",
+        callback=assigned("-D", "NAME=VALUE"),
     ),
 ]
 
@@ -171,6 +190,7 @@ Variant = Annotated[
         show_default="llvm_ad_mono",
         help="Mitsuba variant, for example llvm_ad_rgb or cuda_ad_mono.",
         rich_help_panel=EXPERT,
+        callback=VARIANT,
     ),
 ]
 
@@ -187,7 +207,7 @@ else:
 
 Samples = Annotated[int | None, numeric("Samples per pixel.", "those of the scene's sampler", check=require_count)]
 
-Seed = Annotated[int, numeric("Seed of the random numbers.")]
+Seed = Annotated[int, numeric("Seed of the random numbers.", check=partial(require_count, minimum=0))]
 
 Workers = Annotated[
     int | None,
@@ -303,7 +323,22 @@ _Figure = Annotated[
     ),
 ]
 
-PICTURE: dict[str, Any] = {"exposure": Exposure, "percentile": Percentile, "scale": _Scale, "figure": _Figure}
+Dpi = Annotated[
+    int | None,
+    numeric(
+        "Make a .png a labelled figure of so many dots per inch.",
+        "300 for figures",
+        check=lambda name, value: require_count(name, value, minimum=20, maximum=2400),
+    ),
+]
+
+PICTURE: dict[str, Any] = {
+    "exposure": Exposure,
+    "percentile": Percentile,
+    "scale": _Scale,
+    "figure": _Figure,
+    "dpi": Dpi,
+}
 """Options of commands that write pictures: see `inputs.drawing_of`."""
 
 Resume = Annotated[

@@ -34,7 +34,7 @@ _COMMANDS_OF_CORE = {
     "example": ("example", "Write a finished capture, with its ground truth next to it, to try the other commands on."),
     "render": ("render_command", "Render what a scene's plenoptic camera records."),
     "reconstruct": ("reconstruct", "Refocus a capture to one or several distances."),
-    "sheet": ("reconstruct", "Lay reconstructions out in one figure: a row a method, a column a distance."),
+    "sheet": ("reconstruct", "Lay reconstructions out in one figure: a row a method and capture, a column a distance."),
     "views": ("light_field", "Show the scene from many positions on the main lens."),
     "epi": ("light_field", "Show one line of the scene from every view along the same direction."),
     "stack": ("light_field", "Make a focal stack: one image for each distance, in focus there."),
@@ -192,7 +192,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # Progress begins before the options are read, thus before --quiet is.
             has_progress = called is not None and {"-h", "--help", "-q", "--quiet"}.isdisjoint(words)
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
-            with at_shell(_OPTIONS), plain_lines(words[0]) if has_progress else contextlib.nullcontext():
+            with at_shell(_OPTIONS), plain_lines() if has_progress else contextlib.nullcontext():
                 status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
             # Typer makes a status of Ctrl-C.
             if status == 128 + signal.SIGINT:
@@ -241,6 +241,8 @@ def _mistake(error: BaseException, options: Collection[str]) -> str | None:
             kind = {"int": "a whole number", "float": "a number"}.get(wrong["type"].partition("_")[0])
             rule = f"it must be {kind}" if kind else wrong["msg"]
             message = f"{max(error.param.opts, key=len)} = {short_repr(wrong['input'])}: {rule}"  # type: ignore[attr-defined]
+            unit = error.param.metavar  # type: ignore[attr-defined]
+            message += f" of {unit.lower()}, without the unit" if unit in ("MM", "NM", "PIXELS") else ""
         context = getattr(error, "ctx", None)
         return f"{message} (see {context.command_path if context else PROGRAM} --help)"
     return _with_options(str(error), options) if isinstance(error, InputError) else None

@@ -21,6 +21,7 @@ from .options import (
     WAVES,
     CameraFile,
     CaptureFile,
+    Dpi,
     Estimate,
     Exposure,
     Linear,
@@ -125,7 +126,10 @@ def reconstruct(
 
       mitsuba-plenoptic reconstruct raw.tiff -o out.png --distance 600 --camera camera.json --linear
     """
+    if output is None and not estimate:
+        raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
     camera_of_option = require_in_sight(capture, named_camera(camera), *distance)
+    require_linear(linear, capture, white)
 
     # Brings libraries that take a while to load.
     from .. import refocus as reconstruction
@@ -136,8 +140,6 @@ def reconstruct(
     chosen = registered(method)
     if estimate:
         refuse_options("an estimate", resume=resume, workers=workers, scheduler=scheduler)
-    elif output is None:
-        raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
     # Those that the command alone knows, too, so that there is one note on all.
     arguments = used_by(
         chosen,
@@ -150,7 +152,6 @@ def reconstruct(
     )
     white, resume, workers, scheduler = (arguments.pop(name) for name in ("white", "resume", "workers", "scheduler"))
     arguments |= {"method": method, "oversample": oversample}
-    require_linear(linear, capture, white)
     if estimate or output is None:
         with progress_bar("Estimating") as progress:
             recorded, reference = _recorded(capture, white, camera_of_option, linear, variant)
@@ -203,8 +204,9 @@ def sheet(
     ] = None,
     exposure: Exposure = None,
     percentile: Percentile = None,
+    dpi: Dpi = None,
 ) -> None:
-    """Lay reconstructions out in one figure: a row a method, a column a distance.
+    """Lay reconstructions out in one figure: a row a method and capture, a column a distance.
 
     All share one scale. They must be by one camera.
 
@@ -219,6 +221,7 @@ def sheet(
     from ..runtime import require_apart, require_writable
 
     require_apart(require_writable(output), *results)
+    refuse_if(dpi is not None and output.suffix != ".png", f"--dpi {dpi}: it is for .png; the output is {output}")
     read = [read_reconstruction(path) for path in results]
     there = sorted({result.distance for result in read})
     for value in distance or ():
@@ -230,9 +233,8 @@ def sheet(
     # Brings Matplotlib, which takes a while to load.
     from ..report import plots
 
-    plots.contact_sheet(read, images.Brightness(exposure, percentile).peak([result.image for result in read])).save(
-        output
-    )
+    white = images.Brightness(exposure, percentile).peak([result.image for result in read])
+    plots.contact_sheet(read, white).save(output, dpi)
     methods, distances = ({getattr(result, name) for result in read} for name in ("method", "distance"))
     typer.echo(f"{output}: {len(read)} images (methods: {len(methods)}, distances: {len(distances)})")
 
@@ -260,11 +262,15 @@ def _value_of(option: Option, value: Any) -> Any:
 
 
 def _described(facts: dict[str, Any]) -> str:
-    """Return the facts of a deconvolution in words: iterations, how it ended, residual."""
+    """Return facts in words: the resolution outside the range of refocusing; of a deconvolution how it ended."""
     if "iterations" not in facts:
-        return ""
+        if facts.get("in_range", True):
+            return ""
+        return f"; outside the range of refocusing, {facts['samples_per_lens']:.2g} samples per lens"
     ended = "stopped by the noise" if facts["stopped_by_noise"] else "as many as were to be made"
     near = "; in focus, where finer bins add little" if facts["in_focus"] else ""
+    if facts["residual"] > 0.25 and not facts["stopped_by_noise"]:
+        near += "; planes that hold the light may be missing"
     return (
         f"; {facts['iterations']} iterations, {ended}, {facts['residual']:.2%} of the capture left; resolution limit "
         f"{facts['resolution_limit']:.3g} line pairs/mm{near}"

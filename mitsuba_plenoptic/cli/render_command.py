@@ -5,15 +5,18 @@ from __future__ import annotations
 import time
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from ..choices import QUANTITIES, RAW_SUFFIXES, AnyMosaic
+from ..errors import require_number
 from ..runtime import progress_bar
 from .inputs import batches_on, open_scene, parse_definitions, refuse_options
 from .options import (
+    VARIANT,
     CameraFile,
     CaptureFile,
     Definitions,
@@ -118,6 +121,7 @@ def render(
             metavar="NAME",
             show_default="llvm_ad_rgb if the film records rgb, else llvm_ad_mono",
             help="Mitsuba variant, for example llvm_ad_rgb or cuda_ad_mono.",
+            callback=VARIANT,
         ),
     ] = None,
 ) -> None:
@@ -141,8 +145,12 @@ def render(
 
       mitsuba-plenoptic render still_life -o raw.exr --aov depth,normal,shape_index
     """
+    if output is None and not estimate:
+        raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
     from ..io import TRUTH_NAME, require_quantities, truth_path, write_capture, write_ground_truth
     from ..runtime import remove_leftovers, require_different, require_writable
+
+    names = None if aov is None else require_quantities(name.strip() for name in aov.split(","))
     from ..scene import estimate_capture, is_wave_capture, refuse_by_rays, render_capture
 
     parameters = parse_definitions(define)
@@ -161,15 +169,11 @@ def render(
                 cost = estimate_capture(
                     loaded, sensor=sensor, model=model, spp=spp, seed=seed, batch_map=batch_map, **wave
                 )
-        counts = f"{cost.points} points, {cost.patterns} point spreads, " if cost.points else ""
-        typer.echo(f"{scene}: {counts}about {cost.seconds:.3g} s and {cost.memory / 2**30:.2g} GiB")
+        typer.echo(f"{scene}: about {cost.seconds:.3g} s and {cost.memory / 2**30:.2g} GiB")
         if hint := _shorter(loaded, sensor, spp, method):
             typer.echo(hint)
         return
-    if output is None:
-        raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
-    # Before the rendering, which may take long.
-    names = None if aov is None else require_quantities(name.strip() for name in aov.split(","))
+    assert output is not None
     for path in filter(None, (output, white)):
         require_writable(path)
     truth_file = require_writable(truth_path(output)) if names else None
@@ -240,7 +244,12 @@ def expose(
             "FILE", "File to write: .exr, or .png or .tiff for digital numbers.", ".exr", ".png", ".tif", ".tiff"
         ),
     ],
-    photons: Annotated[float, numeric("Photons that hit a pixel of value 1 during the exposure.")],
+    photons: Annotated[
+        float,
+        numeric(
+            "Photons that hit a pixel of value 1 during the exposure.", check=partial(require_number, positive=True)
+        ),
+    ],
     quantum_efficiency: Annotated[float, numeric("Electrons per photon, up to 1.", unit="FRACTION")] = 0.6,
     full_well: Annotated[float, numeric("Electrons at which a pixel saturates.")] = 8000.0,
     dark_electrons: Annotated[float, numeric("Mean electrons without light.")] = 0.0,

@@ -57,7 +57,10 @@ def stage_lines(resume: bool) -> Iterator[StageOptions]:
 
         def notify(name: str, done: int, total: int) -> None:
             if name not in tasks:
-                line.begin(name.replace("_", " "))
+                if done:
+                    line.label = name.replace("_", " ")
+                else:
+                    line.begin(name.replace("_", " "))
                 tasks[name] = bar.add_task(line.label, total=1)
             line(done, total)
             bar.update(tasks[name], completed=done, total=total or 1)
@@ -65,6 +68,8 @@ def stage_lines(resume: bool) -> Iterator[StageOptions]:
         def finished(name: str, seconds: float, was_there: bool) -> None:
             if name in tasks:
                 bar.remove_task(tasks.pop(name))
+            if was_there:
+                line.skip()
             if not is_quiet():
                 bar.console.print(f"{name.replace('_', ' '):<28} {'reused' if was_there else in_words(seconds)}")
 

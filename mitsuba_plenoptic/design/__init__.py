@@ -9,6 +9,18 @@ Wavelengths are in nanometres. Where a wavelength is optional, diffraction is ne
 `__init__.pyi` names what other folders and extensions may use; it is imported when it is first asked for.
 """
 
+import inspect
+from typing import Any
+
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+from ..errors import suggest_keywords
+
+_of_stub, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    entry = _of_stub(name)
+    # The stub's loader has stored the bare function under its name.
+    globals()[name] = suggest_keywords(entry) if inspect.isfunction(entry) else entry
+    return globals()[name]

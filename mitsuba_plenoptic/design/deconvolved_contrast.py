@@ -88,11 +88,6 @@ def resolution_limit(camera: PlenopticCamera, distance: float, wavelength: float
     Returns
     -------
     ResolutionLimit
-
-    Raises
-    ------
-    InputError
-        If the distance is not beyond the focal length, or the wavelength is out of range.
     """
     if wavelength is not None:
         camera = camera.at_wavelength(require_wavelength(wavelength))

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator
 
 from ..camera import PlenopticCamera, one_if_equal
-from ..errors import InputError, refuse_if, require_wavelength
+from ..errors import InputError, refuse_if
 from ..optics import in_millimetres
 from ..prescription import SINGLE, Objective
 from .quantities import direction_count, focus_types, mla_object_distances, sharp_images, vergence_slack
@@ -85,19 +85,6 @@ def depth_of_field(camera: PlenopticCamera, wavelength: float | None = None) -> 
     return (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else (math.nan, math.nan)
 
 
-def objective_limit(camera: PlenopticCamera, wavelength: float) -> float:
-    r"""Return the finest lines that the objective lets through, :math:`2 NA / \lambda`, in line pairs per millimetre.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        A microscope.
-    wavelength : float
-        Wavelength in nanometres.
-    """
-    return 2 * objective_of(camera).numerical_aperture / in_millimetres(require_wavelength(wavelength))
-
-
 def lens_aperture(camera: PlenopticCamera) -> float:
     r"""Return the numerical aperture with which one lens of the Fourier arrangement sees the object.
 
@@ -135,11 +122,6 @@ def parallax(camera: PlenopticCamera, position: float) -> float:
         A microscope in the Fourier arrangement.
     position : float
         Distance c in millimetres.
-
-    Raises
-    ------
-    InputError
-        If the lens stands beyond the image of the stop.
     """
     lens = _fourier(camera)
     growth = lens.magnification / lens.last_focal_length
@@ -151,7 +133,7 @@ def parallax(camera: PlenopticCamera, position: float) -> float:
     return -camera.reduced_distance * growth * math.tan(math.asin(sine))
 
 
-def microscope_findings(camera: PlenopticCamera, wavelength: float | None = None) -> Iterator[Finding]:
+def microscope_findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Finding]:
     """Yield findings about the design of a microscope."""
     lens = objective_of(camera)
     if lens.images_stop:

@@ -220,11 +220,6 @@ def effective_resolution(
         Object distance from the main lens in millimetres.
     wavelength : float
         Wavelength in nanometres.
-
-    Raises
-    ------
-    InputError
-        If the distance is not beyond the focal length, or the wavelength is out of range.
     """
     image_distance(camera.focal_length, require_number("distance", distance))
     spot = pixel_footprint(camera, distance) * finest_detail(camera, wavelength) / camera.pixel_size

@@ -18,9 +18,6 @@ from .quantities import mla_object_distances
 Changes = dict[str, Any] | None
 """Parameters by name; None where no parameters mend a design."""
 
-_FASTEST = 0.5
-"""F-number below which no lens in air images without aberrations."""
-
 
 @dataclass(frozen=True)
 class Finding:
@@ -35,7 +32,8 @@ class Finding:
         """Yield the possible remedies, in words with their values, and the cameras that they lead to."""
         for words, changes in self.remedies:
             changed = changed_camera(camera, changes)
-            if changes is not None and changed is not None and changed.f_number >= min(_FASTEST, camera.f_number):
+            # F-number below which no lens in air images without aberrations.
+            if changes is not None and changed is not None and changed.f_number >= min(0.5, camera.f_number):
                 values = ", ".join(f"{name} = {_written(value)}" for name, value in changes.items())
                 yield f"{words} ({values})", changed
 

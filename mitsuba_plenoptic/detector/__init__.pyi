@@ -5,7 +5,6 @@ from .noise import PARTS as PARTS
 from .noise import NonNegative as NonNegative
 from .noise import PassSpread as PassSpread
 from .noise import keep_spread as keep_spread
-from .noise import require_samples as require_samples
 from .noise import variance_left as variance_left
 from .noise import with_spread as with_spread
 from .operator import SHARP as SHARP

@@ -86,15 +86,19 @@ def _film_class(variant: str) -> type:
             self._powers = [None, None, None, *(0 for _ in alpha), None, *(light_power(aov, aovs) for aov in aovs)]
             self._weights: list[Any] = []
             self.redraws = len(self._powers) > 4
-            has_moments = 2 in self._powers
+            self.require_outputs(aovs)
+            _fit(self.inner, self)
+            return int(self.inner.prepare(aovs))
+
+        def require_outputs(self, aovs: list[str]) -> None:
+            """Refuse extra outputs that are no means over rays that pass."""
+            has_moments = any(light_power(aov, aovs) == 2 for aov in aovs)
             refuse_if(
                 (self._is_coloured and (has_moments or "S0.R" in aovs))
                 or (has_moments and not self.detector.is_identity),
-                f"plenoptic: output {self._channels[-1]}: Stokes vectors and moments need rays without dispersion, "
+                f"plenoptic: output {(aovs or [''])[-1]}: Stokes vectors and moments need rays without dispersion, "
                 "moments also pixels without detector_blur, pixel_crosstalk and stray_light",
             )
-            _fit(self.inner, self)
-            return int(self.inner.prepare(aovs))
 
         def draw_again(self, weight: Any, samples: tuple[Any, ...]) -> tuple[tuple[Any, ...], Any]:
             """Return the samples of rays drawn again in proportion to their weights, and factors of their new weights.

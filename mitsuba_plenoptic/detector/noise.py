@@ -14,17 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import refuse_if
 from ..runtime import Doubles, Floats, SumTask
 from .operator import DetectorOperator
 
 PARTS = 16
 """Count of independent passes from which the noise of a pixel is estimated."""
-
-
-def require_samples(spp: int) -> None:
-    """Refuse fewer than two samples per pixel, which have no spread."""
-    refuse_if(spp < 2, f"spp = {spp}: it must be at least 2 for an estimate of the noise")
 
 
 class PassSpread:

@@ -16,8 +16,7 @@ from ..camera import PlenopticCamera, StrayLight
 SHARP: dict[str, Any] = {"detector_blur": 0.0, "pixel_crosstalk": 0.0, "stray_light": 0.0, "stray_width": None}
 """Parameters of a camera whose pixels record the light that falls on them."""
 
-# Standard deviations at which a Gaussian kernel ends, and the width in pixels of a Gaussian whose samples are 1.
-_KERNEL_REACH = 6
+# Width in pixels of a Gaussian whose samples are 1.
 _NARROWEST = 0.02
 
 
@@ -142,7 +141,8 @@ def _gaussian(deviation: float) -> tuple[float, ...]:
 
     Below a pixel the Gaussian is wider than that, as samples of a narrow one deviate less than itself.
     """
-    reach = math.ceil(_KERNEL_REACH * deviation) + 3
+    # A Gaussian kernel ends at six standard deviations.
+    reach = math.ceil(6 * deviation) + 3
     steps = np.arange(-reach, reach + 1)
 
     def samples(width: float) -> Any:

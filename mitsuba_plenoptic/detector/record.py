@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ from ..choices import MOSAICS, AnyMosaic
 from ..errors import (
     InputError,
     put,
+    put_checked,
     refuse_if,
     require_choice,
     require_count,
@@ -20,12 +23,13 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
-from ..io import Capture, recording_of, require_demosaiced
+from ..io import Capture, read_if_path, recording_of, require_demosaiced
 from ..runtime import Integers
 
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
 _SMALLEST = 1e-9
 _LARGEST = 1e9
+_positive = partial(require_number, positive=True, minimum=_SMALLEST, maximum=_LARGEST)
 
 # Values of the image that are exposed at once, at most.
 _CHUNK = 2**22
@@ -69,11 +73,6 @@ class Detector:
         Colours of the filters on the first two pixels of the detector's first row and of its second, repeated all over
         it; of a quad Bayer mosaic on the first two squares of 2 x 2 pixels, each of which may lie under one lens.
         Default: none.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
     """
 
     quantum_efficiency: float = 0.6
@@ -86,25 +85,25 @@ class Detector:
     mosaic: str | None = None
 
     def __post_init__(self) -> None:
-        put(
+        noise = partial(require_number, minimum=0, maximum=_LARGEST)
+        put_checked(
             self,
-            quantum_efficiency=_positive("quantum_efficiency", self.quantum_efficiency, maximum=1),
-            full_well=require_number("full_well", self.full_well, minimum=1, maximum=_LARGEST),
-            dark_electrons=require_number("dark_electrons", self.dark_electrons, minimum=0, maximum=_LARGEST),
-            read_noise=require_number("read_noise", self.read_noise, minimum=0, maximum=_LARGEST),
-            bits=require_count("bits", self.bits, maximum=16),
+            quantum_efficiency=partial(_positive, maximum=1),
+            full_well=partial(require_number, minimum=1, maximum=_LARGEST),
+            dark_electrons=noise,
+            read_noise=noise,
+            bits=partial(require_count, maximum=16),
+            mosaic=partial(require_choice, choices=AnyMosaic),
         )
         top = 2**self.bits - 1
         black = self.black_level
         if black is None:
-            noise = math.hypot(self.read_noise, math.sqrt(self.dark_electrons))
+            deviation = math.hypot(self.read_noise, math.sqrt(self.dark_electrons))
             scale = top / self.full_well if self.gain is None else _positive("gain", self.gain)
-            black = min(math.ceil(4 * scale * noise), top // 2)
+            black = min(math.ceil(4 * scale * deviation), top // 2)
         black = require_count("black_level", black, minimum=0, maximum=top - 1)
         gain = (top - black) / self.full_well if self.gain is None else self.gain
         put(self, black_level=black, gain=_positive("gain", gain))
-        if self.mosaic is not None:
-            require_choice("mosaic", self.mosaic, AnyMosaic)
 
     def digital_numbers(self, photons: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """Return the digital numbers of pixels that are hit by a given mean number of photons.
@@ -134,12 +133,10 @@ class Detector:
         return numbers, (electrons >= self.full_well) | (numbers == largest)
 
 
-def _positive(name: str, value: Any, maximum: float = _LARGEST) -> float:
-    return require_number(name, value, positive=True, minimum=_SMALLEST, maximum=maximum)
-
-
 @suggest_keywords
-def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 0) -> Capture:
+def expose(
+    capture: Capture | str | Path, detector: Detector | None = None, *, photons: float, seed: int = 0
+) -> Capture:
     """Record a noise-free capture with a real detector.
 
     The result is in units of the capture again: digital numbers less black level and dark signal, divided by gain,
@@ -150,10 +147,10 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
 
     Parameters
     ----------
-    capture : Capture
-        The capture; values below 0, which interpolation may leave, count as dark.
-    detector : Detector
-        The image sensor.
+    capture : Capture or path
+        The capture, or its file; values below 0, which interpolation may leave, count as dark.
+    detector : Detector, optional
+        The image sensor. Default: that of a `Detector` without arguments.
     photons : float
         Photons that hit a pixel of value 1 during the exposure, 1e-9 to 1e9.
     seed : int
@@ -181,6 +178,8 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     >>> exposed.metadata["exposure"]["saturated_pixels"]
     0
     """
+    capture = read_if_path(capture)
+    detector = Detector() if detector is None else detector
     if not isinstance(capture, Capture) or not isinstance(detector, Detector):
         raise InputError(f"expose({short_repr(capture)}, {short_repr(detector)}): it takes a Capture and a Detector")
     photons = _positive("photons", photons)

@@ -26,6 +26,7 @@ from .transmittance import bend as bend
 from .transmittance import clear as clear
 from .transmittance import diffraction as diffraction
 from .transmittance import has_response as has_response
+from .transmittance import opaque_lattice as opaque_lattice
 from .transmittance import recorded_amplitude as recorded_amplitude
 from .transmittance import repetition as repetition
 from .transmittance import scattering as scattering

@@ -22,7 +22,7 @@ from ..array import MOST_DEVIATIONS
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import in_millimetres
-from ..runtime import Doubles, drjit_array
+from ..runtime import Doubles
 from .accuracy import ACCURACY
 
 
@@ -80,8 +80,8 @@ class LensKinds:
     @cached_property
     def _moments(self) -> tuple[float, float]:
         """Means, over a lens's aperture, of the second and fourth power of the distance from its centre."""
-        along = drjit_array(mi.Float, (np.arange(ACCURACY.moment_samples) + 0.5) / ACCURACY.moment_samples)
-        x, y = (value.numpy().astype(float) for value in self.camera.lattice.aperture_point(*dr.meshgrid(along, along)))
+        along = (np.arange(ACCURACY.moment_samples) + 0.5) / ACCURACY.moment_samples
+        x, y = self.camera.lattice.aperture_point(*np.meshgrid(along, along))
         square = x * x + y * y
         return float(square.mean()), float((square**2).mean())
 
@@ -126,5 +126,5 @@ def _steps(most: float, widest: float) -> Doubles:
 
 def _nearest(value: Any, steps: Sequence[float] | Doubles) -> Any:
     """Return the index of the step nearest to each value."""
-    width = float(steps[1] - steps[0])
-    return mi.UInt32(dr.clip(dr.floor((value - float(steps[0])) / width + 0.5), 0, len(steps) - 1))
+    first, width, last = (dr.opaque(mi.Float, float(n)) for n in (steps[0], steps[1] - steps[0], len(steps) - 1))
+    return mi.UInt32(dr.clip(dr.floor((value - first) / width + 0.5), 0, last))

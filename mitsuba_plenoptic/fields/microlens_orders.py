@@ -266,7 +266,7 @@ class PlaneFactor(ArrayFactor):
         )
         samples = transmission(centred, self._wavelength, x, y)
         if power:
-            lattice = opaque_lattice(centred, types)
+            lattice = opaque_lattice(centred, types.Float64)
             cell = lattice.cell(x, y)
             offset = (x, y)[axis] - lattice.centre(*cell)[axis]
             factor = types.Float((offset / dr.opaque(types.Float64, centred.mla_pitches[axis])) ** power)

@@ -59,7 +59,7 @@ def upright(camera: PlenopticCamera) -> PlenopticCamera:
 def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> Any:
     """Return the transmission with all orders, as Complex2f, at Dr.Jit float64 positions in millimetres."""
     types = fft.array_types(x)
-    lattice = opaque_lattice(camera, types)
+    lattice = opaque_lattice(camera, types.Float64)
     lengths = types.Float64(camera.reduced_focal_lengths)
     dr.make_opaque(lengths)
     cell = lattice.cell(x, y)
@@ -75,10 +75,10 @@ def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> 
     return dr.select(inside, phasor(waves), 0)
 
 
-def opaque_lattice(camera: PlenopticCamera, types: Any) -> Lattice:
-    """Return the lattice with numbers that are not compiled into kernels, for positions in Dr.Jit arrays."""
+def opaque_lattice(camera: PlenopticCamera, number: Any) -> Lattice:
+    """Return the lattice with numbers that are not compiled into kernels, for positions in Dr.Jit arrays of a type."""
     numbers = [*camera.mla_pitches, camera.mla_rotation, *camera.mla_offset, camera.mla_fill]
-    along, across, rotation, x, y, fill = (dr.opaque(types.Float64, value) for value in numbers)
+    along, across, rotation, x, y, fill = (dr.opaque(number, value) for value in numbers)
     return make_lattice(
         camera.mla_lattice,
         # One array stands for equal pitches.
@@ -119,7 +119,7 @@ def bend(camera: PlenopticCamera) -> float:
     """Return the largest change of a direction cosine by a microlens, along an axis: :math:`n D_2 / 2 f_2`."""
     lattice = camera.lattice
     slopes = np.abs(camera.microlens.deflection(lattice, *aperture_points(lattice), min(camera.reduced_focal_lengths)))
-    return float(slopes.max() if lattice.has_upright_apertures else np.hypot(*slopes).max())
+    return float(slopes.max() if lattice.regular.separable else np.hypot(*slopes).max())
 
 
 def aperture_points(lattice: Lattice) -> tuple[Doubles, Doubles]:

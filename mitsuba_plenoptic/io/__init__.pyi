@@ -8,8 +8,10 @@ from .cache import StageOptions as StageOptions
 from .captures import EXPOSED as EXPOSED
 from .captures import RECORDED as RECORDED
 from .captures import Capture as Capture
+from .captures import CaptureLike as CaptureLike
 from .captures import mosaic_of as mosaic_of
 from .captures import read_capture as read_capture
+from .captures import read_if_path as read_if_path
 from .captures import recording_of as recording_of
 from .captures import require_demosaiced as require_demosaiced
 from .captures import response_of as response_of

@@ -41,7 +41,8 @@ class StageOptions:
     Parameters
     ----------
     notify : callable
-        Called during a stage with its name and the finished and total amounts of work (0 of 0 at the start).
+        Called during a stage with its name and the finished and total amounts of work (0 of 0 at the start); where
+        the work of all stages is expected, with those of all.
     finished : callable
         Called when a stage is finished, with its name, its seconds and whether it was stored already.
     resume : bool
@@ -120,8 +121,11 @@ class Cache:
         before, work = sum(self.expected[: number - 1]), sum(self.expected[number - 1 : number])
 
         def progress(done: int, total: int) -> None:
+            if work:
+                done = round(1e3 * (before + work * done / max(total, 1)))
+                total = round(1e3 * sum(self.expected))
+                self._forecast(done, total)
             self.notify(label, done, total)
-            self._forecast(round(1e3 * (before + work * done / max(total, 1))), round(1e3 * sum(self.expected)))
 
         key = hash_of({"entry": name, "inputs": inputs, "software": software()})
         value = None
@@ -136,7 +140,7 @@ class Cache:
         if not was_there:
             with locked(lock_of(path), f"{path}: another process is making this stage"):
                 start = time.perf_counter()
-                self.notify(label, 0, 0)
+                progress(0, 0)
                 value = make(progress)
                 seconds = f"{time.perf_counter() - start:.3f}"
                 # A file of another key is never taken for this one, wherever the process ends.

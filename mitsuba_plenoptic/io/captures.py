@@ -64,12 +64,6 @@ class Capture(Displayed):
     noise : array like the image, optional
         Standard deviation of each pixel from the samples of which it is made, as `render_capture` estimates it; stored
         as float32. Single pixels are uncertain, by 18 % or more.
-
-    Raises
-    ------
-    InputError
-        If image or noise does not fit the camera or holds a pixel that is not allowed, or the model, a wavelength or
-        the metadata is not a valid one.
     """
 
     image: np.ndarray
@@ -146,6 +140,9 @@ class Capture(Displayed):
         return float(np.sqrt(np.mean(np.square(self.noise, dtype=np.float64)))) / mean if mean else 0.0
 
 
+CaptureLike = Capture | NDArray[Any] | str | Path
+"""A capture, its pixels, or its file."""
+
 EXPOSED = "exposure"
 RECORDED = "raw"
 """Entries of a capture's metadata on its detector: a simulated one, and that of a real camera."""
@@ -169,6 +166,11 @@ def require_demosaiced(capture: Capture) -> None:
     refuse_if(mosaic is not None, f"mosaic = {mosaic}: each pixel of the capture has one colour; demosaic it first")
 
 
+def read_if_path(capture: Any, camera: PlenopticCamera | None = None) -> Any:
+    """Return a capture, read from its file where a path is given."""
+    return read_capture(capture, camera=camera) if isinstance(capture, (str, Path)) else capture
+
+
 def write_capture(path: str | Path, capture: Capture) -> None:
     """Write a capture as float32 OpenEXR: channel Y, or R, G and B, with all other data in the header.
 
@@ -183,11 +185,6 @@ def write_capture(path: str | Path, capture: Capture) -> None:
         File to write.
     capture : Capture
         The capture to write.
-
-    Raises
-    ------
-    InputError
-        If the argument is no capture, its metadata are not plain data, or the file cannot be written.
 
     Examples
     --------
@@ -243,11 +240,6 @@ def read_capture(
         encoded in sRGB; floating-point numbers always are.
     black_level : float
         Number without light in such a picture.
-
-    Raises
-    ------
-    InputError
-        If the file does not exist, is damaged, is not a capture, or states no camera and none is given.
 
     Examples
     --------

@@ -30,11 +30,6 @@ def example(name: str) -> Capture:
     -------
     Capture
 
-    Raises
-    ------
-    InputError
-        If there is none of that name; the message lists the names.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp
@@ -57,11 +52,6 @@ def example_truth(name: str) -> GroundTruth:
     -------
     GroundTruth
         Its only quantity is ``depth``, rounded to 2^-10 mm.
-
-    Raises
-    ------
-    InputError
-        If there is none of that name; the message lists the names.
 
     Examples
     --------

@@ -48,11 +48,6 @@ def read_labelled_data(path: str | Path, what: str = "data set") -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-
-    Raises
-    ------
-    InputError
-        If there is no such file, or it is damaged or holds something else.
     """
     # It takes half a second to load.
     import xarray as xr

@@ -71,12 +71,6 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
     (rows, columns[, 3]) float32 array
         From 0 to 1 for whole numbers, else as they are; without a channel axis where the picture is grey. Transparency
         is dropped.
-
-    Raises
-    ------
-    InputError
-        If the file does not exist, is neither, is damaged, holds several pictures or samples of another kind, or would
-        take more memory than is allowed.
     """
     picture = read_numbers(path)
     with refusing(f"{path}: it cannot be read as a picture:"):
@@ -175,7 +169,7 @@ def linear_of(encoded: np.ndarray) -> np.ndarray:
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
-def write_picture(path: str | Path, image: np.ndarray, text: str = "") -> None:
+def write_picture(path: str | Path, image: np.ndarray, text: str) -> None:
     """Write linear values (rows, columns[, 3]), clipped to 0 to 1, as a PNG of 16 bits a channel in sRGB encoding.
 
     The text is stored in quotes under the name `KEY`.

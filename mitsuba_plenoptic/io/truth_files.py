@@ -101,11 +101,6 @@ def write_ground_truth(path: str | Path, truth: GroundTruth) -> None:
         File to write.
     truth : GroundTruth
         The ground truth to write.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
     """
     parts = {_PIXELS: channel_planes(truth.pixels)}
     attributes = {
@@ -128,11 +123,6 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
     ----------
     path : path
         The file.
-
-    Raises
-    ------
-    InputError
-        If the file does not exist, is damaged, or is something else.
     """
     parts, attributes = read_exr_parts(path)
     with naming(path):

@@ -165,11 +165,6 @@ def main_lens(
         ``aperture_radius``, ``mla_distance`` and ``wavefront``.
     model : {"ideal", "parabolic"}, optional
         Refraction model of rays. Default: the camera's `lens_model`.
-
-    Raises
-    ------
-    InputError
-        If no function is registered for a main lens of this type.
     """
     varied = varying or {}
     names = "focal_length", "aperture_radius", "mla_distance", "wavefront"

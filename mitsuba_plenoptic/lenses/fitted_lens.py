@@ -25,7 +25,7 @@ import drjit as dr
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import refuse_if
+from ..errors import put, refuse_if
 from ..optics import in_millimetres
 from ..runtime import Doubles, Integers, drjit_array, single_threaded_blas, turn
 from .accuracy import ACCURACY
@@ -406,8 +406,7 @@ class VaryingLens:
             value = self.numbers["aperture_radius"]
             # 1, with the relative gradient of the value.
             radius = value / dr.detach(value) * float(radius)
-        object.__setattr__(self, "pupil", Pupil(radius, distance))
-        object.__setattr__(self, "_changes", changes)
+        put(self, pupil=Pupil(radius, distance), _changes=changes)
 
     def bind(self, points: Doubles, index: Any) -> LensLight:
         """Return the light of some points, as `MainLens.bind` does for Dr.Jit, without gradients of `LensLight.land`.

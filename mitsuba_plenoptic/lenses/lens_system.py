@@ -64,11 +64,6 @@ class LensSystem:
             The camera.
         wavelength : float, optional
             Wavelength in nanometres. Default: the prescription's own.
-
-        Raises
-        ------
-        InputError
-            If the camera has no prescription.
         """
         if camera.prescription is None:
             raise InputError("main_lens: the camera has none with surfaces")

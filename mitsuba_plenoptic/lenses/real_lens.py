@@ -138,6 +138,23 @@ class RealLens(LensSystem):
         """Map from the exit pupil, as positions off the axis see it, to the round pupil near the axis."""
         return round_map(self, self.reach, self.corner)
 
+    def inside(self, pupil: Sequence[Doubles], place: Sequence[Doubles]) -> Doubles:
+        """Return the distance in mm of pupil points from the edge that places on the MLA see, positive inside."""
+        from scipy.interpolate import interpn
+
+        table = self.round_map
+        # The map is for fields along x, and the axis has no direction.
+        field = np.hypot(place[0] + 1e-9, place[1])
+        c = (place[0] + 1e-9) / field
+        s = place[1] / field
+        fields, across, _, _ = table.points.shape
+        axis = np.linspace(-table.half, table.half, across)
+        turned = pupil[1] * c - pupil[0] * s, pupil[0] * c + pupil[1] * s
+        within = [field.clip(0, table.field), *(value.clip(-table.half, table.half) for value in turned)]
+        nodes = np.linspace(0, table.field, fields), axis, axis
+        away = interpn(nodes, table.points[..., 2], np.stack(np.broadcast_arrays(*within), -1))
+        return np.where(field < table.closed, float(self.pupil.radius) - away, -table.half)
+
     # -- waves ---------------------------------------------------------------------------------------
 
     def waves_of(self, points: Doubles) -> FittedLens:

@@ -35,11 +35,6 @@ class PixelNoise:
         Electrons that are counted in a pixel of value 1, E: photons times quantum efficiency.
     dark_variance : float
         Variance without light, d, in squared electrons: of dark current, reading and rounding.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
     """
 
     electrons: float

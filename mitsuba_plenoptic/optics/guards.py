@@ -216,19 +216,14 @@ def watch() -> Iterator[dict[str, float]]:
 
 def check(guard: Guard, fraction: float) -> None:
     """Record a fraction of the power, from 0 to 1; raise a `PhysicsError` if it exceeds the guard's `refuse`."""
-    require(guard, fraction)
+    if fraction > guard.refuse:
+        raise PhysicsError(_sentence(guard, fraction))
     fraction = max(0.0, fraction)
     findings = _findings.get()
     if findings is None:
         _warn(guard, fraction)
     else:
         findings[guard] = max(fraction, findings.get(guard, 0.0))
-
-
-def require(guard: Guard, fraction: float) -> None:
-    """Raise a `PhysicsError` if a fraction of the power exceeds the guard's `refuse`, without recording it."""
-    if fraction > guard.refuse:
-        raise PhysicsError(_sentence(guard, fraction))
 
 
 def check_window(in_rim: float, before: float = 0.0) -> None:

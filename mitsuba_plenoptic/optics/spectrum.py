@@ -19,6 +19,7 @@ import numpy as np
 
 from ..errors import (
     InputError,
+    put,
     refuse_if,
     require_count,
     require_number,
@@ -73,15 +74,15 @@ class Spectrum:
 
     def __post_init__(self) -> None:
         refuse_if(not self.wavelengths, "spectrum: it must have a wavelength")
-        object.__setattr__(self, "wavelengths", tuple(require_wavelength(value) for value in self.wavelengths))
+        put(self, wavelengths=tuple(require_wavelength(value) for value in self.wavelengths))
         rule = "responses must be numbers, as many for every channel"
-        matrix = as_array("spectrum", self.responses, np.float64, ("channel", "wavelength"), rule=rule)
+        matrix = as_array("spectrum", self.responses, ("channel", "wavelength"), rule=rule)
         refuse_if(
             matrix.ndim != 2 or matrix.shape[1] != len(self.wavelengths) or not np.isfinite(matrix).all(),
             f"spectrum: responses of shape {matrix.shape}: every channel must have a finite one to each of "
             f"{len(self.wavelengths)} wavelengths",
         )
-        object.__setattr__(self, "nodes", tuple(require_wavelength(value, "spectrum: node") for value in self.nodes))
+        put(self, nodes=tuple(require_wavelength(value, "spectrum: node") for value in self.nodes))
         refuse_if(len(set(self.nodes)) < len(self.nodes), f"spectrum: nodes = {self.nodes}: they must be different")
 
     @classmethod
@@ -105,11 +106,6 @@ class Spectrum:
             Middle and full width in nanometres.
         count : int
             Number of Gauss-Legendre nodes; `points.spectral.with_enough_nodes` finds a sufficient number.
-
-        Raises
-        ------
-        InputError
-            If a parameter is out of range.
         """
         return cls.bands((centre,), width, count)
 
@@ -181,11 +177,6 @@ class Spectrum:
             Number of wavelengths; it is increased if the table or `tables` require it.
         tables : sequence of pairs of arrays
             As for `smooth`.
-
-        Raises
-        ------
-        InputError
-            If the file cannot be read or is no such table, or a channel has no response.
         """
         table = path if isinstance(path, np.ndarray) else read_responses(path)
         wavelengths = table[:, 0]
@@ -206,11 +197,6 @@ class Spectrum:
         ----------
         where : str
             Name of the spectrum in error messages.
-
-        Raises
-        ------
-        InputError
-            If a sum is not greater than 0.
         """
         sums = np.array(self.responses).sum(axis=1)
         if not np.all(sums > 0):

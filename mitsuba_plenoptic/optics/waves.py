@@ -257,11 +257,11 @@ def advance(
     distance: float,
     wavelength: float,
     *,
-    shift: tuple[float, float] = (0.0, 0.0),
-    part: tuple[int, int] | None = None,
-    paraxial: bool = False,
-    beyond_paraxial: bool = False,
-    response: Callable[[Any, Any], Any] | None = None,
+    shift: tuple[float, float],
+    part: tuple[int, int] | None,
+    paraxial: bool,
+    beyond_paraxial: bool,
+    response: Callable[[Any, Any], Any] | None,
 ) -> fft.Field:
     r"""Return a field's spectrum multiplied by free space's transfer function :math:`\exp(i (k_z - k) d)`.
 

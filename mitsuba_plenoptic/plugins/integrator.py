@@ -15,7 +15,7 @@ from ..detector import SHARP
 from ..errors import InputError, naming, refuse_if, require_accuracy, require_number, short_repr
 from ..extension import hook
 from ..optics import MOST_WAVELENGTHS, WAVELENGTHS, Spectrum, Table, colour, guards, interpolated, read_responses
-from ..runtime import Cost, Doubles, Job
+from ..runtime import Doubles, Job
 from ..scene import LightDerivatives, SceneLight, require_wave_film
 from ..waves import (
     DEFAULT_ACCURACY,
@@ -248,11 +248,6 @@ def make_class() -> type:
                 image = capture.compute(seed=seed, spp=spp, job=job or Job(), noise=noise)
             put(film, image, image.shape[2] // (2 if noise else 1))
             return film
-
-        def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
-            """Return the estimated cost of `record`, from a fraction of its work."""
-            with guards.watch():
-                return self._capture(scene, sensor).estimate(seed=seed, spp=spp, job=job)
 
         def spectrum_of(self, scene: Any, sensor: Any) -> Spectrum | None:
             """Return the spectrum that a sensor's film records; None if each channel has one wavelength."""

@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
 import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera, require_camera
-from ..errors import refuse_if, warn
+from ..errors import refuse_if, suggest_keywords, warn
 from ..runtime import one_at_a_time
-from ..scene import loading, numbered_sensor, require_active, warn_of_metres, with_objects
-
-_WITHOUT_PLACE = ("Batch", "Distant")
-"""First parts of the class names of sensors that are at several places, or at infinity."""
+from ..scene import as_scene, loading, numbered_sensor, require_active, warn_of_metres, with_objects
 
 
+@suggest_keywords
 @one_at_a_time
-def with_camera(scene: mi.Scene, camera: PlenopticCamera, sensor: int | None = None) -> mi.Scene:
+def with_camera(
+    scene: mi.Scene | str | Path | Mapping[str, Any], camera: PlenopticCamera | str, sensor: int | None = None
+) -> mi.Scene:
     """Return a scene of the same objects with a plenoptic camera in the place of a sensor.
 
     Parameters
     ----------
-    scene : mitsuba.Scene
-        A scene. If it has no sensor of its own, only meters on shapes, the camera is at the origin and looks along +z.
-    camera : PlenopticCamera
-        The camera, with lengths in the scene's units. Its film has three channels, red, green and blue, in rgb
-        variants, and in spectral ones unless the film before it has one; in mono variants it records luminance.
+    scene : mitsuba.Scene, str, path or dict
+        A scene, or what `load_scene` makes one of. If it has no sensor of its own, only meters on shapes, the camera is
+        at the origin and looks along +z.
+    camera : PlenopticCamera or str
+        The camera, with lengths in the scene's units, or the name of a preset. Its film has three channels, red, green
+        and blue, in rgb variants, and in spectral ones unless the film before it has one; in mono variants it records
+        luminance.
     sensor : int, optional
         Index of the sensor that it replaces, counted from 0 as in ``scene.sensors()``. Default: the first that is a
         camera, if there is one.
@@ -57,8 +63,9 @@ def with_camera(scene: mi.Scene, camera: PlenopticCamera, sensor: int | None = N
     >>> mp.render_capture(mp.with_camera(scene, camera), spp=4).camera == camera
     True
     """
+    scene = as_scene(scene)
     require_active("scene", scene, mi.Scene)
-    require_camera(camera)
+    camera = PlenopticCamera.preset(camera) if isinstance(camera, str) else require_camera(camera)
     perspective = [each for each in scene.sensors() if each.get_shape() is None]
     if sensor is None:
         # Other sensors are meters: they measure along a line, say, whatever place a camera of the scene has.
@@ -69,11 +76,12 @@ def with_camera(scene: mi.Scene, camera: PlenopticCamera, sensor: int | None = N
     else:
         old = numbered_sensor(scene, sensor)
     described = camera.to_sensor()
-    if mi.is_rgb or (mi.is_spectral and (old is None or "pixel_format = y" not in str(old.film()))):
-        described["film"]["pixel_format"] = "rgb"
+    if mi.is_spectral and old is not None and "pixel_format = y" in str(old.film()):
+        described["film"]["pixel_format"] = "luminance"
     if old is not None:
         refuse_if(
-            old.get_shape() is not None or old.class_name().startswith(_WITHOUT_PLACE),
+            # First parts of the class names of sensors that are at several places, or at infinity.
+            old.get_shape() is not None or old.class_name().startswith(("Batch", "Distant")),
             f"sensor {old.class_name()} {old.id()!r}: it has no one place and direction for another camera to take",
         )
         described["to_world"] = mi.ScalarTransform4f(np.array(old.world_transform().matrix, np.float64).reshape(4, 4))

@@ -36,7 +36,7 @@ def read_number(props: Any, plugin: str, name: str, default: float | None) -> fl
     return require_number(f"{plugin}: {name}", _plain(props[name]), positive=True)
 
 
-def read_count(props: Any, plugin: str, name: str, default: int, *, maximum: int | None = None) -> int:
+def read_count(props: Any, plugin: str, name: str, default: int, *, maximum: int | None) -> int:
     """Read an integer of at least 1 from a plugin's properties."""
     return require_count(f"{plugin}: {name}", props[name], maximum=maximum) if name in props else default
 

@@ -18,8 +18,8 @@ from ..extension import entries, place
 from ..lenses import Pair, main_lens
 from ..optics import second_leg
 from ..rays import Dispersion, LensRays, sampler_of
-from ..runtime import require_unfrozen
-from ..scene import meet_moved, world_ray
+from ..runtime import count_lanes, require_unfrozen
+from ..scene import meet_moved, refuse_light_tracing, world_ray
 from .properties import read_camera, require_read
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 NAME = "plenoptic"
 
-_CROSSTALK_RAYS = 2**16
 
 _BOX = '<rfilter type="box"/>'
 
@@ -140,7 +139,7 @@ def make_class() -> type:
             self._numbers = [
                 name
                 for name, value in parameters.items()
-                if PARAMETERS[name].is_exposed and value not in ((), None) and name not in camera.lens_data.sets
+                if PARAMETERS[name].gradients and value not in ((), None) and name not in camera.lens_data.sets
             ]
             for name, value in parameters.items():
                 if name in self._numbers:
@@ -221,7 +220,7 @@ def make_class() -> type:
 
         def crosstalk_missed(self) -> float:
             """Return the fraction of light through lenses that are not sampled, estimated from a sample of rays."""
-            random = mi.PCG32(size=_CROSSTALK_RAYS)
+            random = mi.PCG32(size=2**16)
             film_sample, lens_sample = (
                 mi.Point2f(random.next_float32(), random.next_float32()) for _ in ("film", "lens")
             )
@@ -312,20 +311,18 @@ def make_class() -> type:
                 )
             samples = time, sample1, sample2, sample3
             film = self.film()
-            if not getattr(film, "redraws", False):
-                return self._sample(*samples, active, differential=True)[:2]
-            with dr.suspend_grad():
-                passing = self._sample(*samples, active, differential=False)[2]
-                (time, sample1, sample2, sample3), growth = film.draw_again(passing, samples)
-            ray, weight, _ = self._sample(time, sample1, sample2, sample3, active, differential=True)
+            growth = 1.0
+            if getattr(film, "redraws", False):
+                with dr.suspend_grad():
+                    passing = self._sample(*samples, active, differential=False)[2]
+                    samples, growth = film.draw_again(passing, samples)
+            ray, weight, _ = self._sample(*samples, active, differential=True)
+            count_lanes(dr.width(sample2))
             return ray, weight * growth
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
             """Refuse light tracing, as a scene point sees the detector through many lenses at once."""
-            raise InputError(
-                f"{NAME}: light tracing (an integrator such as ptracer) cannot reach the detector through the "
-                "lenses; use path or direct"
-            )
+            refuse_light_tracing()
 
         def projection_transform(self) -> Any:
             """Refuse integrators that project moving edges of shapes onto the film, as many lenses see each of them."""

@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import InputError, refuse_if, refusing, require_wavelength, short_repr
 from ..optics import RGB_WAVELENGTHS
 from ..runtime import Floats, drjit_array, require_unfrozen
-from ..scene import meet_moved, require_medium_seen
+from ..scene import meet_moved, require_seen
 from .properties import require_read
 
 
@@ -71,10 +71,6 @@ def asked_for(scene: Any, sensor: Any, seed: Any, spp: int) -> tuple[Any, int, i
     return sensor, int(seed[0]) if hasattr(seed, "__len__") else int(seed), spp or sensor.sampler().sample_count()
 
 
-# Integrators that trace light from the emitters, and do not estimate the radiance along a ray.
-_LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
-
-
 def make_base() -> type:
     """Define the base class of integrators with `record` and `parameters` for the active Mitsuba variant."""
 
@@ -88,7 +84,7 @@ def make_base() -> type:
             self.child = nested[0] if nested else mi.load_dict({"type": "path"})
             require_read(props, self.plugin)
             kind = self.child.class_name() if hasattr(self.child, "class_name") else type(self.child).__name__
-            if not isinstance(self.child, mi.SamplingIntegrator) or kind in _LIGHT_TRACERS or self.child.aov_names():
+            if not isinstance(self.child, mi.SamplingIntegrator) or self.child.aov_names():
                 reason = "it cannot tell the radiance along a ray, or also tells what a capture would lose"
                 raise InputError(f"{self.plugin}: nested {kind}: {reason}; use path or direct")
 
@@ -103,9 +99,13 @@ def make_base() -> type:
         ) -> Any:
             """Render the capture; `spp` is the count of samples that `record` takes."""
             sensor, seed, spp = asked_for(scene, sensor, seed, spp)
-            require_medium_seen(self.child, sensor)
+            require_seen(self, sensor)
             film = self.record(scene, sensor, seed=seed, spp=spp)
             return film.develop() if develop else None
+
+        def aov_names(self) -> list[str]:
+            """Refuse integrators around this one, which ask for its outputs."""
+            raise InputError(f"{self.plugin}: it is no nested integrator: it makes the whole image of a sensor")
 
         def to_string(self) -> str:
             """Return the description of the integrator that Mitsuba prints."""

@@ -49,16 +49,9 @@ _EXACT = 0.004
 _FEW = 512
 """Number of points up to which the errors by discarded light do not average out."""
 
-_FEW_STRICTER = 5.0
 
 _SHARP = 1 / 4
 """Samples over which edges of the pupil are softened for many points: walls lose 0.3 % of the light, not 1.2 %."""
-
-WAVES_PER_ERROR = 10.0
-"""Waves across a microlens by which wavefronts may differ, over the allowed error of a sum of many points."""
-
-_MANY = 1600
-"""Number of overlapping point spreads above which `WAVES_PER_ERROR` gives the allowed error."""
 
 
 def chosen_accuracy(accuracy: float | None, method: str, default: float = DEFAULT_ACCURACY) -> float:
@@ -75,7 +68,7 @@ def chosen_accuracy(accuracy: float | None, method: str, default: float = DEFAUL
 
 def band_for(accuracy: float, count: int) -> Band:
     """Return how much of the diffracted light to keep for an allowed error of the sum of some points."""
-    allowed = accuracy / _FEW_STRICTER if count <= _FEW else accuracy
+    allowed = accuracy / 5.0 if count <= _FEW else accuracy
     band = next(band for limit, band in _BANDS if allowed < limit)
     if count <= _FEW:
         return band
@@ -113,7 +106,9 @@ def wavefront_step(accuracy: float, camera: PlenopticCamera, lens: MainLens, pos
     lenses = np.unique(np.floor(image / camera.row_pitch), axis=0)
     # 25: Approximate number of lenses whose points have overlapping spreads.
     overlap = min(len(positions), 25 * len(positions) / len(lenses))
-    return accuracy * WAVES_PER_ERROR * min(1.0, (overlap / _MANY) ** 0.5)
+    # Waves across a microlens by which wavefronts may differ, over the allowed error of a sum of many points.
+    # 1600 overlapping point spreads or more allow all of them.
+    return accuracy * 10.0 * min(1.0, (overlap / 1600) ** 0.5)
 
 
 ZONES = (2, 3, 4, 6, 8, 12, 16)

@@ -232,7 +232,7 @@ def arrival(
     system: OpticalSystem,
     position: Doubles,
     grids: FieldGrids,
-    weights: PupilWeights | None = None,
+    weights: PupilWeights | None,
     incident: SampledField | None = None,
 ) -> tuple[SampledField, Arrival]:
     """Return the light of a scene point (3,) on the pupil, and to the array, with the parameters of `full_field`."""
@@ -257,8 +257,8 @@ def pupil_field(
     system: OpticalSystem,
     position: Doubles,
     grids: FieldGrids,
-    weights: PupilWeights | None = None,
-    incident: SampledField | None = None,
+    weights: PupilWeights | None,
+    incident: SampledField | None,
 ) -> SampledField:
     """Return the field of a scene point behind the exit pupil, with the parameters of `full_field`."""
     types = active_backend().types
@@ -326,8 +326,8 @@ def telecentric_arrival(
     position: Doubles,
     wavelength: float,
     grids: FieldGrids,
-    weights: PupilWeights | None = None,
-    vignetting: Vignetting | None = None,
+    weights: PupilWeights | None,
+    vignetting: Vignetting | None,
 ) -> tuple[SampledField, Arrival]:
     """Return the light of a scene point (3,) on the stop, and in the native image directly before the microlenses.
 
@@ -367,8 +367,8 @@ def stop_image_arrival(
     position: Doubles,
     wavelength: float,
     grids: FieldGrids,
-    weights: PupilWeights | None = None,
-    incident: SampledField | None = None,
+    weights: PupilWeights | None,
+    incident: SampledField | None,
 ) -> tuple[SampledField, Arrival]:
     """Return the light of `telecentric_arrival` for an array in the image of the stop."""
     types = active_backend().types

@@ -49,9 +49,6 @@ class CoherentPoints:
 
         Raises
         ------
-        InputError
-            If an input has a wrong shape or value, the camera or operator has no coherent fields, or the work would
-            need too much memory.
         PhysicsError
             If too much of the light is lost.
 
@@ -98,7 +95,7 @@ class CoherentPoints:
 
 def _complex(name: str, values: Any, shape: tuple[int, ...], meaning: str) -> NDArray[np.complex64]:
     """Return values as a complex array of a shape; refuse anything else."""
-    array = as_array(name, values, np.complex64, rule="they must be complex numbers")
+    array = as_array(name, values, dtype=np.complex64, rule="they must be complex numbers")
     refuse_if(array.shape != shape, f"{name} of shape {array.shape}: it must be {shape}, {meaning}")
     refuse_if(not np.isfinite(array).all(), f"{name}: all must be finite")
     return np.ascontiguousarray(array)

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import functools
 import math
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -43,7 +42,7 @@ from ..fields import (
     transmission,
 )
 from ..optics import guards, in_millimetres, power
-from ..runtime import BatchMap, Box, Cost, Doubles, Floats, Job, Part, PartialSum, active_backend, check_memory, fft
+from ..runtime import BatchMap, Box, Doubles, Floats, Job, Part, PartialSum, active_backend, check_memory, fft
 from .arrival import Arrival, FieldGrids, SampledField, arrival, blocks, field_grids
 from .field_grid import lens_amplitude
 from .pupil_weights import PupilWeights
@@ -292,20 +291,12 @@ class FullFieldPlan:
         spreads = (batch_sum.sums[0] for batch_sum in job.each(batches, [1] * count, done, total))
         return np.array([np.tensordot(psf, image, 2) for psf in spreads], np.float64).reshape(-1, image.shape[2])
 
-    def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
-        """Return the bytes of the image; refuse too many. The memory of fields is checked point by point."""
-        memory = 8.0 * channels * math.prod(self._camera.shape)
-        check_memory(memory, f"image of {self._camera.shape[1]} x {self._camera.shape[0]} pixels")
-        return memory
-
-    def cost(self, batch_map: BatchMap) -> Cost:
-        """Return the estimated cost of a sum, from its first point."""
-        count = len(self._points)
-        memory = self.check_memory(batch_map)
-        start = time.perf_counter()
-        if count:
-            self.batch(0, np.ones(1, np.float32)).prepare()()
-        return Cost(count, count, (time.perf_counter() - start) * count, memory)
+    def check_memory(self, batch_map: BatchMap, channels: int = 1) -> None:
+        """Refuse images too large for the memory. The memory of fields is checked point by point."""
+        check_memory(
+            8.0 * channels * math.prod(self._camera.shape),
+            f"image of {self._camera.shape[1]} x {self._camera.shape[0]} pixels",
+        )
 
 
 class FullFieldSum:

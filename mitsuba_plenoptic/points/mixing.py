@@ -101,7 +101,7 @@ class WeightChannels:
     def check_image(self, image: Any, shape: tuple[int, int], dtype: Any = np.float32) -> NDArray[Any]:
         """Return an image of shape (rows, columns, ...) as (rows, columns, channels); refuse other shapes."""
         rule = "it must be numbers, (rows, columns) or (rows, columns, channels)"
-        pixels = as_array("image", image, dtype, rule=rule)
+        pixels = as_array("image", image, dtype=dtype, rule=rule)
         rows, columns = shape
         refuse_if(
             pixels.ndim not in (2, 3) or pixels.shape[:2] != (rows, columns) or not np.isfinite(pixels).all(),
@@ -115,7 +115,7 @@ class WeightChannels:
     def check_weights(self, weights: Any, count: int) -> Doubles:
         """Return the weights of `count` points as an array (count, columns); refuse anything else."""
         rule = f"they must be numbers, ({count},) or ({count}, channels)"
-        factors = as_array("weights", weights, np.float64, POINTS, rule=rule)
+        factors = as_array("weights", weights, POINTS, rule=rule)
         refuse_if(
             factors.ndim not in (1, 2) or len(factors) != count or (factors.ndim == 2 and factors.shape[1] == 0),
             f"weights of shape {factors.shape}: it must be ({count},) or ({count}, channels)",

@@ -17,7 +17,7 @@ from ..fields import OpticalSystem
 from ..io import digest
 from ..linear import LinearMap
 from ..optics import Spectrum, guards
-from ..runtime import Cost, Doubles, Floats, Job, LongSum, SumTask, one_at_a_time
+from ..runtime import Cost, Doubles, Floats, Job, LongSum, Progress, SumTask, cost_of, one_at_a_time
 from .accuracy import chosen_accuracy
 from .coherent_points import CoherentPoints
 from .derivatives import DerivativePlan, Differentials, check_changes, check_names
@@ -31,8 +31,8 @@ from .units import brightness_at
 PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan}
 """Methods of computing point spreads at one wavelength, by name: the types of their plans.
 
-A plan is made for an optical system, points, their pupil weights and an accuracy. It offers `sum`, `gather`,
-`check_memory` and `cost`, as `PatchPlan` does.
+A plan is made for an optical system, points, their pupil weights and an accuracy. It offers `sum`, `gather` and
+`check_memory`, as `PatchPlan` does.
 """
 
 METHODS = tuple(PLANS)
@@ -83,11 +83,6 @@ class CaptureOperator(CoherentPoints, LinearMap):
         after a lens of the scene.
     system : OpticalSystem, optional
         The camera bound to the wavelength, if other sums use it, too, so that its data are computed only once.
-
-    Raises
-    ------
-    InputError
-        If an input has a wrong shape or value.
 
     Examples
     --------
@@ -203,8 +198,6 @@ class CaptureOperator(CoherentPoints, LinearMap):
 
         Raises
         ------
-        InputError
-            If the weights have a wrong shape or value, or the work would need too much memory.
         PhysicsError
             If too much of the light is lost (see `optics.guards`).
         """
@@ -243,11 +236,6 @@ class CaptureOperator(CoherentPoints, LinearMap):
         -------
         float64 array (n,) or (n, channels)
             Products with the point spreads; with a spectrum of several wavelengths one column for each of them.
-
-        Raises
-        ------
-        InputError
-            If the image has another shape or is not finite, or the work would need too much memory.
         """
         channels = self._detector.adjoint(self._channels.check_image(image, self.camera.shape, self.dtype))
         wavelengths, _ = self._channels.mixing(channels.shape[2])
@@ -294,12 +282,6 @@ class CaptureOperator(CoherentPoints, LinearMap):
         -------
         float32 array
             Derivative, of the shape of the image.
-
-        Raises
-        ------
-        InputError
-            If an input has a wrong shape or value, the method has no derivatives, or the work would need too much
-            memory.
         """
         return np.asarray(self.jacobian(weights, [changes], job=job)[0])
 
@@ -318,11 +300,6 @@ class CaptureOperator(CoherentPoints, LinearMap):
         -------
         float32 array (directions, ...)
             The derivatives, each of the shape of the image.
-
-        Raises
-        ------
-        InputError
-            As for `derivative`, or if there is no direction.
         """
         factors = self._check(weights)
         checked = [check_changes(self.camera, changes) for changes in directions]
@@ -363,11 +340,6 @@ class CaptureOperator(CoherentPoints, LinearMap):
             them; add the two if both pitches are one parameter) and for ``mla_offset``, one for each
             ``mla_focal_length``, 36 or more for ``wavefront``, and one for all others. `adjoint` gives the derivatives
             by the weights.
-
-        Raises
-        ------
-        InputError
-            As for `derivative`.
         """
         factors = self._check(weights)
         chosen = check_names(self.camera, names)
@@ -401,25 +373,18 @@ class CaptureOperator(CoherentPoints, LinearMap):
         return self._differentials
 
     def estimate(self, job: Job | None = None) -> Cost:
-        """Return the estimated cost of `forward`, from a small part of the sum at the middle wavelength.
+        """Return the estimated cost of `forward`, which is begun, and abandoned as soon as its speed is known.
 
         Parameters
         ----------
         job : Job, optional
             Executor of the work.
-
-        Raises
-        ------
-        InputError
-            If the work would need too much memory.
-        PhysicsError
-            If too much of the light would be lost.
         """
-        wavelengths = sorted(spectral_sum.wavelength for spectral_sum in self._channels.parts(1))
-        workers = (job or Job()).workers
-        wavelength = wavelengths[len(wavelengths) // 2]
-        cost = self._plans.at(wavelength).cost(workers)
-        return Cost(self.sums * cost.points, self.sums * cost.patterns, self.sums * cost.seconds, cost.memory)
+
+        def begin(progress: Progress) -> Floats:
+            return self.forward(np.ones(self.source_shape), job=Job(progress, job.batch_map if job else None))
+
+        return cost_of(begin)
 
     def _matmat(self, weights: NDArray[Any]) -> NDArray[Any]:
         """Return the images (pixels, k) of several columns of weights, which share their spreads."""

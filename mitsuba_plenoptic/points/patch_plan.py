@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
@@ -17,17 +16,14 @@ from ..optics import guards
 from ..runtime import (
     BatchMap,
     Box,
-    Cost,
     Doubles,
     Floats,
     Integers,
     Job,
-    Part,
     PartialSum,
     active_backend,
     backend_of,
     check_memory,
-    fft,
     on_cuda,
 )
 from .accuracy import ZONES, band_for, find_patterns, wavefront_step
@@ -52,12 +48,6 @@ _PATCH_LIMIT = 2**26
 _TILE = 1024
 """Approximate number of samples across the region in which the corners of a chunk's patches lie."""
 
-_DEVICE_TILE = 4096
-"""The same on a device, where a larger tile costs less than the kernels of more chunks."""
-
-_FIRST = 2
-_TRIAL_SECONDS = 0.1
-"""Least number of point spreads that are timed for an estimate, and approximate seconds for each patch size."""
 
 _BEHIND_GAPS = 64
 """Patterns from which light beyond patches is estimated behind gaps; far light of fewer does not come back."""
@@ -205,13 +195,15 @@ class PatchPlan:
         return Fields(grid or self._grid, self._placement.take(points), self._positions[points], weights)
 
     def lit_chunks(self, weights: Doubles) -> tuple[list[Integers], Integers]:
-        """Return the chunks that have nonzero weights, and the number of points in each of them."""
+        """Return the chunks that have nonzero weights, and the points, divided among them as their time is."""
         if not self._chunks:
             return [], np.zeros(0, np.int64)
         lit = np.add.reduceat(weights[self._order].any(1), self._first) > 0
-        members = self._last - self._first
         chunks = [chunk for chunk in self._chunks if lit[chunk].any()]
-        return chunks, np.array([members[chunk].sum() for chunk in chunks], np.int64)
+        points = sum(int((self._last - self._first)[chunk].sum()) for chunk in chunks)
+        # The chunks are in the order of the size of their patches.
+        work = np.cumsum([(self._placement.samples[chunk].astype(float) ** 2).sum() for chunk in chunks])
+        return chunks, np.diff((points * work / work[-1:]).round().astype(np.int64), prepend=0)
 
     def loss(self, chunks: list[Integers], weights: Doubles, arrived: float) -> float | None:
         """Return the fraction of the power through the microlenses' apertures that falls outside the patches.
@@ -234,19 +226,6 @@ class PatchPlan:
         power = np.add.reduceat(weights[self._order].sum(1), self._first)[chunk]
         grid = replace(self._grid, camera=clear(self._grid.camera))
         return float(power @ arrived_power(self._fields(chunk, grid)))
-
-    def _sum_of(self, chunk: Integers, weights: Doubles) -> Part:
-        """Return the part of the sum due to a chunk, computed at once in this thread."""
-        with fft.resting_drjit():
-            return self.scatter(chunk, weights).prepare()()
-
-    def _timed(self, chunk: Integers, weights: Doubles) -> tuple[Part, float]:
-        """Return the part of the sum due to a chunk, and the seconds that its computation took."""
-        active_backend().synchronize()
-        start = time.perf_counter()
-        partial_sum = self._sum_of(chunk, weights)
-        active_backend().synchronize()
-        return partial_sum, time.perf_counter() - start
 
     def _sent(self, chunks: list[Integers], weights: Doubles) -> float:
         """Return the sum of all samples if all power through the apertures fell on the patches."""
@@ -307,7 +286,7 @@ class PatchPlan:
             tile[(slice(None), *inner)] = samples[:, rows, columns]
         return tile
 
-    # -- cost ------------------------------------------------------------------------------------------
+    # -- memory ----------------------------------------------------------------------------------------
 
     def memory(self, batch_map: BatchMap, channels: int = 1) -> float:
         """Return the memory in bytes that a sum takes in this process."""
@@ -322,8 +301,8 @@ class PatchPlan:
             tiles += 2 * threads  # with cells: buffers of patterns and of their sum
         return channels * self._recorder.memory + tiles * tile + fields
 
-    def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
-        """Return the bytes of a sum; refuse sums too large for the memory."""
+    def check_memory(self, batch_map: BatchMap, channels: int = 1) -> None:
+        """Refuse sums too large for the memory."""
         memory = self.memory(batch_map, channels)
         largest = int(self._placement.samples.max(initial=0))
         patterns = len(self._positions)
@@ -336,37 +315,13 @@ class PatchPlan:
                 f"{memory / 2**30:.1f} GiB at a time; for more than {_CHUNK} patches each may take "
                 f"{_PATCH_LIMIT / 2**30:.2f} GiB"
             )
-        return memory
-
-    def cost(self, batch_map: BatchMap) -> Cost:
-        """Return the estimated cost of a sum, from a few patterns of each patch size."""
-        memory = self.check_memory(batch_map)
-        samples = self._placement.samples
-        ones = np.ones((self._count, 1))
-        seconds = arrived = sent = 0.0
-        for size in np.unique(samples):
-            of_size = [chunk for chunk in self._chunks if samples[chunk[0]] == size]
-            upto = np.cumsum([len(chunk) for chunk in of_size])
-            chunk = of_size[int(np.searchsorted(upto, upto[-1] / 2))]  # the chunk of the median pattern
-            self._timed(chunk[:_FIRST], ones)  # compiles the kernels, which differ from those of a single pattern
-            _, elapsed = self._timed(chunk[:_FIRST], ones)
-            # Overheads of a chunk are small relative to a whole chunk.
-            some = chunk[: max(_FIRST, math.ceil(_FIRST * _TRIAL_SECONDS / elapsed))]
-            partial_sum, elapsed = self._timed(some, ones)
-            if has_response(self._camera):
-                arrived += self.gain * self._arrived(some, ones)
-            else:
-                arrived += float(partial_sum.sums.sum(dtype=np.float64))
-            sent += self._sent([some], ones)
-            seconds += elapsed / len(some) * int(upto[-1]) / batch_map.workers
-        guards.require(guards.PATCH, 1 - arrived / (self.gain * sent) if sent else 0.0)
-        return Cost(len(self._order), len(samples), seconds, memory)
 
 
 def _areas(samples: Any) -> Any:
     """Return the width in samples, for each patch size, of the region whose patches are added in one tile."""
     if on_cuda():
-        return np.maximum(_DEVICE_TILE, samples // 3)
+        # On a device a larger tile costs less than the kernels of more chunks.
+        return np.maximum(4096, samples // 3)
     return np.clip(_TILE, samples // 3, 4 * samples)
 
 

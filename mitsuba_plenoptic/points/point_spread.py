@@ -57,8 +57,6 @@ def point_spread_function(
 
     Raises
     ------
-    InputError
-        If an argument is out of range or the work would need too much memory.
     PhysicsError
         If too much of the light is lost.
 
@@ -108,6 +106,6 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
 
 def _check(camera: PlenopticCamera, position: Any) -> Doubles:
     require_camera(camera)
-    point = as_array("position", position, np.float64, POINTS[1:], rule="it must be three numbers (X, Y, g)")
+    point = as_array("position", position, POINTS[1:], rule="it must be three numbers (X, Y, g)")
     refuse_if(point.shape != (3,), f"position = {position!r}: it must be three numbers (X, Y, g)")
     return check_positions(point[None], camera)[0]

@@ -54,7 +54,7 @@ class PupilWeights:
         )
         if isinstance(weights, PupilWeights):
             return weights
-        values = as_array("pupil_weights", weights, None, ("point", *IMAGE[:2]))
+        values = as_array("pupil_weights", weights, ("point", *IMAGE[:2]), dtype=None)
         refuse_if(
             not np.isfinite(values).all() or (values < 0).any(),
             "pupil_weights: they must be finite and not negative",

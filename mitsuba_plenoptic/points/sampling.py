@@ -24,7 +24,6 @@ _WIDEST = 1000
 """Largest number of microlenses across that the light of a point within the focal length may cover."""
 
 _RIM_ANGLES = 32
-_RIM_RADII = (0.0, 0.4, 0.7, 1.0)
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ def footprint(lens: MainLens, positions: Doubles) -> Footprint:
     """Return the footprints of scene points, (n, 3), from rays traced through the pupil to the MLA."""
     angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
-    P = lens.pupil.radius * np.concatenate([radius * circle for radius in _RIM_RADII])
+    P = lens.pupil.radius * np.concatenate([radius * circle for radius in (0.0, 0.4, 0.7, 1.0)])
     point = (positions[:, None, 0], positions[:, None, 1], positions[:, None, 2])
     light = lens.bind(positions)
     is_open = np.broadcast_to(light.is_open((P[:, 0], P[:, 1])), (len(positions), len(P)))
@@ -105,7 +104,7 @@ def _bounds(landing: Doubles, cosine: Doubles) -> Footprint:
 def check_positions(positions: Any, camera: PlenopticCamera | None = None, *, virtual: bool = False) -> Doubles:
     """Return scene points as a float64 array (n, 3); refuse anything else."""
     rule = "it must be numbers (X, Y, g)"
-    points = as_array("position", positions, np.float64, POINTS, rule=rule, units=MILLIMETRES)
+    points = as_array("position", positions, POINTS, rule=rule, units=MILLIMETRES)
     refuse_if(
         points.ndim != 2 or points.shape[1] != 3,
         f"positions of shape {points.shape}: it must be (n, 3), for X, Y and g",

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, cast
 
 import drjit as dr
@@ -29,7 +29,7 @@ from ..io import digest
 from ..lenses import RealLens
 from ..optics import Spectrum
 from ..rays import Entrances, LensWindow
-from ..runtime import Cost, Doubles, Floats, Integers, Job, drjit_array, require_memory_for
+from ..runtime import Doubles, Floats, Integers, Job, drjit_array, require_memory_for
 from ..scene import SceneLight, refuse_negative, world_ray
 from .operator import CaptureOperator
 from .pupil_weights import PupilWeights, slants
@@ -296,11 +296,6 @@ class PointsCapture:
             # Negative values are errors of interpolation, unless responses are negative (colours outside of a gamut).
             np.maximum(image, 0, out=image)
         return image
-
-    def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
-        """Return the estimated cost of `compute`, from all points and some of their point spreads."""
-        points = find_points(self.lights, self.camera, spp, seed=seed, paths=1)
-        return replace(self._operator(points).estimate(job), points=len(points.positions))
 
     def _operator(self, points: ScenePoints) -> CaptureOperator:
         return CaptureOperator(

@@ -234,7 +234,12 @@ class PatchTile:
         """Return the products, (copies, channels), of each copy's intensity with the samples of the tile, summed."""
         turned = self._arrays.ascontiguousarray(self._arrays.asarray(samples).transpose(0, 2, 1))
         if self._batch.libraries.is_cuda:
-            return self._products_on_device(turned)
+            products = []
+            for first, _, intensity, _ in self._intensities():
+                windows = Windows.of(self._places[first : first + len(intensity)])
+                products.append(products_on_device(turned, intensity, windows))
+            joined = self._batch.libraries.to_host(self._arrays.concatenate(products))
+            return np.split(joined, np.cumsum([len(positions) for positions in self._places])[:-1])
         products = [np.zeros((len(positions), len(turned))) for positions in self._places]
         for first, (along_x, along_y), intensities, _ in self._intensities():
             for point, intensity in enumerate(intensities, first):
@@ -243,15 +248,6 @@ class PatchTile:
                     # Only rows are summed in single precision, which limits rounding errors.
                     products[point][copy] += np.einsum("cij,ij->ci", region, intensity).sum(1, dtype=np.float64)
         return products
-
-    def _products_on_device(self, turned: Floats) -> list[Doubles]:
-        """Return the products with the tile's samples (channels, along x, along y), which leave the device at once."""
-        products = []
-        for first, _, intensity, _ in self._intensities():
-            windows = Windows.of(self._places[first : first + len(intensity)])
-            products.append(products_on_device(turned, intensity, windows))
-        joined = self._batch.libraries.to_host(self._arrays.concatenate(products))
-        return np.split(joined, np.cumsum([len(positions) for positions in self._places])[:-1])
 
     def powers(self) -> Doubles:
         """Return the sum of the samples of each point's intensity, (points,)."""

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ..errors import refuse_if, require_length, suggest_keywords
+from ..errors import put, refuse_if, require_length, suggest_keywords
 from .lens_data import SINGLE, THIN, LensData, require_unscaled
 
 
@@ -28,11 +28,6 @@ class Collimator(LensData):
     ----------
     collimator_focal_length : float
         Focal length :math:`f_c` in millimetres.
-
-    Raises
-    ------
-    InputError
-        If the focal length is out of range.
     """
 
     mark: ClassVar[str] = "collimator_focal_length"
@@ -43,7 +38,7 @@ class Collimator(LensData):
 
     def __post_init__(self) -> None:
         name = "main_lens: collimator_focal_length"
-        object.__setattr__(self, "collimator_focal_length", require_length(name, self.collimator_focal_length))
+        put(self, collimator_focal_length=require_length(name, self.collimator_focal_length))
 
     @property
     def images_stop(self) -> bool:

@@ -147,11 +147,6 @@ class Glass:
         ----------
         wavelength : float
             Wavelength in nanometres.
-
-        Raises
-        ------
-        InputError
-            If the glass has no index there or at the line d, or bends no light.
         """
         bends = self.at(LINE_D) - 1, self.at(wavelength) - 1
         if min(bends) <= 0:
@@ -181,11 +176,6 @@ class Glass:
             and ``name``.
         where : str
             Name of the glass in messages.
-
-        Raises
-        ------
-        InputError
-            If the data describe no glass, a value is out of range, or no catalogue has the name.
         """
         if isinstance(value, str):
             return catalogue_glass(value, where)

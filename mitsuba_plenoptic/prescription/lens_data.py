@@ -54,9 +54,6 @@ def image_distance(focal_length: float, distance: float, *, name: str = "distanc
 SINGLE = 1e-6
 """Relative error of rounding to single precision, at most; values from files and scenes may have it."""
 
-_THIN_LENS = (80.0, 5.0)
-"""Focal length and radius of a thin lens, in millimetres, where they are not given."""
-
 
 @dataclass(frozen=True, eq=False)
 class LensData(PlainData):
@@ -118,7 +115,8 @@ class LensData(PlainData):
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
         """Return the focal length and the open entrance pupil's radius, in mm, scaled to a given focal length."""
-        return _THIN_LENS
+        # Focal length and radius of a thin lens, in millimetres, where they are not given.
+        return 80.0, 5.0
 
     def array_distance(self) -> float:
         """Return the distance to the array in mm if neither it nor a plane in focus is given."""

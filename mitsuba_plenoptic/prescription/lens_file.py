@@ -26,11 +26,6 @@ def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> LensDa
         The file, name or text.
     resolve : callable, optional
         Finds a file by its name, for example in the folder of a scene.
-
-    Raises
-    ------
-    InputError
-        If there is no such file or lens, or it is neither.
     """
     text = str(source)
     if text.lstrip().startswith("{"):
@@ -61,11 +56,6 @@ def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -
         file. The file of a bundled lens, such as ``tessar.yaml``, is found where there is no file of that name.
     resolve : callable, optional
         Finds a file by its name, for example in the folder of a scene.
-
-    Raises
-    ------
-    InputError
-        If there is no such file or lens, or it is not a prescription.
     """
     lens = read_lens(source, resolve)
     if not isinstance(lens, Prescription):

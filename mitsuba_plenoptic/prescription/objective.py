@@ -18,12 +18,9 @@ from ..errors import (
 )
 from .lens_data import SINGLE, LensData, even_count, require_alone, require_unscaled
 
-ARRANGEMENTS = ("image", "fourier")
-
 _STRONGEST = 1000.0
 """Magnification at most."""
 
-_LARGEST_INDEX = 4.0
 
 _WIDEST = 0.1
 """Numerical aperture on the image side at most: directions there are taken as small."""
@@ -81,7 +78,7 @@ class Objective(LensData):
             put(self, **{name: require_number(f"main_lens: {name}", getattr(self, name), positive=True, **bounds)})
 
         checked("magnification", maximum=_STRONGEST)
-        checked("immersion", minimum=1, maximum=_LARGEST_INDEX)
+        checked("immersion", minimum=1, maximum=4.0)
         checked("numerical_aperture")
         refuse_if(
             self.numerical_aperture >= self.immersion,
@@ -94,7 +91,7 @@ class Objective(LensData):
             f"{self.magnification:g}: their quotient must be at most {_WIDEST:g}, as the image side is paraxial",
         )
         put(self, tube_focal_length=require_length("main_lens: tube_focal_length", self.tube_focal_length))
-        require_choice("main_lens: arrangement", self.arrangement, ARRANGEMENTS)
+        require_choice("main_lens: arrangement", self.arrangement, ("image", "fourier"))
         name = "main_lens: fourier_focal_length"
         length = self.fourier_focal_length
         if self.arrangement == "fourier":

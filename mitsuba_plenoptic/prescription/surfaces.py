@@ -487,11 +487,6 @@ def bundled_prescription(name: str) -> Prescription:
     ----------
     name : str
         One of `BUNDLED`; ``.yaml`` may follow it.
-
-    Raises
-    ------
-    InputError
-        If there is no lens of that name; the message lists the bundled ones.
     """
     stem = name.removesuffix(".yaml")
     if stem not in BUNDLED:

@@ -77,7 +77,7 @@ class Walk:
 
     # -- the main lens -------------------------------------------------------------------------------
 
-    def into_scene(self, position: Pair, slope: Pair, height: Any = 0.0) -> Traced:
+    def into_scene(self, position: Pair, slope: Pair, height: Any) -> Traced:
         """Return rays traced from array positions, at a height above the array's plane, through the main lens."""
         if not isinstance(height, float) or height:
             position = position[0] - height * slope[0], position[1] - height * slope[1]

@@ -10,12 +10,10 @@ from typing import Any, overload
 
 import numpy as np
 
+from .. import design
 from ..camera import PlenopticCamera, require_support
-from ..errors import (
-    require_count,
-    suggest_keywords,
-)
-from ..io import Capture, Checkpoint
+from ..errors import LONGEST, require_count, suggest_keywords, warn
+from ..io import CaptureLike, Checkpoint, read_if_path
 from ..optics import guards
 from ..refocus_options import all_options, with_options
 from ..runtime import GIB, BatchMap, Forecast, in_words, memory_asked, one_at_a_time
@@ -36,7 +34,7 @@ from .methods import (
     work_of,
 )
 from .radiance import as_reference, computed_white
-from .results import Reconstruction
+from .results import Reconstruction, Reconstructions
 from .straight import displaced_image, passed_light, straightened, straightened_image
 
 _log = logging.getLogger(__name__)
@@ -48,47 +46,21 @@ _LONG = 30.0
 
 
 @overload
-def reconstruct(
-    capture: Capture | np.ndarray,
-    distance: float,
-    *,
-    method: str = ...,
-    camera: PlenopticCamera | None = ...,
-    wavelength: float | Sequence[float] | None = ...,
-    oversample: int = ...,
-    white: Capture | np.ndarray | None = ...,
-    progress: Callable[[int, int], None] | None = ...,
-    checkpoint: Checkpoint | None = ...,
-    batch_map: BatchMap | None = ...,
-    **options: Any,
-) -> Reconstruction: ...
+def reconstruct(capture: CaptureLike, distance: float, **options: Any) -> Reconstruction: ...
 @overload
-def reconstruct(
-    capture: Capture | np.ndarray,
-    distance: Sequence[float],
-    *,
-    method: str = ...,
-    camera: PlenopticCamera | None = ...,
-    wavelength: float | Sequence[float] | None = ...,
-    oversample: int = ...,
-    white: Capture | np.ndarray | None = ...,
-    progress: Callable[[int, int], None] | None = ...,
-    checkpoint: Checkpoint | None = ...,
-    batch_map: BatchMap | None = ...,
-    **options: Any,
-) -> list[Reconstruction]: ...
+def reconstruct(capture: CaptureLike, distance: Sequence[float], **options: Any) -> Reconstructions: ...
 @suggest_keywords
 @one_at_a_time
 @with_options
 def reconstruct(
-    capture: Capture | np.ndarray,
+    capture: CaptureLike,
     distance: float | Sequence[float],
     *,
     method: str = "ray",
     camera: PlenopticCamera | None = None,
     wavelength: float | Sequence[float] | None = None,
     oversample: int = 1,
-    white: Capture | np.ndarray | None = None,
+    white: CaptureLike | None = None,
     progress: Callable[[int, int], None] | None = None,
     checkpoint: Checkpoint | None = None,
     batch_map: BatchMap | None = None,
@@ -101,8 +73,8 @@ def reconstruct(
 
     Parameters
     ----------
-    capture : Capture or (rows, columns[, channels]) array
-        The capture. A plain array needs `camera`.
+    capture : Capture, (rows, columns[, channels]) array, or path
+        The capture, or a file that `read_capture` takes. A plain array needs `camera`.
     distance : float or sequence of floats
         Object distances in scene units, beyond the focal length. They may be infinite, where bins are directions.
         Several distances share the propagation to the main lens. For an objective: depths beyond its native object
@@ -122,7 +94,7 @@ def reconstruct(
     oversample : int
         Bins per lens along each axis. A focused camera resolves more than one:
         `mitsuba_plenoptic.design.suitable_oversample` and ``mitsuba-plenoptic info`` say how many.
-    white : Capture or array, optional
+    white : Capture, array or path, optional
         A capture of a uniform white field that fills the view, by the same camera at the same wavelengths, with one
         channel or as many as the capture has. It is scaled to a radiance of 1, channel by channel, so that images
         stay in units of the capture (see `mitsuba_plenoptic.views.white.recorded_white`). It is refocused by the
@@ -160,7 +132,8 @@ def reconstruct(
     Warns
     -----
     UserWarning
-        If the method has no use for an option, which other methods have, so that one call serves a loop over methods.
+        If a distance is so far outside the range of refocusing that less than half a sample per lens is resolved; if
+        the method has no use for an option, which other methods have, so that one call serves a loop over methods.
 
     Notes
     -----
@@ -176,15 +149,16 @@ def reconstruct(
     (210.0, (48, 48), 0.112)
     >>> far = mp.reconstruct(capture, 280, method="partial", interleave=2)
     """
-    recorded = capture
-    capture = as_capture(capture, camera)
+    recorded = read_if_path(capture, camera)
+    reference = read_if_path(white, camera)
+    capture = as_capture(recorded, camera)
     tilted = capture.camera
     chosen = registered(method)
     require_support(tilted, chosen.use)
     image = np.atleast_3d(capture.image)
     camera = tilted
     # A method that knows aberrations knows unequal lenses, too, and divides by what it computes.
-    as_recorded = chosen.as_recorded or (chosen.as_it_is and white is None)
+    as_recorded = chosen.as_recorded or (chosen.as_it_is and reference is None)
     if not as_recorded:
         image = straightened_image(image, tilted)
         camera = straightened(tilted)
@@ -192,13 +166,13 @@ def reconstruct(
     capture = dataclasses.replace(capture, camera=camera, image=image.reshape(capture.image.shape))
     options_used = used_by(
         chosen,
-        white=white,
+        white=reference,
         wavelength=wavelength,
         **{name: options.get(name) for name in all_options()},
         checkpoint=checkpoint,
         batch_map=batch_map,
     )
-    white = options_used["white"]
+    reference = options_used["white"]
     wavelength = options_used["wavelength"]
     settings = {
         name: require_option(option, name, options_used[name], camera) for name, option in chosen.options.items()
@@ -213,8 +187,19 @@ def reconstruct(
     if chosen.waves and not chosen.as_it_is and camera.wavefront:
         # Images are formed by the lens as it should be.
         camera = camera.replace(wavefront=())
-    require_image_memory(camera, distances, oversample, image.shape, white is not None and is_known(camera))
-    reference = None if white is None else as_reference(white, capture, tilted, recorded, as_recorded)
+    longest = None if capture.wavelength is None else float(np.max(capture.wavelength))
+    facts = [_resolution(camera, value, longest) for value in distances]
+    for value, fact in zip(distances, facts, strict=True):
+        # 0.5: below, images show hardly anything, which deconvolution alone may undo.
+        if not chosen.as_it_is and not fact.get("in_range", True) and fact["samples_per_lens"] < 0.5:
+            near, far = design.refocus_range(camera, longest)
+            warn(
+                f"distance = {value:g}: far outside the range of refocusing, {near:.4g} to {far:.4g} mm: "
+                f"{fact['samples_per_lens']:.2g} samples per lens are resolved there"
+            )
+    require_image_memory(camera, distances, oversample, image.shape, reference is not None and is_known(camera))
+    if reference is not None:
+        reference = as_reference(reference, capture, tilted, recorded, as_recorded)
     wavelengths = require_wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
 
     def tell(seconds: float) -> None:
@@ -272,11 +257,22 @@ def reconstruct(
             camera=straightened(camera),
             options=settings,
             guards=found,
-            facts=image_at.facts,
+            facts={"model": capture.model, **fact, **image_at.facts},
         )
-        for value, image_at in zip(distances, images, strict=True)
+        for value, fact, image_at in zip(distances, facts, images, strict=True)
     ]
-    return results[0] if np.ndim(distance) == 0 else results
+    return results[0] if np.ndim(distance) == 0 else Reconstructions(results)
+
+
+def _resolution(camera: PlenopticCamera, distance: float, wavelength: float | None) -> dict[str, Any]:
+    """Return facts on a distance: whether it is in the range of refocusing, and the samples resolved per lens."""
+    if not camera.lens_data.converges:
+        return {}
+    ranges = design.depth_ranges(camera, wavelength)
+    return {
+        "in_range": any(ends is not None and ends[0] <= distance <= ends[1] for ends in ranges),
+        "samples_per_lens": design.effective_resolution(camera, min(distance, LONGEST), wavelength).samples_per_lens,
+    }
 
 
 def _refocused(task: Task, chosen: RegisteredMethod, settings: dict[str, Any]) -> list[Found]:

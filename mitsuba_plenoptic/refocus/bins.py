@@ -26,9 +26,6 @@ _NEAR = (-1, 0, 1, 2)
 _MARGIN = 4
 """Dark samples on both sides, so that every edge has samples near."""
 
-_EDGES = 2**19
-"""Edges of bins that are worked out at a time."""
-
 
 def _beyond(f: Doubles, a: float, b: float, c: float, d: float) -> Doubles:
     """Return the part of an integral from an edge of samples to an edge f samples further.
@@ -66,7 +63,8 @@ class Integrals:
     def _blocks(self, lines: slice) -> Iterator[slice]:
         """Yield slices of the lines with so few edges that intermediate arrays stay small."""
         start, stop, _ = lines.indices(self._shape[0])
-        height = max(1, _EDGES // (self._shape[1] + 1))
+        # Edges of bins that are worked out at a time.
+        height = max(1, 2**19 // (self._shape[1] + 1))
         for first in range(start, stop, height):
             yield slice(first, min(first + height, stop))
 

@@ -30,12 +30,6 @@ from ..runtime import Doubles, array_module
 _MARGIN = 4
 """Lenses beyond the corner of the bins up to which the lens is fitted."""
 
-_MOST_ZONES = 8
-"""Zones of the field along each axis, at most."""
-
-_ZONE_BLUR = 0.2
-"""Part of a bin by which the path of the middle of a zone may lead a ray from the pupil's rim astray at its corners."""
-
 
 @dataclass(frozen=True)
 class Conjugate:
@@ -163,7 +157,9 @@ class RealConjugates:
             crop_offset=tuple(first + more for first in behind_thin.crop_offset),
             crop_size=behind_thin.crop_size,
         )
-        return cls(behind_thin, lens, system.wavelength, _ZONE_BLUR * camera.row_pitch / oversample)
+        # Part of a bin by which the path of the middle of a zone may lead a ray from the pupil's rim astray at its
+        # corners.
+        return cls(behind_thin, lens, system.wavelength, 0.2 * camera.row_pitch / oversample)
 
     def distance(self, distance: float) -> float:
         """Return the distance of an object plane from the thin lens of `camera`."""
@@ -183,7 +179,8 @@ class RealConjugates:
     def zones(self, distance: float) -> Iterator[FieldZone]:
         """Yield zones so small that the path of light at a zone's middle serves the whole zone."""
         bins = np.array(self.camera.bin_count) * self.camera.row_pitch
-        for count in range(1, _MOST_ZONES + 1):
+        # Zones of the field along each axis, at most.
+        for count in range(1, 9):
             if self._blur(bins / count, count, distance) <= self.blur:
                 break
         else:

@@ -33,20 +33,16 @@ from ..optics import in_millimetres, rays, soft_edge
 from ..rays import follow_back
 from ..runtime import Doubles, Floats, require_memory
 
-_PLANE = 8
-"""Width of the plane in which the pupil is spread, in radii of the pupil."""
-
-_LEAST_SAMPLES = 512
-
 
 class PupilCentroid:
     """Centroid in the pupil of a pixel's light, with the diffraction by the pixel's microlens."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
-        window = _PLANE * camera.aperture_radius
+        # Width of the plane in which the pupil is spread, in radii of the pupil.
+        window = 8 * camera.aperture_radius
         # Spatial frequencies over the pupil plane correspond to positions in the microlens.
         lens = camera.lattice.aperture_image(in_millimetres(wavelength) * camera.mla_distance / window, 1.0)
-        size = scipy.fft.next_fast_len(max(_LEAST_SAMPLES, 2 * len(lens)), real=True)
+        size = scipy.fft.next_fast_len(max(512, 2 * len(lens)), real=True)
         require_memory(100.0 * size**2, f"pupil of {size} x {size} samples")
         amplitude = np.zeros((size, size))
         amplitude[: len(lens), : len(lens)] = lens
@@ -82,8 +78,6 @@ _SLOPE = 0.02
 _FARTHEST = 1.0
 """Displacement that is believed, in lens pitches. Beyond, as where interference leaves little light, it is cut."""
 
-_LEAST_DETERMINANT = 1e-3
-"""Of the covariance of the places of bins to which a plane is fitted, in bins; that of four in a square is 0.06."""
 
 _BLOCK = 2**18
 """Pixels that are looked at together."""
@@ -176,8 +170,9 @@ def brought_back(image: Doubles, moved: Sequence[Doubles], weights: Doubles, rea
     xv = covariance(0, 2, x * value)
     yv = covariance(1, 2, y * value)
     determinant = xx * yy - xy**2
-    # A few bins in a line determine no plane.
-    known_plane = determinant > _LEAST_DETERMINANT
+    # A few bins in a line determine no plane. The determinant is that of the covariance of positions, in bins: four in
+    # a square have 0.06.
+    known_plane = determinant > 1e-3
     safe = np.where(known_plane, determinant, 1)
     across = (yy * xv - xy * yv) / safe
     down = (xx * yv - xy * xv) / safe

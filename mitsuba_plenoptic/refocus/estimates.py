@@ -2,28 +2,15 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
-from ..errors import InputError, argument
-from ..io import Capture
-from ..runtime import Cost, Forecast, memory_asked
+from ..io import CaptureLike
+from ..runtime import Cost, cost_of
 from .api import reconstruct
 
-_REFUSED = ("progress", "checkpoint")
 
-
-class _KnownError(Exception):
-    """Ends a reconstruction whose time is known by now."""
-
-    def __init__(self, seconds: float) -> None:
-        self.seconds = seconds
-
-
-def estimate_reconstruction(capture: Capture | np.ndarray, distance: float | Sequence[float], **options: Any) -> Cost:
+def estimate_reconstruction(capture: CaptureLike, distance: float | Sequence[float], **options: Any) -> Cost:
     """Return the estimated time and memory of `reconstruct` with the same arguments.
 
     The reconstruction is begun, and abandoned as soon as its speed is known: some five seconds after the first results,
@@ -37,13 +24,8 @@ def estimate_reconstruction(capture: Capture | np.ndarray, distance: float | Seq
     Returns
     -------
     Cost
-        Seconds, and bytes beside those of the program, the capture and the images; points and point spreads are 0.
+        Seconds, and bytes beside those of the program, the capture and the images.
         With ``deconvolved`` the time is that of as many iterations as there may be.
-
-    Raises
-    ------
-    InputError
-        If `reconstruct` would refuse the arguments.
 
     Examples
     --------
@@ -52,18 +34,4 @@ def estimate_reconstruction(capture: Capture | np.ndarray, distance: float | Seq
     >>> cost.seconds < 60, cost.memory < 2**30
     (True, True)
     """
-    for name in _REFUSED:
-        if options.get(name) is not None:
-            raise InputError(f"{argument(name)}: an estimate does not take it; leave it out")
-
-    def leave(seconds: float) -> None:
-        raise _KnownError(seconds)
-
-    start = time.perf_counter()
-    with memory_asked() as sizes:
-        try:
-            reconstruct(capture, distance, **options | {"progress": Forecast(leave)})
-            seconds = time.perf_counter() - start
-        except _KnownError as known:
-            seconds = known.seconds
-    return Cost(0, 0, seconds, max(sizes))
+    return cost_of(reconstruct, capture, distance, **options)

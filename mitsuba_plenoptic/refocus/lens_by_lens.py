@@ -44,12 +44,6 @@ from .planning import GUARD, check_pupil_diffraction, detector_step, field_subsa
 _BATCH_SAMPLES = 2**20
 _CUDA_BATCH_SAMPLES = 2**25
 
-_PRODUCTS = 64
-"""Products of complex numbers in a matrix product that take as long as a sample of a Fourier transform."""
-
-_FINE_GUARD = 2 * GUARD
-"""`GUARD` for several bins per lens: they resolve the power, which has twice the frequencies of the field."""
-
 _BLURRED = 1.0
 """Blur in lenses from which on the samples of the field suffice for sums over lenses."""
 
@@ -138,7 +132,8 @@ class LensTile:
         """
         camera = self.camera
         needed = self.fraction * (
-            (_FINE_GUARD if self.oversample > 1 and self.resolved else GUARD)
+            # Several bins per lens resolve the power, which has twice the frequencies of the field.
+            (2 * GUARD if self.oversample > 1 and self.resolved else GUARD)
             * camera.row_pitch
             * camera.aperture_diameter
             / (in_millimetres(self.wavelength) * camera.mla_distance)
@@ -177,7 +172,8 @@ class LensTile:
         pupil = self.pupil.size
         image = self.object_samples
         products = cell * pupil * (cell + pupil)
-        return 4 * cell**2 + pupil**2 + 2 * image**2 + products // _PRODUCTS
+        # Products of complex numbers in a matrix product that take as long as a sample of a Fourier transform.
+        return 4 * cell**2 + pupil**2 + 2 * image**2 + products // 64
 
     @property
     def memory(self) -> float:
@@ -201,10 +197,6 @@ def fine_bins(system: OpticalSystem, oversample: int) -> int:
     elif camera.lenses_are_bins:
         return 1
     return LensTile(camera, system.wavelength, 1, oversample).samples // oversample
-
-
-_BLOCK_WIDTH = 2**10
-"""Samples across the lenses whose light comes from the detector at once."""
 
 
 @dataclass(frozen=True)
@@ -271,7 +263,8 @@ class LensSet:
 
     def blocks(self, which: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the lenses in square blocks, whose light comes from the detector at once."""
-        width = max(_BLOCK_WIDTH * self.tile.pitch, 4 * self.tile.cell_width)
+        # Samples across the lenses whose light comes from the detector at once.
+        width = max(2**10 * self.tile.pitch, 4 * self.tile.cell_width)
         column, row = ((self.centre[which] - self.centre.min(0)) // width).T
         number = row * (column.max(initial=0) + 1) + column
         for block in np.unique(number):

@@ -6,7 +6,7 @@ Each method is a module that registers one function of a `Task`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -142,11 +142,11 @@ class RegisteredMethod:
         """Return whether the method has an option of `reconstruct` that only some methods have."""
         if option in ("wavelength", "white"):
             return option == "white" or self.waves
-        return option in self.options or (self.long and option in _OF_LONG)
+        # The command has the last three.
+        return option in self.options or (
+            self.long and option in ("checkpoint", "batch_map", "resume", "workers", "scheduler")
+        )
 
-
-_OF_LONG = ("checkpoint", "batch_map", "resume", "workers", "scheduler")
-"""Options of methods that may take long, those of the command, too."""
 
 METHODS: dict[str, RegisteredMethod] = {}
 
@@ -210,10 +210,10 @@ def as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) ->
         require_demosaiced(capture)
         if camera is None:
             return capture
-        return Capture(capture.image, camera, capture.wavelength, capture.model, capture.metadata)
+        return replace(capture, camera=camera)
     if camera is None:
         raise InputError("camera = None: a plain array needs the camera that recorded it; give camera")
-    return Capture(as_array("capture", capture), camera)
+    return Capture(as_array("capture", capture, dtype=None), camera)
 
 
 def require_distances(distance: Any, camera: PlenopticCamera) -> list[float]:

@@ -77,8 +77,6 @@ The power has twice as many as the field. With the cubic integrals of `direction
 those from many more samples; ten bins per lens, each as narrow as two samples, would be 2 % off with the fewer ones.
 """
 
-_LEAST_COSINE = 1e-3
-"""Square of the cosine to the axis from which on light is followed no farther aside."""
 
 _MARGIN_ORDERS = 0.5
 _MARGIN_LENSES = 1.0
@@ -294,7 +292,8 @@ def _beyond_paraxial(
     The window has room for `count` samples, and for light up to `beside` mm beside them.
     """
     # Farthest towards the corner of the directions.
-    displaced = distance * steepest * (1 / math.sqrt(max(1 - 2 * steepest**2, _LEAST_COSINE)) - 1)
+    # Square of the cosine to the axis from which on light is followed no farther aside.
+    displaced = distance * steepest * (1 / math.sqrt(max(1 - 2 * steepest**2, 1e-3)) - 1)
     pitch = on_array.pitch
     more = 2 * (displaced + beside)
     padded = fft.fast_length(count + more / pitch)

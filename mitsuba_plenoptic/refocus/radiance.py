@@ -30,8 +30,6 @@ from .methods import Progress, Task, portion
 from .projection import ray_sums
 from .straight import straightened_image
 
-_LEAST_REACHED = 0.01
-
 
 def as_reference(
     white: Capture | np.ndarray, capture: Capture, tilted: PlenopticCamera, recorded: Any, as_recorded: bool
@@ -199,7 +197,7 @@ def divided_bins(white: np.ndarray, rays: np.ndarray, distance: float) -> np.nda
 
 def is_reached(rays: np.ndarray) -> np.ndarray:
     """Return a mask (rows, columns) of bins that enough rays of white reach for a division."""
-    return np.asarray((rays >= _LEAST_REACHED * rays.max()) & (rays > 0))
+    return np.asarray((rays >= 0.01 * rays.max()) & (rays > 0))
 
 
 def lens_scale(camera: PlenopticCamera, distance: float) -> float:

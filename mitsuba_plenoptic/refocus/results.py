@@ -15,7 +15,7 @@ import tifffile
 from ..camera import PlenopticCamera
 from ..choices import VOLUMES
 from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
-from ..extension import Displayed
+from ..extension import Displayed, Shown
 from ..io import read_exr, write_exr, write_labelled_data
 from ..runtime import Floats, atomic_output, require_memory, require_writable, require_zarr
 
@@ -28,7 +28,7 @@ _EVEN = 1e-3
 _ALONG = {"z": 0, "y": 1, "x": 2}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Reconstruction(Displayed):
     """An image refocused to one object distance.
 
@@ -50,8 +50,10 @@ class Reconstruction(Displayed):
     guards : dict
         Fractions of the light that the guards of the physics found lost, by their names.
     facts : dict
-        Facts that the method states. ``deconvolved``: the ``iterations`` made, the ``residual`` (root mean square of
-        the unexplained part of the capture, over that of the capture), whether it was ``stopped_by_noise``, the
+        The ``model`` of the capture's light and, but for objectives, whether the distance is ``in_range`` of refocusing
+        and the ``samples_per_lens`` resolved there (see `design.depth_ranges`, `design.effective_resolution`). Of
+        ``deconvolved`` also: the ``iterations`` made, the ``residual`` (root mean square of the unexplained part of
+        the capture, over that of the capture), whether it was ``stopped_by_noise``, the
         ``resolution_limit`` in line pairs per scene unit (at infinity per unit of slope), and whether the plane is
         ``in_focus``, where finer bins show little more (see `design.resolution_limit`).
     """
@@ -65,6 +67,15 @@ class Reconstruction(Displayed):
     guards: dict[str, float] = field(default_factory=dict)
     facts: dict[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """Return a description of the reconstruction in one line."""
+        rows, columns = self.image.shape[:2]
+        return f"Reconstruction({columns} x {rows} bins at {self.distance:g} mm by {self.method})"
+
+
+class Reconstructions(Shown, list[Reconstruction]):
+    """List of reconstructions of one capture, which notebooks show as pictures on one scale."""
+
 
 def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[str, Any] | None = None) -> None:
     """Write a reconstruction as float32 OpenEXR with camera, distance and method in the header.
@@ -77,11 +88,6 @@ def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[
         The reconstruction.
     source : dict, optional
         Metadata of the capture, which are written to the header.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
     """
     attributes = {
         "kind": "reconstruction",
@@ -104,11 +110,6 @@ def read_reconstruction(path: str | Path) -> Reconstruction:
     ----------
     path : path
         The file.
-
-    Raises
-    ------
-    InputError
-        If the file does not exist, is damaged, or is not a reconstruction.
     """
     image, _, about = read_exr(path)
     with naming(path):
@@ -162,11 +163,6 @@ class Volume:
         Returns
         -------
         Volume
-
-        Raises
-        ------
-        InputError
-            If the sequence is empty, a distance is infinite or given twice, or images differ in their channels.
         """
         refuse_if(not results, "results = []: a volume needs one plane at least")
         planes = sorted(results, key=lambda result: result.distance)
@@ -242,11 +238,6 @@ class Volume:
         tuple of float32 arrays
             (rows, columns[, channels]) of the plane, (planes, columns[, channels]) of the row, and
             (planes, rows[, channels]) of the column.
-
-        Raises
-        ------
-        InputError
-            If the volume has no such voxel.
         """
         grey = np.nan_to_num(self.values if self.values.ndim == 3 else self.values.mean(-1), nan=-np.inf)
         brightest = np.unravel_index(int(grey.argmax()), grey.shape)
@@ -293,6 +284,8 @@ def require_volume_path(path: str | Path, distances: Sequence[float]) -> Path:
 def write_volume(path: str | Path, volume: Volume) -> None:
     """Write a volume with its voxel sizes: TIFF for ImageJ, OME-TIFF or Zarr.
 
+    Both TIFF state lengths in micrometres, Zarr in millimetres.
+
     Parameters
     ----------
     path : path
@@ -300,11 +293,6 @@ def write_volume(path: str | Path, volume: Volume) -> None:
         where planes may be unevenly spaced; or in ``.zarr``, which xarray reads and needs the package zarr.
     volume : Volume
         The volume, which is written as float32.
-
-    Raises
-    ------
-    InputError
-        If it cannot be written.
     """
     path = require_volume_path(path, volume.distances)
     if path.suffix.lower() == ".zarr":
@@ -315,24 +303,26 @@ def write_volume(path: str | Path, volume: Volume) -> None:
     if values.ndim == 4:
         values = np.moveaxis(values, -1, 1)
         axes = "ZCYX"
+    size = 1000 * volume.voxel_size
+    spacing = volume.spacing and 1000 * volume.spacing
     with atomic_output(path) as temporary:
         metadata: dict[str, Any] = {"axes": axes}
         if _is_ome(path):
             for axis in "XY":
-                metadata |= {f"PhysicalSize{axis}": volume.voxel_size, f"PhysicalSize{axis}Unit": "mm"}
-            if volume.spacing is not None:
-                metadata |= {"PhysicalSizeZ": volume.spacing, "PhysicalSizeZUnit": "mm"}
+                metadata |= {f"PhysicalSize{axis}": size, f"PhysicalSize{axis}Unit": "µm"}
+            if spacing is not None:
+                metadata |= {"PhysicalSizeZ": spacing, "PhysicalSizeZUnit": "µm"}
             channels = volume.values.shape[3] if volume.values.ndim == 4 else 1
-            positions = [distance for distance in volume.distances for _ in range(channels)]
-            metadata["Plane"] = {"PositionZ": positions, "PositionZUnit": ["mm"] * len(positions)}
+            positions = [1000 * distance for distance in volume.distances for _ in range(channels)]
+            metadata["Plane"] = {"PositionZ": positions, "PositionZUnit": ["µm"] * len(positions)}
             metadata["Description"] = json.dumps(volume.attributes)
             tifffile.imwrite(temporary, values, ome=True, photometric="minisblack", metadata=metadata)
         else:
             about = {"distances": list(volume.distances), **volume.attributes}
-            metadata |= {"unit": "mm", "Info": json.dumps(about)}
-            if volume.spacing is not None:
-                metadata["spacing"] = volume.spacing
-            resolution = (1 / volume.voxel_size, 1 / volume.voxel_size)
+            metadata |= {"unit": "um", "Info": json.dumps(about)}
+            if spacing is not None:
+                metadata["spacing"] = spacing
+            resolution = (1 / size, 1 / size)
             tifffile.imwrite(temporary, values, imagej=True, resolution=resolution, metadata=metadata)
 
 

@@ -15,12 +15,14 @@ from .experiment import COMPARED_METHODS as COMPARED_METHODS
 from .experiment import METHOD_TITLES as METHOD_TITLES
 from .experiment import Experiment as Experiment
 from .experiment import Settings as Settings
+from .experiment import methods_of_both as methods_of_both
 from .experiment import open_store as open_store
 from .experiment import photograph as photograph
 from .experiment import photographic_sensor as photographic_sensor
 from .experiment import refocused as refocused
 from .experiment import run_experiment as run_experiment
 from .installation import inspect_installation as inspect_installation
+from .lens_drawing import camera_figure as camera_figure
 from .lens_drawing import draw_main_lens as draw_main_lens
 from .lens_quality import behind_lens as behind_lens
 from .microlens_drawing import draw_microlens as draw_microlens

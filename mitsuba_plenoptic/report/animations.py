@@ -43,11 +43,6 @@ def write_animation(
         Value that is shown white.
     scale : int, optional
         Pixels of the animation across one of an image. Default: as many as make the longer side nearly 480.
-
-    Raises
-    ------
-    InputError
-        If the file has another ending.
     """
     path = Path(path)
     scale = scale or enlargement(frames[0][0], 480)

@@ -13,11 +13,13 @@ from ..errors import refuse_if
 from ..io import StageOptions
 from .comparison_page import write_report
 from .edge import square_sharpness
-from .experiment import COMPARED_METHODS, EDGE_TILT, METHOD_TITLES, Experiment, Settings, open_store, run_experiment
+from .experiment import EDGE_TILT, METHOD_TITLES, Experiment, Settings, open_store, run_experiment
 from .images import Brightness, luminance
 from .metrics import (
+    Difference,
     capture_difference,
     common_scale,
+    contrast_change,
     image_metrics,
     interference,
     lit_region,
@@ -89,6 +91,44 @@ def _command(settings: Settings, against: str | None) -> str:
     return " ".join(words)
 
 
+def answer(experiment: Experiment, difference: Difference) -> str:
+    """Return whether rays suffice: in the raw pixels beside the noise, and in images refocused by rays."""
+    spp = experiment.settings.spp
+    changes = {}
+    for distance in experiment.settings.distances:
+        by_rays, by_waves = (experiment.images[name, distance] for name in ("ray_of_ray", "ray"))
+        changes[distance] = contrast_change(by_rays, by_waves, experiment.truths[distance])
+    distance, change = max(changes.items(), key=lambda item: abs(item[1].ratio - 1))
+    finest = min(found.finest for found in changes.values())
+    if change.ratio != 1:
+        frequency = change.frequency / experiment.camera.bin_size(distance)
+        refocused = (
+            f"At {distance:g} mm waves change contrast at {frequency:.2g} cycles a "
+            f"{'radian' if math.isinf(distance) else 'mm'} by {change.ratio - 1:+.0%}"
+        )
+    elif finest:
+        refocused = (
+            "At these distances rays suffice for refocused images: contrast differs by less than 5 % up to "
+            f"{finest:.2g} cycles a bin"
+        )
+    else:
+        refocused = "Noise hides whether waves change the contrast of refocused images: take more samples"
+    noise, true = difference.noise, difference.true
+    if noise is None or true is None:
+        return f"{refocused}. Of raw pixels it is not known, as one sample tells no noise: take two or more."
+    if true < noise or difference.noise_alone:
+        # Differences that are not told from noise are smaller than three hundredths of its power.
+        most = max(true, 0.17 * noise)
+        enough = math.ceil(spp * (noise / most) ** 2)
+        return (
+            f"{refocused}. What waves change in raw pixels ({most:.1%} at most) is below the noise of {spp} samples "
+            f"({noise:.1%}); {enough} samples would show it."
+        )
+    return (
+        f"{refocused}. Waves change raw pixels by {true:.1%}, which is above the noise of {spp} samples ({noise:.1%})."
+    )
+
+
 _COHERENT = ("coherent", "partial")
 
 
@@ -108,6 +148,7 @@ def measure(experiment: Experiment) -> dict[str, Any]:
             },
             "points": _against_points(experiment),
         },
+        "answer": answer(experiment, capture_difference(experiment.ray, experiment.wave)),
         "reconstructions": _reconstructions(experiment),
         "interference": shape_interference(experiment),
         "edges": _edges(experiment),
@@ -127,11 +168,11 @@ def _reconstructions(experiment: Experiment) -> list[dict[str, Any]]:
     rows = []
     distances = experiment.settings.distances
     truths = [experiment.truths[distance] for distance in distances]
-    for method in COMPARED_METHODS:
+    for method in experiment.settings.methods:
         images = [experiment.images[method.name, distance] for distance in distances]
         scale = common_scale(images, truths)
         for distance, image, truth in zip(distances, images, truths, strict=True):
-            limit = experiment.images["limit", distance]
+            limit = experiment.images.get(("limit", distance))
             row = {
                 "method": method.name,
                 "distance": distance,
@@ -140,7 +181,7 @@ def _reconstructions(experiment: Experiment) -> list[dict[str, Any]]:
                 **rounded(image_metrics(scale * image, truth)),
                 "energy": round(image_metrics(image, truth).energy, 5),
             }
-            if method.name in _COHERENT:
+            if method.name in _COHERENT and limit is not None:
                 row["interference"] = round(interference(image, limit, lit_region(limit)), 5)
             rows.append(row)
     return rows
@@ -148,7 +189,9 @@ def _reconstructions(experiment: Experiment) -> list[dict[str, Any]]:
 
 def shape_interference(experiment: Experiment) -> list[dict[str, Any]]:
     """Return the interference within each flat shape at each distance, by coherent methods."""
-    rows = []
+    rows: list[dict[str, Any]] = []
+    if not set(_COHERENT) | {"limit"} <= {name for name, _ in experiment.images}:
+        return rows
     for name, (low, high) in experiment.boxes.items():
         window = shape_window(experiment.camera, low, high)
         if high[2] - low[2] > 1e-3 * low[2] or window is None:
@@ -174,7 +217,7 @@ def _edges(experiment: Experiment) -> list[dict[str, Any]]:
         scale = camera.mla_distance / (low[2] * camera.row_pitch)
         column, row = (camera.bin_count[axis] / 2 - (low[axis] + high[axis]) / 2 * scale for axis in (0, 1))
         side = float(high[0] - low[0]) / (math.cos(EDGE_TILT) + math.sin(EDGE_TILT)) * scale
-        for method in METHOD_TITLES:
+        for method in ("truth", *(method.name for method in experiment.settings.methods)):
             try:
                 width, mtf50 = square_sharpness(experiment.image(method, distance), row, column, side)
             except ValueError:
@@ -209,15 +252,19 @@ def draw_comparison(
         if "interference" in row
     }
     figure_grid(folder / "methods.png", experiment, metrics)
-    figure_interference(folder / "interference.png", experiment.grey(), interference)
-    figure_captures(folder / "captures.png", experiment, zooms)
-    return {
+    captions = {
         "methods.png": "All methods next to the thin lens. One bin a pixel shows a grid where the image is out of "
         "focus: neighbouring pixels go to bins several apart, and how many meet in one changes from bin to bin. The "
-        "lens footprint, which is right there, spreads each pixel over what its lens sees.",
-        "interference.png": "What interference between lenses adds to the image.",
+        "lens footprint, which is right there, spreads each pixel over what its lens sees."
+        if any(method.name == "ray_point" for method in experiment.settings.methods)
+        else "All methods next to the thin lens.",
         "captures.png": "Micro-images by rays and by waves, and their difference.",
     }
+    figure_captures(folder / "captures.png", experiment, zooms)
+    if interference:
+        figure_interference(folder / "interference.png", experiment.grey(), interference)
+        captions["interference.png"] = "What interference between lenses adds to the image."
+    return captions
 
 
 _ACROSS = 4
@@ -227,7 +274,7 @@ _ACROSS = 4
 @styled
 def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, float], str]) -> None:
     """Draw every method at every distance next to the thin lens, with a note under each, in rows of four."""
-    names = ["truth", *(method.name for method in COMPARED_METHODS)]
+    names = ["truth", *(method.name for method in experiment.settings.methods)]
     distances = experiment.settings.distances
     window = lit_window(list(experiment.truths.values()))
     peak = Brightness().peak([window.of(experiment.truths[distance]) for distance in distances])

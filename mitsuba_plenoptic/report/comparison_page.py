@@ -14,7 +14,7 @@ from PIL import Image
 from .. import design
 from ..io import write_json
 from ..runtime import software
-from .experiment import METHOD_TITLES, SLIDER_METHODS, Experiment
+from .experiment import METHOD_TITLES, Experiment
 from .images import Brightness, data_url, encoded, to_bytes
 from .metrics import ssim_text
 from .pages import Block, Page, Section, Table, pictures_in, prose, template
@@ -26,6 +26,8 @@ _EXPLANATIONS = {
     "ray": "each pixel is followed back as rays through its lens",
     "coherent": "one field, propagated back as if all light were coherent",
     "partial": "four subsets of lenses, each coherent in itself",
+    "incoherent": "the capture weighed with the point spread of each bin",
+    "deconvolved": "the plane whose capture it is",
 }
 
 
@@ -39,7 +41,7 @@ def write_report(
     zooms: Sequence[Zoom],
     plates: Mapping[str, str],
     command: str,
-    others: Sequence[Section] = (),
+    others: Sequence[Section],
 ) -> dict[str, Any]:
     """Write ``results.json`` and ``report.html`` into the folder that holds the figures; return the results.
 
@@ -65,16 +67,18 @@ def write_report(
     widgets: Any = template("comparison.html").module
     viewer = widgets.viewer(captures(experiment, window), geometry, [zoom.title for zoom in zooms])
     height, width = window.of(next(iter(experiment.truths.values()))).shape[:2]
-    titles = {name: METHOD_TITLES[name] for name in _EXPLANATIONS}
+    shown = ("truth", *experiment.settings.slider_methods)
+    titles = {name: METHOD_TITLES[name] for name in shown}
     first = distances.index(experiment.settings.distances[0])
     warnings = [
         Markup('<p class="warning">{}.</p>').format(prose(warning[:1].upper() + warning[1:]))
         for warning in design.design_warnings(camera, wavelength)
     ]
     methods = Markup("<p>One bin per microlens, from the wave capture.")
-    for method, explanation in _EXPLANATIONS.items():
-        methods += Markup(" <strong>{}</strong>: {}.").format(METHOD_TITLES[method], prose(explanation))
+    for method in shown:
+        methods += Markup(" <strong>{}</strong>: {}.").format(METHOD_TITLES[method], prose(_EXPLANATIONS[method]))
     sections = [
+        Section("Do rays suffice?", [Markup("<p>{}</p>").format(prose(measured["answer"]))]),
         Section("On the detector", [_capture_text(experiment, measured), viewer]),
         Section("Refocused", [methods + Markup("</p>"), widgets.refocus(width, height, titles, distances, first)]),
         *others,
@@ -241,7 +245,7 @@ def reconstructions(experiment: Experiment, measured: Mapping[str, Any], window:
         "distances": [float(f"{distance:g}") for distance in distances],
         "images": {
             name: {f"{distance:g}": png(name, distance) for distance in distances}
-            for name in ("truth", *SLIDER_METHODS)
+            for name in ("truth", *experiment.settings.slider_methods)
         },
         "facts": facts,
     }

@@ -108,7 +108,7 @@ def edge_sharpness(image: ArrayLike) -> EdgeSharpness:
     >>> round(edge.angle, 1), edge.upright
     (5.7, True)
     """
-    pixels = as_array("image", image, np.float64)
+    pixels = as_array("image", image)
     if pixels.ndim == 3:
         pixels = pixels.mean(axis=2)
     refuse_if(pixels.ndim != 2, f"image of shape {pixels.shape}: it must have rows and columns")
@@ -169,7 +169,7 @@ def window_sharpness(image: Doubles) -> EdgeSharpness:
 
     As the edge is known to be there, interference beside it is allowed, and a window of few pixels suffices.
     """
-    image = as_array("image", image, np.float64)
+    image = as_array("image", image)
     rows, columns = image.shape
     _, across = _slopes(image)
     windows = np.array((1.0, 0.7, 0.5, 0.35, 0.25)) * columns / 2

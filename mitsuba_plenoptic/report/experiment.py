@@ -128,9 +128,38 @@ COMPARED_METHODS = (
     # The limit in which no two lenses interfere.
     RefocusMethod("limit", "One lens at a time", {"method": "partial", "interleave": "auto"}),
 )
-METHOD_TITLES = {"truth": "Thin lens (truth)", **{method.name: method.title for method in COMPARED_METHODS}}
+"""Methods that the paper compares."""
 
-# Those that the report's slider shows; the others differ in details only and the last one takes long.
+_METHODS = {
+    "ray": ("Rays", COMPARED_METHODS[2].options),
+    "coherent": ("Coherent", COMPARED_METHODS[3].options),
+    "partial": ("Partially coherent", COMPARED_METHODS[4].options),
+    "incoherent": ("Incoherent", {"method": "incoherent"}),
+    "deconvolved": ("Deconvolved", {"method": "deconvolved"}),
+}
+"""Titles and options of the methods of `reconstruct`."""
+
+
+def methods_of_both(names: Sequence[str]) -> tuple[RefocusMethod, ...]:
+    """Return methods of the ray and of the wave capture, rays always; last the limit, of the wave capture, if named."""
+    for name in names:
+        require_choice("methods", name, (*_METHODS, "limit"))
+    both: list[RefocusMethod] = []
+    for name, (title, options) in _METHODS.items():
+        if name in ("ray", *names):
+            both += [
+                RefocusMethod(f"{name}_of_ray", f"{title}, ray capture", options, "ray"),
+                RefocusMethod(name, title, options),
+            ]
+    return (*both, *(method for method in COMPARED_METHODS if method.name == "limit" and "limit" in names))
+
+
+METHOD_TITLES = {
+    "truth": "Thin lens (truth)",
+    **{method.name: method.title for method in (*methods_of_both(tuple(_METHODS)), *COMPARED_METHODS)},
+}
+
+# Those of the paper that its report's slider shows; the others differ in details only and the last one takes long.
 SLIDER_METHODS = ("ray", "coherent", "partial")
 
 ORDINARY = "ordinary"
@@ -154,6 +183,8 @@ class Settings(CaptureSpec):
         What the command calls the camera that replaces the scene's.
     wavelength : float
         Wavelength in nanometres; in colour that of figures of the design, as captures have three of their own.
+    methods : tuple of RefocusMethod
+        What the captures are refocused by.
     points : int, optional
         Points per lens of another wave capture, point by point, with which the one from signed rays is compared.
         Default: no such capture.
@@ -170,10 +201,17 @@ class Settings(CaptureSpec):
     distances: tuple[float, ...] = ()
     slider: tuple[float, ...] = ()
     camera_name: str | None = None
+    methods: tuple[RefocusMethod, ...] = COMPARED_METHODS
     points: int | None = None
     truth_spp: int = 1024
     noise: bool = False
     pdf: bool = True
+
+    @property
+    def slider_methods(self) -> tuple[str, ...]:
+        """Names of the wave capture's methods whose pictures the slider of the report shows."""
+        waves = [method.name for method in self.methods if method.source == "wave"]
+        return tuple(name for name in waves if name not in ("limit", "ray_point"))
 
 
 @dataclass(frozen=True)
@@ -298,11 +336,15 @@ def run_experiment(
     sources = {"ray": (ray, ray_key)}
 
     def refocus(*names: str) -> None:
-        for method in (method for method in COMPARED_METHODS if method.name in names):
+        for method in (method for method in settings.methods if method.name in names):
             # Lens by lens, a plane near focus takes much less by itself than with others.
-            groups = [distances] if method.name in SLIDER_METHODS else [[distance] for distance in settings.distances]
+            alone = [[distance] for distance in settings.distances]
+            groups = [distances] if method.name in settings.slider_methods else alone
+            options = method.options
+            if method.source == "ray" and options["method"] not in ("ray", "deconvolved"):
+                options = options | {"wavelength": wave.wavelength}
             for together in groups:
-                results = refocused(store, method.name, *sources[method.source], together, method.options)
+                results = refocused(store, method.name, *sources[method.source], together, options)
                 images.update({(method.name, distance): image for distance, image in results.items()})
 
     refocus("ray_of_ray")
@@ -311,7 +353,7 @@ def run_experiment(
     sources["wave"] = wave, wave_key
     refocus("partial")
     first(camera, images)
-    refocus("ray_point", "ray", "coherent", "limit")
+    refocus(*(method.name for method in settings.methods if method.name not in ("ray_of_ray", "partial")))
     points = None
     if settings.points is not None:
         of_points = replace(by_waves, spp=settings.points)
@@ -405,7 +447,7 @@ def edge_scene(camera: PlenopticCamera, distance: float) -> mi.Scene:
         {
             "type": "scene",
             "integrator": {"type": "direct"},
-            "camera": camera.to_sensor(pixel_format="rgb" if mi.is_rgb else "luminance"),
+            "camera": camera.to_sensor(),
             "edge": {
                 "type": "rectangle",
                 "to_world": turned @ T.rotate([0, 1, 0], 180) @ T.scale(half),

@@ -6,6 +6,7 @@ import base64
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from PIL import Image
 
 from ..choices import ANIMATED
-from ..errors import InputError, require_number
+from ..errors import InputError, put_checked, require_number
 from ..runtime import atomic_output
 
 SHOWN = (".png", ".pdf", *ANIMATED)
@@ -125,10 +126,8 @@ class Brightness:
     def __post_init__(self) -> None:
         if self.exposure is not None and self.percentile is not None:
             raise InputError(f"exposure = {self.exposure:g}, percentile = {self.percentile:g}: give one of the two")
-        if self.exposure is not None:
-            require_number("exposure", self.exposure, minimum=-100.0, maximum=100.0)
-        if self.percentile is not None:
-            require_number("percentile", self.percentile, positive=True, maximum=100)
+        stops = partial(require_number, minimum=-100.0, maximum=100.0)
+        put_checked(self, exposure=stops, percentile=partial(require_number, positive=True, maximum=100))
 
     def peak(self, images: Sequence[np.ndarray]) -> float:
         """Return the value drawn as white in pictures that are viewed together; NaN is ignored."""
@@ -150,13 +149,15 @@ class Brightness:
 
 @dataclass(frozen=True)
 class Drawing:
-    """Settings for drawing pictures: exposure, scale and whether to draw a figure."""
+    """Settings for drawing pictures: exposure, scale, whether to draw a figure, and its dots per inch."""
 
     brightness: Brightness = field(default_factory=Brightness)
     # Pixels that a bin is wide; None: as suits the picture.
     scale: int | None = None
     # Whether a PNG is a labelled figure; a PDF always is.
     figure: bool = False
+    # Dots per inch of a figure in a PNG; None: as figures of papers have.
+    dpi: int | None = None
 
     def is_figure(self, path: Path) -> bool:
         """Return whether a file is written as a labelled figure."""

@@ -76,7 +76,7 @@ def chief(
     return float((y * nearness + (1 - z * nearness) * t)[0]), float((y + (lens.front - z) * t)[0])
 
 
-def _nearness(camera: PlenopticCamera, distance: float | None) -> float:
+def _nearness(camera: PlenopticCamera, distance: float | None = None) -> float:
     """Return the reciprocal of an object plane's distance in 1/mm; None means the plane in focus or, without, 0."""
     distance = camera.focus_distance if distance is None else distance
     return 1 / distance if distance > 0 else 0.0
@@ -256,11 +256,6 @@ def draw_main_lens(path: Path, camera: PlenopticCamera, distance: float | None =
         A camera with a real main lens.
     distance : float, optional
         Distance in millimetres of the objects whose spots are drawn. Default: that in focus.
-
-    Raises
-    ------
-    InputError
-        If its main lens is thin, the file is neither PNG nor PDF by its name, or it cannot be written.
     """
     require_writable(path, ".png", ".pdf")
     if camera.prescription is None:
@@ -278,6 +273,25 @@ def draw_main_lens(path: Path, camera: PlenopticCamera, distance: float | None =
     spots[-1].legend(fontsize=6, loc="upper left", bbox_to_anchor=(1, 1), frameon=False, markerscale=4, handletextpad=0)
     _curves(light, distortion, camera, corner, distance)
     plot.save(path)
+
+
+@styled
+def camera_figure(camera: PlenopticCamera) -> Plot:
+    """Return a figure of a camera whose main lens forms an image, from the side, with rays of a point in focus."""
+    plot = Plot(6.0, 1.8, dpi=100)
+    axes = bare(plot.subplots())
+    corner = math.hypot(camera.detector_width, camera.detector_height) / 2
+    if camera.prescription is not None:
+        _surfaces(axes, camera, corner, camera.prescription.name or "main lens")
+        return plot
+    heights = camera.aperture_radius * np.linspace(-1, 1, 5)
+    start = -1 / max(_nearness(camera), 1 / (1.5 * camera.mla_distance))
+    rays = [heights * (1 + start * _nearness(camera)), heights, 0 * heights]
+    axes.plot([start, 0, camera.mla_distance], rays, color=_RAYS[0], lw=0.7)
+    ends = np.array([camera.aperture_radius, corner])
+    axes.vlines([0, camera.mla_distance], -ends, ends, color=INK, lw=2)
+    scale_bar(axes, float(np.ptp(axes.get_xlim())), below=True)
+    return plot
 
 
 def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -63,7 +63,7 @@ def image_metrics(image: np.ndarray, reference: np.ndarray) -> ImageMetrics:
     Samples that are NaN in either are not compared: the error, the peak and the sums are those of all others, the
     structural similarity that of the windows without such samples, by channel.
     """
-    image, reference = (as_array(*pixels, np.float32) for pixels in (("image", image), ("reference", reference)))
+    image, reference = (as_array(*pixels, dtype=np.float32) for pixels in (("image", image), ("reference", reference)))
     finite = ~(np.isnan(image) | np.isnan(reference))
     if not finite.any():
         return ImageMetrics(psnr=math.nan, ssim=None, energy=math.nan)
@@ -90,7 +90,7 @@ def image_metrics(image: np.ndarray, reference: np.ndarray) -> ImageMetrics:
 
 def relative_error(image: np.ndarray, reference: np.ndarray) -> float:
     """Return the root of the summed squared differences over the root of the reference's squared sum."""
-    image, reference = (as_array(*named, np.float64) for named in (("image", image), ("reference", reference)))
+    image, reference = (as_array(*named) for named in (("image", image), ("reference", reference)))
     return float(np.linalg.norm(image - reference) / np.linalg.norm(reference))
 
 
@@ -109,8 +109,8 @@ def interference(image: np.ndarray, limit: np.ndarray, region: np.ndarray | tupl
     region : array of bool, or pair of slice
         The bins that count, such as those of `lit_region`.
     """
-    limit = as_array("limit", limit)
-    difference = as_array("image", image, np.float64)[region] - limit[region]
+    limit = as_array("limit", limit, dtype=None)
+    difference = as_array("image", image)[region] - limit[region]
     mean = float(np.nanmean(limit[region], dtype=np.float64))
     return float(np.sqrt(np.nanmean(difference**2)) / mean) if mean > 0 else 0.0
 
@@ -184,6 +184,58 @@ def capture_difference(a: Capture, b: Capture, pixels: np.ndarray | None = None)
     # Variances may be wrong by 3 % themselves: their estimates rest on sixteen numbers a pixel.
     alone = excess <= max(3.0 * uncertain, 0.03 * expected)
     return Difference(measured, _root(expected, reference), _root(excess, reference), alone)
+
+
+@dataclass(frozen=True)
+class ContrastChange:
+    """A change of contrast between two images of one plane that is more than noise.
+
+    Attributes
+    ----------
+    ratio : float
+        Contrast of the second image over that of the first.
+    frequency : float
+        Where it is, in cycles a bin.
+    finest : float
+        The highest frequency, in cycles a bin, at which a change of a twentieth would have been seen.
+    """
+
+    ratio: float
+    frequency: float
+    finest: float
+
+
+def contrast_change(first: np.ndarray, second: np.ndarray, truth: np.ndarray) -> ContrastChange:
+    """Return a change of contrast from the first image to the second; its ratio is 1 if none is more than noise.
+
+    The change is that at the lowest frequency where it reaches a fifth, otherwise the largest.
+
+    Both spectra are projected onto that of the truth, whose noise is independent of theirs; so noise adds nothing to
+    the ratio but its scatter, which is that of what the ratio leaves. Changes count from a twentieth, and three
+    standard deviations, on.
+    """
+    seen = ~np.isnan(first + second + truth)
+    edge = np.outer(*(scipy.signal.windows.hann(size, sym=False) for size in truth.shape))
+    a, b, t = (
+        scipy.fft.fft2(np.where(seen, image - np.mean(image[seen]), 0) * edge) for image in (first, second, truth)
+    )
+    radius = np.hypot(*np.meshgrid(*map(scipy.fft.fftfreq, truth.shape), indexing="ij"))
+    found = ContrastChange(1.0, 0.0, 0.0)
+    for low in np.arange(0.02, 0.5, 0.03):
+        ring = (radius >= low) & (radius < low + 0.03)
+        waves, by_rays, by_waves = t[ring], a[ring], b[ring]
+        along = np.vdot(waves, by_rays).real
+        left = by_rays - along / (np.vdot(waves, waves).real or 1) * waves
+        # Where the first image itself is noise, it has no contrast to be changed.
+        if along <= 5 * np.linalg.norm(left * waves):
+            continue
+        ratio = float(np.vdot(waves, by_waves).real / along)
+        scatter = 3 * np.linalg.norm((by_waves - ratio * by_rays) * waves) / along
+        if scatter < 0.05:
+            found = replace(found, finest=low)
+        if abs(ratio - 1) > max(scatter, 0.05, abs(found.ratio - 1)) and abs(found.ratio - 1) < 0.2:
+            found = replace(found, ratio=ratio, frequency=low + 0.015)
+    return found
 
 
 def middle_of_micro_images(camera: PlenopticCamera) -> np.ndarray:

@@ -31,11 +31,6 @@ def draw_microlens(path: Path, camera: PlenopticCamera, wavelength: float | None
         The camera.
     wavelength : float, optional
         Wavelength in nanometres. Default: that of the line d.
-
-    Raises
-    ------
-    InputError
-        If the file is no PNG by its name, or it cannot be written.
     """
     camera.require_array(str(path))
     require_writable(path, ".png")

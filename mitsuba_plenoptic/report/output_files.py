@@ -23,8 +23,6 @@ from .images import Drawing, enlarge, enlargement, write_png
 if TYPE_CHECKING:
     import xarray as xr
 
-_AUTOMATIC = Drawing()
-
 
 def _plots() -> Any:
     """Return the module of figures, whose libraries take a third of a second to load."""
@@ -36,7 +34,7 @@ def require_picture_path(path: str | Path, *, animated: bool = False) -> Path:
     return require_writable(path, *PICTURES, *(ANIMATED if animated else ()))
 
 
-def reconstruction_paths(path: str | Path, distances: Sequence[float], drawing: Drawing = _AUTOMATIC) -> list[Path]:
+def reconstruction_paths(path: str | Path, distances: Sequence[float], drawing: Drawing) -> list[Path]:
     """Return a file path for each distance, after a check that all can be written.
 
     A figure shows all distances in one file, `path`. Otherwise one distance gives `path`, and several give
@@ -54,8 +52,8 @@ def reconstruction_paths(path: str | Path, distances: Sequence[float], drawing: 
 def write_reconstructions(
     paths: Sequence[Path],
     results: Sequence[Reconstruction],
-    source: dict[str, Any] | None = None,
-    drawing: Drawing = _AUTOMATIC,
+    source: dict[str, Any] | None,
+    drawing: Drawing,
 ) -> None:
     """Write each reconstruction into its file, as OpenEXR or as a picture by the suffix.
 
@@ -63,7 +61,7 @@ def write_reconstructions(
     """
     peak = drawing.brightness.peak([result.image for result in results])
     if drawing.is_figure(paths[0]):
-        _plots().contact_sheet(results, peak).save(paths[0])
+        _plots().contact_sheet(results, peak).save(paths[0], drawing.dpi)
         return
     for path, result in zip(paths, results, strict=True):
         if path.suffix.lower() == ".png":
@@ -72,7 +70,7 @@ def write_reconstructions(
             write_reconstruction(path, result, source)
 
 
-def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
+def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing) -> None:
     """Write the views of a light field: as parts named by position on the pupil, or as a mosaic.
 
     The light field's ground truth, if any, is added to each part, in the channels of ground truth files.
@@ -89,7 +87,7 @@ def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATI
     write_drawn(path, "views", lf, parts, picture, white, drawing, lambda: _plots().views_figure(lf, white))
 
 
-def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
+def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing) -> None:
     """Write an epipolar image; a PNG is enlarged."""
     values = np.asarray(image.values)
     white = drawing.brightness.peak([values])
@@ -106,7 +104,7 @@ def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing
     )
 
 
-def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
+def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing) -> None:
     """Write a focal stack: as parts named by distance or disparity, or as a PNG with the images side by side."""
     by = str(stack.dims[0])
     images = {f"{at:.6g} {stack[by].units}": image for at, image in zip(stack[by].values, stack.values, strict=True)}
@@ -120,7 +118,7 @@ def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing = _AUTOM
     write_drawn(path, "focal stack", stack, parts, picture, white, drawing, lambda: _plots().stack_figure(stack, white))
 
 
-def write_focal_sweep(path: Path, stack: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> int:
+def write_focal_sweep(path: Path, stack: xr.DataArray, drawing: Drawing) -> int:
     """Write a focal stack as an animation, there and back; return the number of its frames."""
     by = str(stack.dims[0])
     frames = [(image, f"{at:.4g} {stack[by].units}") for at, image in zip(stack[by].values, stack.values, strict=True)]
@@ -129,7 +127,7 @@ def write_focal_sweep(path: Path, stack: xr.DataArray, drawing: Drawing = _AUTOM
     return len(frames)
 
 
-def write_orbit(path: Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> int:
+def write_orbit(path: Path, lf: xr.DataArray, drawing: Drawing) -> int:
     """Write views on a circle of the pupil as an animation; return the number of its frames."""
     frames = [(np.asarray(lf.values[j, i]), "") for j, i in orbit(lf)]
     write_animation(path, frames, drawing.brightness.peak([image for image, _ in frames]), drawing.scale)
@@ -149,7 +147,7 @@ def orbit(lf: xr.DataArray) -> list[tuple[int, int]]:
     return list(dict.fromkeys(near))
 
 
-def write_depth(path: str | Path, depth: xr.Dataset, drawing: Drawing = _AUTOMATIC) -> None:
+def write_depth(path: str | Path, depth: xr.Dataset, drawing: Drawing) -> None:
     """Write a depth map: depth, disparity, confidence and the all-in-focus image as parts, or as PNG.
 
     The true depth is a part, too, if it is known.
@@ -186,7 +184,7 @@ def write_drawn(
     """Write a data file of parts with coordinates and attributes, a picture, or a figure, chosen by the suffix."""
     path = require_picture_path(path)
     if drawing.is_figure(path):
-        figure().save(path)
+        figure().save(path, drawing.dpi)
         return
     if path.suffix.lower() == ".png":
         write_png(path, _enlarged(picture, drawing), peak=peak)

@@ -100,13 +100,21 @@ class Plot(Figure):
         return explained(bar, label, text)
 
     @styled
-    def save(self, path: str | Path) -> None:
-        """Write the figure as PNG, or as PDF with text as text and lines as lines."""
+    def save(self, path: str | Path, dpi: float | None = None) -> None:
+        """Write the figure as PNG, or as PDF with text as text and lines as lines.
+
+        Parameters
+        ----------
+        path : path
+            File to write.
+        dpi : float, optional
+            Dots per inch of a PNG. Default: those of the figure, 300 for papers.
+        """
         with atomic_output(path, ".png", ".pdf") as temporary:
             # Without the date, the same figure gives the same file.
             dated = {"CreationDate": None} if Path(path).suffix.lower() == ".pdf" else {}
             self._fit()
-            self.savefig(temporary, metadata=dated)
+            self.savefig(temporary, metadata=dated, dpi=dpi or "figure")
 
     def save_both(self, path: Path, pdf: bool = True) -> None:
         """Write the figure as PNG, for a page, and if asked as PDF of the same name and layout, for papers."""
@@ -125,6 +133,9 @@ class Plot(Figure):
         self._fit()
         self.savefig(picture, format="png")
         return picture.getvalue()
+
+    _repr_png_ = png
+    """Notebooks show figures at the end of a cell."""
 
     def _fit(self) -> None:
         """Make the figure as high as its panels with their texts."""
@@ -246,12 +257,13 @@ class Panel:
 
 
 def contact_sheet(results: Sequence[Reconstruction], white: float | None = None) -> Plot:
-    """Return a figure of reconstructions: a row for each method, a column for each distance, on one scale.
+    """Return a figure of reconstructions: a row for each method and capture, a column for each distance, on one scale.
 
     Parameters
     ----------
     results : sequence of Reconstruction
-        In any order. Of several with one method and distance the last is shown; missing images stay empty.
+        In any order. Several with one method, model of light and distance are of several captures, in their order;
+        missing images stay empty.
     white : float, optional
         Radiance shown white. Default: the value that 99.5 % of the bins do not exceed, or less where highlights would
         darken images that are lit all over.
@@ -260,11 +272,6 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
     -------
     Plot
         A Matplotlib figure, whose method `save` writes PNG or PDF.
-
-    Raises
-    ------
-    InputError
-        If there is no reconstruction, or they are by several cameras.
 
     Examples
     --------
@@ -278,20 +285,25 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
         not all(are_alike(result.camera, results[0].camera) for result in results),
         "results: they must be by one camera",
     )
-    by_key = {(result.method, result.distance): result for result in results}
-    methods = list(dict.fromkeys(result.method for result in results))
     distances = sorted({result.distance for result in results})
+    models = {result.facts.get("model") for result in results}
+    by_label: dict[str, dict[float, Reconstruction]] = {}
+    for result in results:
+        model = result.facts.get("model")
+        label = result.method if len(models) == 1 or model is None else f"{result.method} of {model} capture"
+        labels = (label, *(f"{label} {number}" for number in range(2, len(results) + 1)))
+        row = next(row for row in labels if result.distance not in by_label.get(row, {}))
+        by_label.setdefault(row, {})[result.distance] = result
 
-    def panel(method: str, distance: float) -> Panel:
-        result = by_key.get((method, distance))
+    def panel(result: Reconstruction | None, distance: float) -> Panel:
         title = _distance(distance)
         if result is None:
             return Panel(np.zeros((0, 0)), title)
         width = result.image.shape[1] * result.bin_size if np.isfinite(distance) else None
         return Panel(result.image, title, width)
 
-    rows = [[panel(method, distance) for distance in distances] for method in methods]
-    return _sheet(rows, methods if len(methods) > 1 else [], white, _AT_DISTANCE)
+    rows = [[panel(row.get(distance), distance) for distance in distances] for row in by_label.values()]
+    return _sheet(rows, list(by_label) if len(by_label) > 1 else [], white, _AT_DISTANCE)
 
 
 def stack_figure(stack: xr.DataArray, white: float | None = None) -> Plot:
@@ -346,12 +358,12 @@ def views_figure(lf: xr.DataArray, white: float | None = None) -> Plot:
     values = _sampled(lf)
     rows = [
         [
-            Panel(values[j, i], across[i] if j == 0 else "", _in_focus(lf) if i == j == 0 else None)
+            Panel(values[j, i], across[i] if j == 0 else "", _in_focus(lf) if j + 1 == len(values) and i == 0 else None)
             for i in range(lf.sizes["u"])
         ]
         for j in range(lf.sizes["v"])
     ]
-    return _sheet(rows, down, white, f"bar: length {IN_FOCUS}, in all views")
+    return _sheet(rows, down, white, f"{IN_FOCUS}, in all views", below=True)
 
 
 @styled
@@ -433,23 +445,26 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
 
 
 @styled
-def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float | None, bars: str) -> Plot:
-    """Return a figure of panels of equal size and scale, with labels on the left and bars below."""
+def _sheet(
+    rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float | None, bars: str, below: bool = False
+) -> Plot:
+    """Return a figure of panels of equal size and scale, with labels on the left, and scale bars in or below panels."""
     images = [panel.image for row in rows for panel in row if panel.image.size]
     grey = images[0].ndim == 2
     columns = max(len(row) for row in rows)
     norm = _grey(images, white)
     scaled: Any = None
     stated = [] if grey else [f"white: radiance {norm.vmax:.3g}"]
-    stated += [bars] if any(panel.width is not None for row in rows for panel in row) else []
+    has_bars = any(panel.width is not None for row in rows for panel in row)
+    stated += [bars] if has_bars and not below else []
     # Constrained layout takes minutes for the hundreds of views of a light field. All texts are of one size.
     across = _COLUMN if columns < 3 else _PAGE
-    left = 0.24 if labels else 0.0
+    left = 0.24 if labels else _GAP
     right = across - (0.6 if grey else 0.0)
     wide = (right - left - (columns - 1) * _GAP) / columns
     tall = wide * images[0].shape[0] / images[0].shape[1]
     between = _LINE if any(panel.title for row in rows[1:] for panel in row) else _GAP
-    foot = _LINE if stated else _GAP
+    foot = (_LINE if stated else _GAP) + (_LINE if has_bars and below else 0.0)
     height = _LINE + len(rows) * tall + (len(rows) - 1) * between + foot
     plot = Plot(across, height, PRINT_DPI)
     plot.set_layout_engine("none")
@@ -464,7 +479,7 @@ def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float 
                 artist = _draw(axes, panel.image, norm)
                 scaled = scaled or artist
                 if panel.width is not None:
-                    scale_bar(axes, panel.width, size=_TEXT)
+                    scale_bar(axes, panel.width, bars if below else "", below=below, size=_TEXT)
         for axes in panels[down, len(row) :]:
             axes.remove()
     if stated:

@@ -46,12 +46,12 @@ class Row(NamedTuple):
     group: str
     quantity: str
     value: str
-    unit: str
-    note: str
+    unit: str = ""
+    note: str = ""
 
 
-# A row without its group: quantity, value, unit and note.
-_Line = tuple[str, str, str, str]
+# A row without its group: quantity, value as text or a number for four digits, unit and note, which may be left out.
+_Line = tuple[Any, ...]
 
 
 def sheet_tables(camera: PlenopticCamera, wavelength: float | None = None) -> Markup:
@@ -93,21 +93,25 @@ def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> li
             }
         if camera.has_array and wavelength is not None:
             groups[f"Diffraction at {wavelength:g} nm"] = _diffraction(camera, wavelength)
-    return [Row(group, *line) for group, lines in groups.items() for line in lines]
+    return [
+        Row(group, name, value if isinstance(value, str) else _four(value), *others)
+        for group, lines in groups.items()
+        for name, value, *others in lines
+    ]
 
 
 def _main_lens(camera: PlenopticCamera) -> list[_Line]:
     behind = "microlenses" if camera.has_array else "detector"
     rows = [
-        ("focal length", _four(camera.focal_length), "mm", ""),
-        ("diameter", _four(camera.aperture_diameter), "mm", f"f/{camera.f_number:.3g}"),
-        (f"distance to {behind}", _four(camera.mla_distance), "mm", ""),
+        ("focal length", camera.focal_length, "mm"),
+        ("diameter", camera.aperture_diameter, "mm", f"f/{camera.f_number:.3g}"),
+        (f"distance to {behind}", camera.mla_distance, "mm"),
         ("focused distance", *_distance(camera.focus_distance), f"on the {behind}"),
         ("field of view", f"{design.field_of_view(camera):.3g}", "deg", "horizontal, full angle"),
     ]
     if 0 < camera.focus_distance < math.inf:
         width = design.field_width(camera, camera.focus_distance)
-        rows.append(("field width", _four(width), "mm", "in the focused plane"))
+        rows.append(("field width", width, "mm", "in the focused plane"))
     if not camera.lens_data.is_thin:
         note = "below, resolution and refocusing are those of a thin lens of this focal length"
         rows.append(("kind", "real", "", note if camera.has_array else ""))
@@ -117,7 +121,7 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
     if camera.aperture != Round():
         rows.append(("open part of the aperture", f"{camera.aperture.share:.3g}", "", "of its circle"))
     if camera.lens_data.is_thin:
-        rows.append(("lens model", camera.lens_model, "", ""))
+        rows.append(("lens model", camera.lens_model))
     if any(camera.distortion):
         rows.append(("distortion", ", ".join(map(_four, camera.distortion)), "", "k1, k2, k3, p1, p2; by rays only"))
     return rows + _aberrations(camera)
@@ -127,9 +131,9 @@ def _aberrations(camera: PlenopticCamera) -> list[_Line]:
     rows = []
     if any(camera.wavefront):
         strength = math.sqrt(sum(coefficient**2 for coefficient in camera.wavefront[3:]))
-        rows.append(("aberrations", _four(strength), "waves", "root mean square at 633 nm, without tilt"))
+        rows.append(("aberrations", strength, "waves", "root mean square at 633 nm, without tilt"))
     if (screen := camera.phase_screen) is not None:
-        rows.append(("phase screen", _four(float(screen.waves.std())), "waves", "root mean square of its samples"))
+        rows.append(("phase screen", float(screen.waves.std()), "waves", "root mean square of its samples"))
     return rows
 
 
@@ -179,7 +183,7 @@ def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
         ("rear principal plane", f"{scale * cardinal.rear_principal:.6g}", "mm", "behind the last vertex"),
         ("entrance pupil", f"{scale * cardinal.entrance_pupil:.6g}", "mm", "behind the first vertex"),
         ("exit pupil", f"{scale * cardinal.exit_pupil:.6g}", "mm", "behind the last vertex"),
-        ("radius of the exit pupil", f"{camera.pupil_radius:.6g}", "mm", ""),
+        ("radius of the exit pupil", f"{camera.pupil_radius:.6g}", "mm"),
     ]
 
 
@@ -210,7 +214,7 @@ def _microlenses(camera: PlenopticCamera) -> list[_Line]:
         bins = f"in rows; a reconstruction has {camera.bin_count[0]} x {camera.bin_count[1]} bins"
     return [
         *_lattice(camera, bins),
-        ("f-number z/width", f"{micro:.3g}", "", ""),
+        ("f-number z/width", f"{micro:.3g}"),
         ("main lens's b/D1", f"{main:.3g}", "", match),
     ]
 
@@ -235,9 +239,9 @@ def _lattice(camera: PlenopticCamera, bins: str = "") -> list[_Line]:
     return [
         ("focal length", ", ".join(map(_four, camera.mla_focal_lengths)), "mm", form),
         ("pitch", " x ".join(map(_four, dict.fromkeys(camera.mla_pitches))), "mm", ", ".join(lattice)),
-        ("lens width", _four(camera.lattice.aperture_width), "mm", f"{shape}, {area:.0%} of the area"),
+        ("lens width", camera.lattice.aperture_width, "mm", f"{shape}, {area:.0%} of the area"),
         ("lenses", f"{columns} x {rows}", "", bins),
-        ("distance to detector", _four(camera.detector_distance), "mm", ""),
+        ("distance to detector", camera.detector_distance, "mm"),
         *medium,
     ]
 
@@ -246,12 +250,12 @@ def _detector(camera: PlenopticCamera) -> list[_Line]:
     columns, rows = camera.resolution
     size = f"{_four(camera.detector_width)} x {_four(camera.detector_height)}"
     sheet = [
-        ("size", size, "mm", ""),
-        ("pixels", f"{columns} x {rows}", "", ""),
-        ("pixel size", _four(1e3 * camera.pixel_size), "um", ""),
+        ("size", size, "mm"),
+        ("pixels", f"{columns} x {rows}"),
+        ("pixel size", 1e3 * camera.pixel_size, "um"),
     ]
     if camera.has_array:
-        sheet.append(("pixels per lens", _four(camera.pixels_per_lens), "", "across its pitch"))
+        sheet.append(("pixels per lens", camera.pixels_per_lens, "", "across its pitch"))
     if camera.is_cropped:
         window = camera.crop_size
         offset = camera.crop_offset
@@ -265,9 +269,9 @@ def _micro_images(camera: PlenopticCamera) -> list[_Line]:
     diameter = camera.micro_image_diameter
     pitch = camera.micro_image_pitch
     return [
-        ("diameter", _four(diameter / pixel), "pixels", f"{_four(1e3 * diameter)} um, D1 z/b"),
-        ("pitch", _four(pitch / pixel), "pixels", f"{_four(1e3 * pitch)} um, D2 (b + z)/b"),
-        ("diameter over pitch", f"{diameter / pitch:.3g}", "", ""),
+        ("diameter", diameter / pixel, "pixels", f"{_four(1e3 * diameter)} um, D1 z/b"),
+        ("pitch", pitch / pixel, "pixels", f"{_four(1e3 * pitch)} um, D2 (b + z)/b"),
+        ("diameter over pitch", f"{diameter / pitch:.3g}"),
         ("mean of a white capture", f"{design.white_mean(camera):.3g}", "", "per unit radiance"),
     ]
 
@@ -275,7 +279,7 @@ def _micro_images(camera: PlenopticCamera) -> list[_Line]:
 def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]:
     names = {"keplerian": "focused, Keplerian", "galilean": "focused, Galilean"}
     kinds = [names.get(kind, kind) for kind in dict.fromkeys(design.focus_types(camera))]
-    rows = [("kind of camera", "; ".join(kinds), "", _seen(camera))]
+    rows: list[_Line] = [("kind of camera", "; ".join(kinds), "", _seen(camera))]
     limits_of_all = design.depth_ranges(camera, wavelength)
     lenses = zip(camera.mla_focal_lengths, design.best_distances(camera), limits_of_all, strict=True)
     for f2, best, limits in lenses:
@@ -287,7 +291,7 @@ def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[_Line
         rows.append(("depth range", *_range(limits), note))
     if len(camera.mla_focal_lengths) > 1:
         together = [_range(limits)[0] for limits in _union(limits_of_all)]
-        rows.append(("depth range, together", ", ".join(together) or "none", "mm" if together else "", ""))
+        rows.append(("depth range, together", ", ".join(together) or "none", "mm" if together else ""))
     return rows
 
 
@@ -314,7 +318,7 @@ def _effective(camera: PlenopticCamera, distance: float, wavelength: float | Non
     finest = design.effective_resolution(camera, distance, wavelength)
     rows = [
         ("effective resolution", f"{finest.columns:.0f} x {finest.rows:.0f}", "", "details across and down"),
-        ("finest detail", _four(finest.line_width), "mm", f"{finest.ratio:.3g} per pixel of the detector"),
+        ("finest detail", finest.line_width, "mm", f"{finest.ratio:.3g} per pixel of the detector"),
         (
             "samples per lens",
             f"{finest.samples_per_lens:.3g}",
@@ -334,17 +338,17 @@ def _effective(camera: PlenopticCamera, distance: float, wavelength: float | Non
 def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]:
     near, far = design.refocus_range(camera, wavelength)
     limit = "in a micro-image, by its pixels" if wavelength is None else "in a micro-image, with diffraction"
-    rows = [
+    rows: list[_Line] = [
         ("directions resolved", f"{design.direction_count(camera, wavelength):.3g}", "", limit),
         ("nearest distance", *_distance(near), "with one sample per lens"),
-        ("farthest distance", *_distance(far), ""),
+        ("farthest distance", *_distance(far)),
     ]
     for distance in dict.fromkeys((near, *design.best_distances(camera), far)):
         if camera.focal_length < distance < math.inf:
             at = f"at {_four(distance)} mm"
             rows += [
-                ("bin size", _four(camera.bin_size(distance)), "mm", at),
-                ("blur diameter", _four(camera.blur_diameter(distance)), "mm", f"{at}, on the MLA"),
+                ("bin size", camera.bin_size(distance), "mm", at),
+                ("blur diameter", camera.blur_diameter(distance), "mm", f"{at}, on the MLA"),
             ]
     return rows
 
@@ -355,8 +359,8 @@ def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
     if camera.pixel_size > spot / 2:
         pixels += ", so that pixels average over it"
     rows = [
-        ("spot of a microlens", _four(1e3 * spot), "um", pixels),
-        ("directions by the spot", _four(camera.micro_image_diameter / spot), "", "across a micro-image"),
+        ("spot of a microlens", 1e3 * spot, "um", pixels),
+        ("directions by the spot", camera.micro_image_diameter / spot, "", "across a micro-image"),
         ("Fresnel number, microlens", f"{design.mla_fresnel_number(camera, wavelength):.3g}", "", "from the detector"),
         ("Fresnel number, main lens", f"{design.main_fresnel_number(camera, wavelength):.3g}", "", "from the MLA"),
     ]
@@ -368,7 +372,7 @@ def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
             if limit.in_focus:
                 note = "in focus: the lens pitch decides, deconvolution does not help"
             note = f"at {_four(distance)} mm; {note}"
-            rows.append(("resolution, deconvolved", _four(limit.frequency), "lp/mm", note))
+            rows.append(("resolution, deconvolved", limit.frequency, "lp/mm", note))
     return rows
 
 
@@ -409,17 +413,17 @@ def _telescope(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]
     to_sky = math.degrees(image / camera.aperture_diameter / camera.reduced_distance) * 3600
     rows = [
         ("kind of camera", "Shack-Hartmann sensor", "", "array in the image of the pupil"),
-        ("focal length", _four(camera.focal_length), "mm", ""),
-        ("diameter", _four(camera.aperture_diameter), "mm", f"f/{camera.f_number:.3g}"),
-        ("image of the pupil", _four(image), "mm", ""),
-        ("lenses across it", _four(image / camera.row_pitch), "", ""),
-        ("field of a lens", _four(camera.row_pitch * to_sky), "arcsec", "within which a star moves in its cell"),
-        ("pixel on the sky", _four(camera.pixel_size * to_sky), "arcsec", ""),
+        ("focal length", camera.focal_length, "mm"),
+        ("diameter", camera.aperture_diameter, "mm", f"f/{camera.f_number:.3g}"),
+        ("image of the pupil", image, "mm"),
+        ("lenses across it", image / camera.row_pitch),
+        ("field of a lens", camera.row_pitch * to_sky, "arcsec", "within which a star moves in its cell"),
+        ("pixel on the sky", camera.pixel_size * to_sky, "arcsec"),
     ]
     if wavelength is not None:
         spot = 1e-6 * wavelength * camera.reduced_distance / camera.lattice.aperture_width
         note = f"{_four(spot / camera.pixel_size)} pixels, centre to first zero, at {wavelength:g} nm"
-        rows.append(("spot of a microlens", _four(1e3 * spot), "um", note))
+        rows.append(("spot of a microlens", 1e3 * spot, "um", note))
     return rows + _aberrations(camera)
 
 
@@ -430,9 +434,9 @@ def _objective(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
         ("magnification", f"{lens.magnification:g}", "", f"{_four(lens.image_aperture)} NA in the native image"),
         ("numerical aperture", f"{lens.numerical_aperture:g}", "", f"up to {math.degrees(lens.half_angle):.3g} deg"),
         ("immersion", f"{lens.immersion:g}", "", "refractive index"),
-        ("focal length", _four(lens.focal_length), "mm", f"tube lens of {_four(lens.tube_focal_length)} mm"),
-        ("stop", _four(2 * lens.stop_radius), "mm", "diameter, in the back focal plane"),
-        ("object seen", _four(1e3 * design.native_field(camera)), "um", "width"),
+        ("focal length", lens.focal_length, "mm", f"tube lens of {_four(lens.tube_focal_length)} mm"),
+        ("stop", 2 * lens.stop_radius, "mm", "diameter, in the back focal plane"),
+        ("object seen", 1e3 * design.native_field(camera), "um", "width"),
         ("depth of field", depths, "um", "by rays, of microlenses or by refocusing"),
     ]
 
@@ -441,12 +445,15 @@ def _image(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
     micro = camera.reduced_distance / camera.lattice.aperture_width
     main = 1 / (2 * lens.image_aperture)
     pixel = camera.pixel_size
+    # Levoy et al. 2006, section 3: as many planes as directions under a lens.
+    step = 2 * camera.row_pitch / lens.blur_diameter(1)
     return [
         ("kind of camera", "light-field microscope", "", "array in the native image plane"),
-        ("lens pitch in the object", _four(1e3 * camera.row_pitch / lens.magnification), "um", ""),
-        ("f-number z/width", f"{micro:.3g}", "", ""),
+        ("lens pitch in the object", 1e3 * camera.row_pitch / lens.magnification, "um"),
+        ("axial step", 1e3 * step, "um", "of depth, by which the blur grows by a lens at either side"),
+        ("f-number z/width", f"{micro:.3g}"),
         ("objective's M/2NA", f"{main:.3g}", "", "micro-images touch where the two match"),
-        ("micro-image", _four(camera.micro_image_diameter / pixel), "pixels", f"of {_four(camera.row_pitch / pixel)}"),
+        ("micro-image", camera.micro_image_diameter / pixel, "pixels", f"of {_four(camera.row_pitch / pixel)}"),
         ("mean of a white capture", f"{design.white_mean(camera):.3g}", "", "per unit radiance"),
     ]
 
@@ -460,29 +467,29 @@ def _fourier(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
             "",
             f"lens of {_four(lens.last_focal_length)} mm before the array",
         ),
-        ("image of the stop", _four(lens.blur_diameter(0)), "mm", ""),
-        ("lenses across it", f"{design.lenses_across_stop(camera):.3g}", "", ""),
-        ("numerical aperture of a lens", _four(design.lens_aperture(camera)), "", ""),
-        ("pixel in the object", _four(1e3 * camera.bin_size(0)), "um", ""),
+        ("image of the stop", lens.blur_diameter(0), "mm"),
+        ("lenses across it", f"{design.lenses_across_stop(camera):.3g}"),
+        ("numerical aperture of a lens", design.lens_aperture(camera)),
+        ("pixel in the object", 1e3 * camera.bin_size(0), "um"),
     ]
     if outer > 0:
         note = f"per um of depth, of a lens {_four(outer)} mm from the axis"
-        rows.append(("parallax", _four(abs(design.parallax(camera, outer))), "um", note))
+        rows.append(("parallax", abs(design.parallax(camera, outer)), "um", note))
     return rows
 
 
 def _microscope_diffraction(camera: PlenopticCamera, lens: Objective, wavelength: float) -> list[_Line]:
     width = camera.lattice.aperture_width
     spot = design.spot_radius(camera, wavelength)
-    rows = [
-        ("objective's limit", _four(design.objective_limit(camera, wavelength)), "lp/mm", "2 NA over the wavelength"),
-        ("spot of a microlens", _four(1e3 * spot), "um", f"{_four(spot / camera.pixel_size)} pixels"),
+    rows: list[_Line] = [
+        ("objective's limit", 2e6 * lens.numerical_aperture / wavelength, "lp/mm", "2 NA over the wavelength"),
+        ("spot of a microlens", 1e3 * spot, "um", f"{_four(spot / camera.pixel_size)} pixels"),
     ]
     if lens.images_stop:
         aperture = design.lens_aperture(camera)
         depth = lens.immersion * wavelength * 1e-3 / aperture**2
-        rows.append(("limit of a lens", _four(2e6 * aperture / wavelength), "lp/mm", ""))
-        rows.append(("depth of field", _four(depth), "um", "of a lens, n times the wavelength over its NA squared"))
+        rows.append(("limit of a lens", 2e6 * aperture / wavelength, "lp/mm"))
+        rows.append(("depth of field", depth, "um", "of a lens, n times the wavelength over its NA squared"))
         shallow = 1e-3 * depth
         sample = "pixel"
     else:
@@ -491,5 +498,5 @@ def _microscope_diffraction(camera: PlenopticCamera, lens: Objective, wavelength
     for depth in (shallow, 2 * shallow, 4 * shallow):
         limit = design.resolution_limit(camera, 1.001 * depth, wavelength)
         note = f"at depths of {_four(1e3 * depth)} um; {limit.frequency / limit.lenses:.2g} times one sample a {sample}"
-        rows.append(("resolution, deconvolved", _four(limit.frequency), "lp/mm", note))
+        rows.append(("resolution, deconvolved", limit.frequency, "lp/mm", note))
     return rows

@@ -50,7 +50,10 @@ from .batches import Snapshot as Snapshot
 from .batches import SumTask as SumTask
 from .batches import Threads as Threads
 from .batches import add as add
+from .batches import cost_of as cost_of
+from .batches import count_lanes as count_lanes
 from .batches import counted as counted
+from .batches import lanes_reported as lanes_reported
 from .batches import on_all_cores as on_all_cores
 from .batches import prepared as prepared
 from .files import Sink as Sink
@@ -96,8 +99,10 @@ from .polynomials import monomials as monomials
 from .progress import INTERRUPTED as INTERRUPTED
 from .progress import Forecast as Forecast
 from .progress import ProgressBar as ProgressBar
+from .progress import begin_step as begin_step
 from .progress import in_words as in_words
 from .progress import is_quiet as is_quiet
 from .progress import moving_bar as moving_bar
 from .progress import plain_lines as plain_lines
 from .progress import progress_bar as progress_bar
+from .progress import steps_counted as steps_counted

@@ -189,16 +189,11 @@ class Backend:
     def release(self) -> None:
         """Give the memory that is not in use back to the device: neither library takes it from the other's cache."""
         if self.is_cuda:
-            self.synchronize()
+            dr.sync_thread()
+            self.arrays.cuda.Device().synchronize()
             dr.flush_malloc_cache()
             self.arrays.get_default_memory_pool().free_all_blocks()
             self.arrays.get_default_pinned_memory_pool().free_all_blocks()
-
-    def synchronize(self) -> None:
-        """Wait until all requested computations are finished."""
-        dr.sync_thread()
-        if self.is_cuda:
-            self.arrays.cuda.Device().synchronize()
 
 
 def active_backend() -> Backend:
@@ -382,9 +377,9 @@ BRIGHTEST = 1e30
 def as_array(
     name: str,
     values: Any,
-    dtype: DTypeLike | None = None,
     dims: Names = IMAGE,
     *,
+    dtype: DTypeLike | None = np.float64,
     rule: str = "",
     units: Names | None = None,
 ) -> np.ndarray:
@@ -401,7 +396,7 @@ def as_array(
         # NumPy would drop masks, units and names of arrays in a list.
         arrays = (hasattr(item, "__array__") and not isinstance(item, np.generic) for item in values)
         values = [
-            as_array(name, item, None, dims[1:], rule=rule, units=units) if is_array else item
+            as_array(name, item, dims[1:], dtype=None, rule=rule, units=units) if is_array else item
             for item, is_array in zip(values, arrays, strict=True)
         ]
     named = getattr(values, "dims", None)
@@ -442,7 +437,7 @@ def require_units(name: str, data: Any, expected: Mapping[str, Names]) -> None:
 
 def as_pixels(name: str, values: ArrayLike, dtype: DTypeLike | None = None) -> np.ndarray:
     """Return a new array of the pixels of an image, which are finite and not too large."""
-    image = as_array(name, values)
+    image = as_array(name, values, dtype=None)
     require_pixels(name, image)
     return image.astype(dtype or image.dtype, copy=False)
 

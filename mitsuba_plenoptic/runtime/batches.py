@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ctypes
 import gc
 import logging
 import multiprocessing
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
@@ -22,14 +24,15 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType, TracebackType
 from typing import Any, Protocol, TypeVar
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, refuse_if, refusing, require_count, require_module
+from ..errors import InputError, argument, refuse_if, refusing, require_count, require_module
 from .backend import Floats, Integers, active_backend, on_cuda, set_variant
 from .fft import resting_drjit, stop_threads, worker_count
-from .limits import single_threaded_blas, software
+from .limits import memory_asked, single_threaded_blas, software
 
 
 @dataclass(frozen=True)
@@ -517,9 +520,86 @@ def _line(error: BaseException) -> str:
 
 @dataclass(frozen=True)
 class Cost:
-    """Estimated time in seconds and memory in bytes of a capture."""
+    """Estimated time in seconds on this machine, and memory in bytes, of a computation."""
 
-    points: int  # number of points whose light reaches the recorded window; 0 if not determined
-    patterns: int  # number of point spreads that are computed for them
-    seconds: float  # time, extrapolated from a few point spreads on this machine
-    memory: float  # largest memory in bytes
+    seconds: float
+    memory: float  # largest memory asked for
+
+
+class _KnownError(Exception):
+    """Ends work whose time is known by now."""
+
+
+def cost_of(work: Callable[..., Any], *values: Any, **options: Any) -> Cost:
+    """Return the estimated cost of a function called with values and options, and with `progress`.
+
+    The work is begun, and abandoned as soon as its forecast stands, or done if it ends before.
+    """
+    # Not needed by captures.
+    from .progress import Forecast
+
+    for name in ("progress", "checkpoint"):
+        if options.get(name) is not None:
+            raise InputError(f"{argument(name)}: an estimate does not take it; leave it out")
+
+    def leave(seconds: float) -> None:
+        raise _KnownError(seconds)
+
+    start = time.monotonic()
+    with memory_asked() as sizes:
+        try:
+            work(*values, **options | {"progress": Forecast(leave)})
+            seconds = time.monotonic() - start
+        except _KnownError as known:
+            (seconds,) = known.args
+    return Cost(seconds, max(sizes))
+
+
+_LOOK = 0.25
+"""Seconds between two reports of a kernel."""
+
+_lane_count: ContextVar[Any] = ContextVar("count", default=None)
+
+
+def count_lanes(lanes: int) -> None:
+    """Let the kernel that is being recorded count its lanes, if anyone asks for them: see `lanes_reported`."""
+    if (count := _lane_count.get()) is not None:
+        # Without a copy of the count for each thread, which Dr.Jit would add up at the end.
+        dr.scatter_add(count, mi.UInt32(1), dr.zeros(mi.UInt32, lanes), mode=dr.ReduceMode.Local)
+
+
+@contextlib.contextmanager
+def lanes_reported(report: Callable[[float], None] | None, lanes: int) -> Iterator[None]:
+    """Report the fraction of lanes that kernels within the context have counted, from a thread while they run.
+
+    What the report raises is raised at the end of the context. On CUDA nothing is reported.
+    """
+    if report is None or on_cuda():
+        yield
+        return
+    count = dr.zeros(mi.UInt32, 1)
+    dr.make_opaque(count)
+    dr.sync_thread()
+    counted = ctypes.c_uint32.from_address(count.numpy().ctypes.data)
+    ended = threading.Event()
+    errors: list[BaseException] = []
+
+    def watch() -> None:
+        try:
+            while not ended.wait(_LOOK):
+                if counted.value:
+                    report(min(counted.value / lanes, 1.0))
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=watch, daemon=True)
+    before = _lane_count.set(count)
+    thread.start()
+    try:
+        yield
+    finally:
+        _lane_count.reset(before)
+        ended.set()
+        thread.join()
+    if errors:
+        raise errors[0]

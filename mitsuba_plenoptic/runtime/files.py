@@ -264,15 +264,14 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-# The scalars of the core schema of YAML 1.2 (section 10.3.2), without octal and hexadecimal numbers, and infinity as
-# Python and JSON write it.
+# The scalars of the core schema of YAML 1.2 (section 10.3.2), without octal and hexadecimal numbers.
 _Loader.yaml_implicit_resolvers = {}
 for _kind, _pattern, _first in (
     ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
     ("bool", r"true|True|TRUE|false|False|FALSE", list("tTfF")),
     ("int", r"[-+]?[0-9]+", list("-+0123456789")),
     ("float", r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?", list("-+.0123456789")),
-    ("float", r"[-+]?(\.?(inf|Inf|INF)|Infinity)|\.(nan|NaN|NAN)", list("-+.iI")),
+    ("float", r"[-+]?\.?(inf|Inf|INF)|\.(nan|NaN|NAN)", list("-+.iI")),
 ):
     _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_kind}", re.compile(rf"^(?:{_pattern})$"), _first)
 _Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(loader.construct_scalar(node)))

@@ -17,7 +17,7 @@ if sys.platform != "win32":
 
 
 @contextlib.contextmanager
-def locked(path: Path, refusal: str | None = None) -> Iterator[None]:
+def locked(path: Path, refusal: str | None) -> Iterator[None]:
     """Hold the lock file `path`; if another process holds it, refuse with a message, or wait without one.
 
     The system releases the lock when this process ends, however it ends. Windows and some network drives have no such

@@ -34,11 +34,6 @@ class PlainData:
         ----------
         value : dict
             The fields by name; those with a default may be missing.
-
-        Raises
-        ------
-        InputError
-            If an entry is unknown, missing or out of range.
         """
         refuse_if(not isinstance(value, dict), f"{cls.where}{short_repr(value)}: it must be a dictionary")
         entries = {field.name: field for field in fields(cls)}  # type: ignore[arg-type]

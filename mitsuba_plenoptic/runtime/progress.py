@@ -9,24 +9,56 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, TextIO
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-FIRST_LINE = 5.0
+FIRST_LINE = 4.5
 INTERVAL = 10.0
 LONGEST_INTERVAL = 60.0
-"""Seconds to the first plain line, and between two of them at least and at most."""
+_LOOK = 0.25
+"""Seconds to the first plain line, between two of them at least and at most, and between looks whether one is due."""
 
 INTERRUPTED = threading.Event()
 """Set by commands on Ctrl-C: where C++ libraries try to convert an object of Python they drop the KeyboardInterrupt."""
 
 SETTLED = 5.0
-FORESEEN = 0.05
 MINUTE = 60.0
-"""Seconds of work after which its speed is known, the fraction of it from which lines tell how long the rest takes, and
-seconds in a minute."""
+"""Seconds of work after which its speed is known, and seconds in a minute."""
+
+_REPORTS = 256
+"""Reports from which the speed of work is taken, at most."""
+
+_step = ""
+_steps: ContextVar[Callable[[str], None] | None] = ContextVar("steps", default=None)
+
+
+def begin_step(name: str) -> None:
+    """Tell the display of progress, by its name, that a step of preparation begins."""
+    if begin := _steps.get():
+        begin(name)
+
+
+@contextlib.contextmanager
+def steps_counted(progress: Callable[[float], None], steps: int) -> Iterator[None]:
+    """Report the fraction of the expected steps of preparation that are done; lines show their names meanwhile."""
+    count = 0
+
+    def begin(name: str) -> None:
+        global _step
+        nonlocal count
+        _step = name
+        progress(count / max(steps, count))
+        count += 1
+
+    before = _steps.set(begin)
+    try:
+        yield
+    finally:
+        _steps.reset(before)
+        begin("")
 
 
 def in_words(seconds: float) -> str:
@@ -49,60 +81,74 @@ class ProgressBar:
         """Begin work that is shown by a label, such as a stage."""
         self.label = label
         self.fraction = 0.0
-        self.begun: float | None = None  # the first fraction: what was done by an earlier run
         self.start = time.monotonic()
+        self.skip()
+
+    def skip(self) -> None:
+        """Take what is done as the work of an earlier run, which tells nothing of the speed."""
+        self._reports: list[tuple[float, float]] = []
 
     def __call__(self, done: int, total: int) -> None:
         """Show the fraction of the total that is done; end the work if Ctrl-C was pressed."""
         if INTERRUPTED.is_set():
             raise KeyboardInterrupt
         self.fraction = done / max(total, 1)
-        self.begun = self.fraction if self.begun is None else self.begun
+        if not self._reports or self.fraction > self._reports[-1][1]:
+            if len(self._reports) == _REPORTS:
+                del self._reports[1::2]
+            self._reports.append((time.monotonic(), self.fraction))
         if self._show:
             self._show(done, total)
 
+    def left(self) -> float | None:
+        """Return the seconds that the remaining work takes at the speed of the latter half; None if not known."""
+        if len(self._reports) < 2:
+            return None
+        # Before, plans are made, kernels compiled and memory mapped.
+        middle = (self.start + self._reports[-1][0]) / 2
+        later = next((report for report in self._reports[:-1] if report[0] >= middle), self._reports[-2])
+        return (time.monotonic() - later[0]) * (1 - self.fraction) / (self.fraction - later[1])
+
+    def line(self) -> str:
+        """Return the label, the percentage and the times as text."""
+        done = f"{100 * self.fraction:.{0 if self.fraction >= 0.01 else 1}f} %, " if self.fraction else ""
+        elapsed = time.monotonic() - self.start
+        left = self.left() or 0.0
+        remaining = f", about {in_words(left)} left" if left >= 1 else ""
+        hint = self.hint_after(elapsed)
+        names = f"{self.label}: {f'{_step}, ' if _step else ''}{done}{elapsed:.0f} s{remaining}"
+        return f"{names}{'; ' * bool(hint)}{hint}"
+
     def hint_after(self, seconds: float) -> str:
         """Return what makes the work shorter, once, with the first fraction; nothing for a minute's work."""
-        advised = self.fraction > 0 and seconds > MINUTE * (self.fraction - (self.begun or 0.0))
+        begun = self._reports[0][1] if len(self._reports) > 1 else 0.0
+        advised = self.fraction > 0 and seconds > MINUTE * (self.fraction - begun)
         hint, self._hint = (self._hint, "") if advised else ("", self._hint)
         return hint
 
 
-class Forecast:
+class Forecast(ProgressBar):
     """Passes progress on, and reports once, when it can be estimated, how many seconds the whole work takes.
 
     The fraction `least` of the work must be done.
     """
 
     def __init__(
-        self,
-        tell: Callable[[float], None],
-        progress: Callable[[int, int], None] | None = None,
-        least: float = 0.0,
+        self, tell: Callable[[float], None], progress: Callable[[int, int], None] | None = None, least: float = 0.0
     ) -> None:
-        self._progress = progress
+        super().__init__("", progress)
         self._least = least
-        self._tell = tell
-        self._start = time.monotonic()
-        self._first: tuple[float, float] | None = None
-        self._known = False
+        self._tell: Callable[[float], None] | None = tell
 
     def __call__(self, done: int, total: int) -> None:
         """Pass on the finished fraction of the total; see `ProgressBar`."""
-        if self._progress:
-            self._progress(done, total)
+        super().__call__(done, total)
         now = time.monotonic()
-        fraction = done / max(total, 1)
-        if self._known or fraction == 0:
-            return
-        if self._first is None:
-            # Before, plans are made and kernels compiled.
-            self._first = now, fraction
-        elapsed = now - self._first[0]
-        done_since = fraction - self._first[1]
-        if elapsed >= SETTLED and fraction >= self._least and done_since > 0:
-            self._known = True
-            self._tell(now - self._start + (1 - fraction) * elapsed / done_since)
+        left = self.left()
+        begun = next((moment for moment, fraction in self._reports if fraction), now)
+        if self._tell and left is not None and now - begun >= SETTLED and self.fraction >= self._least:
+            tell, self._tell = self._tell, None
+            tell(now - self.start + left)
 
 
 @contextlib.contextmanager
@@ -176,10 +222,11 @@ _under_way: list[ProgressBar] = []
 
 
 @contextlib.contextmanager
-def plain_lines(label: str, hint: str = "") -> Iterator[ProgressBar]:
+def plain_lines(label: str = "", hint: str = "") -> Iterator[ProgressBar]:
     """Print progress and elapsed time at intervals on standard error, unless a bar can move there.
 
-    Of nested contexts the outer one prints, with the progress that the inner one reports.
+    Of nested contexts the outer one prints, with the progress that the inner one reports. Without a label nothing is
+    printed before an inner context or stage begins.
     """
     line = ProgressBar(label, hint=hint)
     _under_way.append(line)
@@ -195,19 +242,18 @@ def plain_lines(label: str, hint: str = "") -> Iterator[ProgressBar]:
 
 
 def _print_lines(ended: threading.Event, output: TextIO) -> None:
-    wait = FIRST_LINE
-    while not ended.wait(wait) and _under_way:
+    start = time.monotonic()
+    wait = due = FIRST_LINE
+    while not ended.wait(due if due < _LOOK else _LOOK) and _under_way:
         line = _under_way[-1]
-        elapsed = time.monotonic() - line.start
-        done = f"{100 * line.fraction:.0f} %, " if line.fraction else ""
-        done_here = line.fraction - (line.begun or 0.0)
-        left = elapsed * (1 - line.fraction) / max(done_here, FORESEEN)
-        remaining = f", about {in_words(left)} left" if done_here >= FORESEEN and left >= 1 else ""
-        hint = line.hint_after(elapsed)
+        now = time.monotonic()
+        # A command that has not begun its work yet, or has just begun, says nothing.
+        if now - start < due or not (line.label and (line.fraction or now - line.start >= FIRST_LINE)):
+            continue
         try:
             if not is_quiet():
-                text = f"mitsuba-plenoptic: {line.label}: {done}{elapsed:.0f} s{remaining}{'; ' * bool(hint)}{hint}\n"
-                print(text, end="", file=output, flush=True)
+                print(f"mitsuba-plenoptic: {line.line()}\n", end="", file=output, flush=True)
         except (OSError, ValueError):
             return  # Nobody reads it any more.
         wait = min(max(INTERVAL, wait * 1.1), LONGEST_INTERVAL)
+        due = now - start + wait

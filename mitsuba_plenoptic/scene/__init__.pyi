@@ -12,10 +12,9 @@ from .capture import refuse_by_rays as refuse_by_rays
 from .capture import render_capture as render_capture
 from .capture import require_active as require_active
 from .capture import require_wave_film as require_wave_film
-from .capture_cost import seconds_by_rays as seconds_by_rays
-from .capture_cost import seconds_by_waves as seconds_by_waves
 from .load import LARGEST_SCENE as LARGEST_SCENE
 from .load import UNITS as UNITS
+from .load import as_scene as as_scene
 from .load import check_scene_file as check_scene_file
 from .load import load_scene as load_scene
 from .load import loading as loading
@@ -28,8 +27,9 @@ from .radiance import LightDerivatives as LightDerivatives
 from .radiance import ReplayedLight as ReplayedLight
 from .radiance import SceneLight as SceneLight
 from .radiance import random_numbers as random_numbers
+from .radiance import refuse_light_tracing as refuse_light_tracing
 from .radiance import refuse_negative as refuse_negative
 from .radiance import require_finite as require_finite
-from .radiance import require_medium_seen as require_medium_seen
+from .radiance import require_seen as require_seen
 from .radiance import warn_of_metres as warn_of_metres
 from .radiance import world_ray as world_ray

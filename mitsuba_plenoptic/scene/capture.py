@@ -16,14 +16,12 @@ from ..choices import MODELS
 from ..errors import InputError, advice, argument, refuse_if, require_choice, require_count, suggest_keywords
 from ..io import Capture
 from ..optics import guards
-from ..runtime import BatchMap, Cost, Job, one_at_a_time, require_memory_for
-from .load import KNOWN_PARAMETERS, meet_moved, mitsuba_sentence
-from .radiance import require_medium_seen, warn_of_metres
+from ..runtime import BatchMap, Cost, Job, cost_of, lanes_reported, one_at_a_time, require_memory_for
+from .load import KNOWN_PARAMETERS, as_scene, meet_moved, mitsuba_sentence
+from .radiance import SceneLight, require_film, require_seen, warn_of_metres
 
 if TYPE_CHECKING:
     from ..io import Checkpoint
-
-_FILM_RULE = "a capture needs pixel_format 'luminance' or 'rgb'"
 
 MOST_SAMPLES = 2**24
 """Largest count of samples per pixel."""
@@ -40,9 +38,7 @@ each need 0.25 GiB in addition to the film."""
 _SAMPLES_PER_PASS = 2**14
 """Dr.Jit gives blocks of so many rays to its threads; pixels of more samples would be shared by two of them."""
 
-_SOFTWARE = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy")
 _version = functools.cache(importlib.metadata.version)
-"""Packages whose versions captures state."""
 
 _OF_INTEGRATORS = (*KNOWN_PARAMETERS["plenoptic_wave"], *KNOWN_PARAMETERS["plenoptic_laser"])
 """Parameters that captures hand on to the integrators."""
@@ -67,8 +63,8 @@ def render_capture(
 
     Parameters
     ----------
-    scene : mitsuba.Scene
-        A scene with a sensor of type ``plenoptic``.
+    scene : mitsuba.Scene, str, path or dict
+        A scene with a sensor of type ``plenoptic``, or what `load_scene` makes one of.
     sensor : int or mitsuba.Sensor
         Index of the sensor in the scene, counted from 0, or a sensor, which need not be in the scene.
     model : {"ray", "wave"}, optional
@@ -82,8 +78,7 @@ def render_capture(
         Seed of the random numbers; the same seed gives the same bits, with any thread count and in any process, except
         on CUDA.
     progress : callable, optional
-        Called with the finished and the total amount of work: samples per pixel or, for wave captures, parts of the
-        detector.
+        Called with the finished and the total amount of work, sometimes by another thread, while this one waits.
     checkpoint : Checkpoint, optional
         For wave captures: intermediate results are saved to its file, and read from there. Ray captures do not take
         one.
@@ -120,19 +115,17 @@ def render_capture(
     >>> capture.image.shape, capture.model
     ((128, 128), 'ray')
     """
+    scene = as_scene(scene)
     chosen = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(chosen)
     warn_of_metres(scene, chosen)
     require_film(chosen.film())
     integrator = chosen_integrator(scene, model, wave)
-    require_medium_seen(getattr(integrator, "child", integrator), chosen)
+    require_seen(integrator, chosen)
     require_taken(integrator, checkpoint=checkpoint, batch_map=batch_map)
     spp = sample_count(chosen, spp)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
-    if noise:
-        from ..detector import require_samples
-
-        require_samples(spp)
+    refuse_if(noise and spp < 2, f"spp = {spp}: it must be at least 2 for an estimate of the noise")
     wavelengths = None
     spectrum = None
     if hasattr(integrator, "wavelengths"):
@@ -153,7 +146,7 @@ def render_capture(
         "variant": mi.variant(),
         "integrator": getattr(integrator, "child", integrator).class_name(),
         **(integrator.parameters() if hasattr(integrator, "parameters") else {}),
-        "software": {name: _version(name) for name in _SOFTWARE},
+        "software": {name: _version(name) for name in ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy")},
         "seed": seed,
         "spp": spp,
         **label,
@@ -243,14 +236,6 @@ def refuse_by_rays(**given: Any) -> None:
             raise InputError(f"{argument(name)}: a ray capture does not take it; it is for {argument('model')} wave")
 
 
-def require_film(film: Any) -> None:
-    """Refuse films with an alpha channel, or in colours other than red, green and blue."""
-    channels = film.base_channels_count()
-    refuse_if(channels not in (1, 3), f"film: it has {channels} channels; {_FILM_RULE}")
-    # Films show their pixel format only in their description.
-    refuse_if("pixel_format = xyz" in str(film) and channels == 3, f"film: pixel_format = xyz: {_FILM_RULE}")
-
-
 def require_wave_film(film: Any) -> None:
     """Refuse films that wave captures would not fill as the film describes."""
     require_film(film)
@@ -319,39 +304,21 @@ def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
     return image, deviation
 
 
-@functools.partial(suggest_keywords, others=_OF_INTEGRATORS)
-@one_at_a_time
-def estimate_capture(
-    scene: Any,
-    *,
-    sensor: int | Any = 0,
-    model: str | None = None,
-    spp: int | None = None,
-    seed: int = 0,
-    batch_map: BatchMap | None = None,
-    **wave: Any,
-) -> Cost:
+def estimate_capture(scene: Any, **options: Any) -> Cost:
     """Return the estimated time and memory of `render_capture` with the same arguments.
 
-    Some of the rays are traced. What waves take beside them is taken from known scenes, and may be wrong by a factor of
-    two. For method ``points``, all points are found and some of their spreads are computed.
+    The capture is begun, and abandoned as soon as its speed is known: some five seconds after the first results, or at
+    its end.
 
     Parameters
     ----------
-    scene, sensor, model, spp, seed, batch_map, **wave
-        As in `render_capture`.
+    scene, **options
+        As in `render_capture`, without `progress` and `checkpoint`.
 
     Returns
     -------
     Cost
-        Points and point spreads (0 except for method ``points``), seconds, and bytes.
-
-    Raises
-    ------
-    InputError
-        If `render_capture` would refuse the arguments, or the capture would not fit into memory.
-    PhysicsError
-        If too much of the light would be lost.
+        Seconds, and bytes beside those of the program, the scene and the light's paths.
 
     Examples
     --------
@@ -361,19 +328,7 @@ def estimate_capture(
     >>> cost.seconds < 60, cost.memory < 2**30
     (True, True)
     """
-    sensor = plenoptic_sensor(scene, sensor)
-    camera = PlenopticCamera.from_sensor(sensor)
-    require_film(sensor.film())
-    integrator = chosen_integrator(scene, model, wave)
-    require_medium_seen(getattr(integrator, "child", integrator), sensor)
-    require_taken(integrator, batch_map=batch_map)
-    spp = sample_count(sensor, spp)
-    if hasattr(integrator, "wavelengths"):
-        return integrator.estimate(scene, sensor, seed=seed, spp=spp, job=Job(batch_map=batch_map))
-    from .capture_cost import seconds_by_rays
-
-    seconds = seconds_by_rays(scene, sensor, integrator, seed=seed, spp=spp)
-    return Cost(0, 0, seconds, film_memory(camera, spp))
+    return cost_of(render_capture, scene, **options)
 
 
 def _render_passes(
@@ -402,17 +357,29 @@ def _render_passes(
     image = np.zeros(())
     sampler = sensor.sampler()
     count_before = sampler.sample_count()
+    pixels = camera.shape[0] * camera.shape[1]
+    rays = pixels * sum(counts)
+    done = 0
+
+    def report(fraction: float) -> None:
+        if progress:
+            progress(done + round(fraction * pixels * count), rays)
+
+    if progress and isinstance(integrator, mi.SamplingIntegrator):
+        # What Mitsuba evaluates as rays are first recorded, such as textures, would be counted as the kernel.
+        SceneLight(scene, sensor, integrator)((0.0, 0.0, 0.0), (0.0, 0.0), mi.Bool(True), 0)
     try:
         for index, (pass_seed, count) in enumerate(zip(seeds.tolist(), counts, strict=True)):
-            # `integrator.render` rather than `mi.render`, which hides the cause of an error.
-            rendered = np.array(integrator.render(scene, sensor, seed=pass_seed, spp=count, develop=True))
+            with lanes_reported(progress and report, pixels * count):
+                # `integrator.render` rather than `mi.render`, which hides the cause of an error.
+                rendered = np.array(integrator.render(scene, sensor, seed=pass_seed, spp=count, develop=True))
             if spread:
                 spread.add(rendered, count)
             else:
                 rendered *= count / sum(counts)
                 image = np.add(image, rendered, out=image) if index else rendered
-            if progress:
-                progress(min(sum(counts[: index + 1]), spp), spp)
+            report(1.0)
+            done += pixels * count
     finally:
         # Passes leave their count in the scene's sampler, where the next capture would look for its own.
         sampler.set_sample_count(count_before)

@@ -30,7 +30,7 @@ from ..extension import missing
 from ..io import read_parts
 from ..runtime import one_at_a_time, require_file, require_size, set_variant
 from ..scene_files import scene_path
-from .radiance import warn_of_metres
+from .radiance import require_seen, warn_of_metres
 
 LARGEST_SCENE = 2**28
 """Largest size of an XML file in bytes; Mitsuba's parser needs several times as much memory."""
@@ -142,6 +142,11 @@ def unknown_parameter(plugin: str, name: str) -> str:
     return f"{plugin}: {name}: it has no such parameter{did_you_mean(name, KNOWN_PARAMETERS.get(plugin, ()))}"
 
 
+def as_scene(scene: Any) -> Any:
+    """Return a scene, loaded if it is a file, a built-in scene's name or a dictionary."""
+    return load_scene(scene) if isinstance(scene, (str, Path, Mapping)) else scene
+
+
 @suggest_keywords
 @one_at_a_time
 def load_scene(
@@ -247,6 +252,8 @@ def load_scene(
     loaded.set_id(name)
     if sensors := loaded.sensors():
         warn_of_metres(loaded, sensors[0])
+        if loaded.integrator() is not None and hasattr(type(sensors[0]), "camera"):
+            require_seen(loaded.integrator(), sensors[0])
     return loaded
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NoReturn
 
 import drjit as dr
 import mitsuba as mi
@@ -27,9 +27,8 @@ _REPLAYED = {"PathIntegrator": "prb", "VolumetricPathIntegrator": "prbvolpath"}
 _REVERSE_ONLY = "PRBVolpathIntegrator"
 """The class of an integrator that Mitsuba does not differentiate forward."""
 
-_UNATTACHED = "not attached to the AD graph"
-"""Mitsuba's message when the light depends on no parameter that has a gradient."""
 
+_FILM_RULE = "a capture needs pixel_format 'luminance' or 'rgb'"
 
 _NEGATIVE = 0.01
 """Largest fraction of negative light, for interpolated environments and estimates that fall slightly below zero."""
@@ -76,12 +75,39 @@ class SceneLight:
         return sampler, ray
 
 
-def require_medium_seen(integrator: Any, sensor: mi.Sensor) -> None:
-    """Refuse the integrator that takes cameras in a medium for cameras in empty space."""
+def require_seen(integrator: Any, sensor: mi.Sensor) -> None:
+    """Refuse integrators that render nothing, or something else, by a plenoptic sensor, which Mitsuba finds too late.
+
+    Scenes are refused as they are loaded, since Mitsuba hides what is raised while it renders.
+    """
+    nested = getattr(integrator, "child", integrator)
+    if not isinstance(nested, mi.SamplingIntegrator):
+        refuse_light_tracing()
     refuse_if(
-        type(integrator).__name__ == _REVERSE_ONLY and sensor.get_medium() is not None,
+        type(nested).__name__ == _REVERSE_ONLY and sensor.get_medium() is not None,
         f"nested {_REVERSE_ONLY}: Mitsuba's prbvolpath ignores the medium around the camera; use volpath",
     )
+    film = sensor.film()
+    if hasattr(film, "require_outputs"):
+        film.require_outputs(nested.aov_names())
+    if nested is not integrator:
+        require_film(film)
+
+
+def refuse_light_tracing() -> NoReturn:
+    """Refuse integrators that trace light from the emitters to the sensor."""
+    raise InputError(
+        "plenoptic: light tracing (an integrator such as ptracer) cannot reach the detector through the lenses; use "
+        "path or direct"
+    )
+
+
+def require_film(film: Any) -> None:
+    """Refuse films with an alpha channel, or in colours other than red, green and blue."""
+    channels = film.base_channels_count()
+    refuse_if(channels not in (1, 3), f"film: it has {channels} channels; {_FILM_RULE}")
+    # Films show their pixel format only in their description.
+    refuse_if("pixel_format = xyz" in str(film) and channels == 3, f"film: pixel_format = xyz: {_FILM_RULE}")
 
 
 def world_ray(sensor: Any, point: tuple[Any, Any, Any], slope: Pair) -> Any:
@@ -143,7 +169,7 @@ class LightDerivatives(SceneLight):
         return channels(change) if wavelengths is None else list(change)
 
     def replay(
-        self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
+        self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None
     ) -> Replay:
         """Trace rays for their radiance, and return their state for the derivatives; see `SceneLight`."""
         sampler, ray = self.rays(point, slope, active, seed, wavelengths)
@@ -194,7 +220,8 @@ class Replay:
             )
         except Exception as error:
             # Dr.Jit's loops wrap exceptions that are raised inside them.
-            if _UNATTACHED in f"{error} {error.__cause__}":
+            # Mitsuba's message when the light depends on no parameter that has a gradient.
+            if "not attached to the AD graph" in f"{error} {error.__cause__}":
                 raise InputError(
                     "scene: the light paths that are replayed have no derivative by the parameters with a gradient: "
                     "wave captures have derivatives by radiance, textures and materials, none by positions of lamps; "

@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 import xarray as xr
 
-from .coordinates import channel_planes, view_steps
+from .coordinates import channel_planes, grid_of, view_steps
 from .refocusing import moved
 
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window. Moved views spread it further.
@@ -103,8 +103,8 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray
     # Samples that see at least this much of the pupil take part. The others see it nearer to its middle than their
     # coordinate says, which would pull depths towards the plane in focus.
     weight = (np.asarray(lf["weight"].values) >= 0.9).astype(np.float32)
-    v = view_steps(lf, "v")
-    u = view_steps(lf, "u")
+    v = _places(lf, "v")
+    u = _places(lf, "u")
     variance, mean, views = np.zeros((3, 5, *lf.shape[2:4]), dtype=np.float32)
     noise = np.zeros((2, *lf.shape[2:4]), dtype=np.float32)
     for plane in channel_planes(lf):
@@ -116,10 +116,11 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray
             for view, view_weight, across in zip(by_row, row_open, u, strict=True):
                 if not view_weight.any():
                     continue
-                # Between a bin and none, the bin's value counts, for as much as its weight.
                 total, view_open = (moved(pixels, across * slope, axis=1) for pixels in (view, view_weight))
-                values = total / np.maximum(view_open, 1e-6)
-                moments = np.stack([view_open, total, total * values])
+                values = total / np.maximum(view_open, 0.5)
+                # Between a bin and none the values are of places within the field, which moved depths by 1 %.
+                view_open = np.maximum(4 * view_open - 3, 0)
+                moments = view_open * np.stack([np.ones_like(values), values, np.square(values)])
                 passed.append((values, view_open))
                 if len(passed) > _APART:
                     earlier = passed[-1 - _APART][0]
@@ -138,6 +139,21 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray
             views[index] += count
     channels = lf.sizes.get("c", 1)
     return variance / channels, mean / channels, views / channels, noise
+
+
+def _places(lf: xr.DataArray, axis: str) -> np.ndarray:
+    """Return the mean point at which each view sees the pupil, in views from the centre, nearer to brighter views."""
+    steps = view_steps(lf, axis)
+    if min(lf.shape[:2]) < 3:
+        return steps
+    light, seen = (lf.coords.get(name, lf["weight"]).sum(("t", "s")) for name in ("white", "weight"))
+    rise = np.gradient(np.log(light / seen), axis="vu".index(axis), edge_order=2)
+    across = "uv".index(axis)
+    # Variance of the light of a sample along an axis, in squared pixels: interpolated between two pixels, and of each.
+    grid = grid_of(lf)
+    between = 0.2 if grid is None else (grid.centres()[..., across] - 0.5) % 1
+    spread = np.mean(between * (1 - between)) + 1 / 12
+    return steps + spread * np.nansum(rise, axis=across) / np.maximum(np.isfinite(rise).sum(axis=across), 1)
 
 
 def _sides(step: float) -> tuple[float, float]:

@@ -66,11 +66,6 @@ def light_field(
         With the coordinates `weight` and `white`, and in `attrs` the camera under ``camera`` and the grid of the
         micro-images under ``grid``, as JSON texts that every file format keeps; without them where they are unknown.
         `camera_of` and `grid_of` read them.
-
-    Raises
-    ------
-    InputError
-        If a value is NaN, infinite or above 1e30 in magnitude, a weight is not from 0 to 1, or a white is negative.
     """
     require_pixels("light field", values)
     if weight is None:
@@ -140,11 +135,6 @@ def camera_of(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:
     ----------
     lf : xarray.DataArray
         A light field, (v, u, t, s[, c]).
-
-    Raises
-    ------
-    InputError
-        If the light field has no camera.
     """
     if not lf.attrs.get("camera"):
         instead = advice(
@@ -248,11 +238,6 @@ def disparity(lf: xr.DataArray, distance: float) -> float:
         A light field, (v, u, t, s[, c]).
     distance : float
         Object distance from the main lens in millimetres.
-
-    Raises
-    ------
-    InputError
-        If the light field has no camera, or the distance is within the focal length.
     """
     camera = _camera_behind_a_lens(lf)
     distance = require_number("distance", distance, finite=False)

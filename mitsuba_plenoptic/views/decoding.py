@@ -12,7 +12,7 @@ import xarray as xr
 from ..camera import PlenopticCamera, Use, are_alike, require_camera, require_support
 from ..design import objective_of
 from ..errors import InputError, refuse_if, short_repr, suggest_keywords
-from ..io import TRUTH_COORDINATES, Capture, GroundTruth, channel_planes, require_demosaiced
+from ..io import TRUTH_COORDINATES, Capture, CaptureLike, GroundTruth, channel_planes, read_if_path, require_demosaiced
 from ..runtime import Floats, as_pixels, require_memory
 from .coordinates import DIMS, light_field
 from .fourier_views import decode_views
@@ -22,10 +22,10 @@ from .white import clear, divide_by_white, open_fraction, recorded_white, white_
 
 @suggest_keywords
 def decode(
-    capture: Capture | np.ndarray,
+    capture: CaptureLike,
     *,
     camera: PlenopticCamera | None = None,
-    white: Capture | np.ndarray | None = None,
+    white: CaptureLike | None = None,
     grid: LensGrid | None = None,
     truth: GroundTruth | None = None,
 ) -> xr.DataArray:
@@ -42,14 +42,15 @@ def decode(
 
     Parameters
     ----------
-    capture : Capture or (rows, columns[, 3]) array
-        The capture. A plain array needs `camera` or `grid`.
+    capture : Capture, (rows, columns[, 3]) array, or path
+        The capture, or a file that `read_capture` takes. A plain array needs `camera` or `grid`.
     camera : PlenopticCamera, optional
         The camera of a plain array, or another one than the capture's.
-    white : Capture or (rows, columns[, 3]) array, optional
+    white : Capture, (rows, columns[, 3]) array, or path, optional
         A picture of something evenly white that fills the view, with the same camera. It is scaled to a radiance of 1
         (see `mitsuba_plenoptic.views.white.recorded_white`). Default: computed by rays from the camera's pupil;
-        diffraction blurs the rims of micro-images, so that for wave captures a white wave capture is better. Without a
+        diffraction blurs the rims of micro-images, so that wave captures of the paper's lenses read 7 % low, and a
+        white wave capture is better. Without a
         camera a white picture is needed; the median brightness in the middle of micro-images counts as 1, over the
         quarter of the lenses that is nearest to the middle of the grid.
     grid : LensGrid, optional
@@ -65,11 +66,6 @@ def decode(
         the capture, 0 where the coordinate `weight` is 0: the fraction of the pupil's part that belongs to the sample
         through which it sees. The coordinate `white` is what the sample reads of an even radiance of 1. Samples that
         see less than a tenth, or whose lens reads less than that, are left out.
-
-    Raises
-    ------
-    InputError
-        If neither camera nor grid is known, or the images or the ground truth do not fit each other or the camera.
 
     Examples
     --------
@@ -132,9 +128,9 @@ def decode(
 
 
 def checked_images(
-    capture: Capture | np.ndarray,
+    capture: CaptureLike,
     camera: PlenopticCamera | None,
-    white: Capture | np.ndarray | None,
+    white: CaptureLike | None,
     grid: LensGrid | None,
 ) -> tuple[np.ndarray, Any, np.ndarray | None, PlenopticCamera | None]:
     """Return image, white image, fractions of the pupil, each (rows, columns, channels), and the camera for `decode`.
@@ -143,11 +139,13 @@ def checked_images(
     one, since views of it are scaled. The fractions are those of the camera, None where a recorded white tells more.
     """
     cameras = [] if camera is None else [camera]
-    if isinstance(capture, Capture):
-        require_demosaiced(capture)
-        cameras.append(capture.camera)
-        capture = capture.image
-    image = as_pixels("capture", capture)
+    recorded = read_if_path(capture, camera)
+    divisor = read_if_path(white, camera)
+    if isinstance(recorded, Capture):
+        require_demosaiced(recorded)
+        cameras.append(recorded.camera)
+        recorded = recorded.image
+    image = as_pixels("capture", recorded)
     refuse_if(
         image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3)),
         f"capture of shape {image.shape}: it must be an image of 1 or 3 channels",
@@ -167,12 +165,16 @@ def checked_images(
     )
     reference = seen = None
     if white is not None:
-        reference = recorded_white(white, (*image.shape[:2], 3), cameras).astype(np.float32).mean(2, keepdims=True)
+        reference = recorded_white(divisor, (*image.shape[:2], 3), cameras).astype(np.float32).mean(2, keepdims=True)
     if upright is not None and not upright.lens_data.images_stop:
         computed = white_image(upright, grid)[..., None]
         opened = clear(upright)
         # Of an even pupil a recorded white tells more than the camera: what else cuts it.
-        if reference is None or any(getattr(upright, name) != getattr(opened, name) for name in _OVER_PUPIL):
+        # Parameters by which parts of the pupil may be darker than others.
+        if reference is None or any(
+            getattr(upright, name) != getattr(opened, name)
+            for name in ("aperture_image", "pupil_apodisation", "vignetting")
+        ):
             seen = computed if opened == upright else white_image(opened, grid)[..., None]
         reference = (
             computed if reference is None else recorded_white(reference, reference.shape, [upright], computed[..., 0])
@@ -180,15 +182,8 @@ def checked_images(
     return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False), reference, seen, upright
 
 
-_OVER_PUPIL = ("aperture_image", "pupil_apodisation", "vignetting")
-"""Parameters by which parts of the pupil may be darker than others."""
-
 _ROUNDING = 1e-6
 """Fraction of a pixel by which lengths may be off that are computed from detectors of different sizes."""
-
-
-_SMEARED = 0.3
-"""Smear of a micro-image's rim, over that of the corners of lenses, up to which it holds hardly any light."""
 
 
 def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:
@@ -209,7 +204,8 @@ def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, 
     if camera is not None:
         # Lenses out of focus at the pupil smear its rim over their neighbours' samples, whose depths it would move.
         smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths) - 1
-        reach -= max(_SMEARED * smear * camera.lattice.aperture_reach / camera.pupil_step, 0)
+        # Smear of a micro-image's rim, over that of the corners of lenses, up to which it holds hardly any light.
+        reach -= max(0.3 * smear * camera.lattice.aperture_reach / camera.pupil_step, 0)
     offset = np.arange(-half, half + 1)
     return half, np.hypot(offset[:, None], offset) <= max(reach, 1 + _ROUNDING)
 

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from ..array import Displacement, Lattice
 from ..camera import PlenopticCamera, Use, require_support
-from ..errors import MOST_PIXELS, put, refuse_if, require_count, require_number, require_pair, require_warp
+from ..errors import MOST_PIXELS, put_checked, refuse_if, require_count, require_number, require_pair, require_warp
 from ..optics import rays
 from ..runtime import Doubles, Integers, require_memory, turn
 
@@ -61,26 +62,18 @@ class LensGrid:
     middle: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        put(
+        place = partial(require_number, minimum=-1e9, maximum=1e9)
+        spacing = partial(require_number, positive=True, minimum=1e-3, maximum=1e6)
+        put_checked(
             self,
-            spacing=tuple(
-                require_number("spacing", value, positive=True, minimum=1e-3, maximum=1e6)
-                for value in require_pair("spacing", self.spacing, "(along a row, between rows)")
-            ),
-            offset=tuple(
-                require_number("offset", value, minimum=-1e9, maximum=1e9)
-                for value in require_pair("offset", self.offset, "(column, row)")
-            ),
-            shape=tuple(
-                require_count("shape", value, maximum=MOST_PIXELS)
-                for value in require_pair("shape", self.shape, "(rows, columns)")
-            ),
-            rotation=require_number("rotation", self.rotation, minimum=-math.tau, maximum=math.tau),
-            warp=require_warp("warp", self.warp),
-            middle=tuple(require_number("middle", value, minimum=-1e9, maximum=1e9) for value in self.middle),
+            spacing=partial(require_pair, meaning="(along a row, between rows)", rule=spacing),
+            offset=partial(require_pair, meaning="(column, row)", rule=place),
+            shape=partial(require_pair, meaning="(rows, columns)", rule=partial(require_count, maximum=MOST_PIXELS)),
+            rotation=partial(require_number, minimum=-math.tau, maximum=math.tau),
+            shifted_rows=partial(require_count, minimum=0, maximum=1),
+            warp=require_warp,
+            middle=partial(require_pair, meaning="(x, y)", rule=place),
         )
-        if self.shifted_rows is not None:
-            put(self, shifted_rows=require_count("shifted_rows", self.shifted_rows, minimum=0, maximum=1))
 
     @property
     def pitch(self) -> float:

@@ -54,6 +54,7 @@ class LensComparison:
             total = scipy.ndimage.convolve1d(total, _SMOOTH, axis=axis, mode="constant")
             weight = scipy.ndimage.convolve1d(weight, _SMOOTH, axis=axis, mode="constant")
         self._values = np.divide(total, weight[..., None], out=np.zeros_like(total), where=weight[..., None] > 0)
+        self._noise = _noise_of(images)
         self._steps = tuple(np.arange(size) - (size - 1) / 2 for size in images.weight.shape[2:])
 
     def disagreement(self, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -88,9 +89,9 @@ class LensComparison:
         bins = self._bins_of(slope)
         sums_of_bins = [
             np.bincount(bins.ravel(), samples.ravel(), minlength=math.prod(shape) + 1)[:-1].reshape(shape)
-            for samples in (squares, counts, sums, sums_of_squares)
+            for samples in (squares, counts, sums, sums_of_squares, counts * self._noise[..., None, None])
         ]
-        total, count_near, first, second = scipy.ndimage.gaussian_filter(
+        total, count_near, first, second, noise = scipy.ndimage.gaussian_filter(
             sums_of_bins, (0, _WINDOW, _WINDOW), mode="nearest"
         )
         many = np.maximum(count_near, 1)
@@ -101,7 +102,7 @@ class LensComparison:
         ratio, total_variance = np.where(count_near >= 5.0, (ratio, total_variance), np.nan).astype(np.float32)
         # Independent samples in a window for each comparison in a bin: found on even fields of noise, of which the
         # ratio of variances then varies as much as the number of samples says.
-        return ratio, total_variance, 8.0 * count_near, np.zeros(shape)
+        return ratio, total_variance, 8.0 * count_near, np.minimum(noise / many, variance)
 
     @cached_property
     def _pairs(self) -> list[tuple[tuple[slice, slice], tuple[slice, slice], np.ndarray]]:
@@ -215,6 +216,20 @@ class LensComparison:
         columns = np.rint(column[:, :, None] - across * slope).astype(np.int64)[:, :, None]
         inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
         return np.where(inside, rows * shape[1] + columns, math.prod(shape))
+
+
+def _noise_of(images: MicroImages) -> np.ndarray:
+    """Return the variance of noise in the smoothed samples of each lens: second differences hold little texture."""
+    bent = images.values
+    inside = images.weight > 0
+    for axis in (2, 3):
+        bent = scipy.ndimage.correlate1d(bent, (1, -2, 1), axis=axis)
+        inside = scipy.ndimage.minimum_filter1d(inside, 3, axis=axis, mode="constant")
+    power = (np.square(bent).mean(axis=4) * inside).sum(axis=(2, 3)) / np.maximum(inside.sum(axis=(2, 3)), 1)
+    # Sums of squares of both kernels, as samples were interpolated between pixels; a tenth is averaged out again where
+    # neighbours are moved by a fraction of a view.
+    between = np.square((images.grid.centres() - 0.5) % 1 - 0.5)
+    return np.asarray(0.9 * power * ((0.3125 + 0.25 * between) / (1 + 20 * between)).prod(axis=2), np.float32)
 
 
 def _weighted(samples: np.ndarray, down: Any, across: Any) -> np.ndarray:

@@ -14,7 +14,7 @@ import xarray as xr
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, advice, refuse_if
-from ..io import Capture
+from ..io import CaptureLike
 from ..runtime import require_memory
 from .coordinates import camera_of, grid_of, view_steps
 from .decoding import checked_images, lens_samples, view_window
@@ -57,10 +57,10 @@ class MicroImages:
 
 
 def micro_images(
-    capture: Capture | np.ndarray,
+    capture: CaptureLike,
     *,
     camera: PlenopticCamera | None = None,
-    white: Capture | np.ndarray | None = None,
+    white: CaptureLike | None = None,
     grid: LensGrid | None = None,
 ) -> MicroImages:
     """Return the micro-images of a capture, sampled for `depth_map`.

@@ -71,12 +71,6 @@ def open_light_field(
         The camera of a raw picture, or another one than a capture's. With it distances are in millimetres.
     truth : path or bool
         Ground truth of a capture, for `decode`. True: the file that the capture names, if it lies in the same folder.
-
-    Raises
-    ------
-    InputError
-        If the name's suffix is unknown, an argument is missing or of no use for this kind of file, or the file
-        cannot be read.
     """
     path = Path(path)
     name = path.name.lower()
@@ -150,9 +144,9 @@ def _step(path: Path) -> str:
 def open_micro_images(
     path: str | Path,
     *,
-    white: str | Path | None = None,
-    linear: bool = False,
-    camera: PlenopticCamera | None = None,
+    white: str | Path | None,
+    linear: bool,
+    camera: PlenopticCamera | None,
 ) -> MicroImages | None:
     """Return the micro-images in a capture's file, for depth maps of focused cameras; None for other cameras.
 
@@ -165,11 +159,6 @@ def open_micro_images(
     -------
     MicroImages or None
         None if the file is no capture of this package: light fields have no micro-images any more.
-
-    Raises
-    ------
-    InputError
-        As for `open_light_field`.
     """
     path = Path(path)
     if path.suffix.lower() != ".exr":
@@ -188,11 +177,6 @@ def save_light_field(path: str | Path, lf: xr.DataArray) -> None:
         samples of each lens together; ``.png``: a mosaic of views.
     lf : xarray.DataArray
         The light field.
-
-    Raises
-    ------
-    InputError
-        If the name's suffix is unknown or the file cannot be written.
     """
     name = require_light_field_path(path).name.lower()
     if name.endswith((".nc", ".zarr")):
@@ -210,11 +194,6 @@ def require_light_field_path(path: str | Path) -> Path:
     ----------
     path : path
         The file.
-
-    Raises
-    ------
-    InputError
-        If the name's suffix is unknown or the file cannot be written.
     """
     return require_writable(path, *LIGHT_FIELDS)
 
@@ -254,11 +233,6 @@ def write_labelled(path: str | Path, lf: xr.DataArray) -> None:
         A name that ends in ``.nc`` for NetCDF 3, or in ``.zarr`` for a folder of Zarr, which needs the package zarr.
     lf : xarray.DataArray
         The light field.
-
-    Raises
-    ------
-    InputError
-        If it cannot be written.
     """
     lf = require_light_field(lf)
     write_labelled_data(path, lf.to_dataset(name=lf.name or "radiance"))
@@ -273,11 +247,6 @@ def read_labelled(path: str | Path) -> xr.DataArray:
     ----------
     path : path
         The file.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, or it is damaged or something else.
     """
     data = read_labelled_data(path, "light field")
     with naming(path):

@@ -106,7 +106,15 @@ def _by_waves(
         if has_small_lenses(camera, max(spectrum.wavelengths)):
             kind = hook("small lenses", f"mla_pitch = {camera.row_pitch:g}")
         flat = np.ones((1, len(spectrum.wavelengths)))
-        even = _is_even(camera)
+        slope = math.hypot(camera.detector_width, camera.detector_height) / 2 / camera.pupil_distance
+        aside = camera.reduced_distance * slope**3 / 2
+        even = (
+            camera.has_array
+            and camera.lens_data.is_thin
+            and aside < _ASIDE * camera.pixel_size
+            and camera.lens_model == "ideal"
+            and not any(np.any(getattr(camera, name) or 0) for name in _UNEVEN)
+        )
         lenses = math.prod(camera.shape) / math.prod(_period(camera))
         spp = min(_MOST, max(_SAMPLES, _RAYS // math.prod(camera.shape)))
         spp = min(spp, max(_LEAST, round(_SAMPLES * _LENSES / lenses))) if even else spp
@@ -117,19 +125,6 @@ def _by_waves(
     if even:
         image = np.stack([_folded(image[..., channel], camera) for channel in range(image.shape[2])], axis=-1)
     return np.asarray(DetectorOperator.of(camera).forward(image), np.float32)
-
-
-def _is_even(camera: PlenopticCamera) -> bool:
-    """Return whether the light of white is the same in all periods of the array, over the whole detector."""
-    slope = math.hypot(camera.detector_width, camera.detector_height) / 2 / camera.pupil_distance
-    aside = camera.reduced_distance * slope**3 / 2
-    return (
-        camera.has_array
-        and camera.lens_data.is_thin
-        and aside < _ASIDE * camera.pixel_size
-        and camera.lens_model == "ideal"
-        and not any(np.any(getattr(camera, name) or 0) for name in _UNEVEN)
-    )
 
 
 def _period(camera: PlenopticCamera) -> tuple[float, float]:

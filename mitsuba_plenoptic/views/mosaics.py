@@ -28,11 +28,6 @@ def write_mosaic(path: str | Path, lf: xr.DataArray, *, layout: str = "lenses") 
         number of views.
     layout : {"lenses", "views"}
         Whether the samples of a lens or of a view lie together.
-
-    Raises
-    ------
-    InputError
-        If the layout is unknown or the file cannot be written.
     """
     require_choice("layout", layout, LAYOUTS)
     lf = require_light_field(lf)
@@ -65,11 +60,6 @@ def read_mosaic(path: str | Path, views: int, *, layout: str = "lenses", linear:
     -------
     xarray.DataArray
         A light field without a camera, values from 0 to 1.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or its sides are not whole multiples of the number of views.
     """
     require_choice("layout", layout, LAYOUTS)
     image = read_picture(path, linear=linear)

@@ -32,11 +32,6 @@ def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
     -------
     xarray.DataArray
         Dimensions t, s[, c]; 0 where no view sees the position.
-
-    Raises
-    ------
-    InputError
-        If the argument is no light field, or the disparity is not a number from -1e6 to 1e6.
     """
     lf = require_light_field(lf)
     disparity = require_number("disparity", disparity, minimum=-1e6, maximum=1e6)
@@ -66,11 +61,6 @@ def refocus(lf: xr.DataArray, distance: float) -> xr.DataArray:
     xarray.DataArray
         Dimensions t, s[, c], with the scalar coordinate `distance`. It lines up bin for bin with the
         reconstruction of the same capture.
-
-    Raises
-    ------
-    InputError
-        If the light field has no camera or an argument is out of range.
 
     Examples
     --------
@@ -108,11 +98,6 @@ def focal_stack(
     -------
     xarray.DataArray
         Dimensions distance or disparity, t, s[, c].
-
-    Raises
-    ------
-    InputError
-        If there is no distance, the light field has no camera but distances are given, or an argument is out of range.
 
     Examples
     --------

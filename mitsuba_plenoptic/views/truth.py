@@ -15,7 +15,7 @@ from ..choices import QUANTITIES
 from ..errors import refuse_if, suggest_keywords
 from ..io import GroundTruth, require_quantities
 from ..runtime import drjit_array, one_at_a_time, require_memory
-from ..scene import plenoptic_sensor
+from ..scene import as_scene, plenoptic_sensor
 from .coordinates import lens_places, pupil_places
 from .decoding import view_window
 from .grid import bin_grid, lens_grid
@@ -141,12 +141,6 @@ def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor
     -------
     GroundTruth
 
-    Raises
-    ------
-    InputError
-        If there is no such sensor, a name is unknown, its lenses are narrower than a pixel, or it would take more
-        memory than is allowed.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp
@@ -157,6 +151,7 @@ def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor
     (128, 128)
     """
     names = require_quantities([names] if isinstance(names, str) else names)
+    scene = as_scene(scene)
     chosen = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(chosen)
     sizes, of_views = _rays_of_views(camera, chosen) if camera.has_array else ((0, 0, 0, 0), None)

@@ -61,11 +61,6 @@ def pick_views(lf: xr.DataArray, count: int) -> xr.DataArray:
         A light field, (v, u, t, s[, c]).
     count : int
         Views along each axis.
-
-    Raises
-    ------
-    InputError
-        If the light field has fewer views.
     """
     lf = require_light_field(lf)
     count = require_count("count", count, maximum=min(lf.shape[:2]))

@@ -221,7 +221,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
 def recorded_white(
     white: Capture | np.ndarray,
     shape: tuple[int, ...],
-    cameras: Sequence[PlenopticCamera] = (),
+    cameras: Sequence[PlenopticCamera],
     computed: np.ndarray | None = None,
     lenses: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
@@ -342,16 +342,20 @@ def clear(camera: PlenopticCamera) -> PlenopticCamera:
     )
 
 
-def open_fraction(white: Floats, alone: np.ndarray) -> Floats:
+def open_fraction(white: Floats, alone: np.ndarray | None = None) -> Floats:
     """Return the fraction of the pupil that samples see by a recorded white, both (rows, columns, v, u).
+
+    A sample that is not of one lens `alone` sees none of it; without that mask, one beyond the ellipse of the views.
 
     Of each lens, what its fully open samples read is a plane over the micro-image, as brightness falls off within it,
     too. The fraction is the white over this plane, at most 1.
     """
-    half = alone.shape[0] // 2
     # Over the micro-image from -1 to 1.
-    step = np.arange(-half, half + 1) / max(half, 1)
-    terms = np.stack([np.ones(alone.shape), *np.meshgrid(step, step)], axis=-1)[alone].astype(np.float32)
+    down, across = (np.linspace(-1, 1, views) if views > 1 else np.zeros(1) for views in white.shape[2:])
+    terms = np.stack(np.broadcast_arrays(1.0, across, down[:, None]), axis=-1).astype(np.float32)
+    if alone is None:
+        alone = np.hypot(across, down[:, None]) <= 1
+    terms = terms[alone]
     samples = white[:, :, alone]
     fit = np.zeros((*white.shape[:2], 3), np.float32)
     # Noise of a few samples must not count as the level.

@@ -16,12 +16,10 @@ Fields behind the lenses are those of `array_field`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -170,14 +168,6 @@ class ArrayKernels(LensWaves):
         along = (np.arange(count) + 0.5 - count / 2) * step
         v, u = np.meshgrid(along, along, indexing="ij")
         return u, v, np.asarray(self.lattice.in_aperture(*self.lattice.from_frame(u, v)))
-
-    def mirrored(self, values: Sequence[Any], across: Any, up: Any) -> list[Any]:
-        """Return the values of the functions at positions mirrored along u, along v, or both."""
-        signs = dr.select(across, -1.0, 1.0), dr.select(up, -1.0, 1.0)
-        return [
-            value * (signs[0] if i else 1.0) * (signs[1] if j else 1.0)
-            for (i, j), value in zip(self.functions.odd, values, strict=False)
-        ]
 
     @property
     def reach(self) -> float:

@@ -34,9 +34,9 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, Round
 from ..errors import InputError, short_repr
-from ..fields import OpticalSystem
+from ..fields import OpticalSystem, opaque_lattice
 from ..optics import in_millimetres
-from ..runtime import Floats, drjit_array, empty_packets, monomials, on_all_cores, single_threaded_blas
+from ..runtime import Floats, begin_step, drjit_array, empty_packets, monomials, on_all_cores, single_threaded_blas
 from .accuracy import FINER, USUAL
 from .array_kernels import ArrayKernels
 
@@ -348,7 +348,10 @@ def tabulate(plans: Sequence[PhaseSpace]) -> None:
 
     Tables with the same places lie side by side, so that rays find the coefficients of all wavelengths in one place.
     """
-    by_key = {plan.key: plan for plan in plans}
+    by_key = {}
+    for plan in plans:
+        begin_step("functions of diffraction")
+        by_key[plan.key] = plan
     alike: dict[Any, list[tuple[Any, PhaseSpace]]] = {}
     for key, plan in by_key.items():
         if key not in _tables:
@@ -359,6 +362,7 @@ def tabulate(plans: Sequence[PhaseSpace]) -> None:
             if sum(table.size for table in (*tables, *_tables.values())) > _BYTES:
                 del _tables[key]
         for (key, plan), table in zip(some, tables, strict=True):
+            begin_step("tables of diffraction")
             plan.tabulated(table)
             _tables[key] = table
 
@@ -368,8 +372,8 @@ class TableNodes:
 
     def __init__(self, plan: PhaseSpace) -> None:
         self._radial = plan.radial
-        self._radius = plan.camera.pupil_radius
-        self._angular = mi.Float([node.angular for node in plan.nodes])
+        self._radius = dr.opaque(mi.Float, plan.camera.pupil_radius)
+        self._angular = drjit_array(mi.Float, np.array([node.angular for node in plan.nodes]))
 
     def along(self, Pu: Any, Pv: Any, chance: Any) -> tuple[Any, Any]:
         """Return distances from the pupil's centre over its radius, and a random neighbouring node of the radius."""
@@ -455,6 +459,13 @@ class RayCoefficients:
         self._sides = [drjit_array(mi.Float, column) for column in sides.T]
         self._counts = [drjit_array(mi.Int, column) for column in counts.T]
         self._nodes = TableNodes(plan)
+        self._lattice = opaque_lattice(plan.camera, mi.Float)
+        # A bit for each function that changes its sign, in each quarter of the pupil.
+        quarters = [
+            sum(1 << n for n, (across, up) in enumerate(plan.functions.odd) if across * (q & 1) != up * (q >> 1))
+            for q in range(4)
+        ]
+        self._signs = drjit_array(mi.UInt32, np.array(quarters))
 
     def __call__(
         self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
@@ -470,10 +481,8 @@ class RayCoefficients:
         Each ray takes one node of the table at random, so that the expectation is the linear interpolation between the
         sixteen nodes around it.
         """
-        plan = self.plan
-        lattice = plan.lattice
-        u, v = lattice.to_frame(*point)
-        Pu, Pv = lattice.to_frame(*pupil)
+        u, v = self._lattice.to_frame(*point)
+        Pu, Pv = self._lattice.to_frame(*pupil)
         distance, radial = self._nodes.along(Pu, Pv, jitter[0])
         active = active & (distance <= 1)
         # The table covers a quarter of the pupil; the symmetry of the lenses gives the others.
@@ -501,13 +510,17 @@ class RayCoefficients:
             for packet in self._packets
             for value in dr.gather(mi.Array4f16, self._table, (index >> 2) * self._wide + packet)
         ]
-        return self.plan.mirrored(values, (index & 1) != 0, (index & 2) != 0)
+        signs = dr.gather(mi.UInt32, self._signs, index & 3)
+        return [
+            dr.reinterpret_array(mi.Float, dr.reinterpret_array(mi.UInt32, value) ^ (signs << (31 - n) & (1 << 31)))
+            for n, value in enumerate(values[: self.plan.functions.count])
+        ]
 
     def slopes(
         self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
     ) -> tuple[list[Any], list[Any]]:
         """Return the derivatives of the coefficients by the point, along the lattice's axes; see `__call__`."""
-        Pu, Pv = self.plan.lattice.to_frame(*pupil)
+        Pu, Pv = self._lattice.to_frame(*pupil)
         _, radial = self._nodes.along(Pu, Pv, jitter[0])
         result = []
         for axis, P in enumerate((Pu, Pv)):

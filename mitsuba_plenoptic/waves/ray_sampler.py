@@ -19,7 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..fields import LensKinds
+from ..fields import LensKinds, opaque_lattice
 from ..lenses import Pair
 from ..optics import in_millimetres, second_leg
 from ..rays import LensChoice, Ray, Walk, chances_of, low_discrepancy
@@ -33,6 +33,9 @@ _AIRY_REACH = 200.0
 ORDER = 2
 """Order of the B-spline that is the density of detector points drawn around a cell: it suppresses aliasing of
 frequencies that the grid cannot represent."""
+
+_LANES = 2**22
+"""Approximate count of pairs of a pixel and a lens of which those with light are selected at once."""
 
 _CELLS = 64
 """Number of strips of a window, and of cells of a strip."""
@@ -111,6 +114,8 @@ class DetectorGrid:
     def __init__(self, camera: PlenopticCamera, parts: int) -> None:
         self._camera = camera
         self._parts = parts
+        # Opaque values are kernel inputs, so that other values do not compile the kernels again.
+        self._pixel, self._cell = (dr.opaque(mi.Float, width) for width in (camera.pixel_size, self._step))
         self._response = second_leg(camera.pixel_response or (), camera.mla_absorption or 0.0)
 
     @property
@@ -121,13 +126,13 @@ class DetectorGrid:
     def _middle(self, pixels: Pixels) -> Pair:
         """Return the centres of pixels."""
         camera = self._camera
-        # Opaque values are kernel inputs, so that other values do not compile the kernels again.
         columns = dr.opaque(mi.UInt32, pixels.box.columns)
         left, top = (dr.opaque(mi.Int32, corner) for corner in (pixels.box.left, pixels.box.top))
+        middles = [dr.opaque(mi.Float, 0.5 - 0.5 * size) for size in camera.resolution]
         row = quotient(pixels.index, pixels.box.columns)
         x, y = (
-            (mi.Float(mi.Int32(index) + low) + 0.5 - 0.5 * camera.resolution[axis]) * camera.pixel_size
-            for axis, index, low in ((0, pixels.index - row * columns, left), (1, row, top))
+            (mi.Float(mi.Int32(index) + low) + middle) * self._pixel
+            for middle, index, low in zip(middles, (pixels.index - row * columns, row), (left, top), strict=True)
         )
         return x, y
 
@@ -135,7 +140,7 @@ class DetectorGrid:
         """Return cells of some numbers in pixels, row by row, with the pixels' lenses, and their numbers among all."""
         row = quotient(cell, self._parts)
         x, y = (
-            p + (mi.Float(index) + 0.5 - self._parts / 2) * self._step
+            p + (mi.Float(index) + dr.opaque(mi.Float, 0.5 - self._parts / 2)) * self._cell
             for p, index in zip(lenses.position, (cell - row * dr.opaque(mi.UInt32, self._parts), row), strict=True)
         )
         return lenses._replace(position=(x, y)), pixel * dr.opaque(mi.UInt32, self._parts**2) + cell
@@ -157,10 +162,14 @@ class LensSampler(DetectorGrid):
     ) -> None:
         super().__init__(camera, parts)
         self._lens = plans[0].system.lens
-        # Of opaque lengths, so that a camera of other ones does not compile the kernels again.
-        walk = Walk.of(camera, self._lens)
         opaque = functools.partial(dr.opaque, mi.Float)
-        self.walk = replace(walk, lens=self._lens.opaque(opaque), detector_distance=opaque(walk.detector_distance))
+        self._lattice = opaque_lattice(camera, mi.Float)
+        self.walk = replace(
+            Walk.of(camera, self._lens),
+            lens=self._lens.opaque(opaque),
+            lattice=self._lattice,
+            detector_distance=opaque(camera.detector_distance),
+        )
         self.kinds = LensKinds(camera)
         # With these plans the pupil point of a ray follows from its own point of the lens, not from the lens's centre.
         self.lands_by_point = plans[0].lands_by_point
@@ -169,7 +178,9 @@ class LensSampler(DetectorGrid):
         self.control_factor = 0.0 if self.lands_by_point else 1.0
         # Order of the B-splines by which rays are collected in addition to cells.
         self.order = 0 if self.lands_by_point else ORDER - 1
-        self._pupil_shifts = mi.Float([plans[0].convergence(kind) * camera.pupil_distance for kind in plans[0].kinds])
+        self._pupil_shifts = drjit_array(
+            mi.Float, np.array([plans[0].convergence(kind) * camera.pupil_distance for kind in plans[0].kinds])
+        )
         # Factors by which micro-images are larger than those by rays through lens centres, for each kind of lenses.
         # Where rays land by their own points, the aberrations of a lens widen its spots, too.
         self.enlargements = [
@@ -237,23 +248,23 @@ class LensSampler(DetectorGrid):
         """Return factors on the radiance of rays: étendue, transmission of pupil and lenses, and response of pixels."""
         ray = samples.ray
         lens = samples.lens
-        lattice = self._camera.lattice
+        lattice = self._lattice
         offset = tuple(-p for p in self._chief(ray.p, lens))
         factor = self.walk.through_centre(offset, lens.height)[1] * lens.gain
         if not self._camera.has_even_pupil:
-            x, y = (P / self._camera.pupil_radius for P in samples.round_pupil)
+            x, y = (P / dr.opaque(mi.Float, self._camera.pupil_radius) for P in samples.round_pupil)
             factor = factor * self._camera.pupil_power((x, y), ray.m)
         # The path behind the lens starts within its aperture.
         u, v = lattice.to_frame(*samples.lens_point)
         across, up = lattice.aperture_widths
         x, y = lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
         aside = dr.hypot(x - (ray.p[0] - lens.centre[0]), y - (ray.p[1] - lens.centre[1]))
-        return self._response(aside, self._camera.detector_distance + lens.height) * factor
+        return self._response(aside, self.walk.detector_distance + lens.height) * factor
 
     def _chief(self, detector: Pair, lenses: CellLenses) -> Pair:
         """Return where light of detector points would land through the lens centres, from these."""
         if len(self.enlargements) > 1:
-            larger = dr.gather(mi.Float, mi.Float(self.enlargements), lenses.kind)
+            larger = dr.gather(mi.Float, drjit_array(mi.Float, np.array(self.enlargements)), lenses.kind)
         else:
             larger = dr.opaque(mi.Float, self.enlargements[0])
         x, y = ((p - c) / larger for c, p in zip(lenses.centre, detector, strict=True))
@@ -261,11 +272,12 @@ class LensSampler(DetectorGrid):
 
     def cosines(self, pixels: Pixels) -> Pair:
         """Return the direction cosines, in the lattice frame, with which the light of pixels meets the array."""
-        camera = self._camera
         lenses = self.lenses(pixels)
-        u, v = camera.lattice.to_frame(*self._chief(lenses.position, lenses))
+        u, v = self._lattice.to_frame(*self._chief(lenses.position, lenses))
         # In the medium behind the lenses the sine is smaller by its index.
-        scale = camera.mla_medium * dr.rsqrt(dr.square(self.walk.detector_distance + lenses.height) + u * u + v * v)
+        scale = self._camera.mla_medium * dr.rsqrt(
+            dr.square(self.walk.detector_distance + lenses.height) + u * u + v * v
+        )
         return u * scale, v * scale
 
     def cosine_steps(self, kind: int) -> Doubles:
@@ -283,12 +295,12 @@ class LensSampler(DetectorGrid):
         the index of its cell in the pixel.
         """
         lenses, index = self._cells(self.lenses(pixels).at(pixel), pixel, cell)
-        lattice = self._camera.lattice
+        lattice = self._lattice
         lane = dr.gather(mi.UInt32, pixels.number, pixel)
         random = low_discrepancy(lane, seed ^ ((ray_index & 1) << 3), ray_index >> 1, 4)
         chance = chances_of(lane, seed ^ (ray_index << 4))
         within = [r - 0.5 if self.lands_by_point else tent(r) for r in random[2:]]
-        x, y = (p + r * self._step for p, r in zip(lenses.position, within, strict=True))
+        x, y = (p + r * self._cell for p, r in zip(lenses.position, within, strict=True))
         pupil = self.seen((x, y), lenses)
         if self.lands_by_point:
             # Diffraction at the whole pupil displaces light on the array by the Airy pattern.
@@ -308,7 +320,8 @@ class LensSampler(DetectorGrid):
             round_pupil = self.walk.round_pupil(pupil, lenses.centre)
             aside = (0.0, 0.0)
             point, weight = self._points.draw(round_pupil, chance, random[:2])
-        valid = dr.square(round_pupil[0]) + dr.square(round_pupil[1]) <= self._camera.pupil_radius**2
+        limit = dr.opaque(mi.Float, self._camera.pupil_radius**2)
+        valid = dr.square(round_pupil[0]) + dr.square(round_pupil[1]) <= limit
         position = tuple(c + m - step for c, m, step in zip(lenses.centre, point, aside, strict=True))
         ray = Ray((x, y), position, pupil, weight, valid)
         return RaySamples(ray, round_pupil, point, lenses, chance, pixel, index, ray_index)
@@ -336,9 +349,34 @@ def _lit_lenses(camera: PlenopticCamera, plan: PhaseSpace, parts: int) -> float:
     left, top = ((size - side) // 2 for size in camera.resolution)
     box = Box(left, top, side, side)
     pixels = dr.arange(mi.UInt32, side * side)
-    lenses = (dr.opaque(mi.UInt32, lens) for lens in range(len(sampler.choice.lenses)))
-    lit = [sampler.lights(sampler.lenses(Pixels(box, pixels, lens))) for lens in lenses]
-    return float(dr.sum(sum((dr.select(mask, mi.Float(1), 0) for mask in lit), mi.Float(0)))[0]) / side**2
+    dr.eval(pixels)
+    return sum(dr.width(index) for of_kind in lit(sampler, box, pixels) for index, _ in of_kind) / side**2
+
+
+def lit(sampler: Any, box: Box, pixels: Any, has_rays: Any = True) -> list[list[Pair]]:
+    """Return, for each kind of lenses, arrays of the indices of pixels, among some, and of the lenses lighting them.
+
+    Only pixels of a mask are returned.
+    """
+    kinds: list[list[Pair]] = [[] for _ in sampler.enlargements]
+    width = dr.width(pixels)
+    count = len(sampler.choice.lenses)
+    together = max(1, min(count, _LANES // width))
+    for first in range(0, count, together):
+        lane = dr.arange(mi.UInt32, width * min(together, count - first))
+        lens = quotient(lane, width)
+        index = lane - lens * dr.opaque(mi.UInt32, width)
+        lens += dr.opaque(mi.UInt32, first)
+        lenses = sampler.lenses(Pixels(box, dr.gather(mi.UInt32, pixels, index), lens))
+        lights = sampler.lights(lenses)
+        if has_rays is not True:
+            lights &= dr.gather(mi.Bool, has_rays, index)
+        masks = [lights & (lenses.kind == kind) for kind in range(len(kinds))]
+        dr.eval(index, lens, masks)
+        for of_kind, mask in zip(kinds, masks, strict=True):
+            if dr.width(chosen := dr.compress(mask)):
+                of_kind.append((dr.gather(mi.UInt32, index, chosen), dr.gather(mi.UInt32, lens, chosen)))
+    return kinds
 
 
 def tent(value: Any) -> Any:
@@ -350,13 +388,14 @@ class LensPoints:
     """Sampler of points around lenses, for rays with the coefficients of a plan's table."""
 
     def __init__(self, plan: PhaseSpace) -> None:
-        self._lattice = plan.lattice
+        self._lattice = opaque_lattice(plan.camera, mi.Float)
+        self._area = dr.opaque(mi.Float, float(plan.lattice.lens_area))
         self._nodes = TableNodes(plan)
         # Plans that are expanded about one plan share the edges, as points may have any density.
         rows, columns = _edges(plan.start)
         first = np.cumsum([0] + [len(nodes) for nodes in plan.table])[:-1]
         self._first = drjit_array(mi.UInt32, first)
-        self._sides = [mi.Float([node.sides[axis] for node in plan.nodes]) for axis in (0, 1)]
+        self._sides = [drjit_array(mi.Float, sides) for sides in np.array([node.sides for node in plan.nodes]).T]
         self._rows, self._columns = (drjit_array(mi.Float, edges) for edges in (rows, columns))
 
     def draw(self, pupil: tuple[Any, Any], chance: Any, random: Any) -> tuple[tuple[Any, Any], Any]:
@@ -366,7 +405,7 @@ class LensPoints:
         _, radial = self._nodes.along(Pu, Pv, chance[0])
         index = dr.gather(mi.UInt32, self._first, radial) + self._nodes.around(Pu, Pv, radial, chance[1])
         offsets = []
-        weight = mi.Float(1 / float(lattice.lens_area))
+        weight = 1 / self._area
         for axis, edges in ((1, self._rows), (0, self._columns)):
             ray_index = mi.UInt32(random[axis] * _CELLS)
             index = index * _CELLS + ray_index

@@ -1,4 +1,4 @@
-r"""Captures of scenes by signed rays: plan, noise, cost, and derivatives with respect to the scene's parameters.
+r"""Captures of scenes by signed rays: plan, noise, and derivatives with respect to the scene's parameters.
 
 A capture is linear in the radiances of its rays, so its change is the same sum over their changes. In reverse, the
 correlations of the kernels with the gradient of a function of the capture are gradients of the cells' mean values, and
@@ -21,13 +21,13 @@ from ..detector import PARTS, NonNegative, keep_spread, variance_left, with_spre
 from ..errors import warn
 from ..io import digest
 from ..optics import Spectrum
-from ..runtime import Cost, Doubles, Floats, Job, SumTask
-from ..scene import LightDerivatives, ReplayedLight, SceneLight, seconds_by_rays, seconds_by_waves
+from ..runtime import Doubles, Floats, Job, SumTask, check_memory, steps_counted
+from ..scene import LightDerivatives, ReplayedLight, SceneLight
 from .expansion import ExpandedPlan, nearby
 from .phase_space import FINE, PhaseSpace
 from .scheme import Plan, plan_of
 from .signed_camera import CameraAdjoint, CameraTangents
-from .signed_rays import SignedRaySum, memory_of, rays_of_a_cell
+from .signed_rays import SignedRaySum, memory_of
 from .spectral_nodes import Node, WavelengthSampler, node_spectra
 
 Sum = TypeVar("Sum", bound=SignedRaySum)
@@ -37,6 +37,14 @@ _SAMPLES = 4
 
 _TRACING = 0.9
 """Approximate fraction of a capture's time in which rays are traced; then their images are convolved."""
+
+
+_STEPS = 4
+_STEPS_OF_RAY = 1e-6
+"""Steps of the plan of a node, and the time of a ray in that of a step, approximately."""
+
+_REPORTED = 10**6
+"""What is reported as the total of progress."""
 
 
 @dataclass(frozen=True)
@@ -142,32 +150,51 @@ class SignedCapture:
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> Floats:
         """Return the light on the pixels (rows, columns, channels), with the deviations of what pixels make of it."""
         runs = max(2, min(PARTS, spp // _SAMPLES)) if noise else 1
-        sums = self.sums(spp, seed, runs, SignedRaySum)
-        first = sums[0]()
+        progress = job.progress
+        rows, columns = self.camera.shape
+        check_memory(
+            memory_of(float(rows) * columns, float(rows) * columns * spp, self.nodes),
+            f"wave capture of {columns} x {rows} pixels, nodes = {len(self.nodes)}",
+            most=math.inf,
+        )
+
+        def show(done: float) -> None:
+            if progress:
+                progress(round(_REPORTED * done), _REPORTED)
+
+        planned = 0.0
+        path = getattr(job.keeper, "path", None)
+        # The progress of a resumed run begins with what is done.
+        if job.progress and not (path and path.exists()):
+            # Plans are a larger part of the work the fewer rays there are.
+            plans = _STEPS * len(self.nodes)
+            planned = plans / (plans + _STEPS_OF_RAY * math.prod(self.camera.shape) * spp)
+        with steps_counted(lambda done: show(planned * done) if planned else None, _STEPS * len(self.nodes)):
+            sums = self.sums(spp, seed, runs, SignedRaySum)
+            first = sums[0]()
         items = int(first.items.sum())
         if runs == 1:
             sums = [lambda: first]
 
-        def planned(plan: Callable[[], SignedRaySum]) -> SignedRaySum:
+        def watched(plan: Callable[[], SignedRaySum]) -> SignedRaySum:
             work = plan()
             work.traced = lambda more: report("traced", reached["traced"] + more)
             return work
 
-        tasks = [SumTask(items, partial(planned, plan), lambda image: image * np.float32(1 / runs)) for plan in sums]
+        tasks = [SumTask(items, partial(watched, plan), lambda image: image * np.float32(1 / runs)) for plan in sums]
         if noise:
             tasks = [keep_spread(task, self.camera) for task in tasks]
         channels = self.spectrum.channels
-        shape = (*self.camera.shape, channels * (3 if noise else 1))
+        shape = (rows, columns, channels * (3 if noise else 1))
         items_of_all = sum(task.items for task in tasks)
         reached = {"traced": 0.0, "convolved": 0.0}
 
         def report(label: str, count: float) -> None:
             reached[label] = count
             reached["traced"] = max(reached.values())
-            if progress:
-                progress(round(_TRACING * reached["traced"] + (1 - _TRACING) * reached["convolved"]), items_of_all)
+            done = _TRACING * reached["traced"] + (1 - _TRACING) * reached["convolved"]
+            show(planned + (1 - planned) * done / items_of_all)
 
-        progress = job.progress
         job = replace(job, progress=lambda done, _: report("convolved", done))
         image = job.run(tasks, shape, items_of_all, {"scene_digest": lambda: digest(first.probe())})
         if not image.any():
@@ -189,23 +216,6 @@ class SignedCapture:
         """Return the compensated images of channels that only noise can make negative, by channel."""
         channels = np.flatnonzero(self.spectrum.matrix().min(1) >= 0).tolist()
         return {channel: NonNegative(image[..., channel]) for channel in channels}
-
-    def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
-        """Return the estimated cost of `compute`, from some rays of a ray capture, without the nodes' tables."""
-        camera = self.camera
-        light = self.light
-        lit = 1.0
-        if camera.has_array:
-            # The area of a micro-image over that of a lens.
-            wide = camera.pupil_radius * camera.reduced_distance / camera.pupil_distance
-            lit = max(1.0, math.pi * wide**2 / math.prod(camera.mla_pitches))
-        cell, _ = rays_of_a_cell(spp, self._parts, lit)
-        rays = cell * self._parts**2 * lit
-        pixels = float(camera.shape[0]) * camera.shape[1]
-        by_rays = seconds_by_rays(light.scene, light.sensor, light.integrator, seed=seed, spp=spp) * rays / spp
-        images = sum(len(node.channels) for node in self.nodes)
-        seconds = seconds_by_waves(by_rays, rays * pixels, pixels, images)
-        return Cost(0, 0, seconds, memory_of(pixels, rays * pixels, self.nodes))
 
 
 @dataclass(frozen=True)

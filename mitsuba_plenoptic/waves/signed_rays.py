@@ -34,9 +34,12 @@ from ..runtime import (
     Doubles,
     PartialSum,
     active_backend,
+    begin_step,
+    count_lanes,
     drjit_array,
     fft,
     interleaved,
+    lanes_reported,
     on_cuda,
     prepared,
     quotient,
@@ -49,15 +52,18 @@ from .convolution import TILE, Block, Convolution, blocks_of, box_of, margin_of
 from .phase_space import coefficients_of
 from .pixel_kernels import PixelKernels
 from .pupil_sampler import PupilSampler
-from .ray_sampler import LensSampler, Pixels, RaySamples
+from .ray_sampler import LensSampler, Pixels, RaySamples, lit
 from .scheme import Plan
 from .spectral_nodes import Node, RayWavelengths, WavelengthSampler, chances, mixed, span
 
 _BLOCK_BYTES = 2**27
 """Bytes of the images of one block of the detector: few, for memory, and as progress is counted in blocks."""
 
-_BLOCK_RAYS = 2**24
-"""Approximate most rays of a block: some seconds', as checkpoints wait for the end of one."""
+_BLOCK_RAYS = 2**22
+"""Approximate most rays of a block: about a second's, as the first checkpoint waits for the end of two."""
+
+_BLOCK_PIXELS = 2**8
+"""Approximate fewest pixels of a block with many rays for each."""
 
 _LANES = 2**22
 """Approximate count of rays that are traced at once."""
@@ -81,9 +87,6 @@ _THINNED = 2
 
 _LEAST = 2
 """Smallest count of rays from each pixel through each lens: two halves of them correct each other."""
-
-_MASKS = 5
-"""Count of lenses for which masks of the pixels that they light are computed at once."""
 
 
 class RayBatch(NamedTuple):
@@ -154,8 +157,10 @@ class SignedRaySum:
         plans = [node.plan for node in nodes]
         self._groups = walks_of(plan.system for plan in plans)
         self._sampler = (LensSampler if camera.has_array else PupilSampler)(camera, plans, parts)
-        rays, least = rays_of_a_cell(spp, parts, self._sampler.lit_lenses)
-        # Rays of a cell. With drawn wavelengths, a pass has only the fewest that correct each other and share these.
+        least = -(-_LEAST // parts**2)
+        rays = max(least, round(spp / (parts**2 * max(1.0, self._sampler.lit_lenses))))
+        # Rays of a cell through each lens. With drawn wavelengths, a pass has only the fewest that correct each other
+        # and share these.
         self._spp = rays if wavelengths is None else least
         self._passes = round(rays / self._spp)
         # Rays of a pixel and a lens in a pass.
@@ -170,7 +175,7 @@ class SignedRaySum:
         values = sum(len(flat) * len(node.channels) for flat, node in zip(self._flat_kernels, nodes, strict=True))
         rays_of_pixel = self._together * self._passes * max(1, round(self._sampler.lit_lenses))
         self._blocks = blocks_of(
-            self._bins, min(_BLOCK_BYTES // (4 * values), max(2**12, _BLOCK_RAYS // rays_of_pixel))
+            self._bins, min(_BLOCK_BYTES // (4 * values), max(_BLOCK_PIXELS, _BLOCK_RAYS // rays_of_pixel))
         )
         self.items = np.array([block.rows * block.columns for block in self._blocks])
 
@@ -260,13 +265,15 @@ class SignedRaySum:
         # Dr.Jit's own threads rest while others convolve; here they are needed, but for the last batch.
         with fft.busy_drjit():
             for batch in self._ray_batches(box, pixels, seeds):
-                means = self.estimate(batch)
+                report = _portions(traced, batch.share * count)
+                rays = dr.width(batch.index) * self._together * len(self._groups)
+                with lanes_reported(report, rays):
+                    means = self.estimate(batch)
                 # While a batch is added to the images, other threads sum the rays of the next one.
                 if before:
                     self._add(*before, sums)
                 before = batch, means
-                if traced:
-                    traced(batch.share * count)
+                report(1.0)
             dr.sync_thread()
         if before:
             self._add(*before, sums)
@@ -330,23 +337,9 @@ class SignedRaySum:
             within = row % _THINNED * _THINNED + column % _THINNED
             near = ~far | (chosen[row // _THINNED, column // _THINNED] == within)
             has_rays = drjit_array(mi.UInt32, near.ravel()[pixels.numpy()]) != 0
-        lit: list[list[Any]] = [[] for _ in sampler.enlargements]
-        count = len(sampler.choice.lenses)
-        for first in range(0, count, _MASKS):
-            # Always as many, as other numbers would compile kernels again.
-            lenses = [dr.opaque(mi.UInt32, min(first + number, count - 1)) for number in range(_MASKS)]
-            views = [sampler.lenses(Pixels(box, pixels, lens)) for lens in lenses]
-            masks = [
-                [has_rays & sampler.lights(view) & (view.kind == kind) for kind in range(len(lit))] for view in views
-            ]
-            dr.eval(masks)
-            for lens, kinds in zip(lenses[: count - first], masks, strict=False):
-                for of_kind, mask in zip(lit, kinds, strict=True):
-                    index = dr.compress(mask)
-                    if dr.width(index):
-                        of_kind.append((index, lens + dr.zeros(mi.UInt32, dr.width(index))))
-        rays = self._passes * sum(dr.width(index) for of_kind in lit for index, _ in of_kind)
-        for kind, of_kind in enumerate(lit):
+        kinds = lit(sampler, box, pixels, has_rays)
+        rays = self._passes * sum(dr.width(index) for of_kind in kinds for index, _ in of_kind)
+        for kind, of_kind in enumerate(kinds):
             if not of_kind:
                 continue
             # Batches of all lenses together, since those at the rims of micro-images light few pixels.
@@ -471,6 +464,7 @@ class SignedRaySum:
             colours = batch.wavelengths[group]
             # The radiance along the rays, as far as the pixels receive it.
             radiance = [light * power for light in self._light(*self._scene_rays(walk, samples, colours, batch.seed))]
+            count_lanes(dr.width(power))
             # What the coefficients depend on, once for nodes that have those of a ray at the same place of tables.
             alike: dict[Any, list[int]] = {}
             for number in nodes:
@@ -576,12 +570,6 @@ class SignedRaySum:
         return pixel, pixel * together + start, start
 
 
-def rays_of_a_cell(spp: int, parts: int, lit_lenses: float) -> tuple[int, int]:
-    """Return the rays of each cell through each lens that lights it, and the fewest that correct each other."""
-    least = -(-_LEAST // parts**2)
-    return max(least, round(spp / (parts**2 * max(1.0, lit_lenses)))), least
-
-
 def memory_of(pixels: float, rays: float, nodes: Sequence[Node]) -> float:
     """Return the approximate bytes of a capture with a count of pixels and rays."""
     values = _VALUES * sum(len(node.channels) for node in nodes)
@@ -589,6 +577,19 @@ def memory_of(pixels: float, rays: float, nodes: Sequence[Node]) -> float:
     blocks = 4 * min(_BLOCK_BYTES, 4 * values * pixels)
     spectra = 4 * values * min(TILE**2, 4 * pixels)
     return blocks + spectra + len(nodes) * _TABLE_BYTES + _RAY_BYTES * min(_LANES, rays) + 8 * pixels
+
+
+def _portions(traced: Callable[[float], None] | None, items: float) -> Callable[[float], None]:
+    """Return a function of the fraction of items that is done; `traced` is called with the increases."""
+    reached = 0.0
+
+    def report(fraction: float) -> None:
+        nonlocal reached
+        if traced:
+            traced(items * (fraction - reached))
+        reached = fraction
+
+    return report
 
 
 def _of_cells(values: Any, pixel: Any) -> Any:
@@ -620,6 +621,7 @@ class _Grid(NamedTuple):
 @functools.lru_cache(maxsize=16)
 def _kernels_of(plan: Plan, grid: _Grid, kind: int) -> PixelKernels:
     """Return the kernels of a plan for one kind of lenses, cached for further captures of the camera."""
+    begin_step("kernels of diffraction")
     camera = plan.camera
     values = [getattr(plan, field.name) for field in dataclasses.fields(plan) if field.name != "camera"]
     kernels = prepared.get()(
@@ -634,4 +636,5 @@ def _convolution_of(
     camera: PlenopticCamera, sets: tuple[PixelKernels, ...], size: tuple[int, int], cuda: bool
 ) -> Convolution:
     """Return the convolution with kernels, whose spectra are cached, on CUDA there, for further captures."""
+    begin_step("convolutions")
     return Convolution(camera, [kernel for of_set in sets for kernel in of_set.kernels], size)

@@ -76,6 +76,11 @@ def test_a_camera_survives_its_other_forms(numbers):
     assert PlenopticCamera.from_sensor(sensor) == camera
     with pytest.raises(InputError, match="pixel_format = 'cmyk': it must be one of luminance"):
         camera.to_xml(pixel_format="cmyk")
+    assert sensor.film().base_channels_count() == 1
+    for variant in ("llvm_ad_rgb", "llvm_ad_spectral"):
+        mi.set_variant(variant)
+        assert mi.load_dict(camera.to_sensor()).film().base_channels_count() == 3
+        assert '"pixel_format" value="rgb"' in camera.to_xml()
     assert tuple(sensor.film().crop_size()) == camera.shape[::-1]
     assert sensor.film().rfilter().is_box_filter()
     np.testing.assert_array_equal(np.ravel(sensor.world_transform().translation()), [1, 2, 3])

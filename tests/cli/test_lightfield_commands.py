@@ -97,7 +97,7 @@ def test_depth_warns_when_it_knows_little(tmp_path, capfd):
     assert error.startswith("mitsuba-plenoptic: warning: depth: hardly any bin determines it")
 
 
-def test_depth_says_where_to_widen_the_search(tmp_path, capfd):
+def test_depth_says_where_to_widen_the_search(tmp_path, capfd, monkeypatch):
     assert main(["example", "letters-ray", "-o", str(tmp_path / "raw.exr")]) == 0
     words = ["depth", str(tmp_path / "raw.exr"), "-o", str(tmp_path / "a.exr"), "--near", "195", "--far"]
     assert main([*words, "225"]) == 0
@@ -109,6 +109,10 @@ def test_depth_says_where_to_widen_the_search(tmp_path, capfd):
     assert "widen" not in capfd.readouterr().err
     found = np.nanmedian(parts(tmp_path / "a.exr")[0]["depth"])
     assert 205 < found < 285
+    monkeypatch.setattr("mitsuba_plenoptic.views.beyond_search", lambda estimate: (0.0, 0.5))
+    for far, advised in (("310", True), ("inf", False)):
+        assert main([*words, far]) == 0
+        assert ("widen" in capfd.readouterr().err) == advised
 
 
 def test_expose(shot, tmp_path, run):
@@ -144,6 +148,8 @@ def test_figures_enlarged_pictures_and_animations(shot, lf, tmp_path, run, coars
         run(command, shot, "-o", tmp_path / f"{command}.pdf", *options)
         assert (tmp_path / f"{command}.pdf").read_bytes()[:5] == b"%PDF-"
     assert len(list(tmp_path.iterdir())) == 6
+    run("views", shot, "-o", tmp_path / "fine.png", "--dpi", 100)
+    assert Image.open(tmp_path / "fine.png").width == 700
 
     for command, *options in (["stack", *distances], ["views", "--count", 2]):
         run(command, shot, "-o", tmp_path / "plain.png", "--scale", 1, *options)

@@ -69,7 +69,7 @@ BAD = [
     ("reconstruct --capture x.exr -o a.exr --distance 210", "no such option: --capture"),
     ("reconstruct x.exr --distance 210 -o", "'-o' requires an argument"),
     ("render letters", "--output"),
-    (f"{RENDER} -D a=1 -D b=-2 --aov depth,normal --seed -1 --spp 16", "parameter a: the scene "),
+    (f"{RENDER} -D a=1 -D b=-2 --aov depth,normal --seed 1 --spp 16", "parameter a: the scene "),
     (f"{RENDER} -D a=1 b=2", "(b=2)"),
     (f"{RENDER} --define.a 1", "no such option: --define.a; did you mean --define?"),
     (f"{RENDER} --model magic", "--model = 'magic': it must be one of ray, wave"),

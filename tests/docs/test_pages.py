@@ -33,6 +33,41 @@ def test_commands_and_names_exist(page):
         assert (ROOT / path).exists(), path
 
 
+# Pages about a reader's own pictures, and those that go on from the start page.
+BLOCK = re.compile(
+    r"^```(?:\{code-block\} \w+\n:caption: (\S+)\n\n|(?:\{code-cell\} )?(python|console)\n)(.*?)^```",
+    re.MULTILINE | re.DOTALL,
+)
+OWN_PICTURES = ("calibration", "exchange", "real_light")
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.stem not in OWN_PICTURES], ids=lambda page: page.stem)
+def test_pages_can_be_pasted_from_their_top(page):
+    """In an empty folder: commands read files that the page wrote, and code uses names that it defined."""
+    written = set()
+    code = ""
+    for name, kind, text in BLOCK.findall(page.read_text()):
+        written.add(name)
+        if kind == "python":
+            code += text
+            written |= set(re.findall(r"""["'](\S+\.\w+)["']""", text))
+        for line in (
+            re.findall(r"^\$ mitsuba-plenoptic \w+ (.*)$", text, flags=re.MULTILINE) if kind == "console" else ()
+        ):
+            words = shlex.split(line, comments=True)
+            outputs = {
+                words[number + 1] for number, word in enumerate(words) if word in ("-o", "--output", "--microlens")
+            }
+            read = {word for word in words if re.fullmatch(r"[\w./]+\.(exr|tiff?|png|json|yaml|xml|nc|zarr|pdf)", word)}
+            # Several distances make out_210.exr of out.exr.
+            stems = {re.sub(r"_[\d.]+(?=\.)", "", word): word for word in read - outputs - written}
+            assert not set(stems) - written, f"{line}: {stems}"
+            written |= outputs
+    command = [sys.executable, "-m", "ruff", "check", "--isolated", "--select", "F821", "-"]
+    done = subprocess.run(command, input=code, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+
+
 @pytest.mark.parametrize(
     "page",
     [

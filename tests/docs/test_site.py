@@ -19,14 +19,15 @@ def test_broken_links_are_found(check, tmp_path):
     (tmp_path / "sub").mkdir()
     (tmp_path / "a.html").write_text('<h1 id="top">A</h1><a href="sub/b.html#here">b</a><a href="https://x.org">x</a>')
     (tmp_path / "sub" / "b.html").write_text(
-        '<p id="here"><a href="../a.html#top">a</a><img src="data:image/png;base64,">'
+        '<p id="here"><a href="../a.html#top">a</a><img alt="b" src="data:image/png;base64,">'
     )
     assert check["broken_links"](tmp_path) == []
     (tmp_path / "c.html").write_text(
-        '<a href="a.html#no">1</a><a href="no.html">2</a><script src="https://x.org/y.js">'
+        '<a href="a.html#no">1</a><a href="no.html">2</a><img src="a.html"><script src="https://x.org/y.js">'
     )
     found = check["broken_links"](tmp_path)
     assert [text.split(": ", 1)[1] for text in found] == [
+        "a.html: a picture without a text",
         "a.html#no: there is no such place",
         "no.html: there is no such file",
         "it loads https://x.org/y.js",

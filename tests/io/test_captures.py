@@ -1,6 +1,7 @@
 """Captures on disk."""
 
 import json
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -34,6 +35,19 @@ def test_a_capture_survives_the_disk(tmp_path, camera, channels):
     assert (read.camera, read.wavelength, read.model) == (camera, wavelength, "wave")
     assert read.metadata == {"seed": 3, "scene": 'ä "quoted"'}
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_files_stand_for_captures_and_white(tmp_path):
+    camera = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
+    light = np.random.default_rng(0).random(camera.shape)
+    capture = Capture(light, camera)
+    white = Capture(0.5 + np.abs(np.sin(np.arange(128))) * np.ones((128, 1)), camera)
+    paths = str(tmp_path / "raw.exr"), tmp_path / "white.exr"
+    for path, one in zip(paths, (capture, white), strict=True):
+        write_capture(path, one)
+    for work in (partial(mp.reconstruct, distance=240), mp.decode):
+        np.testing.assert_array_equal(work(paths[0], white=paths[1]), work(capture, white=white))
+    np.testing.assert_array_equal(mp.expose(paths[0], photons=9), mp.expose(capture, mp.Detector(), photons=9))
 
 
 def test_a_capture_is_described_in_one_line(camera):

@@ -264,6 +264,7 @@ def test_a_capture_that_was_killed_keeps_its_kernels(tmp_path, monkeypatch):
     """Those of signed rays; the first state is saved before a second block is traced."""
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
     monkeypatch.setattr(signed_rays, "_BLOCK_RAYS", 0)
+    monkeypatch.setattr(signed_rays, "_BLOCK_PIXELS", 2**12)
     path, options = tmp_path / "checkpoint", {"method": "signed_rays", "spp": 4}
 
     def image(existing, progress=None):
@@ -278,18 +279,29 @@ def test_a_capture_that_was_killed_keeps_its_kernels(tmp_path, monkeypatch):
         counts.append(arguments)
         return make(plan, *arguments)
 
+    def batches():
+        with np.load(path) as archive:
+            return json.loads(str(archive["header"])).get("batches", 0)
+
     def stop(done, total):
-        if path.exists() and done > 0.2 * total:
+        if path.exists() and batches():
             raise StoppedError
 
     monkeypatch.setattr(array_kernels.ArrayKernels, "kernels", counted)
     with pytest.raises(StoppedError):
         image("refuse", stop)
     made = len(counts)
-    with np.load(path) as archive:
-        assert json.loads(str(archive["header"]))["batches"] <= 3
+    assert batches() <= 3
     np.testing.assert_array_equal(image("resume"), whole)
     assert made and len(counts) == made
+
+
+@pytest.mark.parametrize("spp", [2**6, 2**14])
+def test_blocks_that_a_checkpoint_waits_for_have_a_second_s_rays(spp):
+    scene = load_scene("letters", parameters={"resolution": "512"})
+    capture = mi.load_dict({"type": "plenoptic_wave"})._capture(scene, scene.sensors()[0])
+    (work,) = (plan() for plan in capture.sums(spp, 1, 1, signed_rays.SignedRaySum))
+    assert work.items.max() * spp <= 2**23
 
 
 @pytest.mark.parametrize("error", [StopIteration, KeyError])

@@ -39,7 +39,7 @@ def wave(n, column, row):
 
 def test_no_message_tells_of_more_light_than_there_is():
     with pytest.raises(mp.PhysicsError, match=r"^100\.00% of the light interferes"):
-        guards.require(guards.SCREEN, 1.0036)
+        guards.check(guards.SCREEN, 1.0036)
 
 
 class TestPropagation:

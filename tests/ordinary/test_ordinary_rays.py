@@ -119,7 +119,6 @@ def test_colours_are_those_of_lenses_at_their_wavelengths():
     camera = ordinary(glass={"index": 1.5, "abbe": 8.0})
     mi.set_variant("llvm_ad_rgb")
     sensor = camera.to_sensor()
-    sensor["film"]["pixel_format"] = "rgb"
     mean, variance = rendered(sensor, 0, spp=512)
     mi.set_variant("llvm_ad_mono")
     for channel, wavelength in enumerate((611.4, 549.1, 464.3)):
@@ -309,7 +308,6 @@ def test_notebooks_show_it():
 def test_a_photograph_through_a_mosaic_is_demosaiced():
     mi.set_variant("llvm_ad_rgb")
     sensor = ordinary().to_sensor()
-    sensor["film"]["pixel_format"] = "rgb"
     grey = render_capture(scene_of(sensor, **WHITE), spp=4)
     exposed = mp.expose(grey, mp.Detector(mosaic="RGGB", read_noise=0.0), photons=5000)
     assert mp.demosaic(exposed).image == pytest.approx(1, abs=0.2)

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 from cameras import SMALL_SENSOR, write_scene
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, ground_truth, load_scene, render_capture, with_camera
+from mitsuba_plenoptic import (
+    InputError,
+    PlenopticCamera,
+    estimate_capture,
+    ground_truth,
+    load_scene,
+    render_capture,
+    with_camera,
+)
 
 ORDINARY = PlenopticCamera(
     mla_lattice="none",
@@ -87,6 +95,19 @@ def test_instances_ids_and_meters_stay_and_the_picture_is_that_of_the_scenes_own
         assert {"0-wall", "tree", "i", "j", "key-light", "Camera"} <= set(before)
         for model in models:
             np.testing.assert_allclose(render_capture(made, model=model, spp=16).image, own[model], atol=1e-5)
+
+
+def test_files_dictionaries_and_names_stand_for_scenes_and_presets_for_cameras(tmp_path):
+    path = write_scene(tmp_path)
+    made = with_camera(path, "lytro")
+    assert made.sensors()[0].camera == PlenopticCamera.preset("lytro")
+    described = {"type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant"}}
+    described["camera"] = ORDINARY.to_sensor()
+    images = [render_capture(scene, spp=4).image for scene in (described, load_scene(described))]
+    np.testing.assert_array_equal(*images)
+    assert estimate_capture(described, spp=4).seconds > 0
+    assert ground_truth(described).camera == ORDINARY
+    assert with_camera(str(path), ORDINARY).sensors()[0].camera == ORDINARY
 
 
 def test_the_camera_stands_where_the_named_or_the_first_camera_stood():

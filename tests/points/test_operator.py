@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cameras import HALF, LATTICES, WAVELENGTH, capture, error, in_every_lens, scattered, small_camera
+from cameras import HALF, LATTICES, WAVELENGTH, capture, error, in_every_lens, pattern_count, scattered, small_camera
 from scipy.sparse.linalg import aslinearoperator, lsqr
 
 from mitsuba_plenoptic import CaptureOperator, Job, Spectrum, point_spread_function
+from mitsuba_plenoptic.points.full_fields import FullFieldSum
 from mitsuba_plenoptic.points.operator import PLANS
+from mitsuba_plenoptic.points.patch_plan import PatchSum
 from mitsuba_plenoptic.points.pupil_weights import PupilWeights
 from mitsuba_plenoptic.runtime.batches import Threads
 
@@ -196,7 +198,6 @@ def test_equal_wavelengths_share_their_point_spreads(monkeypatch):
     image = operator.forward(weights)
     operator.adjoint(image)
     assert planned == [633, 532]
-    assert operator.estimate().patterns == 2 * 5
     for channel, wavelength in enumerate((633, 532, 633)):
         alone = capture(SMALL, scattered(5), weights[:, channel], wavelength=wavelength)
         assert error(image[..., channel], alone) < 1e-5
@@ -274,8 +275,8 @@ def test_shared_patterns_stay_true(name, distance):
     shared, every = (
         CaptureOperator(camera, positions, wavelength=WAVELENGTH, accuracy=accuracy) for accuracy in (0.02, 0)
     )
-    assert shared.estimate().patterns < len(positions) / 2
-    assert every.estimate().patterns == len(positions)
+    assert pattern_count(shared) < len(positions) / 2
+    assert pattern_count(every) == len(positions)
     assert 0 < error(shared.forward(weights), every.forward(weights)) < 0.01
 
 
@@ -290,7 +291,7 @@ def test_a_tilted_surface_shares_within_the_allowed_error():
         CaptureOperator(camera, positions, wavelength=WAVELENGTH, accuracy=accuracy) for accuracy in (0, 0.01, 0.05)
     ]
     every, shared, rough = (operator.forward(weights) for operator in operators)
-    assert operators[1].estimate().patterns < len(positions) / 2
+    assert pattern_count(operators[1]) < len(positions) / 2
     assert error(shared, every) < 0.01
     assert 0.001 < error(rough, every) < 0.05
 
@@ -298,7 +299,7 @@ def test_a_tilted_surface_shares_within_the_allowed_error():
 def test_few_points_are_not_mistaken_for_each_other():
     """Nothing averages out in a sum of two: near each other as they are, each has a point spread of its own."""
     positions = [(0.01, 0.01, 240.0), (0.012, 0.01, 240.0)]
-    assert CaptureOperator(SMALL, positions, wavelength=WAVELENGTH).estimate().patterns == 2
+    assert pattern_count(CaptureOperator(SMALL, positions, wavelength=WAVELENGTH)) == 2
 
 
 # -- estimates and refusals --------------------------------------------------------------------------
@@ -314,14 +315,25 @@ def test_many_cores_are_no_reason_to_refuse(monkeypatch):
     assert alone < many.estimate().memory < 4 * 2**30
 
 
-@pytest.mark.parametrize(("method", "count"), [("patch", 30), ("full_field", 2)])
-def test_the_estimate_is_of_the_right_size(method, count, trials_of_a_second):
-    operator = CaptureOperator(SMALL, scattered(count), wavelength=WAVELENGTH, method=method)
+@pytest.mark.parametrize(("method", "kind"), [("patch", PatchSum), ("full_field", FullFieldSum)])
+def test_the_estimate_leaves_the_sum_as_soon_as_its_speed_is_known(method, kind, monkeypatch):
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.progress.SETTLED", 0.0)
+    ended = []
+    monkeypatch.setattr(kind, "image", lambda *_: ended.append(True))
+    operator = CaptureOperator(SMALL, scattered(30), wavelength=WAVELENGTH, method=method)
     cost = operator.estimate(Job(batch_map=Threads(1)))
-    assert cost.points == cost.patterns == count
-    # The trials are of two patches of each size, and of one full field.
-    assert cost.seconds == {"patch": count / 2, "full_field": count}[method]
+    assert not ended
+    assert 0 < cost.seconds < 600
     assert 0 < cost.memory < 2**32
+
+
+def test_progress_counts_patches_by_their_samples():
+    """Two points in focus are a small part of the work of two far from it."""
+    points = [(0, 0, 240.0), (0.5, 0.5, 240.0), (0, 0, 200.0), (0.5, 0.5, 200.0)]
+    plan = CaptureOperator(SMALL, points, wavelength=WAVELENGTH)._plans.at(WAVELENGTH)
+    chunks, items = plan.lit_chunks(np.ones((4, 1)))
+    assert [plan._positions[chunk[0], 2] for chunk in chunks] == [240, 200]
+    assert items.tolist() == [1, 3]
 
 
 def test_many_points_keep_their_power_whatever_hides_others():

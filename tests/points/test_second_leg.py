@@ -71,7 +71,7 @@ def test_adjoint_and_cost():
     assert np.vdot(operator.forward(weights).astype(float), image) == pytest.approx(
         operator.adjoint(image) @ weights, rel=1e-4
     )
-    assert operator.estimate().points == 2
+    assert operator.estimate().memory > 0
 
 
 @pytest.mark.slow

@@ -160,6 +160,22 @@ def test_bins_that_no_ray_reaches_are_marked(lattice):
     np.testing.assert_allclose(image[reached], 1, atol=1e-5)
 
 
+@pytest.mark.parametrize("wavelength", [None, 633.0, (620.0, 540.0, 460.0)])
+def test_distances_outside_the_range_of_refocusing_are_told(wavelength):
+    """Samples per lens fall with the distance from the plane in focus, in diopters, over that of the range's end."""
+    camera = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
+    image = np.ones((*camera.shape, 3) if isinstance(wavelength, tuple) else camera.shape)
+    capture = Capture(image, camera, wavelength, "ray" if wavelength is None else "wave")
+    near, far = mp.design.refocus_range(camera, None if wavelength is None else np.max(wavelength))
+    distances = [1.01 * near, 240.0, 0.99 * far, 1.01 * far, 5000.0, math.inf]
+    with pytest.warns(UserWarning, match=f"far outside the range of refocusing, {near:.4g} to {far:.4g}") as told:
+        facts = [result.facts for result in reconstruct(capture, distances)]
+    assert [str(warning.message).partition(":")[0] for warning in told] == ["distance = 5000", "distance = inf"]
+    assert [fact["in_range"] for fact in facts] == [True] * 3 + [False] * 3
+    outside = [(1 / 240 - 1 / far) / (1 / 240 - 1 / distance) for distance in distances[4:]]
+    assert [fact["samples_per_lens"] for fact in facts[4:]] == pytest.approx(outside, rel=1e-3)
+
+
 def test_a_new_method_is_one_registered_function(monkeypatch):
     monkeypatch.setitem(METHODS, "mean", None)
 

@@ -52,10 +52,10 @@ def test_files_hold_voxel_sizes(tmp_path):
     write_volume(tmp_path / "a.tif", volume)
     with tifffile.TiffFile(tmp_path / "a.tif") as file:
         told, tags = file.imagej_metadata, file.pages[0].tags
-        assert told["spacing"] == 10 and told["unit"] == "mm" and told["slices"] == 4
+        assert told["spacing"] == 10_000 and told["unit"] == "um" and told["slices"] == 4
         assert json.loads(told["Info"]) == {"distances": [210, 220, 230, 240], "a": [1]}
         numerator, denominator = tags["XResolution"].value
-        assert denominator / numerator == pytest.approx(0.03, rel=1e-6)
+        assert denominator / numerator == pytest.approx(30, rel=1e-6)
         np.testing.assert_array_equal(file.asarray(), volume.values)
     uneven = Volume(random.random((3, 5, 6, 3)).astype(np.float32), (210.0, 220.0, 250.0), 0.03)
     refuses(r"distance = 210, 220, 250: planes of a .tif are evenly spaced", write_volume, tmp_path / "b.tif", uneven)
@@ -65,11 +65,11 @@ def test_files_hold_voxel_sizes(tmp_path):
         pixels = next(
             entry for entry in ElementTree.fromstring(file.ome_metadata).iter() if entry.tag.endswith("Pixels")
         )
-    assert float(pixels.attrib["PhysicalSizeX"]) == 0.03 and pixels.attrib["PhysicalSizeXUnit"] == "mm"
+    assert float(pixels.attrib["PhysicalSizeX"]) == 30 and pixels.attrib["PhysicalSizeXUnit"] == "µm"
     assert "PhysicalSizeZ" not in pixels.attrib
     planes = [entry.attrib for entry in pixels if entry.tag.endswith("Plane")]
     places = {int(plane["TheZ"]): float(plane["PositionZ"]) for plane in planes}
-    assert places == {0: 210, 1: 220, 2: 250}
+    assert places == {0: 210_000, 1: 220_000, 2: 250_000}
     for name in ("c.png", "c"):
         refuses(r"give a name that ends in .tif or", write_volume, tmp_path / name, volume)
 

@@ -120,6 +120,29 @@ MOMENT = {"type": "moment", "p": {"type": "path"}}
 
 
 @pytest.mark.parametrize(
+    ("integrator", "camera", "words"),
+    [
+        ({"type": "ptracer"}, {}, "^plenoptic: light tracing .* use path or direct"),
+        (
+            {"type": "prbvolpath"},
+            {"medium": {"type": "homogeneous"}},
+            "prbvolpath ignores the medium around the camera",
+        ),
+        (MOMENT, {"detector_blur": 0.01}, "^plenoptic: output m2_p.Z: .* without detector_blur"),
+        ({"type": "plenoptic_wave"}, {"film": {"pixel_format": "luminance_alpha"}}, "^film: it has 2 channels"),
+        ({"type": "moment", "wave": {"type": "plenoptic_wave"}}, {}, "plenoptic_wave: it is no nested integrator"),
+    ],
+)
+def test_scenes_are_loaded_only_if_their_integrator_can_render_their_camera(integrator, camera, words, camera_dict):
+    """Once it renders, the last line of an error is Mitsuba's."""
+    described = {"type": "scene", "integrator": integrator, "camera": camera_dict(resolution=16, **camera)}
+    with pytest.raises(mp.InputError, match=words):
+        mp.load_scene(described)
+    mp.load_scene(described | {"integrator": {"type": "path"}})
+    mp.load_scene(described | {"camera": {"type": "perspective"}, "integrator": {"type": "ptracer"}})
+
+
+@pytest.mark.parametrize(
     ("variant", "camera", "integrator", "words"),
     [
         ("llvm_ad_mono", {"detector_blur": 0.01}, MOMENT, r"plenoptic: output m2_p.Z: .* without detector_blur"),
@@ -152,7 +175,7 @@ def test_an_integrator_that_ignores_the_medium_around_the_camera_is_refused():
         mla_lattice="none", focal_length=50, aperture_radius=5, focus_distance=400, resolution=(24, 18),
         detector_width=24,
     )  # fmt: skip
-    scene = mp.load_scene(
+    scene = mi.load_dict(
         {
             "type": "scene",
             "integrator": {"type": "prbvolpath"},

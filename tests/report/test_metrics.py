@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import scipy
 import skimage.metrics
 from cameras import letters
 
@@ -11,6 +12,7 @@ from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, render_captu
 from mitsuba_plenoptic.report.metrics import (
     capture_difference,
     common_scale,
+    contrast_change,
     image_metrics,
     interference,
     lit_region,
@@ -124,3 +126,16 @@ def test_the_middle_and_the_rim_share_the_difference():
     known = Capture(image, CAMERA, noise=np.zeros(CAMERA.shape))
     rim, inside, every = (capture_difference(other, known, pixels).true for pixels in (~middle, middle, None))
     assert rim == 0 and inside == pytest.approx(every)
+
+
+@pytest.mark.parametrize(("blur", "noise", "ratio"), [(0.8, 0.01, 0.8), (0.1, 0.01, 1.0), (0.8, 30.0, 1.0)])
+def test_a_change_of_contrast_is_told_from_noise(blur, noise, ratio):
+    random = np.random.default_rng(0)
+    truth = random.random((96, 128))
+    images = (truth, scipy.ndimage.gaussian_filter(truth, blur, mode="wrap"))
+    found = contrast_change(*(image + noise * random.normal(size=truth.shape) for image in images), truth)
+    # The transfer function of a Gaussian.
+    expected = math.exp(-2 * (math.pi * blur * found.frequency) ** 2) if ratio < 1 else 1
+    assert found.ratio == pytest.approx(expected, abs=0.03)
+    assert (found.ratio < 0.8) == (ratio < 1)
+    assert (found.finest > 0.4) == (noise < 1)

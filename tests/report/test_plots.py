@@ -50,9 +50,23 @@ def test_methods_by_distances_on_one_scale():
     assert (bar.get_ylabel(), bar.get_ylim()) == ("radiance", (0, 0.5))
     assert {axes.images[0].norm.vmax for axes in panels[:3]} == {0.5}
     assert figure.get_size_inches()[0] == pytest.approx(3.4)
+    assert Image.open(io.BytesIO(figure._repr_png_())).size[0] == 3.4 * 300
     refuses("results: give at least one", plots.contact_sheet, [])
     with pytest.raises(mp.InputError, match="results: they must be by one camera"):
         plots.contact_sheet([results[0], replace(results[0], camera=mp.PlenopticCamera())])
+
+
+def test_captures_have_rows_of_their_own():
+    by_model = [replace(result(distance=at), facts={"model": model}) for model in ("ray", "wave") for at in (210, 280)]
+    panels = plots.contact_sheet([*by_model, by_model[0]]).axes[:-1]
+    assert [axes.get_ylabel() for axes in panels[::2]] == [
+        "ray of ray capture",
+        "ray of wave capture",
+        "ray of ray capture 2",
+    ]
+    assert [len(axes.images) for axes in panels] == [1, 1, 1, 1, 1, 0]
+    panels = plots.contact_sheet([*by_model[:2], *by_model[:2]]).axes
+    assert [panels[0].get_ylabel(), panels[2].get_ylabel()] == ["ray", "ray 2"]
 
 
 def test_radiances_are_as_bright_as_in_pictures():
@@ -78,8 +92,11 @@ def test_every_panel_has_a_bar_and_a_figure_says_where_it_is_a_length(lf):
     *panels, _ = plots.contact_sheet(results).axes
     assert all(len(axes.patches) == 1 for axes in panels)
     assert plots.contact_sheet(results).get_supxlabel() == "bars: lengths at the distance of each image"
-    first, second, *_ = plots.views_figure(pick_views(lf, 3)).axes
-    assert len(first.patches) == 1 and not second.patches
+    *panels, _ = plots.views_figure(pick_views(lf, 3)).axes
+    assert [len(axes.patches) for axes in panels] == [0] * 6 + [1, 0, 0]
+    # Below the views, which are small.
+    assert panels[6].texts[0].get_text().endswith("mm in the plane in focus, in all views")
+    assert panels[6].patches[0].get_y() < 0
     shown = plots.depth_figure(depth_map(lf, 200, 300, planes=8)).axes
     named = [axes for axes in shown if axes.get_title(loc="left")]
     assert len(named) == 3
@@ -164,6 +181,8 @@ def test_files(tmp_path):
     assert data == (tmp_path / "b.pdf").read_bytes()
     assert b"/MediaBox [ 0 0 244.8 " in data and b"/FontFile2" in data
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
+    plots.contact_sheet([result()]).save(tmp_path / "a.png", dpi=600)
+    assert Image.open(tmp_path / "a.png").size[0] == 3.4 * 600
     refuses(r"give a name that ends in \.png or \.pdf", plots.contact_sheet([result()]).save, tmp_path / "a.svg")
 
 

@@ -242,13 +242,6 @@ def test_a_sum_goes_on_from_a_checkpoint(device, tmp_path):
     np.testing.assert_allclose(resumed, whole, rtol=1e-5, atol=1e-6 * whole.max())
 
 
-def test_the_estimate_waits_for_the_device(device, monkeypatch):
-    waits = []
-    monkeypatch.setattr(_backend.Backend, "synchronize", lambda self: waits.append(self))
-    cost = mp.CaptureOperator(CAMERA, POSITIONS, wavelength=633).estimate()
-    assert cost.seconds > 0 and waits == [device.backend] * len(waits) and len(waits) >= 2
-
-
 def test_without_cupy_waves_on_cuda_are_refused_with_the_remedy(monkeypatch):
     monkeypatch.setitem(sys.modules, "cupy", None)
     _backend._cuda.cache_clear()

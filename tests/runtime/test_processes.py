@@ -215,7 +215,8 @@ libc.mprotect.argtypes = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int
 assert libc.mprotect(start + page, page, 0) == 0
 field = np.frombuffer(memory, np.complex64, 15, page - 15 * 8).reshape(shape)
 field[:] = np.arange(15).reshape(shape)
-np.testing.assert_array_equal(advance(field, 0.01, 0.0, 633.0), field)
+options = {"shift": (0.0, 0.0), "part": None, "paraxial": False, "beyond_paraxial": False, "response": None}
+np.testing.assert_array_equal(advance(field, 0.01, 0.0, 633.0, **options), field)
 print("fine")
 """
 

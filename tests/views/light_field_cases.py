@@ -55,7 +55,9 @@ def straight_rays(camera, radiance, lens_gain=lambda i, j: 1.0):
         t = [part / z - at * pitch / f2 for part, at in zip(t, (across, down), strict=True)]
         m = (i + 0.5 + across) * pitch, (j + 0.5 + down) * pitch
         P = [place + b * slope for place, slope in zip(m, t, strict=True)]
-        light = lens_gain(i.astype(int), j.astype(int)) * (np.hypot(*P) <= camera.aperture_radius)
+        light = lens_gain(i.astype(int), j.astype(int)) * camera.aperture.power(
+            *(p / camera.aperture_radius for p in P)
+        )
         if camera.vignetting is not None:
             light = light * camera.vignetting.power(*(p / camera.aperture_radius for p in P), *m)
         total += light * radiance(*P, *(s - p / camera.focal_length for s, p in zip(t, P, strict=True)))

@@ -69,6 +69,7 @@ def test_lenses_out_of_focus_do_not_move_depths(camera):
     "case",
     [
         (3, 3, 1.5, 1000, 0.2),
+        (3, 3, 0.75, 100, 1),
         *(
             pytest.param(case, marks=pytest.mark.slow)
             for case in (

@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 from cameras import letters, pinhole_picture
 from light_field_cases import blobs, fall_off_of, of_square_lenses, straight_rays
+from scipy.io import savemat
 from scipy.ndimage import center_of_mass, gaussian_filter, map_coordinates, uniform_filter
 
 import mitsuba_plenoptic as mp
@@ -158,9 +159,9 @@ class TestShiftAndAdd:
 
 
 class TestDepth:
-    @pytest.mark.parametrize("source", ["white", "white alone", "lenses", "vignetting"])
+    @pytest.mark.parametrize("source", ["white", "white alone", "lenses", "vignetting", "pupil", "white of LFToolbox"])
     @pytest.mark.parametrize("slope", [pytest.param(-0.9, marks=pytest.mark.slow), 0.6])
-    def test_behind_a_falling_white(self, slope, source):
+    def test_behind_a_falling_white(self, slope, source, tmp_path):
         camera = of_square_lenses(10, 20)
         distance = float(distance_of(mp.decode(white_image(camera), camera=camera), slope))
         gain = np.random.default_rng(3).uniform(0.2, 1.3, (20, 20))
@@ -168,6 +169,8 @@ class TestDepth:
             camera = camera.replace(
                 vignetting=mp.Vignetting([1, 0, 0, -0.25, 0, -0.25], scale=1.0, slope_x=(0, 0.3, 0))
             )
+        if source == "pupil":
+            camera = camera.replace(pupil_apodisation=(-0.8, 0.0))
         lens_gain = (lambda i, j: gain[j + 10, i + 10]) if source == "lenses" else lambda i, j: 1.0
         light = blobs(distance, 2 * camera.mla_pitch * distance / camera.mla_distance)
         picture = straight_rays(camera, light, lens_gain)
@@ -180,6 +183,10 @@ class TestDepth:
             lf = mp.decode(picture * dim, white=white, **({"grid": lens_grid(camera)} if alone else {"camera": camera}))
         else:
             lf = mp.decode(picture, camera=camera)
+        if source == "white of LFToolbox":
+            stored = np.stack([lf.values, lf.white.values / lf.white.values.max()], axis=-1)
+            savemat(tmp_path / "a.mat", {"LF": stored})
+            lf = mp.exchange.read_lftoolbox(tmp_path / "a.mat")
         found = depth_map(lf)
         known = lf if "camera" in lf.attrs else mp.decode(picture, camera=camera)
         error = distance_of(known, found.disparity.values) / distance - 1
@@ -244,7 +251,8 @@ class TestDepth:
         lf = mp.decode(
             mp.expose(mp.Capture(card(camera, slope, blob, contrast), camera), mp.Detector(), photons=photons, seed=1)
         )
-        inner = depth_map(lf).isel(s=slice(6, -6), t=slice(6, -6))
+        # Few views see the bins at the border.
+        inner = depth_map(lf).isel(s=slice(2, -2), t=slice(2, -2))
         error = distance_of(lf, inner.disparity.values) / distance_of(lf, slope) - 1
         assert abs(np.median(error)) < 0.003
         right = float((abs(error) < 0.01).mean())
@@ -285,7 +293,7 @@ class TestDepth:
         assert float(np.isfinite(inner.depth).mean()) > 0.9
         assert float(abs(inner.depth - sharp).max()) < 0.5
         # The views themselves agree about nothing.
-        by_views = [float(np.median(view_disagreement(lf, disparity(lf, g))[0])) for g in (sharp, 222.0)]
+        by_views = [float(np.nanmedian(view_disagreement(lf, disparity(lf, g))[0])) for g in (sharp, 222.0)]
         lenses = LensComparison(micro_images_of(lf))
         by_lenses = [float(np.nanmedian(lenses.disagreement(disparity(lf, g))[0])) for g in (sharp, 222.0)]
         assert by_lenses[0] < 0.1 * by_lenses[1]

@@ -339,10 +339,13 @@ def test_passes_of_large_ray_captures_have_a_power_of_two_of_samples(monkeypatch
     mi.set_variant("llvm_ad_mono")
     scene, done = load_scene("letters", parameters={"resolution": "32", "detector_width": "0.064"}), []
     monkeypatch.setattr("mitsuba_plenoptic.scene.capture._RAYS_PER_PASS", 28 * 32**2)
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.batches._LOOK", 1e9)
     for spp in (28, 40):
-        render_capture(scene, model="ray", spp=spp, progress=lambda count, total: done.append(count))
+        render_capture(
+            scene, model="ray", spp=spp, progress=lambda count, total, spp=spp: done.append(count * spp // total)
+        )
     assert done == [16, 24, 28, 16, 32, 40]
-    render_capture(scene, model="ray", spp=7, progress=lambda count, total: done.append(count))
+    render_capture(scene, model="ray", spp=7, progress=lambda count, total: done.append(count * 7 // total))
     assert done[6:] == [4, 6, 7]
 
 

@@ -320,7 +320,9 @@ def test_progress_comes_lot_by_lot(monkeypatch):
     calls, scene = [], wall_of({"type": "diffuse"})
     render_capture(scene, model="wave", spp=64, progress=lambda *call: calls.append(call))
     done = [count / total for count, total in calls]
-    assert done == sorted(done) and done[0] == 0 and 0 < done[1] <= 0.05 and done[-1] == 1
+    assert done == sorted(done) and done[0] == 0 and done[-1] == 1
+    # Four steps of the plan come first.
+    assert len(set(done)) > 20
 
 
 @pytest.mark.slow

@@ -9,8 +9,9 @@ import pytest
 from cases import bars_through, facing, radiating, scene_of, sensor, spot_filtered
 from scipy.ndimage import gaussian_filter
 
-from mitsuba_plenoptic import Checkpoint, PlenopticCamera, estimate_capture, render_capture
+from mitsuba_plenoptic import Checkpoint, InputError, PlenopticCamera, estimate_capture, render_capture
 from mitsuba_plenoptic.fields.lens_kinds import LensKinds
+from mitsuba_plenoptic.waves.signed_rays import SignedRaySum
 
 BLACK = {"type": "diffuse", "reflectance": 0.0}
 
@@ -212,10 +213,17 @@ def test_the_same_seed_gives_the_same_bits_in_parts(tmp_path):
     assert np.array_equal(by_waves(scene, checkpoint=Checkpoint(path)).image, once.image)
 
 
-def test_estimates_take_some_of_the_rays(trials_of_a_second):
-    cost = estimate_capture(bars_through("directly", lenses=8), model="wave", method="signed_rays")
+def test_estimates_abandon_the_capture_and_state_the_memory_that_is_refused(monkeypatch):
+    scene = bars_through("directly", lenses=8)
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.progress.SETTLED", 0.0)
+    monkeypatch.setattr("mitsuba_plenoptic.waves.signed_rays._LANES", 2**12)
+    with monkeypatch.context() as patched:
+        patched.setattr(SignedRaySum, "image", lambda *_: pytest.fail("not abandoned"))
+        cost = estimate_capture(scene, model="wave", method="signed_rays")
     assert 0 < cost.seconds < 600
-    assert 0 < cost.memory < 2**32
+    monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", f"{0.99 * cost.memory / 2**30:.9f}")
+    with pytest.raises(InputError, match=r"wave capture of \d+ x \d+ pixels, nodes = 1: it would need"):
+        by_waves(scene)
 
 
 def test_black_scenes_are_black_and_said_to_be():

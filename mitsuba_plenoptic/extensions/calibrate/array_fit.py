@@ -13,9 +13,6 @@ from ...errors import refuse_if
 from ...runtime import exponents, monomials
 from ...views import LensGrid
 
-_LENSES_PER_TERM = 20
-"""Lenses that each term of a warp needs."""
-
 _SURE = 3.0
 """Standard errors by which one warp must place withheld lenses better than another to count as better."""
 
@@ -78,10 +75,10 @@ def require_alike(grid: LensGrid, camera: PlenopticCamera) -> None:
     )
 
 
-def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera, degree: int = 5) -> ArrayFit:
+def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera) -> ArrayFit:
     """Fit the array to places (n, 2) in pixels, where the first pixel's centre is 0, of lenses with indices (n, 2).
 
-    The warp has the lowest degree up to `degree`, as far as lenses suffice, that places lenses no worse than another
+    The warp has the lowest degree up to 5, as far as lenses suffice, that places lenses no worse than another
     does, within three standard errors, where each third of them is withheld in turn; of degree 1 there is none.
     """
     scale = camera.pixel_size / camera.image_growth
@@ -126,8 +123,9 @@ def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera, de
 
     third = np.random.default_rng(0).integers(3, size=len(pixels))
     losses = []
-    for candidate in range(1, degree + 1):
-        if len(pixels) >= _LENSES_PER_TERM * len(exponents(candidate, lowest=2)):
+    for candidate in range(1, 6):
+        # Lenses that each term of a warp needs.
+        if len(pixels) >= 20 * len(exponents(candidate, lowest=2)):
             off = np.empty_like(target)
             for withheld in (third == part for part in range(3)):
                 off[withheld] = (target - placed(fitted(candidate, ~withheld))[0])[withheld]

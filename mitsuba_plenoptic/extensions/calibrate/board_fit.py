@@ -153,11 +153,6 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
         The camera to evaluate.
     index : LensIndex, optional
         Indexing of lenses in the table of corners. Default: found from the positions of the corners.
-
-    Raises
-    ------
-    InputError
-        If the corners cannot determine the poses.
     """
     camera.require_array("evaluate")
     require_on_detector(corners, camera.crop_size)

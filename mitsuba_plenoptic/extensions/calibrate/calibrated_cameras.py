@@ -85,11 +85,6 @@ def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
     camera : PlenopticCamera
     index : LensIndex or None
         Indexing of lenses in the data of the calibration; None if the file does not state it.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or is no camera.
     """
     camera, record = camera_and_record(source)
     with naming(source):

@@ -215,11 +215,6 @@ def residual_map(calibration: Calibration, board: Board, corners: Table, by: str
         The property that a group's observations have in common.
     parts : int
         Squares along the detector's rows, of ``field``; ranges with as many observations each, of ``depth``.
-
-    Raises
-    ------
-    InputError
-        If `by` is not one of these, or `parts` is not from 1 to 1000.
     """
     require_choice("by", by, GROUPED_BY)
     require_count("parts", parts, minimum=1, maximum=1000)

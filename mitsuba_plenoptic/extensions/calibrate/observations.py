@@ -170,11 +170,6 @@ def read_corners(path: str | Path, board: Board, size: tuple[int, int]) -> Table
         The board that was seen.
     size : (int, int)
         Columns and rows of the pictures.
-
-    Raises
-    ------
-    InputError
-        If the table is wrong, a corner is not on the board, or a pixel is far off the detector.
     """
     table = read_table(path, CORNER_COLUMNS, (BLUR_COLUMN,))
     if BLUR_COLUMN in table.columns and not np.ptp(table[BLUR_COLUMN]) > 0:
@@ -198,11 +193,6 @@ def read_centres(path: str | Path) -> Table:
     ----------
     path : path
         The file.
-
-    Raises
-    ------
-    InputError
-        If the table is wrong.
     """
     path = Path(path)
     if path.suffix.lower() == ".json":

@@ -234,7 +234,7 @@ def _frames(name: str, value: Any) -> Doubles:
     """Return one or more pictures as an array (n, rows, columns) of digital numbers."""
     rule = "it must be pictures of digital numbers"
     alone = getattr(value, "ndim", 3) == 2
-    frames = as_array(name, value, np.float64, IMAGE[:2] if alone else ("frame", *IMAGE[:2]), rule=rule)
+    frames = as_array(name, value, IMAGE[:2] if alone else ("frame", *IMAGE[:2]), rule=rule)
     frames = frames[None] if frames.ndim == 2 else frames
     refuse_if(
         frames.ndim != 3 or min(frames.shape[1:], default=0) < 32 or not len(frames),

@@ -87,7 +87,7 @@ def find_centres(*whites: Capture | np.ndarray, like: Lattice | None = None) -> 
     for white in whites:
         if isinstance(white, Capture):
             require_demosaiced(white)
-    images = [as_array("white", getattr(white, "image", white), np.float64) for white in whites]
+    images = [as_array("white", getattr(white, "image", white)) for white in whites]
     sizes = {image.shape[:2] for image in images}
     refuse_if(len(sizes) != 1, f"white images: they have {len(sizes)} sizes of pictures: one is needed, of one camera")
     grid = estimate_lens_grid(images[0], like)

@@ -37,13 +37,7 @@ class WhiteFrame:
 
     @classmethod
     def of(cls, white: np.ndarray, dark: np.ndarray | None = None) -> WhiteFrame:
-        """Return the frame of a white picture (rows, columns) and a dark one of the same size.
-
-        Raises
-        ------
-        InputError
-            If a picture has several channels, their sizes differ, or too much is saturated or dark.
-        """
+        """Return the frame of a white picture (rows, columns) and a dark one of the same size."""
         light = single_channel("white", white)
         saturated = clipped("white", light)
         defective = np.zeros(light.shape, bool)

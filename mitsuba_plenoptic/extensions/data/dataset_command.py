@@ -12,7 +12,9 @@ from ...runtime import progress_bar
 
 
 def dataset(
-    recipe: Annotated[Path, typer.Argument(metavar="RECIPE.yaml", help="The recipe, YAML or JSON.")],
+    recipe: Annotated[
+        Path, typer.Argument(metavar="RECIPE.yaml", help="The recipe, YAML or JSON.", callback=options.EXISTING)
+    ],
     output: options.OutputFolder,
     workers: options.Workers = None,
     scheduler: options.Scheduler = None,

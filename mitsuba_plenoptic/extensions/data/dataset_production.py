@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from ...errors import naming
-from ...report import images
+from ...report import images, plots
 from ...runtime import BatchMap, Progress, h5py_module, locked, remove_leftovers, set_variant, write_text
 from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample
@@ -46,11 +46,12 @@ class SampleTask:
 
     def prepare(self) -> Callable[[], int]:
         """Return the function that renders and writes the sample and returns its index."""
-        return self._make
+        return self.make
 
-    def _make(self) -> int:
+    def make(self, progress: Progress | None = None) -> int:
+        """Render and write the sample, and return its index."""
         with naming(f"sample {self.index}"):
-            write_samples(self.path, [make_sample(self.recipe, self.index)])
+            write_samples(self.path, [make_sample(self.recipe, self.index, progress)])
         return self.index
 
 
@@ -77,7 +78,7 @@ def make_dataset(
         Who renders, for example `Cluster`; workers must see folder and scene files under the same names. Default: this
         process.
     progress : callable, optional
-        Called with the samples that are done and their number.
+        Called with the finished and the total work, in thousandths of a sample.
 
     Returns
     -------
@@ -129,16 +130,20 @@ def _produce(recipe: Recipe, layout: DataFolder, batch_map: BatchMap | None, pro
             return read_sample(file, path, index)
 
     tasks = [SampleTask(recipe, index, layout.sample(index)) for index in missing]
-    results: Iterable[int] = batch_map(tasks) if batch_map and tasks else (task.prepare()() for task in tasks)
+
+    def report(done: int, total: int) -> None:
+        if progress:
+            finished = recipe.count - len(waiting)
+            progress(round(1000 * (finished + done / max(total, 1))), 1000 * recipe.count)
+
+    results: Iterable[int] = batch_map(tasks) if batch_map and tasks else (task.make(report) for task in tasks)
     for shard in range(layout.shards):
         pack(shard)
-    if progress:
-        progress(recipe.count - len(waiting), recipe.count)
+    report(0, 1)
     for index in results:
         waiting.discard(index)
         pack(index // layout.samples_per_shard)
-        if progress:
-            progress(recipe.count - len(waiting), recipe.count)
+        report(0, 1)
     shutil.rmtree(layout.sample(0).parent)
 
 
@@ -252,21 +257,28 @@ def write_card(path: Path, recipe: Recipe, data_set: DataSet) -> None:
 
 
 def write_preview(path: Path, samples: DataSet) -> None:
-    """Write a PNG with one row for each of the first eight samples: captures, and depth (near is white)."""
+    """Write a figure with a labelled row for each of the first eight samples: captures, and depth (near is white)."""
     rows = []
     for index in range(min(8, len(samples))):
         arrays = samples[index].arrays
         depth = arrays.get("lens_depth", arrays.get("depth"))
-        captures = [array for name, array in arrays.items() if name.startswith(("ray", "wave"))]
+        pictures = {name: array for name, array in arrays.items() if name.startswith(("ray", "wave"))}
         if "lens_depth" in arrays:
-            captures = [array for array in captures if array.shape[:2] == arrays["lens_depth"].shape]
-        peak = max(float(np.percentile(capture, 99.5)) for capture in captures) or 1.0
-        pictures = [(capture.mean(axis=2) if capture.ndim == 3 else capture) / peak for capture in captures]
+            shape = arrays["lens_depth"].shape
+            pictures = {name: array for name, array in pictures.items() if array.shape[:2] == shape}
+        peak = max(float(np.percentile(capture, 99.5)) for capture in pictures.values()) or 1.0
+        pictures = {name: capture / peak for name, capture in pictures.items()}
         if depth is not None:
-            pictures.append(inverse_distance(depth))
-        rows.append(np.concatenate([images.shrink(picture, 256) for picture in pictures], axis=1))
-    width = min(row.shape[1] for row in rows)
-    images.write_png(path, np.concatenate([row[:, :width] for row in rows]), peak=1.0)
+            pictures["depth, near in white"] = inverse_distance(depth)
+        rows.append({name: images.shrink(picture, 256) for name, picture in pictures.items()})
+    first = next(iter(rows[0].values()))
+    plot = plots.Plot(1 + 2.0 * len(rows[0]))
+    panels = plot.panels(len(rows), len(rows[0]), first.shape[0] / first.shape[1])
+    for index, row in enumerate(rows):
+        for axes, (name, picture) in zip(panels[index], row.items(), strict=True):
+            plots.show(axes, picture, name.replace("_", " ") if index == 0 else "", peak=1.0)
+        plots.annotate(panels[index, 0], title=panels[index, 0].get_title("left"), side=f"sample {index}")
+    plot.save(path)
 
 
 def inverse_distance(depth: np.ndarray) -> np.ndarray:

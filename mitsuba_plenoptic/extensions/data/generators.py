@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import mitsuba as mi
@@ -16,7 +17,7 @@ from scipy.ndimage import gaussian_filter
 
 from ...camera import PlenopticCamera
 from ...design import depth_ranges
-from ...errors import refuse_if, require_choice, require_count, require_number, short_repr
+from ...errors import put_checked, refuse_if, require_choice, require_count, require_number, short_repr
 from ...extension import entries, missing, place
 from ...io import Capture
 from ...runtime import drjit_array
@@ -132,13 +133,16 @@ class Shapes:
     tilt: float = 50.0
 
     def __post_init__(self) -> None:
-        require_count("objects", self.objects, minimum=0, maximum=1000)
-        for name in ("near", "far"):
-            if getattr(self, name) is not None:
-                require_number(name, getattr(self, name), positive=True, maximum=1e9)
-        require_number("size", self.size, minimum=0.01, maximum=1)
-        require_number("plain", self.plain, minimum=0, maximum=1)
-        require_number("tilt", self.tilt, minimum=0, maximum=80)
+        distance = partial(require_number, positive=True, maximum=1e9)
+        put_checked(
+            self,
+            objects=partial(require_count, minimum=0, maximum=1000),
+            near=distance,
+            far=distance,
+            size=partial(require_number, minimum=0.01, maximum=1),
+            plain=partial(require_number, minimum=0, maximum=1),
+            tilt=partial(require_number, minimum=0, maximum=80),
+        )
         refuse_if(
             not isinstance(self.kinds, (list, tuple)) or not self.kinds or not set(self.kinds) <= set(KINDS),
             f"kinds = {short_repr(self.kinds)}: it must be a list of some of {', '.join(KINDS)}",

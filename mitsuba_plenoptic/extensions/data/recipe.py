@@ -128,11 +128,6 @@ class Recipe:
         ----------
         index : int
             Number of the sample.
-
-        Raises
-        ------
-        InputError
-            If a value is out of range.
         """
         shares = np.cumsum([source.share for source in self.scenes])
         chosen = int(
@@ -189,11 +184,6 @@ def read_recipe(path: str | Path) -> Recipe:
     ----------
     path : path
         The file.
-
-    Raises
-    ------
-    InputError
-        If the file holds no recipe: one line with the name that is wrong and the rule.
     """
     path = Path(path)
     content = read_yaml(path)
@@ -214,11 +204,6 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
         Content of a recipe's file.
     folder : path
         Folder in which scene files are looked for.
-
-    Raises
-    ------
-    InputError
-        If the content is no recipe.
     """
     require_known("recipe: ", content, _KEYS)
     for key in ("count", "camera", "scenes"):

@@ -12,6 +12,7 @@ from ...capture_spec import CaptureSpec
 from ...detector import expose
 from ...io import Capture, GroundTruth, versions
 from ...plugins.other_camera import with_camera
+from ...runtime import Progress
 from ...scene import load_scene, render_capture
 from ...views import ground_truth
 from .dual_samples import pictures_of, truth_of_lenses
@@ -101,7 +102,7 @@ def random_of_scene(recipe: Recipe, plan: SamplePlan) -> np.random.Generator:
     return generator(recipe.seed, plan.index, f"scenes.{plan.source}")
 
 
-def make_sample(recipe: Recipe, index: int) -> Sample:
+def make_sample(recipe: Recipe, index: int, progress: Progress | None = None) -> Sample:
     """Return a rendered sample, whose bits depend on the recipe and the index alone.
 
     Parameters
@@ -110,11 +111,8 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
         The recipe.
     index : int
         Number of the sample.
-
-    Raises
-    ------
-    InputError
-        If the sample cannot be rendered.
+    progress : callable, optional
+        Called with the finished and the total amount of its captures' work.
     """
     plan = recipe.plan(index)
     scene = open_sample(recipe, plan)
@@ -130,9 +128,14 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
         meanings = plan.maker.meanings
     else:
         options = plan.options
-        captures = {
-            model: render_capture(scene, model=model, seed=seed(model), **options[model]) for model in recipe.models
-        }
+        captures = {}
+        for before, model in enumerate(recipe.models):
+
+            def report(done: int, total: int, before: int = before) -> None:
+                if progress:
+                    progress(before * total + done, len(recipe.models) * total)
+
+            captures[model] = render_capture(scene, model=model, seed=seed(model), progress=report, **options[model])
         kind = scene.id()
         meanings = {}
     for name in list(captures):

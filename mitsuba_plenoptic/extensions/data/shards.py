@@ -58,17 +58,6 @@ class DataFolder:
         return self.folder / "samples" / f"{index:06d}.h5"
 
 
-def facts_of(recipe: Recipe) -> dict[str, Any]:
-    """Return everything that determines the bits of a data set, as plain JSON values."""
-    scenes = {
-        f"scene {index + 1}": scene_fingerprint(source.scene, {})
-        for index, source in enumerate(recipe.scenes)
-        if source.scene
-    }
-    facts = {**versions.stamped({}), "software": software(), "recipe": dict(recipe.content), "files": scenes}
-    return dict(json.loads(json.dumps(facts)))
-
-
 def read_manifest(folder: Path) -> dict[str, Any]:
     """Return the recipe that made a data set, read from its manifest."""
     path = folder / MANIFEST
@@ -93,7 +82,13 @@ def claim(folder: Path, recipe: Recipe) -> DataFolder:
         entries = {name: value for name, value in record["recipe"].items() if name not in {"count", "name"}}
         return {**{name: record[name] for name in facts if name in record}, "recipe": entries}
 
-    facts = facts_of(recipe)
+    scenes = {
+        f"scene {index + 1}": scene_fingerprint(source.scene, {})
+        for index, source in enumerate(recipe.scenes)
+        if source.scene
+    }
+    facts = {**versions.stamped({}), "software": software(), "recipe": dict(recipe.content), "files": scenes}
+    facts = dict(json.loads(json.dumps(facts)))
     if (folder / MANIFEST).exists():
         manifest = read_manifest(folder)
         changed = differences(fixed(manifest), fixed(facts))
@@ -187,15 +182,11 @@ class DataSet:
         The folder of `make_dataset` or ``mitsuba-plenoptic dataset``.
     fields : collection of str, optional
         Names of the arrays to read. Default: all.
-
-    Raises
-    ------
-    InputError
-        If the folder holds no data set, or one whose shards are not all there.
     """
 
     def __init__(self, folder: str | Path, fields: Collection[str] | None = None) -> None:
         self.folder = Path(folder)
+        refuse_if(not self.folder.is_dir(), f"{folder}: there is no such folder of a data set")
         self.manifest = read_manifest(self.folder)
         self.fields = None if fields is None else tuple(fields)
         self._layout = DataFolder(self.folder, self.manifest["count"], self.manifest["samples_per_shard"])

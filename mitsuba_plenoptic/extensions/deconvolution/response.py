@@ -22,13 +22,13 @@ from ...design import resolution_limit
 from ...detector import SHARP, DetectorOperator
 from ...errors import refuse_if
 from ...fields import OpticalSystem, upright
-from ...lenses import FittedLens, RealLens, inverse_distance
+from ...lenses import FittedLens, MainLens, RealLens, inverse_distance
 from ...optics import in_millimetres
 from ...points import Copies, Fields, Grid, Recorder, Scatter, band_for, chunks_of, place, radiance_weight, scene_points
 from ...rays import Passage, Walk
 from ...refocus import regular_place, straightened
 from ...runtime import Box, Doubles, Floats, Job, Part, active_backend, add
-from ...views import lenses_of_pixels, mean_response, white_image
+from ...views import lens_numbers, lenses_of_pixels, mean_response, white_image
 from .cells import BinCells, UprightBins
 from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, merged, require_response_memory, zones
 
@@ -289,8 +289,9 @@ class Response(StoredResponse):
         # 0.06: Difference of the light of two lenses, over this light, for which one kernel serves all between them.
         lenses = max(_ZONE, math.floor(widest / max(1, unlike / 0.06)))
         self._vignetting = vignetting = recorded.vignetting
-        if vignetting is not None and wavelength:
-            lenses = min(lenses, self._width_of_pupils(vignetting, widest))
+        uneven = vignetting is not None or not self.cells.grid.lens.is_uniform
+        if uneven and wavelength:
+            lenses = min(lenses, self._width_of_pupils(widest))
             self._batches = functools.partial(wave_batches, fine, vignetting=vignetting)
         while lenses < widest and len(zones(self._sampled, lenses)) * max(kernel_bytes) > _MEMORY:
             lenses *= 2
@@ -301,7 +302,7 @@ class Response(StoredResponse):
             owner[members] = index
         groups = max(groups, groups_of_cells, key=len)
         owners = [owner[members[len(members) // 2]] for members in groups]
-        if vignetting is not None:
+        if uneven:
             zone = None
             if wavelength:
                 seen = np.ones((3, len(self._sampled)), np.float32)
@@ -310,7 +311,7 @@ class Response(StoredResponse):
                 samples = np.ones(self.cells.size[::-1], np.float32)
                 x, y, ones = (self._recorded(np.multiply.outer(some, samples)) for some in seen)
                 zone = np.stack([x, y]) / ones
-            self._gain = self._gain * _dimmed(recorded, lens, zone, wavelength or 0.0)
+            dimmed = _dimmed(recorded, self.cells.grid.lens, lens, zone, wavelength or 0.0)
         self._store(len(distances) > 1 and _LIT * len(middles) * sum(kernel_bytes) > _MEMORY)
         # Far too many bins are refused before they are put into batches.
         stored = self._folder is not None
@@ -362,6 +363,19 @@ class Response(StoredResponse):
         ]
         self.shapes = [bins.shape for bins in self.bins]
         super().__init__((sum(math.prod(shape) for shape in self.shapes),), camera.shape)
+        if uneven:
+            # Edges of kernels are not quite those of pupils: a lens has the light that its pupil passes all the same.
+            gain = self._gain
+            self._gain = np.float32(1)
+            white = self._direct(np.ones(self.source_shape, np.float32))
+            own, whole = dimmed
+            ratio = np.divide(own, whole, out=np.ones_like(own), where=whole > 1e-6 * whole.max()).clip(0, 4)
+            number = lens_numbers(recorded).ravel()
+            light, right, at_zone, wrong = (
+                np.bincount(number, some.ravel()) for some in (white, own, whole, white * ratio)
+            )
+            share = np.divide(light * right, at_zone * wrong, out=np.ones_like(light), where=at_zone * wrong > 0)
+            self._gain = (gain * ratio * share[number].reshape(ratio.shape)).astype(np.float32)
         if recorded.stray_light:
             # Interpolation leaves less than no light between micro-images, which steps would divide stray light by.
             # 0.005: Light of a white scene there, over that of the brightest pixel, as in `RichardsonLucy`.
@@ -398,19 +412,21 @@ class Response(StoredResponse):
         middle: NDArray[np.int64] = cell_index[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
         return middle
 
-    def _width_of_pupils(self, vignetting: Vignetting, widest: int) -> int:
-        """Return the width of zones over which the pupil changes by a tenth, which can be divided out, at most."""
-        disc = _pairs(2**10)[1]
+    def _width_of_pupils(self, widest: int) -> int:
+        """Return the width of zones over which the pupil changes by a quarter, which can be divided out, at most."""
+        disc = self.cells.grid.lens.pupil.radius * _pairs(2**10)[1]
         index = self._sampled.index[:: max(1, len(self._sampled) // 100)]
 
         def light(cells: NDArray[np.int64]) -> Doubles:
-            return np.asarray(vignetting.power(*disc, *np.moveaxis(self.cells.middle(cells), -1, 0)[..., None]))
+            places = np.moveaxis(self.cells.middle(cells), -1, 0)[..., None]
+            inside, passed = _pupil_of(self.cells.grid.lens, self._vignetting, disc, places)
+            return np.asarray((inside >= 0) * passed)
 
         step = max(1, widest // 8)
         here = light(index)
         darkest = here.mean(1).clip(0.05)
         changes = [(abs(light(index + np.array(to)) - here).mean(1) / darkest).max() for to in ((step, 0), (0, step))]
-        return max(1, math.floor(step / max(1e-9, 10 * float(max(changes)))))
+        return max(1, math.floor(step / max(1e-9, 4 * float(max(changes)))))
 
     def _unlike(self, distance: float, job: Job) -> float:
         """Return the change of the light of 2 x 2 points from the middle to the corners, over this light.
@@ -508,31 +524,41 @@ def _farthest(camera: PlenopticCamera) -> float:
     return 1.1 * float(max(abs(u - x).max(), abs(v - y).max())) + camera.pixel_size
 
 
-def _dimmed(camera: PlenopticCamera, lens: Doubles, zone: NDArray[Any] | None, wavelength: float) -> Floats:
-    """Return the light of pixels of some lenses over that with the pupil of the middles of their zones, or the whole.
+def _pupil_of(lens: MainLens, vignetting: Vignetting | None, pupil: Any, place: Any) -> tuple[Doubles, Any]:
+    """Return the distance in mm of pupil points from the outline that places see, positive inside, and what passes."""
+    if not lens.is_uniform:
+        return cast(FittedLens, lens).system.inside(pupil, place), 1.0
+    radius = lens.pupil.radius
+    outline, passed = cast(Vignetting, vignetting).outline(pupil[0] / radius, pupil[1] / radius, place[0], place[1])
+    return outline * radius, passed
+
+
+def _dimmed(
+    camera: PlenopticCamera, main_lens: MainLens, lens: Doubles, zone: NDArray[Any] | None, wavelength: float
+) -> tuple[Floats, Floats]:
+    """Return the light of pixels of some lenses, and that with the pupil of the middles of their zones, or the whole.
 
     An edge of the pupil is blurred as wide as a lens and a pixel see it, and as the aperture of a lens diffracts it.
     """
-    vignetting = cast(Vignetting, camera.vignetting)
-    radius = camera.micro_image_diameter / 2
     width = camera.lattice.aperture_width
     aside = width * abs(1 - camera.reduced_distance / min(camera.reduced_focal_lengths))
     airy = in_millimetres(wavelength) * camera.reduced_distance / width
     # 0.376: Standard deviation of a Gaussian as wide, at half of its maximum, as the pattern of a slit.
     blur = DetectorOperator(0.376 * airy / camera.pixel_size)
-    white = white_image(camera.replace(vignetting=None, mla_transmissions=None, **SHARP))
+    white = np.ones(camera.shape, np.float32)
+    if main_lens.is_uniform:
+        white = white_image(camera.replace(vignetting=None, mla_transmissions=None, **SHARP))
     places = np.meshgrid(*(camera.pixel_coordinates(axis) for axis in (0, 1)))
     centres = camera.lattice.centre(*lens)
-    pupil = [(c * camera.image_growth - q) / radius for c, q in zip(centres, places, strict=True)]
+    on_pupil = camera.pupil_distance / camera.reduced_distance
+    pupil = [(c * camera.image_growth - q) * on_pupil for c, q in zip(centres, places, strict=True)]
+    edge = (camera.pixel_size + aside) * on_pupil
 
-    def light(x: Any, y: Any) -> Floats:
-        outline, passed = vignetting.outline(pupil[0], pupil[1], x, y)
-        inside = np.clip(outline * radius / (camera.pixel_size + aside) + 0.5, 0, 1)
-        return np.asarray(blur.forward((white * inside * passed).astype(np.float32)))
+    def light(*place: Any) -> Floats:
+        inside, passed = _pupil_of(main_lens, camera.vignetting, pupil, place)
+        return np.asarray(blur.forward((white * np.clip(inside / edge + 0.5, 0, 1) * passed).astype(np.float32)))
 
-    whole = blur.forward(white) if zone is None else light(*zone)
-    ratio = np.divide(light(*centres), whole, out=np.ones_like(whole), where=whole > 1e-6 * whole.max())
-    return ratio.clip(0, 4)
+    return light(*centres), np.asarray(blur.forward(white)) if zone is None else light(*zone)
 
 
 def _fine(grid: Grid, camera: PlenopticCamera, oversample: int) -> int:

@@ -28,11 +28,6 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
         lattice selects, among equivalent lattices, the one of the nearest axis and angle.
     white : array (rows, columns)
         A capture of something evenly white.
-
-    Raises
-    ------
-    InputError
-        If the image shows no lattice.
     """
     camera.require_array("lattice_from_white")
     centres = estimate_lens_grid(white).centres().reshape(-1, 2)
@@ -85,9 +80,6 @@ _BLURS = (2.0, 1.0, 0.5, 0.25, 0.125)
 _SHARPEST = 1.0
 """Least of them, in pixels."""
 
-_LATTICE = ("mla_pitch", "mla_rotation", "mla_offset")
-_TELLS_LATTICE = 0.5
-"""Blur, in microlenses, below which the lattice is sought, too: what is blurred more does not show it."""
 
 _MOST_STEPS = 15
 """Cameras that are tried with each."""
@@ -129,11 +121,6 @@ def coarse_fit(
         Called with the number of cameras tried and the largest possible number.
     checkpoint : Checkpoint, optional
         Keeps the camera found with each blur, so that the same fit resumes from there after a stop.
-
-    Raises
-    ------
-    InputError
-        If an input has a wrong value, a capture is black, or for the reasons of `point_rays.PointRays`.
     """
     observations = [views] if isinstance(views, View) else list(views)
     check_views(camera, observations)
@@ -160,8 +147,9 @@ def coarse_fit(
             progress(tried, _MOST_STEPS * len(blurs))
 
     for stage, blur in enumerate(blurs[first:], first + 1):
-        is_coarse = blur >= _TELLS_LATTICE * camera.pixels_per_lens
-        sought = np.array([not (is_coarse and component.name in _LATTICE) for component in vector.components])
+        # What is blurred by half a microlens or more does not show the lattice.
+        fixed = ("mla_pitch", "mla_rotation", "mla_offset") if blur >= 0.5 * camera.pixels_per_lens else ()
+        sought = np.array([component.name not in fixed for component in vector.components])
         if sought.any():
             some = vector.of(fitted).keep(np.array(vector.labels)[sought])
             fitted = _nearest(some, (low[sought], high[sought]), models, observations, blur, count)

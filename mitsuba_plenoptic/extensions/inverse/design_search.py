@@ -79,12 +79,6 @@ def maximise(
     progress : callable, optional
         Called with the number of cameras tried, the last figure, and the best camera so far, from which a stopped
         search can be started again.
-
-    Raises
-    ------
-    InputError
-        If a name or a bound is wrong, the camera lies outside them or has no microlens array, or the figure is not
-        finite at some camera.
     """
     from scipy.optimize import minimize
 

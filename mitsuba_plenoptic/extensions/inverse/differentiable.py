@@ -66,11 +66,6 @@ class RayRefocus:
         As in `reconstruct`.
     oversample : int
         Bins per lens along each axis.
-
-    Raises
-    ------
-    InputError
-        If a parameter is out of range.
     """
 
     def __init__(
@@ -156,7 +151,7 @@ class _RefocusOp(dr.CustomOp):
 
 def as_channels(values: Any, shape: tuple[int, ...], name: str) -> NDArray[Any]:
     """Return an array as (rows, columns, channels), or refuse another shape."""
-    array = as_array(name, values)
+    array = as_array(name, values, dtype=None)
     if array.ndim not in (2, 3) or array.shape[:2] != shape:
         raise InputError(f"{name} of shape {array.shape}: it must have {shape[0]} rows and {shape[1]} columns")
     return array if array.ndim == 3 else array[..., None]
@@ -228,12 +223,6 @@ class CoherentRefocus:
         1: one coherent wave, as by ``method="coherent"``; else the period of the subsets of ``method="partial"``.
     oversample : int
         Bins per lens along each axis.
-
-    Raises
-    ------
-    InputError
-        If a parameter is out of range, waves do not refocus captures of such a camera, or the fields take too much
-        memory.
     """
 
     def __init__(
@@ -427,11 +416,6 @@ class DeconvolvedRefocus:
         Number of steps.
     oversample : int
         Bins per lens along each axis.
-
-    Raises
-    ------
-    InputError
-        If a parameter is out of range, or the response takes too much memory.
     """
 
     def __init__(
@@ -473,11 +457,6 @@ class DeconvolvedRefocus:
         -------
         float32 array (rows, columns) or (rows, columns, channels)
             Radiance of the bins, as by `reconstruct`, but 0 where that has NaN.
-
-        Raises
-        ------
-        InputError
-            If a channel of the capture has no light.
         """
         return self.at(capture).image
 

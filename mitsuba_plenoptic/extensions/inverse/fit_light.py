@@ -47,11 +47,6 @@ def noise_of(capture: Capture) -> tuple[PixelNoise | None, float | None]:
         None if no detector has recorded the capture.
     saturation : float or None
         Four standard deviations of the reading below a full well, or below the largest digital number.
-
-    Raises
-    ------
-    InputError
-        If the metadata are damaged, or the capture is a mosaic of colours.
     """
     require_demosaiced(capture)
     exposure = capture.metadata.get("exposure")
@@ -106,7 +101,7 @@ def _pixels(view: View, expected: Doubles, default: PixelNoise | None) -> tuple[
     return np.where(mask, np.sqrt(weight) / unit, np.inf), share, spread
 
 
-def check_light(view: View, default: PixelNoise | None = None) -> None:
+def check_light(view: View, default: PixelNoise | None) -> None:
     """Refuse a view without light, or with pixels further below zero than noise explains."""
     noise = default if view.noise is None else view.noise
     if isinstance(noise, PixelNoise):
@@ -177,7 +172,7 @@ class View:
         image = as_pixels("image", self.image)
         refuse_if(image.ndim != 2, f"image of shape {image.shape}: a camera is fitted to images of one channel")
         points = check_positions(self.points, virtual=self.virtual)
-        weights = as_array("weights", self.weights, np.float64)
+        weights = as_array("weights", self.weights)
         refuse_if(
             weights.shape != (len(points),) or not np.isfinite(weights).all(),
             f"weights of shape {weights.shape}: they must be ({len(points)},) finite numbers",
@@ -192,12 +187,12 @@ class View:
         refuse_if(not weights.any(), "weights: all of them are 0: there is no light")
         noise = self.noise
         if noise is not None and not isinstance(noise, PixelNoise):
-            noise = as_array("noise", noise, np.float64)
+            noise = as_array("noise", noise)
             refuse_if(
                 noise.shape not in ((), image.shape) or not (np.isfinite(noise) & (noise > 0)).all(),
                 f"noise of shape {noise.shape}: it must be positive and finite, one number or one for each pixel",
             )
-        mask = None if self.mask is None else as_array("mask", self.mask)
+        mask = None if self.mask is None else as_array("mask", self.mask, dtype=None)
         if mask is not None and (mask.dtype != bool or mask.shape != image.shape):
             raise InputError(
                 f"mask of type {mask.dtype} and shape {mask.shape}: it must be of booleans, {image.shape}: True where "

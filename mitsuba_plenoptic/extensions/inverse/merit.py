@@ -81,11 +81,6 @@ class RefocusedContrast:
         Bins per lens along each axis.
     accuracy, method
         As for `CaptureOperator`; the default accuracy of the method "patch" is 0.02.
-
-    Raises
-    ------
-    InputError
-        If an input has a wrong value.
     """
 
     def __init__(
@@ -208,11 +203,6 @@ class DepthInformation:
         As for `CaptureOperator`; the default accuracy of the method "patch" is 0.02.
         Derivatives by parameters that hardly change the figure are the least exact: by the focal length of a test
         camera, 12 % too small by default and 3 % too small with the accuracy 0.
-
-    Raises
-    ------
-    InputError
-        If an input has a wrong value.
     """
 
     def __init__(

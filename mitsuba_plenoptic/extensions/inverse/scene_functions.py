@@ -67,7 +67,7 @@ class Rendering:
     def shape(self, _: Shape) -> Shape:
         """Return the shape of the image."""
         film = self._scene.sensors()[0].film()
-        film.prepare(self._integrator.aov_names())
+        film.prepare(getattr(self._integrator, "child", self._integrator).aov_names())
         columns, rows = film.crop_size()
         return int(rows), int(columns), int(film.bitmap().channel_count())
 

@@ -14,9 +14,6 @@ from ...optics import guards
 from ...points import Copies, FullFieldPlan, PatchPlan, Recorder, Scatter
 from ...runtime import Job, Part, active_backend, add
 
-_TOGETHER_BYTES = 2**26
-"""Memory of the patches that are computed together."""
-
 
 @dataclass(frozen=True)
 class Spread:
@@ -47,7 +44,8 @@ class PatchSpreads(PatchPlan):
             corner = self._placement.corner[chunk]
             across = int(self._placement.samples[chunk[0]])
             tile = 4.0 * float((np.ptp(corner, axis=0) + across).prod())
-            size = max(1, int(_TOGETHER_BYTES // tile))
+            # 64 MiB for the patches that are computed together.
+            size = max(1, int(2**26 // tile))
             parts += [chunk[first : first + size] for first in range(0, len(chunk), size)]
         origin = np.zeros((1, 2), np.int64)
         batches = (

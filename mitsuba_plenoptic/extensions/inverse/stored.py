@@ -18,8 +18,6 @@ from ...points import CaptureOperator, SpectralSum, mix
 from ...runtime import Doubles, Job, one_at_a_time, require_memory
 from .spreads import FullFieldSpreads, PatchSpreads
 
-_SPREADS: dict[str, type] = {"patch": PatchSpreads, "full_field": FullFieldSpreads}
-
 
 class StoredOperator(CaptureOperator):
     """`CaptureOperator` that computes its point spreads once and stores them, one set per wavelength.
@@ -136,11 +134,6 @@ class StoredOperator(CaptureOperator):
         -------
         array
             The entries of `to_sparse`.
-
-        Raises
-        ------
-        InputError
-            If the spreads take more memory than the budget, or the array would need too much memory.
         """
         wavelengths, matrix = self._channels.mixing(1)
         rows = math.prod(self.camera.shape) * len(matrix)
@@ -154,7 +147,7 @@ class StoredOperator(CaptureOperator):
             return self._matrices
         job = job or Job()
         wavelengths = list(dict.fromkeys(spectral_sum.wavelength for spectral_sum in self._channels.parts(1)))
-        plans = self._plans.made_by(_SPREADS[self._method])
+        plans = self._plans.made_by({"patch": PatchSpreads, "full_field": FullFieldSpreads}[self._method])
         entry = self.dtype.itemsize + 4
         count = len(self.points)
         needed = sum(plans.checked(wavelength, job, 1).pixels for wavelength in wavelengths) * entry / 2**30

@@ -29,14 +29,9 @@ def volume_points(values: Any, lower: Any, upper: Any) -> tuple[Doubles, Doubles
         Centres of the voxels that are not 0.
     weights : float64 array (n,)
         Emission times the volume of a voxel.
-
-    Raises
-    ------
-    InputError
-        If the values are not finite or have a wrong shape, or the corners do not define a box.
     """
     rule = "they must be numbers, (planes, rows, columns)"
-    grid = as_array("values", values, np.float64, ("z", "y", "x"), rule=rule)
+    grid = as_array("values", values, ("z", "y", "x"), rule=rule)
     # Mitsuba has its types once a variant is set.
     if mi.variant() and isinstance(values, mi.VolumeGrid) and grid.ndim == 4 and grid.shape[3] == 1:
         grid = grid[..., 0]

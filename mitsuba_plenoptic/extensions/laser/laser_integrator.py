@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
-from ...errors import InputError, naming, refuse_if, require_count, require_number, require_wavelength, warn
+from ...errors import naming, refuse_if, require_count, require_number, require_wavelength, warn
 from ...fields import OpticalSystem
 from ...optics import Spectrum, guards
 from ...plugins import properties, wave_base
 from ...points import CaptureOperator, scene_points
-from ...runtime import Cost, Job
+from ...runtime import Job
 from ...scene import with_objects
 from .lit_points import LaserScene, LitPoints, named_lasers
 from .modes import mode_count
@@ -144,10 +144,6 @@ def make_class() -> type:
                 image = image + np.array(self.child.render(unlit, sensor, seed=seed, spp=spp), np.float32)[..., :1]
             wave_base.put(sensor.film(), image, 1)
             return sensor.film()
-
-        def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
-            """Refuse an estimate of the cost, which this integrator does not have."""
-            raise InputError(f"{NAME}: its cost is not estimated; time a smaller detector")
 
         def spectrum_of(self, scene: Any, sensor: Any) -> Spectrum | None:
             """Return None, as laser light has one wavelength."""

@@ -24,9 +24,6 @@ from ...runtime import Doubles
 _NODES = 400
 """Nodes of the integral over angles."""
 
-_FULL_WIDTH = 2 * math.sqrt(2 * math.log(2))
-"""Full width at half maximum of a normal distribution, over its standard deviation."""
-
 
 @suggest_keywords
 def mode_count(
@@ -78,11 +75,6 @@ def mode_count(
     float
         M, at least 1; `coherent_capture` takes an integer.
 
-    Raises
-    ------
-    InputError
-        If an argument is out of range.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp
@@ -109,7 +101,8 @@ def mode_count(
         step = nodes + 1
         overlap = _overlap(step / (2 * source)) * _overlap(step / (2 * pupil)) ** 2
         modes = float(source**2 / 2 / np.sum(weights * overlap * step))
-    spread = 2 * math.pi * width / _FULL_WIDTH / length**2
+    # Full width at half maximum of a normal distribution, over its standard deviation.
+    spread = 2 * math.pi * width / (2 * math.sqrt(2 * math.log(2))) / length**2
     # 2.0: Sum of the cosines of incidence and reflection, both near the surface's normal.
     return modes * math.sqrt(1 + 4 * (2.0 * height * spread) ** 2)
 

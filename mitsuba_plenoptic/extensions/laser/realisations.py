@@ -67,9 +67,6 @@ def coherent_capture(
 
     Raises
     ------
-    InputError
-        If an input has a wrong shape or value, the camera has no coherent fields, or the work would need too much
-        memory.
     PhysicsError
         If too much of the light is lost.
 
@@ -83,7 +80,7 @@ def coherent_capture(
     """
     if not isinstance(operator, CaptureOperator):
         raise InputError(f"operator of type {type(operator).__name__}: it must be a CaptureOperator")
-    powers = as_array("weights", weights, np.float64, POINTS, rule="they must be numbers")
+    powers = as_array("weights", weights, POINTS, rule="they must be numbers")
     expected = (len(operator.points),)
     refuse_if(powers.shape != expected, f"weights of shape {powers.shape}: it must be {expected}, one for each point")
     refuse_if(not np.isfinite(powers).all(), "weights: all must be finite")

@@ -35,7 +35,6 @@ def _on_chip(
     f_number: float,
     focus_distance: float,
     height: float,
-    index: float = 1.5,
 ) -> dict[str, Any]:
     """Return the parameters of an on-chip-lens camera; `height` is the distance in the medium to the photodiodes."""
     mla_distance = 1 / (1 / focal_length - 1 / focus_distance)
@@ -45,14 +44,14 @@ def _on_chip(
     table = []
     for step in range(_HEIGHTS + 1):
         slope = corner / mla_distance * step / _HEIGHTS
-        within = math.asin(math.sin(math.atan(slope)) / index)
+        within = math.asin(math.sin(math.atan(slope)) / 1.5)
         table += [mla_distance * slope + height * math.tan(within), math.degrees(math.atan(slope))]
     return {
         "focal_length": focal_length,
         "aperture_radius": focal_length / f_number / 2,
         "focus_distance": focus_distance,
         "mla_focal_length": height,
-        "mla_medium": index,
+        "mla_medium": 1.5,
         "mla_pitch": 2 * pixel,
         # The middle of each lens's pixels sees the middle of the pupil.
         "mla_cra": tuple(table),

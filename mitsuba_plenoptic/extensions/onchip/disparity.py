@@ -43,11 +43,6 @@ def half_disparity(camera: PlenopticCamera, distance: float) -> float:
         The camera.
     distance : float
         Object distance from the main lens in millimetres; may be infinite.
-
-    Raises
-    ------
-    InputError
-        If the main lens is an objective, or the distance is within the focal length.
     """
     camera.require_lens("the disparity of half pupils")
     require_support(camera, Use.ROUND_PUPILS)
@@ -71,11 +66,6 @@ def bank_disparity(bank: xr.DataArray, axis: str = "horizontal") -> xr.DataArray
     -------
     xarray.DataArray
         Dimensions depth and field, in lenses, with the sign of `half_disparity`.
-
-    Raises
-    ------
-    InputError
-        If there are not two pictures along the axis.
     """
     require_choice("axis", axis, choices.Axis)
     pupil, along = ("u", "s") if axis == "horizontal" else ("v", "t")
@@ -121,11 +111,6 @@ def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int 
     -------
     xarray.DataArray
         Dimensions t, s; NaN where the window has no texture, or the correlation is highest at the end of the search.
-
-    Raises
-    ------
-    InputError
-        If there are not two pictures along the axis, or a value is out of range.
     """
     require_light_field(halves)
     require_choice("axis", axis, choices.Axis)

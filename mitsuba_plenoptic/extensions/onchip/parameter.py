@@ -55,7 +55,6 @@ PHOTODIODE_RESPONSE: PhotodiodeParameter = Parameter(
     ),
     form=Form.RESPONSE,
     otherwise="that of the microlenses",
-    shortest=lambda response: response and response.to_plain(),
     support=(
         refused(_WAVES, "the table contains the diffraction of microlenses", "ray captures"),
         refused(_RECONSTRUCTIONS, "light goes back through microlenses that refract", "method ray"),

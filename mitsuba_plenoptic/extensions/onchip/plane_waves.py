@@ -172,14 +172,6 @@ class PlaneWaveResponses:
         """Number of nodes of the table from its middle to its edge, along one direction cosine."""
         return math.ceil(self.reach / self.step) + 1
 
-    def by_direction(self, x: float, y: float) -> Doubles:
-        """Return the light of plane waves in the photodiodes of a lens, (photodiodes, n, n), rows along y.
-
-        The direction cosines lie `step` apart around the chief ray's; light of density 1 is its area in mm^2.
-        """
-        modes_of_all = [self.modes(x, y, diode) for diode in range(self.count**2)]
-        return np.stack([(np.abs(modes) ** 2).sum(0, dtype=np.float64) for modes in modes_of_all])
-
     @cached_property
     def _orders(self) -> tuple[NDArray[np.int64], NDArray[np.complex128]]:
         """Diffraction orders of the lenses along an axis, and their amplitudes (orders along y, orders along x)."""

@@ -75,11 +75,6 @@ def psf_bank(
         Dimensions depth, field, v, u, t, s; float32. A spread sums over v, u, t and s to the fraction of the light
         through the pupil that falls within its lenses. `bank_disparity` returns the distances of halves, and
         ``torch.from_numpy(bank.values)`` makes the bank a tensor.
-
-    Raises
-    ------
-    InputError
-        If an argument is out of range, or the camera has a parameter that captures of points do not support.
     """
     along, across = require_layout(layout)
     require_pixel_pairs(camera)

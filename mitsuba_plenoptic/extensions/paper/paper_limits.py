@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -169,12 +168,10 @@ def plain_sums(
                 bins[j, i] += image[r, c]
 
 
-def run_plain_sums(
-    image: np.ndarray, camera: PlenopticCamera, distance: float, loop: Callable[..., None] = plain_sums
-) -> np.ndarray:
+def run_plain_sums(image: np.ndarray, camera: PlenopticCamera, distance: float) -> np.ndarray:
     """Return an image's sums by a plain loop, for an unfocused camera with square lenses."""
     bins = np.zeros(camera.bin_count[::-1])
     x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
     distances = camera.detector_distance, camera.mla_distance, camera.focal_length, distance
-    loop(image, x, y, distances, camera.row_pitch, pupil_radius(camera), bins)
+    plain_sums(image, x, y, distances, camera.row_pitch, pupil_radius(camera), bins)
     return bins

@@ -82,7 +82,7 @@ class Judged:
 
 
 def reproduce_real(
-    output: Path, folder: Path, *, wavelength: float = 550.0, stages: StageOptions | None = None
+    output: Path, folder: Path, *, wavelength: float = 550.0, stages: StageOptions | None
 ) -> dict[str, Any]:
     """Judge the paper's statements on a folder's light field and on a simulated control, and write the report."""
     store = open_store(output, stages)

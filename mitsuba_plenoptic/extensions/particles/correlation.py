@@ -24,10 +24,6 @@ from ...errors import refuse_if, require_count, require_number, require_numbers,
 from ...runtime import Doubles, Progress, counted
 from .voxels import values_of
 
-_MEDIAN_LIMIT = 2.0
-_MEDIAN_FLOOR = 0.1
-"""Residual over that of the neighbours above which a vector is an outlier, and voxels that are added to the latter."""
-
 
 @suggest_keywords
 def correlate_volumes(
@@ -89,7 +85,8 @@ def correlate_volumes(
         # Vectors that are NaN do, too; what has no neighbours differs from none.
         expected = [_expected(displacement, linear) for linear in (False, True)]
         apart = [np.linalg.norm((displacement - middle) / typical, axis=-1) for middle, typical in expected]
-        outlier = ~(np.minimum(*apart) <= _MEDIAN_LIMIT)
+        # An outlier has more than twice the residual of its neighbours.
+        outlier = ~(np.minimum(*apart) <= 2.0)
         displacement = np.where(outlier[..., None], expected[1][0], displacement)
     # Empty windows apart, of random vectors two thirds are outliers, of right ones a sixth at most.
     unlike = outlier[best != 0].mean() if best.any() else 0.0
@@ -158,7 +155,8 @@ def _expected(vectors: Doubles, linear: bool) -> tuple[Doubles, Doubles]:
         steps = np.expand_dims(np.arange(-1, 2), [i for i in (-3, -2, -1) if i != axis])
         around -= _median(np.diff(around, axis=axis)) * steps
     middle = _median(around)
-    typical = _median(np.abs(around - middle))[..., 0, 0, 0] + _MEDIAN_FLOOR
+    # A tenth of a voxel is noise.
+    typical = _median(np.abs(around - middle))[..., 0, 0, 0] + 0.1
     alone = np.isnan(around).all((-3, -2, -1))
     return np.where(alone, vectors, middle[..., 0, 0, 0]), typical
 

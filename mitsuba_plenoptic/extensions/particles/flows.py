@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,9 @@ import xarray as xr
 from scipy.integrate import solve_ivp
 from scipy.interpolate import RegularGridInterpolator
 
-from ...errors import InputError, put, refuse_if, refusing, require_choice, require_length, require_number
+from ...errors import InputError, put, put_checked, refuse_if, refusing, require_choice, require_length, require_number
 from ...runtime import MILLIMETRES, Doubles, as_array, require_file, require_units
-from .seeding import PLACE, put_checked
+from .seeding import PLACE
 
 _AXES = ("x", "y", "z")
 _AXIS = partial(require_choice, choices=_AXES)
@@ -74,6 +74,12 @@ class Vortex(Flow):
 
     axis: str
     centre: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        # A vortex's first field is its strength, and the second its size.
+        strength, size, *_ = (field.name for field in fields(self))  # type: ignore[arg-type]
+        rules: dict[str, Any] = {strength: _SPEED, size: require_length}
+        put_checked(self, **rules, axis=_AXIS, centre=PLACE)
 
     def velocity(self, points: Doubles) -> Doubles:
         """Return the velocities at positions."""
@@ -154,9 +160,6 @@ class TaylorGreen(Vortex):
     axis: str = "z"
     centre: tuple[float, ...] = (0.0, 0.0, 240.0)
 
-    def __post_init__(self) -> None:
-        put_checked(self, speed=_SPEED, length=require_length, axis=_AXIS, centre=PLACE)
-
     def _around(self, p: Doubles, q: Doubles, along: Doubles) -> tuple[Doubles | float, ...]:
         p, q = p * math.pi / self.length, q * math.pi / self.length
         return self.speed * np.sin(p) * np.cos(q), -self.speed * np.cos(p) * np.sin(q), 0.0
@@ -178,9 +181,6 @@ class LambOseen(Vortex):
     core: float = 0.5
     axis: str = "z"
     centre: tuple[float, ...] = (0.0, 0.0, 240.0)
-
-    def __post_init__(self) -> None:
-        put_checked(self, circulation=_SPEED, core=require_length, axis=_AXIS, centre=PLACE)
 
     def _around(self, p: Doubles, q: Doubles, along: Doubles) -> tuple[Doubles | float, ...]:
         # On the axis (1 - exp(-s)) / s is 1, also of the smallest s.
@@ -208,9 +208,6 @@ class HillVortex(Vortex):
     radius: float = 2.0
     axis: str = "z"
     centre: tuple[float, ...] = (0.0, 0.0, 240.0)
-
-    def __post_init__(self) -> None:
-        put_checked(self, speed=_SPEED, radius=require_length, axis=_AXIS, centre=PLACE)
 
     def _around(self, p: Doubles, q: Doubles, along: Doubles) -> tuple[Doubles | float, ...]:
         p, q, along = p / self.radius, q / self.radius, along / self.radius
@@ -253,8 +250,8 @@ class ImportedFlow(Flow):
         )
         require_units(name, data, dict.fromkeys("uvw", _SPEED_UNITS) | dict.fromkeys(_AXES, MILLIMETRES))
         with refusing(f"{name}: u, v and w must be on axes x, y and z that rise, and on no other:", ValueError):
-            values = np.stack([as_array(part, data[part].transpose(*_AXES), np.float64, _AXES) for part in "uvw"], -1)
-            flow = RegularGridInterpolator([as_array(axis, data[axis], np.float64) for axis in _AXES], values)
+            values = np.stack([as_array(part, data[part].transpose(*_AXES), _AXES) for part in "uvw"], -1)
+            flow = RegularGridInterpolator([as_array(axis, data[axis]) for axis in _AXES], values)
         refuse_if(min(values.shape) < 2 or not np.isfinite(values).all(), f"{name}: give two finite values or more")
         put(self, field=name, _interpolated=flow)
 

@@ -10,15 +10,12 @@ from typing import Any
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...errors import refuse_if, require_choice, require_number
+from ...errors import put_checked, refuse_if, require_choice, require_number
 from ...io import Capture
 from .flows import FLOWS, Flow, Vortex
 from .particle_images import ParticleImages
-from .seeding import ParticleVolume, Seeding, Window, put_checked
+from .seeding import ParticleVolume, Seeding, Window
 from .sequence import particle_sequence
-
-_VORTEX = (0.2, 0.5)
-"""Size of a vortex over the smallest extent of the volume."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +74,8 @@ class ParticlePairs:
             axes = random.permutation(list("xyz")).tolist()
             values |= dict(zip([name for name in names if name in ("along", "across", "axis")], axes, strict=False))
         if issubclass(kind, Vortex):
-            values[names[1]] = random.uniform(*_VORTEX) * float(volume.size.min())
+            # Size of a vortex over the smallest extent of the volume.
+            values[names[1]] = random.uniform(0.2, 0.5) * float(volume.size.min())
         trial = kind(**values)
         places = random.uniform(volume.lower, volume.upper, (4000, 3))
         factor = largest / float(np.linalg.norm(trial.velocity(places), axis=1).max())

@@ -98,7 +98,7 @@ class VoxelProjector(LinearMap):
 
     def forward(self, weights: ArrayLike, *, job: Job | None = None) -> NDArray[np.float32]:
         """Return the image (rows, columns) of voxels with the given light, (n,)."""
-        return self.operator.forward(self._spread @ as_array("weights", weights, np.float64, POINTS), job=job)
+        return self.operator.forward(self._spread @ as_array("weights", weights, POINTS), job=job)
 
     def adjoint(self, image: ArrayLike, *, job: Job | None = None) -> Doubles:
         """Return each voxel's inner product with an image, (n,)."""
@@ -155,13 +155,13 @@ class RayProjector(LinearMap):
 
     def forward(self, weights: ArrayLike) -> NDArray[np.float32]:
         """Return the image (rows, columns) of voxels with the given light, (n,)."""
-        weights = as_array("weights", weights, np.float32, POINTS)
+        weights = as_array("weights", weights, POINTS, dtype=np.float32)
         refuse_if(not np.isfinite(weights).all(), "weights: all must be finite")
         return np.asarray(self._matrix @ weights).reshape(self.image_shape)
 
     def adjoint(self, image: ArrayLike) -> NDArray[np.float32]:
         """Return each voxel's inner product with an image, (n,)."""
-        image = as_array("image", image, np.float32)
+        image = as_array("image", image, dtype=np.float32)
         refuse_if(
             image.shape != self.image_shape or not np.isfinite(image).all(),
             f"image of shape {image.shape}: its pixels must be finite, {self.image_shape}",

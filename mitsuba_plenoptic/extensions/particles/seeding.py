@@ -8,7 +8,6 @@ n`, where the camera sees a particle at z.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -17,7 +16,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...camera import PlenopticCamera
-from ...errors import refuse_if, require_choice, require_length, require_number, require_numbers, suggest_keywords, warn
+from ...errors import (
+    put_checked,
+    refuse_if,
+    require_choice,
+    require_length,
+    require_number,
+    require_numbers,
+    suggest_keywords,
+    warn,
+)
 from ...runtime import MILLIMETRES, POINTS, Doubles, as_array
 
 MOST = 10**7
@@ -33,17 +41,9 @@ _MEDIUM = partial(require_number, minimum=1, maximum=5)
 """Rule of a refractive index."""
 
 
-def put_checked(record: Any, **rules: Callable[[str, Any], Any]) -> None:
-    """Replace fields of a frozen dataclass that is being made by what their rules return; a default of None stays."""
-    for name, rule in rules.items():
-        value = getattr(record, name)
-        if value is not None or getattr(type(record), name, "") is not None:
-            object.__setattr__(record, name, rule(name, value))
-
-
 def require_points(name: str, points: ArrayLike) -> Doubles:
     """Return points (n, 3) as floats; refuse other shapes, and points that are not finite."""
-    places = as_array(name, points, np.float64, POINTS, rule="they must be numbers, (n, 3)", units=MILLIMETRES)
+    places = as_array(name, points, POINTS, rule="they must be numbers, (n, 3)", units=MILLIMETRES)
     refuse_if(
         places.shape[1:] != (3,) or not np.isfinite(places).all(),
         f"{name} of shape {places.shape}: they must be finite, and (n, 3)",

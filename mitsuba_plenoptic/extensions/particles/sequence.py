@@ -15,9 +15,6 @@ from ...runtime import Doubles
 from .flows import Flow
 from .seeding import MOST, LightSheet, ParticleVolume, Seeding, Window
 
-_CHANGE = 0.05
-"""Part of the particles by which divergence may change their density."""
-
 
 @suggest_keywords
 def particle_sequence(
@@ -128,7 +125,8 @@ def _check_motion(flow: Flow, volume: ParticleVolume, interval: float, frames: i
     slopes = [flow.velocity(places + move) - flow.velocity(places - move) for move in np.diag(step)]
     divergence = sum(slope[:, axis] / (2 * step[axis]) for axis, slope in enumerate(slopes))
     change = interval * max(float(np.sqrt((divergence**2).mean())), (frames - 1) * abs(float(divergence.mean())))
-    if change > _CHANGE:
+    # Part of the particles by which divergence may change their density.
+    if change > 0.05:
         warn(
             f"flow: by its divergence the density of particles changes by {change:.0%} or more: it gathers or "
             "thins them out, and their number does not stay"

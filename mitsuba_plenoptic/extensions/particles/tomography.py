@@ -77,7 +77,7 @@ def reconstruct_volume(
             capture.camera != getattr(operator, "camera", capture.camera),
             "capture: its camera is not the operator's; give its image alone to reconstruct it with that",
         )
-    image = as_array("capture", pixels, np.float64)
+    image = as_array("capture", pixels)
     refuse_if(not np.isfinite(image).all(), "capture: its pixels must be finite")
     image = np.maximum(image, 0)
     scale = math.sqrt(float((image**2).mean()))

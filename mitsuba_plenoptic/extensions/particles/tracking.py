@@ -25,13 +25,6 @@ _STEP = 0.02
 _LARGEST_STEP = 0.5
 """Lateral motion in a step of least squares at most, over the same width."""
 
-_DAMPING = 0.03
-_MOST_DAMPING = 10.0
-"""Damping of the first step, over the mean derivative, and that above which no step is tried any more."""
-
-_BUDGET = 8.0
-"""GiB that point spreads may take."""
-
 
 def locate_particles(
     volume: xr.DataArray, *, threshold: float = 0.1, apart: Sequence[int] = (3, 3, 3)
@@ -112,15 +105,17 @@ def refine_particles(
     wavelength = require_wavelength(capture.wavelength if wavelength is None else wavelength)
     refuse_if(not count, "positions: there is none to start from")
     refuse_if(np.shape(light) != (count,), f"light of shape {np.shape(light)}: there are {count} positions")
-    light = as_array("light", light, np.float64, POINTS)
+    light = as_array("light", light, POINTS)
     camera = capture.camera
     window = window or Window(**capture.metadata.get("particles", {}).get("window", {}))
     positions = window.apparent(positions, camera, wavelength)
 
     def spreads(places: Doubles) -> Any:
-        return StoredOperator(camera, places, wavelength=wavelength, accuracy=0, budget=_BUDGET).to_sparse()
+        # GiB that point spreads may take.
+        return StoredOperator(camera, places, wavelength=wavelength, accuracy=0, budget=8.0).to_sparse()
 
-    damping = _DAMPING
+    # Over the mean derivative; above 10 no step is tried any more.
+    damping = 0.03
     sides = [require_count("bins", side) for side in bins for _ in range(iterations)]
     for side in counted(sides, progress):
         # The matrix that adds side x side pixels of an image.
@@ -139,7 +134,7 @@ def refine_particles(
         jacobian = scipy.sparse.hstack([unmoved, *slopes], format="csc")
         error = image - unmoved @ light
         typical = float(np.sqrt(jacobian.power(2).sum() / (4 * count)))
-        while damping <= _MOST_DAMPING:
+        while damping <= 10.0:
             change = scipy.sparse.linalg.lsqr(jacobian, error, damp=damping * typical)[0].reshape(4, count)
             there = positions + scale * np.clip(change[1:].T, -_LARGEST_STEP, _LARGEST_STEP)
             lit = np.maximum(light + change[0], 0)

@@ -83,7 +83,7 @@ def values_of(*volumes: xr.DataArray) -> list[Doubles]:
             any(first.shape != other.shape or not np.allclose(other, first, 2e-7, allowed) for other in others),
             f"volumes: they must be on the same voxels, but differ in {axis}",
         )
-    values = [as_array("volume", volume, np.float64, tuple("zyx")) for volume in volumes]
+    values = [as_array("volume", volume, tuple("zyx")) for volume in volumes]
     refuse_if(not all(np.isfinite(volume).all() for volume in values), "volumes: their voxels must be finite")
     return values
 
@@ -104,7 +104,7 @@ def drawn_particles(grid: VoxelGrid, positions: Doubles, weights: Doubles, width
     """
     deviations = require_numbers("width", width, count=3, minimum=1e-9)
     positions = require_points("positions", positions)
-    weights = as_array("weights", weights, np.float64, POINTS)
+    weights = as_array("weights", weights, POINTS)
     refuse_if(
         weights.shape != (len(positions),) or not np.isfinite(weights).all(),
         f"weights of shape {weights.shape}: they must be finite, one for each of {len(positions)} positions",

@@ -36,9 +36,6 @@ _PARTS = 2
 _RAYS = 8
 """Rays along a pixel."""
 
-_DIFFRACTED = 0.6
-"""Light of a point beyond its blur's border, in lenses, that counts."""
-
 
 @dataclass(frozen=True)
 class Plane:
@@ -79,7 +76,8 @@ def plane_of(part: ArrayPart, distance: float) -> Plane:
     across = _FINE if blur < _FINE_BLUR or part.pixels.shift.any() else _COARSE
     row_ratio = float(model.pitch[1] / model.pitch[0])
     # An element may be half a pitch from the middle of its lens.
-    lenses = 2 * int(np.ceil((blur / 2 + _DIFFRACTED) / min(row_ratio, 1) + 0.5)) + 1
+    # Light of a point beyond its blur's border, in lenses, that counts.
+    lenses = 2 * int(np.ceil((blur / 2 + 0.6) / min(row_ratio, 1) + 0.5)) + 1
     camera = _regular(part, lenses)
     step = ((np.arange(across * _PARTS) + 0.5) / (across * _PARTS) - 0.5) * camera.bin_size(distance)
     # The image is upside down.

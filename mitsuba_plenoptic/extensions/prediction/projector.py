@@ -18,9 +18,6 @@ from ...runtime import require_memory
 from .array_part import ArrayPart
 from .point_patterns import Plane
 
-_DARK = 1e-4
-"""Light of a plane's elements in a lens's pixels, over their whole light, that is left out."""
-
 _DIM = 0.02
 """Light that is added to both white pictures before they are divided, over that of bright pixels."""
 
@@ -75,7 +72,8 @@ class SceneProjection(LinearMap):
         first = (half + down) * part.down, round((half + right) * part.along)
         size = part.down + 2 * part.margin, part.along
         block = plane.pictures[tuple(slice(max(low, 0), low + count) for low, count in zip(first, size, strict=True))]
-        if max(abs(down), abs(right)) > half or block.sum() <= _DARK * plane.pictures.sum():
+        # Light of a plane's elements in a lens's pixels, over their whole light, that is left out.
+        if max(abs(down), abs(right)) > half or block.sum() <= 1e-4 * plane.pictures.sum():
             return np.zeros((plane.across**2, size[0] * size[1]), np.float32)
         return block.reshape(size[0] * size[1], -1).T
 

@@ -14,8 +14,6 @@ from .study import LIGHTS, Answer, Study
 _SHOWN = 10
 """Lenses along a side of the pictures that are shown."""
 
-_SLICES = 5
-"""Planes of the scene that are shown."""
 
 _STRONGEST = 0.2
 """Difference, over bright pixels, that has the strongest colour."""
@@ -125,7 +123,8 @@ def slices(study: Study) -> plots.Plot:
     """Return a figure of the scene's planes, by waves and by rays, from all pixels."""
     scenes = {light: planes_of(study, light) for light in LIGHTS}
     by_structure = sorted(scenes["waves"], key=lambda distance: -float(np.ptp(scenes["waves"][distance])))
-    chosen = sorted(by_structure[:_SLICES])
+    # Planes of the scene that are shown.
+    chosen = sorted(by_structure[:5])
     across, down = study.part("waves").lenses
     plot = plots.Plot(2.2 * len(chosen) + 0.3)
     panels = plot.panels(len(LIGHTS), len(chosen), down / across)

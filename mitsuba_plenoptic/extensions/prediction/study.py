@@ -32,8 +32,6 @@ SEEDS = 3
 ITERATIONS = 30
 """Steps of each fit."""
 
-_EXPLAINS = 10.0
-"""Residual over noise, of withheld pixels, up to which a model explains a picture."""
 
 _LIT = 5.0
 _BRIGHT = 0.999
@@ -133,7 +131,8 @@ class Answer:
         if not all(ratio.better == light for light, ratio in self.controls.items()):
             return "The test cannot tell simulated pictures by rays from those by waves: it says nothing."
         pixels = self.ratios["pixels"]
-        if not np.minimum(pixels.waves, pixels.rays) < _EXPLAINS:
+        # Residual over noise, of withheld pixels, up to which a model explains a picture.
+        if not np.minimum(pixels.waves, pixels.rays) < 10.0:
             return (
                 "Neither waves nor rays explain the picture: of withheld pixels, the residual is "
                 f"{pixels.waves:.1f} and {pixels.rays:.1f} times the noise. Are planes and camera right?"

@@ -12,11 +12,6 @@ from .array_part import PartPixels
 TESTS = ("pixels", "lenses")
 """Single pixels, and all pixels of single lenses."""
 
-_TESTED = {"pixels": 0.2, "lenses": 0.1}
-"""Parts of the pixels, and of the lenses, that are predicted."""
-
-_CHOOSING = 0.05
-"""Part of the pixels, and of the lenses, that choose the strength of the prior."""
 
 _BORDER = 2
 """Lenses from the part's border that are not judged: they see what lies outside."""
@@ -55,8 +50,10 @@ class Withheld:
             "pixels": generator.random(len(part.pixel)),
             "lenses": generator.random(columns * rows)[part.lens_of],
         }
-        test = {name: draw[name] < _TESTED[name] for name in TESTS}
-        third = {name: draw[name] > 1 - _CHOOSING for name in TESTS}
+        # Parts of the pixels, and of the lenses, that are predicted.
+        test = {name: draw[name] < {"pixels": 0.2, "lenses": 0.1}[name] for name in TESTS}
+        # Part of the pixels, and of the lenses, that choose the strength of the prior.
+        third = {name: draw[name] > 0.95 for name in TESTS}
         remaining = good & ~np.any([*test.values(), *third.values()], axis=0)
         # Pixels of lenses that are withheld belong to their lens alone.
         alone = test["lenses"] | third["lenses"]

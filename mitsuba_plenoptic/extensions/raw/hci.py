@@ -43,11 +43,6 @@ def read_hci(folder: str | Path) -> xr.DataArray:
         With the camera, in units of its capture, if this package wrote the folder; else from 0 to 1, with the
         plenoptic camera of the same geometry where the parameters state it: its pupil is as wide as the camera array.
         ``disp_min`` and ``disp_max`` are kept, with the sign of `disparity`, as the default search of `depth_map`.
-
-    Raises
-    ------
-    InputError
-        If a file is missing, damaged or too large, or the views differ in size.
     """
     folder = Path(folder)
     parser = configparser.ConfigParser(interpolation=None)

@@ -23,7 +23,7 @@ import xarray as xr
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
 from ...runtime import atomic_output, h5py_module, require_file, require_memory, stored_array
-from ...views import LensGrid, bin_grid, grid_of, light_field, require_light_field
+from ...views import LensGrid, bin_grid, grid_of, light_field, open_fraction, require_light_field
 
 # What is read of a lens grid.
 _MODEL = ("HSpacing", "VSpacing", "HOffset", "VOffset", "Rot", "UMax", "VMax", "FirstPosShiftRow", "Orientation")
@@ -35,7 +35,7 @@ _TYPES = {"uint8": np.uint8, "uint16": np.uint16, "single": np.float32}
 
 
 def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uint16") -> None:
-    """Write a light field in LFToolbox's format, with its weights as the last channel.
+    """Write a light field in LFToolbox's format, with its weights as the last channel, and its white as ``White``.
 
     Integers are scaled so that the largest value is full scale; the variable ``MaxLum`` keeps the largest value, as in
     LFToolbox. The variable ``Camera`` (a JSON text) keeps the camera, which LFToolbox does not read.
@@ -48,11 +48,6 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
         The light field.
     precision : {"uint8", "uint16", "single"}
         MATLAB type of the values.
-
-    Raises
-    ------
-    InputError
-        If the precision is unknown, the light field too large for the format, or the file cannot be written.
     """
     lf = require_light_field(lf)
     require_choice("precision", precision, _TYPES)
@@ -91,6 +86,8 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
         }
     if "camera" in lf.attrs:
         variables["Camera"] = lf.attrs["camera"]
+    if "white" in lf.coords:
+        variables["White"] = np.asarray(lf["white"].values, np.float32)
     variables["GeneratedByInfo"] = {"mfilename": "mitsuba_plenoptic"}
     with atomic_output(path, ".mat") as temporary, temporary.open("wb") as file:
         scipy.io.savemat(file, variables, do_compression=True)
@@ -107,13 +104,9 @@ def read_lftoolbox(path: str | Path) -> xr.DataArray:
     Returns
     -------
     xarray.DataArray
-        Integers are scaled to 0 to 1 and by ``MaxLum``. Without weights in the file, views that are black throughout
-        have none. The coordinates are physical if the file holds the camera.
-
-    Raises
-    ------
-    InputError
-        If the file does not exist, is damaged, too large, or holds no light field.
+        Integers are scaled to 0 to 1 and by ``MaxLum``. The weights of LFToolbox are how bright its white was, and
+        become the coordinate `white`, from which `weight` is found. Without them, views that are black throughout have
+        none. The coordinates are physical if the file holds the camera.
     """
     path = require_file(path)
     with path.open("rb") as file:
@@ -128,9 +121,12 @@ def read_lftoolbox(path: str | Path) -> xr.DataArray:
         values = stored.astype(np.float32)
         if stored.dtype.kind == "u":
             values /= np.iinfo(stored.dtype).max
-        weight = None
+        weight = white = None
         if values.shape[4] in (2, 4):
             values, weight = values[..., :-1], np.ascontiguousarray(values[..., -1])
+            white = variables.get("White", weight).reshape(weight.shape)
+            if "White" not in variables:
+                weight = open_fraction(white.transpose(2, 3, 0, 1)).transpose(2, 3, 0, 1)
         values = values * np.float32(require_number("MaxLum", variables.get("MaxLum", 1.0), positive=True))
         values = np.ascontiguousarray(values if values.shape[4] == 3 else values[..., 0])
         model = variables.get("LensletGridModel")
@@ -140,7 +136,7 @@ def read_lftoolbox(path: str | Path) -> xr.DataArray:
         bins = None if camera is None else bin_grid(camera)
         if bins is not None and bins.shape != values.shape[2:4]:
             raise InputError(f"its light field of shape {values.shape} does not fit its camera of {bins.shape} lenses")
-        return light_field(values, weight, camera, bins, lenses)
+        return light_field(values, weight, camera, bins, lenses, white)
 
 
 def _check(shape: tuple[int, ...]) -> None:
@@ -155,7 +151,7 @@ def _check(shape: tuple[int, ...]) -> None:
 def _read_version_5(path: Path) -> dict[str, Any]:
     variables = scipy.io.whosmat(path)
     for name, shape, kind in variables:
-        if name == "LF":
+        if name in ("LF", "White"):
             integers = (f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
             refuse_if(kind not in ("double", "single", *integers), "LF is not an array of numbers")
             _check(shape)
@@ -166,7 +162,7 @@ def _read_version_5(path: Path) -> dict[str, Any]:
         if name in ("LensletGridModel", "Camera", "MaxLum")
         if math.prod(shape) == 1
     ]
-    found = scipy.io.loadmat(path, variable_names=["LF", *small], simplify_cells=True)
+    found = scipy.io.loadmat(path, variable_names=["LF", "White", *small], simplify_cells=True)
     refuse_if("LF" not in found, "it has no variable LF")
     refuse_if(found["LF"].dtype.kind not in "fiu", "LF is not an array of numbers")
     return found

@@ -123,11 +123,6 @@ def nearest_white(folder: str | Path, capture: Capture) -> Path:
     pathlib.Path
         The picture with the nearest zoom step, and of these the nearest focus step; of several such pictures the
         brightest with at most 1 % of saturated pixels.
-
-    Raises
-    ------
-    InputError
-        If the folder has no such pictures, one of them is damaged, or the capture is not from such a file.
     """
     with naming("capture"):
         zoom, focus = _Picture(recording_of(capture), b"").steps

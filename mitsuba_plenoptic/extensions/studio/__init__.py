@@ -12,5 +12,6 @@ EXTENSION = Extension(
         "Capture": "thumbnails:show_capture",
         "PlenopticCamera": "thumbnails:show_camera",
         "Reconstruction": "thumbnails:show_reconstruction",
+        "Reconstructions": "thumbnails:show_reconstructions",
     },
 )

@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import drjit as dr
+import mitsuba as mi
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
+from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator
+from scipy.spatial import ConvexHull
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...report import images, plots
@@ -39,12 +42,15 @@ class Preview:
     points : (rows, columns, 3) array
         Points seen from the middle of the lens, in the camera's frame: x to the left, y up, z the distance; NaN where
         there is nothing.
+    shapes : (rows, columns) array
+        Numbers of the shapes that are seen.
     view : LensView
         The camera's view.
     """
 
     picture: np.ndarray
     points: np.ndarray
+    shapes: np.ndarray
     view: LensView
 
     @property
@@ -75,7 +81,8 @@ def preview_of(scene: Any, camera: PlenopticCamera) -> Preview:
     hit = scene.ray_intersect(rays)
     point = to_world.inverse() @ hit.p
     points = np.array(dr.select(hit.is_valid(), point, dr.nan), dtype=np.float64).T.reshape(size[1], size[0], 3)
-    return Preview(picture, points, view)
+    shapes = np.array(dr.reinterpret_array(mi.UInt32, hit.shape)).reshape(size[::-1])
+    return Preview(picture, points, shapes, view)
 
 
 def framing_warnings(preview: Preview) -> list[str]:
@@ -97,8 +104,8 @@ def framing_warnings(preview: Preview) -> list[str]:
     sharp = float(((distance >= ends[0]) & (distance <= ends[1])).mean())
     if sharp < 0.5:
         warnings.append(
-            f"only {sharp:.0%} of what is seen is from {view.between(*ends)}, which refocusing makes sharp; it is from "
-            f"{view.between(distance.min(), distance.max())}"
+            f"what is seen is from {view.between(distance.min(), distance.max())}, and only {sharp:.0%} of it from "
+            f"{view.between(*ends)}, which refocusing makes sharp"
         )
     return warnings
 
@@ -132,7 +139,8 @@ def _draw_from_above(axes: Axes, preview: Preview) -> None:
     """Draw the visible points as seen from above, with the borders of the field."""
     view = preview.view
     focus = preview.view.focus
-    points = preview.points[np.isfinite(preview.distance)][::7]
+    points = preview.points[np.isfinite(preview.distance)]
+    shapes = preview.shapes[np.isfinite(preview.distance)]
     near, far = view.sharp_range()
     start, reach = view.drawn_range(points[:, 2])
     if near < reach:
@@ -142,12 +150,17 @@ def _draw_from_above(axes: Axes, preview: Preview) -> None:
     for side in (-0.5, 0.5):
         border = [side * view.field(end)[0] for end in (start, reach)]
         axes.plot([start, reach], border, color="#667080", linewidth=0.8)
-    axes.plot(points[:, 2], points[:, 0], ".", color="#1b1f24", markersize=1, label="seen of the scene")
+    for shape in np.unique(shapes):
+        of_shape = points[shapes == shape][:, [2, 0]]
+        if len(of_shape) > 2:
+            # Joggled, as walls that face the camera are lines in the plan.
+            corners = of_shape[ConvexHull(of_shape, qhull_options="QJ").vertices]
+            axes.add_patch(Polygon(corners, fill=False, edgecolor="#1b1f24", linewidth=0.8))
     axes.set_xlim(start, reach)
-    axes.set_xticks(*zip(*view.ticks(reach).items(), strict=True), fontsize=8)
-    low, high = axes.get_ylim()
-    across = [tick for tick in MaxNLocator(6).tick_values(low, high) if low < tick < high]
-    axes.set_yticks(across, [f"{tick * view.per_millimetre:g}" for tick in across], fontsize=8)
+    for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+        ticks = [tick for tick in MaxNLocator(6).tick_values(*limits) if limits[0] < tick < limits[1]]
+        axis.set_ticks(ticks, [f"{tick * view.per_millimetre:g}" for tick in ticks], fontsize=8)
+    axes.set_xlabel(view.depth_label, size=8)
     axes.yaxis.tick_right()
-    axes.set_title(f"From above, {view.unit} across; grey: borders of the field", size=9, loc="left", pad=6)
+    axes.set_title(f"From above, {view.unit} across; outlines: what is seen; grey: borders", size=9, loc="left", pad=6)
     axes.legend(fontsize=7, loc="upper left", framealpha=0.9)

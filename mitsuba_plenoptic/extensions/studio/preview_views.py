@@ -30,6 +30,7 @@ class LensView:
     # Of lengths that are printed: its name, and how many there are in a millimetre.
     unit = "mm"
     per_millimetre = 1.0
+    depth_label = "mm from the main lens"
 
     @property
     def focus(self) -> float:
@@ -95,10 +96,6 @@ class LensView:
         """Return the range over which the field is drawn: from the lens to the farthest of the visible points."""
         return 0.0, 1.15 * max(self.focus, float(np.percentile(distances, 99)) if distances.size else 0.0)
 
-    def ticks(self, reach: float) -> dict[float, str]:
-        """Return the distances, up to `reach`, that a drawing marks, with their labels."""
-        return {0.0: "lens", self.focus: self.in_units(self.focus)}
-
     def in_units(self, distance: float) -> str:
         """Return a distance as text with its unit, or the word for infinity."""
         far = distance >= _FAR * self.camera.focal_length
@@ -114,6 +111,7 @@ class MicroscopeView(LensView):
 
     unit = "um"
     per_millimetre = 1e3
+    depth_label = "um beyond the native object plane"
 
     @property
     def focus(self) -> float:
@@ -169,11 +167,6 @@ class MicroscopeView(LensView):
         reach = np.abs([end for end in self.sharp_range() if math.isfinite(end)] + [*distances])
         half = 1.15 * max(float(np.max(reach, initial=0.0)), self.field(0.0)[0] / 4)
         return -half, half
-
-    def ticks(self, reach: float) -> dict[float, str]:
-        """Return marks at the native object plane and, where there is room, at the ends of the depth of field."""
-        ends = {end: self.in_units(end) for end in self.sharp_range() if 0.4 * reach < abs(end) < reach}
-        return {**ends, 0.0: "native plane"}
 
     @property
     def _objective(self) -> Any:

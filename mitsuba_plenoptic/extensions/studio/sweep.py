@@ -34,7 +34,7 @@ from ...runtime import BatchMap, Sink, atomic_output, read_yaml, remove_leftover
 from ...scene import check_scene_file, is_wave_capture, names_in, plenoptic_sensor, refuse_by_rays, scene_defaults
 from ...scene_files import scene_path
 
-__all__ = ["check_grid", "merge_grids", "parse_grid", "read_grid", "sweep"]
+__all__ = ["sweep"]
 
 # Names that are not parameters of the scene.
 WAVELENGTH = "wavelength"
@@ -43,34 +43,19 @@ DISTANCE = "distance"
 Grid = Mapping[str, Sequence[float]]
 
 
-def read_grid(path: Path) -> dict[str, list[Any]]:
-    """Return a grid read from YAML: names, each with a number or a list of numbers."""
-    content = read_yaml(path)
+def stated_grid(path: Path | None, texts: Iterable[str]) -> dict[str, list[Any]]:
+    """Return the grid that a YAML file, if any, and texts such as ``name=1,2,3`` state."""
+    content = {} if path is None else read_yaml(path)
     refuse_if(
         not isinstance(content, dict),
         f"{path}: it must hold names, each with a list of numbers, such as 'wavelength: [532, 633]'",
     )
-    return {name: value if isinstance(value, list) else [value] for name, value in content.items()}
-
-
-def parse_grid(texts: Iterable[str]) -> dict[str, list[Any]]:
-    """Return the grid that texts such as ``name=1,2,3`` describe."""
-    grids = []
+    grid = {name: value if isinstance(value, list) else [value] for name, value in content.items()}
     for text in texts:
-        name, equals, values = text.partition("=")
-        refuse_if(not name or not equals, f"--vary {text}: write it as --vary NAME=VALUE,VALUE,...")
-        grids.append({name: [value.strip() for value in values.split(",")] if values.strip() else []})
-    return merge_grids(*grids)
-
-
-def merge_grids(*grids: Mapping[str, list[Any]]) -> dict[str, list[Any]]:
-    """Return the union of grids that have no name in common."""
-    merged: dict[str, list[Any]] = {}
-    for grid in grids:
-        for name in grid:
-            refuse_if(name in merged, f"grid: {name} is given twice")
-        merged |= grid
-    return merged
+        name, _, values = text.partition("=")
+        refuse_if(name in grid, f"grid: {name} is given twice")
+        grid[name] = [value.strip() for value in values.split(",")] if values.strip() else []
+    return grid
 
 
 def check_grid(grid: Mapping[Any, Any]) -> dict[str, tuple[float, ...]]:
@@ -109,6 +94,8 @@ class Points:
         self._of_sensor: dict[str, Mapping[str, Any]] = {}
         # Rows and columns, and of bins, of the largest images.
         self.largest: tuple[int, ...] = ()
+        # Of the capture of each point, and of its reconstructions.
+        self._work: list[float] = []
         self.distances = grid.get(DISTANCE, ())
         self.axes = {name: values for name, values in grid.items() if name != DISTANCE}
         scene = Path(spec.scene)
@@ -157,26 +144,30 @@ class Points:
 
         `for_waves` are options that ray captures refuse; None means not given.
         """
-        registered(self._method)
         for wavelength in self.axes.get(WAVELENGTH, ()):
             require_wavelength(wavelength)
+        method = registered(self._method)
+        # A reconstruction takes as long as some captures, or a part of one.
+        of_image = 8.0 if method.long else 1.0 if method.waves else 0.1
         sizes: dict[str, tuple[int, ...]] = {}
         for point in self:
             spec = self.spec(point)
-            if (key := repr((spec.parameters, spec.camera))) in sizes:
-                continue
-            scene = spec.load()
-            if not is_wave_capture(scene, spec.model):
-                refuse_by_rays(resume=self._store.resume or None, **for_waves)
-            camera = PlenopticCamera.from_sensor(scene.sensors()[0])
-            sizes[key] = camera.shape + (camera.bin_count if self.distances else ())
-            for distance in self.distances:
-                lens_data.image_distance(camera.focal_length, distance, name=DISTANCE)
+            if (key := repr((spec.parameters, spec.camera))) not in sizes:
+                scene = spec.load()
+                if not is_wave_capture(scene, spec.model):
+                    refuse_by_rays(resume=self._store.resume or None, **for_waves)
+                camera = PlenopticCamera.from_sensor(scene.sensors()[0])
+                sizes[key] = camera.shape + (camera.bin_count if self.distances else ())
+                for distance in self.distances:
+                    lens_data.image_distance(camera.focal_length, distance, name=DISTANCE)
+            pixels = float(math.prod(sizes[key][:2]))
+            self._work += [pixels, *[of_image * pixels for _ in self.distances]]
         self.largest = tuple(map(max, zip(*sizes.values(), strict=True)))
 
     def compute(self, batch_map: BatchMap | None) -> Iterator[tuple[Capture, list[np.ndarray]]]:
         """Yield each capture with its reconstructions, read from the store if they exist there."""
         method = {"method": self._method}
+        self._store.expect(self._work)
         for point in self:
             capture, key = self._capture(point, batch_map)
             name = f"refocused{_name(point)}"
@@ -318,12 +309,6 @@ def sweep(
         ``pixel_size``; and, where distances are given, ``reconstruction`` over the grid, ``distance``, ``bin_row`` and
         ``bin_column``, with ``bin_size``. Images are in units of radiance; beyond smaller images than the largest they
         are NaN.
-
-    Raises
-    ------
-    InputError
-        If the grid has an unknown name, a value that is no number or twice the same, or none at all; or if the scene,
-        a camera or a distance is refused.
     """
     return prepare(spec, grid, output, method, stages, batch_map=batch_map)(batch_map)
 
@@ -338,7 +323,7 @@ def prepare(
     h5netcdf = require_module("h5netcdf", "sweep: datasets need h5netcdf: pip install h5netcdf h5py")
     output = require_writable(output, ".nc")
     grid = check_grid(grid)
-    store = Cache(output.with_suffix(".points"), stages)
+    store = Cache(output.with_suffix(".points"), replace(stages or StageOptions(), number=itertools.count(1)))
     points = Points(spec, grid, method, store)
     points.check(**for_waves)
 
@@ -351,7 +336,6 @@ def prepare(
                         sweep_file = SweepFile(file, spec, grid, method, capture, points.largest)
                     sweep_file.put(np.unravel_index(index, sweep_file.shape), capture, images)
                     sink.check(output)
-                    store.notify("points", index + 1, math.prod(sweep_file.shape))
             sink.check(output)
         return xr.open_dataset(output, engine="h5netcdf")
 

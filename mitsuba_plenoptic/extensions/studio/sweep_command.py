@@ -15,7 +15,10 @@ def sweep(
     scene: options.Scene,
     output: Annotated[Path, options.output_option("FILE.nc", "NetCDF file to write.", ".nc")],
     grid: Annotated[
-        Path | None, typer.Option(metavar="FILE.yaml", help="The grid: names, each with a list of numbers.")
+        Path | None,
+        typer.Option(
+            metavar="FILE.yaml", help="The grid: names, each with a list of numbers.", callback=options.EXISTING
+        ),
     ] = None,
     vary: Annotated[
         list[str] | None,
@@ -23,6 +26,7 @@ def sweep(
             metavar="NAME=V1,V2,...",
             help="One name of the grid and its values: a $NAME of the scene, a parameter of the camera or of its data "
             "sheet, 'wavelength' in nanometres, or 'distance' to refocus to; repeat for several.",
+            callback=options.assigned("--vary", "NAME=VALUE,VALUE,..."),
         ),
     ] = None,
     model: options.Model = None,
@@ -59,9 +63,9 @@ def sweep(
     from ...camera import MATCHED, PARAMETERS
     from ...capture_spec import CaptureSpec
     from ...runtime import DEFAULT_VARIANT
-    from .sweep import check_grid, merge_grids, parse_grid, prepare, read_grid
+    from .sweep import check_grid, prepare, stated_grid
 
-    checked = check_grid(merge_grids(read_grid(grid) if grid else {}, parse_grid(vary or [])))
+    checked = check_grid(stated_grid(grid, vary or []))
     refuse_if(
         method is not None and "distance" not in checked,
         "--method: nothing is refocused without a 'distance' in the grid; leave it out",

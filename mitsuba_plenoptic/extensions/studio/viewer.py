@@ -137,11 +137,6 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
     Viewer
         `Viewer.save` writes the page; notebooks show it.
 
-    Raises
-    ------
-    InputError
-        If there is no source, one is of another kind, or they do not fit each other.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp

@@ -5,6 +5,7 @@ Directions are angles in arcseconds in the camera frame: +x is to the left in th
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,13 @@ INFINITY = 1e12
 
 _WIDEST = 3600.0 * 10
 """Largest angle from the axis in arcseconds."""
+
+_direction = functools.partial(
+    require_pair,
+    "direction",
+    meaning="of angles (x, y)",
+    rule=functools.partial(require_number, minimum=-_WIDEST, maximum=_WIDEST),
+)
 
 
 @suggest_keywords
@@ -37,11 +45,6 @@ def star(direction: tuple[float, float] = (0.0, 0.0), *, weight: float = 1.0) ->
         The star as a point of `CaptureOperator`.
     weights : float64 array (1,)
         Weight of the star for `CaptureOperator.forward`.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
 
     Examples
     --------
@@ -78,11 +81,6 @@ def binary(
         The stars as points of `CaptureOperator`.
     weights : float64 array (2,)
         Weights of the two stars.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
     """
     separation = require_number("separation", separation, minimum=0, maximum=_WIDEST)
     turned = np.deg2rad(require_number("angle", angle))
@@ -112,11 +110,6 @@ def extended(picture: Any, *, width: float, direction: tuple[float, float] = (0.
         The points of `CaptureOperator`.
     weights : float64 array (n,)
         Weights of the points.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range, or the picture is dark everywhere or negative somewhere.
     """
     values = read_samples("picture", picture, None)
     refuse_if(not values.any() or bool((values < 0).any()), "picture: it must be bright somewhere and nowhere negative")
@@ -126,13 +119,6 @@ def extended(picture: Any, *, width: float, direction: tuple[float, float] = (0.
     aside = np.stack([(columns - 1) / 2 - column, (rows - 1) / 2 - row], 1) * pixel
     lit = values[row, column]
     return _towards(np.array(_direction(direction)) + aside), lit / lit.sum()
-
-
-def _direction(value: Any) -> tuple[float, float]:
-    """Return the two angles of a direction."""
-    pair = require_pair("direction", value, "of angles (x, y)")
-    x, y = (require_number("direction", angle, minimum=-_WIDEST, maximum=_WIDEST) for angle in pair)
-    return x, y
 
 
 def _towards(angles: Doubles) -> Doubles:

@@ -43,11 +43,6 @@ class CameraOptics(hcipy.OpticalElement):
     ----------
     output_grid : hcipy.Grid
         Centres of the recorded pixels in metres.
-
-    Raises
-    ------
-    InputError
-        If the camera has another main lens, or a parameter that waves of points do not support.
     """
 
     def __init__(self, camera: PlenopticCamera) -> None:
@@ -74,8 +69,6 @@ class CameraOptics(hcipy.OpticalElement):
 
         Raises
         ------
-        InputError
-            If the wavefront is dark or polarised, or its wavelength is out of range or its grid of another kind.
         PhysicsError
             If too much of the light is lost, the wavefront is much wider than the camera's aperture, or it is sampled
             too coarsely (see `optics.guards`).

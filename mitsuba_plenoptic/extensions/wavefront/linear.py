@@ -71,12 +71,6 @@ class InteractionMatrix:
             Wavelength in nanometres.
         accuracy : float
             As for `CaptureOperator`.
-
-        Raises
-        ------
-        InputError
-            If an input has a wrong value, the detector records no light of the zone, or captures of the camera have
-            no derivatives.
         """
         count = require_count("modes", modes, minimum=2, maximum=36)
         wavelength = require_wavelength(wavelength)
@@ -130,7 +124,7 @@ class InteractionMatrix:
             directions = require_count("rank", count if rank is None else rank, maximum=count)
             terms = right[:directions].T @ (left.T[:directions] @ misfit / singular[:directions])
         else:
-            deviation = as_array("prior", prior, np.float64)
+            deviation = as_array("prior", prior)
             if deviation.shape not in ((), (count,)) or not (np.isfinite(deviation) & (deviation > 0)).all():
                 raise InputError(f"prior of shape {deviation.shape}: it must be positive, one or {count} numbers")
             terms = np.linalg.solve(rows.T @ rows + np.diag(np.ones(count) / deviation**2), rows.T @ misfit)

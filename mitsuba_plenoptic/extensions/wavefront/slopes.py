@@ -67,11 +67,6 @@ def view_slopes(camera: PlenopticCamera, image: Any, point: Any) -> Slopes:
     -------
     Slopes
         At pupil points about one pixel of a micro-image apart.
-
-    Raises
-    ------
-    InputError
-        If an input has a wrong shape or value, or the capture is black.
     """
     require_support(camera, Use.LENS_CENTRES)
     pixels = _known_image(image, camera)
@@ -117,11 +112,6 @@ def spot_slopes(
     -------
     Slopes
         At the centres of the lenses that are lit, in the pupil, as means over lenses.
-
-    Raises
-    ------
-    InputError
-        If an input has a wrong shape or value, or the capture is black.
     """
     pixels = _known_image(image)
     n = require_count("pixels_per_lens", pixels_per_lens)
@@ -137,7 +127,8 @@ def spot_slopes(
     light = spots.sum((1, 3))
     refuse_if(not light.any(), "image: it is black: nothing can be found by it")
     lit = light > 0
-    if n < _LEAST_PIXELS:
+    # Pixels along a lens from which on the phase of their first Fourier coefficient tells a place.
+    if n < 3:
         offset = (np.arange(n) - (n - 1) / 2) * size
         moved = _sums(spots, offset)[lit] / light[lit, None]
     else:
@@ -147,10 +138,6 @@ def spot_slopes(
     lenses = np.stack(np.meshgrid(*centre), -1)
     bend = growth / require_length("focal_length", focal_length)
     return Slopes(lenses[lit], moved * bend, light[lit], abs(n * size / growth))
-
-
-_LEAST_PIXELS = 3
-"""Pixels along a lens from which on the phase of their first Fourier coefficient tells a place."""
 
 
 def _sums(spots: Doubles, factors: NDArray[Any]) -> NDArray[Any]:
@@ -177,11 +164,6 @@ def modes_from_slopes(slopes: Slopes, radius: float, modes: int) -> Doubles:
     -------
     float64 array (modes,)
         Coefficients in the unit and order of the camera's ``wavefront``.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range, or there are fewer slopes than terms.
     """
     count = require_count("modes", modes, minimum=2)
     if slopes.slope.size < count:

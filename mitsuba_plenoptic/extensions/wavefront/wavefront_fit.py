@@ -51,11 +51,6 @@ class Zone:
         Point sources of the zone in the camera frame, in millimetres.
     weights : array (n,), optional
         Their relative brightness, not negative. Default: all alike.
-
-    Raises
-    ------
-    InputError
-        If an input has a wrong shape or value.
     """
 
     points: Doubles
@@ -64,7 +59,7 @@ class Zone:
     def __post_init__(self) -> None:
         points = check_positions(self.points)
         refuse_if(not len(points), "points: a zone needs at least one")
-        weights = np.ones(len(points)) if self.weights is None else as_array("weights", self.weights, np.float64)
+        weights = np.ones(len(points)) if self.weights is None else as_array("weights", self.weights)
         if weights.shape != (len(points),) or not (np.isfinite(weights) & (weights >= 0)).all() or not weights.any():
             raise InputError(
                 f"weights of shape {weights.shape}: they must be ({len(points)},) finite numbers, at least 0, not all 0"
@@ -110,11 +105,6 @@ def fit_wavefronts(
     -------
     Fit
         Its ``camera.wavefront`` are the terms, and its deviations follow from the noise.
-
-    Raises
-    ------
-    InputError
-        If an input has a wrong shape or value, or for the reasons of `fit`.
 
     Warns
     -----

@@ -174,9 +174,9 @@ class DerivativePlan(PatchPlan):
             copies.append(SpreadCopies(shifts, factors.astype(np.float32), positions, moves))
         return self._fields(np.array(lit_spreads, np.int64)), copies
 
-    def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
-        """Return the bytes that derivatives of all channels in all directions take; refuse too many."""
-        return super().check_memory(batch_map, self._kept(channels))
+    def check_memory(self, batch_map: BatchMap, channels: int = 1) -> None:
+        """Refuse derivatives of all channels in all directions that are too large for the memory."""
+        super().check_memory(batch_map, self._kept(channels))
 
     def together(self, batch_map: BatchMap, channels: int, directions: int) -> int:
         """Return the number of directions, at least 1, in which sums of some channels are differentiated together."""

@@ -13,7 +13,7 @@ from mitsuba_plenoptic.extensions.deconvolution.deconvolved import noise_of
 from mitsuba_plenoptic.extensions.deconvolution.response import Response
 from mitsuba_plenoptic.linear.noise import misfit
 from mitsuba_plenoptic.linear.solver import RichardsonLucy, relative_residual, solve
-from mitsuba_plenoptic.views import white_image
+from mitsuba_plenoptic.views import lens_numbers, white_image
 
 WAVELENGTH = 633.0
 SMALL = mp.PlenopticCamera(detector_width=0.384, resolution=(192, 192))
@@ -272,6 +272,21 @@ def test_lamps_keep_their_light_where_the_pupil_narrows_from_lens_to_lens(turned
     image = filled(camera, places, 0.064, np.array([1.0, 0.7]), 112.0, 13, 550.0)
     found = mp.reconstruct(mp.Capture(image, camera, 550.0, "wave"), 112.0, method="deconvolved").image
     assert np.nansum(found) == pytest.approx(1.7, rel=0.01)
+
+
+@pytest.mark.slow
+def test_a_prescription_that_vignettes_within_a_zone_lights_lenses_as_rays_do():
+    camera = mp.PlenopticCamera(
+        main_lens="double_gauss_f2", focal_length=4.0, focus_distance=120.0, mla_pitch=0.04, mla_focal_length=0.072,
+        detector_width=2.24, resolution=(448, 448), crop_offset=(320, 240), crop_size=(64, 64),
+    )  # fmt: skip
+    number = lens_numbers(camera).ravel()
+    response = Response(camera, [156.0], wavelength=1000.0, oversample=1)
+    images = response.forward(np.ones(response.source_shape, np.float32)), white_image(camera)
+    found, expected = (np.bincount(number, image.ravel())[np.bincount(number) > 55] for image in images)
+    assert expected.min() < 0.8 * expected.max()
+    assert (found / expected).mean() == pytest.approx(1, abs=0.006)
+    assert (found / expected).std() < 0.015
 
 
 def sources(distance, camera=SMALL):

@@ -51,7 +51,7 @@ def test_reconstruct_writes_a_volume(tmp_path, run, complaint, capfd):
     assert f"{out}: volume of" in told
     assert not (tmp_path / "out.tif.checkpoint").exists()
     with tifffile.TiffFile(out) as file:
-        assert file.imagej_metadata["spacing"] == 27 and file.imagej_metadata["slices"] == 3
+        assert file.imagej_metadata["spacing"] == 27_000 and file.imagej_metadata["slices"] == 3
     uneven = "--distance", 226, "--distance", 253, "--distance", 290
     assert "evenly spaced" in complaint("reconstruct", raw, "-o", out, *options, *uneven)
     assert "variation = 1" in complaint("reconstruct", raw, "-o", out, *planes, *options[:2], "--variation", 1)

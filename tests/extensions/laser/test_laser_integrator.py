@@ -14,6 +14,7 @@ from mitsuba_plenoptic import Checkpoint, PhysicsError, PlenopticCamera, laser, 
 from mitsuba_plenoptic.extensions.laser.lit_points import LaserScene, named_lasers
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.units import radiance_weight
+from mitsuba_plenoptic.scene import estimate_capture
 
 CAMERA = PlenopticCamera(
     focal_length=40, aperture_radius=1.25, mla_distance=60, detector_width=0.128, resolution=(64, 64)
@@ -62,6 +63,7 @@ def test_the_mean_power_is_that_of_a_wave_capture():
     capture = render_capture(scene)
     assert capture.wavelength == WAVELENGTH
     assert capture.metadata["modes"] == 12
+    assert 0 < estimate_capture(scene).seconds < 600
     waves = {"type": "plenoptic_wave", "wavelength": WAVELENGTH}
     other = render_capture(cases.scene_of(CAMERA.to_sensor(), waves, wall=wall(), laser=LASER), spp=256)
     bright = other.image > 0.3 * other.image.max()

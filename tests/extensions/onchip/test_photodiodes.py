@@ -141,7 +141,6 @@ def test_responses_by_angle_and_wavelength():
     camera = CAMERA.replace(photodiode_response=given)
     assert PlenopticCamera.from_json(camera.to_json()) == camera
     sensor = camera.to_sensor()
-    sensor["film"]["pixel_format"] = "rgb"
     image = render_capture(scene_of(sensor, "direct", sky={"type": "constant"}), spp=256).image.mean(axis=(0, 1))
     radius, turn = np.sqrt((np.arange(400) + 0.5) / 400), 2 * np.pi * (np.arange(400) + 0.5) / 400
     x, y = (

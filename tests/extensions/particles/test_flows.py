@@ -8,6 +8,7 @@ from refusals import refused, refuses
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import particles as pt
+from mitsuba_plenoptic.extensions.particles.particles_command import _flow
 
 CAMERA = mp.PlenopticCamera()
 CENTRE = (0.1, -0.2, 240.0)
@@ -102,6 +103,7 @@ test_bad_flows_are_refused_in_one_line = refused(
     (lambda: pt.Uniform((1, 2)), r"speed = \(1, 2\): it must be 3 numbers"),
     (lambda: pt.ImportedFlow(still(v="m/s")), "field: v is in m/s: it must be in mm/s"),
     (lambda: pt.ImportedFlow(still(z="m")), "field: z is in m: it must be in mm"),
+    (lambda: _flow("lamb_oseen:radius=2", pt.FLOWS, (0, 0, 240)), "radius: it is not .*; core is the radius of a vort"),
     (lambda: pt.ImportedFlow(__file__), "test_flows.py: it cannot be read as a velocity field: "),
     (lambda: pt.ImportedFlow(xr.Dataset()), "field: it must be a data set with u, v and w on x, y and z"),
 )

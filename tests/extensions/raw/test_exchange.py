@@ -48,6 +48,7 @@ class TestLFToolbox:
         step = 0 if levels is None else float(lf.max()) / levels / 2 * 1.01
         np.testing.assert_allclose(back.values, lf.values, atol=step + 1e-7)
         np.testing.assert_allclose(back.weight.values, lf.weight.values, atol=0 if levels is None else 0.51 / levels)
+        np.testing.assert_array_equal(back.white.values, lf.white.values)
         for name in lf.dims:
             assert back[name].equals(lf[name])
         assert back.attrs == lf.attrs
@@ -100,7 +101,7 @@ class TestLFToolbox:
         back = read_lftoolbox(path)
         assert back.dims == ("v", "u", "t", "s", "c")
         np.testing.assert_allclose(back.values, stored[..., :3] / 65535, rtol=1e-6)
-        np.testing.assert_allclose(back.weight.values, stored[..., 3] / 65535, rtol=1e-6)
+        np.testing.assert_allclose(back.white.values, stored[..., 3] / 65535, rtol=1e-6)
         assert "camera" not in back.attrs
         assert grid_of(back) == LensGrid((14.3, 12.4), (4.5, 5.5), (3, 4), 0.002, 1)
         assert back.u.values.tolist() == [-2, -1, 0, 1, 2]

@@ -4,6 +4,7 @@ import base64
 import dataclasses
 import io
 import json
+import re
 
 import numpy as np
 import pytest
@@ -374,11 +375,22 @@ def test_captures_and_reconstructions_are_pictures():
     assert "wave model, (611.0, 549.0, 464.0) nm: 64 x 32 pixels; white is 1" in text
     result = reconstruct(Capture(np.ones((32, 64)), SMALL), [240.0])[0]
     assert "Reconstruction at 240 mm, ray: 4 x 2 bins of 0.128 mm" in result._repr_html_()
+    scene = np.linspace(0, 1, 64) * np.ones((32, 1))
+    planes = reconstruct(Capture(scene, SMALL), [200, 240])
+    assert repr(planes[0]) == "Reconstruction(4 x 2 bins at 200 mm by ray)" and len(repr(planes)) < 120
+    shown = planes._repr_html_()
+    (scale,) = set(re.findall("white is [0-9.]+", shown))
+    assert shown.count("<img") == 2 and len(scale) > 9
 
 
-def test_cameras_are_their_design_sheet():
-    text = SMALL._repr_html_()
-    assert "focal length" in text and "80 mm</td>" in text
+@pytest.mark.parametrize(
+    ("camera", "pictures"),
+    [(SMALL, 1), (PlenopticCamera(main_lens="tessar"), 1), (PlenopticCamera.preset("lfm"), 0)],
+)
+def test_cameras_begin_with_a_drawing_and_ten_lines_of_their_design_sheet(camera, pictures):
+    first, _, rest = camera._repr_html_().partition("<details>")
+    assert first.count("<img") == pictures and first.count("<tr>") == 10
+    assert "focal length" in first and "pixel size" in rest
 
 
 def test_the_viewer_is_a_frame():

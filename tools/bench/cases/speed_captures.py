@@ -9,15 +9,19 @@ import functools
 import itertools
 import math
 import statistics
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
+from unittest import mock
 
 import mitsuba as mi
 import numpy as np
 from cases import relative
 from scipy.ndimage import uniform_filter
 
-from mitsuba_plenoptic import PlenopticCamera, estimate_capture, load_scene, render_capture
+from mitsuba_plenoptic import PlenopticCamera, load_scene, reconstruct, render_capture
+from mitsuba_plenoptic.runtime import progress
 
 from .. import Row, at_most, case
 from ..timing import in_process, once, paired, peak_memory
@@ -43,7 +47,6 @@ _LIT, _NOISY = 0.1, 0.01
     },
     (
         at_most("light_off", 0.01), at_most("median", 1.3), at_most("highest_of_noisy", "most"),
-        at_most("estimate_part", 0.1),
     ),
     page="docs/theory/accuracy.md",
     quick={"scenes": ("letters",), "pixels": 256, "runs": 1, "seeds": 2},
@@ -70,12 +73,11 @@ def _times(name: str, pixels: int, samples: int, runs: int) -> Row:
         means[model] = float(render_capture(scene, spp=samples, **MODELS[model]).image.mean())
 
     works = {model: lambda model=model: capture(model) for model in MODELS}
-    timings = paired(works | {"estimate": lambda: estimate_capture(scene, spp=samples, **MODELS["wave"])}, runs)
+    timings = paired(works, runs)
     light = means["wave"] / means["ray"]
     return {
         "scene": name, "memory": peak_memory(), "light": light, "light_off": abs(light - 1),
         "ratio": timings["wave"].processor_ratio, "elapsed_ratio": timings["wave"].ratio,
-        "estimate_part": timings["estimate"].processor / timings["wave"].processor,
         **{model: [timing.processor, timing.seconds] for model, timing in timings.items()},
     }  # fmt: skip
 
@@ -185,3 +187,46 @@ def _peak(camera: PlenopticCamera, blur: float, spp: int, model: str) -> float:
     """Return the peak memory of this process in GiB, which captures a wall once."""
     _captured(scene_of(camera, distance_of(camera, blur)), spp, model)
     return peak_memory()
+
+
+@case(
+    "progress",
+    "Progress of works: seconds of the processor in all and to the first percentage, and the estimate at a tenth of "
+    "them over the truth",
+    {"work": "{work}", "all (s)": "{seconds:.1f}", "first (s)": "{first:.1f}", "estimate": "{estimate:.2f}"},
+    (at_most("off", 1.5),),
+    quick={"pixels": 256, "samples": 16},
+)
+def progress_told(*, pixels: int = 720, samples: int = 64, variant: str = "llvm_ad_mono") -> Iterator[Row]:
+    """Capture the still life by rays and by waves, and refocus the wave capture by every method of the core."""
+    size = {"resolution": pixels, "detector_width": 0.002 * pixels}
+    scene = load_scene("still_life", variant=variant, parameters=size)
+    captures: dict[str, Any] = {}
+    for model in MODELS:
+
+        def run(told: Any, model: str = model) -> None:
+            captures[model] = render_capture(scene, model=model, spp=samples, progress=told)
+
+        yield _told(model, run)
+    for method in ("ray", "coherent", "partial"):
+        yield _told(method, lambda told, m=method: reconstruct(captures["wave"], [215, 258], method=m, progress=told))
+
+
+def _told(work: str, run: Callable[[Any], Any]) -> Row:
+    """Return what a bar of progress knew of a work, by the processor's time."""
+    with mock.patch.object(progress, "time", SimpleNamespace(monotonic=time.process_time)):
+        bar, told = progress.ProgressBar(work), []
+
+        def show(done: int, total: int) -> None:
+            bar(done, total)
+            told.append((time.process_time() - bar.start, bar.fraction, bar.left()))
+
+        run(show)
+        seconds = time.process_time() - bar.start
+    first = next((at for at, fraction, _ in told if fraction), seconds)
+    known = [at + left for at, _, left in told if left and at <= seconds / 10]
+    known = known[-1:] or [at + left for at, _, left in told if left][:1] or [math.inf]
+    estimate = known[0] / seconds
+    # Short work needs no estimate.
+    off = max(estimate, 1 / estimate) if seconds >= 10 else 1.0
+    return {"work": work, "seconds": seconds, "first": first, "estimate": estimate, "off": off}
