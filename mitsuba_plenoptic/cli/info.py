@@ -14,14 +14,13 @@ import typer
 from ..choices import RAW_SUFFIXES
 from ..errors import InputError, printable, refuse_if, require_number
 from ..presets import PRESETS
-from .inputs import load_camera, parse_definitions, refuse_options
-from .options import CAMERA, Definitions, Unit, numeric, wavelength_option
+from .inputs import load_camera, parse_definitions, refuse_options, require_png
+from .options import CAMERA, Definitions, Dpi, Unit, numeric, wavelength_option
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from ..io import Capture
-    from ..prescription import Prescription
     from ..report import Row
 
 
@@ -67,6 +66,7 @@ def info(
             help="Write the camera that the fewest of the changes which the warnings name make of this one.",
         ),
     ] = None,
+    dpi: Dpi = None,
     pupil: Annotated[
         float | None,
         numeric("Of a lens: diameter of its entrance pupil.", "the file's", unit="MM", check=_positive),
@@ -112,27 +112,30 @@ def info(
 
     from ..extension import format_of
     from ..io import read_capture
-    from ..runtime import require_writable, write_text
+    from ..runtime import read_yaml, require_writable, write_text
 
     source = str(camera if source is None else source)
-    if fix is not None:
-        require_writable(fix, ".json")
+    for path, suffixes in ((fix, [".json"]), (drawing, [".png", ".pdf"]), (microlens, [".png", ".pdf"])):
+        if path is not None:
+            require_writable(path, *suffixes)
     parameters = parse_definitions(define)
     suffix = Path(source).suffix.lower()
     recorded = suffix in (".exr", *RAW_SUFFIXES) or format_of(suffix, "capture", source) is not None
-    lens = _named_lens(source)
+    is_lens = Path(source).is_file() and format_of(suffix, "lens", source) is not None
+    if Path(source).is_file() and suffix in (".yaml", ".yml", ".json"):
+        with contextlib.suppress(InputError, TypeError):
+            is_lens = "surfaces" in read_yaml(source)
     refuse_if(
-        parameters and (recorded or lens),
+        parameters and (recorded or is_lens),
         f"-D: {source} is no scene, and has no scene parameters; leave it out",
     )
-    refuse_if(unit != "mm" and (recorded or lens), f"--unit {unit}: {source} is no scene; leave it out")
-    if lens is not None:
+    refuse_if(unit != "mm" and (recorded or is_lens), f"--unit {unit}: {source} is no scene; leave it out")
+    require_png(dpi, drawing, microlens)
+    if is_lens:
         refuse_options(f"{source}, a main lens,", microlens=microlens, fix=fix, wavelength=wavelength)
-        try:
-            pupil = pupil or (lens.paraxial.focal_length / f_number if f_number else 0.0)
-            return _print_lens(lens, pupil, field or [], drawing, as_json)
-        except InputError as error:
-            raise InputError(f"{source}: {str(error).removeprefix('main_lens: ')}") from None
+        refuse_if(pupil and f_number, "--pupil, --f-number: give one of the two")
+        _print_lens(source, pupil, f_number, field or [], drawing, dpi, as_json)
+        return
     refuse_options(f"{source}, which is no lens,", pupil=pupil, f_number=f_number, field=field)
     capture = read_capture(source) if recorded else None
     shown_camera = capture.camera if capture else load_camera(source, parameters, unit)[0]
@@ -144,13 +147,19 @@ def info(
         wavelength = capture.wavelength
     if drawing is not None:
         # Brings Matplotlib, which takes a while to load.
-        from ..report import draw_main_lens
+        from ..lenses import main_lens
+        from ..report import main_lens_figure
 
-        draw_main_lens(drawing, shown_camera)
+        refuse_if(
+            shown_camera.prescription is None, f"{drawing}: the camera has no main_lens of surfaces that could be drawn"
+        )
+        cell = shown_camera.row_pitch if shown_camera.has_array else 0.0
+        main_lens_figure(main_lens(shown_camera), shown_camera.focus_distance, cell).save(drawing, dpi)
     if microlens is not None:
-        from ..report import draw_microlens
+        from ..report import microlens_figure
 
-        draw_microlens(microlens, shown_camera, wavelength)
+        shown_camera.require_array(str(microlens))
+        microlens_figure(shown_camera, wavelength).save(microlens, dpi)
     rows = design_sheet(shown_camera, wavelength)
     warnings = design_warnings(shown_camera, wavelength)
     origin = _origin(capture) if capture else {}
@@ -186,32 +195,31 @@ def info(
             console.print(f"[bold]Still:[/bold] {escape(warning)}.", soft_wrap=True)
 
 
-def _named_lens(source: str) -> Prescription | None:
-    """Return the lens of a file; None where a source names no lens of surfaces."""
-    from ..extension import format_of
-    from ..prescription import read_prescription
-    from ..runtime import read_yaml
-
-    path = Path(source)
-    suffix = path.suffix.lower()
-    is_lens = path.is_file() and format_of(suffix, "lens", source) is not None
-    if path.is_file() and suffix in (".json", ".yaml", ".yml"):
-        # What is no YAML is refused as a camera's file.
-        with contextlib.suppress(InputError):
-            is_lens = "surfaces" in (read_yaml(path) or ())
-    return read_prescription(source) if is_lens else None
-
-
-def _print_lens(lens: Prescription, pupil: float, fields: list[float], drawing: Path | None, as_json: bool) -> None:
-    """Print the sheet of a lens of surfaces, and draw the lens."""
+def _print_lens(
+    source: str,
+    pupil: float | None,
+    f_number: float | None,
+    fields: list[float],
+    drawing: Path | None,
+    dpi: int | None,
+    as_json: bool,
+) -> None:
+    """Print the sheet of a file's lens, and draw the lens."""
     from rich.console import Console
 
-    from ..report import behind_lens, draw_main_lens, lens_sheet
+    from ..prescription import read_prescription
+    from ..report import behind_lens, lens_sheet, main_lens_figure
 
-    rows = lens_sheet(lens, pupil, fields)
+    lens = read_prescription(source)
+    try:
+        if f_number is not None:
+            pupil = lens.paraxial.focal_length / f_number
+        shown_lens, distance, heights = behind_lens(lens, pupil or 0.0, fields)
+        rows = lens_sheet(shown_lens, distance, heights)
+    except InputError as error:
+        raise InputError(f"{source}: {str(error).removeprefix('main_lens: ')}") from None
     if drawing is not None:
-        camera, distance, _ = behind_lens(lens, pupil, fields)
-        draw_main_lens(drawing, camera, distance)
+        main_lens_figure(shown_lens, distance).save(drawing, dpi)
     if as_json:
         typer.echo(json.dumps({"lens": lens.to_plain(), "sheet": [row._asdict() for row in rows]}, indent=1))
     else:

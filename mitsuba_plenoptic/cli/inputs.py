@@ -126,6 +126,15 @@ def light_field(
     )
 
 
+def require_png(dpi: int | None, *paths: Path | None) -> None:
+    """Refuse ``--dpi`` of files that are not PNG, and without any file."""
+    outputs = [path for path in paths if path is not None]
+    refuse_if(
+        dpi is not None and [path.suffix.lower() for path in outputs] != [".png"] * max(1, len(outputs)),
+        f"--dpi {dpi}: it is for figures in .png; the output is {outputs[0] if outputs else 'none'}",
+    )
+
+
 def drawing_of(options: Mapping[str, Any], *paths: Path | None) -> images.Drawing:
     """Return the settings for drawn pictures, the options `PICTURE`; refuse them where the output is not a picture."""
     from ..report import images
@@ -138,9 +147,7 @@ def drawing_of(options: Mapping[str, Any], *paths: Path | None) -> images.Drawin
         )
     suffix = outputs[0].suffix.lower()
     dpi = options.get("dpi")
-    refuse_if(
-        dpi is not None and suffix != ".png", f"--dpi {dpi}: it is for figures in .png; the output is {outputs[0]}"
-    )
+    require_png(dpi, outputs[0])
     figure = options["figure"] or dpi is not None
     scale = options["scale"]
     refuse_if(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
@@ -12,7 +10,7 @@ from ..camera import PlenopticCamera
 from ..errors import require_wavelength
 from ..optics import in_millimetres
 from ..prescription import LINE_D
-from ..runtime import Doubles, require_writable
+from ..runtime import Doubles
 from .plots import INK, Plot, styled
 
 _SAMPLES = 256
@@ -20,20 +18,16 @@ _SAMPLES = 256
 
 
 @styled
-def draw_microlens(path: Path, camera: PlenopticCamera, wavelength: float | None = None) -> None:
-    """Draw a microlens on the axis of a camera into a PNG.
+def microlens_figure(camera: PlenopticCamera, wavelength: float | None = None) -> Plot:
+    """Return a figure of a microlens on the axis of a camera.
 
     Parameters
     ----------
-    path : Path
-        The file.
     camera : PlenopticCamera
         The camera.
     wavelength : float, optional
         Wavelength in nanometres. Default: that of the line d.
     """
-    camera.require_array(str(path))
-    require_writable(path, ".png")
     wavelength = LINE_D if wavelength is None else require_wavelength(wavelength)
     reach = float(camera.lattice.cell_reach)
     along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 * reach - reach
@@ -49,7 +43,7 @@ def draw_microlens(path: Path, camera: PlenopticCamera, wavelength: float | None
     plot.colour_bar(mesh, lens, "waves")
     _section(section, camera, wavelength)
     _spot(light, camera, np.where(inside, np.exp(2j * np.pi * waves), 0), along, wavelength)
-    plot.save(path)
+    return plot
 
 
 def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,18 +12,9 @@ from markupsafe import Markup
 from .. import design
 from ..camera import PlenopticCamera, Round
 from ..errors import InputError
-from ..prescription import (
-    LINE_C,
-    LINE_F,
-    Collimator,
-    Objective,
-    Prescription,
-    conjugate_distance,
-    image_distance,
-    paraxial,
-)
-from .lens_drawing import FieldFigures, field_figures, lateral_colour, spot
-from .lens_quality import FREQUENCIES, behind_lens, transfer
+from ..lenses import RealLens, main_lens
+from ..prescription import Collimator, Objective, conjugate_distance, image_distance
+from .lens_quality import FIELDS, FieldFigures, field_figures
 from .pages import template
 
 
@@ -75,13 +65,10 @@ def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> li
     else:
         groups = {"Main lens": _main_lens(camera)}
         if camera.prescription is not None:
-            rows = _surfaces(camera, camera.prescription)
-            corner = math.hypot(camera.detector_width, camera.detector_height) / 2
-            for figures in field_figures(camera, (0.0, 0.7 * corner, corner)):
-                at = f", {_four(figures.height)} mm from the axis"
-                rows.append(("spot", _four(1e3 * figures.spot), "um", f"root mean square radius in the image{at}"))
-                rows += _field(camera, camera.prescription, figures, at)
-            groups["Surfaces of the main lens"] = rows
+            lens = main_lens(camera)
+            groups["Surfaces of the main lens"] = _surfaces(lens)
+            for figures in field_figures(lens, [part * lens.corner for part in FIELDS], camera.focus_distance):
+                groups[f"Image {_four(figures.height)} mm from the axis"] = _field(figures)
         if camera.has_array:
             groups["Microlenses"] = _microlenses(camera)
         groups["Detector"] = _detector(camera)
@@ -93,6 +80,11 @@ def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> li
             }
         if camera.has_array and wavelength is not None:
             groups[f"Diffraction at {wavelength:g} nm"] = _diffraction(camera, wavelength)
+    return _rows(groups)
+
+
+def _rows(groups: dict[str, list[_Line]]) -> list[Row]:
+    """Return the lines of groups as rows."""
     return [
         Row(group, name, value if isinstance(value, str) else _four(value), *others)
         for group, lines in groups.items()
@@ -137,67 +129,75 @@ def _aberrations(camera: PlenopticCamera) -> list[_Line]:
     return rows
 
 
-def lens_sheet(lens: Prescription, pupil: float = 0.0, angles: Sequence[float] = ()) -> list[Row]:
-    """Return what lens programs print of a lens, as rows; the arguments are those of `behind_lens`."""
-    camera, distance, fields = behind_lens(lens, pupil, angles)
-    groups = {}
-    moment = spread = 0.0
-    for angle, figures in zip(fields, field_figures(camera, tuple(fields.values()), distance), strict=True):
-        rows = [("image height", f"{figures.height:.6g}", "mm", "of the chief ray")]
-        for wavelength in lens.wavelengths or (lens.wavelength,):
-            x, y, slopes = spot(camera, figures.height, wavelength, distance)
-            # One ray has no spread, and no light no rays.
-            covariance = np.cov([x, y, *slopes]) if x.size > 1 else np.full((4, 4), math.nan)
-            radius = math.sqrt(covariance[0, 0] + covariance[1, 1])
-            rows.append(("spot", _four(1e3 * radius), "um", f"root mean square radius at {wavelength:g} nm"))
-            moment += covariance[0, 2] + covariance[1, 3]
-            spread += covariance[2, 2] + covariance[3, 3]
-        for name, contrasts in zip(("tangential", "sagittal"), transfer(camera, figures.height, distance), strict=True):
-            values = ", ".join(f"{contrast:.3f}" for contrast in contrasts)
-            note = f"at {', '.join(map(str, FREQUENCIES))} per mm, {lens.wavelength:g} nm"
-            rows.append((f"MTF, {name}", values, "", note))
-        groups[f"Field of {angle:.4g} deg"] = rows + _field(camera, lens, figures)
-    diameter = pupil or lens.pupil_diameter or camera.aperture_diameter
-    behind = lens.paraxial.rear_principal
-    focus = conjugate_distance(camera.focal_length, distance)
-    planes = [
-        ("entrance pupil's diameter", f"{diameter:.6g}", "mm", f"f/{camera.focal_length / diameter:.4g}"),
-        ("image plane", f"{behind + camera.mla_distance:.6g}", "mm", "behind the last vertex"),
-        ("paraxial focus", f"{behind + focus:.6g}", "mm", "behind the last vertex"),
-        ("best focus", f"{behind + camera.mla_distance + moment / spread:.6g}", "mm", "of least mean square spots"),
-    ]
-    groups = {"Lens": _surfaces(camera, lens) + planes} | groups
-    return [Row(group, *line) for group, lines in groups.items() for line in lines]
+_FREQUENCIES = (10, 30, 50)
+"""Frequencies of the modulation transfer function, in cycles per millimetre of the image."""
 
 
-def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
+def lens_sheet(lens: RealLens, distance: float, heights: dict[float, float]) -> list[Row]:
+    """Return what lens programs print of a lens, as rows; the arguments are what `behind_lens` returns."""
+    fields = field_figures(lens, heights.values(), distance, frequencies=_FREQUENCIES)
+    # Of x, y and their slopes; in the least square the spots of all fields and wavelengths count alike.
+    moments = np.nansum([np.cov(rays, bias=True) for field in fields for rays in field.rays.values()], axis=0)
+    behind = lens.back_distance
+    focus = conjugate_distance(lens.focal_length, distance) + lens.numbers.rear_principal
+    best = behind + np.trace(moments, 2) / np.trace(moments[2:, 2:])
+    diameter = lens.prescription.pupil_diameter or 2 * lens.aperture_radius
+    groups = {
+        "Lens": [
+            *_surfaces(lens),
+            ("entrance pupil's diameter", f"{diameter:.6g}", "mm", f"f/{lens.focal_length / diameter:.4g}"),
+            ("image plane", f"{behind:.6g}", "mm", "behind the last vertex"),
+            ("paraxial focus", f"{focus:.6g}", "mm", "behind the last vertex"),
+            ("best focus", f"{best:.6g}", "mm", "behind the last vertex, of least mean square spots"),
+        ]
+    }
+    for angle, field in zip(heights, fields, strict=True):
+        note = f"at {', '.join(map(str, _FREQUENCIES))} per mm, {lens.light:g} nm"
+        groups[f"Field of {angle:.4g} deg"] = [
+            ("image height", f"{field.height:.6g}", "mm", "of the chief ray"),
+            *_field(field),
+            *(
+                (f"MTF, {name}", ", ".join(f"{contrast:.3f}" for contrast in contrasts), "", note)
+                for name, contrasts in zip(("tangential", "sagittal"), field.transfer, strict=True)
+            ),
+        ]
+    return _rows(groups)
+
+
+def _surfaces(lens: RealLens) -> list[_Line]:
     """Return lines with a real main lens's paraxial quantities."""
-    cardinal = paraxial(lens)
-    scale = camera.focal_length / cardinal.focal_length
-    note = f"at {lens.wavelength:g} nm"
+    cardinal = lens.numbers
+    described = lens.prescription
+    places = {
+        "back focal length": (cardinal.back_focal, "from the last vertex"),
+        "front principal plane": (cardinal.front_principal, "behind the first vertex"),
+        "rear principal plane": (cardinal.rear_principal, "behind the last vertex"),
+        "entrance pupil": (cardinal.entrance_pupil, "behind the first vertex"),
+        "exit pupil": (cardinal.exit_pupil, "behind the last vertex"),
+    }
+    count = f"{len(described.surfaces)} surfaces, scaled by {lens.scale:.6g}"
     return [
-        ("prescription", lens.name or "without a name", "", f"{len(lens.surfaces)} surfaces, scaled by {scale:.6g}"),
-        ("focal length", f"{camera.focal_length:.8g}", "mm", note),
-        ("back focal length", f"{scale * cardinal.back_focal:.6g}", "mm", "from the last vertex"),
-        ("front principal plane", f"{scale * cardinal.front_principal:.6g}", "mm", "behind the first vertex"),
-        ("rear principal plane", f"{scale * cardinal.rear_principal:.6g}", "mm", "behind the last vertex"),
-        ("entrance pupil", f"{scale * cardinal.entrance_pupil:.6g}", "mm", "behind the first vertex"),
-        ("exit pupil", f"{scale * cardinal.exit_pupil:.6g}", "mm", "behind the last vertex"),
-        ("radius of the exit pupil", f"{camera.pupil_radius:.6g}", "mm"),
+        ("prescription", described.name or "without a name", "", count),
+        ("focal length", f"{lens.focal_length:.8g}", "mm", f"at {lens.light:g} nm"),
+        *((name, f"{lens.scale * place:.6g}", "mm", note) for name, (place, note) in places.items()),
+        ("radius of the exit pupil", f"{lens.pupil.radius:.6g}", "mm"),
     ]
 
 
-def _field(camera: PlenopticCamera, lens: Prescription, figures: FieldFigures, at: str = "") -> list[_Line]:
-    """Return lines on a real main lens at one height, after whose notes `at` stands."""
-    rows = [
-        ("light", f"{figures.light:.1%}", "", f"of that on the axis{at}"),
-        ("distortion", f"{figures.distortion:+.3%}", "", at.removeprefix(", ")),
+def _field(field: FieldFigures) -> list[_Line]:
+    """Return lines on a real main lens at one height."""
+    rows: list[_Line] = [
+        ("spot", 1e3 * math.sqrt(rays[:2].var(axis=1).sum()), "um", f"root mean square radius at {wavelength:g} nm")
+        for wavelength, rays in field.rays.items()
     ]
-    reaches = [surface.glass.reach for surface in lens.surfaces if surface.glass is not None]
-    in_colour = camera.is_dispersive and all(low <= LINE_F and high >= LINE_C for low, high in reaches)
-    if in_colour and figures.height > 0:
-        colour = 1e3 * lateral_colour(camera, figures.height, (LINE_C, LINE_F))
-        rows.append(("lateral colour", f"{colour:+.3g}", "um", f"line F (486 nm) farther out than C (656 nm){at}"))
+    rows += [
+        ("light", f"{field.light:.1%}", "", "of that on the axis"),
+        ("distortion", f"{field.distortion:+.3%}"),
+    ]
+    if field.colour is not None and field.height > 0:
+        rows.append(
+            ("lateral colour", f"{1e3 * field.colour:+.3g}", "um", "line F (486 nm) farther out than C (656 nm)")
+        )
     return rows
 
 
