@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ...errors import InputError, refuse_if
 from ...prescription import Glass, Prescription, catalogue_glass
-from .lens_designs import FIELD_KINDS, UNITS, DesignSurface, Line, read_text, to_prescription
+from .lens_designs import FIELD_KINDS, UNITS, DesignReader, DesignSurface, Line, read_text
 
 _UNITS = {"M": UNITS["MM"], "MM": UNITS["MM"], "C": UNITS["CM"], "I": UNITS["IN"]}
 
@@ -77,23 +77,19 @@ def _commands(path: Path, text: str) -> list[Line]:
     return commands
 
 
-class _CodevReader:
-    """Reader of a CODE V file, which collects the lens command by command."""
+class _CodevReader(DesignReader):
+    """Reader of a CODE V file."""
+
+    unit_keyword = "DIM"
+    aperture_keyword = "CIR"
+    at_ends = True
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.name = ""
-        self.unit: float | None = None
+        super().__init__(path)
         self.radii: bool | None = None
-        self.wavelengths: list[float] = []
         self.primary: int | None = None
-        self.use: dict[str, list[float]] = {}
         self.stop: Line | None = None
-        self.surfaces: list[DesignSurface] = []
         self.ended = False
-        # What has been given of the file, and of a surface, once.
-        self.given: set[str] = set()
-        self.taken: set[str] = set()
         # Where a thickness is found by a solve, and not as it is written, unless that is of the last surface.
         self.solved: dict[int, Line] = {}
         # Names of glasses that the file itself defines, and whether its lines still do.
@@ -110,11 +106,12 @@ class _CodevReader:
             return
         if keyword in _WITHOUT_EFFECT:
             return
-        if keyword in {"DIM", "RDM", "WL", "REF"}:
-            line.refuse_if(keyword in self.given, f"{keyword} is given twice")
-            self.given.add(keyword)
-        if keyword in ("EPD", "FNO") or (keyword[:1] in "XY" and keyword[1:] in FIELD_KINDS):
-            self.use[keyword] = line.values()
+        of_use = keyword in ("EPD", "FNO") or (keyword[:1] in "XY" and keyword[1:] in FIELD_KINDS)
+        if of_use or keyword in ("DIM", "RDM", "WL", "REF"):
+            self.once(line, keyword)
+        if of_use:
+            # An f-number is that for the object's distance.
+            self.use[keyword] = [*line.values(), *([1.0] if keyword == "FNO" else [])]
             return
         match keyword:
             case "TIT" | "TITLE":
@@ -182,8 +179,6 @@ class _CodevReader:
         refuse_if(
             not self.ended or len(self.surfaces) < 3, f"{self.path}: there must be SO, the lens's surfaces and SI"
         )
-        if self.unit is None:
-            raise InputError(f"{self.path}: DIM is missing: the unit of its lengths is not known")
         if self.primary is None and len(self.wavelengths) == 1:
             self.primary = 1
         if self.primary is None or not 1 <= self.primary <= len(self.wavelengths):
@@ -198,16 +193,12 @@ class _CodevReader:
                 not 0 < index < len(self.surfaces) - 1, "there is no such surface between object and image"
             )
             self.surfaces[index].stop = True
-        wavelength = self.wavelengths[self.primary - 1]
-        self.use |= {"WL": self.wavelengths, "SO": [self.surfaces[0].thickness]}
-        lens = self.surfaces[1:-1]
-        return to_prescription(self.path, self.name, wavelength, self.unit, lens, "CIR", self.use, at_ends=True)
+        return self.finished(self.wavelengths[self.primary - 1])
 
     def _only_value(self, line: Line, index: int = 1) -> float:
         """Return the number at the end of a surface's command, which may be given only once."""
         keyword = line.words[0].upper()
-        line.refuse_if(keyword in self.taken, f"{keyword} is given twice")
-        self.taken.add(keyword)
+        self.once(line, keyword, of_surface=True)
         line.refuse_if(len(line.words) != index + 1, "it must be one number; semicolons separate commands")
         return line.value(index)
 
@@ -232,7 +223,6 @@ class _CodevReader:
             surface.glass = _glass(line, name)
         surface.line = line
         self.surfaces.append(surface)
-        self.taken.clear()
 
 
 def _glass(line: Line, written: str) -> Glass | None:

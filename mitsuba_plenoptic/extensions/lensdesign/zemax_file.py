@@ -6,9 +6,9 @@ import math
 import re
 from pathlib import Path
 
-from ...errors import InputError, refuse_if
+from ...errors import refuse_if
 from ...prescription import Glass, Prescription, catalogue_glass
-from .lens_designs import FIELD_KINDS, UNITS, DesignSurface, Line, read_text, to_prescription
+from .lens_designs import FIELD_KINDS, UNITS, DesignReader, DesignSurface, Line, read_text
 
 _OF_THE_FILE = """
     VERS NOTE PFIL LANG FLOA OBNA GFAC RAIM PUSH SDMA ROPD HYPR PICB FWGN FWGT VDXN VDYN VCXN VCYN VANN ZVDX ZVDY ZVCX
@@ -65,24 +65,21 @@ def read_zemax(path: str | Path) -> Prescription:
     return reader.prescription()
 
 
-class _ZemaxReader:
-    """Reader of a Zemax file, which collects the lens line by line."""
+class _ZemaxReader(DesignReader):
+    """Reader of a Zemax file."""
+
+    unit_keyword = "UNIT"
+    aperture_keyword = "DIAM"
+    at_ends = False
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.name = ""
-        self.unit: float | None = None
+        super().__init__(path)
         self.makers: list[str] = []
-        self.wavelengths: dict[int, float] = {}
+        # In micrometres, by their numbers.
+        self.lines: dict[int, float] = {}
         self.primary = 1
-        self.use: dict[str, list[float]] = {}
-        self.surfaces: list[DesignSurface] = []
-        self.kinds: list[str] = []
-        self.parameters: list[list[Line]] = []
         # Glasses are looked up when all catalogues are known, and the last surface is known to be the image.
         self.glasses: dict[int, Line] = {}
-        # What has been given of the file, or of a surface, once.
-        self.taken: set[tuple[str, ...]] = set()
 
     def take(self, line: Line, *, closing: bool) -> None:
         """Read one line; behind the last surface, `closing`, merit functions and tolerances are allowed as well."""
@@ -97,9 +94,7 @@ class _ZemaxReader:
         if keyword not in _HEADERS and (keyword not in _OF_SURFACES or not self.surfaces):
             line.refuse_if(not closing, f"{keyword} is not understood, and leaving it out could change the lens")
             return
-        entry = keyword, *(line.words[1:2] if keyword in ("PARM", "WAVM") else ())
-        line.refuse_if(entry in self.taken, f"{' '.join(entry)} is given twice")
-        self.taken.add(entry)
+        self.once(line, keyword, *(line.words[1:2] if keyword in ("PARM", "WAVM") else ()), of_surface=True)
         if keyword in _OF_USE:
             self.use[_OF_USE[keyword]] = line.values()
         match keyword:
@@ -118,9 +113,9 @@ class _ZemaxReader:
                     "indices are those at 20 degrees and 1 atmosphere",
                 )
             case "WAVM":
-                self.wavelengths[int(line.value(1))] = line.value(2)
+                self.lines[int(line.value(1))] = line.value(2)
             case "WAVL" | "WAVN":
-                self.wavelengths = {index: line.value(index) for index in range(1, len(line.words))}
+                self.lines = dict(enumerate(line.values(), start=1))
             case "PWAV":
                 self.primary = int(line.value(1))
             case "MNUM":
@@ -131,13 +126,10 @@ class _ZemaxReader:
                     f"surfaces must be numbered from 0; this is number {len(self.surfaces)}",
                 )
                 self.surfaces.append(DesignSurface(line=line))
-                self.kinds.append("STANDARD")
-                self.parameters.append([])
-                self.taken.clear()
             case "TYPE":
                 rule = f"only surfaces of the types {' and '.join(_SURFACES)} are read"
                 line.refuse_if(line.word(1) not in _SURFACES, rule)
-                self.kinds[-1] = line.word(1)
+                self.surfaces[-1].kind = line.word(1)
             case "CURV":
                 self.surfaces[-1].curvature = line.value(1)
             case "DISZ":
@@ -146,7 +138,7 @@ class _ZemaxReader:
             case "CONI":
                 self.surfaces[-1].conic = line.value(1)
             case "PARM":
-                self.parameters[-1].append(line)
+                self.surfaces[-1].parameters.append(line)
             case "GLAS":
                 self.glasses[len(self.surfaces) - 1] = line
             case "STOP":
@@ -166,18 +158,16 @@ class _ZemaxReader:
             len(self.surfaces) < 3,
             f"{self.path}: {len(self.surfaces)} surfaces: there must be an object, a lens and an image",
         )
-        if self.unit is None:
-            raise InputError(f"{self.path}: UNIT is missing: the unit of its lengths is not known")
         refuse_if(
-            self.primary not in self.wavelengths,
+            self.primary not in self.lines,
             f"{self.path}: wavelength {self.primary}, the primary one by PWAV, is missing",
         )
         for number in self.glasses:
             self.surfaces[number].glass = self._glass(number)
-        for surface, kind, lines in zip(self.surfaces, self.kinds, self.parameters, strict=True):
+        for surface in self.surfaces:
             # Other types leave values behind that the type STANDARD does not use.
-            surface.asphere = [0.0] * 7 if kind == "EVENASPH" else []
-            for line in lines if surface.asphere else ():
+            surface.asphere = [0.0] * 7 if surface.kind == "EVENASPH" else []
+            for line in surface.parameters if surface.asphere else ():
                 order = int(line.value(1))
                 term = line.value(2)
                 if term:
@@ -193,10 +183,8 @@ class _ZemaxReader:
         field_kind, _, fields, colours = [*map(int, self.use.pop("FTYP", ())), 0, 0, 0, 0][:4]
         for axis in self.use.keys() & {"X", "Y"}:
             self.use[axis + FIELD_KINDS[min(field_kind, 3)]] = self.use.pop(axis)[: fields or None]
-        self.use["WL"] = [1e3 * self.wavelengths[number] for number in sorted(self.wavelengths)[: colours or None]]
-        self.use["SO"] = [first.thickness]
-        wavelength = self.wavelengths[self.primary] * 1e3
-        return to_prescription(self.path, self.name, wavelength, self.unit, lens, "DIAM", self.use)
+        self.wavelengths = [1e3 * self.lines[number] for number in sorted(self.lines)[: colours or None]]
+        return self.finished(1e3 * self.lines[self.primary])
 
     def _glass(self, surface: int) -> Glass:
         line = self.glasses[surface]
