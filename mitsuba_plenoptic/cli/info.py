@@ -131,99 +131,75 @@ def info(
     )
     refuse_if(unit != "mm" and (recorded or is_lens), f"--unit {unit}: {source} is no scene; leave it out")
     require_png(dpi, drawing, microlens)
+    # Bring libraries that take seconds to load.
+    from ..design import design_warnings, mended
+    from ..lenses import main_lens
+    from ..prescription import read_prescription
+    from ..report import behind_lens, design_sheet, lens_sheet
+
     if is_lens:
         refuse_options(f"{source}, a main lens,", microlens=microlens, fix=fix, wavelength=wavelength)
         refuse_if(pupil and f_number, "--pupil, --f-number: give one of the two")
-        _print_lens(source, pupil, f_number, field or [], drawing, dpi, as_json)
-        return
-    refuse_options(f"{source}, which is no lens,", pupil=pupil, f_number=f_number, field=field)
-    capture = read_capture(source) if recorded else None
-    shown_camera = capture.camera if capture else load_camera(source, parameters, unit)[0]
-    # Bring libraries that take seconds to load.
-    from ..design import design_warnings, mended
-    from ..report import design_sheet
+        prescription = read_prescription(source)
+        try:
+            if f_number is not None:
+                pupil = prescription.paraxial.focal_length / f_number
+            lens, distance, heights = behind_lens(prescription, pupil or 0.0, field or [])
+            rows = lens_sheet(lens, distance, heights)
+        except InputError as error:
+            raise InputError(f"{source}: {str(error).removeprefix('main_lens: ')}") from None
+        facts: dict[str, Any] = {"lens": prescription.to_plain()}
+        cell = 0.0
+    else:
+        refuse_options(f"{source}, which is no lens,", pupil=pupil, f_number=f_number, field=field)
+        capture = read_capture(source) if recorded else None
+        shown_camera = capture.camera if capture else load_camera(source, parameters, unit)[0]
+        if capture and wavelength is None and isinstance(capture.wavelength, float):
+            wavelength = capture.wavelength
+        if microlens is not None:
+            from ..report import microlens_figure
 
-    if capture and wavelength is None and isinstance(capture.wavelength, float):
-        wavelength = capture.wavelength
+            shown_camera.require_array(str(microlens))
+            microlens_figure(shown_camera, wavelength).save(microlens, dpi)
+        refuse_if(
+            drawing is not None and shown_camera.prescription is None,
+            f"{drawing}: the camera has no main_lens of surfaces that could be drawn",
+        )
+        lens = main_lens(shown_camera)
+        distance = shown_camera.focus_distance
+        cell = shown_camera.row_pitch if shown_camera.has_array else 0.0
+        rows = design_sheet(shown_camera, wavelength)
+        facts = {"camera": shown_camera.to_dict(), "warnings": design_warnings(shown_camera, wavelength)}
+        facts["capture"] = _origin(capture) if capture else {}
+        if fix is not None:
+            better = mended(shown_camera, wavelength)
+            write_text(fix, better.to_json(), ".json")
+            better_facts = better.to_dict().items()
+            facts["changed"] = {name: value for name, value in better_facts if facts["camera"].get(name) != value}
+            facts["still"] = design_warnings(better, wavelength)
     if drawing is not None:
         # Brings Matplotlib, which takes a while to load.
-        from ..lenses import main_lens
         from ..report import main_lens_figure
 
-        refuse_if(
-            shown_camera.prescription is None, f"{drawing}: the camera has no main_lens of surfaces that could be drawn"
-        )
-        cell = shown_camera.row_pitch if shown_camera.has_array else 0.0
-        main_lens_figure(main_lens(shown_camera), shown_camera.focus_distance, cell).save(drawing, dpi)
-    if microlens is not None:
-        from ..report import microlens_figure
-
-        shown_camera.require_array(str(microlens))
-        microlens_figure(shown_camera, wavelength).save(microlens, dpi)
-    rows = design_sheet(shown_camera, wavelength)
-    warnings = design_warnings(shown_camera, wavelength)
-    origin = _origin(capture) if capture else {}
-    better = None
-    if fix is not None:
-        better = mended(shown_camera, wavelength)
-        write_text(fix, better.to_json(), ".json")
-    changed = {}
-    if better is not None:
-        old = shown_camera.to_dict()
-        changed = {name: value for name, value in better.to_dict().items() if old.get(name) != value}
-    still = [] if better is None else design_warnings(better, wavelength)
+        main_lens_figure(lens, distance, cell).save(drawing, dpi)
     if as_json:
-        sheet = [row._asdict() for row in rows]
-        facts = {"camera": shown_camera.to_dict(), "sheet": sheet, "warnings": warnings, "capture": origin}
-        typer.echo(json.dumps(facts if fix is None else facts | {"changed": changed, "still": still}, indent=1))
+        typer.echo(json.dumps(facts | {"sheet": [row._asdict() for row in rows]}, indent=1))
         return
     console = Console(highlight=False)
     console.print(_table(rows))
-    if capture:
+    if recorded:
         console.print("[bold]Capture[/bold]")
-        for name, fact in origin.items():
+        for name, fact in facts["capture"].items():
             text = fact if isinstance(fact, str) else json.dumps(fact)
             console.print(f"  {escape(printable(name))}: {escape(printable(text))}", soft_wrap=True)
-    for warning in warnings:
+    for warning in facts.get("warnings", []):
         console.print(f"[bold]Warning:[/bold] {escape(warning)}.", soft_wrap=True)
     if fix is not None:
-        outcome = (
-            f"with {', '.join(f'{name} = {value}' for name, value in changed.items())}" if changed else "unchanged"
-        )
+        changes = ", ".join(f"{name} = {value}" for name, value in facts["changed"].items())
+        outcome = f"with {changes}" if changes else "unchanged"
         console.print(f"[bold]Written:[/bold] {escape(f'{fix}, {outcome}')}.", soft_wrap=True)
-        for warning in still:
+        for warning in facts["still"]:
             console.print(f"[bold]Still:[/bold] {escape(warning)}.", soft_wrap=True)
-
-
-def _print_lens(
-    source: str,
-    pupil: float | None,
-    f_number: float | None,
-    fields: list[float],
-    drawing: Path | None,
-    dpi: int | None,
-    as_json: bool,
-) -> None:
-    """Print the sheet of a file's lens, and draw the lens."""
-    from rich.console import Console
-
-    from ..prescription import read_prescription
-    from ..report import behind_lens, lens_sheet, main_lens_figure
-
-    lens = read_prescription(source)
-    try:
-        if f_number is not None:
-            pupil = lens.paraxial.focal_length / f_number
-        shown_lens, distance, heights = behind_lens(lens, pupil or 0.0, fields)
-        rows = lens_sheet(shown_lens, distance, heights)
-    except InputError as error:
-        raise InputError(f"{source}: {str(error).removeprefix('main_lens: ')}") from None
-    if drawing is not None:
-        main_lens_figure(shown_lens, distance).save(drawing, dpi)
-    if as_json:
-        typer.echo(json.dumps({"lens": lens.to_plain(), "sheet": [row._asdict() for row in rows]}, indent=1))
-    else:
-        Console(highlight=False).print(_table(rows))
 
 
 def _origin(capture: Capture) -> dict[str, Any]:

@@ -223,14 +223,14 @@ def catalogue_glass(
     maker, _, glass = name.rpartition(":")
     if maker:
         makers = [maker]
-    plain = glass.lower() if with_hyphens else glass.lower().replace("-", "")
+    hyphen = "-" if with_hyphens else ""
+    plain = glass.lower().replace("-", hyphen)
     text = (resources.files(lenses) / "glasses.csv").read_text(encoding="utf-8")
     for known, by, *numbers in csv.reader(text.splitlines()):
         # Other makers have glasses of SCHOTT's older names, without N, too.
-        unique = known.startswith("N-") or not by
-        searched = ([by] if unique else []) if makers is None else makers if unique else makers[:1]
-        spelled = known.lower() if with_hyphens else known.lower().replace("-", "")
-        if plain == spelled and (not by or any(by in maker.upper() for maker in searched)):
+        unique = not by or known.startswith("N-")
+        searched = [by] * unique if makers is None else makers[: None if unique else 1]
+        if plain == known.lower().replace("-", hyphen) and any(by in maker.upper() for maker in searched):
             return Glass("sellmeier", tuple(map(float, numbers)), name)
     with refusing(
         f"{where} = {short_repr(name)}: it is not among the glasses included, and others by name need Optiland; "
@@ -239,11 +239,7 @@ def catalogue_glass(
         ImportError,
     ):
         importlib.import_module("optiland.materials")
-    catalogues = {
-        entry.maker: entry
-        for entry in _catalogued()
-        if plain == (entry.name.lower() if with_hyphens else entry.name.lower().replace("-", ""))
-    }
+    catalogues = {entry.maker: entry for entry in _catalogued() if plain == entry.name.lower().replace("-", hyphen)}
     # Files of other programs write makers with what belongs to them, such as NIKON-HIKARI.
     chosen = list(catalogues)
     if makers is not None:

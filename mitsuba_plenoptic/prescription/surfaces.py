@@ -44,7 +44,8 @@ _TOUCHING = 1e-9
 
 _NAMES = {"radius", "thickness", "glass", "semi_aperture", "conic", "asphere", "stop"}
 
-_USE = {"object_distance", "image_distance", "pupil_diameter", "fields", "wavelengths"}
+_USE = {"object_distance": math.inf, "image_distance": 0.0, "pupil_diameter": 0.0, "fields": (), "wavelengths": ()}
+"""How the designer uses a lens, and what is not known of that."""
 
 
 @dataclass(frozen=True)
@@ -270,7 +271,7 @@ class Prescription(LensData):
         surfaces = [surface.to_plain() for surface in self.surfaces]
         surfaces[self.stop]["stop"] = True
         facts = {name: text for name in ("name", "source") if (text := getattr(self, name))}
-        use = {name: value for name in sorted(_USE) if (value := getattr(self, name)) not in (0.0, (), math.inf)}
+        use = {name: getattr(self, name) for name, default in _USE.items() if getattr(self, name) != default}
         return {**facts, "wavelength": self.wavelength, **use, "surfaces": surfaces}
 
     @classmethod
@@ -317,11 +318,12 @@ class Prescription(LensData):
         for name, text in texts.items():
             refuse_if(not isinstance(text, str), f"main_lens: {name} = {short_repr(text)}: it must be text")
         use: dict[str, Any] = {}
-        for name in _USE & value.keys():
-            # Slopes of fields stay moderate, and distances may be infinite.
-            bounds = {"minimum": 0, "maximum": 85 if name == "fields" else LONGEST, "finite": name != "object_distance"}
+        for name in _USE.keys() & value.keys():
+            # Slopes of fields stay moderate.
+            check = functools.partial(require_number, minimum=0, maximum=85 if name == "fields" else LONGEST)
             entries = [
-                require_number(f"main_lens: {name}", entry, **bounds) for entry in np.ravel(value[name]).tolist()
+                check(f"main_lens: {name}", entry, finite=name != "object_distance")
+                for entry in np.ravel(value[name]).tolist()
             ]
             use[name] = tuple(entries) if name.endswith("s") else entries[0]
         lens = cls(

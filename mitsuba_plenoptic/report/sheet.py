@@ -53,33 +53,31 @@ def sheet_tables(camera: PlenopticCamera, wavelength: float | None = None) -> Ma
 
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:
     """Return a camera's parameters and derived quantities as rows; diffraction only with a wavelength."""
-    if (lens := camera.objective) is not None:
-        groups = {"Objective": _objective(camera, lens)}
-        groups["Array"] = _fourier(camera, lens) if lens.images_stop else _image(camera, lens)
+    at = f"Diffraction at {wavelength or 0:g} nm"
+    if (objective := camera.objective) is not None:
+        groups = {"Objective": _objective(camera, objective)}
+        groups["Array"] = _fourier(camera, objective) if objective.images_stop else _image(camera, objective)
         if wavelength is not None:
-            groups[f"Diffraction at {wavelength:g} nm"] = _microscope_diffraction(camera, lens, wavelength)
-        groups |= {"Microlenses": _lattice(camera), "Detector": _detector(camera)}
+            groups[at] = _microscope_diffraction(camera, objective, wavelength)
+        groups["Microlenses"] = _lattice(camera)
     elif isinstance(camera.main_lens, Collimator):
-        groups = {"Telescope": _telescope(camera, wavelength)}
-        groups |= {"Microlenses": _lattice(camera), "Detector": _detector(camera)}
+        groups = {"Telescope": _telescope(camera, wavelength), "Microlenses": _lattice(camera)}
     else:
         groups = {"Main lens": _main_lens(camera)}
         if camera.prescription is not None:
             lens = main_lens(camera)
             groups["Surfaces of the main lens"] = _surfaces(lens)
-            for figures in field_figures(lens, [part * lens.corner for part in FIELDS], camera.focus_distance):
-                groups[f"Image {_four(figures.height)} mm from the axis"] = _field(figures)
+            for field in field_figures(lens, [part * lens.corner for part in FIELDS], camera.focus_distance):
+                groups[f"Image {_four(field.height)} mm from the axis"] = _field(field)
         if camera.has_array:
             groups["Microlenses"] = _microlenses(camera)
-        groups["Detector"] = _detector(camera)
-        if camera.has_array:
-            groups |= {
-                "Micro-images": _micro_images(camera),
-                "Resolution": _resolution(camera, wavelength),
-                "Refocusing": _refocusing(camera, wavelength),
-            }
-        if camera.has_array and wavelength is not None:
-            groups[f"Diffraction at {wavelength:g} nm"] = _diffraction(camera, wavelength)
+    groups["Detector"] = _detector(camera)
+    if "Main lens" in groups and camera.has_array:
+        groups["Micro-images"] = _micro_images(camera)
+        groups["Resolution"] = _resolution(camera, wavelength)
+        groups["Refocusing"] = _refocusing(camera, wavelength)
+        if wavelength is not None:
+            groups[at] = _diffraction(camera, wavelength)
     return _rows(groups)
 
 
@@ -129,57 +127,44 @@ def _aberrations(camera: PlenopticCamera) -> list[_Line]:
     return rows
 
 
-_FREQUENCIES = (10, 30, 50)
-"""Frequencies of the modulation transfer function, in cycles per millimetre of the image."""
-
-
 def lens_sheet(lens: RealLens, distance: float, heights: dict[float, float]) -> list[Row]:
     """Return what lens programs print of a lens, as rows; the arguments are what `behind_lens` returns."""
-    fields = field_figures(lens, heights.values(), distance, frequencies=_FREQUENCIES)
+    fields = field_figures(lens, heights.values(), distance, frequencies=(10, 30, 50))
     # Of x, y and their slopes; in the least square the spots of all fields and wavelengths count alike.
     moments = np.nansum([np.cov(rays, bias=True) for field in fields for rays in field.rays.values()], axis=0)
     behind = lens.back_distance
     focus = conjugate_distance(lens.focal_length, distance) + lens.numbers.rear_principal
     best = behind + np.trace(moments, 2) / np.trace(moments[2:, 2:])
     diameter = lens.prescription.pupil_diameter or 2 * lens.aperture_radius
-    groups = {
-        "Lens": [
-            *_surfaces(lens),
-            ("entrance pupil's diameter", f"{diameter:.6g}", "mm", f"f/{lens.focal_length / diameter:.4g}"),
-            ("image plane", f"{behind:.6g}", "mm", "behind the last vertex"),
-            ("paraxial focus", f"{focus:.6g}", "mm", "behind the last vertex"),
-            ("best focus", f"{best:.6g}", "mm", "behind the last vertex, of least mean square spots"),
-        ]
-    }
+    groups = {"Lens": _surfaces(lens)}
+    groups["Lens"] += [
+        ("entrance pupil's diameter", f"{diameter:.6g}", "mm", f"f/{lens.focal_length / diameter:.4g}"),
+        ("image plane", f"{behind:.6g}", "mm", "behind the last vertex"),
+        ("paraxial focus", f"{focus:.6g}", "mm", "behind the last vertex"),
+        ("best focus", f"{best:.6g}", "mm", "behind the last vertex, of least mean square spots"),
+    ]
     for angle, field in zip(heights, fields, strict=True):
-        note = f"at {', '.join(map(str, _FREQUENCIES))} per mm, {lens.light:g} nm"
-        groups[f"Field of {angle:.4g} deg"] = [
-            ("image height", f"{field.height:.6g}", "mm", "of the chief ray"),
-            *_field(field),
-            *(
-                (f"MTF, {name}", ", ".join(f"{contrast:.3f}" for contrast in contrasts), "", note)
-                for name, contrasts in zip(("tangential", "sagittal"), field.transfer, strict=True)
-            ),
-        ]
+        rows = [("image height", f"{field.height:.6g}", "mm", "of the chief ray"), *_field(field)]
+        for name, contrasts in zip(("tangential", "sagittal"), field.transfer, strict=True):
+            values = ", ".join(f"{contrast:.3f}" for contrast in contrasts)
+            rows.append((f"MTF, {name}", values, "", f"at 10, 30, 50 per mm, {lens.light:g} nm"))
+        groups[f"Field of {angle:.4g} deg"] = rows
     return _rows(groups)
 
 
 def _surfaces(lens: RealLens) -> list[_Line]:
     """Return lines with a real main lens's paraxial quantities."""
     cardinal = lens.numbers
-    described = lens.prescription
-    places = {
-        "back focal length": (cardinal.back_focal, "from the last vertex"),
-        "front principal plane": (cardinal.front_principal, "behind the first vertex"),
-        "rear principal plane": (cardinal.rear_principal, "behind the last vertex"),
-        "entrance pupil": (cardinal.entrance_pupil, "behind the first vertex"),
-        "exit pupil": (cardinal.exit_pupil, "behind the last vertex"),
-    }
-    count = f"{len(described.surfaces)} surfaces, scaled by {lens.scale:.6g}"
+    scale = lens.scale
+    name = lens.prescription.name or "without a name"
     return [
-        ("prescription", described.name or "without a name", "", count),
+        ("prescription", name, "", f"{len(lens.prescription.surfaces)} surfaces, scaled by {scale:.6g}"),
         ("focal length", f"{lens.focal_length:.8g}", "mm", f"at {lens.light:g} nm"),
-        *((name, f"{lens.scale * place:.6g}", "mm", note) for name, (place, note) in places.items()),
+        ("back focal length", f"{scale * cardinal.back_focal:.6g}", "mm", "from the last vertex"),
+        ("front principal plane", f"{scale * cardinal.front_principal:.6g}", "mm", "behind the first vertex"),
+        ("rear principal plane", f"{scale * cardinal.rear_principal:.6g}", "mm", "behind the last vertex"),
+        ("entrance pupil", f"{scale * cardinal.entrance_pupil:.6g}", "mm", "behind the first vertex"),
+        ("exit pupil", f"{scale * cardinal.exit_pupil:.6g}", "mm", "behind the last vertex"),
         ("radius of the exit pupil", f"{lens.pupil.radius:.6g}", "mm"),
     ]
 
@@ -343,14 +328,19 @@ def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[_Line
         ("nearest distance", *_distance(near), "with one sample per lens"),
         ("farthest distance", *_distance(far)),
     ]
-    for distance in dict.fromkeys((near, *design.best_distances(camera), far)):
-        if camera.focal_length < distance < math.inf:
-            at = f"at {_four(distance)} mm"
-            rows += [
-                ("bin size", camera.bin_size(distance), "mm", at),
-                ("blur diameter", camera.blur_diameter(distance), "mm", f"{at}, on the MLA"),
-            ]
+    for distance in _finite(camera, near, far):
+        at = f"at {_four(distance)} mm"
+        rows += [
+            ("bin size", camera.bin_size(distance), "mm", at),
+            ("blur diameter", camera.blur_diameter(distance), "mm", f"{at}, on the MLA"),
+        ]
     return rows
+
+
+def _finite(camera: PlenopticCamera, near: float, far: float) -> list[float]:
+    """Return the ends of the range of refocusing and the sharpest distances as far as they are imaged and finite."""
+    distances = dict.fromkeys((near, *design.best_distances(camera), far))
+    return [distance for distance in distances if camera.focal_length < distance < math.inf]
 
 
 def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
@@ -364,15 +354,12 @@ def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
         ("Fresnel number, microlens", f"{design.mla_fresnel_number(camera, wavelength):.3g}", "", "from the detector"),
         ("Fresnel number, main lens", f"{design.main_fresnel_number(camera, wavelength):.3g}", "", "from the MLA"),
     ]
-    near, far = design.refocus_range(camera, wavelength)
-    for distance in dict.fromkeys((near, *design.best_distances(camera), far)):
-        if camera.focal_length < distance < math.inf:
-            limit = design.resolution_limit(camera, distance, wavelength)
-            note = f"{limit.frequency / limit.lenses:.2g} times one sample a lens"
-            if limit.in_focus:
-                note = "in focus: the lens pitch decides, deconvolution does not help"
-            note = f"at {_four(distance)} mm; {note}"
-            rows.append(("resolution, deconvolved", limit.frequency, "lp/mm", note))
+    for distance in _finite(camera, *design.refocus_range(camera, wavelength)):
+        limit = design.resolution_limit(camera, distance, wavelength)
+        note = f"{limit.frequency / limit.lenses:.2g} times one sample a lens"
+        if limit.in_focus:
+            note = "in focus: the lens pitch decides, deconvolution does not help"
+        rows.append(("resolution, deconvolved", limit.frequency, "lp/mm", f"at {_four(distance)} mm; {note}"))
     return rows
 
 
@@ -421,7 +408,7 @@ def _telescope(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]
         ("pixel on the sky", camera.pixel_size * to_sky, "arcsec"),
     ]
     if wavelength is not None:
-        spot = 1e-6 * wavelength * camera.reduced_distance / camera.lattice.aperture_width
+        spot = design.spot_radius(camera, wavelength)
         note = f"{_four(spot / camera.pixel_size)} pixels, centre to first zero, at {wavelength:g} nm"
         rows.append(("spot of a microlens", 1e3 * spot, "um", note))
     return rows + _aberrations(camera)

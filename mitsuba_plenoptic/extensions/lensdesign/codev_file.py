@@ -6,7 +6,7 @@ import math
 import re
 from pathlib import Path
 
-from ...errors import InputError, refuse_if
+from ...errors import refuse_if
 from ...prescription import Glass, Prescription, catalogue_glass
 from .lens_designs import FIELD_KINDS, UNITS, DesignReader, DesignSurface, Line, read_text
 
@@ -27,9 +27,6 @@ _WITHOUT_EFFECT = frozenset(f"{_OF_THE_FILE} {_OF_A_SURFACE}".split())
 
 _TERMS = "ABCDEFGHJ"
 """Coefficients of the fourth, sixth, ... power of the distance from the axis."""
-
-_PRESSURE = 760.0
-"""Degrees and millimetres of mercury at which catalogues' indices hold."""
 
 
 def read_codev(path: str | Path) -> Prescription:
@@ -87,7 +84,7 @@ class _CodevReader(DesignReader):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self.radii: bool | None = None
-        self.primary: int | None = None
+        self.primary = 0
         self.stop: Line | None = None
         self.ended = False
         # Where a thickness is found by a solve, and not as it is written, unless that is of the last surface.
@@ -129,11 +126,9 @@ class _CodevReader(DesignReader):
             case "REF":
                 self.primary = int(line.value(1))
             case "TEM":
-                low = 20.0
-                high = 25.0
-                line.refuse_if(not low <= line.value(1) <= high, f"indices are those at {low:g} to {high:g} degrees")
+                line.refuse_if(not 20 <= line.value(1) <= 25, "indices are those at 20 to 25 degrees")
             case "PRE":
-                line.refuse_if(line.value(1) != _PRESSURE, f"indices are those at {_PRESSURE:g} mm of mercury")
+                line.refuse_if(line.value(1) != 760, "indices are those at 760 mm of mercury")
             case "SO":
                 line.refuse_if(self.surfaces, "SO must be the first surface")
                 self._add(line)
@@ -179,10 +174,11 @@ class _CodevReader(DesignReader):
         refuse_if(
             not self.ended or len(self.surfaces) < 3, f"{self.path}: there must be SO, the lens's surfaces and SI"
         )
-        if self.primary is None and len(self.wavelengths) == 1:
-            self.primary = 1
-        if self.primary is None or not 1 <= self.primary <= len(self.wavelengths):
-            raise InputError(f"{self.path}: the primary wavelength is missing: there must be WL, and REF of several")
+        primary = self.primary or len(self.wavelengths) == 1
+        refuse_if(
+            not 1 <= primary <= len(self.wavelengths),
+            f"{self.path}: the primary wavelength is missing: there must be WL, and REF of several",
+        )
         for index, line in self.solved.items():
             line.refuse_if(
                 index != len(self.surfaces) - 2, "only the last thickness, up to the image, may be found by a solve"
@@ -193,7 +189,7 @@ class _CodevReader(DesignReader):
                 not 0 < index < len(self.surfaces) - 1, "there is no such surface between object and image"
             )
             self.surfaces[index].stop = True
-        return self.finished(self.wavelengths[self.primary - 1])
+        return self.finished(self.wavelengths[primary - 1])
 
     def _only_value(self, line: Line, index: int = 1) -> float:
         """Return the number at the end of a surface's command, which may be given only once."""

@@ -178,9 +178,7 @@ class DesignReader:
         }
         with naming(self.path):
             lens = Prescription.from_plain(facts)
-            if "FNO" in self.use:
-                lens = replace(lens, pupil_diameter=_pupil(lens, *self.use["FNO"]))
-            lens = replace(lens, fields=self._angles(lens))
+            lens = self._lit(lens)
             if traced:
                 surfaces = [replace(s, semi_aperture=a) for s, a in zip(lens.surfaces, _needed(lens), strict=True)]
                 lens = Prescription.from_plain(replace(lens, surfaces=tuple(surfaces)).to_plain())
@@ -210,22 +208,29 @@ class DesignReader:
             text = "the wider of the nearest apertures is taken"
             _log.info("%s: no %s of surface %s: %s", self.path, self.aperture_keyword, numbers, text)
 
-    def _angles(self, lens: Prescription) -> tuple[float, ...]:
-        """Return the angles in degrees, seen from the entrance pupil, of the fields; none of real image heights."""
+    def _lit(self, lens: Prescription) -> Prescription:
+        """Return the lens with its pupil by the f-number, and with angles of the fields; none of real image heights."""
         kind = next((kind for kind in FIELD_KINDS[:3] if self.use.keys() & {"X" + kind, "Y" + kind}), None)
-        if kind is None:
-            return ()
-        both = (self.use.get(axis + kind, []) for axis in "XY")
-        x, y = np.array([*itertools.zip_longest(*both, fillvalue=0.0)]).T
-        if kind == "AN":
-            return tuple(np.degrees(np.arctan(np.hypot(*np.tan(np.radians([x, y]))))).tolist())
+        if kind is None and "FNO" not in self.use:
+            return lens
         numbers = lens.paraxial
+        f = numbers.focal_length
         distance = min(lens.object_distance, LONGEST)
-        heights = (self.unit or 1.0) * np.hypot(x, y)
+        from_pupil = distance + numbers.entrance_pupil
+        distance += numbers.front_principal
+        if "FNO" in self.use:
+            f_number, *is_working = self.use["FNO"]
+            scale = from_pupil / (distance - f) if any(is_working) and math.isfinite(lens.object_distance) else 1.0
+            lens = replace(lens, pupil_diameter=scale * f / f_number)
+        if kind is None:
+            return lens
+        both = (self.use.get(axis + kind, []) for axis in "XY")
+        pairs = np.array([*itertools.zip_longest(*both, fillvalue=0.0)]).T
+        # Tangents, or heights.
+        fields = np.hypot(*np.tan(np.radians(pairs))) if kind == "AN" else np.hypot(*pairs) * self.unit / from_pupil
         if kind == "IM":
-            distances = distance + numbers.front_principal
-            heights = heights * distances * vergence(numbers.focal_length, distances)
-        return tuple(np.degrees(np.arctan(heights / (distance + numbers.entrance_pupil))).tolist())
+            fields *= distance * vergence(f, distance)
+        return replace(lens, fields=tuple(np.degrees(np.arctan(fields)).tolist()))
 
 
 def _optical(surfaces: list[DesignSurface]) -> dict[int, DesignSurface]:
@@ -240,16 +245,6 @@ def _optical(surfaces: list[DesignSurface]) -> dict[int, DesignSurface]:
             optical[max(optical)].thickness += surface.thickness
         before = surface.glass
     return optical
-
-
-def _pupil(lens: Prescription, f_number: float, is_working: float = 0.0) -> float:
-    """Return the diameter in mm of the entrance pupil by an f-number, for parallel light or the object's distance."""
-    numbers = lens.paraxial
-    diameter = numbers.focal_length / f_number
-    if is_working and math.isfinite(lens.object_distance):
-        focal_distance = lens.object_distance + numbers.front_principal - numbers.focal_length
-        diameter *= (lens.object_distance + numbers.entrance_pupil) / focal_distance
-    return diameter
 
 
 def _needed(lens: Prescription) -> list[float]:
