@@ -14,7 +14,7 @@ import typer
 from ..choices import RAW_SUFFIXES
 from ..errors import InputError, printable, refuse_if, require_number
 from ..presets import PRESETS
-from .inputs import load_camera, parse_definitions, refuse_options, require_png
+from .inputs import load_camera, parse_definitions, refuse_options, refuse_scene_options, require_png
 from .options import CAMERA, Definitions, Dpi, Unit, numeric, wavelength_option
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 
 _positive = partial(require_number, positive=True)
-_angle = partial(require_number, minimum=0, maximum=85)
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for other programs, and nothing else.")]
 
@@ -74,7 +73,12 @@ def info(
     f_number: Annotated[float | None, numeric("Of a lens: f-number.", "the file's", check=_positive)] = None,
     field: Annotated[
         list[float] | None,
-        numeric("Of a lens: angle from the axis; repeat for several.", "the file's", unit="DEG", check=_angle),
+        numeric(
+            "Of a lens: angle from the axis; repeat for several.",
+            "the file's",
+            unit="DEG",
+            check=partial(require_number, minimum=0, maximum=85),
+        ),
     ] = None,
     camera: Annotated[
         str | None,
@@ -115,7 +119,7 @@ def info(
     from ..runtime import read_yaml, require_writable, write_text
 
     source = str(camera if source is None else source)
-    for path, suffixes in ((fix, [".json"]), (drawing, [".png", ".pdf"]), (microlens, [".png", ".pdf"])):
+    for path, *suffixes in ((fix, ".json"), (drawing, ".png", ".pdf"), (microlens, ".png", ".pdf")):
         if path is not None:
             require_writable(path, *suffixes)
     parameters = parse_definitions(define)
@@ -125,11 +129,8 @@ def info(
     if Path(source).is_file() and suffix in (".yaml", ".yml", ".json"):
         with contextlib.suppress(InputError, TypeError):
             is_lens = "surfaces" in read_yaml(source)
-    refuse_if(
-        parameters and (recorded or is_lens),
-        f"-D: {source} is no scene, and has no scene parameters; leave it out",
-    )
-    refuse_if(unit != "mm" and (recorded or is_lens), f"--unit {unit}: {source} is no scene; leave it out")
+    if recorded or is_lens:
+        refuse_scene_options(source, parameters, unit)
     require_png(dpi, drawing, microlens)
     # Bring libraries that take seconds to load.
     from ..design import design_warnings, mended

@@ -6,14 +6,12 @@ import math
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
 
 from ..camera import PlenopticCamera
 from ..lenses import RealLens, main_lens
-from ..prescription import LINE_C, LINE_D, LINE_F, height
-from ..runtime import Doubles
+from ..prescription import LINE_C, LINE_F, height
 from .lens_quality import FIELDS, FieldFigures, field_figures, ray_paths
-from .plots import INK, Plot, bare, scale_bar, styled
+from .plots import INK, Plot, bare, ruled, scale_bar, styled
 
 _RAYS = ("#1b6ca8", "#2a8f52", "#b8442e")
 """Colours of the rays to each of the fields."""
@@ -36,23 +34,24 @@ def main_lens_figure(lens: RealLens, distance: float, cell: float = 0.0) -> Plot
     rows = plot.add_gridspec(2, 1, height_ratios=(3.6, 2.8))
     _surfaces(bare(plot.add_subplot(rows[0])), lens, "microlenses" if cell else "image plane")
     *spots, light, distortion = rows[1].subgridspec(1, 5, width_ratios=(2, 2, 2, 1.6, 1.6)).subplots(squeeze=False)[0]
-    lines = {"F": LINE_F, "d": LINE_D, "C": LINE_C}
-    if used := lens.prescription.wavelengths:
-        lines = {f"{line:.4g} nm": line for line in (min(used), lens.light, max(used))}
-    fields = field_figures(lens, [part * lens.corner for part in FIELDS], distance, [*lines.values()])
+    used = lens.prescription.wavelengths or (LINE_F, LINE_C)
+    lines = min(used), lens.light, max(used)
+    fields = field_figures(lens, [part * lens.corner for part in FIELDS], distance, lines)
     # Where all is dark, positions are NaN.
     positions = np.hstack([rays[:2] for field in fields for rays in field.rays.values()])
     largest = float(np.fmax.reduce(np.abs(positions), axis=None, initial=cell / 2))
     for axes, field in zip(spots, fields, strict=True):
-        _spot(axes, field, lines, cell)
+        _spot(axes, field, cell)
         axes.set(xlim=(-1.1 * largest, 1.1 * largest), ylim=(-1.1 * largest, 1.1 * largest))
     scale_bar(spots[0], 2200 * largest, below=True, unit="um")
     spots[-1].legend(fontsize=6, loc="upper left", bbox_to_anchor=(1, 1), frameon=False, markerscale=4, handletextpad=0)
     heights = lens.corner * np.linspace(0, 1, 13)
     fields = field_figures(lens, heights.tolist(), distance, [])
-    _curve(light, "light, %", [100 * field.light for field in fields], heights)
+    light.plot([100 * field.light for field in fields], heights, color=_RAYS[0])
     light.set_xlim(0, max(105, *(105 * field.light for field in fields)))
-    _curve(distortion, "distortion, %", [100 * field.distortion for field in fields], heights)
+    distortion.plot([100 * field.distortion for field in fields], heights, color=_RAYS[0])
+    for axes, title in ((light, "light, %"), (distortion, "distortion, %")):
+        ruled(axes, title, "", "mm from the axis", ticks=3)
     return plot
 
 
@@ -103,24 +102,14 @@ def _surfaces(axes: Axes, lens: RealLens, image: str) -> None:
     axes.set_title(title, size=10, color=INK, loc="left")
 
 
-def _spot(axes: Axes, field: FieldFigures, lines: dict[str, float], cell: float) -> None:
+def _spot(axes: Axes, field: FieldFigures, cell: float) -> None:
     """Draw the points at which rays of an object point meet the MLA, by wavelength, with a microlens around them."""
-    for (line, wavelength), colour in zip(lines.items(), ("#2463d6", "#d9a400", "#d03b2f"), strict=False):
+    for (wavelength, rays), colour in zip(field.rays.items(), ("#2463d6", "#d9a400", "#d03b2f"), strict=False):
         # A regular choice of a regular grid would be a coarse grid, and show patterns that the spot does not have.
-        x, y, *_ = np.random.default_rng(0).permutation(field.rays[wavelength], axis=1)[:, :600]
-        axes.plot(x, y, ".", color=colour, markersize=1.2, label=line)
+        x, y, *_ = np.random.default_rng(0).permutation(rays, axis=1)[:, :600]
+        axes.plot(x, y, ".", color=colour, markersize=1.2, label=f"{wavelength:.4g} nm")
     bare(axes).set_aspect("equal")
     axes.set_title(f"spot at {field.height:.3g} mm", size=9, color=INK, loc="left")
     if cell:
         axes.plot(np.array([-1, 1, 1, -1, -1]) * cell / 2, np.array([-1, -1, 1, 1, -1]) * cell / 2, color=INK, lw=0.6)
         axes.set_xlabel(f"square: a microlens, {1e3 * cell:.3g} um", size=7, color=INK)
-
-
-def _curve(axes: Axes, title: str, values: list[float], heights: Doubles) -> None:
-    """Draw a quantity over the field."""
-    axes.plot(values, heights, color=_RAYS[0])
-    axes.set_title(title, size=9, color=INK, loc="left")
-    axes.set_ylabel("mm from the axis", size=7, color=INK)
-    axes.xaxis.set_major_locator(MaxNLocator(2))
-    axes.yaxis.set_major_locator(MaxNLocator(4))
-    axes.tick_params(labelsize=7, color=INK, labelcolor=INK)

@@ -172,9 +172,9 @@ def _transfer(lens: RealLens, height: float, distance: float, frequencies: Seque
     def field(alpha: Doubles, beta: Doubles) -> Doubles:
         away = reach / np.sqrt(1 - alpha**2 - beta**2)
         pupil = alpha * away, height + beta * away
-        path = (light.length(pupil) + away - math.hypot(reach, height)) / wavelength
+        waves = (light.length(pupil) + away) / wavelength
         amplitude = light.amplitude(pupil, point) * away**2 * light.is_open(pupil)
-        return np.asarray(amplitude * np.exp(2j * math.pi * path))
+        return amplitude * np.exp(2j * math.pi * waves)
 
     slopes = (light.bundle[0] - [0.0, height]) / reach
     cosines = slopes / np.sqrt(1 + (slopes**2).sum(1, keepdims=True))
@@ -266,9 +266,7 @@ def behind_lens(
         (_, edge, _), _, is_open, _ = sequential.follow(lit, start, (0.0, slope * N, N))
         if not is_open:
             warn(f"entrance pupil of {pupil:g} mm: surfaces before the stop cut off the ray at its edge")
-        surfaces = list(lens.surfaces)
-        surfaces[lens.stop] = replace(surfaces[lens.stop], semi_aperture=abs(edge))
-        lens = replace(lens, surfaces=tuple(surfaces), pupil_diameter=pupil)
+        lens = replace(lens.with_surface(lens.stop, semi_aperture=abs(edge)), pupil_diameter=pupil)
     distance = lens.object_distance + numbers.front_principal
     image = conjugate_distance(numbers.focal_length, distance) + numbers.rear_principal
     image = lens.image_distance or image

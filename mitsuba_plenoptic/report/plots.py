@@ -152,6 +152,15 @@ def bare(axes: Axes) -> Axes:
     return axes
 
 
+def ruled(axes: Axes, title: str, below: str, beside: str = "", ticks: int = 5) -> None:
+    """Write a small title and small labels, and leave at most some intervals between the ticks of either axis."""
+    axes.set_title(title, size=9, color=INK)
+    axes.set_xlabel(below, size=8, color=INK)
+    axes.set_ylabel(beside, size=8, color=INK, labelpad=2)
+    axes.locator_params(nbins=ticks)
+    axes.tick_params(labelsize=7, color=INK, labelcolor=INK)
+
+
 def explained(bar: Any, label: str, size: float) -> Any:
     """Return a colour bar after its label and look are set."""
     bar.outline.set(linewidth=0.5, edgecolor=FAINT)
@@ -390,8 +399,8 @@ def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Plot:
     edges = [edge for name in (across, down) for edge in _edges(image[name].values)]
     artist = _draw(axes, values, _grey([values], white), extent=(edges[0], edges[1], edges[3], edges[2]))
     axes.set_frame_on(True)
+    axes.locator_params(nbins=5)
     for axis, name in ((axes.xaxis, across), (axes.yaxis, down)):
-        axis.set_major_locator(MaxNLocator(5))
         axis.set_label_text(f"{name}{unit}", size=_TEXT, color=INK)
     axes.tick_params(labelsize=_TEXT, labelcolor=INK, color=INK, width=0.5, length=2)
     axes.spines[:].set(linewidth=0.5, color=INK)

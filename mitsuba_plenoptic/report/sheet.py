@@ -11,9 +11,9 @@ from markupsafe import Markup
 
 from .. import design
 from ..camera import PlenopticCamera, Round
-from ..errors import InputError
+from ..errors import LONGEST
 from ..lenses import RealLens, main_lens
-from ..prescription import Collimator, Objective, conjugate_distance, image_distance
+from ..prescription import Collimator, Objective, conjugate_distance
 from .lens_quality import FIELDS, FieldFigures, field_figures
 from .pages import template
 
@@ -102,7 +102,9 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
     if 0 < camera.focus_distance < math.inf:
         width = design.field_width(camera, camera.focus_distance)
         rows.append(("field width", width, "mm", "in the focused plane"))
-    if not camera.lens_data.is_thin:
+    if camera.lens_data.is_thin:
+        rows.append(("lens model", camera.lens_model))
+    else:
         note = "below, resolution and refocusing are those of a thin lens of this focal length"
         rows.append(("kind", "real", "", note if camera.has_array else ""))
     for name, glass in (("glass", camera.glass), ("glass of the microlenses", camera.mla_glass)):
@@ -110,8 +112,6 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
             rows.append((name, glass.name or glass.form, "", "focal lengths are those at 587.56 nm"))
     if camera.aperture != Round():
         rows.append(("open part of the aperture", f"{camera.aperture.share:.3g}", "", "of its circle"))
-    if camera.lens_data.is_thin:
-        rows.append(("lens model", camera.lens_model))
     if any(camera.distortion):
         rows.append(("distortion", ", ".join(map(_four, camera.distortion)), "", "k1, k2, k3, p1, p2; by rays only"))
     return rows + _aberrations(camera)
@@ -270,7 +270,7 @@ def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[_Line
     for f2, best, limits in lenses:
         lens_note = f"f2 = {_four(f2)} mm" if len(camera.mla_focal_lengths) > 1 else ""
         rows.append(("sharpest distance", *_distance(best), lens_note))
-        if _is_imaged(camera, best):
+        if camera.focal_length < best <= LONGEST:
             rows += _effective(camera, best, wavelength)
         note = "refocused" if design.focus_type(camera) == "unfocused" else "blur below a pixel or the spot, no gaps"
         rows.append(("depth range", *_range(limits), note))
@@ -287,15 +287,6 @@ def _seen(camera: PlenopticCamera) -> str:
     distances = design.mla_object_distances(camera)
     where = [f"{_four(abs(a))} mm {'before' if a > 0 else 'behind'} them" for a in distances]
     return f"the microlenses see an image {', '.join(where)}"
-
-
-def _is_imaged(camera: PlenopticCamera, distance: float) -> bool:
-    """Return whether the main lens forms an image of a plane at a finite distance."""
-    try:
-        image_distance(camera.focal_length, distance)
-    except InputError:
-        return False
-    return math.isfinite(distance)
 
 
 def _effective(camera: PlenopticCamera, distance: float, wavelength: float | None) -> list[_Line]:
@@ -340,7 +331,7 @@ def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[_Line
 def _finite(camera: PlenopticCamera, near: float, far: float) -> list[float]:
     """Return the ends of the range of refocusing and the sharpest distances as far as they are imaged and finite."""
     distances = dict.fromkeys((near, *design.best_distances(camera), far))
-    return [distance for distance in distances if camera.focal_length < distance < math.inf]
+    return [distance for distance in distances if camera.focal_length < distance <= LONGEST]
 
 
 def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:

@@ -169,7 +169,7 @@ def test_a_lens_file_that_forms_no_image_is_refused_by_its_own_numbers(text, rul
     [
         (["--microlens", "micro.png"], "--microlens: {path}, a main lens, does not take it; leave it out"),
         (["-D", "radius=3"], "-D: {path} is no scene, and has no scene parameters; leave it out"),
-        (["--unit", "m"], "--unit m: {path} is no scene; leave it out"),
+        (["--unit", "m"], "--unit m: {path} is no scene, and has its lengths in millimetres; leave it out"),
     ],
 )
 def test_options_that_a_lens_file_does_not_take_are_refused(options, rule, tmp_path, capsys):

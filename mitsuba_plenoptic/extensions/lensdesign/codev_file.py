@@ -210,14 +210,15 @@ class _CodevReader(DesignReader):
         # CODE V writes an infinite distance of the object as 1e10 or more, and other programs as a word.
         far = not self.surfaces and (line.word(2).lower().startswith("inf") or line.value(2) >= 1e9)
         thickness = math.inf if far else line.value(2)
-        surface = DesignSurface(1 / shape if self.radii and shape else shape, thickness, asphere=[0.0] * len(_TERMS))
+        surface = DesignSurface(
+            line, 1 / shape if self.radii and shape else shape, thickness, asphere=[0.0] * len(_TERMS)
+        )
         line.refuse_if(len(line.words) > 4, "a surface has radius or curvature, thickness and glass")
         if len(line.words) == 4:
             line.refuse_if(not self.surfaces, "air must precede the first surface")
             name = line.words[3].strip("'\"")
             line.refuse_if(name.upper() in self.private, "a glass of PRV is not read: name one of a catalogue")
             surface.glass = _glass(line, name)
-        surface.line = line
         self.surfaces.append(surface)
 
 

@@ -79,6 +79,8 @@ class Line:
 class DesignSurface:
     """A surface as a lens file states it, in the file's unit of length."""
 
+    line: Line
+    """The line that begins it."""
     curvature: float = 0.0
     thickness: float = 0.0
     glass: Glass | None = None
@@ -90,8 +92,6 @@ class DesignSurface:
     kind: str = "STANDARD"
     parameters: list[Line] = field(default_factory=list)
     """Of Zemax: the type, and lines that mean what the type says."""
-    line: Line | None = None
-    """The line that begins it."""
 
     def to_plain(self, unit: float) -> dict[str, Any]:
         """Return the surface as plain data of `Surface.from_plain`, in mm of which `unit` are one of the file."""
@@ -152,8 +152,8 @@ class DesignReader:
             raise InputError(f"{self.path}: {self.unit_keyword} is missing: the unit of its lengths is not known")
         unit = self.unit
         optical = _optical(self.surfaces[:-1])
+        last = optical[max(optical)]
         before = optical.pop(0).thickness
-        last = optical[max(optical)] if optical else DesignSurface()
         behind = last.thickness
         last.thickness = 0.0
         # CODE V finds apertures by rays of the pupil.
@@ -171,19 +171,18 @@ class DesignReader:
             "source": f"read from {self.path.name}",
             "wavelength": wavelength,
             "wavelengths": self.wavelengths,
-            "object_distance": before * unit or math.inf,
+            "object_distance": before * unit,
             "image_distance": max(0.0, behind * unit),
             "pupil_diameter": self.use.get("EPD", [0.0])[0] * unit,
             "surfaces": [surface.to_plain(unit) for surface in optical.values()],
         }
         with naming(self.path):
-            lens = Prescription.from_plain(facts)
-            lens = self._lit(lens)
+            lens = self._lit(Prescription.from_plain(facts))
             if traced:
-                surfaces = [replace(s, semi_aperture=a) for s, a in zip(lens.surfaces, _needed(lens), strict=True)]
-                lens = Prescription.from_plain(replace(lens, surfaces=tuple(surfaces)).to_plain())
-                text = "apertures are a tenth wider than paraxial rays of pupil and fields"
-                _log.info("%s: no %s: %s", self.path, self.aperture_keyword, text)
+                for index, radius in enumerate(_needed(lens)):
+                    lens = lens.with_surface(index, semi_aperture=radius)
+                lens = Prescription.from_plain(lens.to_plain())
+                _log.info("%s: apertures are a tenth wider than paraxial rays of pupil and fields", self.path)
             return lens
 
     def _open(self, optical: dict[int, DesignSurface]) -> None:
@@ -198,9 +197,8 @@ class DesignReader:
                 for side in (reversed(stated[:position]), stated[position + 1 :])
             ]
             if not (max(sides) if self.at_ends else min(sides)) > 0:
-                keyword = self.aperture_keyword
-                rule = f"surface {surface_number} has no semi-aperture: state by {keyword} up to where light passes"
-                raise surface.line.refused(rule) if surface.line else InputError(f"{self.path}: {rule}")
+                missing = f"surface {surface_number} has no semi-aperture"
+                raise surface.line.refused(f"{missing}: state by {self.aperture_keyword} up to where light passes")
             surface.semi_aperture = max(sides)
             without.append(surface_number)
         if without:
@@ -218,16 +216,19 @@ class DesignReader:
         distance = min(lens.object_distance, LONGEST)
         from_pupil = distance + numbers.entrance_pupil
         distance += numbers.front_principal
-        if "FNO" in self.use:
-            f_number, *is_working = self.use["FNO"]
-            scale = from_pupil / (distance - f) if any(is_working) and math.isfinite(lens.object_distance) else 1.0
+        f_number, is_working, *_ = [*self.use.get("FNO", []), 0.0, 0.0]
+        if f_number > 0:
+            scale = from_pupil / (distance - f) if is_working and math.isfinite(lens.object_distance) else 1.0
             lens = replace(lens, pupil_diameter=scale * f / f_number)
         if kind is None:
             return lens
-        both = (self.use.get(axis + kind, []) for axis in "XY")
-        pairs = np.array([*itertools.zip_longest(*both, fillvalue=0.0)]).T
+        pairs = itertools.zip_longest(*(self.use.get(axis + kind, []) for axis in "XY"), fillvalue=0.0)
+        x, y = np.array([*pairs]).T
         # Tangents, or heights.
-        fields = np.hypot(*np.tan(np.radians(pairs))) if kind == "AN" else np.hypot(*pairs) * self.unit / from_pupil
+        if kind == "AN":
+            fields = np.hypot(np.tan(np.radians(x)), np.tan(np.radians(y)))
+        else:
+            fields = np.hypot(x, y) * self.unit / from_pupil
         if kind == "IM":
             fields *= distance * vergence(f, distance)
         return replace(lens, fields=tuple(np.degrees(np.arctan(fields)).tolist()))

@@ -125,7 +125,7 @@ class _ZemaxReader(DesignReader):
                     line.value(1) != len(self.surfaces),
                     f"surfaces must be numbered from 0; this is number {len(self.surfaces)}",
                 )
-                self.surfaces.append(DesignSurface(line=line))
+                self.surfaces.append(DesignSurface(line))
             case "TYPE":
                 rule = f"only surfaces of the types {' and '.join(_SURFACES)} are read"
                 line.refuse_if(line.word(1) not in _SURFACES, rule)

@@ -149,7 +149,7 @@ OF_ZEMAX = [
     ("MODE SEQ", "MODE NSC", "line 2: 'MODE NSC': only sequential lenses are read"),
     ("ENVD 2.0E+1 1 0", "ENVD 2.0E+1 0 1", "indices are those at 20 degrees and 1 atmosphere"),
     ("PWAV 2", "PWAV 3", "wavelength 3, the primary one by PWAV, is missing"),
-    ("0.5875618", "587.5618", "wavelength = 587562: it must be from 200 to 2500 nm"),
+    ("0.5875618", "587.5618", "wavelengths = 587562: it must be from 200 to 2500 nm"),
     (
         "TYPE EVENASPH",
         "TYPE COORDBRK",
@@ -187,7 +187,7 @@ OF_CODEV = [
     ("DIM M\n", "", "DIM is missing: the unit of its lengths is not known"),
     ("DIM M", "DIM F", "line 4: 'DIM F': the unit must be M (millimetres), C (centimetres) or I (inches)"),
     ("REF 1", "", "the primary wavelength is missing"),
-    ("WL 587.5618", "WL 0.5876", "wavelength = 0.5876: it must be from 200 to 2500 nm; it looks like micrometres"),
+    ("WL 587.5618", "WL 0.5876", "wavelengths = 0.5876: it must be from 200 to 2500 nm; it looks like micrometres"),
     ("CCY 0", "XDE 1", "'XDE 1': decentred and tilted surfaces are not read"),
     ("CCY 0", "ADE 45", "'ADE 45': decentred and tilted surfaces are not read"),
     ("CCY 0", "ADY 2", "'ADY 2': decentred and tilted surfaces are not read"),
