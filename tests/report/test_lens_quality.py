@@ -11,7 +11,7 @@ import pytest
 
 from mitsuba_plenoptic import read_prescription
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.prescription import Prescription
+from mitsuba_plenoptic.prescription import Prescription, conjugate_distance
 from mitsuba_plenoptic.report.lens_quality import behind_lens, chief, field_figures
 
 RECORDS = Path(__file__).parent.parent / "optiland_records"
@@ -87,11 +87,15 @@ def test_fields_of_near_objects_of_any_kind(kind, angles, tmp_path):
         )
 
 
-def test_codev_without_apertures_has_those_of_its_pupil(tmp_path):
+@pytest.mark.parametrize("distance", ["inf", "500"])
+def test_codev_without_apertures_has_those_of_its_pupil(distance, tmp_path):
+    """The f-number is that of the paraxial marginal ray in the image."""
     text = (RECORDS / "double_gauss.seq").read_text()
-    (tmp_path / "lens.seq").write_text(re.sub(r"\n  CIR.*", "", text))
+    (tmp_path / "lens.seq").write_text(re.sub(r"\n  CIR.*", "", text).replace("SO 0 inf", f"SO 0 {distance}"))
     lens = read_prescription(tmp_path / "lens.seq")
-    assert lens.paraxial.entrance_radius == pytest.approx(lens.paraxial.focal_length / 10, rel=1e-9)
+    numbers, g = lens.paraxial, lens.object_distance + lens.paraxial.front_principal
+    image = conjugate_distance(numbers.focal_length, g) + numbers.rear_principal
+    assert (image - numbers.exit_pupil) / (2 * numbers.exit_radius) == pytest.approx(5, rel=1e-9)
     stated = read_prescription(RECORDS / "double_gauss.seq")
     for mine, theirs in zip(lens.surfaces, stated.surfaces, strict=True):
         assert mine.semi_aperture > theirs.semi_aperture or mine is lens.surfaces[lens.stop]
@@ -106,5 +110,9 @@ def test_info_of_a_lens_of_ones_own(tmp_path, capsys):
     assert main(["info", str(tmp_path / "own.yaml"), *options]) == 0 and picture.stat().st_size > 10_000
     told = capsys.readouterr().out
     assert "f/8" in told and "Field of 2.1 deg" in told and not re.search("[Dd]etector|pixel|ideal", told)
-    assert main(["info", "paper", "--field", "3"]) == 2
-    assert "--field: paper, which is no lens, does not take it" in capsys.readouterr().err
+    for line, rule in [
+        (["paper", "--field", "3"], "--field: paper, which is no lens, does not take it"),
+        ([str(tmp_path / "own.yaml"), "--pupil", "3", "--f-number", "8"], "--pupil, --f-number: give one of the two"),
+        ([str(tmp_path / "own.yaml"), "--dpi", "300"], "--dpi 300: it is for figures in .png; the output is none"),
+    ]:
+        assert main(["info", *line]) == 2 and rule in capsys.readouterr().err

@@ -426,6 +426,7 @@ def test_picked_up_model_glasses_dummy_planes_and_newer_keywords_of_zemax(tmp_pa
     ]
     lens = read(tmp_path, zemax_of(rows))
     assert [surface.thickness for surface in lens.surfaces] == [5, 7, 5, 0] and lens.stop == 0
+    assert lens.image_distance == 63 and read(tmp_path, zemax_of(rows).replace("INFINITY", "20")).object_distance == 30
     expected = thin_rows([(0.02, 5, 1.62), (-0.02, 7, 1), (0.0125, 5, 1.62), (-0.0125, 0, 1)])
     assert paraxial(lens, 587.5618).focal_length == pytest.approx(expected, rel=1e-6)
     rows[4] = (0.0125, 5.0, picked.replace("2 2", "2 6"), open_)
