@@ -97,8 +97,7 @@ def _surfaces(axes: Axes, lens: RealLens, image: str) -> None:
     axes.invert_xaxis()
     axes.set_aspect("equal")
     scale_bar(axes, float(abs(np.ptp(axes.get_xlim()))), below=True)
-    sizes = f"f = {lens.focal_length:.4g} mm, f/{lens.focal_length / lens.aperture_radius / 2:.3g}"
-    title = f"{described.name or 'main lens'}: {sizes}, {image} at the right"
+    title = f"{described.name or 'main lens'}: f = {lens.focal_length:.4g} mm, {image} at the right"
     axes.set_title(title, size=10, color=INK, loc="left")
 
 

@@ -457,7 +457,6 @@ def _fourier(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
 
 
 def _microscope_diffraction(camera: PlenopticCamera, lens: Objective, wavelength: float) -> list[_Line]:
-    width = camera.lattice.aperture_width
     spot = design.spot_radius(camera, wavelength)
     rows: list[_Line] = [
         ("objective's limit", 2e6 * lens.numerical_aperture / wavelength, "lp/mm", "2 NA over the wavelength"),
@@ -471,7 +470,7 @@ def _microscope_diffraction(camera: PlenopticCamera, lens: Objective, wavelength
         shallow = 1e-3 * depth
         sample = "pixel"
     else:
-        shallow = lens.immersion * width**2 / (2 * lens.magnification**2 * wavelength * 1e-6)
+        shallow = lens.immersion * camera.lattice.aperture_width**2 / (2 * lens.magnification**2 * wavelength * 1e-6)
         sample = "lens"
     for depth in (shallow, 2 * shallow, 4 * shallow):
         limit = design.resolution_limit(camera, 1.001 * depth, wavelength)

@@ -168,6 +168,8 @@ def test_a_lens_file_that_forms_no_image_is_refused_by_its_own_numbers(text, rul
     ("options", "rule"),
     [
         (["--microlens", "micro.png"], "--microlens: {path}, a main lens, does not take it; leave it out"),
+        (["--pupil", "3", "--f-number", "8"], "--pupil, --f-number: give one of the two"),
+        (["--dpi", "300"], "--dpi 300: it is for figures in .png; the output is none"),
         (["-D", "radius=3"], "-D: {path} is no scene, and has no scene parameters; leave it out"),
         (["--unit", "m"], "--unit m: {path} is no scene, and has its lengths in millimetres; leave it out"),
     ],

@@ -58,10 +58,10 @@ def test_a_perfect_lens_is_limited_by_diffraction(f_number):
 
 
 ZEMAX = (RECORDS / "cooke_triplet.zmx").read_text().replace("DISZ INFINITY", "DISZ 300")
-F = 49.9997830714
 LENS = read_prescription(RECORDS / "cooke_triplet.zmx").paraxial
 AWAY = 300 + LENS.entrance_pupil
-"""The triplet for an object 300 mm before its first vertex."""
+IMAGED = (300 + LENS.front_principal) / LENS.focal_length - 1
+"""The triplet for an object 300 mm before its first vertex, and the object's size over that of its paraxial image."""
 
 
 @pytest.mark.parametrize(
@@ -69,8 +69,7 @@ AWAY = 300 + LENS.entrance_pupil
     [
         (0, [0, 14, 20]),
         (1, [math.degrees(math.atan(height / AWAY)) for height in (0, 14, 20)]),
-        # Paraxial images are smaller than objects by f / (g - f), with g from the front principal plane.
-        (2, [math.degrees(math.atan(h * (300 + LENS.front_principal - F) / F / AWAY)) for h in (0, 14, 20)]),
+        (2, [math.degrees(math.atan(height * IMAGED / AWAY)) for height in (0, 14, 20)]),
         (3, []),
     ],
 )
@@ -82,9 +81,8 @@ def test_fields_of_near_objects_of_any_kind(kind, angles, tmp_path):
     shown, distance, heights = behind_lens(lens)
     for angle, height in heights.items():
         # Chief rays come from object points that the entrance pupil sees at the angle.
-        assert -chief(shown, height, distance)[0] * distance == pytest.approx(
-            AWAY * math.tan(math.radians(angle)), abs=1e-6
-        )
+        seen = -chief(shown, height, distance)[0] * distance
+        assert seen == pytest.approx(AWAY * math.tan(math.radians(angle)), abs=1e-6)
 
 
 @pytest.mark.parametrize("distance", ["inf", "500"])
@@ -110,9 +108,5 @@ def test_info_of_a_lens_of_ones_own(tmp_path, capsys):
     assert main(["info", str(tmp_path / "own.yaml"), *options]) == 0 and picture.stat().st_size > 10_000
     told = capsys.readouterr().out
     assert "f/8" in told and "Field of 2.1 deg" in told and not re.search("[Dd]etector|pixel|ideal", told)
-    for line, rule in [
-        (["paper", "--field", "3"], "--field: paper, which is no lens, does not take it"),
-        ([str(tmp_path / "own.yaml"), "--pupil", "3", "--f-number", "8"], "--pupil, --f-number: give one of the two"),
-        ([str(tmp_path / "own.yaml"), "--dpi", "300"], "--dpi 300: it is for figures in .png; the output is none"),
-    ]:
-        assert main(["info", *line]) == 2 and rule in capsys.readouterr().err
+    assert main(["info", "paper", "--field", "3"]) == 2
+    assert "--field: paper, which is no lens, does not take it" in capsys.readouterr().err

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import mitsuba as mi
-import numpy as np
 import pytest
 from PIL import Image
 
