@@ -75,8 +75,7 @@ def test_lateral_colour_is_told_of_glasses_that_have_it():
     corner = math.hypot(camera.detector_width, camera.detector_height) / 2
     told = [float(row.value) for row in design_sheet(camera) if row.quantity == "lateral colour"]
     # In micrometres, at 0.7 of the field and in the corner.
-    fields = field_figures(main_lens(camera), [0.7 * corner, corner], 240, [])
-    expected = [1e3 * field.colour for field in fields]
+    expected = [1e3 * field.colour for field in field_figures(main_lens(camera), [0.7 * corner, corner], 240, [])]
     assert told == pytest.approx(expected, rel=5e-3) and told[1] < -5
     surfaces = camera.prescription.to_plain()
     # A table that ends before line C, and an index that is the same for all.

@@ -74,9 +74,8 @@ IMAGED = (300 + LENS.front_principal) / LENS.focal_length - 1
     ],
 )
 def test_fields_of_near_objects_of_any_kind(kind, angles, tmp_path):
-    path = tmp_path / "lens.zmx"
-    path.write_text(re.sub("FTYP 0", f"FTYP {kind}", ZEMAX))
-    lens = read_prescription(path)
+    (tmp_path / "lens.zmx").write_text(re.sub("FTYP 0", f"FTYP {kind}", ZEMAX))
+    lens = read_prescription(tmp_path / "lens.zmx")
     assert lens.object_distance == 300 and lens.fields == pytest.approx(angles, rel=1e-9)
     shown, distance, heights = behind_lens(lens)
     for angle, height in heights.items():
@@ -94,8 +93,7 @@ def test_codev_without_apertures_has_those_of_its_pupil(distance, tmp_path):
     numbers, g = lens.paraxial, lens.object_distance + lens.paraxial.front_principal
     image = conjugate_distance(numbers.focal_length, g) + numbers.rear_principal
     assert (image - numbers.exit_pupil) / (2 * numbers.exit_radius) == pytest.approx(5, rel=1e-9)
-    stated = read_prescription(RECORDS / "double_gauss.seq")
-    for mine, theirs in zip(lens.surfaces, stated.surfaces, strict=True):
+    for mine, theirs in zip(lens.surfaces, read_prescription(RECORDS / "double_gauss.seq").surfaces, strict=True):
         assert mine.semi_aperture > theirs.semi_aperture or mine is lens.surfaces[lens.stop]
 
 
@@ -103,9 +101,8 @@ def test_info_of_a_lens_of_ones_own(tmp_path, capsys):
     """The lens of the page, with nothing that is not of the lens."""
     page = (Path(__file__).parent.parent.parent / "docs/guides/main_lenses.md").read_text()
     (tmp_path / "own.yaml").write_text(re.search("```yaml\n(name: Achromat.*?)```", page, re.S)[1])
-    picture = tmp_path / "own.png"
-    options = ["--field", "3", "--f-number", "8", "--drawing", str(picture)]
-    assert main(["info", str(tmp_path / "own.yaml"), *options]) == 0 and picture.stat().st_size > 10_000
+    options = ["--field", "3", "--f-number", "8", "--drawing", str(tmp_path / "own.png")]
+    assert main(["info", str(tmp_path / "own.yaml"), *options]) == 0 and (tmp_path / "own.png").stat().st_size > 10_000
     told = capsys.readouterr().out
     assert "f/8" in told and "Field of 2.1 deg" in told and not re.search("[Dd]etector|pixel|ideal", told)
     assert main(["info", "paper", "--field", "3"]) == 2
