@@ -26,6 +26,9 @@ FIELDS = (0.0, 0.7, 1.0)
 _ACROSS = 301
 """Rays across the pupil."""
 
+_DARK = np.full((4, 1), math.nan)
+"""Rays where there are none."""
+
 
 @dataclass(frozen=True)
 class FieldFigures:
@@ -38,11 +41,12 @@ class FieldFigures:
     rays : dict
         By wavelength in nanometres, an array (4, n) of a point's rays, which fill the stop: positions x, y on the MLA
         in millimetres, from the chief ray, y away from the axis; and slopes dx/dz, dy/dz, z towards the scene. Where
-        all is dark there is one ray of NaN.
+        all is dark, one ray of NaN.
     light : float
         Open area of the exit pupil over the open area on the axis.
     distortion : float
-        Displacement of a point's image away from the axis, by its chief ray against paraxial optics, over its distance.
+        Displacement of a point's image away from the axis, by its chief ray against paraxial optics, over its distance;
+        NaN where all is dark.
     colour : float or None
         Difference in image height in millimetres between chief rays of the lines F and C; None of glasses without them.
     transfer : float64 array (2, n)
@@ -88,16 +92,22 @@ def field_figures(
     axis = _open_area(lens, 0.0) or 1.0
     figures = []
     for height in heights:
-        lines = [chief(replace(lens, wavelength=line), height, distance)[0] for line in (LINE_C, LINE_F) if in_colour]
+        light = _open_area(lens, height) / axis
+        # Where all is dark there may be no chief ray.
+        lines = [LINE_C, LINE_F] if light and in_colour else []
+        seen = [chief(replace(lens, wavelength=line), height, distance)[0] for line in lines]
+        middle = chief(lens, height, distance)[0] if light else math.nan
         figures.append(
             FieldFigures(
                 height,
-                {wavelength: _rays(lens, height, distance, wavelength) for wavelength in wavelengths},
-                _open_area(lens, height) / axis,
-                -height / (lens.mla_distance * chief(lens, height, distance)[0]) - 1 if height else 0.0,
+                {line: _rays(lens, height, distance, line) if light else _DARK for line in wavelengths},
+                light,
+                -height / (lens.mla_distance * middle) - 1 if height else 0.0,
                 # What is seen farther out from the same position is imaged nearer to the axis.
-                lens.mla_distance * (lines[1] - lines[0]) if lines else None,
-                _transfer(lens, height, distance, frequencies) if frequencies else np.empty((2, 0)),
+                lens.mla_distance * (seen[1] - seen[0]) if seen else None,
+                _transfer(lens, height, distance, frequencies)
+                if frequencies and light
+                else np.full((2, len(frequencies)), math.nan),
             )
         )
     return figures
@@ -152,7 +162,7 @@ def _rays(lens: RealLens, height: float, distance: float, wavelength: float) -> 
         return place[0], place[1] - height, *turned, is_open
 
     rays, _ = _passing(traced, entered, 1.5 * lens.front_bounds[0])
-    return rays if rays.size else np.full((4, 1), math.nan)
+    return rays if rays.size else _DARK
 
 
 def _open_area(lens: RealLens, height: float) -> float:
