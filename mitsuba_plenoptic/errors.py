@@ -452,10 +452,10 @@ def require_length(name: str, value: Any, *, finite: bool = True) -> float:
     return require_number(name, value, positive=True, minimum=SHORTEST, maximum=LONGEST, finite=finite)
 
 
-def require_lengths(name: str, value: Any) -> tuple[float, ...]:
-    """Return one or several lengths as a tuple."""
+def require_lengths(name: str, value: Any, rule: Callable[[str, Any], float] = require_length) -> tuple[float, ...]:
+    """Return one or several lengths, or numbers by another rule, as a tuple."""
     value = _plain(value)
-    return tuple(require_length(name, length) for length in (value if isinstance(value, (tuple, list)) else [value]))
+    return tuple(rule(name, length) for length in (value if isinstance(value, (tuple, list)) else [value]))
 
 
 def require_pitches(name: str, value: Any) -> tuple[float, float]:

@@ -40,7 +40,7 @@ from PIL import Image, ImageChops, ImageOps
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import particles as pt
 from mitsuba_plenoptic.errors import require_choice
-from mitsuba_plenoptic.extensions.studio.preview import draw_preview, preview_of
+from mitsuba_plenoptic.extensions.studio.preview import preview_figure, preview_of
 from mitsuba_plenoptic.fitting import View
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.optimisation import maximise
@@ -554,10 +554,7 @@ def figures() -> Image.Image:
 def preview() -> Image.Image:
     """Preview the still life by the paper's camera."""
     scene = mp.load_scene("still_life", variant="llvm_ad_mono")
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "preview.png"
-        draw_preview(path, "", preview_of(scene, mp.PlenopticCamera()))
-        return narrowed(Image.open(path).convert("RGB"))
+    return narrowed(drawn(preview_figure("", preview_of(scene, mp.PlenopticCamera()))))
 
 
 @picture

@@ -167,7 +167,7 @@ class LensSystem:
         N = rsqrt(1 + tx * tx + ty * ty)
         x, y = (m / self.scale for m in position)
         start = (x, y, -self.back_distance / self.scale)
-        point, (L, M, N), is_open, _ = sequential.follow(self._backwards, start, (tx * N, ty * N, N))
+        point, (L, M, N), is_open, _ = sequential.follow(self.backwards, start, (tx * N, ty * N, N))
         x, y, z = (self.scale * value for value in point)
         return (x, y, self.front + z), (L / N, M / N), is_open
 
@@ -205,7 +205,7 @@ class LensSystem:
         height : float64 array
             Heights in millimetres.
         """
-        lens = self._backwards[: len(self._backwards) - self.prescription.stop]
+        lens = self.backwards[: len(self.backwards) - self.prescription.stop]
 
         def at_stop(height: Doubles, slope: Doubles) -> Any:
             N = 1 / np.sqrt(1 + slope * slope)
@@ -232,7 +232,8 @@ class LensSystem:
         return self.prescription.wavelength if self.wavelength is None else self.wavelength
 
     @functools.cached_property
-    def _backwards(self) -> list[sequential.Element]:
+    def backwards(self) -> list[sequential.Element]:
+        """The surfaces in the order in which rays from the MLA meet them, stopped down, before scaling."""
         return sequential.elements(
             self.prescription, self.light, stop_radius=self.stop_radius, backwards=True, indices=self.indices
         )

@@ -152,6 +152,15 @@ def bare(axes: Axes) -> Axes:
     return axes
 
 
+def ruled(axes: Axes, title: str, below: str, beside: str = "", ticks: int = 5) -> None:
+    """Write a small title and small labels, and leave at most some intervals between the ticks of either axis."""
+    axes.set_title(title, size=9, color=INK)
+    axes.set_xlabel(below, size=8, color=INK)
+    axes.set_ylabel(beside, size=8, color=INK, labelpad=2)
+    axes.locator_params(nbins=ticks)
+    axes.tick_params(labelsize=7, color=INK, labelcolor=INK)
+
+
 def explained(bar: Any, label: str, size: float) -> Any:
     """Return a colour bar after its label and look are set."""
     bar.outline.set(linewidth=0.5, edgecolor=FAINT)
@@ -203,15 +212,17 @@ def mark(axes: Axes, zoom: Zoom, corner: tuple[int, int], factor: float, name: s
     )
 
 
-def scale_bar(axes: Axes, width: float, plane: str = "", *, below: bool = False, size: float = 8) -> None:
-    """Draw a bar of a round length into or below a picture that is `width` millimetres wide.
+def scale_bar(
+    axes: Axes, width: float, plane: str = "", *, below: bool = False, size: float = 8, unit: str = "mm"
+) -> None:
+    """Draw a bar of a round length into or below a picture of a width in a unit.
 
     The label states the bar's length and the plane in which it is measured.
     """
     digit = 10.0 ** math.floor(math.log10(0.3 * width))
     length = next(step * digit for step in (5.0, 2.0, 1.0) if step * digit <= 0.3 * width)
     fraction = length / width
-    label = f"{length:g} mm {plane}".strip()
+    label = f"{length:g} {unit} {plane}".strip()
     thick = 0.045
     left, low, colour = (0.0, -3 * thick, INK) if below else (0.04, 2.5 * thick, "white")
     # Along the picture in fractions of its width, upwards in inches from its lower edge.
@@ -388,8 +399,8 @@ def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Plot:
     edges = [edge for name in (across, down) for edge in _edges(image[name].values)]
     artist = _draw(axes, values, _grey([values], white), extent=(edges[0], edges[1], edges[3], edges[2]))
     axes.set_frame_on(True)
+    axes.locator_params(nbins=5)
     for axis, name in ((axes.xaxis, across), (axes.yaxis, down)):
-        axis.set_major_locator(MaxNLocator(5))
         axis.set_label_text(f"{name}{unit}", size=_TEXT, color=INK)
     axes.tick_params(labelsize=_TEXT, labelcolor=INK, color=INK, width=0.5, length=2)
     axes.spines[:].set(linewidth=0.5, color=INK)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -112,8 +111,8 @@ def framing_warnings(preview: Preview) -> list[str]:
 
 
 @plots.styled
-def draw_preview(path: str | Path, title: str, preview: Preview) -> None:
-    """Draw a preview with the region in focus tinted, that within reach of refocusing outlined, and from above."""
+def preview_figure(title: str, preview: Preview) -> plots.Plot:
+    """Return a figure of a preview, in focus tinted and within reach of refocusing outlined, and from above."""
     plot = plots.Plot(9.8, 4.9)
     ((axes, from_above),) = plot.panels(1, 2)
     rows, columns = preview.picture.shape[:2]
@@ -133,7 +132,7 @@ def draw_preview(path: str | Path, title: str, preview: Preview) -> None:
             axes.contour(shown_part.astype(float), levels=[0.5], colors=[colour], linewidths=1.2)
     axes.imshow(np.where(in_focus[..., None], to_rgba(_FOCUS, 0.35), 0.0), interpolation="nearest", aspect="auto")
     _draw_from_above(from_above, preview)
-    plot.save(path)
+    return plot
 
 
 def _draw_from_above(axes: Axes, preview: Preview) -> None:
