@@ -48,7 +48,6 @@ from ...runtime import (
     Array,
     Doubles,
     Floats,
-    Triple,
     active_backend,
     as_array,
     check_memory,
@@ -141,7 +140,7 @@ class RayRefocus:
 class _RefocusOp(dr.CustomOp):
     """One use of a refocus object as a Dr.Jit operation."""
 
-    def eval(self, capture: Any, linearised: Callable[[Array], Triple]) -> Any:
+    def eval(self, capture: Any, linearised: Callable[[Array], tuple[Any, Any, Any]]) -> Any:
         """Return the refocused capture, from a function that returns it with its jvp and its vjp."""
         image, self._jvp, self._vjp = linearised(capture.numpy())
         self._kind = type(capture)

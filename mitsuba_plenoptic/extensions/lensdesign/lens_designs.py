@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import LONGEST, InputError, naming, short_repr
-from ...prescription import Glass, Prescription, vergence
+from ...prescription import Glass, Prescription
 from ...runtime import require_size
 
 UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}
@@ -230,7 +230,7 @@ class DesignReader:
         else:
             fields = np.hypot(x, y) * self.unit / from_pupil
         if kind == "IM":
-            fields *= distance * vergence(f, distance)
+            fields *= distance / f - 1
         return replace(lens, fields=tuple(np.degrees(np.arctan(fields)).tolist()))
 
 
