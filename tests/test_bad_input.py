@@ -77,8 +77,6 @@ class TestNumbers:
         assert str(mp.InputError(said)) == said
         if text.isprintable():
             assert said == text
-
-    def test_a_message_has_an_end(self):
         assert len(str(mp.InputError("x" * 10**6))) == 1000
 
 
