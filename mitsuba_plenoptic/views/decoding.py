@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +14,7 @@ from ..camera import PlenopticCamera, Use, are_alike, require_camera, require_su
 from ..design import objective_of
 from ..errors import InputError, refuse_if, short_repr, suggest_keywords
 from ..io import TRUTH_COORDINATES, Capture, CaptureLike, GroundTruth, channel_planes, read_if_path, require_demosaiced
-from ..runtime import Floats, as_pixels, require_memory
+from ..runtime import Floats, Progress, as_pixels, require_memory
 from .coordinates import DIMS, light_field
 from .fourier_views import decode_views
 from .grid import LensGrid, bin_grid, lens_grid
@@ -31,7 +30,7 @@ def decode(
     white: CaptureLike | None = None,
     grid: LensGrid | None = None,
     truth: GroundTruth | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> xr.DataArray:
     """Return a capture as a light field with one sample per pixel across the pupil and one per lens across the field.
 
@@ -137,7 +136,7 @@ def checked_images(
     camera: PlenopticCamera | None,
     white: CaptureLike | None,
     grid: LensGrid | None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[np.ndarray, Any, np.ndarray | None, PlenopticCamera | None]:
     """Return image, white image, fractions of the pupil, each (rows, columns, channels), and the camera for `decode`.
 

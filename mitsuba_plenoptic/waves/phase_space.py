@@ -36,7 +36,17 @@ from ..camera import PlenopticCamera, Round
 from ..errors import InputError, short_repr
 from ..fields import OpticalSystem, opaque_lattice
 from ..optics import in_millimetres
-from ..runtime import Floats, begin_step, drjit_array, empty_packets, fft, monomials, on_all_cores, single_threaded_blas
+from ..runtime import (
+    Floats,
+    Pair,
+    begin_step,
+    drjit_array,
+    empty_packets,
+    fft,
+    monomials,
+    on_all_cores,
+    single_threaded_blas,
+)
 from .accuracy import FINER, USUAL
 from .array_kernels import ArrayKernels
 
@@ -321,7 +331,7 @@ class PhaseSpace(ArrayKernels):
         most = FINER if fine or highest > USUAL.coarse_pixel else USUAL
         return min(math.ceil((FINER if fine else USUAL).cells * highest), most.most_cells)
 
-    def arguments(self, point: tuple[Any, Any], pupil: tuple[Any, Any]) -> list[Any]:
+    def arguments(self, point: Pair, pupil: Pair) -> list[Any]:
         """Return the numbers of which a ray's coefficients are polynomials: its point on a lens over the reach."""
         return [coordinate / self.functions.scale for coordinate in self.lattice.to_frame(*point)]
 
@@ -379,7 +389,7 @@ class TableNodes:
         self._radius = dr.opaque(mi.Float, plan.camera.pupil_radius)
         self._angular = drjit_array(mi.Float, np.array([node.angular for node in plan.nodes]))
 
-    def along(self, Pu: Any, Pv: Any, chance: Any) -> tuple[Any, Any]:
+    def along(self, Pu: Any, Pv: Any, chance: Any) -> Pair:
         """Return distances from the pupil's centre over its radius, and a random neighbouring node of the radius."""
         distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
         position = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * self._radial
@@ -471,15 +481,11 @@ class RayCoefficients:
         ]
         self._signs = drjit_array(mi.UInt32, np.array(quarters))
 
-    def __call__(
-        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
-    ) -> list[Any]:
+    def __call__(self, point: Pair, pupil: Pair, jitter: tuple[Any, Any, Any, Any], active: Any) -> list[Any]:
         """Return the coefficients of rays from points of a lens through points of the pupil."""
         return self.read(*self.places(point, pupil, jitter, active))
 
-    def places(
-        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
-    ) -> list[Any]:
+    def places(self, point: Pair, pupil: Pair, jitter: tuple[Any, Any, Any, Any], active: Any) -> list[Any]:
         """Return the places in the table of the coefficients of rays, for `read`; see `__call__`.
 
         Each ray takes one node of the table at random, so that the expectation is the linear interpolation between the
@@ -521,7 +527,7 @@ class RayCoefficients:
         ]
 
     def slopes(
-        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
+        self, point: Pair, pupil: Pair, jitter: tuple[Any, Any, Any, Any], active: Any
     ) -> tuple[list[Any], list[Any]]:
         """Return the derivatives of the coefficients by the point, along the lattice's axes; see `__call__`."""
         Pu, Pv = self._lattice.to_frame(*pupil)
@@ -548,11 +554,11 @@ class Polynomials:
         self.plan = plan
         self.layout: tuple[Any, ...] = (plan.functions.scale,)
 
-    def __call__(self, point: tuple[Any, Any], pupil: Any, jitter: Any, active: Any) -> list[Any]:
+    def __call__(self, point: Pair, pupil: Any, jitter: Any, active: Any) -> list[Any]:
         """Return the values of the polynomials."""
         return self.read(*self.places(point, pupil, jitter, active))
 
-    def places(self, point: tuple[Any, Any], pupil: Any, jitter: Any, active: Any) -> list[Any]:
+    def places(self, point: Pair, pupil: Any, jitter: Any, active: Any) -> list[Any]:
         """Return the arguments of the polynomials, for `read`."""
         return list(self.plan.arguments(point, pupil))
 

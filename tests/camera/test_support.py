@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic import refocus
 from mitsuba_plenoptic.camera import PARAMETERS, Use, require_support
 from mitsuba_plenoptic.camera.support import entries_at, refusal, support_of
 from mitsuba_plenoptic.extension import installed
@@ -284,12 +283,3 @@ def test_parameters_change_results_or_the_table_says_why_not(name, use):
         assert "exact" not in verdicts
     else:
         assert verdicts, "the result is unchanged, and the table does not say so"
-
-
-@pytest.mark.needs_extension("inverse")
-def test_refocusing_by_rays_names_the_collimator():
-    camera = mp.PlenopticCamera.preset("shack_hartmann")
-    with pytest.raises(mp.InputError, match="main_lens = collimator: refocused images by method ray refuse it"):
-        refocus.RayRefocus(camera, 1e6)
-    with pytest.raises(mp.InputError, match="main_lens = collimator"):
-        mp.decode(np.ones(camera.shape, np.float32), camera=camera)
