@@ -95,6 +95,18 @@ def test_pictures_with_sharp_borders_are_weighted_evenly():
     assert np.linalg.norm(even - white) < 0.03 * np.linalg.norm(white)
 
 
+def test_each_lens_is_white_by_its_pupil():
+    """Radii that fall to 0.4 of the middle's within seven lenses: the light is the area of the pupil's image."""
+    model = model_of(CAMERA.replace(detector_blur=0.0), None)
+    radius = model.field.coefficients["radius"][0]
+    # 1; X, Y; X^2, X Y, Y^2 of places over half the picture.
+    model.field.coefficients["radius"] = radius * np.array([1.0, 0, 0, -0.7, 0, -0.7])
+    part = part_of(model)
+    area = np.pi * model.field.values(part.place)[:, 0] ** 2
+    assert area.min() < 0.2 * area.max()
+    np.testing.assert_allclose(np.bincount(part.lens_of, part.white), area, rtol=0.03)
+
+
 def test_the_adjoint_is_the_transpose():
     generator = np.random.default_rng(0)
     volume, pixels = (generator.random(n, np.float32) for n in (PROJECTOR.source_shape, PROJECTOR.image_shape))
