@@ -17,6 +17,7 @@ from ..calibrate.field_fit import FieldNumbers
 from ..calibrate.micro_image import NUMBERS, MicroImageModel, PupilNumbers
 from ..calibrate.white_fit import WhiteFit
 
+
 @dataclass(frozen=True)
 class CameraModel:
     """A camera as it is fitted to a white picture, with the model of its micro-images.

@@ -80,6 +80,17 @@ def test_an_iris_and_a_map_of_the_pupil_are_found():
     assert camera.replace(vignetting=found.to_plain()).vignetting == found
 
 
+@pytest.mark.parametrize("camera", [THIN, pytest.param(HEXAGONAL, marks=pytest.mark.slow)])
+def test_a_pupil_that_narrows_from_lens_to_lens_is_found(camera):
+    """Within a zone of eight lenses the rim moves by a pixel, which is more than a first order tells."""
+    narrowing = Vignetting([1.0, 0, 0, -0.2, 0, -0.2], 0.8)
+    light = white_image(camera.replace(vignetting=narrowing, detector_blur=0.8 * camera.pixel_size))
+    found = fit_white(recorded(light)[0] - 100, camera, wavelength=None).camera
+    x, y = np.meshgrid(np.linspace(-0.7, 0.7, 8), np.linspace(-0.55, 0.55, 8))
+    radius = found.vignetting.at(x, y)["radius"] * found.aperture_radius / camera.aperture_radius
+    np.testing.assert_allclose(radius, narrowing.at(x, y)["radius"], rtol=0.008)
+
+
 @pytest.mark.slow
 def test_waves_are_told_from_rays():
     """The white of a wave capture is fitted by waves without a blur; rays explain its diffraction by a wide one."""

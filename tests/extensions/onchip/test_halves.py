@@ -6,7 +6,7 @@ import numpy as np
 import OpenEXR
 import pytest
 from cameras import white
-from cases import facing, radiating, scene_of
+from cases import facing, radiating, relative, scene_of
 from refusals import refuses
 from scipy.signal import fftconvolve
 from scipy.stats import qmc
@@ -24,6 +24,7 @@ from mitsuba_plenoptic import (
     expose,
     half_disparity,
     match_halves,
+    point_spread_function,
     psf_bank,
     render_capture,
     write_capture,
@@ -153,6 +154,23 @@ def test_shifts_to_chief_rays_restore_the_halves():
     assert table == pytest.approx([0.5, 0.5], abs=0.01)
     assert pitch == pytest.approx(table, abs=0.01)
     assert abs(plain[0] - 0.5) > 0.1
+
+
+@pytest.mark.slow
+def test_a_bank_has_the_pupil_and_the_brightness_of_each_lens():
+    """Against the spread of the whole array, whose lenses are not shifted alike."""
+    camera = CAMERA.replace(
+        mla_cra=(0.0, 0.0, 3.0, 24.0),
+        mla_transmissions=np.random.default_rng(0).uniform(0.4, 1, (90, 90)).tolist(),
+        vignetting={"radius": [1.0, 0, 0, -0.6, 0, -0.6], "scale": 24 * CAMERA.mla_pitch},
+    )
+    bank = psf_bank(camera, [700.0], [(0.0361, 0.0217)], layout=(2, 2), model="wave", wavelength=GREEN, size=13)
+    index = (np.array([bank.x[0], bank.y[0]]) / CAMERA.mla_pitch - 0.5).round().astype(int)
+    point = np.append(-700.0 / camera.mla_distance * np.array(camera.lattice.centre(*index)), 700.0)
+    image = point_spread_function(camera, point, wavelength=GREEN, method="full_field")
+    left, top = 2 * (32 + index - 6)
+    expected = image[top : top + 26, left : left + 26].reshape(13, 2, 13, 2).transpose(1, 3, 0, 2)
+    assert relative(bank.values[0, 0], expected) < 0.004
 
 
 @pytest.mark.parametrize(
