@@ -8,7 +8,7 @@ import pytest
 from cameras import HALF, LATTICES, WAVELENGTH, capture, error, in_every_lens, pattern_count, scattered, small_camera
 from scipy.sparse.linalg import aslinearoperator, lsqr
 
-from mitsuba_plenoptic import CaptureOperator, Job, Spectrum, point_spread_function
+from mitsuba_plenoptic import CaptureOperator, Job, Spectrum, Vignetting, point_spread_function
 from mitsuba_plenoptic.points.full_fields import FullFieldSum
 from mitsuba_plenoptic.points.operator import PLANS
 from mitsuba_plenoptic.points.patch_plan import PatchSum
@@ -278,6 +278,24 @@ def test_shared_patterns_stay_true(name, distance):
     assert pattern_count(shared) < len(positions) / 2
     assert pattern_count(every) == len(positions)
     assert 0 < error(shared.forward(weights), every.forward(weights)) < 0.01
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"vignetting": Vignetting([1.0, 0, 0, -0.6, 0, -0.6], 6 * 0.064)},
+        {"mla_transmissions": np.random.default_rng(2).uniform(0.4, 1, (17, 17)).tolist()},
+    ],
+)
+def test_unequal_lenses_share_nothing(change):
+    """Pupils narrow by a tenth from lens to lens."""
+    camera = small_camera(12, **change)
+    positions = in_every_lens(camera, 3, 240.0, per_lens=2, offset=1.7)
+    shared, every = (
+        CaptureOperator(camera, positions, wavelength=WAVELENGTH, accuracy=accuracy) for accuracy in (0.02, 0)
+    )
+    assert pattern_count(shared) == len(positions)
+    assert error(shared.forward(np.ones(len(positions))), every.forward(np.ones(len(positions)))) < 0.01
 
 
 @pytest.mark.slow
