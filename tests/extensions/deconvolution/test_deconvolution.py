@@ -246,24 +246,26 @@ def white_of_waves(camera, wavelength, points=81, step=4e-4, around=8):
 
 
 @pytest.mark.parametrize(
-    ("options", "distance"),
+    ("options", "distance", "oversample"),
     [
-        ({}, 120.0),
-        ({"mla_focal_length": 0.8533333}, 118.5),
-        ({"mla_fill": 0.8}, 112.0),
-        ({"mla_fill": 0.5}, 120.0),
-        ({"mla_fill": 0.8, "mla_medium": 1.5, "detector_distance": 0.96, "mla_focal_length": 0.96}, 112.0),
-        ({"vignetting": NARROWING}, 112.0),
-        ({"vignetting": {"radius": [0.8]}}, 120.0),
+        ({}, 120.0, 1),
+        ({}, 112.0, 2),
+        ({"mla_focal_length": 0.8533333}, 118.5, 1),
+        ({"mla_fill": 0.8}, 112.0, 2),
+        ({"mla_fill": 0.5}, 120.0, 1),
+        ({"mla_fill": 0.5}, 112.0, 2),
+        ({"mla_fill": 0.8, "mla_medium": 1.5, "detector_distance": 0.96, "mla_focal_length": 0.96}, 112.0, 1),
+        ({"vignetting": NARROWING}, 112.0, 1),
+        ({"vignetting": {"radius": [0.8]}}, 120.0, 1),
     ],
 )
-def test_an_even_world_reads_1_in_all_planes_and_behind_gaps(options, distance):
-    """Points do not show on pixels that resolve them, and light beyond kernels counts. Without gaps, too."""
+def test_an_even_world_reads_1_in_all_planes_and_behind_gaps(options, distance, oversample):
+    """Points do not show on pixels that resolve them, and light beyond kernels lies in pupils and at their rims."""
     camera = FAST.replace(**{"detector_distance": 0.64} | options)
     capture = mp.Capture(white_of_waves(camera, 550.0), camera, 550.0, "wave")
     for method in ("incoherent", "deconvolved"):
-        image = mp.reconstruct(capture, distance, method=method).image
-        np.testing.assert_allclose(image, 1, atol=0.006)
+        image = mp.reconstruct(capture, distance, method=method, oversample=oversample).image
+        np.testing.assert_allclose(image, 1, atol=0.005)
 
 
 @pytest.mark.slow
@@ -275,7 +277,7 @@ def test_lamps_keep_their_light_where_the_pupil_narrows_from_lens_to_lens(turned
     image = filled(camera, places, 0.064, np.array([1.0, 0.7]), 112.0, 9, 550.0, 0.0)
     found = mp.reconstruct(mp.Capture(np.maximum(image, 0), camera, 550.0, "wave"), 112.0, method="deconvolved").image
     lamps = [found[row - 1 : row + 2, column - 1 : column + 2].sum() for row, column in ((2, 1), (3, 4))]
-    np.testing.assert_allclose(lamps, [1.0, 0.7], rtol=0.008)
+    np.testing.assert_allclose(lamps, [1.0, 0.7], rtol=0.01)
 
 
 @pytest.mark.slow
