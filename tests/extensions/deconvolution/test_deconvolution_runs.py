@@ -118,26 +118,6 @@ def test_a_deconvolution_goes_on_where_it_was_stopped(tmp_path, monkeypatch, nam
     assert not path.exists()
 
 
-@pytest.mark.slow
-def test_workers_compute_the_point_spreads():
-    class Counted(Threads):
-        batches = 0
-
-        def __call__(self, batches):
-            for result in super().__call__(batches):
-                self.batches += 1
-                yield result
-
-    capture, workers = random_light(), Counted(1)
-    options = {"method": "deconvolved", "iterations": 2}
-    made = mp.reconstruct(capture, 253.0, batch_map=workers, **options)
-    assert workers.batches >= 3
-    np.testing.assert_array_equal(made.image, mp.reconstruct(capture, 253.0, **options).image)
-    for name, value in (("batch_map", workers), ("checkpoint", mp.Checkpoint("never"))):
-        with pytest.warns(UserWarning, match=rf"method ray has no use for {name} \(of deconvolved\)"):
-            mp.reconstruct(capture, 253.0, **{name: value})
-
-
 def test_kernels_on_disk_are_those_in_memory(monkeypatch):
     distances = [230.0, 250.0]
     inside = Response(SMALL, distances, wavelength=None, oversample=2)

@@ -93,7 +93,9 @@ def of_glasses():
     return camera, mp.CaptureOperator(camera, points, wavelength=480.0).forward(np.full(len(x), weight))
 
 
-@pytest.mark.parametrize("method", ["ray", pytest.param("incoherent", marks=pytest.mark.slow), "deconvolved"])
+@pytest.mark.parametrize(
+    "method", [*(pytest.param(n, marks=pytest.mark.slow) for n in ("ray", "incoherent")), "deconvolved"]
+)
 def test_glasses_have_their_focal_lengths_at_the_wavelength(method):
     camera, image = of_glasses()
     known = camera.at_wavelength(480.0)

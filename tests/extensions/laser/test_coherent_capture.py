@@ -61,7 +61,7 @@ def grain_width(intensity, pitch):
 
 def test_speckle_is_fully_developed():
     """Contrast falls with the root of the modes, grains are as wide as the pupil has them, intensity is exponential."""
-    camera = OPEN.replace(detector_width=0.8, resolution=(125, 125))
+    camera = OPEN.replace(detector_width=0.8, resolution=(250, 250))
     operator = operator_of(rough_wall(camera, 16), camera)
     one, four = (laser.coherent_capture(operator, np.ones(len(operator.points)), modes=m, seed=1) for m in (1, 4))
     # 1,775 grains: 3.5 times the scatter of about 1 / sqrt(grains).

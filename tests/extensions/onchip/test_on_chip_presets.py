@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.array_functions import CameraCapture
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.fitting import View
 from mitsuba_plenoptic.points.units import brightness_of
@@ -61,9 +60,6 @@ def test_methods_of_regular_arrays_take_aligned_presets():
     image = operator.forward([1.0])
     assert image == pytest.approx(mp.CaptureOperator(regular, points, wavelength=550).forward([1.0]))
     assert operator.gradient([1.0], image)["detector_distance"] != 0
-    capture = CameraCapture(lambda changed: mp.CaptureOperator(changed, points, wavelength=550), camera, ("mla_pitch",))
-    pitch = np.array(regular.mla_pitch)
-    assert capture.at(np.ones(1), pitch).value == pytest.approx(image)
     system = OpticalSystem(regular, 550)
     view = View(brightness_of(regular, system.lens) * image, points, [1.0], noise=1e-3)
     fit = mp.fit(camera, view, "mla_focal_length", wavelength=550, accuracy=0.01, steps=2)

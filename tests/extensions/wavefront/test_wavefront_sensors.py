@@ -37,15 +37,6 @@ def capture(camera, direction=(0.0, 0.0)):
     return mp.CaptureOperator(camera, points, wavelength=WAVELENGTH, method="full_field").forward(weights)
 
 
-def spots(image, lenses=12):
-    """Positions of the spots in their cells in pixels along x and y, by the first Fourier coefficient, and powers."""
-    size = (image.shape[0] - image.shape[0] % lenses) // lenses
-    cells = image[: size * lenses, : size * lenses].reshape(lenses, size, lenses, size)
-    waves = np.exp(2j * np.pi * (np.arange(size) - (size - 1) / 2) / size)
-    found = np.stack([np.einsum("arbs,s->ab", cells, waves), np.einsum("arbs,r->ab", cells, waves)])
-    return np.angle(found) * size / (2 * np.pi), cells.sum((1, 3))
-
-
 # -- phase screens -----------------------------------------------------------------------------------
 
 
@@ -55,15 +46,6 @@ def test_a_screen_of_zernike_terms_equals_the_terms(preset):
     other = capture(camera(preset, phase_screen=zernike_screen(TERMS)), (20.0, -10.0))
     assert np.linalg.norm(one - other) < 1e-4 * np.linalg.norm(one)
     assert np.linalg.norm(one - capture(camera(preset), (20.0, -10.0))) > 0.1 * np.linalg.norm(one)
-
-
-def test_a_screen_deflects_rays_as_the_terms_do():
-    screen, terms = zernike_screen(TERMS), Wavefront(TERMS, 5.0)
-    points = np.random.default_rng(0).uniform(-3, 3, (2, 50))
-    for mine, theirs in zip(screen.slopes(*points), terms.slope(*points), strict=True):
-        assert np.allclose(mine, theirs, rtol=0, atol=1e-4 * np.abs(theirs).max())
-    x, y = mi.Float64(points[0]), mi.Float64(points[1])
-    assert np.allclose(screen.path(x, y), terms.path(*points), rtol=0, atol=1e-5 * np.ptp(terms.path(*points)))
 
 
 @pytest.mark.parametrize("lens_model", ["ideal", "parabolic"])
@@ -172,17 +154,6 @@ def test_a_star_off_axis_is_a_tilt():
 
 
 # -- the array in the image of the pupil --------------------------------------------------------------
-
-
-def test_spots_move_by_the_slope_of_the_wavefront():
-    tilt, sensor = 0.4, PlenopticCamera.preset("shack_hartmann")
-    still, power = spots(capture(sensor))
-    moved, _ = spots(capture(sensor.replace(wavefront=[0, tilt, 0])))
-    shifts = (moved - still)[:, power > 0.9 * np.median(power[power > 0.3 * power.max()])]
-    # A slope of 2 a / radius in the pupil is, upside down in its image, larger by the collimator's magnification.
-    expected = -16.0 * (2 * tilt * WAVELENGTH * 1e-6 / 5.0) / 0.32 / sensor.pixel_size
-    assert shifts.shape[1] > 60 and np.median(shifts[0]) == pytest.approx(expected, rel=0.005)
-    assert np.abs(shifts[1]).max() < 0.005
 
 
 def test_the_collimator_as_plain_data_and_what_it_refuses():
