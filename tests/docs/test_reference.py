@@ -159,7 +159,11 @@ assert len(MAIN) >= 20
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "report.plots.contact_sheet")) for name in MAIN]
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in ("reconstruct", "report.plots.contact_sheet")))
+        for name in MAIN
+    ],
 )
 def test_example_gives_what_it_states(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

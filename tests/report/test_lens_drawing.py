@@ -113,7 +113,6 @@ SEQ = "RDM;LEN\nDIM M\nWL 587.5618\nSO 0.0 1e13\nS {0} {1} 1.5:60.0\n STO\n CIR 
 """A biconvex lens, by radius, thickness and semi-aperture."""
 
 FILES = {
-    "long": SEQ.format(600, 6, 30),
     "tiny": SEQ.format(0.5, 0.1, 0.1),
     "dark corners": SEQ.format(50, 2, 2).replace("S 50", "S 0 300\n CIR 2\nS 50"),
 }
@@ -123,7 +122,7 @@ FILES = {
 def test_a_lens_file_is_judged_where_parallel_light_is_in_focus(name, tmp_path, capsys):
     """By the lens-maker's formula, whatever the size; nothing of the built-in cameras is in the way."""
     (tmp_path / "lens.seq").write_text(FILES[name])
-    radius, gap = {"long": (600, 6), "tiny": (0.5, 0.1), "dark corners": (50, 2)}[name]
+    radius, gap = {"tiny": (0.5, 0.1), "dark corners": (50, 2)}[name]
     focal_length = 1 / (0.5 * (2 / radius - 0.5 * gap / (1.5 * radius**2)))
     drawing = ["--drawing", str(tmp_path / "lens.png"), "--dpi", "40"]
     assert main(["info", str(tmp_path / "lens.seq"), *drawing, "--json"]) == 0
@@ -167,9 +166,9 @@ def test_options_that_a_lens_file_does_not_take_are_refused(options, words, tmp_
     assert complaint("info", path, *options).startswith(words.format(path=path))
 
 
-@pytest.mark.parametrize("changes", [{}, {"mla_lattice": "hexagonal", "mla_medium": 1.4, "mla_shape": ZoneLens(0.4)}])
-def test_draws_any_microlens(changes, tmp_path):
-    microlens_figure(PlenopticCamera(**changes), 532.0).save(tmp_path / "lens.png")
+def test_draws_any_microlens(tmp_path):
+    camera = PlenopticCamera(mla_lattice="hexagonal", mla_medium=1.4, mla_shape=ZoneLens(0.4))
+    microlens_figure(camera, 532.0).save(tmp_path / "lens.png")
     picture = matplotlib.image.imread(tmp_path / "lens.png")
     # Each of the three parts has colours.
     assert all((part[..., :3].std(axis=2) > 0.1).mean() > 0.01 for part in (picture[:, :560], picture[:, 600:1200]))

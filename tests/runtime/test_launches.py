@@ -46,7 +46,7 @@ def launches(device, work):
 @pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")  # the small patches
 @pytest.mark.parametrize("camera", [CAMERA, pytest.param(TURNED, marks=pytest.mark.slow)], ids=["square", "turned"])
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in ("adjoint", "derivative"))) for n in WORKS]
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in ("derivative", "gradient"))) for n in WORKS]
 )
 def test_more_points_of_a_batch_start_no_more_kernels(name, camera, request, monkeypatch):
     """And their sums are those that the processor computes point by point."""

@@ -195,6 +195,7 @@ def test_fields_that_end_with_a_page():
     assert (made.returncode, made.stdout.strip()) == (0, "fine"), made.stderr
 
 
+@pytest.mark.slow
 def test_python_without_docstrings_and_assertions():
     """Scenes load, capture and refocus as ever, and all commands have help."""
     code = """
