@@ -1,14 +1,12 @@
 """Where the light of bins comes from by a white capture, and images drawn back from there."""
 
-import math
-
 import cases
 import numpy as np
 import pytest
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct
-from mitsuba_plenoptic.refocus.displacement import PupilCentroid, brought_back, displacements, is_known
+from mitsuba_plenoptic.refocus.displacement import PupilCentroid, is_known
 from mitsuba_plenoptic.views import white_image
 
 CAMERA = PlenopticCamera(detector_width=0.768, resolution=(192, 192))
@@ -17,34 +15,6 @@ FOCUSED = PlenopticCamera(detector_width=0.768, resolution=(192, 192), detector_
 
 def error(image, camera):
     return float(np.abs(image - cases.known_radiance(camera, "ramp")).max())
-
-
-def test_a_plane_that_is_read_beside_its_bins_is_brought_back():
-    random = np.random.default_rng(1)
-    y, x = (axis[..., None] for axis in np.mgrid[:9, :11].astype(float))
-    moved = random.uniform(-0.6, 0.6, (2, 9, 11, 1))
-
-    def plane(x, y):
-        return 2 + 0.3 * x - 0.2 * y
-
-    image = plane(x + moved[0], y + moved[1])
-    image[4, 5] = np.nan
-    back = brought_back(image, moved, random.uniform(0.2, 1, image.shape), 1)
-    assert np.isnan(back[4, 5])
-    back[4, 5] = plane(5, 4)
-    np.testing.assert_allclose(back, plane(x, y), atol=1e-9)
-
-
-def test_displacements_are_told_of_both_axes_and_cut_at_a_lens():
-    slope = 0.01
-    y, x = (axis[..., None] - 2.0 for axis in np.mgrid[:5, :5].astype(float))
-    step = slope * CAMERA.mla_pitch / 2
-    tilted = [1 + step * (x + 0.4), 1 + step * (y - 9.0)]
-    tilted[0][0, 0] = np.nan
-    across, down = displacements(tilted, slope, CAMERA, 2)
-    assert across[0, 0] == 0
-    np.testing.assert_allclose(across.ravel()[1:], 0.4, atol=1e-9)
-    np.testing.assert_allclose(down, -2)
 
 
 @pytest.mark.filterwarnings("ignore:distance = 150")
@@ -58,17 +28,6 @@ def test_a_ramp_that_interference_displaces_is_drawn_back(monkeypatch, distance=
     divided = reconstruct(ramp, distance, **options).image / reconstruct(white, distance, **options).image
     image = reconstruct(ramp, distance, white=white, **options).image
     assert error(image, CAMERA) < 0.6 * error(divided, CAMERA)
-
-
-@pytest.mark.slow
-def test_a_ramp_that_waves_record_is_drawn_back_by_every_method():
-    camera = PlenopticCamera(detector_width=1.536, resolution=(768, 768))
-    ramp = cases.wall_capture(camera, math.inf, "ramp", "wave", 16)
-    white = cases.wall_capture(camera, 400.0, "white", "wave", 16)
-    for options in ({"method": "ray"}, {"method": "coherent"}, {"method": "partial"}):
-        divided = reconstruct(ramp, math.inf, **options).image / reconstruct(white, math.inf, **options).image
-        assert error(divided, camera) > 0.024
-        assert error(reconstruct(ramp, math.inf, white=white, **options).image, camera) < 0.022
 
 
 def test_focused_cameras_are_divided_alone():

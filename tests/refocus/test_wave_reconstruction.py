@@ -24,17 +24,13 @@ OTHER = PlenopticCamera(**OTHER_LENSES, detector_width=1.2, resolution=(640, 560
 DISTANCES = [105.0, 120.0, 140.0]
 METHODS = {
     "coherent": {"method": "coherent"},
-    "K2": {"method": "partial", "interleave": 2},
     "auto": {"method": "partial", "interleave": "auto"},
 }
 
 cameras = pytest.mark.parametrize(
     "camera", [SMALL, pytest.param(OTHER, marks=pytest.mark.slow)], ids=["paper", "other"]
 )
-of_waves = pytest.mark.parametrize("options", METHODS.values(), ids=METHODS.keys())
-MOSTLY = [pytest.param(options, marks=[pytest.mark.slow] * (name == "K2")) for name, options in METHODS.items()]
-"""Of tests in which every second lens takes the longest and tells the least."""
-most_methods = pytest.mark.parametrize("options", MOSTLY, ids=METHODS.keys())
+most_methods = pytest.mark.parametrize("options", METHODS.values(), ids=METHODS.keys())
 all_methods = pytest.mark.parametrize("options", [{"method": "ray"}, *METHODS.values()], ids=["ray", *METHODS.keys()])
 
 
@@ -141,29 +137,6 @@ def test_fine_bins_of_single_lenses_are_those_of_full_fields(oversample):
     assert np.linalg.norm(finer.reshape(count, 4, count, 4).sum((1, 3)) - single) <= 1e-5 * np.linalg.norm(single)
 
 
-def far_out_of_focus():
-    """Squares of lit lenses, seen through half of the pupil."""
-    image = np.zeros(SMALL.shape, np.float32)
-    for i in range(-6, 6):
-        for j in range(-6, 6):
-            if (i // 3 + j // 3) % 2 == 0:
-                image += micro_image(SMALL, i, j, 0.015)
-    return image
-
-
-def rms_distance(image, limit):
-    lit = limit > 0.2 * limit.max()
-    return math.sqrt(np.mean((image - limit)[lit] ** 2)) / limit[lit].mean()
-
-
-def test_interference_falls_with_the_period():
-    image = far_out_of_focus()
-    auto, *others = (refocus(image, 140.0, method="partial", interleave=k).image for k in ("auto", 1, 2, 4))
-    distances = [rms_distance(other, auto) for other in others]
-    assert distances == sorted(distances, reverse=True)
-    assert distances[0] > 0.03
-
-
 def test_without_the_relay_planes_out_of_focus_stay_blurred():
     """A point at 140 mm, back at its distance: the literal reading of the paper spreads it widely."""
     X = -0.5 * SMALL.bin_size(140.0)
@@ -246,12 +219,11 @@ def test_each_channel_has_its_wavelength():
     camera = small_camera(4, **HALF)
     image = np.random.default_rng(0).random((128, 128, 3), dtype=np.float32)
     wavelengths = (WAVELENGTH, 550.0, WAVELENGTH)
-    result = reconstruct(Capture(image, camera, wavelengths, "wave"), 125.0, method="coherent")
+    result = reconstruct(Capture(image, camera, wavelengths), 125.0, method="coherent")
     assert result.options["wavelength"] == list(wavelengths)
     for channel in (1, 2):
-        of_channel = Capture(image[..., channel], camera, wavelengths[channel], "wave")
+        of_channel = Capture(image[..., channel], camera, wavelengths[channel])
         single = refocus(of_channel, 125.0, camera, wavelengths[channel], method="coherent")
-        # The white of all channels has other random numbers.
         np.testing.assert_allclose(result.image[..., channel], single.image, rtol=1e-3)
 
 
@@ -265,17 +237,6 @@ def test_pixels_too_coarse_for_the_wave_are_subdivided():
         for pixels, camera in ((image, coarse), (fine, SMALL))
     )
     np.testing.assert_allclose(a, b, atol=1e-2 * b.max())
-
-
-@all_methods
-def test_progress_ends_complete(options):
-    seen = []
-    camera = small_camera(4, **HALF)
-    image = np.ones((128, 128, 3), np.float32)
-    refocus(image, [115.0, 120.0], camera, progress=lambda *step: seen.append(step), **options)
-    assert seen[0][0] == 0
-    assert seen[-1][0] == seen[-1][1]
-    assert seen == sorted(seen)
 
 
 def test_the_command_writes_method_and_camera_into_the_header(tmp_path, run, complaint):

@@ -64,14 +64,6 @@ def test_the_radiance_of_a_white_does_not_scale_images(radiance):
     np.testing.assert_allclose(lf.values[lf.weight.values > 0], 0.7, rtol=1e-4)
 
 
-def test_whites_by_pixels_of_slanted_response_restore_the_radiance():
-    """Rays reach pixels at up to six degrees, which lose 15 % of them; the white knows how much."""
-    camera = CAMERA.replace(pixel_response=(0, 1, 10, 0.5))
-    white = mp.render_capture(mp.load_scene(SKY | {"camera": camera.to_sensor()}), spp=64)
-    assert white.image.sum() / WHITE.sum() == pytest.approx(0.85, abs=0.01)
-    np.testing.assert_allclose(mp.reconstruct(white, 240.0, white=white).image, 1, rtol=1e-5)
-
-
 WAVES = ({"method": "coherent"}, {"method": "partial"}, {"method": "partial", "interleave": "auto"})
 NARROW = mp.PlenopticCamera(
     focal_length=40, aperture_radius=5.0, mla_distance=60, mla_focal_length=0.12, mla_pitch=0.01996,
