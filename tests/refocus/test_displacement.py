@@ -6,7 +6,7 @@ import pytest
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct
-from mitsuba_plenoptic.refocus.displacement import PupilCentroid, is_known
+from mitsuba_plenoptic.refocus.displacement import PupilCentroid, brought_back, displacements, is_known
 from mitsuba_plenoptic.views import white_image
 
 CAMERA = PlenopticCamera(detector_width=0.768, resolution=(192, 192))
@@ -15,6 +15,34 @@ FOCUSED = PlenopticCamera(detector_width=0.768, resolution=(192, 192), detector_
 
 def error(image, camera):
     return float(np.abs(image - cases.known_radiance(camera, "ramp")).max())
+
+
+def test_a_plane_that_is_read_beside_its_bins_is_brought_back():
+    random = np.random.default_rng(1)
+    y, x = (axis[..., None] for axis in np.mgrid[:9, :11].astype(float))
+    moved = random.uniform(-0.6, 0.6, (2, 9, 11, 1))
+
+    def plane(x, y):
+        return 2 + 0.3 * x - 0.2 * y
+
+    image = plane(x + moved[0], y + moved[1])
+    image[4, 5] = np.nan
+    back = brought_back(image, moved, random.uniform(0.2, 1, image.shape), 1)
+    assert np.isnan(back[4, 5])
+    back[4, 5] = plane(5, 4)
+    np.testing.assert_allclose(back, plane(x, y), atol=1e-9)
+
+
+def test_displacements_are_told_of_both_axes_and_cut_at_a_lens():
+    slope = 0.01
+    y, x = (axis[..., None] - 2.0 for axis in np.mgrid[:5, :5].astype(float))
+    step = slope * CAMERA.mla_pitch / 2
+    tilted = [1 + step * (x + 0.4), 1 + step * (y - 9.0)]
+    tilted[0][0, 0] = np.nan
+    across, down = displacements(tilted, slope, CAMERA, 2)
+    assert across[0, 0] == 0
+    np.testing.assert_allclose(across.ravel()[1:], 0.4, atol=1e-9)
+    np.testing.assert_allclose(down, -2)
 
 
 @pytest.mark.filterwarnings("ignore:distance = 150")
