@@ -57,7 +57,9 @@ def test_ideal_rays_of_a_plane_meet_in_its_image():
 LENSES = {
     "paper": PlenopticCamera(),
     "lytro, parabolic": PlenopticCamera.preset("lytro").replace(lens_model="parabolic"),
+    "aberrations": PlenopticCamera(wavefront=(0, 0, 0, 3.0, 5.0, 0, 4.0)),
     "aberrations, parabolic": PlenopticCamera(wavefront=(0, 0, 0, 3.0, 5.0, 0, 4.0), lens_model="parabolic"),
+    "distortion": PlenopticCamera(distortion=(1e-3, -2e-6, 0, 1e-4, -2e-4)),
     "distortion, parabolic": PlenopticCamera(distortion=(-1e-3, 0, 0, 1e-4, 0), lens_model="parabolic"),
     "objective": PlenopticCamera.preset("lfm_water"),
 }
