@@ -516,9 +516,14 @@ class Response(StoredResponse):
 
 
 def _around(camera: PlenopticCamera, image: Floats) -> Floats:
-    """Return the mean of an image over eight lenses around each pixel, which is a symmetric matrix."""
-    width = 2 * math.ceil(4 * camera.micro_image_pitch / camera.pixel_size) + 1
-    return np.asarray(uniform_filter(image, width, mode="reflect"))
+    """Return the mean of an image over nine lenses around each, in blocks of a lens; a symmetric matrix."""
+    width = max(1, round(camera.micro_image_pitch / camera.pixel_size))
+    rows, columns = (-(-size // width) for size in image.shape)
+    whole = np.zeros((rows * width, columns * width), np.float32)
+    whole[: image.shape[0], : image.shape[1]] = image
+    means = whole.reshape(rows, width, columns, width).sum(3).sum(1) / np.float32(width**2)
+    around = uniform_filter(means, 9, mode="reflect").repeat(width, 0).repeat(width, 1)
+    return np.asarray(around[: image.shape[0], : image.shape[1]])
 
 
 def _farthest(camera: PlenopticCamera) -> float:
