@@ -122,6 +122,7 @@ def test_detected_boards_give_the_camera_back(corners):
     assert found.numbers["focal_length"] == pytest.approx(CAMERA.focal_length, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_white_image_is_enough(pictures, corners):
     # Centres come from the white image, lenses are counted from its first: the same corners at the same places.
     white = white_image(CAMERA)

@@ -71,9 +71,11 @@ FADED = {
 }
 
 
-@pytest.mark.parametrize(("fill", "shifted", "brightness"), FADED.values(), ids=FADED)
-def test_centres_do_not_follow_the_fall_off(fill, shifted, brightness):
-    light, row = faded(fill, shifted, brightness)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "polynomial, gaps")) for name in FADED]
+)
+def test_centres_do_not_follow_the_fall_off(name):
+    light, row = faded(*FADED[name])
     found = find_centres(np.random.default_rng(2).poisson(PHOTONS * light) / PHOTONS)
     np.testing.assert_allclose(found.grid.spacing, (PITCH, row), rtol=1e-5)
     assert math.degrees(found.grid.rotation) == pytest.approx(ROTATION, abs=1e-3)

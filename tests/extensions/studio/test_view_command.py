@@ -17,13 +17,7 @@ def computed(raw, tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("computed")
     distances = ["--distance", "236", "--distance", "244"]
-    for command in (
-        ["stack", *distances],
-        ["reconstruct", *distances],
-        ["depth"],
-        ["convert"],
-        ["views"],
-    ):
+    for command in (["stack", *distances], ["reconstruct", *distances], ["depth"], ["convert"], ["views"]):
         suffix = "nc" if command[0] == "convert" else "exr"
         assert main([command[0], str(raw), "-o", str(folder / f"{command[0]}.{suffix}"), *command[1:]]) == 0
     return folder
