@@ -55,6 +55,7 @@ def test_a_run_that_was_stopped_or_grew_ends_with_the_same_bits(made, tmp_path, 
         writes.append(path)
         if len(writes) in (2, 5):
             (path.parent / f".{path.name}.half").mkdir()
+            (path.parent / f".{path.name}.half" / path.name).touch()
             raise KilledError
         write(path, samples)
         if len(writes) in (4, 7):

@@ -61,7 +61,7 @@ def test_expose_through_a_mosaic(mosaic, crop, tmp_path):
         {"mla_lattice": "hexagonal", "mla_rotation": 7.0},
         {"resolution": (96, 96)},
         {"crop_offset": (33, 20), "crop_size": (150, 131)},
-        {"aperture_radius": 6.5},
+        {"aperture_radius": 7.4},
     ],
     ids=["hexagonal", "few pixels", "crop", "touching"],
 )
