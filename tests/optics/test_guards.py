@@ -162,7 +162,8 @@ class TestCrosstalk:
             mp.render_capture(scene, spp=1)
 
 
-@pytest.mark.parametrize("name", ["letters", pytest.param("chart", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["letters", "chart"])
 def test_built_in_scenes_are_silent_by_rays_and_waves(name, tmp_path):
     """And their files tell the shares."""
     scene = mp.load_scene(name, parameters={"detector_width": "0.256", "resolution": "128"})
