@@ -8,7 +8,7 @@ from scipy.special import fresnel
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, point_spread_function
 from mitsuba_plenoptic.fields.elements import Element
-from mitsuba_plenoptic.fields.links import Chain, FreeSpace, Fresnel, Hop
+from mitsuba_plenoptic.fields.links import Chain, FreeSpace, Fresnel, FromSpectrum, Hop, Spectrum
 from mitsuba_plenoptic.fields.steps import AxisStep, Directions, LensAxis, Step
 from mitsuba_plenoptic.fields.workspace import FieldWorkspace
 from mitsuba_plenoptic.optics.waves import phasor
@@ -112,6 +112,31 @@ def test_one_transform_is_fresnels_integral():
     ]
     expected = sums[0] @ field.T @ sums[1].T
     assert error(result(Fresnel(step, onto, distance, WAVELENGTH), field, (61, 61)), expected) < 2e-6
+
+
+def links():
+    for name in STEPS:
+        step = step_of(name, "finer")
+        held = step.x.held, step.y.held
+        source, there = (step.y.count, step.x.count), step.shape
+        for space, given in SPACES.items():
+            yield f"{name}, {space}", Hop(step, given, Element(step, lens)), source, there
+        separated = Element.separated(step, lambda x, y: phasor(30 * x * x - 20 * y), (0.0, 0.0))
+        yield f"{name}, lines", Hop(step, SPACES["cosines"], separated), source, there
+        yield f"{name}, directions", Spectrum(step, Element(step, lens)), source, held
+        yield f"{name}, from directions", FromSpectrum(step, lambda watch: None), held, there
+        after = Step(*(AxisStep(a.start, a.new_pitch, a.wanted, 128, 128, a.start, 30) for a in (step.x, step.y)))
+        yield f"{name}, chain", Chain([Hop(step, SPACES["cosines"]), Hop(after, SPACES["slopes"])]), source, (30, 30)
+    axis = AxisStep(-0.04, PITCH, 41, 90, 61, -0.04, 41)
+    onto = LensAxis(61, LAM * 2.0 / (90 * PITCH))
+    yield "fresnel", Fresnel(Directions(axis, axis), (onto, onto), 2.0, WAVELENGTH), (41, 41), (61, 61)
+
+
+@pytest.mark.parametrize(("link", "source", "there"), [pytest.param(*rest, id=name) for name, *rest in links()])
+def test_adjoints(link, source, there):
+    x, y = random(*source), random(*there, seed=1)
+    forward, adjoint = result(link, x, there), result(link, y, source, adjoint=True)
+    assert abs(np.vdot(y, forward) - np.vdot(adjoint, x)) < 1e-6 * np.linalg.norm(forward) * np.linalg.norm(y)
 
 
 CAMERA = PlenopticCamera(

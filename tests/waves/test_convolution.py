@@ -98,3 +98,13 @@ def test_few_patterns_keep_the_light():
     straight = np.einsum("xpn,n->x", values, of_cells[:FUNCTIONS].sum((1, 2)))
     assert of_cells[FUNCTIONS:].sum((1, 2)) == pytest.approx(0, abs=1e-9)
     assert light == pytest.approx(straight, rel=1e-4)
+
+
+def test_the_adjoint_is_that_of_the_images():
+    kernels, _, oblique, _ = made()
+    values, cosines = lit(3)
+    bent = oblique.terms(cosines)
+    images = np.random.default_rng(4).normal(size=(len(kernels.kernels), PIXELS)).astype(np.float32)
+    for forward, adjoint in ((kernels.combined, kernels.adjoint), (kernels.turned, kernels.turned_adjoint)):
+        there, back = np.vdot(forward(values, bent), images), np.vdot(values, adjoint(images, bent))
+        assert there == pytest.approx(back, rel=1e-4)
