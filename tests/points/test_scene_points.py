@@ -47,14 +47,11 @@ def by_signed_rays(scene, spp=256, **options):
     [
         {},
         pytest.param(
-            {
-                "mla_transmissions": [[0.5, 1.0, 1.0, 1.0], [1.0, 0.7, 1.0, 0.8], [1.0, 1.2, 1.0, 0.6]],
-                "vignetting": {"radius": [0.95], "slope_x": [0.1], "apodisation_2": [-0.3]},
-            },
+            {"mla_transmissions": [[0.5, 1.0, 1.0, 1.0], [1.0, 0.7, 1.0, 0.8], [1.0, 1.2, 1.0, 0.6]]},
             marks=pytest.mark.slow,
         ),
     ],
-    ids=["even", "unequal lenses and vignetting"],
+    ids=["even", "unequal lenses"],
 )
 def test_surfaces_are_seen_as_by_signed_rays(changes):
     seen = PlenopticCamera(detector_width=0.256, resolution=(64, 64), lens_model="parabolic", **changes)
