@@ -11,9 +11,11 @@ from mitsuba_plenoptic import Capture, decode, render_capture
 from mitsuba_plenoptic.views import micro_images, white_pixels
 
 
-@pytest.mark.parametrize("name", ["square", pytest.param("three focal lengths", marks=pytest.mark.slow)])
-def test_views_of_a_white_scene_by_waves_read_one(name):
-    calls, camera = [], CAMERAS[name].replace(resolution=(64, 64))
+@pytest.mark.parametrize(
+    ("name", "pixels"), [("square", 64), pytest.param("three focal lengths", 128, marks=pytest.mark.slow)]
+)
+def test_views_of_a_white_scene_by_waves_read_one(name, pixels):
+    calls, camera = [], CAMERAS[name].replace(resolution=(pixels, pixels))
     capture = render_capture(white(camera), spp=16, model="wave")
     lf = decode(capture, progress=lambda *work: calls.append(work))
     assert calls and calls[-1][0] == calls[-1][1]
