@@ -52,7 +52,7 @@ slow: $(VENV)/.ready llvm
 	$(PYTEST) -m slow --timeout=1200 --durations-path tests/slow_seconds.json \
 		$(if $(PART),--splits $(SLOW_PARTS) --group $(PART)) $(if $(MEASURE),--store-durations --clean-durations)
 
-# The slow tests and the coverage, of which .ci/run and a workflow run one at a time: PART=1 and so on, or by the hour.
+# The slow tests and the coverage, of which a workflow runs one at a time: PART=1 and so on, or by the hour.
 PART_BY_TIME = $(shell expr $$(date +%s) / 10800 % \( $(SLOW_PARTS) + 1 \) + 1)
 in-turn:
 	@echo "In turn: part $(or $(PART),$(PART_BY_TIME)) of $$(($(SLOW_PARTS) + 1)), where the last is the coverage"
