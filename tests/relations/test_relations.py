@@ -1,0 +1,34 @@
+"""What every camera obeys: each relation on a fixed draw of random cameras; `make hunt` goes on with others."""
+
+import pytest
+from camera_draws import NOT_DRAWN, OPTIONS, Draw, scaled
+from hunt import again
+from relation import RELATIONS, draw_of, judged
+
+from mitsuba_plenoptic import PlenopticCamera
+from mitsuba_plenoptic.camera import PARAMETERS
+
+DRAWS = 3
+
+
+def test_every_parameter_is_drawn():
+    from camera_draws import BASE
+
+    assert set(BASE) | set(OPTIONS) | set(NOT_DRAWN) == set(PARAMETERS)
+    assert not set(NOT_DRAWN) & (set(BASE) | set(OPTIONS))
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_an_option_makes_a_camera_whose_unit_may_change(name):
+    draw = Draw(7, [name])
+    assert name in draw.parameters or "none" in draw.parameters.values()
+    back = scaled(scaled(draw.parameters, 2.0), 0.5)
+    assert PlenopticCamera(**back).to_dict() == draw.camera.to_dict()
+
+
+@pytest.mark.parametrize("name", RELATIONS)
+def test_a_relation_holds(name):
+    """Cameras are those of a fixed draw."""
+    outcomes = [judged(RELATIONS[name], draw_of(RELATIONS[name], seed)) for seed in range(DRAWS)]
+    failures = [f"{again(name, each.draw)}  {each.words}" for each in outcomes if each.verdict == "fails"]
+    assert failures == []
