@@ -5,6 +5,7 @@ A line a failure, with what repeats it; at the end, what was computed. The exit 
 
 import itertools
 import os
+import signal
 import sys
 import time
 from collections import Counter
@@ -19,12 +20,20 @@ import mitsuba_plenoptic  # noqa: F401  chooses LLVM before Dr.Jit loads
 import mitsuba as mi  # isort: skip
 
 mi.set_variant("llvm_ad_mono")
+import of_captures  # noqa: E402, F401
 import of_points  # noqa: E402, F401
 from camera_draws import OPTIONS, Draw  # noqa: E402
-from relation import RELATIONS, draw_of, judged, shrunk  # noqa: E402
+from relation import RELATIONS, TooLongError, draw_of, judged, shrunk  # noqa: E402
 
-SHRINKING = 15.0
-"""Seconds after the end that a failure may take to lose options."""
+GRACE = 10.0
+"""Seconds after the end that a draw, or a failure that loses options, may take."""
+
+LONGEST = 60.0
+"""Seconds that one draw may take."""
+
+
+def stop(*_):
+    raise TooLongError
 
 
 def again(name, draw):
@@ -35,15 +44,18 @@ def again(name, draw):
 def hunt(seconds, seed):
     """Return how many draws fail; print them, and at the end what was computed."""
     end = time.monotonic() + seconds
+    signal.signal(signal.SIGALRM, stop)
     verdicts, spent, options, pairs = Counter(), Counter(dict.fromkeys(RELATIONS, 0.0)), Counter(), Counter()
     for number in itertools.count(seed * 10**6):
         if time.monotonic() > end:
             break
         name = min(RELATIONS, key=lambda each: spent[each])
         relation, start = RELATIONS[name], time.monotonic()
+        signal.setitimer(signal.ITIMER_REAL, min(LONGEST, end + GRACE - start))
         outcome = judged(relation, draw_of(relation, number))
+        signal.setitimer(signal.ITIMER_REAL, 0)
         if outcome.verdict == "fails":
-            outcome = shrunk(relation, outcome, end + SHRINKING)
+            outcome = shrunk(relation, outcome, end + GRACE)
             print(f"{again(name, outcome.draw)}  {outcome.words}  {outcome.draw.parameters}", flush=True)
         spent[name] += time.monotonic() - start
         verdicts[name, outcome.verdict] += 1

@@ -14,8 +14,8 @@ from mitsuba_plenoptic.camera.entry import Captures, Use
 IRREGULAR = "mla_jitter mla_seed mla_figure_error mla_transmissions"
 """What tells lenses apart by their indices."""
 
-STRONG = {"mla_transmissions", "mla_warp", "mla_cra", "vignetting"}
-"""Options behind which patches miss up to 1.3 per cent of a spread, as the table of support states."""
+STRONG = {"mla_transmissions", "mla_warp", "mla_cra", "mla_tilt", "vignetting"}
+"""Behind them patches miss up to 1.3 per cent of a spread, and bins are displaced, as the table of support states."""
 
 AT_THE_LINE_D = "glass mla_glass"
 """Their focal lengths are those at a wavelength that has a name."""
@@ -32,6 +32,8 @@ def picture(camera, points, wavelength, weights=None, s=1.0):
 @relation(Use.POINTS, AT_THE_LINE_D)
 def units(draw):
     """All lengths and the wavelength s times as long: the same picture."""
+    if draw.camera.prescription is not None:
+        return None
     points, s = [draw.point()], float(draw.rng.choice([0.6, 1.7]))
     other = mp.PlenopticCamera(**scaled(draw.parameters, s))
     return off(picture(other, points, draw.wavelength, s=s), picture(draw.camera, points, draw.wavelength)), 1e-3
@@ -90,7 +92,7 @@ def turn_of(camera):
     return 120.0 if len(camera.mla_focal_lengths) == 3 else 60.0
 
 
-@relation(Use.POINTS, IRREGULAR)
+@relation(Use.POINTS, f"{IRREGULAR} crop_offset crop_size")
 def turned_lattice(draw):
     """A lattice turned by an angle of its symmetry: the same picture."""
     camera, points = draw.camera, [draw.point()]
@@ -98,7 +100,7 @@ def turned_lattice(draw):
     return off(picture(other, points, draw.wavelength), picture(camera, points, draw.wavelength)), bound(draw, 1e-3)
 
 
-@relation(Use.POINTS, IRREGULAR)
+@relation(Use.POINTS, f"{IRREGULAR} crop_offset crop_size")
 def moved_lattice(draw):
     """A lattice moved by one of its vectors that maps kinds of lenses to themselves: the same picture."""
     camera, points = draw.camera, [draw.point()]
@@ -188,9 +190,11 @@ def derivative(draw):
     return (off(slope, narrow), limit) if off(wide, narrow) < limit / 2 else None
 
 
-@relation(Use.POINT_DERIVATIVES, f"{AT_THE_LINE_D} focus_distance")
+@relation(Use.POINT_DERIVATIVES, f"{AT_THE_LINE_D} focus_distance crop_offset crop_size")
 def euler(draw):
     """Derivatives times values of all lengths, points and the wavelength add up to none: pictures have no unit."""
+    if draw.camera.prescription is not None:
+        return None
     camera = draw.camera.replace(detector_distance=draw.camera.detector_distance)
     points, h = np.array([draw.point()]), 1e-4
     longer = {name: parts_of(camera, name) for name in with_gradient(Captures.POINTS) if dimension_of(name) == 1}

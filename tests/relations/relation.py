@@ -49,8 +49,12 @@ def relation(use: Use, without: str = "", method: str = "") -> Callable[[Callabl
     return add
 
 
+class TooLongError(Exception):
+    """The time of a draw is over."""
+
+
 class Outcome(NamedTuple):
-    """What became of a draw: computed, silent (it says nothing), refused, or fails."""
+    """What became of a draw: computed, silent (it says nothing), refused, warned, unfinished, or fails."""
 
     verdict: str
     words: str
@@ -73,6 +77,8 @@ def judged(relation: Relation, draw: Draw) -> Outcome:
         warnings.simplefilter("error", RuntimeWarning)
         try:
             judgement = relation.judge(draw)
+        except TooLongError:
+            return Outcome("unfinished", "", draw)
         except mp.InputError as error:
             words = str(error)
             named = any(name in words for name in (*draw.options, *draw.parameters))
