@@ -67,7 +67,7 @@ def of_reconstructions(method):
     def white(draw):
         """A white world reads 1 over the middle of the image: by rays, where a method has responses of both models."""
         capture = mp.render_capture(sky(draw.camera), model="ray", spp=64)
-        others = {"response": "ray"} if use is Use.RESPONSES else {}
+        others = {"response": "ray"} if method == "deconvolved" else {}
         image = image_at(
             draw.camera, capture.image, 0.96 * draw.camera.focus_distance, method, draw.wavelength, **others
         )

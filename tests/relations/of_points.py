@@ -49,7 +49,7 @@ def mirrored_options(draw):
     for name in set(signs) & set(p):
         value = np.asarray(p[name]) * np.asarray(signs[name])
         p[name] = tuple(value.tolist()) if value.ndim else float(value)
-    if "mla_focal_length" in draw.options:
+    if len(draw.camera.mla_focal_lengths) == 3:
         p["mla_focal_length"] = tuple(p["mla_focal_length"][i] for i in (0, 2, 1))
     if "aperture_blades" in p:
         p["aperture_blades"] = (p["aperture_blades"][0], 180.0 - p["aperture_blades"][1])
@@ -95,6 +95,8 @@ def turn_of(camera):
 @relation(Use.POINTS, f"{IRREGULAR} crop_offset crop_size")
 def turned_lattice(draw):
     """A lattice turned by an angle of its symmetry: the same picture."""
+    if not draw.camera.has_array:
+        return None
     camera, points = draw.camera, [draw.point()]
     other = camera.replace(mla_rotation=camera.mla_rotation + turn_of(camera))
     return off(picture(other, points, draw.wavelength), picture(camera, points, draw.wavelength)), bound(draw, 1e-3)
@@ -103,6 +105,8 @@ def turned_lattice(draw):
 @relation(Use.POINTS, f"{IRREGULAR} crop_offset crop_size")
 def moved_lattice(draw):
     """A lattice moved by one of its vectors that maps kinds of lenses to themselves: the same picture."""
+    if not draw.camera.has_array:
+        return None
     camera, points = draw.camera, [draw.point()]
     kinds = len(camera.mla_focal_lengths)
     vector = kinds * draw.rng.integers(-2, 3, 2) @ np.array(camera.lattice.basis)
