@@ -46,16 +46,16 @@ def of_reconstructions(method):
         image, g = rng_image(draw), draw.point()[2]
         other = mp.PlenopticCamera(**mirrored_options(draw))
         there = image_at(other, np.ascontiguousarray(image[:, ::-1]), g, method, draw.wavelength)
-        return off_bins(
-            there[:, ::-1], image_at(draw.camera, image, g, method, draw.wavelength)
-        ), 0.01 if use is Use.RESPONSES else bound(draw, 2e-3)
+        return off_bins(there[:, ::-1], image_at(draw.camera, image, g, method, draw.wavelength)), bound(
+            draw, 0.005
+        ) if method == "ray" else 0.015
 
     def planes(draw):
         """Several distances at once are those of each alone, but for the samples of fields, which suit all of them."""
         image, distances = rng_image(draw), [draw.point()[2], draw.point()[2]]
         together = image_at(draw.camera, image, distances, method, draw.wavelength)
         alone = [image_at(draw.camera, image, g, method, draw.wavelength) for g in distances]
-        return max(off_bins(*pair) for pair in zip(together, alone, strict=True)), 2e-3 if use is Use.FIELDS else 1e-5
+        return max(off_bins(*pair) for pair in zip(together, alone, strict=True)), 0.01 if use is Use.FIELDS else 1e-5
 
     def channels(draw):
         """Equal channels of colour are those of luminance."""

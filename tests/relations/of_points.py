@@ -49,7 +49,7 @@ def mirrored_options(draw):
     for name in set(signs) & set(p):
         value = np.asarray(p[name]) * np.asarray(signs[name])
         p[name] = tuple(value.tolist()) if value.ndim else float(value)
-    if len(draw.camera.mla_focal_lengths) == 3:
+    if len(draw.camera.mla_focal_lengths or ()) == 3:
         p["mla_focal_length"] = tuple(p["mla_focal_length"][i] for i in (0, 2, 1))
     if "aperture_blades" in p:
         p["aperture_blades"] = (p["aperture_blades"][0], 180.0 - p["aperture_blades"][1])
@@ -85,11 +85,12 @@ def mirror(draw):
 
 def turn_of(camera):
     """Return the angle in degrees by which a lattice is the same, its kinds of lenses too."""
+    kinds = len(camera.mla_focal_lengths)
     if camera.mla_pitches[0] != camera.mla_pitches[1]:
-        return 180.0
+        return 180.0 if kinds == 1 else 360.0
     if camera.mla_lattice == "square":
         return 90.0
-    return 120.0 if len(camera.mla_focal_lengths) == 3 else 60.0
+    return 120.0 if kinds == 3 else 60.0
 
 
 @relation(Use.POINTS, f"{IRREGULAR} crop_offset crop_size")
@@ -99,7 +100,7 @@ def turned_lattice(draw):
         return None
     camera, points = draw.camera, [draw.point()]
     other = camera.replace(mla_rotation=camera.mla_rotation + turn_of(camera))
-    return off(picture(other, points, draw.wavelength), picture(camera, points, draw.wavelength)), bound(draw, 1e-3)
+    return off(picture(other, points, draw.wavelength), picture(camera, points, draw.wavelength)), bound(draw, 2e-3)
 
 
 @relation(Use.POINTS, f"{IRREGULAR} crop_offset crop_size")
@@ -111,7 +112,7 @@ def moved_lattice(draw):
     kinds = len(camera.mla_focal_lengths)
     vector = kinds * draw.rng.integers(-2, 3, 2) @ np.array(camera.lattice.basis)
     other = camera.replace(mla_offset=tuple((np.array(camera.mla_offset) + vector).tolist()))
-    return off(picture(other, points, draw.wavelength), picture(camera, points, draw.wavelength)), bound(draw, 1e-3)
+    return off(picture(other, points, draw.wavelength), picture(camera, points, draw.wavelength)), bound(draw, 2e-3)
 
 
 @relation(Use.POINTS, "crop_offset crop_size stray_light stray_width")
