@@ -114,7 +114,7 @@ clean:
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 	rm -rf demo/data
-	rm -f demo/report.html demo/results.json $(foreach name,first fig1 fig2 fig3 fig4 methods interference captures,\
+	rm -f demo/report.html demo/results.json $(foreach name,answer first fig1 fig2 fig3 fig4 methods interference captures,\
 		demo/$(name).png demo/$(name).pdf)
 	if [ -d demo ]; then rmdir --ignore-fail-on-non-empty demo; fi
 	if [ -f $(VENV)/.made-by-make ]; then rm -rf $(VENV); fi

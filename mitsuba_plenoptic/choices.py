@@ -39,6 +39,9 @@ QUANTITIES = {
 }
 """Quantities of ground truth, of the point that a ray meets, with their channels."""
 
+LYTRO_SUFFIXES = (".lfp", ".lfr", ".raw")
+"""Of raw pictures of Lytro cameras; a file ``.raw`` has its metadata in a text file of the same name."""
+
 RAW_SUFFIXES = (".png", ".tif", ".tiff", ".bmp")
 """Of raw pictures."""
 

@@ -452,10 +452,10 @@ def require_length(name: str, value: Any, *, finite: bool = True) -> float:
     return require_number(name, value, positive=True, minimum=SHORTEST, maximum=LONGEST, finite=finite)
 
 
-def require_lengths(name: str, value: Any) -> tuple[float, ...]:
-    """Return one or several lengths as a tuple."""
+def require_lengths(name: str, value: Any, rule: Callable[[str, Any], float] = require_length) -> tuple[float, ...]:
+    """Return one or several lengths, or numbers by another rule, as a tuple."""
     value = _plain(value)
-    return tuple(require_length(name, length) for length in (value if isinstance(value, (tuple, list)) else [value]))
+    return tuple(rule(name, length) for length in (value if isinstance(value, (tuple, list)) else [value]))
 
 
 def require_pitches(name: str, value: Any) -> tuple[float, float]:
@@ -482,21 +482,16 @@ def require_place(name: str, value: Any) -> tuple[float, float]:
 
 def require_wavefront(name: str, value: Any) -> tuple[float, ...]:
     """Return Zernike coefficients in waves, up to 66 of them, as a tuple."""
-    value = _plain(value)
-    if not isinstance(value, (tuple, list)) or len(value) > MOST_ABERRATIONS:
-        raise InputError(f"{name} = {short_repr(value)}: it must be at most {MOST_ABERRATIONS} numbers")
     # 1000.0: Waves, root mean square over the pupil, of one of them at most.
     bound = 1000.0
-    return require_numbers(name, value, count=len(value), minimum=-bound, maximum=bound)
+    form = f"at most {MOST_ABERRATIONS} numbers"
+    return require_numbers(name, value, count=range(MOST_ABERRATIONS + 1), form=form, minimum=-bound, maximum=bound)
 
 
 def require_warp(name: str, value: Any) -> tuple[float, ...]:
     """Return 14 or 36 coefficients of a warp, fewer than 14 filled up with zeros; none if all are zero."""
-    value = _plain(value)
     # Terms of third or of fifth degree: 7 or 18 along x, then as many along y.
-    if not isinstance(value, (tuple, list)) or (len(value) > 14 and len(value) != 36):
-        raise InputError(f"{name} = {short_repr(value)}: it must be at most 14 numbers, or 36")
-    numbers = require_numbers(name, value, count=len(value))
+    numbers = require_numbers(name, value, count=(*range(15), 36), form="at most 14 numbers, or 36")
     return numbers + (0.0,) * (14 - len(numbers)) if any(numbers) else ()
 
 
@@ -533,12 +528,19 @@ def _require_pairs(name: str, value: Any, meaning: str, rising: str) -> tuple[fl
 
 
 def require_numbers(
-    name: str, value: Any, *, count: int, minimum: float | None = None, maximum: float | None = None
+    name: str,
+    value: Any,
+    *,
+    count: int | Collection[int],
+    form: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
 ) -> tuple[float, ...]:
-    """Return `count` numbers within bounds as a tuple."""
+    """Return numbers within bounds as a tuple: `count`, or one of several counts, which `form` states."""
     value = _plain(value)
-    if not isinstance(value, (tuple, list)) or len(value) != count:
-        raise InputError(f"{name} = {short_repr(value)}: it must be {count} numbers")
+    counts = [count] if isinstance(count, int) else count
+    if not isinstance(value, (tuple, list)) or len(value) not in counts:
+        raise InputError(f"{name} = {short_repr(value)}: it must be {form or f'{count} numbers'}")
     return tuple(require_number(name, item, minimum=minimum, maximum=maximum) for item in value)
 
 

@@ -27,6 +27,7 @@ import matplotlib
 import mitsuba as mi
 import numpy as np
 import real_pictures
+import scipy
 import xarray as xr
 from bench.cases import phase_space as walls
 from check_release import page_code, page_files
@@ -39,7 +40,7 @@ from PIL import Image, ImageChops, ImageOps
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import particles as pt
 from mitsuba_plenoptic.errors import require_choice
-from mitsuba_plenoptic.extensions.studio.preview import draw_preview, preview_of
+from mitsuba_plenoptic.extensions.studio.preview import preview_figure, preview_of
 from mitsuba_plenoptic.fitting import View
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.optimisation import maximise
@@ -147,8 +148,12 @@ def readme() -> Image.Image:
 def start() -> Image.Image:
     """Show what the package is about: a capture, images refocused from it, and the depth."""
     scale = ScalarMappable(Normalize(190, 310), "viridis_r")
-    shown = coloured(depth()["depth"].values, 190, 310, colours="viridis_r", unknown=238)
-    panels = [*refocused_still_life(), ("Depth; grey: unknown", shown)]
+    known = depth()["depth"].values
+    nearest = scipy.ndimage.distance_transform_edt(np.isnan(known), return_distances=False, return_indices=True)
+    panels = [
+        *refocused_still_life(),
+        ("Depth; gaps from nearest", coloured(known[tuple(nearest)], 190, 310, colours="viridis_r")),
+    ]
     return sheet([panels[:3], panels[3:]], colours=(scale, "mm from the main lens"))
 
 
@@ -549,10 +554,7 @@ def figures() -> Image.Image:
 def preview() -> Image.Image:
     """Preview the still life by the paper's camera."""
     scene = mp.load_scene("still_life", variant="llvm_ad_mono")
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "preview.png"
-        draw_preview(path, "", preview_of(scene, mp.PlenopticCamera()))
-        return narrowed(Image.open(path).convert("RGB"))
+    return narrowed(drawn(preview_figure("", preview_of(scene, mp.PlenopticCamera()))))
 
 
 @picture

@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..runtime import floor, is_zero, maximum, minimum, module_of, require_memory, sqrt, turn
+from ..runtime import Array, Pair, floor, is_zero, maximum, minimum, module_of, require_memory, sqrt, turn
 from .lens_shifts import Displacement
 
 # Points across a sample for the fraction of it that is aperture.
@@ -59,9 +59,9 @@ class Lattice(abc.ABC):
         size in the formulas of sizes; irregular displacements move lenses within their cells.
     """
 
-    pitches: tuple[Any, Any]
+    pitches: Pair
     rotation: Any = 0.0
-    offset: tuple[Any, Any] = (0.0, 0.0)
+    offset: Pair = (0.0, 0.0)
     aperture: str = "cell"
     fill: Any = 1.0
     displacement: Displacement | None = None
@@ -88,12 +88,12 @@ class Lattice(abc.ABC):
 
     @staticmethod
     @abc.abstractmethod
-    def unit_cell(u: Any, v: Any) -> tuple[Any, Any]:
+    def unit_cell(u: Any, v: Any) -> Pair:
         """Return the indices, integers as floats, of the cell that holds a point given in the unit frame."""
 
     @staticmethod
     @abc.abstractmethod
-    def unit_centre(i: Any, j: Any) -> tuple[Any, Any]:
+    def unit_centre(i: Any, j: Any) -> Pair:
         """Return the centre of a cell in the unit frame."""
 
     @staticmethod
@@ -111,7 +111,7 @@ class Lattice(abc.ABC):
 
     @staticmethod
     @abc.abstractmethod
-    def point_in_cell(s: Any, t: Any, width: Any) -> tuple[Any, Any]:
+    def point_in_cell(s: Any, t: Any, width: Any) -> Pair:
         """Map (s, t) in the unit square uniformly to a point of a cell of equal pitches `width`.
 
         Parameters
@@ -151,11 +151,11 @@ class Lattice(abc.ABC):
         return float(min(np.hypot(*step) for step in (first, second, second - first)))
 
     @property
-    def grid_step(self) -> tuple[Any, Any]:
+    def grid_step(self) -> Pair:
         """Sides in mm, in the lattice frame, of the coarsest rectangular grid that contains all centres."""
         return self.pitches[0] / self.stagger, self.row_distance
 
-    def period(self, lens_types: int = 1) -> tuple[Any, Any]:
+    def period(self, lens_types: int = 1) -> Pair:
         """Return the sides in mm, in the lattice frame, of the rectangle with which an array of lens types repeats."""
         return self.pitches[0] * lens_types, self.row_distance * self.stagger
 
@@ -170,7 +170,7 @@ class Lattice(abc.ABC):
         return float(np.hypot(*self.cell_corners().T).max())
 
     @property
-    def aperture_widths(self) -> tuple[Any, Any]:
+    def aperture_widths(self) -> Pair:
         """Widths of the aperture in mm along and across the rows; the diameter twice for a circle."""
         along, across = self.pitches
         if self.aperture == "cell":
@@ -234,14 +234,14 @@ class Lattice(abc.ABC):
 
     # -- cells ---------------------------------------------------------------------------------------
 
-    def cell(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def cell(self, x: Any, y: Any) -> Pair:
         """Return the indices, integers as floats, of the cell that holds a point."""
         if self.displacement is not None:
             x, y = self.displacement.regular(x, y)
         u, v = self.to_frame(x - self.offset[0], y - self.offset[1])
         return self.unit_cell(u / self.pitches[0], v / self.row_distance)
 
-    def centre(self, i: Any, j: Any) -> tuple[Any, Any]:
+    def centre(self, i: Any, j: Any) -> Pair:
         """Return the centre of a lens: of its cell but for irregular displacements."""
         u, v = self.unit_centre(i, j)
         x, y = self.from_frame(u * self.pitches[0], v * self.row_distance)
@@ -256,7 +256,7 @@ class Lattice(abc.ABC):
             )
         return x, y
 
-    def in_regular_array(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def in_regular_array(self, x: Any, y: Any) -> Pair:
         """Return the points of the regular array that lie by their lenses' centres as given points lie by theirs."""
         if self.displacement is None:
             return x, y
@@ -281,7 +281,7 @@ class Lattice(abc.ABC):
         # One of the types also where floats cannot hold the indices, as callers read tables with the result.
         return maximum(minimum(remainder, self.lens_types - 1), 0)
 
-    def cell_point(self, s: Any, t: Any, scale: Any = 1.0) -> tuple[Any, Any]:
+    def cell_point(self, s: Any, t: Any, scale: Any = 1.0) -> Pair:
         """Map (s, t) in the unit square to the cell shrunk by `scale`; return the offset from the cell's centre.
 
         Parameters
@@ -320,7 +320,7 @@ class Lattice(abc.ABC):
         u, v = self.to_frame(dx, dy)
         return (self.fill * self.pitches[0] - self.cell_width(u, v / self.aspect)) / 2
 
-    def aperture_point(self, s: Any, t: Any) -> tuple[Any, Any]:
+    def aperture_point(self, s: Any, t: Any) -> Pair:
         """Map (s, t) in the unit square uniformly to the aperture; return the offset from the aperture's centre."""
         if self.aperture == "cell":
             return self.cell_point(s, t, self.fill)
@@ -329,7 +329,7 @@ class Lattice(abc.ABC):
         radius = module.sqrt(s) * self.aperture_reach
         return radius * module.cos(2 * math.pi * t), radius * module.sin(2 * math.pi * t)
 
-    def aperture_image(self, step: float, scale: float) -> np.ndarray:
+    def aperture_image(self, step: float, scale: float) -> Array:
         """Return the fraction of each sample of width `step` that an aperture, enlarged by `scale`, covers.
 
         Parameters
@@ -356,7 +356,7 @@ class Lattice(abc.ABC):
 
     # -- sets of lenses, for lattices of plain floats -----------------------------------------------
 
-    def cell_corners(self) -> np.ndarray:
+    def cell_corners(self) -> Array:
         """Return the offsets of a cell's corners from its centre, in order of angle.
 
         Returns
@@ -366,7 +366,7 @@ class Lattice(abc.ABC):
         u, v = np.array(self.unit_corners).T
         return np.stack(self.from_frame(u * self.pitches[0], v * self.pitches[1]), axis=-1)
 
-    def neighbours(self, reach: float, smear: float = 0.0) -> np.ndarray:
+    def neighbours(self, reach: float, smear: float = 0.0) -> Array:
         """Return the lenses whose aperture, enlarged by `smear`, comes within `reach` of some point of cell (0, 0).
 
         Parameters
@@ -405,7 +405,7 @@ class Lattice(abc.ABC):
         position = position[inside]
         return index[np.lexsort((index[:, 0], index[:, 1], np.round(np.hypot(*position.T) / self.pitches[0], 6)))]
 
-    def lenses_within(self, low: tuple[float, float], high: tuple[float, float]) -> np.ndarray:
+    def lenses_within(self, low: tuple[float, float], high: tuple[float, float]) -> Array:
         """Return the lenses whose centre lies in the rectangle from `low` to `high`.
 
         Parameters
@@ -437,11 +437,11 @@ class Lattice(abc.ABC):
 
     # -- frames --------------------------------------------------------------------------------------
 
-    def to_frame(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def to_frame(self, x: Any, y: Any) -> Pair:
         """Return the lattice-frame components of a vector given in the camera frame."""
         return turn(x, y, -self.rotation)
 
-    def from_frame(self, u: Any, v: Any) -> tuple[Any, Any]:
+    def from_frame(self, u: Any, v: Any) -> Pair:
         """Return the camera-frame components of a vector given in the lattice frame."""
         return turn(u, v, self.rotation)
 
@@ -456,7 +456,7 @@ def register(cls: type[Lattice]) -> type[Lattice]:
     return cls
 
 
-def make_lattice(name: str, pitches: tuple[Any, Any], **numbers: Any) -> Lattice:
+def make_lattice(name: str, pitches: Pair, **numbers: Any) -> Lattice:
     """Return the lattice of a name with given pitches.
 
     Parameters

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..errors import put_checked, refuse_if, require_number, require_numbers
 from ..prescription import LINE_D
-from ..runtime import module_of
+from ..runtime import Pair, module_of
 from .shape import MicrolensShape, excess_index, known_index, per_millimetre
 
 
@@ -67,7 +67,7 @@ class Conic(MicrolensShape):
             depth = depth + coefficient * power
         return depth * (-excess_index(self.glass, wavelength) * per_millimetre(wavelength))
 
-    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def slopes(self, x: Any, y: Any) -> Pair:
         """Return the gradient of the path; see `MicrolensShape.slopes`."""
         square = x * x + y * y
         rise = 1 / (self.curvature_radius * self._root(square))

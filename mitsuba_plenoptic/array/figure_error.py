@@ -10,7 +10,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from ..runtime import Doubles, drjit_array, module_of
+from ..runtime import Doubles, Pair, drjit_array, module_of
 
 COSINES = 32
 """Cosines of a figure error: more cost time, fewer show in its statistics."""
@@ -37,7 +37,7 @@ class FigureError:
         """Return the path in millimetres at positions on the array, NumPy or Dr.Jit arrays."""
         return self.amplitude * sum(cosine for cosine, _, _, _ in self._waves(x, y))
 
-    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def slopes(self, x: Any, y: Any) -> Pair:
         """Return the gradient of the path at positions, in millimetres per millimetre."""
         across: Any = 0.0
         up: Any = 0.0

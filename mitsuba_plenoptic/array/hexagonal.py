@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ..runtime import floor, maximum, select
+from ..runtime import Pair, floor, maximum, select
 from .arrangement import Lattice, register, regular_corners
 
 # Distance of rows over the pitch.
@@ -28,7 +28,7 @@ class HexagonalLattice(Lattice):
     unit_corners = regular_corners(6)
 
     @staticmethod
-    def unit_cell(u: Any, v: Any) -> tuple[Any, Any]:
+    def unit_cell(u: Any, v: Any) -> Pair:
         """Return the indices of the nearest centre, which lies in the row below or above the point."""
         low = floor(v)
         rows = (low, low + 1)
@@ -40,7 +40,7 @@ class HexagonalLattice(Lattice):
         return select(nearer, columns[0], columns[1]), select(nearer, rows[0], rows[1])
 
     @staticmethod
-    def unit_centre(i: Any, j: Any) -> tuple[Any, Any]:
+    def unit_centre(i: Any, j: Any) -> Pair:
         """Return the centre of a cell; each row is offset by half a pitch more than the row before."""
         return i + j / 2, j
 
@@ -50,7 +50,7 @@ class HexagonalLattice(Lattice):
         return 2 * maximum(abs(u), 0.5 * abs(u) + _ROW * abs(v))
 
     @staticmethod
-    def point_in_cell(s: Any, t: Any, width: Any) -> tuple[Any, Any]:
+    def point_in_cell(s: Any, t: Any, width: Any) -> Pair:
         """Map (s, t) in the unit square to one of three rhombi about the centre, which together are the hexagon."""
         third = floor(s * 3)
         s = s * 3 - third

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import drjit as dr
 import numpy as np
 
-from ..runtime import Doubles, exponents, module_of, monomials, turn
+from ..runtime import Doubles, Pair, Triple, exponents, module_of, monomials, turn
 
 Corner = Sequence[float] | Doubles
 """X and y of a corner of a rectangle."""
@@ -33,7 +33,7 @@ _SMALL = 1e-6
 class Lenslet(NamedTuple):
     """Single lenses of an array."""
 
-    centre: tuple[Any, Any]
+    centre: Pair
     focal_length: Any  # in air, in millimetres
     height: Any = 0.0  # in mm, towards the main lens, of a tilted array
     gain: Any = 1.0  # relative brightness
@@ -67,7 +67,7 @@ class Displacement:
         """Powers of x and y of the terms of the warp, whose degree its number of coefficients tells."""
         return WARP_POWERS[: len(self.warp) // 2]
 
-    def smooth(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def smooth(self, x: Any, y: Any) -> Pair:
         """Return the smooth displacements of lenses at regular positions."""
         right, up = self._to_chief_rays(x, y) if self.chief_rays else (0.0, 0.0)
         if self.warp:
@@ -76,7 +76,7 @@ class Displacement:
             up += sum(coefficient * term for coefficient, term in zip(self.warp[len(terms) :], terms, strict=True))
         return right, up
 
-    def regular(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def regular(self, x: Any, y: Any) -> Pair:
         """Return the regular positions that smooth displacements bring to given ones."""
         before = x, y
         for _ in range(_STEPS if self.is_smooth else 0):
@@ -84,12 +84,12 @@ class Displacement:
             before = x - right, y - up
         return before
 
-    def irregular(self, i: Any, j: Any) -> tuple[Any, Any]:
+    def irregular(self, i: Any, j: Any) -> Pair:
         """Return the irregular displacements of lenses with given indices."""
         x, y, _ = deviates(self.seed, i, j)
         return self.deviation * x, self.deviation * y
 
-    def _to_chief_rays(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def _to_chief_rays(self, x: Any, y: Any) -> Pair:
         """Return the displacements, towards the axis, that align lenses to chief rays."""
         module = module_of(x)
         height = module.sqrt(x * x + y * y)
@@ -133,7 +133,7 @@ class Displacement:
         return replace(self, warp=tuple(np.linalg.lstsq(terms, np.stack(moved, -1))[0].T.ravel().tolist()))
 
 
-def deviates(seed: int, i: Any, j: Any) -> tuple[Any, Any, Any]:
+def deviates(seed: int, i: Any, j: Any) -> Triple:
     """Return three normal deviates, clipped at `MOST_DEVIATIONS`, for each lens of an array with a given seed."""
     start = int(hashed(np.array([seed], np.uint32))[0])
     module = module_of(i)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import put, refuse_if, require_flag, require_number, require_wavelength, short_repr
 from ..prescription import LINE_D
-from ..runtime import Doubles
+from ..runtime import Doubles, Pair
 from .sampled import fitted_power
 from .sampled_grid import SampledGrid, known_samples, phases
 from .shape import MM_PER_NM, MicrolensShape
@@ -87,7 +87,7 @@ class PhaseMap(MicrolensShape):
         middle = np.unwrap(smooth[:, :, columns // 2], period=1, axis=1)
         smooth += (middle - smooth[:, :, columns // 2])[..., None]
         centre = smooth[:, rows // 2, columns // 2]
-        return np.asarray(smooth + (np.unwrap(centre, period=1) - centre)[:, None, None])
+        return smooth + (np.unwrap(centre, period=1) - centre)[:, None, None]
 
     @cached_property
     def _grids(self) -> list[SampledGrid]:
@@ -112,7 +112,7 @@ class PhaseMap(MicrolensShape):
             return (grid.at(x, y) - grid.nearest(jumps, x, y)) * (self._given[0] / wavelength)
         return sum(self._grids[index].at(x, y) * weight for index, weight in self._parts(wavelength))
 
-    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def slopes(self, x: Any, y: Any) -> Pair:
         """Return the gradient of the path; see `MicrolensShape.slopes`."""
         parts = [(*self._grids[index].slopes(x, y), weight) for index, weight in self._parts(LINE_D)]
         along, across = (

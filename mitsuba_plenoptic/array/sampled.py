@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import put_checked, require_number
 from ..prescription import LINE_D
-from ..runtime import Doubles
+from ..runtime import Doubles, Pair
 from .sampled_grid import LENGTHS, SampledGrid, known_samples
 from .shape import MicrolensShape, excess_index, known_index, per_millimetre
 
@@ -61,7 +61,7 @@ class Sampled(MicrolensShape):
         """Return the phase in waves; see `MicrolensShape.waves`."""
         return self._grid.at(x, y) * (excess_index(self.glass, wavelength) * per_millimetre(wavelength))
 
-    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def slopes(self, x: Any, y: Any) -> Pair:
         """Return the gradient of the path; see `MicrolensShape.slopes`."""
         along, across = self._grid.slopes(x, y)
         return along * excess_index(self.glass, LINE_D), across * excess_index(self.glass, LINE_D)

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_module, require_number, require_wavelength
-from ..runtime import IMAGE, Doubles, as_array, module_of, require_file, take, unit_of
+from ..runtime import IMAGE, Array, Doubles, Flags, Pair, as_array, module_of, require_file, take, unit_of
 
 COUNTS = 4, 1024
 """Least and largest count of samples along an axis."""
@@ -88,7 +87,7 @@ def read_samples(name: str, value: Any, units: Mapping[str, float] | None) -> Do
     return samples
 
 
-def _require_all(name: str, samples: NDArray[Any], right: NDArray[np.bool_], rule: str) -> None:
+def _require_all(name: str, samples: Array, right: Flags, rule: str) -> None:
     """Refuse samples (rows, columns) of which one is not right."""
     for row, column in np.argwhere(~right)[:1]:
         raise InputError(f"{name}[{row}, {column}] = {samples[row, column]:g}: it must be {rule}")
@@ -151,7 +150,7 @@ class SampledGrid:
         """Return the interpolated value at offsets; beyond the grid the value at its border."""
         return self._sum(x, y, (0, 0))
 
-    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def slopes(self, x: Any, y: Any) -> Pair:
         """Return the derivatives of the interpolated value along x and y."""
         return self._sum(x, y, (1, 0)) / self._step, self._sum(x, y, (0, 1)) / self._step
 
@@ -163,7 +162,7 @@ class SampledGrid:
         row = row + module.floor(v + 0.5)
         return take(values.ravel(), row * values.shape[1] + column)
 
-    def _places(self, x: Any, y: Any) -> list[tuple[Any, Any]]:
+    def _places(self, x: Any, y: Any) -> list[Pair]:
         """Return column and row of the sample before each offset, and the distances from this sample in samples."""
         places = []
         for coordinate, size in zip((x, y), self._samples.shape[::-1], strict=True):

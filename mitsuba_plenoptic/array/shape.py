@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import InputError, naming, refuse_if, require_choice, require_wavelength, short_repr
 from ..prescription import LINE_D, SINGLE, Glass
-from ..runtime import PlainData, read_json_value
+from ..runtime import Pair, PlainData, read_json_value
 from . import Lattice
 
 MM_PER_NM = 1e-6
@@ -56,7 +56,7 @@ class MicrolensShape(PlainData, ABC):
         """
 
     @abstractmethod
-    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def slopes(self, x: Any, y: Any) -> Pair:
         """Return the gradient of the path at the d line (587.6 nm), in millimetres per millimetre; see `waves`.
 
         The gradient deflects rays. For a phase with jumps by whole waves, the phase without jumps counts: rays follow
@@ -79,7 +79,7 @@ class MicrolensShape(PlainData, ABC):
         """
         return self.waves(*lattice.to_frame(x, y), wavelength) * (1 / self.power / focal_length)
 
-    def deflection(self, lattice: Lattice, x: Any, y: Any, focal_length: Any) -> tuple[Any, Any]:
+    def deflection(self, lattice: Lattice, x: Any, y: Any, focal_length: Any) -> Pair:
         """Return the changes of direction at the d line by lenses of some focal lengths; see `lens_waves`."""
         x, y = lattice.from_frame(*self.slopes(*lattice.to_frame(x, y)))
         weaker = 1 / self.power / focal_length
@@ -114,7 +114,7 @@ class Paraboloid(MicrolensShape):
         """Return the phase in waves; see `MicrolensShape.waves`."""
         return (x * x + y * y) * (-0.5 / (wavelength * MM_PER_NM * self.focal_length))
 
-    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def slopes(self, x: Any, y: Any) -> Pair:
         """Return the gradient of the path; see `MicrolensShape.slopes`."""
         return -x / self.focal_length, -y / self.focal_length
 
@@ -131,7 +131,7 @@ class Paraboloid(MicrolensShape):
         """Return the phase in waves of other focal lengths; see `MicrolensShape.lens_waves`."""
         return Paraboloid(focal_length).waves(x, y, wavelength)
 
-    def deflection(self, lattice: Lattice, x: Any, y: Any, focal_length: Any) -> tuple[Any, Any]:
+    def deflection(self, lattice: Lattice, x: Any, y: Any, focal_length: Any) -> Pair:
         """Return the deflection by other focal lengths; see `MicrolensShape.deflection`."""
         return Paraboloid(focal_length).slopes(x, y)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..runtime import floor, maximum
+from ..runtime import Pair, floor, maximum
 from .arrangement import Lattice, register, regular_corners
 
 
@@ -23,12 +23,12 @@ class SquareLattice(Lattice):
     unit_corners = regular_corners(4)
 
     @staticmethod
-    def unit_cell(u: Any, v: Any) -> tuple[Any, Any]:
+    def unit_cell(u: Any, v: Any) -> Pair:
         """Return the indices of a point's cell, the integer parts of the point's coordinates."""
         return floor(u), floor(v)
 
     @staticmethod
-    def unit_centre(i: Any, j: Any) -> tuple[Any, Any]:
+    def unit_centre(i: Any, j: Any) -> Pair:
         """Return the centre of a cell, half a pitch from its corners at integer coordinates."""
         return i + 0.5, j + 0.5
 
@@ -38,6 +38,6 @@ class SquareLattice(Lattice):
         return 2 * maximum(abs(u), abs(v))
 
     @staticmethod
-    def point_in_cell(s: Any, t: Any, width: Any) -> tuple[Any, Any]:
+    def point_in_cell(s: Any, t: Any, width: Any) -> Pair:
         """Return a point of the square, scaled from the unit square."""
         return (s - 0.5) * width, (t - 0.5) * width

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..errors import put_checked, require_length, require_wavelength
 from ..prescription import LINE_D
-from ..runtime import floor
+from ..runtime import Pair, floor
 from .shape import MicrolensShape, per_millimetre
 
 
@@ -41,7 +41,7 @@ class ZoneLens(MicrolensShape):
         smooth = (x * x + y * y) * (-per_millimetre(self.wavelength) / (2 * self.focal_length))
         return (smooth - floor(smooth)) * (self.wavelength / wavelength)
 
-    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def slopes(self, x: Any, y: Any) -> Pair:
         """Return the gradient of the path; see `MicrolensShape.slopes`."""
         return -x * self.power, -y * self.power
 

@@ -27,7 +27,7 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
-from ..runtime import Doubles, PlainData, known_record, module_of, select, take
+from ..runtime import Doubles, Pair, PlainData, known_record, module_of, select, take
 
 _CELLS = 512
 _POINTS = 4
@@ -57,10 +57,10 @@ class Round:
         """Return the part of the power that passes at points over the pupil's radius: 1 within the circle."""
         return select(x * x + y * y <= 1, 1.0, 0.0)
 
-    def draws(self) -> Callable[[Any], tuple[Any, Any]]:
+    def draws(self) -> Callable[[Any], Pair]:
         """Return a function that makes points, with the density of the power, from points of the unit square."""
 
-        def drawn(sample: Any) -> tuple[Any, Any]:
+        def drawn(sample: Any) -> Pair:
             x, y = mi.warp.square_to_uniform_disk(sample)
             return x, y
 
@@ -92,12 +92,12 @@ class Blades:
         angle = angle - (module.floor(angle / sector) + 0.5) * sector
         return select(module.sqrt(x * x + y * y) * module.cos(angle) <= math.cos(sector / 2), 1.0, 0.0)
 
-    def draws(self) -> Callable[[Any], tuple[Any, Any]]:
+    def draws(self) -> Callable[[Any], Pair]:
         """Return a map from the unit square to the triangles between the centre and the sides."""
         sector = 2 * math.pi / self.count
         first = math.radians(self.angle)
 
-        def drawn(sample: Any) -> tuple[Any, Any]:
+        def drawn(sample: Any) -> Pair:
             scaled = mi.Float(sample[0]) * self.count
             radius = dr.sqrt(sample[1])
             side = dr.minimum(dr.floor(scaled), self.count - 1)
@@ -111,7 +111,7 @@ class Blades:
         """Return the parts of small cells within the polygon."""
         along = (np.arange(_CELLS * _POINTS) + 0.5) * (2 / (_CELLS * _POINTS)) - 1
         inside = self.power(along + 0 * along[:, None], along[:, None] + 0 * along)
-        return np.asarray(inside.reshape(_CELLS, _POINTS, _CELLS, _POINTS).mean((1, 3)))
+        return inside.reshape(_CELLS, _POINTS, _CELLS, _POINTS).mean((1, 3))
 
     def to_plain(self) -> int | tuple[int, float]:
         """Return the number of blades, with their angle if there is one."""
@@ -189,12 +189,12 @@ class Aperture(PlainData):
         )
         return select(x * x + y * y <= 1, take(self.transmission.ravel(), row * count + column), 0.0)
 
-    def draws(self) -> Callable[[Any], tuple[Any, Any]]:
+    def draws(self) -> Callable[[Any], Pair]:
         """Return a map from the unit square to the cells, in which points may be beyond the circle."""
         density = mi.DiscreteDistribution2D(self.transmission.astype(np.float32))
         scale = 2 / len(self.transmission)
 
-        def drawn(sample: Any) -> tuple[Any, Any]:
+        def drawn(sample: Any) -> Pair:
             cell, _, within = density.sample(sample)
             x, y = ((mi.Float(index) + inside) * scale - 1 for index, inside in zip(cell, within, strict=True))
             return x, y
@@ -231,12 +231,12 @@ class Apodised:
         square = x * x + y * y
         return select(square <= 1, self._power(square), 0.0)
 
-    def draws(self) -> Callable[[Any], tuple[Any, Any]]:
+    def draws(self) -> Callable[[Any], Pair]:
         """Return a map from the unit square to the disc: the squares of radii have the density of the transmission."""
         values = self._power(np.linspace(0, 1, _STEPS + 1)).astype(np.float32)
         density = mi.ContinuousDistribution(mi.ScalarVector2f(0, 1), values)
 
-        def drawn(sample: Any) -> tuple[Any, Any]:
+        def drawn(sample: Any) -> Pair:
             radius = dr.sqrt(density.sample(sample[0]))
             sine, cosine = dr.sincos(2 * math.pi * sample[1])
             return radius * cosine, radius * sine

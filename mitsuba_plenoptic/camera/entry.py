@@ -148,9 +148,9 @@ def no_effect(uses: Use, words: str) -> Support:
     return Support(uses, "exact", words)
 
 
-def approximate(uses: Use, words: str) -> Support:
+def approximate(uses: Use, words: str, where: Condition | None = None) -> Support:
     """Return the entry of uses that approximate a parameter."""
-    return Support(uses, "approximate", words)
+    return Support(uses, "approximate", words, "", where)
 
 
 def refused(uses: Use, words: str, instead: str = "", where: Condition | None = None) -> Support:

@@ -22,7 +22,7 @@ from ..array import (
 )
 from ..errors import InputError, refuse_if, require_number
 from ..prescription import THIN, Collimator, LensData, Objective, Prescription, defocus_factor, even_count
-from ..runtime import take
+from ..runtime import Array, Pair, take
 from .aperture import Apodised, Opening, Round
 from .entry import one_if_equal, one_if_single, record
 from .parameters import CameraParameters
@@ -82,7 +82,7 @@ class CameraGeometry(CameraParameters):
         """Whether all of the pupil's disc is equally open to all places of the array."""
         return self.aperture == Round() and self.vignetting is None
 
-    def pupil_power(self, pupil: tuple[Any, Any], position: tuple[Any, Any]) -> Any:
+    def pupil_power(self, pupil: Pair, position: Pair) -> Any:
         """Return the part of the power that passes pupil points, over its radius, to places of the array.
 
         It is the product of all layers: blades, a picture or an apodisation, and vignetting.
@@ -315,7 +315,7 @@ class CameraGeometry(CameraParameters):
         """Rows and columns of the recorded image."""
         return self.crop_size[1], self.crop_size[0]
 
-    def pixel_coordinates(self, axis: int) -> np.ndarray:
+    def pixel_coordinates(self, axis: int) -> Array:
         """Return the coordinates in millimetres of the recorded pixels' centres along x (axis 0) or y (axis 1)."""
         pixel = np.arange(self.crop_size[axis]) + self.crop_offset[axis] + 0.5
         return (pixel - self.resolution[axis] / 2) * self.pixel_size

@@ -23,6 +23,7 @@ from ..errors import (
     require_pair,
     short_repr,
 )
+from ..runtime import Pair
 from .geometry import CameraGeometry
 
 MATCHED = ("f_number", "lenses", "pixels_per_lens", "pixel_size", "sensor_size")
@@ -146,7 +147,7 @@ def behind_pupil(
     }
 
 
-def _pair(name: str, value: object, form: str, rule: Callable[[str, Any], Any]) -> tuple[Any, Any]:
+def _pair(name: str, value: object, form: str, rule: Callable[[str, Any], Any]) -> Pair:
     """Return two checked values, of which one number stands for both."""
     return require_pair(name, value if hasattr(value, "__len__") else (value, value), form, rule)
 

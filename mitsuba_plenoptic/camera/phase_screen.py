@@ -20,7 +20,7 @@ from ..errors import (
     require_numbers,
     suggest_keywords,
 )
-from ..runtime import PlainData, known_record
+from ..runtime import Pair, PlainData, known_record
 
 _MILLIMETRES = WAVEFRONT_UNIT * 1e-6
 """Unit of the samples."""
@@ -93,7 +93,7 @@ class PhaseScreen(PlainData):
         """
         return self._grid.at(x, y)
 
-    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def slopes(self, x: Any, y: Any) -> Pair:
         """Return the gradient of `path` in mm per mm, which is the change of direction.
 
         Parameters

@@ -9,6 +9,7 @@ import functools
 import json
 import math
 import weakref
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 from xml.etree import ElementTree
@@ -611,15 +612,21 @@ def film_numbers(film: Any) -> dict[str, Any]:
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
-_results: weakref.WeakKeyDictionary[PlenopticCamera, dict[str, dict[Any, Any]]] = weakref.WeakKeyDictionary()
+_results: weakref.WeakKeyDictionary[PlenopticCamera, tuple[Any, dict[str, dict[Any, Any]]]] = (
+    weakref.WeakKeyDictionary()
+)
+_latest = deque[Any](maxlen=2)
+"""Cameras that live on, with their results, for the next capture by them."""
 
 
 def once_a_camera(function: _F) -> _F:
-    """Cache a function's result by its positional arguments for the lifetime of the camera; a decorator."""
+    """Cache a function's result by its positional arguments, at least for the lifetime of the camera; a decorator."""
 
     @functools.wraps(function)
     def known(camera: PlenopticCamera, *given: Any, **besides: Any) -> Any:
-        results = _results.setdefault(camera, {}).setdefault(function.__name__, {})
+        equal_camera, results_of = _results.setdefault(camera, (weakref.ref(camera), {}))
+        _latest.append(equal_camera())
+        results = results_of.setdefault(function.__name__, {})
         if given not in results:
             # Results of a camera that are remembered by each function.
             if len(results) == 32:

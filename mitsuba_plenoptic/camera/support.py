@@ -98,6 +98,7 @@ _UNEQUAL_LENSES = (
 _UNEVEN_LENSES = approximate(
     Use.POINTS, "strong ones: patches miss up to 1.3 per cent of a spread by full_field, 0.2 to 0.5 behind equal lenses"
 )
+_ZONES = "zones of lenses share the pupil of their middle, and other light than that is divided out"
 _BEHIND_LENSES = (
     refused(
         Use.POINT_DERIVATIVES | Use.POINT_RAYS,
@@ -189,10 +190,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
     "mla_transmissions": (*_UNEQUAL_LENSES, _UNEVEN_LENSES, _NO_DERIVATIVE),
     "vignetting": (
         *_UNEQUAL_LENSES,
-        approximate(
-            Use.RESPONSES,
-            "zones of lenses share the pupil of their middle, and other light than that is divided out",
-        ),
+        approximate(Use.RESPONSES, _ZONES),
         refused(
             Use.COHERENT_POINTS | Use.WAVEFRONTS, "all points of one field share one pupil", "CaptureOperator.forward"
         ),
@@ -323,6 +321,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
         _NO_DERIVATIVE,
     ),
     "main_lens": (
+        approximate(Use.RESPONSES, _ZONES, _PRESCRIPTION),
         refused(
             Use.RAYS | Use.WHITE_IMAGES | _SCENES | Use.SCENE_POINTS | Use.RAY_SPREADS | Use.POINT_RAYS,
             "the array is in the image of the stop, so that no stop bounds its micro-images",

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 from ..errors import put, put_checked, refuse_if, require_length, require_numbers, short_repr, suggest_keywords
-from ..runtime import PlainData, exponents, known_record, module_of, monomials, select
+from ..runtime import Pair, PlainData, exponents, known_record, module_of, monomials, select
 
 _DEGREES = {1: 0, 3: 1, 6: 2, 10: 3, 15: 4}
 """Degree of a polynomial of two variables by its number of coefficients."""
@@ -113,7 +113,7 @@ class Vignetting(PlainData):
         square, edge, _, value = self._within(px, py, x, y)
         return select(square <= edge * edge, value, 0.0)
 
-    def outline(self, px: Any, py: Any, x: Any, y: Any) -> tuple[Any, Any]:
+    def outline(self, px: Any, py: Any, x: Any, y: Any) -> Pair:
         """Return the distance from the outline, positive inside, and the transmission as if the outline were wider.
 
         Parameters are those of `power`. The distance is in units of the pupil's radius, to first order.

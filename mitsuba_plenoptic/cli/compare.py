@@ -33,7 +33,7 @@ def compare(
         str | None,
         typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.", show_default=False, callback=SCENE),
     ] = None,
-    distance: Annotated[list[float] | None, distances(positive=True)] = None,
+    distance: Annotated[list[float] | None, distances(positive=True, finite=False)] = None,
     wavelength: Annotated[float | None, wavelength_option("633; --real needs the one of its light")] = None,
     spp: Annotated[int, numeric("Samples per pixel, by rays and by waves.", check=require_count)] = 16,
     methods: Annotated[

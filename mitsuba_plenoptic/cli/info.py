@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,18 +12,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..choices import RAW_SUFFIXES
-from ..errors import InputError, printable, refuse_if
+from ..errors import InputError, printable, refuse_if, require_number
 from ..presets import PRESETS
-from .inputs import load_camera, parse_definitions
-from .options import CAMERA, Definitions, Unit, wavelength_option
+from .inputs import load_camera, parse_definitions, refuse_options, refuse_scene_options, require_png
+from .options import CAMERA, Definitions, Dpi, Unit, numeric, wavelength_option
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from ..camera import PlenopticCamera
     from ..io import Capture
     from ..report import Row
 
+
+_positive = partial(require_number, positive=True)
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for other programs, and nothing else.")]
 
@@ -32,7 +33,7 @@ def info(
     source: Annotated[
         str | None,
         typer.Argument(
-            metavar="SCENE|PRESET|CAMERA.json|NAME=VALUE,...|CAPTURE.exr|LENS.zmx",
+            metavar="SCENE|PRESET|CAMERA.json|NAME=VALUE,...|CAPTURE.exr|LENS.zmx|LENS.yaml",
             show_default=False,
             help=f"A Mitsuba XML file, a built-in scene's name, a camera's ({', '.join(PRESETS)}), its file or "
             "parameters, as for --camera of 'render', a capture, a raw picture of a Lytro camera, or a lens's file.",
@@ -64,6 +65,21 @@ def info(
             help="Write the camera that the fewest of the changes which the warnings name make of this one.",
         ),
     ] = None,
+    dpi: Dpi = None,
+    pupil: Annotated[
+        float | None,
+        numeric("Of a lens: diameter of its entrance pupil.", "the file's", unit="MM", check=_positive),
+    ] = None,
+    f_number: Annotated[float | None, numeric("Of a lens: f-number.", "the file's", check=_positive)] = None,
+    field: Annotated[
+        list[float] | None,
+        numeric(
+            "Of a lens: angle from the axis; repeat for several.",
+            "the file's",
+            unit="DEG",
+            check=partial(require_number, minimum=0, maximum=85),
+        ),
+    ] = None,
     camera: Annotated[
         str | None,
         typer.Option(
@@ -80,7 +96,7 @@ def info(
     """Print what follows from a camera's parameters, and warnings about its design.
 
     Nothing is rendered. For a capture, the way it was made is printed too. Warnings name their remedies, which --fix
-    applies.
+    applies. Of a lens, spots and modulation transfer functions are printed, at the fields and wavelengths of its file.
 
     [bold]Examples:[/bold]
 
@@ -91,6 +107,8 @@ def info(
       mitsuba-plenoptic info camera.json --drawing lens.png
 
       mitsuba-plenoptic info camera.json --fix better.json
+
+      mitsuba-plenoptic info lens.zmx --f-number 4 --field 14
     """
     refuse_if((source is None) == (camera is None), "SCENE, --camera: give one of the two")
     from rich.console import Console
@@ -101,8 +119,9 @@ def info(
     from ..runtime import read_yaml, require_writable, write_text
 
     source = str(camera if source is None else source)
-    if fix is not None:
-        require_writable(fix, ".json")
+    for path, *suffixes in ((fix, ".json"), (drawing, ".png", ".pdf"), (microlens, ".png", ".pdf")):
+        if path is not None:
+            require_writable(path, *suffixes)
     parameters = parse_definitions(define)
     suffix = Path(source).suffix.lower()
     recorded = suffix in (".exr", *RAW_SUFFIXES) or format_of(suffix, "capture", source) is not None
@@ -110,88 +129,78 @@ def info(
     if Path(source).is_file() and suffix in (".yaml", ".yml", ".json"):
         with contextlib.suppress(InputError, TypeError):
             is_lens = "surfaces" in read_yaml(source)
-    refuse_if(
-        parameters and (recorded or is_lens),
-        f"-D: {source} is no scene, and has no scene parameters; leave it out",
-    )
-    refuse_if(unit != "mm" and (recorded or is_lens), f"--unit {unit}: {source} is no scene; leave it out")
-    refuse_if(is_lens and microlens, f"--microlens {microlens}: {source} is a main lens; leave it out")
-    capture = read_capture(source) if recorded else None
-    if is_lens:
-        shown_camera = _behind_lens(source)
-    else:
-        shown_camera = capture.camera if capture else load_camera(source, parameters, unit)[0]
+    if recorded or is_lens:
+        refuse_scene_options(source, parameters, unit)
+    require_png(dpi, drawing, microlens)
     # Bring libraries that take seconds to load.
     from ..design import design_warnings, mended
-    from ..report import design_sheet
+    from ..lenses import main_lens
+    from ..prescription import read_prescription
+    from ..report import behind_lens, design_sheet, lens_sheet
 
-    if capture and wavelength is None and isinstance(capture.wavelength, float):
-        wavelength = capture.wavelength
+    if is_lens:
+        refuse_options(f"{source}, a main lens,", microlens=microlens, fix=fix, wavelength=wavelength)
+        refuse_if(pupil and f_number, "--pupil, --f-number: give one of the two")
+        prescription = read_prescription(source)
+        try:
+            if f_number is not None:
+                pupil = prescription.paraxial.focal_length / f_number
+            lens, distance, heights = behind_lens(prescription, pupil or 0.0, field or [])
+            rows = lens_sheet(lens, distance, heights)
+        except InputError as error:
+            raise InputError(f"{source}: {str(error).removeprefix('main_lens: ')}") from None
+        facts: dict[str, Any] = {"lens": prescription.to_plain()}
+        cell = 0.0
+    else:
+        refuse_options(f"{source}, which is no lens,", pupil=pupil, f_number=f_number, field=field)
+        capture = read_capture(source) if recorded else None
+        shown_camera = capture.camera if capture else load_camera(source, parameters, unit)[0]
+        if capture and wavelength is None and isinstance(capture.wavelength, float):
+            wavelength = capture.wavelength
+        if microlens is not None:
+            from ..report import microlens_figure
+
+            shown_camera.require_array(str(microlens))
+            microlens_figure(shown_camera, wavelength).save(microlens, dpi)
+        refuse_if(
+            drawing is not None and shown_camera.prescription is None,
+            f"{drawing}: the camera has no main_lens of surfaces that could be drawn",
+        )
+        lens = main_lens(shown_camera)
+        distance = shown_camera.focus_distance
+        cell = shown_camera.row_pitch if shown_camera.has_array else 0.0
+        rows = design_sheet(shown_camera, wavelength)
+        facts = {"camera": shown_camera.to_dict(), "warnings": design_warnings(shown_camera, wavelength)}
+        facts["capture"] = _origin(capture) if capture else {}
+        if fix is not None:
+            better = mended(shown_camera, wavelength)
+            write_text(fix, better.to_json(), ".json")
+            better_facts = better.to_dict().items()
+            facts["changed"] = {name: value for name, value in better_facts if facts["camera"].get(name) != value}
+            facts["still"] = design_warnings(better, wavelength)
     if drawing is not None:
         # Brings Matplotlib, which takes a while to load.
-        from ..report import draw_main_lens
+        from ..report import main_lens_figure
 
-        draw_main_lens(drawing, shown_camera)
-    if microlens is not None:
-        from ..report import draw_microlens
-
-        draw_microlens(microlens, shown_camera, wavelength)
-    rows = design_sheet(shown_camera, wavelength)
-    warnings = design_warnings(shown_camera, wavelength)
-    origin = _origin(capture) if capture else {}
-    better = None
-    if fix is not None:
-        better = mended(shown_camera, wavelength)
-        write_text(fix, better.to_json(), ".json")
-    changed = {}
-    if better is not None:
-        old = shown_camera.to_dict()
-        changed = {name: value for name, value in better.to_dict().items() if old.get(name) != value}
-    still = [] if better is None else design_warnings(better, wavelength)
+        main_lens_figure(lens, distance, cell).save(drawing, dpi)
     if as_json:
-        sheet = [row._asdict() for row in rows]
-        facts = {"camera": shown_camera.to_dict(), "sheet": sheet, "warnings": warnings, "capture": origin}
-        typer.echo(json.dumps(facts if fix is None else facts | {"changed": changed, "still": still}, indent=1))
+        typer.echo(json.dumps(facts | {"sheet": [row._asdict() for row in rows]}, indent=1))
         return
     console = Console(highlight=False)
     console.print(_table(rows))
-    if capture:
+    if recorded:
         console.print("[bold]Capture[/bold]")
-        for name, fact in origin.items():
+        for name, fact in facts["capture"].items():
             text = fact if isinstance(fact, str) else json.dumps(fact)
             console.print(f"  {escape(printable(name))}: {escape(printable(text))}", soft_wrap=True)
-    for warning in warnings:
+    for warning in facts.get("warnings", []):
         console.print(f"[bold]Warning:[/bold] {escape(warning)}.", soft_wrap=True)
     if fix is not None:
-        outcome = (
-            f"with {', '.join(f'{name} = {value}' for name, value in changed.items())}" if changed else "unchanged"
-        )
+        changes = ", ".join(f"{name} = {value}" for name, value in facts["changed"].items())
+        outcome = f"with {changes}" if changes else "unchanged"
         console.print(f"[bold]Written:[/bold] {escape(f'{fix}, {outcome}')}.", soft_wrap=True)
-        for warning in still:
+        for warning in facts["still"]:
             console.print(f"[bold]Still:[/bold] {escape(warning)}.", soft_wrap=True)
-
-
-def _behind_lens(source: str) -> PlenopticCamera:
-    """Return a camera that judges the lens of a file: it is in focus at infinity, or else at twice its focal length.
-
-    The detector has the default's size over the focal length, about 8 degrees from corner to corner.
-    """
-    from ..camera import PlenopticCamera
-    from ..prescription import THIN, read_prescription
-
-    lens = read_prescription(source)
-    try:
-        focal_length, _ = lens.own_numbers(None)
-    except InputError as error:
-        raise InputError(f"{source}: {str(error).removeprefix('main_lens: ')}") from None
-    width = PlenopticCamera().detector_width / THIN.own_numbers(None)[0] * focal_length
-    for distance in (math.inf, 2 * focal_length):
-        with contextlib.suppress(InputError):
-            return PlenopticCamera(main_lens=lens, focus_distance=distance, detector_width=width, mla_lattice="none")
-    raise InputError(
-        f"{source}: the images of objects at infinity and at twice its focal length, {focal_length:.4g} mm, lie within "
-        "the lens or before its exit pupil: no detector can stand there"
-    )
 
 
 def _origin(capture: Capture) -> dict[str, Any]:

@@ -64,10 +64,7 @@ def _is_scene(source: str, parameters: dict[str, str], unit: str = "mm") -> bool
     # Some scenes are called as a camera; parameters are theirs.
     preset = source in PRESETS and not Path(source).is_file() and not (parameters and source in scene_names())
     if preset or states_camera(source) or source.lower().endswith((".json", ".js", ".yaml", ".yml")):
-        refuse_if(
-            unit != "mm", f"--unit {unit}: {source} is no scene, and has its lengths in millimetres; leave it out"
-        )
-        refuse_if(parameters, f"-D: {source} is no scene, and has no scene parameters; leave it out")
+        refuse_scene_options(source, parameters, unit)
         return False
     require_camera_name("camera", source)
     content = content_of(Path(source)) if Path(source).exists() else SCENE_XML
@@ -90,6 +87,12 @@ def _sensor_of(source: str, parameters: dict[str, str], unit: str = "mm") -> Any
     except InputError as error:
         raise InputError(f"{source}: {error}; {_INSTEAD}") from None
     return sensors[0]
+
+
+def refuse_scene_options(source: str, parameters: dict[str, str], unit: str) -> None:
+    """Refuse options of scenes for what is none."""
+    refuse_if(unit != "mm", f"--unit {unit}: {source} is no scene, and has its lengths in millimetres; leave it out")
+    refuse_if(parameters, f"-D: {source} is no scene, and has no scene parameters; leave it out")
 
 
 def refuse_options(work: str, **options: object) -> None:
@@ -126,6 +129,15 @@ def light_field(
     )
 
 
+def require_png(dpi: int | None, *paths: Path | None) -> None:
+    """Refuse ``--dpi`` of files that are not PNG, and without any file."""
+    for name in [str(path) for path in paths if path is not None] or ["none"]:
+        refuse_if(
+            dpi is not None and not name.lower().endswith(".png"),
+            f"--dpi {dpi}: it is for figures in .png; the output is {name}",
+        )
+
+
 def drawing_of(options: Mapping[str, Any], *paths: Path | None) -> images.Drawing:
     """Return the settings for drawn pictures, the options `PICTURE`; refuse them where the output is not a picture."""
     from ..report import images
@@ -138,9 +150,7 @@ def drawing_of(options: Mapping[str, Any], *paths: Path | None) -> images.Drawin
         )
     suffix = outputs[0].suffix.lower()
     dpi = options.get("dpi")
-    refuse_if(
-        dpi is not None and suffix != ".png", f"--dpi {dpi}: it is for figures in .png; the output is {outputs[0]}"
-    )
+    require_png(dpi, outputs[0])
     figure = options["figure"] or dpi is not None
     scale = options["scale"]
     refuse_if(

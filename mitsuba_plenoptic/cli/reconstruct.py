@@ -14,8 +14,9 @@ from ..choices import PICTURES, VOLUMES
 from ..errors import refuse_if, require_count
 from ..refocus_options import Option, all_options, with_parameters
 from ..runtime import in_words, progress_bar
-from .inputs import batches_on, drawing_of, named_camera, refuse_options, require_in_sight, require_linear
+from .inputs import batches_on, drawing_of, named_camera, refuse_options, require_in_sight, require_linear, require_png
 from .options import (
+    EXISTING,
     EXPERT,
     PICTURE,
     WAVES,
@@ -195,7 +196,10 @@ def reconstruct(
 
 def sheet(
     results: Annotated[
-        list[Path], typer.Argument(metavar="RESULT.exr...", help="Files that 'reconstruct' wrote, in any order.")
+        list[Path],
+        typer.Argument(
+            metavar="RESULT.exr...", help="Files that 'reconstruct' wrote, in any order.", callback=EXISTING
+        ),
     ],
     output: Annotated[Path, output_option("FILE", "Figure to write, .pdf or .png.", ".pdf", ".png")],
     distance: Annotated[
@@ -221,7 +225,7 @@ def sheet(
     from ..runtime import require_apart, require_writable
 
     require_apart(require_writable(output), *results)
-    refuse_if(dpi is not None and output.suffix != ".png", f"--dpi {dpi}: it is for .png; the output is {output}")
+    require_png(dpi, output)
     read = [read_reconstruction(path) for path in results]
     there = sorted({result.distance for result in read})
     for value in distance or ():

@@ -8,13 +8,11 @@ order by a factor for each pixel; it reduces the estimate as well.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..runtime import Doubles, Floats, SumTask
+from ..runtime import Array, Doubles, Floats, SumTask
 from .operator import DetectorOperator
 
 PARTS = 16
@@ -77,10 +75,10 @@ class NonNegative:
     light. The result therefore has the sum of the image, or is black if that sum is below zero.
     """
 
-    def __init__(self, image: NDArray[Any]) -> None:
+    def __init__(self, image: Array) -> None:
         # Zeros count as positive: black pixels may become brighter.
         self._positive, self._light = image >= 0, np.maximum(image, 0)
-        self.image: NDArray[Any] = self._light
+        self.image: Array = self._light
         """The image, nowhere below zero."""
         self._squares: NonNegative | None = None
         if image.size > 1:
@@ -95,7 +93,7 @@ class NonNegative:
         positive = self._positive.astype(np.float64)
         return positive if self._squares is None else _times(positive, self._factors)
 
-    def forward(self, change: NDArray[Any]) -> NDArray[Any]:
+    def forward(self, change: Array) -> Array:
         """Return the change of the result for a change of the image."""
         light = np.where(self._positive, change, 0)
         if self._squares is None:
@@ -103,7 +101,7 @@ class NonNegative:
         shares = self._over_sum(self._squares.forward(_sums(change)) - self._factors * _sums(light))
         return _times(light, self._factors) + _times(self._light, shares)
 
-    def backward(self, gradient: NDArray[Any]) -> NDArray[Any]:
+    def backward(self, gradient: Array) -> Array:
         """Return the gradient with respect to the image: the transpose of `forward` applied to a gradient."""
         if self._squares is None:
             return np.where(self._positive, gradient, 0)
@@ -113,7 +111,7 @@ class NonNegative:
         result = np.where(self._positive, light, 0) + _times(even, self._squares.backward(squares))
         return result.astype(gradient.dtype)
 
-    def _over_sum(self, values: NDArray[Any]) -> NDArray[Any]:
+    def _over_sum(self, values: Array) -> Array:
         """Return values of squares divided by the light of the squares, 0 for squares without light."""
         return np.divide(values, self._sum, out=np.zeros_like(values), where=self._sum > 0)
 
@@ -129,7 +127,7 @@ def variance_left(projection: NonNegative, variance: Floats, camera: PlenopticCa
     return np.divide(left, complete, out=np.zeros_like(left), where=complete > 0).clip(0, 1)
 
 
-def _times(image: NDArray[Any], factors: Doubles) -> NDArray[Any]:
+def _times(image: Array, factors: Doubles) -> Array:
     """Return an image times the factors of its squares of 2 x 2 pixels."""
     rows, columns = image.shape
     wide = factors.repeat(2, 1)[:, :columns]
@@ -141,9 +139,9 @@ def _times(image: NDArray[Any], factors: Doubles) -> NDArray[Any]:
     return result
 
 
-def _sums(image: NDArray[Any]) -> Doubles:
+def _sums(image: Array) -> Doubles:
     """Return the sums over squares of 2 x 2 pixels; beyond odd edges missing pixels count as 0."""
     if any(size % 2 for size in image.shape):
         image = np.pad(image, [(0, size % 2) for size in image.shape])
     rows = np.add(image[::2], image[1::2], dtype=np.float64)
-    return np.asarray(rows[:, ::2] + rows[:, 1::2])
+    return rows[:, ::2] + rows[:, 1::2]

@@ -24,7 +24,7 @@ from ..errors import (
     suggest_keywords,
 )
 from ..io import Capture, read_if_path, recording_of, require_demosaiced
-from ..runtime import Integers
+from ..runtime import Array, Integers
 
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
 _SMALLEST = 1e-9
@@ -105,7 +105,7 @@ class Detector:
         gain = (top - black) / self.full_well if self.gain is None else self.gain
         put(self, black_level=black, gain=_positive("gain", gain))
 
-    def digital_numbers(self, photons: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    def digital_numbers(self, photons: Array, generator: np.random.Generator) -> Array:
         """Return the digital numbers of pixels that are hit by a given mean number of photons.
 
         Parameters
@@ -121,7 +121,7 @@ class Detector:
         """
         return self._exposed(photons, generator)[0]
 
-    def _exposed(self, photons: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    def _exposed(self, photons: Array, generator: np.random.Generator) -> tuple[Array, Array]:
         """Return the digital numbers, and a mask of pixels with a full well or the largest number."""
         assert self.gain is not None and self.black_level is not None
         # Far beyond saturation the number of electrons does not matter, but would overflow.
@@ -219,4 +219,4 @@ def filters(camera: PlenopticCamera, mosaic: str) -> Integers:
     repeats = 1 if mosaic in MOSAICS else 2
     left, top = camera.crop_offset
     rows, columns = camera.shape
-    return np.asarray(tile[np.ix_((np.arange(rows) + top) // repeats % 2, (np.arange(columns) + left) // repeats % 2)])
+    return tile[np.ix_((np.arange(rows) + top) // repeats % 2, (np.arange(columns) + left) // repeats % 2)]

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..optics import parabola, phasor, rays
-from ..runtime import active_backend, drjit_array, fft
+from ..runtime import Array, Field, Pair, active_backend, drjit_array, fft
 from .microlens_orders import MicrolensArray
 from .steps import Step
 from .transmittance import is_separable, transmission
@@ -27,9 +27,9 @@ class Element:
         step: Step,
         function: Callable[[Any, Any], Any] | None = None,
         *,
-        along_x: fft.Field | None = None,
-        along_y: fft.Field | None = None,
-        samples: fft.Field | None = None,
+        along_x: Field | None = None,
+        along_y: Field | None = None,
+        samples: Field | None = None,
     ) -> None:
         self._step = step
         self._function = function
@@ -68,7 +68,7 @@ class Element:
         runs = np.flatnonzero(np.diff(self._lit[rows], prepend=False, append=False)).reshape(-1, 2)
         return [slice(rows.start + first, rows.start + end) for first, end in runs.tolist()]
 
-    def through(self, rows: slice, samples: fft.Field, out: fft.Field) -> None:
+    def through(self, rows: slice, samples: Field, out: Field) -> None:
         """Write rows of a field, multiplied by all factors but the one along y, to `out`."""
         factor = self.factor(rows)
         if factor is None:
@@ -76,7 +76,7 @@ class Element:
         else:
             active_backend().arrays.multiply(samples, factor, out=out)
 
-    def back(self, rows: slice, samples: fft.Field, scale: float) -> fft.Field:
+    def back(self, rows: slice, samples: Field, scale: float) -> Field:
         """Return rows of a field, multiplied by the conjugates of all factors and by a scale."""
         for factor in (self.factor(rows), None if self.along_y is None else self.along_y[rows, None]):
             samples = samples if factor is None else samples * factor.conj()
@@ -91,7 +91,7 @@ class Element:
         return _evaluate(self._step.x.source, self._step.y.source[rows], self._function)
 
 
-def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any]) -> fft.Field:
+def _evaluate(x: Array, y: Array, function: Callable[[Any, Any], Any]) -> Field:
     """Return a function of two Dr.Jit arrays at all pairs of coordinates."""
     types = active_backend().types
     _, row, column = fft.split(types, dr.arange(types.UInt32, len(x) * len(y)), len(y), len(x))
@@ -130,7 +130,7 @@ def converging(
     z = camera.reduced_distance
 
     def phase(x: Any, y: Any) -> Any:
-        index = camera.lattice.cell(*(rays.chief_point(p, b, z) for p in (x, y)))
+        index = rays.chief_lenses(camera, x, y)
         cx, cy = camera.lattice.centre(*index)
         light = phasor(parabola((x - cx) ** 2 + (y - cy) ** 2, z, wavelength))
         return light if subset is None else _of_subset(light, index, interleave, subset)
@@ -148,7 +148,7 @@ def _centre(camera: PlenopticCamera, index: tuple[int, int]) -> tuple[float, flo
     return float(x), float(y)
 
 
-def _of_subset(light: Any, index: tuple[Any, Any], interleave: int, subset: tuple[int, int]) -> Any:
+def _of_subset(light: Any, index: Pair, interleave: int, subset: tuple[int, int]) -> Any:
     """Return light with the contributions of lenses outside the subset set to 0."""
     period = dr.opaque(type(index[0]), interleave)
     mine = [

@@ -20,7 +20,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..optics import advance, in_millimetres, parabola, phasor
-from ..runtime import active_backend, fft
+from ..runtime import Field, active_backend
 from .elements import Element
 from .steps import AxisStep, Directions, LensAxis, Step
 from .watch import Watch
@@ -281,7 +281,7 @@ def from_directions(spectrum: Rows, step: Step, workspace: FieldWorkspace, watch
         yield rows, _from_lowest(rows_cut, x, workspace)[:, : x.wanted]
 
 
-def _from_lowest(rows_cut: fft.Field, axis: AxisStep, workspace: FieldWorkspace) -> fft.Field:
+def _from_lowest(rows_cut: Field, axis: AxisStep, workspace: FieldWorkspace) -> Field:
     """Return rows all over the destination's window, from the rows' lowest frequencies."""
     if axis.held < axis.new_padded:
         low, high = _lowest(axis.new_padded, axis.held)

@@ -45,7 +45,7 @@ from numpy.typing import NDArray
 from ..array import Lattice
 from ..camera import PlenopticCamera
 from ..optics import in_millimetres
-from ..runtime import array_module, backend_of, check_memory, drjit_array, empty_packets, fft, turn
+from ..runtime import Array, Field, Pair, array_module, backend_of, check_memory, drjit_array, empty_packets, fft, turn
 from .accuracy import ACCURACY
 from .transmittance import factor_axes, opaque_lattice, transmission
 
@@ -80,7 +80,7 @@ class ArrayFactor(ABC):
         self._tables: dict[ArrayParameter | None, Any] = {}
 
     @abstractmethod
-    def orders(self, parameter: ArrayParameter | None = None) -> NDArray[Any]:
+    def orders(self, parameter: ArrayParameter | None = None) -> Array:
         """Return the amplitudes of the orders, or their derivatives, from the most negative order; y along rows."""
 
     def at(self, *coordinates: Any, parameter: ArrayParameter | None = None) -> Any:
@@ -111,7 +111,7 @@ class ArrayFactor(ABC):
             ]
         return sum(fft.unpack(dr.gather(types.UInt64, table, coordinate)) * share for coordinate, share in terms)
 
-    def _table(self, amplitudes: NDArray[Any]) -> Any:
+    def _table(self, amplitudes: Array) -> Any:
         """Return one period of a sum of orders as 64-bit words, with its last sample before it and its first after it.
 
         Quadratic splines, shifted by half a sample, multiply order q of n by a power of a sinc and a phase; orders are
@@ -120,7 +120,7 @@ class ArrayFactor(ABC):
         orders = [np.arange(-(size // 2), size // 2 + 1) for size in amplitudes.shape]
         parts = [order / size for order, size in zip(orders, self._shape, strict=True)]
         windows = [np.sinc(part) ** 3 * np.exp(-1j * math.pi * part) for part in parts]
-        spectrum: NDArray[Any] = np.zeros(self._shape, self._precision)
+        spectrum: Array = np.zeros(self._shape, self._precision)
         spectrum[np.ix_(*orders)] = amplitudes / functools.reduce(np.multiply.outer, windows)
         table = scipy.fft.ifftn(spectrum, norm="forward", overwrite_x=True, workers=fft.worker_count())
         padded = empty_packets(tuple(size + 2 for size in table.shape), np.complex64)
@@ -131,7 +131,7 @@ class ArrayFactor(ABC):
             lines[-1] = lines[1]
         return drjit_array(array_module().UInt64, fft.as_words(padded))
 
-    def _by_position(self, orders: NDArray[Any], axis: int) -> NDArray[Any]:
+    def _by_position(self, orders: Array, axis: int) -> Array:
         """Return the orders of the derivative with respect to the position along an axis, in periods."""
         rows_first = self.axes[::-1].index(axis)
         order = np.indices(orders.shape, sparse=True)[rows_first] - orders.shape[rows_first] // 2
@@ -149,7 +149,7 @@ class AxisFactor(ArrayFactor):
         super().__init__(camera, (axis,), (fft.fast_length(ACCURACY.order_samples[0] * max(count, 1)),))
         self._orders = axis_orders(camera, wavelength, count, axis)
 
-    def orders(self, parameter: ArrayParameter | None = None) -> NDArray[Any]:
+    def orders(self, parameter: ArrayParameter | None = None) -> Array:
         """Return the amplitudes of the orders, or their derivatives."""
         plain, by_fresnel, by_width = self._orders
         if parameter is None:
@@ -205,7 +205,7 @@ class PlaneFactor(ArrayFactor):
         )
         self._moments: dict[tuple[int, int, int | None], NDArray[np.complex64]] = {}
 
-    def orders(self, parameter: ArrayParameter | None = None) -> NDArray[Any]:
+    def orders(self, parameter: ArrayParameter | None = None) -> Array:
         """Return the amplitudes of the orders, or their derivatives."""
         plain = self._moment(0, 0, None)
         if parameter is None:
@@ -253,7 +253,7 @@ class PlaneFactor(ArrayFactor):
         inside = np.hypot(order[0][:, None] / sides[1], order[1] / sides[0]) * wave <= self._cosine
         return (spectrum[np.ix_(*order)] * np.exp(-2j * math.pi * waves) * inside).astype(np.complex64)
 
-    def _samples(self, shape: list[int], axis: int, power: int, lens_type: int | None) -> fft.Field:
+    def _samples(self, shape: list[int], axis: int, power: int, lens_type: int | None) -> Field:
         """Return samples of one period of the transmission, at the centres of equal rectangles, on the host."""
         types = array_module()
         _, row, column = fft.split(types, dr.arange(types.UInt32, shape[0] * shape[1]), *shape)
@@ -274,7 +274,7 @@ class PlaneFactor(ArrayFactor):
                 factor = dr.select(lattice.lens_type(*cell) == lens_type, factor, 0)
             samples *= factor
         packed = fft.pack(samples)
-        return np.asarray(backend_of(packed).to_host(fft.as_field(packed, tuple(shape))))
+        return backend_of(packed).to_host(fft.as_field(packed, tuple(shape)))
 
 
 class MicrolensArray:
@@ -369,7 +369,7 @@ class VaryingArrayFactor:
         return value
 
 
-def _node(coordinate: Any, period: float, count: int) -> tuple[Any, Any]:
+def _node(coordinate: Any, period: float, count: int) -> Pair:
     """Return the index of the sample before a position in periods, and the distance from it in samples."""
     types = fft.array_types(coordinate)
     scaled = coordinate * dr.opaque(types.Float64, 1 / period)

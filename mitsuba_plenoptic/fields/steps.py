@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..runtime import Array
+
 
 @dataclass(frozen=True)
 class AxisStep:
@@ -43,12 +45,12 @@ class AxisStep:
         return self.window / self.new_padded
 
     @property
-    def source(self) -> np.ndarray:
+    def source(self) -> Array:
         """Coordinates in mm of the source samples, float64 (count,)."""
         return self.first + self.pitch * np.arange(self.count)
 
     @property
-    def destination(self) -> np.ndarray:
+    def destination(self) -> Array:
         """Coordinates in mm of the destination samples, float64 (wanted,)."""
         return self.start + self.new_pitch * np.arange(self.wanted)
 
@@ -120,6 +122,6 @@ class LensAxis:
     pitch: float
 
     @property
-    def samples(self) -> np.ndarray:
+    def samples(self) -> Array:
         """Coordinates in mm of the samples, float64 (count,)."""
         return (np.arange(self.count) - self.count // 2) * self.pitch

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..optics import EDGE, fraction, frequencies_of, power, power_by_row, rim
-from ..runtime import active_backend, fft
+from ..runtime import Field, active_backend
 from .steps import Step
 from .workspace import Rows
 
@@ -47,7 +47,7 @@ class Watch:
         sums = arrays.stack([self._total, self._at_edge])
         self._total, self._at_edge = active_backend().to_host(sums).tolist()
 
-    def see_window(self, lines: fft.Field) -> None:
+    def see_window(self, lines: Field) -> None:
         """Add the power of lines all over the next window along y."""
         self._in_rim += sum(power(lines[:, side]) for side in self._rim)
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ..runtime import Floats, active_backend, fft
+from ..runtime import Field, Floats, active_backend, fft
 from .steps import Step
 
-Rows = Iterable[tuple[slice, fft.Field]]
+Rows = Iterable[tuple[slice, Field]]
 """Blocks of rows of a field, from the first on, with their numbers. What is left out is dark.
 
 A block holds until the next one is asked for, and who takes it may overwrite it.
@@ -42,7 +42,7 @@ class FieldWorkspace:
         self,
         steps: Iterable[Step],
         report: Callable[[int], None] = lambda transformed: None,
-        buffers: dict[str, fft.Field] | None = None,
+        buffers: dict[str, Field] | None = None,
     ) -> None:
         self.libraries = active_backend()
         self.block = _CUDA_BLOCK if self.libraries.is_cuda else _BLOCK
@@ -52,11 +52,11 @@ class FieldWorkspace:
         columns, rows = (max(sizes) for sizes in zip(*(step.columns for step in steps), strict=True))
         self._columns = self.array("columns", (columns, rows + -rows % _PAGE + _STAGGER))
 
-    def columns(self, step: Step) -> fft.Field:
+    def columns(self, step: Step) -> Field:
         """Return the memory of a step's columns, shared with the last step's columns."""
         return self._columns[: step.x.held]
 
-    def array(self, name: str, shape: tuple[int, int]) -> fft.Field:
+    def array(self, name: str, shape: tuple[int, int]) -> Field:
         """Return an uninitialised array, valid until the same name is requested again."""
         size = shape[0] * shape[1]
         if name not in self._buffers or self._buffers[name].size < size:
@@ -69,7 +69,7 @@ class FieldWorkspace:
         for first in range(0, count, block):
             yield slice(first, min(first + block, count))
 
-    def blocks(self, field: fft.Field, first: int = 0) -> Rows:
+    def blocks(self, field: Field, first: int = 0) -> Rows:
         """Yield all rows of a field in blocks, which are views of the field; `first` is the number of its first row."""
         for rows in self.runs(len(field)):
             yield slice(rows.start + first, rows.stop + first), field[rows]
@@ -82,14 +82,14 @@ class FieldWorkspace:
                 part = self.libraries.arrays.repeat(part, count, axis)
             yield slice(rows.start * count, rows.stop * count), part
 
-    def whole(self, blocks: Rows, shape: tuple[int, int]) -> fft.Field:
+    def whole(self, blocks: Rows, shape: tuple[int, int]) -> Field:
         """Return a field gathered from all its rows."""
         field = self.libraries.arrays.empty(shape, np.complex64)
         for rows, samples in blocks:
             field[rows] = samples
         return field
 
-    def fft(self, field: fft.Field, *, inverse: bool = False) -> fft.Field:
+    def fft(self, field: Field, *, inverse: bool = False) -> Field:
         """Transform rows in place; forward transforms are divided by the length, inverse ones are not."""
         result = fft.fft(field, axis=1, inverse=inverse, norm="forward")
         self._transformed += field.size
@@ -109,7 +109,7 @@ def retained_workspace(steps: Iterable[Step]) -> Iterator[FieldWorkspace]:
     if active_backend().is_cuda:
         yield FieldWorkspace(steps)
         return
-    buffers: dict[str, fft.Field] = _of_thread.__dict__.pop("buffers", {})
+    buffers: dict[str, Field] = _of_thread.__dict__.pop("buffers", {})
     yield FieldWorkspace(steps, buffers=buffers)
     if sum(buffer.nbytes for buffer in buffers.values()) <= _RETAINED:
         _of_thread.buffers = buffers

@@ -3,7 +3,6 @@
 from . import examples as examples
 from . import versions as versions
 from .cache import Cache as Cache
-from .cache import Progress as Progress
 from .cache import StageOptions as StageOptions
 from .captures import EXPOSED as EXPOSED
 from .captures import RECORDED as RECORDED

@@ -20,12 +20,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..runtime import Forecast, in_words, lock_of, locked, read_text, software, write_text
+from ..runtime import Array, Forecast, Progress, in_words, lock_of, locked, read_text, software, write_text
 from .captures import Capture, read_capture, write_capture
 from .checkpoints import CHECKPOINT_SUFFIX, Checkpoint, hash_of, write_json
 from .exr import read_exr, write_exr
-
-Progress = Callable[[int, int], None]
 
 _log = logging.getLogger(__name__)
 
@@ -78,7 +76,7 @@ class Cache:
         """
         self.expected = work
         self._forecast = Forecast(
-            lambda seconds: _log.info("all %d stages: about %s", len(work), in_words(seconds)), least=0.04
+            lambda seconds: _log.info("all %d stages: about %s", len(work), in_words(seconds)), least=0.1
         )
 
     def capture(self, name: str, inputs: Any, make: Callable[[Progress, Checkpoint], Capture]) -> tuple[Capture, str]:
@@ -90,8 +88,8 @@ class Cache:
             )
 
     def image(
-        self, name: str, inputs: Any, make: Callable[[Progress], tuple[np.ndarray, dict[str, Any]]]
-    ) -> tuple[np.ndarray, str]:
+        self, name: str, inputs: Any, make: Callable[[Progress], tuple[Array, dict[str, Any]]]
+    ) -> tuple[Array, str]:
         """Return an image and its key; facts about it go into the file's header."""
         (image, *_), key = self._get(f"{name}.exr", inputs, make, lambda path, made: write_exr(path, *made), read_exr)
         return np.asarray(image, dtype=np.float32), key
@@ -117,7 +115,7 @@ class Cache:
         beside = self.folder / f".{file}.key"
         name = file.rpartition(".")[0]
         number = next(self._number)
-        label = f"{name}, {number} of {len(self.expected)}" if self.expected else name
+        label = f"{name}, {number} of {len(self.expected)}" if number <= len(self.expected) else name
         before, work = sum(self.expected[: number - 1]), sum(self.expected[number - 1 : number])
 
         def progress(done: int, total: int) -> None:

@@ -35,7 +35,7 @@ from ..errors import (
     suggest_keywords,
 )
 from ..extension import Displayed, format_of, place
-from ..runtime import as_pixels, atomic_output, of_one_file, require_writable
+from ..runtime import Array, as_pixels, atomic_output, of_one_file, require_writable
 from .exr import ATTRIBUTE, read_attributes, read_exr, read_pixels, write_exr
 from .versions import require_seal, sealed
 
@@ -207,7 +207,7 @@ def _record(capture: Capture, kind: str) -> dict[str, Any]:
     }
 
 
-def _capture_of(record: dict[str, Any], image: np.ndarray, noise: np.ndarray | None = None) -> Capture:
+def _capture_of(record: dict[str, Any], image: Array, noise: Array | None = None) -> Capture:
     """Return a capture from its pixels and the record of its other data."""
     return Capture(
         image,

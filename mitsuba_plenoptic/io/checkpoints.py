@@ -20,10 +20,10 @@ from types import TracebackType
 from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError, refuse_if, require_choice, warn
 from ..runtime import (
+    Array,
     PartialSum,
     Snapshot,
     atomic_output,
@@ -86,7 +86,7 @@ class Checkpoint:
         self._complained = False
         self._stopping = False
         self._lock = contextlib.ExitStack()
-        self._prepared: dict[str, NDArray[Any]] = {}
+        self._prepared: dict[str, Array] = {}
         self._has_run = True
 
     def __enter__(self) -> Checkpoint:
@@ -133,7 +133,7 @@ class Checkpoint:
         """
         return self._begin(facts, partial(_snapshot, shape))
 
-    def begin_arrays(self, **facts: Any) -> dict[str, NDArray[Any]] | None:
+    def begin_arrays(self, **facts: Any) -> dict[str, Array] | None:
         """Register a run whose state is arrays instead of a sum; return the saved arrays, None if there are none."""
         return self._begin(facts, lambda arrays, _: arrays)
 
@@ -156,7 +156,7 @@ class Checkpoint:
             _log.info("%s: resuming from there", self.path)
         return state
 
-    def _prepare(self, key: Any, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+    def _prepare(self, key: Any, make: Callable[[], Array]) -> Array:
         """Return an array that a run needs before its first batch, stored by an earlier process or made.
 
         The key, plain JSON values, states all that the array depends on, but the software.
@@ -198,7 +198,7 @@ class Checkpoint:
         """
         self._save(lambda path: _write(path, self._known_facts(), snapshot, self._prepared))
 
-    def save_arrays(self, arrays: Callable[[], Mapping[str, NDArray[Any]]]) -> None:
+    def save_arrays(self, arrays: Callable[[], Mapping[str, Array]]) -> None:
         """Write the float32 and float64 arrays for `begin_arrays` if the time since the last save is long enough."""
         self._save(lambda path: _write_archive(path, self._known_facts(), {}, {**arrays(), **self._prepared}))
 
@@ -227,7 +227,7 @@ class Checkpoint:
             raise KeyboardInterrupt
 
 
-def digest(*arrays: NDArray[Any] | None) -> str:
+def digest(*arrays: Array | None) -> str:
     """Return a hash of arrays by type, shape and content."""
     text = hashlib.sha256()
     for array in arrays:
@@ -249,7 +249,7 @@ def write_json(path: Path, content: Any) -> None:
     write_text(path, json.dumps(content, indent=1, sort_keys=True) + "\n")
 
 
-def _write(path: Path, run: dict[str, Any], snapshot: Snapshot, prepared: dict[str, NDArray[Any]]) -> None:
+def _write(path: Path, run: dict[str, Any], snapshot: Snapshot, prepared: dict[str, Array]) -> None:
     header: dict[str, Any] = {"sums": snapshot.sums}
     arrays: dict[str, Any] = {"image": snapshot.image, **prepared}
     if snapshot.partial:
@@ -267,7 +267,7 @@ def _write_archive(path: Path, run: dict[str, Any] | None, header: dict[str, Any
         os.fsync(file.fileno())
 
 
-def _archive(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def _archive(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return the header and the arrays of a checkpoint."""
     require_memory(path.stat().st_size, f"{path.stat().st_size} bytes")
     with np.load(path, allow_pickle=False) as archive:
@@ -295,7 +295,7 @@ def _read(path: Path, run: dict[str, Any], take: Callable[[Any, dict[str, Any]],
     )
 
 
-def _snapshot(shape: tuple[int, ...], archive: Mapping[str, NDArray[Any]], header: dict[str, Any]) -> Snapshot:
+def _snapshot(shape: tuple[int, ...], archive: Mapping[str, Array], header: dict[str, Any]) -> Snapshot:
     image = archive["image"]
     if image.shape != shape:
         raise ValueError(f"image has the shape {image.shape} instead of {shape}")

@@ -13,7 +13,7 @@ import OpenEXR
 
 from ..camera import PlenopticCamera
 from ..errors import advice, content_of, naming, refuse_if, refusing, short_repr
-from ..runtime import atomic_output, native_output_dropped, of_one_file, require_file, require_memory
+from ..runtime import Array, atomic_output, native_output_dropped, of_one_file, require_file, require_memory
 from .versions import require_seal, sealed
 
 ATTRIBUTE = "mitsuba_plenoptic"
@@ -39,10 +39,10 @@ class ExrPart(NamedTuple):
 
 def write_exr(
     path: str | Path,
-    image: np.ndarray,
+    image: Array,
     attributes: dict[str, Any],
     *,
-    noise: np.ndarray | None = None,
+    noise: Array | None = None,
     offset: tuple[int, int] = (0, 0),
     full_size: tuple[int, int] | None = None,
 ) -> None:
@@ -58,7 +58,7 @@ def write_exr(
 
 def write_exr_parts(
     path: str | Path,
-    parts: Mapping[str, Mapping[str, np.ndarray]],
+    parts: Mapping[str, Mapping[str, Array]],
     attributes: dict[str, Any],
     *,
     offset: tuple[int, int] = (0, 0),
@@ -86,18 +86,18 @@ def write_exr_parts(
         OpenEXR.File(written).write(str(temporary))
 
 
-def _window(x: int, y: int, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
+def _window(x: int, y: int, columns: int, rows: int) -> tuple[Array, Array]:
     return np.array([x, y], dtype=np.int32), np.array([x + columns - 1, y + rows - 1], dtype=np.int32)
 
 
-def image_channels(image: np.ndarray) -> dict[str, np.ndarray]:
+def image_channels(image: Array) -> dict[str, Array]:
     """Return an image's channels by name: Y of (rows, columns), or R, G and B of (rows, columns, 3)."""
     if image.ndim == 2:
         return {"Y": image}
     return {name: image[..., i] for i, name in enumerate("RGB")}
 
 
-def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str, Any]]:
+def read_exr(path: str | Path) -> tuple[Array, Array | None, dict[str, Any]]:
     """Return the image, the noise if any, and the attributes of a file of `write_exr`."""
     parts, attributes = read_exr_parts(path)
     planes = next(iter(parts.values()))
@@ -116,7 +116,7 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
 
 
 @of_one_file
-def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, Any]]:
+def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, Array]], dict[str, Any]]:
     """Return the float32 channels of each part, and the attributes, of a file of `write_exr_parts`."""
     path = require_file(path)
     parts = read_parts(path)
@@ -148,7 +148,7 @@ def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], 
 
 
 @of_one_file
-def read_pixels(path: str | Path, camera: PlenopticCamera | None = None) -> np.ndarray:
+def read_pixels(path: str | Path, camera: PlenopticCamera | None = None) -> Array:
     """Return the pixels, (rows, columns[, 3]) in single precision, in the display window of another program's file.
 
     Of a display window as large as the camera's whole detector, the part that the camera records is returned.

@@ -20,7 +20,7 @@ from PIL import Image
 from tifffile import EXTRASAMPLE, PHOTOMETRIC
 
 from ..errors import refusing, require_number
-from ..runtime import atomic_output, native_output_dropped, of_one_file, require_file, require_memory
+from ..runtime import Array, atomic_output, native_output_dropped, of_one_file, require_file, require_memory
 
 TIFF = (".tif", ".tiff")
 
@@ -37,12 +37,12 @@ _COLOURS = {PHOTOMETRIC.MINISWHITE: 1, PHOTOMETRIC.MINISBLACK: 1, PHOTOMETRIC.RG
 class StoredPicture(NamedTuple):
     """The numbers in a file, (rows, columns[, 3]), and what it says of them."""
 
-    numbers: np.ndarray
+    numbers: Array
     white: float | None  # None for numbers that are proportional to light
     encoding: float | bytes | None  # exponent, colour profile of the ICC, or None for sRGB
     text: str
 
-    def values(self, linear: bool, black_level: float = 0) -> np.ndarray:
+    def values(self, linear: bool, black_level: float = 0) -> Array:
         """Return linear values in single precision, 0 at the black level, and 1 where whole numbers are white."""
         most = None if self.white is None else self.white - 1
         values = self.numbers - np.float64(require_number("black_level", black_level, minimum=0, maximum=most))
@@ -55,7 +55,7 @@ class StoredPicture(NamedTuple):
         return values.astype(np.float32)
 
 
-def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
+def read_picture(path: str | Path, *, linear: bool = False) -> Array:
     """Return the linear values of a PNG, TIFF or BMP, grey or of three colours.
 
     Parameters
@@ -149,7 +149,7 @@ def read_tiff(path: Path) -> StoredPicture:
         return StoredPicture(numbers, white, page.tags.valueof("InterColorProfile"), str(page.description))
 
 
-def decoded(page: tifffile.TiffPage, path: Path) -> np.ndarray:
+def decoded(page: tifffile.TiffPage, path: Path) -> Array:
     """Return a page's samples as they are stored, decoded by Pillow where tifffile lacks the means."""
     try:
         return page.asarray()
@@ -164,12 +164,12 @@ def decoded(page: tifffile.TiffPage, path: Path) -> np.ndarray:
         raise
 
 
-def linear_of(encoded: np.ndarray) -> np.ndarray:
+def linear_of(encoded: Array) -> Array:
     """Return linear values for values from 0 to 1 that are encoded in sRGB (IEC 61966-2-1)."""
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
-def write_picture(path: str | Path, image: np.ndarray, text: str) -> None:
+def write_picture(path: str | Path, image: Array, text: str) -> None:
     """Write linear values (rows, columns[, 3]), clipped to 0 to 1, as a PNG of 16 bits a channel in sRGB encoding.
 
     The text is stored in quotes under the name `KEY`.

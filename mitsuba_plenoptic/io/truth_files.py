@@ -12,6 +12,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..choices import QUANTITIES
 from ..errors import InputError, naming, refuse_if, require_choice, short_repr
+from ..runtime import Array
 from .exr import read_exr_parts, write_exr_parts
 
 TRUTH_SUFFIX = ".truth.exr"
@@ -59,10 +60,10 @@ class GroundTruth:
     """
 
     camera: PlenopticCamera
-    pixels: dict[str, np.ndarray]
-    views: dict[str, np.ndarray]
+    pixels: dict[str, Array]
+    views: dict[str, Array]
     shapes: tuple[str, ...]
-    to_world: np.ndarray
+    to_world: Array
 
 
 def require_quantities(names: Iterable[str]) -> tuple[str, ...]:
@@ -74,7 +75,7 @@ def require_quantities(names: Iterable[str]) -> tuple[str, ...]:
     return quantities
 
 
-def channel_planes(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def channel_planes(values: Mapping[str, Array]) -> dict[str, Array]:
     """Return the arrays of quantities by channel, such as ``normal.X``, without the axis of three components."""
     return {
         f"{name}.{letter}": array[..., index] if len(letters) > 1 else array
@@ -145,7 +146,7 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
         for part_name, shape in shapes_of.items():
             for plane in parts[part_name].values():
                 refuse_if(plane.shape != shape, f"its part {part_name} has the shape {plane.shape}: it must be {shape}")
-        to_world: np.ndarray = np.empty(0)
+        to_world: Array = np.empty(0)
         with contextlib.suppress(TypeError, ValueError):
             to_world = np.array(attributes.get("to_world"), dtype=np.float64)
         refuse_if(
@@ -163,7 +164,7 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
         return GroundTruth(camera, pixels, views, tuple(shapes), to_world)
 
 
-def _quantities(planes: Mapping[str, np.ndarray], shapes: int) -> dict[str, np.ndarray]:
+def _quantities(planes: Mapping[str, Array], shapes: int) -> dict[str, Array]:
     """Return quantities from channels, the inverse of `channel_planes`, for a scene of `shapes` shapes."""
     names = [name for name in QUANTITIES if any(key.startswith(f"{name}.") for key in planes)]
     keys = {name: [f"{name}.{letter}" for letter in QUANTITIES[name]] for name in names}

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import refuse_if
+from ..runtime import Array
 
 VERSION = version("mitsuba-plenoptic")
 """The version that files written by this process state."""
@@ -25,13 +26,13 @@ def stamped(record: Mapping[str, Any]) -> dict[str, Any]:
     return {**record, KEY: VERSION}
 
 
-def sealed(record: Mapping[str, Any], parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, Any]:
+def sealed(record: Mapping[str, Any], parts: Sequence[Mapping[str, Array]]) -> dict[str, Any]:
     """Return a file's record, as JSON keeps it, with the version, and the digest of it and the planes of its pixels."""
     plain = json.loads(json.dumps(stamped(record), sort_keys=True))
     return {**plain, DIGEST: digest_of(plain, parts)}
 
 
-def require_seal(record: dict[str, Any], parts: Sequence[Mapping[str, np.ndarray]]) -> None:
+def require_seal(record: dict[str, Any], parts: Sequence[Mapping[str, Array]]) -> None:
     """Refuse a file whose pixels or record are not those of its digest; a file may have none."""
     stated = record.get(DIGEST)
     refuse_if(
@@ -41,7 +42,7 @@ def require_seal(record: dict[str, Any], parts: Sequence[Mapping[str, np.ndarray
     )
 
 
-def digest_of(record: Mapping[str, Any], parts: Sequence[Mapping[str, np.ndarray]]) -> str:
+def digest_of(record: Mapping[str, Any], parts: Sequence[Mapping[str, Array]]) -> str:
     """Return the digest of planes and of a record without the digest that it states."""
     sealed_record = {name: value for name, value in record.items() if name != DIGEST}
     content_hash = hashlib.sha256(json.dumps(sealed_record, sort_keys=True).encode())

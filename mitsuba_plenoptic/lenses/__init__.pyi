@@ -21,7 +21,6 @@ from .protocol import Light as Light
 from .protocol import MainLens as MainLens
 from .protocol import PointLight as PointLight
 from .protocol import Traced as Traced
-from .pupil import Pair as Pair
 from .pupil_fit import ExitPupil as ExitPupil
 from .pupil_fit import Pupils as Pupils
 from .real_lens import RealLens as RealLens

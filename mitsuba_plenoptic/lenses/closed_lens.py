@@ -6,9 +6,9 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, Self
 
-from ..runtime import Doubles, sqrt
+from ..runtime import Doubles, Pair, sqrt
 from .protocol import Light
-from .pupil import Pair, Pupil
+from .pupil import Pupil
 
 _ROUNDING = 1e-9
 """Distance outside a round pupil, over its radius, up to which a point counts as on its edge."""

@@ -14,9 +14,8 @@ from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import in_millimetres, rays
 from ..prescription import Collimator, Objective, Prescription
-from ..runtime import Doubles
+from ..runtime import Doubles, Pair
 from .protocol import MainLens
-from .pupil import Pair
 
 if TYPE_CHECKING:
     from .fitted_lens import FittedLens
@@ -71,7 +70,7 @@ def inverse_distance(lens: MainLens, points: Doubles) -> Doubles:
     points : float64 array (n, 3)
         Scene points in the camera frame.
     """
-    return np.asarray(1 / (points[:, 2] - lens.entrance.pupil) if lens.pupil.finite else points[:, 2])
+    return 1 / (points[:, 2] - lens.entrance.pupil) if lens.pupil.finite else points[:, 2]
 
 
 def path_change(lens: MainLens, radius: Any, step: Any, wavelength: float) -> Any:

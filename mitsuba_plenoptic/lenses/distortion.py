@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..runtime import Pair
 
-def undistort(x: Any, y: Any, distortion: Any) -> tuple[Any, Any]:
+
+def undistort(x: Any, y: Any, distortion: Any) -> Pair:
     r"""Return the undistorted position U(m), as floats, NumPy arrays or Dr.Jit arrays.
 
     :math:`U = m (1 + k_1 r^2 + k_2 r^4 + k_3 r^6) + (p_1 (r^2 + 2 x^2) + 2 p_2 x y,\ p_2 (r^2 + 2 y^2) + 2 p_1 x y)`.

@@ -27,10 +27,10 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import put, refuse_if
 from ..optics import in_millimetres
-from ..runtime import Doubles, Integers, drjit_array, single_threaded_blas, turn
+from ..runtime import Doubles, Integers, Pair, drjit_array, single_threaded_blas, turn
 from .accuracy import ACCURACY
 from .protocol import Entrance, Traced
-from .pupil import Pair, Pupil
+from .pupil import Pupil
 from .pupil_fit import PupilFit, PupilRays, entrance_place, nodes, trace_all
 from .pupil_polynomials import LensLight, Polynomial, PupilPolynomial, fit
 
@@ -174,7 +174,7 @@ class FittedLens:
     def within(self, images: Doubles) -> Doubles:
         """Return positions (..., 2) on the MLA, moved to the edge of the illuminated field if they lie outside."""
         away = np.hypot(images[..., 0], images[..., 1])[..., None]
-        return np.asarray(images * np.minimum(1, self._covered / np.maximum(away, 1e-12)))
+        return images * np.minimum(1, self._covered / np.maximum(away, 1e-12))
 
     @functools.cached_property
     def _covered(self) -> float:
@@ -243,7 +243,7 @@ def open_area(lens: FittedLens, points: Doubles) -> Doubles:
     def measured(some: Doubles) -> Doubles:
         step, edge, pupil = places(lens)
         _, least = edges(lens.bind(some), pupil)
-        return np.asarray(np.clip(least / edge + 0.5, 0, 1).sum(1) * step**2)
+        return np.clip(least / edge + 0.5, 0, 1).sum(1) * step**2
 
     return at_all(lens, points, measured)
 
@@ -281,7 +281,7 @@ def at_all(lens: FittedLens, points: Doubles, measured: Callable[[Doubles], Doub
     u, near = (plane.ravel() for plane in np.meshgrid(*axes, indexing="ij"))
     nodes = np.column_stack([0 * u, u / near, 1 / near + lens.fitted.pupils.entrance])
     table = at_all(lens, nodes, measured).reshape(ACCURACY.area_fields, ACCURACY.area_depths)
-    return np.asarray(RegularGridInterpolator(axes, table, bounds_error=False)((heights, inverse_distance)))
+    return RegularGridInterpolator(axes, table, bounds_error=False)((heights, inverse_distance))
 
 
 LENS_NUMBERS = ("focal_length", "aperture_radius", "wavelength")
@@ -370,7 +370,7 @@ def open_area_slopes(lens: FittedLens, name: str, points: Doubles) -> Doubles:
             value = change.over_pupil(lanes, (fields[:, :1], fields[:, 1:])).value(pupil)
             moved = np.where(stop == index, -value / np.sqrt(np.maximum(x * x + y * y, 1e-20)), moved)
         area = np.clip(least / edge + 0.5, 0, 1).sum(1)
-        return np.asarray(np.where(np.abs(least) < edge / 2, moved, 0).sum(1) / (edge * area))
+        return np.where(np.abs(least) < edge / 2, moved, 0).sum(1) / (edge * area)
 
     return at_all(lens, points, measured)
 

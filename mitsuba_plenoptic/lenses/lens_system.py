@@ -20,11 +20,11 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
 from ..prescription import Paraxial, Prescription, height, paraxial, vergence
-from ..runtime import Doubles, rsqrt
+from ..runtime import Doubles, Pair, Triple, rsqrt
 from . import sequential
 from .accuracy import ACCURACY
 from .protocol import Traced
-from .pupil import Pair, Pupil
+from .pupil import Pupil
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +167,7 @@ class LensSystem:
         N = rsqrt(1 + tx * tx + ty * ty)
         x, y = (m / self.scale for m in position)
         start = (x, y, -self.back_distance / self.scale)
-        point, (L, M, N), is_open, _ = sequential.follow(self._backwards, start, (tx * N, ty * N, N))
+        point, (L, M, N), is_open, _ = sequential.follow(self.backwards, start, (tx * N, ty * N, N))
         x, y, z = (self.scale * value for value in point)
         return (x, y, self.front + z), (L / N, M / N), is_open
 
@@ -176,9 +176,7 @@ class LensSystem:
         tx, ty = (self.pupil.slope(P, q) for P, q in zip(pupil, position, strict=True))
         return self.trace(position, (tx, ty))
 
-    def beside(
-        self, point: tuple[Any, Any, Any], slope: Pair, change: Pair, step: Pair = (0.0, 0.0)
-    ) -> tuple[tuple[Any, Any, Any], Pair]:
+    def beside(self, point: Triple, slope: Pair, change: Pair, step: Pair = (0.0, 0.0)) -> tuple[Triple, Pair]:
         """Return the ray that leaves the MLA from a slightly changed position with slightly changed slopes.
 
         The change is paraxial: the height is the same on both principal planes. Ray differentials need no more.
@@ -207,7 +205,7 @@ class LensSystem:
         height : float64 array
             Heights in millimetres.
         """
-        lens = self._backwards[: len(self._backwards) - self.prescription.stop]
+        lens = self.backwards[: len(self.backwards) - self.prescription.stop]
 
         def at_stop(height: Doubles, slope: Doubles) -> Any:
             N = 1 / np.sqrt(1 + slope * slope)
@@ -234,7 +232,8 @@ class LensSystem:
         return self.prescription.wavelength if self.wavelength is None else self.wavelength
 
     @functools.cached_property
-    def _backwards(self) -> list[sequential.Element]:
+    def backwards(self) -> list[sequential.Element]:
+        """The surfaces in the order in which rays from the MLA meet them, stopped down, before scaling."""
         return sequential.elements(
             self.prescription, self.light, stop_radius=self.stop_radius, backwards=True, indices=self.indices
         )
@@ -244,7 +243,7 @@ class LensSystem:
         """The surfaces in the order in which light from the scene meets them, stopped down, before scaling."""
         return sequential.elements(self.prescription, self.light, stop_radius=self.stop_radius)
 
-    def through(self, point: tuple[Any, Any, Any], slope: Pair) -> tuple[Pair, Pair, Any, Any]:
+    def through(self, point: Triple, slope: Pair) -> tuple[Pair, Pair, Any, Any]:
         """Return the ray from a scene point, which may lie anywhere along it, to the MLA.
 
         Parameters

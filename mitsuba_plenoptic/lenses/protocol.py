@@ -16,10 +16,10 @@ from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from ..runtime import Doubles, Floats
-from .pupil import Pair, Pupil
+from ..runtime import Doubles, Floats, Pair, Triple
+from .pupil import Pupil
 
-Traced = tuple[tuple[Any, Any, Any], Pair, Any]
+Traced = tuple[Triple, Pair, Any]
 """Start point of a ray towards the scene, its slopes there, and whether it passes the main lens."""
 
 
@@ -130,13 +130,13 @@ class LightOnPupil(Protocol):
     Points passed to its methods must be the points to which the object is bound.
     """
 
-    def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
+    def path(self, pupil: Pair, point: Triple, wavelength: float) -> Any:
         """Return the path in waves from a scene point to an exit pupil point, less the path to the pupil's centre.
 
         Points are in millimetres, the scene point in the camera frame.
         """
 
-    def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
+    def amplitude(self, pupil: Pair, point: Triple) -> Any:
         """Return the modulus of a scene point's field on the exit pupil, in units common to the whole field."""
 
     def inside(self, pupil: Pair) -> Any:
@@ -149,10 +149,10 @@ class Light(LightOnPupil, Protocol):
     def is_open(self, pupil: Pair) -> Any:
         """Return whether a point lies inside the exit pupil or, up to rounding, on its edge."""
 
-    def cosines(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
+    def cosines(self, pupil: Pair, point: Triple) -> Pair:
         """Return the direction cosines of a scene point's light at the exit pupil: the gradient of `path`."""
 
-    def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
+    def land(self, pupil: Pair, point: Triple) -> Pair:
         """Return the position in mm, on the MLA, of the ray from a scene point through a pupil point."""
 
 

@@ -5,10 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from ..runtime import sqrt
-
-Pair = tuple[Any, Any]
-"""x and y in the camera frame, of positions, slopes or direction cosines."""
+from ..runtime import Pair, Triple, sqrt
 
 
 @dataclass(frozen=True)
@@ -42,7 +39,7 @@ class Pupil:
         """Ratio of a coordinate on the stop to the coordinate of its image on the array, where a last lens swaps."""
         return -self.distance / self.swap
 
-    def image(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
+    def image(self, pupil: Pair, point: Triple) -> Pair:
         """Return the position of the image, on the array, of a point of the stop, for each of some scene points."""
         # Adding 0 broadcasts the result to the shape of the points.
         return pupil[0] / self.stop_scale + 0 * point[0], pupil[1] / self.stop_scale + 0 * point[0]

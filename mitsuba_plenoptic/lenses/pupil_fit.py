@@ -19,11 +19,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError, refuse_if
 from ..optics import guards, in_millimetres
-from ..runtime import Doubles
+from ..runtime import Array, Doubles, Flags
 from . import sequential
 from .accuracy import ACCURACY
 from .lens_system import LensSystem
@@ -49,11 +48,11 @@ class PupilRays:
     stops: Doubles
 
     @property
-    def open(self) -> NDArray[np.bool_]:
+    def open(self) -> Flags:
         """Mask of unvignetted rays."""
         return np.asarray((self.stops <= 1).all(axis=0))
 
-    def take(self, index: NDArray[Any]) -> PupilRays:
+    def take(self, index: Array) -> PupilRays:
         """Return a selection of the rays."""
         return PupilRays(*(np.asarray(getattr(self, name))[..., index] for name in self.__dataclass_fields__))
 
@@ -63,15 +62,13 @@ def entrance_place(lens: LensSystem) -> float:
     return float(lens.scale * (lens.numbers.front_principal - lens.numbers.entrance_pupil))
 
 
-def trace(lens: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray) -> PupilRays:
+def trace(lens: LensSystem, field: Array, inverse_distance: Array, entrance: Array) -> PupilRays:
     """Return the rays of `trace_all` that neither miss a surface nor pass far beyond its edge."""
     rays, valid = trace_all(lens, field, inverse_distance, entrance)
     return rays.take(valid)
 
 
-def trace_all(
-    lens: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
-) -> tuple[PupilRays, NDArray[np.bool_]]:
+def trace_all(lens: LensSystem, field: Array, inverse_distance: Array, entrance: Array) -> tuple[PupilRays, Flags]:
     r"""Return traced rays, and a mask of rays that neither miss a surface nor pass far beyond its edge.
 
     The amplitude is :math:`\frac{1}{|E v - u|^2 + 1} \sqrt{|dE / dP|}`, with u the field, v the inverse distance, E the
@@ -100,8 +97,8 @@ def trace_all(
 
 
 def _follow(
-    lens: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    lens: LensSystem, field: Array, inverse_distance: Array, entrance: Array
+) -> tuple[Array, Array, Array, Array]:
     """Return exit pupil positions, paths, squared heights over squared semi-apertures, and slopes behind the lens.
 
     All except the slopes are NaN where a ray misses a surface.
@@ -241,7 +238,7 @@ def fit_pupil(
     return PupilFit(pupils, aberration, brightness, tuple(stops), tuple(cutting.tolist()), error)
 
 
-def nodes(radius: float, field: float, inverse_distance: tuple[float, float]) -> tuple[NDArray, NDArray, NDArray]:
+def nodes(radius: float, field: float, inverse_distance: tuple[float, float]) -> tuple[Array, Array, Array]:
     """Return fields, inverse distances and positions of rays to fit, at Chebyshev nodes that include both ends.
 
     Only one side of the plane through axis and point is sampled, since the other side is its mirror image.
@@ -259,7 +256,7 @@ def nodes(radius: float, field: float, inverse_distance: tuple[float, float]) ->
     return F[within], D[within], np.stack([X[within], Y[within]])
 
 
-def _random(radius: float, field: float, inverse_distance: tuple[float, float]) -> tuple[NDArray, NDArray, NDArray]:
+def _random(radius: float, field: float, inverse_distance: tuple[float, float]) -> tuple[Array, Array, Array]:
     """Return fields, inverse distances and positions of random rays that check a fit, sorted by point."""
     random = np.random.default_rng(0)
     F = np.repeat(field * np.sqrt(random.random(ACCURACY.checked_points)), ACCURACY.checking_rays)

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..optics import in_millimetres
-from ..runtime import Doubles, minimum, safe_sqrt
-from .pupil import Pair
+from ..runtime import Doubles, Pair, Triple, minimum, safe_sqrt
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class Scales:
         """Return the invariant of the pupil alone from the squared distance of a position from the axis."""
         return square * (2 / self.radius**2) - 1
 
-    def of_points(self, square: Any, inverse_distance: Any) -> tuple[Any, Any]:
+    def of_points(self, square: Any, inverse_distance: Any) -> Pair:
         """Return the invariant of the field alone and the scaled inverse distance, both from -1 to 1."""
         return square * (2 / self.field**2) - 1, (inverse_distance - self.middle) * (1 / self.half)
 
@@ -72,7 +71,7 @@ class Polynomial:
         f, d = self.scales.of_points((field**2).sum(1), inverse_distance)
         depth, fields, pairs = self.coefficients.shape
         powers = np.vander(d, depth, increasing=True)[:, :, None] * np.vander(f, fields, increasing=True)[:, None]
-        return np.asarray(powers.reshape(len(f), depth * fields) @ self.coefficients.reshape(-1, pairs))
+        return powers.reshape(len(f), depth * fields) @ self.coefficients.reshape(-1, pairs)
 
     def over_pupil(self, coefficients: list[Any], field: Pair) -> PupilPolynomial:
         """Return the pupil polynomial of points with given fields, from the coefficients that `at` returns."""
@@ -137,10 +136,10 @@ class PupilPolynomial:
             total = total * t + row
         return total
 
-    def gradient(self, pupil: Pair) -> tuple[Any, Any, Any]:
+    def gradient(self, pupil: Pair) -> Triple:
         """Return the values at pupil positions, and their derivatives along x and y, by Horner's rule as in `value`."""
         s, t = self._invariants(pupil)
-        rows: list[tuple[Any, Any]] = []
+        rows: list[Pair] = []
         value = 0.0 * s
         slope = 0.0 * s
         for (b, _), term in zip(self.degrees.pairs, self.coefficients, strict=True):
@@ -161,7 +160,7 @@ class PupilPolynomial:
         x, y = (P * along_s + u * along_t for P, u in zip(pupil, self.field, strict=True))
         return value, x, y
 
-    def _invariants(self, pupil: Pair) -> tuple[Any, Any]:
+    def _invariants(self, pupil: Pair) -> Pair:
         x, y = pupil
         u, v = self.field
         return self.scales.of_pupil(x * x + y * y), (x * u + y * v) * self.scales.mixed

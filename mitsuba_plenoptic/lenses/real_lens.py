@@ -14,12 +14,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError, refuse_if
 from ..optics import guards
 from ..prescription import Prescription
-from ..runtime import Doubles, single_threaded_blas
+from ..runtime import Doubles, Flags, single_threaded_blas
 from .accuracy import ACCURACY
 from .common import LensNumbers, builds
 from .fitted_lens import FittedLens
@@ -65,7 +64,7 @@ def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
     return RoundMap(last, closed, half, result.reshape(ACCURACY.edge_fields, ACCURACY.map_nodes, ACCURACY.map_nodes, 3))
 
 
-def _is_open(lens: LensSystem, height: float, x: Doubles, y: Doubles) -> NDArray[np.bool_]:
+def _is_open(lens: LensSystem, height: float, x: Doubles, y: Doubles) -> Flags:
     """Return whether points of the pupil transmit light to a position on the array's x axis."""
     return np.asarray(lens.ray((x, y), (np.full_like(x, height), np.zeros_like(x)))[2])
 

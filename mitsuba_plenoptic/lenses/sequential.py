@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..prescription import LEAST, Prescription, height
-from ..runtime import safe_sqrt, select
+from ..runtime import Triple, safe_sqrt, select
 from .accuracy import ACCURACY
 
 
@@ -103,10 +103,10 @@ def widened(surface: Element, factor: float) -> Element:
 
 def follow(
     lens: Sequence[Element],
-    point: tuple[Any, Any, Any],
-    direction: tuple[Any, Any, Any],
+    point: Triple,
+    direction: Triple,
     squares: list[Any] | None = None,
-) -> tuple[tuple[Any, Any, Any], tuple[Any, Any, Any], Any, Any]:
+) -> tuple[Triple, Triple, Any, Any]:
     r"""Return position, direction and path of rays behind a lens.
 
     A ray meets a conic at the parameter :math:`s = C / (B + \sqrt{B^2 - A C})` behind the plane of its vertex, with

@@ -28,11 +28,11 @@ import numpy as np
 
 from ..optics import in_millimetres
 from ..prescription import Objective
-from ..runtime import Doubles, rsqrt, safe_sqrt
+from ..runtime import Doubles, Pair, Triple, rsqrt, safe_sqrt
 from .closed_lens import ClosedLens
 from .common import LensNumbers, builds
 from .protocol import Entrance, Traced
-from .pupil import Pair, Pupil
+from .pupil import Pupil
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class TelecentricLens(ClosedLens):
         """Return the scene points (n, 3) with given `images` and `inverse_distance`."""
         return np.column_stack([images * (-1 / self.objective.magnification), inverse_distance])
 
-    def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
+    def path(self, pupil: Pair, point: Triple, wavelength: float) -> Any:
         """Return the path in waves from a scene point to a point of the stop, less the path to the stop's centre."""
         x, y = self._sines(pupil)
         X, Y, d = point
@@ -97,7 +97,7 @@ class TelecentricLens(ClosedLens):
         drop = -(x * x + y * y) / (n * (1 + self._cosine(pupil)))
         return (d * drop - (X * x + Y * y)) * (1 / in_millimetres(wavelength))
 
-    def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
+    def amplitude(self, pupil: Pair, point: Triple) -> Any:
         r"""Return the amplitude :math:`\cos^{-1/2}\theta` on the stop, the same for all object points."""
         return rsqrt(self._cosine(pupil))
 
@@ -136,18 +136,18 @@ class TelecentricLens(ClosedLens):
         lens = self.objective
         return 4 * math.pi * (lens.focal_length * lens.immersion * math.sin(lens.half_angle / 2)) ** 2
 
-    def cosines(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
+    def cosines(self, pupil: Pair, point: Triple) -> Pair:
         """Return the direction cosines, at the array, of light that passed a point of the stop."""
         if (f := self.pupil.swap) is not None:
             x, y = self._image(pupil, point)
             return -x / f, -y / f
         return -pupil[0] / self.pupil.distance, -pupil[1] / self.pupil.distance
 
-    def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
+    def land(self, pupil: Pair, point: Triple) -> Pair:
         """Return the position on the array of the light from a scene point through a point of the stop."""
         return self._image(pupil, point) if self.pupil.swap is None else self.pupil.image(pupil, point)
 
-    def _image(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
+    def _image(self, pupil: Pair, point: Triple) -> Pair:
         r"""Return the position in the native image plane, :math:`-M (X + d \tan\theta)`: the gradient of the path."""
         scale = 1 / (self.objective.immersion * self._cosine(pupil))
         x, y = self._sines(pupil)

@@ -20,13 +20,13 @@ from ..camera import PhaseScreen
 from ..errors import WAVEFRONT_UNIT
 from ..optics import in_millimetres, parabola, rays
 from ..prescription import SINGLE, Collimator, vergence
-from ..runtime import Doubles, sqrt
+from ..runtime import Doubles, Pair, Triple, sqrt
 from .accuracy import ACCURACY
 from .closed_lens import ClosedLens
 from .common import LensNumbers, builds
 from .distortion import undistort
 from .protocol import Entrance, Traced
-from .pupil import Pair, Pupil
+from .pupil import Pupil
 
 
 def noll(j: int) -> tuple[int, int]:
@@ -198,7 +198,7 @@ class ThinLens(ClosedLens):
         distance = 1 / inverse_distance[:, None]
         return np.hstack([images * (-distance / self.pupil.distance), distance])
 
-    def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
+    def land(self, pupil: Pair, point: Triple) -> Pair:
         """Return the position on the MLA of the ray from a scene point through a pupil point, with aberrations."""
         if not self.pupil.finite:
             return self.pupil.image(pupil, point)
@@ -215,7 +215,7 @@ class ThinLens(ClosedLens):
             y = y + b * sy
         return x, y
 
-    def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
+    def path(self, pupil: Pair, point: Triple, wavelength: float) -> Any:
         r"""Return the path in waves from a scene point X to a pupil point P, less the path to the pupil's centre.
 
         With aberrations W, a thin parabolic phase has the path :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`
@@ -276,7 +276,7 @@ class ThinLens(ClosedLens):
             errors.append((1 - np.cos(phase))[inside])
         return float(np.concatenate(errors).mean())
 
-    def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
+    def amplitude(self, pupil: Pair, point: Triple) -> Any:
         r"""Return the amplitude :math:`|g| / |P - X|^2`, the first Rayleigh-Sommerfeld solution (Goodman, 3.5)."""
         length = _distance(pupil, point)
         return abs(point[2]) / (length * length)
@@ -289,7 +289,7 @@ class ThinLens(ClosedLens):
         squares = self.amplitude((radius * np.cos(angle), radius * np.sin(angle)), tuple(point)) ** 2
         return float(math.pi * self.pupil.radius**2 * (weights / 2) @ squares.mean(1))
 
-    def cosines(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
+    def cosines(self, pupil: Pair, point: Triple) -> Pair:
         r"""Return a point's direction cosines, :math:`(P - X) / |P - X| - P / f_1`, plus the slope of the aberrations.
 
         Behind an ideal lens the direction is that towards the image. In an image of the pupil angles are larger by the
@@ -313,7 +313,7 @@ class ThinLens(ClosedLens):
         return sx, sy
 
 
-def _distance(pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
+def _distance(pupil: Pair, point: Triple) -> Any:
     """Return the distance |P - X| in mm, negative for light that converges to a point behind the lens."""
     dx = pupil[0] - point[0]
     dy = pupil[1] - point[1]
@@ -346,7 +346,7 @@ class DistortedLens(ThinLens):
         x, y = super().images(points).T
         return np.stack(self._distort((x, y)), -1)
 
-    def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
+    def land(self, pupil: Pair, point: Triple) -> Pair:
         """Return the position on the MLA of the ray from a scene point through a pupil point, with aberrations."""
         return self._distort(super().land(pupil, point))
 

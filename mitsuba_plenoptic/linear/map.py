@@ -6,8 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator
+
+from ..runtime import Array
 
 
 class LinearMap(LinearOperator):
@@ -31,16 +32,16 @@ class LinearMap(LinearOperator):
         self.source_shape = source_shape
         self.image_shape = image_shape
 
-    def forward(self, source: Any, /) -> NDArray[Any]:
+    def forward(self, source: Any, /) -> Array:
         """Return the image of light."""
         raise NotImplementedError
 
-    def adjoint(self, image: Any, /) -> NDArray[Any]:
+    def adjoint(self, image: Any, /) -> Array:
         """Return the transpose of `forward`, applied to an image."""
         raise NotImplementedError
 
-    def _matvec(self, source: NDArray[Any]) -> NDArray[Any]:
+    def _matvec(self, source: Array) -> Array:
         return self.forward(source.reshape(self.source_shape)).ravel()
 
-    def _rmatvec(self, image: NDArray[Any]) -> NDArray[Any]:
+    def _rmatvec(self, image: Array) -> Array:
         return self.adjoint(image.reshape(self.image_shape)).ravel()

@@ -38,19 +38,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import refuse_if, refusing
-from ..runtime import Progress
+from ..runtime import Array, Flags, Progress
 from .map import LinearMap
 
-Array = NDArray[Any]
-
-_ADDED = 1e-4
-"""Their least addition to every pixel and its model, over the mean of those that are lit, so that all are above 0."""
+_ADDED = 1e-3
+"""Their least addition to every pixel and its model, over the mean pixel weighted by its light: pixels that are darker
+are right in the response to no better than this, and the ratio of such errors would move light."""
 
 _LEAST_AVERAGED = 1e-3
 """The same in SMART and SIRT; and the light of pixels over that of the best one."""
@@ -221,15 +218,17 @@ class RichardsonLucy(Steps):
         operator: LinearMap,
         image: Array,
         shift: float = 0.0,
-        penalty: Callable[[Array, NDArray[np.bool_]], Array] | None = None,
+        penalty: Callable[[Array, Flags], Array] | None = None,
     ) -> None:
         # 1e-4: Light of an element on the detector, over that of the best one, below which they take it for dark.
         super().__init__(operator, image, 1e-4)
         self._penalty = penalty
-        floor = _ADDED / max(1, int((image > 0).sum()))
-        # Added to every pixel and its model; and how much it grows with the light of the image.
-        self.shift = np.float32(max(shift, floor * self.total))
-        self.shift_slope = floor if shift < floor * self.total else 0.0
+        # Added to every pixel and its model, and its derivative by pixels.
+        lit = np.maximum(image, 0).astype(np.float64)
+        mean = float(np.vdot(lit, lit)) / (self.total or 1.0)
+        added = max(shift, _ADDED * mean)
+        self.shift = np.float32(added)
+        self.shift_slope = np.where(lit * (added > shift), _ADDED * (2 * lit - mean) / (self.total or 1.0), 0)
         self._shifted = np.maximum(image + self.shift, 0)
         self.weight = np.divide(1, self.light, out=np.zeros_like(self.light), where=self.inside)
         # Pixels that hardly any light reaches explain nothing: interpolation may leave less than none there.
@@ -273,7 +272,7 @@ class Smart(_Averages):
         # 1e-3: Least value of pixels and of their model, over the mean of the image, for SMART's logarithm.
         floor = 1e-3 * float(self.image.mean())
         ratio = np.log(np.maximum(self.image, floor) / np.maximum(model, floor))
-        return np.asarray(point * np.exp(self._averaged(ratio)))
+        return point * np.exp(self._averaged(ratio))
 
 
 class Sirt(_Averages):

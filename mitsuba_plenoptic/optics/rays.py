@@ -19,24 +19,29 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..camera import PlenopticCamera
 from ..prescription import defocus_factor
-from ..runtime import drjit_array, module_of, rsqrt, take
-
-Pair = tuple[Any, Any]
-"""x and y of slopes or direction cosines."""
+from ..runtime import Pair, drjit_array, module_of, rsqrt, take
 
 
-def chief_point(p: Any, mla_distance: Any, detector_distance: Any) -> Any:
+def chief_point(camera: PlenopticCamera, p: Any, distance: Any = None) -> Any:
     """Position on the MLA of the line from a detector point to the main lens's centre: p b / (b + z).
 
-    The lens whose cell contains this point is the one to which the pixel belongs.
+    The pupil's centre may be at another distance than the main lens.
     """
-    return p * (mla_distance / (mla_distance + detector_distance))
+    b = camera.mla_distance if distance is None else distance
+    return p * (b / (b + camera.reduced_distance))
 
 
-def chief_detector_point(m: Any, mla_distance: Any, detector_distance: Any) -> Any:
+def chief_detector_point(camera: PlenopticCamera, m: Any) -> Any:
     """Position on the detector of the line from the main lens's centre through an MLA point: m (b + z) / b."""
-    return m * ((mla_distance + detector_distance) / mla_distance)
+    b = camera.mla_distance
+    return m * ((b + camera.reduced_distance) / b)
+
+
+def chief_lenses(camera: PlenopticCamera, x: Any, y: Any, distance: Any = None) -> Pair:
+    """Lattice indices of the lenses to which detector points belong, as their cells contain `chief_point`."""
+    return camera.lattice.cell(*(chief_point(camera, p, distance) for p in (x, y)))
 
 
 def microlens_slope(p: Any, m: Any, c: Any, detector_distance: Any, mla_focal_length: Any) -> Any:
@@ -69,19 +74,19 @@ def conjugate_coordinate(X: Any, distance: Any, mla_distance: Any) -> Any:
     return -X * mla_distance / distance
 
 
-def slopes_to_cosines(tx: Any, ty: Any) -> tuple[Any, Any]:
+def slopes_to_cosines(tx: Any, ty: Any) -> Pair:
     """Return direction cosines from slopes, t / sqrt(1 + tx^2 + ty^2)."""
     scale = rsqrt(1 + tx * tx + ty * ty)
     return tx * scale, ty * scale
 
 
-def cosines_to_slopes(sx: Any, sy: Any) -> tuple[Any, Any]:
+def cosines_to_slopes(sx: Any, sy: Any) -> Pair:
     """Return slopes from direction cosines, s / sqrt(1 - sx^2 - sy^2)."""
     scale = rsqrt(1 - sx * sx - sy * sy)
     return sx * scale, sy * scale
 
 
-def refracted(slope: tuple[Any, Any], index: float) -> tuple[Any, Any]:
+def refracted(slope: Pair, index: float) -> Pair:
     """Return the slope behind a border at which direction cosines grow by a relative index, by Snell's law."""
     sx, sy = slopes_to_cosines(*slope)
     return cosines_to_slopes(index * sx, index * sy)

@@ -19,7 +19,7 @@ import drjit as dr
 import numpy as np
 
 from ..errors import refuse_if, require_number, require_wavelength
-from ..runtime import Doubles, active_backend, array_module, backend_of, drjit_array, fft, one_at_a_time
+from ..runtime import Array, Doubles, Field, active_backend, array_module, backend_of, drjit_array, fft, one_at_a_time
 from . import guards
 
 _MM_PER_NM = 1e-6
@@ -71,7 +71,7 @@ EDGE = 1 / 8
 """Outer fraction of a window or spectrum that should be dark; a uniform field has 23 % of its power there."""
 
 
-def power(field: fft.Field) -> float:
+def power(field: Field) -> float:
     """Return the sum of the squared moduli of a field."""
     return float(power_by_row(field).sum())
 
@@ -81,9 +81,7 @@ def rim(size: int) -> int:
     return max(1, round(size * EDGE / 2))
 
 
-def band_edge_fraction(
-    spectrum: fft.Field, frequencies: np.ndarray | None = None, weight: np.ndarray | float = 1.0
-) -> float:
+def band_edge_fraction(spectrum: Field, frequencies: Array | None = None, weight: Array | float = 1.0) -> float:
     """Fraction of a spectrum's power in the outer eighth of the frequencies; zero frequency is first.
 
     `spectrum` has the shape (rows, columns); `frequencies` and `weight` have one value for each row.
@@ -97,7 +95,7 @@ def band_edge_fraction(
     return fraction(edge, weighted(weight * np.ones(len(rows)), spectrum))
 
 
-def frequencies_of(size: int) -> np.ndarray:
+def frequencies_of(size: int) -> Array:
     """Frequencies of a transform over the grid's band limit, zero first, as float64 (size,)."""
     return np.fft.fftfreq(size) * 2
 
@@ -107,12 +105,12 @@ def fraction(share: float, total: float) -> float:
     return float(share / total) if total > 0 else 0.0
 
 
-def weighted(weight: np.ndarray, field: fft.Field) -> float:
+def weighted(weight: Array, field: Field) -> float:
     """Return the sum of the power of rows, each multiplied by a weight."""
     return float((backend_of(field).arrays.asarray(weight.astype(np.float64)) * power_by_row(field)).sum())
 
 
-def power_by_row(field: fft.Field) -> Doubles:
+def power_by_row(field: Field) -> Doubles:
     """Return the sum of squared moduli of each row, computed on the field's device."""
     arrays = backend_of(field).arrays
     # CuPy's transforms along the first axis leave columns contiguous, and not rows.
@@ -140,7 +138,7 @@ class StepGuard:
     `pitch` is the distance between samples in millimetres.
     """
 
-    def __init__(self, field: fft.Field, pitch: float, wavelength: float) -> None:
+    def __init__(self, field: Field, pitch: float, wavelength: float) -> None:
         self._shape = field.shape
         self._cosine = in_millimetres(wavelength) / (2 * pitch)
         self._step = _row_step(field)
@@ -169,7 +167,7 @@ class StepGuard:
             lost = backend_of(waves).arrays.asarray(self._cosine**2 * (rows[:, None] ** 2 + columns**2) >= 1)
             self._evanescent = fraction(weighted(weight, waves * lost), weighted(weight, waves))
 
-    def see_result(self, field: fft.Field) -> None:
+    def see_result(self, field: Field) -> None:
         """Check the field after the step, and report all findings."""
         after, rim = self._of_field(field)
         with guards.watch():
@@ -178,7 +176,7 @@ class StepGuard:
             # if the rows do not represent the field, its power in the rim before the step is unknown
             guards.check_window(fraction(rim, after), fraction(self._rim, self._power) if self._representative else 1.0)
 
-    def _of_field(self, field: fft.Field) -> tuple[float, float]:
+    def _of_field(self, field: Field) -> tuple[float, float]:
         """Total power, and power in the rim of the window."""
         rows = field[:: _row_step(field)]
         high, wide = (rim(size) for size in field.shape)
@@ -188,19 +186,19 @@ class StepGuard:
         return self._step * power(rows), self._step * (weighted(outer, rows) + sides)
 
 
-def _row_step(field: fft.Field) -> int:
+def _row_step(field: Field) -> int:
     # odd, so that the rows do not align with structures that repeat by powers of two
     return len(field) // _ROWS | 1 if field.size > _SMALL else 1
 
 
-def _packed_rows(packed: Any, shape: tuple[int, ...], chosen: np.ndarray | None) -> fft.Field:
+def _packed_rows(packed: Any, shape: tuple[int, ...], chosen: Array | None) -> Field:
     """Return some or all rows of a field that is stored as 64-bit words."""
     field = fft.as_field(packed, shape)
     return field if chosen is None else field[backend_of(field).arrays.asarray(chosen)]
 
 
 @one_at_a_time
-def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, overwrite: bool = False) -> fft.Field:
+def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, overwrite: bool = False) -> Field:
     r"""Return a field propagated from one plane to a parallel one.
 
     .. math:: U_d = F^{-1}\left[\exp\left(i (k_z - k) d\right) F[U_0]\right]
@@ -252,7 +250,7 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
 
 
 def advance(
-    spectrum: fft.Field,
+    spectrum: Field,
     pitch: float | tuple[float, float],
     distance: float,
     wavelength: float,
@@ -262,7 +260,7 @@ def advance(
     paraxial: bool,
     beyond_paraxial: bool,
     response: Callable[[Any, Any], Any] | None,
-) -> fft.Field:
+) -> Field:
     r"""Return a field's spectrum multiplied by free space's transfer function :math:`\exp(i (k_z - k) d)`.
 
     The spectrum has zero frequency first. `shift` is the displacement (down, across) of the new samples from the old

@@ -15,10 +15,10 @@ from ..camera import PARAMETERS, Captures, Form, PlenopticCamera, film_numbers, 
 from ..detector import DetectorOperator, behind_detector
 from ..errors import InputError, refuse_if
 from ..extension import entries, place
-from ..lenses import Pair, main_lens
+from ..lenses import main_lens
 from ..optics import second_leg
 from ..rays import Dispersion, LensRays, sampler_of
-from ..runtime import count_lanes, require_unfrozen
+from ..runtime import Pair, Triple, count_lanes, require_unfrozen
 from ..scene import meet_moved, refuse_light_tracing, world_ray
 from .properties import read_camera, require_read
 
@@ -226,7 +226,7 @@ def make_class() -> type:
             )
             return self._rays.missed(self._on_detector(film_sample), lens_sample)
 
-        def chief_ray(self, film_sample: Any) -> tuple[Any, Any]:
+        def chief_ray(self, film_sample: Any) -> Pair:
             """Return the ray from a film position through the centre of its lens or pupil, and whether it passes.
 
             The position is a fraction of the crop window, as in `sample_ray`.
@@ -234,14 +234,14 @@ def make_class() -> type:
             point, slope, open_ = self._rays.chief(self._on_detector(film_sample))
             return mi.RayDifferential3f(world_ray(self, point, slope)), open_
 
-        def pupil_ray(self, pupil: Pair, position: Pair) -> tuple[Any, Any]:
+        def pupil_ray(self, pupil: Pair, position: Pair) -> Pair:
             """Return the ray through points of the microlens array and the pupil, and whether it is transmitted."""
             point, slope, open_ = self._rays.walk.through_pupil(pupil, position)
             return mi.RayDifferential3f(world_ray(self, point, slope)), open_
 
         def _sample(
             self, time: Any, wavelength_sample: Any, film_sample: Any, lens_sample: Any, active: Any, differential: bool
-        ) -> tuple[Any, Any, Any]:
+        ) -> Triple:
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
             rays = self._rays
             width = self.detector_width / self.film().size()[0]
@@ -288,15 +288,13 @@ def make_class() -> type:
                 ray.has_differentials = True
             return ray, dr.select(open_, weight, 0), dr.select(open_, passing, 0)
 
-        def sample_ray(
-            self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
-        ) -> tuple[Any, Any]:
+        def sample_ray(self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True) -> Pair:
             """Return a random ray and its weight, from positions on the crop window (`sample2`) and on the lens."""
             return self._sample(time, sample1, sample2, sample3, active, differential=False)[:2]
 
         def sample_ray_differential(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
-        ) -> tuple[Any, Any]:
+        ) -> Pair:
             """Return a random ray with differentials: rays from the next pixels through the same lens point."""
             caller = sys._getframe(1).f_locals
             # Integrators do not tell sensors what they render.

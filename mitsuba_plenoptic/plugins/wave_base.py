@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import InputError, refuse_if, refusing, require_wavelength, short_repr
 from ..optics import RGB_WAVELENGTHS
-from ..runtime import Floats, drjit_array, require_unfrozen
+from ..runtime import Floats, Pair, drjit_array, require_unfrozen
 from ..scene import meet_moved, require_seen
 from .properties import require_read
 
@@ -26,7 +26,7 @@ def put(film: Any, image: Floats, channels: int) -> None:
     film.put_block(mi.ImageBlock(drjit_array(mi.TensorXf, block), film.crop_offset()))
 
 
-def developed(film: Any, image: Floats) -> tuple[Any, Any]:
+def developed(film: Any, image: Floats) -> Pair:
     """Return an image (rows, columns, channels) as a tensor with a gradient, and what a film develops of it."""
     light = drjit_array(mi.TensorXf, image)
     dr.enable_grad(light)

@@ -19,16 +19,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if, require_accuracy
 from ..lenses import MainLens, convergence, inverse_distance, path_change
 from ..optics import in_millimetres
-from ..runtime import Doubles, Integers
+from ..runtime import Array, Doubles, Integers
 from ..waves import DEFAULT_ACCURACY
 from .field_grid import Band
 from .pupil_weights import PupilWeights
@@ -194,11 +192,11 @@ def find_patterns(
     return Patterns(centres, slant, pattern, cell - middle[pattern])
 
 
-def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> Doubles:
+def _in_pitches(camera: PlenopticCamera, steps: Array) -> Doubles:
     """Return positions on the MLA in pitches, from steps along the lattice vectors, (n, 2)."""
     basis = np.array(camera.lattice.basis)
     offset = np.array(camera.mla_offset)
-    return np.asarray(steps @ (basis / camera.row_pitch) + offset / camera.row_pitch)
+    return steps @ (basis / camera.row_pitch) + offset / camera.row_pitch
 
 
 def _depth_steps(

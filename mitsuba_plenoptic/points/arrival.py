@@ -27,7 +27,7 @@ from ..fields import (
 )
 from ..lenses import ClosedLens, ExitPupil, PointLight, ThinLens, cone
 from ..optics import band_edge_fraction, guards, in_millimetres, phasor, power, power_by_row, soft_edge
-from ..runtime import Doubles, active_backend, check_memory, fft
+from ..runtime import Doubles, Field, Pair, active_backend, check_memory, fft
 from .pupil_weights import PupilWeights
 from .sampling import Footprint, bundle_footprint, footprint
 from .seen_pupil import SeenPupil
@@ -191,7 +191,7 @@ class SampledField:
 
     # The sum of squared moduli times the squared pitch is the fraction of the power through the pupil. The carrier
     # :math:`\exp(i k d)` of the path from the main lens is omitted. The shape is (rows, columns).
-    samples: fft.Field
+    samples: Field
     # Camera-frame x and y of the first sample, in millimetres.
     origin: tuple[float, float]
     # Distance between samples in millimetres.
@@ -203,7 +203,7 @@ class SampledField:
         return float(np.sum(np.abs(self.samples) ** 2, dtype=np.float64)) * self.pitch**2
 
 
-def interpolated(field: SampledField, origin: tuple[float, float], pitch: float, shape: tuple[int, int]) -> fft.Field:
+def interpolated(field: SampledField, origin: tuple[float, float], pitch: float, shape: tuple[int, int]) -> Field:
     """Return a field interpolated by its band limit on a grid of another pitch, of either sign."""
     arrays = active_backend().arrays
     # Along y, then along x.
@@ -223,7 +223,7 @@ class Arrival:
     Without links the light enters on the array.
     """
 
-    source: fft.Field
+    source: Field
     first: int
     links: tuple[Link, ...]
 
@@ -403,7 +403,7 @@ def _stop_field(
     lens: ClosedLens,
     position: Doubles,
     wavelength: float,
-    pupil: tuple[Any, Any],
+    pupil: Pair,
     sample: float,
     weights: PupilWeights | None,
     vignetting: Vignetting | None = None,

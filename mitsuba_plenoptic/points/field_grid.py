@@ -13,13 +13,12 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..fields import MicrolensArray, OpticalSystem, diffraction, repetition, scattering, upright
 from ..lenses import MainLens, cone
 from ..optics import in_millimetres
-from ..runtime import Doubles, Integers, fft, turn
+from ..runtime import Array, Doubles, Integers, fft, turn
 from .sampling import footprint
 
 _FINER = 1.2
@@ -165,7 +164,7 @@ class Placement:
     first: Integers  # index of the first direction from the pupil
     last: Integers  # index of the last direction
 
-    def take(self, points: NDArray[Any]) -> Placement:
+    def take(self, points: Array) -> Placement:
         """Return a selection of the patches."""
         return Placement(**{field.name: getattr(self, field.name)[points] for field in fields(self)})
 

@@ -42,7 +42,7 @@ from ..fields import (
     transmission,
 )
 from ..optics import guards, in_millimetres, power
-from ..runtime import BatchMap, Box, Doubles, Floats, Job, Part, PartialSum, active_backend, check_memory, fft
+from ..runtime import BatchMap, Box, Doubles, Field, Floats, Job, Part, PartialSum, active_backend, check_memory, fft
 from .arrival import Arrival, FieldGrids, SampledField, arrival, blocks, field_grids
 from .field_grid import lens_amplitude
 from .pupil_weights import PupilWeights
@@ -194,7 +194,7 @@ def _complex(values: Any) -> Any:
     return types.Complex2f(types.Float(values), 0)
 
 
-def _irregular(system: OpticalSystem, grids: FieldGrids) -> fft.Field:
+def _irregular(system: OpticalSystem, grids: FieldGrids) -> Field:
     """Return the transmission of an irregular array, without the directions that the grid would alias."""
     types = active_backend().types
     columns, rows = grids.count

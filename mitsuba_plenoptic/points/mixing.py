@@ -7,13 +7,12 @@ from dataclasses import asdict, dataclass
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
 from ..fields import OpticalSystem
 from ..optics import Spectrum
-from ..runtime import POINTS, Doubles, Floats, Job, as_array
+from ..runtime import POINTS, Array, Doubles, Floats, Job, as_array
 from .pupil_weights import PupilWeights
 
 _LEFT_OUT = 0.1
@@ -98,7 +97,7 @@ class WeightChannels:
                 else spectral_sum
             )
 
-    def check_image(self, image: Any, shape: tuple[int, int], dtype: Any = np.float32) -> NDArray[Any]:
+    def check_image(self, image: Any, shape: tuple[int, int], dtype: Any = np.float32) -> Array:
         """Return an image of shape (rows, columns, ...) as (rows, columns, channels); refuse other shapes."""
         rule = "it must be numbers, (rows, columns) or (rows, columns, channels)"
         pixels = as_array("image", image, dtype=dtype, rule=rule)
@@ -170,9 +169,9 @@ class WavelengthPlans:
         return plan
 
 
-def mix(image: NDArray[Any], matrix: Floats) -> NDArray[Any]:
+def mix(image: Array, matrix: Floats) -> Array:
     """Return an image (..., channels) with its channels mixed by a matrix (new channels, channels)."""
-    return image if np.array_equal(matrix, np.eye(len(matrix))) else np.asarray(image @ matrix.T)
+    return image if np.array_equal(matrix, np.eye(len(matrix))) else image @ matrix.T
 
 
 def groups(wavelengths: tuple[float, ...]) -> Iterator[tuple[float, list[int]]]:

@@ -7,7 +7,6 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import NOT_ROUND, PlenopticCamera, Round, Use, require_camera, require_support
 from ..detector import SHARP, DetectorOperator
@@ -17,7 +16,7 @@ from ..fields import OpticalSystem
 from ..io import digest
 from ..linear import LinearMap
 from ..optics import Spectrum, guards
-from ..runtime import Cost, Doubles, Floats, Job, LongSum, Progress, SumTask, cost_of, one_at_a_time
+from ..runtime import Array, Cost, Doubles, Floats, Job, LongSum, Progress, SumTask, cost_of, one_at_a_time
 from .accuracy import chosen_accuracy
 from .coherent_points import CoherentPoints
 from .derivatives import DerivativePlan, Differentials, check_changes, check_names
@@ -205,7 +204,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
             image = self._detector.forward(self._image(self._check(weights), job or Job()))
         return image[..., 0] if np.ndim(weights) == 1 and image.shape[2] == 1 else image
 
-    def _image(self, weights: Doubles, job: Job) -> NDArray[Any]:
+    def _image(self, weights: Doubles, job: Job) -> Array:
         """Return the image (rows, columns, channels) of checked weights (n, columns)."""
         _, matrix = self._channels.mixing(weights.shape[1])
         pupils = self._pupil_weights
@@ -246,9 +245,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
                 result += products @ spectral_sum.before.T
         return result[:, 0] if np.ndim(image) == 2 and len(wavelengths) == 1 else result
 
-    def _products(
-        self, image: NDArray[Any], parts: Iterator[SpectralSum], job: Job
-    ) -> Iterator[tuple[SpectralSum, NDArray[Any]]]:
+    def _products(self, image: Array, parts: Iterator[SpectralSum], job: Job) -> Iterator[tuple[SpectralSum, Array]]:
         """Yield the products (n, k) of an image (rows, columns, channels) with the point spreads of each sum."""
         count = len(self.points)
         for index, spectral_sum in enumerate(parts):
@@ -353,7 +350,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
             gradients["detector_width"] += np.vdot(slope, np.reshape(image_gradient, slope.shape))
         return gradients
 
-    def _slope_by_width(self, weights: Doubles) -> NDArray[Any]:
+    def _slope_by_width(self, weights: Doubles) -> Array:
         """Return what the detector's lengths, as counts of pixels, add to the derivative by ``detector_width``."""
         with guards.watch():
             return np.asarray(self._detector.slope(self._image(weights, Job())) / self.camera.detector_width)
@@ -386,13 +383,13 @@ class CaptureOperator(CoherentPoints, LinearMap):
 
         return cost_of(begin)
 
-    def _matmat(self, weights: NDArray[Any]) -> NDArray[Any]:
+    def _matmat(self, weights: Array) -> Array:
         """Return the images (pixels, k) of several columns of weights, which share their spreads."""
         if self.spectrum is not None:
             return super()._matmat(weights)
         return self.forward(weights).reshape(-1, weights.shape[1])
 
-    def _rmatmat(self, pixels: NDArray[Any]) -> NDArray[Any]:
+    def _rmatmat(self, pixels: Array) -> Array:
         """Return the products (n, k) with several images (pixels, k)."""
         if self.spectrum is not None:
             return super()._rmatmat(pixels)

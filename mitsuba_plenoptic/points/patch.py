@@ -40,7 +40,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..runtime import Doubles, active_backend, fft
+from ..runtime import Doubles, Field, active_backend, fft
 from .patch_factors import Fields, PatchFactors
 from .windows import part_of
 
@@ -89,30 +89,21 @@ class PatchBatch:
         self.samples = factors_of_points.samples
         self.mla_samples = factors_of_points.mla_samples
         self.corner = fields.placement.corner
-        self.parts: list[fft.Field] = [
+        self.parts: list[Field] = [
             fft.as_field(fft.pack(value), shape)
             for value, shape in zip(factors_of_points.values(), factors_of_points.shapes, strict=True)
         ]
-
-    @property
-    def pupil(self) -> fft.Field:
-        """Plane waves from the pupil, (points, along y, along x)."""
-        return self.parts[0]
-
-    @property
-    def is_separable(self) -> bool:
-        """Whether every factor on the array depends on one axis alone."""
-        return len(self.factors.axes) == 2
+        # Plane waves from the pupil, (points, along y, along x).
+        self.pupil = self.parts[0]
+        # Whether every factor on the array depends on one axis alone.
+        self.is_separable = len(factors_of_points.axes) == 2
+        # Points that are transformed at a time: small fields in groups, so that calls cost little.
+        self.together = min(len(self.pupil), max(1, self.sizes.group // self.mla_samples**2))
 
     @cached_property
-    def _transfer(self) -> fft.Field:
+    def _transfer(self) -> Field:
         """Transfer function from array to detector, (directions along x, along y)."""
         return self.libraries.arrays.ascontiguousarray(self.parts[-1].T)
-
-    @property
-    def together(self) -> int:
-        """Number of points transformed at a time: small fields in groups, so that calls cost little."""
-        return min(len(self.pupil), max(1, self.sizes.group // self.mla_samples**2))
 
     def chained(self, finer: int) -> list[slice]:
         """Return the points of each `FieldChain`, whose fields are `finer` on the detector by a factor."""
@@ -121,7 +112,7 @@ class PatchBatch:
         step = max(1, self.sizes.chain // widest**2)
         return [slice(first, min(first + step, count)) for first in range(0, count, step)]
 
-    def to_detector(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[slice, fft.Field]]:
+    def to_detector(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[slice, Field]]:
         """Yield the fields of points start ... stop on the detector, at most `together` at a time.
 
         Fields are computed in blocks that fit into a core's own cache. Yielded are a block's position along y, and part
@@ -139,7 +130,7 @@ class PatchBatch:
         for block in _blocks(n, n, self.sizes.block):
             yield block, inverse_along(work.field[:count, :, block], axis=1)
 
-    def _through_axes(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[slice, fft.Field]]:
+    def _through_axes(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[slice, Field]]:
         """Yield columns of the fields, spectra along x, behind microlenses that are a product of two axes."""
         count = stop - start
         along_x, along_y = (factor[start:stop, None] for factor in self.parts[1:-1])
@@ -151,7 +142,7 @@ class PatchBatch:
             columns *= along_y
             yield block, columns
 
-    def _through_plane(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[slice, fft.Field]]:
+    def _through_plane(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[slice, Field]]:
         """Yield columns of the fields, spectra along x, behind microlenses that are a function of both axes."""
         count = stop - start
         n = self.samples
@@ -170,7 +161,7 @@ class PatchBatch:
             yield block, columns
 
 
-def _to_array(spectra: fft.Field, work: fft.Field) -> fft.Field:
+def _to_array(spectra: Field, work: Field) -> Field:
     """Return fields on the array, in the memory of `work`, from lines of spectra padded with zeros."""
     count = spectra.shape[2]
     work[..., :count] = spectra
@@ -185,12 +176,12 @@ def _blocks(count: int, length: int, samples: int) -> Iterator[slice]:
     return (slice(*pair) for pair in itertools.pairwise(edges))
 
 
-def forward_along(field: fft.Field, axis: int) -> fft.Field:
+def forward_along(field: Field, axis: int) -> Field:
     """Return the unscaled transform of a field along an axis, computed on this thread alone."""
     return fft.fft(field, axis=axis, workers=1)
 
 
-def inverse_along(field: fft.Field, axis: int) -> fft.Field:
+def inverse_along(field: Field, axis: int) -> Field:
     """Return the unscaled inverse transform along an axis, computed on this thread alone."""
     return fft.fft(field, axis=axis, inverse=True, norm="forward", workers=1)
 
@@ -204,7 +195,7 @@ class Memory:
 
     def __init__(self, arrays: Any = np) -> None:
         self.arrays = arrays
-        self._fields: dict[tuple[int, ...], list[fft.Field]] = {}
+        self._fields: dict[tuple[int, ...], list[Field]] = {}
         self._used: Counter[tuple[int, ...]] = Counter()
 
     def restart(self) -> None:
@@ -218,7 +209,7 @@ class Memory:
         yield
         self._used = in_use
 
-    def take(self, shape: tuple[int, ...]) -> fft.Field:
+    def take(self, shape: tuple[int, ...]) -> Field:
         """Return an uninitialised complex64 array."""
         fields = self._fields.setdefault(shape, [])
         in_use = self._used[shape]
@@ -227,16 +218,16 @@ class Memory:
         self._used[shape] += 1
         return fields[in_use]
 
-    def product(self, first: fft.Field, second: fft.Field) -> fft.Field:
+    def product(self, first: Field, second: Field) -> Field:
         """Return the product of two arrays."""
         return self.arrays.multiply(first, second, out=self.take(np.broadcast_shapes(first.shape, second.shape)))
 
-    def conjugate_product(self, factor: fft.Field, field: fft.Field) -> fft.Field:
+    def conjugate_product(self, factor: Field, field: Field) -> Field:
         """Return the product of the conjugate of an array and a field of the same shape."""
         conjugate = self.arrays.conj(factor, out=self.take(factor.shape))
         return self.arrays.multiply(conjugate, field, out=conjugate)
 
-    def widened(self, field: fft.Field, length: int, axis: int) -> fft.Field:
+    def widened(self, field: Field, length: int, axis: int) -> Field:
         """Return a field with zeros appended along one of its last two axes, -1 or -2."""
         shape = list(field.shape)
         shape[axis] = length
@@ -251,10 +242,10 @@ class Memory:
 _BLOCK = 2**16
 """Samples of one point on the detector that are multiplied and transformed together: they fit into a core's cache."""
 
-Parts = Sequence[fft.Field | None]
+Parts = Sequence[Field | None]
 """A change or a cotangent for each factor of a field, or None."""
 
-_Factor = tuple[tuple[int, ...], fft.Field]
+_Factor = tuple[tuple[int, ...], Field]
 """Axes of the camera, and the factor as fields are multiplied by it."""
 
 
@@ -269,11 +260,11 @@ class FieldChain:
 
     def __init__(
         self,
-        factors: Sequence[fft.Field],
+        factors: Sequence[Field],
         axes: Sequence[tuple[int, ...]],
         finer: int,
         memory: Memory,
-        returning: fft.Field | None = None,
+        returning: Field | None = None,
     ) -> None:
         pupil, *lenses, self._transfer = factors
         self._finer = finer
@@ -289,7 +280,7 @@ class FieldChain:
         self._stages = [((-1, -2), named)] if len(named) > 2 else [((-1,), named[:1]), ((-2,), named[1:])]
         self._size = lenses[0].shape[-1]
         self._spectrum = pupil
-        self._before: list[fft.Field] = []
+        self._before: list[Field] = []
         for along, stage in self._stages:
             self._before.append(self._inverse(self._spectrum, self._size, along))
             self._spectrum = _forward(self._product(self._before[-1], stage), self._samples, along)
@@ -310,7 +301,7 @@ class FieldChain:
         )
         return None if spectrum is None else self._intensity_change(spectrum)
 
-    def spectrum_jvp(self, changes: Parts) -> fft.Field:
+    def spectrum_jvp(self, changes: Parts) -> Field:
         """Return the change of the spectrum that enters free space, for changes of the factors before free space."""
         result = self._memory.take(self._transfer.shape)
         with self._memory.lent():
@@ -318,7 +309,7 @@ class FieldChain:
             result[...] = 0 if moved is None else moved
         return result
 
-    def jvp_of_spectrum(self, change: fft.Field) -> Any:
+    def jvp_of_spectrum(self, change: Field) -> Any:
         """Return the change of the intensity for a change of the spectrum that enters free space."""
         with self._memory.lent():
             return self._intensity_change(self._memory.product(change, self._transfer))
@@ -331,7 +322,7 @@ class FieldChain:
         memory = self._memory
         arrays = self._arrays
         spectrum = self._from_detector(gradient)
-        parts: list[fft.Field | None] = [memory.conjugate_product(self._spectrum, spectrum) if varies[-1] else None]
+        parts: list[Field | None] = [memory.conjugate_product(self._spectrum, spectrum) if varies[-1] else None]
         field = self._before_space(spectrum)
         varying = list(varies[1:-1])
         for (axes, factors), before in zip(self._stages[::-1], self._before[::-1], strict=True):
@@ -344,12 +335,12 @@ class FieldChain:
             field = _forward(field, self._directions, axes)
         return [field if varies[0] else None, *parts[::-1]]
 
-    def products(self, gradient: Any, changes: list[fft.Field]) -> Any:
+    def products(self, gradient: Any, changes: list[Field]) -> Any:
         """Return the products of half the gradient, by the intensity of all points, with changes of the spectrum."""
         spectrum = self._before_space(self._from_detector(gradient))
         return self._arrays.stack([self._arrays.vdot(spectrum, change).real for change in changes])
 
-    def _moved(self, changes: Parts) -> fft.Field | None:
+    def _moved(self, changes: Parts) -> Field | None:
         """Return the change of the spectrum for changes of all factors before free space."""
         moved = changes[0]
         factor_changes = list(changes[1:-1])
@@ -363,13 +354,13 @@ class FieldChain:
             moved = None if total is None else _forward(total, self._samples, axes)
         return moved
 
-    def _product(self, field: fft.Field, factors: list[_Factor]) -> fft.Field:
+    def _product(self, field: Field, factors: list[_Factor]) -> Field:
         """Return a field on the array multiplied by factors."""
         for _, factor in factors:
             field = self._memory.product(field, factor)
         return field
 
-    def _cotangent(self, product: fft.Field, factors: list[_Factor], index: int) -> fft.Field:
+    def _cotangent(self, product: Field, factors: list[_Factor], index: int) -> Field:
         """Return the cotangent of one factor of a stage from the cotangent of the product of all its factors."""
         for _, factor in factors[:index] + factors[index + 1 :]:
             product = self._memory.product(product, self._arrays.conj(factor))
@@ -377,23 +368,23 @@ class FieldChain:
         axes, _ = factors[index]
         return product.sum(axes[0] - 2) if len(axes) == 1 else product
 
-    def _intensity_change(self, spectrum: fft.Field) -> Any:
+    def _intensity_change(self, spectrum: Field) -> Any:
         """Return the change of the intensity for a change of the spectrum on the detector, whose memory is reused."""
         change = self._to_detector(spectrum)
         return 2 * (self.field.real * change.real + self.field.imag * change.imag)
 
-    def _before_space(self, spectrum: fft.Field) -> fft.Field:
+    def _before_space(self, spectrum: Field) -> Field:
         """Return the cotangent behind the array from a cotangent of the spectrum on the detector, computed in place."""
         assert self._returning is not None
         return self._arrays.multiply(spectrum, self._returning, out=spectrum)
 
-    def _to_detector(self, spectrum: fft.Field) -> fft.Field:
+    def _to_detector(self, spectrum: Field) -> Field:
         """Return the field on the detector from a spectrum, computed in place."""
         if self._finer == 1:
             return inverse_along(inverse_along(spectrum, -2), -1)
         return self._inverse(spectrum, self._finer * self._samples, (-2, -1))
 
-    def _from_detector(self, gradient: Any) -> fft.Field:
+    def _from_detector(self, gradient: Any) -> Field:
         """Return the adjoint of `_to_detector` applied to the field times a gradient."""
         count, size, _ = self.field.shape
         n = self._samples
@@ -404,14 +395,14 @@ class FieldChain:
             columns[:, block] = _forward(self.field[:, block] * gradient[:, block], n, (-1,))
         return arrays.ascontiguousarray(_forward(columns, n, (-2,)))
 
-    def _inverse(self, field: fft.Field, size: int, axes: tuple[int, ...]) -> fft.Field:
+    def _inverse(self, field: Field, size: int, axes: tuple[int, ...]) -> Field:
         """Return the inverse transform of a field padded with zeros to given sizes along given axes."""
         for axis in axes:
             field = inverse_along(self._memory.widened(field, size, axis), axis)
         return field
 
 
-def _total(first: fft.Field | None, second: fft.Field | None) -> fft.Field | None:
+def _total(first: Field | None, second: Field | None) -> Field | None:
     """Return the sum of two changes, in the memory of the first."""
     if first is None or second is None:
         return second if first is None else first
@@ -419,7 +410,7 @@ def _total(first: fft.Field | None, second: fft.Field | None) -> fft.Field | Non
     return first
 
 
-def _forward(field: fft.Field, count: int, axes: tuple[int, ...]) -> fft.Field:
+def _forward(field: Field, count: int, axes: tuple[int, ...]) -> Field:
     """Return the first samples of the unscaled transform along axes, computed in place on this thread alone."""
     for axis in axes[::-1]:
         field = forward_along(field, axis)

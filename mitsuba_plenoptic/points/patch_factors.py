@@ -14,12 +14,24 @@ from typing import Any, cast
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ..fields import ArrayFactor, VaryingArrayFactor, has_response, recorded_amplitude
 from ..lenses import Light, MainLens, VaryingLens
 from ..optics import in_millimetres, phasor, smooth_edge, soft_edge, transfer
-from ..runtime import Doubles, Integers, array_module, drjit_array, fft, is_zero, on_cuda, turn
+from ..runtime import (
+    Array,
+    Doubles,
+    Field,
+    Integers,
+    Pair,
+    Triple,
+    array_module,
+    drjit_array,
+    fft,
+    is_zero,
+    on_cuda,
+    turn,
+)
 from .field_grid import Grid, Placement, lens_amplitude
 from .pupil_weights import PupilWeights
 from .seen_pupil import SeenPupil
@@ -111,10 +123,14 @@ class PatchFactors:
         placement = fields.placement
         self._elements_of = functools.cache(elements or (lambda lanes: self._own))
         self.samples = int(placement.samples[0])
-        finest = float((in_millimetres(grid.wavelength) / (self.samples * grid.pitch)).min())
+        # Distances between neighbouring direction cosines along x and y.
+        self._steps = (in_millimetres(grid.wavelength) / (self.samples * grid.pitch)).tolist()
+        finest = min(self._steps)
         half = 2 * grid.cosine / finest
         # Orders that would be aliased into the band are omitted; a few more samples represent the others.
         self.mla_samples = max(self.samples, fft.fast_length(0.87 * (self.samples + half)))
+        # Distances in mm between samples on the array along x and y.
+        self._mla_steps = self.samples * grid.pitch / self.mla_samples
         self._highest = min(self.samples + half, 2 * self.mla_samples - self.samples - half) / 2 * finest
         # Each axis has a factor: the curvature and the microlenses' factor of its coordinate. A factor of both is
         # separate.
@@ -122,6 +138,8 @@ class PatchFactors:
         self.chief = (placement.first + placement.last) // 2  # index of the central direction of each point, (n, 2)
         directions = int((placement.last - placement.first).max()) + 1
         self._low, count = self.chief.min(0), len(self._positions)
+        # First of the transfer function's directions, along x and y, that each point's field contains, (n, 2).
+        self.first_directions = self.chief - self._low
         columns, rows = (int(size) for size in self.chief.max(0) - self._low + self.samples)
         on_array = [(count, *[self.mla_samples] * len(axes)) for axes in self.axes]
         self.shapes: list[tuple[int, ...]] = [(count, directions, directions), *on_array, (rows, columns)]
@@ -139,14 +157,9 @@ class PatchFactors:
         mine = [None if factor is None else factor[points] for factor in factors]
         return [*mine, None if transfer is None else self.directions_of(transfer, points)]
 
-    def directions_of(self, transfer: fft.Field, points: slice) -> fft.Field:
+    def directions_of(self, transfer: Field, points: slice) -> Field:
         """Return the part of a transfer function, (points, along y, along x), that the fields of points contain."""
         return part_of(transfer, self.first_directions[points, ::-1], (self.samples, self.samples))
-
-    @property
-    def first_directions(self) -> Integers:
-        """First of the transfer function's directions, along x and y, that each point's field contains, (n, 2)."""
-        return np.asarray(self.chief - self._low)
 
     def values(self) -> Iterator[Any]:
         """Yield the factors as flat Dr.Jit arrays Complex2f."""
@@ -169,11 +182,6 @@ class PatchFactors:
         """Return the optical elements in arrays of the shape that a factor has."""
         return self._elements_of(math.prod(shape))
 
-    @property
-    def _steps(self) -> list[float]:
-        """Distances between neighbouring direction cosines along x and y."""
-        return (in_millimetres(self._grid.wavelength) / (self.samples * self._grid.pitch)).tolist()
-
     def _constant(self, value: Any) -> Any:
         """Return a value that is not compiled into kernels."""
         return value if dr.is_array_v(value) else dr.opaque(self._types.Float64, value)
@@ -184,7 +192,7 @@ class PatchFactors:
             values = drjit_array(self._types.Float64, values)
         return dr.gather(self._types.Float64, values, patch)
 
-    def _pupil(self, elements: Elements) -> tuple[Any, Any]:
+    def _pupil(self, elements: Elements) -> Pair:
         """Return plane waves from the pupil, (n, along y, along x), and the power of each point through it."""
         types = self._types
         lens = elements.lens()
@@ -194,7 +202,7 @@ class PatchFactors:
         index = dr.arange(types.UInt32, len(self._positions) * size * size)
         patch, row, column = fft.split(types, index, size, size)
 
-        def value(values: NDArray[Any]) -> Any:
+        def value(values: Array) -> Any:
             return self._each(values, patch)
 
         steps = self._steps
@@ -240,8 +248,8 @@ class PatchFactors:
         self,
         elements: Elements,
         light: Light,
-        pupil: tuple[Any, Any],
-        point: tuple[Any, Any, Any],
+        pupil: Pair,
+        point: Triple,
     ) -> Any:
         """Return the path in waves from points to the pupil, both given in the lattice frame."""
         camera = self._grid.camera
@@ -258,7 +266,7 @@ class PatchFactors:
             return waves
         return waves + elements.aberration(*in_camera) / self._constant(in_millimetres(elements.wavelength))
 
-    def _in_camera(self, elements: Elements, x: Any, y: Any) -> tuple[Any, Any]:
+    def _in_camera(self, elements: Elements, x: Any, y: Any) -> Pair:
         """Return the camera-frame components of a vector given in the lattice frame."""
         angle = self._grid.rotation + elements.turned
         return (x, y) if is_zero(angle) else turn(x, y, self._constant(angle))
@@ -268,11 +276,6 @@ class PatchFactors:
         grid = self._grid
         corner = grid.origin[axis] + self._placement.corner[:, axis] * grid.pitch[axis]
         return self._each(corner, patch) + self._types.Float64(sample) * self._constant(float(self._mla_steps[axis]))
-
-    @property
-    def _mla_steps(self) -> Doubles:
-        """Distances in mm between samples on the array along x and y."""
-        return self.samples * self._grid.pitch / self.mla_samples
 
     def _on_axis(self, elements: Elements, axis: int, scale: Any) -> Any:
         """Return the factor on the MLA along an axis, (n, samples): curvature, microlenses, and along y the scale.

@@ -18,7 +18,7 @@ import drjit as dr
 import numpy as np
 import scipy
 
-from ..runtime import Backend, Doubles, Floats, Integers, backend_of, drjit_array, fft, turn
+from ..runtime import Backend, Doubles, Floats, Integers, Pair, backend_of, drjit_array, fft, turn
 
 HALF_WIDTH = 6
 """Samples on each side of a position from which the intensity there is interpolated."""
@@ -117,13 +117,13 @@ def windowed_sinc(distance: Doubles) -> Doubles:
     """Return the weight of a sample at a distance in samples: a sinc under a Kaiser window."""
     inside = np.sqrt(np.maximum(0, 1 - (distance / HALF_WIDTH) ** 2))
     window = scipy.special.i0(_KAISER * inside) / scipy.special.i0(_KAISER)
-    return np.asarray(np.sinc(distance) * window)
+    return np.sinc(distance) * window
 
 
 class PixelIntegrals:
     """A sum of products of weights along y and x: integrals over pixels, or derivatives as pixels move."""
 
-    def __init__(self, along_x: PixelAxis, along_y: PixelAxis, terms: list[tuple[Any, Any]] | None = None) -> None:
+    def __init__(self, along_x: PixelAxis, along_y: PixelAxis, terms: list[Pair] | None = None) -> None:
         self._axes = along_x, along_y
         self._terms = terms or [(along_y.weights, along_x.weights)]
 
@@ -192,7 +192,7 @@ class PixelIntegrals:
         return _sum_of_products([(along_y.T.tocsr(), along_x.T.tocsr()) for along_y, along_x in self._terms], pixels)
 
 
-def _sum_of_products(terms: list[tuple[Any, Any]], values: Any) -> Any:
+def _sum_of_products(terms: list[Pair], values: Any) -> Any:
     """Return the sum over terms of values (rows, columns) multiplied by sparse weights along y and x.
 
     Where samples are made from pixels, x comes first: rows in memory then need not be turned into columns and back when
@@ -237,7 +237,7 @@ class TurnedSamples:
         new_pitch: float,
         new_origin: tuple[float, float],
         shape: tuple[int, int],
-        regular: Callable[[Any, Any], tuple[Any, Any]] | None = None,
+        regular: Callable[[Any, Any], Pair] | None = None,
     ) -> None:
         self._samples = samples
         self._regular = regular
@@ -340,7 +340,7 @@ class TurnedSamples:
                 entry: Any = entry[1],
                 active: Any = active,
             ) -> Any:
-                def body(line: Any, total: Any) -> tuple[Any, Any]:
+                def body(line: Any, total: Any) -> Pair:
                     row = start + line * dr.opaque(types.UInt32, self._padded[1])
                     weight = dr.gather(types.Float, table, entry + line, active)
                     return line + 1, step(row, weight, total)

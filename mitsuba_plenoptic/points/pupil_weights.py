@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..camera import Opening
 from ..errors import refuse_if
-from ..runtime import IMAGE, Doubles, Floats, Integers, as_array, drjit_array, fft
+from ..runtime import IMAGE, Array, Doubles, Flags, Floats, Integers, Pair, as_array, drjit_array, fft
 
 BORDER = 2
 """Cells beyond each side of the square for which there are coefficients of complex amplitudes."""
@@ -77,16 +77,16 @@ class PupilWeights:
         table = np.unpackbits(rows, axis=1, count=cells * cells).astype(np.float32)
         return cls(table.reshape(-1, cells, cells), index.reshape(-1), np.zeros((len(bits), 2)))
 
-    def take(self, points: NDArray[Any] | slice) -> PupilWeights:
+    def take(self, points: Array | slice) -> PupilWeights:
         """Return the weights of a selection of points."""
         tables, index = np.unique(self.index[points], return_inverse=True)
         return replace(self, table=self.table[tables], index=index.reshape(-1), slant=self.slant[points])
 
-    def lit(self) -> NDArray[np.bool_]:
+    def lit(self) -> Flags:
         """Return, for each point, whether any light passes the pupil."""
         return np.asarray(np.abs(self.table).reshape(len(self.table), -1).max(axis=1) > 0)[self.index]
 
-    def at(self, point: Any, Px: Any, Py: Any, radius: Any, sample: Any) -> tuple[Any, Any]:
+    def at(self, point: Any, Px: Any, Py: Any, radius: Any, sample: Any) -> Pair:
         """Return the weights, and the amplitudes whose squares they are, averaged over each sample of the pupil.
 
         Otherwise the steep spectrum of a hard cell border would be aliased into the band of the samples. Samples wider

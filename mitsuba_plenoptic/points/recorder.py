@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..runtime import Box, Doubles, Floats, Integers, active_backend, turn
+from ..runtime import Box, Doubles, Floats, Integers, Pair, active_backend, turn
 from .field_grid import Grid
 from .pixels import PixelIntegrals, TurnedSamples
 
@@ -36,7 +36,7 @@ class Recorder:
         low: Integers,
         high: Integers,
         parent: Recorder | None = None,
-        regular: Callable[[Any, Any], tuple[Any, Any]] | None = None,
+        regular: Callable[[Any, Any], Pair] | None = None,
         aside: float = 0.0,
     ) -> None:
         self._camera = camera
@@ -55,6 +55,13 @@ class Recorder:
         first = np.floor((reach[0] - aside) / pitch).astype(np.int64) - _EDGE
         last = np.ceil((reach[1] + aside) / pitch).astype(np.int64) + _EDGE
         self._pixels, self.box = Box.between(start, stop), Box.between(first, last)
+        rows = self._pixels.rows
+        columns = self._pixels.columns
+        # Number of the pixels, and their rows and columns in the image.
+        self.count = rows * columns
+        left, top = (start - camera.crop_offset).tolist()
+        self.window = slice(top, top + rows), slice(left, left + columns)
+        self._is_resampled = grid.rotation != 0 or regular is not None
 
     def _turned(self, low: Doubles, high: Doubles, degrees: float) -> tuple[Doubles, Doubles]:
         """Return the bounds of a rectangle, given from the detector's corner, after a turn about the axis."""
@@ -63,11 +70,6 @@ class Recorder:
         x, y = (np.array([low[axis], low[axis], high[axis], high[axis]]) + self._grid.origin[axis] for axis in (0, 1))
         corners = np.stack(turn(x, y[[0, 2, 0, 2]], degrees), -1) - self._grid.origin
         return corners.min(0), corners.max(0)
-
-    @property
-    def count(self) -> int:
-        """Number of recorded pixels."""
-        return self._pixels.rows * self._pixels.columns
 
     @property
     def memory(self) -> float:
@@ -91,107 +93,76 @@ class Recorder:
 
     def integrate(self, samples: Floats, move: str | None = None) -> Floats:
         """Return the integrals of one channel over the pixels in `window`, as `record` does."""
-        upright = samples if self._upright is None else self._upright.forward(samples)
-        return active_backend().to_host(self._pixels_of(move).forward(upright))
+        integrals, upright = self._made
+        if upright is not None:
+            samples = upright.forward(samples)
+        return active_backend().to_host(self._moved(integrals, move).forward(samples))
 
     def spread(self, image: Floats, move: str | None = None) -> Floats:
         """Return the adjoint of `record`: grid samples from an image."""
         arrays = active_backend().arrays
+        integrals, upright = self._made
         channels = []
         for channel in np.moveaxis(image[self.window], -1, 0):
-            samples = self._pixels_of(move).adjoint(arrays.asarray(np.ascontiguousarray(channel, np.float32)))
-            channels.append(samples if self._upright is None else self._upright.adjoint(samples))
+            samples = self._moved(integrals, move).adjoint(arrays.asarray(np.ascontiguousarray(channel, np.float32)))
+            channels.append(samples if upright is None else upright.adjoint(samples))
         return channels[0][None] if len(channels) == 1 else arrays.stack(channels)
 
-    @property
-    def window(self) -> tuple[slice, slice]:
-        """Rows and columns of the pixels in the image."""
-        left = self._pixels.left
-        top = self._pixels.top
-        left = left - self._camera.crop_offset[0]
-        top = top - self._camera.crop_offset[1]
-        return slice(top, top + self._pixels.rows), slice(left, left + self._pixels.columns)
-
-    @property
-    def _is_resampled(self) -> bool:
-        return self._grid.rotation != 0 or self._regular is not None
-
-    @property
-    def _edge(self) -> tuple[float, float]:
-        """X and y of the first pixel's corner, relative to the detector's corner."""
-        p = self._camera.pixel_size
-        return self._pixels.left * p, self._pixels.top * p
-
-    @property
-    def _origin(self) -> tuple[float, float]:
-        """X and y of the first sample in the lattice's frame, relative to the detector's corner."""
-        pitch = self._grid.pitch
-        size = (self._camera.detector_width, self._camera.detector_height)
-        x, y = np.array([self.box.left, self.box.top]) * pitch + (self._grid.origin + np.array(size) / 2)
-        return float(x), float(y)
-
-    def _pixels_of(self, move: str | None) -> PixelIntegrals:
+    def _moved(self, integrals: PixelIntegrals, move: str | None) -> PixelIntegrals:
         """Return the integrals over the pixels, or their changes as the pixels move."""
         if move is None:
-            return self._integrals
+            return integrals
         if move in STEPS:
-            return self._integrals.shifted(STEPS.index(move))
+            return integrals.shifted(STEPS.index(move))
         width = self._camera.detector_width
         axis = width / 2, self._camera.detector_height / 2
         if move == "mla_rotation":
-            return self._integrals.turned(axis)
+            return integrals.turned(axis)
         if move == "wavelength":
-            return self._integrals.shrunk(axis, self._grid.wavelength)
-        return self._integrals.widened(axis, width)
+            return integrals.shrunk(axis, self._grid.wavelength)
+        return integrals.widened(axis, width)
 
     @cached_property
-    def _integrals(self) -> PixelIntegrals:
+    def _made(self) -> tuple[PixelIntegrals, TurnedSamples | None]:
+        """The integrals over the pixels, and the resampling before them from regular lenses in the lattice frame."""
+        grid = self._grid
+        camera = self._camera
+        pixels = self._pixels
+        box = self.box
         if self._whole is not None and not self._is_resampled:
             parent = self._whole
-            return parent._integrals.cut(_slices(self._pixels, parent._pixels), _slices(self.box, parent.box))
-        x, y = self._grid.pitch.tolist()
-        pitch = (x, y)
-        origin = self._origin
-        samples = (self.box.rows, self.box.columns)
+            return parent._made[0].cut(_slices(pixels, parent._pixels), _slices(box, parent.box)), None
+        # X and y of the first pixel's corner and of the first sample, relative to the detector's corner.
+        p = camera.pixel_size
+        edge = pixels.left * p, pixels.top * p
+        size = (camera.detector_width, camera.detector_height)
+        x, y = (np.array([box.left, box.top]) * grid.pitch + (grid.origin + np.array(size) / 2)).tolist()
+        origin = x, y
+        x, y = grid.pitch.tolist()
+        pitch = x, y
+        samples = box.rows, box.columns
+        upright = None
         if self._is_resampled:
             step = min(pitch)
-            pitch = (step, step)
-            origin = self._upright_origin
-            samples = self._upright_shape
-        shape = self._pixels.rows, self._pixels.columns
-        return PixelIntegrals.of(samples, pitch, origin, self._camera.pixel_size, self._edge, shape, self._grid.means)
-
-    @cached_property
-    def _upright(self) -> TurnedSamples | None:
-        """Resampling from regular lenses in the lattice frame to the camera frame; None if nothing is to be moved."""
-        grid = self._grid
-        if not self._is_resampled:
-            return None
-        x, y = grid.pitch.tolist()
-        # The turn is about the axis.
-        corner = grid.origin.tolist()
-        return TurnedSamples(
-            (self.box.rows, self.box.columns),
-            (x, y),
-            (self._origin[0] + corner[0], self._origin[1] + corner[1]),
-            grid.rotation,
-            min(x, y),
-            (self._upright_origin[0] + corner[0], self._upright_origin[1] + corner[1]),
-            self._upright_shape,
-            self._regular,
-        )
-
-    @property
-    def _upright_shape(self) -> tuple[int, int]:
-        p = self._camera.pixel_size
-        step = float(self._grid.pitch.min())
-        rows, columns = (math.ceil(count * p / step) + 2 * _EDGE for count in (self._pixels.rows, self._pixels.columns))
-        return rows, columns
-
-    @property
-    def _upright_origin(self) -> tuple[float, float]:
-        step = float(self._grid.pitch.min())
-        return self._edge[0] - _EDGE * step, self._edge[1] - _EDGE * step
+            rows, columns = (math.ceil(count * p / step) + 2 * _EDGE for count in (pixels.rows, pixels.columns))
+            corner = edge[0] - _EDGE * step, edge[1] - _EDGE * step
+            # The turn is about the axis.
+            x, y = grid.origin.tolist()
+            upright = TurnedSamples(
+                samples,
+                pitch,
+                (origin[0] + x, origin[1] + y),
+                grid.rotation,
+                step,
+                (corner[0] + x, corner[1] + y),
+                (rows, columns),
+                self._regular,
+            )
+            samples = rows, columns
+            pitch = step, step
+            origin = corner
+        shape = pixels.rows, pixels.columns
+        return PixelIntegrals.of(samples, pitch, origin, p, edge, shape, grid.means), upright
 
 
 def _slices(inner: Box, outer: Box) -> tuple[slice, slice]:

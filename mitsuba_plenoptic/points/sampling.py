@@ -10,12 +10,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import SHORTEST, InputError, refuse_if
 from ..lenses import Light, MainLens
-from ..runtime import MILLIMETRES, POINTS, Doubles, as_array
+from ..runtime import MILLIMETRES, POINTS, Doubles, Flags, as_array
 
 _FARTHEST = 1e16
 """Largest coordinate of a scene point, in millimetres; beyond the longest focal length it counts as infinity."""
@@ -62,7 +61,7 @@ def footprint(lens: MainLens, positions: Doubles) -> Footprint:
     return _bounds(np.stack(np.broadcast_arrays(*light.land((pupil[0], pupil[1]), point))), cosine)
 
 
-def _drawn_in(light: Light, P: Doubles, is_open: NDArray[np.bool_]) -> Doubles:
+def _drawn_in(light: Light, P: Doubles, is_open: Flags) -> Doubles:
     """Return points (n, m, 2) with blocked points moved inwards to open places; the last ones are points of the rim.
 
     Rim points move towards the mean of the open points; other blocked points move to this mean.

@@ -29,7 +29,7 @@ from ..io import digest
 from ..lenses import RealLens
 from ..optics import Spectrum
 from ..rays import Entrances, LensWindow
-from ..runtime import Doubles, Floats, Integers, Job, drjit_array, require_memory_for
+from ..runtime import Array, Doubles, Floats, Integers, Job, Pair, Triple, drjit_array, require_memory_for
 from ..scene import SceneLight, refuse_negative, world_ray
 from .operator import CaptureOperator
 from .pupil_weights import PupilWeights, slants
@@ -72,7 +72,7 @@ def sample_pairs(count: int, seed: int = 0) -> Doubles:
     from scipy.stats import qmc
 
     # The sequence is drawn to the next power of two, where it is balanced.
-    return np.asarray(qmc.Sobol(4, scramble=True, rng=seed).random_base2(math.ceil(math.log2(count)))[:count])
+    return qmc.Sobol(4, scramble=True, rng=seed).random_base2(math.ceil(math.log2(count)))[:count]
 
 
 def require_matte(scene: Any, sensor: Any, integrator: Any) -> None:
@@ -152,7 +152,7 @@ class _Finder:
     pairs: Doubles
     paths: int
 
-    def find(self, numbers: Integers, seed: int) -> tuple[NDArray[Any], ...]:
+    def find(self, numbers: Integers, seed: int) -> tuple[Array, ...]:
         """Return the points where traced rays, given by their numbers, meet the scene.
 
         For lit points that rays hit, the positions, radiance, slants, visible pupil cells as bits, and lenses are
@@ -195,7 +195,7 @@ class _Finder:
             bits = self._visible(hit, Entrances(front, P, positions, slopes), radius)
         return positions, radiance[lit], slant, bits, cell[lit], tried
 
-    def _radiance(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], seed: int) -> Doubles:
+    def _radiance(self, point: Triple, slope: Pair, seed: int) -> Doubles:
         """Return the mean radiance of the light paths of each ray, an array (rays, channels)."""
         lane = dr.arange(mi.UInt32, dr.width(point[0]) * self.paths) // self.paths
         start, direction = (tuple(dr.gather(mi.Float, x, lane) for x in xs) for xs in (point, slope))
@@ -283,7 +283,7 @@ class PointsCapture:
         operator = self._operator(points)
         pupil = points.pupil_weights
         weights = points.weights if self.upsampling is None else points.weights @ self.upsampling
-        masks: list[NDArray[Any]] = [] if pupil is None else [pupil.table, pupil.index, pupil.slant]
+        masks: list[Array] = [] if pupil is None else [pupil.table, pupil.index, pupil.slant]
         facts = {
             "points": len(points.positions),
             "scene_digest": lambda: digest(points.positions, points.weights, *masks),

@@ -14,8 +14,8 @@ import drjit as dr
 import numpy as np
 
 from ..camera import Vignetting
-from ..lenses import Light, MainLens, Pair
-from ..runtime import Doubles
+from ..lenses import Light, MainLens
+from ..runtime import Doubles, Pair, Triple
 
 _RADII = 24
 _ANGLES = 48
@@ -33,7 +33,7 @@ class SeenPupil:
     light: Light
     pupil_radius: Any
 
-    def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any], soften: Callable[[Any], Any]) -> Any:
+    def amplitude(self, pupil: Pair, point: Triple, soften: Callable[[Any], Any]) -> Any:
         """Return the amplitude of light behind points of the pupil.
 
         `soften` makes of distances in mm from the pupil's rim or the outline, positive inside, what an edge transmits.

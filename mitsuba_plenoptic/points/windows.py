@@ -13,7 +13,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from ..runtime import Backend, Doubles, Floats, Integers, backend_of, drjit_array, fft
+from ..runtime import Backend, Doubles, Field, Floats, Integers, backend_of, drjit_array, fft
 
 _LANES = 2**24
 """Samples of windows that one kernel of a device adds."""
@@ -32,7 +32,7 @@ class Windows:
         return cls(np.repeat(np.arange(len(starts)), [len(run) for run in starts]), np.concatenate(starts))
 
 
-def part_of(table: fft.Field, starts: Integers, size: tuple[int, int]) -> fft.Field:
+def part_of(table: Field, starts: Integers, size: tuple[int, int]) -> Field:
     """Return windows (n, rows, columns) of a table, with given first rows and columns (n, 2)."""
     libraries = backend_of(table)
     rows, columns = size

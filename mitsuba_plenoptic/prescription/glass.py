@@ -22,6 +22,7 @@ from ..errors import (
     require_wavelength,
     short_repr,
 )
+from . import lenses
 
 LINE_D = 587.5618
 LINE_F = 486.1327
@@ -170,8 +171,9 @@ class Glass:
         Parameters
         ----------
         value : float, str or dict
-            An index; a name in a catalogue, for which the extra ``lenses`` must be installed; or a dictionary with
-            ``index``, with ``index`` and ``abbe``, or with one of ``sellmeier``, ``schott``, ``table``, and ``name``.
+            An index; a name, for which the extra ``lenses`` must be installed unless the glass is a usual one; or a
+            dictionary with ``index``, with ``index`` and ``abbe``, or with one of ``sellmeier``, ``schott``, ``table``,
+            and ``name``.
         where : str
             Name of the glass in messages.
         """
@@ -214,24 +216,30 @@ def catalogue_glass(
 ) -> Glass:
     """Return a glass by its name in a maker's catalogue, as a table independent of the catalogue.
 
-    The catalogues are those of refractiveindex.info included in Optiland, the extra ``lenses``. The name must match
-    exactly, except for capitals.
+    The usual glasses of SCHOTT, by the Sellmeier coefficients of its data sheets, and fused silica (Malitson, J. Opt.
+    Soc. Am. 55, 1205 (1965)) are in a table of the package. Further catalogues are those of refractiveindex.info
+    included in Optiland, the extra ``lenses``. The name must match exactly, except for capitals.
     """
     maker, _, glass = name.rpartition(":")
     if maker:
         makers = [maker]
+    hyphen = "-" if with_hyphens else ""
+    plain = glass.lower().replace("-", hyphen)
+    text = (resources.files(lenses) / "glasses.csv").read_text(encoding="utf-8")
+    for known, by, *numbers in csv.reader(text.splitlines()):
+        # Other makers have glasses of SCHOTT's older names, without N, too.
+        unique = not by or known.startswith("N-")
+        searched = [by] * unique if makers is None else makers[: None if unique else 1]
+        if plain == known.lower().replace("-", hyphen) and any(by in maker.upper() for maker in searched):
+            return Glass("sellmeier", tuple(map(float, numbers)), name)
     with refusing(
-        f"{where} = {short_repr(name)}: glasses by name need Optiland; pip install 'mitsuba-plenoptic[lenses]', "
+        f"{where} = {short_repr(name)}: it is not among the glasses included, and others by name need Optiland; "
+        "pip install 'mitsuba-plenoptic[lenses]', "
         "or give index and abbe",
         ImportError,
     ):
         importlib.import_module("optiland.materials")
-    plain = glass.lower() if with_hyphens else glass.lower().replace("-", "")
-    catalogues = {
-        entry.maker: entry
-        for entry in _catalogued()
-        if plain == (entry.name.lower() if with_hyphens else entry.name.lower().replace("-", ""))
-    }
+    catalogues = {entry.maker: entry for entry in _catalogued() if plain == entry.name.lower().replace("-", hyphen)}
     # Files of other programs write makers with what belongs to them, such as NIKON-HIKARI.
     chosen = list(catalogues)
     if makers is not None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
-from ..errors import NO_RECORD, InputError, refusing
+from ..errors import NO_RECORD, InputError, naming, refusing
 from ..extension import format_of, place
 from ..runtime import read_yaml, require_file
 from . import BUNDLED, Prescription, bundled_prescription
@@ -40,10 +40,9 @@ def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> LensDa
         return bundled_prescription(text)
     if (reader := format_of(path.suffix.lower(), "lens", str(path))) is not None:
         return cast(LensData, place(*reader)(path))
-    try:
-        return lens_from_plain(read_yaml(require_file(path)))
-    except InputError as error:
-        raise InputError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from None
+    plain = read_yaml(require_file(path))
+    with naming(path):
+        return lens_from_plain(plain)
 
 
 def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -> Prescription:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib import resources
 from typing import Any
@@ -18,8 +19,10 @@ from ..errors import (
     InputError,
     did_you_mean,
     refuse_if,
+    require_flag,
     require_known,
     require_length,
+    require_lengths,
     require_number,
     require_wavelength,
     short_repr,
@@ -43,6 +46,18 @@ _TOUCHING = 1e-9
 """Part of the semi-aperture by which surfaces that meet at their edges may seem to cross by rounding."""
 
 _NAMES = {"radius", "thickness", "glass", "semi_aperture", "conic", "asphere", "stop"}
+
+_USE: dict[str, Callable[[str, Any], Any]] = {
+    "object_distance": functools.partial(require_length, finite=False),
+    "image_distance": require_length,
+    "pupil_diameter": require_length,
+    "fields": functools.partial(require_lengths, rule=functools.partial(require_number, minimum=0, maximum=85)),
+    "wavelengths": functools.partial(require_lengths, rule=lambda name, value: require_wavelength(value, name)),
+}
+"""Rules of what is known of a lens's use."""
+
+_ABSENT = (None, "", (), 0.0, math.inf, -math.inf)
+"""Values that plain data leave out."""
 
 
 @dataclass(frozen=True)
@@ -80,14 +95,9 @@ class Surface:
 
     def to_plain(self) -> dict[str, Any]:
         """Return the surface as plain data for `from_plain`, without entries that have their default."""
-        plain: dict[str, Any] = {} if math.isinf(self.radius) else {"radius": self.radius}
-        if self.thickness:
-            plain["thickness"] = self.thickness
+        plain = {name: value for name, value in vars(self).items() if value not in _ABSENT}
         if self.glass is not None:
             plain["glass"] = self.glass.to_plain()
-        plain["semi_aperture"] = self.semi_aperture
-        if self.conic:
-            plain["conic"] = self.conic
         if self.asphere:
             plain["asphere"] = list(self.asphere)
         return plain
@@ -189,6 +199,13 @@ class Prescription(LensData):
         Where the lens is published.
     wavelength : float
         Wavelength in nanometres at which rays are traced and focal length and pupils are given; the line d by default.
+    object_distance, image_distance : float
+        Distances in millimetres from the object to the first vertex, and from the last vertex to the image, for which
+        the lens is designed; 0: the image plane is not known.
+    pupil_diameter : float
+        Diameter in millimetres of the entrance pupil in use; 0: the stop is fully open.
+    fields, wavelengths : tuple of float
+        Angles in degrees from the axis, seen from the entrance pupil, and wavelengths in nanometres in use.
     """
 
     mark = "surfaces"
@@ -199,6 +216,11 @@ class Prescription(LensData):
     name: str = ""
     source: str = ""
     wavelength: float = LINE_D
+    object_distance: float = math.inf
+    image_distance: float = 0.0
+    pupil_diameter: float = 0.0
+    fields: tuple[float, ...] = ()
+    wavelengths: tuple[float, ...] = ()
 
     @property
     def traced_surfaces(self) -> tuple[Surface, ...]:
@@ -251,12 +273,18 @@ class Prescription(LensData):
         gap = camera.mla_distance - (math.inf if power == 0 else 1 / power)
         return float(2 * camera.pupil_radius * (1.0 if math.isinf(gap) else abs(gap / (camera.pupil_distance - gap))))
 
+    def with_surface(self, index: int, **changes: Any) -> Prescription:
+        """Return the lens with changed fields of a surface by its index."""
+        surfaces = list(self.surfaces)
+        surfaces[index] = replace(surfaces[index], **changes)
+        return replace(self, surfaces=tuple(surfaces))
+
     def to_plain(self) -> dict[str, Any]:
         """Return the prescription as numbers, strings, lists and dictionaries, for `from_plain`."""
         surfaces = [surface.to_plain() for surface in self.surfaces]
         surfaces[self.stop]["stop"] = True
-        facts = {name: text for name in ("name", "source") if (text := getattr(self, name))}
-        return {**facts, "wavelength": self.wavelength, "surfaces": surfaces}
+        facts = {name: value for name, value in vars(self).items() if value not in _ABSENT and name != "stop"}
+        return {**facts, "surfaces": surfaces}
 
     @classmethod
     def from_plain(cls, value: Any) -> Prescription:
@@ -266,7 +294,7 @@ class Prescription(LensData):
         ----------
         value : dict
             ``surfaces``, a list of what `Surface.from_plain` takes, one of them with ``stop: true``; and any of
-            ``name``, ``source``, ``wavelength``.
+            ``name``, ``source``, ``wavelength`` and the other fields of a `Prescription`.
 
         Raises
         ------
@@ -276,7 +304,7 @@ class Prescription(LensData):
             that cross within their semi-apertures end there, with a warning.
         """
         if isinstance(value, dict):
-            require_known("main_lens: ", value, ("surfaces", "name", "source", "wavelength"))
+            require_known("main_lens: ", value, ("surfaces", "name", "source", "wavelength", *_USE))
         refuse_if(
             not isinstance(value, dict) or "surfaces" not in value,
             f"main_lens = {short_repr(value)}: it must have surfaces, and may have name, source, wavelength",
@@ -289,22 +317,22 @@ class Prescription(LensData):
         surfaces = tuple(
             Surface.from_plain(surface, f"main_lens: surface {index}") for index, surface in enumerate(listed, start=1)
         )
-        stops = []
-        for index, surface in enumerate(listed):
-            flag = surface.get("stop", False)
-            if not isinstance(flag, bool):
-                raise InputError(f"main_lens: surface {index + 1}: stop = {short_repr(flag)}: it must be true or false")
-            stops += [index] if flag else []
+        flags = [surface.get("stop", False) for surface in listed]
+        stops = [
+            index for index, flag in enumerate(flags) if require_flag(f"main_lens: surface {index + 1}: stop", flag)
+        ]
         refuse_if(len(stops) != 1, f"main_lens: {len(stops)} surfaces have stop: true: it must be just one of them")
         if surfaces[-1].glass is not None:
             raise InputError(f"main_lens: surface {len(surfaces)}: glass: air must follow the last surface")
         texts = {name: value.get(name, "") for name in ("name", "source")}
         for name, text in texts.items():
             refuse_if(not isinstance(text, str), f"main_lens: {name} = {short_repr(text)}: it must be text")
+        use = {name: rule(f"main_lens: {name}", value[name]) for name, rule in _USE.items() if value.get(name)}
         lens = cls(
             surfaces,
             stops[0],
             **texts,
+            **use,
             wavelength=require_wavelength(value.get("wavelength", LINE_D), "main_lens: wavelength"),
         )
         lens.indices(lens.wavelength)
@@ -322,8 +350,7 @@ class Prescription(LensData):
         lens = self
         while crossing := lens._crossing():
             first, second, position, text = crossing
-            surfaces = list(lens.surfaces)
-            pair = [surfaces[first].semi_aperture, surfaces[second].semi_aperture]
+            pair = [lens.surfaces[index].semi_aperture for index in (first, second)]
             # 0.1: Least part of the semi-aperture that a surface which crosses the next may be clipped to; less is a
             # slip.
             refuse_if(
@@ -331,10 +358,8 @@ class Prescription(LensData):
                 f"{text}: they must stay apart within a tenth of the smaller of their semi-apertures, {min(pair):.4g}",
             )
             warn(f"{text}: their semi-apertures, {pair[0]:.4g} and {pair[1]:.4g}, end there")
-            for index in (first, second):
-                least = min(surfaces[index].semi_aperture, position)
-                surfaces[index] = replace(surfaces[index], semi_aperture=least)
-            lens = replace(lens, surfaces=tuple(surfaces))
+            for index, edge in zip((first, second), pair, strict=True):
+                lens = lens.with_surface(index, semi_aperture=min(edge, position))
         return lens
 
     def require_apart(self) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from ..array import Lattice
 from ..fields import OpticalSystem
 from ..lenses import Entrance
-from ..runtime import Doubles, drjit_array
+from ..runtime import Array, Doubles, Pair, drjit_array
 
 _MARGIN = 3
 """Width in lenses of the margin around the recorded lenses whose points are included.
@@ -34,10 +34,10 @@ class LensWindow:
 
     lattice: Lattice
     # Lattice indices (i, j) of the lenses, an array (n, 2).
-    index: np.ndarray
+    index: Array
     # Lower and upper corner (x, y) of a rectangle of the MLA plane that lies wholly in the cells.
-    low: np.ndarray
-    high: np.ndarray
+    low: Array
+    high: Array
 
     @classmethod
     def of(cls, system: OpticalSystem) -> LensWindow:
@@ -57,13 +57,13 @@ class LensWindow:
         inner = (_MARGIN - 1) * pitch
         return cls(lattice, index, recorded[0] - inner, recorded[1] + inner)
 
-    def position(self, i: Any, j: Any) -> tuple[Any, Any]:
+    def position(self, i: Any, j: Any) -> Pair:
         """Return the MLA point at i and j steps along the lattice vectors from the first corner of cell (0, 0)."""
         (ax, ay), (bx, by) = self.lattice.basis
         cx, cy = self.lattice.centre(0.0, 0.0)
         return i * ax + j * bx + (cx - (ax + bx) / 2), i * ay + j * by + (cy - (ay + by) / 2)
 
-    def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def contains(self, x: Array, y: Array) -> Array:
         """Return a mask of points that lie in the cells of the window."""
         first = self.index.min(0)
         last = self.index.max(0)

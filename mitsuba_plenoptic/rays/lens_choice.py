@@ -20,8 +20,8 @@ from ..array import MOST_DEVIATIONS
 from ..camera import PlenopticCamera
 from ..design import crosstalk_neighbours, crosstalk_reach, pupil_growth
 from ..errors import refuse_if
-from ..lenses import Pair, chief_points, main_lens
-from ..runtime import drjit_array
+from ..lenses import chief_points, main_lens
+from ..runtime import Array, Pair, drjit_array
 from .tracer import Walk, deflects_cosines
 
 _SECTORS = 12
@@ -140,7 +140,7 @@ CHIEF = LensChoice(((0, 0),))
 """The chief ray's lens alone."""
 
 
-def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
+def cosine_limits(camera: PlenopticCamera, radii: Array) -> Array:
     """Return how far from the chief ray's point cosine-deflecting lenses light a pixel, in mm, (radii, sectors).
 
     Slopes, by which `design.crosstalk_neighbours` follows rays, fall short of the light through the edges of such

@@ -13,10 +13,10 @@ import numpy as np
 
 from ..array import make_lattice
 from ..camera import PlenopticCamera
-from ..lenses import Pair, Traced, main_lens
+from ..lenses import Traced, main_lens
 from ..optics import RGB_WAVELENGTHS
 from ..prescription import LINE_D, SINGLE, Glass
-from ..runtime import drjit_array
+from ..runtime import Pair, drjit_array
 from .lens_choice import CHIEF, LensChoice
 from .tracer import Passage, Ray, Walk
 

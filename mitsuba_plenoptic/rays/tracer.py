@@ -17,9 +17,9 @@ import numpy as np
 
 from ..array import Lenslet
 from ..camera import PlenopticCamera
-from ..lenses import MainLens, Pair, Traced, cached_main_lens, chief_points, main_lens
+from ..lenses import MainLens, Traced, cached_main_lens, chief_points, main_lens
 from ..optics import rays
-from ..runtime import array_module, drjit_array, fft
+from ..runtime import Pair, array_module, drjit_array, fft
 
 if TYPE_CHECKING:
     from ..fields import OpticalSystem
@@ -227,7 +227,7 @@ def on_plane(traced: Traced, distance: Any, mla_distance: Any) -> Pair:
     return tuple(-mla_distance * rays.object_direction(X, forward * t, distance) for X, t in ((x, tx), (y, ty)))
 
 
-def follow_back(p: Any, m: Any, c: Any, distance: float, camera: PlenopticCamera) -> tuple[Any, Any]:
+def follow_back(p: Any, m: Any, c: Any, distance: float, camera: PlenopticCamera) -> Pair:
     """Follow rays from p through m of the lens at c back to an object plane by paraxial optics, linear in p, m and c.
 
     One axis at a time; returns the points of the pupil, and those of the plane, which may be at infinity, times -b / g.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, overload
 
 import numpy as np
@@ -16,7 +16,7 @@ from ..errors import LONGEST, require_count, suggest_keywords, warn
 from ..io import CaptureLike, Checkpoint, read_if_path
 from ..optics import guards
 from ..refocus_options import all_options, with_options
-from ..runtime import GIB, BatchMap, Forecast, in_words, memory_asked, one_at_a_time
+from ..runtime import GIB, BatchMap, Forecast, Progress, in_words, memory_asked, one_at_a_time
 from .displacement import is_known
 from .methods import (
     Found,
@@ -61,7 +61,7 @@ def reconstruct(
     wavelength: float | Sequence[float] | None = None,
     oversample: int = 1,
     white: CaptureLike | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     checkpoint: Checkpoint | None = None,
     batch_map: BatchMap | None = None,
     **options: Any,
@@ -222,8 +222,8 @@ def reconstruct(
     if capture.model == "wave" and capture.wavelength is not None:
         recorded_at = np.broadcast_to(capture.wavelength, image.shape[2]).tolist()
     by_itself = reference is None and not chosen.as_it_is
-    # A white by waves takes about as long as a part of the refocusing.
-    works = [1, 2] if by_itself and capture.model == "wave" else [0, 1]
+    # A white by waves takes longer than the refocusing.
+    works = [4, 1] if by_itself and capture.model == "wave" else [0, 1]
     with memory_asked() as sizes:
         computed = computed_white(unstraightened, portion(report, 0, works)) if by_itself else None
     with guards.watch() as found, memory_asked() as sizes:

@@ -18,7 +18,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..fields import Directions, is_paraxial
 from ..optics import in_millimetres
-from ..runtime import Doubles, active_backend
+from ..runtime import Doubles, Pair, active_backend
 
 _NEAR = (-1, 0, 1, 2)
 """Samples next to the one before an edge that the integral up to the edge depends on, apart from the sum before it."""
@@ -51,7 +51,7 @@ class Integrals:
         self._size = count + 2 * _MARGIN
         self._buffer: Any = None
 
-    def _places(self, lines: slice) -> tuple[Any, Any]:
+    def _places(self, lines: slice) -> Pair:
         """Return the samples before the edges of lines, and the distances of the edges from these samples."""
         arrays = active_backend().arrays
         # Beyond the samples all is dark; an edge there is as good as one just outside.

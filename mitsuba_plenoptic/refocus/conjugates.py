@@ -23,9 +23,9 @@ from scipy import ndimage
 from ..camera import PlenopticCamera
 from ..errors import InputError, argument
 from ..fields import OpticalSystem, is_paraxial
-from ..lenses import FAR, FittedLens, Light, Pair, Pupils, RealLens, ThinLens
+from ..lenses import FAR, FittedLens, Light, Pupils, RealLens, ThinLens
 from ..optics import in_millimetres
-from ..runtime import Doubles, array_module
+from ..runtime import Doubles, Pair, Triple, array_module
 
 _MARGIN = 4
 """Lenses beyond the corner of the bins up to which the lens is fitted."""
@@ -36,7 +36,7 @@ class Conjugate:
     """The passage through the exit pupil of light from one point of the array, or from one point per lane."""
 
     light: Any
-    point: tuple[Any, Any, Any]
+    point: Triple
     wavelength: float
     tilt: tuple[float, float] = (0.0, 0.0)
 
@@ -79,7 +79,7 @@ class ParaxialLight:
 
     lens: ThinLens
 
-    def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
+    def path(self, pupil: Pair, point: Triple, wavelength: float) -> Any:
         """Return the path in waves from pupil points to a point at the distance of `point`."""
         return self.lens.paraxial_path(pupil, point[2], wavelength)
 
@@ -112,7 +112,7 @@ class ThinConjugates:
         """Yield the whole field as one zone; behind a parabolic lens, changes over the field are neglected."""
         yield FieldZone(self._light((0.0, 0.0, distance)))
 
-    def _light(self, point: tuple[Any, Any, Any]) -> Conjugate:
+    def _light(self, point: Triple) -> Conjugate:
         lens = cast(ThinLens, self.system.lens)
         light = ParaxialLight(lens) if is_paraxial(self.camera) else lens
         return Conjugate(light, point, self.system.wavelength)

@@ -54,7 +54,7 @@ class PupilCentroid:
         inside = soft_edge((camera.aperture_radius - np.hypot(P, P[:, None])) / self._pitch)
 
         def blurred(values: Doubles) -> Doubles:
-            return np.asarray(scipy.fft.irfft2(scipy.fft.rfft2(values) * transfer, s=(size, size)))
+            return scipy.fft.irfft2(scipy.fft.rfft2(values) * transfer, s=(size, size))
 
         light = blurred(inside)
         # Far from the pupil the rounding of the transform is not light.
@@ -119,7 +119,7 @@ def rising(
         for first in range(0, len(py), height):
             rows = slice(first, first + height)
             p = px, py[rows, None]
-            cells = camera.lattice.cell(*(rays.chief_point(q, camera.mla_distance, camera.reduced_distance) for q in p))
+            cells = rays.chief_lenses(camera, *p)
             ends = [
                 np.broadcast_arrays(*follow_back(q, c, c, distance, camera))
                 for q, c in zip(p, camera.lattice.centre(*cells), strict=True)
@@ -162,7 +162,7 @@ def brought_back(image: Doubles, moved: Sequence[Doubles], weights: Doubles, rea
     x, y, value = (_mean_about(light * term, reach) / mass for term in terms)
 
     def covariance(i: int, j: int, means: Doubles) -> Doubles:
-        return np.asarray(_mean_about(light * terms[i] * terms[j], reach) / mass - means)
+        return _mean_about(light * terms[i] * terms[j], reach) / mass - means
 
     xx = covariance(0, 0, x * x)
     xy = covariance(0, 1, x * y)
@@ -181,4 +181,4 @@ def brought_back(image: Doubles, moved: Sequence[Doubles], weights: Doubles, rea
 
 def _mean_about(image: Doubles, reach: int) -> Doubles:
     """Return the mean over the square of bins around each bin; bins outside the image count as 0."""
-    return np.asarray(scipy.ndimage.uniform_filter(image, 2 * reach + 1, mode="constant", axes=(0, 1)))
+    return scipy.ndimage.uniform_filter(image, 2 * reach + 1, mode="constant", axes=(0, 1))

@@ -35,7 +35,7 @@ from ..camera import PlenopticCamera
 from ..design import focus_type
 from ..fields import FreeSpace, Hop, OpticalSystem, Step, converging, is_paraxial, retained_workspace
 from ..optics import guards, in_millimetres, parabola, phasor, rays, soft_edge
-from ..runtime import active_backend, check_memory, drjit_array, fft, single_threaded_blas
+from ..runtime import Array, Field, active_backend, check_memory, drjit_array, fft, single_threaded_blas
 from .conjugates import Conjugates, ThinConjugates, behind_thin_lens
 from .methods import Progress
 from .planning import GUARD, check_pupil_diffraction, detector_step, field_subsamples
@@ -80,86 +80,48 @@ def reconstruction_tile(
     return LensTile(camera, wavelength, tile_lenses(camera, distances), oversample, resolved, fraction)
 
 
-@dataclass(frozen=True)
 class LensTile:
     """Sampling of one lens's light in the four planes."""
 
-    camera: PlenopticCamera
-    wavelength: float
-    lenses: int
-    oversample: int
-    resolved: bool = True
-    fraction: float = 1.0
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        wavelength: float,
+        lenses: int,
+        oversample: int,
+        resolved: bool = True,
+        fraction: float = 1.0,
+    ) -> None:
+        self.camera = camera
+        self.wavelength = wavelength
+        self.lenses = lenses
+        self.oversample = oversample
+        wave_path = in_millimetres(wavelength) * camera.mla_distance
+        # Samples across a pixel, and the distance between them on detector and MLA, in millimetres.
+        self.subsamples = field_subsamples(camera, wavelength)
+        self.pitch = camera.pixel_size / self.subsamples
+        # Extent in mm along either axis of a lattice cell, samples across an aperture, and one more, and coordinates in
+        # mm on the MLA, from a lens's centre, that contain its aperture wherever samples lie.
+        lattice = camera.lattice
+        self.cell_width = max(camera.mla_pitches) if lattice.axis_aligned else 2 * float(lattice.cell_corners().max())
+        lens_width = float(lattice.aperture_width if lattice.aperture == "circle" else self.cell_width * lattice.fill)
+        self.cell_samples = math.ceil(lens_width / self.pitch - 1e-6) + 1
+        self.cell = (np.arange(self.cell_samples) - (self.cell_samples - 1) / 2) * self.pitch
+        # Object samples across a lens's image that its power needs: a multiple of the bins, or fewer, as a bin as wide
+        # as the lens's image averages over all frequencies that a few samples cannot distinguish. Several bins per lens
+        # resolve the power, which has twice the frequencies of the field.
+        guard = 2 * GUARD if oversample > 1 and resolved else GUARD
+        needed = fraction * (guard * camera.row_pitch * camera.aperture_diameter / wave_path)
+        per_bin = math.ceil(needed / oversample)
+        self.samples = math.ceil(needed) if needed < oversample else oversample * per_bin
+        self.object_samples = lenses * self.samples
+        # Coordinates along an axis of the pupil, in mm, for whose distance the object patch is one period.
+        self.pupil_pitch = wave_path / (lenses * camera.row_pitch)
+        count = 2 * math.ceil(camera.aperture_radius / self.pupil_pitch) + 1
+        self.pupil = (np.arange(count) - (count - 1) / 2) * self.pupil_pitch
 
     @cached_property
-    def pitch(self) -> float:
-        """Distance between samples on detector and MLA, in millimetres."""
-        return self.camera.pixel_size / self.subsamples
-
-    @cached_property
-    def subsamples(self) -> int:
-        """Number of samples across a pixel."""
-        return field_subsamples(self.camera, self.wavelength)
-
-    @cached_property
-    def cell_width(self) -> float:
-        """Extent in mm of a lattice cell along either axis."""
-        lattice = self.camera.lattice
-        return max(self.camera.mla_pitches) if lattice.axis_aligned else 2 * float(lattice.cell_corners().max())
-
-    @property
-    def lens_width(self) -> float:
-        """Extent in mm of an aperture along either axis."""
-        lattice = self.camera.lattice
-        return float(lattice.aperture_width if lattice.aperture == "circle" else self.cell_width * lattice.fill)
-
-    @cached_property
-    def cell(self) -> np.ndarray:
-        """MLA coordinates in mm, from a lens's centre, that contain its aperture wherever samples lie."""
-        count = self.cell_samples
-        return (np.arange(count) - (count - 1) / 2) * self.pitch
-
-    @property
-    def cell_samples(self) -> int:
-        """Number of samples across an aperture, and one more."""
-        return math.ceil(self.lens_width / self.pitch - 1e-6) + 1
-
-    @cached_property
-    def samples(self) -> int:
-        """Number of object samples across a lens's image that its power needs: a multiple of the bins, or fewer.
-
-        A bin as wide as the lens's image averages over all frequencies that a few samples cannot distinguish.
-        """
-        camera = self.camera
-        needed = self.fraction * (
-            # Several bins per lens resolve the power, which has twice the frequencies of the field.
-            (2 * GUARD if self.oversample > 1 and self.resolved else GUARD)
-            * camera.row_pitch
-            * camera.aperture_diameter
-            / (in_millimetres(self.wavelength) * camera.mla_distance)
-        )
-        if needed < self.oversample:
-            return math.ceil(needed)
-        return self.oversample * math.ceil(needed / self.oversample)
-
-    @property
-    def object_samples(self) -> int:
-        """Number of object samples across the patch."""
-        return self.lenses * self.samples
-
-    @property
-    def pupil_pitch(self) -> float:
-        """Distance in mm between pupil samples, for which the object patch is one period."""
-        return in_millimetres(self.wavelength) * self.camera.mla_distance / (self.lenses * self.camera.row_pitch)
-
-    @cached_property
-    def pupil(self) -> np.ndarray:
-        """Pupil coordinates along an axis, in millimetres."""
-        count = 2 * math.ceil(self.camera.aperture_radius / self.pupil_pitch) + 1
-        return (np.arange(count) - (count - 1) / 2) * self.pupil_pitch
-
-    @cached_property
-    def to_pupil(self) -> fft.Field:
+    def to_pupil(self) -> Field:
         r"""Matrix from the cell to the pupil along an axis, :math:`\exp(-i k P \mu / b) d\mu / (\lambda b)^{1/2}`."""
         wave_path = in_millimetres(self.wavelength) * self.camera.mla_distance
         matrix = phasor(np.outer(self.pupil, self.cell) / -wave_path) * np.float32(self.pitch / math.sqrt(wave_path))
@@ -208,13 +170,13 @@ class LensBatch:
     are the samples of the windows, and `offset` their distances (2, n, cell) from the lens's centre along x and y.
     """
 
-    bin: np.ndarray
-    aside: np.ndarray
-    centre: np.ndarray
-    rows: np.ndarray
-    columns: np.ndarray
-    offset: np.ndarray
-    focal_length: np.ndarray
+    bin: Array
+    aside: Array
+    centre: Array
+    rows: Array
+    columns: Array
+    offset: Array
+    focal_length: Array
 
 
 class LensSet:
@@ -228,7 +190,7 @@ class LensSet:
         camera = tile.camera
         ends = np.array([camera.pixel_coordinates(axis)[[0, -1]] for axis in (0, 1)])
         ends += np.array([-0.5, 0.5]) * camera.pixel_size
-        low, high = rays.chief_point(ends, camera.mla_distance, camera.reduced_distance).T
+        low, high = rays.chief_point(camera, ends).T
         half = tile.cell_width / 2
         self.tile, self._index = tile, camera.lattice.lenses_within(tuple(low - half), tuple(high + half))
         self.centre = np.stack(camera.lattice.centre(*self._index.T.astype(np.float64)), axis=-1)
@@ -239,13 +201,12 @@ class LensSet:
         self.bin = bins - np.array(self.first)
         self.bins = int(self.bin[:, 0].max()) + 1, int(self.bin[:, 1].max()) + 1
 
-    def pixels(self, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def pixels(self, which: Array) -> tuple[Array, Array]:
         """Return the first recorded column and row (n, 2) that may belong to lenses, and those after the last."""
         camera = self.tile.camera
         half = self.tile.cell_width / 2
         low, high = (
-            rays.chief_detector_point(self.centre[which] + side, camera.mla_distance, camera.reduced_distance)
-            / camera.pixel_size
+            rays.chief_detector_point(camera, self.centre[which] + side) / camera.pixel_size
             + np.array(camera.resolution) / 2
             - camera.crop_offset
             for side in (-half, half)
@@ -254,14 +215,14 @@ class LensSet:
         first, end = (np.clip(end, 0, camera.crop_size) for end in ends)
         return first, end
 
-    def lit(self, image: np.ndarray) -> np.ndarray:
+    def lit(self, image: Array) -> Array:
         """Return the indices, in this set, of lenses whose pixels contain light, an int64 array (n,)."""
         counts = np.pad((image > 0).cumsum(0, np.int32).cumsum(1, np.int32), ((1, 0), (1, 0)))
         (left, top), (right, bottom) = (ends.T for ends in self.pixels(np.arange(len(self._index))))
         lit = counts[bottom, right] - counts[top, right] - counts[bottom, left] + counts[top, left]
         return np.flatnonzero(lit)
 
-    def blocks(self, which: np.ndarray) -> Iterator[np.ndarray]:
+    def blocks(self, which: Array) -> Iterator[Array]:
         """Yield the lenses in square blocks, whose light comes from the detector at once."""
         # Samples across the lenses whose light comes from the detector at once.
         width = max(2**10 * self.tile.pitch, 4 * self.tile.cell_width)
@@ -270,7 +231,7 @@ class LensSet:
         for block in np.unique(number):
             yield which[number == block]
 
-    def to_array(self, which: np.ndarray) -> Step:
+    def to_array(self, which: Array) -> Step:
         """Return the step from the pixels around some lenses to samples on the array, which hold their windows."""
         tile = self.tile
         first, end = self.pixels(which)
@@ -282,7 +243,7 @@ class LensSet:
         )
         return Step(across, down)
 
-    def on_array(self, amplitude: np.ndarray, which: np.ndarray) -> tuple[fft.Field, Step]:
+    def on_array(self, amplitude: Array, which: Array) -> tuple[Field, Step]:
         """Return the field on the array from the pixels around some lenses, and the step to its samples.
 
         Light that strays from another lens's pixels into a cell is deflected by a micro-image and misses the main lens.
@@ -299,7 +260,7 @@ class LensSet:
             pixels = workspace.repeated(amplitude[top:bottom, left:right], tile.subsamples)
             return workspace.whole(hop.forward(pixels, workspace), step.shape), step
 
-    def batch(self, lenses: np.ndarray, step: Step) -> LensBatch:
+    def batch(self, lenses: Array, step: Step) -> LensBatch:
         """Return the batch of the lenses at the given positions, with their windows in the samples of a step."""
         tile = self.tile
         centre = self.centre[lenses]
@@ -320,7 +281,7 @@ class LensSet:
 
 @single_threaded_blas()  # a lens's products are too small for threads, which would wait for each other actively
 def reconstruct_lens_by_lens(
-    image: np.ndarray,
+    image: Array,
     camera: PlenopticCamera,
     distances: Sequence[float],
     wavelength: float,
@@ -330,7 +291,7 @@ def reconstruct_lens_by_lens(
     checked: bool = True,
     progress: Progress = lambda done: None,
     conjugates: Conjugates | None = None,
-) -> list[np.ndarray]:
+) -> list[Array]:
     """Return images from lenses propagated one by one, the limit of `reconstruct_subsets` for large periods."""
     tile = reconstruction_tile(camera, wavelength, distances, oversample)
     lenses = LensSet(tile)
@@ -369,7 +330,7 @@ def reconstruct_lens_by_lens(
     return [on_bins(total, lenses) for total in totals]
 
 
-def pupil_fields(light: fft.Field, tile: LensTile, batch: LensBatch, *, relay: bool) -> fft.Field:
+def pupil_fields(light: Field, tile: LensTile, batch: LensBatch, *, relay: bool) -> Field:
     """Return the fields of some lenses at the main lens, relative to a spherical wave from the lens's centre.
 
     They start from a field on the array; complex64 (n, pupil, pupil). The microlenses act with `relay` only.
@@ -391,14 +352,12 @@ def pupil_fields(light: fft.Field, tile: LensTile, batch: LensBatch, *, relay: b
     return arrays.ascontiguousarray(_product(_product(cell, tile.to_pupil), tile.to_pupil))
 
 
-def _product(fields: fft.Field, matrix: fft.Field) -> fft.Field:
+def _product(fields: Field, matrix: Field) -> Field:
     """Return the product of a matrix (p, i) with fields (n, i, j) over i, transposed: (n, j, p)."""
     return active_backend().arrays.tensordot(fields, matrix, (1, 1))
 
 
-def object_patches(
-    fields: fft.Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates
-) -> np.ndarray:
+def object_patches(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> Array:
     """Return the power of each lens's light at the samples around its bin, upright; float32 (n, samples, samples)."""
     camera = tile.camera
     focused = _aim(fields, tile, batch, distance, conjugates)
@@ -421,7 +380,7 @@ def object_patches(
     return intensity[:, ::-1, ::-1] * np.float32(scale**2)
 
 
-def _aim(fields: fft.Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> fft.Field:
+def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> Field:
     """Return pupil fields multiplied by the pupil, and by the phase from the lens's centre to its image."""
     types = active_backend().types
     camera = tile.camera
@@ -462,7 +421,7 @@ def _aim(fields: fft.Field, tile: LensTile, batch: LensBatch, distance: float, c
     return fft.as_field(fft.pack(aimed), fields.shape)
 
 
-def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
+def on_bins(total: Array, lenses: LensSet) -> Array:
     """Return the bins of the image, cut from the sum of power at samples over lenses."""
     tile = lenses.tile
     for axis in (0, 1):
@@ -483,7 +442,7 @@ def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
     return image
 
 
-def integrated(power: np.ndarray, tile: LensTile, axis: int) -> np.ndarray:
+def integrated(power: Array, tile: LensTile, axis: int) -> Array:
     r"""Return the integrals over bins, along an axis, of power that is sampled several times for each lens.
 
     Where the samples resolve the power, the power is the trigonometric polynomial through them, whose integrals over

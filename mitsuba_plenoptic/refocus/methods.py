@@ -29,7 +29,7 @@ from ..fields import OpticalSystem
 from ..io import Capture, Checkpoint, require_demosaiced
 from ..optics import in_millimetres
 from ..refocus_options import Option, all_options, options_of_methods
-from ..runtime import BatchMap, as_array, require_memory_for
+from ..runtime import Array, BatchMap, as_array, require_memory_for
 
 Progress = Callable[[float], None]
 """Called with the fraction of the work that is done."""
@@ -72,15 +72,15 @@ class Task:
         Optical systems that `system` has built.
     """
 
-    image: np.ndarray
+    image: Array
     camera: PlenopticCamera
     distances: Sequence[float]
     oversample: int
     wavelengths: Sequence[float]
-    white: np.ndarray | None
+    white: Array | None
     progress: Progress
-    computed: np.ndarray | None = None
-    passed: np.ndarray | None = None
+    computed: Array | None = None
+    passed: Array | None = None
     recorded: Sequence[float] | None = None
     exposure: dict[str, Any] | None = None
     checkpoint: Checkpoint | None = None
@@ -98,7 +98,7 @@ class Task:
 class Found:
     """Image (rows, columns, channels), NaN where no light can come from, and facts as plain data by name."""
 
-    image: np.ndarray
+    image: Array
     facts: dict[str, Any] = field(default_factory=dict)
 
 
@@ -115,7 +115,7 @@ def work_of(wavelengths: Sequence[float]) -> list[float]:
     return [wavelength**-2 for wavelength in wavelengths]
 
 
-Refocus = Callable[..., Sequence[np.ndarray | Found]]
+Refocus = Callable[..., Sequence[Array | Found]]
 """From a `Task`, and the method's options by name, to an image (rows, columns, channels) for every distance."""
 
 
@@ -204,7 +204,7 @@ def method(
     return register
 
 
-def as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) -> Capture:
+def as_capture(capture: Capture | Array, camera: PlenopticCamera | None) -> Capture:
     """Return a capture with its own camera, or with a given one instead."""
     if isinstance(capture, Capture):
         require_demosaiced(capture)

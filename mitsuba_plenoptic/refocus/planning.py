@@ -44,7 +44,7 @@ from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..fields import AxisStep, Directions, LensAxis, Step, bend
 from ..optics import guards, in_millimetres, rays
-from ..runtime import check_memory, fft, work_limit
+from ..runtime import Array, check_memory, fft, work_limit
 
 Span = tuple[int, int]
 Window = tuple[Span, Span]
@@ -234,12 +234,10 @@ def detector_step(
 
     The window has room for all directions on both sides. `beside` are more samples beside the cells.
     """
-    b = camera.mla_distance
-    z = camera.reduced_distance
     count = round((lit[1] - lit[0]) * camera.pixel_size / pitch)
     first = (lit[0] - camera.resolution[axis] / 2) * camera.pixel_size + pitch / 2
-    spread = math.ceil(z * in_millimetres(wavelength) / (2 * pitch) / pitch)
-    low, high = _cells(camera, rays.chief_point(first + pitch * np.array([0, count - 1.0]), b, z), axis)
+    spread = math.ceil(camera.reduced_distance * in_millimetres(wavelength) / (2 * pitch) / pitch)
+    low, high = _cells(camera, rays.chief_point(camera, first + pitch * np.array([0, count - 1.0])), axis)
     wanted = math.ceil((high - low) / pitch - 1e-6) + 2 * beside  # the width of cells is often a multiple of the pitch
     start = (low + high) / 2 - (wanted - 1) / 2 * pitch
     # Few pixels may belong to wide cells.
@@ -305,7 +303,7 @@ def _beyond_paraxial(
     return AxisStep(on_array.start, pitch, on_array.wanted, padded, new_padded, start, samples)
 
 
-def _cells(camera: PlenopticCamera, ends: np.ndarray, axis: int) -> tuple[float, float]:
+def _cells(camera: PlenopticCamera, ends: Array, axis: int) -> tuple[float, float]:
     """Return the range of the cells that contain all points between two coordinates on the MLA."""
     lattice = camera.lattice
     if lattice.axis_aligned:
@@ -327,7 +325,7 @@ def object_extent(
     b = camera.mla_distance
     spread = camera.blur_diameter(distance) / 2 / b + OBJECT_MARGIN * camera.row_pitch / b
     edges = (np.array(lit) - camera.resolution[axis] / 2) * camera.pixel_size
-    high, low = -rays.chief_point(edges, b, camera.reduced_distance) / b
+    high, low = -rays.chief_point(camera, edges) / b
     light = (float(low) - spread, float(high) + spread)
     half_field = camera.bin_count[axis] / 2 * camera.row_pitch / b
     return light, (min(max(light[0], -half_field), half_field), max(min(light[1], half_field), -half_field))

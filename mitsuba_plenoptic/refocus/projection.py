@@ -23,7 +23,7 @@ from ..design import focus_type, lens_footprint, pixel_footprint
 from ..errors import refuse_if
 from ..optics import rays
 from ..rays import follow_back
-from ..runtime import array_module, drjit_array, require_memory
+from ..runtime import Array, Pair, array_module, drjit_array, require_memory
 from .splatting import Splat
 
 
@@ -43,8 +43,8 @@ _MOST_VALUES = 2**32 - 1
 
 
 def ray_sums(
-    image: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
-) -> np.ndarray:
+    image: Array, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
+) -> Array:
     """Return the sums over bins of the pixels whose central rays, traced back to the object plane, meet each bin.
 
     Pixels and bins that are arranged alike, on an upright square lattice without gaps of unfocused lenses behind a thin
@@ -80,7 +80,7 @@ def _axis(
     """Return the positions of the pixels of one axis, on the bins and on the pupil."""
     count = camera.bin_count[axis] * oversample
     p = camera.pixel_coordinates(axis)
-    chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
+    chief = rays.chief_point(camera, p)
     c = camera.lattice.axis_centre(camera.lattice.axis_cell(chief, axis), axis)
 
     pupil, position = follow_back(p, c, c, distance, camera)
@@ -96,8 +96,8 @@ def _axis(
 
 
 def ray_sums_vjp(
-    bins: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
-) -> np.ndarray:
+    bins: Array, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
+) -> Array:
     """Return the transpose of `ray_sums`, applied to bins."""
     axes = aligned_axes(camera, distance, radius, footprint, oversample)
     if axes is None:
@@ -116,10 +116,10 @@ class AxisBins:
     """Weights (bins, pixels) of the pixels of one axis, and the pupil coordinate of each pixel."""
 
     weights: csr_matrix
-    pupil: np.ndarray
+    pupil: Array
 
 
-def axis_bins(low: np.ndarray, high: np.ndarray, pupil: np.ndarray, count: int, radius: float) -> AxisBins:
+def axis_bins(low: Array, high: Array, pupil: Array, count: int, radius: float) -> AxisBins:
     """Return weights that spread each pixel uniformly over the interval from `low` to `high` in bin coordinates."""
     pixels = np.flatnonzero(np.abs(pupil) <= radius)
     low, high = np.minimum(low, high)[pixels], np.maximum(low, high)[pixels]
@@ -138,7 +138,7 @@ def axis_bins(low: np.ndarray, high: np.ndarray, pupil: np.ndarray, count: int, 
     return AxisBins(csr_matrix(entries, (count, pupil.size)), pupil)
 
 
-def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
+def bin_image(image: Array, x: AxisBins, y: AxisBins, radius: float) -> Array:
     """Return an image's sums over the bins of both axes, within the pupil."""
     types = array_module()
     rows, columns, channels = image.shape
@@ -173,7 +173,7 @@ def _sums(types: Any, values: Any, bins: AxisBins, index: Any, base: Any, stride
         # A row beyond the pupil's edge is dark whatever its columns.
         end = dr.select(limit >= 0, end, entry)
 
-    def body(entry: Any, total: Any) -> tuple[Any, Any]:
+    def body(entry: Any, total: Any) -> Pair:
         inside = True if limit is None else dr.gather(Float, square, entry) <= limit
         value = dr.gather(Float, values, base + dr.gather(UInt32, pixel, entry) * stride, inside)
         return entry + 1, dr.fma(value, dr.gather(Float, weight, entry), total)

@@ -22,7 +22,7 @@ from ..camera import PlenopticCamera, once_a_camera
 from ..design import focus_type, lens_footprint
 from ..errors import refuse_if, short_repr
 from ..io import Capture, digest
-from ..runtime import fft
+from ..runtime import Array, fft
 from ..views import capture_white, mean_response, recorded_white
 from ..views import white_pixels as white_pixels
 from .displacement import brought_back, displacements, is_known, rising, tilt
@@ -32,8 +32,8 @@ from .straight import straightened_image
 
 
 def as_reference(
-    white: Capture | np.ndarray, capture: Capture, tilted: PlenopticCamera, recorded: Any, as_recorded: bool
-) -> np.ndarray:
+    white: Capture | Array, capture: Capture, tilted: PlenopticCamera, recorded: Any, as_recorded: bool
+) -> Array:
     """Return a recorded white image, scaled to a radiance of 1, with the channels of the capture to be divided.
 
     For a method that takes captures `as_recorded` it is neither straightened nor scaled. Refused is a white wave
@@ -66,7 +66,7 @@ def as_reference(
     return np.ascontiguousarray(np.broadcast_to(scaled, image.shape))
 
 
-def captures(task: Task) -> Iterator[tuple[np.ndarray, Sequence[float], Progress]]:
+def captures(task: Task) -> Iterator[tuple[Array, Sequence[float], Progress]]:
     """Yield the images that a method sums over bins, (rows, columns, channels), with distances and progress.
 
     They are the capture, the white capture, given or computed, if there is one and, if displacements are known by a
@@ -76,7 +76,7 @@ def captures(task: Task) -> Iterator[tuple[np.ndarray, Sequence[float], Progress
     pictures = [task.image] if white is None else [task.image, white]
     # The ways to the main lens and from there to a plane take about equally long.
     works = [1 + len(task.distances)] * len(pictures)
-    pairs: Iterator[tuple[np.ndarray, Sequence[float]]] = ((image, task.distances) for image in pictures)
+    pairs: Iterator[tuple[Array, Sequence[float]]] = ((image, task.distances) for image in pictures)
     if task.white is not None and is_known(task.camera):
         works += [2] * (2 * len(task.distances))
         pairs = itertools.chain(pairs, rising(task.white, task.camera, task.distances, task.recorded))
@@ -85,18 +85,18 @@ def captures(task: Task) -> Iterator[tuple[np.ndarray, Sequence[float], Progress
 
 
 @once_a_camera
-def _sums_of_white(camera: PlenopticCamera, *key: Any, make: Callable[[], list[np.ndarray]]) -> list[np.ndarray]:
+def _sums_of_white(camera: PlenopticCamera, *key: Any, make: Callable[[], list[Array]]) -> list[Array]:
     """Return the sums over bins of a computed white image, made once for each key of what they depend on."""
     return make()
 
 
 def divided_by_white(
     task: Task,
-    sums_of: Callable[[np.ndarray, Sequence[float], Progress], list[np.ndarray]],
+    sums_of: Callable[[Array, Sequence[float], Progress], list[Array]],
     radius: float,
     footprint: str,
     *key: Any,
-) -> list[np.ndarray]:
+) -> list[Array]:
     """Return a method's images of a task, as radiance.
 
     `sums_of` an image, distances and a progress callback are the method's sums over bins; `radius` and `footprint` are
@@ -120,8 +120,8 @@ def divided_by_white(
 
 
 def to_radiance(
-    task: Task, sums: Sequence[Sequence[np.ndarray]], white: Sequence[np.ndarray], reach: Sequence[np.ndarray]
-) -> list[np.ndarray]:
+    task: Task, sums: Sequence[Sequence[Array]], white: Sequence[Array], reach: Sequence[Array]
+) -> list[Array]:
     """Return a capture's sums over bins, divided by the sums of white; NaN where no light can come from.
 
     Parameters
@@ -158,7 +158,7 @@ def to_radiance(
     return images
 
 
-def _divided(total: np.ndarray, divisor: np.ndarray, reached: np.ndarray) -> np.ndarray:
+def _divided(total: Array, divisor: Array, reached: Array) -> Array:
     """Return the reached bins divided by the divisor, NaN elsewhere."""
     image = np.full(total.shape, np.nan, np.float32)
     np.divide(total, divisor, out=image, where=np.broadcast_to(reached, total.shape), casting="same_kind")
@@ -171,31 +171,31 @@ class WeakBins:
     The division by white would amplify their light. They share sums with the bins around them, over one lens.
     """
 
-    def __init__(self, white: np.ndarray, rays: np.ndarray, oversample: int) -> None:
+    def __init__(self, white: Array, rays: Array, oversample: int) -> None:
         """Find bins of less than a quarter of the white that as many rays bring around them."""
         self._lens = oversample // 2 * 2 + 1
         self._weak = white * self._around(rays) < 0.25 * rays * self._around(white)
 
-    def _around(self, sums: np.ndarray) -> np.ndarray:
-        return np.asarray(uniform_filter(sums, self._lens, mode="constant", axes=(0, 1)))
+    def _around(self, sums: Array) -> Array:
+        return uniform_filter(sums, self._lens, mode="constant", axes=(0, 1))
 
-    def shared(self, sums: np.ndarray) -> np.ndarray:
+    def shared(self, sums: Array) -> Array:
         """Return sums (rows, columns, ...), in weak bins the mean around them."""
         return np.where(self._weak, self._around(sums), sums)
 
-    def shared_vjp(self, bins: np.ndarray) -> np.ndarray:
+    def shared_vjp(self, bins: Array) -> Array:
         """Return the transpose of `shared`, applied to bins (rows, columns, ...)."""
         return np.where(self._weak, 0, bins) + self._around(np.where(self._weak, bins, 0))
 
 
-def divided_bins(white: np.ndarray, rays: np.ndarray, distance: float) -> np.ndarray:
+def divided_bins(white: Array, rays: Array, distance: float) -> Array:
     """Return a mask of the bins whose sums are divided by the sums of white."""
     reached = is_reached(rays) & (white > 0)
     refuse_if(not reached.any(), f"distance = {distance:g}: no light comes from any of the {rays.size} bins there")
     return reached
 
 
-def is_reached(rays: np.ndarray) -> np.ndarray:
+def is_reached(rays: Array) -> Array:
     """Return a mask (rows, columns) of bins that enough rays of white reach for a division."""
     return np.asarray((rays >= 0.01 * rays.max()) & (rays > 0))
 
@@ -218,12 +218,12 @@ class LensSpread:
         self._aperture = camera.lattice.aperture_image(camera.row_pitch / (oversample * fine), scale)
         self._fine = fine
 
-    def forward(self, power: np.ndarray) -> np.ndarray:
+    def forward(self, power: Array) -> Array:
         """Return bins: the power of fine bins, spread over lenses and summed."""
         rows, columns = (size // self._fine for size in power.shape)
         return fft.blur(power, self._aperture).reshape(rows, self._fine, columns, self._fine).sum((1, 3))
 
-    def vjp(self, bins: np.ndarray) -> np.ndarray:
+    def vjp(self, bins: Array) -> Array:
         """Return the transpose of `forward`, applied to bins."""
         fine = bins.repeat(self._fine, 0).repeat(self._fine, 1)
         convolved = fft.convolve(fine, self._aperture[::-1, ::-1])
@@ -231,14 +231,12 @@ class LensSpread:
         return convolved[rows : rows + fine.shape[0], columns : columns + fine.shape[1]]
 
 
-def over_lenses(
-    power: np.ndarray, camera: PlenopticCamera, oversample: int, fine: int, scale: float = 1.0
-) -> np.ndarray:
+def over_lenses(power: Array, camera: PlenopticCamera, oversample: int, fine: int, scale: float = 1.0) -> Array:
     """Return fine bins spread over lenses, without negative rounding errors of the transform."""
     return LensSpread(camera, oversample, fine, scale).forward(power).clip(min=0)
 
 
-def computed_white(capture: Capture, progress: Progress) -> np.ndarray:
+def computed_white(capture: Capture, progress: Progress) -> Array:
     """Return the computed white image of a capture's model, straightened like the capture, with as many channels."""
     channels = np.atleast_3d(capture.image).shape[2]
     white = capture_white(capture, channels, lambda done, total: progress(done / total))
@@ -247,7 +245,7 @@ def computed_white(capture: Capture, progress: Progress) -> np.ndarray:
 
 
 @once_a_camera
-def white_sums(camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int) -> np.ndarray:
+def white_sums(camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int) -> Array:
     """Return the light of a scene of uniform radiance 1 in each bin by rays, in pixel values times pixels.
 
     It is `ray_sums` of the camera's white capture, with the same parameters: (rows, columns), float64.

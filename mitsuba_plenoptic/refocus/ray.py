@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
+from ..runtime import Array
 from .methods import Progress, Task, method
 from .projection import pupil_radius, ray_sums
 from .radiance import divided_by_white
 
 
 @method("ray", waves=False)
-def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
+def refocus(task: Task, *, footprint: str) -> list[Array]:
     r"""Return images of bins, to which each pixel's value is added along one ray back to the object plane.
 
     The ray passes the centres of the pixel and of its lens. With ``footprint="point"`` the whole value is added to one
@@ -32,7 +31,7 @@ def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
     """
     radius = pupil_radius(task.camera)
 
-    def sums_of(image: np.ndarray, distances: Sequence[float], progress: Progress) -> list[np.ndarray]:
+    def sums_of(image: Array, distances: Sequence[float], progress: Progress) -> list[Array]:
         sums = []
         for index, distance in enumerate(distances):
             sums.append(ray_sums(image, task.camera, distance, radius, footprint, task.oversample))

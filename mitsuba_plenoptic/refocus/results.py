@@ -17,7 +17,7 @@ from ..choices import VOLUMES
 from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
 from ..extension import Displayed, Shown
 from ..io import read_exr, write_exr, write_labelled_data
-from ..runtime import Floats, atomic_output, require_memory, require_writable, require_zarr
+from ..runtime import Array, Floats, atomic_output, require_memory, require_writable, require_zarr
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -58,7 +58,7 @@ class Reconstruction(Displayed):
         ``in_focus``, where finer bins show little more (see `design.resolution_limit`).
     """
 
-    image: np.ndarray
+    image: Array
     distance: float
     bin_size: float
     method: str
@@ -221,7 +221,7 @@ class Volume:
             x; 0 where no voxel shows anything.
         """
         along = _ALONG[require_choice("axis", axis, tuple(_ALONG))]
-        return np.asarray(np.nan_to_num(self.values, nan=0.0).max(axis=along))
+        return np.nan_to_num(self.values, nan=0.0).max(axis=along)
 
     def slices(
         self, plane: int | None = None, row: int | None = None, column: int | None = None

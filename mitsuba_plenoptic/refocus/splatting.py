@@ -17,13 +17,12 @@ from dataclasses import dataclass
 import drjit as dr
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..design import lens_footprint, pixel_footprint
 from ..optics import rays
 from ..rays import Passage, Walk, detector_rows, follow_back, on_plane
-from ..runtime import Doubles, array_module, require_memory
+from ..runtime import Array, Doubles, Flags, array_module, require_memory
 
 # Samples of the fine grid across a lens pitch; at least `_LEAST` across a bin.
 _FINE = 16
@@ -46,12 +45,12 @@ class Splat:
     """
 
     fine: int
-    footprints: list[np.ndarray]
+    footprints: list[Array]
     margin: int
     size: tuple[int, int]
-    place: np.ndarray
-    lens_type: np.ndarray
-    pixel: np.ndarray
+    place: Array
+    lens_type: Array
+    pixel: Array
 
     @classmethod
     def of(
@@ -78,7 +77,7 @@ class Splat:
         landing = _landing(camera, distance, radius, oversample, fine, (down, across))
         return cls(fine, footprints, margin, (down, across), *landing)
 
-    def forward(self, image: np.ndarray) -> np.ndarray:
+    def forward(self, image: Array) -> Array:
         """Return an image's pixels (rows, columns, channels) summed by bin; float64, like the image."""
         values = image.reshape(-1, image.shape[2])[self.pixel]
         down, across = self.size
@@ -92,7 +91,7 @@ class Splat:
                 out[first : first + spread.shape[0], first : first + spread.shape[1]] += spread
         return np.moveaxis(total[:, 2 * margin : down, 2 * margin : across], 0, -1)
 
-    def vjp(self, bins: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    def vjp(self, bins: Array, shape: tuple[int, int]) -> Array:
         """Return the transpose of `forward`: float64 pixels (rows, columns, channels)."""
         margin = self.margin
         down, across = self.size
@@ -106,13 +105,13 @@ class Splat:
                 result[self.pixel[mine], channel] = _gather(window, taps).reshape(-1)[self.place[mine]]
         return result.reshape(*shape, -1)
 
-    def _types(self) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
+    def _types(self) -> Iterator[tuple[slice | Array, Array]]:
         """Yield, for each type of lens, a mask of the pixels behind such lenses, and the pixels' footprint."""
         for index, taps in enumerate(self.footprints):
             yield slice(None) if len(self.footprints) == 1 else np.flatnonzero(self.lens_type == index), taps
 
 
-def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
+def _spread(samples: Array, footprint: Array) -> Array:
     """Return the light of every fine sample spread over the surrounding bins."""
     taps = footprint.shape[0]
     footprint = footprint.reshape(taps, taps, -1)
@@ -131,15 +130,15 @@ def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
     return scipy.fft.irfft2(spectrum, shape)[:rows, :columns]
 
 
-def _gather(window: np.ndarray, footprint: np.ndarray) -> np.ndarray:
+def _gather(window: Array, footprint: Array) -> Array:
     """Return the transpose of `_spread`: (rows + taps - 1, columns + taps - 1) to (rows, columns, fine**2)."""
     from scipy.signal import fftconvolve  # loads slowly
 
     kernels = footprint.reshape(*footprint.shape[:2], -1)[::-1, ::-1]
-    return np.asarray(fftconvolve(window[..., None], kernels, "valid", axes=(0, 1)))
+    return fftconvolve(window[..., None], kernels, "valid", axes=(0, 1))
 
 
-def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float, step: float) -> np.ndarray:
+def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float, step: float) -> Array:
     """Return the footprint of a pixel, of sum 1: its view of the lens or its own square, whichever is wider."""
     scale = lens_footprint(camera, distance, mla_focal_length)
     pixel = pixel_footprint(camera, distance)
@@ -153,7 +152,7 @@ def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float
     return np.outer(side, side) / side.sum() ** 2
 
 
-def _in_bins(blur: np.ndarray, fine: int) -> np.ndarray:
+def _in_bins(blur: Array, fine: int) -> Array:
     """Return a footprint's fractions (taps, taps, fine, fine) in surrounding bins, if centred in each sample of a bin.
 
     The footprint is given in fine samples; its sum is 1.
@@ -169,7 +168,7 @@ def _in_bins(blur: np.ndarray, fine: int) -> np.ndarray:
 
 def _landing(
     camera: PlenopticCamera, distance: float, radius: float, oversample: int, fine: int, shape: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[Array, Array, Array]:
     """Return sample, lens type and flat index of the pixels whose ray passes the pupil and lands on the bins.
 
     Samples are counted bin by bin; the middle of the bins, rows and columns, is on the axis.
@@ -193,17 +192,14 @@ def _landing(
         lens_type = np.zeros(lit.size, np.int8)
         if len(camera.mla_focal_lengths) > 1:
             pixel = camera.pixel_coordinates(0)[lit % columns], camera.pixel_coordinates(1)[rows][lit // columns]
-            b = camera.pupil_distance
-            z = camera.reduced_distance
-            lens_type = lattice.lens_type(*lattice.cell(*(rays.chief_point(p, b, z) for p in pixel))).astype(np.int8)
+            lens = rays.chief_lenses(camera, *pixel, camera.pupil_distance)
+            lens_type = lattice.lens_type(*lens).astype(np.int8)
         places.append([sample, lens_type, lit + rows.start * columns])
     sample, lens_type, pixels = (np.concatenate(parts) for parts in zip(*places, strict=True))
     return sample, lens_type, pixels
 
 
-def thin_places(
-    camera: PlenopticCamera, distance: float, radius: float
-) -> Iterator[tuple[slice, np.ndarray, np.ndarray, np.ndarray]]:
+def thin_places(camera: PlenopticCamera, distance: float, radius: float) -> Iterator[tuple[slice, Array, Array, Array]]:
     """Yield the result of `traced_places` for a thin main lens, where rays are linear in pixel and lens centre."""
     of_pixel = np.array(follow_back(1.0, 0.0, 0.0, distance, camera))
     of_lens = np.array(follow_back(0.0, 1.0, 1.0, distance, camera))
@@ -212,7 +208,7 @@ def thin_places(
     height = max(1, _BLOCK // px.size)
     for first in range(0, down.size, height):
         p = px, down[first : first + height, None]
-        cell = camera.lattice.cell(*(rays.chief_point(q, camera.mla_distance, camera.reduced_distance) for q in p))
+        cell = rays.chief_lenses(camera, *p)
         shape = p[1].size, px.size
         (Px, x), (Py, y) = (
             [(pixel * q + lens * c) for pixel, lens in zip(of_pixel, of_lens, strict=True)]
@@ -222,9 +218,7 @@ def thin_places(
         yield slice(first, first + shape[0]), x, y, Px**2 + Py**2 <= radius**2
 
 
-def traced_places(
-    camera: PlenopticCamera, distance: float
-) -> Iterator[tuple[slice, Doubles, Doubles, NDArray[np.bool_]]]:
+def traced_places(camera: PlenopticCamera, distance: float) -> Iterator[tuple[slice, Doubles, Doubles, Flags]]:
     """Yield the positions at which one ray per pixel, through the centre of its lens, meets an object plane.
 
     Yielded are rows of pixels, x and y of their positions in the object plane times -b / g in millimetres, which

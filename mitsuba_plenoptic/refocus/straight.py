@@ -30,7 +30,7 @@ from scipy.ndimage import map_coordinates, spline_filter, uniform_filter
 
 from ..array import Displacement
 from ..camera import PlenopticCamera, once_a_camera
-from ..runtime import Floats
+from ..runtime import Floats, Pair
 from ..views import white_image
 
 _BLOCK = 2**20
@@ -150,7 +150,7 @@ def _seen(camera: PlenopticCamera, regular: PlenopticCamera) -> Iterator[tuple[s
         yield slice(first, first + len(x)), x, y
 
 
-def regular_place(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any]:
+def regular_place(camera: PlenopticCamera, x: Any, y: Any) -> Pair:
     """Return where the `straightened` camera has what a camera's detector has at a place, in mm from the axis."""
     growth = camera.image_growth
     cells = camera.lattice.cell(x / growth, y / growth)
@@ -164,7 +164,7 @@ def regular_place(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any]:
     return u, v
 
 
-def _growth(camera: PlenopticCamera, lens: Any) -> tuple[Any, Any]:
+def _growth(camera: PlenopticCamera, lens: Any) -> Pair:
     """Return the nearness of lenses of a tilted array to the pupil, and the size of their images, over an upright's."""
     # Chief rays behind an objective are parallel to the axis.
     nearer = 1 - (camera.image_growth > 1) * lens.height / camera.pupil_distance

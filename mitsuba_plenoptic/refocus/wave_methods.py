@@ -70,7 +70,18 @@ from ..fields import (
     microlenses,
 )
 from ..optics import guards, phasor, power, soft_edge
-from ..runtime import Doubles, Floats, Integers, active_backend, array_module, check_memory, fft, work_limit
+from ..runtime import (
+    Array,
+    Doubles,
+    Field,
+    Floats,
+    Integers,
+    active_backend,
+    array_module,
+    check_memory,
+    fft,
+    work_limit,
+)
 from .bins import BinSums
 from .conjugates import Conjugates, FieldZone, RealConjugates, ThinConjugates, undistorted
 from .lens_by_lens import LensTile, fine_bins, reconstruct_lens_by_lens, tile_lenses
@@ -92,21 +103,21 @@ _APART = 2
 
 
 @method("coherent", waves=True)
-def coherent(task: Task, *, relay: bool) -> list[np.ndarray]:
+def coherent(task: Task, *, relay: bool) -> list[Array]:
     """Return images refocused by propagating the light back as one coherent wave."""
     return _refocus(task, 1, relay)
 
 
 @method("partial", waves=True)
-def partial(task: Task, *, interleave: int | str, relay: bool) -> list[np.ndarray]:
+def partial(task: Task, *, interleave: int | str, relay: bool) -> list[Array]:
     """Return images refocused by propagating the light back as one wave for each subset of lenses, or for each lens."""
     return _refocus(task, interleave, relay)
 
 
-def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]:
+def _refocus(task: Task, interleave: int | str, relay: bool) -> list[Array]:
     """Return the refocused images, channel by channel."""
 
-    def sums_of(image: np.ndarray, distances: Sequence[float], progress: Progress) -> list[np.ndarray]:
+    def sums_of(image: Array, distances: Sequence[float], progress: Progress) -> list[Array]:
         # The shortest waves, which take the most memory, come first.
         channels = np.argsort(task.wavelengths).tolist()
         works = work_of([task.wavelengths[channel] for channel in channels])
@@ -123,7 +134,7 @@ def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]
     return divided_by_white(task, sums_of, task.camera.lit_radius, "lens", "waves", *key)
 
 
-def signed_parts(image: np.ndarray) -> list[tuple[float, np.ndarray]]:
+def signed_parts(image: Array) -> list[tuple[float, Array]]:
     """Return the non-negative pixels with the sign 1 and, if any, the magnitudes of negative ones with the sign -1.
 
     Amplitudes are square roots. Pixels below zero, which `expose` may make of dark ones, are refocused separately, and
@@ -135,7 +146,7 @@ def signed_parts(image: np.ndarray) -> list[tuple[float, np.ndarray]]:
 
 
 def _signed_power(
-    image: np.ndarray,
+    image: Array,
     system: OpticalSystem,
     distances: Sequence[float],
     planned: Sequence[float],
@@ -144,7 +155,7 @@ def _signed_power(
     oversample: int,
     progress: Progress,
     checked: bool,
-) -> list[np.ndarray]:
+) -> list[Array]:
     """Return the power in bins, in pixel values times pixels, spread over lenses if lenses are not aligned with bins.
 
     The propagation to the main lens is done once for all distances. Seen from behind, a real main lens is a thin one.
@@ -190,7 +201,7 @@ def _signed_power(
 
 
 def full_field_period(
-    image: np.ndarray, camera: PlenopticCamera, distances: Sequence[float], wavelength: float
+    image: Array, camera: PlenopticCamera, distances: Sequence[float], wavelength: float
 ) -> int | None:
     """Return the period from which on subsets of lenses do not interfere, or None if single lenses are cheaper.
 
@@ -211,7 +222,7 @@ def full_field_period(
 
 
 def reconstruct_subsets(
-    image: np.ndarray,
+    image: Array,
     camera: PlenopticCamera,
     distances: Sequence[float],
     wavelength: float,
@@ -223,7 +234,7 @@ def reconstruct_subsets(
     progress: Progress = lambda done: None,
     conjugates: Conjugates | None = None,
     planned: Sequence[float] | None = None,
-) -> list[np.ndarray]:
+) -> list[Array]:
     """Return the power in bins of object planes, from subsets of lenses propagated coherently.
 
     The image must not be negative. The propagation to the main lens is done once for all distances. The period of a
@@ -267,7 +278,7 @@ def reconstruct_subsets(
     return totals
 
 
-def lit_window(image: np.ndarray, camera: PlenopticCamera) -> Window | None:
+def lit_window(image: Array, camera: PlenopticCamera) -> Window | None:
     """Return the first column and row of the full detector with light, and those after the last; None if dark."""
     window = []
     for axis in (0, 1):
@@ -339,7 +350,7 @@ class BackwardFields:
     def _subsets(self) -> list[tuple[int, int]]:
         return [(i, j) for j, i in np.ndindex(self._interleave, self._interleave)]
 
-    def at_pupil(self, amplitude: Floats) -> Iterator[fft.Field]:
+    def at_pupil(self, amplitude: Floats) -> Iterator[Field]:
         """Yield every subset's field directly before the main lens, in lines along y, zero outside the pupil.
 
         Each field is valid until the next one is requested.
@@ -359,7 +370,7 @@ class BackwardFields:
                 self._add_within(field, self._to_pupil(strip, subset).forward(light, self._workspace))
             yield field
 
-    def _at_pupil(self) -> fft.Field:
+    def _at_pupil(self) -> Field:
         """Return a zero field on the main lens, in lines along y."""
         field = self._workspace.array("pupil", (self._grids.pupil[0].count, self._grids.pupil[1].count))
         field[...] = 0
@@ -374,11 +385,11 @@ class BackwardFields:
         path = Fresnel(strip.to_main_lens, self._grids.pupil, self._camera.mla_distance, self._wavelength)
         return Chain([Hop(step, self._beyond_paraxial, lenses), path])
 
-    def to_object(self, field: fft.Field, zone: FieldZone, step: Directions) -> Rows:
+    def to_object(self, field: Field, zone: FieldZone, step: Directions) -> Rows:
         """Yield the field at the directions of an object plane, from the field directly before the main lens."""
         return Spectrum(step, _main_lens(step, zone)).forward(self._workspace.blocks(field), self._workspace)
 
-    def vjp(self, gradients: Iterable[fft.Field], zone: FieldZone, step: Directions) -> Doubles:
+    def vjp(self, gradients: Iterable[Field], zone: FieldZone, step: Directions) -> Doubles:
         """Return the gradient with respect to the amplitudes, from the gradients of all subsets' fields."""
         workspace = self._workspace
         arrays = workspace.libraries.arrays
@@ -400,7 +411,7 @@ class BackwardFields:
             found.append(real.reshape(shape).sum((1, 3), dtype=np.float64))
         return np.concatenate(found)
 
-    def power(self, field: fft.Field) -> float:
+    def power(self, field: Field) -> float:
         """Return the power of a field that passes the pupil, in pixel values times pixels."""
         x, y = self._grids.pupil
         return power(field) * x.pitch * y.pitch / self._camera.pixel_size**2
@@ -419,7 +430,7 @@ class BackwardFields:
         light = converging(strip.to_mla, self._camera, self._wavelength, self._interleave, subset)
         return Hop(strip.to_mla, self._to_mla, light)
 
-    def _add_within(self, field: fft.Field, blocks: Rows) -> None:
+    def _add_within(self, field: Field, blocks: Rows) -> None:
         """Add lines to a field within the pupil, with the pupil's edge softened over one sample."""
         for lines, samples in blocks:
             numbers, places, passed = self._pupil.edge(lines)

@@ -23,8 +23,9 @@ from .experiment import refocused as refocused
 from .experiment import run_experiment as run_experiment
 from .installation import inspect_installation as inspect_installation
 from .lens_drawing import camera_figure as camera_figure
-from .lens_drawing import draw_main_lens as draw_main_lens
-from .microlens_drawing import draw_microlens as draw_microlens
+from .lens_drawing import main_lens_figure as main_lens_figure
+from .lens_quality import behind_lens as behind_lens
+from .microlens_drawing import microlens_figure as microlens_figure
 from .output_files import as_parts as as_parts
 from .output_files import reconstruction_paths as reconstruction_paths
 from .output_files import require_picture_path as require_picture_path
@@ -38,4 +39,5 @@ from .output_files import write_stack as write_stack
 from .output_files import write_views as write_views
 from .sheet import Row as Row
 from .sheet import design_sheet as design_sheet
+from .sheet import lens_sheet as lens_sheet
 from .sheet import sheet_tables as sheet_tables

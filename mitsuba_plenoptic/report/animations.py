@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ..choices import ANIMATED
 from ..errors import argument, refuse_if, require_number
-from ..runtime import atomic_output
+from ..runtime import Array, atomic_output
 from .images import enlarge, enlargement, to_bytes
 
 
@@ -29,7 +29,7 @@ def sweep_distances(distances: Sequence[float], by: str = "distance") -> list[fl
 
 
 def write_animation(
-    path: str | Path, frames: Sequence[tuple[np.ndarray, str]], white: float, scale: int | None = None
+    path: str | Path, frames: Sequence[tuple[Array, str]], white: float, scale: int | None = None
 ) -> None:
     """Write linear images of one size as an animation that repeats, with 12.5 frames a second.
 

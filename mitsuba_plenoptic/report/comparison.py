@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from ..errors import refuse_if
 from ..io import StageOptions
-from .comparison_page import write_report
+from ..runtime import Array
+from .comparison_page import ANSWER, write_report
 from .edge import square_sharpness
 from .experiment import EDGE_TILT, METHOD_TITLES, Experiment, Settings, open_store, run_experiment
 from .images import Brightness, luminance
 from .metrics import (
+    ContrastChange,
     Difference,
     capture_difference,
     common_scale,
@@ -31,7 +34,7 @@ from .metrics import (
 )
 from .ordinary import measure_ordinary, ordinary_section
 from .pages import scene_name
-from .plots import ON_DETECTOR, Plot, annotate, object_bar, scale_bar, show, show_difference, styled
+from .plots import ON_DETECTOR, Plot, annotate, distance_text, object_bar, scale_bar, show, show_difference, styled
 from .windows import Zoom, brightest_zoom, lit_window
 
 
@@ -56,7 +59,9 @@ def compare(
         without the microlens array, focused at that distance. Default: none.
     """
     refuse_if(not settings.distances, "distance: give at least one to refocus to")
-    experiment = run_experiment(settings, open_store(output, stages), against)
+    store = open_store(output, stages)
+    experiment = run_experiment(settings, store, against)
+    store.notify("report", 0, 0)
     grey = experiment.grey()
     others = []
     measured = measure(grey)
@@ -91,25 +96,36 @@ def _command(settings: Settings, against: str | None) -> str:
     return " ".join(words)
 
 
-def answer(experiment: Experiment, difference: Difference) -> str:
-    """Return whether rays suffice: in the raw pixels beside the noise, and in images refocused by rays."""
-    spp = experiment.settings.spp
+def contrast_changes(experiment: Experiment) -> dict[float, ContrastChange]:
+    """Return by distance, largest change first, what waves change of the contrast of images refocused by rays."""
     changes = {}
     for distance in experiment.settings.distances:
         by_rays, by_waves = (experiment.images[name, distance] for name in ("ray_of_ray", "ray"))
         changes[distance] = contrast_change(by_rays, by_waves, experiment.truths[distance])
-    distance, change = max(changes.items(), key=lambda item: abs(item[1].ratio - 1))
+    return dict(sorted(changes.items(), key=lambda item: -abs(item[1].ratio - 1)))
+
+
+def answer(experiment: Experiment, difference: Difference) -> str:
+    """Return whether rays suffice: in the raw pixels beside the noise, and in images refocused by rays."""
+    spp = experiment.settings.spp
+    changes = contrast_changes(experiment)
+    distance, change = next(iter(changes.items()))
     finest = min(found.finest for found in changes.values())
     if change.ratio != 1:
         frequency = change.frequency / experiment.camera.bin_size(distance)
         refocused = (
-            f"At {distance:g} mm waves change contrast at {frequency:.2g} cycles a "
+            f"At {distance_text(distance)} waves change contrast at {frequency:.2g} cycles a "
             f"{'radian' if math.isinf(distance) else 'mm'} by {change.ratio - 1:+.0%}"
         )
-    elif finest:
+    elif finest >= _FINE:
         refocused = (
             "At these distances rays suffice for refocused images: contrast differs by less than 5 % up to "
             f"{finest:.2g} cycles a bin"
+        )
+    elif finest:
+        refocused = (
+            f"Waves change contrast of refocused images by less than 5 % up to {finest:.2g} cycles a bin; noise hides "
+            "what they do to finer detail: take more samples"
         )
     else:
         refocused = "Noise hides whether waves change the contrast of refocused images: take more samples"
@@ -128,6 +144,9 @@ def answer(experiment: Experiment, difference: Difference) -> str:
         f"{refocused}. Waves change raw pixels by {true:.1%}, which is above the noise of {spp} samples ({noise:.1%})."
     )
 
+
+_FINE = 0.25
+"""Cycles a bin up to which contrast must be known to say that rays suffice: half of what bins can hold."""
 
 _COHERENT = ("coherent", "partial")
 
@@ -235,7 +254,7 @@ def _edges(experiment: Experiment) -> list[dict[str, Any]]:
     return rows
 
 
-def _depth(low: np.ndarray) -> float:
+def _depth(low: Array) -> float:
     """Return the distance of a flat shape in mm, rounded to remove the noise of single precision."""
     return round(float(low[2]), 3)
 
@@ -260,7 +279,28 @@ def draw_comparison(
         else "All methods next to the thin lens.",
         "captures.png": "Micro-images by rays and by waves, and their difference.",
     }
-    figure_captures(folder / "captures.png", experiment, zooms)
+    camera = experiment.camera
+    pdf = experiment.settings.pdf
+    window = lit_window(list(experiment.truths.values()))
+    distance = next(iter(contrast_changes(experiment.grey())))
+    cuts = {
+        zoom.title: [capture.image[zoom.rows, zoom.columns] for capture in (experiment.ray, experiment.wave)]
+        for zoom in zooms
+    }
+    refocused = [window.of(experiment.images[name, distance]) for name in ("ray_of_ray", "ray")]
+
+    def on_detector(axes: Axes, image: np.ndarray) -> None:
+        scale_bar(axes, image.shape[1] * camera.pixel_size, ON_DETECTOR, below=True)
+
+    figure_pairs(folder / "captures.png", cuts, 0.6, on_detector, pdf)
+    figure_pairs(
+        folder / ANSWER,
+        {distance_text(distance): refocused},
+        0.4,
+        lambda axes, _: object_bar(axes, camera, distance, window),
+        pdf,
+    )
+    captions[ANSWER] = f"What waves change at {distance_text(distance)}: both captures, refocused by rays."
     if interference:
         figure_interference(folder / "interference.png", experiment.grey(), interference)
         captions["interference.png"] = "What interference between lenses adds to the image."
@@ -287,31 +327,36 @@ def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, fl
             axes = panels[down * lines + line, across]
             show(axes, window.of(experiment.image(name, distance)), "", peak=peak)
             object_bar(axes, experiment.camera, distance, window)
-            side = f"{distance:g} mm" if across == 0 else ""
+            side = distance_text(distance) if across == 0 else ""
             annotate(axes, title=METHOD_TITLES[name], side=side, foot=notes.get((name, distance), ""))
     plot.save_both(path, experiment.settings.pdf)
 
 
 @styled
-def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -> None:
-    """Draw micro-images by rays, by waves, and their difference."""
-    ray = experiment.ray.image
-    wave = experiment.wave.image
-    camera = experiment.camera
-    peak = Brightness().peak([ray[zoom.rows, zoom.columns] for zoom in zooms])
+def figure_pairs(
+    path: Path,
+    pairs: Mapping[str, Sequence[np.ndarray]],
+    bound: float,
+    bar: Callable[[Axes, np.ndarray], None],
+    pdf: bool,
+) -> None:
+    """Draw images by rays, by waves, and their difference up to a bound relative to white; a row for each title.
+
+    `bar` draws the scale of an image.
+    """
+    images = list(pairs.values())
+    peak = Brightness().peak([by_rays for by_rays, _ in images])
     plot = Plot(10.25)
-    panels = plot.panels(len(zooms), 3)
-    for row, zoom in zip(panels, zooms, strict=True):
-        cuts = [image[zoom.rows, zoom.columns] for image in (ray, wave)]
-        show(row[0], cuts[0], "", peak=peak)
-        show(row[1], cuts[1], "", peak=peak)
-        mesh = show_difference(row[2], luminance(cuts[1] - cuts[0]), 0.6 * peak)
+    panels = plot.panels(len(images), 3, images[0][0].shape[0] / images[0][0].shape[1])
+    for row, title, pair in zip(panels, pairs, images, strict=True):
+        for axes, image in zip(row, pair, strict=False):
+            show(axes, image, "", peak=peak)
+        mesh = show_difference(row[2], luminance(pair[1] - pair[0]), bound * peak)
         for axes, name in zip(row, ("By rays", "By waves", "Waves minus rays"), strict=True):
-            first = zoom is zooms[0]
-            annotate(axes, title=name if first else "", side=zoom.title if axes is row[0] else "")
-            scale_bar(axes, cuts[0].shape[1] * camera.pixel_size, ON_DETECTOR, below=True)
+            annotate(axes, title=name if row[0] is panels[0, 0] else "", side=title if axes is row[0] else "")
+            bar(axes, pair[0])
     plot.colour_bar(mesh, panels, "radiance")
-    plot.save_both(path, experiment.settings.pdf)
+    plot.save_both(path, pdf)
 
 
 @styled
@@ -331,7 +376,7 @@ def figure_interference(path: Path, experiment: Experiment, notes: Mapping[tuple
             object_bar(axes, experiment.camera, distance, window)
             annotate(
                 axes,
-                title=f"{distance:g} mm" if down == 0 else "",
+                title=distance_text(distance) if down == 0 else "",
                 side=METHOD_TITLES[name] if across == 0 else "",
                 foot=notes.get((name, distance), ""),
             )

@@ -13,13 +13,17 @@ from PIL import Image
 
 from .. import design
 from ..io import write_json
-from ..runtime import software
+from ..runtime import Array, software
 from .experiment import METHOD_TITLES, Experiment
 from .images import Brightness, data_url, encoded, to_bytes
 from .metrics import ssim_text
 from .pages import Block, Page, Section, Table, pictures_in, prose, template
+from .plots import distance_text
 from .sheet import sheet_tables
 from .windows import Window, Zoom, lit_window
+
+ANSWER = "answer.png"
+"""Name of the figure beside the answer."""
 
 _EXPLANATIONS = {
     "truth": "Mitsuba's own thin-lens camera, focused at the distance",
@@ -78,12 +82,15 @@ def write_report(
     for method in shown:
         methods += Markup(" <strong>{}</strong>: {}.").format(METHOD_TITLES[method], prose(_EXPLANATIONS[method]))
     sections = [
-        Section("Do rays suffice?", [Markup("<p>{}</p>").format(prose(measured["answer"]))]),
+        Section("Do rays suffice?", [measured["answer"], *pictures_in(folder, {ANSWER: plates[ANSWER]})]),
         Section("On the detector", [_capture_text(experiment, measured), viewer]),
-        Section("Refocused", [methods + Markup("</p>"), widgets.refocus(width, height, titles, distances, first)]),
+        Section(
+            "Refocused",
+            [methods + Markup("</p>"), widgets.refocus(width, height, titles, [*map(distance_text, distances)], first)],
+        ),
         *others,
         Section("In numbers", _numbers(measured)),
-        Section("Figures", pictures_in(folder, plates)),
+        Section("Figures", pictures_in(folder, {name: text for name, text in plates.items() if name != ANSWER})),
         Section("The camera", [*warnings, sheet_tables(camera, wavelength)]),
         Section(
             "Make it again",
@@ -128,13 +135,18 @@ def _capture_text(experiment: Experiment, measured: Mapping[str, Any]) -> str:
 def _numbers(measured: Mapping[str, Any]) -> list[Block]:
     """Return the tables of reconstructions and of edges."""
     rows = [
-        row | {"title": METHOD_TITLES[row["method"]], "ssim": ssim_text(row["ssim"])}
+        row
+        | {
+            "title": METHOD_TITLES[row["method"]],
+            "ssim": ssim_text(row["ssim"]),
+            "focus": distance_text(row["distance"]),
+        }
         for row in measured["reconstructions"]
     ]
     blocks: list[Block] = [
         Table(
             {
-                "Focus": "{distance:g} mm",
+                "Focus": "{focus}",
                 "Method": "{title}",
                 "PSNR (dB)": "{psnr:.1f}",
                 "SSIM": "{ssim}",
@@ -235,23 +247,23 @@ def reconstructions(experiment: Experiment, measured: Mapping[str, Any], window:
         ]
         if "interference" in row:
             metrics.append(["Interference", f"{row['interference']:.1%}"])
-        facts.setdefault(row["method"], {})[f"{row['distance']:g}"] = metrics
+        facts.setdefault(row["method"], {})[distance_text(row["distance"])] = metrics
 
     def png(name: str, distance: float) -> str:
         picture = Image.fromarray(to_bytes(window.of(experiment.image(name, distance)), peak))
         return data_url("png", encoded(picture, format="PNG", optimize=True))
 
     return {
-        "distances": [float(f"{distance:g}") for distance in distances],
+        "distances": [distance_text(distance) for distance in distances],
         "images": {
-            name: {f"{distance:g}": png(name, distance) for distance in distances}
+            name: {distance_text(distance): png(name, distance) for distance in distances}
             for name in ("truth", *experiment.settings.slider_methods)
         },
         "facts": facts,
     }
 
 
-def _webp(image: np.ndarray, peak: float) -> str:
+def _webp(image: Array, peak: float) -> str:
     picture = Image.fromarray(to_bytes(image, peak))
     content = b""
     for quality in (85, 70, 50, 30):

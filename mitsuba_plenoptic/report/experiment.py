@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -16,12 +17,15 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..capture_spec import CaptureSpec
 from ..choices import Against
-from ..errors import naming, refuse_if, require_choice
-from ..io import Cache, Capture, Checkpoint, Progress, StageOptions
+from ..errors import LONGEST, naming, refuse_if, require_choice
+from ..io import Cache, Capture, Checkpoint, StageOptions
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, reconstruct, require_distances
+from ..runtime import Progress, in_words
 from ..scene import pass_counts
 from .images import luminance
+
+_log = logging.getLogger(__name__)
 
 
 def thin_lens_image(
@@ -54,7 +58,8 @@ def thin_lens_image(
     columns, rows = camera.bin_count
     # Samples spread evenly over pixel and aperture leave a fraction of the noise of independent ones.
     spread: dict[str, Any] = {"sampler": {"type": "multijitter"}} if math.isqrt(spp) ** 2 == spp else {}
-    lens: dict[str, Any] = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": distance}
+    focus = min(distance, LONGEST)
+    lens: dict[str, Any] = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": focus}
     size = (columns * oversample, rows * oversample)
     sensor = photographic_sensor(scene, camera, size, pixel_format, **lens, **spread)
     return photograph(scene, sensor, spp)
@@ -119,25 +124,24 @@ class RefocusMethod(NamedTuple):
     source: str = "wave"
 
 
-COMPARED_METHODS = (
-    RefocusMethod("ray_of_ray", "Rays, of the ray capture", {"method": "ray", "footprint": "lens"}, "ray"),
-    RefocusMethod("ray_point", "Rays, one bin a pixel", {"method": "ray", "footprint": "point"}),
-    RefocusMethod("ray", "Rays, lens footprint", {"method": "ray", "footprint": "lens"}),
-    RefocusMethod("coherent", "Coherent", {"method": "coherent"}),
-    RefocusMethod("partial", "Partially coherent", {"method": "partial", "interleave": 2}),
-    # The limit in which no two lenses interfere.
-    RefocusMethod("limit", "One lens at a time", {"method": "partial", "interleave": "auto"}),
-)
-"""Methods that the paper compares."""
-
-_METHODS = {
-    "ray": ("Rays", COMPARED_METHODS[2].options),
-    "coherent": ("Coherent", COMPARED_METHODS[3].options),
-    "partial": ("Partially coherent", COMPARED_METHODS[4].options),
+_METHODS: dict[str, tuple[str, dict[str, Any]]] = {
+    "ray": ("Rays", {"method": "ray", "footprint": "lens"}),
+    "coherent": ("Coherent", {"method": "coherent"}),
+    "partial": ("Partially coherent", {"method": "partial", "interleave": 2}),
     "incoherent": ("Incoherent", {"method": "incoherent"}),
     "deconvolved": ("Deconvolved", {"method": "deconvolved"}),
 }
 """Titles and options of the methods of `reconstruct`."""
+
+COMPARED_METHODS = (
+    RefocusMethod("ray_of_ray", "Rays, of the ray capture", _METHODS["ray"][1], "ray"),
+    RefocusMethod("ray_point", "Rays, one bin a pixel", {"method": "ray", "footprint": "point"}),
+    RefocusMethod("ray", "Rays, lens footprint", _METHODS["ray"][1]),
+    *(RefocusMethod(name, *_METHODS[name]) for name in ("coherent", "partial")),
+    # The limit in which no two lenses interfere.
+    RefocusMethod("limit", "One lens at a time", {"method": "partial", "interleave": "auto"}),
+)
+"""Methods that the paper compares."""
 
 
 def methods_of_both(names: Sequence[str]) -> tuple[RefocusMethod, ...]:
@@ -153,6 +157,9 @@ def methods_of_both(names: Sequence[str]) -> tuple[RefocusMethod, ...]:
             ]
     return (*both, *(method for method in COMPARED_METHODS if method.name == "limit" and "limit" in names))
 
+
+_PRICES = {"ray": 0.05, "coherent": 0.15, "partial": 0.3, "incoherent": 0.3, "deconvolved": 4.0, "limit": 4.5}
+"""Seconds of two cores, by method, for a million pixels at a distance, within a factor of two or three."""
 
 METHOD_TITLES = {
     "truth": "Thin lens (truth)",
@@ -326,6 +333,29 @@ def run_experiment(
             # First without the array, which says of some main lenses that they need one.
             twin = camera.replace(mla_lattice="none").replace(focus_distance=distance)
 
+    # Rays first, then waves, whose first results are shown before all that takes longer.
+    methods = sorted(settings.methods, key=lambda method: ("ray_of_ray", "partial", method.name).index(method.name))
+    # Lens by lens, a plane near focus takes much less by itself than with others.
+    alone = [[distance] for distance in settings.distances]
+    groups = {
+        method.name: [distances] if method.name in settings.slider_methods else alone for method in settings.methods
+    }
+    pixels = 1e-6 * math.prod(camera.resolution) * (1 if mi.is_monochromatic else 3)
+    # With the white image by waves, which the first method computes.
+    work = [("captures", 0.5 + 0.06 * pixels * settings.spp)]
+    for method in methods:
+        name = method.name.partition("_")[0]
+        for together in groups[method.name]:
+            seconds = 0.5 + _PRICES[name] * pixels * len(together)
+            work += [(name, seconds), *[(name, 0.0)] * (len(together) - 1)]
+    work.insert(1 + len(alone), ("captures", 5.0 + pixels * (3.5 + 0.25 * settings.spp)))
+    prices = {name: sum(seconds for other, seconds in work if other == name) for name in dict(work)}
+    others = 6 * (twin is not None) + (settings.points is not None) + 1 + len(distances)
+    store.expected = [seconds for _, seconds in work] + [1.0] * others
+    _log.info(
+        "roughly, on two cores: %s", ", ".join(f"{name} {in_words(round(value, 1))}" for name, value in prices.items())
+    )
+
     by_rays = settings.by("ray")
     by_waves = settings.by("wave")
     if mi.is_rgb:
@@ -336,14 +366,11 @@ def run_experiment(
     sources = {"ray": (ray, ray_key)}
 
     def refocus(*names: str) -> None:
-        for method in (method for method in settings.methods if method.name in names):
-            # Lens by lens, a plane near focus takes much less by itself than with others.
-            alone = [[distance] for distance in settings.distances]
-            groups = [distances] if method.name in settings.slider_methods else alone
+        for method in (method for method in methods if method.name in names):
             options = method.options
             if method.source == "ray" and options["method"] not in ("ray", "deconvolved"):
                 options = options | {"wavelength": wave.wavelength}
-            for together in groups:
+            for together in groups[method.name]:
                 results = refocused(store, method.name, *sources[method.source], together, options)
                 images.update({(method.name, distance): image for distance, image in results.items()})
 

@@ -15,7 +15,7 @@ from PIL import Image
 
 from ..choices import ANIMATED
 from ..errors import InputError, put_checked, require_number
-from ..runtime import atomic_output
+from ..runtime import Array, atomic_output
 
 SHOWN = (".png", ".pdf", *ANIMATED)
 """Suffixes of files that show radiances as brightness."""
@@ -24,13 +24,13 @@ LONGEST = 960
 """Pixels of a picture's longer side up to which small images are enlarged by default."""
 
 
-def write_png(path: str | Path, image: np.ndarray, *, peak: float | None = None) -> None:
+def write_png(path: str | Path, image: Array, *, peak: float | None = None) -> None:
     """Write a linear image as an 8-bit PNG, encoded by `to_bytes`; a file is replaced only by a complete one."""
     with atomic_output(path, ".png") as temporary:
         Image.fromarray(to_bytes(image, peak)).save(temporary, format="PNG")
 
 
-def to_bytes(image: np.ndarray, peak: float | None = None) -> np.ndarray:
+def to_bytes(image: Array, peak: float | None = None) -> Array:
     """Return a linear image (rows, columns[, 3]) encoded in 8 bits, sRGB.
 
     `peak`, by default the image's maximum, becomes white; negative values and NaN become black.
@@ -43,12 +43,12 @@ def to_bytes(image: np.ndarray, peak: float | None = None) -> np.ndarray:
     return np.round(255 * srgb(values)).astype(np.uint8)
 
 
-def luminance(image: np.ndarray) -> np.ndarray:
+def luminance(image: Array) -> Array:
     """Return the luminance (rows, columns) of an image (rows, columns[, 3]) in linear sRGB."""
     return image if image.ndim == 2 else image @ np.array([0.2126, 0.7152, 0.0722], image.dtype)
 
 
-def encode(image: np.ndarray, bits: int, full: float) -> dict[str, Any]:
+def encode(image: Array, bits: int, full: float) -> dict[str, Any]:
     """Return a linear image (rows, columns[, 3]) as the URL of a PNG from which a page reads the values.
 
     The values from 0 to `full`, encoded in sRGB, are integers of 8 or 16 bits; of 16 bits, the upper eight are stored
@@ -77,17 +77,17 @@ def data_url(kind: str, content: bytes) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
 
 
-def enlarge(image: np.ndarray, scale: int) -> np.ndarray:
+def enlarge(image: Array, scale: int) -> Array:
     """Return an image with each pixel repeated `scale` times along both axes."""
     return image.repeat(scale, axis=0).repeat(scale, axis=1)
 
 
-def enlargement(image: np.ndarray, longest: int = LONGEST) -> int:
+def enlargement(image: Array, longest: int = LONGEST) -> int:
     """Return the integer factor, at least 1, that makes an image's longer side at most `longest` pixels."""
     return max(1, longest // max(image.shape[:2]))
 
 
-def shrink(image: np.ndarray, longest: int) -> np.ndarray:
+def shrink(image: Array, longest: int) -> Array:
     """Return an image averaged over whole blocks of pixels until neither side is longer than `longest`."""
     rows, columns = image.shape[:2]
     factor = -(-max(rows, columns) // longest)
@@ -98,10 +98,10 @@ def shrink(image: np.ndarray, longest: int) -> np.ndarray:
     across = min(factor, columns)
     divisible = image[: rows // down * down, : columns // across * across]
     blocks = divisible.reshape(rows // down, down, columns // across, across, *image.shape[2:])
-    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
+    return blocks.mean(axis=(1, 3), dtype=np.float32)
 
 
-def srgb(linear: np.ndarray) -> np.ndarray:
+def srgb(linear: Array) -> Array:
     """Return linear values from 0 to 1 encoded as sRGB (IEC 61966-2-1)."""
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
@@ -129,7 +129,7 @@ class Brightness:
         stops = partial(require_number, minimum=-100.0, maximum=100.0)
         put_checked(self, exposure=stops, percentile=partial(require_number, positive=True, maximum=100))
 
-    def peak(self, images: Sequence[np.ndarray]) -> float:
+    def peak(self, images: Sequence[Array]) -> float:
         """Return the value drawn as white in pictures that are viewed together; NaN is ignored."""
         if self.exposure is not None:
             return float(2.0**-self.exposure)

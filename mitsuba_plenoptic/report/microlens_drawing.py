@@ -2,38 +2,31 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
 
 from ..camera import PlenopticCamera
 from ..errors import require_wavelength
 from ..optics import in_millimetres
 from ..prescription import LINE_D
-from ..runtime import Doubles, require_writable
-from .plots import INK, Plot, styled
+from ..runtime import Doubles
+from .plots import INK, Plot, ruled, styled
 
 _SAMPLES = 256
 """Samples across a lens."""
 
 
 @styled
-def draw_microlens(path: Path, camera: PlenopticCamera, wavelength: float | None = None) -> None:
-    """Draw a microlens on the axis of a camera into a PNG.
+def microlens_figure(camera: PlenopticCamera, wavelength: float | None = None) -> Plot:
+    """Return a figure of a microlens on the axis of a camera.
 
     Parameters
     ----------
-    path : Path
-        The file.
     camera : PlenopticCamera
         The camera.
     wavelength : float, optional
         Wavelength in nanometres. Default: that of the line d.
     """
-    camera.require_array(str(path))
-    require_writable(path, ".png")
     wavelength = LINE_D if wavelength is None else require_wavelength(wavelength)
     reach = float(camera.lattice.cell_reach)
     along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 * reach - reach
@@ -45,11 +38,11 @@ def draw_microlens(path: Path, camera: PlenopticCamera, wavelength: float | None
     ends = 1e3 * along[0], 1e3 * along[-1]
     phase = np.where(inside, waves - waves[inside].max(), np.nan)
     mesh = lens.imshow(phase, origin="lower", extent=(*ends, *ends), cmap="viridis")
-    _frame(lens, "phase of the lens", "um from its centre")
+    ruled(lens, "phase of the lens", "um from its centre")
     plot.colour_bar(mesh, lens, "waves")
     _section(section, camera, wavelength)
     _spot(light, camera, np.where(inside, np.exp(2j * np.pi * waves), 0), along, wavelength)
-    plot.save(path)
+    return plot
 
 
 def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:
@@ -67,8 +60,7 @@ def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:
     axes.axvline(1e3 * z, color=INK, linewidth=0.8, linestyle="--")
     axes.set_ylim(-1.1e3 * half, 1.1e3 * half)
     medium = f", in a medium of index {camera.mla_medium:g}" if camera.mla_medium != 1 else ""
-    _frame(axes, f"parallel rays to the detector{medium}", "um behind the array")
-    axes.set_ylabel("um from its centre", fontsize=8, color=INK, labelpad=2)
+    ruled(axes, f"parallel rays to the detector{medium}", "um behind the array", "um from its centre")
 
 
 def _spot(axes: Axes, camera: PlenopticCamera, field: Doubles, along: Doubles, wavelength: float) -> None:
@@ -80,12 +72,4 @@ def _spot(axes: Axes, camera: PlenopticCamera, field: Doubles, along: Doubles, w
     wave = np.exp(-2j * np.pi * np.outer(positions, along) / scale) * chirp
     spot = np.abs(wave @ field @ wave.T)
     axes.imshow(spot, origin="lower", extent=(-1e3 * reach, 1e3 * reach) * 2, cmap="magma")
-    _frame(axes, f"amplitude on the detector, {wavelength:.4g} nm", "um")
-
-
-def _frame(axes: Axes, title: str, label: str) -> None:
-    axes.set_title(title, fontsize=9, color=INK)
-    axes.set_xlabel(label, fontsize=8, color=INK)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(5))
-    axes.tick_params(labelsize=7)
+    ruled(axes, f"amplitude on the detector, {wavelength:.4g} nm", "um")

@@ -14,6 +14,7 @@ from scipy.ndimage import uniform_filter
 
 from ..errors import refusing
 from ..optics import in_millimetres
+from ..runtime import Array
 from .edge import window_sharpness
 from .experiment import METHOD_TITLES, ORDINARY, SLIDER_METHODS, Experiment, Ordinary
 from .images import Brightness, luminance
@@ -64,7 +65,7 @@ def measure_ordinary(experiment: Experiment, ordinary: Ordinary) -> dict[str, An
     }
 
 
-def _pictures(experiment: Experiment, ordinary: Ordinary) -> dict[str, np.ndarray]:
+def _pictures(experiment: Experiment, ordinary: Ordinary) -> dict[str, Array]:
     """Return the scene's pictures by name, the ordinary camera's first."""
     refocused = {name: experiment.images[name, ordinary.distance] for name in SLIDER_METHODS}
     return {ORDINARY: ordinary.capture.image, **refocused}
@@ -154,7 +155,7 @@ def _frame(
     axes.set_ylim(middle[0] + half[0], middle[0] - half[0])
 
 
-def _most_contrast(image: np.ndarray, pixel: float, half: tuple[float, float], close: float) -> tuple[float, float]:
+def _most_contrast(image: Array, pixel: float, half: tuple[float, float], close: float) -> tuple[float, float]:
     """Return the middle in mm, within half sides, of the square of half a side `close` that has the most contrast."""
     slope = uniform_filter(np.hypot(*np.gradient(image)), max(1, round(2 * close / pixel)))
     centres = [(np.arange(count) + 0.5 - count / 2) * pixel for count in image.shape]

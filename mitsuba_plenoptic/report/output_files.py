@@ -15,7 +15,7 @@ from ..choices import ANIMATED, PICTURES
 from ..errors import refuse_if
 from ..io import TRUTH_COORDINATES, image_channels, write_exr_parts
 from ..refocus import Reconstruction, write_reconstruction
-from ..runtime import require_writable
+from ..runtime import Array, require_writable
 from ..views import view_mosaic
 from .animations import write_animation
 from .images import Drawing, enlarge, enlargement, write_png
@@ -89,7 +89,7 @@ def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing) -> None:
 
 def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing) -> None:
     """Write an epipolar image; a PNG is enlarged."""
-    values = np.asarray(image.values)
+    values = image.values
     white = drawing.brightness.peak([values])
     parts = as_parts(epipolar=values)
     write_drawn(
@@ -129,7 +129,7 @@ def write_focal_sweep(path: Path, stack: xr.DataArray, drawing: Drawing) -> int:
 
 def write_orbit(path: Path, lf: xr.DataArray, drawing: Drawing) -> int:
     """Write views on a circle of the pupil as an animation; return the number of its frames."""
-    frames = [(np.asarray(lf.values[j, i]), "") for j, i in orbit(lf)]
+    frames = [(lf.values[j, i], "") for j, i in orbit(lf)]
     write_animation(path, frames, drawing.brightness.peak([image for image, _ in frames]), drawing.scale)
     return len(frames)
 
@@ -175,8 +175,8 @@ def write_drawn(
     path: str | Path,
     kind: str,
     data: xr.DataArray | xr.Dataset,
-    parts: dict[str, dict[str, np.ndarray]],
-    picture: np.ndarray,
+    parts: dict[str, dict[str, Array]],
+    picture: Array,
     peak: float,
     drawing: Drawing,
     figure: Callable[[], Any],
@@ -194,11 +194,11 @@ def write_drawn(
     write_exr_parts(path, parts, {"kind": kind, "coordinates": coordinates, **data.attrs, **records})
 
 
-def _enlarged(picture: np.ndarray, drawing: Drawing) -> np.ndarray:
+def _enlarged(picture: Array, drawing: Drawing) -> Array:
     """Return a picture with bins repeated as requested, or enough to make a small picture visible."""
     return enlarge(picture, drawing.scale or enlargement(picture))
 
 
-def as_parts(**images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
+def as_parts(**images: Array) -> dict[str, dict[str, Array]]:
     """Return images as parts of a file, one image per part."""
     return {name: image_channels(image) for name, image in images.items()}

@@ -29,7 +29,7 @@ from ..camera import PlenopticCamera, are_alike
 from ..errors import refuse_if
 from ..io import linear_of
 from ..refocus import Reconstruction
-from ..runtime import atomic_output
+from ..runtime import Array, atomic_output
 from .images import Brightness, srgb, to_bytes
 from .windows import Window, Zoom
 
@@ -72,7 +72,7 @@ class Plot(Figure):
         super().__init__((width, height or width), dpi or DPI, facecolor="white", layout=self._engine)
         FigureCanvasAgg(self)
 
-    def panels(self, rows: int, columns: int, aspect: float | Sequence[float] = 1.0) -> np.ndarray:
+    def panels(self, rows: int, columns: int, aspect: float | Sequence[float] = 1.0) -> Array:
         """Return axes (rows, columns) without frame and ticks; `aspect` is height over width, of all or of each row."""
         aspects = np.broadcast_to(aspect, rows).tolist()
         if self._fits_panels:
@@ -152,6 +152,15 @@ def bare(axes: Axes) -> Axes:
     return axes
 
 
+def ruled(axes: Axes, title: str, below: str, beside: str = "", ticks: int = 5) -> None:
+    """Write a small title and small labels, and leave at most some intervals between the ticks of either axis."""
+    axes.set_title(title, size=9, color=INK)
+    axes.set_xlabel(below, size=8, color=INK)
+    axes.set_ylabel(beside, size=8, color=INK, labelpad=2)
+    axes.locator_params(nbins=ticks)
+    axes.tick_params(labelsize=7, color=INK, labelcolor=INK)
+
+
 def explained(bar: Any, label: str, size: float) -> Any:
     """Return a colour bar after its label and look are set."""
     bar.outline.set(linewidth=0.5, edgecolor=FAINT)
@@ -165,13 +174,13 @@ IN_FOCUS = "in the plane in focus"
 """Planes of scale bars, besides distances."""
 
 
-def show(axes: Axes, image: np.ndarray, title: str, *, peak: float | None = None, size: float = 10) -> None:
+def show(axes: Axes, image: Array, title: str, *, peak: float | None = None, size: float = 10) -> None:
     """Show a linear image, whose `peak` becomes white."""
     axes.imshow(to_bytes(image, peak), cmap="gray", vmin=0, vmax=255, interpolation="auto", aspect="auto")
     annotate(axes, title=title, size=size)
 
 
-def show_difference(axes: Axes, difference: np.ndarray, bound: float) -> Any:
+def show_difference(axes: Axes, difference: Array, bound: float) -> Any:
     """Draw a difference in colours from blue at `-bound` to red at `bound`; return the artist for a colour bar."""
     return axes.imshow(difference, cmap="RdBu_r", vmin=-bound, vmax=bound, interpolation="auto", aspect="auto")
 
@@ -203,15 +212,17 @@ def mark(axes: Axes, zoom: Zoom, corner: tuple[int, int], factor: float, name: s
     )
 
 
-def scale_bar(axes: Axes, width: float, plane: str = "", *, below: bool = False, size: float = 8) -> None:
-    """Draw a bar of a round length into or below a picture that is `width` millimetres wide.
+def scale_bar(
+    axes: Axes, width: float, plane: str = "", *, below: bool = False, size: float = 8, unit: str = "mm"
+) -> None:
+    """Draw a bar of a round length into or below a picture of a width in a unit.
 
     The label states the bar's length and the plane in which it is measured.
     """
     digit = 10.0 ** math.floor(math.log10(0.3 * width))
     length = next(step * digit for step in (5.0, 2.0, 1.0) if step * digit <= 0.3 * width)
     fraction = length / width
-    label = f"{length:g} mm {plane}".strip()
+    label = f"{length:g} {unit} {plane}".strip()
     thick = 0.045
     left, low, colour = (0.0, -3 * thick, INK) if below else (0.04, 2.5 * thick, "white")
     # Along the picture in fractions of its width, upwards in inches from its lower edge.
@@ -249,7 +260,7 @@ _AT_DISTANCE = "bars: lengths at the distance of each image"
 class Panel:
     """Image on a sheet with its title and, if known, its width in millimetres of the object."""
 
-    image: np.ndarray
+    image: Array
     title: str = ""
     width: float | None = None
 
@@ -294,7 +305,7 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
         by_label.setdefault(row, {})[result.distance] = result
 
     def panel(result: Reconstruction | None, distance: float) -> Panel:
-        title = _distance(distance)
+        title = distance_text(distance)
         if result is None:
             return Panel(np.zeros((0, 0)), title)
         width = result.image.shape[1] * result.bin_size if np.isfinite(distance) else None
@@ -320,13 +331,13 @@ def stack_figure(stack: xr.DataArray, white: float | None = None) -> Plot:
         A Matplotlib figure, whose method `save` writes PNG or PDF.
     """
     if "disparity" in stack.dims:
-        panels = [Panel(np.asarray(image.values), f"disparity {float(image.disparity):g}", None) for image in stack]
+        panels = [Panel(image.values, f"disparity {float(image.disparity):g}", None) for image in stack]
         return _sheet([panels], [], white, "pixels per view")
     camera = views.camera_of(stack)
     panels = [
         Panel(
-            np.asarray(image.values),
-            _distance(float(image.distance)),
+            image.values,
+            distance_text(float(image.distance)),
             image.sizes["s"] * camera.bin_size(float(image.distance)) if np.isfinite(image.distance) else None,
         )
         for image in stack
@@ -388,8 +399,8 @@ def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Plot:
     edges = [edge for name in (across, down) for edge in _edges(image[name].values)]
     artist = _draw(axes, values, _grey([values], white), extent=(edges[0], edges[1], edges[3], edges[2]))
     axes.set_frame_on(True)
+    axes.locator_params(nbins=5)
     for axis, name in ((axes.xaxis, across), (axes.yaxis, down)):
-        axis.set_major_locator(MaxNLocator(5))
         axis.set_label_text(f"{name}{unit}", size=_TEXT, color=INK)
     axes.tick_params(labelsize=_TEXT, labelcolor=INK, color=INK, width=0.5, length=2)
     axes.spines[:].set(linewidth=0.5, color=INK)
@@ -416,15 +427,15 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
     """
     sought, unit = ("Depth", "mm from the main lens") if "depth" in found else ("Disparity", "pixels per view")
     found = found if "depth" in found else found.assign(depth=found.disparity.where(found.confidence > 0.5))
-    image = np.asarray(found["image"].values)
-    depth = np.asarray(found["depth"].values)
+    image = found["image"].values
+    depth = found["depth"].values
     finite = depth[np.isfinite(depth)]
     near, far = (float(finite.min()), float(finite.max())) if finite.size else (found.attrs["near"], found.attrs["far"])
     unknown = "" if finite.size == depth.size else "; hatched: unknown"
-    maps: list[tuple[str, np.ndarray, Any, str, str]] = [
+    maps: list[tuple[str, Array, Any, str, str]] = [
         ("In focus everywhere", image, _grey([image], white), "gray", "radiance"),
         (sought, depth, Normalize(near, far), "viridis_r", f"{unit}{unknown}"),
-        ("Confidence", np.asarray(found["confidence"].values), Normalize(0, 1), "gray", "probability"),
+        ("Confidence", found["confidence"].values, Normalize(0, 1), "gray", "probability"),
     ]
     plot = Plot(_PAGE, dpi=PRINT_DPI)
     (panels,) = plot.panels(1, len(maps), depth.shape[0] / depth.shape[1])
@@ -491,7 +502,7 @@ def _sheet(
     return plot
 
 
-def _grey(images: Sequence[np.ndarray], white: float | None) -> FuncNorm:
+def _grey(images: Sequence[Array], white: float | None) -> FuncNorm:
     """Return the scale of radiances from black to white, encoded in sRGB like pictures."""
     peak = Brightness().peak(images) if white is None else white
     return FuncNorm(
@@ -501,7 +512,7 @@ def _grey(images: Sequence[np.ndarray], white: float | None) -> FuncNorm:
     )
 
 
-def _draw(axes: Axes, values: np.ndarray, norm: Normalize, colours: str = "gray", **options: Any) -> Any:
+def _draw(axes: Axes, values: Array, norm: Normalize, colours: str = "gray", **options: Any) -> Any:
     """Draw an image or a map with hatched NaN; return the artist."""
     finite = np.isfinite(values if values.ndim == 2 else values.sum(axis=2))
     if not finite.all():
@@ -523,28 +534,29 @@ def _in_focus(lf: xr.DataArray | xr.Dataset) -> float | None:
     return abs(float(lf.s[0] - lf.s[-1])) * lf.sizes["s"] / max(1, lf.sizes["s"] - 1)
 
 
-def _end(values: np.ndarray, norm: Normalize) -> str:
+def _end(values: Array, norm: Normalize) -> str:
     """Return the shape of a scale's end: an arrow if values exceed the end."""
     return "max" if np.any(values > 1.001 * (norm.vmax or 0.0)) else "neither"
 
 
-def _sampled(lf: xr.DataArray) -> np.ndarray:
+def _sampled(lf: xr.DataArray) -> Array:
     """Return the samples of a light field; NaN where no light comes from."""
-    return np.asarray((lf.where(lf.weight > 0) if "weight" in lf.coords else lf).transpose(*lf.dims).values)
+    return (lf.where(lf.weight > 0) if "weight" in lf.coords else lf).transpose(*lf.dims).values
 
 
-def _edges(positions: np.ndarray) -> tuple[float, float]:
+def _edges(positions: Array) -> tuple[float, float]:
     """Return the outer edges of evenly spaced samples; a single sample is drawn 1 wide."""
     half = (positions[-1] - positions[0]) / (len(positions) - 1) / 2 if len(positions) > 1 else 0.5
     return float(positions[0] - half), float(positions[-1] + half)
 
 
-def _labels(positions: np.ndarray, name: str, unit: str) -> list[str]:
+def _labels(positions: Array, name: str, unit: str) -> list[str]:
     """Return labels of positions, few enough not to overlap; the first names the quantity."""
     stride = -(-len(positions) // 9)
     texts = [f"{value:.2f}" if index % stride == 0 else "" for index, value in enumerate(positions + 0.0)]
     return [f"{name} = {texts[0]}{unit}", *texts[1:]]
 
 
-def _distance(distance: float) -> str:
+def distance_text(distance: float) -> str:
+    """Return a distance in focus, in millimetres, as text."""
     return f"{distance:g} mm" if np.isfinite(distance) else "infinity"

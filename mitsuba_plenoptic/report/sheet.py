@@ -6,13 +6,15 @@ import itertools
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
 from markupsafe import Markup
 
 from .. import design
 from ..camera import PlenopticCamera, Round
-from ..errors import InputError
-from ..prescription import LINE_C, LINE_F, Collimator, Objective, Prescription, image_distance, paraxial
-from .lens_drawing import field_figures, lateral_colour
+from ..errors import LONGEST
+from ..lenses import RealLens, main_lens
+from ..prescription import Collimator, Objective, conjugate_distance
+from .lens_quality import FIELDS, FieldFigures, field_figures
 from .pages import template
 
 
@@ -51,30 +53,36 @@ def sheet_tables(camera: PlenopticCamera, wavelength: float | None = None) -> Ma
 
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:
     """Return a camera's parameters and derived quantities as rows; diffraction only with a wavelength."""
-    if (lens := camera.objective) is not None:
-        groups = {"Objective": _objective(camera, lens)}
-        groups["Array"] = _fourier(camera, lens) if lens.images_stop else _image(camera, lens)
+    at = f"Diffraction at {wavelength or 0:g} nm"
+    if (objective := camera.objective) is not None:
+        groups = {"Objective": _objective(camera, objective)}
+        groups["Array"] = _fourier(camera, objective) if objective.images_stop else _image(camera, objective)
         if wavelength is not None:
-            groups[f"Diffraction at {wavelength:g} nm"] = _microscope_diffraction(camera, lens, wavelength)
-        groups |= {"Microlenses": _lattice(camera), "Detector": _detector(camera)}
+            groups[at] = _microscope_diffraction(camera, objective, wavelength)
+        groups["Microlenses"] = _lattice(camera)
     elif isinstance(camera.main_lens, Collimator):
-        groups = {"Telescope": _telescope(camera, wavelength)}
-        groups |= {"Microlenses": _lattice(camera), "Detector": _detector(camera)}
+        groups = {"Telescope": _telescope(camera, wavelength), "Microlenses": _lattice(camera)}
     else:
         groups = {"Main lens": _main_lens(camera)}
         if camera.prescription is not None:
-            groups["Surfaces of the main lens"] = _surfaces(camera, camera.prescription)
+            lens = main_lens(camera)
+            groups["Surfaces of the main lens"] = _surfaces(lens)
+            for field in field_figures(lens, [part * lens.corner for part in FIELDS], camera.focus_distance):
+                groups[f"Image {_four(field.height)} mm from the axis"] = _field(field)
         if camera.has_array:
             groups["Microlenses"] = _microlenses(camera)
-        groups["Detector"] = _detector(camera)
-        if camera.has_array:
-            groups |= {
-                "Micro-images": _micro_images(camera),
-                "Resolution": _resolution(camera, wavelength),
-                "Refocusing": _refocusing(camera, wavelength),
-            }
-        if camera.has_array and wavelength is not None:
-            groups[f"Diffraction at {wavelength:g} nm"] = _diffraction(camera, wavelength)
+    groups["Detector"] = _detector(camera)
+    if "Main lens" in groups and camera.has_array:
+        groups["Micro-images"] = _micro_images(camera)
+        groups["Resolution"] = _resolution(camera, wavelength)
+        groups["Refocusing"] = _refocusing(camera, wavelength)
+        if wavelength is not None:
+            groups[at] = _diffraction(camera, wavelength)
+    return _rows(groups)
+
+
+def _rows(groups: dict[str, list[_Line]]) -> list[Row]:
+    """Return the lines of groups as rows."""
     return [
         Row(group, name, value if isinstance(value, str) else _four(value), *others)
         for group, lines in groups.items()
@@ -94,7 +102,9 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
     if 0 < camera.focus_distance < math.inf:
         width = design.field_width(camera, camera.focus_distance)
         rows.append(("field width", width, "mm", "in the focused plane"))
-    if not camera.lens_data.is_thin:
+    if camera.lens_data.is_thin:
+        rows.append(("lens model", camera.lens_model))
+    else:
         note = "below, resolution and refocusing are those of a thin lens of this focal length"
         rows.append(("kind", "real", "", note if camera.has_array else ""))
     for name, glass in (("glass", camera.glass), ("glass of the microlenses", camera.mla_glass)):
@@ -102,7 +112,6 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
             rows.append((name, glass.name or glass.form, "", "focal lengths are those at 587.56 nm"))
     if camera.aperture != Round():
         rows.append(("open part of the aperture", f"{camera.aperture.share:.3g}", "", "of its circle"))
-    rows.append(("lens model", camera.lens_model))
     if any(camera.distortion):
         rows.append(("distortion", ", ".join(map(_four, camera.distortion)), "", "k1, k2, k3, p1, p2; by rays only"))
     return rows + _aberrations(camera)
@@ -118,36 +127,62 @@ def _aberrations(camera: PlenopticCamera) -> list[_Line]:
     return rows
 
 
-def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
-    """Return lines with a real main lens's paraxial quantities, and its spots and light over the field."""
-    cardinal = paraxial(lens)
-    scale = camera.focal_length / cardinal.focal_length
-    note = f"at {lens.wavelength:g} nm"
-    rows: list[_Line] = [
-        ("prescription", lens.name or "without a name", "", f"{len(lens.surfaces)} surfaces, scaled by {scale:.6g}"),
-        ("focal length", f"{camera.focal_length:.6g}", "mm", note),
+def lens_sheet(lens: RealLens, distance: float, heights: dict[float, float]) -> list[Row]:
+    """Return what lens programs print of a lens, as rows; the arguments are what `behind_lens` returns."""
+    fields = field_figures(lens, heights.values(), distance, frequencies=(10, 30, 50))
+    # Of x, y and their slopes; in the least square the spots of all fields and wavelengths count alike.
+    moments = np.nansum([np.cov(rays, bias=True) for field in fields for rays in field.rays.values()], axis=0)
+    behind = lens.back_distance
+    focus = conjugate_distance(lens.focal_length, distance) + lens.numbers.rear_principal
+    best = behind + np.trace(moments, 2) / np.trace(moments[2:, 2:])
+    diameter = lens.prescription.pupil_diameter or 2 * lens.aperture_radius
+    groups = {"Lens": _surfaces(lens)}
+    groups["Lens"] += [
+        ("entrance pupil's diameter", f"{diameter:.6g}", "mm", f"f/{lens.focal_length / diameter:.4g}"),
+        ("image plane", f"{behind:.6g}", "mm", "behind the last vertex"),
+        ("paraxial focus", f"{focus:.6g}", "mm", "behind the last vertex"),
+        ("best focus", f"{best:.6g}", "mm", "behind the last vertex, of least mean square spots"),
+    ]
+    for angle, field in zip(heights, fields, strict=True):
+        rows = [("image height", f"{field.height:.6g}", "mm", "of the chief ray"), *_field(field)]
+        for name, contrasts in zip(("tangential", "sagittal"), field.transfer, strict=True):
+            values = ", ".join(f"{contrast:.3f}" for contrast in contrasts)
+            rows.append((f"MTF, {name}", values, "", f"at 10, 30, 50 per mm, {lens.light:g} nm"))
+        groups[f"Field of {angle:.4g} deg"] = rows
+    return _rows(groups)
+
+
+def _surfaces(lens: RealLens) -> list[_Line]:
+    """Return lines with a real main lens's paraxial quantities."""
+    cardinal = lens.numbers
+    scale = lens.scale
+    name = lens.prescription.name or "without a name"
+    return [
+        ("prescription", name, "", f"{len(lens.prescription.surfaces)} surfaces, scaled by {scale:.6g}"),
+        ("focal length", f"{lens.focal_length:.8g}", "mm", f"at {lens.light:g} nm"),
         ("back focal length", f"{scale * cardinal.back_focal:.6g}", "mm", "from the last vertex"),
         ("front principal plane", f"{scale * cardinal.front_principal:.6g}", "mm", "behind the first vertex"),
         ("rear principal plane", f"{scale * cardinal.rear_principal:.6g}", "mm", "behind the last vertex"),
         ("entrance pupil", f"{scale * cardinal.entrance_pupil:.6g}", "mm", "behind the first vertex"),
         ("exit pupil", f"{scale * cardinal.exit_pupil:.6g}", "mm", "behind the last vertex"),
-        ("radius of the exit pupil", f"{camera.pupil_radius:.6g}", "mm"),
+        ("radius of the exit pupil", f"{lens.pupil.radius:.6g}", "mm"),
     ]
-    corner = math.hypot(camera.detector_width, camera.detector_height) / 2
-    reaches = [surface.glass.reach for surface in lens.surfaces if surface.glass is not None]
-    in_colour = camera.is_dispersive and all(low <= LINE_F and high >= LINE_C for low, high in reaches)
-    for figures in field_figures(camera, tuple(fraction * corner for fraction in (0.0, 0.7, 1.0))):
-        at = f"{_four(figures.height)} mm from the axis"
-        rows += [
-            ("spot", 1e3 * figures.spot, "um", f"root mean square radius in the image, {at}"),
-            ("light", f"{figures.light:.1%}", "", f"of that on the axis, {at}"),
-            ("distortion", f"{figures.distortion:+.3%}", "", at),
-        ]
-        if in_colour and figures.height > 0:
-            colour = 1e3 * lateral_colour(camera, figures.height, (LINE_C, LINE_F))
-            rows.append(
-                ("lateral colour", f"{colour:+.3g}", "um", f"line F (486 nm) farther out than C (656 nm), {at}")
-            )
+
+
+def _field(field: FieldFigures) -> list[_Line]:
+    """Return lines on a real main lens at one height."""
+    rows: list[_Line] = [
+        ("spot", 1e3 * math.sqrt(rays[:2].var(axis=1).sum()), "um", f"root mean square radius at {wavelength:g} nm")
+        for wavelength, rays in field.rays.items()
+    ]
+    rows += [
+        ("light", f"{field.light:.1%}", "", "of that on the axis"),
+        ("distortion", f"{field.distortion:+.3%}"),
+    ]
+    if field.colour is not None and field.height > 0:
+        rows.append(
+            ("lateral colour", f"{1e3 * field.colour:+.3g}", "um", "line F (486 nm) farther out than C (656 nm)")
+        )
     return rows
 
 
@@ -235,7 +270,7 @@ def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[_Line
     for f2, best, limits in lenses:
         lens_note = f"f2 = {_four(f2)} mm" if len(camera.mla_focal_lengths) > 1 else ""
         rows.append(("sharpest distance", *_distance(best), lens_note))
-        if _is_imaged(camera, best):
+        if camera.focal_length < best <= LONGEST:
             rows += _effective(camera, best, wavelength)
         note = "refocused" if design.focus_type(camera) == "unfocused" else "blur below a pixel or the spot, no gaps"
         rows.append(("depth range", *_range(limits), note))
@@ -252,15 +287,6 @@ def _seen(camera: PlenopticCamera) -> str:
     distances = design.mla_object_distances(camera)
     where = [f"{_four(abs(a))} mm {'before' if a > 0 else 'behind'} them" for a in distances]
     return f"the microlenses see an image {', '.join(where)}"
-
-
-def _is_imaged(camera: PlenopticCamera, distance: float) -> bool:
-    """Return whether the main lens forms an image of a plane at a finite distance."""
-    try:
-        image_distance(camera.focal_length, distance)
-    except InputError:
-        return False
-    return math.isfinite(distance)
 
 
 def _effective(camera: PlenopticCamera, distance: float, wavelength: float | None) -> list[_Line]:
@@ -293,14 +319,19 @@ def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[_Line
         ("nearest distance", *_distance(near), "with one sample per lens"),
         ("farthest distance", *_distance(far)),
     ]
-    for distance in dict.fromkeys((near, *design.best_distances(camera), far)):
-        if camera.focal_length < distance < math.inf:
-            at = f"at {_four(distance)} mm"
-            rows += [
-                ("bin size", camera.bin_size(distance), "mm", at),
-                ("blur diameter", camera.blur_diameter(distance), "mm", f"{at}, on the MLA"),
-            ]
+    for distance in _finite(camera, near, far):
+        at = f"at {_four(distance)} mm"
+        rows += [
+            ("bin size", camera.bin_size(distance), "mm", at),
+            ("blur diameter", camera.blur_diameter(distance), "mm", f"{at}, on the MLA"),
+        ]
     return rows
+
+
+def _finite(camera: PlenopticCamera, near: float, far: float) -> list[float]:
+    """Return the ends of the range of refocusing and the sharpest distances as far as they are imaged and finite."""
+    distances = dict.fromkeys((near, *design.best_distances(camera), far))
+    return [distance for distance in distances if camera.focal_length < distance <= LONGEST]
 
 
 def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
@@ -314,15 +345,12 @@ def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
         ("Fresnel number, microlens", f"{design.mla_fresnel_number(camera, wavelength):.3g}", "", "from the detector"),
         ("Fresnel number, main lens", f"{design.main_fresnel_number(camera, wavelength):.3g}", "", "from the MLA"),
     ]
-    near, far = design.refocus_range(camera, wavelength)
-    for distance in dict.fromkeys((near, *design.best_distances(camera), far)):
-        if camera.focal_length < distance < math.inf:
-            limit = design.resolution_limit(camera, distance, wavelength)
-            note = f"{limit.frequency / limit.lenses:.2g} times one sample a lens"
-            if limit.in_focus:
-                note = "in focus: the lens pitch decides, deconvolution does not help"
-            note = f"at {_four(distance)} mm; {note}"
-            rows.append(("resolution, deconvolved", limit.frequency, "lp/mm", note))
+    for distance in _finite(camera, *design.refocus_range(camera, wavelength)):
+        limit = design.resolution_limit(camera, distance, wavelength)
+        note = f"{limit.frequency / limit.lenses:.2g} times one sample a lens"
+        if limit.in_focus:
+            note = "in focus: the lens pitch decides, deconvolution does not help"
+        rows.append(("resolution, deconvolved", limit.frequency, "lp/mm", f"at {_four(distance)} mm; {note}"))
     return rows
 
 
@@ -371,7 +399,7 @@ def _telescope(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]
         ("pixel on the sky", camera.pixel_size * to_sky, "arcsec"),
     ]
     if wavelength is not None:
-        spot = 1e-6 * wavelength * camera.reduced_distance / camera.lattice.aperture_width
+        spot = design.spot_radius(camera, wavelength)
         note = f"{_four(spot / camera.pixel_size)} pixels, centre to first zero, at {wavelength:g} nm"
         rows.append(("spot of a microlens", 1e3 * spot, "um", note))
     return rows + _aberrations(camera)
@@ -429,7 +457,6 @@ def _fourier(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
 
 
 def _microscope_diffraction(camera: PlenopticCamera, lens: Objective, wavelength: float) -> list[_Line]:
-    width = camera.lattice.aperture_width
     spot = design.spot_radius(camera, wavelength)
     rows: list[_Line] = [
         ("objective's limit", 2e6 * lens.numerical_aperture / wavelength, "lp/mm", "2 NA over the wavelength"),
@@ -443,7 +470,7 @@ def _microscope_diffraction(camera: PlenopticCamera, lens: Objective, wavelength
         shallow = 1e-3 * depth
         sample = "pixel"
     else:
-        shallow = lens.immersion * width**2 / (2 * lens.magnification**2 * wavelength * 1e-6)
+        shallow = lens.immersion * camera.lattice.aperture_width**2 / (2 * lens.magnification**2 * wavelength * 1e-6)
         sample = "lens"
     for depth in (shallow, 2 * shallow, 4 * shallow):
         limit = design.resolution_limit(camera, 1.001 * depth, wavelength)

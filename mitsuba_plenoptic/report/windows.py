@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..runtime import Array
 from .experiment import Experiment
 
 _LENSES = 8
@@ -23,7 +24,7 @@ class Window(NamedTuple):
     right: float
     field_aspect: float = 1.0
 
-    def of(self, image: np.ndarray) -> np.ndarray:
+    def of(self, image: Array) -> Array:
         """Return the part of an image that the window shows."""
         rows, columns = image.shape[:2]
         return image[
@@ -44,7 +45,7 @@ class Zoom(NamedTuple):
     columns: slice
 
 
-def lit_window(images: Sequence[np.ndarray], *, fraction: float = 0.03, margin: float = 0.05) -> Window:
+def lit_window(images: Sequence[Array], *, fraction: float = 0.03, margin: float = 0.05) -> Window:
     """Return the part of the field, symmetric about its middle, that contains the light of all images."""
     reach = []
     for axis in (1, 0):
@@ -75,7 +76,7 @@ def brightest_zoom(experiment: Experiment) -> Zoom:
     return zoom_at(f"{_LENSES} x {_LENSES} lenses", camera, slopes)
 
 
-def zoom_at(title: str, camera: PlenopticCamera, slopes: np.ndarray) -> Zoom:
+def zoom_at(title: str, camera: PlenopticCamera, slopes: Array) -> Zoom:
     """Return a close-up of whole micro-images around the detector point of a chief ray with slopes (x, y)."""
     half = _LENSES / 2 * camera.micro_image_pitch / camera.pixel_size
     pitch = camera.micro_image_pitch

@@ -6,10 +6,14 @@ from .backend import DEFAULT_VARIANT as DEFAULT_VARIANT
 from .backend import IMAGE as IMAGE
 from .backend import MILLIMETRES as MILLIMETRES
 from .backend import POINTS as POINTS
+from .backend import Array as Array
 from .backend import Backend as Backend
 from .backend import Doubles as Doubles
+from .backend import Flags as Flags
 from .backend import Floats as Floats
 from .backend import Integers as Integers
+from .backend import Pair as Pair
+from .backend import Triple as Triple
 from .backend import active_backend as active_backend
 from .backend import array_module as array_module
 from .backend import as_array as as_array
@@ -56,6 +60,7 @@ from .batches import counted as counted
 from .batches import lanes_reported as lanes_reported
 from .batches import on_all_cores as on_all_cores
 from .batches import prepared as prepared
+from .fft import Field as Field
 from .files import Sink as Sink
 from .files import atomic_output as atomic_output
 from .files import h5py_module as h5py_module

@@ -30,10 +30,16 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_choice, short_repr
 from . import llvm
 
+Array = NDArray[Any]
 Doubles = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Integers = NDArray[np.int64]
-"""Arrays by the type of their numbers."""
+Flags = NDArray[np.bool_]
+"""Arrays, of any numbers or by the type of their numbers."""
+
+Pair = tuple[Any, Any]
+Triple = tuple[Any, Any, Any]
+"""Two and three numbers or arrays of the backend, such as coordinates in a plane and in space."""
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")

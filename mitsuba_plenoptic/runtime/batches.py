@@ -27,10 +27,9 @@ from typing import Any, Protocol, TypeVar
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError, argument, refuse_if, refusing, require_count, require_module
-from .backend import Floats, Integers, active_backend, on_cuda, set_variant
+from .backend import Array, Floats, Integers, active_backend, on_cuda, set_variant
 from .fft import resting_drjit, stop_threads, worker_count
 from .limits import memory_asked, single_threaded_blas, software
 
@@ -218,7 +217,7 @@ class CheckpointStore(Protocol):
         """Store a snapshot if the time since the last one is long enough."""
 
 
-prepared: ContextVar[Callable[[Any, Callable[[], NDArray[Any]]], NDArray[Any]]] = ContextVar(
+prepared: ContextVar[Callable[[Any, Callable[[], Array]], Array]] = ContextVar(
     "prepared", default=lambda key, make: make()
 )
 """Function of a key that returns an array that takes long to make, stored in a checkpoint within its context."""
@@ -594,11 +593,18 @@ def lanes_reported(report: Callable[[float], None] | None, lanes: int) -> Iterat
 
     thread = threading.Thread(target=watch, daemon=True)
     before = _lane_count.set(count)
+    # The only thread of a single core would run a kernel as one piece, which counts at its end.
+    alone = worker_count() == dr.thread_count() == 1
+    if alone:
+        dr.set_thread_count(2)
     thread.start()
     try:
         yield
     finally:
         _lane_count.reset(before)
+        if alone:
+            dr.sync_thread()
+            stop_threads()
         ended.set()
         thread.join()
     if errors:

@@ -29,7 +29,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..errors import refuse_if
-from .backend import Doubles, Floats, backend_of, drjit_array, on_cuda, quotient
+from .backend import Array, Doubles, Floats, Pair, Triple, backend_of, drjit_array, on_cuda, quotient
 
 Field = NDArray[np.complex64]
 """A field or spectrum: NumPy's array, or with a CUDA variant CuPy's, which lies on the device."""
@@ -212,14 +212,14 @@ def array_types(array: Any) -> Any:
     return types.ad if dr.is_diff_v(array) else types
 
 
-def rows_and_columns(types: Any, rows: int, columns: int) -> tuple[Any, Any]:
+def rows_and_columns(types: Any, rows: int, columns: int) -> Pair:
     """Return the row and the column of each sample of an image, line by line."""
     index = dr.arange(types.UInt32, rows * columns)
     row = quotient(index, columns, types)
     return row, index - row * dr.opaque(types.UInt32, columns)
 
 
-def split(types: Any, index: Any, rows: int, columns: int) -> tuple[Any, Any, Any]:
+def split(types: Any, index: Any, rows: int, columns: int) -> Triple:
     """Return a flat index as the indices of image, row and column."""
     line = quotient(index, columns, types)
     image = quotient(line, rows, types)
@@ -230,17 +230,17 @@ def split(types: Any, index: Any, rows: int, columns: int) -> tuple[Any, Any, An
     )
 
 
-def convolve(image: NDArray[Any], kernel: NDArray[Any]) -> Doubles:
+def convolve(image: Array, kernel: Array) -> Doubles:
     """Return the full convolution of two images, n + k - 1 samples along each axis.
 
     Shapes: `image`, `kernel` (rows, columns).
     """
     from scipy.signal import oaconvolve  # loads slowly
 
-    return np.asarray(oaconvolve(np.asarray(image, np.float64), kernel))
+    return oaconvolve(np.asarray(image, np.float64), kernel)
 
 
-def blur(image: NDArray[Any], kernel: NDArray[Any]) -> Doubles:
+def blur(image: Array, kernel: Array) -> Doubles:
     """Return the convolution cropped to the image, with the kernel's middle on each sample."""
     rows, columns = ((k - 1) // 2 for k in kernel.shape)
     return convolve(image, kernel)[rows : rows + image.shape[0], columns : columns + image.shape[1]]

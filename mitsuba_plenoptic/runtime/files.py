@@ -305,7 +305,7 @@ def read_table(path: str | Path) -> Doubles:
     if not np.isfinite(rows).all():
         row = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
         raise InputError(f"{path}, row {row + 1}: all numbers must be finite")
-    return np.asarray(rows)
+    return rows
 
 
 def h5py_module(purpose: str) -> Any:

@@ -9,8 +9,10 @@ ours. The scenes are earlier ones that notebooks, exceptions or circles of refer
 
 from __future__ import annotations
 
+import _thread
 import gc
 import sys
+import threading
 from typing import Any
 
 import drjit as dr
@@ -20,6 +22,14 @@ _hidden = False
 
 def hide_scenes(phase: str, info: dict[str, Any]) -> None:
     """Hide all objects from a collection of garbage, where Dr.Jit could not lose any; an entry of `gc.callbacks`."""
+    try:
+        _hide_scenes(phase)
+    except KeyboardInterrupt:
+        # Python prints and forgets what callbacks raise: the interrupt comes again, after the collection.
+        threading.Timer(0.1, _thread.interrupt_main).start()
+
+
+def _hide_scenes(phase: str) -> None:
     global _hidden
     if phase == "start" and not gc.get_freeze_count():
         _hidden = dr.flag(dr.JitFlag.SymbolicScope)

@@ -28,6 +28,9 @@ SETTLED = 5.0
 MINUTE = 60.0
 """Seconds of work after which its speed is known, and seconds in a minute."""
 
+_TELLING = 0.01
+"""Fraction of the work that a single report must add to tell the speed."""
+
 _REPORTS = 256
 """Reports from which the speed of work is taken, at most."""
 
@@ -107,7 +110,11 @@ class ProgressBar:
         # Before, plans are made, kernels compiled and memory mapped.
         middle = (self.start + self._reports[-1][0]) / 2
         later = next((report for report in self._reports[:-1] if report[0] >= middle), self._reports[-2])
-        return (time.monotonic() - later[0]) * (1 - self.fraction) / (self.fraction - later[1])
+        gained = self.fraction - later[1]
+        # The first step after a pause, in which a kernel is compiled, tells the pause's length rather than the speed.
+        if later is self._reports[-2] and gained < _TELLING:
+            return None
+        return (time.monotonic() - later[0]) * (1 - self.fraction) / gained
 
     def line(self) -> str:
         """Return the label, the percentage and the times as text."""
@@ -146,7 +153,9 @@ class Forecast(ProgressBar):
         now = time.monotonic()
         left = self.left()
         begun = next((moment for moment, fraction in self._reports if fraction), now)
-        if self._tell and left is not None and now - begun >= SETTLED and self.fraction >= self._least:
+        # A first step may be the compilation of a kernel.
+        settled = sum(fraction > 0 for _, fraction in self._reports) > 2
+        if self._tell and left is not None and settled and now - begun >= SETTLED and self.fraction >= self._least:
             tell, self._tell = self._tell, None
             tell(now - self.start + left)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib.metadata
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
@@ -16,7 +16,7 @@ from ..choices import MODELS
 from ..errors import InputError, advice, argument, refuse_if, require_choice, require_count, suggest_keywords
 from ..io import Capture
 from ..optics import guards
-from ..runtime import BatchMap, Cost, Job, cost_of, lanes_reported, one_at_a_time, require_memory_for
+from ..runtime import Array, BatchMap, Cost, Job, Progress, cost_of, lanes_reported, one_at_a_time, require_memory_for
 from .load import KNOWN_PARAMETERS, as_scene, meet_moved, mitsuba_sentence
 from .radiance import SceneLight, require_film, require_seen, warn_of_metres
 
@@ -53,7 +53,7 @@ def render_capture(
     model: str | None = None,
     spp: int | None = None,
     seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     checkpoint: Checkpoint | None = None,
     batch_map: BatchMap | None = None,
     noise: bool = False,
@@ -292,7 +292,7 @@ def film_memory(camera: PlenopticCamera, spp: int, columns: int | None = None) -
     return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(_RAYS_PER_PASS, pixels * spp), pixels)
 
 
-def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
+def _split(image: Array, channels: int) -> tuple[Array, Array]:
     """Return the channels of a film's image and of its noise, both in the film's colours."""
     image, deviation = image[..., :channels], image[..., channels:]
     if channels < deviation.shape[2]:
@@ -338,9 +338,9 @@ def _render_passes(
     camera: PlenopticCamera,
     spp: int,
     seed: int,
-    progress: Callable[[int, int], None] | None,
+    progress: Progress | None,
     noise: bool,
-) -> tuple[np.ndarray, np.ndarray | None]:
+) -> tuple[Array, Array | None]:
     """Return the image, rendered in passes, whose memory does not grow with the samples, and the requested noise."""
     most = max(1, _RAYS_PER_PASS // (camera.shape[0] * camera.shape[1]))
     spread = None

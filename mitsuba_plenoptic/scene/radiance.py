@@ -19,7 +19,7 @@ import numpy as np
 from ..camera import micrometres
 from ..design import depth_ranges
 from ..errors import InputError, advice, refuse_if, warn
-from ..lenses import Pair
+from ..runtime import Pair, Triple
 
 _REPLAYED = {"PathIntegrator": "prb", "VolumetricPathIntegrator": "prbvolpath"}
 """For the class names of integrators, the plugins that find the same radiance and its derivatives."""
@@ -49,7 +49,7 @@ class SceneLight:
     """Whether calls return the radiance of a scene, which is not negative."""
 
     def __call__(
-        self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
+        self, point: Triple, slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
     ) -> list[Any]:
         """Return the radiance along rays from points in the camera frame, by channel or at each ray's wavelengths.
 
@@ -60,9 +60,7 @@ class SceneLight:
             sampled = sample(self.integrator, self.scene, sampler, ray, self.sensor.get_medium(), active)
         return channels(sampled) if wavelengths is None else list(sampled)
 
-    def rays(
-        self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None
-    ) -> tuple[Any, Any]:
+    def rays(self, point: Triple, slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None) -> Pair:
         """Return a sampler, and the rays from points in the camera frame as Mitsuba rays in the world frame."""
         ray = world_ray(self.sensor, point, slope)
         if wavelengths is not None:
@@ -110,7 +108,7 @@ def require_film(film: Any) -> None:
     refuse_if("pixel_format = xyz" in str(film) and channels == 3, f"film: pixel_format = xyz: {_FILM_RULE}")
 
 
-def world_ray(sensor: Any, point: tuple[Any, Any, Any], slope: Pair) -> Any:
+def world_ray(sensor: Any, point: Triple, slope: Pair) -> Any:
     """Return rays from points in the camera frame as Mitsuba rays in the world frame, at the shutter's opening."""
     to_world = sensor.world_transform()
     ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
@@ -161,16 +159,14 @@ class LightDerivatives(SceneLight):
         return cls(light.scene, light.sensor, integrator, light.wavelength)
 
     def __call__(
-        self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
+        self, point: Triple, slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
     ) -> list[Any]:
         """Return the change of the radiance along rays; see `SceneLight`."""
         change = self.replay(point, slope, active, seed, wavelengths).differentiate(dr.ADMode.Forward, None)
         change = dr.select(active, change, 0)
         return channels(change) if wavelengths is None else list(change)
 
-    def replay(
-        self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None
-    ) -> Replay:
+    def replay(self, point: Triple, slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None) -> Replay:
         """Trace rays for their radiance, and return their state for the derivatives; see `SceneLight`."""
         sampler, ray = self.rays(point, slope, active, seed, wavelengths)
         if self.scene.environment() is None and self.sensor.get_medium() is None:
@@ -244,7 +240,7 @@ class ReplayedLight:
         self._light = light
 
     def __call__(
-        self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
+        self, point: Triple, slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
     ) -> list[Any]:
         """Return the light along rays, as `SceneLight` does, with gradients."""
         with dr.suspend_grad():

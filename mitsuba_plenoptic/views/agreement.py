@@ -6,6 +6,7 @@ import numpy as np
 import scipy
 import xarray as xr
 
+from ..runtime import Array
 from .coordinates import channel_planes, grid_of, view_steps
 from .refocusing import moved
 
@@ -16,7 +17,7 @@ _WINDOW = 0.85
 _APART = 2
 
 
-def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array, Array]:
     """Return the unexplained fraction of the variance between views that are shifted for one disparity.
 
     Returned, each (t, s), are that ratio, from 0 to 1, which noise alone reaches, NaN where too few views see a bin;
@@ -50,7 +51,7 @@ def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.nd
     return ratio, total_variance[0], samples, np.minimum(squares / np.maximum(pairs, 1e-6), parts[0])
 
 
-def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
+def finer_stripes(image: Array, moved: Array) -> Array:
     """Return the probability (rows, columns) that an all-in-focus image shows stripes finer than two lenses.
 
     If a texture has a single frequency f, in cycles per lens, a view with one sample per lens is the same for the
@@ -91,10 +92,10 @@ def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
     # What is dark or has no frequency is far above 1.3, and must not overflow.
     ratio = np.minimum(contrast, 1e3) / np.maximum(finer, 1e-6)
     possible = aliased * ((1.3 - ratio) / 0.3).clip(0, 1)
-    return np.asarray(possible * np.square(coarser) / (np.square(coarser) + np.square(finer)))
+    return possible * np.square(coarser) / (np.square(coarser) + np.square(finer))
 
 
-def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _moved_views(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array, Array]:
     """Return variance, mean and number of the views that see each bin, shifted for one disparity.
 
     Each is (5, t, s): of the whole pupil and of its upper, lower, left and right half, averaged over the channels.
@@ -102,7 +103,7 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray
     """
     # Samples that see at least this much of the pupil take part. The others see it nearer to its middle than their
     # coordinate says, which would pull depths towards the plane in focus.
-    weight = (np.asarray(lf["weight"].values) >= 0.9).astype(np.float32)
+    weight = (lf["weight"].values >= 0.9).astype(np.float32)
     v = _places(lf, "v")
     u = _places(lf, "u")
     variance, mean, views = np.zeros((3, 5, *lf.shape[2:4]), dtype=np.float32)
@@ -112,7 +113,7 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray
         sums = np.zeros((2, 2, 3, *lf.shape[2:4]), dtype=np.float64)
         for row, row_weight, down in zip(plane, weight, v, strict=True):
             by_row, row_open = (moved(view_open, down * slope, axis=1) for view_open in (row * row_weight, row_weight))
-            passed: list[tuple[np.ndarray, np.ndarray]] = []
+            passed: list[tuple[Array, Array]] = []
             for view, view_weight, across in zip(by_row, row_open, u, strict=True):
                 if not view_weight.any():
                     continue
@@ -141,7 +142,7 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray
     return variance / channels, mean / channels, views / channels, noise
 
 
-def _places(lf: xr.DataArray, axis: str) -> np.ndarray:
+def _places(lf: xr.DataArray, axis: str) -> Array:
     """Return the mean point at which each view sees the pupil, in views from the centre, nearer to brighter views."""
     steps = view_steps(lf, axis)
     if min(lf.shape[:2]) < 3:

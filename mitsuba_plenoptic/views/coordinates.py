@@ -27,19 +27,19 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, advice, refuse_if, refusing, require_number, short_repr
 from ..optics import rays
 from ..prescription import image_distance
-from ..runtime import MILLIMETRES, require_pixels, require_units
+from ..runtime import MILLIMETRES, Array, require_pixels, require_units
 from .grid import LensGrid
 
 DIMS = ("v", "u", "t", "s")
 
 
 def light_field(
-    values: np.ndarray,
-    weight: np.ndarray | None = None,
+    values: Array,
+    weight: Array | None = None,
     camera: PlenopticCamera | None = None,
     bins: LensGrid | None = None,
     lenses: LensGrid | None = None,
-    white: np.ndarray | None = None,
+    white: Array | None = None,
 ) -> xr.DataArray:
     """Return sampled values as a labelled light field.
 
@@ -108,24 +108,24 @@ def light_field(
     return labelled(values, coordinates, attributes)
 
 
-def labelled(values: np.ndarray, coordinates: dict[str, Any], attributes: dict[str, str]) -> xr.DataArray:
+def labelled(values: Array, coordinates: dict[str, Any], attributes: dict[str, str]) -> xr.DataArray:
     """Return radiance (v, u, t, s[, 3]) as an array with coordinates and attributes."""
     colours = {"c": ("c", ["R", "G", "B"])} if values.ndim == 5 else {}
     dims = (*DIMS, *colours)
     return xr.DataArray(values, dims=dims, coords=coordinates | colours, name="radiance", attrs=attributes)
 
 
-def pupil_places(camera: PlenopticCamera, views: int) -> np.ndarray:
+def pupil_places(camera: PlenopticCamera, views: int) -> Array:
     """Return the coordinates in mm, on the pupil, of `count` views along x or y."""
     # A pixel one step to the right of its micro-image's centre looks one step to the left on the pupil axis.
     return -(np.arange(views) - (views - 1) / 2) * camera.pupil_step
 
 
-def lens_places(camera: PlenopticCamera, bins: LensGrid, axis: int) -> np.ndarray:
+def lens_places(camera: PlenopticCamera, bins: LensGrid, axis: int) -> Array:
     """Return the coordinates in mm, on the array, of an upright grid's bins along x (axis 0) or y (axis 1)."""
     pixel = bins.offset[axis] + bins.spacing[axis] * np.arange(bins.shape[1 - axis]) + camera.crop_offset[axis]
     p = (pixel - camera.resolution[axis] / 2) * camera.pixel_size
-    return np.asarray(rays.chief_point(p, camera.mla_distance, camera.reduced_distance))
+    return np.asarray(rays.chief_point(camera, p))
 
 
 def camera_of(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:
@@ -190,7 +190,7 @@ def require_light_field(lf: Any) -> xr.DataArray:
     return lf
 
 
-def view_steps(lf: xr.DataArray, axis: str) -> np.ndarray:
+def view_steps(lf: xr.DataArray, axis: str) -> Array:
     """Return the position of each view along ``u`` or ``v`` in views from the pupil's centre, rising with the index."""
     coordinate = np.asarray(lf[axis].values, dtype=np.float64)
     return -coordinate / _camera_behind_a_lens(lf).pupil_step if lf.attrs.get("camera") else coordinate
@@ -203,9 +203,9 @@ def _camera_behind_a_lens(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:
     return camera
 
 
-def channel_planes(lf: xr.DataArray) -> list[np.ndarray]:
+def channel_planes(lf: xr.DataArray) -> list[Array]:
     """Return the values (v, u, t, s) of each channel."""
-    values = np.asarray(lf.values)
+    values = lf.values
     return [values] if values.ndim == 4 else list(np.moveaxis(values, 4, 0))
 
 

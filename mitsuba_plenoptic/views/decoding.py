@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,12 @@ from ..camera import PlenopticCamera, Use, are_alike, require_camera, require_su
 from ..design import objective_of
 from ..errors import InputError, refuse_if, short_repr, suggest_keywords
 from ..io import TRUTH_COORDINATES, Capture, CaptureLike, GroundTruth, channel_planes, read_if_path, require_demosaiced
-from ..runtime import Floats, as_pixels, require_memory
+from ..runtime import Floats, Progress, as_pixels, require_memory
 from .coordinates import DIMS, light_field
 from .fourier_views import decode_views
 from .grid import LensGrid, bin_grid, lens_grid
-from .white import clear, divide_by_white, open_fraction, recorded_white, white_image
+from .model_white import capture_white
+from .white import clear, divide_by_white, mean_response, open_fraction, recorded_white, white_image
 
 
 @suggest_keywords
@@ -28,6 +30,7 @@ def decode(
     white: CaptureLike | None = None,
     grid: LensGrid | None = None,
     truth: GroundTruth | None = None,
+    progress: Progress | None = None,
 ) -> xr.DataArray:
     """Return a capture as a light field with one sample per pixel across the pupil and one per lens across the field.
 
@@ -48,16 +51,17 @@ def decode(
         The camera of a plain array, or another one than the capture's.
     white : Capture, (rows, columns[, 3]) array, or path, optional
         A picture of something evenly white that fills the view, with the same camera. It is scaled to a radiance of 1
-        (see `mitsuba_plenoptic.views.white.recorded_white`). Default: computed by rays from the camera's pupil;
-        diffraction blurs the rims of micro-images, so that wave captures of the paper's lenses read 7 % low, and a
-        white wave capture is better. Without a
-        camera a white picture is needed; the median brightness in the middle of micro-images counts as 1, over the
-        quarter of the lenses that is nearest to the middle of the grid.
+        (see `mitsuba_plenoptic.views.white.recorded_white`). Default: computed from the camera, of wave captures by
+        waves, once for a camera and its wavelengths. Without a camera a white picture is needed; the median brightness
+        in the middle of micro-images counts as 1, over the quarter of the lenses that is nearest to the middle of the
+        grid.
     grid : LensGrid, optional
         Micro-image centres, as `estimate_lens_grid` finds them. Default: those of the camera.
     truth : GroundTruth, optional
         Ground truth of the samples, from `ground_truth` for the same camera; it becomes coordinates of the light field
         over v, u, t and s: ``depth``, ``position_x``, ``normal_x``, ``albedo_r`` and so on, and ``shape_index``.
+    progress : callable, optional
+        Called with the finished and the total amount of work while a white image by waves is computed.
 
     Returns
     -------
@@ -74,7 +78,7 @@ def decode(
     >>> dict(lf.sizes)
     {'v': 11, 'u': 11, 't': 48, 's': 48}
     """
-    image, reference, seen, camera = checked_images(capture, camera, white, grid)
+    image, reference, seen, camera = checked_images(capture, camera, white, grid, progress)
     if camera is not None and camera.lens_data.images_stop:
         for name, argument in (("grid", grid), ("truth", truth)):
             refuse_if(
@@ -132,6 +136,7 @@ def checked_images(
     camera: PlenopticCamera | None,
     white: CaptureLike | None,
     grid: LensGrid | None,
+    progress: Progress | None = None,
 ) -> tuple[np.ndarray, Any, np.ndarray | None, PlenopticCamera | None]:
     """Return image, white image, fractions of the pupil, each (rows, columns, channels), and the camera for `decode`.
 
@@ -144,7 +149,6 @@ def checked_images(
     if isinstance(recorded, Capture):
         require_demosaiced(recorded)
         cameras.append(recorded.camera)
-        recorded = recorded.image
     image = as_pixels("capture", recorded)
     refuse_if(
         image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3)),
@@ -176,9 +180,12 @@ def checked_images(
             for name in ("aperture_image", "pupil_apodisation", "vignetting")
         ):
             seen = computed if opened == upright else white_image(opened, grid)[..., None]
-        reference = (
-            computed if reference is None else recorded_white(reference, reference.shape, [upright], computed[..., 0])
-        )
+        if reference is not None:
+            reference = recorded_white(reference, reference.shape, [upright], computed[..., 0])
+        elif isinstance(recorded, Capture) and recorded.model == "wave":
+            reference = capture_white(replace(recorded, camera=cameras[0]), np.atleast_3d(image).shape[2], progress)
+        else:
+            reference = computed * np.float32(mean_response(upright))
     return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False), reference, seen, upright
 
 
@@ -255,7 +262,10 @@ def lens_samples(
     """
     half = alone.shape[0] // 2
     light = _sampled(image, lenses, half)
-    divisor = _sampled(white, lenses, half)[..., 0]
+    of_colours = _sampled(white, lenses, half)
+    divisor = of_colours.mean(-1)
+    # Diffraction blurs rims more in red than in blue.
+    light *= divisor[..., None] / np.maximum(of_colours, 1e-6)
     weight = open_fraction(divisor, alone) if seen is None else _sampled(seen, lenses, half)[..., 0].clip(0, 1)
     if not is_scaled:
         level = divisor[:, :, half, half]

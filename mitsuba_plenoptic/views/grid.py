@@ -17,7 +17,7 @@ from ..array import Displacement, Lattice
 from ..camera import PlenopticCamera, Use, require_support
 from ..errors import MOST_PIXELS, put_checked, refuse_if, require_count, require_number, require_pair, require_warp
 from ..optics import rays
-from ..runtime import Doubles, Integers, require_memory, turn
+from ..runtime import Array, Doubles, Integers, require_memory, turn
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class LensGrid:
         across, down = self.spacing
         return min(across, down) if self.shifted_rows is None else min(across, math.hypot(across / 2, down), 2 * down)
 
-    def centres(self) -> np.ndarray:
+    def centres(self) -> Array:
         """Return the column and row coordinates of all centres.
 
         Returns
@@ -103,13 +103,13 @@ class LensGrid:
         if not self.warp:
             return regular
         moved = Displacement(self.warp).smooth(*np.moveaxis(regular - self.middle, -1, 0))
-        return np.asarray(regular + np.stack(moved, axis=-1))
+        return regular + np.stack(moved, axis=-1)
 
-    def regular(self, places: np.ndarray) -> np.ndarray:
+    def regular(self, places: Array) -> Array:
         """Return the positions (n, 2) from which the warp displaces to given ones."""
         if not self.warp:
             return places
-        return np.asarray(self.middle + np.stack(Displacement(self.warp).regular(*(places - self.middle).T), axis=-1))
+        return self.middle + np.stack(Displacement(self.warp).regular(*(places - self.middle).T), axis=-1)
 
 
 def bin_grid(camera: PlenopticCamera) -> LensGrid:
@@ -158,7 +158,7 @@ def lens_grid(camera: PlenopticCamera) -> LensGrid:
         not len(micro_image_centres(camera, 0)),
         f"crop_size = {camera.crop_size}: no micro-image is centred in the recorded window",
     )
-    scale = rays.chief_detector_point(1 / camera.pixel_size, camera.mla_distance, camera.reduced_distance)
+    scale = rays.chief_detector_point(camera, 1 / camera.pixel_size)
     vectors, shifted = lattice_rows(np.array(lattice.basis) * scale)
     x, y = lattice.centre(0.0, 0.0)
     origin = np.array([_pixel(camera, x, 0), _pixel(camera, y, 1)])
@@ -179,17 +179,14 @@ def _warped(grid: LensGrid, camera: PlenopticCamera) -> LensGrid:
     return replace(grid, warp=tuple(warp), middle=(float(x), float(y)))
 
 
-def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
+def micro_image_centres(camera: PlenopticCamera, margin: float) -> Array:
     """Return the centres of all micro-images on a camera's recorded image, and up to `margin` pixels beyond.
 
     The result has the shape (lenses, 2).
     """
     require_support(camera, Use.LENS_CENTRES)
     camera.require_resolved()
-    x, y = (
-        rays.chief_point(camera.pixel_coordinates(axis)[[0, -1]], camera.mla_distance, camera.reduced_distance)
-        for axis in (0, 1)
-    )
+    x, y = (rays.chief_point(camera, camera.pixel_coordinates(axis)[[0, -1]]) for axis in (0, 1))
     around = (margin + 1) * camera.pixel_size
     index = camera.lattice.lenses_within((x[0] - around, y[0] - around), (x[1] + around, y[1] + around))
     centre = camera.lattice.centre(*index.T.astype(np.float64))
@@ -197,15 +194,13 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
     return centres[((centres >= -margin) & (centres <= np.array(camera.crop_size) + margin)).all(1)]
 
 
-def lens_indices(camera: PlenopticCamera, centres: np.ndarray) -> tuple[Doubles, Doubles]:
+def lens_indices(camera: PlenopticCamera, centres: Array) -> tuple[Doubles, Doubles]:
     """Return the lattice indices of the lenses of micro-image centres (..., 2), columns and rows."""
     p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
-    chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
-    i, j = camera.lattice.cell(chief[..., 0], chief[..., 1])
-    return i, j
+    return rays.chief_lenses(camera, p[..., 0], p[..., 1])
 
 
-def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
+def lens_types(camera: PlenopticCamera, centres: Array) -> Array:
     """Return the lens type of each micro-image: the index of its focal length.
 
     The centres, (..., 2) columns and rows on the recorded image, are computed or estimated ones.
@@ -217,15 +212,14 @@ def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
 
 def lenses_of_pixels(camera: PlenopticCamera) -> Integers:
     """Return the lattice indices i and j of the lens of each recorded pixel's chief ray, (2, rows, columns)."""
-    x, y = (
-        rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.reduced_distance)
-        for axis in (0, 1)
-    )
+    x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
     index = np.empty((2, *camera.shape), np.int32)
     height = max(1, 2**20 // len(x))
     for first in range(0, len(y), height):
         rows = slice(first, first + height)
-        for indices, values in zip(index, camera.lattice.cell(*np.meshgrid(x, y[rows])), strict=True):
+        for indices, values in zip(
+            index, rays.chief_lenses(camera, *np.meshgrid(x, y[rows]), camera.pupil_distance), strict=True
+        ):
             indices[rows] = np.rint(values)
     return index.astype(np.int64)
 
@@ -236,7 +230,7 @@ def lens_numbers(camera: PlenopticCamera) -> Integers:
     return np.asarray((i - i.min()) * (np.ptp(j) + 1) + j - j.min())
 
 
-def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9, like: Lattice | None = None) -> tuple[np.ndarray, bool]:
+def lattice_rows(vectors: Array, tolerance: float = 1e-9, like: Lattice | None = None) -> tuple[Array, bool]:
     """Return steps along and across the rows from two lattice vectors; rows are chosen nearest to horizontal.
 
     Given a lattice, those are chosen that are most `like` the lattice's, in direction and in distance over pitch.
@@ -257,7 +251,7 @@ def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9, like: Lattice | N
     candidates = [rows for pair in (pairs if shifted else pairs[:1]) for rows in (pair, pair[::-1])]
     row = (1.0, 0.0) if like is None else like.from_frame(1.0, 0.0)
 
-    def unlike(pair: tuple[np.ndarray, np.ndarray]) -> float:
+    def unlike(pair: tuple[Array, Array]) -> float:
         pitch, apart = (math.hypot(*step) for step in pair)
         turned = abs(row[0] * pair[0][1] - row[1] * pair[0][0]) / pitch
         return turned if like is None else turned + abs(math.log(apart / pitch * np.divide(*like.period())))
@@ -268,7 +262,7 @@ def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9, like: Lattice | N
     return np.array([unit * math.hypot(*along), normal * (math.hypot(*across) / (2 if shifted else 1))]), shifted
 
 
-def reduced(vectors: np.ndarray) -> np.ndarray:
+def reduced(vectors: Array) -> Array:
     """Return the two shortest vectors of the lattice that two vectors span, at no less than 90 degrees (Lagrange)."""
     a, b = vectors
     while True:
@@ -281,7 +275,7 @@ def reduced(vectors: np.ndarray) -> np.ndarray:
         b = b - round(projection) * a
 
 
-def covering_grid(shape: tuple[int, ...], origin: np.ndarray, vectors: np.ndarray, shifted: bool) -> LensGrid:
+def covering_grid(shape: tuple[int, ...], origin: Array, vectors: Array, shifted: bool) -> LensGrid:
     """Return the grid of a lattice's lenses, counted from the first row and column needed for an image.
 
     Shapes: `shape` (int, int), `origin` (2,).
@@ -304,5 +298,5 @@ def covering_grid(shape: tuple[int, ...], origin: np.ndarray, vectors: np.ndarra
 
 def _pixel(camera: PlenopticCamera, centre: Any, axis: int) -> Any:
     """Return the coordinate of a lens's micro-image on the recorded image, in pixels."""
-    p = rays.chief_detector_point(centre, camera.mla_distance, camera.reduced_distance)
+    p = rays.chief_detector_point(camera, centre)
     return p / camera.pixel_size + camera.resolution[axis] / 2 - camera.crop_offset[axis]

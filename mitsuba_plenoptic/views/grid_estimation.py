@@ -11,7 +11,7 @@ import scipy.ndimage
 
 from ..array import Lattice
 from ..errors import refuse_if
-from ..runtime import as_pixels, exponents, monomials
+from ..runtime import Array, as_pixels, exponents, monomials
 from .grid import LensGrid, covering_grid, lattice_rows, reduced
 
 # Part of a step by which a wave may miss a wave of a lattice.
@@ -23,7 +23,7 @@ _CELL = 24
 NO_LATTICE = "white: no regular lattice of micro-images is seen in it"
 
 
-def estimate_lens_grid(white: np.ndarray, like: Lattice | None = None) -> LensGrid:
+def estimate_lens_grid(white: Array, like: Lattice | None = None) -> LensGrid:
     """Return pitches, rotation and offset of a square, rectangular or hexagonal array, found in a white image.
 
     The spectrum of the image's middle gives the lattice to a fraction of a pixel per lens. From there the middles
@@ -62,7 +62,7 @@ def estimate_lens_grid(white: np.ndarray, like: Lattice | None = None) -> LensGr
     return covering_grid(image.shape, *_fit(image, origin, reduced(vectors), like))
 
 
-def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _guess(image: Array) -> tuple[Array, Array]:
     """Return two lattice vectors (rows, in pixels) and one centre: the lattice whose discs explain the image best.
 
     Where micro-images overlap, waves of the lattice vanish from the spectrum, the fundamental one at 1.22 pitches of a
@@ -97,7 +97,7 @@ def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     steps = waves @ np.linalg.inv(pairs)
     power = [spectrum[tuple(index)] ** 2 for index in highest]
     explains = (np.abs(steps - steps.round()).max(2) < _HELD) @ power > 0.5 * np.sum(power)
-    tried: list[np.ndarray] = []
+    tried: list[Array] = []
     for vectors in np.linalg.inv(pairs[explains]).swapaxes(1, 2):
         # The same lattice has other vectors, which are whole sums of these.
         sums = [vectors @ np.linalg.inv(earlier) for earlier in tried]
@@ -136,14 +136,14 @@ class Discs:
     """
 
     explained: float
-    centre: np.ndarray
+    centre: Array
     radius: float
     pitch: float
-    vectors: np.ndarray
-    size: np.ndarray
+    vectors: Array
+    size: Array
 
     @classmethod
-    def of(cls, image: np.ndarray, vectors: np.ndarray) -> Discs:
+    def of(cls, image: Array, vectors: Array) -> Discs:
         """Return the discs that explain the mean of an image's cells best."""
         central, start = _middle(image, 384)
         rows, columns = central.shape
@@ -186,9 +186,7 @@ class Discs:
     def _rim(self) -> float:
         return max(0.1 * self.pitch, 2.5)
 
-    def measured(
-        self, patches: tuple[np.ndarray, np.ndarray, np.ndarray], centres: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def measured(self, patches: tuple[Array, Array, Array], centres: Array) -> tuple[Array, Array]:
         """Return the middles of micro-images about centres, and their brightness.
 
         Brightness that rises over a micro-image displaces its centroid. Where light I has risen by g u at u, and its
@@ -233,14 +231,14 @@ class Discs:
         return centres + shift.clip(-1, 1), light
 
 
-def _middle(image: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
+def _middle(image: Array, side: int) -> tuple[Array, Array]:
     """Return an image's middle of at most side x side pixels, and its first column and row."""
     size = np.minimum(image.shape[::-1], side)
     left, top = start = (np.array(image.shape[::-1]) - size) // 2
     return image[top : top + size[1], left : left + size[0]].astype(np.float64), start
 
 
-def _refined(spectrum: np.ndarray, position: np.ndarray) -> np.ndarray:
+def _refined(spectrum: Array, position: Array) -> Array:
     """Return the position of a peak between samples, by a parabola through logarithms."""
     result = position.astype(np.float64)
     for axis in (0, 1):
@@ -251,9 +249,7 @@ def _refined(spectrum: np.ndarray, position: np.ndarray) -> np.ndarray:
     return result
 
 
-def _fit(
-    image: np.ndarray, origin: np.ndarray, vectors: np.ndarray, like: Lattice | None
-) -> tuple[np.ndarray, np.ndarray, bool]:
+def _fit(image: Array, origin: Array, vectors: Array, like: Lattice | None) -> tuple[Array, Array, bool]:
     """Return the lattice fitted to the micro-images' middles, first about the middle and then everywhere."""
     size = np.array(image.shape[::-1])
     discs = Discs.of(image, vectors)
@@ -292,7 +288,7 @@ def _fit(
     return *_rows_at_right_angles(steps, measured[clear]), shifted
 
 
-def pixels_around(image: np.ndarray, centres: np.ndarray, half: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def pixels_around(image: Array, centres: Array, half: int) -> tuple[Array, Array, Array]:
     """Return the columns (n, k) and rows (n, k) of the pixels around each centre, and their values (n, k, k)."""
     window = np.arange(-half, half + 1)
     base = np.floor(centres).astype(np.int64)
@@ -302,7 +298,7 @@ def pixels_around(image: np.ndarray, centres: np.ndarray, half: int) -> tuple[np
     return x, y, patch.astype(np.float64, copy=False)
 
 
-def _rows_at_right_angles(steps: np.ndarray, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _rows_at_right_angles(steps: Array, measured: Array) -> tuple[Array, Array]:
     """Return origin, rotation and spacings fitted to centres at given steps along and across the rows."""
     matrix = np.column_stack([np.ones(len(steps)), steps])
     origin, first, second = np.linalg.lstsq(matrix, measured)[0]

@@ -24,6 +24,7 @@ import numpy as np
 import scipy
 
 from ..camera import Use, require_support
+from ..runtime import Array
 from .lens_images import MicroImages
 
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window.
@@ -57,7 +58,7 @@ class LensComparison:
         self._noise = _noise_of(images)
         self._steps = tuple(np.arange(size) - (size - 1) / 2 for size in images.weight.shape[2:])
 
-    def disagreement(self, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def disagreement(self, slope: float) -> tuple[Array, Array, Array, Array]:
         """Return the unexplained fraction of the variance between neighbouring lenses, moved for a disparity.
 
         The results are those of `agreement.view_disagreement`; the ratio is NaN where no lenses can be compared. The
@@ -105,7 +106,7 @@ class LensComparison:
         return ratio, total_variance, 8.0 * count_near, np.minimum(noise / many, variance)
 
     @cached_property
-    def _pairs(self) -> list[tuple[tuple[slice, slice], tuple[slice, slice], np.ndarray]]:
+    def _pairs(self) -> list[tuple[tuple[slice, slice], tuple[slice, slice], Array]]:
         """Each pair of neighbouring lenses once, as blocks of lenses, blocks of neighbours, and their offset.
 
         The offset is in pitches of the bins, along columns and rows.
@@ -137,7 +138,7 @@ class LensComparison:
                     pairs.append((block, neighbours, rotation @ way / bins.spacing))
         return pairs
 
-    def _straightened(self, slope: float) -> tuple[np.ndarray, np.ndarray]:
+    def _straightened(self, slope: float) -> tuple[Array, Array]:
         """Return samples at the positions where a pencil through the lens's centre would show them, and a mask."""
         images = self._images
         values = np.empty_like(self._values)
@@ -173,7 +174,7 @@ class LensComparison:
         return values, (weight >= 0.5).astype(np.float32)
 
     @cached_property
-    def _rims(self) -> list[tuple[np.ndarray, np.ndarray]]:
+    def _rims(self) -> list[tuple[Array, Array]]:
         """Effects of the pupil's rim on the samples of each lens type: two arrays (2, v, u), along v and u.
 
         The first is the mean point, in mm, of the part of the lens through which a sample sees the pupil; the second is
@@ -207,7 +208,7 @@ class LensComparison:
             rims.append((mean, np.stack(off) / open_weight))
         return rims
 
-    def _bins_of(self, slope: float) -> np.ndarray:
+    def _bins_of(self, slope: float) -> Array:
         """Return the index of the central view's bin that each sample shows; the number of bins if there is none."""
         shape = self._images.bins.shape
         column, row = np.moveaxis(self._images.places, 2, 0)
@@ -218,7 +219,7 @@ class LensComparison:
         return np.where(inside, rows * shape[1] + columns, math.prod(shape))
 
 
-def _noise_of(images: MicroImages) -> np.ndarray:
+def _noise_of(images: MicroImages) -> Array:
     """Return the variance of noise in the smoothed samples of each lens: second differences hold little texture."""
     bent = images.values
     inside = images.weight > 0
@@ -232,16 +233,16 @@ def _noise_of(images: MicroImages) -> np.ndarray:
     return np.asarray(0.9 * power * ((0.3125 + 0.25 * between) / (1 + 20 * between)).prod(axis=2), np.float32)
 
 
-def _weighted(samples: np.ndarray, down: Any, across: Any) -> np.ndarray:
+def _weighted(samples: Array, down: Any, across: Any) -> Array:
     """Return weighted sums of samples along both axes; beyond them is nothing."""
     samples = scipy.ndimage.correlate1d(samples * 1.0, down, axis=0, mode="constant")
-    return np.asarray(scipy.ndimage.correlate1d(samples, across, axis=1, mode="constant"))
+    return scipy.ndimage.correlate1d(samples, across, axis=1, mode="constant")
 
 
-def _moved(samples: np.ndarray, fv: np.float32, fu: np.float32) -> np.ndarray:
+def _moved(samples: Array, fv: np.float32, fu: np.float32) -> Array:
     """Return samples (rows, columns, v, u, ...) interpolated by fractions of a view; each axis has one view fewer."""
     samples = samples[:, :, :-1] + fv * (samples[:, :, 1:] - samples[:, :, :-1])
-    return np.asarray(samples[:, :, :, :-1] + fu * (samples[:, :, :, 1:] - samples[:, :, :, :-1]))
+    return samples[:, :, :, :-1] + fu * (samples[:, :, :, 1:] - samples[:, :, :, :-1])
 
 
 def _overlap(views: int, move: float) -> tuple[slice, slice, np.float32]:

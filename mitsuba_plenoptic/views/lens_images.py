@@ -15,7 +15,7 @@ import xarray as xr
 from ..camera import PlenopticCamera
 from ..errors import InputError, advice, refuse_if
 from ..io import CaptureLike
-from ..runtime import require_memory
+from ..runtime import Array, require_memory
 from .coordinates import camera_of, grid_of, view_steps
 from .decoding import checked_images, lens_samples, view_window
 from .grid import LensGrid, bin_grid, lens_grid, lens_types
@@ -39,19 +39,19 @@ class MicroImages:
         The camera.
     """
 
-    values: np.ndarray
-    weight: np.ndarray
+    values: Array
+    weight: Array
     grid: LensGrid
     bins: LensGrid
     camera: PlenopticCamera
 
     @property
-    def types(self) -> np.ndarray:
+    def types(self) -> Array:
         """Index of the focal length of each lens, (rows, columns)."""
         return lens_types(self.camera, self.grid.centres())
 
     @property
-    def places(self) -> np.ndarray:
+    def places(self) -> Array:
         """Column and row of the middle of each lens among the bins, with fractions, (rows, columns, 2)."""
         return (self.grid.centres() - self.bins.offset) / self.bins.spacing
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import numpy as np
 import xarray as xr
 
 from ..camera import PlenopticCamera, are_alike
@@ -27,7 +26,7 @@ from ..io import (
     states_detector,
     write_labelled_data,
 )
-from ..runtime import require_writable
+from ..runtime import Array, require_writable
 from .coordinates import camera_of, require_light_field
 from .decoding import decode
 from .grid_estimation import estimate_lens_grid
@@ -212,7 +211,7 @@ def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> Gro
     return stored if are_alike(stored.camera, capture.camera) else None
 
 
-def read_recording(path: str | Path, linear: bool) -> Capture | np.ndarray:
+def read_recording(path: str | Path, linear: bool) -> Capture | Array:
     """Read a capture with its camera, or the pixels of another program's picture."""
     if Path(path).suffix.lower() in RAW_SUFFIXES:
         return read_picture(path, linear=linear)

@@ -8,7 +8,6 @@ fitted to all pixels, and replaces them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from contextlib import nullcontext
 from typing import Any
 
@@ -20,7 +19,7 @@ from ..errors import InputError, warn
 from ..extension import hook
 from ..io import Capture, mosaic_of, recording_of
 from ..optics import Spectrum, guards
-from ..runtime import DEFAULT_VARIANT, Doubles, Floats, Job, set_variant
+from ..runtime import DEFAULT_VARIANT, Doubles, Floats, Job, Progress, begin_step, set_variant, steps_counted
 from .white import mean_response, white_image
 
 _SAMPLES = 64
@@ -36,6 +35,9 @@ _KNOTS = 2
 _PLACES = 8
 """Splines along a pixel, and places along it at which pixels count as one."""
 
+_BLOCK = 2**20
+"""Pixels whose splines are evaluated at once."""
+
 _ASIDE = 0.02
 """Pixels by which oblique light may move micro-images of an array that counts as even."""
 
@@ -46,7 +48,7 @@ _UNEVEN = (
 """Parameters of a camera that make lenses, or the light on them, unequal."""
 
 
-def capture_white(capture: Capture, channels: int, progress: Callable[[int, int], None] | None = None) -> Floats:
+def capture_white(capture: Capture, channels: int, progress: Progress | None = None) -> Floats:
     """Return the white image (rows, columns, 1 or `channels`) of a capture's model of light, for a radiance of 1.
 
     A recorded capture, and one that states no wavelength or that signed rays do not compute, has that of rays, without
@@ -86,9 +88,7 @@ def _spectrum_of(capture: Capture, channels: int) -> Spectrum:
 
 
 @once_a_camera
-def _by_waves(
-    camera: PlenopticCamera, spectrum: Spectrum, progress: Callable[[int, int], None] | None = None
-) -> Floats:
+def _by_waves(camera: PlenopticCamera, spectrum: Spectrum, progress: Progress | None = None) -> Floats:
     """Return the white image (rows, columns, channels) of a spectrum's channels, each of which records 1 of white."""
     # Most white images need neither of these.
     import drjit as dr
@@ -120,10 +120,14 @@ def _by_waves(
         spp = min(spp, max(_LEAST, round(_SAMPLES * _LENSES / lenses))) if even else spp
         with guards.watch():
             capture = kind(camera, white, spectrum, flat, None, DEFAULT_ACCURACY)
-            image = capture.compute(seed=0, spp=spp, job=Job(progress), noise=False)
+            # The fit takes about as long as the capture.
+            shown = progress and (lambda done, total: progress(done, (1 + even) * total))
+            image = capture.compute(seed=0, spp=spp, job=Job(shown), noise=False)
     image /= spectrum.matrix().sum(1)
     if even:
-        image = np.stack([_folded(image[..., channel], camera) for channel in range(image.shape[2])], axis=-1)
+        steps = image.shape[2] * (1 + math.ceil(math.prod(camera.shape) / _BLOCK))
+        with steps_counted(lambda done: progress and progress(round(1000 * (1 + done)), 2000), steps):
+            image = np.stack([_folded(image[..., channel], camera) for channel in range(image.shape[2])], axis=-1)
     return np.asarray(DetectorOperator.of(camera).forward(image), np.float32)
 
 
@@ -152,20 +156,21 @@ def _folded(image: Floats, camera: PlenopticCamera) -> Doubles:
     used = np.flatnonzero(pixels)
     means = [np.bincount(place, values.ravel(), math.prod(places))[used] / pixels[used] for values in (*phases, image)]
     root = np.sqrt(pixels[used])
+    splines = scipy.sparse.diags_array(root) @ _splines(means[0], means[1], count)
+    begin_step("periodic image of white")
     fitted = scipy.sparse.linalg.lsqr(
-        scipy.sparse.diags_array(root) @ _splines(means[0], means[1], count),
+        splines,
         root * means[2],
         atol=1e-5,
         btol=1e-5,
         iter_lim=30,
     )[0]
-    rows = np.array_split(np.arange(len(image)), -(-image.size // 2**20))
-    return np.concatenate(
-        [
-            (_splines(phases[0][some].ravel(), phases[1][some].ravel(), count) @ fitted).reshape(len(some), -1)
-            for some in rows
-        ]
-    )
+    rows = []
+    for some in np.array_split(np.arange(len(image)), -(-image.size // _BLOCK)):
+        begin_step("white image")
+        values = _splines(phases[0][some].ravel(), phases[1][some].ravel(), count) @ fitted
+        rows.append(values.reshape(len(some), -1))
+    return np.concatenate(rows)
 
 
 def _splines(x: Doubles, y: Doubles, count: tuple[int, int]) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import refuse_if, require_choice, require_number, suggest_keywords
-from ..runtime import Progress, counted, require_memory
+from ..runtime import Array, Progress, counted, require_memory
 from .coordinates import channel_planes, require_light_field, view_steps
 from .coordinates import disparity as disparity_at
 from .viewpoints import as_view
@@ -35,7 +35,7 @@ def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
     """
     lf = require_light_field(lf)
     disparity = require_number("disparity", disparity, minimum=-1e6, maximum=1e6)
-    weight = np.asarray(lf["weight"].values)
+    weight = lf["weight"].values
     planes = [weight] + [plane * weight for plane in channel_planes(lf)]
     v = view_steps(lf, "v")
     u = view_steps(lf, "u")
@@ -122,7 +122,7 @@ def focal_stack(
 _SPREAD = 0.55 - math.sqrt(0.015)
 
 
-def moved(values: np.ndarray, shift: float, axis: int) -> np.ndarray:
+def moved(values: Array, shift: float, axis: int) -> Array:
     """Return an array read `shift` samples further along an axis, as blurred and as noisy for any shift.
 
     Linear interpolation averages noise between samples only, so that moved views seem to agree where shifts are not
@@ -142,9 +142,7 @@ def moved(values: np.ndarray, shift: float, axis: int) -> np.ndarray:
     return result
 
 
-def _add_shifted(
-    total: np.ndarray, values: np.ndarray, shift: float, axis: int, weights: dict[int, float] | None = None
-) -> None:
+def _add_shifted(total: Array, values: Array, shift: float, axis: int, weights: dict[int, float] | None = None) -> None:
     """Add an array read `shift` samples further along an axis to a total; outside it is 0.
 
     The weights are those of the samples about the last one before the place; without them, of linear interpolation.
@@ -163,7 +161,7 @@ def _add_shifted(
             )
 
 
-def _gather(values: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
+def _gather(values: Array, down: Array, across: Array) -> Array:
     """Return the sum of views (v, u, t, s), each read at its own shift."""
     by_column = np.zeros(values.shape[1:], dtype=np.float64)
     for row, shift in zip(values, down, strict=True):

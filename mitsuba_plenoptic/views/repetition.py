@@ -10,13 +10,14 @@ import numpy as np
 import scipy
 from scipy.spatial import cKDTree
 
+from ..runtime import Array
 from .lens_images import MicroImages
 
 # Neighbouring lenses over which correlations are averaged: standard deviation of a Gaussian window.
 _WINDOW = 4.0
 
 
-def wrong_by_repetition(images: MicroImages, slopes: np.ndarray) -> np.ndarray:
+def wrong_by_repetition(images: MicroImages, slopes: Array) -> Array:
     """Return the probability (t, s) that a bin's depth is wrong because texture repeats within the search range.
 
     It is 0 where no search plane is a whole period from another one.
@@ -64,4 +65,4 @@ def wrong_by_repetition(images: MicroImages, slopes: np.ndarray) -> np.ndarray:
     shape = images.bins.shape
     rows, columns = np.indices(shape)
     _, nearest = cKDTree(images.places.reshape(-1, 2)).query(np.stack([columns.ravel(), rows.ravel()], axis=1))
-    return np.asarray((repeated * (1 - right)).ravel()[nearest].reshape(shape))
+    return (repeated * (1 - right)).ravel()[nearest].reshape(shape)

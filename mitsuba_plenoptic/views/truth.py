@@ -14,7 +14,7 @@ from ..camera import PlenopticCamera
 from ..choices import QUANTITIES
 from ..errors import refuse_if, suggest_keywords
 from ..io import GroundTruth, require_quantities
-from ..runtime import drjit_array, one_at_a_time, require_memory
+from ..runtime import Array, Pair, drjit_array, one_at_a_time, require_memory
 from ..scene import as_scene, plenoptic_sensor
 from .coordinates import lens_places, pupil_places
 from .decoding import view_window
@@ -49,7 +49,7 @@ class FirstHits:
         self._index = np.zeros(registered.max(initial=0) + 1, np.float32)
         self._index[registered] = np.arange(1, len(registered) + 1)
 
-    def along(self, rays: Callable[[Any], tuple[Any, Any]], count: int) -> dict[str, np.ndarray]:
+    def along(self, rays: Callable[[Any], Pair], count: int) -> dict[str, Array]:
         """Return float32 arrays (count[, 3]) by name for the first hits of rays."""
         hits = {
             name: np.empty((count, len(letters))[: 1 + (len(letters) > 1)], np.float32)
@@ -62,7 +62,7 @@ class FirstHits:
                 hits[name][start : start + _LANES] = values
         return hits
 
-    def _trace(self, ray: Any, open_: Any) -> dict[str, np.ndarray]:
+    def _trace(self, ray: Any, open_: Any) -> dict[str, Array]:
         hit = self._scene.ray_intersect(ray, _flags(), True, open_)
         met = hit.is_valid() & open_
         quantities: dict[str, Any] = {}
@@ -163,7 +163,7 @@ def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor
     )
     hits = FirstHits(scene, chosen, names)
 
-    def of_pixels(index: Any) -> tuple[Any, Any]:
+    def of_pixels(index: Any) -> Pair:
         row = index // columns
         position = mi.Point2f((index - row * columns + 0.5) / columns, (row + 0.5) / rows)
         return chosen.chief_ray(position)
@@ -179,9 +179,7 @@ def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor
     )
 
 
-def _rays_of_views(
-    camera: PlenopticCamera, sensor: Any
-) -> tuple[tuple[int, int, int, int], Callable[[Any], tuple[Any, Any]]]:
+def _rays_of_views(camera: PlenopticCamera, sensor: Any) -> tuple[tuple[int, int, int, int], Callable[[Any], Pair]]:
     """Return the shape (v, u, t, s) of the light field of a camera, and the rays of its samples by their indices."""
     regular = camera.regular
     bins = bin_grid(regular)
@@ -191,7 +189,7 @@ def _rays_of_views(
     pupil = drjit_array(mi.Float, pupil_places(camera, views))
     across, down = (drjit_array(mi.Float, lens_places(regular, bins, axis)) for axis in (0, 1))
 
-    def rays(index: Any) -> tuple[Any, Any]:
+    def rays(index: Any) -> Pair:
         coordinates_of = []
         for size, coordinates in ((columns, across), (rows, down), (views, pupil), (views, pupil)):
             following = index // size

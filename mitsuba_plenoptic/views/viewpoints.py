@@ -9,6 +9,7 @@ import xarray as xr
 
 from ..choices import Axis
 from ..errors import refuse_if, require_choice, require_count, require_number, suggest_keywords
+from ..runtime import Array
 from .coordinates import require_light_field
 
 
@@ -46,7 +47,7 @@ def view(lf: xr.DataArray, *, u: float | None = None, v: float | None = None) ->
     return _nearest(lf, u=("u", u), v=("v", v))
 
 
-def as_view(lf: xr.DataArray, image: np.ndarray) -> xr.DataArray:
+def as_view(lf: xr.DataArray, image: Array) -> xr.DataArray:
     """Return an image (t, s[, c]) with the coordinates and attributes of a light field's views."""
     dims = ("t", "s", "c")[: image.ndim]
     return xr.DataArray(image, dims=dims, coords={dim: lf[dim] for dim in dims}, name="radiance", attrs=lf.attrs)
@@ -68,7 +69,7 @@ def pick_views(lf: xr.DataArray, count: int) -> xr.DataArray:
     return lf.isel({axis: np.floor(middles * lf.sizes[axis]).astype(int) for axis in ("v", "u")})
 
 
-def view_mosaic(lf: xr.DataArray) -> np.ndarray:
+def view_mosaic(lf: xr.DataArray) -> Array:
     """Return the views side by side, arranged as on the pupil seen from behind the camera.
 
     Parameters
@@ -80,12 +81,12 @@ def view_mosaic(lf: xr.DataArray) -> np.ndarray:
     -------
     (v t, u s[, 3]) array
     """
-    values = np.asarray(require_light_field(lf).values)
+    values = require_light_field(lf).values
     v, u, t, s = values.shape[:4]
     return values.swapaxes(1, 2).reshape(v * t, u * s, *values.shape[4:])
 
 
-def lens_mosaic(lf: xr.DataArray) -> np.ndarray:
+def lens_mosaic(lf: xr.DataArray) -> Array:
     """Return the samples of each lens together, as on a detector with an integer number of pixels per lens.
 
     Parameters
@@ -97,7 +98,7 @@ def lens_mosaic(lf: xr.DataArray) -> np.ndarray:
     -------
     (t v, s u[, 3]) array
     """
-    values = np.asarray(require_light_field(lf).values)
+    values = require_light_field(lf).values
     v, u, t, s = values.shape[:4]
     return values.transpose(2, 0, 3, 1, *range(4, values.ndim)).reshape(t * v, s * u, *values.shape[4:])
 

@@ -23,7 +23,7 @@ from ..errors import InputError, refuse_if, short_repr, warn
 from ..io import Capture, recording_of, require_demosaiced
 from ..optics import second_leg
 from ..rays import Passage, Walk, detector_rows, even_steps
-from ..runtime import Floats, array_module, as_pixels, fft, require_memory
+from ..runtime import Array, Floats, array_module, as_pixels, fft, require_memory
 from .grid import LensGrid, lens_indices, lens_numbers, lens_types, micro_image_centres
 
 # Samples that see less of the pupil than this, or whose lens is darker, are left out: dividing by so little would only
@@ -75,7 +75,7 @@ class PupilFraction:
         self._half = half
         self.reach = half * self._step
 
-    def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def __call__(self, x: Array, y: Array) -> Array:
         """Return the fraction for pixels that see (-x, -y) of the pupil plane through their lens's centre."""
         x, y = (np.asarray(axis) / self._step + self._half for axis in (x, y))
         last = 2 * self._half - 1
@@ -88,7 +88,7 @@ class PupilFraction:
         return low * (1 - fy) + (table[index + size] * (1 - fx) + table[index + size + 1] * fx) * fy
 
 
-def _square_in_aperture(half: int, samples: int, aperture: Opening, radius: float) -> np.ndarray:
+def _square_in_aperture(half: int, samples: int, aperture: Opening, radius: float) -> Array:
     """Return the mean power over the pixel around each step (-x, -y) of `_table`, for a pupil of a radius in pixels."""
     finer = 2 * max(1, min(8, _WIDEST // (2 * half + samples)) // 2)
     position = ((np.arange((2 * half + samples) * finer) + 0.5) / finer - half) / samples - 0.5
@@ -100,7 +100,7 @@ def _square_in_aperture(half: int, samples: int, aperture: Opening, radius: floa
     return np.asarray(means)
 
 
-def _square_in_disc(x: np.ndarray, y: np.ndarray, radius: float) -> np.ndarray:
+def _square_in_disc(x: Array, y: Array, radius: float) -> Array:
     """Return the fraction of a unit square centred at (x, y) within a disc of this radius about the origin."""
     x, y = np.broadcast_arrays(x, y)
     distance = np.hypot(x, y)
@@ -112,7 +112,7 @@ def _square_in_disc(x: np.ndarray, y: np.ndarray, radius: float) -> np.ndarray:
     return fraction
 
 
-def _disc_below(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _disc_below(x: Array, y: Array) -> Array:
     """Return the area of the unit disc's points whose coordinates are less than x and y."""
     x, y = x.clip(-1, 1), y.clip(-1, 1)
     half = np.sqrt(1 - y * y)
@@ -121,7 +121,7 @@ def _disc_below(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.asarray(within + y * (middle + half) + np.where(y > 0, 2 * (_half_disc(x) - within), 0))
 
 
-def _half_disc(x: np.ndarray) -> np.ndarray:
+def _half_disc(x: Array) -> Array:
     """Return the area of the upper half of the unit disc up to x."""
     return np.asarray((x * np.sqrt(1 - x * x) + np.arcsin(x)) / 2 + np.pi / 4)
 
@@ -139,7 +139,7 @@ _RAYS = 32
 _log = logging.getLogger(__name__)
 
 
-def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.ndarray:
+def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
     """Return the capture of a scene of uniform radiance 1, computed by rays.
 
     Behind a thin main lens the value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds.
@@ -219,12 +219,12 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
 
 
 def recorded_white(
-    white: Capture | np.ndarray,
+    white: Capture | Array,
     shape: tuple[int, ...],
     cameras: Sequence[PlenopticCamera],
-    computed: np.ndarray | None = None,
-    lenses: tuple[np.ndarray, np.ndarray] | None = None,
-) -> np.ndarray:
+    computed: Array | None = None,
+    lenses: tuple[Array, Array] | None = None,
+) -> Array:
     """Return a recorded white image, (rows, columns, channels), in units of its radiance if the computed one is given.
 
     The radiance of a channel is the median of recorded over computed light among the quarter of the lenses that is
@@ -342,7 +342,7 @@ def clear(camera: PlenopticCamera) -> PlenopticCamera:
     )
 
 
-def open_fraction(white: Floats, alone: np.ndarray | None = None) -> Floats:
+def open_fraction(white: Floats, alone: Array | None = None) -> Floats:
     """Return the fraction of the pupil that samples see by a recorded white, both (rows, columns, v, u).
 
     A sample that is not of one lens `alone` sees none of it; without that mask, one beyond the ellipse of the views.
@@ -374,7 +374,7 @@ def open_fraction(white: Floats, alone: np.ndarray | None = None) -> Floats:
     return fraction
 
 
-def divide_by_white(light: Floats, white: Floats, weight: Floats, alone: np.ndarray | bool = True) -> None:
+def divide_by_white(light: Floats, white: Floats, weight: Floats, alone: Array | bool = True) -> None:
     """Divide samples in place by their white; all three are set to 0 where a sample is not of one lens `alone`.
 
     So they are where samples see too little of the pupil, or their lens is too dark.
@@ -453,7 +453,7 @@ class _Fractions:
         ]
         self.half = math.ceil(max(pixels))
 
-    def __call__(self, lens_type: np.ndarray, height: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def __call__(self, lens_type: Array, height: Array, x: Array, y: Array) -> Array:
         """Return the fractions (n, rows, columns) of lenses at pupil positions x (n, columns), y (n, rows)."""
         fraction = np.zeros((len(x), y.shape[1], x.shape[1]), dtype=np.float32)
         kinds, kind_index = np.unique(np.stack([lens_type, np.round(height / self._step)]), axis=1, return_inverse=True)

@@ -39,7 +39,8 @@ class WaveAccuracy:
     most_shift: float = 0.3  # largest displacement in pixels by the pupil's diffraction beyond `most_phase`
     # Width of openings in wavelengths below which kernels lack more than 3 % of the light, or have far too much.
     narrowest_opening: float = 10.0
-    overlap_nodes: int = 4  # Gauss-Legendre nodes, per direction and side, of mean overlaps around a table node
+    # Points of the Fibonacci lattice by which overlaps around a table node are averaged, and its step.
+    overlap_points: tuple[int, int] = (89, 55)
     least_transmission: float = 0.01  # of an apodised pupil in its overlaps, which are divided by it
 
     # Fields behind single lenses
@@ -49,10 +50,14 @@ class WaveAccuracy:
     most_phase: float = 8.0
 
     # Functions over a lens, and their kernels
-    spectrum_samples: int = 256  # samples across a lens for the Fourier coefficients of its functions
+    function_samples: int = 192  # samples across a lens for the Fourier coefficients of its functions
+    spectrum_samples: int = 256  # the same for polynomials where rays land by their own points
     higher_degrees: int = 4  # combined degrees above that whose polynomials are as many as the functions
     coarse_points: int = 48  # points across an aperture for which the functions are the best
-    coarse_lags: int = 16  # lags on either side for which they are the best
+    coarse_lags: int = 16  # lags on either side, at most, for which they are the best
+    # Samples across an aperture for these lags, and for the changes of kernels with the direction of light; other
+    # kernels have twice `pitch_lags` across the pitch.
+    coarse_samples: int = 96
     missing_functions: float = 0.75  # part that may be missing for want of functions, over the tolerance
     # Lags per pitch of lenses' transfer functions; the phases of twice as many points differ by a tenth of a period.
     pitch_lags: int = 64

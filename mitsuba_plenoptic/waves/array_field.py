@@ -18,19 +18,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..array import Lattice
 from ..camera import PlenopticCamera
 from ..fields import Kind, LensKinds, aperture_points
 from ..optics import in_millimetres
-from ..runtime import Doubles
+from ..runtime import Array, Doubles
 from .accuracy import USUAL
 
-Array = NDArray[Any]
 Pair = tuple[Doubles, Doubles]
 
 

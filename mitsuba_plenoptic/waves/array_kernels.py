@@ -15,6 +15,7 @@ Fields behind the lenses are those of `array_field`.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,11 +26,24 @@ from numpy.typing import NDArray
 
 from ..fields import Kind
 from ..optics import in_millimetres
-from ..runtime import Doubles, Floats, Integers, exponents, fft, on_all_cores, require_memory, single_threaded_blas
+from ..runtime import (
+    Doubles,
+    Flags,
+    Floats,
+    Integers,
+    exponents,
+    fft,
+    on_all_cores,
+    require_memory,
+    single_threaded_blas,
+)
 from .accuracy import USUAL
 from .array_field import LensWaves
 from .lens_functions import LensFunctions, of_middles
 from .oblique import Oblique, changes, directions, terms
+
+_PRODUCTS = 2**17
+"""Count of products of pairs that are computed at a time, so that these fit into a cache."""
 
 REACH = 2.5
 """Distance in microlens pitches to which kernels are computed."""
@@ -62,7 +76,7 @@ class ArrayKernels(LensWaves):
     @single_threaded_blas()
     def functions(self) -> LensFunctions:
         """Functions of a ray's point on a lens; polynomials of some degree if landing points depend on these points."""
-        u, v, inside = self.aperture_grid(USUAL.spectrum_samples)
+        u, v, inside = self.aperture_grid(USUAL.spectrum_samples if self.lands_by_point else USUAL.function_samples)
         higher = 0 if self.lands_by_point or self.degree == 0 else USUAL.higher_degrees
         scale = float(self.lattice.aperture_reach)
         polynomials = LensFunctions.polynomials(u[inside], v[inside], self.degree + higher, scale)
@@ -93,7 +107,7 @@ class ArrayKernels(LensWaves):
         cosines = self._cosines()
         largest = float(np.hypot(*cosines.T).max())
         # Small apertures fall between the points of a grid that is as fine for all.
-        u, v, inside = self.aperture_grid(max(USUAL.coarse_lags, self._samples_of(USUAL.coarse_points)))
+        u, v, inside = self.aperture_grid(self._samples_of(USUAL.coarse_points))
         kinds = self.kinds[: len(camera.mla_focal_lengths)]
         # Kernels of steep light change with its direction as polynomials of degree 4.
         edge = max(float(self.lattice.aperture_reach) / kind.distance for kind in self.kinds)
@@ -122,7 +136,7 @@ class ArrayKernels(LensWaves):
         """Covariance of the values of an image's rays, for light with random edges from all directions."""
         functions = self.functions
         oblique = self.oblique
-        u, v, inside = self.aperture_grid(USUAL.coarse_lags)
+        u, v, inside = self.aperture_grid(USUAL.coarse_points // 2)
         light = functions.light(u[inside], v[inside])
         across, up = self._cosines().T / oblique.largest
         expected = np.transpose(terms(across, up, oblique.degree))
@@ -153,14 +167,20 @@ class ArrayKernels(LensWaves):
         scale = in_millimetres(self.wavelength) * kind.distance
         fine = self.lattice.pitches[0] / USUAL.pitch_lags
         farthest = min(2 * USUAL.pitch_lags, int(scale / (2 * self.camera.pixel_size * fine)))
-        stride = max(1, farthest // USUAL.coarse_lags)
-        lags = np.arange(-USUAL.coarse_lags, USUAL.coarse_lags + 1) * stride
-        weights = np.sinc(lags * (fine * self.camera.pixel_size / scale))
-        transfer = self._transfer(USUAL.coarse_lags, stride, kind, polynomials, coefficients, cosines)
+        count = USUAL.coarse_lags
+        step = fine * max(1, farthest // count)
+        if count * step <= float(self.lattice.aperture_width):
+            # Half as many are close enough for the aperture, and for the period of kernels.
+            count //= 2
+            step *= 1 + (farthest > count)
+        weights = np.sinc(np.arange(-count, count + 1) * (step * self.camera.pixel_size / scale))
+        transfer = self._transfer(
+            count, step, self._samples_of(USUAL.coarse_samples), kind, polynomials, coefficients, cosines
+        )
         spectra = transfer * (weights[:, None] * weights)
         return np.concatenate([spectra.real, spectra.imag], axis=1).reshape(len(spectra), -1)
 
-    def aperture_grid(self, samples: int) -> tuple[Doubles, Doubles, NDArray[np.bool_]]:
+    def aperture_grid(self, samples: int) -> tuple[Doubles, Doubles, Flags]:
         """Return coordinates of a grid around a lens, in the frame of the lattice, and a mask of its aperture."""
         reach = float(self.lattice.cell_reach)
         count = 2 * math.ceil(reach * samples / self.lattice.pitches[0])
@@ -230,7 +250,8 @@ class ArrayKernels(LensWaves):
         stride, farthest, count = samples
         functions = self.functions
         oblique = self.oblique
-        transfer = self._transfer(farthest, stride, self.kinds[kind], functions, functions.duals)
+        lag = self.lattice.pitches[0] / USUAL.pitch_lags * stride
+        transfer = self._transfer(farthest, lag, 2 * USUAL.pitch_lags, self.kinds[kind], functions, functions.duals)
         kernels = self._placed(transfer, stride, step, count, kind)
         if not oblique.count:
             return kernels
@@ -241,7 +262,8 @@ class ArrayKernels(LensWaves):
             [
                 self._transfer(
                     farthest // coarser,
-                    stride * coarser,
+                    lag * coarser,
+                    self._samples_of(USUAL.coarse_samples),
                     self.kinds[kind],
                     functions,
                     functions.duals @ combination.T,
@@ -318,7 +340,8 @@ class ArrayKernels(LensWaves):
     def _transfer(
         self,
         farthest: int,
-        stride: int,
+        lag: float,
+        samples: int,
         kind: Kind,
         polynomials: LensFunctions,
         coefficients: Doubles,
@@ -326,13 +349,14 @@ class ArrayKernels(LensWaves):
     ) -> NDArray[np.complex64]:
         """Return the integrals over a cell of combinations of polynomials, times T T*, at lags along y and x.
 
-        Along either axis there are `farthest` lags on either side, `stride` steps of the pitch over `pitch_lags`
-        apart, and two points for each step. `coefficients` (polynomials, n) define the combinations. Light has given
-        direction cosines.
+        Along either axis there are `farthest` lags on either side, multiples of `lag` in mm, and at least a number of
+        samples across the pitch. `coefficients` (polynomials, n) define the combinations. Light has given direction
+        cosines.
         """
         lattice = self.lattice
-        # A lag of whole steps moves both points of a pair to points of the grid.
-        step = lattice.pitches[0] / USUAL.pitch_lags / 2
+        # A lag of whole strides moves both points of a pair to points of the grid.
+        stride = math.ceil(lag / 2 * samples / lattice.pitches[0] - 1e-6)
+        step = lag / 2 / stride
         # Samples count in part up to one beyond the cell, which with them is wider by two samples.
         reach = math.ceil(lattice.cell_reach * (1 / step + 2 / lattice.pitches[0])) + farthest * stride
         along = (np.arange(-reach, reach) + 0.5) * step
@@ -354,11 +378,11 @@ class ArrayKernels(LensWaves):
         weight = np.zeros((*open_.shape, coefficients.shape[1]), np.float32)
         weight[open_] = share[open_, None] * (values @ exact)
         weight = weight[top:bottom, left : left + width]
-        across, up = (self._symmetry(T, weight, axis) for axis in (1, 0))
+        across, up, around = (self._symmetry(T, weight, axes) for axes in (1, 0, (0, 1)))
         real = imaginary = np.ones(coefficients.shape[1], bool)
-        if across is not None and up is not None:
+        if around is not None:
             # Opposite points give conjugate products: half of the lens gives the real or the imaginary part.
-            real = np.ravel(across == up)
+            real = np.ravel(around > 0)
             imaginary = ~real
             bottom = (top + bottom) // 2
             weight = 2 * weight[: bottom - top]
@@ -369,21 +393,27 @@ class ArrayKernels(LensWaves):
         # One symmetry gives the lags on one side from those on the other.
         first = 0 if across is None and up is None else farthest
         result = np.zeros((coefficients.shape[1], count, count), np.complex64)
-        # Views (column, row, place) of T, from each column on.
-        lines = np.lib.stride_tricks.sliding_window_view(T, width, axis=1).transpose(1, 0, 2)
-        lines = lines[left - most : left + most + 1 : stride]
-        after = lines[first:]
-        before = lines[::-1][first:]
+        # Views (column, row, place) of the real and the imaginary part of T, from each column on.
+        lines = [
+            np.lib.stride_tricks.sliding_window_view(T_part.copy(), width, axis=1).transpose(1, 0, 2)
+            for T_part in (T.real, T.imag)
+        ]
+        lines = [line[left - most : left + most + 1 : stride] for line in lines]
+        few = max(1, _PRODUCTS // ((bottom - top) * width))
 
         def integrate(lags: Integers) -> None:
-            product = np.empty((count - first, bottom - top, width), np.complex64)
-            for lag in lags.tolist():
+            for lag, start in itertools.product(lags.tolist(), range(first, count, few)):
+                columns = slice(start, min(start + few, count))
                 b = lag * stride
-                np.conjugate(before[:, top - b : bottom - b], out=product)
-                product *= after[:, top + b : bottom + b]
-                flat = product.reshape(len(product), -1)
-                result.real[real, farthest + lag, first:] = (flat.real @ weights[0]).T
-                result.imag[imaginary, farthest + lag, first:] = (flat.imag @ weights[1]).T
+                shape = columns.stop - start, -1
+                after = [line[columns, top + b : bottom + b] for line in lines]
+                before = [line[::-1][columns, top - b : bottom - b] for line in lines]
+                if real.any():
+                    product = (after[0] * before[0] + after[1] * before[1]).reshape(shape)
+                    result.real[real, farthest + lag, columns] = (product @ weights[0]).T
+                if imaginary.any():
+                    product = (after[1] * before[0] - after[0] * before[1]).reshape(shape)
+                    result.imag[imaginary, farthest + lag, columns] = (product @ weights[1]).T
 
         on_all_cores(integrate, np.array_split(np.arange(farthest + 1), fft.worker_count()))
         other_side = result[:, farthest:, :farthest:-1]
@@ -397,8 +427,8 @@ class ArrayKernels(LensWaves):
         return np.asarray(result / np.float32(measure.sum()))
 
     @staticmethod
-    def _symmetry(T: NDArray[Any], weight: Floats, axis: int) -> Floats | None:
-        """Return 1 for weights that are even, and -1 for odd ones, along an axis along which T is even; otherwise None.
+    def _symmetry(T: NDArray[Any], weight: Floats, axis: int | tuple[int, int]) -> Floats | None:
+        """Return 1 for weights that are even, and -1 for odd ones, along axes along which T is even; otherwise None.
 
         Shapes: the result (n, 1, 1), `weight` (rows, columns, n).
         """

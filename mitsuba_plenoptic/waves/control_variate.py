@@ -14,7 +14,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ..lenses import Pair
+from ..runtime import Pair
 
 
 def means_of_halves(values: list[Any], valid: Any, count: int, rays: int) -> tuple[list[Pair], Any]:

@@ -18,13 +18,11 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, shortest_parts, with_parts
-from ..runtime import Doubles, on_all_cores
+from ..runtime import Array, Doubles, on_all_cores
 from .phase_space import PhaseSpace, Table
 
 OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distance", "detector_width")
@@ -33,8 +31,6 @@ OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distanc
 _KERNEL_STEP = 1e-3
 _TABLE_STEP = 2e-2
 """Relative steps of finite differences of kernels, and of coefficient tables, whose sampled overlaps need more."""
-
-Array = NDArray[Any]
 
 
 def nearby(camera: PlenopticCamera, names: Sequence[str], accuracy: float) -> PlenopticCamera:

@@ -28,7 +28,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..runtime import Doubles, drjit_array, monomials, on_all_cores, single_threaded_blas
+from ..runtime import Doubles, Pair, drjit_array, monomials, on_all_cores, single_threaded_blas
 from .accuracy import USUAL
 from .lens_functions import edge_covariance, even_polynomials
 from .pupil_samples import PupilSamples, along, means, spread_points
@@ -62,7 +62,7 @@ class PupilFunctions:
     def values(self, x: Doubles, y: Doubles, shares: Doubles) -> Doubles:
         """Return the values (points, functions) at points, whose shares are an array (shares, points)."""
         terms = np.stack(monomials(x, y, self.exponents), -1)
-        return np.asarray(np.concatenate([share[:, None] * terms for share in shares], 1) @ self.combined)
+        return np.concatenate([share[:, None] * terms for share in shares], 1) @ self.combined
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class FittedPupil:
         density = (1 - CLOSED) * densities[0] + CLOSED * densities[1]
         return [*places, *(dr.select(density > 0, share_of_density / density, 0) for share_of_density in densities)]
 
-    def _boxed(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def _boxed(self, x: Any, y: Any) -> Pair:
         """Return coordinates in the box around the open parts, from -1 to 1."""
         boxed = []
         for axis, coordinate in enumerate((x, y)):
@@ -168,7 +168,7 @@ class FittedPupil:
         # The other half plane of frequencies has the conjugate spectrum.
         combined = ((along_y * np.where(y > 0, 2, 1)) @ self._spectra @ along_x.T).real / USUAL.unit_frequencies**2
         fall = (np.hypot(places, places[:, None]) / (USUAL.unit_frequencies / 2) - USUAL.taper) / (1 - USUAL.taper)
-        return np.asarray(combined * np.cos(np.pi / 2 * np.clip(fall, 0, 1)) ** 2)
+        return combined * np.cos(np.pi / 2 * np.clip(fall, 0, 1)) ** 2
 
     @cached_property
     def _spectra(self) -> NDArray[np.complex128]:
@@ -209,7 +209,7 @@ class FittedPupil:
             model = np.concatenate([others.real, others.imag], 2)
             target = np.concatenate([weight * (ahead + behind).T, -1j * weight * (ahead - behind).T], 1) / 2
             solution = np.linalg.solve(model @ model.transpose(0, 2, 1) + noise, model @ target[..., None])
-            return np.asarray(solution[..., 0].T)
+            return solution[..., 0].T
 
         return np.stack(on_all_cores(fitted, range(len(frequencies[0]))), 1)
 

@@ -36,7 +36,17 @@ from ..camera import PlenopticCamera, Round
 from ..errors import InputError, short_repr
 from ..fields import OpticalSystem, opaque_lattice
 from ..optics import in_millimetres
-from ..runtime import Floats, begin_step, drjit_array, empty_packets, monomials, on_all_cores, single_threaded_blas
+from ..runtime import (
+    Floats,
+    Pair,
+    begin_step,
+    drjit_array,
+    empty_packets,
+    fft,
+    monomials,
+    on_all_cores,
+    single_threaded_blas,
+)
 from .accuracy import FINER, USUAL
 from .array_kernels import ArrayKernels
 
@@ -170,7 +180,7 @@ class PhaseSpace(ArrayKernels):
         oversampling = USUAL.oversampling * (1 + (unit > USUAL.wide_unit * pitch))
         nodes = []
         for index in range(self.radial + 1):
-            distance, inner = (radius * (1 - (1 - max(r, 0) / self.radial) ** 2) for r in (index, index - 1))
+            distance, inner = (self._distance(max(r, 0)) for r in (index, index - 1))
             spread = USUAL.window_spreads * reach / max(radius - distance, 1e-9 * radius)
             least = (USUAL.least_window - (spread <= USUAL.narrow_spread * unit)) * unit
             width = min(self.window * unit, max(least, unit + spread))
@@ -180,7 +190,8 @@ class PhaseSpace(ArrayKernels):
             step = max(step, pitch / USUAL.most_samples)
             # Between adjacent nodes the farthest points move by half a unit.
             angular = math.ceil(math.pi / 2 * max(sides) / unit)
-            nodes.append(TableNode(sides, tuple(math.ceil(side / step) for side in sides), angular))
+            counts = fft.fast_length(sides[0] / step), fft.fast_length(sides[1] / step)
+            nodes.append(TableNode(sides, counts, angular))
         return nodes
 
     @property
@@ -222,86 +233,89 @@ class PhaseSpace(ArrayKernels):
     def tabulated(self, table: Table | None = None) -> Sequence[NDArray[Any]]:
         """Return the arrays of the table of coefficients, computed anew in single precision, or in a given table."""
         arrays = [np.empty(shape, np.float32) for shape in self.shapes] if table is None else table
-        radius = self.camera.pupil_radius
         reach = in_millimetres(self.wavelength) * self.camera.pupil_distance
-        u, v, inside = self.aperture_grid(USUAL.spectrum_samples)
-        around = np.ix_(*(np.flatnonzero(inside.any(axis)) for axis in (1, 0)))
-        u = u[around]
-        v = v[around]
-        inside = inside[around]
         functions = self.functions
-        values = np.where(inside[..., None], functions.values(u, v) @ functions.functions, 0) * (u[0, 1] - u[0, 0]) ** 2
+        # Functions are even or odd along both axes: their values over a quarter of the aperture give all coefficients.
+        grids: tuple[Any, ...] = self.aperture_grid(USUAL.function_samples)
+        u, v, inside = (grid[len(grid) // 2 :, len(grid) // 2 :] for grid in grids)
+        spacing = 2 * u[0, 0]
+        values = np.where(inside[..., None], functions.values(u, v) @ functions.functions, 0) * (2 * spacing) ** 2
+        values = np.moveaxis(values, -1, 0).astype(np.float32)
+        odd_u, odd_v = np.array(functions.odd).T[..., None, None]
 
         def fill(radial: int) -> None:
             node = self.nodes[radial]
-            coefficients = arrays[radial]
             # Fourier coefficients over the window, for the frequencies that pass the pupil.
+            products = values
             gains = []
-            orders = []
             lags = []
-            for side, count, along, halved in zip(node.sides, node.counts, (u[0], v[:, 0]), (0, 1), strict=True):
-                most = (count - 1) // 2
+            inner = self._distance(max(radial - 1, 0))
+            for axis, along, odd in ((0, u[0], odd_u), (1, v[:, 0], odd_v)):
+                side = node.sides[axis]
+                count = node.counts[axis]
+                most = min((count - 1) // 2, int(2 * math.sqrt(self.camera.pupil_radius**2 - inner**2) * side / reach))
                 # Opposite frequencies give conjugate parts: those of half the plane stand for both.
-                order = np.arange(0 if halved else -most, most + 1)
+                order = np.arange(most + 1)
+                angles = 2 * np.pi / side * np.outer(along, order)
+                waves = np.where(odd, *(f(angles).astype(np.float32) for f in (np.sin, np.cos)))
+                products = np.swapaxes(products @ waves, 1, 2)
+                if axis:
+                    order = np.concatenate([order, -order[:0:-1]])
+                    mirrored = products[:, :0:-1] * np.where(odd, np.float32(-1), np.float32(1))
+                    products = np.concatenate([products, mirrored], axis=1)
                 # Samples are in the middle of cells. The gain compensates the damping by linear interpolation.
                 phases = np.exp(np.pi * 1j * order * (1 / count - 1)) * np.sinc(order / count) ** -2 * count / side
-                gains.append(phases.astype(np.complex64))
-                orders.append(np.exp(-2j * np.pi * np.outer(order, along) / side).astype(np.complex64))
+                gains.append(phases * np.sinc(order * (spacing / side)))
                 lags.append(np.asarray(order * (reach / side), np.float32))
-            spectra = np.einsum("ay,yxn,bx->nba", orders[1], values.astype(np.float32), orders[0], optimize=True)
-            spectra *= gains[0][:, None] * gains[1]
-            size = node.counts
-            below = len(gains[0]) // 2
-            spectrum = np.zeros((functions.count, size[0], size[1] // 2 + 1), np.complex64)
+            factors = (-1j) ** (odd_u.astype(int) + odd_v) * gains[1][:, None] * gains[0]
+            spectra = products * factors.astype(np.complex64)
+            columns, rows = node.counts
+            most = len(lags[1]) // 2
+            ends = slice(most + 1), slice(-most or rows, None)
+            spectrum = np.zeros((functions.count, rows, len(lags[0])), np.complex64)
             for angle in range(node.angular + 1):
-                angle_step = math.pi / 2 / node.angular
-                passed = spectra * self._overlap(
-                    radial, angle * angle_step, angle_step, lags[0][:, None], lags[1], radius
-                )
-                spectrum[:, : below + 1, : passed.shape[2]] = passed[:, below:]
-                spectrum[:, size[0] - below :, : passed.shape[2]] = passed[:, :below]
-                coefficients[angle] = scipy.fft.irfft2(spectrum, size, workers=1).T
+                passed = self._overlap(radial, angle, lags[0], lags[1][:, None])
+                for end in ends:
+                    np.multiply(spectra[:, end], passed[end], out=spectrum[:, end])
+                lines = scipy.fft.ifft(spectrum, axis=1, workers=1)
+                image = scipy.fft.irfft(lines, columns, axis=2, workers=1, overwrite_x=True)
+                arrays[radial][angle] = np.moveaxis(image, 0, -1)
 
         on_all_cores(fill, range(len(self.nodes)))
         return arrays
 
-    def _overlap(
-        self, radial: int, angle: float, angle_step: float, lag_u: Floats, lag_v: Floats, radius: float
-    ) -> Floats:
+    def _distance(self, radial: Any) -> Any:
+        """Return the distance from the pupil's centre of a node of the radius, by index, or between nodes."""
+        return self.camera.pupil_radius * (1 - (1 - radial / self.radial) ** 2)
+
+    def _overlap(self, radial: int, angle: int, lag_u: Floats, lag_v: Floats) -> Floats:
         """Return O_P over the power at P, averaged over the part of the pupil for which interpolation uses a node."""
+        radius = self.camera.pupil_radius
         aperture = self.camera.aperture
-        even = self.camera.aperture == Round()
-        abscissae, weights = np.polynomial.legendre.leggauss(USUAL.overlap_nodes)
-        aside = (abscissae + 1) / 2
-        weights = weights * (1 - (abscissae + 1) / 2)
-        steps = np.concatenate([-aside, aside])
-        weights = np.concatenate([weights, weights])
-        limit = np.float32(radius**2) - (lag_u**2 + lag_v**2) / 4
-        total = np.zeros_like(limit)
-        scale = 0.0
-        for step, weight in zip(steps, weights, strict=True):
-            t = 1 - (radial + step) / self.radial
-            if not 0 <= t <= 1:
-                continue
-            distance = radius * (1 - t * t)
-            # The area element of a step of t; on the axis any value gives the same result.
-            area = weight * t * distance
-            for angle_part, share in zip(steps, weights, strict=True):
-                Pu, Pv = (np.float32(distance * f(angle + angle_part * angle_step)) for f in (math.cos, math.sin))
-                # Both points P + lag / 2 and P - lag / 2 are within the pupil.
-                both: Any = np.abs(Pu * lag_u + Pv * lag_v) <= limit - np.float32(distance**2)
-                power = 1.0
-                if not even:
-                    ends = [
-                        [(P + side * lag / 2) / radius for P, lag in ((Pu, lag_u), (Pv, lag_v))] for side in (1, -1)
-                    ]
-                    # Where no light passes, the light of what is tabulated is multiplied by 0.
-                    dark = USUAL.least_transmission
-                    both = both * np.sqrt(math.prod(np.maximum(aperture.power(*end), dark) for end in ends))
-                    power = max(float(aperture.power(Pu / radius, Pv / radius)), dark)
-                total += np.float32(area * share) * both
-                scale += area * share * power
-        return np.asarray(total / np.float32(scale))
+        # Points of a Fibonacci lattice, with the density of linear interpolation's weights along both axes.
+        count, step = USUAL.overlap_points
+        uniform = 2 * ((np.outer((1, step), np.arange(count)) + 0.5) / count % 1) - 1
+        aside, turned = (np.sign(uniform) * (1 - np.sqrt(1 - np.abs(uniform))))[..., None, None]
+        if radial in (0, self.radial):
+            # Nodes are on one side of those on the axis and at the rim.
+            aside = np.abs(aside) if radial == 0 else -np.abs(aside)
+        distance = self._distance(radial + aside)
+        direction = (angle + turned) * (math.pi / 2 / self.nodes[radial].angular)
+        # The area elements of steps of the node's index; on the axis any values give the same result.
+        area = ((self.radial - radial - aside) * distance).astype(np.float32)
+        Pu, Pv = ((distance * f(direction)).astype(np.float32) for f in (np.cos, np.sin))
+        # Both points P + lag / 2 and P - lag / 2 are within the pupil.
+        reached = np.abs(Pu * lag_u + Pv * lag_v)
+        reached += np.square(distance).astype(np.float32)
+        both: Any = reached <= np.float32(radius**2) - (lag_u**2 + lag_v**2) / 4
+        scale = area.sum()
+        if aperture != Round():
+            ends = [[(P + side * lag / 2) / radius for P, lag in ((Pu, lag_u), (Pv, lag_v))] for side in (1, -1)]
+            # Where no light passes, the light of what is tabulated is multiplied by 0.
+            dark = USUAL.least_transmission
+            both = both * np.sqrt(math.prod(np.maximum(aperture.power(*end), dark) for end in ends))
+            scale = (area * np.maximum(aperture.power(Pu / radius, Pv / radius), dark)).sum()
+        return np.asarray(np.tensordot(area.ravel() / scale, both.astype(np.float32), 1), np.float32)
 
     @property
     def widths(self) -> tuple[float, float]:
@@ -317,7 +331,7 @@ class PhaseSpace(ArrayKernels):
         most = FINER if fine or highest > USUAL.coarse_pixel else USUAL
         return min(math.ceil((FINER if fine else USUAL).cells * highest), most.most_cells)
 
-    def arguments(self, point: tuple[Any, Any], pupil: tuple[Any, Any]) -> list[Any]:
+    def arguments(self, point: Pair, pupil: Pair) -> list[Any]:
         """Return the numbers of which a ray's coefficients are polynomials: its point on a lens over the reach."""
         return [coordinate / self.functions.scale for coordinate in self.lattice.to_frame(*point)]
 
@@ -375,7 +389,7 @@ class TableNodes:
         self._radius = dr.opaque(mi.Float, plan.camera.pupil_radius)
         self._angular = drjit_array(mi.Float, np.array([node.angular for node in plan.nodes]))
 
-    def along(self, Pu: Any, Pv: Any, chance: Any) -> tuple[Any, Any]:
+    def along(self, Pu: Any, Pv: Any, chance: Any) -> Pair:
         """Return distances from the pupil's centre over its radius, and a random neighbouring node of the radius."""
         distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
         position = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * self._radial
@@ -467,15 +481,11 @@ class RayCoefficients:
         ]
         self._signs = drjit_array(mi.UInt32, np.array(quarters))
 
-    def __call__(
-        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
-    ) -> list[Any]:
+    def __call__(self, point: Pair, pupil: Pair, jitter: tuple[Any, Any, Any, Any], active: Any) -> list[Any]:
         """Return the coefficients of rays from points of a lens through points of the pupil."""
         return self.read(*self.places(point, pupil, jitter, active))
 
-    def places(
-        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
-    ) -> list[Any]:
+    def places(self, point: Pair, pupil: Pair, jitter: tuple[Any, Any, Any, Any], active: Any) -> list[Any]:
         """Return the places in the table of the coefficients of rays, for `read`; see `__call__`.
 
         Each ray takes one node of the table at random, so that the expectation is the linear interpolation between the
@@ -517,7 +527,7 @@ class RayCoefficients:
         ]
 
     def slopes(
-        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
+        self, point: Pair, pupil: Pair, jitter: tuple[Any, Any, Any, Any], active: Any
     ) -> tuple[list[Any], list[Any]]:
         """Return the derivatives of the coefficients by the point, along the lattice's axes; see `__call__`."""
         Pu, Pv = self._lattice.to_frame(*pupil)
@@ -544,11 +554,11 @@ class Polynomials:
         self.plan = plan
         self.layout: tuple[Any, ...] = (plan.functions.scale,)
 
-    def __call__(self, point: tuple[Any, Any], pupil: Any, jitter: Any, active: Any) -> list[Any]:
+    def __call__(self, point: Pair, pupil: Any, jitter: Any, active: Any) -> list[Any]:
         """Return the values of the polynomials."""
         return self.read(*self.places(point, pupil, jitter, active))
 
-    def places(self, point: tuple[Any, Any], pupil: Any, jitter: Any, active: Any) -> list[Any]:
+    def places(self, point: Pair, pupil: Any, jitter: Any, active: Any) -> list[Any]:
         """Return the arguments of the polynomials, for `read`."""
         return list(self.plan.arguments(point, pupil))
 

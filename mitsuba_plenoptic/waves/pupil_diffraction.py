@@ -38,9 +38,8 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import WAVEFRONT_UNIT, refuse_if
 from ..fields import OpticalSystem
-from ..lenses import Pair
 from ..optics import in_millimetres
-from ..runtime import Doubles, single_threaded_blas
+from ..runtime import Doubles, Pair, single_threaded_blas
 from .accuracy import FINER, USUAL
 from .fitted_pupil import FittedPupil, PupilFunctions
 from .lens_functions import LensFunctions, even_polynomials, of_middles

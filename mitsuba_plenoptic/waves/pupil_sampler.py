@@ -16,9 +16,8 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..lenses import Pair
 from ..rays import CHIEF, Ray, Walk, chances_of, low_discrepancy
-from ..runtime import Doubles
+from ..runtime import Doubles, Pair
 from .fitted_pupil import CLOSED
 from .pupil_diffraction import PupilDiffraction
 from .ray_sampler import ORDER, CellLenses, DetectorGrid, Pixels, RaySamples, tent

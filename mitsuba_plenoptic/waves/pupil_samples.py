@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from ..camera import Opening
 from ..errors import WAVEFRONT_UNIT
 from ..lenses import Wavefront
 from ..optics import in_millimetres
-from ..runtime import Doubles
+from ..runtime import Array, Doubles
 from .accuracy import USUAL
 
 
@@ -56,10 +55,10 @@ def along(count: int) -> Doubles:
     return np.linspace(1 / count - 1, 1 - 1 / count, count)
 
 
-def means(values: NDArray[Any], count: int) -> NDArray[Any]:
+def means(values: Array, count: int) -> Array:
     """Return the means over `count` x `count` samples of values on a grid that divides these."""
     finer = len(values) // count
-    return np.asarray(values.reshape(count, finer, count, finer).mean((1, 3)))
+    return values.reshape(count, finer, count, finer).mean((1, 3))
 
 
 def spread_points(density: Doubles) -> tuple[Doubles, Doubles]:

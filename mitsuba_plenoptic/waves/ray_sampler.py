@@ -20,10 +20,9 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..fields import LensKinds, opaque_lattice
-from ..lenses import Pair
 from ..optics import in_millimetres, second_leg
 from ..rays import LensChoice, Ray, Walk, chances_of, low_discrepancy
-from ..runtime import Box, Doubles, Floats, drjit_array, quotient
+from ..runtime import Box, Doubles, Floats, Pair, drjit_array, quotient
 from .phase_space import PhaseSpace, TableNodes
 
 _AIRY = 1024
@@ -398,7 +397,7 @@ class LensPoints:
         self._sides = [drjit_array(mi.Float, sides) for sides in np.array([node.sides for node in plan.nodes]).T]
         self._rows, self._columns = (drjit_array(mi.Float, edges) for edges in (rows, columns))
 
-    def draw(self, pupil: tuple[Any, Any], chance: Any, random: Any) -> tuple[tuple[Any, Any], Any]:
+    def draw(self, pupil: Pair, chance: Any, random: Any) -> tuple[Pair, Any]:
         """Return points around lenses for rays to pupil points, and the reciprocals of their density over a lens."""
         lattice = self._lattice
         Pu, Pv = lattice.to_frame(*pupil)

@@ -28,11 +28,9 @@ import numpy as np
 from ..camera import Captures, PlenopticCamera, Use, Values, require_support, shortest_parts, with_gradient
 from ..errors import InputError, refuse_if
 from ..fields import LensKinds
-from ..lenses import Pair
 from ..optics import rays
 from ..rays import Walk
-from ..runtime import Doubles, drjit_array
-from .array_field import Array
+from ..runtime import Array, Doubles, Pair, drjit_array
 from .array_kernels import displaced
 from .expansion import OF_KERNELS, kernel_slopes, width_slopes
 from .phase_space import PhaseSpace, RayCoefficients

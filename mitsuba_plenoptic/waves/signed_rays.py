@@ -24,15 +24,17 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..lenses import Pair
 from ..rays import Walk, walks_of
 from ..runtime import (
+    Array,
     Box,
     Doubles,
+    Flags,
+    Pair,
     PartialSum,
+    Triple,
     active_backend,
     begin_step,
     count_lanes,
@@ -46,7 +48,6 @@ from ..runtime import (
     single_threaded_blas,
 )
 from ..scene import require_finite
-from .array_field import Array
 from .control_variate import at_rays, means_of_halves, of_other_half
 from .convolution import TILE, Block, Convolution, blocks_of, box_of, margin_of
 from .phase_space import coefficients_of
@@ -353,7 +354,7 @@ class SignedRaySum:
                     wavelengths = self._drawn_wavelengths(pairs, number, seed)
                     yield RayBatch(index, kind, pairs, wavelengths, of_pass, dr.width(index) / rays)
 
-    def _far(self, box: Box) -> NDArray[np.bool_]:
+    def _far(self, box: Box) -> Flags:
         """Return a mask (rows, columns) of the pixels of a box that are far from the recorded ones; see `_NEAR`."""
         window = box_of(self._camera, 0)
         near = _NEAR if self._parts > 1 else math.inf
@@ -560,7 +561,7 @@ class SignedRaySum:
         """Return sets of values of a ray for each function, and the known mean of the first one; None for 1."""
         return [(self._coefficients[node_index].read(*arguments), None)]
 
-    def _cells_of(self, pixels: Any) -> tuple[Any, Any, Any]:
+    def _cells_of(self, pixels: Any) -> Triple:
         """Return, for each cell of some pixels, its pixel and its first ray, among all rays and among the pixel's."""
         cells, spp, together = (dr.opaque(mi.UInt32, n) for n in (self._parts**2, self._spp, self._together))
         lane = dr.arange(mi.UInt32, dr.width(pixels) * self._parts**2)

@@ -64,7 +64,7 @@ OF_RAYS = "a ray capture does not take it"
         ("views {raw} -o {out}.png --view-count 3", "--view-count = 3: of no use for"),
         ("views {raw} -o {out}.exr --scale 2", "--scale 2: it is for plain pictures (.png, .gif), without"),
         ("views {raw} -o {out}.pdf --dpi 600", "--dpi 600: it is for figures in .png; the output is "),
-        ("sheet {raw} -o {out}.pdf --dpi 600", "--dpi 600: it is for .png; the output is "),
+        ("sheet {raw} -o {out}.pdf --dpi 600", "--dpi 600: it is for figures in .png; the output is "),
         ("views {raw} -o {out}.png --dpi 1", "dpi = 1: it must be at least 20"),
         ("views {raw} -o {out}.gif --figure", "--figure: it is for .png and .pdf; the output is "),
         ("epi {raw} -o {out}.png --axis horizonal", "axis = 'horizonal': .*did you mean horizontal?"),

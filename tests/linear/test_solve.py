@@ -73,6 +73,27 @@ def test_dim_areas_stay_as_bright_as_they_are():
         assert found[:10].mean() == pytest.approx(0.05, abs=0.01)
 
 
+class Lobes(Blur):
+    """A response with negative lobes, as interpolation leaves them, of a blur without any."""
+
+    def __init__(self):
+        LinearMap.__init__(self, (400,), (400,))
+        away = np.abs(np.subtract.outer(np.arange(400), np.arange(400)))
+        self.blur = np.exp(-((away / 1.5) ** 2))
+        self.matrix = (self.blur - 1e-3 * np.exp(-(((away - 6) / 1.5) ** 2))).astype(np.float32)
+
+
+@pytest.mark.parametrize("iterations", [10, 31, 32])
+def test_lamps_in_the_dark_keep_their_light_with_a_response_that_is_a_thousandth_off(iterations):
+    """Ratios of what is dark to less than no light made accelerated steps swing between a half and more than all."""
+    operator = Lobes()
+    truth = np.zeros(400)
+    truth[[100, 200, 203]] = 1, 2, 1
+    steps = RichardsonLucy(operator, (operator.blur @ truth + 1e-3).astype(np.float32))
+    found = solve(steps, iterations=iterations, accelerate=True).point
+    assert found[97:104].sum() == pytest.approx(1, abs=0.005)
+
+
 def test_iteration_stops_at_the_noise():
     truth = np.linspace(1, 2, 20).astype(np.float32)
     truth[8] = 8

@@ -9,7 +9,7 @@ import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import estimate_reconstruction, reconstruct
 from mitsuba_plenoptic.refocus import api
 from mitsuba_plenoptic.runtime import progress
-from mitsuba_plenoptic.views import white_image
+from mitsuba_plenoptic.views import capture_white, white_image
 
 METHODS = [("ray", {}), ("coherent", {}), ("partial", {})]
 LONG = [
@@ -76,14 +76,21 @@ def test_long_work_says_its_time_and_memory(monkeypatch, caplog):
     assert caplog.text.count("takes about") == 1
 
 
+def test_whites_of_even_arrays_report_while_they_are_fitted():
+    camera = mp.PlenopticCamera(resolution=(128, 128), detector_width=0.512)
+    seen = []
+    capture_white(mp.Capture(white_image(camera), camera, 550.0, "wave"), 1, lambda done, of: seen.append(done / of))
+    assert seen == sorted(seen) and seen[-3:] == [0.5, 0.75, 1.0]
+
+
 def test_long_whites_of_waves_say_what_work_needs(monkeypatch, caplog):
     caplog.set_level("INFO", logger="mitsuba_plenoptic")
     monkeypatch.setattr(progress, "SETTLED", 0.0)
     monkeypatch.setattr(api, "_LONG", -1e9)
 
     def begun(_, report):
-        report(0.3)
-        report(0.6)
+        for done in (0.2, 0.4, 0.6):
+            report(done)
         raise InterruptedError
 
     monkeypatch.setattr(api, "computed_white", begun)

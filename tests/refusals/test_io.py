@@ -9,7 +9,7 @@ import tifffile
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, Detector, PlenopticCamera, expose, read_capture, write_capture, write_raw
 from mitsuba_plenoptic.exchange import read_picture
-from mitsuba_plenoptic.report.microlens_drawing import draw_microlens
+from mitsuba_plenoptic.report.plots import Plot
 from refusals import refused, refuses
 
 CAMERA = PlenopticCamera(detector_width=0.128, resolution=(64, 48), crop_offset=(8, 4), crop_size=(40, 32))
@@ -55,7 +55,7 @@ test_refused = refused(
             "capture: its values are no digital numbers of its detector",
         ),
         (lambda folder: write_raw(folder / "a.jpg", MOSAIC), "give a name that ends in .png or .tif or .tiff"),
-        (lambda folder: draw_microlens(folder / "lens.jpg", PlenopticCamera()), r"give a name that ends in \.png"),
+        (lambda folder: Plot(1, 1).save(folder / "lens.jpg"), r"give a name that ends in \.png or \.pdf"),
     ],
 )
 def test_files_that_cannot_be_written(write, words, tmp_path):

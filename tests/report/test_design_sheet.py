@@ -5,11 +5,9 @@ import math
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera, design
-from mitsuba_plenoptic.report.lens_drawing import lateral_colour
+from mitsuba_plenoptic.lenses import main_lens
+from mitsuba_plenoptic.report.lens_quality import field_figures
 from mitsuba_plenoptic.report.sheet import design_sheet
-
-LINE_C, LINE_F = 656.2725, 486.1327
-"""Fraunhofer's lines, in nanometres."""
 
 
 def values(camera, wavelength=None):
@@ -77,7 +75,7 @@ def test_lateral_colour_is_told_of_glasses_that_have_it():
     corner = math.hypot(camera.detector_width, camera.detector_height) / 2
     told = [float(row.value) for row in design_sheet(camera) if row.quantity == "lateral colour"]
     # In micrometres, at 0.7 of the field and in the corner.
-    expected = [1e3 * lateral_colour(camera, part * corner, (LINE_C, LINE_F)) for part in (0.7, 1)]
+    expected = [1e3 * field.colour for field in field_figures(main_lens(camera), [0.7 * corner, corner], 240, [])]
     assert told == pytest.approx(expected, rel=5e-3) and told[1] < -5
     surfaces = camera.prescription.to_plain()
     # A table that ends before line C, and an index that is the same for all.

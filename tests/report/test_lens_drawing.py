@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera
+from mitsuba_plenoptic import LensSystem, PlenopticCamera
 from mitsuba_plenoptic.array import ZoneLens
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.report.lens_drawing import draw_main_lens, field_figures, lateral_colour, ray_paths, spot
-from mitsuba_plenoptic.report.microlens_drawing import draw_microlens
-from mitsuba_plenoptic.report.plots import Plot
+from mitsuba_plenoptic.lenses import main_lens
+from mitsuba_plenoptic.report.lens_drawing import main_lens_figure
+from mitsuba_plenoptic.report.lens_quality import field_figures, ray_paths
+from mitsuba_plenoptic.report.microlens_drawing import microlens_figure
 
 LINE_C, LINE_F = 656.2725, 486.1327
 """Fraunhofer's lines, in nanometres."""
@@ -23,12 +24,13 @@ CAMERA = PlenopticCamera(main_lens="double_gauss", focal_length=80, aperture_rad
 
 @pytest.mark.parametrize("height", [0.0, 4.0])
 def test_paths_end_where_rays_leave_the_lens(height):
-    z, y = ray_paths(CAMERA, height, 5)
-    lens = LensSystem.of(CAMERA)
+    lens = main_lens(CAMERA)
+    z, y = ray_paths(lens, height, 5)
     slopes = (y[1] - y[0]) / (z[1] - z[0])
-    (_, last, front), _, is_open = lens.trace((0 * slopes, np.full(5, height)), (0 * slopes, slopes))
-    assert np.abs(last - y[-1]).max() < 1e-12 and np.abs(front - z[-1]).max() < 1e-12 and is_open.all()
+    (_, last, front), (_, turned), is_open = lens.trace((0 * slopes, np.full(5, height)), (0 * slopes, slopes))
+    assert np.abs(last - y[-2]).max() < 1e-12 and np.abs(front - z[-2]).max() < 1e-12 and is_open.all()
     assert z[0] == pytest.approx(np.full(5, lens.front - lens.scale * lens.numbers.length - lens.back_distance))
+    assert y[-1] == pytest.approx(last + turned * (z[-1] - front), rel=1e-12)
     # In air the lens stands between its vertices, where surfaces follow each other towards the scene.
     assert (np.diff(z, axis=0) > 0).all()
 
@@ -46,7 +48,7 @@ def test_paths_end_where_rays_leave_the_lens(height):
 def test_spots_and_light_are_those_of_a_dense_trace(changes, height):
     """From a point before the lens, through all that its first surface takes in; light by rays back to the scene."""
     camera = CAMERA.replace(**changes)
-    lens, g = LensSystem.of(camera), camera.focus_distance
+    lens, g = main_lens(camera), camera.focus_distance
     start, slope, _ = lens.trace((0.0, height), (0.0, float(lens.chief_slope(height))))
     seen = start[1] + (g - start[2]) * slope[1]
     # All rays pass this disc, twice as wide as the entrance pupil, about the chief ray where the pupil stands.
@@ -56,9 +58,9 @@ def test_spots_and_light_are_those_of_a_dense_trace(changes, height):
     y = y + start[1] + (depth - start[2]) * slope[1]
     (px, py), _, is_open, _ = lens.through((x, y, depth + 0 * x), (x / (depth - g), (y - seen) / (depth - g)))
     radius = np.sqrt(px[is_open].var() + py[is_open].var())
-    x, y = spot(camera, height, camera.main_lens.wavelength)
-    (figures,) = field_figures(camera, (height,))
-    assert figures.spot == np.sqrt(x.var() + y.var()) == pytest.approx(radius, rel=5e-3)
+    (figures,) = field_figures(lens, [height], g)
+    x, y, *_ = figures.rays[camera.main_lens.wavelength]
+    assert np.sqrt(x.var() + y.var()) == pytest.approx(radius, rel=5e-3)
     # Which way the image lies about the chief ray's place.
     assert y.mean() == pytest.approx(py[is_open].mean() - height, abs=0.01 * radius)
     exit_x, exit_y = random.uniform(-1.3 * camera.pupil_radius, 1.3 * camera.pupil_radius, (2, 400_000))
@@ -76,15 +78,12 @@ def test_lateral_colour_is_that_of_forward_rays():
         place, _, is_open, _ = lens.through(tuple(np.full(1, c) for c in point), slope)
         assert is_open.all()
         places.append(float(place[1][0]))
-    found = lateral_colour(camera, abs(places[0]), (LINE_C, LINE_F))
-    assert found == pytest.approx(abs(places[1]) - abs(places[0]), rel=0.02)
+    (figures,) = field_figures(main_lens(camera), [abs(places[0])], 240, [])
+    assert figures.colour == pytest.approx(abs(places[1]) - abs(places[0]), rel=0.02)
 
 
-def test_the_bar_of_a_drawing_is_as_long_as_it_says(tmp_path, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(Plot, "save", lambda plot, path: drawn.append(plot))
-    draw_main_lens(tmp_path / "lens.png", CAMERA)
-    axes = drawn[0].axes[0]
+def test_the_bar_of_a_drawing_is_as_long_as_it_says():
+    axes = main_lens_figure(main_lens(CAMERA), 240).axes[0]
     bar = axes.patches[-1].get_window_extent()
     glass, array = (axes.lines[index].get_xdata()[0] for index in (0, -1))
     pixels = abs(np.subtract(*axes.transData.transform([(glass, 0), (array, 0)])[:, 0]))
@@ -94,8 +93,9 @@ def test_the_bar_of_a_drawing_is_as_long_as_it_says(tmp_path, monkeypatch):
 
 
 def test_figures_see_pupils_that_grow_off_the_axis():
-    (edge,) = field_figures(PlenopticCamera.preset("phone"), (1.96,))
+    edge, dark = field_figures(main_lens(PlenopticCamera.preset("phone")), [1.96, 4.0], 1000, frequencies=[10])
     assert 1.35 < edge.light < 1.5 and abs(edge.distortion) < 0.01
+    assert dark.light == 0 and dark.colour is None and np.isnan([dark.distortion, *dark.transfer[:, 0]]).all()
 
 
 def test_a_drawing_is_made(tmp_path, capsys):
@@ -106,16 +106,15 @@ def test_a_drawing_is_made(tmp_path, capsys):
     with Image.open(picture) as image:
         pixels = np.asarray(image.convert("L"))
     assert pixels.shape[0] > 500 and (pixels < 128).mean() > 0.002
-    capsys.readouterr()
     assert main(["info", "paper", "--drawing", str(picture)]) == 2
     assert "no main_lens of surfaces that could be drawn" in capsys.readouterr().err
-    draw_main_lens(picture, PlenopticCamera(mla_lattice="none", main_lens="singlet", focus_distance=300))
-    assert Image.open(picture).size[0] > 500
-    with pytest.raises(InputError, match="the folder"):
-        draw_main_lens(tmp_path / "none" / "lens.png", CAMERA)
+    options = ["info", "main_lens=singlet,focus_distance=300,mla_lattice=none", "--drawing"]
+    assert main([*options, str(picture), "--dpi", "40"]) == 0 and Image.open(picture).size[0] == 424
+    for where, rule in [(tmp_path / "none" / "lens.png", "the folder"), (tmp_path / "lens.pdf", "--dpi 40: it is for")]:
+        assert main([*options, str(where), "--dpi", "40"]) == 2 and rule in capsys.readouterr().err
 
 
-SEQ = "RDM;LEN\nDIM M\nWL 587.5618\nSO 0.0 1e13\nS {0} {1} 1.5:60.0\n STO\n CIR {2}\nS -{0} 9\n CIR {2}\nSI 0 0\nGO\n"
+SEQ = "RDM;LEN\nDIM M\nWL 587.5618\nSO 0.0 1e13\nS {0} {1} 1.5:60.0\n STO\n CIR {2}\nS -{0} 0\n CIR {2}\nSI 0 0\nGO\n"
 """A biconvex lens, by radius, thickness and semi-aperture."""
 
 FILES = {
@@ -133,10 +132,12 @@ def test_a_lens_file_is_judged_where_parallel_light_is_in_focus(name, tmp_path, 
     focal_length = 1 / (0.5 * (2 / radius - 0.5 * gap / (1.5 * radius**2)))
     assert main(["info", str(tmp_path / "lens.seq"), "--drawing", str(tmp_path / "lens.png"), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["camera"]["mla_distance"] == pytest.approx(focal_length, rel=1e-9)
+    values = {row["quantity"]: row["value"] for row in told["sheet"]}
+    assert float(values["focal length"]) == pytest.approx(focal_length, rel=1e-6)
+    assert values["image plane"] == values["paraxial focus"]
     spots = [float(row["value"]) for row in told["sheet"] if row["quantity"] == "spot"]
     # Third-order spherical aberration of a ray at the edge of this aperture is below 3 h^3 / f^2.
-    edge = told["camera"]["aperture_radius"]
+    edge = float(values["entrance pupil's diameter"]) / 2
     assert 0 < spots[0] < 1e3 * 3 * edge**3 / focal_length**2
     assert Image.open(tmp_path / "lens.png").size[0] > 500
 
@@ -166,9 +167,11 @@ def test_a_lens_file_that_forms_no_image_is_refused_by_its_own_numbers(text, rul
 @pytest.mark.parametrize(
     ("options", "rule"),
     [
-        (["--microlens", "micro.png"], "--microlens micro.png: {path} is a main lens; leave it out"),
+        (["--microlens", "micro.png"], "--microlens: {path}, a main lens, does not take it; leave it out"),
+        (["--pupil", "3", "--f-number", "8"], "--pupil, --f-number: give one of the two"),
+        (["--dpi", "300"], "--dpi 300: it is for figures in .png; the output is none"),
         (["-D", "radius=3"], "-D: {path} is no scene, and has no scene parameters; leave it out"),
-        (["--unit", "m"], "--unit m: {path} is no scene; leave it out"),
+        (["--unit", "m"], "--unit m: {path} is no scene, and has its lengths in millimetres; leave it out"),
     ],
 )
 def test_options_that_a_lens_file_does_not_take_are_refused(options, rule, tmp_path, capsys):
@@ -180,7 +183,7 @@ def test_options_that_a_lens_file_does_not_take_are_refused(options, rule, tmp_p
 
 @pytest.mark.parametrize("changes", [{}, {"mla_lattice": "hexagonal", "mla_medium": 1.4, "mla_shape": ZoneLens(0.4)}])
 def test_draws_any_microlens(changes, tmp_path):
-    draw_microlens(tmp_path / "lens.png", PlenopticCamera(**changes), 532.0)
+    microlens_figure(PlenopticCamera(**changes), 532.0).save(tmp_path / "lens.png")
     picture = matplotlib.image.imread(tmp_path / "lens.png")
     # Each of the three parts has colours.
     assert all((part[..., :3].std(axis=2) > 0.1).mean() > 0.01 for part in (picture[:, :560], picture[:, 600:1200]))

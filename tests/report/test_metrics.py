@@ -128,6 +128,17 @@ def test_the_middle_and_the_rim_share_the_difference():
     assert rim == 0 and inside == pytest.approx(every)
 
 
+def test_noise_is_not_taken_for_a_change_of_contrast():
+    random = np.random.default_rng(1)
+    truth = np.kron(random.random((8, 8)), np.ones((4, 4)))
+    changed = [
+        contrast_change(*(truth + 0.05 * random.normal(size=truth.shape) for _ in range(2)), truth).ratio != 1
+        for _ in range(40)
+    ]
+    # Half, with a scatter of independent frequencies.
+    assert np.mean(changed) < 0.05
+
+
 @pytest.mark.parametrize(("blur", "noise", "ratio"), [(0.8, 0.01, 0.8), (0.1, 0.01, 1.0), (0.8, 30.0, 1.0)])
 def test_a_change_of_contrast_is_told_from_noise(blur, noise, ratio):
     random = np.random.default_rng(0)

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import io
+import re
 from html.parser import HTMLParser
 
+import pytest
 from markupsafe import Markup
 from PIL import Image
 
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.io.cache import StageOptions
+from mitsuba_plenoptic.report import experiment
+from mitsuba_plenoptic.report.comparison import compare
+from mitsuba_plenoptic.report.experiment import Settings, methods_of_both
 from mitsuba_plenoptic.report.pages import Page, Picture, Section, Table
 
 
@@ -52,3 +59,47 @@ def test_a_page_has_its_sections_with_their_parts(tmp_path):
     assert "#section-in-numbers" in page.links and "section-in-numbers" in page.links
     # Nothing is loaded from elsewhere.
     assert all(link.startswith(("#", "data:", "section-in-numbers")) for link in page.links)
+
+
+@pytest.mark.parametrize(
+    ("pitch", "spp", "rule"),
+    [
+        # Spots of 6 um on pixels of 62 um, and on pixels of 2.5 um behind lenses of 20 um.
+        pytest.param(
+            0.5,
+            64,
+            r"At these distances rays suffice for refocused .* raw pixels \(\d.\d% at most\) is below",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            0.02,
+            64,
+            r"waves change contrast at 11 cycles a mm by -2\d%. Waves change raw pixels by 7\d.\d%",
+            marks=pytest.mark.slow,
+        ),
+        (0.5, 2, r"noise hides what they do to finer .* below the noise of 2 samples \(5\d.\d%\); \d\d samples would"),
+    ],
+    ids=["spots below a pixel", "diffraction", "noise"],
+)
+def test_a_comparison_says_whether_rays_suffice(pitch, spp, rule, tmp_path, monkeypatch, caplog):
+    monkeypatch.setattr(experiment, "OBJECT_COLUMNS", 32)
+    camera = mp.PlenopticCamera(
+        mla_pitch=pitch, mla_focal_length=8 * pitch, detector_width=32 * pitch, resolution=(256, 256)
+    )
+    size = {"camera": camera.to_dict(), "parameters": {"letter_scale": str(4 * pitch)}, "distances": (240.0,)}
+    spent = {"methods": methods_of_both(["ray"]), "spp": spp, "truth_spp": 256, "noise": True, "pdf": False}
+    settings = Settings("letters", **size, **spent)
+    stages = []
+    with caplog.at_level("INFO", "mitsuba_plenoptic"):
+        results = compare(settings, tmp_path, stages=StageOptions(finished=lambda name, *_: stages.append(name)))
+    assert re.search(rule, results["answer"])
+    assert caplog.messages[0].startswith("roughly, on two cores: captures ")
+    assert stages[0] == "capture_ray, 1 of 6" and stages[-1] == "thin_lens_240, 6 of 6"
+    # The picture that shows it stands below, and one distance has no slider.
+    page = (tmp_path / "report.html").read_text()
+    assert (
+        page.index(results["answer"][:20])
+        < page.index("What waves change at 240 mm")
+        < page.index('id="section-on-the-detector')
+    )
+    assert re.search(r'id="distance" [^>]* hidden>', page) and 'class="ends"' not in page

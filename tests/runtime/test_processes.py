@@ -4,13 +4,15 @@ import subprocess
 import sys
 import textwrap
 import threading
+import time
 from types import SimpleNamespace
+from unittest import mock
 
 import drjit as dr
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic.runtime import fft
+from mitsuba_plenoptic.runtime import fft, garbage
 
 # Everything that makes an image: both captures of a scene with several lamps, all reconstructions, and noise.
 IMAGES = """
@@ -79,6 +81,14 @@ print(same, different, dr.thread_count())
     )
     result = python(code)
     assert result.stdout == "True True 2\n", result.stderr
+
+
+def test_ctrl_c_within_a_collection_of_garbage_comes_after_it(monkeypatch):
+    monkeypatch.setattr(garbage, "_hide_scenes", mock.Mock(side_effect=[KeyboardInterrupt, *[None] * 100]))
+    garbage.hide_scenes("start", {})
+    with pytest.raises(KeyboardInterrupt):
+        for _ in range(100):
+            time.sleep(0.05)
 
 
 def test_two_variants_in_one_process(python):

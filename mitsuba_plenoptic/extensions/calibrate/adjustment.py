@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...errors import refuse_if
-from ...runtime import single_threaded_blas
+from ...runtime import Array, single_threaded_blas
 from .board_model import NAMES, Observations, predict, predict_centres
 
 # Rows beyond this number of deviations are outliers: they are named, and do not count in a fit. In data with normal
@@ -22,23 +22,23 @@ from .board_model import NAMES, Observations, predict, predict_centres
 OUTLIER = 6.0
 
 
-def deviation(distance: np.ndarray) -> float:
+def deviation(distance: Array) -> float:
     """Return the standard deviation along one axis, estimated from the median of two-dimensional distances."""
     return float(np.median(distance)) / 1.17741
 
 
-def outlying(distance: np.ndarray) -> np.ndarray:
+def outlying(distance: Array) -> Array:
     """Return a mask of outliers by their distance from the expected position."""
-    return np.asarray(distance > OUTLIER * max(deviation(distance), 1e-9))
+    return distance > OUTLIER * max(deviation(distance), 1e-9)
 
 
-def huber(distance: np.ndarray) -> np.ndarray:
+def huber(distance: Array) -> Array:
     """Return Huber's weights for robust fits: beyond a limit, residuals count by their size instead of its square."""
     bound = 4.0 * max(deviation(distance), 1e-9)
     return bound / np.maximum(distance, bound)
 
 
-def robust_lines(matrix: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def robust_lines(matrix: Array, values: Array) -> tuple[Array, Array, Array]:
     """Return coefficients that solve linear equations for positions, if more than half of the equations hold.
 
     The least sum of distances shows which rows are outliers; the others are then fitted by least squares.
@@ -48,7 +48,7 @@ def robust_lines(matrix: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np
     scale = np.sqrt((matrix**2).sum((0, 1)))
     matrix = matrix / np.where(scale > 0, scale, 1)
 
-    def solve(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def solve(weights: Array) -> tuple[Array, Array]:
         root = np.sqrt(weights)
         rows = (matrix * root[:, None, None]).reshape(-1, matrix.shape[2])
         solution = np.linalg.lstsq(rows, (values * root[:, None]).ravel())[0]
@@ -72,7 +72,7 @@ def robust_lines(matrix: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np
     return solution / np.where(scale > 0, scale, 1), distance, good
 
 
-def both_axes(matrix: np.ndarray) -> np.ndarray:
+def both_axes(matrix: Array) -> Array:
     """Return the matrix (n, 2, 2 k) that applies a matrix (n, k) to x and to y, with coefficients for each axis."""
     return np.einsum("ab,nk->nabk", np.eye(2), matrix).reshape(len(matrix), 2, -1)
 
@@ -90,31 +90,29 @@ class Problem:
     # Weight of a centre's residual: the deviation of a corner over that of a centre.
     centre_weight: float = 1.0
 
-    def residuals(self, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    def residuals(self, numbers: Array, poses: Array) -> np.ndarray:
         """Return predicted minus observed pixels of the corners, (n, 2)."""
         with np.errstate(all="ignore"):
             pixel, _, _ = self._predict(numbers, poses)
         return pixel - self.corners.pixel
 
-    def centre_residuals(self, numbers: np.ndarray) -> np.ndarray:
+    def centre_residuals(self, numbers: Array) -> Array:
         """Return predicted minus observed pixels of the centres, (n, 2)."""
         if self.centres is None:
             return np.zeros((0, 2))
         pixel, _ = predict_centres(numbers, self.centres.lens, pixel_size=self.pixel_size, row_ratio=self.row_ratio)
         return pixel - self.centres.pixel
 
-    def cost(self, numbers: np.ndarray, poses: np.ndarray, weights: np.ndarray) -> float:
+    def cost(self, numbers: Array, poses: Array, weights: Array) -> float:
         """Return half the weighted sum of squared residuals; infinite where the model has no value."""
         square = (weights * (self.residuals(numbers, poses) ** 2).sum(1)).sum()
         square += self.centre_weight**2 * (self.centre_residuals(numbers) ** 2).sum()
         return 0.5 * float(square) if np.isfinite(square) else np.inf
 
-    def _predict(self, numbers: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _predict(self, numbers: Array, poses: Array) -> tuple[Array, Array, Array]:
         return predict(numbers, poses, self.corners, pixel_size=self.pixel_size, row_ratio=self.row_ratio)
 
-    def blocks(
-        self, numbers: np.ndarray, poses: np.ndarray, weights: np.ndarray, free: np.ndarray
-    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    def blocks(self, numbers: Array, poses: Array, weights: Array, free: Array) -> tuple[list[Array], list[Array]]:
         """Return the weighted linear system's triangular factor for each pose, and its rows for the camera alone.
 
         The result has the shape (6, 6 + free + 1), (rows, free + 1).
@@ -138,7 +136,7 @@ class Problem:
         return [triangle[:6] for triangle in triangles], camera
 
 
-def _triangle(rows: np.ndarray) -> np.ndarray:
+def _triangle(rows: Array) -> Array:
     """Return the triangular factor of a matrix, with at least as many rows as columns."""
     return np.asarray(np.linalg.qr(np.pad(rows, ((0, max(0, rows.shape[1] - len(rows))), (0, 0))), mode="r"))
 
@@ -148,8 +146,8 @@ class Adjusted:
     """Parameters, poses and residuals that an adjustment has found."""
 
     # (17,).
-    numbers: np.ndarray
-    poses: np.ndarray
+    numbers: Array
+    poses: Array
     # Half the weighted sum of squares.
     cost: float
     # How often the linear system was solved.
@@ -159,10 +157,10 @@ class Adjusted:
 @single_threaded_blas()
 def adjust(
     problem: Problem,
-    numbers: np.ndarray,
-    poses: np.ndarray,
+    numbers: Array,
+    poses: Array,
     free: Sequence[str] = NAMES,
-    weights: np.ndarray | None = None,
+    weights: Array | None = None,
     *,
     most_steps: int = 200,
 ) -> Adjusted:
@@ -209,7 +207,7 @@ def adjust(
     return Adjusted(numbers, poses, cost, steps)
 
 
-def adjust_poses(problem: Problem, numbers: np.ndarray, poses: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def adjust_poses(problem: Problem, numbers: Array, poses: Array, weights: Array) -> Array:
     """Return the poses of the board that fit best to a fixed camera.
 
     A flat board looks much the same tilted to either side (Necker's reversal); both are tried for each pose.
@@ -227,9 +225,7 @@ def adjust_poses(problem: Problem, numbers: np.ndarray, poses: np.ndarray, weigh
     return np.where((squares[1] < squares[0])[:, None], mirrored, fitted)
 
 
-def _solve(
-    triangles: list[np.ndarray], camera: np.ndarray, camera_damping: np.ndarray, pose_damping: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _solve(triangles: list[Array], camera: Array, camera_damping: Array, pose_damping: Array) -> tuple[Array, Array]:
     """Return the steps of camera and poses that solve the damped linear system, its columns scaled to equal norms."""
     reduced = [camera, np.pad(np.diag(camera_damping), ((0, 0), (0, 1)))]
     heads = []

@@ -10,7 +10,7 @@ import numpy as np
 from ...array import WARP_POWERS, Displacement
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...runtime import exponents, monomials
+from ...runtime import Array, exponents, monomials
 from ...views import LensGrid
 
 _SURE = 3.0
@@ -42,15 +42,15 @@ class ArrayFit:
     pitches: tuple[float, float]
     rotation: float
     offset: tuple[float, float]
-    warp: np.ndarray
-    nearest: np.ndarray
+    warp: Array
+    nearest: Array
 
     def lattice_parameters(self) -> dict[str, object]:
         """Return the camera's parameters of the regular lattice."""
         return {"mla_pitch": self.pitches, "mla_rotation": self.rotation, "mla_offset": self.offset}
 
 
-def lattice_index(grid: LensGrid, lens: np.ndarray) -> np.ndarray:
+def lattice_index(grid: LensGrid, lens: Array) -> Array:
     """Return steps (n, 2) along and across the rows of a grid's lenses k, l, half steps where rows are shifted."""
     index = lens.astype(np.float64)
     if grid.shifted_rows is not None:
@@ -75,7 +75,7 @@ def require_alike(grid: LensGrid, camera: PlenopticCamera) -> None:
     )
 
 
-def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera) -> ArrayFit:
+def fit_array(pixels: Array, index: Array, camera: PlenopticCamera) -> ArrayFit:
     """Fit the array to places (n, 2) in pixels, where the first pixel's centre is 0, of lenses with indices (n, 2).
 
     The warp has the lowest degree up to 5, as far as lenses suffice, that places lenses no worse than another
@@ -93,7 +93,7 @@ def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera) ->
     row = np.linalg.det([along, across]) / pitch
     start = [pitch, row, math.atan2(along[1], along[0]), *middle]
 
-    def placed(numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def placed(numbers: Array) -> tuple[Array, Array]:
         """Return places (n, 2), and their derivatives by the numbers, but for the small gradient of the warp."""
         pitch, row, angle = numbers[:3]
         axes = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
@@ -110,7 +110,7 @@ def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera) ->
             columns[:, axis] = terms
         return regular + terms @ warp.T, slopes
 
-    def fitted(degree: int, lenses: np.ndarray) -> np.ndarray:
+    def fitted(degree: int, lenses: Array) -> Array:
         """Return pitch, distance of rows, angle, place of the nearest lens, and warp, by weighted least squares."""
         numbers = np.array([*start, *np.zeros(2 * len(exponents(degree, lowest=2)))])
         for _ in range(_STEPS):
@@ -146,10 +146,10 @@ def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera) ->
     return ArrayFit(pitches, math.degrees(angle), (float(x0 - first[0]), float(y0 - first[1])), warp.ravel(), nearest)
 
 
-def places(fit: ArrayFit, index: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
+def places(fit: ArrayFit, index: Array, camera: PlenopticCamera) -> Array:
     """Return the places (n, 2) in pixels of the micro-images of lenses with indices (n, 2), see `lattice_index`."""
     lattice = camera.replace(**fit.lattice_parameters()).lattice
     u, v = (index - fit.nearest).T * np.array([[lattice.pitches[0]], [lattice.row_distance]])
     x, y = (first + step for first, step in zip(lattice.centre(0.0, 0.0), lattice.from_frame(u, v), strict=True))
     warped = np.stack([x, y], axis=-1) + np.stack(Displacement(tuple(fit.warp.tolist())).smooth(x, y), axis=-1)
-    return np.asarray(warped * camera.image_growth / camera.pixel_size + (np.array(camera.resolution) - 1) / 2)
+    return warped * camera.image_growth / camera.pixel_size + (np.array(camera.resolution) - 1) / 2

@@ -23,6 +23,7 @@ from scipy.ndimage import map_coordinates
 from ...array import Lattice
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import refuse_if
+from ...runtime import Array
 from .adjustment import Adjusted
 from .board_model import AT, Observations
 from .observations import placed
@@ -50,10 +51,10 @@ class Blur:
 
 
 def fit_blur(
-    radius: np.ndarray,
+    radius: Array,
     observed: Observations,
-    numbers: np.ndarray,
-    poses: np.ndarray,
+    numbers: Array,
+    poses: Array,
     lattice: Lattice,
     types: int,
     moved: Sequence[Adjusted] = (),
@@ -111,7 +112,7 @@ def fit_blur(
     return Blur(tuple((z / over).tolist()), tuple(deviations), abs(float(scale)), math.sqrt(square))
 
 
-def image_ratios(observed: Observations, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
+def image_ratios(observed: Observations, numbers: Array, poses: Array) -> Array:
     """Return z/a for each observation: the detector's distance from the array over that of the corner's image."""
     f, b, z = numbers[:3]
     distance = placed(observed.board, poses, observed.pose)[:, 2]
@@ -149,13 +150,13 @@ class CutBlur:
                 open_ = np.hypot(px, py) < camera.aperture_radius
                 self._means[kind, :, row] = (open_ @ d / np.maximum(open_.sum(1), 1)[:, None]).T / camera.pixel_size
 
-    def defocus(self, kind: np.ndarray, disparity: np.ndarray) -> np.ndarray:
+    def defocus(self, kind: Array, disparity: Array) -> Array:
         r"""Return the relative blur :math:`\kappa = 1 - z/f + z/a` of points of given disparities (`boards`)."""
         over = self._z / self._b
         # From lens to lens a point moves by 1 + z/a in the array's plane, and micro-images by 1 + z/b.
-        return np.asarray(1 - self._ratios[kind] + over + disparity * (1 + over))
+        return 1 - self._ratios[kind] + over + disparity * (1 + over)
 
-    def displaced(self, kind: np.ndarray, defocus: np.ndarray, arm: np.ndarray) -> np.ndarray:
+    def displaced(self, kind: Array, defocus: Array, arm: Array) -> Array:
         """Return the displacement, in pixels, from a pixel's position to the mean position that the pixel shows.
 
         Shapes: `kind` (n,), `defocus` (n,), `arm` (n, pixels, 2); the result (n, pixels, 2).

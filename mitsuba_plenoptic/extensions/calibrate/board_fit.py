@@ -8,6 +8,7 @@ import numpy as np
 
 from ...camera import PlenopticCamera, Use, require_camera, require_support
 from ...errors import InputError, naming, refuse_if, suggest_keywords
+from ...runtime import Array
 from .adjustment import Adjusted, Problem, adjust, adjust_poses, both_axes, deviation, huber, outlying, robust_lines
 from .blur import fit_blur
 from .board_model import AT, NAMES, Observations, camera_of, numbers_of, on_pixel_grid, predict_centres
@@ -174,14 +175,14 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
     return Evaluation(problem.residuals(numbers, poses), frames, observed.pose, poses)
 
 
-def _with_centres(problem: Problem, centres: Table, inliers: np.ndarray, index: LensIndex, weight: float) -> Problem:
+def _with_centres(problem: Problem, centres: Table, inliers: Array, index: LensIndex, weight: float) -> Problem:
     """Return a problem with some of the centres added."""
     nothing = np.zeros((0, 2))
     observed = Observations(index.unit(centres["k"], centres["l"])[inliers], centres.pixel[inliers], nothing, nothing)
     return Problem(problem.corners, problem.pixel_size, problem.row_ratio, observed, weight)
 
 
-def _through_pupil(problem: Problem, residuals: np.ndarray, good: np.ndarray) -> Problem:
+def _through_pupil(problem: Problem, residuals: Array, good: Array) -> Problem:
     """Return a problem without centres, constrained so that corners are seen through the pupil and near their centres.
 
     Over the pupil's image, the rows of one corner spread evenly, and err together: each corner counts once. Without
@@ -195,7 +196,7 @@ def _through_pupil(problem: Problem, residuals: np.ndarray, good: np.ndarray) ->
     return replace(problem, centres=observed, centre_weight=float(weight))
 
 
-def _used_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tuple[np.ndarray, float]:
+def _used_centres(centres: Table, index: LensIndex, residuals: Array) -> tuple[Array, float]:
     """Return a mask of the centres that a fit uses, spread evenly over the lattice, and their weight.
 
     The weight is the deviation of the corners' residuals over the deviation of centres, whose errors are correlated.
@@ -209,15 +210,15 @@ def _used_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tu
     return inliers, scatter[0] / scatter[1] / _CORRELATED
 
 
-def _distance(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
+def _distance(problem: Problem, numbers: Array, poses: Array) -> Array:
     """Return the distance between predicted and observed position of each corner, in pixels."""
-    return np.asarray(np.hypot(*problem.residuals(numbers, poses).T))
+    return np.hypot(*problem.residuals(numbers, poses).T)
 
 
 def _require_matching_pupil(
     problem: Problem,
     fit: Adjusted,
-    weights: np.ndarray,
+    weights: Array,
     start: PlenopticCamera,
     board: Board,
     pitch: float,
@@ -247,7 +248,7 @@ def _require_matching_pupil(
     )
 
 
-def _weights(problem: Problem, fit: Adjusted, frames: np.ndarray) -> np.ndarray:
+def _weights(problem: Problem, fit: Adjusted, frames: Array) -> Array:
     """Return the weight of each corner in the fit: smaller for residuals beyond a limit, 0 for outliers."""
     distance = _distance(problem, fit.numbers, fit.poses)
     weights = np.where(outlying(distance), 0.0, huber(distance))

@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from ...camera import PlenopticCamera, part_units, parts_of, with_parts
 from ...lenses import undistort
+from ...runtime import Array
 
 CALIBRATED = (
     "focal_length",
@@ -67,10 +68,10 @@ class Observations:
         Index of the board's pose, from 0.
     """
 
-    lens: np.ndarray
-    pixel: np.ndarray
-    board: np.ndarray
-    pose: np.ndarray
+    lens: Array
+    pixel: Array
+    board: Array
+    pose: Array
 
     def __len__(self) -> int:
         return len(self.pixel)
@@ -80,12 +81,12 @@ class Observations:
         """Number of poses of the board."""
         return int(self.pose.max()) + 1
 
-    def keep(self, chosen: np.ndarray) -> Observations:
+    def keep(self, chosen: Array) -> Observations:
         """Return the observations in the chosen rows."""
         return Observations(self.lens[chosen], self.pixel[chosen], self.board[chosen], self.pose[chosen])
 
 
-def _left_jacobian(vector: np.ndarray) -> np.ndarray:
+def _left_jacobian(vector: Array) -> Array:
     """Return J with d(exp(w) x) = -[exp(w) x] J dw (Sola, "Quaternion kinematics", eq. 145 of SO(3))."""
     angle = float(np.linalg.norm(vector))
     x, y, z = vector
@@ -95,15 +96,13 @@ def _left_jacobian(vector: np.ndarray) -> np.ndarray:
     return np.eye(3) + (1 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross
 
 
-def _inverse(matrix: np.ndarray) -> np.ndarray:
+def _inverse(matrix: Array) -> Array:
     """Return the inverses of matrices (n, 2, 2), ten times as fast as `numpy.linalg.inv`."""
     (a, b), (c, d) = matrix.transpose(1, 2, 0)
     return (np.stack([d, -b, -c, a]) / (a * d - b * c)).T.reshape(-1, 2, 2)
 
 
-def _lenses(
-    numbers: np.ndarray, lens: np.ndarray, row_ratio: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _lenses(numbers: Array, lens: Array, row_ratio: float) -> tuple[Array, Array, Array, Array]:
     """Return the lenses' centres (n, 2) and heights (n,) over the plane z = -b, and their derivatives."""
     along, across, turn, ox, oy, tilt_x, tilt_y = numbers[3:10]
     angle = np.deg2rad(turn)
@@ -122,7 +121,7 @@ def _lenses(
     return c, c @ slopes, c_by, h_by
 
 
-def _pixels(numbers: np.ndarray, p: np.ndarray, p_by: np.ndarray, pixel_size: float) -> tuple[np.ndarray, np.ndarray]:
+def _pixels(numbers: Array, p: Array, p_by: Array, pixel_size: float) -> tuple[Array, Array]:
     """Return positions on the detector and their derivatives, converted to pixels."""
     by_numbers = p_by / pixel_size
     principal = [AT["principal_u"], AT["principal_v"]]
@@ -130,9 +129,7 @@ def _pixels(numbers: np.ndarray, p: np.ndarray, p_by: np.ndarray, pixel_size: fl
     return p / pixel_size + numbers[principal], by_numbers
 
 
-def predict_centres(
-    numbers: np.ndarray, lens: np.ndarray, *, pixel_size: float, row_ratio: float
-) -> tuple[np.ndarray, np.ndarray]:
+def predict_centres(numbers: Array, lens: Array, *, pixel_size: float, row_ratio: float) -> tuple[Array, Array]:
     r"""Return the centres of micro-images, where the chief ray of each lens meets the detector.
 
     :math:`c + (z + h) c / (b - h)`, for the ray through the centres of pupil and lens.
@@ -151,8 +148,8 @@ def predict_centres(
 
 
 def predict(
-    numbers: np.ndarray, poses: np.ndarray, observed: Observations, *, pixel_size: float, row_ratio: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    numbers: Array, poses: Array, observed: Observations, *, pixel_size: float, row_ratio: float
+) -> tuple[Array, Array, Array]:
     """Return the predicted positions of corners in pixels, and the derivatives of these positions.
 
     Shapes: `numbers` (17,), `poses` (poses, 6); the result (n, 2), (n, 2, 17), (n, 2, 6).
@@ -218,14 +215,14 @@ def predict(
 _PRINCIPAL = [AT["principal_u"], AT["principal_v"]]
 
 
-def on_pixel_grid(numbers: np.ndarray) -> np.ndarray:
+def on_pixel_grid(numbers: Array) -> Array:
     """Return camera numbers whose principal point is moved to the nearest centre, edge or corner of a pixel."""
     moved = numbers.copy()
     moved[_PRINCIPAL] = np.round(2 * moved[_PRINCIPAL]) / 2
     return moved
 
 
-def camera_of(numbers: np.ndarray, like: PlenopticCamera) -> PlenopticCamera:
+def camera_of(numbers: Array, like: PlenopticCamera) -> PlenopticCamera:
     """Return the camera of given parameters, with a principal point `on_pixel_grid`.
 
     Properties that the numbers do not determine are those of `like`: recorded pixels and their size, f-number, lattice,
@@ -256,14 +253,14 @@ def camera_of(numbers: np.ndarray, like: PlenopticCamera) -> PlenopticCamera:
     return with_parts(camera, {"mla_offset": offset - camera.lattice.centre(0.0, 0.0)})
 
 
-def numbers_of(camera: PlenopticCamera) -> np.ndarray:
+def numbers_of(camera: PlenopticCamera) -> Array:
     """Return the parameters of a camera that a calibration fits, as a vector in the order of `NAMES`."""
     values = {name: parts_of(camera, name) for name in CALIBRATED} | {"mla_offset": camera.lattice.centre(0.0, 0.0)}
     principal = [(size - 1) / 2 - offset for size, offset in zip(camera.resolution, camera.crop_offset, strict=True)]
     return np.concatenate([*values.values(), principal, camera.distortion])
 
 
-def _undistorted(m: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _undistorted(m: Array, distortion: Array) -> tuple[Array, Array, Array]:
     """Return the undistorted positions U(m) for positions (n, 2), with their derivatives.
 
     Parameters

@@ -22,7 +22,7 @@ from scipy.special import erf
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, require_module
-from ...runtime import set_variant
+from ...runtime import Array, set_variant
 from .observations import Board
 
 # Lenses of which a position of the view is the mean.
@@ -35,18 +35,18 @@ class Picture:
 
     name: str
     # Values over those of white; (rows, columns).
-    image: np.ndarray
+    image: Array
     # How much light white gives, at most 1; 0 where that is too little; (rows, columns).
-    weight: np.ndarray
+    weight: Array
     # Column and row of the micro-images' centres, (n, 2).
-    centre: np.ndarray
+    centre: Array
     # Of the micro-images in pixels.
     radius: float
     # Distance from their centres up to which the main lens's rim takes no light from them.
     even: float
 
 
-def find_board(picture: Picture, board: Board) -> tuple[float, np.ndarray]:
+def find_board(picture: Picture, board: Board) -> tuple[float, Array]:
     """Return the disparity of a board found in a raw picture, and positions Q of its corners (rows, columns, 2).
 
     Columns run to the right and rows down, as seen from the front of the board.
@@ -80,7 +80,7 @@ def find_board(picture: Picture, board: Board) -> tuple[float, np.ndarray]:
     )
 
 
-def _disparities(picture: Picture, tree: cKDTree) -> np.ndarray:
+def _disparities(picture: Picture, tree: cKDTree) -> Array:
     """Return candidate disparities, sorted by how well neighbouring lenses agree about the picture."""
     # disparities: below, a micro-image shows too little of the scene; above, too few lenses see a point
     sizes = np.geomspace(0.04, 0.6, 28)
@@ -96,13 +96,13 @@ def _disparities(picture: Picture, tree: cKDTree) -> np.ndarray:
     return disparities[np.argsort(errors)]
 
 
-def _positions(picture: Picture, step: float) -> np.ndarray:
+def _positions(picture: Picture, step: float) -> Array:
     """Return a grid of positions (rows, columns, 2) with a given spacing in pixels."""
     rows, columns = picture.image.shape
     return np.stack(np.meshgrid(np.arange(0, columns, step), np.arange(0, rows, step)), axis=-1)
 
 
-def _seen(picture: Picture, position: np.ndarray, lens: np.ndarray, disparity: float) -> tuple[np.ndarray, np.ndarray]:
+def _seen(picture: Picture, position: Array, lens: Array, disparity: float) -> tuple[Array, Array]:
     """Return the mean, over lenses, of their views of positions, and its variance (NaN for a single view).
 
     `position` is (n, 2), `lens` (n, lenses).
@@ -122,7 +122,7 @@ def _seen(picture: Picture, position: np.ndarray, lens: np.ndarray, disparity: f
 
 
 def board_scene(
-    board: Board, pose: np.ndarray, camera: PlenopticCamera, *, dark: float = 0.1, light: float = 1.0, spp: int = 16
+    board: Board, pose: Array, camera: PlenopticCamera, *, dark: float = 0.1, light: float = 1.0, spp: int = 16
 ) -> Any:
     """Return a Mitsuba scene of a uniformly luminous board in front of a camera.
 
@@ -198,23 +198,23 @@ class Saddles:
     """Candidates for corners, as arrays with one row per candidate."""
 
     # Column and row of the corner, 0 at the centre of the first pixel, (n, 2).
-    position: np.ndarray
+    position: Array
     # Standard deviation of the position along its worse direction, from what the fit leaves; (n,).
-    deviation: np.ndarray
+    deviation: Array
     # Half the difference between light and dark squares; (n,).
-    contrast: np.ndarray
+    contrast: Array
 
 
 def find_saddles(
-    image: np.ndarray,
-    weight: np.ndarray,
-    position: np.ndarray,
-    angles: np.ndarray,
-    centre: np.ndarray,
+    image: Array,
+    weight: Array,
+    position: Array,
+    angles: Array,
+    centre: Array,
     *,
     radius: float,
     even: float,
-    displacement: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+    displacement: Callable[[Array, Array], Array] | None = None,
 ) -> Saddles:
     """Return corners refined by least squares, each within a window in its micro-image.
 
@@ -229,15 +229,15 @@ def find_saddles(
 
 
 def _fit(
-    image: np.ndarray,
-    weight: np.ndarray,
-    position: np.ndarray,
-    angles: np.ndarray,
-    centre: np.ndarray,
+    image: Array,
+    weight: Array,
+    position: Array,
+    angles: Array,
+    centre: Array,
     radius: float,
     even: float,
-    displacement: Callable[[np.ndarray], np.ndarray] | None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    displacement: Callable[[Array], Array] | None,
+) -> tuple[Array, Array, Array]:
     n = len(position)
     # Cut off at the rim of the micro-image alone, a window would draw the corner to one side.
     reach = (radius - np.hypot(*(position - centre).T)).clip(2.0, _WINDOW * radius)[:, None]
@@ -263,9 +263,7 @@ def _fit(
     return p[:, :2], deviation, np.abs(linear[:, 1])
 
 
-def _descend(
-    pixel: np.ndarray, value: np.ndarray, w: np.ndarray, p: np.ndarray, position: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _descend(pixel: Array, value: Array, w: Array, p: Array, position: Array) -> tuple[Array, Array, Array, Array]:
     """Return position, angles and blur of a corner that minimise the residual; level and contrast follow."""
     linear, square, jacobian, residual = _model(pixel, value, w, p)
     damping = np.full(len(p), 1e-2)
@@ -290,9 +288,7 @@ def _descend(
     return p, linear, square, information
 
 
-def _model(
-    pixel: np.ndarray, value: np.ndarray, w: np.ndarray, p: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _model(pixel: Array, value: Array, w: Array, p: Array) -> tuple[Array, Array, Array, Array]:
     """Return level and contrast of a blurred corner's model, the sum of squares, its derivatives, and residuals."""
     arm = pixel - p[:, None, :2]
     blur = np.exp(p[:, 4])[:, None]

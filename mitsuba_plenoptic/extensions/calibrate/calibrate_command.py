@@ -13,8 +13,7 @@ from ...cli import inputs, options
 from ...errors import content_of, refuse_if
 
 if TYPE_CHECKING:
-    import numpy as np
-
+    from ...runtime import Array
     from .calibration import Board
 
 # Outliers that are printed by line.
@@ -30,6 +29,7 @@ def calibrate(
             metavar="CORNERS.csv|WHITE|PICTURES...",
             help="Corners of a board seen through the lenses; or white images (.exr, .png, .tiff) at one or several "
             "apertures; or, with --board, raw pictures of the board, one for each pose.",
+            callback=options.EXISTING,
         ),
     ] = None,
     output: Annotated[
@@ -87,22 +87,18 @@ def calibrate(
       mitsuba-plenoptic calibrate --evaluate corners.csv --camera camera.json --board 9x5 --square 10
     """
     from ...runtime import require_apart, require_different
-    from ..raw.lytro_file import SUFFIXES as LYTRO_SUFFIXES
-    from .calibration import Board
 
     sources = sources or []
     if bool(sources) == (evaluate is not None):
         raise typer.BadParameter("give corners or pictures, or corners to --evaluate", param_hint="SOURCE")
     for path in [*sources, *filter(None, [evaluate])]:
-        content = (
-            content_of(path) if path.exists() and (path == evaluate or path.suffix.lower() not in _PICTURES) else "text"
-        )
+        content = content_of(path) if path == evaluate or path.suffix.lower() not in _PICTURES else "text"
         refuse_if(
-            not content.startswith("text") and path.suffix.lower() not in LYTRO_SUFFIXES,
+            not content.startswith("text") and path.suffix.lower() not in choices.LYTRO_SUFFIXES,
             f"{path}: it is {content}; corners are a table (.csv), pictures and white images .exr, .png or .tiff",
         )
         refuse_if(
-            path.suffix.lower() in LYTRO_SUFFIXES,
+            path.suffix.lower() in choices.LYTRO_SUFFIXES,
             f"{path}: a raw picture of a Lytro camera is a mosaic of colours; demosaic it first",
         )
     pictures = [path.suffix.lower() in _PICTURES for path in sources]
@@ -126,7 +122,7 @@ def calibrate(
         _fit(sources, output, camera, dark, wavelength, model, report)
     elif all(pictures) and board is not None:
         inputs.refuse_options("detecting corners", square=square)
-        _detect(sources, output, camera, Board.parse(board, 1.0), centres, white, linear)
+        _detect(sources, output, camera, board, centres, white, linear)
     elif all(pictures):
         inputs.refuse_options(
             "finding centres in white images", camera=camera, square=square, centres=centres, white=white
@@ -164,11 +160,12 @@ def _output(output: Path | None, suffix: str) -> Path:
 
 
 def _evaluate(path: Path, camera: str | None, board: str | None, square: float | None) -> None:
+    camera = _camera(camera)
     from . import calibration
     from .calibrated_cameras import lens_index
     from .calibration_result import error_line, outlier_lines
 
-    tested, record = inputs.load_camera(_camera(camera), {})
+    tested, record = inputs.load_camera(camera, {})
     index = lens_index(record)
     size = _board(board, square)
     evaluation = calibration.evaluate(calibration.read_corners(path, size, tested.crop_size), size, tested, index)
@@ -178,7 +175,7 @@ def _evaluate(path: Path, camera: str | None, board: str | None, square: float |
         typer.echo(line)
 
 
-def _picture(path: Path, linear: bool) -> np.ndarray:
+def _picture(path: Path, linear: bool) -> Array:
     from ...io import Capture
     from ...views import read_recording
 
@@ -190,18 +187,18 @@ def _detect(
     paths: list[Path],
     output: Path | None,
     camera: str | None,
-    board: Board,
+    board: str,
     centres: Path | None,
     white: Path | None,
     linear: bool,
 ) -> None:
+    output = _output(output, ".csv")
     import numpy as np
 
     from ...views import white_image
     from . import calibration
     from .calibrated_cameras import lens_index
 
-    output = _output(output, ".csv")
     known_camera = None
     if camera is not None:
         known_camera, record = inputs.load_camera(camera, {})
@@ -216,11 +213,12 @@ def _detect(
         )
     if centres is not None:
         middles = calibration.read_centres(centres)
+    shape = calibration.Board.parse(board, 1.0)
     tables = []
     for frame, path in enumerate(paths):
         picture = _picture(path, linear)
         tables.append(
-            calibration.detect_corners(picture, light, middles, board, camera=known_camera, frame=frame, name=path.name)
+            calibration.detect_corners(picture, light, middles, shape, camera=known_camera, frame=frame, name=path.name)
         )
         distinct = len(np.unique(tables[-1]["cluster"]))
         typer.echo(f"frame {frame}, {path.name}: {distinct} corners, seen {len(tables[-1]['k'])} times")
@@ -229,10 +227,10 @@ def _detect(
 
 
 def _centres(paths: list[Path], output: Path | None, linear: bool) -> None:
+    output = _output(output, ".csv")
     from . import calibration
     from .calibration_result import listed
 
-    output = _output(output, ".csv")
     centres = calibration.find_centres(*(_picture(path, linear) for path in paths))
     calibration.write_centres(output, centres)
     if centres.doubtful.any():
@@ -260,7 +258,6 @@ def _fit(
     report: Path | None,
 ) -> None:
     from ...runtime import require_writable
-    from .white_command import fit_camera
 
     if len(sources) > 1:
         raise typer.BadParameter("a camera is fitted to one white picture", param_hint="SOURCE")
@@ -269,6 +266,8 @@ def _fit(
     refuse_if(by_rays and wavelength is not None, f"--wavelength = {wavelength}: a fit by rays has none; leave it out")
     if report:
         require_writable(report, ".html")
+    from .white_command import fit_camera
+
     length = None if by_rays else wavelength or 550.0
     fit_camera(sources[0], _output(output, ".json"), nominal, dark, length, report)
 
@@ -282,13 +281,14 @@ def _calibrate(
     centres: Path | None,
     report: Path | None,
 ) -> None:
+    output = _output(output, ".json")
+    camera = _camera(camera)
     from ...runtime import require_writable
     from . import calibration
     from .board_model import UNITS
     from .calibration_result import summary
 
-    output = _output(output, ".json")
-    start, _ = inputs.load_camera(_camera(camera), {})
+    start, _ = inputs.load_camera(camera, {})
     size = _board(board, square)
     corners = calibration.read_corners(path, size, start.crop_size)
     middles = None if centres is None else calibration.read_centres(centres)

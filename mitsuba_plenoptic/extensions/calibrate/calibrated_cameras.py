@@ -18,7 +18,7 @@ import numpy as np
 from ...camera import PlenopticCamera, camera_and_record
 from ...errors import NO_RECORD, naming, refuse_if, refusing, require_count, require_number, short_repr
 from ...lenses import undistort
-from ...runtime import write_text
+from ...runtime import Array, write_text
 from .board_model import camera_of
 from .calibration_result import Calibration
 from .observations import Board, LensIndex
@@ -167,7 +167,7 @@ def _numbers(values: Any) -> list[float]:
     return [require_number("number", float(value)) for value in values]
 
 
-def _inverse_distortion(distortion: np.ndarray, reach: float) -> np.ndarray:
+def _inverse_distortion(distortion: Array, reach: float) -> Array:
     """Return the coefficients that best undo a distortion over a disc; distortions have opposite signs in x and y."""
     radius, angle = np.meshgrid(np.linspace(0.02, 1, 40) * reach, np.linspace(0, 2 * np.pi, 24, endpoint=False))
     x = (radius * np.cos(angle)).ravel()
@@ -178,4 +178,4 @@ def _inverse_distortion(distortion: np.ndarray, reach: float) -> np.ndarray:
     columns = [np.concatenate(undistort(u, v, e)) - np.concatenate([u, v]) for e in unit]
     scale = np.array([np.abs(column).max() for column in columns])
     target = np.concatenate([x - u, y - v])
-    return np.asarray(np.linalg.lstsq(np.stack(columns, axis=-1) / scale, target)[0] / scale)
+    return np.linalg.lstsq(np.stack(columns, axis=-1) / scale, target)[0] / scale

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ...report import pages, plots
+from ...runtime import Array
 from .board_model import UNITS
 from .calibration_result import Calibration, Evaluation, ResidualMap, field_cells, group_means, residual_map, summary
 from .observations import Board, placed
@@ -79,7 +80,7 @@ def _ranges(title: str, ranges: Iterable[Sequence[float]]) -> pages.Table:
     return pages.Table({title: "{0:.0f} to {1:.0f}", "observations": "{2}", "error, px": "{3:.4f}"}, ranges)
 
 
-def _by(quantity: np.ndarray, residuals: np.ndarray) -> list[tuple[float, float, int, float]]:
+def _by(quantity: Array, residuals: Array) -> list[tuple[float, float, int, float]]:
     """Return ranges of a quantity that hold equally many observations, and the RMS residual in each range."""
     squares = (residuals**2).sum(1)
     return [
@@ -90,7 +91,7 @@ def _by(quantity: np.ndarray, residuals: np.ndarray) -> list[tuple[float, float,
 
 
 @plots.styled
-def arrows(middle: np.ndarray, mean: np.ndarray, size: Sequence[int]) -> plots.Plot:
+def arrows(middle: Array, mean: Array, size: Sequence[int]) -> plots.Plot:
     """Return a figure of mean residuals as arrows from the middle of each cell of the detector."""
     plot = plots.Plot(8.0)
     axes = _detector(plot, size)

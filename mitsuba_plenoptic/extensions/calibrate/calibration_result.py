@@ -11,6 +11,7 @@ from scipy.stats import chi2
 
 from ...camera import PlenopticCamera
 from ...errors import require_choice, require_count
+from ...runtime import Array
 from .adjustment import Adjusted, Problem, outlying
 from .blur import Blur
 from .board_model import NAMES, numbers_of, predict_centres
@@ -47,10 +48,10 @@ class Evaluation:
         Rotation vector (radians) and position of the board's first corner in mm, from the board's to the camera frame.
     """
 
-    residuals: np.ndarray
-    frames: np.ndarray
-    pose: np.ndarray
-    poses: np.ndarray
+    residuals: Array
+    frames: Array
+    pose: Array
+    poses: Array
 
     @property
     def error(self) -> float:
@@ -58,12 +59,12 @@ class Evaluation:
         return float(np.sqrt((self.residuals**2).sum(1).mean()))
 
     @property
-    def pose_errors(self) -> np.ndarray:
+    def pose_errors(self) -> Array:
         """RMS error of each pose, in pixels."""
         return np.sqrt(np.bincount(self.pose, (self.residuals**2).sum(1)) / np.bincount(self.pose))
 
     @property
-    def outliers(self) -> np.ndarray:
+    def outliers(self) -> Array:
         """Rows, counted from 0, whose residuals exceed six times the typical one."""
         return np.flatnonzero(outlying(np.hypot(*self.residuals.T)))
 
@@ -117,13 +118,13 @@ class Calibration:
     evaluation: Evaluation
     numbers: dict[str, float]
     deviations: dict[str, float]
-    correlation: np.ndarray
-    centre_residuals: np.ndarray
+    correlation: Array
+    centre_residuals: Array
     steps: int
     blur: Blur | None = None
     disagreement: float = 1.0
     by_frames: bool = False
-    centre_outliers: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
+    centre_outliers: Array = field(default_factory=lambda: np.zeros(0, dtype=int))
     prediction_deviation: float = 0.0
 
     @property
@@ -194,10 +195,10 @@ class ResidualMap:
     """
 
     by: str
-    key: np.ndarray
-    count: np.ndarray
-    mean: np.ndarray
-    error: np.ndarray
+    key: Array
+    count: Array
+    mean: Array
+    error: Array
 
 
 def residual_map(calibration: Calibration, board: Board, corners: Table, by: str, parts: int = 6) -> ResidualMap:
@@ -242,13 +243,13 @@ def residual_map(calibration: Calibration, board: Board, corners: Table, by: str
     return ResidualMap(by, key.astype(float), count, mean, np.sqrt(square))
 
 
-def field_cells(pixel: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
+def field_cells(pixel: Array, side: float) -> tuple[Array, Array]:
     """Return the middles of the occupied squares of a grid, in pixels, and the index of the square of each position."""
     cell, group = np.unique(np.floor((pixel + 0.5) / side), axis=0, return_inverse=True)
     return (cell + 0.5) * side - 0.5, group.ravel()
 
 
-def group_means(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def group_means(values: Array, group: Array) -> tuple[Array, Array]:
     """Return the number of rows and the mean value of each group."""
     count = np.bincount(group)
     return count, np.stack([np.bincount(group, column) for column in values.T], axis=-1) / count[:, None]
@@ -322,19 +323,19 @@ class Deviations:
     """Standard deviations and covariance of the parameters of a fit."""
 
     # Of the parameters' errors; (17, 17).
-    covariance: np.ndarray
+    covariance: Array
     # By how much the frames disagree about the parameters, over what their residuals' scatter explains.
     disagreement: float
     # Whether that is more than chance allows, so that the covariance is that of leaving out frames.
     by_frames: bool
 
     @property
-    def values(self) -> np.ndarray:
+    def values(self) -> Array:
         """Standard deviations of the parameters, (17,)."""
         return np.sqrt(np.diag(self.covariance))
 
 
-def deviations(problem: Problem, fit: Adjusted, weights: np.ndarray) -> Deviations:
+def deviations(problem: Problem, fit: Adjusted, weights: Array) -> Deviations:
     """Return standard deviations and covariance of a fit's parameters, of which none is held fixed.
 
     Shapes: `weights` (n,).
@@ -375,7 +376,7 @@ def deviations(problem: Problem, fit: Adjusted, weights: np.ndarray) -> Deviatio
     return Deviations(covariance / np.outer(scale, scale), float(np.sqrt(disagreement)), bool(by_frames))
 
 
-def moved_solutions(problem: Problem, fit: Adjusted, weights: np.ndarray, covariance: np.ndarray) -> list[Adjusted]:
+def moved_solutions(problem: Problem, fit: Adjusted, weights: Array, covariance: Array) -> list[Adjusted]:
     """Return solutions one standard deviation away along each independent combination of parameters, poses refitted.
 
     For any quantity that follows from parameters and poses, the squared changes add up to its variance.
@@ -390,7 +391,7 @@ def moved_solutions(problem: Problem, fit: Adjusted, weights: np.ndarray, covari
     return moved
 
 
-def prediction_deviation(problem: Problem, fit: Adjusted, covariance: np.ndarray) -> float:
+def prediction_deviation(problem: Problem, fit: Adjusted, covariance: Array) -> float:
     """Return the RMS displacement, in pixels, of corners of turned boards due to errors of the parameters."""
     observed = problem.corners
     count = len(NAMES)

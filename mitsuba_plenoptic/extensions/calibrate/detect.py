@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import refuse_if
-from ...runtime import as_pixels, atomic_output, require_memory
+from ...runtime import Array, as_pixels, atomic_output, require_memory
 from ...views import lens_types
 from .blur import CutBlur
 from .board_model import numbers_of, predict_centres
@@ -24,8 +24,8 @@ from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, Board, LensIndex, Tab
 
 
 def detect_corners(
-    image: np.ndarray,
-    white: np.ndarray,
+    image: Array,
+    white: Array,
     centres: Table,
     board: Board,
     *,
@@ -96,7 +96,7 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
     size = np.array(camera.crop_size)
     index = index or LensIndex(0.5 if lattice.stagger == 2 else 0.0, 1, (0, 0))
 
-    def pixels(unit: np.ndarray) -> np.ndarray:
+    def pixels(unit: Array) -> Array:
         pixel_size = camera.pixel_size
         ratio = lattice.row_ratio
         return predict_centres(numbers_of(camera), unit, pixel_size=pixel_size, row_ratio=ratio)[0]
@@ -116,7 +116,7 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
     return Table("camera", {"k": k[inside], "l": l[inside], "u": pixel[inside, 0], "v": pixel[inside, 1]})
 
 
-def _picture(image: np.ndarray, white: np.ndarray, centres: Table, name: str) -> Picture:
+def _picture(image: Array, white: Array, centres: Table, name: str) -> Picture:
     values, light = (_grey(label, picture) for label, picture in ((name, image), ("white", white)))
     refuse_if(
         values.shape != light.shape,
@@ -145,7 +145,7 @@ def _picture(image: np.ndarray, white: np.ndarray, centres: Table, name: str) ->
     return Picture(name, divided, weight, middle[inside], radius, even if even > 0.6 * radius else radius)
 
 
-def evenly_lit(light: np.ndarray, centre: np.ndarray, radius: float) -> float:
+def evenly_lit(light: Array, centre: Array, radius: float) -> float:
     """Return the radius in pixels within which micro-images are, on average, as bright as in their middle."""
     half = int(radius) + 1
     uncut = centre[((centre > half) & (centre < np.array(light.shape)[::-1] - half - 1)).all(1)]
@@ -163,15 +163,15 @@ def evenly_lit(light: np.ndarray, centre: np.ndarray, radius: float) -> float:
     return min(radius, dark[0] / 2) if dark.size else radius
 
 
-def _grey(name: str, image: np.ndarray) -> np.ndarray:
+def _grey(name: str, image: Array) -> Array:
     values = as_pixels(name, image, np.float64)
     refuse_if(values.ndim not in (2, 3), f"{name} of shape {values.shape}: it must be an image")
     return values if values.ndim == 2 else values.mean(axis=2)
 
 
 def _refined(
-    picture: Picture, first_disparity: float, corners: np.ndarray, camera: PlenopticCamera | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    picture: Picture, first_disparity: float, corners: Array, camera: PlenopticCamera | None
+) -> tuple[Array, Array, Array]:
     """Return corners located through lenses: indices of corner and lens, and positions in pixels."""
     cut = None if camera is None else CutBlur(camera)
     lens_type = None if camera is None else lens_types(camera, picture.centre + 0.5)
@@ -208,16 +208,12 @@ def _refined(
     return corner[agreed], lens[agreed], located[agreed]
 
 
-def _displaced(
-    cut: CutBlur, lens_type: np.ndarray, defocus: np.ndarray, rows: np.ndarray, arm: np.ndarray
-) -> np.ndarray:
+def _displaced(cut: CutBlur, lens_type: Array, defocus: Array, rows: Array, arm: Array) -> Array:
     """Return displacements from pixels to the positions that these pixels show, for rows of candidates."""
     return cut.displaced(lens_type[rows], defocus[rows], arm)
 
 
-def _expected(
-    picture: Picture, position: np.ndarray, disparity: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _expected(picture: Picture, position: Array, disparity: Array) -> tuple[Array, Array, Array]:
     """Return indices of corner and lens for each pair that should be visible, and the expected position in pixels."""
     reach = (picture.radius - 3.0) / np.abs(disparity)
     lenses = cKDTree(picture.centre).query_ball_point(position, reach)
@@ -229,12 +225,12 @@ def _expected(
 
 def _agreed(
     picture: Picture,
-    corner: np.ndarray,
-    lens: np.ndarray,
-    located: np.ndarray,
-    position: np.ndarray,
-    disparity: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    corner: Array,
+    lens: Array,
+    located: Array,
+    position: Array,
+    disparity: Array,
+) -> tuple[Array, Array, Array]:
     """Return recomputed positions and disparities of corners, and a mask of the observations that agree with both."""
     position = position.copy()
     disparity = disparity.copy()

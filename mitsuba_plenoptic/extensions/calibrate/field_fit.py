@@ -7,7 +7,6 @@ brightness of each lens free (variable projection: G. Golub and V. Pereyra 2003,
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -15,11 +14,10 @@ from typing import Any
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...runtime import exponents, monomials
+from ...runtime import Array, Progress, exponents, monomials
 from .micro_image import NUMBERS, SHAPE, MicroImageModel, PupilNumbers
 from .white_frames import WhiteFrame
 
-Show = Callable[[int, int], None]
 ZONE_LENSES = 24
 """Lenses of a zone that a fit uses."""
 
@@ -49,7 +47,7 @@ class FieldNumbers:
             self.coefficients[name][:1] = getattr(start, name)
 
     @classmethod
-    def of(cls, middle: np.ndarray, scale: float, coefficients: dict[str, np.ndarray]) -> FieldNumbers:
+    def of(cls, middle: Array, scale: float, coefficients: dict[str, Array]) -> FieldNumbers:
         """Return polynomials about a middle in pixels, of places over a scale, with known coefficients."""
         field = cls((1, 1), 0, PupilNumbers(1.0))
         field.middle = middle
@@ -58,26 +56,26 @@ class FieldNumbers:
         return field
 
     @property
-    def number(self) -> np.ndarray:
+    def number(self) -> Array:
         """Index in `NUMBERS` of each coefficient, in their order."""
         return np.repeat(np.arange(len(NUMBERS)), [len(self.coefficients[name]) for name in NUMBERS])
 
-    def terms(self, position: np.ndarray) -> np.ndarray:
+    def terms(self, position: Array) -> Array:
         """Return the monomial of each coefficient at places (n, 2), which run from -1 to 1 along the longer side."""
         x, y = ((position - self.middle) / self.scale).T
         terms = monomials(x, y, exponents(4))
         return np.stack([term for name in NUMBERS for term in terms[: len(self.coefficients[name])]], axis=-1)
 
-    def values(self, position: np.ndarray) -> np.ndarray:
+    def values(self, position: Array) -> Array:
         """Return the numbers (n, 11) at places (n, 2) in pixels."""
         products = self.terms(position) * np.concatenate([self.coefficients[name] for name in NUMBERS])
         return np.stack([products[:, self.number == index].sum(1) for index in range(len(NUMBERS))], axis=-1)
 
-    def split(self, values: np.ndarray) -> dict[str, np.ndarray]:
+    def split(self, values: Array) -> dict[str, Array]:
         """Return values of all coefficients by the names of their numbers."""
         return {name: values[self.number == index] for index, name in enumerate(NUMBERS)}
 
-    def deviations(self, equations: np.ndarray, generator: np.random.Generator) -> dict[str, np.ndarray]:
+    def deviations(self, equations: Array, generator: np.random.Generator) -> dict[str, Array]:
         """Return the coefficients' standard deviations from lenses drawn again, by normal equations of lenses."""
         count = len(equations)
         resampled = (generator.multinomial(count, np.full(count, 1 / count)) for _ in range(100))
@@ -85,16 +83,16 @@ class FieldNumbers:
         return self.split(np.std(changes, axis=0))
 
 
-def solved(equations: np.ndarray, damping: float = 0.0) -> np.ndarray:
+def solved(equations: Array, damping: float = 0.0) -> Array:
     """Return the change of coefficients that solves damped normal equations (n, n + 1)."""
     scale = np.sqrt(np.maximum(equations[:, :-1].diagonal(), 1e-12))
     normal = equations[:, :-1] / np.outer(scale, scale) + (damping + 1e-10) * np.eye(len(scale))
-    return np.asarray(np.linalg.solve(normal, equations[:, -1] / scale) / scale)
+    return np.linalg.solve(normal, equations[:, -1] / scale) / scale
 
 
 def zones_of(
-    position: np.ndarray, chosen: np.ndarray, most: int = 0, generator: np.random.Generator | None = None
-) -> list[np.ndarray]:
+    position: Array, chosen: Array, most: int = 0, generator: np.random.Generator | None = None
+) -> list[Array]:
     """Return chosen lenses at places (n, 2) by squares of the field, at most a number of each, drawn at random."""
     low = position[chosen].min(0)
     width = np.ptp(position[chosen], axis=0).max()
@@ -111,20 +109,20 @@ class LensPixels:
     """Pixels (n,) of lenses, lens by lens, each at the lens whose cell the pixel is in, beside the model."""
 
     # Number of each lens's first pixel, and of all, (lenses + 1,).
-    first: np.ndarray
+    first: Array
     # Offsets in pixels from the image of the lens's place.
-    x: np.ndarray
-    y: np.ndarray
+    x: Array
+    y: Array
     # 0 for pixels that lie off the model, as of dust.
-    weight: np.ndarray
+    weight: Array
     # Recorded value over the model's, (lenses,).
-    brightness: np.ndarray
+    brightness: Array
     # Recorded values over the brightness, less the model.
-    residual: np.ndarray
+    residual: Array
     # Derivatives (n, numbers) by the numbers, less what a change of brightness explains.
-    slopes: np.ndarray
+    slopes: Array
 
-    def equations(self, terms: np.ndarray, number_index: np.ndarray) -> np.ndarray:
+    def equations(self, terms: Array, number_index: Array) -> Array:
         """Return each lens's normal equations (lenses, n, n + 1) for coefficients with terms (lenses, n)."""
         root = np.sqrt(self.weight)[:, None]
         design = np.concatenate([self.slopes * root, self.residual[:, None] * root], axis=1)
@@ -160,9 +158,9 @@ class Judgement:
     structure: float
     mean_image: float
     outliers: float
-    difference: np.ndarray
-    place: np.ndarray
-    brightness: np.ndarray
+    difference: Array
+    place: Array
+    brightness: Array
 
     @property
     def scatter(self) -> float:
@@ -178,7 +176,7 @@ class WhiteRecording:
     camera: PlenopticCamera
     model: MicroImageModel
 
-    def pixels(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def pixels(self, position: Array) -> tuple[Array, Array, Array, Array]:
         """Return numbers of lenses' first pixels (lenses + 1,), and values and offsets x and y of good pixels (n,).
 
         Places are (lenses, 2).
@@ -204,7 +202,7 @@ class WhiteRecording:
         first = np.searchsorted(lens[near], np.arange(len(position) + 1))
         return first, image[row[near], column[near]], x[near], y[near]
 
-    def beside(self, position: np.ndarray, field: FieldNumbers) -> LensPixels:
+    def beside(self, position: Array, field: FieldNumbers) -> LensPixels:
         """Return the pixels of a zone's lenses at places (n, 2) beside the model."""
         first, value, x, y = self.pixels(position)
         count = np.diff(first)
@@ -228,7 +226,7 @@ class WhiteRecording:
         slopes = slopes - explained[lens] * image[:, None]
         return LensPixels(first, x, y, weight, brightness, residual, slopes)
 
-    def fit(self, position: np.ndarray, zones: list[np.ndarray], field: FieldNumbers, show: Show) -> np.ndarray:
+    def fit(self, position: Array, zones: list[Array], field: FieldNumbers, show: Progress) -> Array:
         """Fit the polynomials to the lenses of zones; return normal equations (lenses, n, n + 1) of each lens."""
         best = np.inf
         damping = 0.0
@@ -262,7 +260,7 @@ class WhiteRecording:
         show(1, 1)
         return equations
 
-    def fit_shape(self, position: np.ndarray, zones: list[np.ndarray], field: FieldNumbers) -> None:
+    def fit_shape(self, position: Array, zones: list[Array], field: FieldNumbers) -> None:
         """Fit the model's shape, which all lenses have alike, to the mean residual of zones' lenses.
 
         A third of these lenses chooses how many coefficients map and outline have: more must lower the residual by a
@@ -314,12 +312,12 @@ class WhiteRecording:
         """Bins along a side of mean micro-images."""
         return 2 * _BINS * int(np.ceil(self.model.reach)) + 1
 
-    def bins(self, pixels: LensPixels) -> np.ndarray:
+    def bins(self, pixels: LensPixels) -> Array:
         """Return the bin in the mean micro-image of each pixel."""
         column, row = (np.rint(_BINS * offsets).astype(int) + self.side // 2 for offsets in (pixels.x, pixels.y))
         return np.asarray(row * self.side + column)
 
-    def judged(self, position: np.ndarray, zones: list[np.ndarray], field: FieldNumbers, show: Show) -> Judgement:
+    def judged(self, position: Array, zones: list[Array], field: FieldNumbers, show: Progress) -> Judgement:
         """Return how well zones' lenses at places (n, 2) agree with the model."""
         moved = np.full(position.shape, np.nan)
         brightness = np.full(len(position), np.nan)

@@ -10,7 +10,7 @@ import scipy.interpolate
 
 from ...camera import VIGNETTING_NUMBERS, LensTransmissions, PlenopticCamera, StrayLight
 from ...prescription import Objective
-from ...runtime import exponents, monomials
+from ...runtime import Array, exponents, monomials
 from .array_fit import ArrayFit
 from .field_fit import FieldNumbers
 from .micro_image import NUMBERS, MicroImageModel, PupilNumbers
@@ -24,9 +24,9 @@ def fitted_camera(
     camera: PlenopticCamera,
     array: ArrayFit,
     field: FieldNumbers,
-    position: np.ndarray,
-    lens: np.ndarray,
-    light: np.ndarray,
+    position: Array,
+    lens: Array,
+    light: Array,
 ) -> PlenopticCamera:
     """Return the camera with the array, pupil, blur, stray light and brightness of lenses that a fit found.
 
@@ -59,7 +59,7 @@ def fitted_camera(
     return camera.replace(main_lens=objective, **changes)
 
 
-def _transmissions(camera: PlenopticCamera, array: ArrayFit, lens: np.ndarray, light: np.ndarray) -> LensTransmissions:
+def _transmissions(camera: PlenopticCamera, array: ArrayFit, lens: Array, light: Array) -> LensTransmissions:
     """Return a table of the lenses' brightness; lenses that are not whole have that of the nearest."""
     along, row = (lens - array.nearest).T
     column = along - 0.5 * (row % 2) if camera.lattice.stagger == 2 else along
@@ -73,7 +73,7 @@ def _transmissions(camera: PlenopticCamera, array: ArrayFit, lens: np.ndarray, l
 
 
 def stray_light(
-    model: MicroImageModel, camera: PlenopticCamera, field: FieldNumbers, position: np.ndarray, light: np.ndarray
+    model: MicroImageModel, camera: PlenopticCamera, field: FieldNumbers, position: Array, light: Array
 ) -> float | StrayLight:
     """Return stray light over the mean irradiance of a white picture, from that over the light in lenses' middles."""
     some = slice(None, None, max(len(position) // 32, 1))

@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 
 from ...camera import PlenopticCamera, Vignetting
 from ...errors import refuse_if
-from ...runtime import require_memory
+from ...runtime import Array, require_memory
 
 _WIDEST = 512
 """Most samples of micro-images along a lattice vector, and fewest of the field behind the array."""
@@ -109,11 +109,11 @@ class MicroImageModel:
         spline = np.outer(*(3 / (2 + np.cos(2 * np.pi * orders / count)) for orders in (down, along)))
         self._transfer = pattern * np.sinc(fx) * np.sinc(fy) * spline
 
-    def samples(self, numbers: PupilNumbers) -> np.ndarray:
+    def samples(self, numbers: PupilNumbers) -> Array:
         """Return the spline coefficients, for `at`, of a micro-image that is 1 in the middle of an even pupil."""
         return self._image(self._pupil(numbers), self._blur(numbers)) + numbers.stray
 
-    def slopes(self, numbers: PupilNumbers) -> np.ndarray:
+    def slopes(self, numbers: PupilNumbers) -> Array:
         """Return the derivatives of `samples` by each of `NUMBERS`, as quotients of differences."""
         pupil = self._pupil(numbers)
         blur = self._blur(numbers)
@@ -129,7 +129,7 @@ class MicroImageModel:
                 slope[:] = self._image((self._pupil(moved) - pupil) / step, blur)
         return slopes
 
-    def shape_slopes(self, numbers: PupilNumbers) -> list[np.ndarray]:
+    def shape_slopes(self, numbers: PupilNumbers) -> list[Array]:
         """Return the derivatives of `samples` by all numbers of `SHAPE`, of a shape that has none yet."""
         blur = self._blur(numbers)
         even = self.shape
@@ -142,7 +142,7 @@ class MicroImageModel:
         self.shape = even
         return slopes
 
-    def _pupil(self, n: PupilNumbers) -> np.ndarray:
+    def _pupil(self, n: PupilNumbers) -> Array:
         """Return the pupil's transmission, that of the neighbours' pupils added, on the samples of a cell."""
         own = ("ellipse_x", "ellipse_y", "slope_x", "slope_y", "apodisation_2", "apodisation_4")
         pupil = replace(self.shape, **{name: float(getattr(n, name)) for name in own})
@@ -165,22 +165,22 @@ class MicroImageModel:
         """Return the light of the pupil's image, over that in the middle of an even one and the area of a pixel."""
         return float(self._pupil(numbers).sum()) * self._area
 
-    def _blur(self, n: PupilNumbers) -> np.ndarray:
+    def _blur(self, n: PupilNumbers) -> Array:
         """Return the transfer of the blur."""
         return np.exp(-2 * (np.pi * n.blur) ** 2 * self._f2)
 
-    def _image(self, pupil: np.ndarray, blur: np.ndarray) -> np.ndarray:
+    def _image(self, pupil: Array, blur: Array) -> Array:
         """Return the spline coefficients of the image of a pupil's transmission."""
         spectrum = scipy.fft.rfft2(pupil)
         spectrum *= self._transfer
         spectrum *= blur
-        return np.asarray(scipy.fft.irfft2(spectrum, (self._count, self._count), overwrite_x=True))
+        return scipy.fft.irfft2(spectrum, (self._count, self._count), overwrite_x=True)
 
-    def at(self, samples: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def at(self, samples: Array, x: Array, y: Array) -> Array:
         """Return values of `samples`'s samples at offsets in pixels from the image of the lens's regular place."""
-        return np.asarray(self.splines(x, y) @ samples.ravel())
+        return self.splines(x, y) @ samples.ravel()
 
-    def splines(self, x: np.ndarray, y: np.ndarray) -> csr_array:
+    def splines(self, x: Array, y: Array) -> csr_array:
         """Return the matrix that multiplies flat `samples` to values at offsets in pixels, as `at` does."""
         weights = []
         index = []
@@ -196,7 +196,7 @@ class MicroImageModel:
         return csr_array((taps, columns, rows), shape=(len(x), self._count**2))
 
 
-def _ray_pattern(camera: PlenopticCamera, along: np.ndarray, down: np.ndarray) -> np.ndarray:
+def _ray_pattern(camera: PlenopticCamera, along: Array, down: Array) -> Array:
     """Return orders of the light of a pupil point behind the array by rays: apertures as large as its defocus."""
     unit = (np.arange(_POINTS) + 0.5) / _POINTS
     points = np.reshape(camera.lattice.aperture_point(*np.meshgrid(unit, unit)), (2, -1))
@@ -205,10 +205,10 @@ def _ray_pattern(camera: PlenopticCamera, along: np.ndarray, down: np.ndarray) -
     )
     places = np.linalg.solve(np.transpose(camera.lattice.basis), smear * points)
     first, second = (np.exp(2j * np.pi * np.outer(n, place)) for n, place in zip((along, down), places, strict=True))
-    return np.asarray(second @ first.T / _POINTS**2)
+    return second @ first.T / _POINTS**2
 
 
-def _wave_pattern(camera: PlenopticCamera, wavelength: float, along: np.ndarray, down: np.ndarray) -> np.ndarray:
+def _wave_pattern(camera: PlenopticCamera, wavelength: float, along: Array, down: Array) -> Array:
     """Return orders of the light of a pupil point behind the array by waves: its lenses interfere."""
     lattice = camera.lattice
     refuse_if(
@@ -229,4 +229,4 @@ def _wave_pattern(camera: PlenopticCamera, wavelength: float, along: np.ndarray,
     distance = camera.reduced_distance / camera.image_growth
     field = scipy.fft.ifft2(scipy.fft.fft2(field) * np.exp(-1j * np.pi * length * distance * (fx * fx + fy * fy)))
     light = scipy.fft.fft2(np.abs(field) ** 2) / size**2
-    return np.asarray(light[np.ix_(down.astype(int), along.astype(int))])
+    return light[np.ix_(down.astype(int), along.astype(int))]

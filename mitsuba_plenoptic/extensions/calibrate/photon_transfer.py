@@ -18,7 +18,7 @@ from scipy import ndimage
 from ...detector import Detector
 from ...errors import InputError, refuse_if, require_count, suggest_keywords
 from ...linear import dark_variance
-from ...runtime import IMAGE, Doubles, as_array
+from ...runtime import IMAGE, Doubles, Flags, Integers, as_array
 from .white_frames import matching, stuck
 
 _ORDERS = 2, 4, 6
@@ -150,7 +150,7 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
     # Unequal pixels are noise in both pictures, or in none if there are several of each.
     alike = _Spread.of(black[:1], bad) if len(bright) == 1 else darkness
 
-    def estimate(light: _Spread, choice: NDArray[np.int64] | slice = slice(None)) -> tuple[float, float, float]:
+    def estimate(light: _Spread, choice: Integers | slice = slice(None)) -> tuple[float, float, float]:
         mean, variance = light.of_blocks(choice)
         _, least = alike.of_blocks(choice)
         dark_mean, dark_variance = darkness.of_blocks(choice)
@@ -250,10 +250,10 @@ class _Spread:
 
     means: Doubles
     variances: Doubles
-    good: NDArray[np.bool_]
+    good: Flags
 
     @classmethod
-    def of(cls, frames: Doubles, bad: NDArray[np.bool_], order: int = _ORDERS[-1], flattest: float = 1.0) -> _Spread:
+    def of(cls, frames: Doubles, bad: Flags, order: int = _ORDERS[-1], flattest: float = 1.0) -> _Spread:
         """Return the spread between pictures, or of a single picture about its smooth part where it is flattest."""
         if len(frames) > 1:
             # Lamps flicker: pictures are compared at the same brightness.
@@ -285,7 +285,7 @@ class _Spread:
         sums = [np.bincount(block, values[self.good], _BLOCKS**2) for values in (self.means, self.variances)]
         return np.stack([np.bincount(block, minlength=_BLOCKS**2), *sums])
 
-    def of_blocks(self, choice: NDArray[np.int64] | slice = slice(None)) -> tuple[float, float]:
+    def of_blocks(self, choice: Integers | slice = slice(None)) -> tuple[float, float]:
         """Return mean and variance of the used pixels of some blocks, by default of all."""
         count, mean, variance = self._blocks[:, choice].sum(1)
         return float(mean / count), float(variance / count)
@@ -300,7 +300,7 @@ class _Spread:
 
 def _both(picture: Doubles, weights: Doubles) -> Doubles:
     """Return a picture filtered by weights along both axes."""
-    return np.asarray(ndimage.correlate1d(ndimage.correlate1d(picture, weights, 0), weights, 1))
+    return ndimage.correlate1d(ndimage.correlate1d(picture, weights, 0), weights, 1)
 
 
 def electrons(white: NDArray[np.floating]) -> float:
@@ -312,7 +312,7 @@ def electrons(white: NDArray[np.floating]) -> float:
     return float(white[bright].mean()) / _deviation(white, bright) ** 2
 
 
-def _deviation(picture: NDArray[np.floating], chosen: NDArray[np.bool_]) -> float:
+def _deviation(picture: NDArray[np.floating], chosen: Flags) -> float:
     """Return the standard deviation of chosen pixels, from differences to their neighbours on the left and right."""
     second = ((2 * picture - np.roll(picture, 1, 1) - np.roll(picture, -1, 1)) / np.sqrt(6))[chosen]
     return 1.4826 * float(np.median(np.abs(second - np.median(second))))

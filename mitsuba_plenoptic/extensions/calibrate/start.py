@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...errors import InputError, refuse_if
+from ...runtime import Array
 from .adjustment import Problem, adjust, adjust_poses, both_axes, robust_lines
 from .board_model import AT, NAMES, Observations
 from .calibration_result import group_means
@@ -30,8 +31,8 @@ _AGREEING = 0.7
 
 
 def start_values(
-    problem: Problem, board: Board, frames: np.ndarray, grid: np.ndarray, principal: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    problem: Problem, board: Board, frames: Array, grid: Array, principal: Array
+) -> tuple[Array, Array, Array]:
     """Return start values from which a fit of camera and poses converges.
 
     Shapes: `grid` (3, 2), `principal` (2,); the result (17,), (poses, 6), (n,).
@@ -90,8 +91,8 @@ def start_values(
 
 
 def board_images(
-    problem: Problem, board: Board, frames: np.ndarray, grid: np.ndarray, principal: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    problem: Problem, board: Board, frames: Array, grid: Array, principal: Array
+) -> tuple[Array, Array, Array]:
     """Return the image of each board by the main lens, found from the shifts of its corners from lens to lens.
 
     The result has the shape (poses,), (poses, 3, 2), (n,).
@@ -131,9 +132,7 @@ def board_images(
     return slopes, maps, good
 
 
-def _agreeing(
-    observed: Observations, board: Board, centre: np.ndarray, pixel: np.ndarray, frames: np.ndarray, pitch: float
-) -> np.ndarray:
+def _agreeing(observed: Observations, board: Board, centre: Array, pixel: Array, frames: Array, pitch: float) -> Array:
     """Return a mask of rows in their micro-image that agree with most of their frame; refuse disagreeing frames."""
     near = np.hypot(*(pixel - centre).T) < pitch
     good = near.copy()
@@ -179,7 +178,7 @@ def _agreeing(
     return good
 
 
-def _board_fit(board: np.ndarray, centre: np.ndarray, pixel: np.ndarray) -> tuple[bool, np.ndarray]:
+def _board_fit(board: Array, centre: Array, pixel: Array) -> tuple[bool, Array]:
     """Return whether a flat board explains the observed corners, and a mask of the rows that agree with it.
 
     Over a tilted board z/a changes linearly, and z q/a as a square of the position on the board. The lenses that see a
@@ -197,7 +196,7 @@ def _board_fit(board: np.ndarray, centre: np.ndarray, pixel: np.ndarray) -> tupl
     return bool(explained and good.mean() > _AGREEING), good
 
 
-def upright_poses(maps: np.ndarray, focal_length: float) -> np.ndarray:
+def upright_poses(maps: Array, focal_length: float) -> Array:
     """Return poses (n, 6) of boards that face the camera, from their images by a thin lens."""
     poses = np.zeros((len(maps), 6))
     for pose, (corner, along, across) in zip(poses, maps, strict=True):

@@ -18,7 +18,7 @@ import numpy as np
 from ...array import Lattice
 from ...errors import refuse_if
 from ...io import Capture, require_demosaiced
-from ...runtime import as_array, atomic_output
+from ...runtime import Array, as_array, atomic_output
 from ...views import Discs, LensGrid, estimate_lens_grid, pixels_around
 from .adjustment import OUTLIER
 from .array_fit import lattice_index
@@ -50,11 +50,11 @@ class Centres:
     """
 
     grid: LensGrid
-    lens: np.ndarray
-    pixel: np.ndarray
-    light: np.ndarray
-    residuals: np.ndarray
-    doubtful: np.ndarray
+    lens: Array
+    pixel: Array
+    light: Array
+    residuals: Array
+    doubtful: Array
 
     @property
     def error(self) -> float:
@@ -68,7 +68,7 @@ class Centres:
         return Table(name, {"k": k, "l": l, "u": u, "v": v, DOUBTFUL_COLUMN: self.doubtful.astype(int)})
 
 
-def find_centres(*whites: Capture | np.ndarray, like: Lattice | None = None) -> Centres:
+def find_centres(*whites: Capture | Array, like: Lattice | None = None) -> Centres:
     """Return the centre of each micro-image in a white image.
 
     Parameters
@@ -119,7 +119,7 @@ def find_centres(*whites: Capture | np.ndarray, like: Lattice | None = None) -> 
     return Centres(grid, lens, centre - 0.5, light, residuals, _doubtful(lens, residuals, light))
 
 
-def _centred(image: np.ndarray, centre: np.ndarray, discs: Discs) -> tuple[np.ndarray, np.ndarray]:
+def _centred(image: Array, centre: Array, discs: Discs) -> tuple[Array, Array]:
     """Return centres that stand still under `Discs.measured`, and the light of each."""
     patches = pixels_around(image, centre, discs.reach + 1)
     light = np.zeros(len(centre))
@@ -128,7 +128,7 @@ def _centred(image: np.ndarray, centre: np.ndarray, discs: Discs) -> tuple[np.nd
     return centre, light
 
 
-def _doubtful(lens: np.ndarray, residuals: np.ndarray, light: np.ndarray) -> np.ndarray:
+def _doubtful(lens: Array, residuals: Array, light: Array) -> Array:
     """Return a mask of centres that differ from their neighbours in place or light by more than is usual."""
     values = np.concatenate([residuals, np.log(light)[:, None]], axis=1)
     differs = values - _local_medians(lens, values)
@@ -136,10 +136,10 @@ def _doubtful(lens: np.ndarray, residuals: np.ndarray, light: np.ndarray) -> np.
     typical = np.maximum(_local_medians(lens, sizes), np.median(sizes, axis=0))
     beyond = sizes > OUTLIER * typical
     beyond[:, 1] &= np.abs(differs[:, 2]) > 0.02
-    return np.asarray(beyond.any(1))
+    return beyond.any(1)
 
 
-def _local_medians(lens: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _local_medians(lens: Array, values: Array) -> Array:
     """Return the medians of values (n, m) over the neighbours of each lens."""
     column, row = (lens - lens.min(0) + _NEIGHBOURS).T
     side = 2 * _NEIGHBOURS + 1

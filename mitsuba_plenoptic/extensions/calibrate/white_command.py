@@ -14,7 +14,7 @@ from ... import choices
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming
 from ...io import Capture, read_numbers
-from ...runtime import progress_bar, write_text
+from ...runtime import Array, progress_bar, write_text
 from ...views import read_recording
 from .photon_transfer import PhotonTransfer, photon_transfer
 from .white_fit import WhiteFit, fit_white
@@ -51,7 +51,7 @@ def fit_camera(
     typer.echo(f"{output}: fitted to {np.count_nonzero(~fit.withheld)} micro-images")
 
 
-def sensor_values(path: Path) -> np.ndarray:
+def sensor_values(path: Path) -> Array:
     """Return a sensor's values, proportional to light: the numbers in a picture."""
     if path.suffix.lower() in choices.RAW_SUFFIXES:
         return read_numbers(path).numbers.astype(np.float64)

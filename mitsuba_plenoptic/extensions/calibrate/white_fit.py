@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ import scipy.ndimage
 from ...camera import PlenopticCamera
 from ...detector import SHARP
 from ...errors import naming, refuse_if, require_wavelength
-from ...runtime import single_threaded_blas
+from ...runtime import Array, Progress, single_threaded_blas
 from .array_fit import ArrayFit, fit_array, lattice_index, places, require_alike
 from .field_fit import ZONE_LENSES, FieldNumbers, Judgement, WhiteRecording, zones_of
 from .fitted_camera import fitted_camera
@@ -56,12 +55,12 @@ class WhiteFit:
     frame: WhiteFrame
     array: ArrayFit
     field: FieldNumbers
-    deviations: dict[str, np.ndarray]
-    place: np.ndarray
-    lens: np.ndarray
-    off_array: np.ndarray
-    brightness: np.ndarray
-    withheld: np.ndarray
+    deviations: dict[str, Array]
+    place: Array
+    lens: Array
+    off_array: Array
+    brightness: Array
+    withheld: Array
     judgement: Judgement
 
     def lens_index(self) -> dict[str, object]:
@@ -74,13 +73,13 @@ class WhiteFit:
 
 @single_threaded_blas()
 def fit_white(
-    white: np.ndarray,
+    white: Array,
     camera: PlenopticCamera,
     *,
-    dark: np.ndarray | None = None,
+    dark: Array | None = None,
     wavelength: float | None = 550.0,
     seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> WhiteFit:
     """Fit a camera to a picture of something evenly white.
 
@@ -197,7 +196,7 @@ def fit_white(
     )
 
 
-def whole_lenses(recording: WhiteRecording, position: np.ndarray) -> np.ndarray:
+def whole_lenses(recording: WhiteRecording, position: Array) -> Array:
     """Return which lenses at places (n, 2) have their cells within the picture, and light there."""
     camera = recording.camera
     scale = camera.image_growth / camera.pixel_size
@@ -223,6 +222,6 @@ def of_size(camera: PlenopticCamera, size: tuple[int, ...]) -> PlenopticCamera:
     return camera.replace(resolution=size, detector_width=width, crop_offset=(0, 0), crop_size=size)
 
 
-def filled(frame: WhiteFrame) -> np.ndarray:
+def filled(frame: WhiteFrame) -> Array:
     """Return the light of a white picture, with medians of neighbours where pixels are saturated or defective."""
     return np.where(frame.good, frame.light, scipy.ndimage.median_filter(frame.light, 5))

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.ndimage
 
 from ...errors import refuse_if, warn
-from ...runtime import as_pixels
+from ...runtime import Array, as_pixels
 
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]])
 """The neighbours of a pixel."""
@@ -29,14 +29,14 @@ class WhiteFrame:
         and columns outside the lit part of the sensor.
     """
 
-    light: np.ndarray
-    good: np.ndarray
+    light: Array
+    good: Array
     saturated: int
     defective: int
     unlit: int
 
     @classmethod
-    def of(cls, white: np.ndarray, dark: np.ndarray | None = None) -> WhiteFrame:
+    def of(cls, white: Array, dark: Array | None = None) -> WhiteFrame:
         """Return the frame of a white picture (rows, columns) and a dark one of the same size."""
         light = single_channel("white", white)
         saturated = clipped("white", light)
@@ -60,7 +60,7 @@ class WhiteFrame:
         return cls(light, good, int(saturated.sum()), int(defective.sum()), int(unlit.sum()))
 
 
-def clipped(name: str, picture: np.ndarray) -> np.ndarray:
+def clipped(name: str, picture: Array) -> Array:
     """Return the pixels with the largest value of a picture, if they are not few; refuse too many."""
     highest = picture >= picture.max()
     refuse_if(
@@ -70,7 +70,7 @@ def clipped(name: str, picture: np.ndarray) -> np.ndarray:
     return highest & (highest.mean() >= 1e-4)
 
 
-def stuck(light: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
+def stuck(light: Array, noise: float) -> tuple[Array, Array]:
     """Return single dead pixels, and hot ones: four times darker and brighter than all their neighbours.
 
     Blurred light does not differ so much. By noise alone none does, as the difference must be ten times the noise, too.
@@ -80,7 +80,7 @@ def stuck(light: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
     return (light < least / 4) & (least - light > 10 * noise), (light > 4 * most) & (light - most > 10 * noise)
 
 
-def black_level(light: np.ndarray) -> float:
+def black_level(light: Array) -> float:
     """Return the black level, with a warning, of a light field less its dark picture, (rows, columns), or 0.
 
     Pixels of the darkest places, which their neighbours tell, cannot be darker than no light. Where they lie below 0 by
@@ -99,7 +99,7 @@ def black_level(light: np.ndarray) -> float:
     return level
 
 
-def matching(name: str, picture: np.ndarray, white: np.ndarray) -> np.ndarray:
+def matching(name: str, picture: Array, white: Array) -> Array:
     """Return a picture of one channel with the pixels of a white one; refuse others."""
     values = single_channel(name, picture)
     refuse_if(
@@ -109,7 +109,7 @@ def matching(name: str, picture: np.ndarray, white: np.ndarray) -> np.ndarray:
     return values
 
 
-def single_channel(name: str, picture: np.ndarray) -> np.ndarray:
+def single_channel(name: str, picture: Array) -> Array:
     """Return a picture of one channel as (rows, columns) numbers; refuse others."""
     values = as_pixels(name, picture, np.float64)
     refuse_if(

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from scipy.spatial import cKDTree
 
 from ...report import pages, plots
-from ...runtime import set_variant
+from ...runtime import Array, set_variant
 from ...scene import render_capture
 from .white_fit import WhiteFit
 
@@ -35,7 +35,7 @@ def write_white_report(path: Path, fit: WhiteFit, summary: list[str]) -> None:
     pages.Page("A camera fitted to its white picture", lead, sections).write(path)
 
 
-def side_by_side(fit: WhiteFit, samples: int = _SAMPLES) -> tuple[np.ndarray, np.ndarray]:
+def side_by_side(fit: WhiteFit, samples: int = _SAMPLES) -> tuple[Array, Array]:
     """Return recorded and simulated light of the lenses in the middle, over the mean light in lenses' middles.
 
     Both have the shape (rows, columns). Simulated is an evenly white scene through the fitted camera.
@@ -88,7 +88,7 @@ def white_figure(fit: WhiteFit) -> plots.Plot:
     return plot
 
 
-def _profile(axes: Axes, fit: WhiteFit, recorded: np.ndarray, simulated: np.ndarray) -> None:
+def _profile(axes: Axes, fit: WhiteFit, recorded: Array, simulated: Array) -> None:
     """Draw the light of micro-images over the distance from the lens's place."""
     rows, columns = recorded.shape
     left, top = ((full - cut) // 2 for full, cut in zip(fit.camera.resolution, (columns, rows), strict=True))

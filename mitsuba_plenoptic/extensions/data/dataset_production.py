@@ -13,7 +13,7 @@ import yaml
 
 from ...errors import naming
 from ...report import images, plots
-from ...runtime import BatchMap, Progress, h5py_module, locked, remove_leftovers, set_variant, write_text
+from ...runtime import Array, BatchMap, Progress, h5py_module, locked, remove_leftovers, set_variant, write_text
 from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample
 from .shards import (
@@ -281,7 +281,7 @@ def write_preview(path: Path, samples: DataSet) -> None:
     plot.save(path)
 
 
-def inverse_distance(depth: np.ndarray) -> np.ndarray:
+def inverse_distance(depth: Array) -> Array:
     """Return inverse depth scaled to the range 0.1 (farthest) to 1 (nearest), and 0 where depth is unknown."""
     finite = np.isfinite(depth)
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=finite & (depth > 0))

@@ -12,7 +12,7 @@ from ...camera import PlenopticCamera
 from ...detector import SHARP
 from ...io import Capture
 from ...plugins.other_camera import with_camera
-from ...runtime import drjit_array
+from ...runtime import Array, Pair, drjit_array
 from ...scene import plenoptic_sensor, render_capture
 from ...views import FirstHits
 from ..onchip.disparity import blur_radius
@@ -23,14 +23,14 @@ _STOPPED = 32.0
 """Factor by which the main lens is stopped down for pictures that are all in focus."""
 
 
-def pictures_of(capture: Capture, layout: tuple[int, int], name: str) -> dict[str, np.ndarray]:
+def pictures_of(capture: Capture, layout: tuple[int, int], name: str) -> dict[str, Array]:
     """Return the pictures of a capture's photodiodes, named like ``ray_left``."""
     halves = dual_pixel(capture, layout)
     names = photodiode_names(halves)
     return {f"{name}_{name_of_photodiode}": halves.values[index] for index, name_of_photodiode in np.ndenumerate(names)}
 
 
-def truth_of_lenses(scene: Any, spp: int, seed: int) -> dict[str, np.ndarray]:
+def truth_of_lenses(scene: Any, spp: int, seed: int) -> dict[str, Array]:
     """Return the all-in-focus picture, and each lens's depth (mm) and signed blur radius (lens pitches).
 
     The depth is measured along the ray through the centres of the lens and of the pupil. Where the scene is in focus,
@@ -42,7 +42,7 @@ def truth_of_lenses(scene: Any, spp: int, seed: int) -> dict[str, np.ndarray]:
     x, y = (drjit_array(mi.Float, coordinate) for coordinate in camera.lattice.centre(*_lens_indices(camera)))
     hits = FirstHits(scene, sensor, ["depth"])
 
-    def of_lenses(index: Any) -> tuple[Any, Any]:
+    def of_lenses(index: Any) -> Pair:
         position = dr.gather(mi.Float, x, index), dr.gather(mi.Float, y, index)
         return sensor.pupil_ray((mi.Float(0), mi.Float(0)), position)
 
@@ -59,7 +59,7 @@ def truth_of_lenses(scene: Any, spp: int, seed: int) -> dict[str, np.ndarray]:
     }
 
 
-def _lens_indices(camera: PlenopticCamera) -> list[np.ndarray]:
+def _lens_indices(camera: PlenopticCamera) -> list[Array]:
     """Return both lattice indices of the recorded lenses, (rows, columns)."""
     index = [
         np.floor(((first + ACROSS * np.arange(size // ACROSS) + 1) - count / 2 - offset / camera.pixel_size) / ACROSS)

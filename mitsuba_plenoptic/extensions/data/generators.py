@@ -20,7 +20,7 @@ from ...design import depth_ranges
 from ...errors import put_checked, refuse_if, require_choice, require_count, require_number, short_repr
 from ...extension import entries, missing, place
 from ...io import Capture
-from ...runtime import drjit_array
+from ...runtime import Array, drjit_array
 
 _DETAIL = (0.2, 2.0)
 """Size of a pattern's details, in lenses, evenly in its logarithm: from below the lenses' resolution to coarse."""
@@ -104,7 +104,7 @@ class CaptureGenerator(Protocol):
 
     def captures(
         self, camera: PlenopticCamera, options: Mapping[str, Mapping[str, Any]], random: np.random.Generator
-    ) -> tuple[dict[str, Capture], dict[str, np.ndarray]]:
+    ) -> tuple[dict[str, Capture], dict[str, Array]]:
         """Return captures by name, which begins with the model, and the arrays of `meanings`.
 
         `options` are those of each model in the recipe.
@@ -193,7 +193,7 @@ class Shapes:
     def _object(
         self,
         kind: str,
-        position: np.ndarray,
+        position: Array,
         size: float,
         tilt: float,
         plain: float,

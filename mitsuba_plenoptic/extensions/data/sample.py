@@ -12,7 +12,7 @@ from ...capture_spec import CaptureSpec
 from ...detector import expose
 from ...io import Capture, GroundTruth, versions
 from ...plugins.other_camera import with_camera
-from ...runtime import Progress
+from ...runtime import Array, Progress
 from ...scene import load_scene, render_capture
 from ...views import ground_truth
 from .dual_samples import pictures_of, truth_of_lenses
@@ -45,7 +45,7 @@ class Sample:
     """
 
     index: int
-    arrays: dict[str, np.ndarray]
+    arrays: dict[str, Array]
     facts: dict[str, Any]
 
     @property
@@ -116,7 +116,7 @@ def make_sample(recipe: Recipe, index: int, progress: Progress | None = None) ->
     """
     plan = recipe.plan(index)
     scene = open_sample(recipe, plan)
-    arrays: dict[str, np.ndarray] = {}
+    arrays: dict[str, Array] = {}
     about: dict[str, Any] = {}
 
     def seed(name: str) -> int:

@@ -18,13 +18,12 @@ from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
 from ...camera import PlenopticCamera
 from ...lenses import FittedLens
 from ...points import Grid
-from ...runtime import Box, Doubles, backend_of, turn
+from ...runtime import Box, Doubles, Floats, Integers, backend_of, turn
 
 
 @dataclass(frozen=True)
@@ -32,31 +31,31 @@ class CellSet:
     """Cells in rows; each row is a run without gaps."""
 
     top: int
-    first: NDArray[np.int64]
-    count: NDArray[np.int64]
+    first: Integers
+    count: Integers
 
     def __len__(self) -> int:
         return int(self.count.sum())
 
     @cached_property
-    def start(self) -> NDArray[np.int64]:
+    def start(self) -> Integers:
         """Index of the first cell of each row."""
         return np.concatenate([[0], np.cumsum(self.count)[:-1]]).astype(np.int64)
 
     @cached_property
-    def index(self) -> NDArray[np.int64]:
+    def index(self) -> Integers:
         """I and J of all cells, (n, 2)."""
         row = np.repeat(np.arange(len(self.count)), self.count)
         return np.stack([np.arange(len(self)) - self.start[row] + self.first[row], row + self.top], axis=-1)
 
-    def find(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
+    def find(self, index: Integers) -> Integers:
         """Return the number in this set of each cell I, J (..., 2); the length of the set for cells outside."""
         row = np.clip(index[..., 1] - self.top, 0, len(self.count) - 1)
         along = index[..., 0] - self.first[row]
         inside = (row == index[..., 1] - self.top) & (along >= 0) & (along < self.count[row])
         return np.asarray(np.where(inside, self.start[row] + along, len(self)))
 
-    def grown(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> CellSet:
+    def grown(self, low: Integers, high: Integers) -> CellSet:
         """Return the cells reached from this set by steps from `low` to `high`, both included."""
         tops = np.arange(self.top + low[1], self.top + len(self.count) + high[1])
         first = np.full(len(tops), np.iinfo(np.int64).max)
@@ -81,7 +80,7 @@ class BinCells:
         steps = np.array([[types, 0], [0 if types == 1 else 1, 1]])
         # The two vectors (rows) by which cells repeat, on the MLA in millimetres, and in samples of the grid.
         self.vectors = steps.astype(np.float64) @ np.array(camera.lattice.basis)
-        self.samples: NDArray[np.int64] = steps @ grid.lens_samples
+        self.samples: Integers = steps @ grid.lens_samples
         # Samples of a cell, bins of a cell, and millimetres of a bin on the MLA, along x and y. A side of a bin is at
         # most the pitch along the rows over `oversample`.
         self.size = int(self.samples[0, 0]), int(self.samples[1, 1])
@@ -91,7 +90,7 @@ class BinCells:
         # Index of the sample on the axis, the first one of cell (0, 0).
         self.first_sample = np.rint(-grid.origin / grid.pitch).astype(np.int64)
 
-    def bin_places(self, cell: NDArray[np.int64], parts: int = 1) -> Doubles:
+    def bin_places(self, cell: Integers, parts: int = 1) -> Doubles:
         """Return points on the MLA that are evenly spaced in each bin of a cell."""
         x, y = (
             (np.arange(count * parts).reshape(count, parts) + 0.5) * (size / parts)
@@ -101,7 +100,7 @@ class BinCells:
         positions = np.stack([along_x, along_y], axis=-1).reshape(self.bins[0] * self.bins[1], parts**2, 2)
         return np.asarray(positions + cell @ self.vectors)
 
-    def middle(self, cell: NDArray[np.int64]) -> Doubles:
+    def middle(self, cell: Integers) -> Doubles:
         """Return the middles (..., 2) of cells on the MLA, in the camera frame."""
         x, y = np.moveaxis(cell @ self.vectors + np.diagonal(self.vectors) / 2, -1, 0)
         return np.stack(turn(x, y, self.grid.rotation), -1)
@@ -116,11 +115,11 @@ class BinCells:
         last = (high[0] - rows * self.samples[1, 0]) // width
         return CellSet(int(rows[0]), first, last - first + 1)
 
-    def split(self, samples: NDArray[np.float32], box: Box, cells: CellSet) -> NDArray[np.float32]:
+    def split(self, samples: Floats, box: Box, cells: CellSet) -> Floats:
         """Return the samples of a box divided into cells; samples beyond the box are zero."""
         arrays = backend_of(samples).arrays
         width, height = self.size
-        result: NDArray[np.float32] = arrays.zeros((len(cells), height, width), np.float32)
+        result: Floats = arrays.zeros((len(cells), height, width), np.float32)
         for cell_index, region, inside, position in self._strips(box, cells):
             strip = samples[position]
             if strip.shape != (height, region * width):
@@ -129,10 +128,10 @@ class BinCells:
             result[cell_index : cell_index + region] = strip.reshape(height, region, width).transpose(1, 0, 2)
         return result
 
-    def join(self, values: NDArray[np.float32], cells: CellSet, box: Box) -> NDArray[np.float32]:
+    def join(self, values: Floats, cells: CellSet, box: Box) -> Floats:
         """Return the samples of cells, put together on a box; the adjoint of `split`."""
         width, height = self.size
-        result: NDArray[np.float32] = backend_of(values).arrays.zeros((box.rows, box.columns), np.float32)
+        result: Floats = backend_of(values).arrays.zeros((box.rows, box.columns), np.float32)
         for cell_index, region, inside, position in self._strips(box, cells):
             strip = values[cell_index : cell_index + region].transpose(1, 0, 2).reshape(height, region * width)
             result[position] = strip[inside]
@@ -235,7 +234,7 @@ class UprightBins:
         return cls((int(low[0]), int(low[1])), (rows, columns), vstack(shares, "csr"))
 
 
-def _parabola(position: Doubles) -> list[tuple[NDArray[np.int64], Doubles]]:
+def _parabola(position: Doubles) -> list[tuple[Integers, Doubles]]:
     """Return the three nearest bins of positions, in bins, with the weights of their means in the parabola there."""
     nearest = np.rint(position).astype(np.int64)
     aside = position - nearest

@@ -18,7 +18,7 @@ from ...errors import argument, refuse_if, refusing, require_number
 from ...io import digest
 from ...linear import LinearMap, PixelNoise, RichardsonLucy, SolverState, StopRule, misfit, relative_residual, solve
 from ...refocus import Found, Task, method, portion, work_of
-from ...runtime import Job
+from ...runtime import Floats, Job
 from .fourier import response_of
 from .variation import TotalVariation
 
@@ -106,7 +106,7 @@ def until_noise(noise: PixelNoise) -> StopRule:
 class Solved:
     """Result of deconvolution for one channel of one plane."""
 
-    image: NDArray[np.float32]
+    image: Floats
     iterations: int
     residual: float
     stopped: bool
@@ -115,7 +115,7 @@ class Solved:
 class _Flat(LinearMap):
     """A response whose pixels record a part of the light, each its own: 0 for pixels that are left out."""
 
-    def __init__(self, response: LinearMap, flat: NDArray[np.float32]) -> None:
+    def __init__(self, response: LinearMap, flat: Floats) -> None:
         super().__init__(response.source_shape, response.image_shape)
         self._response = response
         self.flat = flat
@@ -129,7 +129,7 @@ class _Flat(LinearMap):
         return self._response.adjoint(image * self.flat)
 
 
-def flat_field(response: LinearMap, white: NDArray[np.float32]) -> NDArray[np.float32]:
+def flat_field(response: LinearMap, white: Floats) -> Floats:
     """Return what pixels record over a response's light, by their recorded white; 0 where the two are far apart."""
     computed = response.forward(np.ones(response.source_shape, np.float32))
     # A recorded white says nothing of darker pixels.
@@ -212,7 +212,7 @@ def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str,
     }
 
 
-def _require_light(image: NDArray[np.float32], noise: PixelNoise | None) -> None:
+def _require_light(image: Floats, noise: PixelNoise | None) -> None:
     """Refuse a capture that no light can have produced, as its sum is not positive."""
     refuse_if(not (image > 0).any(), "capture: none of its pixels is lit: there is nothing to deconvolve")
     negative = np.count_nonzero(image < -1e-6 * image.max())  # what rounding leaves

@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...design import objective_of
@@ -27,7 +26,7 @@ from ...detector import SHARP, DetectorOperator
 from ...fields import OpticalSystem
 from ...optics import in_millimetres
 from ...points import FullFieldPlan, radiance_weight
-from ...runtime import Job, active_backend, fft
+from ...runtime import Floats, Job, active_backend, fft
 from .kernels import StoredResponse, require_response_memory
 from .response import Response
 
@@ -95,7 +94,7 @@ class FourierResponse(StoredResponse):
             spectra = self._kernel_spectra(np.asarray(partial_sum.sums[0]), fine)
             self._spectra += self._stored([spectra], f"{len(self._spectra)}")
 
-    def forward(self, values: NDArray[np.float32], /) -> NDArray[np.float32]:
+    def forward(self, values: Floats, /) -> Floats:
         """Return the image that the detector records of planes."""
         libraries = active_backend()
         rows, columns = self._size
@@ -109,7 +108,7 @@ class FourierResponse(StoredResponse):
             image = libraries.to_host(fft.irfft(rows_of, columns, axis=1)[:, :width])
         return np.asarray(self._detector.forward(np.ascontiguousarray(image)))
 
-    def adjoint(self, image: NDArray[np.float32], /) -> NDArray[np.float32]:
+    def adjoint(self, image: Floats, /) -> Floats:
         """Return the transpose of `forward`, applied to an image."""
         libraries = active_backend()
         columns = self._size[1]
@@ -130,7 +129,7 @@ class FourierResponse(StoredResponse):
         starts = [slice(start, None, self._oversample) for start in range(self._oversample)]
         return list(itertools.product(starts, starts))
 
-    def _spectrum(self, samples: NDArray[np.float32]) -> Any:
+    def _spectrum(self, samples: Floats) -> Any:
         """Return the spectrum of samples that lie in the first corner of the convolutions' period."""
         arrays = active_backend().arrays
         rows, columns = self._size
@@ -140,7 +139,7 @@ class FourierResponse(StoredResponse):
         spectrum[: len(samples)] = fft.rfft(wide, axis=1)
         return fft.fft(spectrum, axis=0)
 
-    def _kernel_spectra(self, spread: NDArray[np.float32], fine: PlenopticCamera) -> fft.Field:
+    def _kernel_spectra(self, spread: Floats, fine: PlenopticCamera) -> fft.Field:
         """Return the spectra of a plane's kernels, from the middle bin's spread on the fine camera's pixels."""
         o = self._oversample
         camera = self._camera
@@ -205,7 +204,7 @@ def _fine_camera(camera: PlenopticCamera, wavelength: float, oversample: int, de
     )
 
 
-def _over_bins(spread: NDArray[np.float32], width: int) -> NDArray[np.float32]:
+def _over_bins(spread: Floats, width: int) -> Floats:
     """Return a point's spread averaged over positions of the point along bins `width` samples wide, transposed."""
     length = spread.shape[1]
     spectrum = np.fft.rfft(spread).astype(np.complex64)
@@ -213,7 +212,7 @@ def _over_bins(spread: NDArray[np.float32], width: int) -> NDArray[np.float32]:
     return np.asarray(np.fft.irfft(spectrum, length).T, np.float32)
 
 
-def _over_pixels(parts: NDArray[np.float32], count: int, start: int) -> NDArray[np.float32]:
+def _over_pixels(parts: Floats, count: int, start: int) -> Floats:
     """Return sums along pixels, each of `count` parts, of parts moved on by `start`, transposed; one pixel is added."""
     padded = np.pad(parts, ((0, 0), (start, count - start)))
     return np.asarray(padded.reshape(len(parts), -1, count).sum(-1).T)

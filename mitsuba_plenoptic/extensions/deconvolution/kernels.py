@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...linear import LinearMap
-from ...runtime import Box, Part, active_backend, backend_of, on_all_cores, require_memory_for
+from ...runtime import Box, Floats, Integers, Part, active_backend, backend_of, on_all_cores, require_memory_for
 from .cells import BinCells, CellSet
 
 
@@ -29,15 +29,15 @@ class SampleBlock:
 
     rows: slice
     columns: slice
-    steps: NDArray[np.int64]
-    matrix: NDArray[np.float32]
+    steps: Integers
+    matrix: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
     """The samples' response to the bins of any cell near one position."""
 
-    steps: NDArray[np.int64]
+    steps: Integers
     blocks: list[SampleBlock]
 
 
@@ -68,11 +68,11 @@ class StoredResponse(LinearMap):
             plane.reshape(shape) for plane, shape in zip(np.split(values.ravel(), ends[:-1]), self.shapes, strict=True)
         ]
 
-    def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
+    def to_image(self, values: Floats, plane: int) -> Floats:
         """Return a plane's bins, of all bins, as an upright image of a reconstruction's bins."""
         return np.ascontiguousarray(self.planes_of(values)[plane][self._windows[plane]])
 
-    def from_image(self, image: NDArray[Any], plane: int) -> NDArray[np.float32]:
+    def from_image(self, image: NDArray[Any], plane: int) -> Floats:
         """Return the transpose of `to_image`, applied to an image."""
         values = np.zeros(self.source_shape, np.float32)
         self.planes_of(values)[plane][self._windows[plane]] = image
@@ -106,7 +106,7 @@ def require_response_memory(memory: Callable[[int], float], oversample: int, dis
     require_memory_for(memory, oversample, label, "oversample = {}".format, computed=True)
 
 
-def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list[Part]], together: int = 1) -> Kernel:
+def make_kernel(cells: BinCells, cell: Integers, spreads: Iterable[list[Part]], together: int = 1) -> Kernel:
     """Return the kernel of a cell's bins from point spreads; `together` x `together` samples are merged into one."""
     arrays = active_backend().arrays
     entries = []
@@ -127,7 +127,7 @@ def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list
     return sparse_kernel(steps, dense)
 
 
-def merged(box: Box, samples: NDArray[np.float32], together: int) -> tuple[Box, NDArray[np.float32]]:
+def merged(box: Box, samples: Floats, together: int) -> tuple[Box, Floats]:
     """Return means over `together` x `together` samples, and the box of these means on their grid."""
     if together == 1:
         return box, samples
@@ -142,7 +142,7 @@ def merged(box: Box, samples: NDArray[np.float32], together: int) -> tuple[Box, 
     return Box(left, top, columns - left, rows - top), total / np.float32(together**2)
 
 
-def sparse_kernel(steps: NDArray[np.int64], dense: NDArray[np.float32]) -> Kernel:
+def sparse_kernel(steps: Integers, dense: Floats) -> Kernel:
     """Return the kernel of a response (steps, bins, rows, columns), without nearly dark blocks."""
     libraries = backend_of(dense)
     libraries.arrays.maximum(dense, 0, out=dense)  # negative values between samples are errors of interpolation
@@ -175,7 +175,7 @@ def sparse_kernel(steps: NDArray[np.int64], dense: NDArray[np.float32]) -> Kerne
 Result = TypeVar("Result")
 
 
-def zones(cells: CellSet, width: int) -> list[NDArray[np.int64]]:
+def zones(cells: CellSet, width: int) -> list[Integers]:
     """Return cells divided into zones `width` rows high and equally many cells wide."""
     row = np.repeat(np.arange(len(cells.count)), cells.count)
     column = np.arange(len(cells)) - cells.start[row]
@@ -188,9 +188,7 @@ def zones(cells: CellSet, width: int) -> list[NDArray[np.int64]]:
 class PlaneResponse:
     """The light that the samples of all cells receive from the bins of an object plane."""
 
-    def __init__(
-        self, cells: BinCells, sampled: CellSet, zones: Sequence[NDArray[np.int64]], kernels: Sequence[Kernel]
-    ) -> None:
+    def __init__(self, cells: BinCells, sampled: CellSet, zones: Sequence[Integers], kernels: Sequence[Kernel]) -> None:
         self._cells = cells
         steps = np.concatenate([kernel.steps for kernel in kernels])
         self.lit = sampled.grown(-steps.max(0), -steps.min(0))
@@ -210,7 +208,7 @@ class PlaneResponse:
         """Number of cells, and of bins in each."""
         return len(self.lit), self._cells.bins[0] * self._cells.bins[1]
 
-    def add_forward(self, values: NDArray[np.float32], samples: Any) -> None:
+    def add_forward(self, values: Floats, samples: Any) -> None:
         """Add the light of bins to the samples."""
         arrays = active_backend().arrays
         padded = arrays.asarray(np.concatenate([values, np.zeros((1, values.shape[1]), np.float32)]))
@@ -224,7 +222,7 @@ class PlaneResponse:
 
         _each(work, self._zones)
 
-    def adjoint(self, samples: Any) -> NDArray[np.float32]:
+    def adjoint(self, samples: Any) -> Floats:
         """Return, for each bin, the samples weighted by the bin's light."""
         arrays = active_backend().arrays
         bins = self.shape[1]

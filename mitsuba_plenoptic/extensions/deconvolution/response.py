@@ -27,7 +27,7 @@ from ...optics import in_millimetres
 from ...points import Copies, Fields, Grid, Recorder, Scatter, band_for, chunks_of, place, radiance_weight, scene_points
 from ...rays import Passage, Walk
 from ...refocus import regular_place, straightened
-from ...runtime import Box, Doubles, Floats, Job, Part, active_backend, add
+from ...runtime import Box, Doubles, Floats, Integers, Job, Part, active_backend, add
 from ...views import lens_numbers, lenses_of_pixels, mean_response, white_image
 from .cells import BinCells, UprightBins
 from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, merged, require_response_memory, zones
@@ -57,7 +57,7 @@ def wave_batches(
     grid: Grid,
     cells: BinCells,
     distance: float,
-    cell: NDArray[np.int64],
+    cell: Integers,
     radiators: int = 0,
     vignetting: Vignetting | None = None,
 ) -> list[list[Scatter]]:
@@ -154,7 +154,7 @@ class RayBatch:
         return functools.partial(_trace, self)
 
 
-def ray_batches(across: int, cells: BinCells, distance: float, cell: NDArray[np.int64]) -> list[list[RayBatch]]:
+def ray_batches(across: int, cells: BinCells, distance: float, cell: Integers) -> list[list[RayBatch]]:
     """Return, for each bin of a cell, the batch of `across` x `across` rays that are its response."""
     half = np.array(cells.bin_sizes) / 2
     return [[RayBatch(cells, distance, positions[0] - half, across)] for positions in cells.bin_places(cell)]
@@ -352,7 +352,8 @@ class Response(StoredResponse):
                 for kernel in kernels
             ]
             self.planes.append(PlaneResponse(self.cells, self._sampled, groups, [kernels[index] for index in owners]))
-        self._far = float(np.mean(far)) if far else 0.0
+        # Gaps between lenses scatter half of it.
+        self._far = np.float32(np.mean(far or [0.0]) / (1 if camera.lattice.fills else 2))
         self.bins = [
             UprightBins.over(self.cells, plane.lit, camera, distance, oversample)
             for plane, distance in zip(self.planes, distances, strict=True)
@@ -382,7 +383,7 @@ class Response(StoredResponse):
             white = self._direct(np.ones(self.source_shape, np.float32))
             self._gain = np.where(white > 0.005 * white.max(), self._gain, np.float32(0))
 
-    def _far_light(self, kernel: Kernel, distance: float, cell: NDArray[np.int64]) -> float:
+    def _far_light(self, kernel: Kernel, distance: float, cell: Integers) -> float:
         """Return the light that falls beyond a cell's kernel, over that within.
 
         As bins tile cells, apertures pass the part of their light which they cover of the array.
@@ -397,19 +398,23 @@ class Response(StoredResponse):
         arrived = sum(float(block.matrix.sum(dtype=np.float64)) for block in kernel.blocks)
         return max(0.0, sent / (arrived * self.cells.grid.pitch.prod()) - 1)
 
-    def _with_far(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return an image with the light beyond kernels, half of which gaps scatter evenly; its own adjoint."""
-        far = np.float32(self._far)
-        if not far or self._camera.lattice.fills:
-            return image * (1 + far)
-        width = 2 * math.ceil(4 * self._camera.micro_image_pitch / self._camera.pixel_size) + 1
-        return image * (1 + far / 2) + far / 2 * uniform_filter(image, width, mode="reflect")
+    def _spread(self, values: Floats) -> list[Floats]:
+        """Return planes with the light that the pupil's edge diffracts beyond kernels, to other bins; self-adjoint."""
+        width = 8 * self._oversample + 1
+        return [plane + self._far * uniform_filter(plane, width, mode="reflect") for plane in self.planes_of(values)]
 
-    def _middle(self, members: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _scattered(self, image: Floats) -> Floats:
+        """Return an image with the light that gaps between lenses scatter evenly; its own adjoint."""
+        if self._camera.lattice.fills:
+            return image
+        width = 2 * math.ceil(4 * self._camera.micro_image_pitch / self._camera.pixel_size) + 1
+        return image + self._far * uniform_filter(image, width, mode="reflect")
+
+    def _middle(self, members: Integers) -> Integers:
         """Return the cell in the middle of a zone."""
         cell_index = self._sampled.index[members]
         places = cell_index @ self.cells.vectors
-        middle: NDArray[np.int64] = cell_index[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
+        middle: Integers = cell_index[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
         return middle
 
     def _width_of_pupils(self, widest: int) -> int:
@@ -417,7 +422,7 @@ class Response(StoredResponse):
         disc = self.cells.grid.lens.pupil.radius * _pairs(2**10)[1]
         index = self._sampled.index[:: max(1, len(self._sampled) // 100)]
 
-        def light(cells: NDArray[np.int64]) -> Doubles:
+        def light(cells: Integers) -> Doubles:
             places = np.moveaxis(self.cells.middle(cells), -1, 0)[..., None]
             inside, passed = _pupil_of(self.cells.grid.lens, self._vignetting, disc, places)
             return np.asarray((inside >= 0) * passed)
@@ -444,7 +449,7 @@ class Response(StoredResponse):
         def nearest(*aim: float) -> int:
             return int(np.argmin(((places - centre - reach * aim) ** 2).sum(1)))
 
-        def light(cell: NDArray[np.int64]) -> Any:
+        def light(cell: Integers) -> Any:
             left, top = (cell @ cells.samples + cells.first_sample - half).tolist()
             image = active_backend().arrays.zeros((1, 2 * half, 2 * half), np.float32)
             batches = itertools.chain.from_iterable(self._batches(cells, distance, cell, 2))
@@ -489,31 +494,32 @@ class Response(StoredResponse):
 
         require_response_memory(memory, self._oversample, self._distances)
 
-    def forward(self, values: NDArray[np.float32], /) -> NDArray[np.float32]:
+    def forward(self, values: Floats, /) -> Floats:
         """Return the image that the detector records of planes."""
         return np.asarray(self._detector.forward(self._direct(values)))
 
-    def _direct(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _direct(self, values: Floats) -> Floats:
         """Return the light of planes that falls on the detector."""
         width, height = self.cells.size
         libraries = active_backend()
         samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
-        for plane, bins, radiance in zip(self.planes, self.bins, self.planes_of(values), strict=True):
+        for plane, bins, radiance in zip(self.planes, self.bins, self._spread(values), strict=True):
             plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), samples)
-        return np.asarray(self._gain * self._with_far(self._recorded(samples)))
+        return np.asarray(self._gain * self._scattered(self._recorded(samples)))
 
-    def _recorded(self, samples: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _recorded(self, samples: Floats) -> Floats:
         """Return the integrals over pixels of the samples of cells."""
         sums = self.cells.join(active_backend().arrays.asarray(samples), self._sampled, self._recorder.box)
         return np.asarray(self._recorder.record(sums[None])[..., 0])
 
-    def adjoint(self, image: NDArray[np.float32], /) -> NDArray[np.float32]:
+    def adjoint(self, image: Floats, /) -> Floats:
         """Return the transpose of `forward`, applied to an image."""
-        light = self._with_far(self._gain * self._detector.adjoint(image))
+        light = self._scattered(self._gain * self._detector.adjoint(image))
         sums = self._recorder.spread(light[..., None])[0]
         samples = self.cells.split(sums, self._recorder.box, self._sampled)
         planes = zip(self.planes, self.bins, strict=True)
-        return np.concatenate([bins.share @ plane.adjoint(samples).ravel() for plane, bins in planes])
+        values = np.concatenate([bins.share @ plane.adjoint(samples).ravel() for plane, bins in planes])
+        return np.concatenate(self._spread(values), axis=None)
 
 
 def _farthest(camera: PlenopticCamera) -> float:

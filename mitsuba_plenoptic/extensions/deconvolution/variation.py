@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...runtime import Flags, Floats
+
 _SMOOTH = 1e-3
 """Largest step between bins, over their mean, that counts as even."""
 
@@ -27,7 +29,7 @@ class TotalVariation:
     planes_of: Callable[[NDArray], list[NDArray]]
     weight: float
 
-    def __call__(self, values: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.float32]:
+    def __call__(self, values: Floats, inside: Flags) -> Floats:
         """Return the gradient at the values, 0 for bins that are not inside."""
         slopes = []
         for plane, mask in zip(self.planes_of(values), self.planes_of(inside), strict=True):

@@ -12,7 +12,7 @@ import numpy as np
 from ...camera import CameraVector, PlenopticCamera
 from ...errors import require_wavelength, warn
 from ...io import Checkpoint
-from ...runtime import Doubles
+from ...runtime import Doubles, Progress
 from ...views import estimate_lens_grid
 from .fit_light import View, check_views, kept_numbers, light_digest
 from .point_rays import RayModels, check_numbers, vector_of
@@ -95,7 +95,7 @@ def coarse_fit(
     *,
     wavelength: float = 633.0,
     bounds: Mapping[str, tuple[float, float]] | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> PlenopticCamera:
     """Return a camera from which `fit` converges, for a start whose lengths are some percent off.
@@ -183,7 +183,7 @@ def _nearest(
     unit = vector.scales
 
     def blurred(images: Doubles) -> Doubles:
-        return np.asarray(gaussian_filter(images * masks / brightest, blur, axes=(-2, -1)))
+        return gaussian_filter(images * masks / brightest, blur, axes=(-2, -1))
 
     def camera_at(step: Doubles) -> PlenopticCamera:
         return vector.at(start + step * unit)

@@ -14,14 +14,13 @@ from functools import cached_property, partial
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_known
 from ...points import CaptureOperator, derivatives
+from ...runtime import Array
 from .differentiable import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 
-Array = NDArray[Any]
 Shape = tuple[int, ...]
 Refocus = RayRefocus | CoherentRefocus | DeconvolvedRefocus
 

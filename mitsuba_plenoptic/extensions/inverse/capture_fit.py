@@ -23,7 +23,7 @@ from ...errors import (
 )
 from ...io import Checkpoint
 from ...linear import PixelNoise
-from ...runtime import Doubles
+from ...runtime import Doubles, Progress
 from .fit_light import Pixels, View, by_model, check_views, kept_numbers, light_digest
 from .fit_result import Fit, doubts, steps_along, summary
 from .point_rays import RayModel, RayModels, WaveModel, check_numbers, vector_of
@@ -47,7 +47,7 @@ def fit(
     model: str = "wave",
     accuracy: float = 0.0,
     steps: int = 30,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Fit:
     r"""Find the camera parameters that explain captures of known light best, by the wave model or the ray model.
@@ -140,10 +140,10 @@ def fit(
         return Pixels.of(observations, trial.expected(x), default)
 
     def residuals(x: Doubles, pixels: Pixels) -> Doubles:
-        return np.asarray(((trial.expected(x) - images) / pixels.weight).ravel())
+        return ((trial.expected(x) - images) / pixels.weight).ravel()
 
     def jacobian(x: Doubles, pixels: Pixels) -> Doubles:
-        return np.asarray((trial.derivatives(x) / pixels.weight).reshape(len(start), -1).T)
+        return (trial.derivatives(x) / pixels.weight).reshape(len(start), -1).T
 
     options = {"bounds": limits, "x_scale": unit, "xtol": _DONE, "ftol": _DONE, "max_nfev": steps}
     for _ in range(_ROUNDS if any(by_model(view, default) for view in observations) else 1):
@@ -196,7 +196,7 @@ class _Trials:
 
     vector: CameraVector
     model_of: Callable[[PlenopticCamera], Model]
-    progress: Callable[[int, int], None] | None
+    progress: Progress | None
     most: int
     checkpoint: Checkpoint | None = None
     count: int = 0

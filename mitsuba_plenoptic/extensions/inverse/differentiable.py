@@ -19,7 +19,6 @@ from typing import Any, Protocol
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, refuse_if, require_choice, require_count, require_number, require_wavelength
@@ -45,7 +44,18 @@ from ...refocus import (
     white_sums,
 )
 from ...refocus_options import FOOTPRINTS
-from ...runtime import Doubles, active_backend, as_array, check_memory, drjit_array, fft, one_at_a_time, require_pixels
+from ...runtime import (
+    Array,
+    Doubles,
+    Floats,
+    active_backend,
+    as_array,
+    check_memory,
+    drjit_array,
+    fft,
+    one_at_a_time,
+    require_pixels,
+)
 from ..deconvolution.deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN
 from ..deconvolution.fourier import response_of
 
@@ -87,7 +97,7 @@ class RayRefocus:
         """Rows and columns of the bins."""
         return self._factor.shape
 
-    def forward(self, capture: Any) -> np.ndarray:
+    def forward(self, capture: Any) -> Array:
         """Return the refocused capture.
 
         Parameters
@@ -105,7 +115,7 @@ class RayRefocus:
         bins = (sums * self._factor[..., None]).astype(np.float32)
         return bins[..., 0] if np.ndim(capture) == 2 else bins
 
-    def adjoint(self, bins: Any) -> np.ndarray:
+    def adjoint(self, bins: Any) -> Array:
         """Return the transpose of `forward`, applied to bins.
 
         Parameters
@@ -130,7 +140,7 @@ class RayRefocus:
 class _RefocusOp(dr.CustomOp):
     """One use of a refocus object as a Dr.Jit operation."""
 
-    def eval(self, capture: Any, linearised: Callable[[NDArray[Any]], tuple[Any, Any, Any]]) -> Any:
+    def eval(self, capture: Any, linearised: Callable[[Array], tuple[Any, Any, Any]]) -> Any:
         """Return the refocused capture, from a function that returns it with its jvp and its vjp."""
         image, self._jvp, self._vjp = linearised(capture.numpy())
         self._kind = type(capture)
@@ -149,7 +159,7 @@ class _RefocusOp(dr.CustomOp):
         return "refocusing"
 
 
-def as_channels(values: Any, shape: tuple[int, ...], name: str) -> NDArray[Any]:
+def as_channels(values: Any, shape: tuple[int, ...], name: str) -> Array:
     """Return an array as (rows, columns, channels), or refuse another shape."""
     array = as_array(name, values, dtype=None)
     if array.ndim not in (2, 3) or array.shape[:2] != shape:
@@ -160,12 +170,12 @@ def as_channels(values: Any, shape: tuple[int, ...], name: str) -> NDArray[Any]:
 class Channel(Protocol):
     """One refocused channel of a capture: bins (rows, columns), and their derivatives with respect to the pixels."""
 
-    bins: NDArray[Any]
+    bins: Array
 
-    def jvp(self, change: NDArray[Any]) -> NDArray[Any]:
+    def jvp(self, change: Array) -> Array:
         """Return the change of the bins for a change of the pixels."""
 
-    def vjp(self, bins: NDArray[Any]) -> NDArray[Any]:
+    def vjp(self, bins: Array) -> Array:
         """Return the gradient with respect to the pixels, from the gradient with respect to the bins."""
 
 
@@ -173,7 +183,7 @@ class RefocusedImage:
     """A refocused capture, `image`, with derivatives there; see `CoherentRefocus` and `DeconvolvedRefocus`."""
 
     def __init__(
-        self, refocus: CoherentRefocus | DeconvolvedRefocus, capture: Any, channel: Callable[[NDArray[Any]], Channel]
+        self, refocus: CoherentRefocus | DeconvolvedRefocus, capture: Any, channel: Callable[[Array], Channel]
     ) -> None:
         pixels = as_channels(capture, refocus.camera.shape, "capture")
         require_pixels("capture", pixels)
@@ -181,25 +191,25 @@ class RefocusedImage:
         self._channels = [channel(np.ascontiguousarray(plane, np.float32)) for plane in np.moveaxis(pixels, -1, 0)]
         self.image = self._stacked([plane.bins for plane in self._channels])
 
-    def jvp(self, change: Any) -> NDArray[np.float32]:
+    def jvp(self, change: Any) -> Floats:
         """Return the change of the image for a change of the capture, of the capture's shape."""
         return self._of_channels(change, self._pixels, "change", lambda channel, plane: channel.jvp(plane))
 
-    def vjp(self, image_gradient: Any) -> NDArray[np.float32]:
+    def vjp(self, image_gradient: Any) -> Floats:
         """Return the gradient with respect to the capture, from the gradient with respect to the image."""
         return self._of_channels(
             image_gradient, self._bins, "image_gradient", lambda channel, plane: channel.vjp(plane)
         )
 
     def _of_channels(
-        self, values: Any, shape: tuple[int, ...], name: str, derived: Callable[[Channel, NDArray[Any]], NDArray[Any]]
-    ) -> NDArray[np.float32]:
+        self, values: Any, shape: tuple[int, ...], name: str, derived: Callable[[Channel, Array], Array]
+    ) -> Floats:
         channels = as_channels(values, shape, name)
         if channels.shape[2] != len(self._channels):
             raise InputError(f"{name} of {channels.shape[2]} channels: the capture has {len(self._channels)}")
         return self._stacked(list(map(derived, self._channels, np.moveaxis(channels, -1, 0))))
 
-    def _stacked(self, parts: list[NDArray[Any]]) -> NDArray[np.float32]:
+    def _stacked(self, parts: list[Array]) -> Floats:
         stack = np.stack(parts, -1).astype(np.float32)
         return stack[..., 0] if self._flat else stack
 
@@ -266,7 +276,7 @@ class CoherentRefocus:
         return self._factor.shape
 
     @one_at_a_time
-    def forward(self, capture: Any) -> NDArray[np.float32]:
+    def forward(self, capture: Any) -> Floats:
         """Return the refocused capture.
 
         Parameters
@@ -282,7 +292,7 @@ class CoherentRefocus:
         return self.at(capture).image
 
     @one_at_a_time
-    def derivative(self, capture: Any, change: Any) -> NDArray[np.float32]:
+    def derivative(self, capture: Any, change: Any) -> Floats:
         """Return the derivative of `forward` at a capture, in the direction of a change of the capture.
 
         Parameters
@@ -298,7 +308,7 @@ class CoherentRefocus:
         return self.at(capture).jvp(change)
 
     @one_at_a_time
-    def gradient(self, capture: Any, image_gradient: Any) -> NDArray[np.float32]:
+    def gradient(self, capture: Any, image_gradient: Any) -> Floats:
         """Return the gradient with respect to the capture, given the image's gradient: the transpose of `derivative`.
 
         Parameters
@@ -327,17 +337,17 @@ class CoherentRefocus:
 class _CoherentChannel:
     """The bins of one channel: from positive pixels, minus those from negative ones, divided by the light of white."""
 
-    def __init__(self, refocus: CoherentRefocus, image: NDArray[np.float32]) -> None:
+    def __init__(self, refocus: CoherentRefocus, image: Floats) -> None:
         self._factor, self._weak = refocus._factor, refocus._weak
         self._parts = [(sign, _BinnedPower(refocus, signed, checked=sign > 0)) for sign, signed in signed_parts(image)]
         self.bins = self._factor * self._weak.shared(np.asarray(sum(sign * part.bins for sign, part in self._parts)))
 
-    def jvp(self, change: NDArray[Any]) -> NDArray[Any]:
+    def jvp(self, change: Array) -> Array:
         """Return the change of the bins for a change of the pixels."""
         # A bin of a part below zero is subtracted, and its capture is minus the pixels: the signs cancel.
         return self._factor * self._weak.shared(np.asarray(sum(plane.jvp(change) for _, plane in self._parts)))
 
-    def vjp(self, bins: NDArray[Any]) -> NDArray[Any]:
+    def vjp(self, bins: Array) -> Array:
         """Return the gradient with respect to the pixels, from the gradient with respect to the bins."""
         bins = self._weak.shared_vjp(self._factor * bins)
         return np.asarray(sum(plane.vjp(bins) for _, plane in self._parts))
@@ -350,7 +360,7 @@ class _BinnedPower:
     over the bin. The square root has no derivative at zero pixels; 0 is used.
     """
 
-    def __init__(self, refocus: CoherentRefocus, image: NDArray[np.float32], *, checked: bool) -> None:
+    def __init__(self, refocus: CoherentRefocus, image: Floats, *, checked: bool) -> None:
         self._refocus, amplitude = refocus, np.sqrt(image)
         self._slope = np.divide(0.5, amplitude, out=np.zeros_like(amplitude), where=amplitude > 0)
         self._sums = BinSums(refocus._step, refocus.camera, refocus._wavelength, refocus._oversample)
@@ -364,7 +374,7 @@ class _BinnedPower:
         self._lit = spread > 0
         self.bins = np.where(self._lit, spread, 0)
 
-    def _fields(self, amplitude: NDArray[np.float32]) -> tuple[list[Any], float]:
+    def _fields(self, amplitude: Floats) -> tuple[list[Any], float]:
         """Return all subsets' fields at the object plane's directions, and the power that passed the pupil."""
         chain = self._refocus._fields
         step = self._refocus._step
@@ -445,7 +455,7 @@ class DeconvolvedRefocus:
         return self.visible.shape
 
     @one_at_a_time
-    def forward(self, capture: Any) -> NDArray[np.float32]:
+    def forward(self, capture: Any) -> Floats:
         """Return the deconvolved capture.
 
         Parameters
@@ -473,19 +483,19 @@ class DeconvolvedRefocus:
 class _Made:
     """A finished step: its bins, the image of these bins, and the adjoint of the ratio."""
 
-    point: NDArray[np.float32]
-    model: NDArray[np.float32]
-    back: NDArray[np.float32]
+    point: Floats
+    model: Floats
+    back: Floats
 
 
 class _RecordedSteps(RichardsonLucy):
     """The steps of Richardson and Lucy, which keep what their derivatives need."""
 
-    def __init__(self, response: LinearMap, image: NDArray[np.float32]) -> None:
+    def __init__(self, response: LinearMap, image: Floats) -> None:
         super().__init__(response, image)
         self.made: list[_Made] = []
 
-    def step(self, point: NDArray[np.float32], model: NDArray[np.float32]) -> NDArray[np.float32]:
+    def step(self, point: Floats, model: Floats) -> Floats:
         """Return the bins after a step from a point whose image is `model`."""
         self.made.append(_Made(point, model, self.operator.adjoint(self.ratio(model))))
         return self.scaled(point, self.made[-1].back)
@@ -494,7 +504,7 @@ class _RecordedSteps(RichardsonLucy):
 class _DeconvolvedChannel:
     """The steps of deconvolving one channel, and their derivatives."""
 
-    def __init__(self, refocus: DeconvolvedRefocus, image: NDArray[np.float32]) -> None:
+    def __init__(self, refocus: DeconvolvedRefocus, image: Floats) -> None:
         self._response = refocus.response
         self._visible = refocus.visible
         self._image = image
@@ -502,10 +512,10 @@ class _DeconvolvedChannel:
         refuse_if(not self._step.total, "capture: none of its pixels is lit: there is nothing to deconvolve")
         self.bins = self._to_image(solve(self._step, iterations=refocus.iterations).values)
 
-    def _to_image(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
-        return np.asarray(self._response.to_image(values, 0) * self._visible)
+    def _to_image(self, values: Floats) -> Floats:
+        return self._response.to_image(values, 0) * self._visible
 
-    def jvp(self, change: NDArray[Any]) -> NDArray[np.float32]:
+    def jvp(self, change: Array) -> Floats:
         """Return the change of the bins for a change of the pixels."""
         change = np.asarray(change, np.float32)
         step = self._step
@@ -513,7 +523,7 @@ class _DeconvolvedChannel:
         above = self._image + step.shift > 0
         light = float(change[lit].sum(dtype=np.float64))
         moved = np.where(step.inside, np.float32(light / step.sent), 0)
-        shift = np.float32(light * step.shift_slope)
+        shift = np.float32(np.vdot(change, step.shift_slope))
         for made in step.made:
             below, ratio = self._of(made)
             of_model = np.where(made.model > 0, self._response.forward(moved), 0)
@@ -523,7 +533,7 @@ class _DeconvolvedChannel:
             moved = step.weight * (moved * np.maximum(made.back, 0) + made.point * of_back)
         return self._to_image(moved)
 
-    def vjp(self, bins: NDArray[Any]) -> Doubles:
+    def vjp(self, bins: Array) -> Doubles:
         """Return the gradient with respect to the pixels, from the gradient with respect to the bins."""
         adjoint_image = self._response.from_image(bins * self._visible, 0)
         step = self._step
@@ -539,11 +549,10 @@ class _DeconvolvedChannel:
             by_shift += float((of_ratio * (above - ratio)).sum(dtype=np.float64))
             of_model = self._response.adjoint(np.where(made.model > 0, of_ratio * ratio, np.float32(0)))
             adjoint_image = adjoint_image * np.maximum(made.back, 0) * step.weight - of_model
-        return total + lit * (
-            float(adjoint_image[step.inside].sum(dtype=np.float64)) / step.sent + by_shift * step.shift_slope
-        )
+        start = float(adjoint_image[step.inside].sum(dtype=np.float64)) / step.sent
+        return total + lit * start + by_shift * step.shift_slope
 
-    def _of(self, made: _Made) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _of(self, made: _Made) -> tuple[Floats, Floats]:
         """Return the denominator of the ratio of images, and the ratio."""
         divisor = np.where(self._step.lit, np.maximum(made.model, 0) + self._step.shift, np.float32(np.inf))
         return divisor, self._step.ratio(made.model)

@@ -8,7 +8,6 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, put, refuse_if, require_count, require_number, require_wavelength
@@ -17,7 +16,7 @@ from ...io import Capture, digest, require_demosaiced, response_of
 from ...linear import PixelNoise
 from ...plugins.other_camera import with_camera
 from ...points import PupilWeights, brightness_at, check_positions, scene_points
-from ...runtime import Doubles, as_array, as_pixels, one_at_a_time
+from ...runtime import Array, Doubles, Flags, Floats, as_array, as_pixels, one_at_a_time
 from ...scene import SceneLight, chosen_integrator, plenoptic_sensor
 
 _LEAST_ELECTRONS = 1.0
@@ -159,7 +158,7 @@ class View:
         If an input has a wrong shape or value; weights must not be negative or all zero.
     """
 
-    image: NDArray[np.float32]
+    image: Floats
     points: Doubles
     weights: Doubles
     noise: Any = None
@@ -203,7 +202,7 @@ class View:
         put(self, image=image, points=points, weights=weights, noise=noise, mask=mask)
 
     @property
-    def used(self) -> NDArray[np.bool_]:
+    def used(self) -> Flags:
         """Mask (rows, columns) of the pixels that neither `mask` nor saturation excludes."""
         usable = np.ones(self.image.shape, bool) if self.mask is None else ~self.mask
         return usable if self.saturation is None else usable & (self.image < self.saturation)
@@ -277,7 +276,7 @@ def known_view(
 
 def light_digest(views: list[View]) -> str:
     """Return a digest that identifies captures and their light."""
-    arrays: list[NDArray[Any] | None] = []
+    arrays: list[Array | None] = []
     for view in views:
         pupil = PupilWeights.of(view.pupil_weights, len(view.points))
         noise = astuple(view.noise) if isinstance(view.noise, PixelNoise) else view.noise
@@ -287,7 +286,7 @@ def light_digest(views: list[View]) -> str:
     return digest(*arrays)
 
 
-def kept_numbers(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> tuple[Doubles, int]:
+def kept_numbers(arrays: Mapping[str, Array], shape: tuple[int, ...]) -> tuple[Doubles, int]:
     """Return a fit's numbers, and the count of cameras tried, from the arrays of its checkpoint."""
     x = arrays.get("numbers")
     tried = arrays.get("tried")

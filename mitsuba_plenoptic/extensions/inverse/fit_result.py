@@ -156,14 +156,14 @@ def _one_sided(rows: Doubles, slope: Doubles, components: Sequence[int]) -> Doub
     """Return the distances of parameters from their bounds at which the sum of squares is larger by 1."""
     information = np.linalg.pinv(rows.T @ rows)
     steep = np.abs(slope[list(components)])
-    return np.asarray(1 / (steep + np.sqrt(steep**2 + 1 / np.diag(information)[list(components)])))
+    return 1 / (steep + np.sqrt(steep**2 + 1 / np.diag(information)[list(components)]))
 
 
 def steps_along(result: Fit) -> Doubles:
     """Return a step along each direction: one deviation, at most a unit of `Fit.scales`, (directions, parameters)."""
     lengths = np.fmin([direction.deviation for direction in result.directions], 1.0)
     parts = np.array([list(direction.parts.values()) for direction in result.directions])
-    return np.asarray(lengths[:, None] * parts * list(result.scales.values()))
+    return lengths[:, None] * parts * list(result.scales.values())
 
 
 def doubts(result: Fit, views: Sequence[View], expected: Doubles) -> Iterator[str]:

@@ -14,12 +14,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if
 from ...points import CaptureOperator
-from ...runtime import one_at_a_time
+from ...runtime import Array, Pair, one_at_a_time
 from .array_functions import (
     ONCE,
     CameraCapture,
@@ -211,7 +210,7 @@ _smooth = _primitive(
 )
 
 
-def _changed(given: Sequence[Any], *, function: Latest, which: tuple[bool, ...]) -> NDArray[Any]:
+def _changed(given: Sequence[Any], *, function: Latest, which: tuple[bool, ...]) -> Array:
     # The arrays at which the derivative is taken come first, then the changes of those that change.
     changes = iter(given[len(which) :])
     return function.at(given[: len(which)]).jvp([next(changes) if one else None for one in which])
@@ -237,7 +236,7 @@ _gradient = _primitive(
 )
 
 
-def _smooth_jvp(given: Sequence[Any], changes: Sequence[Any], *, function: Latest) -> tuple[Any, Any]:
+def _smooth_jvp(given: Sequence[Any], changes: Sequence[Any], *, function: Latest) -> Pair:
     which = tuple(type(each) is not ad.Zero for each in changes)
     known = [each for each, one in zip(changes, which, strict=True) if one]
     value = _smooth.bind(*given, function=function)

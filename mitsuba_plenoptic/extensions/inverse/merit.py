@@ -6,13 +6,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, did_you_mean, refuse_if, require_count, require_number, require_wavelength
 from ...fields import OpticalSystem
 from ...points import CaptureOperator, check_positions, chosen_accuracy
-from ...runtime import Doubles
+from ...runtime import Doubles, Floats
 from .differentiable import RayRefocus
 
 Gradient = dict[str, Doubles]
@@ -136,7 +135,7 @@ class RefocusedContrast:
         value, slopes = self._contrast(self._images(camera))
         return value, self._spreads.gradient(camera, slopes, names)
 
-    def refocused(self, camera: PlenopticCamera) -> list[NDArray[np.float32]]:
+    def refocused(self, camera: PlenopticCamera) -> list[Floats]:
         """Return the refocused image of each point."""
         pairs = zip(self._refocus, self._images(camera), strict=True)
         return [refocus.forward(image) for refocus, image in pairs]

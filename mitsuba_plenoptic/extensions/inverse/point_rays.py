@@ -24,7 +24,7 @@ from ...fields import OpticalSystem
 from ...lenses import MainLens, convergence
 from ...points import CaptureOperator, PupilWeights, brightness_at, check_positions, derivatives
 from ...rays import Passage, Walk
-from ...runtime import Doubles, array_module, check_memory, drjit_array, one_at_a_time
+from ...runtime import Doubles, Pair, array_module, check_memory, drjit_array, one_at_a_time
 from .fit_light import View
 
 
@@ -243,7 +243,7 @@ class _Bundles:
         z = number(camera.detector_distance)
         return Walk(camera, lens, lattice, lengths, z, medium)
 
-    def _lenses(self, position: tuple[Any, Any], width: Any) -> list[tuple[tuple[Any, Any], Any]]:
+    def _lenses(self, position: Pair, width: Any) -> list[tuple[Pair, Any]]:
         """Return the lenses that rays hit, and the fraction of each ray's light that each of them receives."""
         lattice = self._walk.lattice
         plain = self.camera.lattice
@@ -253,7 +253,7 @@ class _Bundles:
         v = v / lattice.row_distance
         fade = dr.maximum(width / dr.minimum(*lattice.pitches), _SHARPEST)
 
-        def away(i: Any, j: Any) -> tuple[Any, Any]:
+        def away(i: Any, j: Any) -> Pair:
             cu, cv = lattice.unit_centre(i, j)
             return u - cu, (v - cv) * lattice.row_ratio
 
@@ -270,7 +270,7 @@ class _Bundles:
         whole = sum((fraction for _, fraction in found), 0.0)
         return [(lens, fraction / whole) for lens, fraction in found]
 
-    def _detect(self, image: Any, position: tuple[Any, Any], width: Any, power: Any) -> None:
+    def _detect(self, image: Any, position: Pair, width: Any, power: Any) -> None:
         """Add squares of light around positions on the detector to the pixels that they cover."""
         camera = self.camera
         UInt32 = array_module().UInt32

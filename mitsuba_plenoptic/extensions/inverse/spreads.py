@@ -8,20 +8,19 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...optics import guards
 from ...points import Copies, FullFieldPlan, PatchPlan, Recorder, Scatter
-from ...runtime import Job, Part, active_backend, add
+from ...runtime import Floats, Integers, Job, Part, active_backend, add
 
 
 @dataclass(frozen=True)
 class Spread:
     """A point spread shared by some points, in the pixels of a window of the image."""
 
-    points: NDArray[np.int64]
+    points: Integers
     window: tuple[slice, slice]
-    pixels: NDArray[np.float32]
+    pixels: Floats
 
 
 class PatchSpreads(PatchPlan):
@@ -74,7 +73,7 @@ class PatchSpreads(PatchPlan):
         if loss is not None:
             guards.check(guards.PATCH, loss)
 
-    def _recorded(self, pattern: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Recorder]]:
+    def _recorded(self, pattern: int) -> Iterator[tuple[Integers, Integers, Recorder]]:
         """Yield points, shift and pixels of each copy of a pattern that reaches recorded pixels."""
         members = slice(self._first[pattern], self._last[pattern])
         shifts, copy = np.unique(self._shifts[members], axis=0, return_inverse=True)

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...detector import SHARP
 from ...errors import refuse_if, require_number
 from ...optics import guards
 from ...points import CaptureOperator, SpectralSum, mix
-from ...runtime import Doubles, Job, one_at_a_time, require_memory
+from ...runtime import Array, Doubles, Job, one_at_a_time, require_memory
 from .spreads import FullFieldSpreads, PatchSpreads
 
 
@@ -61,7 +60,7 @@ class StoredOperator(CaptureOperator):
         self.dtype = np.dtype(dtype)
         self._matrices: dict[float, Any] = {}
 
-    def _image(self, weights: Doubles, job: Job) -> NDArray[Any]:
+    def _image(self, weights: Doubles, job: Job) -> Array:
         """Return the image (rows, columns, channels) of checked weights (n, columns)."""
         matrices = self._computed(job)
         _, matrix = self._channels.mixing(weights.shape[1])
@@ -73,9 +72,7 @@ class StoredOperator(CaptureOperator):
             )
         return pixels.reshape(*self.camera.shape, -1)
 
-    def _products(
-        self, image: NDArray[Any], parts: Iterator[SpectralSum], job: Job
-    ) -> Iterator[tuple[SpectralSum, NDArray[Any]]]:
+    def _products(self, image: Array, parts: Iterator[SpectralSum], job: Job) -> Iterator[tuple[SpectralSum, Array]]:
         """Yield the products (n, k) of an image (rows, columns, channels) with the point spreads of each sum."""
         matrices = self._computed(job)
         pixels = image.reshape(-1, image.shape[2])
@@ -122,7 +119,7 @@ class StoredOperator(CaptureOperator):
         )
 
     @one_at_a_time
-    def to_dense(self, *, job: Job | None = None) -> NDArray[Any]:
+    def to_dense(self, *, job: Job | None = None) -> Array:
         """Return the operator as a dense matrix between flat arrays.
 
         Parameters

@@ -14,12 +14,11 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, short_repr
 from ...points import CaptureOperator
-from ...runtime import drjit_array
+from ...runtime import Array, Pair, drjit_array
 from .array_functions import (
     ONCE,
     CameraCapture,
@@ -198,7 +197,7 @@ class _RowByRow(torch.autograd.Function):
     """Function for autograd that ``torch.vmap`` applies row by row."""
 
     @classmethod
-    def vmap(cls, info: Any, axes: tuple[int | None, ...], *tensor: Any) -> tuple[Any, Any]:
+    def vmap(cls, info: Any, axes: tuple[int | None, ...], *tensor: Any) -> Pair:
         pairs = list(zip(tensor, axes, strict=True))
         rows = [
             cls.apply(*(value if axis is None else value.select(axis, row) for value, axis in pairs))
@@ -288,7 +287,7 @@ def _latest(function: SmoothFunction) -> Latest:
     return Latest(function, torch.clone, torch.equal, _array)
 
 
-def _array(tensor: torch.Tensor) -> NDArray[Any]:
+def _array(tensor: torch.Tensor) -> Array:
     """Return a tensor as a NumPy array: its own memory, or a copy on the processor."""
     on_host = _required(tensor).detach().cpu()
     # NumPy has no types for bfloat16 and for a quarter of the precision.

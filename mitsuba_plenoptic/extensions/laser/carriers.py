@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from ...lenses import ThinLens
 from ...optics import in_millimetres, phasor
 from ...points import blocks
-from ...runtime import Doubles, active_backend, array_module, backend_of, fft, on_cuda
+from ...runtime import Doubles, Field, Pair, active_backend, array_module, backend_of, fft, on_cuda
 from .nonuniform import PlaneWaves
 
 _FADED = 0.3
@@ -64,13 +64,13 @@ class Carrier(Protocol):
 
     shift: NDArray[np.complex128]
 
-    def forward(self, amplitudes: fft.Field) -> Iterator[tuple[slice, fft.Field]]:
+    def forward(self, amplitudes: Field) -> Iterator[tuple[slice, Field]]:
         """Yield blocks of rows of the sum of the waves with given amplitudes (n,) on the pupil's samples."""
 
-    def adjoint(self, samples: Iterator[tuple[slice, fft.Field]]) -> fft.Field:
+    def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> Field:
         """Return each wave's inner product with samples, which come in blocks of rows."""
 
-    def common(self, pupil: tuple[Any, Any]) -> Any:
+    def common(self, pupil: Pair) -> Any:
         """Return the additional path in waves, common to all points, at points of the pupil."""
 
     def remainder(self, waves: Doubles, x: Doubles, y: Doubles, points: Any) -> Doubles:
@@ -100,7 +100,7 @@ class Tilts:
         """Return an upper bound, in bytes, of the memory of the sums, apart from memory that grows with the points."""
         return PlaneWaves.memory(grid.count)
 
-    def common(self, pupil: tuple[Any, Any]) -> Any:
+    def common(self, pupil: Pair) -> Any:
         """Return the path in waves of the middle of the layer."""
         opaque = array_module().Float64
         X, Y, g = (dr.opaque(opaque, float(value)) for value in self.middle)
@@ -109,7 +109,7 @@ class Tilts:
     def remainder(self, waves: Doubles, x: Doubles, y: Doubles, points: Any) -> Doubles:
         """Return paths in waves less the middle point's path and the tilts."""
         of_middle = self._lens.path((x[:, None], y[:, None]), tuple(self.middle), self._wavelength)
-        return np.asarray(waves - of_middle - np.stack([x, y], 1) @ self._frequencies[points].T)
+        return waves - of_middle - np.stack([x, y], 1) @ self._frequencies[points].T
 
     def _cosines(self, points: Doubles) -> Doubles:
         return np.stack(self._lens.cosines((0.0, 0.0), (points[:, 0], points[:, 1], points[:, 2])), -1)
@@ -143,7 +143,7 @@ class Spheres:
         band = 2 * (2 * _reach(_images(lens, points)[1], grid) - grid.count) / count
         return 8.0 * count * (grid.count + count / 2) + PlaneWaves.memory(count, min(1.0, band / 2))
 
-    def forward(self, amplitudes: fft.Field) -> Iterator[tuple[slice, fft.Field]]:
+    def forward(self, amplitudes: Field) -> Iterator[tuple[slice, Field]]:
         """Yield blocks of rows of the sum of the waves with these amplitudes (n,) on the samples of the pupil."""
         arrays = backend_of(amplitudes).arrays
         wide = arrays.empty((self._count, self._grid.count), np.complex64)
@@ -156,7 +156,7 @@ class Spheres:
         for rows in blocks(self._grid.count):
             yield rows, samples[rows]
 
-    def adjoint(self, samples: Iterator[tuple[slice, fft.Field]]) -> fft.Field:
+    def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> Field:
         """Return each wave's inner product with samples, which come in blocks of rows."""
         arrays = active_backend().arrays
         wide = arrays.zeros((self._count, self._grid.count), np.complex64)
@@ -165,7 +165,7 @@ class Spheres:
         for columns in blocks(self._grid.count):
             wide[:, columns] = _to_frequencies(wide[:, columns], 0)
 
-        def spectra() -> Iterator[tuple[slice, fft.Field]]:
+        def spectra() -> Iterator[tuple[slice, Field]]:
             for rows in blocks(self._count):
                 padded = arrays.zeros((rows.stop - rows.start, self._count), np.complex64)
                 padded[:, self._inner] = wide[rows]
@@ -173,7 +173,7 @@ class Spheres:
 
         return self._waves.adjoint(spectra())
 
-    def common(self, pupil: tuple[Any, Any]) -> Any:
+    def common(self, pupil: Pair) -> Any:
         """Return the path in waves of the lens's aberrations at points of the pupil."""
         return self._lens.aberration(pupil, self._wavelength)
 
@@ -193,7 +193,7 @@ class Spheres:
         first = self._count // 2 - self._grid.count // 2
         return slice(first, first + self._grid.count)
 
-    def _kernel(self, rows: slice) -> fft.Field:
+    def _kernel(self, rows: slice) -> Field:
         """Return rows of the sphere's spectrum, with zero frequency in the middle."""
         quarter = _spectrum(self._count, self._grid.pitch, self._reach, self._distance, self._wavelength, on_cuda())
         order = backend_of(quarter).arrays.asarray(np.abs(np.arange(self._count) - self._count // 2))
@@ -206,7 +206,7 @@ def _sphere(square: Any, radius: float, wavelength: float) -> Any:
 
 
 @functools.lru_cache(maxsize=1)
-def _spectrum(count: int, pitch: float, reach: float, radius: float, wavelength: float, cuda: bool) -> fft.Field:
+def _spectrum(count: int, pitch: float, reach: float, radius: float, wavelength: float, cuda: bool) -> Field:
     """Return the spectrum of a sphere, which is even along both axes, at frequencies that are not negative.
 
     The sphere fades out beyond `reach` samples in its window of `count` samples. The last layer's spectrum is cached,
@@ -244,14 +244,14 @@ def _reach(images: Doubles, grid: PupilGrid) -> float:
     return grid.count / 2 + float(np.abs(images - grid.middle).max()) / grid.pitch
 
 
-def _to_samples(spectrum: fft.Field, axis: int) -> fft.Field:
+def _to_samples(spectrum: Field, axis: int) -> Field:
     """Return the inverse transform along an axis whose zero is in the middle, without a factor."""
     roll = backend_of(spectrum).arrays.roll
     half = spectrum.shape[axis] // 2
     return roll(fft.fft(roll(spectrum, -half, axis), axis=axis, inverse=True, norm="forward"), half, axis)
 
 
-def _to_frequencies(samples: fft.Field, axis: int) -> fft.Field:
+def _to_frequencies(samples: Field, axis: int) -> Field:
     """Return the adjoint of `_to_samples`."""
     roll = backend_of(samples).arrays.roll
     half = samples.shape[axis] // 2

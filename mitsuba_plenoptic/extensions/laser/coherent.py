@@ -17,7 +17,7 @@ from ...errors import refuse_if
 from ...fields import Chain, OpticalSystem, retained_workspace
 from ...lenses import MainLens
 from ...points import Arrival, Footprint, SampledField, footprint, grids_around, intensity, to_array, to_detector
-from ...runtime import Doubles, active_backend, check_memory, fft
+from ...runtime import Doubles, Field, Floats, Integers, active_backend, check_memory, fft
 from .carriers import PupilGrid
 from .nonuniform import POINT_BYTES
 from .pupil_sums import Layer, carrier_type, layers
@@ -64,7 +64,7 @@ class CoherentFields:
             field = workspace.whole(chain.forward(light, workspace), self.shape(plane))
         return SampledField(field, self.grids.origin, self.grids.pitch)
 
-    def intensity(self, amplitudes: NDArray[np.complex64]) -> NDArray[np.float32]:
+    def intensity(self, amplitudes: NDArray[np.complex64]) -> Floats:
         """Return the intensity of the field on the detector, integrated over each recorded pixel."""
         light = Arrival(self._inner(amplitudes), self._pupil.rows.start, tuple(self._to("array").links))
         return intensity(self.system, self.grids, light)
@@ -73,7 +73,7 @@ class CoherentFields:
         """Return the inner product of each point's field with samples of one of the planes."""
         arrays = active_backend().arrays
         grid = self._pupil
-        field: fft.Field = arrays.asarray(samples, np.complex64)
+        field: Field = arrays.asarray(samples, np.complex64)
         if plane == "pupil":
             field = arrays.ascontiguousarray(field[grid.rows, grid.columns])
         else:
@@ -85,7 +85,7 @@ class CoherentFields:
             result[block] = active_backend().to_host(layer.adjoint(field))
         return result
 
-    def _inner(self, amplitudes: NDArray[np.complex64]) -> fft.Field:
+    def _inner(self, amplitudes: NDArray[np.complex64]) -> Field:
         """Return the field on those samples that contain the pupil."""
         arrays = active_backend().arrays
         count = self._pupil.count
@@ -110,7 +110,7 @@ class CoherentFields:
         return sum(layer.rank for _, layer in self._layers)
 
     @cached_property
-    def _layers(self) -> list[tuple[NDArray[np.int64], Layer]]:
+    def _layers(self) -> list[tuple[Integers, Layer]]:
         return [(block, Layer(self.system, self._lens, self._points[block], self._pupil)) for block in self._parts]
 
 

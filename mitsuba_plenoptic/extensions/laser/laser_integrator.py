@@ -6,7 +6,6 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import naming, refuse_if, require_count, require_number, require_wavelength, warn
@@ -14,7 +13,7 @@ from ...fields import OpticalSystem
 from ...optics import Spectrum, guards
 from ...plugins import properties, wave_base
 from ...points import CaptureOperator, scene_points
-from ...runtime import Job
+from ...runtime import Floats, Job
 from ...scene import with_objects
 from .lit_points import LaserScene, LitPoints, named_lasers
 from .modes import mode_count
@@ -173,7 +172,7 @@ def make_class() -> type:
             scene_points.require_matte_surfaces(scene, NAME)
             return named_lasers(scene, self.lasers, NAME)
 
-        def _laser(self, scene: Any, sensor: Any, lasers: list[Any], seed: int, job: Job) -> NDArray[np.float32]:
+        def _laser(self, scene: Any, sensor: Any, lasers: list[Any], seed: int, job: Job) -> Floats:
             """Return the light of the lasers, (rows, columns, 1)."""
             camera = PlenopticCamera.from_sensor(sensor)
             (wavelength,) = self.wavelengths

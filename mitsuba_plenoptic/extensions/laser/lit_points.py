@@ -225,7 +225,7 @@ class LaserScene:
                 f"lasers = {laser.id()}: a surface that it lights has a negative reflectance; it must be at least 0",
             )
             total += np.sqrt(light) * np.exp(2j * math.pi * self._path(laser, sample, positions))
-        return np.asarray(np.abs(total) ** 2)
+        return np.abs(total) ** 2
 
     def _path(self, laser: Any, sample: Any, positions: Doubles) -> Doubles:
         """Return the path from a laser to points (n, 3) of the world, in waves modulo 1."""
@@ -234,7 +234,7 @@ class LaserScene:
             path = -(positions * towards).sum(1)
         else:
             path = np.linalg.norm(positions - sample.p.numpy().T.astype(np.float64), axis=1)
-        return np.asarray(np.fmod(path / in_millimetres(self.system.wavelength), 1))
+        return np.fmod(path / in_millimetres(self.system.wavelength), 1)
 
 
 def named_lasers(scene: Any, names: Sequence[str], plugin: str) -> list[Any]:

@@ -109,4 +109,4 @@ def mode_count(
 
 def _overlap(shift: Doubles) -> Doubles:
     """Return the common part of two equal discs, by the distance of their centres over the diameter."""
-    return np.asarray(2 / math.pi * (np.arccos(shift) - shift * np.sqrt(1 - shift**2)))
+    return 2 / math.pi * (np.arccos(shift) - shift * np.sqrt(1 - shift**2))

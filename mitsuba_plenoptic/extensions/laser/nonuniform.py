@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from ...points import blocks
-from ...runtime import Doubles, active_backend, backend_of, fft
+from ...runtime import Doubles, Field, active_backend, backend_of, fft
 
 _WIDTH = 8
 """Frequencies of the fine grid, along an axis, over which a plane wave is spread."""
@@ -78,7 +78,7 @@ class PlaneWaves:
         frequencies = band * length(count) + 2 * _WIDTH
         return 8.0 * frequencies * (2.0 * count + frequencies)
 
-    def forward(self, amplitudes: fft.Field) -> Iterator[tuple[slice, fft.Field]]:
+    def forward(self, amplitudes: Field) -> Iterator[tuple[slice, Field]]:
         """Yield blocks of rows of the sum of plane waves with given amplitudes (n,)."""
         parts = self._spread.T @ amplitudes.view(np.float32).reshape(-1, 2)
         spread = backend_of(parts).arrays.ascontiguousarray(parts).view(np.complex64).reshape(self._shape)
@@ -86,7 +86,7 @@ class PlaneWaves:
         for rows in blocks(self.count):
             yield rows, _to_samples(tall[rows], self._low[0], self._length, self.count, 1) * self._correction
 
-    def adjoint(self, samples: Iterator[tuple[slice, fft.Field]]) -> fft.Field:
+    def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> Field:
         """Return each plane wave's inner product with samples, which come in blocks of rows."""
         arrays = backend_of(self._correction).arrays
         tall = arrays.empty((self.count, self._shape[1]), np.complex64)
@@ -104,25 +104,25 @@ def length(count: int) -> int:
     return fft.fast_length(_OVERSAMPLING * count + 2 * _WIDTH)
 
 
-def _to_samples(spectrum: fft.Field, first: int, size: int, count: int, axis: int) -> fft.Field:
+def _to_samples(spectrum: Field, first: int, size: int, count: int, axis: int) -> Field:
     """Return `count` samples around the origin along an axis; `first` is the index of the lowest frequency given."""
     samples = fft.fft(embedded(spectrum, first, size, axis), axis=axis, inverse=True, norm="forward")
     return taken(samples, -(count // 2), count, axis)
 
 
-def _to_frequencies(samples: fft.Field, first: int, size: int, count: int, axis: int) -> fft.Field:
+def _to_frequencies(samples: Field, first: int, size: int, count: int, axis: int) -> Field:
     """Return the adjoint of `_to_samples`, with `count` frequencies."""
     frequencies = fft.fft(embedded(samples, -(samples.shape[axis] // 2), size, axis), axis=axis)
     return taken(frequencies, first, count, axis)
 
 
-def taken(values: fft.Field, first: int, count: int, axis: int) -> fft.Field:
+def taken(values: Field, first: int, count: int, axis: int) -> Field:
     """Return `count` values along an axis from an index on, modulo the number of the values."""
     parts = [values[(slice(None),) * axis + (there,)] for _, there in _runs(first, count, values.shape[axis])]
     return backend_of(values).arrays.concatenate(parts, axis)
 
 
-def embedded(values: fft.Field, first: int, size: int, axis: int) -> fft.Field:
+def embedded(values: Field, first: int, size: int, axis: int) -> Field:
     """Return values placed from an index on, modulo `size`, along an axis of `size` samples that are otherwise 0."""
     shape = list(values.shape)
     shape[axis] = size

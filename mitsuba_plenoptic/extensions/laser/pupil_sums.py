@@ -29,7 +29,7 @@ from ...fields import OpticalSystem
 from ...lenses import ThinLens
 from ...optics import in_millimetres, phasor, soft_edge
 from ...points import blocks
-from ...runtime import Doubles, active_backend, array_module, fft
+from ...runtime import Array, Doubles, Field, Integers, active_backend, array_module, fft
 from .carriers import Carrier, PupilGrid, Spheres, Tilts
 
 _TOLERANCE = 5e-6
@@ -99,7 +99,7 @@ class Layer:
         padded = [np.pad(rows, ((0, self.rank - len(rows)), (0, 0))) for rows in parts]
         self._of_points = list(on_device((np.concatenate(padded, 1) * self._carrier.shift).astype(np.complex64)))
 
-    def add(self, amplitudes: fft.Field, field: fft.Field) -> None:
+    def add(self, amplitudes: Field, field: Field) -> None:
         """Add the field of points with given amplitudes (n,) to samples of the grid."""
         common = self._common()
         for on_pupil, of_points in zip(self._on_pupil, self._of_points, strict=True):
@@ -108,13 +108,13 @@ class Layer:
                 waves *= common[rows]
                 field[rows] += waves
 
-    def adjoint(self, field: fft.Field) -> fft.Field:
+    def adjoint(self, field: Field) -> Field:
         """Return the inner product of each point's field with samples of the grid."""
         smooth = self._common().conj() * field
         total = active_backend().arrays.zeros(self._of_points[0].shape, np.complex64)
         for on_pupil, of_points in zip(self._on_pupil, self._of_points, strict=True):
 
-            def products(on_pupil: fft.Field = on_pupil) -> Iterator[tuple[slice, fft.Field]]:
+            def products(on_pupil: Field = on_pupil) -> Iterator[tuple[slice, Field]]:
                 for rows in blocks(self._grid.count):
                     yield rows, smooth[rows] * self._values(on_pupil, rows).conj()
 
@@ -126,7 +126,7 @@ class Layer:
         """Half the side, in mm, of the square of nodes between which the fields are interpolated."""
         return self._grid.pitch * (self._grid.count // 2 + 1)
 
-    def _common(self) -> fft.Field:
+    def _common(self) -> Field:
         """Return the common factor of all points' fields on the samples, of modulus 1 in the pupil."""
         types = array_module()
         grid = self._grid
@@ -140,7 +140,7 @@ class Layer:
         light = phasor(self._carrier.common((x, y))) * cover
         return fft.as_field(fft.pack(light), (grid.count, grid.count))
 
-    def _values(self, on_pupil: fft.Field, rows: slice) -> fft.Field:
+    def _values(self, on_pupil: Field, rows: slice) -> Field:
         """Return values on the pupil at rows of the samples, interpolated from the values at the nodes."""
         along_x, along_y = self._interpolation
         return along_y[rows] @ on_pupil @ along_x.T
@@ -180,7 +180,7 @@ class Layer:
         waves = self._carrier.remainder(waves, x, y, indices)
         amplitude = self._lens.amplitude((x[:, None], y[:, None]), point)
         amplitude = amplitude / np.sqrt(passed_power(self._lens, points[indices]))
-        return np.asarray(amplitude * np.exp(2j * math.pi * waves))
+        return amplitude * np.exp(2j * math.pi * waves)
 
 
 def carrier_type(lens: ThinLens, points: Doubles, grid: PupilGrid) -> type[Spheres | Tilts]:
@@ -189,7 +189,7 @@ def carrier_type(lens: ThinLens, points: Doubles, grid: PupilGrid) -> type[Spher
     return Spheres if spheres else Tilts
 
 
-def layers(system: OpticalSystem, lens: ThinLens, points: Doubles) -> list[NDArray[np.int64]]:
+def layers(system: OpticalSystem, lens: ThinLens, points: Doubles) -> list[Integers]:
     """Return the indices of the points (n, 3) of each layer of distance."""
     defocus = lens.pupil.radius**2 / (2 * in_millimetres(system.wavelength)) / points[:, 2]
     order = np.argsort(defocus, kind="stable")
@@ -208,7 +208,7 @@ def passed_power(lens: ThinLens, points: Doubles) -> Doubles:
     x, y = (np.outer(radius, turn(angle)).ravel()[:, None] for turn in (np.cos, np.sin))
     amplitude = lens.amplitude((x, y), (points[:, 0], points[:, 1], points[:, 2]))
     area = math.pi * lens.pupil.radius**2
-    return np.asarray(np.repeat(weights / 2, _SPOKES) @ amplitude**2 * (area / _SPOKES))
+    return np.repeat(weights / 2, _SPOKES) @ amplitude**2 * (area / _SPOKES)
 
 
 def _completed(
@@ -235,10 +235,10 @@ def _completed(
 
 def _squares(columns: NDArray[np.complex128]) -> Doubles:
     """Return the squared norm of each column."""
-    return np.asarray((columns.real**2 + columns.imag**2).sum(0))
+    return (columns.real**2 + columns.imag**2).sum(0)
 
 
-def _interpolation(nodes: Doubles, at: Doubles, kind: type = np.float32) -> NDArray[Any]:
+def _interpolation(nodes: Doubles, at: Doubles, kind: type = np.float32) -> Array:
     """Return the matrix of polynomial interpolation from Chebyshev nodes to positions between -1 and 1."""
     degree = len(nodes) - 1
     chebyshev = np.polynomial.chebyshev.chebvander

@@ -20,7 +20,7 @@ from ...errors import InputError, refuse_if, require_count, suggest_keywords
 from ...io import digest
 from ...optics import guards
 from ...points import CaptureOperator, recorded_pixels
-from ...runtime import POINTS, Doubles, Job, Part, PartialSum, SumTask, as_array, one_at_a_time
+from ...runtime import POINTS, Doubles, Floats, Job, Part, PartialSum, SumTask, as_array, one_at_a_time
 from .coherent import CoherentFields
 
 _BRIGHTEST = 1e30
@@ -146,6 +146,6 @@ class _Realisations:
         for mode in range(first, count):
             yield _Realisation(self._fields, self._moduli, (self._seed, mode), 1 / count)
 
-    def image(self, total: PartialSum) -> NDArray[np.float32]:
+    def image(self, total: PartialSum) -> Floats:
         """Return the image of the sums, with the channel as the last axis."""
         return np.ascontiguousarray(total.sums.transpose(1, 2, 0))

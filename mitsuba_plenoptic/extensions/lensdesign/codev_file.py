@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
-from ...errors import InputError, refuse_if
+from ...errors import refuse_if
 from ...prescription import Glass, Prescription, catalogue_glass
-from .lens_designs import UNITS, DesignSurface, Line, read_text, to_prescription
+from .lens_designs import FIELD_KINDS, UNITS, DesignReader, DesignSurface, Line, read_text
 
 _UNITS = {"M": UNITS["MM"], "MM": UNITS["MM"], "C": UNITS["CM"], "I": UNITS["IN"]}
 
 _OF_THE_FILE = """
-    LEN INI EPD FNO NA NAO WTW CWL XAN YAN XOB YOB XIM YIM XRI YRI WTF VUX VLX VUY VLY DOR POL CLS DER UID CA GO
+    LEN INI NA NAO WTW CWL WTF VUX VLX VUY VLY DOR POL CLS DER UID CA GO
 """
-"""Commands without effect on the lens itself: the program, pupil, fields, weights, vignetting, derivatives, labels.
+"""Commands without effect on the lens itself: the program, apertures, weights, vignetting, derivatives, labels.
 
 What the stop lets through is written as its aperture.
 """
@@ -26,9 +27,6 @@ _WITHOUT_EFFECT = frozenset(f"{_OF_THE_FILE} {_OF_A_SURFACE}".split())
 
 _TERMS = "ABCDEFGHJ"
 """Coefficients of the fourth, sixth, ... power of the distance from the axis."""
-
-_PRESSURE = 760.0
-"""Degrees and millimetres of mercury at which catalogues' indices hold."""
 
 
 def read_codev(path: str | Path) -> Prescription:
@@ -76,22 +74,19 @@ def _commands(path: Path, text: str) -> list[Line]:
     return commands
 
 
-class _CodevReader:
-    """Reader of a CODE V file, which collects the lens command by command."""
+class _CodevReader(DesignReader):
+    """Reader of a CODE V file."""
+
+    unit_keyword = "DIM"
+    aperture_keyword = "CIR"
+    at_ends = True
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.name = ""
-        self.unit: float | None = None
+        super().__init__(path)
         self.radii: bool | None = None
-        self.wavelengths: list[float] = []
-        self.primary: int | None = None
+        self.primary = 0
         self.stop: Line | None = None
-        self.surfaces: list[DesignSurface] = []
         self.ended = False
-        # What has been given of the file, and of a surface, once.
-        self.given: set[str] = set()
-        self.taken: set[str] = set()
         # Where a thickness is found by a solve, and not as it is written, unless that is of the last surface.
         self.solved: dict[int, Line] = {}
         # Names of glasses that the file itself defines, and whether its lines still do.
@@ -108,9 +103,13 @@ class _CodevReader:
             return
         if keyword in _WITHOUT_EFFECT:
             return
-        if keyword in {"DIM", "RDM", "WL", "REF"}:
-            line.refuse_if(keyword in self.given, f"{keyword} is given twice")
-            self.given.add(keyword)
+        of_use = keyword in ("EPD", "FNO") or (keyword[:1] in "XY" and keyword[1:] in FIELD_KINDS)
+        if of_use or keyword in ("DIM", "RDM", "WL", "REF"):
+            self.once(line, keyword)
+        if of_use:
+            # An f-number is that for the object's distance.
+            self.use[keyword] = [*line.values(), *([1.0] if keyword == "FNO" else [])]
+            return
         match keyword:
             case "TIT" | "TITLE":
                 self.name = " ".join(line.words[1:]).strip("'\"")
@@ -123,15 +122,13 @@ class _CodevReader:
             case "RDM":
                 self.radii = len(line.words) == 1 or line.words[1].upper()[0] == "Y"
             case "WL":
-                self.wavelengths = [line.value(index) for index in range(1, len(line.words))]
+                self.wavelengths = line.values()
             case "REF":
                 self.primary = int(line.value(1))
             case "TEM":
-                low = 20.0
-                high = 25.0
-                line.refuse_if(not low <= line.value(1) <= high, f"indices are those at {low:g} to {high:g} degrees")
+                line.refuse_if(not 20 <= line.value(1) <= 25, "indices are those at 20 to 25 degrees")
             case "PRE":
-                line.refuse_if(line.value(1) != _PRESSURE, f"indices are those at {_PRESSURE:g} mm of mercury")
+                line.refuse_if(line.value(1) != 760, "indices are those at 760 mm of mercury")
             case "SO":
                 line.refuse_if(self.surfaces, "SO must be the first surface")
                 self._add(line)
@@ -177,12 +174,11 @@ class _CodevReader:
         refuse_if(
             not self.ended or len(self.surfaces) < 3, f"{self.path}: there must be SO, the lens's surfaces and SI"
         )
-        if self.unit is None:
-            raise InputError(f"{self.path}: DIM is missing: the unit of its lengths is not known")
-        if self.primary is None and len(self.wavelengths) == 1:
-            self.primary = 1
-        if self.primary is None or not 1 <= self.primary <= len(self.wavelengths):
-            raise InputError(f"{self.path}: the primary wavelength is missing: there must be WL, and REF of several")
+        primary = self.primary or len(self.wavelengths) == 1
+        refuse_if(
+            not 1 <= primary <= len(self.wavelengths),
+            f"{self.path}: the primary wavelength is missing: there must be WL, and REF of several",
+        )
         for index, line in self.solved.items():
             line.refuse_if(
                 index != len(self.surfaces) - 2, "only the last thickness, up to the image, may be found by a solve"
@@ -193,14 +189,12 @@ class _CodevReader:
                 not 0 < index < len(self.surfaces) - 1, "there is no such surface between object and image"
             )
             self.surfaces[index].stop = True
-        wavelength = self.wavelengths[self.primary - 1]
-        return to_prescription(self.path, self.name, wavelength, self.unit, self.surfaces[1:-1], "CIR", at_ends=True)
+        return self.finished(self.wavelengths[primary - 1])
 
     def _only_value(self, line: Line, index: int = 1) -> float:
         """Return the number at the end of a surface's command, which may be given only once."""
         keyword = line.words[0].upper()
-        line.refuse_if(keyword in self.taken, f"{keyword} is given twice")
-        self.taken.add(keyword)
+        self.once(line, keyword, of_surface=True)
         line.refuse_if(len(line.words) != index + 1, "it must be one number; semicolons separate commands")
         return line.value(index)
 
@@ -213,18 +207,19 @@ class _CodevReader:
         if self.radii is None:
             raise line.refused("RDM must precede it: whether radii or curvatures are written is not known")
         shape = line.value(1)
-        # How far the object is does not matter: it may be written as infinite.
-        thickness = line.value(2) if self.surfaces else 0.0
-        surface = DesignSurface(1 / shape if self.radii and shape else shape, thickness, asphere=[0.0] * len(_TERMS))
+        # CODE V writes an infinite distance of the object as 1e10 or more, and other programs as a word.
+        far = not self.surfaces and (line.word(2).lower().startswith("inf") or line.value(2) >= 1e9)
+        thickness = math.inf if far else line.value(2)
+        surface = DesignSurface(
+            line, 1 / shape if self.radii and shape else shape, thickness, asphere=[0.0] * len(_TERMS)
+        )
         line.refuse_if(len(line.words) > 4, "a surface has radius or curvature, thickness and glass")
         if len(line.words) == 4:
             line.refuse_if(not self.surfaces, "air must precede the first surface")
             name = line.words[3].strip("'\"")
             line.refuse_if(name.upper() in self.private, "a glass of PRV is not read: name one of a catalogue")
             surface.glass = _glass(line, name)
-        surface.line = line
         self.surfaces.append(surface)
-        self.taken.clear()
 
 
 def _glass(line: Line, written: str) -> Glass | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -57,13 +56,11 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
     opening = camera.aperture_radius / (scale * before.entrance_radius)
 
     def moved(shift: float) -> Prescription:
-        surfaces = list(lens.surfaces)
-        for surface_number, change in ((first - 1, shift), (last, -shift)):
-            if 0 <= surface_number < len(surfaces) - 1:
-                surfaces[surface_number] = replace(
-                    surfaces[surface_number], thickness=surfaces[surface_number].thickness + change
-                )
-        return replace(lens, surfaces=tuple(surfaces))
+        changed = lens
+        for index, change in ((first - 1, shift), (last, -shift)):
+            if 0 <= index < len(lens.surfaces) - 1:
+                changed = changed.with_surface(index, thickness=lens.surfaces[index].thickness + change)
+        return changed
 
     def behind(shift: float) -> tuple[float, float]:
         """Return focal length and distance from rear principal plane to array, both in mm, for a shift of the group."""

@@ -7,19 +7,24 @@ refused by file, line and rule, so that no lens is read as a different one.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ...errors import InputError, naming, short_repr
+from ...errors import LONGEST, InputError, naming, short_repr
 from ...prescription import Glass, Prescription
 from ...runtime import require_size
 
 UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}
 """Millimetres in a unit of length."""
+
+FIELD_KINDS = ("AN", "OB", "IM", "RI")
+"""Fields as angles, and heights of objects, of paraxial images and of real images; in CODE V's commands behind X, Y."""
 
 _log = logging.getLogger(__name__)
 
@@ -61,15 +66,21 @@ class Line:
         self.refuse_if(not math.isfinite(value), f"value {index} must be a number")
         return value
 
+    def values(self) -> list[float]:
+        """Return all words behind the keyword, at least one, as finite numbers."""
+        return [self.value(index) for index in range(1, max(2, len(self.words)))]
+
     def require_zero(self, rule: str) -> None:
         """Refuse the command unless all its values are 0."""
-        self.refuse_if(any(self.value(index) for index in range(1, len(self.words))), rule)
+        self.refuse_if(len(self.words) > 1 and any(self.values()), rule)
 
 
 @dataclass
 class DesignSurface:
     """A surface as a lens file states it, in the file's unit of length."""
 
+    line: Line
+    """The line that begins it."""
     curvature: float = 0.0
     thickness: float = 0.0
     glass: Glass | None = None
@@ -78,8 +89,23 @@ class DesignSurface:
     asphere: list[float] = field(default_factory=list)
     """Coefficients of the fourth, sixth, ... power of the distance from the axis."""
     stop: bool = False
-    line: Line | None = None
-    """The line that begins it."""
+    kind: str = "STANDARD"
+    parameters: list[Line] = field(default_factory=list)
+    """Of Zemax: the type, and lines that mean what the type says."""
+
+    def to_plain(self, unit: float) -> dict[str, Any]:
+        """Return the surface as plain data of `Surface.from_plain`, in mm of which `unit` are one of the file."""
+        terms = [term * unit ** -(2 * order + 3) for order, term in enumerate(self.asphere)]
+        return {
+            "radius": unit / self.curvature if self.curvature else math.inf,
+            "thickness": self.thickness * unit,
+            "glass": self.glass and self.glass.to_plain(),
+            "semi_aperture": self.semi_aperture * unit,
+            "conic": self.conic,
+            # Without the zeros at their end.
+            "asphere": [float(term) for term in np.trim_zeros(terms, "b")],
+            "stop": self.stop,
+        }
 
 
 def read_text(path: str | Path) -> tuple[Path, str]:
@@ -96,69 +122,142 @@ def read_text(path: str | Path) -> tuple[Path, str]:
         return path, raw.decode("latin-1")
 
 
-def _open(path: Path, surfaces: list[DesignSurface], keyword: str, *, at_ends: bool) -> list[DesignSurface]:
-    """Return the surfaces with apertures, without planes between air and air that have none.
+class DesignReader:
+    """What a lens file states, collected line by line, in the file's unit of length."""
 
-    Surfaces without an aperture, which `keyword` states, have the wider of the nearest ones before and behind; the
-    first and the last surface only if the format leaves apertures out `at_ends`.
-    """
-    optical: list[tuple[int, DesignSurface]] = []
-    before = None
-    for surface_number, surface in enumerate(surfaces, start=1):
-        bends = surface.curvature or any(surface.asphere) or surface.glass is not None or before is not None
-        if bends or surface.stop or surface.semi_aperture > 0:
-            optical.append((surface_number, surface))
-        elif optical:
-            optical[-1][1].thickness += surface.thickness
-        before = surface.glass
-    stated = [surface.semi_aperture for _, surface in optical]
-    without = []
-    for position, (surface_number, surface) in enumerate(optical):
-        if stated[position] > 0:
-            continue
-        sides = [
-            next((radius for radius in side if radius > 0), 0.0)
-            for side in (reversed(stated[:position]), stated[position + 1 :])
-        ]
-        if not (max(sides) if at_ends else min(sides)) > 0:
-            rule = f"surface {surface_number} has no semi-aperture: state by {keyword} up to where light passes"
-            raise surface.line.refused(rule) if surface.line else InputError(f"{path}: {rule}")
-        surface.semi_aperture = max(sides)
-        without.append(surface_number)
-    if without:
-        numbers = ", ".join(map(str, without))
-        _log.info("%s: no %s of surface %s: the wider of the nearest apertures is taken", path, keyword, numbers)
-    return [surface for _, surface in optical]
+    unit_keyword: str
+    aperture_keyword: str
+    # Whether the format leaves out apertures of the first and the last surface, too.
+    at_ends: bool
 
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.name = ""
+        self.unit: float | None = None
+        self.wavelengths: list[float] = []
+        self.surfaces: list[DesignSurface] = []
+        # Pupil and fields, by CODE V's commands.
+        self.use: dict[str, list[float]] = {}
+        self._stated: set[tuple[object, ...]] = set()
 
-def to_prescription(
-    path: Path,
-    name: str,
-    wavelength: float,
-    unit: float,
-    surfaces: list[DesignSurface],
-    keyword: str,
-    *,
-    at_ends: bool = False,
-) -> Prescription:
-    """Return the prescription of a file's surfaces, without object and image; `_open` completes their apertures."""
-    plain = []
-    surfaces = _open(path, surfaces, keyword, at_ends=at_ends)
-    for surface_number, surface in enumerate(surfaces, start=1):
-        terms = [term * unit ** -(2 * order + 3) for order, term in enumerate(surface.asphere)]
-        entry = {
-            "thickness": 0.0 if surface_number == len(surfaces) else surface.thickness * unit,
-            "semi_aperture": surface.semi_aperture * unit,
-            "conic": surface.conic,
-            # Without the zeros at their end.
-            "asphere": [float(term) for term in np.trim_zeros(terms, "b")],
-            "stop": surface.stop,
+    def once(self, line: Line, *words: str, of_surface: bool = False) -> None:
+        """Refuse a second command of the same words, in the whole file or of the last surface."""
+        entry = *words, of_surface and len(self.surfaces)
+        line.refuse_if(entry in self._stated, f"{' '.join(words)} is given twice")
+        self._stated.add(entry)
+
+    def finished(self, wavelength: float) -> Prescription:
+        """Return the prescription of the surfaces between object and image."""
+        if self.unit is None:
+            raise InputError(f"{self.path}: {self.unit_keyword} is missing: the unit of its lengths is not known")
+        unit = self.unit
+        optical = _optical(self.surfaces[:-1])
+        last = optical[max(optical)]
+        before = optical.pop(0).thickness
+        behind = last.thickness
+        last.thickness = 0.0
+        # CODE V finds apertures by rays of the pupil.
+        traced = (
+            self.at_ends and self.use.keys() & {"EPD", "FNO"} and not any(s.semi_aperture for s in optical.values())
+        )
+        if traced:
+            for surface in optical.values():
+                # So small that no surface ends within it.
+                surface.semi_aperture = 1e-6 / max(1.0, abs(surface.curvature))
+        else:
+            self._open(optical)
+        facts = {
+            "name": self.name or self.path.stem,
+            "source": f"read from {self.path.name}",
+            "wavelength": wavelength,
+            "wavelengths": self.wavelengths,
+            "object_distance": before * unit,
+            "image_distance": max(0.0, behind * unit),
+            "pupil_diameter": self.use.get("EPD", [0.0])[0] * unit,
+            "surfaces": [surface.to_plain(unit) for surface in optical.values()],
         }
-        if surface.curvature:
-            entry["radius"] = unit / surface.curvature
-        if surface.glass is not None:
-            entry["glass"] = surface.glass.to_plain()
-        plain.append(entry)
-    facts = {"name": name or path.stem, "source": f"read from {path.name}", "wavelength": wavelength}
-    with naming(path):
-        return Prescription.from_plain({**facts, "surfaces": plain})
+        with naming(self.path):
+            lens = self._lit(Prescription.from_plain(facts))
+            if traced:
+                for index, radius in enumerate(_needed(lens)):
+                    lens = lens.with_surface(index, semi_aperture=radius)
+                lens = Prescription.from_plain(lens.to_plain())
+                _log.info("%s: apertures are a tenth wider than paraxial rays of pupil and fields", self.path)
+            return lens
+
+    def _open(self, optical: dict[int, DesignSurface]) -> None:
+        """Complete apertures: surfaces without have the wider of the nearest ones before and behind."""
+        stated = [surface.semi_aperture for surface in optical.values()]
+        without = []
+        for position, (surface_number, surface) in enumerate(optical.items()):
+            if stated[position] > 0:
+                continue
+            sides = [
+                next((radius for radius in side if radius > 0), 0.0)
+                for side in (reversed(stated[:position]), stated[position + 1 :])
+            ]
+            if not (max(sides) if self.at_ends else min(sides)) > 0:
+                missing = f"surface {surface_number} has no semi-aperture"
+                raise surface.line.refused(f"{missing}: state by {self.aperture_keyword} up to where light passes")
+            surface.semi_aperture = max(sides)
+            without.append(surface_number)
+        if without:
+            numbers = ", ".join(map(str, without))
+            text = "the wider of the nearest apertures is taken"
+            _log.info("%s: no %s of surface %s: %s", self.path, self.aperture_keyword, numbers, text)
+
+    def _lit(self, lens: Prescription) -> Prescription:
+        """Return the lens with its pupil by the f-number, and with angles of the fields; none of real image heights."""
+        kind = next((kind for kind in FIELD_KINDS[:3] if self.use.keys() & {"X" + kind, "Y" + kind}), None)
+        if kind is None and "FNO" not in self.use:
+            return lens
+        numbers = lens.paraxial
+        f = numbers.focal_length
+        distance = min(lens.object_distance, LONGEST)
+        from_pupil = distance + numbers.entrance_pupil
+        distance += numbers.front_principal
+        f_number, is_working, *_ = [*self.use.get("FNO", []), 0.0, 0.0]
+        if f_number > 0:
+            scale = from_pupil / (distance - f) if is_working and math.isfinite(lens.object_distance) else 1.0
+            lens = replace(lens, pupil_diameter=scale * f / f_number)
+        if kind is None:
+            return lens
+        pairs = itertools.zip_longest(*(self.use.get(axis + kind, []) for axis in "XY"), fillvalue=0.0)
+        x, y = np.array([*pairs]).T
+        # Tangents, or heights.
+        if kind == "AN":
+            fields = np.hypot(np.tan(np.radians(x)), np.tan(np.radians(y)))
+        else:
+            fields = np.hypot(x, y) * self.unit / from_pupil
+        if kind == "IM":
+            fields *= distance / f - 1
+        return replace(lens, fields=tuple(np.degrees(np.arctan(fields)).tolist()))
+
+
+def _optical(surfaces: list[DesignSurface]) -> dict[int, DesignSurface]:
+    """Return the object and surfaces by their numbers, without planes between air and air that have no aperture."""
+    optical: dict[int, DesignSurface] = {}
+    before = None
+    for number, surface in enumerate(surfaces):
+        bends = surface.curvature or any(surface.asphere) or surface.glass is not None or before is not None
+        if not number or bends or surface.stop or surface.semi_aperture > 0:
+            optical[number] = surface
+        else:
+            optical[max(optical)].thickness += surface.thickness
+        before = surface.glass
+    return optical
+
+
+def _needed(lens: Prescription) -> list[float]:
+    """Return the semi-aperture in mm that each surface needs for paraxial rays, a tenth more for all but the stop."""
+    pupil = lens.paraxial.entrance_pupil
+    slope = math.tan(math.radians(max((0.0, *lens.fields))))
+    needed = []
+    for stop, surface in enumerate(lens.surfaces):
+        # The surface's image before the lens, at which rays are as far from the axis as before any refraction.
+        image = replace(lens, stop=stop).paraxial
+        away = image.entrance_pupil - pupil
+        height = abs(lens.pupil_diameter / 2 * (1 + away / (lens.object_distance + pupil))) + abs(away * slope)
+        margin = 1.0 if stop == lens.stop else 1.1
+        needed.append(margin * height * surface.semi_aperture / image.entrance_radius)
+    return needed

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
-from ...errors import InputError, refuse_if
+from ...errors import refuse_if
 from ...prescription import Glass, Prescription, catalogue_glass
-from .lens_designs import UNITS, DesignSurface, Line, read_text, to_prescription
+from .lens_designs import FIELD_KINDS, UNITS, DesignReader, DesignSurface, Line, read_text
 
 _OF_THE_FILE = """
-    VERS NOTE PFIL LANG ENPD FNUM FLOA OBNA GFAC RAIM FTYP PUSH SDMA ROPD HYPR PICB XFLN YFLN XFLD YFLD FWGN FWGT VDXN
-    VDYN VCXN VCYN VANN ZVDX ZVDY ZVCX ZVCY ZVAN WWGN WWGT POLS GLRS GLCZ GSTD NSCD COFN IWDP OMMA STUD LUID AUTH DBDT
-    EERA RCMF
+    VERS NOTE PFIL LANG FLOA OBNA GFAC RAIM PUSH SDMA ROPD HYPR PICB FWGN FWGT VDXN VDYN VCXN VCYN VANN ZVDX ZVDY ZVCX
+    ZVCY ZVAN WWGN WWGT POLS GLRS GLCZ GSTD NSCD COFN IWDP OMMA STUD LUID AUTH DBDT EERA RCMF
 """
-"""Keywords without effect on the lens itself: the program, notes, fields and light, aiming, and analyses' settings.
+"""Keywords without effect on the lens itself: the program, notes, weights and light, aiming, and analyses' settings.
 
 What the stop lets through is written as its semi-diameter.
 """
@@ -24,7 +24,10 @@ _OF_A_SURFACE = "COMM HIDE MIRR SLAB POPS FIMP COAT MEMA OEMA SSID SCOL MAZH PZU
 
 _WITHOUT_EFFECT = frozenset(f"{_OF_THE_FILE} {_OF_A_SURFACE}".split())
 
-_HEADERS = frozenset(["MODE", "NAME", "UNIT", "GCAT", "ENVD", "WAVM", "WAVL", "WAVN", "PWAV", "MNUM", "SURF"])
+_OF_USE = {"ENPD": "EPD", "FNUM": "FNO", "XFLN": "X", "XFLD": "X", "YFLN": "Y", "YFLD": "Y", "FTYP": "FTYP"}
+"""Keywords on the light for which a lens is designed, by those of CODE V."""
+
+_HEADERS = frozenset(["MODE", "NAME", "UNIT", "GCAT", "ENVD", "WAVM", "WAVL", "WAVN", "PWAV", "MNUM", "SURF", *_OF_USE])
 """Keywords of the whole file, and the one that begins a surface."""
 
 _OF_SURFACES = frozenset(["TYPE", "CURV", "DISZ", "CONI", "PARM", "GLAS", "STOP", "DIAM", "CLAP", "FLAP", "OBDC"])
@@ -62,23 +65,21 @@ def read_zemax(path: str | Path) -> Prescription:
     return reader.prescription()
 
 
-class _ZemaxReader:
-    """Reader of a Zemax file, which collects the lens line by line."""
+class _ZemaxReader(DesignReader):
+    """Reader of a Zemax file."""
+
+    unit_keyword = "UNIT"
+    aperture_keyword = "DIAM"
+    at_ends = False
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.name = ""
-        self.unit: float | None = None
+        super().__init__(path)
         self.makers: list[str] = []
-        self.wavelengths: dict[int, float] = {}
+        # In micrometres, by their numbers.
+        self.lines: dict[int, float] = {}
         self.primary = 1
-        self.surfaces: list[DesignSurface] = []
-        self.kinds: list[str] = []
-        self.parameters: list[list[Line]] = []
         # Glasses are looked up when all catalogues are known, and the last surface is known to be the image.
         self.glasses: dict[int, Line] = {}
-        # What has been given of the file, or of a surface, once.
-        self.taken: set[tuple[str, ...]] = set()
 
     def take(self, line: Line, *, closing: bool) -> None:
         """Read one line; behind the last surface, `closing`, merit functions and tolerances are allowed as well."""
@@ -93,9 +94,9 @@ class _ZemaxReader:
         if keyword not in _HEADERS and (keyword not in _OF_SURFACES or not self.surfaces):
             line.refuse_if(not closing, f"{keyword} is not understood, and leaving it out could change the lens")
             return
-        entry = keyword, *(line.words[1:2] if keyword in ("PARM", "WAVM") else ())
-        line.refuse_if(entry in self.taken, f"{' '.join(entry)} is given twice")
-        self.taken.add(entry)
+        self.once(line, keyword, *(line.words[1:2] if keyword in ("PARM", "WAVM") else ()), of_surface=True)
+        if keyword in _OF_USE:
+            self.use[_OF_USE[keyword]] = line.values()
         match keyword:
             case "MODE":
                 line.refuse_if(line.words[1:] != ("SEQ",), "only sequential lenses are read")
@@ -112,9 +113,9 @@ class _ZemaxReader:
                     "indices are those at 20 degrees and 1 atmosphere",
                 )
             case "WAVM":
-                self.wavelengths[int(line.value(1))] = line.value(2)
+                self.lines[int(line.value(1))] = line.value(2)
             case "WAVL" | "WAVN":
-                self.wavelengths = {index: line.value(index) for index in range(1, len(line.words))}
+                self.lines = dict(enumerate(line.values(), start=1))
             case "PWAV":
                 self.primary = int(line.value(1))
             case "MNUM":
@@ -124,23 +125,20 @@ class _ZemaxReader:
                     line.value(1) != len(self.surfaces),
                     f"surfaces must be numbered from 0; this is number {len(self.surfaces)}",
                 )
-                self.surfaces.append(DesignSurface(line=line))
-                self.kinds.append("STANDARD")
-                self.parameters.append([])
-                self.taken.clear()
+                self.surfaces.append(DesignSurface(line))
             case "TYPE":
                 rule = f"only surfaces of the types {' and '.join(_SURFACES)} are read"
                 line.refuse_if(line.word(1) not in _SURFACES, rule)
-                self.kinds[-1] = line.word(1)
+                self.surfaces[-1].kind = line.word(1)
             case "CURV":
                 self.surfaces[-1].curvature = line.value(1)
             case "DISZ":
-                if line.word(1) != "INFINITY" or len(self.surfaces) > 1:
-                    self.surfaces[-1].thickness = line.value(1)
+                far = line.word(1) == "INFINITY" and len(self.surfaces) == 1
+                self.surfaces[-1].thickness = math.inf if far else line.value(1)
             case "CONI":
                 self.surfaces[-1].conic = line.value(1)
             case "PARM":
-                self.parameters[-1].append(line)
+                self.surfaces[-1].parameters.append(line)
             case "GLAS":
                 self.glasses[len(self.surfaces) - 1] = line
             case "STOP":
@@ -160,18 +158,16 @@ class _ZemaxReader:
             len(self.surfaces) < 3,
             f"{self.path}: {len(self.surfaces)} surfaces: there must be an object, a lens and an image",
         )
-        if self.unit is None:
-            raise InputError(f"{self.path}: UNIT is missing: the unit of its lengths is not known")
         refuse_if(
-            self.primary not in self.wavelengths,
+            self.primary not in self.lines,
             f"{self.path}: wavelength {self.primary}, the primary one by PWAV, is missing",
         )
         for number in self.glasses:
             self.surfaces[number].glass = self._glass(number)
-        for surface, kind, lines in zip(self.surfaces, self.kinds, self.parameters, strict=True):
+        for surface in self.surfaces:
             # Other types leave values behind that the type STANDARD does not use.
-            surface.asphere = [0.0] * 7 if kind == "EVENASPH" else []
-            for line in lines if surface.asphere else ():
+            surface.asphere = [0.0] * 7 if surface.kind == "EVENASPH" else []
+            for line in surface.parameters if surface.asphere else ():
                 order = int(line.value(1))
                 term = line.value(2)
                 if term:
@@ -183,7 +179,12 @@ class _ZemaxReader:
         if first.glass is not None:
             raise self.glasses[0].refused("air must precede the first surface")
         refuse_if(image.curvature, f"{self.path}: surface {len(lens) + 1}, the image, is curved: the array is a plane")
-        return to_prescription(self.path, self.name, self.wavelengths[self.primary] * 1e3, self.unit, lens, "DIAM")
+        # Files list more fields and wavelengths than are in use.
+        field_kind, _, fields, colours = [*map(int, self.use.pop("FTYP", ())), 0, 0, 0, 0][:4]
+        for axis in self.use.keys() & {"X", "Y"}:
+            self.use[axis + FIELD_KINDS[min(field_kind, 3)]] = self.use.pop(axis)[: fields or None]
+        self.wavelengths = [1e3 * self.lines[number] for number in sorted(self.lines)[: colours or None]]
+        return self.finished(1e3 * self.lines[self.primary])
 
     def _glass(self, surface: int) -> Glass:
         line = self.glasses[surface]

@@ -18,6 +18,7 @@ from ... import choices
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, refuse_if, require_choice, require_count, require_number, suggest_keywords
 from ...prescription import lens_data
+from ...runtime import Array
 from ...views import require_light_field
 
 _FLAT = 1e-6
@@ -143,12 +144,12 @@ def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int 
     )
 
 
-def _correlation(first: np.ndarray, second: np.ndarray, step: int, axis: int, window: int) -> np.ndarray:
+def _correlation(first: Array, second: Array, step: int, axis: int, window: int) -> Array:
     """Return the correlation of windows of one picture with windows of another, `step` lenses along an axis."""
     moved = np.roll(second, -step, axis)
 
-    def mean(values: np.ndarray) -> np.ndarray:
-        return np.asarray(uniform_filter(values, window, mode="nearest"))
+    def mean(values: Array) -> Array:
+        return uniform_filter(values, window, mode="nearest")
 
     a = mean(first)
     b = mean(moved)

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from ...detector import filters
 from ...errors import InputError, refuse_if, require_pair, short_repr, suggest_keywords
 from ...io import Capture, mosaic_of
+from ...runtime import Array
 from ...views import light_field
 from .photodiode_response import ACROSS, require_pixel_pairs
 
@@ -70,14 +70,14 @@ def dual_pixel(capture: Capture, layout: tuple[int, int] = (2, 1)) -> xr.DataArr
     return halves.assign_attrs(mosaic="".join(corner))
 
 
-def photodiodes(image: NDArray[Any], along: int, across: int) -> NDArray[Any]:
+def photodiodes(image: Array, along: int, across: int) -> Array:
     """Return the sums over each photodiode, (across, along, lenses, lenses[, 3]), of pixels (rows, columns[, 3])."""
     rows, columns = (count // ACROSS for count in image.shape[:2])
     parts = image.reshape(rows, across, ACROSS // across, columns, along, ACROSS // along, *image.shape[2:])
     return np.ascontiguousarray(np.moveaxis(parts.sum(axis=(2, 5)), (1, 3), (0, 1)))
 
 
-def photodiode_names(halves: xr.DataArray) -> NDArray[Any]:
+def photodiode_names(halves: xr.DataArray) -> Array:
     """Return the name of each picture, (v, u): left or right, top or bottom, or both words."""
     down = ("top", "bottom") if halves.sizes["v"] == ACROSS else ("",)
     across = ("left", "right") if halves.sizes["u"] == ACROSS else ("",)

@@ -11,10 +11,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ...lenses import Pair
 from ...optics import RGB_WAVELENGTHS
 from ...prescription import LINE_D
-from ...runtime import drjit_array
+from ...runtime import Pair, drjit_array
 from .photodiode_response import PhotodiodeResponse
 
 
@@ -68,7 +67,7 @@ def _fraction(axis: Sequence[float], value: Any, module: Any) -> Any:
     return sum(module.clip((value - low) / (high - low), 0, 1) for low, high in itertools.pairwise(axis))
 
 
-def _between(fraction: Any, size: int) -> list[tuple[Any, Any]]:
+def _between(fraction: Any, size: int) -> list[Pair]:
     """Return the two indices around a fractional index, with their weights."""
     if size == 1:
         return [(mi.UInt32(0), 1.0)]

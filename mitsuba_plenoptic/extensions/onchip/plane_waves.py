@@ -32,7 +32,7 @@ from ...errors import refuse_if
 from ...fields import OpticalSystem
 from ...optics import in_millimetres
 from ...rays import Walk
-from ...runtime import Doubles, drjit_array, single_threaded_blas
+from ...runtime import Doubles, Flags, Integers, drjit_array, single_threaded_blas
 
 NEAR = 5
 """Lenses across the window of the near table."""
@@ -173,7 +173,7 @@ class PlaneWaveResponses:
         return math.ceil(self.reach / self.step) + 1
 
     @cached_property
-    def _orders(self) -> tuple[NDArray[np.int64], NDArray[np.complex128]]:
+    def _orders(self) -> tuple[Integers, NDArray[np.complex128]]:
         """Diffraction orders of the lenses along an axis, and their amplitudes (orders along y, orders along x)."""
         camera = self.camera
         wavelength = in_millimetres(self.wavelength)
@@ -194,7 +194,7 @@ class PlaneWaveResponses:
         slope = [-float(self.system.lens.pupil.slope(0.0, coordinate)) for coordinate in self._place(x, y)]
         return [component / math.sqrt(1 + slope[0] ** 2 + slope[1] ** 2) for component in slope]
 
-    def is_open(self, x: float, y: float, along: Doubles) -> NDArray[np.bool_]:
+    def is_open(self, x: float, y: float, along: Doubles) -> Flags:
         """Return a mask of the pairs of direction cosines, relative to the chief ray, that pass the pupil to a lens."""
         chief = self.chief(x, y)
         centre = self._place(x, y)
@@ -205,7 +205,7 @@ class PlaneWaveResponses:
         pupil = tuple(drjit_array(mi.Float, lens.pupil.point(c, t)) for c, t in zip(centre, slopes, strict=True))
         inner = Walk.of(self.camera, lens).round_pupil(pupil, tuple(mi.Float(c) for c in centre))
         square = sum(coordinate.numpy().astype(float) ** 2 for coordinate in inner)
-        return np.asarray(square <= self.camera.pupil_radius**2).reshape(sx.shape)
+        return (square <= self.camera.pupil_radius**2).reshape(sx.shape)
 
     @single_threaded_blas()
     def modes(self, x: float, y: float, diode: int) -> NDArray[np.complex64]:

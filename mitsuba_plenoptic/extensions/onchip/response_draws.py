@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...lenses import Pair
 from ...rays import Walk, chances_of, low_discrepancy
-from ...runtime import drjit_array
+from ...runtime import Pair, drjit_array
 from .plane_waves import NEAR
 from .response_tables import PhotodiodeResponses, TableWindow
 

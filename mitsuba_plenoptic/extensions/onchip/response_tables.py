@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from ...errors import refuse_if
-from ...runtime import Doubles, single_threaded_blas, unit_hint
+from ...runtime import Doubles, Flags, Floats, Integers, single_threaded_blas, unit_hint
 from .plane_waves import NEAR, PlaneWaveResponses, displacement
 
 _OVERSAMPLING = 1.4
@@ -69,7 +69,7 @@ class TableWindow(NamedTuple):
         return self.first - 0.5 + np.arange(self.across) / self.samples
 
     @property
-    def mirrored(self) -> NDArray[np.int64]:
+    def mirrored(self) -> Integers:
         """Indices of the samples at the mirrored positions; a window of an even number of lenses is periodic."""
         index = np.arange(self.across)
         return self.across - 1 - index if self.lenses % 2 else (self.samples - index) % (self.across - 1)
@@ -85,7 +85,7 @@ class ResponseTable(NamedTuple):
     near: NDArray[np.float16]
     far: NDArray[np.float16]
     # Means of the integral of W over the pupil (zones, photodiodes).
-    means: NDArray[np.float32]
+    means: Floats
 
 
 @dataclass(frozen=True)
@@ -220,9 +220,9 @@ class PhotodiodeResponses(PlaneWaveResponses):
         finer: int,
         stride: int,
         window: TableWindow,
-        overlap: NDArray[np.float32],
-        lit: NDArray[np.bool_],
-    ) -> NDArray[np.float32]:
+        overlap: Floats,
+        lit: Flags,
+    ) -> Floats:
         """Return the response W of a photodiode at the used nodes, (nodes, y, x).
 
         Neighbouring pairs differ in direction by `stride` steps of the modes, divided by `finer`.
@@ -276,12 +276,12 @@ class PhotodiodeResponses(PlaneWaveResponses):
 class _Pupil:
     """The pupil as seen from a lens, sampled in direction cosines."""
 
-    is_open: NDArray[np.bool_]
+    is_open: Flags
     # Samples per step of the nodes.
     step: int
     # Rows and columns of the open samples, and their values of the functions that are linear between nodes.
-    rows: NDArray[np.int64]
-    columns: NDArray[np.int64]
+    rows: Integers
+    columns: Integers
     hats: scipy.sparse.csr_matrix
     # Part of the direction cosines of the pupil around each node (n, n).
     mass: Doubles
@@ -326,7 +326,7 @@ class _Pupil:
         )
 
     @single_threaded_blas()
-    def overlap(self, lags: NDArray[np.int64]) -> NDArray[np.float32]:
+    def overlap(self, lags: Integers) -> Floats:
         """Return coefficients of O for each node and pair, (n, n, lags, lags); lags are half differences in samples.
 
         The coefficients are the projection of O on functions that are linear between nodes.
@@ -343,7 +343,7 @@ class _Pupil:
         return result.reshape(n, n, len(lags), len(lags))
 
 
-def _fold(near: TableWindow, far: TableWindow) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _fold(near: TableWindow, far: TableWindow) -> tuple[Floats, Floats]:
     """Return the matrices that fold and that interpolate far-window samples to near ones, (near.across, far.across)."""
     size = far.across - 1
 
@@ -361,7 +361,7 @@ def _fold(near: TableWindow, far: TableWindow) -> tuple[NDArray[np.float32], NDA
     return folded.astype(np.float32), once.astype(np.float32)
 
 
-def _blurred(near: TableWindow, far: TableWindow, pairs: int) -> NDArray[np.float32]:
+def _blurred(near: TableWindow, far: TableWindow, pairs: int) -> Floats:
     """Return the matrix that lowers samples within the near window to the resolution of the far window."""
     lag = np.arange(-pairs, pairs + 1)
     gain = (np.sinc(lag / (far.lenses * near.samples)) / np.sinc(lag / (far.lenses * far.samples))) ** 2

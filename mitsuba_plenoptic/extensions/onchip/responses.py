@@ -19,14 +19,12 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...detector import NonNegative
 from ...errors import refuse_if
-from ...lenses import Pair
 from ...rays import walks_of
-from ...runtime import Box, Part, PartialSum, drjit_array, fft
+from ...runtime import Box, Floats, Pair, Part, PartialSum, drjit_array, fft
 from ...scene import require_finite
 from ...waves import FINE, Node, SignedCapture, mean_of_half, mixed, of_other_half
 from .plane_waves import NEAR, lens_range
@@ -84,7 +82,7 @@ class LensRows:
     """The finished pixels of a block of rows of lenses."""
 
     box: Box
-    sums: NDArray[np.float32]
+    sums: Floats
 
     @property
     def samples(self) -> int:
@@ -164,11 +162,11 @@ class ResponseSum:
             box = Box(left, up, int(columns * size), int(rows * size))
             yield LensRows(box, np.ascontiguousarray(pixels.reshape(-1, rows * size, columns * size), np.float32))
 
-    def image(self, total: PartialSum) -> NDArray[np.float32]:
+    def image(self, total: PartialSum) -> Floats:
         """Return the image, the sum of all blocks."""
         return np.ascontiguousarray(np.moveaxis(total.sums, 0, -1))
 
-    def probe(self) -> NDArray[np.float32]:
+    def probe(self) -> Floats:
         """Return the light of the rays of some lenses, a fingerprint of a scene and its camera."""
         columns = self._columns[1] - self._columns[0]
         pixel_count = int(self.items.sum())
@@ -384,6 +382,6 @@ class ResponseCapture(SignedCapture):
         """Return a function that constructs the sum of a capture; there is only one kind of sum."""
         return partial(ResponseSum, self.camera, light, nodes, spp=spp, seed=seed)
 
-    def projections(self, image: NDArray[np.float32]) -> dict[int, NonNegative]:
+    def projections(self, image: Floats) -> dict[int, NonNegative]:
         """Return no channels to mend: negative pixels stay, as the noise of few rays exceeds the light around them."""
         return {}

@@ -17,6 +17,7 @@ from ... import design
 from ...camera import PlenopticCamera
 from ...prescription import lens_data
 from ...refocus import pupil_radius, ray_sums
+from ...runtime import Array
 from .claims import CONFIRMED, DIFFERS, PAPER_RESOLUTION, PAPER_SECONDS, PARTLY, Claim, verdict
 
 
@@ -136,13 +137,13 @@ def plain_seconds(camera: PlenopticCamera, distance: float) -> float:
 
 
 def plain_sums(
-    image: np.ndarray,
-    x: np.ndarray,
-    y: np.ndarray,
+    image: Array,
+    x: Array,
+    y: Array,
     distances: tuple[float, float, float, float],
     pitch: float,
     radius: float,
-    bins: np.ndarray,
+    bins: Array,
 ) -> None:
     """Add each pixel of an image to the bin that the pixel's ray meets, in one plain loop.
 
@@ -168,7 +169,7 @@ def plain_sums(
                 bins[j, i] += image[r, c]
 
 
-def run_plain_sums(image: np.ndarray, camera: PlenopticCamera, distance: float) -> np.ndarray:
+def run_plain_sums(image: Array, camera: PlenopticCamera, distance: float) -> Array:
     """Return an image's sums by a plain loop, for an unfocused camera with square lenses."""
     bins = np.zeros(camera.bin_count[::-1])
     x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))

@@ -14,6 +14,7 @@ from ...optics import rays
 from ...prescription import lens_data
 from ...rays import follow_back
 from ...report import plots
+from ...runtime import Array
 
 _LIGHT = "#d08700"
 _RAYS = 7
@@ -23,7 +24,7 @@ _BEHIND = 0.08
 """Distance between array and detector as drawn, over that between main lens and array; it is too short to be seen."""
 
 
-def light_path(camera: PlenopticCamera, point: tuple[float, float], pupil: np.ndarray) -> np.ndarray:
+def light_path(camera: PlenopticCamera, point: tuple[float, float], pupil: Array) -> Array:
     """Return rays from an object point (X, g) through points of the pupil to the array.
 
     Returns
@@ -38,7 +39,7 @@ def light_path(camera: PlenopticCamera, point: tuple[float, float], pupil: np.nd
     return np.stack([along, np.stack([np.full_like(pupil, X), pupil, m], axis=-1)], axis=-1)
 
 
-def back_path(camera: PlenopticCamera, lens: float, pixels: np.ndarray, distance: float) -> np.ndarray:
+def back_path(camera: PlenopticCamera, lens: float, pixels: Array, distance: float) -> Array:
     """Return rays from pixels through a lens's centre, traced back to an object plane.
 
     Returns
@@ -54,11 +55,11 @@ def back_path(camera: PlenopticCamera, lens: float, pixels: np.ndarray, distance
     return np.stack([along, np.stack(across, axis=-1)], axis=-1)
 
 
-def micro_image(camera: PlenopticCamera, lens: float) -> np.ndarray:
+def micro_image(camera: PlenopticCamera, lens: float) -> Array:
     """Return detector points across a lens's micro-image, between the ends of the pupil."""
     b = camera.mla_distance
     z = camera.detector_distance
-    middle = rays.chief_detector_point(lens, b, z)
+    middle = rays.chief_detector_point(camera, lens)
     return middle + np.linspace(-1, 1, _RAYS) * camera.aperture_radius * z / b
 
 
@@ -143,7 +144,7 @@ def _axis(axes: Axes, along: tuple[float, float], across: float) -> None:
     axes.axhline(0, color=plots.FAINT, linewidth=0.5, linestyle="dashdot")
 
 
-def _stretched(points: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
+def _stretched(points: Array, camera: PlenopticCamera) -> Array:
     """Return points with the detector moved away from the array, so that drawings show the space between."""
     (_, pixel), (array, lens) = points[:2]
     detector = (1 + _BEHIND) * camera.mla_distance

@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from ...errors import InputError
@@ -20,15 +19,16 @@ from ...io import Cache, Capture
 from ...rays import follow_back
 from ...refocus import reconstruct
 from ...report import Experiment, metrics
+from ...runtime import Array, Integers, Progress
 from ...views import capture_white, lenses_of_pixels
 
 
-def quarters(i: NDArray[Any], j: NDArray[Any]) -> NDArray[Any]:
+def quarters(i: Array, j: Array) -> Array:
     """Return the quarter of the array, counted from 0, of the lenses with given indices."""
     return (i >= 0) + 2 * (j >= 0)
 
 
-def diagonals(i: NDArray[Any], j: NDArray[Any]) -> NDArray[Any]:
+def diagonals(i: Array, j: Array) -> Array:
     """Return the subset, from 0 to 3, of lenses on every fourth diagonal.
 
     Of the regular subsets of one lens in four they interfere least: neighbours are a diagonal apart, and a bin averages
@@ -47,7 +47,7 @@ def measure_readings(experiment: Experiment, store: Cache, near: str, far: str) 
     first, *_, last = experiment.settings.distances
     blurred = [(near, last), (far, first)]
 
-    def measure(progress: Callable[[int, int], None]) -> dict[str, Any]:
+    def measure(progress: Progress) -> dict[str, Any]:
         return {"rows": [_row(experiment, shape, distance) for shape, distance in blurred]}
 
     return list(store.facts("readings", {"capture": experiment.wave_key, "blurred": blurred}, measure)["rows"])
@@ -60,7 +60,7 @@ def _row(experiment: Experiment, shape: str, distance: float) -> dict[str, Any]:
         raise InputError(f"{shape}: it is not in the camera's view")
     capture = surroundings(experiment.wave, window, distance)
 
-    def literal(method: str, **options: Any) -> NDArray[Any]:
+    def literal(method: str, **options: Any) -> Array:
         return reconstruct(capture, distance, method=method, relay=False, **options).image
 
     rays_alone = experiment.images["ray", distance]
@@ -93,7 +93,7 @@ def surroundings(capture: Capture, window: tuple[slice, slice], distance: float)
 def of_subsets(
     capture: Capture,
     distance: float,
-    label: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]],
+    label: Callable[[Array, Array], Array],
     oversample: int = 1,
 ) -> Any:
     """Return the summed intensities of one coherent wave for each label of lenses, by their indices i and j."""
@@ -155,7 +155,7 @@ def colour_count(capture: Capture, distance: float) -> int:
     return int(colours.max()) + 1
 
 
-def _counted(places: NDArray[Any]) -> NDArray[np.int64]:
+def _counted(places: Array) -> Integers:
     """Return the bins of places, counted from 1."""
     bins = np.floor(places).astype(np.int64)
     return bins - bins.min(initial=0) + 1

@@ -15,7 +15,6 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.util import view_as_blocks
 
@@ -34,7 +33,7 @@ from ...report import (
     refocused,
     window_sharpness,
 )
-from ...runtime import Doubles, software
+from ...runtime import Doubles, Floats, software
 from ...scene import render_capture
 from ...views import lens_numbers
 from ..calibrate.photon_transfer import electrons
@@ -75,7 +74,7 @@ TITLES = {
 class Judged:
     """The paper's statements on one light field, and how well it is deconvolved."""
 
-    pictures: dict[tuple[str, float], NDArray[np.float32]]
+    pictures: dict[tuple[str, float], Floats]
     measured: dict[str, Any]
     claims: list[Claim]
     quality: list[dict[str, Any]]
@@ -196,10 +195,10 @@ def _box(camera: PlenopticCamera, distance: float, area: Sequence[float]) -> tup
     return low, high
 
 
-def _divided(name: str, capture: Capture, white: Capture, distance: float) -> NDArray[np.float32]:
+def _divided(name: str, capture: Capture, white: Capture, distance: float) -> Floats:
     """Return a picture of a light field, divided by that of white refocused in the same way."""
 
-    def refocus(one: Capture) -> NDArray[np.float32]:
+    def refocus(one: Capture) -> Floats:
         if name == "quarters":
             return np.asarray(of_subsets(one, distance, quarters, _SHOWN), np.float32)
         options: dict[str, Any] = {"interleave": 2} if name == "partial" else {}
@@ -209,7 +208,7 @@ def _divided(name: str, capture: Capture, white: Capture, distance: float) -> ND
     return np.divide(light, even, out=np.full_like(light, np.nan), where=even > 0.05 * np.nanmax(even))
 
 
-def _deconvolved(capture: Capture, paper: NDArray[np.float32], distance: float) -> NDArray[np.float32]:
+def _deconvolved(capture: Capture, paper: Floats, distance: float) -> Floats:
     """Return the plane that explains a light field, over the radiance of white."""
     lenses = lens_numbers(capture.camera)
     brightest = ndimage.maximum(paper, lenses, np.arange(lenses.max() + 1))[lenses]
@@ -230,8 +229,8 @@ def _quality(
     name: str,
     shape: Shape,
     recording: Recording,
-    paper: NDArray[np.float32],
-    image: NDArray[np.float32],
+    paper: Floats,
+    image: Floats,
     wavelength: float,
 ) -> dict[str, Any]:
     """Return what is left of the lenses' grid, what is unexplained, and the width of an edge, in a shape's plane."""
@@ -254,7 +253,7 @@ def _quality(
     return row
 
 
-def grid(image: NDArray[np.float32], oversample: int = FINE) -> float:
+def grid(image: Floats, oversample: int = FINE) -> float:
     """Return the deviation of what repeats in all lenses of an area, over its mean, without slow changes and noise."""
     down, across = (size // oversample for size in image.shape)
     area = image[: down * oversample, : across * oversample].astype(np.float64)
@@ -266,7 +265,7 @@ def grid(image: NDArray[np.float32], oversample: int = FINE) -> float:
 
 
 def _control(
-    real: Recording, planes: Mapping[str, NDArray[np.float32]], store: Cache, wavelength: float, counts: float
+    real: Recording, planes: Mapping[str, Floats], store: Cache, wavelength: float, counts: float
 ) -> Recording:
     """Return what the camera records, by waves, of the planes that were found in a real light field, with its noise."""
     mi.set_variant("llvm_ad_mono")
@@ -287,7 +286,7 @@ def _control(
             "emitter": {"type": "area", "radiance": {"type": "bitmap", "bitmap": texture, "raw": True}},
         }
     level = float(np.quantile(real.white, 0.9))
-    pictures: list[NDArray[np.float32]] = []
+    pictures: list[Floats] = []
     for name, content in (("light", sheets), ("white", {"sky": {"type": "constant"}})):
         scene = {"type": "scene", "integrator": {"type": "direct"}, "camera": real.camera.to_sensor(), **content}
 
@@ -309,9 +308,7 @@ def _control(
     return replace(real, light=pictures[0], white=pictures[1])
 
 
-def _sheet(
-    shape: Shape, others: Sequence[Shape], image: NDArray[np.float32]
-) -> tuple[tuple[float, ...], NDArray[np.float32]]:
+def _sheet(shape: Shape, others: Sequence[Shape], image: Floats) -> tuple[tuple[float, ...], Floats]:
     """Return the area in bins, and the radiance, of a shape's sheet, which reaches the other regions or the borders.
 
     The shape's edge is a sharp one, so that its width in the control is that of the camera and the method.
@@ -347,7 +344,7 @@ def _sheet(
 
 
 @plots.styled
-def draw(path: Path, camera: PlenopticCamera, pictures: Mapping[tuple[str, float], NDArray[np.float32]]) -> None:
+def draw(path: Path, camera: PlenopticCamera, pictures: Mapping[tuple[str, float], Floats]) -> None:
     """Draw a light field refocused to each distance by each method: the paper's figure 4."""
     distances = list(dict.fromkeys(distance for _, distance in pictures))
     columns, rows = camera.bin_count

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.registration import phase_cross_correlation
 
@@ -22,7 +21,7 @@ from ...camera import PlenopticCamera, camera_and_record
 from ...detector import DetectorOperator
 from ...errors import naming, refuse_if, refusing, require_choice, require_number
 from ...io import Capture
-from ...runtime import read_text
+from ...runtime import Floats, read_text
 from ...views import lens_numbers
 from ..calibrate.white_command import sensor_values
 
@@ -58,8 +57,8 @@ class Shape:
 class Recording:
     """A light field and a white picture by one camera, and the shapes that are in view."""
 
-    light: NDArray[np.float32]
-    white: NDArray[np.float32]
+    light: Floats
+    white: Floats
     camera: PlenopticCamera
     shapes: dict[str, Shape]
 
@@ -172,7 +171,7 @@ def aligned(recording: Recording, moved: tuple[float, float], width: float | Non
     return replace(recording, white=np.maximum(white, 0).astype(np.float32), camera=camera)
 
 
-def paper_of(recording: Recording) -> NDArray[np.float32]:
+def paper_of(recording: Recording) -> Floats:
     """Return the white picture as it would be of each shape's paper, which spreads light otherwise over directions.
 
     In a shape's region it is multiplied by one parabola over each micro-image, which its even area tells.

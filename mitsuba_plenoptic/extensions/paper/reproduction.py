@@ -29,6 +29,7 @@ from ...report import (
     windows,
     write_report,
 )
+from ...runtime import Array
 from .claims import PAPER_SECONDS, check_claims, claims_section, timing_section, timing_table
 from .paper_limits import check_limits, plain_seconds
 from .procedures import figure_1, figure_3
@@ -85,7 +86,7 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
     near, _, far = _LETTERS
     objects = dict(zip((title.partition(" (")[0] for title in _LETTERS.values()), settings.distances, strict=True))
 
-    def first(camera: PlenopticCamera, pictures: dict[tuple[str, float], np.ndarray]) -> None:
+    def first(camera: PlenopticCamera, pictures: dict[tuple[str, float], Array]) -> None:
         results_shown = [
             Reconstruction(pictures[name, distance], distance, camera.bin_size(distance), model, camera)
             for name, model in (("ray_of_ray", "rays"), ("partial", "waves"))

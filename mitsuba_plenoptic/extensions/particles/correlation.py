@@ -18,10 +18,9 @@ import numpy as np
 import scipy.signal
 import xarray as xr
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from ...errors import refuse_if, require_count, require_number, require_numbers, suggest_keywords, warn
-from ...runtime import Doubles, Progress, counted
+from ...runtime import Doubles, Integers, Progress, counted
 from .voxels import values_of
 
 
@@ -131,7 +130,7 @@ def _displacement(before: Doubles, after: Doubles) -> tuple[Doubles, float]:
     return peak - reach + [_beside(products, peak, axis) for axis in range(3)], coefficient
 
 
-def _beside(products: Doubles, peak: NDArray[np.int64], axis: int) -> float:
+def _beside(products: Doubles, peak: Integers, axis: int) -> float:
     """Return the distance of a peak from its voxel along an axis, of the normal curve through three values."""
     at = peak[axis]
     line = np.moveaxis(products, axis, -1)[tuple(np.delete(peak, axis))][max(at - 1, 0) : at + 2]

@@ -50,7 +50,7 @@ class Flow:
             atol=1e-11,
         )
         refuse_if(not paths.success, f"flow: paths over {time:g} s cannot be followed: {paths.message}")
-        return np.asarray(paths.y[:, -1].reshape(-1, 3))
+        return paths.y[:, -1].reshape(-1, 3)
 
 
 class ParallelFlow(Flow):

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from ... import choices
 from ...camera import PlenopticCamera, Round
@@ -26,7 +25,7 @@ from ...errors import refuse_if, require_choice, require_count, require_waveleng
 from ...fields import OpticalSystem
 from ...io import Capture, Checkpoint
 from ...points import CaptureOperator
-from ...runtime import Job, Progress
+from ...runtime import Array, Job, Progress
 from ..inverse.point_rays import PointRays
 from .scattering import ScatteredLight
 from .seeding import LightSheet, ParticleVolume, Seeding, Window
@@ -129,7 +128,7 @@ class ParticleImages:
             powers, over_pupil = light.followed(self._accuracy)
         points = np.tile(light.positions, (len(powers), 1))
         weights = powers.ravel() / self._reference
-        image: NDArray[Any] = np.zeros(self.camera.shape, np.float32)
+        image: Array = np.zeros(self.camera.shape, np.float32)
         if len(points) and self.model == "ray":
             rays = PointRays(self.camera, points, self.wavelength, over_pupil)
             image = rays.image(OpticalSystem(self.camera, self.wavelength), weights)

@@ -12,6 +12,7 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...errors import put_checked, refuse_if, require_choice, require_number
 from ...io import Capture
+from ...runtime import Array
 from .flows import FLOWS, Flow, Vortex
 from .particle_images import ParticleImages
 from .seeding import ParticleVolume, Seeding, Window
@@ -83,7 +84,7 @@ class ParticlePairs:
 
     def captures(
         self, camera: PlenopticCamera, options: Mapping[str, Mapping[str, Any]], random: np.random.Generator
-    ) -> tuple[dict[str, Capture], dict[str, np.ndarray]]:
+    ) -> tuple[dict[str, Capture], dict[str, Array]]:
         """Return both captures by each model, and the particles."""
         refuse_if(
             camera.objective is not None and None in (self.near, self.far),

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import refuse_if, require_count, require_number, require_wavelength, suggest_keywords
@@ -21,7 +21,7 @@ from ...fields import OpticalSystem
 from ...lenses import inverse_distance
 from ...linear import LinearMap
 from ...points import CaptureOperator
-from ...runtime import POINTS, Doubles, Job, Progress, as_array, counted
+from ...runtime import POINTS, Doubles, Floats, Job, Progress, as_array, counted
 from ..inverse.point_rays import PointRays
 from ..inverse.stored import StoredOperator
 from .seeding import Window
@@ -96,13 +96,13 @@ class VoxelProjector(LinearMap):
         self.camera = camera
         self.grid = grid
 
-    def forward(self, weights: ArrayLike, *, job: Job | None = None) -> NDArray[np.float32]:
+    def forward(self, weights: ArrayLike, *, job: Job | None = None) -> Floats:
         """Return the image (rows, columns) of voxels with the given light, (n,)."""
         return self.operator.forward(self._spread @ as_array("weights", weights, POINTS), job=job)
 
     def adjoint(self, image: ArrayLike, *, job: Job | None = None) -> Doubles:
         """Return each voxel's inner product with an image, (n,)."""
-        return np.asarray(self._spread.T @ self.operator.adjoint(image, job=job))
+        return self._spread.T @ self.operator.adjoint(image, job=job)
 
 
 @suggest_keywords
@@ -153,17 +153,17 @@ class RayProjector(LinearMap):
         self.grid = grid
         self._matrix = scipy.sparse.hstack(columns, format="csc")
 
-    def forward(self, weights: ArrayLike) -> NDArray[np.float32]:
+    def forward(self, weights: ArrayLike) -> Floats:
         """Return the image (rows, columns) of voxels with the given light, (n,)."""
         weights = as_array("weights", weights, POINTS, dtype=np.float32)
         refuse_if(not np.isfinite(weights).all(), "weights: all must be finite")
-        return np.asarray(self._matrix @ weights).reshape(self.image_shape)
+        return (self._matrix @ weights).reshape(self.image_shape)
 
-    def adjoint(self, image: ArrayLike) -> NDArray[np.float32]:
+    def adjoint(self, image: ArrayLike) -> Floats:
         """Return each voxel's inner product with an image, (n,)."""
         image = as_array("image", image, dtype=np.float32)
         refuse_if(
             image.shape != self.image_shape or not np.isfinite(image).all(),
             f"image of shape {image.shape}: its pixels must be finite, {self.image_shape}",
         )
-        return np.asarray(self._matrix.T @ image.ravel())
+        return self._matrix.T @ image.ravel()

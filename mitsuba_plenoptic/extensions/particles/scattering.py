@@ -85,7 +85,7 @@ def cross_sections(diameters: Doubles, index: complex, wavelength: float, cosine
         Cosines of the angle between the incident and the scattered light.
     """
     wavenumber = 2 * np.pi / (wavelength * 1e-3)
-    return np.asarray((np.abs(_amplitudes(diameters, index, wavelength, cosines)) ** 2).sum(0) / (2 * wavenumber**2))
+    return (np.abs(_amplitudes(diameters, index, wavelength, cosines)) ** 2).sum(0) / (2 * wavenumber**2)
 
 
 @dataclass(frozen=True)
@@ -197,8 +197,8 @@ class ScatteredLight:
         solid_angles = self._pupil(self.positions, x, y)[1] * areas
         if self.seeding.index is None:
             # Beads emit over the full solid angle.
-            return np.asarray(self.irradiance * self.diameters**3 / 24 * solid_angles.sum(1))[None]
-        return np.asarray(self.irradiance * (np.abs(self._over_pupil(x, y)) ** 2 * solid_angles).sum(-1))
+            return (self.irradiance * self.diameters**3 / 24 * solid_angles.sum(1))[None]
+        return self.irradiance * (np.abs(self._over_pupil(x, y)) ** 2 * solid_angles).sum(-1)
 
     def followed(self, accuracy: float) -> tuple[Doubles, PupilWeights | None]:
         """Return the powers of the amplitudes that count, (k, n), and these amplitudes, one after the other."""
@@ -226,4 +226,4 @@ class ScatteredLight:
 
 def _unit(vectors: Doubles) -> Doubles:
     """Return vectors (..., 3) of length 1."""
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)

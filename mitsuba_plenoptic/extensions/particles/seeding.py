@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ...camera import PlenopticCamera
 from ...errors import (
@@ -26,7 +26,7 @@ from ...errors import (
     suggest_keywords,
     warn,
 )
-from ...runtime import MILLIMETRES, POINTS, Doubles, as_array
+from ...runtime import MILLIMETRES, POINTS, Doubles, Flags, as_array
 
 MOST = 10**7
 """Particles at most."""
@@ -144,7 +144,7 @@ class ParticleVolume:
         """Centre of the volume."""
         return tuple((0.5 * np.add(self.lower, self.upper)).tolist())
 
-    def contains(self, points: Doubles) -> NDArray[np.bool_]:
+    def contains(self, points: Doubles) -> Flags:
         """Return whether points (..., 3) are within the volume, its lower faces included."""
         return np.asarray(((points >= self.lower) & (points < self.upper)).all(-1))
 
@@ -289,7 +289,7 @@ class Seeding:
 
     def diameters(self, count: int, random: np.random.Generator) -> Doubles:
         """Return random diameters in micrometres, (count,)."""
-        return np.asarray(self.diameter * np.exp(self.spread * random.normal(size=count)))
+        return self.diameter * np.exp(self.spread * random.normal(size=count))
 
 
 def _index(name: str, value: Any) -> complex | None:

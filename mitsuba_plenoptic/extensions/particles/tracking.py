@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import scipy
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 from scipy.spatial import cKDTree
 
 from ...errors import refuse_if, require_count, require_number, require_numbers, require_wavelength, suggest_keywords
 from ...io import Capture
-from ...runtime import POINTS, Doubles, Progress, as_array, counted
+from ...runtime import POINTS, Doubles, Integers, Progress, as_array, counted
 from ..inverse.stored import StoredOperator
 from .seeding import Window, require_points
 from .voxels import elongation, values_of
@@ -151,7 +150,7 @@ def refine_particles(
 
 def match_particles(
     first: Doubles, second: Doubles, predicted: Doubles, reach: Sequence[float]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[Integers, Integers]:
     """Return the indices of particles of two frames that are the same ones.
 
     Parameters

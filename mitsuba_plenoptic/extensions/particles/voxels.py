@@ -5,17 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
 from ...camera import PlenopticCamera
 from ...errors import put, refuse_if, require_count, require_numbers, suggest_keywords
-from ...runtime import MILLIMETRES, POINTS, Doubles, as_array, require_units
+from ...runtime import MILLIMETRES, POINTS, Array, Doubles, as_array, require_units
 from .seeding import ParticleVolume, require_points
 
 _TRUNCATED = 4.0
@@ -65,7 +63,7 @@ class VoxelGrid(ParticleVolume):
         x, y, z = self.axes
         return np.stack(np.meshgrid(z, y, x, indexing="ij")[::-1], -1).reshape(-1, 3)
 
-    def labelled(self, values: NDArray[Any], **attributes: str | float) -> xr.DataArray:
+    def labelled(self, values: Array, **attributes: str | float) -> xr.DataArray:
         """Return values of all voxels with their coordinates in millimetres."""
         places = {name: (name, axis, {"units": "mm"}) for name, axis in zip("zyx", self.axes[::-1], strict=True)}
         return xr.DataArray(np.reshape(values, self.shape), places, tuple("zyx"), attrs=attributes)

@@ -11,6 +11,7 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...detector import SHARP
 from ...errors import refuse_if
+from ...runtime import Array
 from ..calibrate.array_fit import ArrayFit, places
 from ..calibrate.field_fit import FieldNumbers
 from ..calibrate.micro_image import NUMBERS, MicroImageModel, PupilNumbers
@@ -44,8 +45,8 @@ class CameraModel:
     wavelength: float | None
     array: ArrayFit
     field: FieldNumbers
-    lens: np.ndarray
-    brightness: np.ndarray
+    lens: Array
+    brightness: Array
 
     @classmethod
     def fitted(cls, fit: WhiteFit) -> CameraModel:
@@ -86,17 +87,17 @@ class CameraModel:
         return cls(camera, plain["wavelength"], array, field, lens, bright)
 
     @property
-    def pitch(self) -> np.ndarray:
+    def pitch(self) -> Array:
         """Distances of micro-images along and across the rows, in pixels."""
         lattice = self.camera.lattice
         pitches = np.array([lattice.pitches[0], lattice.row_distance])
-        return np.asarray(pitches * self.camera.image_growth / self.camera.pixel_size)
+        return pitches * self.camera.image_growth / self.camera.pixel_size
 
-    def places(self, lens: np.ndarray) -> np.ndarray:
+    def places(self, lens: Array) -> Array:
         """Return the places (n, 2) in pixels of the micro-images of lenses with indices (n, 2)."""
         return places(self.array, lens.astype(np.float64), self.camera)
 
-    def within(self, offset: np.ndarray) -> np.ndarray:
+    def within(self, offset: Array) -> Array:
         """Return places in cells, in pitches along and across the rows, of offsets in pixels from lenses' places."""
         return np.stack(self.camera.lattice.to_frame(*offset.T), axis=-1) / self.pitch
 
@@ -119,11 +120,11 @@ class PartPixels:
         The lens in whose cell each pixel is.
     """
 
-    lens: np.ndarray
+    lens: Array
     lenses: tuple[int, int]
-    shift: np.ndarray
-    pixel: np.ndarray
-    lens_of: np.ndarray
+    shift: Array
+    pixel: Array
+    lens_of: Array
 
     @classmethod
     def of(cls, model: CameraModel, box: tuple[float, float, float, float]) -> PartPixels:
@@ -213,7 +214,7 @@ class ArrayPart:
         return PupilNumbers(*self.model.field.values(self.place.mean(0)[None])[0])
 
     @cached_property
-    def white(self) -> np.ndarray:
+    def white(self) -> Array:
         """Light of each pixel of an evenly white scene, without stray light, over that in the middle of lenses."""
         camera = self.model.camera.replace(mla_transmissions=None, mla_warp=(), **SHARP)
         micro = MicroImageModel(camera, self.model.wavelength)
@@ -226,4 +227,4 @@ class ArrayPart:
             some = zone == index
             mean = numbers[np.unique(self.lens_of[some])].mean(0)
             light[some] = micro.at(micro.samples(PupilNumbers(*mean)), *self._offset[some].T)
-        return np.asarray(light * self._bright[self.lens_of])
+        return light * self._bright[self.lens_of]

@@ -18,6 +18,7 @@ from scipy.ndimage import gaussian_filter
 from ...camera import PlenopticCamera
 from ...detector import SHARP
 from ...points import CaptureOperator, ray_spread
+from ...runtime import Array
 from .array_part import ArrayPart
 
 _FIRST = 0.75
@@ -54,7 +55,7 @@ class Plane:
 
     distance: float
     across: int
-    pictures: np.ndarray
+    pictures: Array
 
 
 def distances_of(camera: PlenopticCamera, first: float = _FIRST, growth: float = _GROWTH) -> list[float]:
@@ -122,7 +123,7 @@ def _regular(part: ArrayPart, lenses: int) -> PlenopticCamera:
     )
 
 
-def _by_waves(camera: PlenopticCamera, points: np.ndarray, wavelength: float) -> np.ndarray:
+def _by_waves(camera: PlenopticCamera, points: Array, wavelength: float) -> Array:
     """Return the pictures of elements, each of several points (elements, points, 3)."""
     weights = np.full(points.shape[1], 1 / points.shape[1])
     # Element by element, so that memory is that of a few patches.
@@ -130,12 +131,12 @@ def _by_waves(camera: PlenopticCamera, points: np.ndarray, wavelength: float) ->
     return np.stack(pictures, axis=-1)
 
 
-def _by_rays(camera: PlenopticCamera, points: np.ndarray) -> np.ndarray:
+def _by_rays(camera: PlenopticCamera, points: Array) -> Array:
     """Return the pictures of elements, each of several points, by an even grid of rays through the pupil."""
     across = _RAYS * round(camera.micro_image_pitch / camera.pixel_size)
     generator = np.random.default_rng(0)
 
-    def picture(point: np.ndarray) -> np.ndarray:
+    def picture(point: Array) -> Array:
         # Places of the grid differ, so that borders of lenses fall between rays by chance.
         aside = generator.random((2, 1))
         samples = np.meshgrid(*((np.arange(across) + aside) * (2 / across) - 1))

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from ...linear import LinearMap
-from ...runtime import require_memory
+from ...runtime import Array, require_memory
 from .array_part import ArrayPart
 from .point_patterns import Plane
 
@@ -52,7 +52,7 @@ class SceneProjection(LinearMap):
         dim = _DIM * np.quantile(even, 0.99)
         self._weight = ((white + dim) / (even + dim)).astype(np.float32)
 
-    def _made_kernels(self) -> dict[tuple[int, float], np.ndarray]:
+    def _made_kernels(self) -> dict[tuple[int, float], Array]:
         """Return the matrices from a bin's elements to a lens's pixels, by the lens's rows down and pitches right."""
         kernels = {}
         for down in range(-self.reach, self.reach + 1):
@@ -65,7 +65,7 @@ class SceneProjection(LinearMap):
                     kernels[down, right] = np.ascontiguousarray(np.concatenate(blocks[: lit[-1] + 1]))
         return kernels
 
-    def _block(self, plane: Plane, down: int, right: float) -> np.ndarray:
+    def _block(self, plane: Plane, down: int, right: float) -> Array:
         """Return a plane's light (elements, pixels) in one lens, 0 for hardly any."""
         part = self.part
         half = plane.pictures.shape[1] // part.along // 2
@@ -110,7 +110,7 @@ class SceneProjection(LinearMap):
             top = self.reach - down + first
             yield slice(first, rows, period), (slice(top, top + rows - first, period), slice(left, left + columns))
 
-    def _cells(self, scene: np.ndarray) -> np.ndarray:
+    def _cells(self, scene: Array) -> Array:
         """Return the light in the cells (lenses, pixels) of the regular array."""
         columns, rows = self.part.lenses
         light = np.zeros((rows, columns, next(iter(self._kernels.values())).shape[1]), np.float32)
@@ -120,21 +120,21 @@ class SceneProjection(LinearMap):
                 light[lenses] += (elements @ kernel).reshape(-1, *light.shape[1:])
         return light.reshape(rows * columns, -1)
 
-    def _record(self, cells: np.ndarray) -> np.ndarray:
+    def _record(self, cells: Array) -> Array:
         """Return the pixels' light from that in the cells of the regular array."""
-        return np.asarray(self._weight * (self._to_pixels @ cells.ravel()))
+        return self._weight * (self._to_pixels @ cells.ravel())
 
-    def direct(self, scene: np.ndarray) -> np.ndarray:
+    def direct(self, scene: Array) -> Array:
         """Return the pixels' light of a scene's elements, without stray light."""
         return self._record(self._cells(scene))
 
-    def forward(self, scene: np.ndarray, /) -> np.ndarray:
+    def forward(self, scene: Array, /) -> Array:
         """Return the pixels' direct light, and their glow, (2, pixels)."""
         cells = self._cells(scene)
         glow = np.broadcast_to(cells.mean(1, keepdims=True), cells.shape)
         return np.stack([self._record(cells), self._record(glow)])
 
-    def adjoint(self, image: np.ndarray, /) -> np.ndarray:
+    def adjoint(self, image: Array, /) -> Array:
         """Return the transpose of `forward`, applied to values of the direct light and of the glow."""
         columns, rows = self.part.lenses
         cells, even = ((self._to_cells @ (self._weight * pixels)).reshape(rows * columns, -1) for pixels in image)
@@ -147,7 +147,7 @@ class SceneProjection(LinearMap):
                 scene[bins][:, :, : len(kernel)] += back.reshape(-1, columns, len(kernel))
         return scene
 
-    def split(self, scene: np.ndarray) -> list[np.ndarray]:
+    def split(self, scene: Array) -> list[Array]:
         """Return each plane's elements as an image (rows, columns) in the directions of the picture."""
         rows, columns, _ = self.source_shape
         ends = np.cumsum([plane.across**2 for plane in self.planes])[:-1]
@@ -158,7 +158,7 @@ class SceneProjection(LinearMap):
             for some, plane in zip(np.split(scene, ends, axis=2), self.planes, strict=True)
         ]
 
-    def join(self, images: Sequence[np.ndarray]) -> np.ndarray:
+    def join(self, images: Sequence[Array]) -> Array:
         """Return the elements of planes' images, as `split` made them."""
         rows, columns, _ = self.source_shape
         return np.concatenate(
@@ -171,7 +171,7 @@ class SceneProjection(LinearMap):
             axis=2,
         )
 
-    def _aside(self, image: np.ndarray, plane: Plane, sign: int) -> np.ndarray:
+    def _aside(self, image: Array, plane: Plane, sign: int) -> Array:
         """Return an image (rows, across, columns, across) with shifted rows moved half a bin along, or back by -1."""
         shift = self.part.pixels.shift
         if not shift.any():
@@ -182,7 +182,7 @@ class SceneProjection(LinearMap):
         return image
 
 
-def _keys(distance: np.ndarray) -> np.ndarray:
+def _keys(distance: Array) -> Array:
     """Return the weights of cubic interpolation at distances in samples."""
     t = np.abs(distance)
     near = 1.5 * t**3 - 2.5 * t**2 + 1

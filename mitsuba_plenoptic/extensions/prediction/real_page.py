@@ -9,6 +9,7 @@ from markupsafe import Markup
 from scipy.signal import oaconvolve
 
 from ...report import pages, plots
+from ...runtime import Array
 from .study import LIGHTS, Answer, Study
 
 _SHOWN = 10
@@ -101,7 +102,7 @@ def pictures(study: Study) -> plots.Plot:
     return plot
 
 
-def _picture(study: Study, values: np.ndarray) -> np.ndarray:
+def _picture(study: Study, values: Array) -> Array:
     """Return a part's values as a picture, cut to the box of the study."""
     image = np.full(study.pictures.white.shape, np.nan)
     image.flat[study.part("waves").pixel] = values
@@ -109,7 +110,7 @@ def _picture(study: Study, values: np.ndarray) -> np.ndarray:
     return image[top:bottom, left:right]
 
 
-def _most_structured(image: np.ndarray, size: int) -> tuple[slice, slice]:
+def _most_structured(image: Array, size: int) -> tuple[slice, slice]:
     """Return the square of a size within an image whose pixels differ most from their neighbours."""
     change = np.nan_to_num(np.abs(np.diff(image, axis=0)[:, 1:]) + np.abs(np.diff(image, axis=1)[1:]))
     size = min(size, *change.shape)
@@ -137,7 +138,7 @@ def slices(study: Study) -> plots.Plot:
     return plot
 
 
-def planes_of(study: Study, light: str) -> dict[float, np.ndarray]:
+def planes_of(study: Study, light: str) -> dict[float, Array]:
     """Return the planes of a scene by distance, within the part, in light per area of the finest elements."""
     scene, _ = study.scene(light)
     projector = study.projector(light)

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from ...io import Progress
 from ...linear import Steps, solve
+from ...runtime import Array, Progress
 from .projector import SceneProjection
 
 _NEAR = 0.7
@@ -36,24 +36,24 @@ _MOST_STRAY = 0.5
 class SceneFit:
     """A scene's elements (see `SceneProjection`), the stray light, and the pixels' light that they predict."""
 
-    scene: np.ndarray
+    scene: Array
     stray: float
-    predicted: np.ndarray
+    predicted: Array
 
 
 class _Near:
     """Mean of elements nearby, over those that are seen."""
 
-    def __init__(self, projector: SceneProjection, seen: np.ndarray) -> None:
+    def __init__(self, projector: SceneProjection, seen: Array) -> None:
         self._projector = projector
         self._seen = seen
         self._whole = np.maximum(self._blurred(seen.astype(np.float32)), 1e-6)
 
-    def _blurred(self, scene: np.ndarray) -> np.ndarray:
+    def _blurred(self, scene: Array) -> Array:
         parts = zip(self._projector.split(scene), self._projector.planes, strict=True)
         return self._projector.join([gaussian_filter(image, _NEAR * plane.across) for image, plane in parts])
 
-    def of(self, scene: np.ndarray) -> np.ndarray:
+    def of(self, scene: Array) -> Array:
         """Return the mean nearby of each element."""
         return self._blurred(scene * self._seen) / self._whole
 
@@ -64,8 +64,8 @@ class _PriorSteps(Steps):
     def __init__(
         self,
         projector: SceneProjection,
-        electrons: np.ndarray,
-        used: np.ndarray,
+        electrons: Array,
+        used: Array,
         dark_variance: float,
         strength: float,
     ) -> None:
@@ -80,17 +80,17 @@ class _PriorSteps(Steps):
         self._done = 0
         self.first = projector.forward(self.start())
 
-    def _spread(self, pixels: np.ndarray) -> np.ndarray:
+    def _spread(self, pixels: Array) -> Array:
         # Interpolation at sharp borders of micro-images goes below 0, where steps would multiply without bounds.
         return np.maximum(self.operator.adjoint(np.stack([pixels, np.float32(self.stray) * pixels])), 0)
 
-    def start(self) -> np.ndarray:
+    def start(self) -> Array:
         """Return an even scene with the light of the pixels that are used."""
         electrons = (self.image * self._mask).sum(dtype=np.float64)
         level = np.float32(electrons / self._light.sum(where=self._seen, dtype=np.float64))
         return np.where(self._seen, level, np.float32(0))
 
-    def step(self, point: np.ndarray, model: np.ndarray) -> np.ndarray:
+    def step(self, point: Array, model: Array) -> Array:
         """Return the scene after a step from a point whose direct light and glow are `model`."""
         if self._done in _STRAY_STEPS:
             self.stray = _stray(self.image, self._mask, *model)
@@ -101,15 +101,15 @@ class _PriorSteps(Steps):
         light = self._light + prior + np.float32(1e-20)
         return np.where(self._seen, (point * back + prior * self._near.of(point)) / light, 0).astype(np.float32)
 
-    def predicted(self, model: np.ndarray) -> np.ndarray:
+    def predicted(self, model: Array) -> Array:
         """Return the pixels' light from their direct light and their glow."""
         return np.asarray(model[0] + np.float32(self.stray) * model[1])
 
 
 def fit_scene(
     projector: SceneProjection,
-    electrons: np.ndarray,
-    used: np.ndarray,
+    electrons: Array,
+    used: Array,
     dark_variance: float,
     strength: float,
     iterations: int,
@@ -121,7 +121,7 @@ def fit_scene(
     return SceneFit(solution.values, steps.stray, steps.predicted(projector.forward(solution.values)))
 
 
-def _stray(electrons: np.ndarray, mask: np.ndarray, direct: np.ndarray, glow: np.ndarray) -> float:
+def _stray(electrons: Array, mask: Array, direct: Array, glow: Array) -> float:
     """Return the part of the mean light that explains best what the direct light leaves, weighted by noise."""
     weight = mask / (np.maximum(direct, 0) + 1)
     fraction = float((weight * (electrons - direct) * glow).sum() / max(float((weight * glow * glow).sum()), 1e-20))

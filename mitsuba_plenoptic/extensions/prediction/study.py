@@ -11,7 +11,8 @@ import numpy as np
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import put, refuse_if, require_wavelength
-from ...io import Cache, Progress, digest
+from ...io import Cache, digest
+from ...runtime import Array, Progress
 from ..calibrate.photon_transfer import SensorNoise
 from ..calibrate.white_fit import fit_white
 from ..calibrate.white_frames import WhiteFrame, black_level, clipped, matching, single_channel, stuck
@@ -59,10 +60,10 @@ class Pictures:
     `good` are the pixels, flat, that are neither saturated nor defective.
     """
 
-    light_field: np.ndarray
-    white: np.ndarray
-    dark: np.ndarray | None
-    good: np.ndarray = field(init=False)
+    light_field: Array
+    white: Array
+    dark: Array | None
+    good: Array = field(init=False)
 
     def __post_init__(self) -> None:
         white = single_channel("white", self.white)
@@ -84,10 +85,10 @@ class Pictures:
         return SensorNoise.of(self.white, self.dark, self.light_field)
 
     @cached_property
-    def electrons(self) -> np.ndarray:
+    def electrons(self) -> Array:
         """Electrons of the light field's pixels, flat."""
         light = self.light_field - (0 if self.dark is None else self.dark)
-        return np.asarray(((light - black_level(light)) / self.noise.gain).ravel())
+        return ((light - black_level(light)) / self.noise.gain).ravel()
 
     @cached_property
     def key(self) -> str:
@@ -278,14 +279,14 @@ class Study:
 
     # -- runs ------------------------------------------------------------------------------------
 
-    def _predicted(self, light: str, seed: int, strength: float, simulated: str | None) -> np.ndarray:
+    def _predicted(self, light: str, seed: int, strength: float, simulated: str | None) -> Array:
         """Return the light of all pixels of the part (m,) that a fit to those not withheld predicts.
 
         `simulated` names the light by which the picture is simulated instead of recorded.
         """
         mask = self.withheld(seed).used
 
-        def fitted(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
+        def fitted(progress: Progress) -> tuple[Array, dict[str, Any]]:
             electrons = self.electrons(simulated)
             fit = fit_scene(self.projector(light), electrons, mask, self.dark_variance, strength, ITERATIONS, progress)
             return fit.predicted[None], {"stray_light": fit.stray}
@@ -293,10 +294,10 @@ class Study:
         words = [light, f"seed_{seed}", f"{strength:g}"] + ([f"of_{simulated}"] if simulated else [])
         return self.stages.image("_".join(words), [self._given, self.distances], fitted)[0].ravel()
 
-    def _scene(self, light: str) -> tuple[np.ndarray, float]:
+    def _scene(self, light: str) -> tuple[Array, float]:
         """Return the scene that all pixels together give, and the stray light."""
 
-        def fitted(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
+        def fitted(progress: Progress) -> tuple[Array, dict[str, Any]]:
             mask = self.pictures.good[self._pixels.pixel]
             electrons = self.electrons(None)
             strength = self.strength(light, "pixels")
@@ -311,13 +312,13 @@ class Study:
         """Variance of a dark pixel in electrons squared, with that of rounding."""
         return self.pictures.noise.dark_variance
 
-    def electrons(self, simulated: str | None) -> np.ndarray:
+    def electrons(self, simulated: str | None) -> Array:
         """Return the electrons of the part's pixels, recorded, or simulated by a light."""
         if simulated is not None:
             return self.simulated(simulated)
         return np.asarray(self.pictures.electrons[self._pixels.pixel], np.float32)
 
-    def _simulated(self, light: str) -> np.ndarray:
+    def _simulated(self, light: str) -> Array:
         """Return the electrons of a picture of the scene that rays or waves find, simulated with noise."""
         scene, stray = self.scene(light)
         direct, glow = self.projector(light).forward(scene)
@@ -339,7 +340,7 @@ class Study:
 
     # -- the answer ------------------------------------------------------------------------------
 
-    def squares(self, light: str, test: str, seed: int, simulated: str | None = None) -> np.ndarray:
+    def squares(self, light: str, test: str, seed: int, simulated: str | None = None) -> Array:
         """Return sums by lens of squared differences over noise of withheld pixels, and the pixels' number."""
         predicted = self.predicted(light, seed, self.strength(light, test), simulated)
         values = misfit(self.electrons(simulated), predicted, self.dark_variance)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import refuse_if
+from ...runtime import Array
 from .array_part import PartPixels
 
 TESTS = ("pixels", "lenses")
@@ -29,12 +30,12 @@ _LEVEL = 0.95
 class Withheld:
     """Pixels that a fit sees, and, by the names of `TESTS`, those that are predicted and those that choose a prior."""
 
-    used: np.ndarray
-    tested: dict[str, np.ndarray]
-    choosing: dict[str, np.ndarray]
+    used: Array
+    tested: dict[str, Array]
+    choosing: dict[str, Array]
 
     @classmethod
-    def drawn(cls, part: PartPixels, good: np.ndarray, seed: int) -> Withheld:
+    def drawn(cls, part: PartPixels, good: Array, seed: int) -> Withheld:
         """Draw pixels of a part at random, of those that are good."""
         generator = np.random.default_rng(seed)
         columns, rows = part.lenses
@@ -61,12 +62,12 @@ class Withheld:
         return cls(remaining, *({name: some[name] & kinds[name] for name in TESTS} for some in (test, third)))
 
 
-def misfit(electrons: np.ndarray, predicted: np.ndarray, dark_variance: float) -> np.ndarray:
+def misfit(electrons: Array, predicted: Array, dark_variance: float) -> Array:
     """Return the squared difference of each pixel over the variance of its noise, estimated from the pixel."""
     return np.asarray((electrons - predicted) ** 2 / (np.maximum(electrons, 1) + dark_variance))
 
 
-def by_lens(values: np.ndarray, chosen: np.ndarray, part: PartPixels) -> np.ndarray:
+def by_lens(values: Array, chosen: Array, part: PartPixels) -> Array:
     """Return sums of chosen pixels' values, and their number, for each lens: (2, lenses)."""
     count = len(part.lens)
     lens = part.lens_of[chosen]
@@ -101,7 +102,7 @@ class Ratio:
         return "waves" if self.low > 1 else "rays" if self.high < 1 else "neither"
 
     @classmethod
-    def of(cls, waves: np.ndarray, rays: np.ndarray) -> Ratio:
+    def of(cls, waves: Array, rays: Array) -> Ratio:
         """Return the ratio of squared differences by lens (2, lenses), as `by_lens` sums them over all seeds."""
         judged = waves[1] > 0
         count = judged.sum()

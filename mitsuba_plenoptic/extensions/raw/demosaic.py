@@ -12,18 +12,18 @@ colour. Recorded pixels are unchanged.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from ... import choices
 from ...detector import filters
 from ...errors import InputError, argument, refuse_if, require_choice, suggest_keywords
 from ...io import EXPOSED, RECORDED, Capture, mosaic_of, recording_of
+from ...runtime import Floats, Progress
 from ...views import capture_white, lens_numbers, recorded_white, white_image
 
 METHODS = ("micro-images", "plain")
@@ -36,7 +36,7 @@ def demosaic(
     mosaic: str | None = None,
     white: Capture | None = None,
     method: str = "micro-images",
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Capture:
     """Estimate all three colours of every pixel of a capture that was recorded through a mosaic of filters.
 
@@ -130,7 +130,7 @@ def demosaic(
     return replace(capture, image=image, wavelength=wavelength, noise=None, metadata=metadata)
 
 
-def balanced(white: Capture, mosaic: str) -> NDArray[np.float32]:
+def balanced(white: Capture, mosaic: str) -> Floats:
     """Return a white capture's mosaic, with each pixel divided by the mean over pixels of the same filter."""
     filter_channels = filters(white.camera, mosaic)
     image = white.image
@@ -141,9 +141,7 @@ def balanced(white: Capture, mosaic: str) -> NDArray[np.float32]:
     return np.asarray(image / means[filter_channels], np.float32)
 
 
-def _certainty(
-    capture: Capture, white: Capture | None, progress: Callable[[int, int], None] | None
-) -> NDArray[np.float32]:
+def _certainty(capture: Capture, white: Capture | None, progress: Progress | None) -> Floats:
     """Return the white image, (rows, columns, 3), as the certainty of each pixel and channel."""
     if white is None:
         image = capture_white(capture, 3, progress)

@@ -20,7 +20,7 @@ from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, refusing, require_count, require_number, short_repr, warn
 from ...io import read_picture
 from ...report import images
-from ...runtime import atomic_output, read_text, require_memory, write_text
+from ...runtime import Array, atomic_output, read_text, require_memory, write_text
 from ...views import bin_grid, camera_of, disparity, light_field
 
 PARAMETERS = "parameters.cfg"
@@ -71,7 +71,7 @@ def read_hci(folder: str | Path) -> xr.DataArray:
             f"{folder / PARAMETERS}: it has no {', '.join(missing)}: without it the light field has no camera, and "
             "disparities in pixels per view take the place of distances"
         )
-    views: list[np.ndarray] = []
+    views: list[Array] = []
     for index in range(rows * columns):
         path = folder / f"input_Cam{index:03d}.png"
         picture = read_picture(path)
@@ -128,7 +128,7 @@ def _camera_of_array(geometry: list[float], shape: tuple[int, ...]) -> Plenoptic
     )
 
 
-def write_hci(folder: Path, lf: xr.DataArray, depth: np.ndarray | None, *, name: str) -> int:
+def write_hci(folder: Path, lf: xr.DataArray, depth: Array | None, *, name: str) -> int:
     """Write a light field to a folder of the 4D Light Field Benchmark; return the number of views in a row.
 
     The depth of the central view in millimetres is written, too, if known.

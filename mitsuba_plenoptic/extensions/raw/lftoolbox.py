@@ -51,7 +51,7 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
     """
     lf = require_light_field(lf)
     require_choice("precision", precision, _TYPES)
-    values = np.asarray(lf.values)
+    values = lf.values
     if values.ndim == 4:
         values = values[..., None]
     kind = np.dtype(_TYPES[precision])
@@ -63,7 +63,7 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
     peak = float(values.max(initial=0)) or 1.0
     if kind.kind == "f":
         peak = 1.0
-    stored = np.concatenate([values / np.float32(peak), np.asarray(lf["weight"].values)[..., None]], axis=4)
+    stored = np.concatenate([values / np.float32(peak), lf["weight"].values[..., None]], axis=4)
     if kind.kind == "u":
         stored = np.round(np.clip(stored, 0, 1) * (2 ** (8 * kind.itemsize) - 1))
     variables: dict[str, Any] = {"LF": stored.astype(kind), "MaxLum": peak}

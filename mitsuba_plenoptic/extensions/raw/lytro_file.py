@@ -27,15 +27,13 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import choices
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, require_choice, require_count, require_number, short_repr
 from ...io import RECORDED, Capture, recording_of
 from ...runtime import Doubles, read_text, require_memory, require_size
 
 CONTAINERS = (".lfp", ".lfr")
-
-SUFFIXES = (*CONTAINERS, ".raw")
-"""Of raw pictures; a file ``.raw`` has its metadata in a text file of the same name."""
 
 _LARGEST_TEXT = 2**24
 
@@ -130,7 +128,7 @@ def nearest_white(folder: str | Path, capture: Capture) -> Path:
     refuse_if(not folder.is_dir(), f"{folder}: there is no such folder")
     pictures: dict[tuple[float, float], list[Path]] = {}
     for path in sorted(folder.iterdir()):
-        if path.suffix.lower() in SUFFIXES:
+        if path.suffix.lower() in choices.LYTRO_SUFFIXES:
             picture = _read(path)
             with naming(path):
                 steps = picture.steps
@@ -148,7 +146,7 @@ def _brightness(path: Path) -> tuple[bool, float]:
 
 
 def _read(path: Path) -> _Picture:
-    suffix = require_choice("suffix", path.suffix.lower(), SUFFIXES)
+    suffix = require_choice("suffix", path.suffix.lower(), choices.LYTRO_SUFFIXES)
     content = require_size(path, 2**28).read_bytes()
     with naming(path):
         if suffix in CONTAINERS:

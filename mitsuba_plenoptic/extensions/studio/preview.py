@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -18,6 +17,7 @@ from scipy.spatial import ConvexHull
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...report import images, plots
+from ...runtime import Array
 from .preview_views import LensView, view_of
 
 # Columns of pictures at least, and samples of each of their pixels. Small luminous things blur widely through an
@@ -48,15 +48,15 @@ class Preview:
         The camera's view.
     """
 
-    picture: np.ndarray
-    points: np.ndarray
-    shapes: np.ndarray
+    picture: Array
+    points: Array
+    shapes: Array
     view: LensView
 
     @property
-    def distance(self) -> np.ndarray:
+    def distance(self) -> Array:
         """Distances of the visible points along the axis, in the view's unit; NaN where nothing is visible."""
-        return np.asarray(self.points[..., 2])
+        return self.points[..., 2]
 
     @property
     def filled(self) -> float:
@@ -111,8 +111,8 @@ def framing_warnings(preview: Preview) -> list[str]:
 
 
 @plots.styled
-def draw_preview(path: str | Path, title: str, preview: Preview) -> None:
-    """Draw a preview with the region in focus tinted, that within reach of refocusing outlined, and from above."""
+def preview_figure(title: str, preview: Preview) -> plots.Plot:
+    """Return a figure of a preview, in focus tinted and within reach of refocusing outlined, and from above."""
     plot = plots.Plot(9.8, 4.9)
     ((axes, from_above),) = plot.panels(1, 2)
     rows, columns = preview.picture.shape[:2]
@@ -132,7 +132,7 @@ def draw_preview(path: str | Path, title: str, preview: Preview) -> None:
             axes.contour(shown_part.astype(float), levels=[0.5], colors=[colour], linewidths=1.2)
     axes.imshow(np.where(in_focus[..., None], to_rgba(_FOCUS, 0.35), 0.0), interpolation="nearest", aspect="auto")
     _draw_from_above(from_above, preview)
-    plot.save(path)
+    return plot
 
 
 def _draw_from_above(axes: Axes, preview: Preview) -> None:

@@ -19,6 +19,7 @@ def preview(
         options.output_option("FILE", "Picture to write, .png or .pdf. Default: SCENE.preview.png.", ".png", ".pdf"),
     ] = None,
     camera: options.CameraFile = None,
+    dpi: options.Dpi = None,
     unit: options.Unit = "mm",
     waves: Annotated[
         bool, typer.Option("--waves", help="Estimate what a wave capture takes, too, which may take a while.")
@@ -48,19 +49,20 @@ def preview(
     from ...scene import estimate_capture, plenoptic_sensor
 
     target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"))
+    inputs.require_png(dpi, target)
     with progress_bar("Previewing") as progress:
         loaded = inputs.open_scene(scene, inputs.parse_definitions(define), variant, camera, unit=unit)
         seen_by = PlenopticCamera.from_sensor(plenoptic_sensor(loaded))
         progress(1, 4)
         # Brings Matplotlib, which takes a while to load.
-        from .preview import draw_preview, framing_warnings, preview_of
+        from .preview import framing_warnings, preview_figure, preview_of
 
         shown_preview = preview_of(loaded, seen_by)
         progress(2, 4)
         view = shown_preview.view
         where = f"at {view.in_units(view.focus)}" if seen_by.objective is None else "in the native object plane"
         progress(3, 4)
-        draw_preview(target, Path(scene).name, shown_preview)
+        preview_figure(Path(scene).name, shown_preview).save(target, dpi)
     typer.echo(f"{target}: the picture")
     typer.echo(f"field: {view.field_in_units()} {where}")
     typer.echo(f"made sharp by refocusing: {view.between(*view.sharp_range())}")

@@ -16,6 +16,7 @@ from ...errors import refuse_if
 from ...lenses import TelecentricLens
 from ...prescription import lens_data
 from ...report import photograph, photographic_sensor
+from ...runtime import Array, Pair
 
 _FAR = 1e5
 """Distance in focal lengths that represents infinity."""
@@ -54,13 +55,13 @@ class LensView:
         ranges = [depth_range for depth_range in design.depth_ranges(self.camera) if depth_range is not None]
         return (min(near for near, _ in ranges), max(far for _, far in ranges)) if ranges else (math.nan, math.nan)
 
-    def take(self, scene: Any, size: tuple[int, int], spp: int) -> np.ndarray:
+    def take(self, scene: Any, size: tuple[int, int], spp: int) -> Array:
         """Return the picture of the scene, with colours where the variant has them, by Mitsuba's thin lens."""
         lens = {"aperture_radius": self.camera.aperture_radius, "focus_distance": self.focus}
         colours = "luminance" if mi.is_monochromatic else "rgb"
         return photograph(scene, photographic_sensor(scene, self.camera, size, colours, type="thinlens", **lens), spp)
 
-    def sight(self, scene: Any, size: tuple[int, int]) -> tuple[Any, Any]:
+    def sight(self, scene: Any, size: tuple[int, int]) -> Pair:
         """Return the rays through the centre of the pupil, one per pixel, and the transform of the camera to the world.
 
         The rays are those of Mitsuba's `perspective` sensor.
@@ -71,7 +72,7 @@ class LensView:
         rays, _ = pinhole.sample_ray(0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
         return rays, pinhole.world_transform()
 
-    def is_focused(self, distance: np.ndarray) -> np.ndarray:
+    def is_focused(self, distance: Array) -> Array:
         """Return a mask of distances whose blur on the array is at most a lens wide."""
         camera = self.camera
         image = lens_data.image_distance(camera.focal_length, self.focus)
@@ -92,7 +93,7 @@ class LensView:
         width, height = (extent * self.per_millimetre for extent in self.field(self.focus))
         return f"{width:.4g} x {height:.4g} {self.unit}"
 
-    def drawn_range(self, distances: np.ndarray) -> tuple[float, float]:
+    def drawn_range(self, distances: Array) -> tuple[float, float]:
         """Return the range over which the field is drawn: from the lens to the farthest of the visible points."""
         return 0.0, 1.15 * max(self.focus, float(np.percentile(distances, 99)) if distances.size else 0.0)
 
@@ -127,7 +128,7 @@ class MicroscopeView(LensView):
         """Return the range of depths that `design.depth_of_field` states."""
         return design.depth_of_field(self.camera)
 
-    def take(self, scene: Any, size: tuple[int, int], spp: int) -> np.ndarray:
+    def take(self, scene: Any, size: tuple[int, int], spp: int) -> Array:
         """Return the picture through an objective: the radiance averaged over the stop and over each pixel."""
         integrator = scene.integrator()
         # A wave integrator's child sees the scene by rays, and light that is traced from emitters finds no such camera.
@@ -153,16 +154,16 @@ class MicroscopeView(LensView):
             total += np.array(value, dtype=np.float64).reshape(*total.shape, together).mean(axis=-1) / passes
         return total[0] if channels == 1 else np.moveaxis(total, 0, -1)
 
-    def sight(self, scene: Any, size: tuple[int, int]) -> tuple[Any, Any]:
+    def sight(self, scene: Any, size: tuple[int, int]) -> Pair:
         """Return rays parallel to the axis."""
         return self._rays(scene, _pixel_centres(size), (mi.Float(0.0), mi.Float(0.0)))
 
-    def is_focused(self, distance: np.ndarray) -> np.ndarray:
+    def is_focused(self, distance: Array) -> Array:
         """Return a mask of depths whose blur in the object is at most a bin wide."""
         steepest = math.tan(self._objective.half_angle)
-        return np.asarray(2 * np.abs(distance) * steepest <= self.camera.bin_size(0))
+        return 2 * np.abs(distance) * steepest <= self.camera.bin_size(0)
 
-    def drawn_range(self, distances: np.ndarray) -> tuple[float, float]:
+    def drawn_range(self, distances: Array) -> tuple[float, float]:
         """Return a range that reaches as far before the native object plane as beyond it."""
         reach = np.abs([end for end in self.sharp_range() if math.isfinite(end)] + [*distances])
         half = 1.15 * max(float(np.max(reach, initial=0.0)), self.field(0.0)[0] / 4)
@@ -172,7 +173,7 @@ class MicroscopeView(LensView):
     def _objective(self) -> Any:
         return self.camera.objective
 
-    def _rays(self, scene: Any, position: tuple[Any, Any], stop: tuple[Any, Any]) -> Any:
+    def _rays(self, scene: Any, position: Pair, stop: Pair) -> Any:
         """Return the rays through points of the native object plane and of the stop, in fractions of both."""
         lens = TelecentricLens(self._objective)
         # The objective's picture is turned back, so that +x, to the left in the scene, is to the left in the picture.
@@ -191,7 +192,7 @@ def view_of(camera: PlenopticCamera) -> LensView:
     return LensView(camera) if camera.objective is None else MicroscopeView(camera)
 
 
-def _pixel_centres(size: tuple[int, int]) -> tuple[Any, Any]:
+def _pixel_centres(size: tuple[int, int]) -> Pair:
     """Return the centres of all pixels, row by row, in fractions of the picture."""
     index = dr.arange(mi.UInt32, size[0] * size[1])
     row = index // size[0]

@@ -26,11 +26,21 @@ from ...errors import (
     require_number,
     require_wavelength,
 )
-from ...io import Cache, Capture, Checkpoint, Progress, StageOptions
+from ...io import Cache, Capture, Checkpoint, StageOptions
 from ...prescription import lens_data
 from ...refocus import registered
 from ...report import refocused
-from ...runtime import BatchMap, Sink, atomic_output, read_yaml, remove_leftovers, require_writable, software
+from ...runtime import (
+    Array,
+    BatchMap,
+    Progress,
+    Sink,
+    atomic_output,
+    read_yaml,
+    remove_leftovers,
+    require_writable,
+    software,
+)
 from ...scene import check_scene_file, is_wave_capture, names_in, plenoptic_sensor, refuse_by_rays, scene_defaults
 from ...scene_files import scene_path
 
@@ -164,7 +174,7 @@ class Points:
             self._work += [pixels, *[of_image * pixels for _ in self.distances]]
         self.largest = tuple(map(max, zip(*sizes.values(), strict=True)))
 
-    def compute(self, batch_map: BatchMap | None) -> Iterator[tuple[Capture, list[np.ndarray]]]:
+    def compute(self, batch_map: BatchMap | None) -> Iterator[tuple[Capture, list[Array]]]:
         """Yield each capture with its reconstructions, read from the store if they exist there."""
         method = {"method": self._method}
         self._store.expect(self._work)
@@ -255,7 +265,7 @@ class SweepFile:
             }
         )
 
-    def put(self, index: tuple[Any, ...], capture: Capture, images: list[np.ndarray]) -> None:
+    def put(self, index: tuple[Any, ...], capture: Capture, images: list[Array]) -> None:
         """Write one capture with its reconstructions into the file."""
         # A grid of distances alone has one capture, without an axis.
         at = tuple(map(int, index))

@@ -8,7 +8,15 @@ from typing import Annotated
 import typer
 
 from ...cli import inputs, options, stopping
-from ...errors import refuse_if
+from ...errors import refuse_if, refusing, short_repr
+
+
+def _require_numbers(option: str, text: str) -> None:
+    name, equals, values = text.partition("=")
+    refuse_if(not name or not equals, f"--{option} {text}: write it as --{option} NAME=VALUE,VALUE,...")
+    for value in values.split(",") if values.strip() else []:
+        with refusing(f"grid: {name} = {short_repr(value.strip())}: it must be a number", ValueError):
+            float(value)
 
 
 def sweep(
@@ -26,7 +34,7 @@ def sweep(
             metavar="NAME=V1,V2,...",
             help="One name of the grid and its values: a $NAME of the scene, a parameter of the camera or of its data "
             "sheet, 'wavelength' in nanometres, or 'distance' to refocus to; repeat for several.",
-            callback=options.assigned("--vary", "NAME=VALUE,VALUE,..."),
+            callback=options.checked(_require_numbers),
         ),
     ] = None,
     model: options.Model = None,

@@ -6,12 +6,11 @@ import base64
 from collections.abc import Sequence
 from html import escape
 
-import numpy as np
-
 from ...camera import PlenopticCamera
 from ...io import Capture
 from ...refocus import Reconstruction
 from ...report import camera_figure, design_sheet, images, sheet_tables
+from ...runtime import Array
 
 # Longest side of a picture in pixels, and the size at which it is shown.
 _LONGEST = 512
@@ -55,7 +54,7 @@ def show_camera(camera: PlenopticCamera) -> str:
     return f"{picture}<table>{lines}</table><details><summary>All of it</summary>{sheet_tables(camera)}</details>"
 
 
-def _figure(image: np.ndarray, caption: str, white: float | None = None) -> str:
+def _figure(image: Array, caption: str, white: float | None = None) -> str:
     """Return the HTML of a picture in its aspect ratio, with a radiance shown white; NaN is transparent."""
     grey = image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image
     white = white or images.Brightness().peak([grey])

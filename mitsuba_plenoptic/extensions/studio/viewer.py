@@ -16,7 +16,7 @@ from ...errors import InputError, refuse_if
 from ...io import Capture
 from ...refocus import Reconstruction
 from ...report import images, pages
-from ...runtime import write_text
+from ...runtime import Array, write_text
 from ...views import (
     DIMS,
     bin_grid,
@@ -46,7 +46,7 @@ class Recording:
 
     name: str
     light_field: xr.DataArray
-    image: np.ndarray | None = None
+    image: Array | None = None
     # Of propagation, where it is known.
     model: str = ""
     # What the page is headed by: the scene and the camera, as far as they are known.
@@ -68,7 +68,7 @@ def _through(camera: PlenopticCamera) -> str:
     return f"{lens}, {columns} x {rows} {lattice}microlenses"
 
 
-def decoded(capture: Capture, white: Capture | np.ndarray | None = None) -> xr.DataArray:
+def decoded(capture: Capture, white: Capture | Array | None = None) -> xr.DataArray:
     """Return a capture decoded for display.
 
     For cameras that `decode` does not support, with a real main lens or an objective, a thin lens replaces the exit
@@ -206,10 +206,10 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
     return Viewer(page.render(title=headline[0].upper() + headline[1:], data=data, facts=facts))
 
 
-def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float, np.ndarray, str]], list[xr.Dataset]]:
+def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float, Array, str]], list[xr.Dataset]]:
     """Return the light fields, the planes from near to far (distance, image, method), and the depth maps."""
     recordings: list[Recording] = []
-    planes: list[tuple[float, np.ndarray, str]] = []
+    planes: list[tuple[float, Array, str]] = []
     depths: list[xr.Dataset] = []
     for source in sources:
         if isinstance(source, Capture):
@@ -294,7 +294,7 @@ def _thinned(lf: xr.DataArray, samples: int) -> xr.DataArray:
     return pick_views(lf, count)
 
 
-def _raw(image: np.ndarray, lf: xr.DataArray, white: float, count: int) -> tuple[dict[str, Any], str]:
+def _raw(image: Array, lf: xr.DataArray, white: float, count: int) -> tuple[dict[str, Any], str]:
     """Return the raw picture with positions of micro-images and bins, and a sentence that describes it."""
     factor = math.ceil(math.sqrt(image.size * count / _RAW_BYTES))
     small = images.shrink(image, math.ceil(max(image.shape[:2]) / factor)) if factor > 1 else image
@@ -323,7 +323,7 @@ def _raw(image: np.ndarray, lf: xr.DataArray, white: float, count: int) -> tuple
     return content, f"{image.shape[1]} x {image.shape[0]} pixels{averaged}; 8 bits, up to {full:.3g}"
 
 
-def _planes(planes: list[tuple[float, np.ndarray, str]], white: float) -> list[dict[str, Any]]:
+def _planes(planes: list[tuple[float, Array, str]], white: float) -> list[dict[str, Any]]:
     """Return images with their distances in the page's format."""
     full = max([white, *(float(np.nanmax(image, initial=0)) for _, image, _ in planes)])
     bits = 16 if full > _WIDE * white else 8

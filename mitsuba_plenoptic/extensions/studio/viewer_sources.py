@@ -13,6 +13,7 @@ from ... import choices
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, require_number
 from ...io import Capture, read_attributes, read_capture, read_exr, read_exr_parts, read_picture
+from ...runtime import Array
 from ...views import open_light_field, read_recording
 from .viewer import Recording, decoded
 
@@ -66,7 +67,7 @@ def _reconstruction(path: Path) -> xr.DataArray:
     return _planes([image], [attributes.get("distance")], str(attributes.get("method", "reconstruction")))
 
 
-def _planes(images: list[np.ndarray], distances: list[Any], method: str) -> xr.DataArray:
+def _planes(images: list[Array], distances: list[Any], method: str) -> xr.DataArray:
     """Return images as a focal stack."""
     values = [require_number("distance", value, positive=True, finite=False) for value in distances]
     refuse_if(len({image.shape for image in images}) > 1, "all of its images must be of one size")
@@ -84,7 +85,7 @@ def _depth(path: Path) -> xr.Dataset:
     return xr.Dataset({name: (("t", "s", "c")[: image.ndim], image) for name, image in images.items()})
 
 
-def _image(channels: dict[str, np.ndarray]) -> np.ndarray:
+def _image(channels: dict[str, Array]) -> Array:
     """Return the image of a part, whose channels are Y, or R, G and B."""
     if set(channels) == {"Y"}:
         return channels["Y"]

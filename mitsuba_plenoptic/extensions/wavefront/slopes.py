@@ -16,14 +16,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, refuse_if, require_count, require_length, require_number
 from ...lenses import Wavefront, main_lens
 from ...optics import rays
 from ...points import check_positions
-from ...runtime import Doubles, as_pixels
+from ...runtime import Array, Doubles, Flags, as_pixels
 
 
 @dataclass(frozen=True)
@@ -140,7 +139,7 @@ def spot_slopes(
     return Slopes(lenses[lit], moved * bend, light[lit], abs(n * size / growth))
 
 
-def _sums(spots: Doubles, factors: NDArray[Any]) -> NDArray[Any]:
+def _sums(spots: Doubles, factors: Array) -> Array:
     """Return sums over each lens's pixels, weighted by column factors and by row factors, (rows, columns, 2)."""
     return np.stack([np.einsum("imjn,n->ij", spots, factors), np.einsum("imjn,m->ij", spots, factors)], -1)
 
@@ -182,7 +181,7 @@ _POINTS = 16
 """Points along a square over which slopes of terms are averaged."""
 
 
-def _mean_slopes(slopes: Slopes, radius: float, modes: int) -> tuple[Doubles, NDArray[np.bool_]]:
+def _mean_slopes(slopes: Slopes, radius: float, modes: int) -> tuple[Doubles, Flags]:
     """Return the slopes of the terms as means over the squares of `slopes`, and a mask of squares in the pupil."""
     if slopes.width == 0:
         return mode_slopes(slopes.pupil, radius, modes), np.ones(len(slopes.pupil), bool)
@@ -206,8 +205,7 @@ def lenses_of_pixels(camera: PlenopticCamera) -> tuple[Doubles, Doubles]:
     b = camera.mla_distance
     z = camera.reduced_distance
     detector = np.stack(np.meshgrid(camera.pixel_coordinates(0), camera.pixel_coordinates(1)), -1)
-    chief = rays.chief_point(detector, b, z)
-    lens = np.stack(camera.lattice.centre(*camera.lattice.cell(chief[..., 0], chief[..., 1])), -1)
+    lens = np.stack(camera.lattice.centre(*rays.chief_lenses(camera, detector[..., 0], detector[..., 1])), -1)
     return lens, lens + (lens - detector) * (b / z)
 
 

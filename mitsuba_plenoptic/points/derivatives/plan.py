@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError
@@ -18,6 +17,7 @@ from ...runtime import (
     MEMORY_LIMIT,
     BatchMap,
     Doubles,
+    Flags,
     Floats,
     Integers,
     Job,
@@ -150,7 +150,7 @@ class DerivativePlan(PatchPlan):
             return None
         return VaryingParameters(self._camera, self._wavelength, ["mla_offset"])
 
-    def moving(self, weights: Doubles) -> NDArray[np.bool_]:
+    def moving(self, weights: Doubles) -> Flags:
         """Return a mask of the spreads whose copies are moved with the lattice relative to their points.
 
         The effect is proportional to the copies' weights and distances. Spreads with few or near copies take as long as
@@ -163,7 +163,7 @@ class DerivativePlan(PatchPlan):
         counted[order] = np.cumsum(amounts[order]) > _LEFT_OUT * self._accuracy * amounts.sum()
         return counted
 
-    def lit(self, chunk: Integers, weights: Doubles, moving: NDArray[np.bool_]) -> tuple[Fields, list[SpreadCopies]]:
+    def lit(self, chunk: Integers, weights: Doubles, moving: Flags) -> tuple[Fields, list[SpreadCopies]]:
         """Return the spreads of a chunk with a nonzero weight, and their copies; `moving` marks moving patterns."""
         lit_spreads = []
         copies = []

@@ -10,12 +10,13 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...runtime import (
     Box,
     Doubles,
+    Field,
+    Flags,
     Floats,
     Integers,
     Part,
@@ -74,7 +75,7 @@ class SpreadCopies(Copies):
     """Positions and weights of the copies of a point spread, and the changes of the copies."""
 
     places: Doubles  # shifts on the microlens array in millimetres, (copies, 2)
-    moving: NDArray[np.bool_]  # whether the motion of the lattice against the point is included, (copies,)
+    moving: Flags  # whether the motion of the lattice against the point is included, (copies,)
 
     @classmethod
     def joined(cls, batches: Sequence[SpreadCopies]) -> SpreadCopies:
@@ -326,7 +327,7 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
     return VjpResult(cotangents, products, None if spreads is None else Part(box, spreads.total()))
 
 
-def _added_directions(total: fft.Field, parts: fft.Field, starts: Integers) -> fft.Field:
+def _added_directions(total: Field, parts: Field, starts: Integers) -> Field:
     """Return cotangents of a transfer function with those of points (n, rows, columns) added to their windows."""
     if backend_of(total).is_cuda:
         windows = Windows(np.arange(len(parts)), starts * np.array([1, 2]))

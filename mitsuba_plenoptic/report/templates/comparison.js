@@ -142,9 +142,9 @@ const data = JSON.parse(document.getElementById("data").textContent);
     const distance = distances[Number(slider.value)];
     const title = choice.parentElement.textContent.trim();
     picture.src = images[choice.value][distance];
-    picture.alt = `${title}, refocused to ${distance} mm`;
-    output.textContent = `${distance} mm`;
-    slider.setAttribute("aria-valuetext", `${distance} mm`);
+    picture.alt = `${title}, refocused to ${distance}`;
+    output.textContent = distance;
+    slider.setAttribute("aria-valuetext", distance);
     facts.replaceChildren();
     for (const [name, value] of (numbers[choice.value] || {})[distance] || []) {
       facts.append(Object.assign(document.createElement("dt"), { textContent: name }));

@@ -1,5 +1,7 @@
 """What the command ``calibrate`` says about a user's mistakes."""
 
+from pathlib import Path
+
 import pytest
 from foreign_files import LARGE, large
 from refusals import refused
@@ -22,7 +24,10 @@ from mitsuba_plenoptic.calibration import Board, read_camera, read_centres, read
         ("calibrate --evaluate a.csv -o {out}.csv", "writes no file"),
     ],
 )
-def test_mistakes(line, words, mistake):
+def test_mistakes(line, words, mistake, tmp_path_factory, monkeypatch):
+    monkeypatch.chdir(tmp_path_factory.mktemp("files"))
+    for name in ("a.png", "w.png", "a.csv", "b.csv", "c.csv"):
+        Path(name).write_text("k,l")
     mistake(line, words)
 
 

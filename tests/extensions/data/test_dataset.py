@@ -208,6 +208,17 @@ def test_what_is_asked_for_and_not_there_is_named(made):
     with pytest.raises(InputError, match="sample 0: it has no wave; it has depth, facts"):
         DataSet(made, ["wave"])[0]
     assert [sample.index for sample in pickle.loads(pickle.dumps(DataSet(made, ["ray"])))] == [0, 1, 2, 3, 4]
+    with pytest.raises(InputError, match=r"^missing: .*there is no such (file|folder)"):
+        DataSet("missing")
+
+
+def test_the_preview_names_samples_and_pictures(made, monkeypatch):
+    plots = []
+    monkeypatch.setattr(production.plots.Plot, "save", lambda plot, path: plots.append(plot))
+    production.write_preview(made / "preview.png", DataSet(made))
+    rows = [plots[0].axes[row : row + 3] for row in range(0, 15, 3)]
+    assert [axes.get_title("left") for axes in rows[0]] == ["ray", "ray exposed", "depth, near in white"]
+    assert [row[0].get_ylabel() for row in rows] == [f"sample {index}" for index in range(5)]
 
 
 def test_few_files_are_open_at_once(made, monkeypatch):

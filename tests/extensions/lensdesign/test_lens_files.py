@@ -149,7 +149,7 @@ OF_ZEMAX = [
     ("MODE SEQ", "MODE NSC", "line 2: 'MODE NSC': only sequential lenses are read"),
     ("ENVD 2.0E+1 1 0", "ENVD 2.0E+1 0 1", "indices are those at 20 degrees and 1 atmosphere"),
     ("PWAV 2", "PWAV 3", "wavelength 3, the primary one by PWAV, is missing"),
-    ("0.5875618", "587.5618", "wavelength = 587562: it must be from 200 to 2500 nm"),
+    ("0.5875618", "587.5618", "wavelengths = 587562: it must be from 200 to 2500 nm"),
     (
         "TYPE EVENASPH",
         "TYPE COORDBRK",
@@ -187,7 +187,7 @@ OF_CODEV = [
     ("DIM M\n", "", "DIM is missing: the unit of its lengths is not known"),
     ("DIM M", "DIM F", "line 4: 'DIM F': the unit must be M (millimetres), C (centimetres) or I (inches)"),
     ("REF 1", "", "the primary wavelength is missing"),
-    ("WL 587.5618", "WL 0.5876", "wavelength = 0.5876: it must be from 200 to 2500 nm; it looks like micrometres"),
+    ("WL 587.5618", "WL 0.5876", "wavelengths = 0.5876: it must be from 200 to 2500 nm; it looks like micrometres"),
     ("CCY 0", "XDE 1", "'XDE 1': decentred and tilted surfaces are not read"),
     ("CCY 0", "ADE 45", "'ADE 45': decentred and tilted surfaces are not read"),
     ("CCY 0", "ADY 2", "'ADY 2': decentred and tilted surfaces are not read"),
@@ -259,10 +259,34 @@ def test_glasses_of_catalogues_by_just_their_names(tmp_path):
     assert hyphens.surfaces[0].glass.at(587.5618) == pytest.approx(1.62229, abs=1e-5)
 
 
-def test_glasses_by_name_need_optiland(monkeypatch, tmp_path):
+# Decimals of the index, and Abbe number, of the data sheets, by name.
+SHEETS = """
+N-BK7 51680 64.17 N-K5 52249 59.48 N-KF9 52346 51.54 N-FK5 48749 70.41 N-FK51A 48656 84.47 N-PK51 52855 76.98 N-PK52A
+49700 81.61 N-PSK53A 61800 63.39 N-BAK1 57250 57.55 N-BAK2 53996 59.71 N-BAK4 56883 55.98 N-BALF4 57956 53.87 N-BAF4
+60568 43.72 N-BAF10 67003 47.11 N-BASF64 70400 39.38 N-SK2 60738 56.65 N-SK4 61272 58.63 N-SK5 58913 61.27 N-SK11 56384
+60.80 N-SK14 60311 60.60 N-SK16 62041 60.32 N-SSK2 62229 53.27 N-SSK5 65844 50.88 N-SSK8 61773 49.83 N-LAK7 65160 58.52
+N-LAK9 69100 54.71 N-LAK10 72003 50.62 N-LAK14 69680 55.41 N-LAK21 64049 60.10 N-LAK22 65113 55.89 N-LAK33B 75500 52.30
+N-LAF2 74397 44.85 N-LAF21 78800 47.49 N-LAF33 78582 44.05 N-LAF34 77250 49.62 N-LAF35 74330 49.40 N-LASF9 85025 32.17
+N-LASF43 80610 40.61 N-LASF44 80420 46.50 N-KZFS4 61336 44.49 N-KZFS5 65412 39.70 N-F2 62005 36.43 F2 62004 36.37 F5
+60342 38.03 LF5 58144 40.85 LLF1 54814 45.75 N-SF1 71736 29.62 N-SF4 75513 27.38 N-SF5 67271 32.25 N-SF6 80518 25.36
+N-SF8 68894 31.31 N-SF10 72828 28.53 N-SF11 78472 25.68 N-SF14 76182 26.53 N-SF57 84666 23.78 N-ZK7 50847 61.19 N-BASF2
+66446 36.00 SF1 71736 29.51 SF2 64769 33.85 SF4 75520 27.58 SF5 67270 32.21 SF6 80518 25.43 SF10 72825 28.41 SF11 78472
+25.76 SF57 84666 23.83 SILICA 45846 67.82
+"""
+
+
+def test_usual_glasses_need_no_optiland(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "optiland.materials", None)
-    with pytest.raises(InputError, match=r"lens\.zmx, line 27: glass = 'F2': glasses by name need Optiland; pip"):
-        read(tmp_path, ZEMAX.replace("GLAS ___BLANK 1", "GLAS F2 0"))
+    for name, decimals, abbe in re.findall(r"(\S+) (\S+) (\S+)", SHEETS.replace("\n", " ")):
+        glass = Glass.from_plain(name if name.startswith(("N-", "SILICA")) else f"schott:{name}")
+        d, f, c = (glass.at(line) for line in (587.5618, 486.1327, 656.2725))
+        assert d == pytest.approx(float(f"1.{decimals}"), abs=1e-5)
+        assert (d - 1) / (f - c) == pytest.approx(float(abbe), abs=0.05)
+    named = ZEMAX.replace("GLAS ___BLANK 1", "GLAS F2 0")
+    assert read(tmp_path, named).surfaces[0].glass.at(587.5618) == pytest.approx(1.62004, abs=1e-5)
+    for maker, glass in [("HOYA SCHOTT", "F2"), ("SCHOTT", "S-LAH53"), ("OHARA", "N-BK7")]:
+        with pytest.raises(InputError, match=rf"line 27: glass = '{glass}': it is not among the glasses included, and"):
+            read(tmp_path, named.replace("SCHOTT", maker).replace("GLAS F2", f"GLAS {glass}"))
 
 
 OWN = {
@@ -401,6 +425,7 @@ def test_picked_up_model_glasses_dummy_planes_and_newer_keywords_of_zemax(tmp_pa
     ]
     lens = read(tmp_path, zemax_of(rows))
     assert [surface.thickness for surface in lens.surfaces] == [5, 7, 5, 0] and lens.stop == 0
+    assert lens.image_distance == 63 and read(tmp_path, zemax_of(rows).replace("INFINITY", "20")).object_distance == 30
     expected = thin_rows([(0.02, 5, 1.62), (-0.02, 7, 1), (0.0125, 5, 1.62), (-0.0125, 0, 1)])
     assert paraxial(lens, 587.5618).focal_length == pytest.approx(expected, rel=1e-6)
     rows[4] = (0.0125, 5.0, picked.replace("2 2", "2 6"), open_)

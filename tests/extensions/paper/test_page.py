@@ -19,7 +19,7 @@ def test_names_of_users_are_escaped(quick_waves, coarse_figures, tiny, tmp_path)
     text = (tmp_path / "out" / "report.html").read_text()
     assert "<h1>Rays and waves: a&lt;b&gt;&amp;c</h1>" in text and "a<b>" not in text
     data = text.split('<script type="application/json" id="data">')[1].split("</script>")[0]
-    assert json.loads(data)["refocus"]["distances"] == [240]
+    assert json.loads(data)["refocus"]["distances"] == ["240 mm"]
     # What scripts look up by its name is there once.
     names = re.findall(r'\bid="([^"]+)"', text)
     assert len(names) == len(set(names)) and {"viewer", "swipe", "refocused", "distance"} <= set(names)

@@ -45,10 +45,10 @@ def test_reproduce_writes_everything_and_then_keeps_it(
     told = capsys.readouterr()
     # Before the study there are the letters, refocused, and the paper's figures.
     assert early[0].count("<figure") == 5 and early[0].index("The letters refocused") < early[0].index("figure 1")
-    assert "capture wave " in told.err and "partial 280 " in told.err and "reused" not in told.err
+    assert "capture wave, 5 of 29 " in told.err and "partial 280, " in told.err and "reused" not in told.err
     assert "by construction Reconstructions by rays and by waves have the same number of pixels." in told.out
     assert told.out.rstrip().endswith("report.html: open it in a browser")
-    names = "first fig1 fig2 fig3 fig4 methods interference captures"
+    names = "first fig1 fig2 fig3 fig4 methods interference captures answer"
     figures = {f"{name}.{suffix}" for name in names.split() for suffix in ("png", "pdf")}
     assert {path.name for path in tmp_path.iterdir()} == figures | {"data", "results.json", "report.html"}
     ray = read_capture(tmp_path / "data" / "capture_ray.exr")

@@ -10,7 +10,7 @@ from matplotlib.text import Text
 
 from mitsuba_plenoptic import InputError, Objective, PlenopticCamera, with_camera
 from mitsuba_plenoptic.extensions.studio import preview
-from mitsuba_plenoptic.extensions.studio.preview import draw_preview, framing_warnings, preview_of
+from mitsuba_plenoptic.extensions.studio.preview import framing_warnings, preview_figure, preview_of
 
 CAMERA = PlenopticCamera(resolution=(256, 256), detector_width=1.024, crop_size=(256, 256))
 WIDTH = 16 * 0.064 * 240 / 120  # of the field in the plane in focus
@@ -105,7 +105,7 @@ def test_framing_before_a_microscope(tmp_path):
     assert re.search("what is seen is from 500 to 500 um, and only 0% of it from -97.* to 97.* um, which", text), text
     small = preview_of(before_microscope(0.1 * FIELD, 0.0), MICROSCOPE)
     assert any("of the picture" in text for text in framing_warnings(small))
-    preview.draw_preview(tmp_path / "look.png", "small", small)
+    preview_figure("small", small).save(tmp_path / "look.png")
     assert (tmp_path / "look.png").stat().st_size > 0
 
 
@@ -115,23 +115,19 @@ def test_a_camera_without_a_plane_in_focus_is_refused():
         preview_of(scene_of(1.0, 240.0), camera)
 
 
-def test_no_text_runs_into_another_or_out_of_the_picture(tmp_path, monkeypatch):
-    seen, made = preview_of(scene_of(0.8 * WIDTH, 2400.0), CAMERA), []
-    monkeypatch.setattr(preview.plots.Plot, "save", lambda plot, path: made.append(plot))
-    draw_preview(tmp_path / "seen.png", "a_scene_with_the_name_of_a_very_long_file.xml", seen)
-    made[0].canvas.draw()
-    shown = {one.get_text(): one.get_window_extent() for one in made[0].findobj(Text) if one.get_text()}
+def test_no_text_runs_into_another_or_out_of_the_picture():
+    seen = preview_of(scene_of(0.8 * WIDTH, 2400.0), CAMERA)
+    plot = preview_figure("a_scene_with_the_name_of_a_very_long_file.xml", seen)
+    plot.canvas.draw()
+    shown = {one.get_text(): one.get_window_extent() for one in plot.findobj(Text) if one.get_text()}
     (title,) = (text for text in shown if text.endswith("..., in focus at 240 mm"))
     (beside,) = (text for text in shown if text.startswith("From above"))
     assert shown[title].x1 < shown[beside].x0
-    assert max(extent.x1 for extent in shown.values()) <= made[0].bbox.x1
+    assert max(extent.x1 for extent in shown.values()) <= plot.bbox.x1
 
 
-def test_the_plan_shows_the_left_of_a_camera_that_looks_to_the_right_above(tmp_path, monkeypatch):
-    made = []
-    monkeypatch.setattr(preview.plots.Plot, "save", lambda plot, path: made.append(plot))
-    draw_preview(tmp_path / "seen.png", "left", preview_of(scene_of(WIDTH / 4, 240.0, WIDTH / 4), CAMERA))
-    picture, plan = made[0].axes[:2]
+def test_the_plan_shows_the_left_of_a_camera_that_looks_to_the_right_above():
+    picture, plan = preview_figure("left", preview_of(scene_of(WIDTH / 4, 240.0, WIDTH / 4), CAMERA)).axes[:2]
     (outline,) = plan.patches[1:]
     low, high = outline.get_xy().min(0), outline.get_xy().max(0)
     assert (low + high) / 2 == pytest.approx([240.0, WIDTH / 4], rel=0.05)
@@ -144,13 +140,11 @@ def test_the_plan_shows_the_left_of_a_camera_that_looks_to_the_right_above(tmp_p
     assert columns[:32].sum() > 0 == columns[32:].sum() and np.diff(picture.get_xlim()) > 0
 
 
-def test_colours_are_seen_and_what_is_in_focus_is_tinted(tmp_path, monkeypatch):
+def test_colours_are_seen_and_what_is_in_focus_is_tinted():
     mi.set_variant("llvm_ad_rgb")
     scene = scene_of(WIDTH / 2, 240.0, light={"type": "constant", "radiance": {"type": "rgb", "value": [1, 0.5, 0.25]}})
-    seen, made = preview_of(scene, CAMERA), []
+    seen = preview_of(scene, CAMERA)
     red, green, blue = seen.picture[32, 32]
     assert (green / red, blue / red) == pytest.approx((0.5, 0.25))
-    monkeypatch.setattr(preview.plots.Plot, "save", lambda plot, path: made.append(plot))
-    draw_preview(tmp_path / "seen.png", "disc", seen)
-    tinted = made[0].axes[0].images[1].get_array()[..., 3] > 0
+    tinted = preview_figure("disc", seen).axes[0].images[1].get_array()[..., 3] > 0
     assert (tinted == np.isfinite(seen.distance)).all()

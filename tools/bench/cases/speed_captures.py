@@ -15,6 +15,7 @@ from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from cases import relative
@@ -230,3 +231,60 @@ def _told(work: str, run: Callable[[Any], Any]) -> Row:
     # Short work needs no estimate.
     off = max(estimate, 1 / estimate) if seconds >= 10 else 1.0
     return {"work": work, "seconds": seconds, "first": first, "estimate": estimate, "off": off}
+
+
+_NEW_CAMERAS: dict[str, tuple[float, dict[str, Any]]] = {
+    "square": (0.6, {}),
+    "round": (0.6, {"mla_aperture": "circle", "mla_fill": 0.9}),
+    "hexagonal": (1.0, {"mla_lattice": "hexagonal", "mla_rotation": 7.0}),
+    "aberrated": (1.0, {"wavefront": (0.0, 0.0, 0.0, 0.1, -0.05, 0.08, 0.1, 0.0, 0.05)}),
+    "in a medium": (1.4, {"mla_medium": 1.5, "mla_tilt": (0.5, -0.3)}),
+}
+"""Kinds of cameras by the parameters that make them, and the most that a first wave capture may cost, in s."""
+
+
+@case(
+    "first-capture",
+    "First wave captures of cameras drawn at random, after one camera of the kind: median and largest seconds of the "
+    "processor, those of a second capture, and kernels compiled for a camera's first capture",
+    {
+        "camera": "{camera}", "first (s)": "{first:.2f}, {worst:.2f}", "second (s)": "{second:.2f}",
+        "compiled": "{compiled:.0f}",
+    },
+    (at_most("first", "most"), at_most("compiled", 0)),
+    quick={"cameras": 2},
+)  # fmt: skip
+def first_capture(*, cameras: int = 10, seed: int = 0) -> Iterator[Row]:
+    """Capture a white world of 8 lenses across, of 8 to 16 pixels a lens, by drawn cameras."""
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        for kind, (most, options) in _NEW_CAMERAS.items():
+            rng = np.random.default_rng(seed)
+            rows = np.array([_first_and_second(rng, options) for _ in range(cameras + 1)][1:])
+            first, second, compiled = np.median(rows, axis=0)
+            yield {
+                "camera": kind, "first": first, "worst": rows[:, 0].max(), "second": second, "compiled": compiled,
+                "most": most,
+            }  # fmt: skip
+
+
+def _first_and_second(rng: np.random.Generator, options: dict[str, Any]) -> tuple[float, float, int]:
+    """Return the processor time of a drawn camera's first and second wave capture, and the kernels of the first."""
+    pixels, pitch = int(rng.integers(8, 17)), rng.uniform(0.03, 0.15)
+    distance = rng.uniform(50, 150)
+    camera = PlenopticCamera.matched(
+        f_number=rng.uniform(4, 8), pixels_per_lens=pixels, pixel_size=pitch / pixels, lenses=8,
+        focal_length=distance / rng.uniform(1.1, 1.6), mla_distance=distance, **options,
+    )  # fmt: skip
+    light = {"type": "constant"}
+    scene = mi.load_dict(
+        {"type": "scene", "integrator": {"type": "path"}, "light": light, "camera": camera.to_sensor()}
+    )
+    dr.kernel_history_clear()
+    times = [time.process_time()]
+    for _ in range(2):
+        _captured(scene, 4, "wave")
+        dr.sync_thread()
+        if len(times) == 1:
+            compiled = sum(not kernel["cache_hit"] for kernel in dr.kernel_history((dr.KernelType.JIT,)))
+        times.append(time.process_time())
+    return times[1] - times[0], times[2] - times[1], compiled
