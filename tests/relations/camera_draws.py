@@ -205,6 +205,7 @@ class Draw:
             if value is not None and not (without_array and name in BASE and PARAMETERS[name].of_array)
         }
         self.wavelength = float(self.rng.choice([450.0, 550.0, 650.0]))
+        self.format = ""  # of a file that a relation writes
 
     @cached_property
     def camera(self) -> mp.PlenopticCamera:

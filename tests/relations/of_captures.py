@@ -104,17 +104,18 @@ for each in METHODS:
     of_reconstructions(each)
 
 
-def wall(camera, g, s=1.0):
-    """Return the scene of a textured wall at a distance, s times as large."""
+def wall(camera, g, moved=None):
+    """Return the scene of a textured wall at a distance, which may be moved together with the camera."""
     texture = np.random.default_rng(5).random((8, 8, 1), np.float32)
     radiance = {"type": "bitmap", "bitmap": mi.Bitmap(texture), "filter_type": "nearest", "raw": True}
-    width = s * 0.6 * camera.bin_count[0] * camera.bin_size(g)
-    place = mi.ScalarTransform4f().translate([0, 0, g]).rotate([0, 1, 0], 180).scale([width / s, width / s, 1])
+    width = 0.6 * camera.bin_count[0] * camera.bin_size(g)
+    moved = moved or mi.ScalarTransform4f()
+    place = moved.translate([0, 0, g]).rotate([0, 1, 0], 180).scale([width, width, 1])
     return mi.load_dict(
         {
             "type": "scene",
             "integrator": {"type": "path"},
-            "sensor": camera.to_sensor(),
+            "sensor": camera.to_sensor(moved),
             "wall": {"type": "rectangle", "to_world": place, "emitter": {"type": "area", "radiance": radiance}},
         }
     )
