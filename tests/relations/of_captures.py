@@ -201,3 +201,16 @@ def refusals(draw):
     result = np.asarray(USES[name](draw.camera, draw.point(), draw.wavelength), float)
     finite = np.isfinite(result)
     return float(not (finite | (np.isnan(result) & (name in (*METHODS, "decode")))).all() or not finite.any()), 0.0
+
+
+@relation(Use.DECODING, method="light fields")
+def brightness(draw):
+    """Brighter captures have brighter views of the same weight, and dimmer lenses or pupils change no weight."""
+    image = draw.rng.random(draw.camera.shape, np.float32)
+    even = draw.camera.replace(mla_transmissions=None, pupil_apodisation=(0.0, 0.0))
+    one, other, plain = (
+        mp.decode(values, camera=camera)
+        for values, camera in ((image, draw.camera), (3 * image, draw.camera), (image, even))
+    )
+    weights = max(off(each["weight"], one["weight"]) for each in (other, plain))
+    return max(off_bins(other.values, 3 * one.values), weights), 1e-5

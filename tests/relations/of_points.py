@@ -214,7 +214,8 @@ def euler(draw):
         return picture(camera.replace(**others), points * s, draw.wavelength)
 
     by_points = (grown(1 + h) - grown(1 - h)) / (2 * h)
-    return off(-by_camera, by_points), 0.1
+    # The derivative by the aperture, whose samples follow its round edge, is among them.
+    return off(-by_camera, by_points), LIMITS["aperture_radius"]
 
 
 @relation(Use.POINT_DERIVATIVES)
