@@ -156,7 +156,7 @@ of_scenes("ray", Use.RAYS)
 of_scenes("wave", Use.SCENES)
 
 
-@relation(Use.SCENES, "mla_cra pixel_response mla_absorption", "captures by waves")
+@relation(Use.SCENES, "mla_cra pixel_response mla_absorption crop_offset crop_size", "captures by waves")
 def white_of_scenes(draw):
     """A white world is as bright by waves as by rays."""
     scene = sky(draw.camera)

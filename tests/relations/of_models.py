@@ -166,7 +166,7 @@ def medium(draw):
     return off(picture(within, points, draw.wavelength), picture(air, points, draw.wavelength)), 0.02
 
 
-@relation(Use.POINTS | Use.FULL_FIELDS, "main_lens", "full fields")
+@relation(Use.POINTS | Use.FULL_FIELDS, f"main_lens {CROPS}", "full fields")
 def full_fields(draw):
     """Point spreads on the lit lenses are those on the whole array, within what their page states."""
     point, methods = draw.point(), ("patch", "full_field")
