@@ -3,7 +3,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test test-tensors hunt coverage slow examples pictures package release docs lint clean llvm
+.PHONY: help demo test test-tensors hunt coverage slow in-turn examples pictures package release docs lint clean llvm
 
 help:
 	@echo "make demo   capture and refocus the letters by rays and by waves; demo/report.html (a few minutes)"
@@ -12,6 +12,7 @@ help:
 	@echo "make hunt   try what every camera obeys on random ones; SECONDS=3600 SEED=1, or AGAIN=... as a failure prints it"
 	@echo "make coverage   run them and see what they reach: build/coverage/html"
 	@echo "make slow   run the tests that take minutes"
+	@echo "make in-turn   run the part of them, or the coverage, whose turn it is; PART=1 the first"
 	@echo "make examples   render the captures of mp.example from the built-in scenes (20 s)"
 	@echo "make pictures   make the pictures of the site (some minutes; needs Chromium, and the notebooks of 'make docs')"
 	@echo "make package   build wheel and sdist from a fresh clone, and try the wheel in an empty environment"
@@ -24,11 +25,11 @@ demo: $(VENV)/.installed
 	@$(BIN)/python tools/ensure_llvm.py
 	$(BIN)/mitsuba-plenoptic reproduce --preset quick -o demo
 
-# The tests of a file stay in one process, which they share captures and compiled kernels in. A process that dies ends
-# the run at once, and so does a test that hangs.
-PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --max-worker-restart=0
+# Each process takes half of the tests in their order, so that those of a file share captures and compiled kernels, and
+# at the end some of the other's. A process that dies ends the run at once, and so does a test that hangs.
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal --max-worker-restart=0
 test: $(VENV)/.ready llvm
-	$(PYTEST) --timeout=300 $(if $(COVERAGE),--cov --cov-report=term)
+	$(PYTEST) --timeout=300
 
 hunt: $(VENV)/.ready
 	@$(BIN)/python tests/relations/hunt.py $(or $(AGAIN),$(or $(SECONDS),3600) $(or $(SEED),1))
@@ -44,13 +45,23 @@ $(TENSORS)/.ready: pyproject.toml $(VENV)/.ready
 	$(TENSORS)/bin/python -m pip install --disable-pip-version-check --quiet --editable '.[test,torch,jax]'
 	@touch $@
 
-# Measuring takes a sixth more of the processor, so 'make test' leaves it out unless COVERAGE=yes, as .ci/run has it.
+# Measuring takes a sixth more of the processor, so 'make test' leaves it out; pyproject.toml sets the floor.
 coverage: $(VENV)/.ready llvm
 	rm -rf build/coverage && mkdir -p build/coverage
 	$(PYTEST) --timeout=300 --cov --cov-report=html --cov-report=term
 
+# Parts take like times by tests/slow_seconds.json, which 'make slow MEASURE=yes' writes.
+SLOW_PARTS := 4
 slow: $(VENV)/.ready llvm
-	$(BIN)/python -m pytest -m slow --timeout=1800
+	$(PYTEST) -m slow --timeout=1200 --durations-path tests/slow_seconds.json \
+		$(if $(PART),--splits $(SLOW_PARTS) --group $(PART)) $(if $(MEASURE),--store-durations --clean-durations)
+
+# The slow tests and the coverage, of which .ci/run and a workflow run one at a time: PART=1 and so on, or by the hour.
+PART_BY_TIME = $(shell expr $$(date +%s) / 10800 % \( $(SLOW_PARTS) + 1 \) + 1)
+in-turn:
+	@echo "In turn: part $(or $(PART),$(PART_BY_TIME)) of $$(($(SLOW_PARTS) + 1)), where the last is the coverage"
+	@part=$(or $(PART),$(PART_BY_TIME)); \
+	if [ $$part -gt $(SLOW_PARTS) ]; then $(MAKE) coverage; else $(MAKE) slow PART=$$part; fi
 
 examples: $(VENV)/.ready llvm
 	$(BIN)/python tools/make_examples.py

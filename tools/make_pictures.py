@@ -728,7 +728,7 @@ def thumbnail(page: str) -> Image.Image:
         raise SystemExit(f"{path}: it shows no picture: run 'make docs' first")
     image = Image.open(io.BytesIO(base64.b64decode(shown[CHOSEN.get(page, -1)]))).convert("RGB")
     content = ImageChops.difference(image, Image.new("RGB", image.size, "white")).getbbox()
-    return ImageOps.pad(image.crop(content), (480, 320), color="white")
+    return ImageOps.expand(ImageOps.pad(image.crop(content), (464, 304), color="white"), 8, "white")
 
 
 CHOSEN = {
