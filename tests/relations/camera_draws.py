@@ -206,6 +206,7 @@ class Draw:
         }
         self.wavelength = float(self.rng.choice([450.0, 550.0, 650.0]))
         self.format = ""  # of a file that a relation writes
+        self.slope = ""  # the parameter of a derivative
 
     @cached_property
     def camera(self) -> mp.PlenopticCamera:
@@ -233,6 +234,18 @@ def possible(seed: int, options: Iterable[str], use: Use) -> Draw:
         if not any(entry.is_refusal for _, _, entry in entries_at(camera, use)):
             names.append(name)
     return Draw(seed, names)
+
+
+def stage_of(name: str) -> str:
+    """Return the stage of a camera on which a parameter acts: the pupil, the array or the detector."""
+    if PARAMETERS[name].of_array:
+        return "array"
+    return "detector" if name.startswith(("detector", "pixel", "stray", "crop", "resolution")) else "pupil"
+
+
+def on_stage(names: Iterable[str], stage: str) -> list[str]:
+    """Return the parameters that act on a stage."""
+    return [name for name in names if stage_of(name) == stage]
 
 
 def dimension_of(name: str) -> Dimension:

@@ -3,13 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
-from camera_draws import dimension_of, scaled
+from camera_draws import OPTIONS, dimension_of, on_stage, scaled
 from relation import image_of, off, relation
 from scipy.ndimage import gaussian_filter
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.camera import PARAMETERS, parts_of, with_gradient, with_parts
 from mitsuba_plenoptic.camera.entry import Captures, Use
+from mitsuba_plenoptic.detector import SHARP, DetectorOperator
 
 IRREGULAR = "mla_jitter mla_seed mla_figure_error mla_transmissions"
 """What tells lenses apart by their indices."""
@@ -167,17 +168,33 @@ LIMITS = {"aperture_radius": 0.25, "mla_fill": 0.25}
 """Of derivatives against differences, 0.06 else: samples of images follow the camera, and round edges most."""
 
 
-@relation(Use.POINT_DERIVATIVES, "crop_offset crop_size")
+def pair_of(seed):
+    """Return a parameter with a derivative, and options that act on the same stage of a camera."""
+    rng = np.random.default_rng([seed, 3])
+    stage = str(rng.choice(["pupil", "array", "detector"]))
+    return str(rng.choice(on_stage(with_gradient(Captures.POINTS), stage))), on_stage(OPTIONS, stage)
+
+
+def differentiable(camera):
+    """Return the camera with numbers whose parameters have derivatives on both sides."""
+    camera = camera.replace(detector_distance=camera.detector_distance)
+    return camera.replace(mla_fill=0.95) if camera.has_array and camera.mla_fill > 0.98 else camera
+
+
+def direction_of(camera, name, rng):
+    """Return the values of a parameter, and a direction in which they may change."""
+    value = parts_of(camera, name)
+    return value, value * rng.uniform(0.5, 1.5, value.shape) if PARAMETERS[name].scale is None else value * 0 + 1.0
+
+
+@relation(Use.POINT_DERIVATIVES, "crop_offset crop_size", first=lambda seed: pair_of(seed)[1])
 def derivative(draw):
     """The derivative by a parameter is the difference of captures, of which two steps agree."""
-    camera = draw.camera.replace(detector_distance=draw.camera.detector_distance)
-    if camera.has_array and camera.mla_fill > 0.98:
-        camera = camera.replace(mla_fill=0.95)
-    points, name = [draw.point()], str(draw.rng.choice(with_gradient(Captures.POINTS)))
-    value = parts_of(camera, name)
+    camera, points, name = differentiable(draw.camera), [draw.point()], pair_of(draw.seed)[0]
+    value, direction = direction_of(camera, name, draw.rng)
     if not value.size:
         return None
-    direction = value * draw.rng.uniform(0.5, 1.5, value.shape) if PARAMETERS[name].scale is None else value * 0 + 1.0
+    draw.slope = name
     operator = mp.CaptureOperator(camera, points, wavelength=draw.wavelength, accuracy=0.0)
     slope = np.squeeze(operator.derivative([1.0], {name: direction})).astype(float)
     size = float(np.linalg.norm(slope))
@@ -197,6 +214,31 @@ def derivative(draw):
     return (off(slope, narrow), limit) if off(wide, narrow) < limit / 2 else None
 
 
+@relation(
+    Use.POINT_DERIVATIVES, method="derivatives behind a detector", first=lambda seed: on_stage(OPTIONS, "detector")
+)
+def product_rule(draw):
+    """Derivatives of what pixels record are those of their light, as pixels mix it, and those of the mixing."""
+    camera, points, name = differentiable(draw.camera), [draw.point()], pair_of(draw.seed)[0]
+    value, direction = direction_of(camera, name, draw.rng)
+    if not value.size:
+        return None
+    recorded, light = (
+        mp.CaptureOperator(each, points, wavelength=draw.wavelength, accuracy=0.0)
+        for each in (camera, camera.replace(**SHARP))
+    )
+
+    def mixed(h, image):
+        changed = with_parts(camera, {name: value + h * direction})
+        return DetectorOperator.of(changed).forward(np.squeeze(image).astype(float))
+
+    slope, h = np.squeeze(recorded.derivative([1.0], {name: direction})), 1e-4 * float(np.abs(value).max() or 1.0)
+    image = light.forward([1.0])
+    expected = mixed(0, light.derivative([1.0], {name: direction})) + (mixed(h, image) - mixed(-h, image)) / (2 * h)
+    draw.slope = name
+    return (off(slope, expected), 1e-5) if np.any(expected) else None
+
+
 @relation(Use.POINT_DERIVATIVES, f"{AT_THE_LINE_D} focus_distance crop_offset crop_size")
 def euler(draw):
     """Derivatives times values of all lengths, points and the wavelength add up to none: pictures have no unit."""
@@ -205,7 +247,8 @@ def euler(draw):
     camera = draw.camera.replace(detector_distance=draw.camera.detector_distance)
     points, h = np.array([draw.point()]), 4e-4
     longer = {name: parts_of(camera, name) for name in with_gradient(Captures.POINTS) if dimension_of(name) == 1}
-    longer = {name: value for name, value in longer.items() if value.size}
+    # The aperture, whose round edge moves between samples, grows in the difference.
+    longer = {name: value for name, value in longer.items() if value.size and name != "aperture_radius"}
     operator = mp.CaptureOperator(camera, points, wavelength=draw.wavelength, accuracy=0.0)
     by_camera = np.squeeze(operator.derivative([1.0], longer | {"wavelength": draw.wavelength})).astype(float)
 
@@ -214,8 +257,7 @@ def euler(draw):
         return picture(camera.replace(**others), points * s, draw.wavelength)
 
     by_points = (grown(1 + h) - grown(1 - h)) / (2 * h)
-    # The derivative by the aperture, whose samples follow its round edge, is among them.
-    return off(-by_camera, by_points), LIMITS["aperture_radius"]
+    return off(-by_camera, by_points), 0.1
 
 
 @relation(Use.POINT_DERIVATIVES)

@@ -27,6 +27,7 @@ class Relation:
     use: Use
     without: frozenset[str]
     method: str
+    first: Callable[[int], Sequence[str]] | None
 
     @property
     def name(self) -> str:
@@ -37,13 +38,18 @@ class Relation:
 RELATIONS: dict[str, Relation] = {}
 
 
-def relation(use: Use, without: str = "", method: str = "") -> Callable[[Callable[[Draw], Judgement]], Any]:
-    """Add a function to the table of relations; it speaks of no camera with the options `without`."""
+def relation(
+    use: Use, without: str = "", method: str = "", first: Callable[[int], Sequence[str]] | None = None
+) -> Callable[[Callable[[Draw], Judgement]], Any]:
+    """Add a function to the table of relations.
+
+    It speaks of no camera with the options `without`; one option is drawn from those of `first`, by the seed.
+    """
     excluded = frozenset(without.split())
     assert excluded <= set(OPTIONS)
 
     def add(judge: Callable[[Draw], Judgement]) -> Callable[[Draw], Judgement]:
-        RELATIONS[judge.__name__] = Relation(judge, use, excluded, method or use.words)
+        RELATIONS[judge.__name__] = Relation(judge, use, excluded, method or use.words, first)
         return judge
 
     return add
@@ -66,6 +72,8 @@ def draw_of(relation: Relation, seed: int) -> Draw:
     rng = np.random.default_rng([seed, 2])
     allowed = [name for name in OPTIONS if name not in relation.without]
     names = rng.permutation(allowed)[: int(rng.choice([0, 1, 2, 3, 4], p=[0.04, 0.16, 0.3, 0.3, 0.2])) + 2]
+    if relation.first:
+        names = [rng.choice([name for name in relation.first(seed) if name in allowed]), *names]
     drawn = possible(seed, [str(name) for name in names], relation.use)
     return Draw(seed, drawn.options[:4])
 
