@@ -11,6 +11,7 @@ import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.camera import PARAMETERS, parts_of, with_gradient, with_parts
 from mitsuba_plenoptic.camera.entry import Captures, Use
 from mitsuba_plenoptic.detector import SHARP, DetectorOperator
+from mitsuba_plenoptic.views import white_image
 
 IRREGULAR = "mla_jitter mla_seed mla_figure_error mla_transmissions"
 """What tells lenses apart by their indices."""
@@ -116,21 +117,40 @@ def moved_lattice(draw):
     return off(picture(other, points, draw.wavelength), picture(camera, points, draw.wavelength)), bound(draw, 2e-3)
 
 
-@relation(Use.POINTS, "crop_offset crop_size stray_light stray_width")
+BY_PIXELS = {
+    "point spreads by waves": lambda c, point, w: picture(c, [point], w),
+    "point spreads by rays": lambda c, point, w: mp.point_spread_function(c, point, model="ray", wavelength=w),
+    "full fields": lambda c, point, w: mp.point_spread_function(c, point, wavelength=w, method="full_field"),
+    "white images": lambda c, point, w: white_image(c),
+}
+"""Computations of the same light on the pixels of a crop and of the whole detector."""
+
+SAMPLED = {"main_lens", "vignetting", "mla_cra"}
+"""Behind them white images are of few rays a pixel, and have their noise."""
+
+
+@relation(
+    Use.POINTS | Use.RAY_SPREADS | Use.FULL_FIELDS | Use.WHITE_IMAGES, "crop_offset crop_size stray_light stray_width"
+)
 def crop(draw):
     """A crop is the same pixels of the whole, but for what blur brings across its rim."""
-    camera, points = draw.camera, [draw.point()]
-    whole = picture(camera, points, draw.wavelength)
+    camera, point, computed = draw.camera, draw.point(), str(draw.rng.choice(list(BY_PIXELS)))
+    if not camera.has_array and computed == "white images":
+        return None
+
+    def image(of):
+        return np.squeeze(BY_PIXELS[computed](of, point, draw.wavelength)).astype(float)
+
+    whole = image(camera)
     brightest = np.array(np.unravel_index(whole.argmax(), whole.shape))[::-1]
     n = whole.shape[0]
     size = np.array([n // 2, n // 2 + 3])
     offset = np.clip(brightest - size // 2 + draw.rng.integers(-n // 8, n // 8, 2), 0, n - size)
-    part = picture(
-        camera.replace(crop_offset=tuple(offset.tolist()), crop_size=tuple(size.tolist())), points, draw.wavelength
-    )
+    part = image(camera.replace(crop_offset=tuple(offset.tolist()), crop_size=tuple(size.tolist())))
     rim = 8 if {"detector_blur", "pixel_crosstalk"} & set(draw.options) else 0
     inner = np.s_[rim : size[1] - rim, rim : size[0] - rim]
-    return off(part[inner], whole[offset[1] :, offset[0] :][: size[1], : size[0]][inner]), 1e-3
+    limit = {"full fields": 0.005, "white images": 0.1 if SAMPLED & set(draw.options) else 1e-3}.get(computed, 1e-3)
+    return off(part[inner], whole[offset[1] :, offset[0] :][: size[1], : size[0]][inner]), limit
 
 
 @relation(Use.POINTS, "pixel_crosstalk stray_light stray_width crop_offset crop_size")
@@ -184,7 +204,9 @@ def differentiable(camera):
 def direction_of(camera, name, rng):
     """Return the values of a parameter, and a direction in which they may change."""
     value = parts_of(camera, name)
-    return value, value * rng.uniform(0.5, 1.5, value.shape) if PARAMETERS[name].scale is None else value * 0 + 1.0
+    # Round lenses are as wide as the shorter pitch, which has no derivative where both are the same.
+    count = 1 if name == "mla_pitch" and camera.mla_aperture == "circle" else value.shape
+    return value, value * rng.uniform(0.5, 1.5, count) if PARAMETERS[name].scale is None else value * 0 + 1.0
 
 
 @relation(Use.POINT_DERIVATIVES, "crop_offset crop_size", first=lambda seed: pair_of(seed)[1])
