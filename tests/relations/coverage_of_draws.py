@@ -11,7 +11,8 @@ from camera_draws import OPTIONS, possible
 from of_files import FORMATS
 from relation import RELATIONS
 
-from mitsuba_plenoptic.camera.entry import Use
+from mitsuba_plenoptic.camera import with_gradient
+from mitsuba_plenoptic.camera.entry import Captures, Use
 
 ENOUGH = 5
 """Times that each is computed in a long hunt."""
@@ -29,13 +30,22 @@ def allowed_pairs():
     ]
 
 
+@cache
+def allowed_slopes():
+    """Return the pairs of a parameter with a derivative and an option beside which it has one."""
+    options = [name for name in OPTIONS if possible(1, [name], Use.POINT_DERIVATIVES).options == (name,)]
+    return [f"{name} {option}" for name in with_gradient(Captures.POINTS) for option in options]
+
+
 class Tally:
     """Counts of draws by what they computed, added to those of the file that COUNTS names."""
 
     def __init__(self):
         self.path = Path(os.environ["COUNTS"]) if "COUNTS" in os.environ else None
         stored = json.loads(self.path.read_text()) if self.path and self.path.is_file() else {}
-        self.counts = {kind: Counter(stored.get(kind)) for kind in ("verdict", "option", "pair", "method", "format")}
+        self.counts = {
+            kind: Counter(stored.get(kind)) for kind in ("verdict", "option", "pair", "slope", "method", "format")
+        }
         self.failures = 0
 
     def add(self, relation, outcome):
@@ -46,6 +56,7 @@ class Tally:
             options = outcome.draw.options
             self.counts["option"].update(options)
             self.counts["pair"].update(" ".join(pair) for pair in itertools.combinations(options, 2))
+            self.counts["slope"].update(f"{outcome.draw.slope} {name}" for name in options if outcome.draw.slope)
             self.counts["method"][relation.method] += 1
             self.counts["format"].update(filter(None, [outcome.draw.format]))
 
@@ -59,6 +70,7 @@ class Tally:
         asked = {
             "option": list(OPTIONS),
             "pair": allowed_pairs(),
+            "slope": allowed_slopes(),
             "method": sorted({relation.method for relation in RELATIONS.values()}),
             "format": [f"{kind} {suffix}" for kind, suffixes in FORMATS.items() for suffix in suffixes],
         }

@@ -5,12 +5,15 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
-from camera_draws import scaled
+from camera_draws import LENSES, OPTIONS, on_stage, scaled
 from of_points import AT_THE_LINE_D, IRREGULAR, bound, mirrored_options
 from relation import off, relation
 
 import mitsuba_plenoptic as mp
+import mitsuba_plenoptic.refocus
 from mitsuba_plenoptic.camera.entry import Use
+from mitsuba_plenoptic.extensions.deconvolution.response import Response
+from mitsuba_plenoptic.views import lens_numbers, white_image
 
 METHODS = {
     "ray": Use.RAY_REFOCUSING,
@@ -178,6 +181,28 @@ def files(draw):
         cameras.append(mi.load_dict(camera.to_sensor()).camera)
         same = all(each.to_dict() == camera.to_dict() for each in cameras)
         return float(not same or not np.array_equal(read.image, capture.image)), 0.0
+
+
+@relation(
+    Use.RESPONSES | Use.WHITE_IMAGES,
+    "main_lens mla_focal_length mla_rotation crop_offset crop_size",
+    "incoherent",
+    lambda seed: on_stage(OPTIONS, "pupil"),
+)
+def light_of_lenses(draw):
+    """An even plane lights lenses off the axis as a white world does, but for what lenses diffract to others."""
+    count = draw.camera.resolution[0]
+    lens = count // LENSES
+    camera = draw.camera.replace(crop_offset=(count - 4 * lens, count // 2 - lens), crop_size=(4 * lens, 3 * lens))
+    response = Response(camera, [0.96 * camera.focus_distance], wavelength=draw.wavelength, oversample=1)
+    numbers = lens_numbers(camera).ravel()
+    even, white = (
+        np.bincount(numbers, image.ravel())[np.bincount(numbers) > 0.8 * lens**2]
+        for image in (response.forward(np.ones(response.source_shape, np.float32)), white_image(camera))
+    )
+    return float(
+        np.abs(even / white - 1).max()
+    ), 0.07  # pixels on the borders of displaced lenses count for one of them
 
 
 USES = {

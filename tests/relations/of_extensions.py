@@ -1,7 +1,9 @@
 """Relations of what extensions compute, each with its draws; `NOT_DRAWN` says why an extension has none."""
 
+import json
+
 import numpy as np
-from camera_draws import scaled
+from camera_draws import OPTIONS, scaled
 from of_points import picture
 from relation import off, relation
 
@@ -87,18 +89,18 @@ def slopes_of_wavefronts(draw):
     return max(off(two.pupil / 2, one.pupil), off(two.slope, one.slope)), 1e-6
 
 
-@relation(Use(0), method="far sources")
+@relation(Use(0), " ".join(OPTIONS), "far sources")
 def twin_stars(draw):
-    """Two stars on one place are one star of their light."""
+    """Two stars on one place are one star of their light, whatever the camera."""
     direction = tuple(draw.rng.uniform(-60, 60, 2).tolist())
     points, weights = far_sources.binary(0.0, ratio=0.5, direction=direction)
     star, weight = far_sources.star(direction, weight=1.0)
     return max(off(points[0], star[0]), off(points[1], star[0]), abs(weights.sum() / weight.sum() - 1)), 1e-12
 
 
-@relation(Use(0), method="dual pixels")
+@relation(Use(0), " ".join(OPTIONS), "dual pixels")
 def halves(draw):
-    """Pictures of halves add up to that of whole lenses, and a mirrored capture exchanges them."""
+    """Pictures of halves add up to that of whole lenses, and a mirrored capture exchanges them; of one camera."""
     camera = mp.PlenopticCamera(detector_width=0.0512, resolution=(16, 16), mla_pitch=0.0064, mla_distance=60.0)
     image = draw.rng.random((16, 16), np.float32)
     plain, mirrored = (
@@ -108,7 +110,11 @@ def halves(draw):
     return max(off(plain[0].sum(0), whole), off(mirrored[0, 0], plain[0, 1][:, ::-1])), 1e-6
 
 
-@relation(Use(0), method="data sets")
+@relation(
+    Use.RAYS,
+    "main_lens mla_shape vignetting mla_transmissions phase_screen aperture_image glass mla_glass",
+    "data sets",
+)
 def samples(draw):
     """A sample of a data set is the same however often it is made."""
     content = {
@@ -116,7 +122,7 @@ def samples(draw):
         "count": 3,
         "seed": draw.seed,
         "models": ["ray"],
-        "camera": {"detector_width": 0.128, "resolution": [32, 32], "focus_distance": {"from": 230, "to": 250}},
+        "camera": json.loads(draw.camera.to_json()),
         "scenes": [{"generator": "shapes", "objects": {"from": 3, "to": 6, "step": 1}}],
         "ray": {"spp": 1},
     }
@@ -128,7 +134,8 @@ def samples(draw):
 @relation(Use(0), method="mosaics of colours")
 def grey_mosaic(draw):
     """An even grey through a mosaic of filters is grey again, by plain interpolation."""
-    camera = mp.PlenopticCamera(detector_width=0.128, resolution=(32, 32))
     mosaic, level = str(draw.rng.choice(choices.MOSAICS)), float(draw.rng.uniform(0.2, 1.0))
-    colours = mp.demosaic(mp.Capture(np.full((32, 32), level, np.float32), camera), mosaic=mosaic, method="plain")
+    colours = mp.demosaic(
+        mp.Capture(np.full(draw.camera.shape, level, np.float32), draw.camera), mosaic=mosaic, method="plain"
+    )
     return float(np.abs(colours.image - level).max()), 1e-5
