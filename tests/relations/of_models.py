@@ -154,7 +154,7 @@ def vanishing_for_rays(draw):
     return without_effect(draw, Use.RAYS, lambda camera: mp.render_capture(wall(camera, g), model="ray", spp=4).image)
 
 
-@relation(Use.POINTS, "mla_medium mla_absorption mla_shape mla_glass mla_cra pixel_response")
+@relation(Use.POINTS, f"mla_medium mla_absorption mla_shape mla_glass mla_cra pixel_response {CROPS}")
 def medium(draw):
     """A medium behind the lenses is air whose lengths are those of the medium over its index, but for steep light."""
     camera, points, n = draw.camera, [draw.point()], 1.5
