@@ -162,11 +162,8 @@ def medium(draw):
         return None
     lengths = np.array(camera.mla_focal_lengths) / n
     air = camera.replace(mla_focal_length=tuple(lengths.tolist()), detector_distance=camera.detector_distance / n)
-    # Refraction is displaced by the cube of the steepest light's slope: 0.02 at f/8, by at most 0.047 at f/6.
-    steepest = 0.0 if camera.objective else camera.aperture_radius / camera.mla_distance
-    limit = 0.02 * max(1.0, min(16 * steepest, 4 / 3)) ** 3
     within = camera.replace(mla_medium=n)
-    return off(picture(within, points, draw.wavelength), picture(air, points, draw.wavelength)), limit
+    return off(picture(within, points, draw.wavelength), picture(air, points, draw.wavelength)), 0.02
 
 
 @relation(Use.POINTS | Use.FULL_FIELDS, f"main_lens {CROPS}", "full fields")
