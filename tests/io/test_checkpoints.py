@@ -139,7 +139,7 @@ def rewritten(content, change):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda header, _: header.update(format=3), "another run: format = 3 there, 2 here"),
+        (lambda header, _: header.update(format=3), "another run: format = 3 there, 1 here"),
         (lambda header, _: header["run"]["software"].update(mitsuba_plenoptic="0123"), "mitsuba_plenoptic = 0123"),
         (lambda header, _: header.update(version="1.0"), "another run: version = 1.0 there"),
         (lambda header, _: header.pop("version"), "is not a checkpoint of this version"),
