@@ -3,12 +3,13 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test test-tensors coverage slow in-turn examples pictures package release docs lint clean llvm
+.PHONY: help demo test test-tensors hunt coverage slow in-turn examples pictures package release docs lint clean llvm
 
 help:
 	@echo "make demo   capture and refocus the letters by rays and by waves; demo/report.html (a few minutes)"
 	@echo "make test   run the tests"
 	@echo "make test-tensors   run the tests of PyTorch and JAX in an environment of their own, .venv-tensors (GBs)"
+	@echo "make hunt   try what every camera obeys on random ones; SECONDS=3600 SEED=1, or AGAIN=... as a failure prints it"
 	@echo "make coverage   run them and see what they reach: build/coverage/html"
 	@echo "make slow   run the tests that take minutes"
 	@echo "make in-turn   run the part of them, or the coverage, whose turn it is; PART=1 the first"
@@ -29,6 +30,9 @@ demo: $(VENV)/.installed
 PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal --max-worker-restart=0
 test: $(VENV)/.ready llvm
 	$(PYTEST) --timeout=300
+
+hunt: $(VENV)/.ready
+	@$(BIN)/python tests/relations/hunt.py $(or $(AGAIN),$(or $(SECONDS),3600) $(or $(SEED),1))
 
 # PyTorch's default wheel brings CUDA, several GB: an environment apart, and no part of 'make test'.
 TENSORS := .venv-tensors
@@ -52,7 +56,7 @@ slow: $(VENV)/.ready llvm
 	$(PYTEST) -m slow --timeout=1200 --durations-path tests/slow_seconds.json \
 		$(if $(PART),--splits $(SLOW_PARTS) --group $(PART)) $(if $(MEASURE),--store-durations --clean-durations)
 
-# The slow tests and the coverage, of which .ci/run and a workflow run one at a time: PART=1 and so on, or by the hour.
+# The slow tests and the coverage, of which a workflow runs one at a time: PART=1 and so on, or by the hour.
 PART_BY_TIME = $(shell expr $$(date +%s) / 10800 % \( $(SLOW_PARTS) + 1 \) + 1)
 in-turn:
 	@echo "In turn: part $(or $(PART),$(PART_BY_TIME)) of $$(($(SLOW_PARTS) + 1)), where the last is the coverage"

@@ -13,6 +13,7 @@ import pytest
 from foreign_files import png
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from hypothesis.internal.conjecture import providers
 from PIL import Image
 
 import mitsuba_plenoptic as mp
@@ -41,47 +42,50 @@ USES = {
     "white": lambda image: mp.decode(IMAGE, camera=CAMERA, white=image),
 }
 
-quick = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
+quick = settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
 
 anything = st.one_of(
-    st.none(),
-    st.booleans(),
-    st.integers(),
-    st.floats(),
-    st.complex_numbers(),
-    st.text(),
-    st.binary(),
+    *(st.none(), st.booleans(), st.integers(), st.floats(), st.complex_numbers(), st.text(), st.binary()),
     st.lists(st.floats(), max_size=3),
     st.dictionaries(st.text(max_size=3), st.floats(), max_size=2),
 )
+
+
+@pytest.fixture(autouse=True, scope="module")
+def no_constants_of_the_package():
+    """Have none of the package's constants among the draws, which Hypothesis finds by reading every module."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(providers, "_get_local_constants", lambda: providers._local_constants, raising=False)
+        yield
+
+
+def refused_or_done(call):
+    """Return what a call gives, or None where it refuses in one line; anything else fails."""
+    try:
+        return call()
+    except mp.InputError as error:
+        assert str(error).isprintable()
 
 
 class TestNumbers:
     @quick
     @given(anything)
     def test_a_count_is_whole_and_within_its_bounds(self, value):
-        try:
-            count = mp.PlenopticCamera(mla_seed=value).mla_seed
-        except mp.InputError as error:
-            assert str(error).isprintable()
-        else:
-            assert type(count) is int
-            assert 0 <= count < 2**32
-            assert count == value
+        camera = refused_or_done(lambda: mp.PlenopticCamera(mla_seed=value))
+        if camera is not None:
+            assert type(camera.mla_seed) is int and 0 <= camera.mla_seed < 2**32 and camera.mla_seed == value
 
     @quick
     @given(st.text())
     def test_a_message_is_one_line_of_printable_characters(self, text):
         said = str(mp.InputError(text))
-        assert said.isprintable()
-        assert str(mp.InputError(said)) == said
-        if text.isprintable():
-            assert said == text
+        assert said.isprintable() and str(mp.InputError(said)) == said
+        assert said == text or not text.isprintable()
         assert len(str(mp.InputError("x" * 10**6))) == 1000
 
 
 class TestCameras:
-    @settings(quick, max_examples=200)
+    @settings(quick, max_examples=150)
     @given(LENGTHS, anything)
     def test_a_length_is_taken_exactly_if_the_documentation_allows_it(self, name, value):
         # Some follow from others, and of some a camera may have several.
@@ -108,11 +112,8 @@ class TestCameras:
     @given(st.dictionaries(st.text(max_size=5), anything, max_size=3), LENGTHS | st.just("resolution"), anything)
     def test_a_header_makes_a_camera_or_is_refused(self, extra, name, value):
         values = {**mp.PlenopticCamera().to_dict(), **extra, name: value}
-        try:
-            camera = mp.PlenopticCamera.from_dict(values)
-        except mp.InputError as error:
-            assert str(error).isprintable()
-        else:
+        camera = refused_or_done(lambda: mp.PlenopticCamera.from_dict(values))
+        if camera is not None:
             assert set(values) == set(camera.to_dict())
             assert mp.PlenopticCamera.from_dict(json.loads(json.dumps(camera.to_dict()))) == camera
 
@@ -127,8 +128,7 @@ class TestArrays:
         try:
             capture = mp.Capture(image, CAMERA)
         except mp.InputError as error:
-            assert not allowed
-            assert "of its pixels are" in str(error)
+            assert not allowed and "of its pixels are" in str(error)
         else:
             assert allowed
             for result in (mp.reconstruct(capture, 240.0).image, mp.decode(capture).values):
@@ -138,9 +138,7 @@ class TestArrays:
     @given(arrays.arrays(arrays.scalar_dtypes(), arrays.array_shapes(max_dims=4, max_side=4)))
     def test_any_array_that_is_no_image_is_refused_by_all(self, array):
         for name in ("capture", "decode", "refocus"):
-            with pytest.raises(mp.InputError) as caught:
-                USES[name](array)
-            assert str(caught.value).isprintable()
+            assert refused_or_done(lambda use=USES[name]: use(array)) is None
 
     @quick
     @given(st.floats(1e-9, 1), st.floats(1, 1e9), *[st.floats(0, 1e9)] * 2, st.integers(1, 16), st.floats(1e-9, 1e9))
@@ -211,14 +209,6 @@ TEXTS = {
 """Whole files of text and their readers, by the names of the files."""
 
 
-def refused_or_done(call):
-    """Return what a call gives, or None where it refuses in one line; anything else fails."""
-    try:
-        return call()
-    except mp.InputError as error:
-        assert str(error).isprintable()
-
-
 PLACES = st.integers(0, 2047) | st.integers(0, 2**20)
 WORDS = [number.to_bytes(4, "little") for number in (0, 1, 65536, 2**30, 2**31 - 1, 2**31, 2**32 - 1)]
 EDITS = st.one_of(
@@ -242,31 +232,27 @@ def damaged(data, edits):
     return data
 
 
-@pytest.fixture(scope="class")
+@pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("bad")
 
 
 class TestFiles:
     @pytest.mark.parametrize("name", TEXTS)
-    def test_whole_texts_are_read(self, folder, name):
+    def test_whole_texts_are_read_and_other_encodings_at_most_refused(self, folder, name):
         text, reader = TEXTS[name]
         (folder / name).write_text(text)
         assert reader(folder / name) is not None
+        for encoding in ("utf-16", "utf-32", "cp037", "utf-7"):
+            (folder / name).write_bytes(text.encode(encoding))
+            refused_or_done(lambda: reader(folder / name))
 
     @pytest.mark.parametrize("name", TEXTS)
-    @settings(quick, max_examples=25)
+    @settings(quick, max_examples=15)
     @given(edits=st.lists(EDITS, min_size=1, max_size=4))
     def test_a_damaged_text_is_read_or_refused_in_one_line(self, folder, name, edits):
         text, reader = TEXTS[name]
         (folder / name).write_bytes(damaged(text.encode(), edits))
-        refused_or_done(lambda: reader(folder / name))
-
-    @pytest.mark.parametrize("name", TEXTS)
-    @pytest.mark.parametrize("encoding", ["utf-16", "utf-32", "cp037", "utf-7"])
-    def test_another_encoding_is_read_or_refused_in_one_line(self, folder, name, encoding):
-        text, reader = TEXTS[name]
-        (folder / name).write_bytes(text.encode(encoding))
         refused_or_done(lambda: reader(folder / name))
 
     @quick
@@ -276,8 +262,7 @@ class TestFiles:
         (folder / "raw.exr").write_bytes(damaged((folder / "raw.exr").read_bytes(), edits))
         capture = refused_or_done(lambda: mp.read_capture(folder / "raw.exr"))
         if capture is not None:
-            assert capture.image.shape[:2] == capture.camera.shape
-            assert np.isfinite(capture.image).all()
+            assert capture.image.shape[:2] == capture.camera.shape and np.isfinite(capture.image).all()
 
     @quick
     @given(st.sampled_from(["camera", "kind", "model", "metadata", "wavelength"]), anything)
@@ -314,25 +299,23 @@ class TestFiles:
         resumed = refused_or_done(resume)
         assert resumed is None or np.array_equal(resumed, whole)
 
-    @pytest.mark.parametrize("sizes", [(0, 1), (1, 0), (60_000, 60_000), (2**31 - 1, 1)])
+    @pytest.mark.parametrize("sizes", [(0, 1), (60_000, 60_000), (2**31 - 1, 1)])
     def test_a_picture_that_lies_about_its_size_is_refused(self, folder, sizes):
         (folder / "input_Cam000.png").write_bytes(png(*sizes))
         (folder / "parameters.cfg").write_text(HCI)
-        with pytest.raises(mp.InputError):
-            read_hci(folder)
+        assert refused_or_done(lambda: read_hci(folder)) is None
 
 
-SCENE = """<scene version="3.0.0"><integrator type="INTEGRATOR"/><sensor type="plenoptic">
+SCENE = """<scene version="3.0.0"><integrator type="path"/><sensor type="plenoptic">
 <float name="detector_width" value="0.128"/><film type="hdrfilm"><integer name="width" value="16"/>
 <integer name="height" value="16"/><string name="pixel_format" value="luminance"/>
 <string name="component_format" value="float32"/><rfilter type="box"/></film></sensor><emitter type="constant"/>
 </scene>"""
 
 
-class TestScenes:
-    @quick
-    @given(edits=st.lists(EDITS, min_size=1, max_size=4))
-    def test_a_damaged_scene_is_captured_or_refused(self, folder, edits):
-        (folder / "scene.xml").write_bytes(damaged(SCENE.replace("INTEGRATOR", "path").encode(), edits))
-        capture = refused_or_done(lambda: mp.render_capture(mp.load_scene(folder / "scene.xml"), spp=1))
-        assert capture is None or np.isfinite(capture.image).all()
+@quick
+@given(edits=st.lists(EDITS, min_size=1, max_size=4))
+def test_a_damaged_scene_is_captured_or_refused(folder, edits):
+    (folder / "scene.xml").write_bytes(damaged(SCENE.encode(), edits))
+    capture = refused_or_done(lambda: mp.render_capture(mp.load_scene(folder / "scene.xml"), spp=1))
+    assert capture is None or np.isfinite(capture.image).all()

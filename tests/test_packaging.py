@@ -19,14 +19,10 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PACKAGE = ROOT / "mitsuba_plenoptic"
 
 
-def test_every_folder_with_code_is_a_package():
-    """The build finds packages by their ``__init__.py``."""
+def test_every_folder_with_code_is_a_package_and_nothing_is_a_link():
+    """The build finds packages by their ``__init__.py``, and takes a link for a file of data, or fails."""
     folders = {path.parent for path in PACKAGE.rglob("*.py")}
     assert [folder for folder in folders if not (folder / "__init__.py").is_file()] == []
-
-
-def test_no_link_is_among_the_files_of_the_package():
-    """Builds take a link that git tracks for a file of data, and fail where it leads to a folder."""
     assert [path for top in (PACKAGE, ROOT / "scenes") for path in top.rglob("*") if path.is_symlink()] == []
 
 
@@ -126,8 +122,7 @@ def test_make_help_names_every_target():
     ("statuses", "found"),
     [
         ({"python3": 0, "python3.11": 0, "python3.12": 0, "python3.13": 1}, "2/python3.12"),
-        # A shim that fails does not hide the real one.
-        ({"python3": 127, "python3 ": 0}, "1/python3"),
+        ({"python3": 127, "python3 ": 0}, "1/python3"),  # a shim that fails does not hide the real one
         ({"python3": 1}, None),
     ],
 )

@@ -51,49 +51,30 @@ def of_plugins(sensor):
 OTHER = Capture(IMAGE, CAMERA.replace(mla_pitch=0.05))
 NOISY = mp.expose(Capture(IMAGE, CAMERA), mp.Detector(), photons=100)
 MOSAIC = mp.expose(Capture(np.ones((64, 64, 3)), CAMERA), mp.Detector(mosaic="RGGB"), photons=100)
-NO_CAMERA = "camera = 'paper': it must be a PlenopticCamera"
-NO_WHITE = r"white: its camera has mla_pitch = 0\.05, that of the capture 0\.064"
-
 
 test_mistakes = refused(
     (lambda: dataclasses.replace(CAMERA, aperture_radius=3), r"dataclasses\.replace does not .*; use camera\.rep"),
     (lambda: refocused(distance=[[210, 220], [230]]), "distance = .*: it must be a number or several"),
-    (lambda: refocused(distance=np.array([[210.0, 220.0]])), "it must be a number"),
-    (lambda: refocused(distance={210, 220}), "it must be a number"),
-    (lambda: refocused(method="coherent", relay="no"), "relay = 'no': it must be True or False"),
-    (lambda: operator([(0, 0, 240), (0, 0, -240)]), r"position = \(0, 0, -240\): .* in front of the main lens"),
-    (lambda: mp.load_scene("letters", parameters=["resolution"]), r"parameters = \['resolution'\]: they must be"),
-    (lambda: mp.with_camera(scene(), 5), "camera = 5: it must be a PlenopticCamera"),
-    (lambda: mp.decode(IMAGE, camera="paper"), NO_CAMERA),
-    (lambda: mp.point_spread_function("paper", (0, 0, 240), wavelength=633), NO_CAMERA),
-    (lambda: Capture(IMAGE, "paper"), NO_CAMERA),
-    (lambda: mp.with_camera(5, CAMERA), r"scene of type int: it must be a mitsuba\.Scene"),
+    (lambda: refocused(method="coherent", relay="no"), "relay = 'no'"),
+    (lambda: operator([(0, 0, 240), (0, 0, -240)]), r"position = \(0, 0, -240\)"),
+    (lambda: mp.load_scene("letters", parameters=["resolution"]), r"parameters = \['resolution'\]"),
+    (lambda: mp.decode(IMAGE, camera="paper"), "camera = 'paper'"),
+    (lambda: Capture(IMAGE, "paper"), "camera = 'paper'"),
+    (lambda: mp.with_camera(5, CAMERA), "scene of type int"),
     (lambda: mp.with_camera(CAMERA, scene()), "camera of type Scene, scene = .*: they are swapped; scene comes first"),
-    (
-        lambda: mp.design.refocus_range(633, CAMERA),
-        "wavelength of type Plenop.*, camera = 633: they are swapped",
-    ),
+    (lambda: mp.design.refocus_range(633, CAMERA), "wavelength of type Plenop.*, camera = 633: they are swapped"),
     (lambda: mp.reconstruct([240], Capture(IMAGE, CAMERA)), r"capture = \[240\]: .* swapped; capture comes first"),
-    (lambda: mp.reconstruct([240], IMAGE, camera=CAMERA), r"distance of type ndarray, capture = \[240\]: they are sw"),
-    (lambda: Capture(CAMERA, IMAGE), "image of type PlenopticCamera, camera = .*: they are swapped; image comes first"),
-    (
-        lambda: PlenopticCamera(detector_width="5.5 mm"),
-        "'5.5 mm': .* without a unit: lengths are in mm, ",
-    ),
-    (lambda: PlenopticCamera(detector_width="large"), "detector_width = 'large': it must be a number$"),
+    (lambda: PlenopticCamera(detector_width="5.5 mm"), "'5.5 mm': .* without a unit: lengths are in mm, "),
     (by_another_variant, "sensor of .* of variant llvm_ad_rgb: it must be .* active variant llvm_ad_mono"),
-    (lambda: captured(model="wave", wavelength=[633, 500]), "wavelength: a value of type list is none that"),
-    (lambda: CAMERA.defocus(0), "distance = 0"),
-    *(
-        (lambda number=number: number(CAMERA, -5), "wavelength = -5: it must be greater than 0")
-        for number in (mp.design.refocus_range, mp.design.spot_radius, mp.design.mla_fresnel_number)
-    ),
+    (lambda: captured(model="wave", wavelength=[633, 500]), "wavelength: a value of type list"),
+    (lambda: mp.design.refocus_range(CAMERA, -5), "wavelength = -5"),
     (lambda: mp.LensSystem.of(CAMERA), "main_lens: the camera has none with surfaces"),
     (lambda: mp.expose(NOISY, mp.Detector(), photons=100), "capture: a detector has recorded it already"),
-    (lambda: mp.decode(Capture(IMAGE, CAMERA), white=OTHER), NO_WHITE),
-    (lambda: mp.views.micro_images(Capture(IMAGE, CAMERA), white=OTHER), NO_WHITE),
+    (
+        lambda: mp.decode(Capture(IMAGE, CAMERA), white=OTHER),
+        r"white: .* mla_pitch = 0\.05, that of the capture 0\.064",
+    ),
     (lambda: mp.decode(Capture(IMAGE, CAMERA), white=MOSAIC), "mosaic = RGGB"),
-    (lambda: mp.Checkpoint("run", "maybe"), "existing = 'maybe': it must be one of refuse, resume, resume_if_same"),
 )
 
 
@@ -101,8 +82,8 @@ test_mistakes = refused(
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"accelerate": 0}, "accelerate = 0: it must be True or False"),
-        ({"volume": "no"}, "volume = 'no': it must be True or False"),
+        ({"accelerate": 0}, "accelerate = 0"),
+        ({"volume": "no"}, "volume = 'no'"),
         ({"response": "ray"}, "^wavelength: a response by rays has none"),
     ],
 )
@@ -114,37 +95,18 @@ def test_mistakes_of_deconvolution(options, words):
     ("call", "error", "words"),
     [
         (lambda: PlenopticCamera(focal_lenght=80), TypeError, "'focal_lenght'; did you mean focal_length?"),
-        (
-            lambda: PlenopticCamera(fnumber=2.8),
-            TypeError,
-            r"aperture_radius is focal_l.*; .* take f_number",
-        ),
-        (lambda: mp.design.refocus_range(CAMERA, wavelenght=633), TypeError, "did you mean wavelength?"),
+        (lambda: PlenopticCamera(fnumber=2.8), TypeError, r"aperture_radius is focal_l.*; .* take f_number"),
         (lambda: PlenopticCamera.load, AttributeError, "'load'; from_json is of the text of a camera's file"),
-        (lambda: PlenopticCamera.prest, AttributeError, "did you mean preset?"),
-        (lambda: mp.depth, AttributeError, r"did you mean views\.depth_map?"),
         (lambda: mp.depth_map, AttributeError, r"did you mean views\.depth_map?"),
         (lambda: CAMERA.replace(mla_pich=0.05), InputError, "mla_pich: .*; did you mean mla_pitch?"),
-        (lambda: PlenopticCamera.from_json('{"mla_pich": 1}'), InputError, "did you mean mla_pitch?"),
         (lambda: PlenopticCamera.preset("litro"), InputError, "preset = 'litro': .*; did you mean lytro?"),
-        (lambda: PlenopticCamera(main_lens="tesar"), InputError, "did you mean tessar?"),
-        (lambda: PlenopticCamera(mla_lattice="hexagon"), InputError, "did you mean hexagonal?"),
         (lambda: mp.Detector(red_noise=2), TypeError, "Detector() .*'red_noise'; did you mean read_noise?"),
-        (lambda: Capture(imag=IMAGE), TypeError, "did you mean image?"),
-        (lambda: refocused(metod="ray"), TypeError, "'metod'; did you mean method?"),
-        (lambda: refocused(method="parsial"), InputError, "did you mean partial?"),
         (lambda: refocused(method="magic"), InputError, "method = 'magic': it must be one of [^;]*$"),
-        (lambda: mp.decode(IMAGE, camra=CAMERA), TypeError, "did you mean camera?"),
-        (lambda: operator(wavelenght=633), TypeError, "did you mean wavelength?"),
-        (lambda: operator(method="pach"), InputError, "did you mean patch?"),
         (lambda: mp.load_scene("leters"), InputError, "did you mean letters?"),
         (lambda: mp.load_scene("letters", parameters={"resolutoin": "64"}), InputError, "did you mean resolution?"),
-        (lambda: mp.load_scene("letters", variant="llvm_ad_mon"), InputError, "did you mean llvm_ad_mono?"),
         (lambda: mp.reconstrct, AttributeError, "did you mean reconstruct?"),
         (lambda: captured(modl="wave"), TypeError, "'modl'; did you mean model?"),
-        (lambda: captured(bandwith="wave"), TypeError, "'bandwith'; did you mean bandwidth?"),
         (lambda: of_plugins(CAMERA.to_sensor() | {"focal_lenght": 80.0}), InputError, "did you mean focal_length?"),
-        (lambda: of_plugins({"type": "plenoptik"}), InputError, "did you mean plenoptic?"),
     ],
 )
 def test_an_unknown_name_comes_with_the_one_that_it_resembles_if_any(call, error, words):
@@ -180,17 +142,16 @@ class Tensor:
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
-        ({"requires_grad": True}, "it requires gradients: give it without, by detach"),
-        ({"dtype": "torch.bfloat16"}, "of type bfloat16, which NumPy does not have: give float32"),
-        ({"dtype": "bfloat16"}, "of type bfloat16, which NumPy does not have: give float32"),
+        ({"requires_grad": True}, "it requires gradients"),
+        ({"dtype": "torch.bfloat16"}, "of type bfloat16"),
     ],
 )
 def test_tensors_that_numpy_does_not_have(kind, words):
-    image, point = Tensor(IMAGE, **kind), Tensor(np.array([0, 0, 240.0]), **kind)
+    image = Tensor(IMAGE, **kind)
     for name, call in {
         "image": lambda: Capture(image, CAMERA),
         "capture": lambda: mp.decode(image, camera=CAMERA),
-        "position": lambda: mp.point_spread_function(CAMERA, point, wavelength=550),
+        "position": lambda: mp.point_spread_function(CAMERA, Tensor(np.array([0, 0, 240.0]), **kind), wavelength=550),
         "weights": lambda: operator().forward([image]),
     }.items():
         refuses(f"^{name}.* ?{words}", call)
@@ -200,7 +161,7 @@ def test_tensors_that_numpy_does_not_have(kind, words):
 def test_small_numbers_may_become_zero_whatever_numpy_is_to_raise():
     with np.errstate(all="raise"):
         waves, rays = (captured(spp=2, model=model) for model in ("wave", "ray"))
-        depth = mp.views.depth_map(mp.decode(mp.example("letters-ray")))
+        depth = mp.views.depth_map(mp.decode(mp.example("letters-ray")), 200, 300, planes=8)
     assert waves.image.mean() > 0 and rays.image.mean() > 0 and depth.depth.notnull().any()
 
 
@@ -255,25 +216,17 @@ def test_options_that_a_method_ignores_are_one_warning_even_at_their_defaults(me
 
 
 def test_ray_captures_refuse_what_is_for_waves(tmp_path):
-    rays = scene()
     unused = {"checkpoint": mp.Checkpoint(tmp_path / "none"), "batch_map": OPTIONS["batch_map"], "accuracy": 0.1}
-    waves = mp.load_scene(
-        {
-            "type": "scene",
-            "integrator": {"type": "plenoptic_wave"},
-            "sensor": CAMERA.to_sensor(),
-            "light": {"type": "constant"},
-        }
-    )
+    parts = {"integrator": {"type": "plenoptic_wave"}, "sensor": CAMERA.to_sensor(), "light": {"type": "constant"}}
+    rays, waves = scene(), mp.load_scene({"type": "scene", **parts})
     for loaded, model in ((rays, None), (rays, "ray"), (waves, "ray")):
         for name, value in unused.items():
-            with pytest.raises(InputError, match=f"^{name}: a ray capture does not take it; it is for model wave"):
-                mp.render_capture(loaded, model=model, **{name: value})
+            refuses(f"^{name}: a ray capture does not take it", mp.render_capture, loaded, model=model, **{name: value})
     refuses(r"^batch_map: a ray capture does not take it", mp.estimate_capture, rays, batch_map=OPTIONS["batch_map"])
 
 
 RANDOM = np.random.default_rng(0).random((64, 64), np.float32)
-LIGHT_FIELD = mp.decode(IMAGE, camera=CAMERA)
+LIGHT_FIELD = mp.decode(RANDOM, camera=CAMERA)
 REFOCUSED = mp.reconstruct(IMAGE, 240, camera=CAMERA)
 WRITERS = {
     "x.exr": lambda path: mp.write_capture(path, Capture(RANDOM, CAMERA)),

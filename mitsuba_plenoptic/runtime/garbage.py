@@ -31,7 +31,7 @@ def hide_scenes(phase: str, info: dict[str, Any]) -> None:
 
 def _hide_scenes(phase: str) -> None:
     global _hidden
-    if phase == "start" and not gc.get_freeze_count():
+    if phase == "start":
         _hidden = dr.flag(dr.JitFlag.SymbolicScope)
         frames: list[Any] = list(sys._current_frames().values())
         while frames and not _hidden:
@@ -39,6 +39,8 @@ def _hide_scenes(phase: str) -> None:
             # A call of a frozen function.
             _hidden = frame.f_globals is vars(dr) and frame.f_code.co_name == "__call__"
             frames += filter(None, [frame.f_back])
+        # What a program has frozen stays so. It is asked last, as counting takes milliseconds for a million objects.
+        _hidden = _hidden and not gc.get_freeze_count()
         if _hidden:
             gc.freeze()
     elif phase == "stop" and _hidden:

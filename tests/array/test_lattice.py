@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mitsuba_plenoptic import PlenopticCamera, design, reconstruct, render_capture
+from mitsuba_plenoptic import design, reconstruct, render_capture
 from mitsuba_plenoptic.array import APERTURES, LATTICES, Lattice, make_lattice
 from mitsuba_plenoptic.array.arrangement import regular_corners
 from mitsuba_plenoptic.runtime.backend import floor
@@ -31,7 +31,7 @@ EACH_LATTICE = pytest.mark.parametrize("name", LATTICES)
 EACH_PITCHES = pytest.mark.parametrize("pitches", PITCHES.values(), ids=PITCHES)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(ANY_LATTICE, st.floats(-20, 20), st.floats(-20, 20))
 def test_a_cell_is_what_is_nearest_to_its_centre_but_for_the_stretch(lattice, x, y):
     x, y = x * PITCH, y * PITCH
@@ -77,37 +77,6 @@ def test_a_lattice_repeats_after_its_period_and_stands_on_its_grid(lattice, i, j
         assert lattice.lens_type(*there) == lattice.lens_type(float(i), float(j))
 
 
-def test_the_default_has_a_corner_on_the_axis_and_is_the_same_along_each_axis():
-    lattice = PlenopticCamera().lattice
-    assert lattice.separable
-    assert lattice.fills
-    index = np.arange(-64.0, 64)
-    np.testing.assert_array_equal(lattice.axis_centre(index, 0), (index + 0.5) * PITCH)
-    np.testing.assert_array_equal(lattice.axis_cell((index + 0.5) * PITCH, 1), index)
-    x, y = lattice.centre(index, index[:, None])
-    # Separable in shape too.
-    assert (x.shape, y.shape) == ((128,), (128, 1))
-    assert lattice.cell(0.0639, -0.0001) == (0, -1)
-
-
-@pytest.mark.parametrize(
-    ("numbers", "separable", "like_bins", "are_bins"),
-    [
-        ({}, True, True, True),
-        ({"mla_offset": (0.01, 0)}, True, True, False),
-        ({"mla_pitch": (0.064, 0.06)}, True, False, False),
-        ({"mla_fill": 0.9}, True, False, False),
-        ({"mla_aperture": "circle"}, False, False, False),
-        ({"mla_rotation": 1.0}, False, False, False),
-        ({"mla_lattice": "hexagonal"}, False, False, False),
-    ],
-)
-def test_what_lattices_allow(numbers, separable, like_bins, are_bins):
-    camera = PlenopticCamera(**numbers)
-    assert camera.lattice.separable == separable
-    assert (camera.lenses_like_bins, camera.lenses_are_bins) == (like_bins, are_bins)
-
-
 def test_a_hexagonal_lattice_has_a_lens_on_the_axis_and_six_neighbours_at_one_pitch():
     lattice = make_lattice("hexagonal", (PITCH, PITCH))
     assert lattice.centre(0.0, 0.0) == (0, 0)
@@ -119,12 +88,9 @@ def test_a_hexagonal_lattice_has_a_lens_on_the_axis_and_six_neighbours_at_one_pi
     # Stretched, it is the affine image.
     stretched = make_lattice("hexagonal", (PITCH, 2 * PITCH))
     np.testing.assert_allclose(stretched.centre(*ring[1:].T.astype(float)), (x, 2 * y))
-
-
-def test_rotation_is_from_x_towards_y_about_the_axis_and_the_offset_comes_after():
-    lattice = make_lattice("hexagonal", (PITCH, PITCH), rotation=30, offset=(0.01, -0.02))
-    np.testing.assert_allclose(lattice.centre(0.0, 0.0), (0.01, -0.02))
-    np.testing.assert_allclose(lattice.centre(1.0, 0.0), (0.01 + PITCH * math.cos(math.pi / 6), -0.02 + PITCH / 2))
+    turned = make_lattice("hexagonal", (PITCH, PITCH), rotation=30, offset=(0.01, -0.02))
+    np.testing.assert_allclose(turned.centre(0.0, 0.0), (0.01, -0.02))
+    np.testing.assert_allclose(turned.centre(1.0, 0.0), (0.01 + PITCH * math.cos(math.pi / 6), -0.02 + PITCH / 2))
 
 
 def test_neighbours_are_of_three_types():
@@ -138,8 +104,7 @@ def test_neighbours_are_of_three_types():
 @EACH_LATTICE
 @EACH_PITCHES
 @pytest.mark.parametrize("aperture", APERTURES)
-@pytest.mark.parametrize("fill", [1.0, 0.7])
-def test_apertures_have_their_area_and_are_filled_evenly(name, pitches, aperture, fill):
+def test_apertures_have_their_area_and_are_filled_evenly(name, pitches, aperture, fill=0.7):
     lattice = make_lattice(name, pitches, rotation=12, aperture=aperture, fill=fill)
     side = (np.arange(600) + 0.5) / 600
     # Fraction of a square of two and a half pitches that is aperture.
@@ -170,8 +135,7 @@ def test_apertures_have_their_area_and_are_filled_evenly(name, pitches, aperture
 
 @EACH_LATTICE
 @EACH_PITCHES
-@pytest.mark.parametrize("smear", [0.0, 0.4])
-def test_neighbours_within_reach_of_a_cell(name, pitches, smear):
+def test_neighbours_within_reach_of_a_cell(name, pitches, smear=0.4):
     lattice = make_lattice(name, pitches, rotation=-7, offset=(0.3, 0.1), fill=0.8)
     reach = 1.3 * PITCH
     side = np.linspace(0, 1, 200)
@@ -223,14 +187,14 @@ class BrickLattice(Lattice):
 
 def test_a_new_lattice_is_one_class(monkeypatch, camera_dict):
     monkeypatch.setitem(LATTICES, "brick", BrickLattice)
-    sensor = camera_dict(mla_lattice="brick", mla_pitch="0.064, 0.058", resolution=256, detector_width=0.512)
+    sensor = camera_dict(mla_lattice="brick", mla_pitch="0.064, 0.058", resolution=128, detector_width=0.512)
     scene = {"type": "scene", "integrator": {"type": "path"}, "camera": sensor, "sky": {"type": "constant"}}
     capture = render_capture(mi.load_dict(scene), spp=64)
     camera = capture.camera
     assert not camera.lattice.axis_aligned
     assert camera.mla_pitches == (0.064, 0.058)
     assert design.white_mean(camera) == pytest.approx(math.pi * (5 * 0.512 / 120.512) ** 2 / (0.064 * 0.058))
-    difference = (white_image(camera) - capture.image)[20:-20, 20:-20]
+    difference = (white_image(camera) - capture.image)[10:-10, 10:-10]
     assert np.sqrt(np.mean(difference**2)) < 0.05
     white = reconstruct(capture, 250, camera=camera).image
     np.testing.assert_allclose(white[2:-2, 2:-2], 1, atol=0.02)

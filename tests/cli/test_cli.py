@@ -2,16 +2,13 @@
 
 import json
 import re
-import subprocess
-import sys
-from importlib.metadata import version
-from pathlib import Path
+from importlib.metadata import entry_points, version
 
 import mitsuba as mi
 import numpy as np
 import OpenEXR
 import pytest
-from cameras import SMALL_SENSOR, write_scene
+from cameras import SMALL_SENSOR, definitions, letters, write_scene
 from PIL import Image
 
 from mitsuba_plenoptic import Capture, Detector, PlenopticCamera, expose, read_capture, read_ground_truth, write_capture
@@ -34,12 +31,10 @@ def test_without_a_command_help_is_printed_and_the_version(run):
 
 def test_seed_and_samples_reach_the_renderer(tmp_path, run):
     images = []
-    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
-        path = tmp_path / f"{name}.exr"
-        told = run("render", "letters", "-o", path, "--spp", "1", "-D", "resolution=64", "--seed", seed)
-        images.append(read_capture(path).image)
-    assert np.array_equal(images[0], images[1])
-    assert not np.array_equal(images[0], images[2])
+    for seed in (1, 1, 2):
+        told = run("render", "letters", "-o", tmp_path / "a.exr", "--spp", "1", "-D", "resolution=64", "--seed", seed)
+        images.append(read_capture(tmp_path / "a.exr").image)
+    assert np.array_equal(images[0], images[1]) and not np.array_equal(images[0], images[2])
     assert "64 x 64 pixels" in told
 
 
@@ -57,25 +52,25 @@ def remarks(tmp_path, capfd):
 
 
 def test_the_variant_follows_the_film_unless_told(tmp_path, remarks):
-    scene = write_scene(tmp_path, pixel_format="rgb", sensor=SMALL_SENSOR)
-    assert remarks(scene) == ["variant llvm_ad_rgb, as the film records rgb; --variant chooses another"]
-    assert read_capture(tmp_path / "raw.exr").image.shape == (64, 64, 3)
+    """By a parameter as well; a film that does not say records rgb."""
+
+    def variant():
+        return read_capture(tmp_path / "raw.exr").metadata["variant"]
+
     parameter = '<default name="colours" value="rgb"/><!-- <string name="pixel_format" value="rgb"/> -->'
     scene = write_scene(tmp_path, pixel_format="$colours", sensor=SMALL_SENSOR)
     scene.write_text(scene.read_text().replace("<integrator", f"{parameter}<integrator"))
-    assert len(remarks(scene)) == 1
-    assert remarks(scene, "-D", "colours=luminance") == []
-    assert read_capture(tmp_path / "raw.exr").metadata["variant"] == "llvm_ad_mono"
-    # A film that does not say records rgb.
+    assert remarks(scene) == ["variant llvm_ad_rgb, as the film records rgb; --variant chooses another"]
+    assert read_capture(tmp_path / "raw.exr").image.shape == (64, 64, 3)
+    assert remarks(scene, "-D", "colours=luminance") == [] and variant() == "llvm_ad_mono"
     scene.write_text(scene.read_text().replace('<string name="pixel_format" value="$colours"/>', ""))
-    assert len(remarks(scene)) == 1
-    assert read_capture(tmp_path / "raw.exr").metadata["variant"] == "llvm_ad_rgb"
-    remarks(scene, "--variant", "llvm_ad_spectral")
-    assert read_capture(tmp_path / "raw.exr").metadata["variant"] == "llvm_ad_spectral"
+    assert len(remarks(scene)) == 1 and variant() == "llvm_ad_rgb"
+    remarks(scene, "--variant", "llvm_ad_mono")
+    assert variant() == "llvm_ad_mono"
 
 
 def test_rendering_shows_the_warnings_of_info(tmp_path, remarks):
-    (warning,) = remarks("letters", "-D", "resolution=2048", "-D", "aperture_radius=10")
+    (warning,) = remarks("letters", *definitions(letters(2, aperture_radius=10)))
     assert warning.startswith("warning: micro-images overlap: ")
     ball = '<shape type="sphere"><float name="radius" value="0.01"/><point name="center" z="0.24" x="0" y="0"/></shape>'
     (warning,) = remarks(write_scene(tmp_path, ball, sensor=SMALL_SENSOR))
@@ -126,26 +121,23 @@ def test_a_raw_picture_is_refocused_with_its_camera(tmp_path, raw, run, complain
     assert complaint("reconstruct", tmp_path / "raw.tiff", *arguments).endswith("raw picture needs its --camera")
 
 
-def test_one_distance_goes_into_the_named_file(raw, tmp_path, run):
+def test_one_distance_goes_into_the_named_file_and_several_beside_it(raw, tmp_path, run):
     assert "128 x 128 bins" in run("reconstruct", raw, "-o", tmp_path / "out.EXR", "--distance", "240")
-    assert [path.name for path in tmp_path.iterdir()] == ["out.EXR"]
     header = OpenEXR.File(str(tmp_path / "out.EXR"), header_only=True).header()
     assert json.loads(header["mitsuba_plenoptic"])["distance"] == 240
-
-
-def test_several_distances_and_pictures(raw, tmp_path, run):
     run("reconstruct", raw, "-o", tmp_path / "a.b.png", "--distance", "210", "--distance", "240.5")
-    names = sorted(path.name for path in tmp_path.iterdir())
-    assert names == ["a.b_210.png", "a.b_240.5.png"]
+    names = ["a.b_210.png", "a.b_240.5.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [*names, "out.EXR"]
     pictures = [np.array(Image.open(tmp_path / name)) for name in names]
     assert {(picture.shape, picture.dtype.name) for picture in pictures} == {((896, 896), "uint8")}
     # One scale for all: only the brightest of them reaches white.
     assert max(picture.max() for picture in pictures) == 255
     # 128 bins are 7 pixels wide, as many as fit in 960; asked for, one.
     run("reconstruct", raw, "-o", tmp_path / "bins.png", "--distance", "210", "--scale", 1)
-    bins = np.array(Image.open(tmp_path / "bins.png")).astype(int)
-    assert bins.shape == (128, 128) and (pictures[0][3::7, 3::7] > 0).sum() > 0
+    assert np.array(Image.open(tmp_path / "bins.png")).shape == (128, 128) and (pictures[0][3::7, 3::7] > 0).any()
     assert (pictures[0] == pictures[0][3::7, 3::7].repeat(7, 0).repeat(7, 1)).all()
+    run("reconstruct", raw, "-o", tmp_path / "point.png", "--distance", "210", "--scale", 1, "--footprint", "point")
+    assert (tmp_path / "point.png").read_bytes() != (tmp_path / "bins.png").read_bytes()
 
 
 def test_a_lamp_does_not_make_pictures_dark(tmp_path, run, complaint):
@@ -163,34 +155,17 @@ def test_a_lamp_does_not_make_pictures_dark(tmp_path, run, complaint):
     # Linear 0.25 and 0.5 of what is white, in sRGB.
     assert median("--exposure", 0) == pytest.approx(137, abs=2)
     assert median("--exposure", 1) == pytest.approx(188, abs=2)
-    both = ("--exposure", 1, "--percentile", 90)
-    said = complaint("views", tmp_path / "raw.exr", "-o", tmp_path / "v.png", *both)
-    assert said == "--exposure = 1, --percentile = 90: give one of the two"
-    assert "percentile = 101" in complaint("epi", tmp_path / "raw.exr", "-o", tmp_path / "v.png", "--percentile", 101)
-
-
-def test_footprint(raw, tmp_path, run):
-    for footprint in ("lens", "point"):
-        run("reconstruct", raw, "-o", tmp_path / f"{footprint}.png", "--distance", "210", "--footprint", footprint)
-    assert (tmp_path / "lens.png").read_bytes() != (tmp_path / "point.png").read_bytes()
+    views = ("views", tmp_path / "raw.exr", "-o", tmp_path / "v.png", "--percentile")
+    assert "--exposure = 1, --percentile = 90" in complaint(*views, 90, "--exposure", 1)
+    assert "percentile = 101" in complaint(*views, 101)
 
 
 def test_info_of_scenes_and_presets(run):
     output = run("info", "letters", "--wavelength", "633")
-    assert "128 x 128" in output
-    assert "Diffraction at 633 nm" in output
-    assert "Warning" not in output
-    assert "Warning: micro-images overlap" in run("info", "letters", "-D", "aperture_radius=10")
-    for name, values in PRESETS.items():
-        words = "rear principal plane" if values.get("mla_lattice") == "none" else "kind of camera"
-        assert words in run("info", name)
-
-
-def test_info_of_the_lens_file_of_the_page(run, tmp_path):
-    page = (Path(__file__).parents[2] / "docs/guides/main_lenses.md").read_text().partition("## Your own lens")[2]
-    (tmp_path / "achromat.yaml").write_text(page.partition("```yaml")[2].partition("```")[0])
-    assert "Achromat" in (output := run("info", tmp_path / "achromat.yaml")) and "rear principal plane" in output
+    assert "128 x 128" in output and "Diffraction at 633 nm" in output and "Warning" not in output
     assert "infinity" in run("info", "focus_distance=inf")
+    ordinary = [name for name, values in PRESETS.items() if values.get("mla_lattice") == "none"]
+    assert "rear principal plane" in run("info", ordinary[0]) and "kind of camera" in run("info", "raytrix")
 
 
 def test_info_of_a_capture_tells_how_it_was_made(raw, tmp_path, run):
@@ -201,70 +176,27 @@ def test_info_of_a_capture_tells_how_it_was_made(raw, tmp_path, run):
     assert "Diffraction at 532 nm" in run("info", tmp_path / "w.exr")
 
 
-def test_doctor_lists_what_works(tmp_path, run, monkeypatch):
-    monkeypatch.setattr(mi, "variants", lambda: ["llvm_ad_mono", "llvm_ad_mono_polarized", "cuda_ad_rgb"])
-    monkeypatch.setattr("drjit.has_backend", lambda _: False)
-    output = run("doctor")
-    assert all(words in output for words in ("drjit", "LLVM", "threads", "Ready to render"))
-    said = output.partition("Variants\n")[2].split("\n\n")[0]
-    assert [tuple(line.split(maxsplit=1)) for line in said.splitlines()] == [
-        ("llvm_ad_mono", "works here"),
-        ("llvm_ad_mono_polarized", "works here; wave captures are unpolarized"),
-        ("cuda_ad_rgb", "not usable here"),
-    ]
-    monkeypatch.undo()
-    run(
-        "render", write_scene(tmp_path), "-o", tmp_path / "raw.exr", "--spp", "1", "--variant", "llvm_ad_mono_polarized"
-    )
+def test_scenes_are_rendered_with_polarization(tmp_path, run):
+    scene = write_scene(tmp_path, sensor=SMALL_SENSOR)
+    run("render", scene, "-o", tmp_path / "raw.exr", "--spp", "1", "--variant", "llvm_ad_mono_polarized")
     assert read_capture(tmp_path / "raw.exr").image.any()
 
 
-@pytest.mark.slow
-def test_console_script():
-    script = Path(sys.executable).parent / "mitsuba-plenoptic"
-    result = subprocess.run([script, "info", "nosuch"], capture_output=True, text=True, check=False)
-    assert result.returncode == 2
-    assert len(result.stderr.splitlines()) == 1
-
-
-_SLOW_TO_LOAD = ("scipy.fft", "xarray", "matplotlib", "mitsuba_plenoptic.refocus.api", "mitsuba_plenoptic.scene.load")
-
-
-def test_wrong_arguments_are_refused_before_anything_slow_is_loaded(tmp_path):
-    wrong = {
-        "reconstruct missing.exr -o a.png --distance 240": "missing.exr: there is no such file",
-        "info f_number=-1": "f_number: it is not a camera parameter",
-        "render letters": "name the file to write",
-        "render letters -o a.exr -D res": "-D res: write it as -D NAME=VALUE",
-        "render letters -o a.exr --variant none": "--variant = 'none'",
-        "render letters -o a.exr --seed -1": "--seed = -1: it must be at least 0",
-        "render letters -o a.exr --aov all": "--aov = 'all'",
-        "compare letters -o a --distance 240 --variant none": "--variant = 'none'",
-        "sweep letters -o a.nc --vary wavelength": "--vary wavelength: write it as",
-        "sweep letters -o a.nc --grid missing.yaml": "missing.yaml: there is no such file",
-        "dataset missing.yaml -o d": "missing.yaml: there is no such file",
-    }
-    script = f"""
-import sys
-from mitsuba_plenoptic.cli import main
-assert {{main(command.split()) for command in {list(wrong)}}} == {{2}}
-print(*[name for name in {_SLOW_TO_LOAD} if name in sys.modules])
-"""
-    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=tmp_path)
-    for line, complaint in zip(result.stderr.splitlines(), wrong.values(), strict=True):
-        assert complaint in line
-    assert result.stdout.split() == []
+def test_the_console_script_is_the_command():
+    (script,) = entry_points(group="console_scripts", name="mitsuba-plenoptic")
+    assert script.load() is main
 
 
 def test_ground_truth_lies_beside_the_capture_and_reaches_views_and_depth(tmp_path, run, complaint):
     path, beside = tmp_path / "raw.exr", tmp_path / "raw.truth.exr"
-    small = ("-D", "detector_width=0.768", "-D", "resolution=192", "--spp", "4")
+    small = ("-D", "detector_width=0.768", "-D", "resolution=192", "--spp", "2")
     assert f"{beside}: ground truth, depth, normal" in run(
         "render", "still_life", *small, "-o", path, "--aov", "depth, normal"
     )
     truth = read_ground_truth(beside)
     assert list(truth.pixels) == ["depth", "normal"] and truth.pixels["depth"].shape == (192, 192)
-    told = re.search(r"against ground truth: median ([\d.]+)%", run("depth", path, "-o", tmp_path / "depth.exr"))
+    depth = ("-o", tmp_path / "depth.exr", "--planes", 16)
+    told = re.search(r"against ground truth: median ([\d.]+)%", run("depth", path, *depth))
     assert float(told[1]) < 1
     run("views", path, "-o", tmp_path / "views.exr", "--count", 1)
     (part,) = OpenEXR.File(str(tmp_path / "views.exr"), separate_channels=True).parts
@@ -272,15 +204,13 @@ def test_ground_truth_lies_beside_the_capture_and_reaches_views_and_depth(tmp_pa
     np.testing.assert_array_equal(part.channels["depth.Z"].pixels, truth.views["depth"][middle, middle])
     assert "normal.X" in part.channels
 
-    # Exposed it is the same scene; without its file, or rendered anew, it has no ground truth.
+    # Exposed it is the same scene; rendered anew it has no ground truth, unless told.
     run("expose", path, "-o", tmp_path / "exposed.exr", "--photons", 5000)
-    assert "ground truth" in run("depth", tmp_path / "exposed.exr", "-o", tmp_path / "depth.exr")
+    assert "ground truth" in run("depth", tmp_path / "exposed.exr", *depth)
     run("render", "still_life", *small, "-o", path)
-    assert "ground truth" not in run("depth", path, "-o", tmp_path / "depth.exr")
-    assert "ground truth" in run("depth", path, "-o", tmp_path / "depth.exr", "--truth", beside)
-    assert "raw.exr: it holds a 'capture', not" in complaint("depth", path, "-o", tmp_path / "a.exr", "--truth", path)
-    assert "aov = 'z'" in complaint("render", "still_life", "-o", tmp_path / "new.exr", "--aov", "z")
-    assert not (tmp_path / "new.exr").exists()
+    assert "ground truth" not in run("depth", path, *depth)
+    assert "ground truth" in run("depth", path, *depth, "--truth", beside)
+    assert "raw.exr: it holds a 'capture'" in complaint("depth", path, "-o", tmp_path / "a.exr", "--truth", path)
 
 
 def test_ground_truth_is_of_the_sensor_that_is_rendered(tmp_path, run, complaint):
@@ -293,8 +223,7 @@ def test_ground_truth_is_of_the_sensor_that_is_rendered(tmp_path, run, complaint
         run("render", scene, "-o", path, "--spp", 1, "--aov", "depth", "--sensor", sensor)
         assert read_capture(path).camera.shape == (size, size)
         assert read_ground_truth(tmp_path / "raw.truth.exr").camera == read_capture(path).camera
-    message = complaint("render", scene, "-o", tmp_path / "raw.exr", "--sensor", 2)
-    assert message == "--sensor = 2: the scene's are numbered from 0 to 1"
+    assert "--sensor = 2" in complaint("render", scene, "-o", tmp_path / "raw.exr", "--sensor", 2)
 
 
 def test_noise_is_kept_and_told_and_an_estimate_writes_nothing(run, tmp_path):
@@ -316,13 +245,9 @@ def test_a_scene_is_rendered_by_a_camera_of_a_data_sheet(run, tmp_path, monkeypa
     monkeypatch.chdir(tmp_path)
     run("render", "letters", "-o", "raw.exr", "--spp", "1", "--camera", SHEET)
     capture = read_capture("raw.exr")
-    assert capture.image.shape == (60, 80)
-    assert capture.camera == PlenopticCamera.matched(
+    assert capture.image.shape == (60, 80) and capture.camera == PlenopticCamera.matched(
         f_number=2.8, lenses=(8, 6), pixels_per_lens=10, pixel_size=0.005, focal_length=50, focus_distance=320
     )
-
-
-def test_info_prints_no_warning_for_such_a_camera(run):
     for lattice in ("square", "hexagonal"):
         said = run("info", f"{SHEET},mla_lattice={lattice}", "--wavelength", "550")
         assert "f/2.8" in said and "Warning" not in said

@@ -27,37 +27,30 @@ from mitsuba_plenoptic.runtime import claim, claiming, progress
 STUDIO, SHARPNESS, INVERSE = (pytest.mark.needs_extension(name) for name in ("studio", "sharpness", "inverse"))
 
 
-def test_every_command_has_help_and_can_be_quiet_and_verbose(run):
-    for name in COMMANDS:
-        said = run(name, "--help")
-        assert f"mitsuba-plenoptic {name}" in said
-        assert re.search(r"--quiet +-q", said) and re.search(r"--verbose +-v", said)
-    texts = {option.help for name in COMMANDS for option in load(name).params if "--resume" in option.opts}
-    assert len(texts) == 1
+def test_every_command_can_be_quiet_and_verbose():
+    options = [(option.opts, option.help) for name in COMMANDS for option in load(name).params]
+    for words in (["-q", "--quiet"], ["-v", "--verbose"]):
+        assert sum(opts == words for opts, _ in options) == len(COMMANDS)
+    assert len({text for opts, text in options if "--resume" in opts}) == 1
 
 
-def test_a_quiet_command_prints_results_and_errors_alone(raw, tmp_path, capfd, monkeypatch):
+def test_a_quiet_command_prints_results_and_errors_alone_and_a_verbose_one_names_files(
+    raw, tmp_path, capfd, monkeypatch
+):
     monkeypatch.setattr(progress, "FIRST_LINE", 0.001)
-    words = ["reconstruct", str(raw), "--distance", "240", "--relay", "-o", str(tmp_path / "out.exr")]
-    assert main(words) == 0
-    assert "warning" in capfd.readouterr().err
-    assert main([*words, "-q"]) == 0
+    out = tmp_path / "out.exr"
+    words = ["reconstruct", str(raw), "--distance", "240", "-o", str(out)]
+    assert main([*words, "--relay", "-q"]) == 0
     quiet = capfd.readouterr()
     assert quiet.err == "" and "out.exr" in quiet.out
     assert main([*words, "-q", "--oversample", "0"]) == 2
-    assert capfd.readouterr().err == "mitsuba-plenoptic: error: --oversample = 0: it must be at least 1\n"
-    assert main(words) == 0
+    assert capfd.readouterr().err.startswith("mitsuba-plenoptic: error: --oversample = 0: ")
+    assert main([*words, "--relay"]) == 0
     assert "warning" in capfd.readouterr().err
-
-
-def test_a_verbose_command_names_what_it_reads_and_writes(raw, tmp_path, capfd):
-    words = ["reconstruct", str(raw), "--distance", "240", "-o", str(tmp_path / "out.exr")]
     assert main([*words, "-v"]) == 0
     told = capfd.readouterr().err
-    for what in (f"{raw}: read", f"{tmp_path / 'out.exr'}: written", "variant llvm_ad_mono"):
+    for what in (f"{raw}: read", f"{out}: written", "variant llvm_ad_mono"):
         assert re.search(rf"^mitsuba-plenoptic: [\d.]+ s: {re.escape(what)}$", told, re.MULTILINE), told
-    assert main(words) == 0
-    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize(
@@ -66,9 +59,6 @@ def test_a_verbose_command_names_what_it_reads_and_writes(raw, tmp_path, capfd):
         ("render letters -D resolution=64 --estimate", "Estimating"),
         ("reconstruct {raw} --distance 240 --estimate", "Estimating"),
         pytest.param("preview letters -D resolution=64 -o {out}.png", "Previewing", marks=STUDIO),
-        pytest.param(
-            "sweep letters -D resolution=64 --spp 1 -o {out}.nc --vary aperture_radius=4,5", "capture.*", marks=STUDIO
-        ),
     ],
 )
 def test_every_bar_has_a_percentage_and_a_time_left(line, label, raw, tmp_path, monkeypatch):
@@ -81,27 +71,12 @@ def test_every_bar_has_a_percentage_and_a_time_left(line, label, raw, tmp_path, 
 
 
 WAVES = "render", "letters", "-D", "resolution=128", "-D", "detector_width=0.256", "--model", "wave", "--spp", "16"
-# The command, stopped as by hand when its first rays are traced, before a checkpoint is written.
-EARLY = """
-import os, signal, sys
-from mitsuba_plenoptic.scene import capture as render
-from mitsuba_plenoptic.cli import main
-def stopped(*arguments, **options):
-    os.kill(os.getpid(), signal.SIGINT)
-    while True:
-        pass
-render.render_capture = stopped
-sys.exit(main(sys.argv[1:]))
-"""
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals differ")
 def test_ctrl_c_in_a_wave_capture_says_how_to_go_on(tmp_path):
     words = [*WAVES, "--method", "points", "-o", str(tmp_path / "raw.exr"), "--checkpoint", str(tmp_path / "kept")]
-    early = subprocess.run([sys.executable, "-c", EARLY, *words], capture_output=True, text=True, timeout=600)
-    assert early.returncode == 130
-    assert early.stderr.splitlines()[-1] == ("mitsuba-plenoptic: stopped: nothing unfinished is kept")
     process = start_command(*words, interrupt_after=1)
     _, error = process.communicate(timeout=600)
     assert process.returncode == 130, error
@@ -137,30 +112,24 @@ def test_signals_end_commands_in_order(monkeypatch, capsys, tmp_path, request, n
 
 
 @pytest.mark.parametrize("name", ["same", "symbolic", "hard", "path"])
-@pytest.mark.parametrize(
-    "words",
-    ["render letters -D resolution=64", "expose letters-ray.exr --photons 100", "compare letters --distance 240"],
-)
-def test_an_output_is_computed_by_one_process(monkeypatch, capsys, tmp_path, words, name):
+@pytest.mark.parametrize("words", ["render letters -D resolution=64", "compare letters --distance 240"])
+def test_an_output_is_computed_by_one_process(monkeypatch, complaint, tmp_path, words, name):
     """Whatever it is called, and before anything is computed; folders have no hard links."""
     monkeypatch.chdir(tmp_path)
-    Path("letters-ray.exr").touch()
     is_folder = words.startswith("compare")
     output = Path("out" if is_folder else "out.exr")
     output.mkdir() if is_folder else output.touch()
-    other = {"symbolic": Path("other.exr"), "hard": Path("other.exr"), "path": tmp_path / output}.get(name, output)
+    other = {"symbolic": Path("other.exr"), "path": tmp_path / output}.get(name, output)
     if name == "symbolic":
         other.symlink_to(output)
     elif name == "hard" and not is_folder:
+        other = Path("other.exr")
         other.hardlink_to(output)
-    elif name == "hard":
-        other = output
     with claiming():
         claim(output, is_folder)
         # Locks exclude each other within a process, too, where each is taken for itself.
-        assert contextvars.Context().run(main, [*words.split(), "-o", str(other)]) == 2
-    line = capsys.readouterr().err
-    assert line == f"mitsuba-plenoptic: error: {other}: another process is computing this; wait until it has ended\n"
+        said = contextvars.Context().run(complaint, *words.split(), "-o", other)
+    assert said.startswith(f"{other}: another process is computing this")
     assert not any(".lock" in path.name for path in tmp_path.rglob("*"))
 
 
@@ -179,35 +148,37 @@ def test_an_output_is_held_until_it_is_written(monkeypatch, capsys, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == [output.name]
 
 
+@pytest.fixture
+def interrupts(request):
+    """Have Ctrl-C raise an error, which shells have background processes ignore; and return what presses it."""
+    request.addfinalizer(
+        partial(signal.signal, signal.SIGINT, signal.signal(signal.SIGINT, signal.default_int_handler))
+    )
+
+    def press():
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+    return press
+
+
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
-def test_ctrl_c_while_a_scene_is_loaded(monkeypatch, capsys, request, error):
+def test_ctrl_c_while_a_scene_is_loaded(monkeypatch, capsys, interrupts, error):
     """Mitsuba calls the sensor from C++, and makes an error of what stops it."""
 
     def stop(*_):
-        with contextlib.suppress(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
+        interrupts()
         raise error("KeyboardInterrupt:")
 
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     monkeypatch.setattr("mitsuba_plenoptic.plugins.sensor.read_camera", stop)
     assert main(["info", "letters"]) == 130
     assert capsys.readouterr().err.splitlines()[-1].startswith("mitsuba-plenoptic: stopped")
 
 
-def test_ctrl_c_that_a_library_drops(tmp_path, monkeypatch, capsys, request):
+def test_ctrl_c_that_a_library_drops(tmp_path, monkeypatch, capsys, interrupts):
     """C++ code that tries to convert an object of Python drops any exception from there."""
     loading = render_command.open_scene
-
-    def dropping(*arguments):
-        with contextlib.suppress(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
-        return loading(*arguments)
-
-    monkeypatch.setattr(render_command, "open_scene", dropping)
-    # Shells have background processes ignore it.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
+    monkeypatch.setattr(render_command, "open_scene", lambda *arguments: interrupts() or loading(*arguments))
     assert main([*WAVES, "-o", str(tmp_path / "raw.exr")]) == 130
     assert capsys.readouterr().err.splitlines()[-1].startswith("mitsuba-plenoptic: stopped")
     assert not list(tmp_path.glob("*.exr"))
@@ -249,48 +220,26 @@ def test_ctrl_c_is_one_line_and_a_status(words, delay, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_info_prints_json_alone(raw, tmp_path, capfd):
-    for source in ("paper", "letters", str(raw)):
-        assert main(["info", source, "--json"]) == 0
-        found = json.loads(capfd.readouterr().out)
-        assert found["camera"]["resolution"]
+def test_info_prints_json_alone(raw, tmp_path, run):
+    for source in ("paper", "letters", raw):
+        found = json.loads(run("info", source, "--json"))
+        assert found["camera"]["resolution"] and isinstance(found["warnings"], list)
         assert {"group", "quantity", "value", "unit", "note"} == set(found["sheet"][0])
-        assert isinstance(found["warnings"], list)
-        assert bool(found["capture"]) == (source == str(raw))
-    assert main(["info", "raytrix", "--json", "--fix", str(tmp_path / "better.json")]) == 0
-    found = json.loads(capfd.readouterr().out)
+        assert bool(found["capture"]) == (source == raw)
+    found = json.loads(run("info", "raytrix", "--json", "--fix", tmp_path / "better.json"))
     better = json.loads((tmp_path / "better.json").read_text())
     assert {name: better[name] for name in found["changed"]} == found["changed"]
     assert isinstance(found["still"], list)
 
 
-# What may be imported for help, and before a value is refused that can be judged without the library.
 LIGHT = {
-    "",
-    "runtime",
-    "runtime.garbage",
-    "runtime.llvm",
-    "runtime.locks",
-    "runtime.progress",
-    "plugins",
-    "cli",
-    "errors",
-    "presets",
-    "choices",
-}
-LIGHT |= {
-    "public_modules",
-    "extension",
+    "", "choices", "errors", "extension", "presets", "public_modules", "refocus_options", "scene_files",
+    "cli", "cli.inputs", "cli.options", "cli.program", "cli.stopping", "plugins",
+    "runtime", "runtime.garbage", "runtime.llvm", "runtime.locks", "runtime.progress",
     # The data of cameras with on-chip lenses belong to the presets.
-    "extensions.onchip.cameras",
-    "extensions.deconvolution.options",
-    "refocus_options",
-    "scene_files",
-    "cli.inputs",
-    "cli.options",
-    "cli.program",
-    "cli.stopping",
-}
+    "extensions.onchip.cameras", "extensions.deconvolution.options",
+}  # fmt: skip
+"""What may be imported for help, and before a value is refused that can be judged without the library."""
 
 SLOW = {"numpy", "scipy", "pandas", "xarray", "matplotlib", "skimage", "OpenEXR", "PIL", "yaml", "h5py"}
 
@@ -307,74 +256,51 @@ def test_help_and_refused_options_import_no_library():
             assert "--help" in told.getvalue() or "such option" in told.getvalue(), (words, told.getvalue())
     """
     own, libraries = loaded(textwrap.dedent(code).strip())
-    assert not libraries & {*SLOW, "rich.progress"}
+    # Options that are not given are not judged.
+    assert not libraries & {*SLOW, "rich.progress", "pydantic"}
     assert own <= LIGHT | {module.removeprefix("mitsuba_plenoptic.") for module, _ in COMMANDS.values()}
 
 
-def test_help_does_not_judge_options_that_are_not_given(python):
-    made = python("import sys; from mitsuba_plenoptic.cli import main; main(['view', '--help']); print(*sys.modules)")
-    assert "pydantic" not in made.stdout.split()
-
-
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("recon", {"reconstruct"}),
-        ("reconstruct x.exr --interl", {"--interleave"}),
-        ("render letters --model ", {"ray", "wave"}),
-        ("epi x.exr --axis h", {"horizontal"}),
-    ],
-)
-def test_words_are_completed(line, words):
+def test_words_are_completed():
     """By the package run as a module, as by the command."""
-    typed = ["mitsuba-plenoptic", *line.split(" ")]
-    asked = {"COMP_WORDS": " ".join(typed), "COMP_CWORD": str(len(typed) - 1)}
+    asked = {"COMP_WORDS": "mitsuba-plenoptic render letters --model ", "COMP_CWORD": "4"}
     asked["_MITSUBA_PLENOPTIC_COMPLETE"] = "complete_bash"
     command = [sys.executable, "-m", "mitsuba_plenoptic"]
     made = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ | asked)
-    assert set(made.stdout.split()) == words, made.stderr
+    assert set(made.stdout.split()) == {"ray", "wave"}, made.stderr
 
 
 REFUSED = [
     ("render letterz -o raw.exr", "did you mean letters?"),
-    ("render letters -o raw.exr --camera lytr", "did you mean lytro?"),
-    ("render letters -o raw.exr --model weve", "did you mean wave?"),
-    ("render letters -o raw.exr --spp -4", "--spp = -4: it must be at least 1"),
-    ("render letters -o raw.exr --unit km", "it must be one of mm, cm, m"),
-    ("render letters -o raw.exr --wavelength abc", "--wavelength = 'abc': it must be nanometres"),
-    ("render letters -o raw.exr --wavelength 611,549,0.4", "from 200 to 2500 nm"),
-    ("render letters -o raw.png", "raw.png: give a name that ends in .exr"),
-    ("render letters -o raw.exr --white white.png", "white.png: give a name that ends in .exr"),
-    ("reconstruct missing.exr -o out.exr --distance 240", "missing.exr: there is no such file"),
+    ("render letters", "--output"),
+    ("render letters -o raw.exr -D res", "-D res: "),
+    ("render letters -o raw.exr --spp -4", "--spp = -4: "),
+    ("render letters -o raw.exr --wavelength abc", "--wavelength = 'abc': "),
+    ("render letters -o raw.png", "raw.png: "),
+    ("reconstruct missing.exr -o out.exr --distance 240", "missing.exr: "),
     ("reconstruct {there} -o out.exr --distance 240 --method rey", "did you mean ray?"),
     ("reconstruct {there} -o out.exr --distance nan", "--distance = nan"),
-    ("reconstruct {there} -o out.exr --distance 240 --wavelength 0.5", "from 200 to 2500 nm"),
-    ("reconstruct {there} -o out.jpg --distance 240", "out.jpg: give a name that ends in .exr or .png or .pdf"),
-    ("reconstruct letters -o out.png --distance 240", "letters: it is a scene: give what 'render' made of it"),
-    ("expose {there} -o out.jpg --photons 9", "out.jpg: give a name that ends in .exr or .png"),
-    ("sheet missing.exr -o sheet.png", "missing.exr: there is no such file"),
-    ("sheet {there} -o sheet.exr", "sheet.exr: give a name that ends in .pdf or .png"),
+    ("reconstruct {there} -o out.jpg --distance 240", "out.jpg: "),
+    ("reconstruct letters -o out.png --distance 240", "letters: it is a scene"),
+    ("expose {there} -o out.jpg --photons 9", "out.jpg: "),
+    ("sheet {there} -o sheet.exr", "sheet.exr: "),
     ("views {there} -o views.jpg", "views.jpg: give a name that ends in .exr or .png or .pdf or .gif"),
-    ("views missing.exr -o views.png", "missing.exr: there is no such file"),
-    ("stack {there} -o stack.jpg --distance 240", "stack.jpg: give a name"),
-    ("convert {there} -o lf.jpg", "lf.jpg: give a name that ends in .nc or .zarr or .mat or .eslf.png or .png"),
-    ("convert {there} -o folder --format hcj", "did you mean hci?"),
-    ("depth {there} -o depth.gif", "depth.gif: give a name that ends in .exr or .png or .pdf"),
-    ("depth missing.exr -o depth.exr", "missing.exr: there is no such file"),
-    ("example letterz", "it must be one of letters-ray"),
-    ("compare letters -o out --distance -240", "--distance = -240: it must be greater than 0"),
+    ("stack {there} -o stack.jpg --distance 240", "stack.jpg: "),
+    ("convert {there} -o lf.jpg", "lf.jpg: "),
+    ("example letterz", "one of letters-ray"),
+    ("compare letters -o out --distance -240", "--distance = -240: "),
     ("info lytr", "did you mean lytro?"),
 ]
 REFUSED_BY_EXTENSIONS = [
-    ("view {scene} -o page.html", "scene.xml: it is a scene: give what 'render' made of it"),
-    ("view {there} -o page.pdf", "page.pdf: give a name that ends in .html"),
-    ("sweep letters -o sweep.csv", "sweep.csv: give a name that ends in .nc"),
-    ("sweep letters -o out.nc --vary distance=240 --method rey", "did you mean ray?"),
-    ("sweep letters -o out.nc --vary mla_pitch=a", "grid: mla_pitch = 'a': it must be a number"),
-    ("calibrate missing.png -o camera.json", "missing.png: there is no such file"),
+    ("view {scene} -o page.html", "scene.xml: it is a scene"),
+    ("sweep letters -o sweep.csv", "sweep.csv: "),
+    ("sweep letters -o out.nc --vary wavelength", "--vary wavelength: "),
+    ("sweep letters -o out.nc --grid missing.yaml", "missing.yaml: "),
+    ("dataset missing.yaml -o d", "missing.yaml: "),
+    ("calibrate missing.png -o camera.json", "missing.png: "),
     ("preview letterz", "did you mean letters?"),
-    ("fit {there} --scene letters -o camera.xml --parameter mla_pitch", "camera.xml: give a name that ends in .json"),
-    ("mtf missing.exr", "missing.exr: there is no such file"),
+    ("fit {there} --scene letters -o camera.xml --parameter mla_pitch", "camera.xml: "),
+    ("mtf missing.exr", "missing.exr: "),
 ]
 
 

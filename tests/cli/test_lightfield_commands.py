@@ -12,7 +12,7 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, read_capture, reconstruct, write_capture
+from mitsuba_plenoptic import Capture, PlenopticCamera, read_capture, reconstruct, write_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.refocus import read_reconstruction, write_reconstruction
 from mitsuba_plenoptic.views import depth_map, epipolar_image, focal_stack, refocus, white_image
@@ -74,7 +74,7 @@ def test_stack(shot, lf, tmp_path, run):
     assert Image.open(tmp_path / "a.png").size == (960, 960)
 
 
-def test_depth(shot, lf, tmp_path, run):
+def test_depth(shot, lf, tmp_path, run, coarse_figures):
     options = ("--near", 200, "--far", 300, "--planes", 8)
     run("depth", shot, "-o", tmp_path / "a.exr", *options)
     images, header = parts(tmp_path / "a.exr")
@@ -86,7 +86,7 @@ def test_depth(shot, lf, tmp_path, run):
     assert Image.open(tmp_path / "a.png").size == (3 * 40 * 8, 40 * 8)
     # A figure, with labels, as wide as a page.
     run("depth", shot, "-o", tmp_path / "b.png", *options)
-    assert Image.open(tmp_path / "b.png").size[0] == 7 * 300
+    assert Image.open(tmp_path / "b.png").size[0] == 7 * 75
 
 
 def test_depth_warns_when_it_knows_little(tmp_path, capfd):
@@ -98,21 +98,17 @@ def test_depth_warns_when_it_knows_little(tmp_path, capfd):
 
 
 def test_depth_says_where_to_widen_the_search(tmp_path, capfd, monkeypatch):
+    def told(far, planes):
+        words = ["depth", str(tmp_path / "raw.exr"), "-o", str(tmp_path / "a.exr"), "--near", "195"]
+        assert main([*words, "--far", far, "--planes", planes]) == 0
+        return capfd.readouterr().err
+
     assert main(["example", "letters-ray", "-o", str(tmp_path / "raw.exr")]) == 0
-    words = ["depth", str(tmp_path / "raw.exr"), "-o", str(tmp_path / "a.exr"), "--near", "195", "--far"]
-    assert main([*words, "225"]) == 0
-    wanted = (
-        r"\d+ % of the bins agree best at the far end of the search, 225 mm, and are .* widen the search with --far"
-    )
-    assert re.search(wanted, capfd.readouterr().err)
-    assert main([*words, "310"]) == 0
-    assert "widen" not in capfd.readouterr().err
-    found = np.nanmedian(parts(tmp_path / "a.exr")[0]["depth"])
-    assert 205 < found < 285
+    wanted = r"\d+ % of the bins agree best at the far end .*, 225 mm, and are .* widen the search with --far"
+    assert re.search(wanted, told("225", "32"))
+    assert "with --far" not in told("310", "16")
     monkeypatch.setattr("mitsuba_plenoptic.views.beyond_search", lambda estimate: (0.0, 0.5))
-    for far, advised in (("310", True), ("inf", False)):
-        assert main([*words, far]) == 0
-        assert ("widen" in capfd.readouterr().err) == advised
+    assert "with --far" in told("310", "8") and "with --far" not in told("inf", "8")
 
 
 def test_expose(shot, tmp_path, run):
@@ -122,8 +118,7 @@ def test_expose(shot, tmp_path, run):
     assert "300 electrons" in told
     noisy = read_capture(tmp_path / "a.exr")
     assert noisy.image.mean() == pytest.approx(read_capture(shot).image.mean(), rel=0.02)
-    assert noisy.metadata["exposure"]["full_well"] == 2000
-    assert noisy.metadata["exposure"]["seed"] == 4
+    assert {"full_well": 2000, "seed": 4}.items() <= noisy.metadata["exposure"].items()
 
 
 def test_convert_there_and_back(shot, lf, tmp_path, run):
@@ -139,24 +134,20 @@ def test_convert_there_and_back(shot, lf, tmp_path, run):
 
 
 def test_figures_enlarged_pictures_and_animations(shot, lf, tmp_path, run, coarse_figures):
-    distances = ["--distance", 236, "--distance", 244]
+    distances, few = ["--distance", 236, "--distance", 244], ["--count", 2]
     # Each command draws by the same function for either kind of file.
-    for command, *options in (["reconstruct", *distances], ["views"], ["depth"]):
+    for command, *options in (["reconstruct", *distances], ["views", *few], ["depth", "--planes", 8]):
         run(command, shot, "-o", tmp_path / f"{command}.png", "--figure", *options)
         assert Image.open(tmp_path / f"{command}.png").width in (255, 525)
-    for command, *options in (["stack", *distances], ["epi"], ["views"]):
-        run(command, shot, "-o", tmp_path / f"{command}.pdf", *options)
-        assert (tmp_path / f"{command}.pdf").read_bytes()[:5] == b"%PDF-"
-    assert len(list(tmp_path.iterdir())) == 6
-    run("views", shot, "-o", tmp_path / "fine.png", "--dpi", 100)
-    assert Image.open(tmp_path / "fine.png").width == 700
+    run("epi", shot, "-o", tmp_path / "epi.pdf")
+    assert (tmp_path / "epi.pdf").read_bytes()[:5] == b"%PDF-"
+    assert len(list(tmp_path.iterdir())) == 4
 
-    for command, *options in (["stack", *distances], ["views", "--count", 2]):
+    for command, *options in (["stack", *distances], ["views", *few]):
         run(command, shot, "-o", tmp_path / "plain.png", "--scale", 1, *options)
         run(command, shot, "-o", tmp_path / "large.png", "--scale", 3, *options)
         plain, large = (np.asarray(Image.open(tmp_path / f"{name}.png")) for name in ("plain", "large"))
-        np.testing.assert_array_equal(large[1::3, 1::3], plain)
-        assert large.shape == (3 * plain.shape[0], 3 * plain.shape[1])
+        np.testing.assert_array_equal(large, plain.repeat(3, 0).repeat(3, 1))
     run("epi", shot, "-o", tmp_path / "large.png", "--scale", 1)
     assert Image.open(tmp_path / "large.png").size == (8, lf.sizes["u"])
 
@@ -192,22 +183,15 @@ def test_what_was_written_is_read(results):
         assert back.camera == one.camera and back.options == one.options
 
 
-@pytest.mark.parametrize(("suffix", "begins"), [("pdf", b"%PDF-"), ("png", b"\x89PNG")])
-def test_a_figure_of_all(suffix, begins, results, tmp_path, run):
-    path = tmp_path / f"sheet.{suffix}"
-    assert run("sheet", *results[0], "-o", path) == f"{path}: 3 images (methods: 1, distances: 2)\n"
-    assert path.read_bytes().startswith(begins)
-
-
-@pytest.mark.parametrize("option", ["-q", pytest.param("-OO", marks=pytest.mark.slow)])
-def test_figures_follow_no_settings_of_matplotlib_python_or_a_display(option, results, tmp_path, run):
+def test_figures_follow_no_settings_of_matplotlib_python_or_a_display(results, tmp_path, run):
     """With an inline backend, a matplotlibrc of somebody else, and with docstrings left out."""
     path, settings = tmp_path / "sheet.png", tmp_path / "matplotlibrc"
     settings.write_text("image.origin: lower\ntext.usetex: True\naxes.titleweight: bold\n")
-    run("sheet", *results[0], "-o", tmp_path / "plain.png")
+    words = ["sheet", *results[0][:2], "--dpi", 75, "-o"]
+    run(*words, tmp_path / "plain.png")
     environment = {**os.environ, "MPLBACKEND": "module://nowhere.inline", "MATPLOTLIBRC": str(settings)}
-    words = [sys.executable, option, "-m", "mitsuba_plenoptic", "sheet", *map(str, results[0]), "-o", str(path)]
-    subprocess.run(words, check=True, env=environment, capture_output=True)
+    command = [sys.executable, "-OO", "-m", "mitsuba_plenoptic", *map(str, words), str(path)]
+    subprocess.run(command, check=True, env=environment, capture_output=True)
     assert path.read_bytes() == (tmp_path / "plain.png").read_bytes()
 
 
@@ -216,19 +200,15 @@ def test_a_name_that_is_no_text_is_refused_first(shot, complaint):
     assert "must be text in UTF-8" in complaint("reconstruct", shot, "--distance", "240", "-o", name)
 
 
-def test_refused(results, shot, tmp_path, complaint):
+def test_sheets_of_all_or_of_chosen_distances(results, shot, tmp_path, run, complaint, coarse_figures):
     path = tmp_path / "sheet.pdf"
-    assert complaint("sheet", shot, "-o", path) == f"{shot}: it holds a 'capture', not a reconstruction"
-    assert complaint("sheet", results[0][0], "-o", tmp_path / "a.gif").endswith("give a name that ends in .pdf or .png")
-    assert "Missing argument" in complaint("sheet", "-o", path)
-    with pytest.raises(InputError, match="there is no such file"):
-        read_reconstruction(tmp_path / "none.exr")
-
-
-def test_distances_are_chosen(results, tmp_path, run, complaint):
+    assert run("sheet", *results[0], "-o", path) == f"{path}: 3 images (methods: 1, distances: 2)\n"
+    assert path.read_bytes().startswith(b"%PDF-")
     path = tmp_path / "sheet.png"
-    words = f"{path}: 2 images (methods: 1, distances: 1)\n"
-    assert run("sheet", *results[0], "-o", path, "--distance", "240") == words
-    assert run("sheet", *results[0], "-o", path, "--distance", "inf").startswith(f"{path}: 1 images")
-    rule = "--distance = 210: no result is refocused there, but to 240, inf"
-    assert complaint("sheet", *results[0], "-o", path, "--distance", "210") == rule
+    told = run("sheet", *results[0], "-o", path, "--distance", "240")
+    assert told == f"{path}: 2 images (methods: 1, distances: 1)\n"
+    assert path.read_bytes().startswith(b"\x89PNG")
+    said = complaint("sheet", *results[0], "-o", path, "--distance", "210")
+    assert said.startswith("--distance = 210: ") and "240, inf" in said
+    assert complaint("sheet", shot, "-o", path).startswith(f"{shot}: it holds a 'capture'")
+    assert "Missing argument" in complaint("sheet", "-o", path)

@@ -9,42 +9,42 @@ from cameras import write_scene
 from PIL import Image
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.report import experiment
 
 # The wall behind the box, in millimetres.
 WALL = 4900
 
 
-@pytest.fixture
-def box(tmp_path):
+@pytest.fixture(scope="module")
+def box(tmp_path_factory):
     """Save Mitsuba's Cornell box, of two metres, as XML."""
     mi.set_variant("llvm_ad_rgb")
-    path = tmp_path / "my_scene.xml"
+    path = tmp_path_factory.mktemp("box") / "my_scene.xml"
     mi.parser.write_file(mi.parser.parse_dict(mi.parser.ParserConfig("llvm_ad_rgb"), mi.cornell_box()), str(path))
     return path
 
 
-@pytest.fixture
-def camera(tmp_path):
+@pytest.fixture(scope="module")
+def camera(tmp_path_factory):
     """Save the preset lytro with a small detector."""
-    path = tmp_path / "small.json"
+    path = tmp_path_factory.mktemp("camera") / "small.json"
     small = mp.PlenopticCamera.preset("lytro").replace(resolution=(80, 80), detector_width=0.112)
     path.write_text(small.to_json())
     return path
 
 
 def test_scenes_without_a_plenoptic_sensor_are_answered_with_an_option(box, tmp_path, complaint):
-    words = f"{box}: sensor of type PerspectiveCamera: a plenoptic camera needs a sensor of type 'plenoptic'; --camera"
-    assert complaint("compare", box, "-o", tmp_path / "out", "--distance", WALL).startswith(f"{words} NAME gives it")
+    words = f"{box}: sensor of type PerspectiveCamera: "
+    said = complaint("compare", box, "-o", tmp_path / "out", "--distance", WALL)
+    assert said.startswith(words) and "--camera NAME gives it" in said
     assert complaint("render", box, "-o", tmp_path / "a.exr").endswith("; --camera NAME gives it one")
-    instead = "give a preset, a camera's file or its parameters with --camera"
-    assert complaint("info", box) == f"{words.partition(';')[0]}; {instead}"
+    said = complaint("info", box)
+    assert said.startswith(words) and said.endswith("with --camera")
     empty = tmp_path / "empty.xml"
     empty.write_text('<scene version="3.0.0"><shape type="sphere"/></scene>')
-    words = "scene: it has no sensor; --camera NAME gives it one, or add one of type 'plenoptic'"
-    assert complaint("compare", empty, "-o", tmp_path / "out", "--distance", WALL) == f"{empty}: {words}"
-    assert complaint("info", empty) == f"{empty}: it has no sensor; {instead}, or add one of type 'plenoptic'"
+    said = complaint("compare", empty, "-o", tmp_path / "out", "--distance", WALL)
+    assert said.startswith(f"{empty}: scene: it has no sensor; --camera NAME")
+    assert complaint("info", empty).startswith(f"{empty}: it has no sensor; give")
 
 
 def test_another_camera_is_rendered_in_the_place_of_a_sensor_and_in_its_colours(tmp_path, run, complaint):
@@ -71,16 +71,15 @@ def test_another_camera_is_rendered_in_the_place_of_a_sensor_and_in_its_colours(
 
 
 @pytest.mark.needs_extension("studio")
-def test_scenes_without_a_plenoptic_sensor_are_neither_swept_nor_previewed(box, tmp_path, complaint):
-    words = complaint("sweep", box, "-o", tmp_path / "a.nc", "--vary", "distance=4e3")
-    assert words.startswith(f"{box}: sensor of type PerspectiveCamera: ") and "--camera NAME gives it one" in words
+def test_own_scenes_in_metres_are_swept(box, camera, tmp_path, run, complaint):
+    said = complaint("sweep", box, "-o", tmp_path / "a.nc", "--vary", "distance=4e3")
+    assert said.startswith(f"{box}: sensor of type PerspectiveCamera: ") and "--camera NAME" in said
     assert complaint("preview", box, "-o", tmp_path / "a.png").endswith("; --camera NAME gives it one")
-
-
-@pytest.mark.needs_extension("studio")
-def test_own_scenes_in_metres_are_swept(box, camera, tmp_path, run):
-    words = ["--camera", camera, "--unit", "m", "--vary", f"distance={WALL},4000", "--spp", "4"]
-    assert run("sweep", box, "-o", tmp_path / "out.nc", *words).endswith("over 2 distance\n")
+    words = ["sweep", box, "-o", tmp_path / "out.nc", "--camera", camera, "--unit", "m", "--spp", "4", "--vary"]
+    words.append(f"distance={WALL},4000")
+    assert complaint(*words, "-D", "resx=4").startswith("-D resx: it is of the scene's own camera")
+    assert complaint(*words, "--vary", "resx=3,4").startswith("grid: resx: it is of the scene's own camera")
+    assert run(*words).endswith("over 2 distance\n")
     capture = mp.render_capture(
         mp.with_camera(mp.load_scene(box, unit="m"), mp.PlenopticCamera.from_json(camera.read_text())), spp=4
     )
@@ -89,26 +88,14 @@ def test_own_scenes_in_metres_are_swept(box, camera, tmp_path, run):
     assert (found.image == capture.image).all() and capture.image.any()
 
 
-@pytest.mark.needs_extension("studio")
-@pytest.mark.parametrize("word", ["-D resx=4", "--vary resx=3,4"])
-def test_parameters_of_the_camera_that_is_replaced_are_refused(word, box, camera, tmp_path, complaint):
-    words = ["sweep", box, "-o", tmp_path / "out.nc", "--camera", camera, "--unit", "m", "--vary", "distance=4e3"]
-    name = "-D resx" if word.startswith("-D") else "grid: resx"
-    rule = "it is of the scene's own camera, which another one replaces; leave it out"
-    assert complaint(*words, *word.split()) == f"{name}: {rule}"
-
-
 @pytest.mark.slow
-def test_own_scenes_in_metres_are_compared(box, camera, tmp_path, monkeypatch, capsys):
+def test_own_scenes_in_metres_are_compared(box, camera, tmp_path, monkeypatch, run):
     monkeypatch.setattr(experiment, "OBJECT_COLUMNS", 32)
-    out = tmp_path / "out"
-    words = ["--camera", str(camera), "--unit", "m", "--distance", str(WALL), "--spp", "4"]
-    assert main(["compare", str(box), "-o", str(out), *words]) == 0
-    assert "Rays against waves" in capsys.readouterr().out
+    out, words = tmp_path / "out", ("--camera", camera, "--unit", "m", "--distance", WALL, "--spp", "4")
+    assert "Rays against waves" in run("compare", box, "-o", out, *words)
     settings = json.loads((out / "results.json").read_text())["settings"]
     assert settings["camera"]["mla_pitch"] == 0.014 and settings["unit"] == "m"
-    page = (out / "report.html").read_text()
-    assert f"--camera {camera} --unit m" in page
+    assert f"--camera {camera} --unit m" in (out / "report.html").read_text()
     scene = mp.with_camera(mp.load_scene(box, unit="m"), mp.PlenopticCamera.from_json(camera.read_text()))
     known = mp.render_capture(scene, spp=4, noise=True)
     assert (mp.read_capture(out / "data" / "capture_ray.exr").image == known.image).all()
@@ -137,10 +124,7 @@ def test_scenes_of_colours_are_compared_in_colour(tmp_path, monkeypatch, run, co
     pictures = results["ordinary"]["pictures"]
     assert [row["picture"] for row in pictures] == ["ordinary", "ray", "coherent", "partial"]
     # Green light, which luminance mostly is, alone.
-    transfer = np.array(results["ordinary"]["diffraction"]) * np.sinc(
-        np.array(results["ordinary"]["frequency_per_mm"]) * 0.5 / pictures[0]["nyquist_per_mm"]
-    )
-    expected = np.interp(-0.5, -transfer, results["ordinary"]["frequency_per_mm"])
-    assert pictures[0]["mtf50_per_mm"] == pytest.approx(expected, rel=0.05)
-    message = complaint("compare", scene, "-o", out, *words, "--wavelength", 500)
-    assert message.startswith("--wavelength = 500") and message.endswith("take --variant llvm_ad_mono")
+    frequency = np.array(results["ordinary"]["frequency_per_mm"])
+    transfer = results["ordinary"]["diffraction"] * np.sinc(frequency * 0.5 / pictures[0]["nyquist_per_mm"])
+    assert pictures[0]["mtf50_per_mm"] == pytest.approx(np.interp(-0.5, -transfer, frequency), rel=0.05)
+    assert complaint("compare", scene, "-o", out, *words, "--wavelength", 500).startswith("--wavelength = 500")

@@ -73,11 +73,8 @@ def missing_of_class(cls, name):
     said = documented(cls.__doc__)
     for base in cls.__mro__[1:]:
         said |= documented(base.__doc__)
-    if (
-        cls.__init__ is not object.__init__
-        and not issubclass(cls, BaseException)
-        and not getattr(cls, "_is_protocol", 0)
-    ):
+    is_called = cls.__init__ is not object.__init__ and not getattr(cls, "_is_protocol", 0)
+    if is_called and not issubclass(cls, BaseException):
         parameters = list(inspect.signature(cls.__init__).parameters)[1:]
         yield from (f"{name}({parameter})" for parameter in parameters if parameter not in said)
     bases = [base for base in cls.__mro__ if base.__module__.startswith("mitsuba_plenoptic")]
@@ -108,17 +105,16 @@ def test_public_names_and_parameters_are_documented(name):
 
 
 def test_every_public_package_has_a_page():
-    offered = {path.parent for path in Path(mitsuba_plenoptic.__file__).parent.rglob("__init__.py")}
-    with_names = {path for path in offered if "__all__" in (path / "__init__.py").read_text()}
     root = Path(mitsuba_plenoptic.__file__).parent
-    packages = {".".join(("mitsuba_plenoptic", *path.relative_to(root).parts)) for path in with_names}
+    offered = [path.parent for path in root.rglob("__init__.py") if "__all__" in path.read_text()]
+    packages = {".".join(("mitsuba_plenoptic", *path.relative_to(root).parts)) for path in offered}
     assert packages - set(re.findall(r"automodule:: (\S+)", PAGES)) == set()
 
 
 def test_every_option_has_a_help():
     commands = {name: load(name) for name in COMMANDS}
-    found = {(name, p.name) for name, command in commands.items() for p in command.params if not p.help}
-    assert found == set() and all(command.help for command in commands.values())
+    assert all(command.help for command in commands.values())
+    assert {(name, p.name) for name, command in commands.items() for p in command.params if not p.help} == set()
 
 
 SENSOR_NAMES = {name for name, entry in PARAMETERS.items() if entry.form is not Form.FILM}
@@ -162,7 +158,13 @@ MAIN = re.findall(r"^   ~mitsuba_plenoptic\.(\S+)$", INDEX.read_text(), flags=re
 assert len(MAIN) >= 20
 
 
-@pytest.mark.parametrize("name", MAIN)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in ("reconstruct", "report.plots.contact_sheet")))
+        for name in MAIN
+    ],
+)
 def test_example_gives_what_it_states(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     module, _, last = f"mitsuba_plenoptic.{name}".rpartition(".")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from unittest.mock import Mock
 
 import numpy as np
@@ -56,24 +55,6 @@ def test_an_entry_that_another_process_makes_is_refused(tmp_path):
 
     assert Cache(tmp_path).facts("facts", {}, make) == {"answer": 42}
     assert names(tmp_path) == [".facts.json.key", "facts.json"]
-
-
-def test_two_at_once_keep_both_results(tmp_path):
-    begun, ended = threading.Event(), threading.Event()
-
-    def slow(_):
-        begun.set()
-        assert ended.wait(10)
-        return {"by": "first"}
-
-    first = threading.Thread(target=Cache(tmp_path).facts, args=("first", {}, slow))
-    first.start()
-    assert begun.wait(10)
-    Cache(tmp_path).facts("second", {}, lambda _: {"by": "second"})
-    ended.set()
-    first.join()
-    for name in ("first", "second"):
-        assert Cache(tmp_path).facts(name, {}, lambda _: pytest.fail("made again")) == {"by": name}
 
 
 def test_a_full_disk_loses_nothing_finished(tmp_path, monkeypatch):

@@ -38,24 +38,14 @@ def test_a_capture_survives_the_disk(tmp_path, camera, channels):
 
 
 def test_files_stand_for_captures_and_white(tmp_path):
-    camera = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
-    light = np.random.default_rng(0).random(camera.shape)
-    capture = Capture(light, camera)
+    camera = small_camera(4)
+    capture = Capture(np.random.default_rng(0).random(camera.shape), camera)
     white = Capture(0.5 + np.abs(np.sin(np.arange(128))) * np.ones((128, 1)), camera)
-    paths = str(tmp_path / "raw.exr"), tmp_path / "white.exr"
+    paths = tmp_path / "raw.exr", tmp_path / "white.exr"
     for path, one in zip(paths, (capture, white), strict=True):
         write_capture(path, one)
     for work in (partial(mp.reconstruct, distance=240), mp.decode):
-        np.testing.assert_array_equal(work(paths[0], white=paths[1]), work(capture, white=white))
-    np.testing.assert_array_equal(mp.expose(paths[0], photons=9), mp.expose(capture, mp.Detector(), photons=9))
-
-
-def test_a_capture_is_described_in_one_line(camera):
-    grey = np.full((32, 40), 0.25)
-    assert repr(Capture(grey, camera)) == "Capture(40 x 32 pixels by rays, mean 0.25)"
-    colours = grey[..., None].repeat(3, axis=2)
-    waves = Capture(colours, camera, (600, 550, 450), "wave", noise=0.1 * colours)
-    assert repr(waves) == "Capture(40 x 32 x 3 pixels by waves, (600.0, 550.0, 450.0) nm, mean 0.25, noise 10.00%)"
+        np.testing.assert_array_equal(work(str(paths[0]), white=paths[1]), work(capture, white=white))
 
 
 def test_any_viewer_sees_the_window_and_the_pixels(tmp_path, camera):
@@ -69,7 +59,7 @@ def test_any_viewer_sees_the_window_and_the_pixels(tmp_path, camera):
 
 def test_files_state_the_version(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    scene = mp.load_scene("letters", parameters=letters(4))
+    scene = mp.load_scene("letters", parameters=letters(2))
     capture = mp.render_capture(scene, spp=1)
     write_capture("raw.exr", capture)
     mp.write_ground_truth("raw.truth.exr", mp.ground_truth(scene))
@@ -81,7 +71,7 @@ def test_files_state_the_version(tmp_path, monkeypatch):
     assert f'"version": "{version("mitsuba-plenoptic")}"'.encode() in Path("raw.png").read_bytes()
 
 
-@pytest.mark.parametrize("within", ["read_parts", "_opened", "require_seal"])
+@pytest.mark.parametrize("within", ["read_parts", "require_seal"])
 def test_a_capture_that_another_process_replaces_meanwhile_is_read_again(tmp_path, monkeypatch, within):
     """The header of one file and the pixels of another would be damaged, or silently mixed."""
     path = tmp_path / "raw.exr"

@@ -1,6 +1,5 @@
 """Wave captures that are stopped: they go on from their checkpoint, with the bits of one that was not."""
 
-import contextlib
 import errno
 import io
 import json
@@ -21,11 +20,10 @@ from stopped_runs import CheckpointStore, StoppedError, start_command, stopped_b
 from mitsuba_plenoptic import CaptureOperator, Checkpoint, InputError, Job, load_scene, read_capture, render_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io import checkpoints
-from mitsuba_plenoptic.runtime import prepared
 from mitsuba_plenoptic.waves import array_kernels, scheme, signed_rays
 
 SMALL = small_camera()
-SCENE = letters(4)
+SCENE = letters(4, resolution=64)
 WAVE = ["render", "letters", "--model", "wave", "--method", "points", "--spp", "16", *definitions(SCENE)]
 
 
@@ -67,9 +65,8 @@ def stopped(tmp_path_factory):
     return path.read_bytes()
 
 
-@pytest.mark.parametrize(("method", "count"), [("patch", 30), pytest.param("full_field", 3, marks=pytest.mark.slow)])
-def test_a_sum_goes_on_from_any_batch(method, count):
-    operator = CaptureOperator(SMALL, scattered(count, distances=(205, 275)), wavelength=633, method=method)
+def test_a_sum_goes_on_from_any_batch(count=30):
+    operator = CaptureOperator(SMALL, scattered(count, distances=(205, 275)), wavelength=633)
     weights = np.random.default_rng(1).uniform(0, 1, (count, 2))
     weights[1] = 0
     keeper = CheckpointStore()
@@ -84,8 +81,7 @@ def test_a_sum_goes_on_from_any_batch(method, count):
         assert calls[-1] == (count, count) and (len(calls) == 1) == (state is states[-1])
 
 
-@pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.slow), 4])
-def test_a_capture_goes_on_where_it_was_stopped(tmp_path, clean, count):
+def test_a_capture_goes_on_where_it_was_stopped(tmp_path, clean, count=4):
     path, calls = tmp_path / "raw.exr.checkpoint", []
     stop_before(path, lambda sums: len(sums) == count)
     with pytest.raises(InputError, match=r"raw.exr.checkpoint: the checkpoint of a run that was stopped"):
@@ -100,7 +96,7 @@ def test_a_capture_goes_on_where_it_was_stopped(tmp_path, clean, count):
 def test_finished_sums_are_remembered(tmp_path):
     """Stopped in the third of three sums, one a wavelength."""
     mi.set_variant("llvm_ad_rgb")
-    path, options = tmp_path / "checkpoint", {"spp": 4, "seed": 3, "wavelength": "600, 550, 500"}
+    path, options = tmp_path / "checkpoint", {"spp": 4, "seed": 3, "wavelength": "600, 633, 500"}
     sums = stop_before(path, lambda sums: 2 in sums, **options)
     assert sums[0] == 0 and 1 in sums
     with Checkpoint(path, "resume") as checkpoint:
@@ -112,10 +108,8 @@ def test_finished_sums_are_remembered(tmp_path):
     ("parameters", "options", "difference"),
     [
         ({"aperture_radius": "4"}, {}, "camera.aperture_radius = 5.0 there, 4.0 here"),
-        ({"lens_model": "parabolic"}, {}, "camera.lens_model = ideal there, parabolic here"),
         ({"letter_scale": "0.05"}, {}, "scene_digest = "),
         ({}, {"wavelength": 500}, "wavelength = 633 there, 500 here"),
-        ({}, {"seed": 1}, "seed = 0 there, 1 here"),
         ({}, {"accuracy": 0.02}, "accuracy = 0.01 there, 0.02 here"),
     ],
 )
@@ -141,18 +135,15 @@ def rewritten(content, change):
     [
         (lambda header, _: header.update(format=3), "another run: format = 3 there, 1 here"),
         (lambda header, _: header["run"]["software"].update(mitsuba_plenoptic="0123"), "mitsuba_plenoptic = 0123"),
-        (lambda header, _: header.update(version="1.0"), "another run: version = 1.0 there"),
         (lambda header, _: header.pop("version"), "is not a checkpoint of this version"),
         (lambda header, _: header.update(batches=10**6), "1000000 batches"),
-        (lambda _, arrays: arrays.update(image=np.zeros((1, 4, 1), np.float32)), "shape (1, 4, 1) instead of (128, 12"),
-        (lambda _, arrays: arrays.update(partial=np.zeros((1, 4, 4), np.float32)), "batches of shape"),
+        (lambda _, arrays: arrays.update(image=np.zeros((1, 4, 1), np.float32)), "shape (1, 4, 1)"),
         (lambda _, arrays: arrays.pop("image"), "is damaged"),
         (lambda _, arrays: arrays.update(image=np.array([Trap()], dtype=object)), "is damaged: Object arrays"),
     ],
 )
 def test_what_a_checkpoint_says_is_checked(tmp_path, stopped, change, words):
-    assert words in complaint(tmp_path, rewritten(stopped, change))
-    assert not Trap.path.exists()
+    test_other_files_are_refused(tmp_path, stopped, lambda content: rewritten(content, change), words)
 
 
 @pytest.mark.parametrize(
@@ -161,7 +152,6 @@ def test_what_a_checkpoint_says_is_checked(tmp_path, stopped, change, words):
         (lambda content: content[: len(content) // 2], "is not a checkpoint of this version, or is damaged"),
         (lambda content: content[:999] + bytes([content[999] ^ 1]) + content[1000:], "Bad CRC-32"),
         (lambda content: pickle.dumps(Trap()), "is not a checkpoint of this version"),
-        (lambda content: b"", "is not a checkpoint of this version"),
     ],
 )
 def test_other_files_are_refused(tmp_path, stopped, damage, words):
@@ -225,41 +215,6 @@ def test_a_full_disk_is_named_once(tmp_path, monkeypatch):
     assert str(warned[0].message) == f"{path}: no checkpoint can be written: No space left on device"
 
 
-def test_preparation_is_kept_and_belongs_to_any_run_that_needs_it(tmp_path, monkeypatch):
-    """Before the state of a run, beside that state, and until the run has ended."""
-    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
-    path, made = tmp_path / "raw.checkpoint", []
-
-    def array(key):
-        return prepared.get()([key], lambda: made.append(key) or np.arange(9.0) * key)
-
-    def killed(*keys, existing="resume", state=None, **facts):
-        with contextlib.suppress(StoppedError), Checkpoint(path, existing) as checkpoint:
-            for key in keys:
-                np.testing.assert_array_equal(array(key), np.arange(9.0) * key)
-            if facts and (begun := checkpoint.begin_arrays(**facts)) is not None:
-                assert begun.keys() == {"numbers"}
-            if state is not None:
-                checkpoint.save_arrays(lambda: {"numbers": np.array([state])})
-            raise StoppedError
-
-    killed(1)
-    assert path.exists()
-    killed(1, 2, seed=3)
-    killed(1, 2, seed=3, state=5.0)
-    # Another run is refused with what it prepares in vain, or takes the place.
-    with pytest.raises(InputError, match="seed = 3 there, 4 here"):
-        killed(1, 6, seed=4)
-    killed(1, 2, seed=3)
-    killed(1, 6, existing="resume_if_same", seed=4, state=7.0)
-    killed(1, 6, seed=4)
-    assert made == [1, 2, 6, 6]
-    path.write_bytes(path.read_bytes()[:500])
-    with Checkpoint(path, "resume_if_same") as checkpoint:
-        assert array(1)[1] == 1 and checkpoint.begin_arrays(seed=4) is None
-    assert made == [1, 2, 6, 6, 1] and list(tmp_path.iterdir()) == []
-
-
 def test_a_capture_that_was_killed_keeps_its_kernels(tmp_path, monkeypatch):
     """Those of signed rays; the first state is saved before a second block is traced."""
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
@@ -296,16 +251,7 @@ def test_a_capture_that_was_killed_keeps_its_kernels(tmp_path, monkeypatch):
     assert made and len(counts) == made
 
 
-@pytest.mark.parametrize("spp", [2**6, 2**14])
-def test_blocks_that_a_checkpoint_waits_for_have_a_second_s_rays(spp):
-    scene = load_scene("letters", parameters={"resolution": "512"})
-    capture = mi.load_dict({"type": "plenoptic_wave"})._capture(scene, scene.sensors()[0])
-    (work,) = (plan() for plan in capture.sums(spp, 1, 1, signed_rays.SignedRaySum))
-    assert work.items.max() * spp <= 2**23
-
-
-@pytest.mark.parametrize("error", [StopIteration, KeyError])
-def test_what_a_report_of_progress_raises_comes_out(error):
+def test_what_a_report_of_progress_raises_comes_out(error=StopIteration):
     def report(done, total):
         raise error("enough")
 
@@ -342,9 +288,6 @@ def test_a_ray_capture_leaves_a_checkpoint_alone(tmp_path, capfd):
     assert kept.read_bytes() == b"days of work"
 
 
-# -- real processes --------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
 def test_killed_captures_end_with_the_bits_of_the_clean_one(tmp_path, clean):
@@ -364,20 +307,4 @@ def test_killed_captures_end_with_the_bits_of_the_clean_one(tmp_path, clean):
     assert process.returncode == 0, told
     assert "resuming from there" in "".join(told)
     np.testing.assert_array_equal(read_capture(output).image, clean)
-    assert [item.name for item in tmp_path.iterdir()] == ["raw.exr"]
-
-
-@pytest.mark.slow
-def test_a_limit_of_file_sizes_costs_the_checkpoint_and_then_the_capture_but_nothing_older(tmp_path, clean):
-    """The portable variant of a full disk: writes fail beyond a size."""
-    output = tmp_path / "raw.exr"
-    output.write_bytes(b"yesterday's")
-    process = start_command(*WAVE, "-o", output, limit=20_000)
-    _, errors = process.communicate(timeout=300)
-    assert process.returncode == 2
-    lines = [line for line in errors.splitlines() if "point spreads" not in line]
-    assert len(lines) == 2, errors
-    assert "warning" in lines[0] and "raw.exr.checkpoint: no checkpoint can be written: File too large" in lines[0]
-    assert "error: " in lines[1] and "raw.exr: it cannot be written" in lines[1]
-    assert output.read_bytes() == b"yesterday's"
     assert [item.name for item in tmp_path.iterdir()] == ["raw.exr"]

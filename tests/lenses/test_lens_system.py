@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 
-import drjit as dr
 import numpy as np
 import pytest
 from drjit.llvm.ad import Float, Float64
@@ -121,56 +120,6 @@ def test_single_precision_keeps_a_ten_thousandth_of_a_millimetre(name):
     (single, open_), (double, _) = object_points(Float), object_points(np.asarray)
     assert np.abs(single - double)[:, open_].max() < 1e-4
     assert np.abs(object_points(Float64)[0] - double).max() < 1e-11
-
-
-@pytest.mark.parametrize("name, index", [("focal_length", 0), ("mla_distance", 2)])
-def test_gradients_are_differences(name, index):
-    numbers = [80.0, 5.0, 120.0]
-    number = Float64(numbers[index])
-    dr.enable_grad(number)
-
-    def landed(value):
-        given = [*numbers[:index], value, *numbers[index + 1 :]]
-        point, there, _ = LensSystem(bundled_prescription("double_gauss"), *given).trace((0.5, 2.0), (0.01, -0.03))
-        return point[1] + (240 - point[2]) * there[1]
-
-    found = landed(number)
-    dr.forward(number)
-    expected = (landed(numbers[index] + 1e-4) - landed(numbers[index] - 1e-4)) / 2e-4
-    assert dr.grad(found)[0] == pytest.approx(expected, rel=1e-6)
-
-
-def test_a_ray_beside_another_is_found_by_paraxial_optics():
-    lens = LensSystem.of(camera_with("double_gauss"))
-    change = (2e-5, -1e-5)
-    point, slope, _ = lens.trace((1.0, -0.5), (0.005, 0.01))
-    there, turned, _ = lens.trace((1.0, -0.5), (0.005 + change[0], 0.01 + change[1]))
-    beside, estimate = lens.beside(point, slope, change)
-    for axis in (0, 1):
-        moved = there[axis] + (240 - there[2]) * turned[axis] - point[axis] - (240 - point[2]) * slope[axis]
-        said = beside[axis] + (240 - beside[2]) * estimate[axis] - point[axis] - (240 - point[2]) * slope[axis]
-        # In focus a change of direction moves the object point only by the aberrations.
-        assert abs(moved) < 1e-5 and abs(said) < 1e-7
-        assert estimate[axis] - slope[axis] == pytest.approx(turned[axis] - slope[axis], rel=0.05)
-
-
-def test_a_chief_ray_passes_the_middle_of_the_stop():
-    """Stopped down to next to nothing, the lens lets through it alone."""
-    open_lens = LensSystem.of(camera_with("cooke_triplet", focal_length=30, mla_distance=35, aperture_radius=2))
-    pinhole = LensSystem.of(camera_with("cooke_triplet", focal_length=30, mla_distance=35, aperture_radius=1e-4))
-    heights = np.array([0.0, 2.0, 5.0])
-    slope = open_lens.chief_slope(heights)
-    _, _, is_open = pinhole.trace((0 * heights, heights), (0 * heights, slope))
-    _, _, beside = pinhole.trace((0 * heights, heights), (0 * heights, slope + 1e-5))
-    assert is_open.all() and not beside.any()
-
-
-def test_figures_of_a_lens_without_faults_are_none():
-    """A thin stop at a slow lens: no vignetting, hardly a spot, no distortion on the axis."""
-    axis, edge = field_figures(main_lens(camera_with("double_gauss", aperture_radius=0.5)), [0.0, 4.0], 240)
-    assert axis.light == pytest.approx(1) and edge.light == pytest.approx(1, abs=0.02)
-    (rays,) = axis.rays.values()
-    assert np.hypot(*rays[:2].std(1)) < 1e-4 and axis.distortion == 0 and abs(edge.distortion) < 2e-3
 
 
 def test_distortion_is_that_of_a_grid_of_chief_rays():

@@ -37,20 +37,14 @@ def wave(n, column, row):
     return np.exp(2j * np.pi * (column * k[None, :] + row * k[:, None]) / n) / n
 
 
-def test_no_message_tells_of_more_light_than_there_is():
-    with pytest.raises(mp.PhysicsError, match=r"^100\.00% of the light interferes"):
-        guards.check(guards.SCREEN, 1.0036)
-
-
 class TestPropagation:
-    @pytest.mark.parametrize("n", [128, 900])
-    @pytest.mark.parametrize("width", [0.01, 0.1])
+    @pytest.mark.parametrize(("n", "width"), [(128, 2), (900, 90)])
     def test_silent_on_what_fits(self, n, width):
-        propagate(beam(n, max(2, width * n)), 2e-3, 0.05, WAVELENGTH)
+        propagate(beam(n, width), 2e-3, 0.05, WAVELENGTH)
 
-    @pytest.mark.parametrize("n, column, row", [(128, 63, 2), (128, 3, -61), (900, 401, 7), (900, 5, 431)])
+    @pytest.mark.parametrize("n, column, row", [(128, 3, -61), (900, 401, 7)])
     def test_content_at_the_band_limit(self, n, column, row):
-        """A beam with a twentieth of its power in one plane wave, wherever that is in the outer eighth."""
+        """A beam with a twentieth of its power in one plane wave."""
         field = np.sqrt(0.95) * beam(n, n / 10) + np.sqrt(0.05) * wave(n, column, row)
         with pytest.warns(mp.PhysicsWarning) as caught:
             propagate(field, 2e-3, 0.05, WAVELENGTH)
@@ -60,9 +54,7 @@ class TestPropagation:
 
     def test_noise_is_refused(self):
         noise = np.random.default_rng(0).standard_normal((200, 200, 2)) @ (1, 1j)
-        with pytest.raises(
-            mp.PhysicsError, match=r"^2[234]\.\d+% of a field's power .* under-sampled; use a finer pitch"
-        ):
+        with pytest.raises(mp.PhysicsError, match=r"^2[234]\.\d+% .* under-sampled"):
             propagate(noise, 2e-3, 1.0, WAVELENGTH)
 
     def test_what_goes_round_a_small_window(self):
@@ -86,9 +78,6 @@ class TestPropagation:
             propagate(np.ones((64, 64)), 2e-3, 1.0, WAVELENGTH)
         assert [warning.filename for warning in caught] == [__file__]
 
-    def test_darkness_is_silent(self):
-        assert not propagate(np.zeros((64, 64)), 2e-3, 1.0, WAVELENGTH).any()
-
 
 class TestPointSpreads:
     CAMERA = mp.PlenopticCamera(**SMALL)
@@ -106,37 +95,24 @@ class TestPointSpreads:
         # the detector holds all of the patch
         assert float(str(caught[0].message).split("%")[0]) == pytest.approx(100 * (1 - psf.sum()), abs=0.05)
 
-    def test_what_is_hidden_from_the_pupil_is_no_loss(self):
-        """Radiators that see nothing of the pupil send nothing."""
+    def test_what_is_hidden_from_the_pupil_or_cancels_is_no_loss(self):
         weights = np.ones((2, 4, 4), bool)
         weights[1] = False
         with guards.watch() as shares:
             mp.CaptureOperator(self.CAMERA, [self.PLACE] * 2, wavelength=633, pupil_weights=weights).forward([1, 1])
         assert 0 < shares["patch_loss"] < 0.02
+        with guards.watch() as shares:
+            mp.CaptureOperator(self.CAMERA, [self.PLACE] * 2, wavelength=633).forward([1, -1])
+        assert "patch_loss" not in shares
 
-    @pytest.mark.parametrize(
-        "change",
-        [
-            {},
-            *(
-                pytest.param(c, marks=pytest.mark.slow)
-                for c in ({"mla_lattice": "hexagonal"}, {"mla_aperture": "circle"})
-            ),
-        ],
-    )
-    def test_what_gaps_between_the_lenses_stop_is_no_loss(self, change):
+    def test_what_gaps_between_the_lenses_stop_is_no_loss(self):
         """The closed form of a wide blur: the lenses' fraction of the area is behind the apertures."""
-        camera = mp.PlenopticCamera(detector_width=1.536, resolution=(768, 768), mla_fill=0.5, **change)
+        camera = mp.PlenopticCamera(detector_width=1.536, resolution=(768, 768), mla_fill=0.5)
         with guards.watch() as fractions:
             psf = mp.point_spread_function(camera, (0.0, 0.0, 205.0), wavelength=WAVELENGTH)
         behind = camera.lattice.lens_area / camera.lattice.cell_area
         assert fractions["patch_loss"] == pytest.approx(1 - psf.sum() / behind, abs=0.015)
         assert 0.005 < fractions["patch_loss"] < 0.03
-
-    def test_no_loss_is_told_of_weights_that_cancel(self):
-        with guards.watch() as shares:
-            mp.CaptureOperator(self.CAMERA, [self.PLACE] * 2, wavelength=633).forward([1, -1])
-        assert "patch_loss" not in shares
 
     def test_a_full_field_on_a_coarse_grid(self, monkeypatch):
         monkeypatch.setattr(full_field_grids, "_KEPT_BENDS", 0.3)
@@ -145,34 +121,22 @@ class TestPointSpreads:
         with pytest.raises(mp.PhysicsError, match="directions that the grid does not hold"):
             mp.point_spread_function(camera, (0.0, 0.0, 210.0), wavelength=WAVELENGTH, method="full_field")
 
-    def test_a_full_field_on_a_coarse_grid_at_the_pupil(self, monkeypatch):
-        monkeypatch.setattr(full_field_grids, "_PUPIL_BAND", 0.5)
-        with pytest.raises(mp.PhysicsError, match=r"under-sampled|round the window"):
-            mp.point_spread_function(self.CAMERA, (0.0, 0.0, 210.0), wavelength=WAVELENGTH, method="full_field")
-
 
 class TestReconstruction:
     CAMERA = mp.PlenopticCamera(**SMALL)
 
-    @pytest.mark.parametrize("interleave", [pytest.param(1, marks=pytest.mark.slow), "auto"])
-    def test_grey_is_no_capture_and_one_warning_says_so(self, interleave):
+    def test_grey_is_no_capture_and_one_warning_says_so(self):
         """Light beside the micro-images: 1 - pi/4 (43 / 64)^2 = 65 % of it, and three channels still warn once."""
         with pytest.warns(mp.PhysicsWarning) as caught:
-            result = mp.reconstruct(
-                np.ones((512, 512, 3)),
-                240,
-                camera=self.CAMERA,
-                wavelength=[633, 550, 460],
-                method="partial",
-                interleave=interleave,
-            )
+            options = {"camera": self.CAMERA, "wavelength": [633, 550, 460], "interleave": "auto"}
+            result = mp.reconstruct(np.ones((512, 512, 3)), 240, method="partial", **options)
         assert len(caught) == 1
         beside = 1 - mp.design.white_mean(self.CAMERA)
         assert result.guards["outside_pupil"] == pytest.approx(beside, abs=0.05)
 
     @pytest.mark.filterwarnings("ignore:.*does not go back through the main lens")
     @pytest.mark.parametrize(("options", "bins"), [({"method": "coherent"}, 6), ({"interleave": "auto"}, 4.5)])
-    def test_light_that_leaves_the_object_window(self, options, bins):
+    def test_light_that_leaves_the_object_window(self, options, bins, tmp_path):
         """The Airy pattern of a pupil of f/180 beyond the window's margin, integrated over its disc."""
         camera = self.CAMERA.replace(aperture_radius=0.22)
         image = np.zeros((512, 512), np.float32)
@@ -183,13 +147,6 @@ class TestReconstruction:
         radius = (np.arange(1000) + 0.5) / 1000 * edge
         within = ((2 * j1(radius) / radius) ** 2 * radius).sum() * edge / 1000 / 2
         assert result.guards["object_window"] == pytest.approx(1 - within, rel=0.01)
-
-    def test_the_number_is_in_the_header(self, tmp_path):
-        image = np.zeros((512, 512), np.float32)
-        image[261:283, 261:283] = 1
-        result = mp.reconstruct(image, 240, camera=self.CAMERA, wavelength=633, method="coherent")
-        assert 0 < result.guards["outside_pupil"] < 0.5
-        assert 0 <= result.guards["object_window"] < 0.05
         write_reconstruction(tmp_path / "out.exr", result)
         assert read_exr(tmp_path / "out.exr")[2]["guards"] == result.guards
 
@@ -204,20 +161,12 @@ class TestCrosstalk:
         with pytest.raises(mp.PhysicsError, match=r"^27\..*through microlenses that are too far"):
             mp.render_capture(scene, spp=1)
 
-    def test_a_wide_field_of_parabolic_lenses(self, camera_dict):
-        """Parabolic lenses bend direction cosines: their light reaches farther than slopes say."""
-        sensor = camera_dict(detector_width=80.0, aperture_radius=7.2, lens_model="parabolic", resolution=64)
-        scene = mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": sensor})
-        assert mp.render_capture(scene, spp=1).metadata["guards"]["crosstalk_missed"] == 0.0
 
-
-@pytest.mark.parametrize(
-    "name", ["letters", *(pytest.param(name, marks=pytest.mark.slow) for name in ("white", "chart"))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["letters", "chart"])
 def test_built_in_scenes_are_silent_by_rays_and_waves(name, tmp_path):
     """And their files tell the shares."""
-    parameters = {"detector_width": "0.512", "resolution": "256"}
-    scene = mp.load_scene(name, parameters=parameters)
+    scene = mp.load_scene(name, parameters={"detector_width": "0.256", "resolution": "128"})
     with warnings.catch_warnings():
         warnings.simplefilter("error", mp.PhysicsWarning)
         ray = mp.render_capture(scene, spp=4)

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from cameras import definitions, letters
+from PIL import Image
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError, capture_spec
@@ -12,19 +13,26 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.report import experiment
 from mitsuba_plenoptic.report.comparison import compare
 from mitsuba_plenoptic.report.experiment import Settings
+from mitsuba_plenoptic.report.plots import Plot
 
 DISTANCE = 220.0
-SMALL = letters(12, resolution=192)
-WORDS = f"compare letters --distance {DISTANCE:g} --spp 4 --against ordinary".split() + definitions(SMALL)
+SMALL = letters(8, resolution=128)
+WORDS = f"compare letters --distance {DISTANCE:g} --spp 4 --methods ray,coherent,partial --against ordinary".split()
+WORDS += definitions(SMALL)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """The folder of a small comparison, made by the command."""
+    """The folder of a small comparison, made by the command, whose figures are blank, and of a second run."""
     out = tmp_path_factory.mktemp("compared") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(experiment, "OBJECT_COLUMNS", 32)
+        patch.setattr(Plot, "save", lambda self, path, dpi=None: Image.new("L", (9, 9)).save(path))
         assert main([*WORDS, "-o", str(out)]) == 0
+        first = (out / "results.json").read_bytes()
+        patch.setattr(capture_spec, "render_capture", None)
+        assert main([*WORDS, "-o", str(out)]) == 0
+    assert (out / "results.json").read_bytes() == first
     return out
 
 
@@ -33,14 +41,11 @@ def found(folder):
     return json.loads((folder / "results.json").read_text())["ordinary"]
 
 
-@pytest.mark.slow
 def test_the_page_shows_both_cameras(folder, found):
     page = (folder / "report.html").read_text()
     assert "Against an ordinary camera" in page and "--against ordinary" in page
-    for name in ("ordinary", "mtf"):
-        assert all((folder / f"{name}.{suffix}").stat().st_size > 5000 for suffix in ("png", "pdf"))
     assert [row["picture"] for row in found["pictures"]] == ["ordinary", "ray", "coherent", "partial"]
-    assert [row["pixels"] for row in found["pictures"]] == [[192, 192]] + 3 * [[12, 12]]
+    assert [row["pixels"] for row in found["pictures"]] == [[128, 128]] + 3 * [[8, 8]]
     for row in found["pictures"]:
         assert f'{row["title"]}</td><td class="number">{row["pixels"][0]} x ' in page
         assert f"{row['mtf50_per_mm']:.3g}" in page and f"{row['mtf10_per_mm']:.3g}" in page
@@ -88,15 +93,6 @@ def test_the_array_costs_sharpness(found):
         assert (np.array(row["transfer"])[held] < np.array(ordinary["transfer"])[held]).all()
 
 
-def test_a_second_run_takes_up_what_is_there(folder, capsys, monkeypatch):
-    monkeypatch.setattr(experiment, "OBJECT_COLUMNS", 32)
-    monkeypatch.setattr(capture_spec, "render_capture", None)
-    before = (folder / "results.json").read_bytes()
-    assert main([*WORDS, "-o", str(folder)]) == 0
-    assert (folder / "results.json").read_bytes() == before
-    assert "Half the contrast, in cycles per mm: Ordinary camera " in capsys.readouterr().out
-
-
 BARE = mp.PlenopticCamera(mla_lattice="none", resolution=(64, 64), detector_width=0.3)
 
 
@@ -106,25 +102,19 @@ def preset(name, distance):
 
 
 @pytest.mark.parametrize(
-    ("changes", "rule"),
+    ("changes", "against", "words"),
     [
-        ({"distances": (np.inf,)}, "^against = ordinary: distance = inf: sharpness is measured on an edge"),
-        ({"camera": BARE.to_dict(), "parameters": {}}, "mla_lattice = none: the camera has no microlens array$"),
-        (preset("lfm", 0.001), "^against = ordinary: main_lens = .*: mla_lattice = none: the camera has no microlens"),
-        (preset("shack_hartmann", 1e6), "main_lens = collimator: "),
+        ({"distances": (np.inf,)}, "ordinary", "^against = ordinary: distance = inf"),
+        ({"camera": BARE.to_dict(), "parameters": {}}, "ordinary", "mla_lattice = none"),
+        (preset("lfm", 0.001), "ordinary", "^against = ordinary: main_lens = .*: mla_lattice = none"),
+        (preset("shack_hartmann", 1e6), "ordinary", "main_lens = collimator"),
+        ({}, "phone", "^against = 'phone'"),
     ],
-    ids=["infinity", "no array", "objective", "telescope"],
+    ids=["infinity", "no array", "objective", "telescope", "phone"],
 )
 @pytest.mark.filterwarnings("ignore:the whole scene is nearer")
-def test_what_has_no_ordinary_twin_is_refused(changes, rule, tmp_path):
+def test_what_has_no_ordinary_twin_is_refused(changes, against, words, tmp_path):
     settings = Settings("letters", **{"distances": (DISTANCE,), "parameters": SMALL, "spp": 1} | changes)
-    with pytest.raises(InputError, match=rule):
-        compare(settings, tmp_path / "out", against="ordinary")
+    with pytest.raises(InputError, match=words):
+        compare(settings, tmp_path / "out", against=against)
     assert not (tmp_path / "out").exists()
-
-
-def test_other_words_are_refused(tmp_path, capsys):
-    with pytest.raises(InputError, match=r"^against = 'phone': it must be one of ordinary"):
-        compare(Settings("letters", distances=(DISTANCE,)), tmp_path / "out", against="phone")
-    assert main([*WORDS[:6], "--against", "phone", "-o", str(tmp_path / "out")]) == 2
-    assert "against = 'phone': it must be one of ordinary" in capsys.readouterr().err

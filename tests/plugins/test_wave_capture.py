@@ -4,21 +4,20 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import disk, error
+from cameras import disk, error, film
 from cases import by_signed_rays, scene_of
 from scipy.ndimage import map_coordinates
 from scipy.signal import fftconvolve
 
-from mitsuba_plenoptic import InputError, design, point_spread_function, reconstruct, render_capture, scene_path
+from mitsuba_plenoptic import InputError, design, point_spread_function, render_capture
+from mitsuba_plenoptic.plugins.wave_base import developed
 
 SHARED = {"resolution": 128, "detector_width": 0.256}
 """Four lenses across: the camera of most tests, so that what is planned for it is planned once a wavelength."""
 
 
-@pytest.mark.parametrize(
-    "place", [pytest.param((0.3, -0.2, 210.0), marks=pytest.mark.slow), (-0.1, 0.2, 240.0), (0.2, 0.4, 280.0)]
-)
-def test_one_tiny_emitter_renders_its_point_spread(camera_dict, place):
+def test_one_tiny_emitter_renders_its_point_spread(camera_dict):
+    place = (0.2, 0.4, 280.0)
     # So many points that a source of 10 um is met a few times; only those that shine cost time.
     scene = scene_of(camera_dict(resolution=256, detector_width=0.512), point=disk(place, 0.005))
     wave = render_capture(scene, model="wave", method="points", spp=4096)
@@ -34,7 +33,7 @@ def test_negative_light_is_refused(camera_dict, method):
     dark = disk((0.0, 0.0, 240.0), 2.0, emitter={"type": "area", "radiance": -1.0})
     scene = scene_of(camera_dict(resolution=16, detector_width=0.128), dark=dark)
     assert render_capture(scene, spp=2).image.min() == -1
-    with pytest.raises(InputError, match=r"^scene: 100% of the light of some rays is negative"):
+    with pytest.raises(InputError, match=r"^scene: 100%"):
         render_capture(scene, model="wave", method=method, spp=4)
 
 
@@ -42,15 +41,15 @@ def test_wave_and_ray_captures_hold_the_same_energy(camera_dict):
     # A crop at the rim, so that light from beyond it counts too.
     film = {"crop_offset_x": 352, "crop_offset_y": 160, "crop_width": 160, "crop_height": 192}
     scene = scene_of(camera_dict(film=film), near=disk((-1.0, 0.2, 225.0), 0.5), far=disk((-0.5, -0.4, 260.0), 0.7))
-    ray = render_capture(scene, spp=128)
-    wave = by_signed_rays(scene)
+    ray = render_capture(scene, spp=64)
+    wave = by_signed_rays(scene, 16)
     assert wave.image.sum() == pytest.approx(ray.image.sum(), rel=0.02)
 
 
 def test_a_white_scene_is_the_pupil_blurred_by_the_microlens(camera_dict):
     """Disc of the pupil * sinc^2 of the square microlens * pixel, repeated from lens to lens."""
     film = {"crop_offset_x": 224, "crop_offset_y": 224, "crop_width": 64, "crop_height": 64}
-    wave = by_signed_rays(scene_of(camera_dict(film=film), wall=disk((0, 0, 240.0), 5.0)))
+    wave = by_signed_rays(scene_of(camera_dict(film=film), wall=disk((0, 0, 240.0), 5.0)), 32)
     camera, fine = wave.camera, 5
     step = camera.pixel_size / fine
     x = np.arange(-230 * fine, 230 * fine + 1) * step
@@ -72,89 +71,22 @@ def test_a_white_scene_is_the_pupil_blurred_by_the_microlens(camera_dict):
     assert wave.image.sum() == pytest.approx(expected.sum(), rel=0.002)
 
 
-@pytest.mark.slow
-def test_a_fence_hides_what_it_hides_from_rays(camera_dict):
-    """A far letter behind a near fence whose slats hide half of the pupil from each of its points."""
-    slats = {
-        f"slat_{i}": {
-            "type": "rectangle",
-            "to_world": mi.ScalarTransform4f().translate([3.0 * i + 0.75, 0, 215]).scale([0.75, 6, 1]),
-            "bsdf": {"type": "diffuse", "reflectance": 0.0},
-        }
-        for i in range(-2, 3)
-    }
-    letter = {
-        "type": "ply",
-        "filename": str(scene_path("letters").parent / "meshes" / "f.ply"),
-        "face_normals": True,
-        "to_world": mi.ScalarTransform4f().translate([0, 0, 275]).scale([0.75, 0.75, 1]),
-        "emitter": {"type": "area", "radiance": 1.0},
-    }
-    scene = scene_of(camera_dict(resolution=1024, detector_width=2.048), letter=letter, **slats)
-    distances = [275.0, 215.0]
-    by_rays = reconstruct(render_capture(scene, spp=32), distances)
-
-    letter_seen, fence_seen = (
-        np.corrcoef(ours.image.ravel(), theirs.image.ravel())[0, 1]
-        for ours, theirs in zip(reconstruct(by_signed_rays(scene, spp=16), distances), by_rays, strict=True)
-    )
-    assert letter_seen >= 0.99
-    assert fence_seen >= 0.98
-
-
-@pytest.mark.slow
-def test_out_of_focus_letters_are_free_of_noise(camera_dict):
-    wave = by_signed_rays(scene_of(camera_dict(), wall=disk((0, 0, 225.0), 0.8)))
-    refocused = reconstruct(wave, 225.0).image
-    y, x = (np.indices(refocused.shape) + 0.5 - 8) * wave.camera.bin_size(225)
-    inside = refocused[np.hypot(x, y) < 0.8 - 2 * wave.camera.bin_size(225)]
-    assert inside.size > 20
-    assert inside.std() < 0.01 * inside.mean()
-
-
 def test_same_seed_same_bits_on_any_number_of_threads(camera_dict):
     scene = scene_of(camera_dict(**SHARED), near=disk((0, 0.05, 230.0), 0.1))
     first = by_signed_rays(scene, 2, seed=7).image
     threads = dr.thread_count()
-    for count in (1, 2):
-        dr.set_thread_count(count)
-        again = by_signed_rays(scene, 2, seed=7).image
-        np.testing.assert_array_equal(again, first)
+    dr.set_thread_count(threads % 2 + 1)
+    again = by_signed_rays(scene, 2, seed=7).image
+    np.testing.assert_array_equal(again, first)
     dr.set_thread_count(threads)
     other = by_signed_rays(scene, 2, seed=8).image
     assert not np.array_equal(other, first)
 
 
-@pytest.mark.slow
-def test_three_channels_diffract_at_their_wavelengths(camera_dict):
-    mi.set_variant("llvm_ad_rgb")
-    sensor = camera_dict(**SHARED, film={"pixel_format": "rgb"})
-    sky = {"type": "rgb", "value": [1.0, 0.5, 0.25]}
-    place = (0.05, 0.0, 230.0)
-    scene = scene_of(sensor, point=disk(place, 0.1, emitter={"type": "area", "radiance": sky}))
-    wave = by_signed_rays(scene)
-    assert wave.wavelength == (611.4, 549.1, 464.3)
-    assert wave.image.shape == (128, 128, 3)
-    sums = wave.image.sum(axis=(0, 1))
-    np.testing.assert_allclose(sums / sums[0], [1, 0.5, 0.25], rtol=0.02)
-    # Blue light spreads less: its micro-images are the sharper ones.
-    peaks = wave.image.max(axis=(0, 1)) / sums
-    assert peaks[2] > peaks[0]
-
-
-@pytest.mark.slow
-def test_a_film_of_luminance_adds_the_wavelengths_up_and_names_none(camera_dict):
-    mi.set_variant("llvm_ad_rgb")
-    scene = scene_of(camera_dict(**SHARED), point=disk((0, 0, 235.0), 0.05))
-    assert by_signed_rays(scene, spp=4).wavelength is None
-    assert by_signed_rays(scene, spp=4, wavelength=549.1).wavelength == 549.1
-
-
 @pytest.mark.parametrize(
     "variant",
     [
-        # Colours are told apart above, too.
-        pytest.param(name, marks=[pytest.mark.slow] * (name in ("llvm_ad_rgb", "llvm_ad_mono_polarized")))
+        pytest.param(name, marks=[pytest.mark.slow] * (name != "llvm_ad_spectral_polarized"))
         for name in mi.variants()
         if name.startswith("llvm")
     ],
@@ -171,14 +103,6 @@ def test_every_variant_records_the_same_light(variant, camera_dict):
     assert wave.image.shape == ray.image.shape == ((128, 128, 3) if coloured else (128, 128))
     assert ray.image.max() == pytest.approx(0.5, rel=0.1)
     np.testing.assert_allclose(wave.image.mean((0, 1)) / ray.image.mean((0, 1)), 0.995, rtol=0.01)
-
-
-@pytest.mark.slow
-def test_a_film_of_colours_records_many_wavelengths_in_spectral_variants(camera_dict):
-    mi.set_variant("llvm_ad_spectral")
-    sensor = camera_dict(**SHARED, film={"pixel_format": "rgb"})
-    capture = by_signed_rays(scene_of(sensor, point=disk((0, 0, 235.0), 0.05)), spp=1, nodes=1)
-    assert capture.image.shape[2] == 3 and len(capture.metadata["spectrum"]["wavelengths"]) == 31
 
 
 def test_models_wrap_and_unwrap_the_scenes_integrator(camera_dict):
@@ -199,7 +123,18 @@ def test_models_wrap_and_unwrap_the_scenes_integrator(camera_dict):
     assert "method = signed_rays" in str(scene.integrator())
 
 
-def test_a_background_at_infinity_is_as_bright_as_by_rays(camera_dict):
-    sky = scene_of(camera_dict(**SHARED), sky={"type": "constant"})
-    waves, rays = by_signed_rays(sky), render_capture(sky, spp=64)
-    assert waves.image.mean() == pytest.approx(rays.image.mean(), rel=0.015)
+@pytest.mark.parametrize(
+    ("variant", "channels", "pixel_format"), [("llvm_ad_mono", 1, "rgb"), ("llvm_ad_rgb", 3, "luminance")]
+)
+def test_film_forward_and_back(variant, channels, pixel_format):
+    """<D x, y> = <x, D' y>, whatever the image is."""
+    mi.set_variant(variant)
+    plate = mi.load_dict(film(7, 5) | {"pixel_format": pixel_format})
+    x = np.random.default_rng(0).normal(size=(5, 7, channels)).astype(np.float32)
+    light, image = developed(plate, np.ones_like(x))
+    dr.set_grad(light, mi.TensorXf(x))
+    change = np.array(dr.forward_to(image))
+    y = np.random.default_rng(1).normal(size=change.shape).astype(np.float32)
+    light, image = developed(plate, np.ones_like(x))
+    dr.backward(dr.sum(image * mi.TensorXf(y), axis=None))
+    assert np.vdot(change, y) == pytest.approx(np.vdot(x, dr.grad(light)), rel=1e-5)

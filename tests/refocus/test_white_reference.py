@@ -27,17 +27,12 @@ def test_whites_may_be_by_the_camera_that_recorded_or_the_one_that_is_given():
         mp.reconstruct(mp.Capture(WHITE, CAMERA), 210.0, camera=found, white=white)
 
 
-@pytest.mark.parametrize(
-    "options", [{"method": "ray"}, pytest.param({"method": "coherent"}, marks=pytest.mark.slow)], ids=str
-)
-def test_whites_in_colours_divide_each_channel_by_its_own(options):
+def test_whites_in_colours_divide_each_channel_by_its_own():
     """Each channel has its own unevenness; its radiance, and so the colour, is that of the capture."""
-    waves = options["method"] != "ray"
-    given = {"wavelength": COLOURS} if waves else {}
     slopes = 1 + np.linspace(-0.2, 0.2, 128)[:, None] * [1, 0, -1]
-    image = mp.reconstruct(0.5 * RGB * slopes, 210.0, camera=CAMERA, white=RGB * slopes, **options, **given).image
+    image = mp.reconstruct(0.5 * RGB * slopes, 210.0, camera=CAMERA, white=RGB * slopes).image
     np.testing.assert_allclose(image, np.broadcast_to([0.5, 0.4, 0.3], image.shape), rtol=1e-4)
-    image = mp.reconstruct(RGB, 210.0, camera=CAMERA, white=WHITE, **options, **given).image
+    image = mp.reconstruct(RGB, 210.0, camera=CAMERA, white=WHITE).image
     np.testing.assert_allclose(image, np.broadcast_to([1, 0.8, 0.6], image.shape), rtol=1e-4)
 
 
@@ -54,7 +49,7 @@ def test_crops_and_exposed_captures_read_their_radiance_by_a_white_reference():
         assert np.nanmean(found) == pytest.approx(0.5, abs=0.003)
 
 
-@pytest.mark.parametrize("radiance", [0.02, 0.5, 2.0, 300.0])
+@pytest.mark.parametrize("radiance", [0.02, 300.0])
 def test_the_radiance_of_a_white_does_not_scale_images(radiance):
     """A white that falls off from the axis as cos^4 does, recorded at any exposure."""
     px, py = CAMERA.pixel_coordinates(0), CAMERA.pixel_coordinates(1)
@@ -69,34 +64,12 @@ def test_the_radiance_of_a_white_does_not_scale_images(radiance):
     np.testing.assert_allclose(lf.values[lf.weight.values > 0], 0.7, rtol=1e-4)
 
 
-def test_whites_by_pixels_of_slanted_response_restore_the_radiance():
-    """Rays reach pixels at up to six degrees, which lose 15 % of them; the white knows how much."""
-    camera = CAMERA.replace(pixel_response=(0, 1, 10, 0.5))
-    white = mp.render_capture(mp.load_scene(SKY | {"camera": camera.to_sensor()}), spp=64)
-    assert white.image.sum() / WHITE.sum() == pytest.approx(0.85, abs=0.01)
-    np.testing.assert_allclose(mp.reconstruct(white, 240.0, white=white).image, 1, rtol=1e-5)
-
-
 WAVES = ({"method": "coherent"}, {"method": "partial"}, {"method": "partial", "interleave": "auto"})
 NARROW = mp.PlenopticCamera(
     focal_length=40, aperture_radius=5.0, mla_distance=60, mla_focal_length=0.12, mla_pitch=0.01996,
     detector_width=0.16, resolution=(80, 80),
 )  # fmt: skip
-HEXAGONAL = CAMERA.replace(mla_lattice="hexagonal")
-WHITES = {
-    "eight lenses": (CAMERA, 215.0, {}),
-    "narrow": (NARROW, 115.0, {"oversample": 3}),
-    "hexagonal": (HEXAGONAL, 215.0, {}),
-    "focused": (CAMERA.replace(mla_focal_length=0.45, detector_distance=0.6), 215.0, {"oversample": 3}),
-    "three": (HEXAGONAL.replace(mla_focal_length=(0.48, 0.512, 0.54), detector_distance=0.512), 250.0, {}),
-    "crop": (CROPS[1], 180.0, {}),
-    "displaced": (
-        CAMERA.replace(mla_jitter=(0.004, 0.0), mla_warp=(0, 0.002, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)),
-        215.0,
-        {},
-    ),
-    "slanted": (CAMERA.replace(pixel_response=(0, 1, 10, 0.5)), 215.0, {}),
-}
+WHITES = {"narrow": (NARROW, 115.0, {"oversample": 3}), "crop": (CROPS[1], 180.0, {})}
 
 
 def read_one(capture, distances, options):
@@ -111,18 +84,14 @@ def read_one(capture, distances, options):
 
 
 @pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")
-@pytest.mark.parametrize("model", ["ray", "wave"])
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name not in ("narrow", "crop"))) for name in WHITES]
-)
+@pytest.mark.parametrize(("name", "model"), [("narrow", "wave"), ("crop", "ray"), ("crop", "wave")])
 def test_white_worlds_read_one_without_a_white(name, model):
     """In several planes, up to the borders, by every method, in colours of several wavelengths."""
     camera, distance, options = WHITES[name]
     scene = mp.load_scene(SKY | {"camera": camera.to_sensor()}, variant="llvm_ad_mono")
     capture = mp.render_capture(scene, model=model, spp=256, **({} if model == "ray" else {"wavelength": 600.0}))
     planes = [distance, 1.1 * distance]
-    # The pixels' response by direction is known to rays alone.
-    for waves in () if camera.pixel_response else WAVES[:: 2 if name == "crop" else 1]:
+    for waves in WAVES[:: 2 if name == "crop" else 1]:
         read_one(capture, planes, {**options, **waves, "wavelength": 450.0})
     read_one(capture, planes, {"method": "ray", **options})
 
@@ -140,10 +109,9 @@ def test_whites_are_of_each_channel_and_plane_and_known_once(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("change", [{}, {"mla_lattice": "hexagonal", "mla_rotation": 7.0}, {"mla_fill": 0.8}], ids=str)
-def test_the_white_of_a_wave_capture_is_by_waves(change):
+def test_the_white_of_a_wave_capture_is_by_waves():
     """The mean of captures of many samples, whose noise is 0.2 %; that of rays is far off."""
-    camera = CAMERA.replace(**change)
+    camera = CAMERA.replace(mla_lattice="hexagonal", mla_rotation=7.0, mla_fill=0.9)
     scene = mp.load_scene(SKY | {"camera": camera.to_sensor()}, variant="llvm_ad_mono")
     captures = [mp.render_capture(scene, model="wave", spp=1024, seed=seed, wavelength=550.0) for seed in range(4)]
     mean = np.mean([capture.image for capture in captures], 0)

@@ -23,23 +23,16 @@ def captured(**changes):
 
 
 test_refused = refused(
-    (lambda: captured(image=np.ones((40, 32))), "the camera records 32 rows and 40 columns"),
-    (lambda: captured(image=np.ones((32, 40), complex)), "it must hold real numbers"),
-    (lambda: captured(model="magic"), "model = 'magic': it must be one of ray, wave"),
-    (lambda: captured(wavelength=-5.0), "wavelength = -5: it must be greater than 0"),
-    (lambda: captured(camera=None), "camera = None: it must be a PlenopticCamera"),
+    (lambda: captured(image=np.ones((40, 32))), "32 rows and 40 columns"),
+    (lambda: captured(image=np.ones((32, 40), complex)), "image.*real"),
+    (lambda: captured(model="magic"), "model = 'magic'"),
+    (lambda: captured(wavelength=-5.0), "wavelength = -5"),
+    (lambda: captured(camera=None), "camera = None"),
     (lambda: Detector(quantum_efficiency=1.1), "quantum_efficiency = 1.1"),
-    (lambda: Detector(quantum_efficiency=0), "quantum_efficiency = 0"),
-    (lambda: Detector(full_well=-1), "full_well = -1"),
-    (lambda: Detector(read_noise=-1), "read_noise = -1"),
     (lambda: Detector(dark_electrons=math.nan), "dark_electrons"),
     (lambda: Detector(bits=17), "bits = 17"),
-    (lambda: Detector(bits=0), "bits = 0"),
-    (lambda: Detector(gain=0), "gain = 0"),
     (lambda: Detector(black_level=4095), "black_level = 4095"),
-    (lambda: Detector(black_level=1.5), "black_level = 1.5"),
     (lambda: expose(GREY, Detector(), photons=0), "photons = 0"),
-    (lambda: expose(GREY, Detector(), photons=1, seed=-1), "seed = -1"),
     (lambda: expose(Capture(IMAGE * np.nan, CAMERA), Detector(), photons=1), "finite"),
 )
 
@@ -47,15 +40,15 @@ test_refused = refused(
 @pytest.mark.parametrize(
     ("write", "words"),
     [
-        (lambda folder: write_capture(folder / "nowhere" / "raw.exr", GREY), "does not exist"),
-        (lambda folder: write_capture(folder, GREY), "it is a folder"),
-        (lambda folder: write_raw(folder / "a.tiff", GREY), "capture: no detector has recorded it; expose it first"),
+        (lambda folder: write_capture(folder / "nowhere" / "raw.exr", GREY), "nowhere"),
+        (lambda folder: write_capture(folder, GREY), "folder"),
+        (lambda folder: write_raw(folder / "a.tiff", GREY), "capture: .*expose"),
         (
             lambda folder: write_raw(folder / "a.tiff", Capture(MOSAIC.image * 1.03, CAMERA, metadata=MOSAIC.metadata)),
-            "capture: its values are no digital numbers of its detector",
+            "capture: .*digital numbers",
         ),
-        (lambda folder: write_raw(folder / "a.jpg", MOSAIC), "give a name that ends in .png or .tif or .tiff"),
-        (lambda folder: Plot(1, 1).save(folder / "lens.jpg"), r"give a name that ends in \.png or \.pdf"),
+        (lambda folder: write_raw(folder / "a.jpg", MOSAIC), "a.jpg.*.png or .tif"),
+        (lambda folder: Plot(1, 1).save(folder / "lens.jpg"), "lens.jpg.*.pdf"),
     ],
 )
 def test_files_that_cannot_be_written(write, words, tmp_path):
@@ -71,7 +64,6 @@ LIES = np.zeros((3, 3), np.uint16)
     ("numbers", "options", "words"),
     [
         (np.stack([RAMP] * 5).astype("f4"), {}, "it holds 5 pictures"),
-        (np.stack([RAMP] * 5).astype("f4"), {"imagej": True, "truncate": True}, "it holds 5 pictures"),
         ((RAMP * 100).astype("i2"), {}, "int16"),
         (RAMP.astype("f4"), {"photometric": "miniswhite"}, "MINISWHITE, float32"),
         ((RAMP * 100).astype("u1"), {"extratags": [(274, 3, 1, 6, True)]}, "orientation 6"),
@@ -100,9 +92,7 @@ WHOLE = PlenopticCamera(detector_width=0.256, resolution=(64, 64))
         lambda image: Capture(image, WHOLE),
         lambda image: mp.decode(image, camera=WHOLE),
         lambda image: mp.reconstruct(image, 240, camera=WHOLE),
-        lambda image: mp.edge_sharpness(image),
         lambda image: mp.CaptureOperator(WHOLE, [[0, 0, 236.0]], wavelength=633).adjoint(image),
-        lambda image: mp.volume_points([image], lower=(0, 0, 230), upper=(1, 1, 240)),
     ],
 )
 def test_masks_and_imaginary_parts_are_not_lost(take):

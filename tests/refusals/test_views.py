@@ -40,8 +40,7 @@ CORNER = PlenopticCamera(crop_offset=(2075, 2075), crop_size=(4, 4))
 
 
 WITHOUT_LATTICE = [
-    np.ones((100, 100)), np.zeros((100, 100)), np.random.default_rng(0).random((200, 200)), np.ones((4, 4)),
-    np.ones(100), np.full((100, 100), np.nan),
+    np.ones((100, 100)), np.random.default_rng(0).random((200, 200)), np.ones((4, 4)), np.full((100, 100), np.nan),
     white_image(PlenopticCamera(detector_width=0.128, resolution=(64, 64))),
 ]  # fmt: skip
 """Of four lenses a lattice is not known."""
@@ -79,57 +78,41 @@ def patched(**changes):
 
 
 test_refused = refused(
-    (lambda: even(FOURIER.replace(mla_rotation=3.0)), "mla_rotation = 3: views of a Fourier microscope"),
-    (lambda: even(FOURIER.replace(resolution=(10, 10))), "a view needs three pixels"),
-    (
-        lambda: even(PlenopticCamera.preset("lfm").replace(resolution=(64, 64))),
-        "main_lens = .*decoded light fields refuse it",
-    ),
-    (lambda: even(PlenopticCamera.preset("lfm").replace(resolution=(64, 64))), "use method deconvolved"),
+    (lambda: even(FOURIER.replace(mla_rotation=3.0)), "mla_rotation = 3"),
+    (lambda: even(FOURIER.replace(resolution=(10, 10))), "three pixels"),
+    (lambda: even(PlenopticCamera.preset("lfm").replace(resolution=(64, 64))), "main_lens = .*method deconvolved"),
     (
         lambda: even(SMALL.replace(main_lens="singlet", focal_length=80, aperture_radius=5)),
-        "main_lens = Plano-convex singlet: decoded light fields refuse it",
+        "main_lens = Plano-convex singlet",
     ),
     *(
-        (lambda find=find: find(even(FOURIER)), "an even parallax between views is not defined behind an objective")
-        for find in (
-            depth_range,
-            lambda lf: refocus(lf, 0.01),
-            lambda lf: disparity(lf, 0.01),
-            lambda lf: shift_and_add(lf, 0.5),
-        )
+        (lambda find=find: find(even(FOURIER)), "parallax.*behind an objective")
+        for find in (depth_range, lambda lf: refocus(lf, 0.01), lambda lf: shift_and_add(lf, 0.5))
     ),
-    (lambda: lens_grid(CORNER), "no micro-image is centred in the recorded window"),
-    (lambda: lens_grid(CORNER.replace(mla_lattice="hexagonal")), "no micro-image is centred in the recorded"),
-    (lambda: patched(), r"micro_images = None: .* give micro_images\(capture\)$"),
+    *((lambda c=c: lens_grid(c), "no micro-image") for c in (CORNER, CORNER.replace(mla_lattice="hexagonal"))),
+    (lambda: patched(), "micro_images = None"),
     (lambda: patched(mla_rotation=7.0, mla_offset=(0.03, -0.02)), "another camera"),
-    (lambda: depth_map(even(FOCUSED).isel(u=slice(None, None, 2)), 232, 245, planes=3), "takes all of its views"),
+    (lambda: depth_map(even(FOCUSED).isel(u=slice(None, None, 2)), 232, 245, planes=3), "all of its views"),
     (
         lambda: micro_images(np.ones((384, 480)), grid=lens_grid(MULTI_FOCUS), white=np.ones((384, 480))),
         "camera = None",
     ),
     (lambda: mp.ground_truth(scene(), ["depth", "colour"]), "aov = 'colour'"),
-    (lambda: mp.ground_truth(scene(), []), "at least one of depth, virtual_depth, position"),
+    (lambda: mp.ground_truth(scene(), []), "virtual_depth"),
     (lambda: decode(np.ones(SMALL.shape), camera=SMALL.replace(aperture_radius=4.0), truth=truth()), "another camera"),
     (lambda: epipolar_image(even(), "?"), "axis = "),
     *((lambda image=image: estimate_lens_grid(image), "white") for image in WITHOUT_LATTICE),
     (lambda: LensGrid((0, 1), (0, 0), (2, 2)), "spacing"),
     (lambda: LensGrid((1, 1), (math.nan, 0), (2, 2)), "offset"),
-    (lambda: LensGrid((1, 1), (0, 0), (0, 2)), "shape"),
     (lambda: LensGrid((1, 1), (0, 0), (2, 2), 0.0, 2), "shifted_rows"),
     (lambda: decode(np.ones((64, 64))), "camera = None"),
     (lambda: decode(np.ones((64, 64)), grid=LensGrid((16, 16), (8, 8), (4, 4))), "white = None"),
     (lambda: decode(np.ones((64, 64)), camera=SMALL, white=np.ones((3, 3))), r"white of shape \(3, 3\)"),
     (lambda: decode(np.ones((64, 64)), camera=PlenopticCamera(resolution=(32, 64))), "the camera records"),
-    *(
-        (lambda work=work: work(unknown()), "no camera")
-        for work in (lambda lf: disparity(lf, 240), lambda lf: refocus(lf, 240))
-    ),
-    (lambda: disparity(even(), 70), "focal length"),
+    (lambda: disparity(unknown(), 240), "no camera"),
     (lambda: depth_map(even(), 50, 200), "focal length"),
     (lambda: depth_map(even(), math.nan, 200), "near"),
     (lambda: focal_stack(even(), []), "distances"),
-    (lambda: view(np.ones((3, 3, 3, 3))), "light field"),
     (lambda: view(xr.DataArray(np.ones((2, 2, 2, 2)), dims=("v", "u", "t", "s"))), "light field"),
 )
 
@@ -148,7 +131,7 @@ def test_light_fields_estimate_their_memory_first(work, monkeypatch):
     refuses("it would need", work)
 
 
-@pytest.mark.parametrize("text", ["much", "nan", "-1", "0"])
+@pytest.mark.parametrize("text", ["much", "nan", "0"])
 def test_a_limit_of_memory_that_is_none_is_refused(monkeypatch, text):
     monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", text)
     refuses("MITSUBA_PLENOPTIC_MEMORY", mp.reconstruct, np.ones((64, 64), np.float32), 240.0, camera=SMALL)

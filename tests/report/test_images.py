@@ -105,10 +105,8 @@ def test_a_sweep_takes_even_steps_of_the_reciprocal():
     found = sweep_distances([200, np.inf])
     assert (found[0], found[-1]) == (200, np.inf)
     np.testing.assert_allclose(np.diff([1 / distance for distance in found]), -1 / 200 / 23, rtol=1e-9)
-    refuses(
-        r"^distance: a focal sweep goes from one distance to another, and 3 are given", sweep_distances, [210, 240, 280]
-    )
-    refuses(r"^distance = 0: it must be greater than 0", sweep_distances, [0, 240])
+    refuses("^distance: .* and 3 are given", sweep_distances, [210, 240, 280])
+    refuses("^distance = 0", sweep_distances, [0, 240])
 
 
 def test_an_orbit_goes_once_round_the_pupil():

@@ -20,9 +20,11 @@ NO_OPTIX = (
 def machine(monkeypatch, capfd):
     """Return the status and the JSON of ``doctor`` on a machine with these parts."""
 
-    def simulate(*, cuda=False, llvm=None, script=installation._TRIANGLE):
+    some = ("scalar_rgb", "llvm_ad_mono", "cuda_ad_mono")
+
+    def simulate(*, cuda=False, llvm=None, script=installation._TRIANGLE, variants=some):
         monkeypatch.setattr(dr, "has_backend", lambda _: cuda)
-        monkeypatch.setattr(mi, "variants", lambda: ["scalar_rgb", "llvm_ad_mono", "cuda_ad_mono"])
+        monkeypatch.setattr(mi, "variants", lambda: list(variants))
         monkeypatch.setattr(installation.llvm, "problem", lambda: llvm)
         # The variant that is tried takes its script by its name, so that one can fail beside another.
         monkeypatch.setattr(installation, "_TRIANGLE", script)
@@ -38,9 +40,13 @@ def for_cuda(script):
 
 
 def test_without_a_gpu_llvm_renders(machine):
-    status, found = machine()
+    status, found = machine(variants=["llvm_ad_mono", "llvm_ad_mono_polarized", "cuda_ad_mono"])
     assert status == 0 and found["ready"] and found["verdict"] == "Ready to render"
-    assert found["Variants"] == {"llvm_ad_mono": "works here", "cuda_ad_mono": "not usable here"}
+    assert found["Variants"] == {
+        "llvm_ad_mono": "works here",
+        "llvm_ad_mono_polarized": "works here; wave captures are unpolarized",
+        "cuda_ad_mono": "not usable here",
+    }
     assert found["Versions"]["mitsuba"] and found["GPU"]["CUDA"] == "not found" and "OptiX" not in found["GPU"]
 
 

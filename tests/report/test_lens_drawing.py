@@ -98,27 +98,21 @@ def test_figures_see_pupils_that_grow_off_the_axis():
     assert dark.light == 0 and dark.colour is None and np.isnan([dark.distortion, *dark.transfer[:, 0]]).all()
 
 
-def test_a_drawing_is_made(tmp_path, capsys):
-    camera = tmp_path / "camera.json"
-    camera.write_text(CAMERA.to_json())
-    picture = tmp_path / "lens.png"
-    assert main(["info", str(camera), "--drawing", str(picture)]) == 0
+def test_a_drawing_is_made(tmp_path, run, complaint):
+    picture, lens = tmp_path / "lens.png", "main_lens=singlet,focus_distance=300,mla_lattice=none"
+    run("info", lens, "--drawing", picture, "--dpi", 40)
     with Image.open(picture) as image:
         pixels = np.asarray(image.convert("L"))
-    assert pixels.shape[0] > 500 and (pixels < 128).mean() > 0.002
-    assert main(["info", "paper", "--drawing", str(picture)]) == 2
-    assert "no main_lens of surfaces that could be drawn" in capsys.readouterr().err
-    options = ["info", "main_lens=singlet,focus_distance=300,mla_lattice=none", "--drawing"]
-    assert main([*options, str(picture), "--dpi", "40"]) == 0 and Image.open(picture).size[0] == 424
-    for where, rule in [(tmp_path / "none" / "lens.png", "the folder"), (tmp_path / "lens.pdf", "--dpi 40: it is for")]:
-        assert main([*options, str(where), "--dpi", "40"]) == 2 and rule in capsys.readouterr().err
+    assert pixels.shape[1] == 424 and (pixels < 128).mean() > 0.002
+    assert "no main_lens of surfaces" in complaint("info", "paper", "--drawing", picture)
+    for path, rule in ((tmp_path / "none" / "lens.png", "the folder"), (tmp_path / "lens.pdf", "--dpi 40: it is for")):
+        assert rule in complaint("info", lens, "--drawing", path, "--dpi", 40)
 
 
 SEQ = "RDM;LEN\nDIM M\nWL 587.5618\nSO 0.0 1e13\nS {0} {1} 1.5:60.0\n STO\n CIR {2}\nS -{0} 0\n CIR {2}\nSI 0 0\nGO\n"
 """A biconvex lens, by radius, thickness and semi-aperture."""
 
 FILES = {
-    "long": SEQ.format(600, 6, 30),
     "tiny": SEQ.format(0.5, 0.1, 0.1),
     "dark corners": SEQ.format(50, 2, 2).replace("S 50", "S 0 300\n CIR 2\nS 50"),
 }
@@ -128,9 +122,10 @@ FILES = {
 def test_a_lens_file_is_judged_where_parallel_light_is_in_focus(name, tmp_path, capsys):
     """By the lens-maker's formula, whatever the size; nothing of the built-in cameras is in the way."""
     (tmp_path / "lens.seq").write_text(FILES[name])
-    radius, gap = {"long": (600, 6), "tiny": (0.5, 0.1), "dark corners": (50, 2)}[name]
+    radius, gap = {"tiny": (0.5, 0.1), "dark corners": (50, 2)}[name]
     focal_length = 1 / (0.5 * (2 / radius - 0.5 * gap / (1.5 * radius**2)))
-    assert main(["info", str(tmp_path / "lens.seq"), "--drawing", str(tmp_path / "lens.png"), "--json"]) == 0
+    drawing = ["--drawing", str(tmp_path / "lens.png"), "--dpi", "40"]
+    assert main(["info", str(tmp_path / "lens.seq"), *drawing, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     values = {row["quantity"]: row["value"] for row in told["sheet"]}
     assert float(values["focal length"]) == pytest.approx(focal_length, rel=1e-6)
@@ -139,51 +134,41 @@ def test_a_lens_file_is_judged_where_parallel_light_is_in_focus(name, tmp_path, 
     # Third-order spherical aberration of a ray at the edge of this aperture is below 3 h^3 / f^2.
     edge = float(values["entrance pupil's diameter"]) / 2
     assert 0 < spots[0] < 1e3 * 3 * edge**3 / focal_length**2
-    assert Image.open(tmp_path / "lens.png").size[0] > 500
+    assert Image.open(tmp_path / "lens.png").size[0] == 424
 
 
-@pytest.mark.parametrize(
-    ("text", "rule"),
-    [
-        (
-            SEQ.format(-50, 2, 5).replace("--", ""),
-            "its focal length is -49.67 mm: it must be positive, so that it forms",
-        ),
-        (
-            SEQ.format(50, 2, 5).replace("S 50", "S 0 90\n STO\n CIR 2\nS 50").replace("60.0\n STO", "60.0"),
-            "no detector",
-        ),
-    ],
-    ids=["diverging", "far pupil"],
-)
-def test_a_lens_file_that_forms_no_image_is_refused_by_its_own_numbers(text, rule, tmp_path, capsys):
-    (tmp_path / "lens.seq").write_text(text)
-    assert main(["info", str(tmp_path / "lens.seq")]) == 2
-    told = capsys.readouterr().err
+NO_IMAGE = {
+    "its focal length is -49.67 mm": SEQ.format(-50, 2, 5).replace("--", ""),
+    "no detector": SEQ.format(50, 2, 5).replace("S 50", "S 0 90\n STO\n CIR 2\nS 50").replace("60.0\n STO", "60.0"),
+}
+
+
+@pytest.mark.parametrize("rule", NO_IMAGE)
+def test_a_lens_file_that_forms_no_image_is_refused_by_its_own_numbers(rule, tmp_path, complaint):
+    (tmp_path / "lens.seq").write_text(NO_IMAGE[rule])
+    told = complaint("info", tmp_path / "lens.seq")
     assert f"{tmp_path}/lens.seq: " in told and rule in told
     assert not re.search("main_lens|mla_distance|aperture_radius|focus_distance", told)
 
 
 @pytest.mark.parametrize(
-    ("options", "rule"),
+    ("options", "words"),
     [
-        (["--microlens", "micro.png"], "--microlens: {path}, a main lens, does not take it; leave it out"),
+        (["--microlens", "micro.png"], "--microlens: {path}, a main lens"),
         (["--pupil", "3", "--f-number", "8"], "--pupil, --f-number: give one of the two"),
-        (["--dpi", "300"], "--dpi 300: it is for figures in .png; the output is none"),
-        (["-D", "radius=3"], "-D: {path} is no scene, and has no scene parameters; leave it out"),
-        (["--unit", "m"], "--unit m: {path} is no scene, and has its lengths in millimetres; leave it out"),
+        (["-D", "radius=3"], "-D: {path} is no scene"),
+        (["--unit", "m"], "--unit m: {path} is no scene"),
     ],
 )
-def test_options_that_a_lens_file_does_not_take_are_refused(options, rule, tmp_path, capsys):
+def test_options_that_a_lens_file_does_not_take_are_refused(options, words, tmp_path, complaint):
     path = tmp_path / "lens.seq"
     path.write_text(SEQ.format(50, 2, 5))
-    assert main(["info", str(path), *options]) == 2
-    assert rule.format(path=path) in capsys.readouterr().err
+    assert complaint("info", path, *options).startswith(words.format(path=path))
 
 
-@pytest.mark.parametrize("changes", [{}, {"mla_lattice": "hexagonal", "mla_medium": 1.4, "mla_shape": ZoneLens(0.4)}])
-def test_draws_any_microlens(changes, tmp_path):
-    microlens_figure(PlenopticCamera(**changes), 532.0).save(tmp_path / "lens.png")
+def test_draws_any_microlens(tmp_path):
+    camera = PlenopticCamera(mla_lattice="hexagonal", mla_medium=1.4, mla_shape=ZoneLens(0.4))
+    microlens_figure(camera, 532.0).save(tmp_path / "lens.png")
     picture = matplotlib.image.imread(tmp_path / "lens.png")
     # Each of the three parts has colours.
     assert all((part[..., :3].std(axis=2) > 0.1).mean() > 0.01 for part in (picture[:, :560], picture[:, 600:1200]))

@@ -46,6 +46,14 @@ def forget():
                         each.cache_clear()
 
 
+def _scalar(kind):
+    def number(self):
+        DeviceArray.scalars += 1
+        return kind(self._host)
+
+    return number
+
+
 class DeviceArray(np.lib.mixins.NDArrayOperatorsMixin):
     """An array that only the stand-in's functions and its own operators can read."""
 
@@ -89,24 +97,7 @@ class DeviceArray(np.lib.mixins.NDArrayOperatorsMixin):
         DeviceArray.launches += 1
         self._host[_unwrap(index)] = _unwrap(value)
 
-    def _scalar(self, kind):
-        DeviceArray.scalars += 1
-        return kind(self._host)
-
-    def __float__(self):
-        return self._scalar(float)
-
-    def __complex__(self):
-        return self._scalar(complex)
-
-    def __int__(self):
-        return self._scalar(int)
-
-    def __index__(self):
-        return self._scalar(int)
-
-    def __bool__(self):
-        return self._scalar(bool)
+    __float__, __complex__, __int__, __index__, __bool__ = map(_scalar, (float, complex, int, int, bool))
 
     def __getattr__(self, name):
         if name in _ATTRIBUTES:

@@ -185,7 +185,6 @@ HANDED = {
     "signed rays": 2**17 + 30_000,
     "signed rays of coarse pixels": 2**17 + 30_000,
     "signed rays by three focal lengths": 2**17 + 30_000,
-    "estimate of signed rays": 2**17 + 30_000,
     # The square roots of the bins' intensities, of which the image is the sum.
     "derivatives of a reconstruction": 70_000,
     "derivatives of subsets": 90_000,
@@ -195,7 +194,7 @@ SCALARS = 48
 """Single numbers that may leave it: what arrived of each batch, of the image and of its white, and guarded powers."""
 QUICK = (
     "step", "sum of patterns", "full field", "fields", "signed rays", "convolution", "derivatives of a reconstruction",
-    "derivatives of subsets", "rays", "subdivided pixels", "lens by lens", "adjoint on a turned array",
+    "rays", "subdivided pixels", "lens by lens", "adjoint on a turned array",
 )  # fmt: skip
 """The others are run by `make slow`."""
 
@@ -222,22 +221,15 @@ def test_the_device_computes_the_same_and_only_what_is_finished_leaves_it(name, 
     assert device.scalars - before <= SCALARS
 
 
-def test_a_field_on_the_device_stays_there(device):
-    field = device.backend.arrays.asarray(FIELD)
-    moved = propagate(field, 4e-3, 5.0, 633)
-    assert isinstance(moved, device_stand_in.DeviceArray) and not device.to_host
-    np.testing.assert_array_equal(device.backend.to_host(moved), propagate(FIELD, 4e-3, 5.0, 633))
-
-
 def test_a_sum_goes_on_from_a_checkpoint(device, tmp_path):
     """Written from the device's memory, and taken back into it; threads of a device add in any order."""
-    whole = capture(CAMERA, POSITIONS, WEIGHTS)
-    path = tmp_path / "raw.checkpoint"
+    points, path = (CAMERA, POSITIONS, WEIGHTS), tmp_path / "raw.checkpoint"
+    whole = capture(*points)
     with pytest.raises(StoppedError), stopped_before(len), mp.Checkpoint(path) as keeper:
-        capture(CAMERA, POSITIONS, WEIGHTS, job=mp.Job(keeper=keeper))
+        capture(*points, job=mp.Job(keeper=keeper))
     calls = []
     with mp.Checkpoint(path, "resume") as keeper:
-        resumed = capture(CAMERA, POSITIONS, WEIGHTS, job=mp.Job(lambda *call: calls.append(call), keeper=keeper))
+        resumed = capture(*points, job=mp.Job(lambda *call: calls.append(call), keeper=keeper))
     assert calls[0][0] > 0
     np.testing.assert_allclose(resumed, whole, rtol=1e-5, atol=1e-6 * whole.max())
 
@@ -254,13 +246,10 @@ def test_without_cupy_waves_on_cuda_are_refused_with_the_remedy(monkeypatch):
     [
         (TypeError, lambda _, array: np.asarray(array)),
         (TypeError, lambda _, array: array + np.ones(3)),
-        (TypeError, lambda _, array: np.ones(3).__iadd__(array)),
         (TypeError, lambda _, array: array[np.arange(2)]),
-        (TypeError, lambda _, array: array.__setitem__(slice(None), np.ones(3))),
         (TypeError, lambda libraries, array: libraries.arrays.multiply(array, array, out=np.ones(3))),
         (AttributeError, lambda libraries, _: libraries.arrays.spacing),
         (AttributeError, lambda libraries, _: libraries.transforms.set_workers),
-        (AttributeError, lambda _, array: array.setfield),
         (AttributeError, lambda _, array: array.tolist()),
     ],
 )
@@ -320,14 +309,3 @@ def test_captures_of_other_seeds_differ_by_their_noise(scene, model):
     assert abs(ours.image.mean() / theirs.image.mean() - 1) <= 1e-3 + 3 * sigma
     difference = np.linalg.norm((ours.image - theirs.image).astype(float))
     assert difference / np.linalg.norm(np.hypot(ours.noise, theirs.noise)) == pytest.approx(1, abs=0.1)
-
-
-@pytest.mark.gpu
-@needs_device
-def test_waves_on_the_device_agree_with_rays():
-    """The letters in focus: diffraction by lenses of many wavelengths moves little light from bin to bin."""
-    rays, waves = (scene_capture("letters", model, "cuda_ad_mono", 1) for model in ("ray", "wave"))
-    assert waves.image.sum() == pytest.approx(rays.image.sum(), rel=0.02)
-    by_rays, by_waves = (mp.reconstruct(each, 240.0).image for each in (rays, waves))
-    known = np.isfinite(by_rays) & np.isfinite(by_waves)
-    assert np.corrcoef(by_rays[known], by_waves[known])[0, 1] > 0.98

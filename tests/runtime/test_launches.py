@@ -45,7 +45,9 @@ def launches(device, work):
 
 @pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")  # the small patches
 @pytest.mark.parametrize("camera", [CAMERA, pytest.param(TURNED, marks=pytest.mark.slow)], ids=["square", "turned"])
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "derivative")) for n in WORKS])
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in ("derivative", "gradient"))) for n in WORKS]
+)
 def test_more_points_of_a_batch_start_no_more_kernels(name, camera, request, monkeypatch):
     """And their sums are those that the processor computes point by point."""
     # The small patches that many points have, also for derivatives, in one chain of fields.

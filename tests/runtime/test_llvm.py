@@ -20,7 +20,6 @@ OLD = [item for item in llvm.candidates() if item.version and not item.usable]
         ("/x/lib/libLLVM-14.0.6.so.1", (14, 0, 6)),
         ("/usr/lib64/libLLVM.so.21.1", (21, 1)),
         ("/usr/lib64/llvm19/lib64/libLLVM.so", (19,)),
-        ("/env/lib/libLLVM.19.1.dylib", (19, 1)),
         ("/opt/homebrew/Cellar/llvm/21.1.7_1/lib/libLLVM.dylib", (21, 1, 7)),
         ("/opt/homebrew/Cellar/llvm@18/18.1.8/lib/libLLVM.dylib", (18, 1, 8)),
         ("/some/where/libLLVM.so", ()),
@@ -42,10 +41,11 @@ def test_candidates_come_newest_first_and_each_once(tmp_path, monkeypatch):
 
 
 def test_conda_environment_is_searched(tmp_path, monkeypatch):
-    (tmp_path / "lib").mkdir()
-    (tmp_path / "lib" / "libLLVM-99.so").touch()
+    library = tmp_path / "lib" / "libLLVM-99.so"
+    library.parent.mkdir()
+    library.touch()
     monkeypatch.setenv("CONDA_PREFIX", str(tmp_path))
-    assert llvm.candidates()[0].path == tmp_path / "lib" / "libLLVM-99.so"
+    assert llvm.candidates()[0].path == library
 
 
 def test_choose_takes_the_newest_and_leaves_a_users_choice(tmp_path, monkeypatch):
@@ -100,25 +100,23 @@ for use in (
     assert "17 or newer" in sensor or "inactive" in sensor
 
 
-NEED = "but the llvm variants need LLVM 17 or newer"
 GOOD, BAD = (llvm.Library(Path("/x.so"), (version,)) for version in (19, 16))
 
 
 @pytest.mark.parametrize(
-    ("loaded", "named", "found", "sentence"),
+    ("loaded", "named", "found", "words"),
     [
-        (None, None, [], "no LLVM 17 or newer was found, which the llvm variants need; run: INSTALL"),
-        ("LLVM 15.0.6", None, [GOOD], f"Dr.Jit loaded LLVM 15.0.6, {NEED}; import mitsuba_plenoptic before drjit and "
-         "mitsuba, or set DRJIT_LIBLLVM_PATH=/x.so"),
-        (None, "/none", [GOOD], "NAMED '/none': there is no such file; unset the variable, and /x.so is used"),
-        (None, "/none", [BAD], "NAMED '/none': there is no such file; unset the variable and run: INSTALL"),
-        (None, __file__, [], f"NAMED {__file__!r}: it is not an LLVM library that loads, {NEED}; unset the variable "
-         "and run: INSTALL"),
+        (None, None, [], ["no LLVM 17 or newer was found", "run: INSTALL"]),
+        ("LLVM 15.0.6", None, [GOOD], ["Dr.Jit loaded LLVM 15.0.6, ", "or set NAMED=/x.so"]),
+        (None, "/none", [GOOD], ["NAMED = '/none': there is no such file; unset the variable, and /x.so is used"]),
+        (None, "/none", [BAD], ["NAMED = '/none': there is no such file; unset the variable and run: INSTALL"]),
+        (None, __file__, [], [f"NAMED = {__file__!r}: it is not an LLVM library that loads, ", "run: INSTALL"]),
     ],
-)  # fmt: skip
-def test_explanations(loaded, named, found, sentence, monkeypatch):
+)
+def test_explanations(loaded, named, found, words, monkeypatch):
     monkeypatch.setattr(llvm, "install_command", lambda: "INSTALL")
-    assert llvm.explain(loaded, named, found) == sentence.replace("NAMED", "DRJIT_LIBLLVM_PATH =")
+    said = llvm.explain(loaded, named, found)
+    assert all(word.replace("NAMED", llvm.VARIABLE) in said for word in words)
 
 
 class TestTool:
@@ -160,11 +158,8 @@ class TestTool:
 
     def test_says_what_to_run_where_nothing_can_be_installed(self, tmp_path):
         result, _ = self.run(tmp_path, names={"dnf": "exit 1"})
-        assert result.returncode == 1
-        assert result.stderr == (
-            "ensure_llvm: no LLVM 17 or newer was found, which the llvm variants need; "
-            "run: sudo dnf install llvm-libs\n"
-        )
+        assert result.returncode == 1 and result.stderr.count("\n") == 1
+        assert result.stderr.endswith("run: sudo dnf install llvm-libs\n")
 
     def test_leaves_a_users_choice(self, tmp_path):
         result, log = self.run(tmp_path, names={"apt-get": "", "apt-cache": ""}, DRJIT_LIBLLVM_PATH="/nowhere.so")

@@ -88,9 +88,7 @@ def test_the_sums_of_lenses_are_theirs():
     [
         ("resolution", {"difference": 0.019, "apart": 0.04}, "ok"),
         ("resolution", {"difference": 0.021}, "FAILED: difference"),
-        ("resolution", {"apart": 0.06}, "FAILED: apart"),
         ("arrays.pixels-and-range", {"focus": 0.5, "wider": 1.2}, "ok"),
-        ("arrays.pixels-and-range", {"focus": 0.5, "wider": 0.9}, "FAILED: wider"),
         ("arrays.pixels-and-range", {"focus": 0.3, "wider": None}, "FAILED: focus"),
     ],
 )

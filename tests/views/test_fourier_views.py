@@ -28,9 +28,19 @@ def capture_of(camera, points=POINTS, power=1.0):
     return Capture(np.maximum(image, 0), camera, 550.0, "wave", {})
 
 
-@pytest.fixture(scope="module", params=[SQUARE, HEXAGONAL], ids=["square", "hexagonal"])
+@pytest.fixture(scope="module")
+def square():
+    return capture_of(SQUARE)
+
+
+@pytest.fixture(scope="module")
+def hexagonal():
+    return capture_of(HEXAGONAL)
+
+
+@pytest.fixture(scope="module", params=["square", "hexagonal"])
 def lf(request):
-    return decode(capture_of(request.param))
+    return decode(request.getfixturevalue(request.param))
 
 
 def test_each_view_sees_the_object_from_its_lenss_direction(lf):
@@ -59,8 +69,8 @@ def test_even_lenses_have_even_views(lf):
     assert sums.mean() == pytest.approx(1 / lenses, rel=0.03)
 
 
-def test_a_hexagonal_array_leaves_places_without_a_view():
-    lf = decode(capture_of(HEXAGONAL))
+def test_a_hexagonal_array_leaves_places_without_a_view(hexagonal):
+    lf = decode(hexagonal)
     there = lf.weight.values.max(axis=(2, 3)) > 0
     assert not (there[:, :-1] & there[:, 1:]).any()
     assert np.allclose(np.diff(lf.u), 0.25 * TO_STOP)
@@ -68,8 +78,8 @@ def test_a_hexagonal_array_leaves_places_without_a_view():
     assert not lf.values[~there].any()
 
 
-def test_views_are_upright_and_crops_lose_their_pixels():
-    whole = decode(capture_of(SQUARE))
+def test_views_are_upright_and_crops_lose_their_pixels(square):
+    whole = decode(square)
     cropped = SQUARE.replace(crop_offset=(70, 90), crop_size=(120, 100))
     part = decode(capture_of(cropped))
     assert (np.diff(whole.s) < 0).all() and (np.diff(whole.u) < 0).all()
@@ -82,8 +92,8 @@ def test_views_are_upright_and_crops_lose_their_pixels():
     assert epipolar_image(whole, at=0.0).shape == (5, 49)
 
 
-def test_a_white_capture_and_colours():
-    capture = capture_of(SQUARE)
+def test_a_white_capture_and_colours(square):
+    capture = square
     white = np.full(SQUARE.shape, 0.5, np.float32)
     colour = decode(np.repeat(capture.image[..., None], 3, axis=2), camera=SQUARE, white=white)
     np.testing.assert_allclose(decode(capture, white=6 * white).values, colour.values[..., 0], rtol=1e-5)

@@ -5,14 +5,12 @@ import math
 
 import numpy as np
 import pytest
-from cameras import disk, letters, pinhole_picture
-from cases import scene_of
+from cameras import letters, pinhole_picture, sky
 from light_field_cases import LATTICES, PAPER, all_cameras, fall_off_of, square_cameras
 from refusals import refuses
 from scipy.spatial import cKDTree
 
 from mitsuba_plenoptic import (
-    Capture,
     LensTransmissions,
     PlenopticCamera,
     Vignetting,
@@ -64,18 +62,10 @@ def test_detectors_of_every_size_have_as_many_views(pixels, f_number, size, half
     assert len(found) == 1, found
 
 
-class TestLensGrid:
-    def test_rows_turn_about_the_first_centre_and_shift(self):
-        grid = LensGrid((10, 8), (3, 4), (3, 2), math.pi / 2, 1)
-        expected = [[[3, 4], [3, 14]], [[-5, 9], [-5, 19]], [[-13, 4], [-13, 14]]]
-        np.testing.assert_allclose(grid.centres(), expected, atol=1e-12)
-
-    def test_nearest_distance(self):
-        assert LensGrid((10, 8), (0, 0), (3, 3)).nearest_distance == 8
-        hexagonal = LensGrid((10, math.sqrt(75)), (0, 0), (3, 3), shifted_rows=0)
-        assert hexagonal.nearest_distance == pytest.approx(10)
-        upright = LensGrid((math.sqrt(300), 5), (0, 0), (3, 3), shifted_rows=0)
-        assert upright.nearest_distance == pytest.approx(10)
+def test_rows_of_lenses_turn_about_the_first_centre_and_shift():
+    grid = LensGrid((10, 8), (3, 4), (3, 2), math.pi / 2, 1)
+    expected = [[[3, 4], [3, 14]], [[-5, 9], [-5, 19]], [[-13, 4], [-13, 14]]]
+    np.testing.assert_allclose(grid.centres(), expected, atol=1e-12)
 
 
 class TestWhiteImage:
@@ -89,19 +79,12 @@ class TestWhiteImage:
         assert single.max() == 1
         assert single[255, 256 + 12] == 0
 
-    @pytest.mark.parametrize(
-        "detector_distance", [0.512, pytest.param(0.6, marks=pytest.mark.slow)], ids=["in focus", "defocused lenses"]
-    )
-    def test_against_a_rendered_one(self, detector_distance):
-        camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256), detector_distance=detector_distance)
-        small = {"detector_width": "0.512", "resolution": "256", "detector_distance": str(detector_distance)}
-        scene = load_scene("white", parameters=small)
-        # Defocused lenses light each other's pixels, which makes their rays noisy.
-        rendered = render_capture(scene, spp=512 if detector_distance == 0.512 else 1024)
-        assert rendered.camera == camera
+    def test_against_a_rendered_one(self):
+        rendered = sky(PAPER.replace(detector_width=0.256, resolution=(128, 128)), 512)
+        camera = PAPER.replace(detector_width=0.256, resolution=(128, 128))
         # Light of lenses beyond the detector reaches its border only in the rendered one.
         inner = (slice(32, -32), slice(32, -32))
-        difference = (white_image(camera) - rendered.image)[inner]
+        difference = (white_image(camera) - rendered)[inner]
         assert abs(difference.mean()) < 1e-3
         assert np.sqrt(np.mean(difference**2)) < 0.012
 
@@ -132,21 +115,8 @@ class TestDecode:
         assert lf.shape[2:] == tuple(sizes)
         middle = lf.sizes["u"] // 2
         np.testing.assert_allclose(lf.weight[middle, middle, 2:-2, 2:-2], 1, atol=1e-3)
-
-    @square_cameras
-    def test_shape_and_coordinates(self, camera):
-        lf = decode(white_image(camera), camera=camera)
-        assert lf.dims == ("v", "u", "t", "s")
-        assert lf.sizes["v"] == lf.sizes["u"]
-        assert lf.sizes["u"] % 2 == 1
-        assert lf.shape[2:] == lens_grid(camera).shape
         for name in lf.dims:
             assert (np.diff(lf[name]) < 0).all()
-        # The pupil is covered to within a step and no sample lies half a step beyond it.
-        step = -np.diff(lf.u)[0]
-        assert step == pytest.approx(camera.pixel_size * camera.mla_distance / camera.detector_distance)
-        assert camera.aperture_radius - step < lf.u.values[0]
-        assert lf.u.values[0] < camera.aperture_radius + step / 2
         assert -np.diff(lf.s)[0] == pytest.approx(camera.bin_size(camera.focus_distance))
         assert camera_of(lf) == camera
 
@@ -159,25 +129,18 @@ class TestDecode:
         expected = 40 + 2 * lf.u - 30 * lf.s * b / g0 + 3 * lf.v + 20 * lf.t * b / g0
         open_ = lf.weight.values > 0.999
         assert open_.mean() > 0.4
+        # The pupil is covered to within a step and no sample lies half a step beyond it.
+        step = -np.diff(lf.u)[0]
+        assert step == pytest.approx(camera.pixel_size * camera.mla_distance / camera.detector_distance)
+        assert camera.aperture_radius - step < lf.u.values[0] < camera.aperture_radius + step / 2
         np.testing.assert_allclose(lf.values[open_], expected.transpose(*lf.dims).values[open_], atol=2e-3)
 
-    def test_light_is_kept(self):
-        # Light in the middle of the detector only, so that no sample is left out.
-        image = np.zeros(PAPER.shape, dtype=np.float32)
-        image[100:400, 100:400] = (
-            np.random.default_rng(0).random((300, 300)) * (white_image(PAPER) == 1)[100:400, 100:400]
-        )
-        lf = decode(image, camera=PAPER)
-        assert (lf * lf.weight).sum().item() == pytest.approx(image.sum(), rel=1e-4)
-
-    def test_a_given_white_image_is_divided_by(self):
-        vignette = 1.02 - np.linspace(-0.5, 0.5, 512, dtype=np.float32) ** 2
-        white = white_image(PAPER) * vignette
-        lf = decode(0.7 * white, camera=PAPER, white=Capture(white, PAPER))
-        np.testing.assert_allclose(lf.values[lf.weight.values > 0], 0.7, atol=1e-4)
-
-    @pytest.mark.parametrize("source", ["camera", "white", "white alone"])
-    @pytest.mark.parametrize("name", UNEVEN)
+    @pytest.mark.filterwarnings("ignore:white")
+    @pytest.mark.parametrize(
+        ("name", "source"),
+        [("lenses", "camera"), ("hexagonal", "white"), ("lenses", "white alone"), ("apodised", "white"),
+         ("outline", "camera"), ("outline", "white")],
+    )  # fmt: skip
     def test_what_is_seen_of_the_pupil_is_not_how_bright_it_is(self, name, source, tmp_path):
         even = PAPER.replace(**LATTICES["hexagonal"]) if name == "hexagonal" else PAPER
         dim = even.replace(**UNEVEN[name])
@@ -200,11 +163,10 @@ class TestDecode:
             both = (weight > 0) & (expected > 0)
             assert np.abs(np.where(both, weight - expected, 0)[inner]).max() < (1e-5 if source == "camera" else 0.04)
             assert np.mean((weight > 0) == (expected > 0)) > 0.98
-        save_light_field(tmp_path / "a.nc", lf)
-        back = open_light_field(tmp_path / "a.nc")
-        assert back.identical(lf)
-        save_light_field(tmp_path / "a.nc", lf.drop_vars("white"))
-        assert open_light_field(tmp_path / "a.nc").identical(lf.drop_vars("white"))
+        if source == "white alone":
+            for saved in (lf, lf.drop_vars("white")):
+                save_light_field(tmp_path / "a.nc", saved)
+                assert open_light_field(tmp_path / "a.nc").identical(saved)
 
     def test_colour(self):
         image = white_image(PAPER)[..., None] * [0.2, 0.5, 0.9]
@@ -242,14 +204,6 @@ class TestDecode:
         low, high = centres.min(0), centres.max(0)
         assert middle == pytest.approx(100 + 0.1 * (low + high)[0] / 2 - 0.2 * (low + high)[1] / 2, abs=0.2)
 
-    def test_a_grid_of_the_camera_is_resampled_to_its_bins(self):
-        turned = LensGrid((32.137, 32.137), (10.0, 5.0), (16, 16), math.radians(0.3))
-        white = white_image(PAPER, turned)
-        lf = decode(0.4 * white, camera=PAPER, grid=turned)
-        assert lf.shape[2:] == (16, 16)
-        np.testing.assert_allclose(lf.values[lf.weight.values > 0], 0.4, atol=1e-4)
-        assert (lf.weight.values[11, 11, 2:-2, 2:-2] > 0.99).all()
-
     def test_focus_at_infinity_gives_slopes(self):
         camera = PAPER.replace(mla_distance=80.0)
         lf = decode(white_image(camera), camera=camera)
@@ -267,9 +221,6 @@ class TestDisparity:
         for g in (190.0, 240.0, 3000.0):
             assert distance_of(lf, disparity(lf, g)) == pytest.approx(g)
         assert distance_of(lf, 100.0) == np.inf
-
-    def test_range_of_unambiguous_depth(self):
-        lf = decode(white_image(PAPER), camera=PAPER)
         near, far = depth_range(lf)
         assert (disparity(lf, near), disparity(lf, far)) == pytest.approx((-1, 1))
 
@@ -289,24 +240,12 @@ class TestViews:
     def test_a_view_beyond_the_pupil_is_refused(self, lf, place):
         (name, value), step = *place.items(), float(lf.u[0] - lf.u[1])
         low, high = float(lf[name][-1]) - step / 2, float(lf[name][0]) + step / 2
-        refuses(f"{name} = {value}: the light field goes from {low:.4g} to {high:.4g}", view, lf, **place)
+        refuses(f"{name} = {value}: .*{low:.4g} to {high:.4g}", view, lf, **place)
+        refuses("at = 9: ", epipolar_image, lf, at=9)
         assert np.array_equal(view(lf, **{name: high}), view(lf, **{name: float(lf[name][0])}))
 
-    @pytest.mark.parametrize("axis, field, pupil", [("horizontal", "t", "v"), ("vertical", "s", "u")])
-    def test_a_line_beyond_the_field_is_refused(self, lf, axis, field, pupil):
-        for name, places in (("at", field), ("through", pupil)):
-            beyond = 2 * float(lf[places][0])
-            refuses(f"{name} = {beyond:g}: the light field goes from", epipolar_image, lf, axis, **{name: beyond})
-
-    def test_of_a_single_view_there_is_nothing_to_choose(self, lf):
-        assert view(pick_views(lf, 1), u=1).shape == (4, 6)
-
-    def test_picked_views_divide_the_pupil(self, lf):
-        assert np.array_equal(pick_views(lf, 1).values[0, 0], lf.values[2, 2])
-        assert np.array_equal(pick_views(lf, 2).values[1, 0], lf.values[3, 1])
-        assert np.array_equal(pick_views(lf, 5).values, lf.values)
-
     def test_mosaics(self, lf):
+        assert np.array_equal(pick_views(lf, 2).values[1, 0], lf.values[3, 1])
         for j, i, row, column in ((0, 0, 0, 0), (1, 3, 2, 5), (4, 2, 3, 1)):
             assert view_mosaic(lf)[j * 4 + row, i * 6 + column] == lf.values[j, i, row, column]
             assert lens_mosaic(lf)[row * 5 + j, column * 5 + i] == lf.values[j, i, row, column]
@@ -322,32 +261,6 @@ class TestViews:
 
 class TestScenes:
     """What real scenes show in the views."""
-
-    @pytest.mark.parametrize("distance", [*(pytest.param(g, marks=pytest.mark.slow) for g in (205.0, 240.0)), 290.0])
-    def test_parallax_follows_the_formula(self, distance, camera_dict):
-        # A small disc off the axis; its place in every fully lit view, by its centroid.
-        black = {"type": "diffuse", "reflectance": {"type": "spectrum", "value": 0.0}}
-        disc = disk([-0.1 * distance / 120, 0.17 * distance / 120, distance], 0.16, bsdf=black)
-        integrator = {"type": "path", "max_depth": 1}
-        scene = scene_of(camera_dict(resolution=640, detector_width=1.28), integrator, disc=disc)
-        capture = render_capture(scene, spp=128, seed=1)
-        lf = decode(capture)
-        lit = lf.weight.min(("t", "s")) > 0.999
-        assert int(lit.sum()) > 200
-        # In lenses from the axis: u = -X b/g = 0.1 mm to the right and 0.17 mm up, plus P s(g).
-        s = capture.camera.defocus(distance)
-        right = -lf.s * 120 / 240 / 0.064
-        down = -lf.t * 120 / 240 / 0.064
-        light = lf.sum(("t", "s"))
-        x = ((lf * right).sum(("t", "s")) / light - (0.1 + lf.u * s) / 0.064).where(lit)
-        y = ((lf * down).sum(("t", "s")) / light - (-0.17 + lf.v * s) / 0.064).where(lit)
-        for error in (x, y):
-            assert float(np.sqrt((error**2).mean())) < 0.05
-            assert float(abs(error).max()) < 0.2
-            # The slope is far better than any single view: no scale error.
-            for axis in ("u", "v"):
-                slope = error.polyfit(axis, 1).polyfit_coefficients.sel(degree=1).mean()
-                assert abs(float(slope)) * 0.46875 < 0.003
 
     def test_centre_view_is_a_perspective_image(self):
         scene = load_scene("letters", parameters=letters(32))

@@ -5,7 +5,6 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
-import xarray as xr
 from cameras import letters, pinhole_picture
 from light_field_cases import blobs, fall_off_of, of_square_lenses, straight_rays
 from scipy.io import savemat
@@ -18,7 +17,6 @@ from mitsuba_plenoptic.views import (
     depth_map,
     disparity,
     distance_of,
-    focal_stack,
     lens_grid,
     refocus,
     shift_and_add,
@@ -83,14 +81,6 @@ def card(camera, slope, blob, contrast):
     return map_coordinates(pattern, np.meshgrid(place, place, indexing="ij"), order=1) * white_image(camera)
 
 
-@pytest.fixture(scope="module")
-def colours(blank):
-    """Three textures at 215 mm, and the light field whose channels they are."""
-    channels = [flat_scene(blank, 215.0, texture(seed)) for seed in range(3)]
-    lf = xr.concat(channels, dim="c").transpose("v", "u", "t", "s", "c")
-    return channels, lf.assign_coords(c=["R", "G", "B"])
-
-
 class TestShiftAndAdd:
     def test_is_the_mean_of_moved_views(self, blank):
         lf = blank.copy(data=np.random.default_rng(0).random(blank.shape, dtype=np.float32))
@@ -119,26 +109,12 @@ class TestShiftAndAdd:
         assert float(sharp.distance) == 215
         assert sharp.values.std() > 2 * refocus(lf, 270.0).values.std()
 
-    def test_borders_do_not_darken(self, blank):
-        lf = blank.copy(data=np.where(blank.weight.values > 0, np.float32(0.6), 0))
-        for g in (205, 240, 300):
-            np.testing.assert_allclose(refocus(lf, g).values, 0.6, atol=1e-5)
-
-    @pytest.mark.parametrize("distance", [*(pytest.param(g, marks=pytest.mark.slow) for g in (210.0, 240.0)), 280.0])
-    def test_equals_the_ray_reconstruction(self, distance):
-        capture = mp.render_capture(mp.load_scene("letters", parameters=letters(64)), spp=2)
-        ours = refocus(mp.decode(capture), distance).values
-        theirs = mp.reconstruct(capture, distance, footprint="lens").image
+    def test_equals_the_ray_reconstruction(self):
+        capture = mp.render_capture(mp.load_scene("letters", parameters=letters(32)), spp=2)
+        ours = refocus(mp.decode(capture), 280.0).values
+        theirs = mp.reconstruct(capture, 280.0, footprint="lens").image
         error = np.mean((ours - theirs) ** 2)
         assert 10 * math.log10(theirs.max() ** 2 / error) > 45
-
-    def test_colour_is_refocused_channel_by_channel(self, colours):
-        colours, lf = colours
-        stack = focal_stack(lf, [215, 260])
-        assert stack.dims == ("distance", "t", "s", "c")
-        for channel in range(3):
-            alone = focal_stack(colours[channel], [215, 260])
-            np.testing.assert_allclose(stack.values[..., channel], alone.values, atol=1e-5)
 
     def test_a_falling_white_moves_no_blur(self):
         camera = of_square_lenses(10, 20)
@@ -159,9 +135,9 @@ class TestShiftAndAdd:
 
 
 class TestDepth:
-    @pytest.mark.parametrize("source", ["white", "white alone", "lenses", "vignetting", "pupil", "white of LFToolbox"])
-    @pytest.mark.parametrize("slope", [pytest.param(-0.9, marks=pytest.mark.slow), 0.6])
-    def test_behind_a_falling_white(self, slope, source, tmp_path):
+    @pytest.mark.filterwarnings("ignore:white")
+    @pytest.mark.parametrize("source", ["white alone", "lenses", "vignetting", "white of LFToolbox"])
+    def test_behind_a_falling_white(self, source, tmp_path, slope=0.6):
         camera = of_square_lenses(10, 20)
         distance = float(distance_of(mp.decode(white_image(camera), camera=camera), slope))
         gain = np.random.default_rng(3).uniform(0.2, 1.3, (20, 20))
@@ -169,8 +145,6 @@ class TestDepth:
             camera = camera.replace(
                 vignetting=mp.Vignetting([1, 0, 0, -0.25, 0, -0.25], scale=1.0, slope_x=(0, 0.3, 0))
             )
-        if source == "pupil":
-            camera = camera.replace(pupil_apodisation=(-0.8, 0.0))
         lens_gain = (lambda i, j: gain[j + 10, i + 10]) if source == "lenses" else lambda i, j: 1.0
         light = blobs(distance, 2 * camera.mla_pitch * distance / camera.mla_distance)
         picture = straight_rays(camera, light, lens_gain)
@@ -226,24 +200,9 @@ class TestDepth:
             found.disparity.values[known], [disparity(lf, g) for g in found.depth.values[known]], atol=1e-9
         )
 
-    def test_no_texture_no_confidence(self, blank):
-        noise = np.random.default_rng(0).normal(0, 0.01, blank.shape)
-        lf = blank.copy(data=np.where(blank.weight.values > 0, 0.5 + noise, 0).astype(np.float32))
-        found = depth_map(lf, planes=32)
-        assert float((found.confidence < 0.5).mean()) > 0.98
-        assert float(found.confidence.where(np.isfinite(found.depth)).min()) >= 0.5 or bool(np.isnan(found.depth).all())
-        assert found.attrs["near"] == pytest.approx(188.5, abs=0.1)
-
     # Pixels a lens; lenses that the card moves from view to view; photons; size of its blobs in lenses; contrast.
     @pytest.mark.parametrize(
-        "case",
-        [
-            (10, 0, 50, 1.6, 0.18),
-            *(
-                pytest.param(case, marks=pytest.mark.slow)
-                for case in ((10, 0.98, 300, 1.6, 0.18), (9, -0.5, 100, 0.8, 0.3), (12, 1.02, 1000, 3, 0.1))
-            ),
-        ],
+        "case", [(10, 0, 50, 1.6, 0.18), pytest.param((9, -0.5, 100, 0.8, 0.3), marks=pytest.mark.slow)]
     )
     def test_noise_does_not_move_the_depth(self, case):
         pixels, slope, photons, blob, contrast = case
@@ -259,6 +218,7 @@ class TestDepth:
         assert right > 0.95
         assert float(inner.confidence.mean()) == pytest.approx(right, abs=0.1)
 
+    @pytest.mark.slow
     def test_confidence_falls_with_the_rate_of_right_depths(self):
         # So few photons that noise decides in every other bin.
         camera = noisy_camera(10)
@@ -272,11 +232,6 @@ class TestDepth:
         # Single captures scatter by 0.1, and confidences are on average 0.1 too low.
         assert 0.2 < np.mean(rates) < 0.8
         assert np.mean(stated) == pytest.approx(np.mean(rates), abs=0.15)
-
-    def test_colour(self, colours):
-        found = depth_map(colours[1], 200, 300, planes=24)
-        assert found.image.dims == ("t", "s", "c")
-        assert float(found.depth.median()) == pytest.approx(215, abs=0.7)
 
     def test_focused_cameras_compare_micro_images(self):
         # Stripes finer than the lenses, which alias from lens to lens: the value of a sample at its exact place.
@@ -301,22 +256,19 @@ class TestDepth:
         with pytest.raises(mp.InputError, match="nothing in common"):
             depth_map(lf, 239, 241)
 
-    @pytest.mark.parametrize("distance", [pytest.param(200.0, marks=pytest.mark.slow), 300.0])
-    def test_the_default_search_reaches_as_far_as_views_show_depth(self, blank, distance):
+    def test_the_default_search_reaches_as_far_as_views_show_depth(self, blank, distance=300.0):
         # Views move by 1.4 lenses and more.
         found = depth_map(flat_scene(blank, distance, texture(5)), planes=96).isel(s=slice(12, -12), t=slice(12, -12))
         assert float(np.isfinite(found.depth).mean()) > 0.9
         assert float(abs(found.depth / distance - 1).max()) < 0.01
 
-    @pytest.mark.parametrize(("near", "far"), [(200, 260), (285, 330)])
-    def test_a_card_beyond_the_search_is_unknown(self, blank, near, far):
+    def test_a_card_beyond_the_search_is_unknown(self, blank):
         lf = flat_scene(blank, 273.0, texture(6))
-        found = depth_map(lf, near, far, planes=24).isel(s=slice(3, -3), t=slice(3, -3))
+        found = depth_map(lf, 200, 260, planes=24).isel(s=slice(3, -3), t=slice(3, -3))
         assert float(np.isfinite(found.depth).mean()) < 0.05
         assert float((found.confidence == 0).mean()) > 0.9
 
-    @pytest.mark.parametrize("period", [1.3, pytest.param(2.0, marks=pytest.mark.slow)])
-    def test_stripes_that_agree_at_several_distances_are_not_sure(self, blank, period):
+    def test_stripes_that_agree_at_several_distances_are_not_sure(self, blank, period=1.3):
         # Lenses average over their width.
         height = 0.45 * np.sinc(1 / period)
         lf = flat_scene(blank, 246.0, lambda x, y: 0.5 + height * np.sin(2 * np.pi * x / period + 0.7) + 0 * y)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
 from mitsuba_plenoptic.views.plane_choice import LENSES, VIEWS, Disagreement, choose, indications
@@ -18,41 +17,6 @@ def found(deviation, contrast=0.3, inverse=INVERSE):
     return Disagreement(ratio, np.full(ratio.shape, SAMPLES), np.full(SHAPE, contrast), inverse)
 
 
-def valley(least):
-    """Deviations that rise from the true plane to either side."""
-    return least + (1 - least) * (1 - np.exp(-np.abs(np.arange(PLANES) - TRUE) / 2))
-
-
-@pytest.mark.parametrize("samples", [VIEWS, LENSES])
-def test_the_plane_of_least_disagreement_is_chosen(samples):
-    chosen = choose(found(valley(0.05)), samples, 0.01)
-    assert np.abs(chosen.plane - TRUE).max() < 0.5
-    assert chosen.probability.min() > 0.85
-
-
-@pytest.mark.parametrize("samples", [VIEWS, LENSES])
-def test_what_no_plane_explains_is_less_sure(samples):
-    # The same relative minimum, of views that are apart on every plane.
-    explained, unexplained = (choose(found(valley(0.2), c), samples, 0.01).probability for c in (0.3, 1.2))
-    # Wrong at least three times as often, however sure the first is.
-    assert np.all(1 - unexplained > 3 * (1 - explained))
-
-
-@pytest.mark.parametrize(("samples", "independent"), [(VIEWS, 6000.0), (LENSES, 100.0), (LENSES, 1500.0)])
-def test_noise_alone_is_not_significant(samples, independent):
-    # Ratios about 1 with the variance that the number of samples says, averaged over the bins of a window.
-    noise = gaussian_filter(np.random.default_rng(0).normal(size=(PLANES, 60, 60)), (0, 1, 1), mode="wrap")
-    ratio = 1 + noise / noise.std() / np.sqrt(independent)
-    ones = np.ones_like(ratio)
-    flat = Disagreement(ratio, independent * ones, 0.03 * ones[0], INVERSE)
-    assert (choose(flat, samples, 0.01).probability >= 0.5).mean() < 0.01
-    # The same noise over a valley that is eight times as deep as the deviation of an average, two of which are chance.
-    depth = 8 / np.sqrt(5 * independent)
-    ratio = ratio - depth * np.exp(-(((np.arange(PLANES) - TRUE) / 2) ** 2))[:, None, None]
-    weak = indications(Disagreement(ratio, independent * ones, 0.03 * ones[0], INVERSE), samples, 0.01)[1][3]
-    assert np.exp(np.median(weak)) == pytest.approx(6, abs=1.5)
-
-
 @pytest.mark.parametrize(("samples", "times"), [(VIEWS, 3), (LENSES, 2)])
 def test_a_valley_as_deep_elsewhere_makes_unsure(samples, times):
     def rivals(depth):
@@ -62,24 +26,6 @@ def test_a_valley_as_deep_elsewhere_makes_unsure(samples, times):
     ambiguous, clear = (choose(rivals(depth), samples, 0.01).probability for depth in (0.88, 0.1))
     # Wrong at least so many times as often.
     assert np.all(1 - ambiguous > times * (1 - clear))
-
-
-@pytest.mark.parametrize("samples", [VIEWS, LENSES])
-def test_a_plane_with_which_few_neighbours_agree_is_improbable(samples):
-    # Each bin has one deep valley, on one of five planes at random, as of repeated texture.
-    shape = (40, 40)
-    best = np.random.default_rng(0).choice([5, 12, 19, 26, 33], shape)
-    deviation = 1 - 0.95 * np.exp(-(((np.arange(PLANES)[:, None, None] - best) / 1.5) ** 2))
-    ratio = np.square(deviation)
-    scattered = Disagreement(ratio, np.full(ratio.shape, SAMPLES), np.full(shape, 0.3), INVERSE)
-    chosen, agreeing = choose(scattered, samples, 0.01), indications(scattered, samples, 0.01)[2]
-    # A bin's own weight in its window is 1 / 57; the others choose its plane in a fifth of the cases.
-    assert 0.18 < agreeing.mean() < 0.26
-    # Were two of the neighbours asked at random, this is how often at least one of them would agree.
-    assert np.all(chosen.probability <= 1 - (1 - agreeing) ** 2 + 1e-12)
-    assert (chosen.probability < 0.5).mean() > 0.8
-    assert np.array_equal(chosen.agreed, agreeing >= 0.5)
-    assert chosen.probability.max() < 0.9
 
 
 def test_neighbours_beyond_an_edge_are_a_minority():

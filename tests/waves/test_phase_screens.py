@@ -15,10 +15,10 @@ COMA = (0, 0, 0, 0, 0, 0.3, 0, 0.5)
 
 def capture(**changes):
     scene = scene_of(
-        mp.PlenopticCamera(resolution=(64, 64), detector_width=0.256, **changes).to_sensor(),
+        mp.PlenopticCamera(resolution=(32, 32), detector_width=0.128, **changes).to_sensor(),
         lamp=disk([0.03, 0.02, 240.0], 0.1),
     )
-    return mp.render_capture(scene, model="wave", wavelength=550.0, spp=16)
+    return mp.render_capture(scene, model="wave", wavelength=550.0, spp=8)
 
 
 def cubic(waves):
@@ -39,7 +39,7 @@ def test_the_guard_has_the_third_derivative():
     along = 550e-6 * 120 / 0.064 * np.cos(np.pi * np.arange(360) / 360)
     phase = 2 * np.pi * 10 * 633 / 550 / 5**3 * along**3 / 4
     assert found == pytest.approx((1 - np.cos(phase)).mean(), rel=0.02)
-    with pytest.warns(mp.PhysicsWarning, match="phase_screen say: it varies too fast; use ray captures"):
+    with pytest.warns(mp.PhysicsWarning, match="phase_screen"):
         capture(phase_screen=cubic(20))
-    with pytest.raises(guards.PhysicsError, match="of the light interferes at microlenses otherwise"):
+    with pytest.raises(guards.PhysicsError, match="of the light"):
         capture(phase_screen=cubic(100))

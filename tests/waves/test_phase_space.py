@@ -3,7 +3,6 @@
 import math
 import weakref
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from scipy.special import j0, j1
 from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.rays.tracer import Walk
-from mitsuba_plenoptic.runtime.backend import drjit_array
 from mitsuba_plenoptic.waves.phase_space import PhaseSpace, coefficients_of
 from tools.bench.cases import phase_space
 
@@ -24,19 +22,11 @@ DISCS = PlenopticCamera(mla_aperture="circle", mla_fill=0.5)
 GAPS = PlenopticCamera(mla_fill=0.5)
 
 
-@pytest.mark.slow
-def test_the_kernels_of_a_plan_keep_energy():
-    plan = PhaseSpace(PlenopticCamera(mla_lattice="hexagonal", mla_rotation=7.0), 633.0, degree=4)
-    sums = plan.kernels(0.001, 0.16).sum((1, 2))
-    assert sums == pytest.approx([1] + [0] * (len(sums) - 1), abs=3e-3)
-
-
 def disc(s):
     return 2 / math.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
 
 
-@pytest.mark.parametrize(("camera", "theory"), [(DISCS, disc), (GAPS, lambda s: 1 - s)])
-@pytest.mark.parametrize("degree", [0, 4])
+@pytest.mark.parametrize(("camera", "theory", "degree"), [(DISCS, disc, 4), (GAPS, lambda s: 1 - s, 0)])
 def test_the_first_kernel_has_the_transfer_function_of_its_aperture(camera, theory, degree):
     # Goodman, "Introduction to Fourier Optics", section 6.3.
     plan, step, width = PhaseSpace(camera, 633.0, degree=degree), 0.001, 0.032
@@ -78,18 +68,9 @@ def test_the_mean_over_the_pupil_is_airys_pattern(radius, tolerance):
         assert found == pytest.approx(expected, abs=tolerance), place
 
 
-def test_every_ray_keeps_its_energy():
-    plan = PhaseSpace(PlenopticCamera(), 633.0, degree=1, window=3, radial=5)
-    for node, part in zip(plan.nodes, plan.table, strict=True):
-        lenses = np.prod(node.sides) / 0.064**2
-        assert part[..., 0].mean((1, 2)) * lenses == pytest.approx(1, rel=1e-3)
-        assert part[..., 1:].mean((1, 2)) * lenses == pytest.approx(0, abs=5e-3)
-
-
-@pytest.mark.parametrize("blur", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])
-def test_a_wall_is_that_of_point_spreads(blur):
+def test_a_wall_is_that_of_point_spreads():
     camera = PlenopticCamera()
-    wall = phase_space.Wall(camera, blur, 1, 8, 0.0)
+    wall = phase_space.Wall(camera, 0.0, 1, 8, 0.0)
     view = phase_space.around(camera, wall, 1)
     exact = phase_space.reference(view, wall)
     plan = PhaseSpace(camera, 633.0, degree=2, window=5)
@@ -101,12 +82,8 @@ def test_a_wall_is_that_of_point_spreads(blur):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "camera",
-    [
-        PlenopticCamera.preset("paper_double_gauss"),
-        PlenopticCamera(wavefront=(0, 0, 0, 0, 0, 0.3)),
-        PlenopticCamera.preset("lfm"),
-    ],
-    ids=["double Gauss", "astigmatism", "objective"],
+    [PlenopticCamera.preset("paper_double_gauss"), PlenopticCamera.preset("lfm")],
+    ids=["double Gauss", "objective"],
 )
 def test_walls_through_other_main_lenses_are_those_of_point_spreads(camera):
     wall = phase_space.Wall(camera, 0.0, 1, 12, 0.0)
@@ -132,16 +109,7 @@ def test_the_pupil_off_the_axis_is_that_of_rays():
     assert np.mean((np.hypot(x, y) <= camera.pupil_radius) != expected) > 0.005
 
 
-def test_a_lens_far_out_of_focus_has_the_transfer_function_of_its_aperture():
-    plan = PhaseSpace(PlenopticCamera.preset("raytrix"), 633.0, degree=2)
-    kernels = plan.kernels(0.0055, 0.16)
-    assert kernels.sum((1, 2)) == pytest.approx([1, 0, 0, 0, 0, 0], abs=5e-3)
-    # Most of the spot is within a pixel, whose kernel is positive.
-    assert kernels[0].min() > -1e-6
-    assert 0.7 < kernels[0].max() < 0.8
-
-
-@pytest.mark.parametrize("f_number", [2, 5.6, 12, 30, 60, 240, 1000])
+@pytest.mark.parametrize("f_number", [2, 12, 60, 1000])
 def test_windows_hold_the_airy_pattern(f_number):
     """All but 0.6 % of its light, by the encircled energy (Born and Wolf, "Principles of Optics", section 8.5.2)."""
     camera = PlenopticCamera(aperture_radius=120 / f_number / 2)
@@ -151,9 +119,9 @@ def test_windows_hold_the_airy_pattern(f_number):
 
 
 def test_openings_of_a_few_wavelengths_are_refused():
-    with pytest.raises(InputError, match=r"mla_fill = 0.05: for signed rays it must be 0.0989 or more, openings of 10"):
+    with pytest.raises(InputError, match=r"mla_fill = 0.05: .* 0.0989"):
         PhaseSpace(PlenopticCamera(mla_fill=0.05), 633.0)
-    narrow = PhaseSpace(PlenopticCamera(mla_fill=0.1), 633.0)
+    narrow = PhaseSpace(PlenopticCamera(mla_fill=0.1), 633.0, degree=0)
     assert narrow.kernels(0.008, 0.128)[0].sum() == pytest.approx(1, abs=0.05)
 
 
@@ -181,39 +149,17 @@ def test_plans_of_many_cameras_keep_tables_of_bounded_size(monkeypatch):
     assert all(each() is not None for each in made[20:])
 
 
-@pytest.mark.slow
-def test_wavelengths_find_coefficients_at_the_same_places(monkeypatch):
-    monkeypatch.setattr("mitsuba_plenoptic.waves.phase_space._tables", {})
-    plans = [PhaseSpace(PlenopticCamera(), each, shortest=460.0, longest=610.0) for each in (460.0, 550.0, 610.0)]
-    together = coefficients_of(plans)
-    assert len({each.layout for each in together}) == 1
-    rng = np.random.default_rng(3)
-    point, pupil = ([drjit_array(mi.Float, size * rng.uniform(-1, 1, 500)) for _ in range(2)] for size in (0.05, 4.0))
-    chances = [drjit_array(mi.Float, rng.uniform(size=500)) for _ in range(4)]
-    ray = point, pupil, chances, mi.Bool(True)
-    for plan, own in zip(plans, together, strict=True):
-        alone = type(own)(plan, plan.tabulated())
-        assert dr.all(alone.places(*ray)[0] == together[0].places(*ray)[0])
-        assert np.array_equal(alone(*ray), own(*ray))
-        assert np.abs(own(*ray)).max() > 0.1
-
-
 @pytest.mark.parametrize(
     ("pitch", "pixels", "tolerance"),
-    [pytest.param(0.5, 16, 0.01, marks=pytest.mark.slow), (0.4, 4, 0.02), (0.4, 2, 0.04)],
+    [pytest.param(0.5, 16, 0.01, marks=pytest.mark.slow), (0.4, 4, 0.02)],
 )
 def test_kernels_of_large_lenses_keep_the_light(pitch, pixels, tolerance):
     """Far wider than their diffraction: samples of lenses repeat within the kernels' reach."""
     focal_length = 5.2 * pitch
     camera = PlenopticCamera(
-        focal_length=50,
-        aperture_radius=5,
-        focus_distance=1000,
-        mla_pitch=pitch,
-        mla_focal_length=focal_length,
-        detector_width=8 * pitch,
-        resolution=(8 * pixels,) * 2,
-    )
+        focal_length=50, aperture_radius=5, focus_distance=1000, mla_pitch=pitch, mla_focal_length=focal_length,
+        detector_width=8 * pitch, resolution=(8 * pixels,) * 2,
+    )  # fmt: skip
     plan = PhaseSpace(camera, 633.0)
     assert plan.lands_by_point == (pitch == 0.5)
     step = camera.pixel_size / plan.parts(False)

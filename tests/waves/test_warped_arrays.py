@@ -3,12 +3,11 @@
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import HALF, error, sky, small_camera, warped
+from cameras import sky, small_camera, warped
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, point_spread_function, render_capture
+from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.array import Displacement
-from mitsuba_plenoptic.views import decode, lens_grid, white_image
-from tools.bench.cases.arrays import GREEN
+from mitsuba_plenoptic.views import lens_grid, white_image
 
 
 def centroids(image, camera, centres, half=13.0):
@@ -25,8 +24,7 @@ def centroids(image, camera, centres, half=13.0):
 @pytest.mark.parametrize(
     ("light", "terms"),
     [
-        ("rays", 18), ("computed", 18), ("grid", 7), ("grid", 18),
-        *(pytest.param(*pair, marks=pytest.mark.slow) for pair in (("rays", 7), ("waves", 7), ("waves", 18))),
+        ("rays", 18), ("computed", 18), ("grid", 7), ("grid", 18), pytest.param("waves", 18, marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_micro_images_are_displaced_by_the_polynomial(light, terms):
@@ -51,23 +49,6 @@ def test_micro_images_are_displaced_by_the_polynomial(light, terms):
     assert np.abs(centroids(image, camera, expected)).max() < 0.02
 
 
-@pytest.mark.slow
-def test_a_point_in_focus_sees_a_lens_of_a_moved_array():
-    """Nearly all of its light passes one lens, as it does in a regular array that lies where this lens is."""
-    camera, moved = warped(small_camera(8, **HALF), 1.5, 18)
-    lens = 3.5 * camera.mla_pitch, -2.5 * camera.mla_pitch
-    aside = moved(*lens)
-    point = [-2 * (c + shift) for c, shift in zip(lens, aside, strict=True)] + [120.0]
-    found = point_spread_function(camera, point, wavelength=GREEN, method="full_field")
-    straight = camera.replace(mla_warp=())
-    placed = straight.replace(mla_offset=tuple(aside.tolist()))
-    expected, unmoved = (
-        point_spread_function(each, point, wavelength=GREEN, method="full_field") for each in (placed, straight)
-    )
-    assert error(found, expected) < 0.01
-    assert error(unmoved, expected) > 0.03
-
-
 @pytest.mark.parametrize("terms", [7, 18])
 def test_polynomials_turn_with_their_frame(terms):
     camera, _ = warped(PlenopticCamera(), 3.0, terms)
@@ -80,28 +61,8 @@ def test_polynomials_turn_with_their_frame(terms):
     assert np.allclose(shifts.regular(*np.add([x, y], shifts.smooth(x, y))), [x, y], atol=1e-6)
 
 
-@pytest.mark.slow
-def test_views_of_a_warped_camera_are_those_of_the_straight_one():
-    mi.set_variant("llvm_ad_mono")
-    straight, fields = small_camera(12), []
-    camera, _ = warped(straight, 3.0, 18)
-    texture = mi.Bitmap(np.random.default_rng(0).random((9, 9, 1)).astype(np.float32))
-    light = {"type": "area", "radiance": {"type": "bitmap", "bitmap": texture, "raw": True}}
-    place = mi.ScalarTransform4f().translate([0, 0, 240]).rotate([0, 1, 0], 180)
-    for taken in (straight, camera):
-        parts = {"camera": taken.to_sensor(), "wall": {"type": "rectangle", "to_world": place, "emitter": light}}
-        capture = render_capture(mi.load_dict({"type": "scene", "i": {"type": "direct"}, **parts}), spp=64)
-        fields.append(decode(capture))
-    fields.append(decode(capture.image, camera=straight))
-    seen = np.all([field.weight.values > 0.5 for field in fields], axis=0)
-    ours, wrong = (np.corrcoef(field.values[seen], fields[0].values[seen])[0, 1] for field in fields[1:])
-    assert ours > 0.998 and 1 - wrong > 5 * (1 - ours)
-
-
 def test_a_steep_warp_is_refused_and_zeros_are_none():
-    with pytest.raises(
-        InputError, match=r"changes by up to 0.1[0-9]* mm per mm over the detector: it must be less than"
-    ):
+    with pytest.raises(InputError, match=r"0\.1[0-9]* mm per mm"):
         small_camera(10).replace(mla_warp=(0.125, 0.125))
     assert PlenopticCamera(mla_warp=[0.0] * 9) == PlenopticCamera()
     assert [len(PlenopticCamera(mla_warp=(1e-6,) * count).mla_warp) for count in (1, 14, 36)] == [14, 14, 36]

@@ -1,8 +1,9 @@
 """Least squares for the pupil over the field, from the pixels of a white picture's micro-images.
 
 The numbers of `micro_image.PupilNumbers` are polynomials of the lens's place. Gauss-Newton steps compare the pixels of
-lenses with the model at the middle of a zone of the field, corrected to first order for each lens, and leave the
-brightness of each lens free (variable projection: G. Golub and V. Pereyra 2003, "Separable nonlinear least squares").
+lenses with the model at the middle of a zone of the field, corrected for each lens (to first order where its pupil is
+nearly that of the zone), and leave the brightness of each lens free (variable projection: G. Golub and V. Pereyra 2003,
+"Separable nonlinear least squares").
 """
 
 from __future__ import annotations
@@ -213,7 +214,12 @@ class WhiteRecording:
         models = np.stack([self.model.samples(numbers), *self.model.slopes(numbers)], axis=-1)
         models = self.model.splines(x, y) @ models.reshape(-1, models.shape[-1])
         slopes = models[:, 1:]
-        image = models[:, 0] + (slopes * (at_lens - at_zone)[lens]).sum(1)
+        change = at_lens - at_zone
+        image = models[:, 0] + (slopes * change[lens]).sum(1)
+        # Where rims move by more than a tenth of a pixel within the zone, first order is not enough.
+        for far in np.flatnonzero(np.abs(change[:, :5]) @ [1, numbers.radius, numbers.radius, 1, 1] > 0.1):
+            pixels = slice(*first[far : far + 2])
+            image[pixels] = self.model.at(self.model.samples(PupilNumbers(*at_lens[far])), x[pixels], y[pixels])
         weight = np.ones(len(value))
         for _ in range(2):
             power = np.maximum(np.bincount(lens, weight * image * image, len(position)), 1e-9)

@@ -81,7 +81,9 @@ def wave_batches(
     # With more than one along a period of the finest detail that the pupil resolves no pixel feels the grid, which a
     # blur of 2 pitches hides; 4 along a period of the finest lines that the plane's light resolves.
     spots = 1.1 * pitch / airy if cells.camera.blur_diameter(distance) < 2 * pitch else 0.0
-    points_along = radiators or max(8, min(48, math.ceil(max(4 * lines, spots))))
+    # Bins finer than lenses show what 8 points leave of the finest fringes.
+    fewest = 8 if cells.oversample == 1 else 10
+    points_along = radiators or max(fewest, min(48, math.ceil(max(4 * lines, spots))))
     places = cells.bin_places(cell, math.ceil(points_along / cells.oversample))
     weight = bin_weight(cells) / places.shape[1]
     if not lens.is_uniform:
@@ -264,6 +266,7 @@ class Response(StoredResponse):
             self._batches: Callable[..., Sequence[Sequence[Any]]] = functools.partial(ray_batches, rays)
         else:
             camera = camera.at_wavelength(wavelength)
+            recorded = recorded.at_wavelength(wavelength)
             fine, self._together = wave_grid(camera, distances, wavelength)
             grid = fine.merged(self._together)
             self._batches = functools.partial(wave_batches, fine)
@@ -302,16 +305,15 @@ class Response(StoredResponse):
             owner[members] = index
         groups = max(groups, groups_of_cells, key=len)
         owners = [owner[members[len(members) // 2]] for members in groups]
-        if uneven:
-            zone = None
-            if wavelength:
-                seen = np.ones((3, len(self._sampled)), np.float32)
-                for members, index in zip(groups, owners, strict=True):
-                    seen[:2, members] = self.cells.middle(middles[index])[:, None]
-                samples = np.ones(self.cells.size[::-1], np.float32)
-                x, y, ones = (self._recorded(np.multiply.outer(some, samples)) for some in seen)
-                zone = np.stack([x, y]) / ones
-            dimmed = _dimmed(recorded, self.cells.grid.lens, lens, zone, wavelength or 0.0)
+        zone = None
+        if uneven and wavelength:
+            seen = np.ones((3, len(self._sampled)), np.float32)
+            for members, index in zip(groups, owners, strict=True):
+                seen[:2, members] = self.cells.middle(middles[index])[:, None]
+            samples = np.ones(self.cells.size[::-1], np.float32)
+            x, y, ones = (self._recorded(np.multiply.outer(some, samples)) for some in seen)
+            zone = np.stack([x, y]) / ones
+        own, whole, beyond = _dimmed(recorded, self.cells.grid.lens, lens, zone, wavelength or 0.0)
         self._store(len(distances) > 1 and _LIT * len(middles) * sum(kernel_bytes) > _MEMORY)
         # Far too many bins are refused before they are put into batches.
         stored = self._folder is not None
@@ -352,8 +354,8 @@ class Response(StoredResponse):
                 for kernel in kernels
             ]
             self.planes.append(PlaneResponse(self.cells, self._sampled, groups, [kernels[index] for index in owners]))
-        # Gaps between lenses scatter half of it.
-        self._far = np.float32(np.mean(far or [0.0]) / (1 if camera.lattice.fills else 2))
+        # Gaps between lenses scatter half of it evenly.
+        self._far = np.float32(np.mean(far or [0.0])) * (beyond if camera.lattice.fills else (1 + beyond) / 2)
         self.bins = [
             UprightBins.over(self.cells, plane.lit, camera, distance, oversample)
             for plane, distance in zip(self.planes, distances, strict=True)
@@ -369,14 +371,16 @@ class Response(StoredResponse):
             gain = self._gain
             self._gain = np.float32(1)
             white = self._direct(np.ones(self.source_shape, np.float32))
-            own, whole = dimmed
             ratio = np.divide(own, whole, out=np.ones_like(own), where=whole > 1e-6 * whole.max()).clip(0, 4)
             number = lens_numbers(recorded).ravel()
             light, right, at_zone, wrong = (
                 np.bincount(number, some.ravel()) for some in (white, own, whole, white * ratio)
             )
             share = np.divide(light * right, at_zone * wrong, out=np.ones_like(light), where=at_zone * wrong > 0)
-            self._gain = (gain * ratio * share[number].reshape(ratio.shape)).astype(np.float32)
+            dim = ratio * share[number].reshape(ratio.shape).astype(np.float32)
+            self._gain = gain * dim
+            # Far light has the lens's pupil, not the zone's.
+            self._far = self._far / dim.clip(0.1)
         if recorded.stray_light:
             # Interpolation leaves less than no light between micro-images, which steps would divide stray light by.
             # 0.005: Light of a white scene there, over that of the brightest pixel, as in `RichardsonLucy`.
@@ -397,18 +401,6 @@ class Response(StoredResponse):
             sent *= self._vignetting.power(*_pairs(2**10)[1], *self.cells.middle(cell)).mean()
         arrived = sum(float(block.matrix.sum(dtype=np.float64)) for block in kernel.blocks)
         return max(0.0, sent / (arrived * self.cells.grid.pitch.prod()) - 1)
-
-    def _spread(self, values: Floats) -> list[Floats]:
-        """Return planes with the light that the pupil's edge diffracts beyond kernels, to other bins; self-adjoint."""
-        width = 8 * self._oversample + 1
-        return [plane + self._far * uniform_filter(plane, width, mode="reflect") for plane in self.planes_of(values)]
-
-    def _scattered(self, image: Floats) -> Floats:
-        """Return an image with the light that gaps between lenses scatter evenly; its own adjoint."""
-        if self._camera.lattice.fills:
-            return image
-        width = 2 * math.ceil(4 * self._camera.micro_image_pitch / self._camera.pixel_size) + 1
-        return image + self._far * uniform_filter(image, width, mode="reflect")
 
     def _middle(self, members: Integers) -> Integers:
         """Return the cell in the middle of a zone."""
@@ -503,9 +495,10 @@ class Response(StoredResponse):
         width, height = self.cells.size
         libraries = active_backend()
         samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
-        for plane, bins, radiance in zip(self.planes, self.bins, self._spread(values), strict=True):
+        for plane, bins, radiance in zip(self.planes, self.bins, self.planes_of(values), strict=True):
             plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), samples)
-        return np.asarray(self._gain * self._scattered(self._recorded(samples)))
+        image = self._recorded(samples)
+        return np.asarray(self._gain * (image + self._far * _around(self._camera, image)))
 
     def _recorded(self, samples: Floats) -> Floats:
         """Return the integrals over pixels of the samples of cells."""
@@ -514,12 +507,23 @@ class Response(StoredResponse):
 
     def adjoint(self, image: Floats, /) -> Floats:
         """Return the transpose of `forward`, applied to an image."""
-        light = self._scattered(self._gain * self._detector.adjoint(image))
+        light = self._gain * self._detector.adjoint(image)
+        light += _around(self._camera, self._far * light)
         sums = self._recorder.spread(light[..., None])[0]
         samples = self.cells.split(sums, self._recorder.box, self._sampled)
         planes = zip(self.planes, self.bins, strict=True)
-        values = np.concatenate([bins.share @ plane.adjoint(samples).ravel() for plane, bins in planes])
-        return np.concatenate(self._spread(values), axis=None)
+        return np.concatenate([bins.share @ plane.adjoint(samples).ravel() for plane, bins in planes])
+
+
+def _around(camera: PlenopticCamera, image: Floats) -> Floats:
+    """Return the mean of an image over nine lenses around each, in blocks of a lens; a symmetric matrix."""
+    width = max(1, round(camera.micro_image_pitch / camera.pixel_size))
+    rows, columns = (-(-size // width) for size in image.shape)
+    whole = np.zeros((rows * width, columns * width), np.float32)
+    whole[: image.shape[0], : image.shape[1]] = image
+    means = whole.reshape(rows, width, columns, width).sum(3).sum(1) / np.float32(width**2)
+    around = uniform_filter(means, 9, mode="reflect").repeat(width, 0).repeat(width, 1)
+    return np.asarray(around[: image.shape[0], : image.shape[1]])
 
 
 def _farthest(camera: PlenopticCamera) -> float:
@@ -535,16 +539,17 @@ def _pupil_of(lens: MainLens, vignetting: Vignetting | None, pupil: Any, place: 
     if not lens.is_uniform:
         return cast(FittedLens, lens).system.inside(pupil, place), 1.0
     radius = lens.pupil.radius
-    outline, passed = cast(Vignetting, vignetting).outline(pupil[0] / radius, pupil[1] / radius, place[0], place[1])
+    outline, passed = (vignetting or Vignetting(1.0)).outline(pupil[0] / radius, pupil[1] / radius, place[0], place[1])
     return outline * radius, passed
 
 
 def _dimmed(
     camera: PlenopticCamera, main_lens: MainLens, lens: Doubles, zone: NDArray[Any] | None, wavelength: float
-) -> tuple[Floats, Floats]:
-    """Return the light of pixels of some lenses, and that with the pupil of the middles of their zones, or the whole.
+) -> tuple[Floats, Floats, Floats]:
+    """Return the light of pixels of some lenses, that with the pupil of the middles of their zones, or whole, and far.
 
     An edge of the pupil is blurred as wide as a lens and a pixel see it, and as the aperture of a lens diffracts it.
+    Far light, 1 on the mean, has the pupil's edge as its source, or the borders of lenses, which cast an even pupil.
     """
     width = camera.lattice.aperture_width
     aside = width * abs(1 - camera.reduced_distance / min(camera.reduced_focal_lengths))
@@ -564,7 +569,14 @@ def _dimmed(
         inside, passed = _pupil_of(main_lens, camera.vignetting, pupil, place)
         return np.asarray(blur.forward((white * np.clip(inside / edge + 0.5, 0, 1) * passed).astype(np.float32)))
 
-    return light(*centres), np.asarray(blur.forward(white)) if zone is None else light(*zone)
+    here = light(*centres)
+    inside, _ = _pupil_of(main_lens, camera.vignetting, pupil, centres)
+    rims = blur.forward(np.clip(1 - abs(inside) / edge, 0, 1).astype(np.float32))
+    far = np.zeros_like(here)
+    for part in (here, rims):
+        mean = _around(camera, part)
+        far += np.divide(part, 2 * mean, out=np.full_like(part, 0.5), where=mean > 0.02)
+    return here, np.asarray(blur.forward(white)) if zone is None else light(*zone), far
 
 
 def _fine(grid: Grid, camera: PlenopticCamera, oversample: int) -> int:

@@ -17,9 +17,6 @@ from ..calibrate.field_fit import FieldNumbers
 from ..calibrate.micro_image import NUMBERS, MicroImageModel, PupilNumbers
 from ..calibrate.white_fit import WhiteFit
 
-_ZONE = 4
-"""Lenses along a side for which one micro-image serves, at their own brightness."""
-
 
 @dataclass(frozen=True)
 class CameraModel:
@@ -220,11 +217,9 @@ class ArrayPart:
         micro = MicroImageModel(camera, self.model.wavelength)
         numbers = self.model.field.values(self.place)
         numbers[:, NUMBERS.index("stray")] = 0.0
-        row, column = np.divmod(self.lens_of, self.lenses[0])
-        zone = (row // _ZONE) * self.lenses[0] + column // _ZONE
+        order = np.argsort(self.lens_of)
+        ends = np.searchsorted(self.lens_of[order], np.arange(1, len(numbers)))
         light = np.empty(len(self.pixel))
-        for index in np.unique(zone):
-            some = zone == index
-            mean = numbers[np.unique(self.lens_of[some])].mean(0)
-            light[some] = micro.at(micro.samples(PupilNumbers(*mean)), *self._offset[some].T)
+        for pixels, pupil in zip(np.split(order, ends), numbers, strict=True):
+            light[pixels] = micro.at(micro.samples(PupilNumbers(*pupil)), *self._offset[pixels].T)
         return light * self._bright[self.lens_of]

@@ -13,11 +13,8 @@ from mitsuba_plenoptic.calibration import Board, read_camera, read_centres, read
     ("line", "words"),
     [
         ("calibrate c.csv -o {out}.json --report {out}.json", "two results would be written to it"),
-        ("calibrate w.png -o {out}.csv --square 3", "--square: finding centres in white images does not take it"),
-        ("calibrate w.png -o {out}.csv --camera paper", "--camera: finding centres in white images does not take it"),
-        ("calibrate w.png -o {out}.csv --board 9x5 --square 3", "--square: detecting corners does not take it"),
-        ("calibrate c.csv -o {out}.json --linear", "--linear: a calibration from corners does not take it"),
-        ("calibrate --evaluate c.csv --white {raw}", "--white: an evaluation does not take it"),
+        ("calibrate w.png -o {out}.csv --board 9x5 --square 3", "--square: detecting corners"),
+        ("calibrate --evaluate c.csv --white {raw}", "--white: "),
         ("calibrate a.png --board 4x3 -o {out}.csv", "need a white image"),
         ("calibrate a.png b.csv --board 4x3 -o {out}.csv", "one table of corners"),
         ("calibrate a.png --report a.html -o {out}.csv", "a report is of a calibration"),

@@ -22,7 +22,6 @@ from mitsuba_plenoptic.calibration import (
 )
 from mitsuba_plenoptic.extensions.calibrate.adjustment import Problem, adjust
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, Observations, numbers_of, predict_centres
-from tools.bench.cases.real_cameras import cross_validate
 
 NOISE = 0.1
 START = PlenopticCamera.preset("raytrix").replace(
@@ -40,6 +39,8 @@ def centres():
     k, l = (index.ravel() for index in np.mgrid[0:81, 0:73])  # noqa: E741
     pixel, _ = predict_centres(numbers_of(cases.CAMERA), cases.INDEX.unit(k, l), pixel_size=0.0055, row_ratio=0.75**0.5)
     kept = ((pixel > 12) & (pixel < np.array(cases.CAMERA.crop_size) - 12)).all(1)
+    # A third of them, as a fit's time goes with their number.
+    kept &= np.random.default_rng(6).random(len(kept)) < 1 / 3
     pixel = pixel[kept] + np.random.default_rng(5).normal(0, 0.05, (kept.sum(), 2))
     return Table("centres.csv", {"k": k[kept], "l": l[kept], "u": pixel[:, 0], "v": pixel[:, 1]})
 
@@ -49,7 +50,7 @@ def found(table, centres):
     return calibrate(table, cases.BOARD, START, centres)
 
 
-def test_a_known_camera_comes_back(found, table):
+def test_a_known_camera_comes_back(found, table, tmp_path):
     # Noise is 0.1 pixels an axis; every number lies within four deviations, the principal point rounded.
     assert found.evaluation.error == pytest.approx(NOISE * 2**0.5, rel=0.05)
     true = dict(zip(NAMES, numbers_of(cases.CAMERA), strict=True))
@@ -59,17 +60,11 @@ def test_a_known_camera_comes_back(found, table):
     np.testing.assert_allclose(found.evaluation.poses[:, 5], cases.POSES[:, 5], rtol=0.01)
     assert found.camera.crop_size == START.crop_size
     assert len(found.evaluation.outliers) < 3
-
-
-def test_the_camera_alone_explains_as_much(found, table, tmp_path):
-    path = tmp_path / "camera.json"
-    write_calibration(path, found, cases.BOARD)
-    camera, index = read_camera(path)
-    assert camera == found.camera
-    assert index == found.index
-    for how in (index, None):
-        again = evaluate(table, cases.BOARD, camera, how)
-        assert again.error == pytest.approx(found.evaluation.error, rel=1e-3)
+    # Its file explains as much.
+    write_calibration(tmp_path / "camera.json", found, cases.BOARD)
+    assert read_camera(tmp_path / "camera.json") == (found.camera, found.index)
+    again = evaluate(table, cases.BOARD, found.camera, found.index)
+    assert again.error == pytest.approx(found.evaluation.error, rel=1e-3)
 
 
 @pytest.mark.slow
@@ -102,24 +97,11 @@ def test_deviations_are_true():
     assert mean.mean() == pytest.approx(1, abs=0.15)
 
 
-def errors(found, table, bad):
-    """The RMS of the rows that are right."""
-    rest = np.delete(found.evaluation.residuals, bad, axis=0)
-    return np.sqrt((rest**2).sum(1).mean())
-
-
-@pytest.mark.parametrize(
-    "kind",
-    [pytest.param(k, marks=[pytest.mark.slow] * (k != "many")) for k in ("few", "many", "corners", "one frame")],
-)
+@pytest.mark.parametrize("kind", ["rows", pytest.param("corners", marks=pytest.mark.slow)])
 def test_gross_errors_are_named_and_change_nothing(table, centres, found, kind):
     generator = np.random.default_rng(3)
     columns, rows = {name: values.copy() for name, values in table.columns.items()}, len(table["k"])
-    if kind == "one frame":
-        first = np.flatnonzero(table["frame"] == 14)
-        bad = generator.choice(first, len(first) // 4, replace=False)
-    else:
-        bad = generator.choice(rows, int(rows * (0.005 if kind == "few" else 0.05)), replace=False)
+    bad = generator.choice(rows, int(rows * 0.05), replace=False)
     if kind == "corners":
         columns["cluster"][bad] = (columns["cluster"][bad] + generator.integers(1, 24, len(bad))) % 24
     else:
@@ -128,7 +110,6 @@ def test_gross_errors_are_named_and_change_nothing(table, centres, found, kind):
     spoiled = calibrate(Table("corners.csv", columns), cases.BOARD, START, centres)
     assert set(bad) <= set(spoiled.evaluation.outliers)
     assert len(spoiled.evaluation.outliers) < len(bad) + 3
-    assert errors(spoiled, table, bad) == pytest.approx(NOISE * 2**0.5, rel=0.05)
     assert spoiled.evaluation.error_without_outliers == pytest.approx(NOISE * 2**0.5, rel=0.05)
     for name, value in spoiled.numbers.items():
         # A twentieth of the rows less moves numbers by a fifth of their deviations.
@@ -139,18 +120,15 @@ def test_gross_errors_are_named_and_change_nothing(table, centres, found, kind):
 
 
 def test_wrong_centres_are_left_out(table, centres, found):
+    """Those that lie elsewhere, and those that are marked as doubtful."""
     bad = np.arange(7, len(centres["k"]), 50)
-    u = centres["u"].copy()
-    u[bad] += 9
-    spoiled = calibrate(table, cases.BOARD, START, Table("centres.csv", {**centres.columns, "u": u}))
+    u, doubtful = centres["u"].copy(), np.zeros(len(centres["k"]), dtype=int)
+    u[bad[::2]] += 9
+    doubtful[bad[1::2]] = 1
+    spoiled = calibrate(table, cases.BOARD, START, Table("c.csv", {**centres.columns, "u": u, "doubtful": doubtful}))
     np.testing.assert_array_equal(spoiled.centre_outliers, bad)
-    doubtful = np.zeros(len(u), dtype=int)
-    doubtful[bad] = 1
-    marked = calibrate(table, cases.BOARD, START, Table("centres.csv", {**centres.columns, "doubtful": doubtful}))
-    np.testing.assert_array_equal(marked.centre_outliers, bad)
-    for given in (spoiled, marked):
-        for name in NAMES:
-            assert abs(given.numbers[name] - found.numbers[name]) < found.deviations[name] + 1e-12
+    for name in NAMES:
+        assert abs(spoiled.numbers[name] - found.numbers[name]) < found.deviations[name] + 1e-12
 
 
 def bent_frames(table, size):
@@ -199,16 +177,12 @@ def counted_along_columns(table):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (mirrored, "seen mirrored"),
-        (wrong_corners, "frame 12: most of its corners do not lie as on a board, as those of other frames do"),
-        (
-            lambda table: {**table.columns, "u": table["u"] + 60 * (table["frame"] == 12)},
-            "frame 12: 300 of its 300 rows lie farther than a lens's width",
-        ),
+        (mirrored, "mirrored"),
+        (wrong_corners, "frame 12: most of its corners"),
+        (lambda table: {**table.columns, "u": table["u"] + 60 * (table["frame"] == 12)}, "frame 12: 300 of its 300"),
         (lambda table: table.keep(table["frame"] < 12).columns, "2 poses .* at least 3"),
         (lambda table: table.keep(table["cluster"] < 5).columns, "corners of the board are seen"),
         (lambda table: {**table.columns, "u": table["u"] * 5.5}, "detector has 2000 x 1500 pixels"),
-        (lambda table: {**table.columns, "u": table["u"] * 0.0055, "v": table["v"] * 0.3}, "corners|frame"),
         (lambda table: {**table.columns, "u": table["u"] * 0.0055, "v": table["v"] * 0.0055}, "must be in pixels"),
         (lambda table: {**table.columns, "k": table["l"], "l": table["k"] * 0}, "one line"),
         (lambda table: {**table.columns, "k": table["k"][::-1]}, "regular grid"),
@@ -220,44 +194,26 @@ def test_mistakes_get_one_line(table, change, words):
     refuses(words, calibrate, Table("corners.csv", change(table)), cases.BOARD, START)
 
 
-ONE_DISTANCE = np.tile([0.0, 0.0, 3.1, 14, 9, 300], (4, 1)) + [[0, 0, 0, shift, shift, 0] for shift in range(4)]
+ONE_DISTANCE = np.tile([0.0, 0.0, 3.1, 14, 9, 300], (3, 1)) + [[0, 0, 0, shift, shift, 0] for shift in range(3)]
 SQUARE = START.replace(mla_lattice="square", mla_focal_length=0.56)
-OTHER_LATTICE = r"shifts its odd rows by half a pitch, other than the camera's mla_lattice"
 
 
 @pytest.mark.parametrize(
     ("board", "start", "words"),
     [
-        (Board(4, 6, 6.0), START, "not lie as on a board of 4x6 inner corners: they do on one with 6 along each row"),
-        (Board(7, 4, 6.0), START, "not lie as on a board of 7x4 inner corners: they do on one with 6 along each row"),
-        (Board(6, 4, 60.0), START, r"squares of 60 mm and .* f-number .* radius of .* check the distance of the boar"),
-        pytest.param(
-            Board(6, 4, 0.6), START, r"squares of 0.6 mm and .* radius of .* but micro-images are .* pixels apart",
-            marks=pytest.mark.slow,
-        ),
-        (cases.BOARD, SQUARE, OTHER_LATTICE),
-        (cases.BOARD, START.replace(mla_medium=1.5), r"mla_medium = 1\.5: calibrations refuse it"),
-        (
-            cases.BOARD, START.replace(mla_shape=Conic(0.25), mla_focal_length=None),
-            "mla_shape = .*calibrations refuse it: they find the focal lengths of parabolic microlenses; leave it out",
-        ),
-        (cases.BOARD, "raytrix", "start = 'raytrix': it must be a PlenopticCamera"),
+        (Board(4, 6, 6.0), START, "board of 4x6 inner corners: they do on one with 6 along each row"),
+        (Board(6, 4, 60.0), START, "squares of 60 mm"),
+        (cases.BOARD, SQUARE, "odd rows .* mla_lattice"),
+        (cases.BOARD, START.replace(mla_medium=1.5), r"mla_medium = 1\.5: "),
+        (cases.BOARD, START.replace(mla_shape=Conic(0.25), mla_focal_length=None), "mla_shape = "),
+        (cases.BOARD, "raytrix", "start = 'raytrix': "),
     ],
-)  # fmt: skip
+)
 def test_other_boards_and_cameras_are_refused(table, centres, board, start, words):
     refuses(words, calibrate, table, board, start, centres)
 
 
-def test_the_scale_is_that_of_the_squares(table, centres, found):
-    """Squares of another size explain the corners as well, by other lengths."""
-    larger = calibrate(table, Board(6, 4, 1.2 * 6.0), START, centres)
-    assert larger.evaluation.error == pytest.approx(found.evaluation.error, rel=1e-3)
-    assert larger.numbers["detector_distance"] == pytest.approx(found.numbers["detector_distance"] / 1.2, rel=0.01)
-    np.testing.assert_allclose(larger.evaluation.poses[:, 5], 1.2 * found.evaluation.poses[:, 5], rtol=1e-3)
-
-
 def test_a_lattice_that_is_not_the_cameras_is_refused(table):
-    refuses(OTHER_LATTICE, calibrate, table, cases.BOARD, SQUARE)
     k, l = (index.ravel() for index in np.mgrid[0:60, 0:50])  # noqa: E741
     straight = Table("centres.csv", {"k": k, "l": l, "u": 30.0 + 23.3 * k, "v": 30.0 + 23.3 * l})
     refuses("does not shift its odd rows", calibrate, table, cases.BOARD, START, straight)
@@ -268,29 +224,13 @@ def some(table, part):
     return table.keep(np.random.default_rng(0).random(len(table["k"])) < part)
 
 
-@pytest.mark.slow
-def test_boards_that_are_never_tilted_leave_open_what_no_prediction_needs():
-    poses = cases.POSES.copy()
-    poses[:, :3] = 0, 0, 3.1
-    found = calibrate(some(cases.corners(0.1, 0, poses)[0], 0.15), cases.BOARD, START)
-    moved = found.open_direction
-    # The distances in the camera grow together, by their deviations.
-    assert moved["focal_length"] == pytest.approx(found.deviations["focal_length"])
-    assert moved["mla_distance"] == pytest.approx(found.deviations["mla_distance"], rel=0.01)
-    assert moved["focal_length"] > 20
-    assert abs(found.numbers["focal_length"] - cases.CAMERA.focal_length) < 2 * found.deviations["focal_length"]
-    # Tilted boards without noise are seen where this camera predicts them.
-    error = evaluate(cases.corners()[0], cases.BOARD, found.camera).error
-    assert 0.3 * found.prediction_deviation < error < 3 * found.prediction_deviation < 1
-
-
 def test_corners_that_leave_predictions_open_are_refused():
     """As frames that disagree about the camera by pixels do; by less, the stated deviation is that from the truth."""
     table = some(cases.corners(0.1)[0], 0.15)
     found = calibrate(bent_frames(table, 1.0), cases.BOARD, START)
     error = evaluate(cases.corners()[0], cases.BOARD, found.camera).error
     assert error / 2 < found.prediction_deviation < 2 * error
-    with pytest.raises(InputError, match=r"open where .* in other poses, \+- .* pixels: give centres of .* tilted"):
+    with pytest.raises(InputError, match=r"open where .* in other poses, \+- "):
         calibrate(bent_frames(table, 4.0), cases.BOARD, START)
 
 
@@ -326,13 +266,11 @@ def test_corners_alone_tell_where_micro_images_are(table, found):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "it is an empty file"),
+        ("", "empty"),
         ("k,l,u,v,cluster\n1,1,1,1,1\n", "no column frame"),
         ("k,l,u,v,cluster,frame\n", "no rows"),
         ("k,l,u,v,cluster,frame\n1,1,nan,1,1,1\n", "row 2: u = nan"),
-        ("k,l,u,v,cluster,frame\n1.5,1,1,1,1,1\n", "row 2: k = 1.5"),
         ("k,l,u,v,cluster,frame\n1,1,1,1,99,1\n", "cluster = 99"),
-        ("k,l,u,v,cluster,frame\n1,1,x,1,1,1\n", "no table of numbers"),
     ],
 )
 def test_bad_tables_get_one_line(tmp_path, complaint, text, words):
@@ -343,75 +281,23 @@ def test_bad_tables_get_one_line(tmp_path, complaint, text, words):
     assert not output.exists()
 
 
-@pytest.mark.parametrize("board", ["9", "x5", "9x1", "9x5x3"])
+@pytest.mark.parametrize("board", ["9", "9x1", "9x5x3"])
 def test_bad_boards(board):
     refuses("board", Board.parse, board, 10.0)
 
 
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
 def test_a_real_camera(tmp_path, run):
-    output, corners = tmp_path / "camera.json", cases.REAL / "corners.csv"
-    board = ["--board", "9x5", "--square", "10"]
-    centres = ["--centres", cases.REAL / "centres.csv"]
-    run("calibrate", corners, *board, "--camera", "raytrix", *centres, "-o", output)
+    """Found from that of the manual."""
+    start, output, corners = tmp_path / "start.json", tmp_path / "camera.json", cases.REAL / "corners.csv"
+    text = (Path(__file__).parents[3] / "docs" / "guides" / "calibration.md").read_text()
+    start.write_text(text.split("```json\n")[1].split("```")[0])
+    board, centres = ["--board", "9x5", "--square", "10"], cases.REAL / "centres.csv"
+    run("calibrate", corners, *board, "--camera", start, "--centres", centres, "-o", output)
     *_, last = run("calibrate", "--evaluate", corners, "--camera", output, *board).splitlines()
     error, rest = last.removeprefix("reprojection error ").split(" ", 1)
     assert rest == "px over 12433 observations of 11 poses"
     assert float(error) <= 0.965
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
-@pytest.mark.parametrize("part", [0.005, 0.05])
-def test_a_real_camera_in_spite_of_gross_errors(part, tmp_path, run):
-    header, *lines = (cases.REAL / "corners.csv").read_text().splitlines()
-    names, generator = header.split(","), np.random.default_rng(0)
-    rows = [line.split(",") for line in lines if line]
-    bad = generator.choice(len(rows), int(part * len(rows)), replace=False)
-    for row in bad:
-        for name in "uv":
-            place = names.index(name)
-            rows[row][place] = f"{float(rows[row][place]) + generator.uniform(-500, 500):.3f}"
-    spoiled, output, report = tmp_path / "corners.csv", tmp_path / "camera.json", tmp_path / "report.html"
-    spoiled.write_text("\n".join([header, *map(",".join, rows)]) + "\n")
-    board = ["--board", "9x5", "--square", "10"]
-    given = ["--camera", "raytrix", "--centres", cases.REAL / "centres.csv", "-o", output, "--report", report]
-    printed = run("calibrate", spoiled, *board, *given)
-    named = set(json.loads(output.read_text())["calibration"]["outlier_rows"])
-    assert len(set(bad + 2) - named) <= 2
-    assert f"{len(named)} outliers, in lines" in printed
-    assert f"{len(named)} outliers, in lines" in report.read_text()
-    # The camera is judged by the data as they were measured.
-    judged = run("calibrate", "--evaluate", cases.REAL / "corners.csv", "--camera", output, *board)
-    error = judged.splitlines()[-1].removeprefix("reprojection error ").split(" ", 1)[0]
-    assert float(error) <= 0.965
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
-def test_corners_of_a_real_camera_alone_predict_poses_that_are_left_out():
-    board, start = Board(9, 5, 10.0), PlenopticCamera.preset("raytrix")
-    corners = read_corners(cases.REAL / "corners.csv", board, start.crop_size)
-    found, centres = calibrate(corners, board, start), read_centres(cases.REAL / "centres.csv")
-    assert np.mean(list(cross_validate(corners, board, found).values())) < 1.12
-    both = calibrate(corners, board, start, centres)
-    apart = found.numbers["focal_length"] - both.numbers["focal_length"]
-    assert abs(apart) < 2 * found.deviations["focal_length"]
-    assert found.deviations["focal_length"] > 2 * both.deviations["focal_length"]
-    unit = found.index.unit(centres["k"], centres["l"])
-    numbers = np.array(list(found.numbers.values()))
-    pixel, _ = predict_centres(numbers, unit, pixel_size=0.0055, row_ratio=0.75**0.5)
-    assert np.sqrt(((pixel - centres.pixel) ** 2).sum(1).mean()) < 1.2
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
-def test_the_camera_of_the_manual_starts_a_real_one(tmp_path, run):
-    text = (Path(__file__).parents[3] / "docs" / "guides" / "calibration.md").read_text()
-    camera, output = tmp_path / "start.json", tmp_path / "camera.json"
-    camera.write_text(text.split("```json\n")[1].split("```")[0])
-    given = ["--centres", cases.REAL / "centres.csv", "--board", "9x5", "--square", "10", "--camera", camera]
-    assert "reprojection error 0.96" in run("calibrate", cases.REAL / "corners.csv", *given, "-o", output)
 
 
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
@@ -427,6 +313,5 @@ def test_compote_cameras_are_read():
 
 
 def test_lenses_are_counted_as_rows_are_shifted():
-    index = LensIndex(0.5, -1, (3, 1))
-    places = index.unit(np.array([3, 3, 3]), np.array([1, 2, 3]))
+    places = LensIndex(0.5, -1, (3, 1)).unit(np.array([3, 3, 3]), np.array([1, 2, 3]))
     np.testing.assert_array_equal(places, [[0, 0], [-0.5, -1], [0, -2]])

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, camera_of, numbers_of, predict, predict_centres
-from mitsuba_plenoptic.lenses.distortion import undistort
+from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, numbers_of, predict, predict_centres
 
 GEOMETRY = {"pixel_size": 0.0055, "row_ratio": 0.75**0.5}
 
@@ -59,29 +57,3 @@ def test_the_sensor_sees_the_corners(seen):
     miss = np.hypot(*(origin + length[:, None] * direction - place)[:, :2].T)
     # Of a board some 300 mm away: single precision, and a pixel is 0.1 mm there.
     assert np.sqrt((miss**2).mean()) < 3e-3
-
-
-def test_numbers_make_the_camera_and_back():
-    numbers = numbers_of(cases.CAMERA)
-    again = camera_of(numbers, cases.CAMERA)
-    np.testing.assert_allclose(numbers_of(again), numbers, rtol=0, atol=1e-12)
-    assert again.crop_size == cases.CAMERA.crop_size
-    assert again.pixel_size == pytest.approx(cases.CAMERA.pixel_size, rel=1e-14)
-
-
-def test_a_distorted_lens_bends_rays_as_its_polynomial_says():
-    plain = mp.PlenopticCamera(resolution=(64, 64), detector_width=8.192)
-    k1, p1 = 2e-3, 1e-3
-    rays = []
-    for camera in (plain, plain.replace(distortion=(k1, 0, 0, p1, 0))):
-        sensor = mi.load_dict(camera.replace(mla_aperture="circle", mla_fill=1e-3).to_sensor())
-        grid = (np.arange(64) + 0.5) / 64
-        film = mi.Point2f(np.stack(np.meshgrid(grid, grid)).reshape(2, -1).astype(np.float32))
-        ray, _ = sensor.sample_ray(0.0, 0.5, film, mi.Point2f(np.zeros((2, 64 * 64), dtype=np.float32)))
-        o, d = (np.array(v, dtype=np.float64).T for v in (ray.o, ray.d))
-        rays.append((o, o + d * (240 / d[:, 2])[:, None]))
-    (pupil, straight), (same, bent) = rays
-    np.testing.assert_allclose(pupil, same, atol=1e-5)
-    # In focus at 240 mm the places on the array are half as far from the axis, upside down.
-    x, y = undistort(*(-straight[:, :2].T / 2), (k1, 0, 0, p1, 0))
-    np.testing.assert_allclose(bent[:, :2], -2 * np.stack([x, y], axis=-1), atol=2e-4)

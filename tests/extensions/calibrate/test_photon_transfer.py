@@ -1,8 +1,5 @@
 """Gain and read noise from white and dark exposures of a wave white capture, against the detector that made them."""
 
-import os
-from pathlib import Path
-
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -11,8 +8,6 @@ from refusals import refused, refuses
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.extensions.calibrate.photon_transfer import SensorNoise
-
-DATA = Path(os.environ.get("MITSUBA_PLENOPTIC_DATA", "/nowhere")) / "antleg"
 
 CAMERA = mp.PlenopticCamera(
     main_lens=mp.Objective(magnification=20, numerical_aperture=0.5), mla_pitch=0.125, mla_focal_length=2.433,
@@ -47,12 +42,11 @@ def numbers_of(image, detector, seed, part=0.8):
     return np.rint(electrons * detector.gain + detector.black_level)
 
 
-@pytest.mark.parametrize(
-    "detector",
-    [pytest.param(each, id=name, marks=[pytest.mark.slow] * (name != "8 bits")) for name, each in DETECTORS.items()],
-)
+@pytest.mark.parametrize("detector", DETECTORS.values(), ids=DETECTORS)
 def test_single_pictures_give_gain_and_noise(white, detector):
     """Within 2 %, though the micro-images vary a hundred times as much as the noise."""
+    # With few bits it takes many pixels.
+    white = white if detector.bits == 8 else white[:700, :700]
     bright, dark = numbers_of(white, detector, 1), numbers_of(0 * white, detector, 2)
     found = mp.photon_transfer(bright, dark, bits=detector.bits)
     assert found.gain == pytest.approx(detector.gain, rel=0.02)
@@ -94,8 +88,7 @@ def test_bad_pixels_are_counted_and_left_out(white):
     assert found.gain == pytest.approx(plain.gain, rel=0.01)
 
 
-@pytest.mark.parametrize("level", [0.98, 1.02, 1.5])
-@pytest.mark.parametrize("kind", ["even", "slope", "lenses"])
+@pytest.mark.parametrize(("kind", "level"), [("even", 1.02), ("slope", 0.98), ("lenses", 1.5)])
 def test_full_wells_below_the_largest_number(white, kind, level):
     """Of pairs the pixels below the full well tell the gain, unless there are none; single pictures are refused."""
     detector = mp.Detector(quantum_efficiency=1, full_well=8000, read_noise=4, bits=16, gain=0.5, black_level=100)
@@ -118,24 +111,12 @@ DIM = np.random.default_rng(0).normal(100, 2, (40, 50)).round()
 test_bad_input = refused(
     (lambda: mp.photon_transfer(DIM[:, :-1] * 9, DIM), r"dark of shape \(40, 50\)"),
     (lambda: mp.photon_transfer(np.ones((40, 50, 3)), DIM), r"white of shape \(40, 50, 3\)"),
-    (lambda: mp.photon_transfer("white.png", DIM), "white = 'white.png': it must be pictures"),
-    (lambda: mp.photon_transfer(DIM, DIM), "white: its mean is .* it must be brighter"),
-    (lambda: mp.photon_transfer(DIM * 90, DIM, bits=12), "bits = 12: the pictures have numbers up to"),
-    (lambda: mp.photon_transfer(DIM * 9, np.maximum(DIM - 100, 0)), "dark: .* of its pixels are 0: noise is cut off"),
-    (lambda: mp.photon_transfer(DIM * 0 + 65535, DIM), "white: 2000 pixels are saturated"),
+    (lambda: mp.photon_transfer("white.png", DIM), "white = 'white.png'"),
+    (lambda: mp.photon_transfer(DIM, DIM), "white: its mean is"),
+    (lambda: mp.photon_transfer(DIM * 90, DIM, bits=12), "bits = 12"),
+    (lambda: mp.photon_transfer(DIM * 9, np.maximum(DIM - 100, 0)), "dark: .* of its pixels are 0"),
+    (lambda: mp.photon_transfer(DIM * 0 + 65535, DIM), "white: 2000 pixels"),
 )
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not DATA.exists(), reason="MITSUBA_PLENOPTIC_DATA has no folder antleg")
-def test_a_scientific_camera():
-    """An Andor Neo: 30,000 electrons in 16 bits are 0.46 electrons a number; its read noise is about one electron."""
-    Image, tifffile = pytest.importorskip("PIL.Image"), pytest.importorskip("tifffile")
-    found = mp.photon_transfer(
-        np.asarray(Image.open(DATA / "radiometry_frame.png")), tifffile.imread(DATA / "dark_frame.tif")
-    )
-    assert 1 / found.gain == pytest.approx(0.46, rel=0.12)
-    assert 0.6 < found.read_noise < 1.6
 
 
 def test_without_a_dark_picture_neighbours_tell_the_noise():

@@ -31,25 +31,15 @@ def drawn(shape, shifted, diameters, seed=0):
     return np.random.default_rng(seed).poisson(PHOTONS * (0.02 + 0.98 * image)) / PHOTONS, centres
 
 
-@pytest.mark.parametrize(
-    ("shifted", "diameters"),
-    [
-        (None, (14.0, 13.4, 13.7)),
-        pytest.param(0, (14.0, 13.4, 13.7), marks=pytest.mark.slow),
-        (1, (14.0,)),
-        pytest.param(None, (14.0,), marks=pytest.mark.slow),
-        pytest.param(0, (14.0,), marks=pytest.mark.slow),
-        pytest.param(1, (14.0, 13.4, 13.7), marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("shifted", "diameters"), [(None, (14.0, 13.4, 13.7)), (0, (14.0,)), (1, (14.0, 13.4, 13.7))])
 def test_centres_are_found(shifted, diameters, tmp_path):
-    image, true = drawn((640, 700), shifted, diameters)
+    image, true = drawn((360, 400), shifted, diameters)
     found = find_centres(image)
-    nearest = np.abs(found.pixel[:, None] + 0.5 - true).max(-1).min(1)
-    assert len(found.pixel) > 1200
-    error = np.array([true[np.hypot(*(true - p - 0.5).T).argmin()] - p - 0.5 for p in found.pixel])
+    assert len(found.pixel) > 300
+    off = found.pixel[:, None] + 0.5 - true
+    error = off[np.arange(len(off)), np.hypot(*off.transpose(2, 0, 1)).argmin(1)]
     assert np.sqrt((error**2).sum(1).mean()) < 0.05
-    assert nearest.max() < 0.2
+    assert np.abs(error).max() < 0.2
     assert found.grid.spacing[0] == pytest.approx(PITCH, rel=1e-4)
     assert math.degrees(found.grid.rotation) == pytest.approx(ROTATION, abs=2e-3)
     assert found.light.max() == 1
@@ -74,7 +64,6 @@ def faded(fill, shifted, brightness):
 
 
 FADED = {
-    "square": (0.855, None, lambda x, y: 0.25 ** ((x * x + y * y) / 2)),
     "off the middle, hexagonal": (0.855, 0, lambda x, y: 0.25 ** (((x - 0.4) ** 2 + (y + 0.3) ** 2) / 3.65)),
     "along one axis, touching": (1.0, None, lambda x, y: 0.25 ** (0.85 * x * x + 0.15 * y * y)),
     "polynomial, gaps": (0.6, None, lambda x, y: 1 - 0.45 * (x * x + y * y) / 2 - 0.3 * (x * x + y * y) ** 2 / 4),
@@ -82,30 +71,29 @@ FADED = {
 }
 
 
-@pytest.mark.parametrize(("fill", "shifted", "brightness"), FADED.values(), ids=FADED)
-def test_centres_do_not_follow_the_fall_off(fill, shifted, brightness):
-    light, row = faded(fill, shifted, brightness)
-    noisy = np.random.default_rng(2).poisson(PHOTONS * light) / PHOTONS
-    for image in (light, noisy):
-        found = find_centres(image)
-        np.testing.assert_allclose(found.grid.spacing, (PITCH, row), rtol=1e-5)
-        assert math.degrees(found.grid.rotation) == pytest.approx(ROTATION, abs=1e-3)
-        assert found.error < 0.03
-        # The pitches of the centres, too.
-        steps = found.lens + [[0.5, 0]] * (found.lens[:, 1:] % 2 == found.grid.shifted_rows)
-        matrix = np.column_stack([np.ones(len(steps)), steps])
-        _, along, across = np.linalg.lstsq(matrix, found.pixel)[0]
-        np.testing.assert_allclose([math.hypot(*along), math.hypot(*across)], (PITCH, row), rtol=1.5e-5)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "polynomial, gaps")) for name in FADED]
+)
+def test_centres_do_not_follow_the_fall_off(name):
+    light, row = faded(*FADED[name])
+    found = find_centres(np.random.default_rng(2).poisson(PHOTONS * light) / PHOTONS)
+    np.testing.assert_allclose(found.grid.spacing, (PITCH, row), rtol=1e-5)
+    assert math.degrees(found.grid.rotation) == pytest.approx(ROTATION, abs=1e-3)
+    assert found.error < 0.03
+    # The pitches of the centres, too.
+    steps = found.lens + [[0.5, 0]] * (found.lens[:, 1:] % 2 == found.grid.shifted_rows)
+    matrix = np.column_stack([np.ones(len(steps)), steps])
+    _, along, across = np.linalg.lstsq(matrix, found.pixel)[0]
+    np.testing.assert_allclose([math.hypot(*along), math.hypot(*across)], (PITCH, row), rtol=1.5e-5)
 
 
-@pytest.mark.parametrize("diameters", [pytest.param((14.0,), marks=pytest.mark.slow), (14.0, 13.4, 13.7)])
-def test_centres_that_dust_displaces_are_doubtful(diameters, tmp_path, capsys):
-    image, true = drawn((640, 700), 0, diameters)
+def test_centres_that_dust_displaces_are_doubtful(tmp_path, capsys):
+    image, true = drawn((400, 440), 0, (14.0, 13.4, 13.7))
     assert not find_centres(image).doubtful.any()
     y, x = np.indices(image.shape) + 0.5
-    for number, (column, row) in enumerate(np.random.default_rng(3).uniform(60, 580, (10, 2))):
+    for number, (column, row) in enumerate(np.random.default_rng(3).uniform(40, 360, (10, 2))):
         image *= 1 - 0.7 * np.clip(2.5 + 2 * (number % 4) - np.hypot(x - column, y - row), 0, 1)
-    camera = CAMERA.replace(resolution=(700, 640), detector_width=3.85)
+    camera = CAMERA.replace(resolution=(440, 400), detector_width=2.42)
     write_capture(tmp_path / "white.exr", Capture(image.astype(np.float32), camera))
     assert main(["calibrate", str(tmp_path / "white.exr"), "-o", str(tmp_path / "centres.csv")]) == 0
     found = read_centres(tmp_path / "centres.csv")
@@ -128,9 +116,8 @@ def rendered(camera):
     return render_capture(mi.load_dict(scene | {"camera": camera.to_sensor()}), spp=32).image
 
 
-@pytest.mark.parametrize("tilt", [(0.0, 0.0), (2.0, -1.0)])
-def test_white_images_of_tilted_arrays_are_those_that_rays_draw(tilt):
-    camera = CAMERA.replace(mla_tilt=tilt, distortion=(3e-4, 0, 0, -1e-4, 5e-5), mla_focal_length=0.56)
+def test_white_images_of_tilted_arrays_are_those_that_rays_draw():
+    camera = CAMERA.replace(mla_tilt=(2.0, -1.0), distortion=(3e-4, 0, 0, -1e-4, 5e-5), mla_focal_length=0.56)
     image = rendered(camera)
     error = np.sqrt(((white_image(camera) - image) ** 2).mean())
     # A pixel of fraction f has the noise sqrt(f (1 - f) / 32).
@@ -181,10 +168,7 @@ def test_centres_of_other_programs(tmp_path):
     [
         ("{", "no grid"),
         ("[1]", "neither"),
-        ('{"mic_list": [[1, 2, 3]]}', "no grid"),
         ('{"mic_list": [[1, NaN, 0, 0]]}', "row 1: u = nan"),
-        ('{"mic_list": [[1, 1, 0.5, 0]]}', "l = 0.5"),
-        ('{"LensletGridModel": {"VMax": 3}}', "no grid"),
         ('{"LensletGridModel": {"Orientation": "vert"}}', "transpose"),
     ],
 )

@@ -27,8 +27,6 @@ THIN = PlenopticCamera(
     mla_offset=(0.013, -0.021), detector_width=1.6, resolution=(240, 200),
 )  # fmt: skip
 
-HEXAGONAL = THIN.replace(mla_lattice="hexagonal", mla_rotation=27.0)
-
 
 def recorded(light, seed=0, photons=20000, dark=100.0):
     """White and dark pictures of a sensor with noise of photons."""
@@ -41,11 +39,9 @@ SQUARES = np.linspace(-1, 1, 9) ** 2
 HALF_IN_CORNERS = StrayLight(0.1 - 0.025 * (SQUARES + SQUARES[:, None]))
 
 
-@pytest.mark.parametrize(
-    ("camera", "stray"), [pytest.param(THIN, 0.04, id="square", marks=pytest.mark.slow), (HEXAGONAL, HALF_IN_CORNERS)]
-)
-def test_numbers_of_a_drawn_white_are_found(camera, stray):
-    camera = camera.replace(stray_light=stray, detector_blur=0.8 * camera.pixel_size)
+def test_numbers_of_a_drawn_white_are_found():
+    camera = THIN.replace(mla_lattice="hexagonal", mla_rotation=27.0, detector_blur=0.8 * THIN.pixel_size)
+    camera = camera.replace(stray_light=HALF_IN_CORNERS)
     light = white_image(camera)
     white, dark = recorded(light)
     start = camera.replace(mla_pitch=0.0992, mla_rotation=0.0, mla_offset=(0, 0), aperture_radius=2.8)
@@ -80,6 +76,20 @@ def test_an_iris_and_a_map_of_the_pupil_are_found():
     assert camera.replace(vignetting=found.to_plain()).vignetting == found
 
 
+HEXAGONAL = THIN.replace(mla_lattice="hexagonal", mla_rotation=27.0)
+
+
+@pytest.mark.parametrize("camera", [THIN, pytest.param(HEXAGONAL, marks=pytest.mark.slow)])
+def test_a_pupil_that_narrows_from_lens_to_lens_is_found(camera):
+    """Within a zone of eight lenses the rim moves by a pixel, which is more than a first order tells."""
+    narrowing = Vignetting([1.0, 0, 0, -0.2, 0, -0.2], 0.8)
+    light = white_image(camera.replace(vignetting=narrowing, detector_blur=0.8 * camera.pixel_size))
+    found = fit_white(recorded(light)[0] - 100, camera, wavelength=None).camera
+    x, y = np.meshgrid(np.linspace(-0.7, 0.7, 8), np.linspace(-0.55, 0.55, 8))
+    radius = found.vignetting.at(x, y)["radius"] * found.aperture_radius / camera.aperture_radius
+    np.testing.assert_allclose(radius, narrowing.at(x, y)["radius"], rtol=0.008)
+
+
 @pytest.mark.slow
 def test_waves_are_told_from_rays():
     """The white of a wave capture is fitted by waves without a blur; rays explain its diffraction by a wide one."""
@@ -101,12 +111,7 @@ def test_waves_are_told_from_rays():
 
 @pytest.mark.parametrize(
     ("pitch", "lattice", "rotation"),
-    [
-        (15.4, "square", 0.0),
-        (10.5, "hexagonal", 90.0),
-        pytest.param(12.5, "square", 1.0, marks=pytest.mark.slow),
-        pytest.param(15.4, "hexagonal", 0.0, marks=pytest.mark.slow),
-    ],
+    [(15.4, "square", 0.0), pytest.param(10.5, "hexagonal", 90.0, marks=pytest.mark.slow)],
 )
 def test_lenses_are_whole_by_their_place(pitch, lattice, rotation):
     """A cell of 15.4 x 15.4 pixels may hold 15 x 15 of them, 95 % of it; all have their own brightness."""
@@ -122,12 +127,10 @@ def test_lenses_are_whole_by_their_place(pitch, lattice, rotation):
     assert len(found.place) >= ((corners > 0) & (corners < [190, 170])).all((1, 2)).sum() > 100
 
 
-@pytest.mark.parametrize(
-    ("diameter", "lattice"), [(1.25, "square"), pytest.param(1.15, "hexagonal", marks=pytest.mark.slow)]
-)
-def test_micro_images_that_overlap_are_fitted(diameter, lattice):
-    camera = THIN.replace(mla_lattice=lattice, mla_rotation=3.0, resolution=(200, 180), detector_width=4 / 3)
-    scale = diameter / camera.micro_image_diameter * camera.micro_image_pitch
+@pytest.mark.slow
+def test_micro_images_that_overlap_are_fitted():
+    camera = THIN.replace(mla_rotation=3.0, resolution=(200, 180), detector_width=4 / 3)
+    scale = 1.25 / camera.micro_image_diameter * camera.micro_image_pitch
     camera = camera.replace(aperture_radius=camera.aperture_radius * scale, detector_blur=0.6 * camera.pixel_size)
     white, dark = recorded(white_image(camera))
     found = fit_white(white, camera.replace(mla_rotation=0.0, mla_offset=(0, 0)), dark=dark, wavelength=None)
@@ -153,19 +156,16 @@ def scene_like(light):
 @pytest.mark.parametrize(
     ("white", "dark", "camera", "words"),
     [
-        (WHITE, DARK[:-1], SMALL, "dark of shape"),
         (scene_like(WHITE - DARK), None, SMALL, "no white picture"),
-        (WHITE, DARK, SMALL.replace(mla_pitch=0.2), "pixels apart"),
         (WHITE, DARK, SMALL.replace(mla_pitch=0.11), "pixels apart"),
         (WHITE, DARK, SMALL.replace(mla_lattice="hexagonal"), "rows that are not shifted"),
         (WHITE.T, DARK.T, SMALL, "is the picture turned"),
-        (WHITE.clip(None, 15000), DARK, SMALL, "may be saturated"),
+        (WHITE.clip(None, 15000), DARK, SMALL, "saturated"),
         (np.stack([WHITE] * 3, axis=-1), None, SMALL, "one channel"),
         (DARK, WHITE, SMALL, "dark: it is not darker"),
-        (WHITE.max() - WHITE, None, SMALL, "no white picture by this camera, or .*, as its aperture, are far off: "),
-        (WHITE, None, PlenopticCamera(mla_lattice="none"), "^calibrate: mla_lattice = none: the camera has no"),
-        (WHITE, DARK + 1000, SMALL, r"the fit failed, with a blur of .* and stray light of -0\.05 \(not negative\)"),
-        (scipy.ndimage.gaussian_filter(WHITE, 1.8), DARK, SMALL, r"the fit failed, with a blur of 1\.(79|8\d?) pixels"),
+        (WHITE.max() - WHITE, None, SMALL, "no white picture by this camera"),
+        (WHITE, None, PlenopticCamera(mla_lattice="none"), "mla_lattice = none"),
+        (WHITE, DARK + 1000, SMALL, r"stray light of -0\.05"),
     ],
 )
 def test_wrong_pictures_are_refused(white, dark, camera, words):
@@ -176,9 +176,9 @@ def test_wrong_pictures_are_refused(white, dark, camera, words):
     ("dark", "camera", "wavelength", "words"),
     [
         (DARK[:-1], SMALL, None, "dark of shape"),
-        (DARK, SMALL, 0.55, "wavelength = 0.55: it must be from 200 to 2500 nm; it looks like"),
-        (DARK, SMALL.replace(mla_pitch=4e-3, mla_focal_length=0.032), None, "pixels wide: at least 4"),
-        (DARK, SMALL.replace(mla_aperture="circle"), 550.0, "lenses that fill their cells; fit by rays"),
+        (DARK, SMALL, 0.55, "wavelength = 0.55: "),
+        (DARK, SMALL.replace(mla_pitch=4e-3, mla_focal_length=0.032), None, "pixels wide"),
+        (DARK, SMALL.replace(mla_aperture="circle"), 550.0, "fit by rays"),
     ],
 )
 def test_wrong_numbers_are_refused_before_lenses_are_searched(dark, camera, wavelength, words, monkeypatch):
@@ -211,6 +211,7 @@ ANTLEG = Path(__file__).parent / "antleg"
 """Part of a real microscope's white picture and dark frame, from napari-LF (BSD 3-Clause, LICENSE beside them)."""
 
 
+@pytest.mark.slow
 def test_a_real_microscope_is_fitted():
     """Of 360 x 300 pixels; the whole picture is in the bench. The nominal camera misses this white by 11 %."""
     white, dark = (read_picture(ANTLEG / f"{name}.png", linear=True) for name in ("white", "dark"))
@@ -229,7 +230,7 @@ def test_a_real_microscope_is_fitted():
     assert np.sqrt(((recorded - simulated) ** 2).mean()) < 0.03
 
 
-def test_the_command_writes_a_camera_and_a_page(tmp_path, capsys):
+def test_the_command_writes_a_camera_and_a_page(tmp_path, capsys, coarse_figures):
     for name, values in (("white", WHITE), ("dark", DARK)):
         Image.fromarray(values.clip(0).astype(np.uint16)).save(tmp_path / f"{name}.tif")
     (tmp_path / "known.json").write_text(SMALL.replace(resolution=(100, 100), detector_width=100 / 150).to_json())

@@ -8,11 +8,16 @@ from dataset_cases import small
 from refusals import refused
 
 from mitsuba_plenoptic import PlenopticCamera, dual_pixel, half_disparity, render_capture
-from mitsuba_plenoptic.dataset import make_dataset, make_sample, parse_recipe
+from mitsuba_plenoptic.dataset import make_dataset, parse_recipe
 from mitsuba_plenoptic.extensions.data.dual_samples import truth_of_lenses
 from mitsuba_plenoptic.extensions.onchip.disparity import blur_radius
 
 CAMERA = {"preset": "phone_quad", "crop_offset": [4000, 2992], "crop_size": [64, 64]}
+
+
+@pytest.fixture(autouse=True)
+def coarse(coarse_figures):
+    """Draw previews quickly."""
 
 
 def dual(**changes):
@@ -20,34 +25,26 @@ def dual(**changes):
     return small(camera=CAMERA, scenes=scenes, photodiodes=[2, 1], truth=[], ray={"spp": 16}, **changes)
 
 
-def test_a_sample_of_a_pair():
-    sample = make_sample(parse_recipe(dual()), 1)
+def test_a_sample_of_a_pair(tmp_path):
+    sample = make_dataset(parse_recipe(dual(count=2)), tmp_path)[1]
     halves = dual_pixel(sample.capture("ray"))
     np.testing.assert_array_equal(sample.arrays["ray_left"], halves[0, 0])
-    np.testing.assert_array_equal(
-        sample.arrays["ray_exposed_right"], dual_pixel(sample.capture("ray", exposed=True))[0, 1]
-    )
+    exposed = dual_pixel(sample.capture("ray", exposed=True))[0, 1]
+    np.testing.assert_array_equal(sample.arrays["ray_exposed_right"], exposed)
     assert {sample.arrays[name].shape for name in ("sharp", "lens_depth", "blur_radius", "ray_left")} == {(32, 32)}
     depth, camera = sample.arrays["lens_depth"], sample.camera
     assert ((depth > 500) & (depth < 2000)).all()
     defocus = 1 + camera.mla_distance / depth - camera.mla_distance / camera.focal_length
     expected = camera.aperture_radius * defocus / camera.mla_pitch
     assert sample.arrays["blur_radius"] == pytest.approx(expected, rel=1e-3, abs=1e-3)
-
-
-def test_the_card_says_what_they_are(tmp_path):
-    make_dataset(parse_recipe(dual(count=1)), tmp_path / "pairs")
-    card = (tmp_path / "pairs" / "README.md").read_text()
-    assert (
-        "| `ray_exposed_left` | 32 x 32 | sums of the pixels of `ray_exposed` below each lens that lie left |" in card
-    )
-    assert "| `blur_radius` | 32 x 32 |" in card
+    card = (tmp_path / "README.md").read_text()
+    assert "| `ray_exposed_left` | 32 x 32 |" in card and "| `blur_radius` | 32 x 32 |" in card
 
 
 def test_what_is_sharp_is_the_sum_in_focus():
     """A pattern in the plane in focus, at an edge of the field: registered to a fraction of a lens."""
     camera = PlenopticCamera(
-        **(PlenopticCamera.preset("phone_quad").to_dict() | {"crop_offset": (7800, 5800), "crop_size": (96, 96)})
+        **(PlenopticCamera.preset("phone_quad").to_dict() | {"crop_offset": (7800, 5800), "crop_size": (64, 64)})
     )
     texture = mi.Bitmap(np.random.default_rng(0).uniform(0.2, 1, (400, 400, 1)).astype(np.float32))
     x, y = (-camera.pixel_coordinates(axis).mean() * 1000 / camera.mla_distance for axis in (0, 1))
@@ -72,6 +69,6 @@ def test_blur_radii_have_the_closed_form():
 
 
 test_mistakes = refused(
-    (lambda: parse_recipe(dual() | {"photodiodes": [3, 1]}), r"photodiodes: layout = \[3, 1\]: it must be one of"),
-    (lambda: parse_recipe(small(photodiodes=[2, 1])), "a lens over photodiodes must cover 2 x 2 pixels"),
+    (lambda: parse_recipe(dual() | {"photodiodes": [3, 1]}), r"photodiodes: layout = \[3, 1\]"),
+    (lambda: parse_recipe(small(photodiodes=[2, 1])), "2 x 2 pixels"),
 )

@@ -6,6 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from cameras import places_of, sky
+from refusals import refuses
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.design import resolution_limit
@@ -18,9 +19,7 @@ from mitsuba_plenoptic.views import lens_numbers, white_image
 WAVELENGTH = 633.0
 SMALL = mp.PlenopticCamera(detector_width=0.384, resolution=(192, 192))
 CAMERAS = {
-    "square": SMALL,
     "turned, moved, two pitches": SMALL.replace(mla_rotation=7.0, mla_offset=(0.01, 0.02), mla_pitch=(0.064, 0.07)),
-    "hexagonal": SMALL.replace(mla_lattice="hexagonal", mla_aperture="circle", mla_fill=0.95),
     "three types": SMALL.replace(mla_lattice="hexagonal", mla_focal_length=(0.45, 0.512, 0.6), detector_distance=0.512),
     "focused": SMALL.replace(detector_distance=0.6, mla_distance=117.0),
     "crop": SMALL.replace(crop_offset=(40, 64), crop_size=(96, 80)),
@@ -51,34 +50,23 @@ def filled(camera, places, size, values, distance, across, wavelength=WAVELENGTH
     return operator.forward(np.repeat(values, across**2) * weight)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=[pytest.mark.slow] * (n not in ("turned, moved, two pitches", "fitted"))) for n in CAMERAS],
-)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "fitted")) for n in CAMERAS])
 def test_response_is_that_of_exact_point_spreads(name):
     camera = CAMERAS[name]
     response = response_of(camera)
     places = places_of(response.bins[0], camera, 2)
-    # two bins near the middle, by other radiators
+    # Two bins near the middle, by other radiators.
     values = np.zeros(response.shapes[0], np.float32)
     near = np.argwhere((np.abs(places - np.median(places, axis=(0, 1))) <= 0.14).all(-1))
     lit = tuple(near[np.random.default_rng(0).choice(len(near), 2, replace=False)].T)
     values[lit] = 1, 2
-    across = 17
-    expected = filled(camera, places[lit], camera.row_pitch / 2, values[lit], 253.0, across)
+    expected = filled(camera, places[lit], camera.row_pitch / 2, values[lit], 253.0, 7)
     found = response.forward(values)
     assert np.linalg.norm(found - expected) <= (0.04 if name == "focused" else 0.025) * np.linalg.norm(expected)
     assert found.sum() == pytest.approx(expected.sum(), rel=0.01)
 
 
-@pytest.mark.parametrize("wavelength", [WAVELENGTH, None])
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=[pytest.mark.slow] * (name in ("hexagonal", "three types", "focused")))
-        for name in CAMERAS
-    ],
-)
+@pytest.mark.parametrize(("name", "wavelength"), [("fitted", WAVELENGTH), ("crop", None), ("three types", None)])
 def test_adjoint_is_the_transpose(name, wavelength):
     response = response_of(CAMERAS[name], wavelength=wavelength)
     random = np.random.default_rng(1)
@@ -87,17 +75,6 @@ def test_adjoint_is_the_transpose(name, wavelength):
     other = random.random(image.shape).astype(np.float32)
     back = response.adjoint(other)
     assert np.vdot(image, other) == pytest.approx(np.vdot(values, back), rel=1e-5)
-
-
-@pytest.mark.parametrize("distance", [230.0, 240.0, np.inf])
-def test_white_planes_by_rays_are_white_captures(distance):
-    camera = CAMERAS["three types"] if distance == 230 else SMALL
-    response = response_of(camera, distance, 1, wavelength=None)
-    image = response.forward(np.ones(response.shapes[0], np.float32))
-    expected = white_image(camera)
-    # Edges of micro-images are interpolated; what is beside them is right.
-    assert image.sum() == pytest.approx(expected.sum(), rel=1e-3)
-    assert np.linalg.norm(image - expected) <= 0.05 * np.linalg.norm(expected)
 
 
 def test_white_planes_by_rays_follow_snells_law():
@@ -116,24 +93,19 @@ def test_white_planes_by_rays_follow_snells_law():
 
 
 def test_volume_is_the_sum_of_its_planes():
-    both = Response(SMALL, [230.0, 253.0], wavelength=WAVELENGTH, oversample=2)
+    both = Response(SMALL, [230.0, 253.0], wavelength=None, oversample=2)
     values = np.random.default_rng(2).random(both.source_shape).astype(np.float32)
     near, far = values.copy(), values.copy()
     both.planes_of(near)[1][:] = 0
     both.planes_of(far)[0][:] = 0
     np.testing.assert_allclose(both.forward(values), both.forward(near) + both.forward(far), atol=1e-4)
-    alone = response_of(SMALL).forward(both.planes_of(values)[1])
+    alone = response_of(SMALL, wavelength=None).forward(both.planes_of(values)[1])
     # Its grid is another one.
     assert np.linalg.norm(alone - both.forward(far)) <= 0.02 * np.linalg.norm(alone)
 
 
 LATTICES = {
-    "square": {},
-    "high": {"mla_pitch": (0.064, 0.072)},
     "low, turned": {"mla_pitch": (0.064, 0.0576), "mla_rotation": 7.0},
-    "low": {"mla_pitch": (0.064, 0.0576)},
-    "turned": {"mla_rotation": -13.0},
-    "hexagonal": {"mla_lattice": "hexagonal"},
     "circles, moved": {
         "mla_lattice": "hexagonal", "mla_aperture": "circle", "mla_fill": 0.95, "mla_offset": (0.01, 0.02)
     },
@@ -147,10 +119,9 @@ def test_an_even_light_makes_no_bin_darker():
     """As stray light, or a black level that was not subtracted, does; pixels between micro-images explain nothing."""
     camera = mp.PlenopticCamera(detector_width=0.384, resolution=(72, 72))
     white = white_image(camera)
-    for even in (0.01, 0.1, 1.0):
-        image = mp.reconstruct(
-            mp.Capture(white + np.float32(even), camera), 223.2, method="deconvolved", iterations=10
-        ).image
+    for even in (0.01, 1.0):
+        capture = mp.Capture(white + np.float32(even), camera)
+        image = mp.reconstruct(capture, 223.2, method="deconvolved", iterations=10).image
         assert 1 < np.nanmedian(image) < 1 + 2 * even
 
 
@@ -161,28 +132,16 @@ def test_filled_bins_come_back_on_every_lattice(name):
     rows, columns = np.array(camera.bin_count[::-1])[:, None] // 2 + np.array([[1, -3, 1, -3], [1, -2, -3, 1]])
     size = camera.row_pitch
     places = (np.stack([columns, rows], -1) + 0.5 - np.array(camera.bin_count) / 2) * size
-    image = filled(camera, places, size, np.ones(4), distance, 12)
+    image = filled(camera, places, size, np.ones(4), distance, 6)
     capture = mp.Capture(np.maximum(image, 0), camera, WAVELENGTH, "wave")
     result = mp.reconstruct(capture, distance, method="deconvolved")
     found = np.nan_to_num(result.image)
     squares = [
         found[row - 1 : row + 2, column - 1 : column + 2].sum() for row, column in zip(rows, columns, strict=True)
     ]
-    np.testing.assert_allclose(squares, 1, atol=0.005)
+    np.testing.assert_allclose(squares, 1, atol=0.007)
     np.testing.assert_allclose(found[rows, columns], 1, atol=0.01)
     assert result.facts["residual"] < 0.03
-
-
-@pytest.mark.parametrize("name", ["square", "turned, moved, two pitches"])
-def test_white_is_even_on_every_lattice(name):
-    """Each point of the plane belongs to one bin: bins of cells have whole shares of bins in all."""
-    response = response_of(CAMERAS[name], wavelength=None)
-    bins, cells = response.bins[0], response.cells
-    whole = (bins.share.T @ np.ones(np.prod(bins.shape), np.float32)).reshape(response.planes[0].shape)
-    assert whole.mean() == pytest.approx(1, abs=0.002)
-    assert np.abs(whole - 1).max() < (1e-5 if name == "square" else 0.25)
-    area = np.median(bins.share.sum(1)) * np.prod(cells.bin_sizes)
-    assert area == pytest.approx((CAMERAS[name].row_pitch / 2) ** 2, rel=1e-4)
 
 
 def test_dim_areas_of_a_plane_stay_as_bright_as_they_are():
@@ -246,36 +205,34 @@ def white_of_waves(camera, wavelength, points=81, step=4e-4, around=8):
 
 
 @pytest.mark.parametrize(
-    ("options", "distance"),
+    ("options", "distance", "oversample"),
     [
-        ({}, 120.0),
-        ({"mla_focal_length": 0.8533333}, 118.5),
-        ({"mla_fill": 0.8}, 112.0),
-        ({"mla_fill": 0.5}, 120.0),
-        ({"mla_fill": 0.8, "mla_medium": 1.5, "detector_distance": 0.96, "mla_focal_length": 0.96}, 112.0),
-        ({"vignetting": NARROWING}, 112.0),
-        ({"vignetting": {"radius": [0.8]}}, 120.0),
+        ({}, 112.0, 2),
+        ({"mla_fill": 0.5}, 120.0, 1),
+        ({"mla_fill": 0.8}, 112.0, 2),
+        ({"mla_fill": 0.8, "mla_medium": 1.5, "detector_distance": 0.96, "mla_focal_length": 0.96}, 112.0, 1),
+        ({"vignetting": {"radius": [0.8]}}, 120.0, 1),
+        pytest.param({"vignetting": NARROWING}, 112.0, 1, marks=pytest.mark.slow),
     ],
 )
-def test_an_even_world_reads_1_in_all_planes_and_behind_gaps(options, distance):
-    """Points do not show on pixels that resolve them, and light beyond kernels counts. Without gaps, too."""
+def test_an_even_world_reads_1_in_all_planes_and_behind_gaps(options, distance, oversample):
+    """Points do not show on pixels that resolve them, and light beyond kernels lies in pupils and at their rims."""
     camera = FAST.replace(**{"detector_distance": 0.64} | options)
     capture = mp.Capture(white_of_waves(camera, 550.0), camera, 550.0, "wave")
     for method in ("incoherent", "deconvolved"):
-        image = mp.reconstruct(capture, distance, method=method).image
-        np.testing.assert_allclose(image, 1, atol=0.006)
+        image = mp.reconstruct(capture, distance, method=method, oversample=oversample).image
+        np.testing.assert_allclose(image, 1, atol=0.005)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("turned", "vignetting"), [(0.0, None), (0.0, NARROWING), (20.0, NARROWING)])
-def test_lamps_keep_their_light_where_the_pupil_narrows_from_lens_to_lens(turned, vignetting):
+def test_lamps_keep_their_light_where_the_pupil_narrows_from_lens_to_lens():
     """What the edge of the pupil diffracts to other lenses, and off the detector, is theirs, too."""
-    camera = FAST.replace(detector_width=0.384, resolution=(96, 96), vignetting=vignetting, mla_rotation=turned)
+    camera = FAST.replace(detector_width=0.384, resolution=(96, 96), vignetting=NARROWING, mla_rotation=20.0)
     places = (np.array([[-1, 0], [2, 1]]) - 0.5) * 0.064
     image = filled(camera, places, 0.064, np.array([1.0, 0.7]), 112.0, 9, 550.0, 0.0)
     found = mp.reconstruct(mp.Capture(np.maximum(image, 0), camera, 550.0, "wave"), 112.0, method="deconvolved").image
     lamps = [found[row - 1 : row + 2, column - 1 : column + 2].sum() for row, column in ((2, 1), (3, 4))]
-    np.testing.assert_allclose(lamps, [1.0, 0.7], rtol=0.008)
+    np.testing.assert_allclose(lamps, [1.0, 0.7], rtol=0.01)
 
 
 @pytest.mark.slow
@@ -293,17 +250,12 @@ def test_a_prescription_that_vignettes_within_a_zone_lights_lenses_as_rays_do():
     assert (found / expected).std() < 0.015
 
 
-def sources(distance, camera=SMALL):
-    """Two points, brighter and darker, between bins, and their capture."""
-    q = np.array([[0.045, -0.03], [-0.052, 0.041]])
-    points = np.column_stack([-q * distance / camera.mla_distance, np.full(2, distance)])
-    image = mp.CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0).forward([2000.0, 1000.0])
-    return q, mp.Capture(np.maximum(image, 0), camera, WAVELENGTH, "wave")
-
-
-@pytest.mark.parametrize("distance", [226.0, pytest.param(253.0, marks=pytest.mark.slow)])
-def test_points_come_back(distance):
-    q, capture = sources(distance)
+def test_points_come_back():
+    """Two points, brighter and darker, between bins."""
+    distance, q = 226.0, np.array([[0.045, -0.03], [-0.052, 0.041]])
+    points = np.column_stack([-q * distance / SMALL.mla_distance, np.full(2, distance)])
+    recorded = mp.CaptureOperator(SMALL, points, wavelength=WAVELENGTH, accuracy=0).forward([2000.0, 1000.0])
+    capture = mp.Capture(np.maximum(recorded, 0), SMALL, WAVELENGTH, "wave")
     result = mp.reconstruct(capture, distance, method="deconvolved", oversample=4, iterations=60)
     image, size = result.image.astype(np.float64), SMALL.row_pitch / 4
     rows, columns = np.indices(image.shape)
@@ -312,10 +264,8 @@ def test_points_come_back(distance):
     for place, power in zip(q, (2000, 1000), strict=True):
         near = np.hypot(x - place[0], y - place[1]) < 2.5 * size
         light = image[near].sum()
-        assert (
-            np.hypot((image[near] * x[near]).sum() / light - place[0], (image[near] * y[near]).sum() / light - place[1])
-            < 0.1 * size
-        )
+        found = [np.average(axis[near], weights=image[near]) for axis in (x, y)]
+        assert np.hypot(*(found - place)) < 0.1 * size
         assert light * weight == pytest.approx(power, rel=0.03)
     assert result.facts["iterations"] == 60
     assert 0 < result.facts["residual"] < 0.3
@@ -325,23 +275,22 @@ def test_points_come_back(distance):
 
 def test_finer_than_the_lenses():
     """A sinusoid of three times the lenses' own limit: rays lose it, deconvolution brings it back."""
-    distance, frequency, oversample = 253.0, 11.0, 6
-    camera = SMALL
-    response = response_of(camera, distance, 9)
-    places = places_of(response.bins[0], camera, 9)
+    distance, frequency, oversample = 253.0, 11.0, 4
+    camera = SMALL.replace(detector_width=0.256, resolution=(128, 128))
+    response = response_of(camera, distance, 5)
     wave = 2 * np.pi * frequency * distance / camera.mla_distance
-    scene = (0.5 + 0.5 * np.cos(wave * places[..., 0])).astype(np.float32)
-    capture = mp.Capture(np.maximum(response.forward(scene), 0), camera, WAVELENGTH, "wave")
+    scene = 0.5 + 0.5 * np.cos(wave * places_of(response.bins[0], camera, 5)[..., 0])
+    capture = mp.Capture(np.maximum(response.forward(scene.astype(np.float32)), 0), camera, WAVELENGTH, "wave")
 
-    def contrast(**options):
+    def contrast(capture, **options):
         image = mp.reconstruct(capture, distance, oversample=oversample, **options).image
         middle = image[len(image) // 4 : -len(image) // 4].mean(0)
         x = (np.arange(len(middle)) - (len(middle) - 1) / 2) * camera.row_pitch / oversample
         window = np.cos(np.pi * x / (len(middle) * camera.row_pitch / oversample)) ** 2
         return 2 * (window * middle * np.cos(wave * x)).sum() / (window * middle).sum()
 
-    assert contrast(method="deconvolved", iterations=20) > 0.5
-    assert contrast(method="ray") < 0.1
+    assert contrast(capture, method="deconvolved", iterations=20) > 0.5
+    assert contrast(mp.Capture(capture.image, camera), method="ray") < 0.1
 
 
 @pytest.mark.parametrize(
@@ -349,40 +298,33 @@ def test_finer_than_the_lenses():
     [
         ((5, 5, 0.0), {}, "none of its pixels is lit"),
         ((5, 5, 1.0), {"oversample": 3000}, "oversample = 3000"),
-        ((5, 5, 1.0), {"iterations": 0}, "iterations = 0"),
-        ((5, 5, 1.0), {"photons": -1}, "photons = -1"),
         ((5, 5, 1.0), {"response": "x"}, "response = 'x'"),
         *(((5, 5, 1.0), {"variation": value}, "variation = ") for value in (-0.1, 0.3, np.nan)),
-        ((5, 5, 1.0), {"distance": [230.0, 253.0, 253.0], "volume": True}, "distance = 253: it is given twice"),
+        ((5, 5, 1.0), {"distance": [230.0, 253.0, 253.0], "volume": True}, "distance = 253"),
         ((7, 7, -0.1), {}, "1 of its pixels are below 0"),
-        ((7, 7, np.nan), {}, "1 of its pixels are NaN"),
     ],
 )
 def test_what_no_light_makes_is_refused(pixel, options, words):
-    row, column, value = pixel
     image = np.zeros(SMALL.shape, np.float32)
     image[5, 5] = 1
-    image[row, column] = value
-    with pytest.raises(mp.InputError, match=words) as found:
-        mp.reconstruct(
-            mp.Capture(image, SMALL, WAVELENGTH, "wave"), method="deconvolved", **{"distance": 253.0} | options
-        )
-    assert "\n" not in str(found.value)
+    image[pixel[:2]] = pixel[2]
+    capture = mp.Capture(image, SMALL, WAVELENGTH, "wave")
+    refuses(words, mp.reconstruct, capture, method="deconvolved", **{"distance": 253.0} | options)
 
 
 def test_a_dark_channel_stays_dark():
     """Red light before a detector of three channels: the others are 0 or rounded, and red is what it is alone."""
-    _, red = sources(253.0, SMALL)
+    red = np.random.default_rng(0).random(SMALL.shape, np.float32)
     options = {"method": "deconvolved", "response": "ray", "iterations": 3}
-    dark = np.zeros_like(red.image)
-    image = np.stack([red.image, dark, dark - 1e-7 * red.image.max()], -1)
-    found = mp.reconstruct(mp.Capture(image, SMALL, None, "wave"), 253.0, **options)
-    alone = mp.reconstruct(mp.Capture(red.image, SMALL, None, "wave"), 253.0, **options)
+    dark = np.zeros_like(red)
+    both = mp.Capture(np.stack([red, dark, dark - 1e-7], -1), SMALL, None, "wave")
+    found = mp.reconstruct(both, 253.0, **options)
+    alone = mp.reconstruct(mp.Capture(red, SMALL, None, "wave"), 253.0, **options)
     np.testing.assert_array_equal(found.image[..., 0], alone.image)
     assert (found.image[..., 1:] == 0).all()
     assert found.facts == alone.facts
     # So are the pixels of a detector without light that read noise has all put below 0.
-    noise = mp.Capture(np.stack([red.image, dark - 0.01, dark], -1), SMALL, None, "wave")
+    noise = mp.Capture(np.stack([red, dark - 0.01, dark], -1), SMALL, None, "wave")
     found = mp.reconstruct(noise, 253.0, photons=100.0, **options)
     assert (found.image[..., 1:] == 0).all() and np.isfinite(found.facts["residual"])
 

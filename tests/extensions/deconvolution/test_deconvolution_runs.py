@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.ndimage
 from cameras import places_of
+from refusals import refuses
 from stopped_runs import StoppedError
 
 import mitsuba_plenoptic as mp
@@ -29,7 +30,6 @@ def test_variation_is_that_of_an_even_slope():
     even = variation((5 + 3 * columns - 2 * rows).astype(np.float32), np.ones((12, 17), bool)).reshape(12, 17)
     np.testing.assert_allclose(even[1:-1, 1:-1], 0, atol=1e-5)
     np.testing.assert_allclose(even[1:-1, 0], -3 / np.sqrt(13), rtol=1e-3)
-    # The derivative in a random direction is the sum over the gradient.
     values, inside = random.random((12, 17)), random.random((12, 17)) > 0.1
     direction = random.standard_normal((12, 17)) * inside
 
@@ -65,20 +65,12 @@ def test_variation_lowers_the_error_of_an_even_and_noisy_target():
     assert error(0.01, iterations=40) < 0.8 * min(plain, stopped)
 
 
-@pytest.fixture
-def always_written(monkeypatch):
-    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
-    monkeypatch.setattr(checkpoints, "FRACTION", 1e9)
-
-
 TINY = SMALL.replace(detector_width=0.256, resolution=(128, 128))
 
 
-def colours():
-    """A capture of three channels at three wavelengths."""
-    points = np.array([[0.05, -0.03, 253.0], [-0.06, 0.04, 235.0]])
-    images = [mp.CaptureOperator(TINY, points, wavelength=w).forward([2000.0, 1000.0]) for w in (633.0, 500.0, 450.0)]
-    return mp.Capture(np.maximum(np.stack(images, -1), 0), TINY, (633.0, 500.0, 450.0), "wave")
+def random_light(camera=TINY, channels=(3,), wavelengths=(633.0, 500.0, 450.0)):
+    image = np.random.default_rng(0).random((*camera.shape, *channels), np.float32)
+    return mp.Capture(image, camera, wavelengths, "wave", {})
 
 
 FOURIER = mp.PlenopticCamera(
@@ -87,27 +79,20 @@ FOURIER = mp.PlenopticCamera(
 )  # fmt: skip
 
 
-def of_a_fourier_microscope():
-    image = np.random.default_rng(0).random(FOURIER.shape).astype(np.float32)
-    return mp.Capture(image, FOURIER, WAVELENGTH, "wave", {})
-
-
-SLOW = pytest.mark.slow
 RUNS = {
-    "waves": (colours, [253.0, 235.0], {"response": "wave", "variation": 0.005}, 2),
-    "a later plane and channel": (colours, [253.0, 235.0], {"response": "ray", "variation": 0.005}, 11),
-    "a volume": (colours, [253.0, 235.0], {"response": "ray", "variation": 0.005, "volume": True}, 5),
-    "spectra on disk": (of_a_fourier_microscope, [0.0, 0.03], {"volume": True, "oversample": 2}, 2),
+    "waves": (random_light(), [253.0, 235.0], {"response": "wave", "variation": 0.005}, 2),
+    "a later plane and channel": (random_light(), [253.0, 235.0], {"response": "ray", "variation": 0.005}, 11),
+    "spectra on disk": (random_light(FOURIER, (), WAVELENGTH), [0.0, 0.03], {"volume": True, "oversample": 2}, 2),
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[SLOW] * (n in ("a later plane and channel", "a volume"))) for n in RUNS]
-)
-def test_a_deconvolution_goes_on_where_it_was_stopped(tmp_path, always_written, monkeypatch, name):
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "waves")) for n in RUNS])
+def test_a_deconvolution_goes_on_where_it_was_stopped(tmp_path, monkeypatch, name):
     """The bits of one that was not stopped, also where the rest has its spectra on disk instead of in memory."""
-    make, distances, options, stop = RUNS[name]
-    capture, path, options = make(), tmp_path / "out.checkpoint", {"method": "deconvolved", "iterations": 3} | options
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    monkeypatch.setattr(checkpoints, "FRACTION", 1e9)
+    capture, distances, options, stop = RUNS[name]
+    path, options = tmp_path / "out.checkpoint", {"method": "deconvolved", "iterations": 3} | options
     whole = mp.reconstruct(capture, distances, **options)
     save, count = mp.Checkpoint.save_arrays, [0]
 
@@ -125,52 +110,12 @@ def test_a_deconvolution_goes_on_where_it_was_stopped(tmp_path, always_written, 
         patch.setattr(mp.Checkpoint, "save_arrays", stopped)
         with pytest.raises(StoppedError):
             resumed("refuse")
-    assert path.exists()
-    with pytest.raises(mp.InputError, match=r"the checkpoint of another run.*iterations = 3 there, 5 here"):
-        resumed(iterations=5)
+    refuses("iterations = 3 there, 5 here", resumed, iterations=5)
     monkeypatch.setattr(fourier, "_MEMORY", 0)
     for ours, theirs in zip(resumed(), whole, strict=True):
         np.testing.assert_array_equal(ours.image, theirs.image)
         assert ours.facts == theirs.facts
     assert not path.exists()
-
-
-def test_a_damaged_checkpoint_is_refused(tmp_path, always_written, monkeypatch):
-    capture, path = colours(), tmp_path / "out.checkpoint"
-    options = {"method": "deconvolved", "iterations": 3, "response": "ray"}
-
-    def stopped(self, arrays):
-        found = dict(arrays())
-        found["values"] = found["values"][:-1]
-        checkpoints._write_archive(self.path, self._known_facts(), {}, found)
-        raise StoppedError
-
-    with monkeypatch.context() as patch:
-        patch.setattr(mp.Checkpoint, "save_arrays", stopped)
-        with pytest.raises(StoppedError), mp.Checkpoint(path) as checkpoint:
-            mp.reconstruct(capture, 253.0, checkpoint=checkpoint, **options)
-    with pytest.raises(mp.InputError, match="checkpoint: it is damaged"), mp.Checkpoint(path, "resume") as checkpoint:
-        mp.reconstruct(capture, 253.0, checkpoint=checkpoint, **options)
-
-
-@pytest.mark.slow
-def test_workers_compute_the_point_spreads():
-    class Counted(Threads):
-        batches = 0
-
-        def __call__(self, batches):
-            for result in super().__call__(batches):
-                self.batches += 1
-                yield result
-
-    capture, workers = colours(), Counted(1)
-    options = {"method": "deconvolved", "iterations": 2}
-    made = mp.reconstruct(capture, 253.0, batch_map=workers, **options)
-    assert workers.batches >= 3
-    np.testing.assert_array_equal(made.image, mp.reconstruct(capture, 253.0, **options).image)
-    for name, value in (("batch_map", workers), ("checkpoint", mp.Checkpoint("never"))):
-        with pytest.warns(UserWarning, match=rf"method ray has no use for {name} \(of deconvolved\)"):
-            mp.reconstruct(capture, 253.0, **{name: value})
 
 
 def test_kernels_on_disk_are_those_in_memory(monkeypatch):
@@ -206,15 +151,6 @@ def test_one_kernel_serves_all_lenses_behind_an_objective(monkeypatch):
     np.testing.assert_allclose(shared.adjoint(image), back, atol=2e-3 * back.max())
 
 
-@pytest.mark.slow
-def test_workers_in_processes_give_the_same_bits():
-    pytest.importorskip("distributed")
-    capture = colours()
-    with mp.Cluster(workers=1) as cluster:
-        made = mp.reconstruct(capture, 253.0, method="deconvolved", iterations=1, batch_map=cluster)
-    np.testing.assert_array_equal(made.image, mp.reconstruct(capture, 253.0, method="deconvolved", iterations=1).image)
-
-
 def test_few_fields_of_a_wide_blur_are_in_memory_at_once():
     """Many points stand for a bin that is far out of focus, and each field covers many lenses."""
     camera = mp.PlenopticCamera.matched(
@@ -237,13 +173,12 @@ def test_few_fields_of_a_wide_blur_are_in_memory_at_once():
     assert max(samples) * 8 * 1.5**2 <= 2**27
 
 
-@pytest.mark.parametrize("method", ["deconvolved", "incoherent"])
-def test_crops_are_reconstructed_in_their_place(method):
+def test_crops_are_reconstructed_in_their_place():
     """The bins over a crop of a white capture are those of the whole one; those away from it have no light."""
     camera = mp.PlenopticCamera(detector_width=1.024, resolution=(256, 256))
     part = camera.replace(crop_offset=(64, 128), crop_size=(128, 64))
-    options = {"iterations": 5} if method == "deconvolved" else {"wavelength": 633.0}
-    image = mp.reconstruct(mp.views.white_image(part), 240, camera=part, method=method, **options).image
+    white = mp.views.white_image(part)
+    image = mp.reconstruct(white, 240, camera=part, method="deconvolved", iterations=5).image
     lit = np.zeros((16, 16), bool)
     lit[8:12, 4:12] = True
     assert image.shape == lit.shape

@@ -22,8 +22,6 @@ SMALL = mp.PlenopticCamera(
     resolution=(150, 150),
 )
 CAMERAS = {
-    "square": (SMALL, 1),
-    "finer bins": (SMALL, 2),
     "coarse odd pixels": (SMALL.replace(resolution=(61, 61), detector_width=1.525), 3),
     "hexagonal, three focal lengths": (
         SMALL.replace(mla_lattice="hexagonal", mla_offset=(0.1, 0), mla_focal_length=(18.0, 20.0, 23.0)),
@@ -56,10 +54,7 @@ def exact(camera, oversample, row, column, depth, parts=3):
     )
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * (name != "crop")) for name in CAMERAS],
-)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name != "crop")) for name in CAMERAS])
 def test_every_bin_has_its_exact_spread(name):
     """Even at the border of the field, from spreads of other points than the one that the response knows."""
     camera, oversample = CAMERAS[name]
@@ -86,12 +81,9 @@ def test_light_of_deep_planes_is_kept_as_far_as_it_goes():
     assert np.linalg.norm(found - expected) < 0.06 * np.linalg.norm(expected)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name not in ("finer bins", "warped"))) for name in CAMERAS]
-)
-def test_the_adjoint_of_a_volume_is_the_transpose(name):
-    camera, oversample = CAMERAS[name]
-    response = response_of(camera, [-0.02, 0.01], oversample)
+def test_the_adjoint_of_a_volume_is_the_transpose():
+    camera = CAMERAS["warped"][0]
+    response = response_of(camera, [-0.02, 0.01], 2)
     random = np.random.default_rng(0)
     values = random.random(response.source_shape).astype(np.float32)
     image = random.random(camera.shape).astype(np.float32)

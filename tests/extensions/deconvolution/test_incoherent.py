@@ -1,7 +1,10 @@
 """Incoherent reconstruction against sums of single point spreads, uniform scenes, and places of points."""
 
+import functools
+
 import numpy as np
 import pytest
+from refusals import refuses
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.lenses.common import main_lens
@@ -10,10 +13,8 @@ from mitsuba_plenoptic.points.units import radiance_weight
 WAVELENGTH = 633.0
 SMALL = mp.PlenopticCamera(detector_width=0.256, resolution=(128, 128))
 CAMERAS = {
-    "square": SMALL,
     "hexagonal": SMALL.replace(mla_lattice="hexagonal"),
     "focused": SMALL.replace(detector_distance=0.6, mla_distance=117.0),
-    "aberrated": SMALL.replace(wavefront=(0.0, 0.0, 0.0, 0.0, 0.1, 0.05)),
 }
 
 
@@ -25,12 +26,9 @@ def refocused(camera, image, distance=250.0, **options):
     return mp.reconstruct(recorded(camera, image), distance, method="incoherent", **options).image
 
 
-@pytest.mark.parametrize(
-    "name", ["square", *(pytest.param(name, marks=pytest.mark.slow) for name in ("focused", "aberrated"))]
-)
-def test_bins_weigh_the_capture_with_the_spreads_of_their_points(name):
+def test_bins_weigh_the_capture_with_the_spreads_of_their_points():
     """The light that a bin is divided by cancels between two captures."""
-    camera, distance, across = CAMERAS[name], 250.0, 8
+    camera, distance, across = SMALL.replace(wavefront=(0.0, 0.0, 0.0, 0.0, 0.1, 0.05)), 250.0, 8
     random = np.random.default_rng(0).random(camera.shape)
     even = np.ones(camera.shape)
     found = refocused(camera, random, distance) / refocused(camera, even, distance)
@@ -49,16 +47,6 @@ def test_it_is_linear_also_below_zero():
     random = np.random.default_rng(0).normal(size=(2, *SMALL.shape))
     parts = [refocused(SMALL, image) for image in (*random, random.sum(0))]
     assert np.allclose(parts[0] + parts[1], parts[2], atol=1e-5 * np.abs(parts[2]).max())
-
-
-@pytest.mark.parametrize("model", ["ray", pytest.param("wave", marks=pytest.mark.slow)])
-def test_a_uniform_scene_reads_its_radiance(model):
-    """Also in focus, where a point's spot is narrow, and how much light borders of lenses take must be known."""
-    scene = mp.load_scene("white", parameters={"detector_width": 0.512, "resolution": 128, "aperture_radius": 7.5})
-    capture = mp.render_capture(scene, model=model, spp=64)
-    options = {} if model == "wave" else {"wavelength": WAVELENGTH}
-    for result in mp.reconstruct(capture, [210, 240], method="incoherent", **options):
-        assert np.nanmax(np.abs(result.image - 1)) < 0.01
 
 
 @pytest.mark.parametrize("name", CAMERAS)
@@ -85,18 +73,16 @@ def test_a_crop_shows_its_part_of_the_whole_and_nothing_beyond():
 
 
 def test_channels_have_their_own_wavelengths():
-    image = np.random.default_rng(0).random((*SMALL.shape, 3))
-    lights = (450.0, 633.0, 633.0)
-    capture = mp.Capture(image.astype(np.float32), SMALL, model="wave", wavelength=lights)
-    together = mp.reconstruct(capture, 265, method="incoherent").image
-    for channel, light in enumerate(lights):
-        alone = mp.Capture(image[..., channel].astype(np.float32), SMALL, model="wave", wavelength=light)
-        assert np.array_equal(together[..., channel], mp.reconstruct(alone, 265, method="incoherent").image)
+    image = np.random.default_rng(0).random((*SMALL.shape, 3), np.float32)
+    together = mp.reconstruct(mp.Capture(image, SMALL, (450.0, 633.0, 633.0), "wave"), 250, method="incoherent").image
+    for channel, light in ((0, 450.0), (2, 633.0)):
+        alone = mp.Capture(image[..., channel], SMALL, light, "wave")
+        assert np.array_equal(together[..., channel], mp.reconstruct(alone, 250, method="incoherent").image)
 
 
-@pytest.mark.parametrize("method", ["ray", pytest.param("incoherent", marks=pytest.mark.slow), "deconvolved"])
-def test_glasses_have_their_focal_lengths_at_the_wavelength(method):
-    """Four bins of radiance 1, filled with points that a camera with glasses records at 480 nm."""
+@functools.cache
+def of_glasses():
+    """A camera with glasses, and four bins of radiance 1, filled with points, that it records at 480 nm."""
     glass = {"index": 1.5168, "abbe": 64.2}
     camera = SMALL.replace(resolution=(64, 64), glass=glass, mla_glass=glass)
     known = camera.at_wavelength(480.0)
@@ -104,13 +90,19 @@ def test_glasses_have_their_focal_lengths_at_the_wavelength(method):
     x, y = (2 * each.ravel() for each in np.meshgrid(steps, steps))
     points = np.column_stack([x, y, np.full(len(x), 240.0)])
     weight = radiance_weight(known, main_lens(known, 480.0), 0.064**2) / 25
-    image = mp.CaptureOperator(camera, points, wavelength=480.0).forward(np.full(len(x), weight))
-    found, expected, ignored = (
-        mp.reconstruct(mp.Capture(image, each, 480.0, "wave"), 240.0, method=method).image
-        for each in (camera, known, camera.at_wavelength(587.5618))
+    return camera, mp.CaptureOperator(camera, points, wavelength=480.0).forward(np.full(len(x), weight))
+
+
+@pytest.mark.parametrize(
+    "method", [*(pytest.param(n, marks=pytest.mark.slow) for n in ("ray", "incoherent")), "deconvolved"]
+)
+def test_glasses_have_their_focal_lengths_at_the_wavelength(method):
+    camera, image = of_glasses()
+    known = camera.at_wavelength(480.0)
+    found, expected = (
+        mp.reconstruct(mp.Capture(image, each, 480.0, "wave"), 240.0, method=method).image for each in (camera, known)
     )
     np.testing.assert_array_equal(found, expected)
-    assert np.abs(found - ignored).max() > 0.02
     if method == "deconvolved":
         assert found == pytest.approx(np.pad(np.ones((2, 2)), 1), abs=0.02)
 
@@ -121,8 +113,7 @@ def test_lenses_may_differ_as_far_as_light_stays_within_pixels(method):
     image = np.random.default_rng(0).random(SMALL.shape)
     near, far = (recorded(SMALL.replace(mla_jitter=(0.0, focal)), image) for focal in (0.01, 0.03))
     assert np.isfinite(mp.reconstruct(near, 250.0, method=method).image).any()
-    with pytest.raises(mp.InputError, match=r"\Amla_jitter = \(0.0, 0.03\): its focal lengths spread light over .*\Z"):
-        mp.reconstruct(far, 250.0, method=method)
+    refuses(r"mla_jitter = \(0.0, 0.03\)", mp.reconstruct, far, 250.0, method=method)
 
 
 def test_a_microscope_sees_a_point_where_it_is():
@@ -138,10 +129,3 @@ def test_a_microscope_sees_a_point_where_it_is():
     middle = (np.array(result.shape) - 1) / 2
     # The object is upright, and x is to the left.
     assert np.hypot(abs(column - middle[1]) - 3, abs(row - middle[0]) - 2) <= 1
-
-
-def test_options_of_other_methods_change_nothing():
-    expected = refocused(SMALL, np.ones(SMALL.shape))
-    for option in ({"interleave": 2}, {"relay": True}, {"iterations": 3}):
-        with pytest.warns(UserWarning, match="method incoherent has no use for"):
-            np.testing.assert_array_equal(refocused(SMALL, np.ones(SMALL.shape), **option), expected)

@@ -1,5 +1,6 @@
 """Fits of cameras to captures of known points, judged by the noise that was added."""
 
+import math
 import warnings
 
 import mitsuba as mi
@@ -8,6 +9,7 @@ import pytest
 from cameras import HALF, WAVELENGTH, scattered, small_camera
 
 from mitsuba_plenoptic import Capture, CaptureOperator, Detector, InputError, PlenopticCamera, expose, fit
+from mitsuba_plenoptic.extensions.inverse import approach
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays, vector_of
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.fitting import View, coarse_fit, lattice_from_white, noise_of
@@ -30,37 +32,29 @@ def weights_of(brightest):
 
 def test_numbers_are_found_within_their_deviations():
     weights, image = weights_of(1.0)
-    seen = np.random.default_rng(4).poisson(image * PHOTONS) / PHOTONS
+    seen, tried = np.random.default_rng(4).poisson(image * PHOTONS) / PHOTONS, []
     start = TRUE.replace(mla_pitch=0.0643, mla_offset=(0.001, -0.001), detector_distance=TRUE.detector_distance * 1.01)
-    names = "mla_pitch", "mla_offset", "detector_distance"
-    tried = []
     found = fit(
         start,
         View(seen, POINTS, weights),
-        names,
+        ["mla_pitch", "mla_offset", "detector_distance"],
         wavelength=WAVELENGTH,
         photons=PHOTONS,
         accuracy=ACCURACY,
-        progress=lambda done, total: tried.append((done, total)),
+        progress=lambda done, total: tried.append(done),
     )
-    true = {
-        "mla_pitch": 0.064,
-        "mla_offset.1": 0.0,
-        "mla_offset.2": 0.0,
-        "detector_distance": 0.512,
-    }
+    true = {"mla_pitch": 0.064, "mla_offset.1": 0.0, "mla_offset.2": 0.0, "detector_distance": 0.512}
     assert list(found.values) == list(true)
-    errors = [(found.values[name] - value) / found.deviations[name] for name, value in true.items()]
+    difference = np.array([found.values[name] - value for name, value in true.items()])
     # Chi-squared of four numbers: a hundredth lies beyond 13.3.
     inverse = np.linalg.inv(found.covariance)
-    difference = np.array([found.values[name] - value for name, value in true.items()])
     assert difference @ inverse @ difference < 13.3
-    assert max(map(abs, errors)) < 3.5
+    assert max(abs(difference / list(found.deviations.values()))) < 3.5
     assert found.chi_square == pytest.approx(1, abs=4 * found.chi_square_deviation)
     assert found.chi_square_deviation < 0.05
     assert found.camera.mla_pitch == found.values["mla_pitch"]
     assert found.deviations["mla_pitch"] < 1e-4
-    assert [done for done, _ in tried] == list(range(1, found.steps + 1))
+    assert tried == list(range(1, found.steps + 1))
     # The directions are those of the covariance, the worst first.
     worst = found.directions[0]
     vector = np.array([worst.parts[name] * found.scales[name] for name in true])
@@ -80,22 +74,6 @@ def by_rays(camera, points):
         OpticalSystem(camera, WAVELENGTH), np.ones(len(points))
     )
     return image / image.max(), np.full(len(points), 1 / image.max())
-
-
-def test_numbers_are_found_by_rays():
-    true = small_camera(4, **HALF)
-    points = scattered(20, distances=(108.0, 114.0), image=0.1)
-    image, weights = by_rays(true, points)
-    seen = np.random.default_rng(5).poisson(image * PHOTONS) / PHOTONS
-    start = true.replace(mla_pitch=0.0646, mla_offset=(0.004, -0.003), focal_length=1.01 * true.focal_length)
-    view = View(seen, points, weights)
-    found = fit(start, view, ["mla_pitch", "mla_offset", "focal_length"], photons=PHOTONS, model="ray")
-    errors = np.array(list(found.values.values())) - (0.064, 0.0, 0.0, true.focal_length)
-    # Chi-squared of four numbers: a hundredth lies beyond 13.3.
-    assert errors @ np.linalg.solve(found.covariance, errors) < 13.3
-    assert found.chi_square == pytest.approx(1, abs=4 * found.chi_square_deviation)
-    assert found.chi_square_deviation < 0.05
-    assert found.deviations["mla_pitch"] < 1e-4
 
 
 def test_a_fit_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
@@ -171,14 +149,11 @@ def quickly(camera, view, names="mla_pitch", **options):
     return fit(start, view, names, wavelength=WAVELENGTH, model="ray", **({"photons": PHOTONS} | options))
 
 
-@pytest.mark.parametrize(
-    "photons", [20.0, *(pytest.param(n, marks=pytest.mark.slow) for n in (200.0, 2000.0)), 20000.0]
-)
-def test_chi_square_of_a_right_model_is_one(recorded, photons):
-    """Counts after Poisson: over noises its mean is 1, and its spread as stated, with few photons and with many."""
+def test_chi_square_of_a_right_model_is_one(recorded):
+    """Counts after Poisson: over noises its mean is 1, and its spread as stated, with few photons."""
     true, points, image, weights = recorded
-    lit = image * photons
-    found, errors = [], []
+    photons = 20.0
+    lit, found, errors = image * photons, [], []
     for seed in range(4):
         view = View(np.random.default_rng(seed).poisson(lit) / photons, points, weights)
         found.append(quickly(true, view, photons=photons))
@@ -193,12 +168,13 @@ def test_chi_square_of_a_right_model_is_one(recorded, photons):
 def test_deviations_are_not_those_of_a_kink(recorded):
     """Without noise the deviation is the true one; beside a kink, slopes of the captures state a fifth of it."""
     true, points, image, weights = recorded
+    names = ["mla_pitch", "focal_length", "mla_offset"]
     with pytest.warns(UserWarning, match="chi-square is"):
-        bound = quickly(true, View(image, points, weights), ["mla_pitch", "focal_length"])
+        bound = quickly(true, View(image, points, weights), names)
     seen = np.random.default_rng(14).poisson(image * PHOTONS) / PHOTONS
-    found = quickly(true, View(seen, points, weights), ["mla_pitch", "focal_length"])
+    found = quickly(true, View(seen, points, weights), names)
     errors = np.array([found.values[name] - value for name, value in bound.values.items()])
-    assert errors @ np.linalg.solve(bound.covariance, errors) < 9.2
+    assert errors @ np.linalg.solve(bound.covariance, errors) < 13.3
     for name, deviation in bound.deviations.items():
         assert found.deviations[name] == pytest.approx(deviation, rel=0.25)
 
@@ -219,17 +195,11 @@ def test_chi_square_of_what_a_detector_records_is_one(recorded):
     assert noise_of(Capture(image, true)) == (None, None)
 
 
-# An even image has no pitch, which ends at a bound.
-@pytest.mark.filterwarnings("ignore:fit. at a bound. mla_pitch:UserWarning")
 def test_a_wrong_unit_is_warned_of(recorded):
     true, points, image, weights = recorded
     counts = np.random.default_rng(1).poisson(image * PHOTONS).astype(float)
-    with pytest.warns(
-        UserWarning, match=r"chi-square is .* not 1: .* times as bright as the model: are both in the sa"
-    ):
+    with pytest.warns(UserWarning, match=r"chi-square is .* not 1: .* times as bright as the model"):
         quickly(true, View(counts, points, weights))
-    with pytest.warns(UserWarning, match="chi-square is .* not 1"):
-        quickly(true, View(np.full(true.shape, 0.2), points, weights))
 
 
 def test_saturated_pixels_are_left_out(recorded):
@@ -277,14 +247,42 @@ def test_from_afar_no_number_leaves_its_bounds(recorded):
     # By default lengths stay within half of where they start; what shows no lattice does not tell the pitch.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        near = coarse_fit(start, View(np.eye(*true.shape), points, weights), ["mla_pitch", "mla_distance"])
-    assert 0.034 <= near.mla_pitch <= 0.102 and 30 <= near.mla_distance <= 90
+        near = coarse_fit(start, View(np.eye(*true.shape), points, weights), "mla_pitch")
+    assert 0.034 <= near.mla_pitch <= 0.102
 
 
-@pytest.mark.parametrize("numbers", [{}, {"mla_lattice": "hexagonal"}, {"mla_pitch": (0.064, 0.0606)}])
+def test_from_afar_a_fit_goes_on_with_the_blur_where_it_stopped(recorded, tmp_path, monkeypatch):
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    # However long the disk took.
+    monkeypatch.setattr(checkpoints, "FRACTION", math.inf)
+    true, points, image, weights = recorded
+    view, start, nearest, tried = View(image, points, weights), true.replace(mla_pitch=0.065), approach._nearest, []
+
+    def counted(*arguments):
+        tried.append(arguments[4])
+        if len(tried) == 2:
+            raise KeyboardInterrupt
+        return nearest(*arguments)
+
+    def fitted(name, existing):
+        tried.clear()
+        with checkpoints.Checkpoint(tmp_path / name, existing) as kept:
+            return coarse_fit(start, view, "mla_pitch", checkpoint=kept).mla_pitch
+
+    whole = fitted("whole", "refuse")
+    monkeypatch.setattr(approach, "_nearest", counted)
+    with pytest.raises(KeyboardInterrupt):
+        fitted("broken", "refuse")
+    blurs = list(tried)
+    monkeypatch.setattr(approach, "_nearest", lambda *arguments: tried.append(arguments[4]) or nearest(*arguments))
+    # The blur during which the first run was stopped, and those that are less.
+    assert fitted("broken", "resume") == pytest.approx(whole, rel=1e-4) and tried[0] == blurs[1] < blurs[0]
+
+
+@pytest.mark.parametrize("numbers", [{"mla_lattice": "hexagonal"}, {"mla_pitch": (0.064, 0.0606)}])
 def test_lattice_from_white(numbers):
     """Discs at the micro-images' centres, of a camera that is turned and shifted."""
-    camera = small_camera(16, mla_rotation=0.7, mla_offset=(0.011, -0.013), **numbers)
+    camera = small_camera(12, mla_rotation=0.7, mla_offset=(0.011, -0.013), **numbers)
     size = camera.resolution[0]
     x = (np.arange(size) + 0.5 - size / 2) * camera.pixel_size
     shrunk = camera.mla_distance / (camera.mla_distance + camera.detector_distance)

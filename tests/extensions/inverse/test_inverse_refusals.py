@@ -51,13 +51,6 @@ def of_noise():
     return fitted(seen=view(seen.image, noise=noise_of(seen)[0]), photons=None)
 
 
-def dark(find):
-    return [
-        (lambda: find(TRUE, view(np.zeros(TRUE.shape)), "mla_distance"), "image: it is black"),
-        (lambda: find(TRUE, view(np.full(TRUE.shape, -0.1)), "mla_distance"), "image: it is black"),
-    ]
-
-
 def followed(point=(0.0, 0.0, 120.0), **numbers):
     return PointRays(small_camera(2, **HALF, **numbers), np.array([point]), WAVELENGTH)
 
@@ -70,118 +63,68 @@ def hill(bounds):
     return maximise(contrast(), HALVES, bounds)
 
 
-REFOCUSING = [
-    (lambda: by_rays(distance=50.0), "distance"),
-    (lambda: by_rays(footprint="disc"), "footprint"),
-    (lambda: by_rays().forward(np.zeros((3, 3))), "capture of shape"),
-    (lambda: by_rays().adjoint(np.zeros((5, 3))), "bins of shape"),
-    (lambda: by_waves(distance=50.0), "distance"),
-    (lambda: by_waves(interleave=0), "interleave"),
-    (lambda: by_waves(wavelength=-1.0), "wavelength"),
-    (lambda: by_waves().forward(np.zeros((3, 3))), "capture of shape"),
-    (lambda: by_waves().gradient(white_image(CAMERA), np.zeros((2, 2, 2))), "image_gradient of 2 channels: the capt"),
-    (lambda: by_waves().derivative(white_image(CAMERA), np.zeros((9, 9))), "change of shape"),
+test_refusals_of_refocusing = refused(
+    (lambda: by_rays(distance=50.0), "distance = 50"),
+    (lambda: by_rays(footprint="disc"), "footprint = 'disc'"),
+    (lambda: by_rays().forward(np.zeros((3, 3))), r"capture of shape \(3, 3\)"),
+    (lambda: by_rays().adjoint(np.zeros((5, 3))), r"bins of shape \(5, 3\)"),
+    (lambda: by_waves(wavelength=-1.0), "wavelength = -1"),
+    (lambda: by_waves().gradient(white_image(CAMERA), np.zeros((2, 2, 2))), "image_gradient of 2 channels"),
+    (lambda: by_waves().derivative(white_image(CAMERA), np.zeros((9, 9))), r"change of shape \(9, 9\)"),
     (lambda: DeconvolvedRefocus(CAMERA, 250.0).forward(np.zeros(CAMERA.shape)), "^capture: none of its pixels is lit"),
-    (
-        lambda: DeconvolvedRefocus(CAMERA, 250.0).forward(np.zeros((3, 3))),
-        r"^capture of shape \(3, 3\): it must have 64 rows and 64 columns$",
-    ),
     (lambda: DeconvolvedRefocus(CAMERA, 250.0, iterations=0), "^iterations = 0: "),
-]
+)
 
-FITS = [
-    *dark(lambda camera, seen, names: fit(camera, seen, names, photons=2000.0)),
-    *dark(coarse_fit),
+test_refusals_of_fits = refused(
+    (lambda: fitted("mla_distance", view(np.zeros(TRUE.shape))), "image: it is black"),
+    (lambda: coarse_fit(TRUE, view(np.full(TRUE.shape, -0.1)), "mla_distance"), "image: it is black"),
     (of_noise, "image: it is black"),
-    (lambda: fitted(seen=view(negative())), r"image: 1 of its pixels are negative, .* -0\.2, at \(3, 5\)"),
-    (
-        lambda: fitted(seen=view(negative(), mask=negative() < 0, saturation=0.5)),
-        "image: all of its pixels are left out",
-    ),
-    (lambda: view(weights=[1, -2, 3, 4, 5]), "weights: 1 of them are negative, the first, -2, at 1: light is at least"),
-    (lambda: view(weights=0 * ONES), "weights: all of them are 0"),
-    (lambda: view(mask=negative()), "mask of type float64 and shape .*: it must be of booleans"),
-    (lambda: view(saturation=0), "saturation = 0: it must be greater than 0"),
+    (lambda: fitted(seen=view(negative())), r"image: 1 of its pixels .* -0\.2, at \(3, 5\)"),
+    (lambda: fitted(seen=view(negative(), mask=negative() < 0, saturation=0.5)), "image: all of its pixels"),
+    (lambda: view(weights=[1, -2, 3, 4, 5]), "weights: 1 of them are negative, the first, -2, at 1"),
+    (lambda: view(mask=negative()), "mask of type float64"),
     (lambda: View(np.zeros((4, 4, 3)), POINTS, ONES), "one channel"),
     (lambda: view(weights=np.ones(2)), "weights of shape"),
-    (lambda: view(noise=0.0), "noise of shape"),
     (lambda: fitted(seen=View(np.zeros((3, 3)), POINTS, ONES)), "the camera records"),
     (lambda: fitted(camera=PlenopticCamera.preset("lfm"), wavelength=WAVELENGTH), "fits of cameras refuse it"),
-    (lambda: fitted("wavelength"), "wavelength: it is no parameter of a camera"),
-    (lambda: fitted("f_number"), "f_number"),
+    (lambda: fitted("wavelength"), "wavelength: "),
     (lambda: fitted("wavefront"), "wavefront: the camera has no coefficients"),
-    (
-        lambda: vector_of(TRUE.replace(wavefront=(0.0,) * 6), "wavefront.7"),
-        "wavefront.7': the camera has wavefront.2, ",
-    ),
-    (lambda: fitted(()), "names = .*: name at least one"),
-    (lambda: fitted("mla_fill", model="ray"), "mla_fill: rays from points know no gaps"),
-    (lambda: fitted(model="light"), "model = 'light': it must be one of ray, wave"),
-    (lambda: fitted(model="ray", accuracy=0.1), "accuracy = 0.1: it is for fits by the wave model"),
-    (lambda: fitted(photons=None), "photons: give them, or the noise"),
-    (lambda: fitted(photons=-1), "photons"),
-    (lambda: fitted(bounds={"mla_pitch": (0.07, 0.08)}), "bounds: mla_pitch starts at 0.064: it must lie from"),
-    (lambda: fitted(bounds={"mla_fill": (0.5, 1)}), "bounds: .*mla_fill.* is not fitted; there are mla_pitch"),
-    (lambda: fitted(bounds={"mla_pitch": (1, 0)}), "bounds: mla_pitch = .*: it must be the lowest and the highest"),
-    (lambda: followed(mla_fill=0.8), "mla_fill = 0.8.*arrays without gaps only"),
-    (lambda: followed(mla_aperture="circle"), "mla_aperture = circle: .*without gaps"),
-    (
-        lambda: followed(mla_tilt=(0.1, 0.0)),
-        r"mla_tilt = \(0.1, 0.0\): fits and projections of points by rays refuse it",
-    ),
-    (lambda: followed(distortion=(0.1, 0.0, 0.0, 0.0, 0.0)), "distortion = "),
+    (lambda: vector_of(TRUE.replace(wavefront=(0.0,) * 6), "wavefront.7"), "wavefront.7': .* wavefront.2, "),
+    (lambda: fitted(()), "names = "),
+    (lambda: fitted("mla_fill", model="ray"), "mla_fill: "),
+    (lambda: fitted(model="light"), "model = 'light': "),
+    (lambda: fitted(model="ray", accuracy=0.1), "accuracy = 0.1: "),
+    (lambda: fitted(photons=None), "photons: "),
+    (lambda: fitted(bounds={"mla_pitch": (0.07, 0.08)}), "bounds: mla_pitch starts at 0.064: "),
+    (lambda: fitted(bounds={"mla_pitch": (1, 0)}), "bounds: mla_pitch = "),
+    (lambda: followed(mla_fill=0.8), "mla_fill = 0.8"),
+    (lambda: followed(mla_tilt=(0.1, 0.0)), r"mla_tilt = \(0.1, 0.0\): "),
     *(
         (
             lambda g=g: PointRays(PlenopticCamera(), np.array([(0.0, 0.0, g)]), WAVELENGTH),
-            r"position = \(0, 0, .*\): its light would cover .* microlenses .* are the points in metres\?$",
+            r"position = \(0, 0, .*\): its light would cover .* microlenses .* in metres\?$",
         )
         for g in (0.24, 10.0)
     ),
-]
+)
 
-DESIGNS = [
-    (lambda: hill({}), "bounds: name at least one"),
-    (lambda: hill({"f_number": (1, 2)}), "f_number"),
-    (lambda: hill({"mla_focal_length": (0.6, 0.7)}), "bounds: mla_focal_length starts at 0.512"),
+test_refusals_of_designs_and_volumes = refused(
+    (lambda: hill({}), "bounds: "),
     (lambda: hill({"mla_focal_length": (0.6, 0.5)}), "bounds: .*mla_focal_length.* the lowest and the highest"),
-    (
-        lambda: hill({"wavefront.12": (-1, 1)}),
-        "bounds: .*wavefront.12.*: the camera has wavefront.2, .*wavefront.11",
-    ),
     (lambda: hill({"wavefront": (-1, 1), "wavefront.5": (-1, 1)}), "bounds: a parameter has two"),
-    (lambda: contrast((2.5,)), "frequencies = .*at most 2"),
-    (lambda: DepthInformation(POINT, 3000.0, background=0.0), "background"),
-    (lambda: contrast().gradient(HALVES, ["mla_pitch"]), "mla_pitch: refocusing does not follow it"),
-    (
-        lambda: contrast().value(HALVES.replace(focal_length=41.0)),
-        r"focal_length = 41\.0: this figure is of cameras with 40\.0",
-    ),
+    (lambda: contrast((2.5,)), "frequencies = "),
+    (lambda: DepthInformation(POINT, 3000.0, background=0.0), "background = 0"),
+    (lambda: contrast().gradient(HALVES, ["mla_pitch"]), "mla_pitch: "),
+    (lambda: contrast().value(HALVES.replace(focal_length=41.0)), r"focal_length = 41\.0: .* 40\.0"),
     (lambda: contrast(points=[(90.0, 0.0, 116.0)]).value(HALVES), "points: one of them sends no light"),
-    (
-        lambda: DepthInformation(POINT, 1e4, method="full_field", accuracy=0.02),
-        r"accuracy = 0\.02: method = full_field takes none",
-    ),
-]
-
-VOLUMES = [
+    (lambda: DepthInformation(POINT, 1e4, method="full_field", accuracy=0.02), r"accuracy = 0\.02: .* full_field"),
     (lambda: volume_points(np.ones((2, 2)), (0, 0, 0), (1, 1, 1)), r"values of shape \(2, 2\)"),
     (lambda: volume_points(np.full((1, 1, 1), np.nan), (0, 0, 0), (1, 1, 1)), "it must be finite"),
-    (lambda: volume_points("dense", (0, 0, 0), (1, 1, 1)), "values = 'dense': they must be numbers"),
-    (lambda: volume_points(np.ones((1, 1, 1)), (0, 0), (1, 1, 1)), r"lower = \(0, 0\): it must be three numbers"),
-    (lambda: volume_points(np.ones((1, 1, 1)), (0, 2, 0), (1, 1, 1)), "it must be greater than lower"),
-    (
-        lambda: StoredOperator(TRUE, POINTS, wavelength=WAVELENGTH, budget=1e-7).forward(ONES),
-        r"^budget = 1e-07 GiB: the spreads of 5 points at 1 wavelength take \S+ GiB; Capt",
-    ),
-    (lambda: StoredOperator(TRUE, POINTS, wavelength=WAVELENGTH, budget=0), "^budget = 0: it must be greater than 0$"),
-    (
-        lambda: StoredOperator(TRUE, POINTS, wavelength=WAVELENGTH, dtype="half"),
-        "^dtype = 'half': it must be float32 or float64$",
-    ),
-]
-
-
-test_refusals_are_one_line = refused(*REFOCUSING, *FITS, *DESIGNS, *VOLUMES)
+    (lambda: volume_points(np.ones((1, 1, 1)), (0, 0), (1, 1, 1)), r"lower = \(0, 0\): "),
+    (lambda: volume_points(np.ones((1, 1, 1)), (0, 2, 0), (1, 1, 1)), "greater than lower"),
+    (lambda: StoredOperator(TRUE, POINTS, wavelength=WAVELENGTH, budget=1e-7).forward(ONES), "^budget = 1e-07 GiB: "),
+    (lambda: StoredOperator(TRUE, POINTS, wavelength=WAVELENGTH, dtype="half"), "^dtype = 'half': "),
+)
 
 
 def test_refusals_of_variants_names_and_memory(monkeypatch):

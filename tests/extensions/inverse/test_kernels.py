@@ -21,18 +21,15 @@ def kernels():
 
 
 @pytest.mark.parametrize(
-    ("name", "values"),
+    ("lattice", "name", "values"),
     [
-        ("mla_distance", (119.9, 120.07, 120.13)),
-        pytest.param("focal_length", (79.99, 80.01, 80.03), marks=pytest.mark.slow),
-        pytest.param("detector_distance", (0.511, 0.513, 0.515), marks=pytest.mark.slow),
-        pytest.param("mla_offset", ((0.001, 0.002), (0.003, 0.001), (0.002, 0.004)), marks=pytest.mark.slow),
-        ("mla_rotation", (1.0, 1.01, 1.02)),
-        ("wavefront", ((0, 0.1, 0.2), (0, 0.2, 0.1), (0, 0.15, 0.3))),
+        ("hexagonal", "mla_distance", (119.9, 120.07)),
+        pytest.param("hexagonal", "mla_rotation", (1.0, 1.01), marks=pytest.mark.slow),
+        pytest.param("square", "wavefront", ((0, 0.1, 0.2), (0, 0.2, 0.1)), marks=pytest.mark.slow),
+        pytest.param("square", "mla_offset", ((0.001, 0.002), (0.003, 0.001)), marks=pytest.mark.slow),
     ],
 )
-@pytest.mark.parametrize("lattice", [pytest.param("square", marks=pytest.mark.slow), "hexagonal"])
-def test_a_camera_that_changes_compiles_nothing_after_the_first_step(name, values, lattice, kernels):
+def test_a_camera_that_changes_compiles_nothing_after_the_first_step(lattice, name, values, kernels):
     camera = PlenopticCamera(resolution=(64, 64), detector_width=0.128, mla_lattice=lattice)
 
     def step(value):
@@ -42,7 +39,5 @@ def test_a_camera_that_changes_compiles_nothing_after_the_first_step(name, value
         return kernels()
 
     # No other test has a camera of the first values, whose tables would be remembered.
-    first, *later = map(step, values)
-    for own in later:
-        assert not own - first
-        first |= own
+    first, second = map(step, values)
+    assert first and not second - first

@@ -5,7 +5,8 @@ import itertools
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import HALF, WAVELENGTH, error, film, small_camera
+from cameras import HALF, WAVELENGTH, error, small_camera
+from cases import film, scene_of
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
@@ -14,10 +15,8 @@ from mitsuba_plenoptic.fitting import known_view
 from mitsuba_plenoptic.points.units import brightness_at
 
 CAMERAS = {
-    "near": ({}, 112.0, 0.03),
-    "far, hexagonal": ({"mla_lattice": "hexagonal", "mla_rotation": 7.0}, 135.0, 0.03),
-    "double Gauss": ({"main_lens": "double_gauss"}, 112.0, 0.03),
-    "aberrations": ({"wavefront": "0, 0, 0, 0.6"}, 125.0, 0.03),
+    "double Gauss": ({"main_lens": "double_gauss"}, 112.0),
+    "aberrations": ({"wavefront": "0, 0, 0, 0.6"}, 125.0),
 }
 
 
@@ -26,32 +25,20 @@ CAMERAS = {
 )
 def test_against_rays_through_the_sensor(name):
     """A wall of several shades, as the points that rays find on it."""
-    numbers, distance, limit = CAMERAS[name]
+    numbers, distance = CAMERAS[name]
     texture = mi.Bitmap(np.random.default_rng(1).uniform(0.2, 1, (4, 4, 1)).astype(np.float32))
     light = {"type": "bitmap", "bitmap": texture, "raw": True}
     place = mi.ScalarTransform4f().translate([0.05, 0.03, distance]).rotate([0, 1, 0], 180).scale(0.25)
-    scene = mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "direct"},
-            "camera": {
-                "type": "plenoptic",
-                "detector_width": 0.256,
-                "film": film(64, 64),
-                **HALF,
-                **numbers,
-            },
-            "wall": {"type": "rectangle", "to_world": place, "light": {"type": "area", "radiance": light}},
-        }
-    )
+    camera = {"type": "plenoptic", "detector_width": 0.256, "film": film(64, 64), **HALF, **numbers}
+    wall = {"type": "rectangle", "to_world": place, "light": {"type": "area", "radiance": light}}
+    scene = scene_of(camera, "direct", wall=wall)
     traced = np.array(mi.render(scene, spp=1024))[..., 0]
     camera = PlenopticCamera.from_sensor(scene.sensors()[0])
     view = known_view(traced, scene, camera, wavelength=WAVELENGTH, points_per_lens=256)
     rays = PointRays(camera, view.points, WAVELENGTH, view.pupil_weights)
-    image = rays.image(
-        OpticalSystem(camera, WAVELENGTH), brightness_at(OpticalSystem(camera, WAVELENGTH), view.points) * view.weights
-    )
-    assert error(image, traced) < limit
+    system = OpticalSystem(camera, WAVELENGTH)
+    image = rays.image(system, brightness_at(system, view.points) * view.weights)
+    assert error(image, traced) < 0.03
     assert image.mean() == pytest.approx(traced.mean(), rel=0.02)
 
 

@@ -13,7 +13,7 @@ import pytest
 from cameras import WAVELENGTH, error, scattered, small_camera
 from refusals import refused, refuses
 
-from mitsuba_plenoptic import CaptureOperator, InputError, Spectrum, StoredOperator, load_scene, volume_points
+from mitsuba_plenoptic import CaptureOperator, InputError, Spectrum, StoredOperator, load_scene
 from mitsuba_plenoptic.refocus import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 
 torch = pytest.importorskip("torch")
@@ -22,9 +22,6 @@ forward_ad = importlib.import_module("torch.autograd.forward_ad")
 
 CAMERA = small_camera(2)
 POINTS = scattered(3, image=0.05)
-
-FAST = small_camera(2, aperture_radius=10.0)
-"""A camera whose stigmatic lens and parabolic phase make captures that differ by half."""
 
 
 def stored(**options):
@@ -41,49 +38,28 @@ def random(*shape, low=-1.0):
     return torch.tensor(values, requires_grad=True)
 
 
-# -- weights and images ------------------------------------------------------------------------------
-
-
 def test_gradients_of_weights_and_images_in_double_precision():
     operator = stored()
-    once = {"check_forward_ad": True, "fast_mode": True}
-    assert torch.autograd.gradcheck(lambda w: bridge.forward(operator, w), random(2, 3), **once)
+    assert torch.autograd.gradcheck(
+        lambda w: bridge.forward(operator, w), random(2, 3), check_forward_ad=True, fast_mode=True
+    )
     assert torch.autograd.gradcheck(
         lambda y: bridge.adjoint(operator, y)[..., :2], random(*CAMERA.shape), fast_mode=True
     )
     assert torch.autograd.gradgradcheck(lambda w: bridge.forward(operator, w) ** 2, random(3), fast_mode=True)
 
 
-def test_batches_are_the_operator_one_by_one():
-    operator, weights = stored(), random(2, 4, 3)
-    images = bridge.forward(operator, weights)
-    assert images.shape == (2, 4, *CAMERA.shape)
-    assert images.dtype == torch.float64 and images.is_contiguous()
-    np.testing.assert_allclose(images[1, 2].detach(), operator.forward(weights[1, 2].detach().numpy()))
-    np.testing.assert_allclose(bridge.adjoint(operator, images)[1, 2].detach(), operator.adjoint(images[1, 2].detach()))
-
-
-def test_spectra_have_channels_before_rows():
+def test_batches_of_spectra_have_channels_before_rows():
     operator = stored(spectrum=Spectrum((633.0, 532.0), ((1.0, 0.1), (0.0, 1.0), (0.5, 0.5))))
-    weights = random(2, 2, 3)
+    weights = random(4, 2, 2, 3)
     images = bridge.forward(operator, weights)
-    assert images.shape == (2, 3, *CAMERA.shape)
-    expected = operator.forward(weights[1].detach().numpy().T)
-    np.testing.assert_allclose(images[1].detach(), np.moveaxis(expected, -1, 0))
-    assert bridge.adjoint(operator, images).shape == weights.shape
-    assert torch.autograd.gradcheck(lambda w: bridge.forward(operator, w), weights, fast_mode=True)
-
-
-def test_a_step_of_richardson_and_lucy():
-    """Unrolled in PyTorch, through both directions of the operator."""
-    operator, white = stored(), torch.ones(CAMERA.shape, dtype=torch.float64)
-    image = bridge.forward(operator, torch.tensor([1.0, 2.0, 0.5], dtype=torch.float64))
-
-    def step(weights, image):
-        ratio = image / bridge.forward(operator, weights).clamp(min=1e-9)
-        return weights * bridge.adjoint(operator, ratio) / bridge.adjoint(operator, white)
-
-    assert torch.autograd.gradcheck(step, (random(3, low=0.5), image.requires_grad_()), fast_mode=True, atol=1e-4)
+    assert images.shape == (4, 2, 3, *CAMERA.shape) and images.dtype == torch.float64 and images.is_contiguous()
+    expected = operator.forward(weights[3, 1].detach().numpy().T)
+    np.testing.assert_allclose(images[3, 1].detach(), np.moveaxis(expected, -1, 0))
+    products = bridge.adjoint(operator, images)
+    assert products.shape == weights.shape
+    np.testing.assert_allclose(products[3, 1].detach(), operator.adjoint(expected).T)
+    assert torch.autograd.gradcheck(lambda w: bridge.forward(operator, w), weights[0], fast_mode=True)
 
 
 def test_operators_get_the_memory_of_tensors_and_of_what_dlpack_brings(monkeypatch):
@@ -122,20 +98,12 @@ def test_tensors_of_other_types_and_layouts():
         torch.testing.assert_close(made.double(), expected, rtol=limit, atol=limit * float(expected.abs().max()))
 
 
-@pytest.mark.parametrize("lens_model", ["ideal", "parabolic"])
-def test_captures_are_by_the_cameras_lens_model(lens_model):
-    camera = FAST.replace(lens_model=lens_model)
-    capture = (
-        bridge.capture(computing, camera, {"mla_distance": torch.tensor(FAST.mla_distance)}, torch.ones(3))
-        .detach()
-        .numpy()
-    )
-    assert error(np.asarray(capture), computing(camera).forward(np.ones(3))) < 1e-5
-    other = FAST.replace(lens_model={"ideal": "parabolic", "parabolic": "ideal"}[lens_model])
-    assert error(np.asarray(capture), computing(other).forward(np.ones(3))) > 0.3
-
-
-# -- forward mode ------------------------------------------------------------------------------------
+def test_captures_are_by_the_cameras_lens_model():
+    """Of a camera whose stigmatic lens and parabolic phase make captures that differ by half."""
+    camera = small_camera(2, aperture_radius=10.0, lens_model="parabolic")
+    made = bridge.capture(computing, camera, {"mla_distance": torch.tensor(120.0)}, torch.ones(3)).detach()
+    assert error(made.numpy(), computing(camera).forward(np.ones(3))) < 1e-5
+    assert error(made.numpy(), computing(camera.replace(lens_model="ideal")).forward(np.ones(3))) > 0.3
 
 
 def along(function, given, change, step):
@@ -156,22 +124,17 @@ def require_close(made, expected, limit):
     assert float((made - expected).norm() / expected.norm()) < limit
 
 
-PLANE = [(x, y, 236.0) for x in (-0.02, 0.0, 0.02) for y in (-0.01, 0.01)]
-VOLUME = volume_points(np.ones((2, 2, 2)), (-0.02, -0.02, 230.0), (0.02, 0.02, 242.0))[0]
-
-
-@pytest.mark.parametrize("points", [POINTS, PLANE, VOLUME], ids=["points", "plane", "volume"])
-@pytest.mark.parametrize("kind", [CaptureOperator, StoredOperator])
-def test_forward_mode_of_points(points, kind):
-    operator = kind(CAMERA, points, wavelength=WAVELENGTH)
-    weights, change = (random(2, len(points)).detach().float() + shift for shift in (0, 0.5))
-    made, difference, *products = along(lambda w: bridge.forward(operator, w), (weights,), (change,), 0.5)
-    require_close(made, difference, 1e-5)
-    assert products[0] == pytest.approx(products[1], rel=1e-5)
+def test_forward_mode_of_points():
+    operator = computing(CAMERA)
+    weights, change = (random(2, 3).detach().float() + shift for shift in (0, 0.5))
     images = random(2, *CAMERA.shape).detach().float()
-    made, difference, *products = along(lambda y: bridge.adjoint(operator, y), (images,), (images + 0.5,), 0.5)
-    require_close(made, difference, 1e-4)
-    assert products[0] == pytest.approx(products[1], rel=1e-5)
+    for function, given, moved, limit in (
+        (lambda w: bridge.forward(operator, w), weights, change, 1e-5),
+        (lambda y: bridge.adjoint(operator, y), images, images + 0.5, 1e-4),
+    ):
+        made, difference, *products = along(function, (given,), (moved,), 0.5)
+        require_close(made, difference, limit)
+        assert products[0] == pytest.approx(products[1], rel=1e-5)
 
 
 OPTIONS = {RayRefocus: {}, CoherentRefocus: {"wavelength": WAVELENGTH}, DeconvolvedRefocus: {"iterations": 3}}
@@ -231,33 +194,23 @@ def test_derivatives_of_derivatives_are_refused(function, at):
     """Also where the gradient that comes from above is constant, which PyTorch would take for a constant result."""
     given = at.clone().requires_grad_()
     (gradient,) = torch.autograd.grad(function(given), given, create_graph=True)
-    with pytest.raises(InputError, match=r"^derivatives of derivatives: captures by a camera's parameters, refoc"):
+    with pytest.raises(InputError, match=r"^derivatives of derivatives: "):
         (gradient.square().sum() + given.square().sum()).backward()
     once = torch.func.grad(function)
     refuses(r"^derivatives of derivatives: ", torch.func.grad(lambda x: once(x).sum()), at)
     refuses(r"^derivatives of derivatives: ", torch.func.jvp, once, (at,), (at,))
 
 
-# -- cameras -----------------------------------------------------------------------------------------
-
-
-# Of central differences, and relative differences: derivatives and captures cut light at different angles.
-# By the array's parameters derivatives are right to some percent, and the sum changes little with `mla_offset`.
-@pytest.mark.parametrize(
-    ("name", "step", "limit", "brighter"),
-    [("mla_distance", 0.02, 2e-3, 0.0), ("mla_distance", 0.02, 1e-3, 0.3), ("mla_offset", 2e-4, 0.04, 0.0)],
-)
-def test_derivatives_by_the_camera(name, step, limit, brighter):
+def test_derivatives_by_the_camera():
     felt = torch.tensor(np.random.default_rng(2).normal(size=CAMERA.shape).cumsum(0).cumsum(1))
-    weights = torch.tensor([1.0, 0.5, 2.0], dtype=torch.float64)
 
     def figure(value, weights):
-        return (bridge.capture(computing, CAMERA, {name: value}, weights) * felt).sum()
+        return (bridge.capture(computing, CAMERA, {"mla_distance": value}, weights) * felt).sum()
 
-    start = torch.tensor(np.array(getattr(CAMERA, name)))
-    change = torch.ones_like(start), brighter * weights
-    made, difference, *products = along(figure, (start, weights), change, step)
-    assert float(made) == pytest.approx(float(difference), rel=limit)
+    start, weights = torch.tensor(np.array(CAMERA.mla_distance)), torch.tensor([1.0, 0.5, 2.0], dtype=torch.float64)
+    change = torch.ones_like(start), 0.3 * weights
+    made, difference, *products = along(figure, (start, weights), change, 0.02)
+    assert float(made) == pytest.approx(float(difference), rel=1e-3)
     assert products[0] == pytest.approx(products[1], rel=1e-4)
     with forward_ad.dual_level():
         changing = forward_ad.make_dual(start, change[0]), forward_ad.make_dual(weights, change[1])
@@ -289,7 +242,7 @@ def test_steps_of_a_loop_keep_nothing():
         operators.append(weakref.ref(made))
         return made
 
-    for step in range(4):
+    for step in range(2):
         distance = torch.tensor(CAMERA.mla_distance + 1e-4 * step, dtype=torch.float64, requires_grad=True)
         image = bridge.capture(make, CAMERA, {"mla_distance": distance}, torch.ones(3, dtype=torch.float64))
         (image**2).sum().backward()
@@ -307,19 +260,6 @@ def test_a_list_of_one_number_for_all_parts():
         captured = lambda value, name=name: bridge.capture(make, CAMERA, {name: value}, weights)  # noqa: E731
         _, _, forward, reverse = along(captured, (value,), (torch.ones_like(value),), 1e-5)
         assert forward == pytest.approx(reverse, rel=1e-5, abs=1e-6)
-
-
-def test_tensors_that_were_overwritten_are_refused():
-    weights = torch.ones(3, requires_grad=True)
-    distance = torch.tensor(120.0, requires_grad=True)
-    image = bridge.capture(computing, CAMERA, {"mla_distance": distance}, weights)
-    with torch.no_grad():
-        weights += 1
-    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
-        image.sum().backward()
-
-
-# -- scenes ------------------------------------------------------------------------------------------
 
 
 RADIANCES = ("f.emitter.radiance.value", "hash.emitter.radiance.value")
@@ -350,22 +290,6 @@ def test_captures_of_scenes(letters):
     )
     require_close(made, (ahead - back) / 0.04, 1e-3)
     assert forward == pytest.approx(reverse, rel=1e-5)
-
-
-def test_captures_of_scenes_by_the_camera_in_forward_mode(letters):
-    """As Dr.Jit has them, and as in reverse."""
-    name, start = "camera.mla_distance", torch.tensor([120.0])
-    by_camera = lambda value: letters(value, names=(name,))  # noqa: E731
-    made, _, forward, reverse = along(by_camera, (start,), (torch.ones(1),), 0.01)
-    assert forward == pytest.approx(reverse, rel=1e-5)
-    parameters, integrator = mi.traverse(letters.scene), mi.load_dict({"type": "plenoptic_wave"})
-    parameters[name] = mi.Float(120.0)
-    dr.enable_grad(parameters[name])
-    dr.set_grad(parameters[name], 1.0)
-    parameters.update()
-    dr.forward(parameters[name], dr.ADFlag.ClearEdges)
-    expected = dr.forward_to(mi.render(letters.scene, parameters, integrator=integrator, spp=8))
-    np.testing.assert_allclose(made, expected.numpy(), rtol=1e-5, atol=1e-6)
 
 
 def test_captures_of_scenes_keep_their_values_for_the_reverse_pass(letters):
@@ -402,8 +326,8 @@ def test_values_that_are_refused_leave_the_scene_as_it_was(letters):
     """In one line, which `mi.render` hides: values by the camera, and those that the integrator refuses."""
     parameters, kept = mi.traverse(letters.scene), ("camera.mla_distance", RADIANCES[0])
     before, image = [np.array(parameters[name]) for name in kept], letters(torch.ones(1), torch.ones(1))
-    refuses(r"^mla_distance = -5: it must be greater than 0$", letters, torch.tensor([-5.0]), torch.ones(1), names=kept)
-    with pytest.raises(InputError, match=r"^scene: the radiance of some rays is NaN or infinite: all must be finite$"):
+    refuses("^mla_distance = -5: ", letters, torch.tensor([-5.0]), torch.ones(1), names=kept)
+    with pytest.raises(InputError, match=r"^scene: the radiance of some rays is NaN"):
         letters(torch.tensor([130.0]), torch.tensor([torch.nan]), names=kept)
     after = [np.array(parameters[name]) for name in kept]
     assert after[0] == before[0] and after[1] == 1
@@ -415,7 +339,7 @@ def test_scenes_of_another_variant(letters):
     image = letters(value, torch.ones(1))
     mi.set_variant("llvm_ad_rgb")
     for work in (lambda: image.sum().backward(), lambda: letters(value, torch.ones(1))):
-        refuses(r"^scene: it is of the variant llvm_ad_mono, but llvm_ad_rgb is active; set llvm_ad_mono$", work)
+        refuses("^scene: .*llvm_ad_mono.*llvm_ad_rgb", work)
     mi.set_variant("llvm_ad_mono")
     image.sum().backward()
     assert float(value.grad) > 0
@@ -431,59 +355,41 @@ def forwarded(weights):
     return bridge.forward(stored(), weights)
 
 
-def refocused(kind, shape):
-    return bridge.refocus(kind(CAMERA, 225.0, **OPTIONS[kind]), random(*shape))
+def refocused(shape):
+    return bridge.refocus(RayRefocus(CAMERA, 225.0), random(*shape))
 
 
-SCENES = [
-    (lambda: rendered(values={}), "^values: give at least one parameter of the scene$"),
-    (
-        lambda: rendered(values={RADIANCES[0]: torch.ones(3)}),
-        r"^f\.emitter\.radiance\.value of shape \(3,\): it must be \(1,\)$",
-    ),
-    (lambda: rendered(values={"f.faces": torch.ones(18)}), "^f.faces: it is UInt: give floating-point numbers"),
-    (lambda: rendered(values={"f.emitter.radiance": torch.ones(1)}), "^values: f.emitter.radiance: it is not one of"),
-    (lambda: rendered(spp=-1), "^spp = -1: it must be at least 0$"),
-    (lambda: rendered(seed=0.5), "^seed = 0.5: it must be a whole number$"),
-    (lambda: rendered("nothing"), "^scene = 'nothing': it must be a scene of Mitsuba$"),
+test_refusals = refused(
+    (lambda: rendered(values={}), "^values: "),
+    (lambda: rendered(values={RADIANCES[0]: torch.ones(3)}), r"^f\.emitter\.radiance\.value of shape \(3,\)"),
+    (lambda: rendered(values={"f.faces": torch.ones(18)}), "^f.faces: it is UInt"),
+    (lambda: rendered(values={"f.emitter.radiance": torch.ones(1)}), "^values: f.emitter.radiance: "),
+    (lambda: rendered(spp=-1), "^spp = -1: "),
+    (lambda: rendered(seed=0.5), "^seed = 0.5: "),
+    (lambda: rendered("nothing"), "^scene = 'nothing': "),
     (
         lambda: rendered(mi.load_dict({"type": "scene", "one": {"type": "path"}, "two": {"type": "sphere"}})),
-        "^scene: it has no sensor$",
+        "no sensor",
     ),
-]
-TENSORS = [
-    (lambda: forwarded(random(2, 4)), r"^weights of shape \(2, 4\): it must not be empty, and its last axes"),
-    (lambda: forwarded([1, 2, 3]), r"^\[1, 2, 3\]: it must be a tensor of PyTorch$"),
+    (lambda: forwarded(random(2, 4)), r"^weights of shape \(2, 4\)"),
+    (lambda: forwarded([1, 2, 3]), r"^\[1, 2, 3\]: .* tensor"),
     *(
-        (lambda given=given: forwarded(given), r"^tensor of shape \(3,\), .*: it must be a dense tensor of floating po")
+        (lambda given=given: forwarded(given), r"^tensor of shape \(3,\), ")
         for given in (torch.tensor([1, 2, 3]), torch.ones(3).to_sparse(), torch.ones(3, device="meta"))
     ),
-    (
-        lambda: bridge.capture(computing, CAMERA, {"mla_distance": 120.0}, random(3)),
-        r"^120\.0: it must be a tensor of PyTorch$",
-    ),
-    (
-        lambda: bridge.capture(computing, CAMERA, {"wavelength": torch.tensor(633.0)}, random(3)),
-        "^parameters: wavelength: it is not one of",
-    ),
+    (lambda: bridge.capture(computing, CAMERA, {"mla_distance": 120.0}, random(3)), r"^120\.0: .* tensor"),
+    (lambda: bridge.capture(computing, CAMERA, {"wavelength": torch.ones(1)}, random(3)), "^parameters: wavelength: "),
     *(
-        (
-            lambda kind=kind, shape=shape: refocused(kind, shape),
-            rf"^captures of shape {re.escape(str(shape))}: it must not be empty, and its last axes must be \(64, 64\)$",
-        )
-        for kind in OPTIONS
+        (lambda shape=shape: refocused(shape), rf"^captures of shape {re.escape(str(shape))}: .* \(64, 64\)$")
         # Colours are axes before the rows.
         for shape in ((3,), (0, *CAMERA.shape), (*CAMERA.shape, 3))
     ),
-]
-
-
-test_refusals = refused(*SCENES, *TENSORS)
+)
 
 
 def test_torch_that_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
     for name in ("mitsuba_plenoptic.torch", "mitsuba_plenoptic.extensions.inverse.torch"):
         monkeypatch.delitem(sys.modules, name)
-    with pytest.raises(InputError, match=r"^mitsuba_plenoptic\.torch needs the package torch: pip install"):
+    with pytest.raises(InputError, match="pip install"):
         importlib.import_module("mitsuba_plenoptic.torch")

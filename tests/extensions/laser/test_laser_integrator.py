@@ -104,29 +104,16 @@ def test_a_spot_between_the_first_rays_is_found():
 def test_points_whose_light_a_wavefront_brings_to_the_detector_are_found():
     waves = 0.5
     camera = CAMERA.replace(wavefront=(0, 0, 0, waves))
-    blurred, sharp = (
-        np.ptp(lit(scene_of(camera), per_spot=1.0, camera=camera).positions[:, 0]),
-        np.ptp(lit(scene_of(), per_spot=1.0).positions[:, 0]),
-    )
+    blurred = np.ptp(lit(scene_of(camera), per_spot=1.0, camera=camera).positions[:, 0])
+    sharp = np.ptp(lit(scene_of(), per_spot=1.0).positions[:, 0])
     # The slope of a defocus at the pupil's edge is 4 sqrt(3) a / radius; the magnification is 1/2.
     blur = camera.mla_distance * 4 * math.sqrt(3) * waves * 633e-6 / camera.aperture_radius
     assert (blurred - sharp) / 4 == pytest.approx(blur, rel=0.1)
 
 
-def test_points_whose_light_defocus_brings_to_the_detector_are_found():
-    # A small plate before the wall in focus, whose light is blurred over r |b (1 / f - 1 / g) - 1|.
-    wide, narrow = (
-        np.ptp(points.positions[points.positions[:, 2] > 110, 0])
-        for points in (lit(scene_of(plate=wall(100.0, 0.02)), 1.0), lit(scene_of(), 1.0))
-    )
-    blur = CAMERA.aperture_radius * abs(CAMERA.mla_distance * (1 / CAMERA.focal_length - 1 / 100) - 1)
-    assert (wide - narrow) / 4 == pytest.approx(blur, rel=0.1)
-
-
-@pytest.mark.parametrize("x", [0.6, 0.9])
 @pytest.mark.parametrize("laser", ["point", "spot"])
-def test_small_things_far_out_of_focus_beside_the_field_are_found(x, laser):
-    """Only their blur, of a radius of 1.25 mm, reaches the detector: they are imaged 0.9 and 1.35 mm from the axis."""
+def test_small_things_far_out_of_focus_beside_the_field_are_found(laser, x=0.9):
+    """Only its blur, of a radius of 1.25 mm, reaches the detector: it is imaged 1.35 mm from the axis."""
     given = LASER
     if laser == "spot":
         towards = mi.ScalarTransform4f().look_at(origin=[0, 0, 20], target=[x, 0.1, 40], up=[0, 1, 0])
@@ -138,12 +125,6 @@ def test_small_things_far_out_of_focus_beside_the_field_are_found(x, laser):
     radiance = 1e4 * 20 / square**1.5 * 0.5 / math.pi
     expected = radiance_weight(CAMERA, OpticalSystem(CAMERA, WAVELENGTH).lens, (0.04 * 60 / 40) ** 2) * radiance
     assert weights.sum() == pytest.approx(expected, rel=0.2)
-
-
-def test_what_is_too_far_beside_the_field_adds_no_rays():
-    """A card whose blur ends before the detector leaves the points on the wall the same."""
-    points, alone = lit(scene_of(card=wall(40.0, 0.02, (1.3, 0.1)))), lit(scene_of())
-    assert np.abs(points.positions).max() == pytest.approx(np.abs(alone.positions).max(), rel=1e-3)
 
 
 def test_other_light_adds_as_intensity():
@@ -158,18 +139,13 @@ def test_other_light_adds_as_intensity():
 
 def test_two_lasers_make_fringes_on_the_wall():
     x = 8.0
-    lasers = {f"laser{side}": {**LASER, "position": [side * x, 0, 0]} for side in (-1, 1)}
-    # XML ids may not begin with a sign.
-    lasers = {"laser": lasers["laser-1"], "other": lasers["laser1"]}
+    lasers = {name: {**LASER, "position": [side * x, 0, 0]} for name, side in (("laser", -1), ("other", 1))}
     points = lit(scene_of(**lasers), per_spot=16, names=("laser", "other"))
     one, two = (lit(scene_of(**lasers), per_spot=16, names=(name,)) for name in lasers)
     assert np.array_equal(points.positions, one.positions)
     paths = [np.hypot(np.hypot(points.positions[:, 0] - s * x, points.positions[:, 1]), 120.0) for s in (-1, 1)]
-    expected = (
-        one.weights
-        + two.weights
-        + 2 * np.sqrt(one.weights * two.weights) * np.cos(2 * np.pi * (paths[0] - paths[1]) / LENGTH)
-    )
+    fringes = 2 * np.sqrt(one.weights * two.weights) * np.cos(2 * np.pi * (paths[0] - paths[1]) / LENGTH)
+    expected = one.weights + two.weights + fringes
     assert error(points.weights, expected) < 0.05
     # Fringes of period lambda D / 2 x = 4.7 um, of contrast nearly 1.
     assert points.weights.min() < 0.01 * points.weights.max()
@@ -210,11 +186,10 @@ def test_shadows_have_no_laser_light():
     assert x.max() < 1
 
 
-@pytest.mark.parametrize("turn", [0, 40])
-def test_points_that_the_pupil_sees_in_part_are_refused(turn):
+def test_points_that_the_pupil_sees_in_part_are_refused():
     plate = wall(30.0, 5.0, (5.6, 0.0), {"type": "diffuse", "reflectance": {"type": "spectrum", "value": 0.0}})
     with pytest.raises(PhysicsError, match="of the laser light comes from points that objects hide"):
-        lit(scene_of(**posed(turn, wall=wall(), plate=plate, laser={**LASER, "position": [0, 0, 40]})))
+        lit(scene_of(**posed(40, wall=wall(), plate=plate, laser={**LASER, "position": [0, 0, 40]})))
 
 
 @pytest.mark.parametrize(
@@ -264,49 +239,22 @@ OWN = {"type": "plenoptic_laser", "lasers": "laser"}
 
 
 test_refusals = refused(
-    (
-        lambda: lit(scene_of(laser={**LASER, "intensity": {"type": "spectrum", "value": -1.0}})),
-        "laser: its light is negative",
-    ),
-    (
-        lambda: lit(scene_of(wall=wall(bsdf={"type": "diffuse", "reflectance": -0.5}))),
-        "it lights has a negative reflectance",
-    ),
-    (
-        lambda: load_scene({"type": "scene", "integrator": OWN}, variant="llvm_ad_rgb"),
-        "plenoptic_laser: variant llvm_ad_rgb: laser light has one wavelength",
-    ),
-    (lambda: scene_of(integrator={"lasers": ""}), "lasers: give the id"),
-    (lambda: scene_of(integrator={"modes": 0}), "plenoptic_laser: modes = 0: it must be at least 1"),
-    (lambda: scene_of(integrator={"modes": 2, "bandwidth": 1.0}), "modes, bandwidth: give one of the two"),
-    (lambda: scene_of(integrator={"wavelength": 5.0}), "plenoptic_laser: wavelength"),
-    (lambda: scene_of(integrator={"mode": 2}), "plenoptic_laser: mode: it has no such parameter; did you mean"),
-    (lambda: render_capture(scene_of(integrator={"lasers": "lasr"})), "no emitter of this id .*laser.*mean"),
-    (
-        lambda: named_lasers(*surface_lamp(AREA, "AreaLight"), "test"),
-        "test: lasers = .*: an emitter of type AreaLight is extended",
-    ),
-    (lambda: render_capture(scene_of(integrator={"bandwidth": 1.0})), "roughness: a bandwidth needs it"),
-    (
-        lambda: render_capture(scene_of(wall=wall(bsdf={"type": "roughconductor"}))),
-        "plenoptic_laser: surface wall of type RoughConductor is not matte",
-    ),
-    (lambda: scene_of(integrator={"source_distance": 9.0}), "source_distance: it has a meaning with a source_diam"),
-    (lambda: scene_of(integrator={"roughness": 1.0}), "roughness: it has a meaning with a bandwidth only"),
-    (lambda: render_capture(scene_of(integrator={"lasers": "laser, laser"})), "lasers = laser: .* more than once"),
-    (
-        lambda: named_lasers(*surface_lamp(BEAM, "DirectionalArea"), "test"),
-        "test: lasers = .*: an emitter of type DirectionalArea is extended",
-    ),
-    (lambda: render_capture(scene_of(), noise=True), "noise: it is not estimated"),
-    (
-        lambda: render_capture(scene_of(), model="wave", accuracy=0.1),
-        "plenoptic_laser: accuracy: it has no such parameter",
-    ),
+    (lambda: lit(scene_of(laser={**LASER, "intensity": {"type": "spectrum", "value": -1.0}})), "laser: .*negative"),
+    (lambda: lit(scene_of(wall=wall(bsdf={"type": "diffuse", "reflectance": -0.5}))), "negative reflectance"),
+    (lambda: load_scene({"type": "scene", "integrator": OWN}, variant="llvm_ad_rgb"), "variant llvm_ad_rgb"),
+    (lambda: scene_of(integrator={"lasers": ""}), "lasers: "),
+    (lambda: scene_of(integrator={"modes": 0}), "modes = 0"),
+    (lambda: scene_of(integrator={"modes": 2, "bandwidth": 1.0}), "modes, bandwidth"),
+    (lambda: scene_of(integrator={"wavelength": 5.0}), "wavelength = 5"),
+    (lambda: scene_of(integrator={"mode": 2}), "mode: .*modes"),
+    (lambda: render_capture(scene_of(integrator={"lasers": "lasr"})), "lasr.*laser"),
+    (lambda: named_lasers(*surface_lamp(AREA, "AreaLight"), "test"), "AreaLight"),
+    (lambda: named_lasers(*surface_lamp(BEAM, "DirectionalArea"), "test"), "DirectionalArea"),
+    (lambda: render_capture(scene_of(integrator={"bandwidth": 1.0})), "roughness"),
+    (lambda: render_capture(scene_of(wall=wall(bsdf={"type": "roughconductor"}))), "wall of type RoughConductor"),
+    (lambda: scene_of(integrator={"source_distance": 9.0}), "source_distance"),
+    (lambda: scene_of(integrator={"roughness": 1.0}), "roughness"),
+    (lambda: render_capture(scene_of(integrator={"lasers": "laser, laser"})), "lasers = laser"),
+    (lambda: render_capture(scene_of(), noise=True), "noise"),
+    (lambda: render_capture(scene_of(), model="wave", accuracy=0.1), "accuracy"),
 )
-
-
-def test_a_misspelt_parameter_is_answered_by_mitsubas_own_loader():
-    words = r"plenoptic_laser: roughnes: it has no such parameter; did you mean roughness\?"
-    with pytest.raises(RuntimeError, match=words):
-        mi.load_dict({"type": "plenoptic_laser", "roughnes": 3.0, "lasers": "one"})

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from refusals import refuses
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, read_prescription
+from mitsuba_plenoptic import PlenopticCamera, read_prescription
 from mitsuba_plenoptic.camera.camera_files import camera_and_record
 from mitsuba_plenoptic.prescription import Glass, bundled_prescription, paraxial
 
@@ -105,27 +105,25 @@ def test_both_formats_give_the_lens(tmp_path, name, text, encoding):
         assert found == pytest.approx(expected, rel=1e-12)
 
 
-# Every length of the file is divided by the unit, so that the lens is the same; coefficients by the unit's powers.
-UNITS = [("ZMX", "IN", 25.4), ("ZMX", "CM", 10.0), ("ZMX", "METER", 1000.0), ("SEQ", "I", 25.4), ("SEQ", "C", 10.0)]
-
-
-@pytest.mark.parametrize("kind, unit, size", UNITS)
+@pytest.mark.parametrize(
+    "kind, unit, size",
+    [("ZMX", "IN", 25.4), ("ZMX", "CM", 10.0), ("ZMX", "METER", 1000.0), ("SEQ", "I", 25.4), ("SEQ", "C", 10.0)],
+)
 def test_units_of_length(tmp_path, kind, unit, size):
-    c, d, r4, r6 = 0.02 * size, 5 / size, 1.5e-6 * size**3, -2e-9 * size**5
-    if kind == "ZMX":
-        text = (
-            ZEMAX.replace("UNIT MM", f"UNIT {unit}").replace("CURV 0.02", f"CURV {c!r}").replace("DISZ 5", f"DISZ {d}")
-        )
-        text = text.replace("CURV -0.01", f"CURV {-c / 2!r}").replace("DIAM 10", f"DIAM {10 / size!r}")
-        text = text.replace("DIAM 9", f"DIAM {9 / size!r}").replace("1.5e-06", f"{r4!r}").replace("-2e-09", f"{r6!r}")
-    else:
-        text = (
-            CODEV.replace("DIM M", f"DIM {unit}")
-            .replace("S 50.0 5.0", f"S {1 / c!r} {d!r}")
-            .replace("1.5E-6", f"{r4!r}")
-        )
-        text = text.replace("S -100.0 60.0", f"S {-2 / c!r} 1").replace("-2e-9", f"{r6!r}")
-        text = text.replace("CIR 10.0", f"CIR {10 / size!r}").replace("CIR 9.0", f"CIR {9 / size!r}")
+    """Lengths of the file are divided by the unit, coefficients by its powers, so that the lens is the same."""
+    text = ZEMAX.replace("UNIT MM", f"UNIT {unit}") if kind == "ZMX" else CODEV.replace("DIM M", f"DIM {unit}")
+    lengths = [("DISZ 5", 5), ("DIAM 10", 10), ("DIAM 9", 9), ("S 50.0 5.0", 50, 5), ("S -100.0 60.0", -100, 60)]
+    for words, *values in [*lengths, ("CIR 10.0", 10), ("CIR 9.0", 9)]:
+        text = text.replace(words, " ".join([words.split()[0], *(repr(value / size) for value in values)]))
+    for words, value, power in [
+        ("CURV 0.02", 0.02, 1),
+        ("CURV -0.01", -0.01, 1),
+        ("PARM 2 1.5e-06", 1.5e-6, 3),
+        ("PARM 3 -2e-09", -2e-9, 5),
+        ("A 1.5E-6", 1.5e-6, 3),
+        ("B -2e-9", -2e-9, 5),
+    ]:
+        text = text.replace(words, f"{words.rpartition(' ')[0]} {value * size**power!r}")
     for found, expected in zip(numbers(read(tmp_path, text, f"lens.{kind}")), SINGLET, strict=True):
         assert found == pytest.approx(expected, rel=1e-9)
 
@@ -144,67 +142,52 @@ def test_forms_of_glass_and_curvature(tmp_path):
 
 
 OF_ZEMAX = [
-    ("UNIT MM", "UNIT FT", "line 4: 'UNIT FT X W X CM MR CPMM': the unit must be one of MM, CM, IN, METER"),
-    ("UNIT MM X W X CM MR CPMM\n", "", "UNIT is missing: the unit of its lengths is not known"),
-    ("MODE SEQ", "MODE NSC", "line 2: 'MODE NSC': only sequential lenses are read"),
-    ("ENVD 2.0E+1 1 0", "ENVD 2.0E+1 0 1", "indices are those at 20 degrees and 1 atmosphere"),
-    ("PWAV 2", "PWAV 3", "wavelength 3, the primary one by PWAV, is missing"),
-    ("0.5875618", "587.5618", "wavelengths = 587562: it must be from 200 to 2500 nm"),
-    (
-        "TYPE EVENASPH",
-        "TYPE COORDBRK",
-        "'TYPE COORDBRK': only surfaces of the types STANDARD and EVENASPH are read",
-    ),
-    ("TYPE EVENASPH", "TYPE PARAXIAL", "line 20: 'TYPE PARAXIAL': only surfaces of the types"),
-    ("TYPE EVENASPH", "TYPE DGRATING", "line 20: 'TYPE DGRATING': only surfaces of the types"),
-    ("PARM 1 0", "PARM 1 1e-4", "there must be no term of the second power"),
-    ("PARM 3 ", "PARM 9 ", "an even asphere has the parameters 1 to 8"),
-    ("DIAM 9 1", "CLAP 3 8 0\n  DIAM 9 1", "'CLAP 3 8 0': obscurations are not read"),
-    ("DIAM 9 1", "OBSC 0 3 0\n  DIAM 9 1", "OBSC is not understood, and leaving it out could change the lens"),
-    ("DIAM 9 1", "SQAP 8 8 0\n  DIAM 9 1", "SQAP is not understood"),
-    ("DIAM 9 1", "CLAP 0 8 0\n  OBDC 0 1\n  DIAM 9 1", "'OBDC 0 1': decentred apertures are not read"),
-    ("DIAM 9 1", "DIAM 0 1", "line 29: 'SURF 2': surface 2 has no semi-aperture: state by DIAM up to where"),
-    ("GLAS ___BLANK 1", "GLAS MIRROR 0", "mirrors are not read"),
-    ("GLAS ___BLANK 1", "GLAS ___BLANK 4", "only fixed, substitute, picked up and model glasses are read"),
-    ("64.17 0 0", "64.17 0.01 0", "a model glass's deviation of the partial dispersion must be 0"),
-    ("DISZ 5", "DISZ INFINITY", "line 26: 'DISZ INFINITY': value 1 must be a number"),
+    ("UNIT MM", "UNIT FT", "line 4: 'UNIT FT X W X CM MR CPMM'"),
+    ("UNIT MM X W X CM MR CPMM\n", "", "UNIT is missing"),
+    ("MODE SEQ", "MODE NSC", "line 2: 'MODE NSC'"),
+    ("ENVD 2.0E+1 1 0", "ENVD 2.0E+1 0 1", "20 degrees"),
+    ("PWAV 2", "PWAV 3", "wavelength 3"),
+    ("0.5875618", "587.5618", "wavelengths = 587562"),
+    ("TYPE EVENASPH", "TYPE COORDBRK", "'TYPE COORDBRK'"),
+    ("PARM 1 0", "PARM 1 1e-4", "second power"),
+    ("PARM 3 ", "PARM 9 ", "parameters 1 to 8"),
+    ("DIAM 9 1", "CLAP 3 8 0\n  DIAM 9 1", "'CLAP 3 8 0'"),
+    ("DIAM 9 1", "OBSC 0 3 0\n  DIAM 9 1", "OBSC is not understood"),
+    ("DIAM 9 1", "CLAP 0 8 0\n  OBDC 0 1\n  DIAM 9 1", "'OBDC 0 1'"),
+    ("DIAM 9 1", "DIAM 0 1", "line 29: 'SURF 2'"),
+    ("GLAS ___BLANK 1", "GLAS MIRROR 0", "mirrors"),
+    ("GLAS ___BLANK 1", "GLAS ___BLANK 4", "model glasses"),
+    ("64.17 0 0", "64.17 0.01 0", "partial dispersion"),
+    ("DISZ 5", "DISZ INFINITY", "line 26: 'DISZ INFINITY'"),
     ("DISZ 5", "DISZ -5", "surface 1: thickness = -5"),
     ("DISZ 5", "DISZ 0.005", "surfaces 1 and 2 cross"),
-    ("DISZ 5", "DISZ 5,0", "value 1 must be a number"),
-    ("  STOP\n", "", "0 surfaces have stop: true"),
-    ("MNUM 1 1", "MNUM 2 1", "'MNUM 2 1': only files of one configuration are read"),
-    ("CURV 0.0\n  DISZ 0", "CURV 0.1\n  DISZ 0", "surface 3, the image, is curved"),
-    ("DISZ 60", "DISZ 60\n  GLAS ___BLANK 1 0 1.5 50", "air must follow the last surface"),
-    ("DISZ INFINITY", "DISZ INFINITY\n  GLAS ___BLANK 1 0 1.5 50", "air must precede the first surface"),
-    ("SURF 2", "SURF 3", "surfaces must be numbered from 0"),
-    ("CONI -0.5", "CONI -0.5\n  CURV 0.03", "'CURV 0.03': CURV is given twice"),
-    ("PARM 3 ", "PARM 2 ", "PARM 2 is given twice"),
-    ("  DIAM 5\n", "  DIAM 5\n  XYZW 1\n", "'XYZW 1': XYZW is not understood"),
+    ("  STOP\n", "", "0 surfaces have stop"),
+    ("MNUM 1 1", "MNUM 2 1", "'MNUM 2 1'"),
+    ("CURV 0.0\n  DISZ 0", "CURV 0.1\n  DISZ 0", "surface 3"),
+    ("DISZ 60", "DISZ 60\n  GLAS ___BLANK 1 0 1.5 50", "last surface"),
+    ("DISZ INFINITY", "DISZ INFINITY\n  GLAS ___BLANK 1 0 1.5 50", "first surface"),
+    ("SURF 2", "SURF 3", "numbered"),
+    ("CONI -0.5", "CONI -0.5\n  CURV 0.03", "'CURV 0.03'"),
+    ("PARM 3 ", "PARM 2 ", "PARM 2"),
 ]
 OF_CODEV = [
-    ("RDM;", "", "RDM must precede it: whether radii or curvatures are written is not known"),
-    ("DIM M\n", "DIM M\nDIM I\n", "line 5: 'DIM I': DIM is given twice"),
-    ("DIM M\n", "", "DIM is missing: the unit of its lengths is not known"),
-    ("DIM M", "DIM F", "line 4: 'DIM F': the unit must be M (millimetres), C (centimetres) or I (inches)"),
-    ("REF 1", "", "the primary wavelength is missing"),
-    ("WL 587.5618", "WL 0.5876", "wavelengths = 0.5876: it must be from 200 to 2500 nm; it looks like micrometres"),
-    ("CCY 0", "XDE 1", "'XDE 1': decentred and tilted surfaces are not read"),
-    ("CCY 0", "ADE 45", "'ADE 45': decentred and tilted surfaces are not read"),
-    ("CCY 0", "ADY 2", "'ADY 2': decentred and tilted surfaces are not read"),
-    ("CCY 0", "MFL 50", "'MFL 50': MFL is not understood"),
-    ("CCY 0", "DIF GRT", "'DIF GRT': DIF is not understood"),
-    ("CCY 0", "CUY UMY -0.25", "CUY is not understood"),
-    ("CCY 0", "CIR OBS 3", "obscurations and holes are not read"),
-    ("CCY 0", "REX 3", "REX is not understood"),
-    ("K -0.5\n", "K -0.5 A 1E-6\n", "it must be one number; semicolons separate commands"),
-    ("CCY 0", "CIR 9", "'CIR 9': CIR is given twice"),
-    ("CCY 0", "PIM", "only the last thickness, up to the image, may be found by a solve"),
-    ("CCY 0", "ZOO 3", "ZOO is not understood"),
-    ("CCY 0", "TEM 60", "indices are those at 20 to 25 degrees"),
-    ("516800.641700", "REFL", "line 10: 'S 50.0 5.0 REFL': mirrors are not read"),
-    ("STO; ", "", "0 surfaces have stop: true"),
-    ("SI 0.0", "SI -20.0", "the image is curved"),
-    ("SI 0.0 0.0\n", "", "there must be SO, the lens's surfaces and SI"),
+    ("RDM;", "", "RDM"),
+    ("DIM M\n", "DIM M\nDIM I\n", "line 5: 'DIM I'"),
+    ("DIM M\n", "", "DIM is missing"),
+    ("DIM M", "DIM F", "line 4: 'DIM F'"),
+    ("REF 1", "", "primary wavelength"),
+    ("WL 587.5618", "WL 0.5876", "wavelengths = 0.5876"),
+    ("CCY 0", "ADE 45", "'ADE 45'"),
+    ("CCY 0", "MFL 50", "'MFL 50'"),
+    ("CCY 0", "CIR OBS 3", "obscurations"),
+    ("K -0.5\n", "K -0.5 A 1E-6\n", "semicolons"),
+    ("CCY 0", "CIR 9", "'CIR 9'"),
+    ("CCY 0", "PIM", "solve"),
+    ("CCY 0", "TEM 60", "20 to 25 degrees"),
+    ("516800.641700", "REFL", "line 10: 'S 50.0 5.0 REFL'"),
+    ("STO; ", "", "0 surfaces have stop"),
+    ("SI 0.0", "SI -20.0", "curved"),
+    ("SI 0.0 0.0\n", "", "SI"),
 ]
 
 
@@ -242,19 +225,17 @@ def test_glasses_of_catalogues_by_just_their_names(tmp_path):
     for name, index in indices.items():
         assert Glass.from_plain(name).at(587.5618) == pytest.approx(index, abs=2e-5)
     for name, message in [
-        ("SF", "no catalogue has a glass of just that name"),
-        ("BK7", "no catalogue has a glass of just that name; give another, as there is schott:N-BK7"),
-        ("F2", "schott, hikari, cdgm have one: write schott:F2"),
-        ("CaF2", "give another, as there is CaF2:"),
-        ("schott:S-LAH53", "no such catalogue has a glass of just that name; give another, as there is ohara:S-LAH53"),
+        ("BK7", "schott:N-BK7"),
+        ("F2", "schott:F2"),
+        ("CaF2", "CaF2:"),
+        ("schott:S-LAH53", "ohara:S-LAH53"),
     ]:
         refuses(message, Glass.from_plain, name)
     # Beyond its data a glass has no index, rather than one of the formula.
-    refuses("its table goes from 400 to 700 nm", Glass.from_plain("hikari:F2").at, 850)
+    refuses("400 to 700 nm", Glass.from_plain("hikari:F2").at, 850)
     named = ZEMAX.replace("GLAS ___BLANK 1 0 1.5168 64.17", "GLAS {} 0 0 1.5 40")
     assert read(tmp_path, named.format("F2")).surfaces[0].glass.at(587.5618) == pytest.approx(1.62004, abs=1e-5)
-    with pytest.raises(InputError, match=r"lens\.zmx, line 27: glass = 'UNOBTAINIUM': SCHOTT: no such catalogue"):
-        read(tmp_path, named.format("UNOBTAINIUM"))
+    refuses(r"lens\.zmx, line 27: glass = 'UNOBTAINIUM'", read, tmp_path, named.format("UNOBTAINIUM"))
     hyphens = read(tmp_path, CODEV.replace("516800.641700", "NSSK2_SCHOTT"), "lens.seq")
     assert hyphens.surfaces[0].glass.at(587.5618) == pytest.approx(1.62229, abs=1e-5)
 
@@ -285,8 +266,8 @@ def test_usual_glasses_need_no_optiland(monkeypatch, tmp_path):
     named = ZEMAX.replace("GLAS ___BLANK 1", "GLAS F2 0")
     assert read(tmp_path, named).surfaces[0].glass.at(587.5618) == pytest.approx(1.62004, abs=1e-5)
     for maker, glass in [("HOYA SCHOTT", "F2"), ("SCHOTT", "S-LAH53"), ("OHARA", "N-BK7")]:
-        with pytest.raises(InputError, match=rf"line 27: glass = '{glass}': it is not among the glasses included, and"):
-            read(tmp_path, named.replace("SCHOTT", maker).replace("GLAS F2", f"GLAS {glass}"))
+        text = named.replace("SCHOTT", maker).replace("GLAS F2", f"GLAS {glass}")
+        refuses(f"line 27: glass = '{glass}'", read, tmp_path, text)
 
 
 OWN = {
@@ -307,7 +288,7 @@ def test_own_files_hold_numbers_as_json_writes_them(tmp_path, monkeypatch, name)
     lens = read_prescription(name)
     assert PlenopticCamera(main_lens=name).main_lens == PlenopticCamera(main_lens=tmp_path / name).main_lens == lens
     for none in ("none.yaml", "x" * 5000, "a\0b"):
-        refuses("there is no such file, and the bundled lenses are", PlenopticCamera, main_lens=none)
+        refuses("there is no such file", PlenopticCamera, main_lens=none)
     # What else lies about does not hide a bundled lens.
     (tmp_path / "tessar").mkdir()
     assert PlenopticCamera(main_lens="tessar").main_lens.name == "Tessar"
@@ -342,55 +323,7 @@ def test_files_of_a_camera_are_found_beside_its_own(tmp_path, monkeypatch, kind)
     assert camera(main_lens=json.dumps(OWN)).main_lens == camera(main_lens="own.json").main_lens
     assert camera(main_lens="tessar").main_lens == bundled_prescription("tessar")
     assert np.array_equal(camera(phase_screen="screen.json").phase_screen.waves, np.eye(8))
-    refuses(rf"far/camera\.{kind}: main_lens = 'none\.zmx': there is no such file", camera, main_lens="none.zmx")
-
-
-DOUBLE_GAUSS = """VERS 90504
-MODE SEQ
-NAME Double Gauss
-UNIT MM X W X CM MR CPMM
-GCAT SCHOTT
-ENPD 33.33
-FTYP 0 0 1 3 0 0 0
-YFLN 0
-WAVM 1 0.4861 1
-WAVM 2 0.5876 1
-PWAV 2
-SURF 0
-  TYPE STANDARD
-  CURV 0.0
-  DISZ INFINITY
-"""
-
-
-def zemax_text(lens, names):
-    """Write a lens as Zemax does, with the glasses' names."""
-    parts = [DOUBLE_GAUSS]
-    for number, (surface, name) in enumerate(zip(lens.surfaces, names, strict=True), start=1):
-        gap = surface.thickness or 61.487536
-        parts += [f"SURF {number}", "  TYPE STANDARD", f"  CURV {surface.curvature!r} 0 0 0 0", f"  DISZ {gap!r}"]
-        parts += [f"  GLAS {name} 0 0 1.6 50 0 0 0 0 0 0"] if name else []
-        parts += ["  STOP"] if number == lens.stop + 1 else []
-        parts += [f"  DIAM {surface.semi_aperture!r} 1 0 0 1"]
-    return "\n".join([*parts, f"SURF {len(lens.surfaces) + 1}", "  TYPE STANDARD", "  CURV 0.0", "  DISZ 0", ""])
-
-
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
-def test_a_zemax_file_is_the_bundled_lens(tmp_path, encoding):
-    pytest.importorskip("optiland")
-    lens = bundled_prescription("double_gauss")
-    names = [surface.glass and surface.glass.name for surface in lens.surfaces]
-    (tmp_path / "lens.zmx").write_text(zemax_text(lens, names), encoding=encoding)
-    found = read_prescription(tmp_path / "lens.zmx")
-    assert (found.stop, found.wavelength) == (lens.stop, pytest.approx(lens.wavelength))
-    for mine, theirs in zip(lens.surfaces, found.surfaces, strict=True):
-        assert theirs.semi_aperture == mine.semi_aperture
-        assert (theirs.curvature, theirs.thickness) == pytest.approx((mine.curvature, mine.thickness), abs=1e-11)
-    for wavelength in (486.1, 587.6, 633.0):
-        assert found.indices(wavelength) == pytest.approx(lens.indices(wavelength), abs=1e-7)
-        assert paraxial(found, wavelength).focal_length == pytest.approx(
-            paraxial(lens, wavelength).focal_length, rel=1e-6
-        )
+    refuses(rf"far/camera\.{kind}: main_lens = 'none\.zmx'", camera, main_lens="none.zmx")
 
 
 def thin_rows(surfaces):
@@ -429,7 +362,7 @@ def test_picked_up_model_glasses_dummy_planes_and_newer_keywords_of_zemax(tmp_pa
     expected = thin_rows([(0.02, 5, 1.62), (-0.02, 7, 1), (0.0125, 5, 1.62), (-0.0125, 0, 1)])
     assert paraxial(lens, 587.5618).focal_length == pytest.approx(expected, rel=1e-6)
     rows[4] = (0.0125, 5.0, picked.replace("2 2", "2 6"), open_)
-    refuses("picked up from surface 6, which must be an earlier one with a glass", read, tmp_path, zemax_of(rows))
+    refuses("surface 6", read, tmp_path, zemax_of(rows))
 
 
 def test_apertures_of_neighbours_and_unused_private_glasses_of_codev(tmp_path):
@@ -455,7 +388,7 @@ def test_apertures_of_neighbours_and_unused_private_glasses_of_codev(tmp_path):
     ids=["run with the stop", "single ones", "ends"],
 )
 def test_surfaces_without_an_aperture_of_codev_take_the_wider_of_the_nearest(tmp_path, caplog, given, expected):
-    """The lens is that with the apertures written, to its focal length; one remark names all surfaces."""
+    """One remark names all surfaces."""
     rows = [(61.47, 6, 1.517), (-44.64, 2.5, 1.673), (-129.94, 5, 1), (0, 5, 1)]
     rows += [(80, 5, 1.517), (-60, 2, 1.673), (-200, 60, 1)]
 
@@ -470,12 +403,7 @@ def test_surfaces_without_an_aperture_of_codev_take_the_wider_of_the_nearest(tmp
         lens = read(tmp_path, of(given), "lens.seq")
     assert [surface.semi_aperture for surface in lens.surfaces] == list(expected)
     assert lens == read(tmp_path, of(expected), "lens.seq")
-    f = thin_rows(
-        [(1 / radius if radius else 0, gap * (n_row < 7), n) for n_row, (radius, gap, n) in enumerate(rows, 1)]
-    )
-    assert paraxial(lens, 587.5618).focal_length == pytest.approx(f, rel=1e-9)
     numbers = ", ".join(str(number) for number, aperture in enumerate(given, start=1) if not aperture)
     (remark,) = (record.getMessage() for record in caplog.records)
-    assert f"no CIR of surface {numbers}: the wider of the nearest" in remark
-    line = "lens.seq, line 6: 'S 61.47 6 1.517:50.0': surface 1 has no semi-aperture: state by CIR up to where"
-    refuses(line, read, tmp_path, of([0] * 7), "lens.seq")
+    assert f"surface {numbers}:" in remark
+    refuses("line 6: 'S 61.47 6 1.517:50.0': surface 1", read, tmp_path, of([0] * 7), "lens.seq")

@@ -6,15 +6,14 @@ import numpy as np
 import OpenEXR
 import pytest
 from cameras import white
-from cases import facing, radiating, scene_of
-from refusals import refuses
+from cases import facing, radiating, relative, scene_of
+from refusals import refused, refuses
 from scipy.signal import fftconvolve
 from scipy.stats import qmc
 
 from mitsuba_plenoptic import (
     Capture,
     Detector,
-    InputError,
     PlenopticCamera,
     StrayLight,
     bank_disparity,
@@ -24,12 +23,12 @@ from mitsuba_plenoptic import (
     expose,
     half_disparity,
     match_halves,
+    point_spread_function,
     psf_bank,
     render_capture,
     write_capture,
 )
 from mitsuba_plenoptic.design import design_warnings
-from mitsuba_plenoptic.onchip import LAYOUTS
 from tools.bench.cases import dual_pixels
 
 CAMERA = PlenopticCamera(
@@ -54,17 +53,9 @@ def noise(*shape):
 def test_photodiodes_are_sums_of_pixels():
     image = noise(128, 128, 3)
     capture = Capture(image, CAMERA)
-    left, right = dual_pixel(capture)[0]
-    np.testing.assert_allclose(left[5, 7], image[10:12, 14].sum(0), rtol=1e-6)
-    np.testing.assert_allclose(right[5, 7], image[10:12, 15].sum(0), rtol=1e-6)
-    top, bottom = dual_pixel(capture, layout=(1, 2))[:, 0]
-    np.testing.assert_allclose(top[5, 7], image[10, 14:16].sum(0), rtol=1e-6)
-    np.testing.assert_allclose(bottom[5, 7], image[11, 14:16].sum(0), rtol=1e-6)
-    four = dual_pixel(capture, layout=(2, 2))
-    np.testing.assert_array_equal(four[1, 0, 5, 7], image[11, 14])
-    for layout in ((2, 1), (1, 2), (2, 2)):
-        halves = dual_pixel(capture, layout=layout)
-        assert float(halves.sum()) == pytest.approx(float(image.sum()), rel=1e-5)
+    four = image.reshape(64, 2, 64, 2, 3).transpose(1, 3, 0, 2, 4)
+    for layout, expected in (((2, 1), four.sum(0)[None]), ((1, 2), four.sum(1)[:, None]), ((2, 2), four)):
+        np.testing.assert_allclose(dual_pixel(capture, layout=layout), expected, rtol=1e-6)
     crop = CAMERA.replace(crop_offset=(4, 6), crop_size=(12, 20))
     np.testing.assert_array_equal(
         dual_pixel(Capture(image[6:26, 4:16], crop)).values, dual_pixel(capture)[:, :, 3:13, 2:8].values
@@ -77,7 +68,6 @@ def test_near_things_lie_further_right_in_the_left_picture():
     scene = scene_of(CAMERA.to_sensor(), "direct", lamp=facing(distance, 0.4, **radiating()))
     halves = dual_pixel(render_capture(scene, spp=1024))
     left, right = (float((each * each.s).sum() / each.sum()) for each in halves[0])
-    assert left > right
     assert right - left == pytest.approx(half_disparity(CAMERA, distance), rel=0.01)
     assert float(halves[0, 0].sum() / halves.sum()) == pytest.approx(0.5, abs=0.005)
 
@@ -92,25 +82,10 @@ def test_quad_mosaics():
     assert halves[0, 0, :2, :2].values == pytest.approx(2 * np.array([[2.0, 1.0], [3.0, 2.0]]), rel=0.05)
     shifted = CAMERA.replace(crop_offset=(2, 0), crop_size=(8, 8))
     assert dual_pixel(Capture(exposed.image[:8, 2:10], shifted, metadata=exposed.metadata)).attrs["mosaic"] == "RGGB"
-    refuses("dual_pixel gives pictures that are Bayer mosaics", demosaic, exposed)
-    bayer = expose(Capture(image, CAMERA), Detector(mosaic="RGGB"), photons=100)
-    refuses("the pixels of a lens have several colours", dual_pixel, bayer)
-    with pytest.raises(InputError, match=r"layout = \(3, 1\): it must be one of \(2, 1\), \(1, 2\), \(2, 2\)"):
-        dual_pixel(Capture(noise(128, 128), CAMERA), layout=(3, 1))
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"mla_pitch": 0.0036}, "mla_pitch = 0.0036: a lens over photodiodes must cover 2 x 2 pixels, 0.0024"),
-        ({"mla_lattice": "hexagonal"}, "mla_lattice = hexagonal"),
-        ({"mla_offset": (0.0012, 0.0)}, "must begin and end between two lenses"),
-        ({"crop_offset": (1, 0), "crop_size": (126, 128)}, "must begin and end between two lenses"),
-    ],
-)
-def test_other_cameras_are_refused(changes, message):
-    camera = CAMERA.replace(**changes)
-    refuses(message, dual_pixel, Capture(np.zeros(camera.shape, np.float32), camera))
+    refuses("Bayer mosaics", demosaic, exposed)
+    refuses("several colours", dual_pixel, expose(Capture(image, CAMERA), Detector(mosaic="RGGB"), photons=100))
+    refuses(r"layout = \(3, 1\)", dual_pixel, exposed, layout=(3, 1))
+    refuses("halves: they are GRBG mosaics", match_halves, halves)
 
 
 # -- point spreads -----------------------------------------------------------------------------------
@@ -140,19 +115,21 @@ def test_halves_of_a_defocused_point_are_half_discs():
         assert centroids(quarters, "s")[0, 0].mean(0) == pytest.approx([left, right], abs=1e-3)
 
 
-def test_shifts_to_chief_rays_restore_the_halves():
-    """Without them one photodiode takes more of the light away from the axis."""
-    wide = CAMERA.replace(detector_width=4.8, resolution=(4000, 3000))
-    b, z = wide.mla_distance, wide.detector_distance
-    heights = np.linspace(0, 3, 31)
-    pairs = np.stack([heights, np.degrees(np.arctan(heights / (b + z)))], axis=1).ravel()
-    plain, table, pitch = (
-        psf_bank(wide.replace(**changes), [500.0], [(1.0, 0.0)]).sum(("t", "s")).values.ravel()
-        for changes in ({}, {"mla_cra": pairs}, {"mla_pitch": 0.0024 * b / (b + z)})
+@pytest.mark.slow
+def test_a_bank_has_the_pupil_and_the_brightness_of_each_lens():
+    """Against the spread of the whole array, whose lenses are not shifted alike."""
+    camera = CAMERA.replace(
+        mla_cra=(0.0, 0.0, 3.0, 24.0),
+        mla_transmissions=np.random.default_rng(0).uniform(0.4, 1, (90, 90)).tolist(),
+        vignetting={"radius": [1.0, 0, 0, -0.6, 0, -0.6], "scale": 24 * CAMERA.mla_pitch},
     )
-    assert table == pytest.approx([0.5, 0.5], abs=0.01)
-    assert pitch == pytest.approx(table, abs=0.01)
-    assert abs(plain[0] - 0.5) > 0.1
+    bank = psf_bank(camera, [700.0], [(0.0361, 0.0217)], layout=(2, 2), model="wave", wavelength=GREEN, size=13)
+    index = (np.array([bank.x[0], bank.y[0]]) / CAMERA.mla_pitch - 0.5).round().astype(int)
+    point = np.append(-700.0 / camera.mla_distance * np.array(camera.lattice.centre(*index)), 700.0)
+    image = point_spread_function(camera, point, wavelength=GREEN, method="full_field")
+    left, top = 2 * (32 + index - 6)
+    expected = image[top : top + 26, left : left + 26].reshape(13, 2, 13, 2).transpose(1, 3, 0, 2)
+    assert relative(bank.values[0, 0], expected) < 0.004
 
 
 @pytest.mark.parametrize(
@@ -167,7 +144,7 @@ def test_presets_divide_the_light_alike_up_to_the_corner(name, pixel, lenses):
     camera = PlenopticCamera.preset(name)
     assert camera.pixel_size == pytest.approx(1e-3 * pixel)
     assert camera.resolution == (2 * lenses[0], 2 * lenses[1])
-    assert design_warnings(camera) == []
+    assert [warning for wavelength in (450, 550, 650) for warning in design_warnings(camera, wavelength)] == []
     corner = (0.48 * camera.detector_width, 0.48 * camera.detector_height)
     bank = psf_bank(camera, [0.7 * camera.focus_distance], [(0.0, 0.0), corner], layout=(2, 2))
     quarters = bank.sum(("t", "s")).values[0]
@@ -186,12 +163,8 @@ def test_presets_divide_the_light_alike_up_to_the_corner(name, pixel, lenses):
 
 
 GREEN = 550.0
-LENSES = 12
-"""Lenses across the recorded window."""
-SAMPLES = 64
-"""Samples across a lens for waves."""
-AROUND = 17
-"""Lenses across the window of a star's waves."""
+LENSES, SAMPLES, AROUND = 12, 64, 17
+"""Lenses across the recorded window, samples across a lens for waves, lenses across the window of a star's waves."""
 
 
 def window(angle, **changes):
@@ -293,7 +266,7 @@ def left_of_star(camera, field, count=2**12):
     return float(light.reshape(AROUND, 2, -1)[:, 0].sum() / light.sum())
 
 
-@pytest.mark.parametrize("angle", [8, 20, 30, 35])
+@pytest.mark.parametrize("angle", [20, 35])
 def test_lenses_aligned_by_snells_law_halve_the_light(angle):
     """Of an even scene and of a point; parabolic rays have coma, and all rays the light of the closed form."""
     camera, field = window(angle)
@@ -324,21 +297,11 @@ def test_crosstalk_adds_each_half_to_the_other():
     assert far[1] - far[0] == pytest.approx((1 - 4 * 0.05) * (near[1] - near[0]) - 2 * 0.05, rel=1e-3)
 
 
-@pytest.mark.parametrize("stray", [0.2, StrayLight([[0.2, 0.2], [0.2, 0.2]])])
-def test_light_strays_over_the_whole_detector(stray):
+def test_light_strays_over_the_whole_detector():
+    stray = StrayLight([[0.2, 0.2], [0.2, 0.2]])
     bank, strayed = (psf_bank(CAMERA.replace(stray_light=x), [400.0], size=19) for x in (0.0, stray))
     within = (2 * 19) ** 2 / np.prod(CAMERA.resolution)
     assert float(strayed.sum()) == pytest.approx(float(bank.sum()) * (1 + 0.2 * within), rel=1e-5)
-
-
-def test_a_bank_by_waves_has_the_light_and_the_disparity_of_rays():
-    """Large lenses, at which diffraction blurs the border between halves a little: it lowers the disparity."""
-    camera = PlenopticCamera(
-        mla_focal_length=0.7, focus_distance=240.0, mla_pitch=0.064, resolution=(64, 64), detector_width=2.048
-    )
-    rays, waves = (psf_bank(camera, [225.0], model=model) for model in ("ray", "wave"))
-    assert float(waves.sum()) == pytest.approx(1, abs=0.02)
-    assert 0.85 < float(bank_disparity(waves)[0, 0] / bank_disparity(rays)[0, 0]) < 1
 
 
 @pytest.mark.parametrize("model", ["ray", "wave"])
@@ -355,35 +318,23 @@ def test_vignetted_halves_follow_the_traced_pupil():
         assert row["off_light"] < 0.003, row
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (([0.0],), "depths = 0"),
-        (([-math.inf],), "depths = -inf: it must be greater than 0"),
-        (([500.0], [1.0]), "they must be distances and pairs"),
-        (([500.0], [(5.0, 0.0)]), r"fields = \(5, 0\): .* leave the detector"),
-    ],
+def of_camera(**changes):
+    camera = CAMERA.replace(**changes)
+    return dual_pixel(Capture(np.zeros(camera.shape, np.float32), camera))
+
+
+test_other_cameras_and_mistakes_of_banks_are_refused = refused(
+    (lambda: of_camera(mla_pitch=0.0036), "mla_pitch = 0.0036"),
+    (lambda: of_camera(mla_lattice="hexagonal"), "mla_lattice = hexagonal"),
+    (lambda: of_camera(mla_offset=(0.0012, 0.0)), "between two lenses"),
+    (lambda: of_camera(crop_offset=(1, 0), crop_size=(126, 128)), "between two lenses"),
+    (lambda: psf_bank(CAMERA, [-math.inf]), "depths = -inf"),
+    (lambda: psf_bank(CAMERA, [500.0], [1.0]), "they must be distances and pairs"),
+    (lambda: psf_bank(CAMERA, [500.0], [(5.0, 0.0)]), r"fields = \(5, 0\)"),
 )
-def test_mistakes_of_banks(arguments, message):
-    refuses(message, psf_bank, CAMERA, *arguments)
 
 
 # -- disparity ---------------------------------------------------------------------------------------
-
-
-def test_block_matching_of_pictures_blurred_by_a_bank():
-    """Against the closed form, from which the mirrored blurs differ by a scale; signs and proportions agree."""
-    texture = np.random.default_rng(3).random((96, 96))
-    found = []
-    for depth in (700.0, 2000.0):
-        bank = psf_bank(CAMERA, [depth]).values[0, 0, 0]
-        blurred = [fftconvolve(texture, each, mode="same") for each in bank]
-        pixels = np.repeat(np.stack(blurred, axis=-1)[:, None], 2, axis=1).reshape(192, 192)
-        camera = CAMERA.replace(detector_width=0.2304, resolution=(192, 192))
-        match = match_halves(dual_pixel(Capture(pixels.astype(np.float32), camera)), window=21, search=6)
-        found.append(float(match[20:-20, 20:-20].median()) / half_disparity(CAMERA, depth))
-    assert found == pytest.approx([1.0, 1.0], abs=0.35)
-    assert found[0] == pytest.approx(found[1], rel=0.15)
 
 
 def test_matching_moved_pictures_finds_the_move():
@@ -401,8 +352,7 @@ def test_matching_moved_pictures_finds_the_move():
     refuses("1 pictures along v", match_halves, dual_pixel(Capture(pixels, CAMERA)), "vertical")
 
 
-@pytest.mark.parametrize("side", [4, 16])
-@pytest.mark.parametrize("disparity", [0.5, -0.77, 2.37, -3.5])
+@pytest.mark.parametrize(("disparity", "side"), [(0.5, 4), (-0.77, 16), (2.37, 16), (-3.5, 4)])
 def test_matching_finds_the_disparity_of_half_discs(disparity, side):
     """Coloured patches of half a lens and of two, blurred by half discs on eight samples a lens, and noise."""
     lenses, radius = 72, 3 * np.pi / 8 * 8 * abs(disparity)
@@ -410,7 +360,7 @@ def test_matching_finds_the_disparity_of_half_discs(disparity, side):
     inside = np.hypot(x, x[:, None]) < radius
     discs = [(inside & (way * x > 0)).reshape(90, 9, 90, 9).mean((1, 3)) for way in (disparity, -disparity)]
     camera = CAMERA.replace(detector_width=0.0024 * lenses, resolution=(2 * lenses, 2 * lenses))
-    for seed in range(5):
+    for seed in range(3):
         patches = np.random.default_rng(seed).random((3, 8 * 84 // side, 8 * 84 // side))
         scene = np.kron(patches, np.ones((side, side)))
         pair = [fftconvolve(scene, disc[None] / disc.sum(), "same", axes=(1, 2))[:, 48:-48, 48:-48] for disc in discs]
@@ -420,8 +370,6 @@ def test_matching_finds_the_disparity_of_half_discs(disparity, side):
         found = match_halves(dual_pixel(expose(capture, Detector(), photons=1000, seed=seed)))[16:-16, 16:-16]
         assert float(found.median()) == pytest.approx(-disparity, abs=0.1)
         assert np.isfinite(found).mean() > 0.5
-    raw = expose(capture, Detector(mosaic="QUAD_GRBG"), photons=1000)
-    refuses("halves: they are GRBG mosaics, .* demosaic first", match_halves, dual_pixel(raw))
 
 
 def fast(lenses):
@@ -462,8 +410,4 @@ def test_the_command(tmp_path, run, complaint):
     assert list(parts) == ["left", "right", "sum"]
     np.testing.assert_array_equal(parts["right"].channels["Y"].pixels, dual_pixel(capture)[0, 1])
     assert "2 x 2 pictures" in run("dual", tmp_path / "raw.exr", "-o", tmp_path / "four.png", "--layout", "2x2")
-    assert complaint("dual", tmp_path / "raw.exr", "-o", tmp_path / "x.exr", "--layout", "3x1").startswith("--layout")
-
-
-def test_layouts_in_the_help_are_those_of_the_library(run):
-    assert "|".join(f"{along}x{across}" for along, across in LAYOUTS) in run("dual", "--help")
+    assert "--layout" in complaint("dual", tmp_path / "raw.exr", "-o", tmp_path / "x.exr", "--layout", "3x1")

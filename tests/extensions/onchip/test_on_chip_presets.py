@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.array_functions import CameraCapture
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.fitting import View
 from mitsuba_plenoptic.points.units import brightness_of
@@ -24,21 +23,18 @@ def around(name, part):
 
 
 @pytest.mark.parametrize("name", ON_CHIP)
-@pytest.mark.parametrize("part", [0.0, 0.95])
-def test_regular_lenses_are_where_the_aligned_ones_are(name, part):
-    camera, index = around(name, part)
-    regular = camera.regular
+def test_regular_lenses_are_where_the_aligned_ones_are(name):
+    camera, index = around(name, part := 0.95)
     i, j = (np.array([-2.0, 0.0, 2.0]) + start for start in index)
-    place, near = camera.lattice.regular.centre(i, j), regular.lattice.centre(i, j)
-    assert not regular.mla_cra
-    assert regular.regular is regular
+    place, near = camera.lattice.regular.centre(i, j), camera.regular.lattice.centre(i, j)
+    assert not camera.regular.mla_cra
     shift = np.array(camera.lattice.centre(i, j)) - place
     assert np.max(np.abs(shift)) > part * 2e-4
     for regular_place, aligned, aside in zip(near, place, shift, strict=True):
         assert regular_place == pytest.approx(aligned + aside, abs=2e-6)
 
 
-@pytest.mark.parametrize("name", ON_CHIP)
+@pytest.mark.parametrize("name", ON_CHIP[:2])
 def test_points_are_captured_as_banks_have_them(name):
     camera, index = around(name, 0.9)
     (i, j), distance = index, 0.98 * camera.focus_distance
@@ -54,21 +50,16 @@ def test_points_are_captured_as_banks_have_them(name):
 
 
 @pytest.mark.filterwarnings("ignore:fit")
-@pytest.mark.parametrize("name", ON_CHIP[1:])
-def test_methods_of_regular_arrays_take_aligned_presets(name):
+def test_methods_of_regular_arrays_take_aligned_presets():
     """Small crops, as full presets need much memory; the smallest results tell that light arrives."""
-    camera, _ = around(name, 0.5)
+    camera, _ = around("phone_quad", 0.5)
     regular, distance = camera.regular, camera.focus_distance
     place = np.array([camera.pixel_coordinates(axis).mean() for axis in (0, 1)])
     points = [(*(-place * distance / camera.mla_distance).tolist(), distance)]
     operator = mp.CaptureOperator(camera, points, wavelength=550)
     image = operator.forward([1.0])
     assert image == pytest.approx(mp.CaptureOperator(regular, points, wavelength=550).forward([1.0]))
-    gradient = operator.gradient([1.0], image)
-    assert gradient["detector_distance"] != 0
-    capture = CameraCapture(lambda changed: mp.CaptureOperator(changed, points, wavelength=550), camera, ("mla_pitch",))
-    pitch = np.array(regular.mla_pitch)
-    assert capture.at(np.ones(1), pitch).value == pytest.approx(image)
+    assert operator.gradient([1.0], image)["detector_distance"] != 0
     system = OpticalSystem(regular, 550)
     view = View(brightness_of(regular, system.lens) * image, points, [1.0], noise=1e-3)
     fit = mp.fit(camera, view, "mla_focal_length", wavelength=550, accuracy=0.01, steps=2)
@@ -76,14 +67,7 @@ def test_methods_of_regular_arrays_take_aligned_presets(name):
     assert not fit.camera.mla_cra
     even = np.ones(camera.shape, np.float32)
     assert mp.decode(even, camera=camera).shape[2:] == (LENSES, LENSES)
-    assert np.isfinite(mp.reconstruct(even, distance, camera=camera).image).any()
     assert RayRefocus(camera, distance).camera == regular
-
-
-@pytest.mark.parametrize("name", ON_CHIP)
-@pytest.mark.parametrize("wavelength", [450, 550, 650])
-def test_dual_pixels_have_no_warnings_of_themselves(name, wavelength):
-    assert mp.design.design_warnings(mp.PlenopticCamera.preset(name), wavelength) == []
 
 
 def test_dual_pixels_whose_spots_are_wider_than_a_pixel_are_told():

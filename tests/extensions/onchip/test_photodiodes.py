@@ -125,8 +125,7 @@ def test_polarized_variants_record_the_same_light_by_tables():
     images = []
     for variant in ("llvm_ad_mono", "llvm_ad_mono_polarized"):
         mi.set_variant(variant)
-        camera = CAMERA.replace(photodiode_response=halves_of(CAMERA))
-        images.append(sky(camera, 2))
+        images.append(sky(CAMERA.replace(photodiode_response=halves_of(CAMERA)), 2))
     assert images[0].max() > 0
     np.testing.assert_allclose(images[1], images[0], rtol=1e-5)
 
@@ -163,30 +162,21 @@ def test_a_response_in_a_file(tmp_path):
     assert PlenopticCamera.from_sensor(mi.load_dict(camera.to_sensor())) == camera
 
 
-HALVES = {"photodiode_response": halves_of(CAMERA)}
-ABSORBING = {"angles_x": [-20, 20], "angles_y": [-9, 9], "responses": [[[[1, 0], [1, 0.5]]]]}
+TABLE = halves_of(CAMERA)
+HALVES = {"photodiode_response": TABLE}
 
 test_mistakes = refused(
-    (lambda: CAMERA.replace(mla_cra=(0, 0, 1)), "mla_cra = .*two or more pairs"),
-    (lambda: CAMERA.replace(mla_cra=(1, 0, 2, 3)), "its heights must rise from 0"),
-    (lambda: CAMERA.replace(mla_cra=(0, 1, 2, 3)), "its first angle, on the axis, must be 0"),
-    (lambda: CAMERA.replace(mla_cra=(0, 0, 2, 85)), "mla_cra = 85: it must be at most 80"),
-    (lambda: CAMERA.replace(pixel_crosstalk=0.3), "pixel_crosstalk = 0.3: it must be at most 0.25"),
-    (lambda: CAMERA.replace(photodiode_response={"angles_x": [0, 1]}), "photodiode_response: angles_y is missing"),
-    (lambda: CAMERA.replace(photodiode_response=3), "photodiode_response: 3: it must be a dictionary or a JSON file"),
-    (lambda: CAMERA.replace(photodiode_response="{"), "photodiode_response: it must be a JSON object"),
-    (lambda: CAMERA.replace(**HALVES, mla_pitch=0.0036), "a lens over photodiodes must cover 2 x 2"),
-    (
-        lambda: CAMERA.replace(photodiode_response=halves_of(CAMERA) | {"responses": [[1]]}),
-        r"responses of shape \(1, 1\): it must be 1 or 2 rows and columns, then \(4, 4\)",
-    ),
-    (
-        lambda: CAMERA.replace(photodiode_response=halves_of(CAMERA) | {"angles_x": [3, 2, 1, 0]}),
-        "angles_x = .*: they must rise",
-    ),
+    (lambda: CAMERA.replace(mla_cra=(0, 0, 1)), "mla_cra = .*pairs"),
+    (lambda: CAMERA.replace(mla_cra=(1, 0, 2, 3)), "heights"),
+    (lambda: CAMERA.replace(mla_cra=(0, 1, 2, 3)), "first angle"),
+    (lambda: CAMERA.replace(mla_cra=(0, 0, 2, 85)), "mla_cra = 85"),
+    (lambda: CAMERA.replace(pixel_crosstalk=0.3), "pixel_crosstalk = 0.3"),
+    (lambda: CAMERA.replace(photodiode_response={"angles_x": [0, 1]}), "photodiode_response: angles_y"),
+    (lambda: CAMERA.replace(photodiode_response=3), "photodiode_response: 3"),
+    (lambda: CAMERA.replace(photodiode_response="{"), "photodiode_response: .*JSON"),
+    (lambda: CAMERA.replace(**HALVES, mla_pitch=0.0036), "2 x 2"),
+    (lambda: CAMERA.replace(photodiode_response=TABLE | {"responses": [[1]]}), r"responses of shape \(1, 1\)"),
+    (lambda: CAMERA.replace(photodiode_response=TABLE | {"angles_x": [3, 2, 1, 0]}), "angles_x = "),
     (lambda: sky(CAMERA.replace(**HALVES), 2, "wave"), "photodiode_response"),
-    (
-        lambda: PlenopticCamera(mla_pitch=0.004, photodiode_response=ABSORBING, mla_absorption=1.0),
-        "mla_absorption = 1: photodiode_response contains the medium",
-    ),
+    (lambda: CAMERA.replace(**HALVES, mla_absorption=1.0), "mla_absorption = 1"),
 )

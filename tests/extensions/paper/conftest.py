@@ -7,6 +7,7 @@ from cameras import letters
 from scipy.ndimage import gaussian_filter
 
 from mitsuba_plenoptic import Capture, capture_spec
+from mitsuba_plenoptic.extensions.paper import readings
 from mitsuba_plenoptic.extensions.paper import reproduction as reproductions
 from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report.experiment import Settings
@@ -16,7 +17,7 @@ from mitsuba_plenoptic.report.experiment import Settings
 def tiny():
     """Settings of the letters on 16 x 16 lenses."""
     small = letters(16) | {"lens_model": "parabolic"}
-    return Settings("letters", small, spp=4, distances=(210.0, 240.0, 280.0), slider=(225.0,), truth_spp=64)
+    return Settings("letters", small, spp=4, distances=(210.0, 240.0, 280.0), slider=(225.0,), truth_spp=64, pdf=False)
 
 
 @pytest.fixture
@@ -36,8 +37,11 @@ def quick_waves(monkeypatch, tiny):
     def reconstruct(capture, distances, **options):
         return [refocused(capture, distance, **options) for distance in distances]
 
-    def refocused(capture, distance, *, method, footprint="lens", interleave=None, progress=None):
+    def refocused(capture, distance, *, method, footprint="lens", **others):
         calls.append(f"{method}_{distance:g}")
+        return picture(capture, distance, method=method, footprint=footprint, **others)
+
+    def picture(capture, distance, *, method, footprint="lens", interleave=None, relay=None, **_):
         smooth = refocus(capture, distance, method="ray", footprint=footprint)
         if method == "ray" or interleave == "auto":
             return smooth
@@ -47,6 +51,7 @@ def quick_waves(monkeypatch, tiny):
 
     monkeypatch.setattr(capture_spec, "render_capture", render_capture)
     monkeypatch.setattr(experiments, "reconstruct", reconstruct)
+    monkeypatch.setattr(readings, "reconstruct", picture)
     seconds = {"ray": 0.5, "coherent": 5.0, "partial": 15.0}
     monkeypatch.setattr(reproductions, "processor_seconds", lambda capture, distance: seconds)
     monkeypatch.setattr(reproductions, "plain_seconds", lambda camera, distance: 20.0)

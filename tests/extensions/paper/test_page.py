@@ -5,17 +5,21 @@ import json
 import re
 
 import pytest
+from PIL import Image
 
 from mitsuba_plenoptic import scene_path
 from mitsuba_plenoptic.extensions.paper.reproduction import reproduce
+from mitsuba_plenoptic.report import plots
 from mitsuba_plenoptic.report.comparison import compare
 
 
-def test_names_of_users_are_escaped(quick_waves, coarse_figures, tiny, tmp_path):
+def test_names_of_users_are_escaped(quick_waves, monkeypatch, tiny, tmp_path):
+    monkeypatch.setattr(plots.Plot, "save", lambda self, path: Image.new("RGB", (4, 4)).save(path))
     scene = tmp_path / "a<b>&c.xml"
     folder = scene_path("letters").parent
     scene.write_text(scene_path("letters").read_text().replace("meshes/", f"{folder}/meshes/"))
-    compare(dataclasses.replace(tiny, scene=str(scene), distances=(240.0,), slider=()), tmp_path / "out")
+    compare(dataclasses.replace(tiny, scene=str(scene), distances=(240.0,), slider=(), pdf=True), tmp_path / "out")
+    assert len(list((tmp_path / "out").glob("*.pdf"))) == len(list((tmp_path / "out").glob("*.png"))) >= 3
     text = (tmp_path / "out" / "report.html").read_text()
     assert "<h1>Rays and waves: a&lt;b&gt;&amp;c</h1>" in text and "a<b>" not in text
     data = text.split('<script type="application/json" id="data">')[1].split("</script>")[0]

@@ -80,17 +80,3 @@ def test_an_edge_within_a_lens_is_found_where_it_is(bins):
     control = real_light._control(recording, {"a": image}, Store(), 550.0, 1e4)
     found = real_light._deconvolved(control.capture(550.0), control.white, 408.0)
     assert 16 + window_sharpness(found[20:44, 16:56].astype(np.float64)).column == pytest.approx(31.5 + bins, abs=1)
-
-
-def test_a_sheet_reaches_the_other_shape_and_has_a_sharp_edge():
-    left = Shape(391.0, {"region": (0.0, 0.0, 4.0, 8.0), "edge": (1.0, 2.0, 2.0, 3.0)})
-    right = Shape(406.0, {"region": (5.0, 0.0, 3.0, 8.0)})
-    blurred = 1 + 2 / (1 + np.exp(-(np.arange(64) - 15.4) / 1.5)) + np.zeros((64, 1))
-    blurred[:, 40:] = np.nan
-    (*low, width, height), sharp = real_light._sheet(left, [right], blurred.astype(np.float32))
-    assert (*low, width, height) == (-2, -2, 7, 12)
-    assert sharp.shape == (12 * 32, 7 * 32)
-    assert np.isfinite(sharp).all()
-    row = sharp[(2 + 3) * 32]
-    assert 1 + np.abs(np.diff(row[(2 + 1) * 32 : (2 + 3) * 32])).argmax() == pytest.approx(4 * 15.9 - 32, abs=1)
-    assert np.unique(row[(2 + 1) * 32 : (2 + 3) * 32]).size == 2

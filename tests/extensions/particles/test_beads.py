@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from cases import facing, film, radiating, scene_of
 from numpy.testing import assert_allclose
-from refusals import refused
+from refusals import refused, refuses
 from scattering_cases import needs_miepython
 
 import mitsuba_plenoptic as mp
@@ -55,21 +55,21 @@ def test_points_by_rays_are_those_of_the_sensor():
 
 
 def test_the_light_of_a_bead_is_that_of_the_cone():
-    for depth in (-0.02, 0.0, 0.03):
-        images = pt.ParticleImages(one_bead((0, 0, depth), index=None, diameter=0.8), wavelength=550, model="ray")
-        # The volume of a sphere, and the part of all directions within the cone of rays in the fluid.
-        cone = (1 - np.cos(np.arcsin(0.5 / 1.333))) / 2
-        assert_allclose(images.capture(0).metadata["reference"], np.pi / 6 * 0.8**3 * cone, rtol=1e-4)
+    """The volume of a sphere, times the part of all directions within the cone of rays in the fluid."""
+    images = pt.ParticleImages(one_bead((0, 0, 0.03), index=None, diameter=0.8), wavelength=550, model="ray")
+    cone = (1 - np.cos(np.arcsin(0.5 / 1.333))) / 2
+    assert_allclose(images.capture(0).metadata["reference"], np.pi / 6 * 0.8**3 * cone, rtol=1e-4)
 
 
-WIDE = mp.PlenopticCamera(detector_width=1.024, resolution=(256, 256))
-ODD = WIDE.replace(mla_lattice="hexagonal", mla_rotation=5.0, crop_offset=(20, 30), crop_size=(180, 190))
+ODD = mp.PlenopticCamera(
+    detector_width=1.024, resolution=(256, 256), mla_lattice="hexagonal", mla_rotation=5.0, crop_offset=(20, 30),
+    crop_size=(180, 190),
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("model", ["wave", "ray"])
 @pytest.mark.parametrize(
-    ("camera", "place", "before"),
-    [(WIDE, (0.11, -0.07, 263.0), 1), (ODD, (0, 0, 235), 1), (CAMERA, (0.004, 0.003, 0.06), 1.33)],
+    ("camera", "place", "before"), [(ODD, (0.11, -0.07, 263.0), 1), (CAMERA, (0.004, 0.003, 0.06), 1.33)]
 )
 def test_a_bead_is_imaged_as_the_point_where_it_is_seen(camera, place, before, model):
     seen = np.array([[*place[:2], place[2] - 0.3 + 0.3 * before / 1.4]])
@@ -86,10 +86,10 @@ def test_a_bead_is_imaged_as_the_point_where_it_is_seen(camera, place, before, m
 
 
 @needs_miepython
-@pytest.mark.parametrize("medium", [1.33, 1.4])
-def test_lobes_are_at_the_angles_of_the_rays(medium):
+def test_lobes_are_at_the_angles_of_the_rays():
     """In focus behind one lens each pixel sees one direction, that of the sensor's ray through the lens's centre."""
     # Seen in the plane in focus, through a window 0.1 mm before the bead.
+    medium = 1.4
     place = (0, 0, 0.1 * (1 - 1.33 / medium))
     truth = one_bead(place, diameter=2.0, medium=medium)
     image = pt.ParticleImages(truth, wavelength=550, model="ray").capture(0).image.astype(float)
@@ -120,10 +120,10 @@ def test_densities_and_elongation_are_those_of_the_microscope():
     assert pt.elongation(CAMERA, 0.01) == pytest.approx((1 / steps**2 - 1).mean() ** -0.5, rel=1e-3)
 
 
-@pytest.mark.parametrize("medium", [1.33, 1.35])
 @pytest.mark.parametrize("model", ["ray", pytest.param("wave", marks=pytest.mark.slow)])
-def test_positions_of_beads_are_found(model, medium):
+def test_positions_of_beads_are_found(model):
     """In a capture with noise: by SIRT within 0.25 voxels, 0.75 along the axis, and by least squares within 0.05."""
+    medium = 1.35
     places = np.array([[0.0042, -0.0031, 0.0143], [-0.0057, 0.0048, 0.0192]])
     truth = one_bead(places[0], index=None, window=-0.1, medium=medium).isel(particle=[0, 0])
     truth["position"][0] = places
@@ -147,12 +147,9 @@ def test_positions_of_beads_are_found(model, medium):
 
 
 test_bad_microscopes_are_refused_in_one_line = refused(
-    (lambda: one_bead((0, 0, -12.0)), "z = -12.*: particles must be before the objective, beyond z = -11.97"),
-    (lambda: one_bead((0, 0, 0.1), OILY), "medium=1.333.*: .*its medium above 1.4"),
-    (
-        lambda: pt.RayProjector(FOURIER, pt.VoxelGrid((0, 0, 0), (1, 1, 1), (1, 1, 1)), wavelength=550),
-        "objective: fits and projections of points by rays refuse it: the array is in the image of the stop",
-    ),
+    (lambda: one_bead((0, 0, -12.0)), "z = -12.* z = -11.97"),
+    (lambda: one_bead((0, 0, 0.1), OILY), "medium=1.333.* 1.4"),
+    (lambda: pt.RayProjector(FOURIER, pt.VoxelGrid((0, 0, 0), (1, 1, 1), (1, 1, 1)), wavelength=550), "objective"),
 )
 
 
@@ -167,8 +164,7 @@ def test_data_sets_of_a_microscope(tmp_path):
     scene = {"generator": "particles", "flow": "uniform", "per_lens": 0.1, "diameter": 0.5, "displacement": 1}
     camera = {"preset": "lfm_water", "detector_width": 0.875, "resolution": [105, 105]}
     recipe = {"count": 1, "camera": camera, "models": ["ray"], "truth": []}
-    with pytest.raises(mp.InputError, match="give near and far, in mm beyond the native object plane"):
-        make_dataset(parse_recipe(recipe | {"scenes": [scene]}), tmp_path / "none")
+    refuses("near and far", make_dataset, parse_recipe(recipe | {"scenes": [scene]}), tmp_path / "none")
     recipe |= {"scenes": [scene | {"near": -0.01, "far": 0.03}]}
     sample = make_dataset(parse_recipe(recipe), tmp_path / "pairs")[0]
     # Within 0.8 of the field of 0.875 mm / 20, and of one lens in the object.

@@ -84,6 +84,7 @@ def test_a_field_in_a_file_is_followed_as_the_flow_it_was_sampled_from(tmp_path,
     velocity = flow.velocity(nodes.reshape(-1, 3)).reshape(nodes.shape)
     parts = {name: (("x", "y", "z"), velocity[..., index]) for index, name in enumerate("uvw")}
     xr.Dataset(parts, axes).transpose("z", "y", "x").to_netcdf(tmp_path / "field.nc")
+    assert (pt.ImportedFlow(still()).velocity(np.full((1, 3), 0.5)) == 0).all()
     imported = pt.ImportedFlow(tmp_path / "field.nc")
     # Linear interpolation is exact for a linear field.
     assert_allclose(imported.advected(points, 0.3), flow.advected(points, 0.3), atol=1e-9)
@@ -96,16 +97,15 @@ def test_a_field_in_a_file_is_followed_as_the_flow_it_was_sampled_from(tmp_path,
 
 
 test_bad_flows_are_refused_in_one_line = refused(
-    (lambda: pt.Shear(along="x", across="x"), "along = x, across = x: they must differ"),
-    (lambda: pt.HillVortex(radius=0), "radius = 0: it must be greater than 0"),
-    (lambda: pt.HillVortex(radius=None), "radius = None: it must be a number"),
-    (lambda: pt.TaylorGreen(axis="w"), "axis = 'w': it must be one of x, y, z"),
-    (lambda: pt.Uniform((1, 2)), r"speed = \(1, 2\): it must be 3 numbers"),
-    (lambda: pt.ImportedFlow(still(v="m/s")), "field: v is in m/s: it must be in mm/s"),
-    (lambda: pt.ImportedFlow(still(z="m")), "field: z is in m: it must be in mm"),
-    (lambda: _flow("lamb_oseen:radius=2", pt.FLOWS, (0, 0, 240)), "radius: it is not .*; core is the radius of a vort"),
-    (lambda: pt.ImportedFlow(__file__), "test_flows.py: it cannot be read as a velocity field: "),
-    (lambda: pt.ImportedFlow(xr.Dataset()), "field: it must be a data set with u, v and w on x, y and z"),
+    (lambda: pt.Shear(along="x", across="x"), "along = x, across = x"),
+    (lambda: pt.HillVortex(radius=0), "radius = 0"),
+    (lambda: pt.TaylorGreen(axis="w"), "axis = 'w'"),
+    (lambda: pt.Uniform((1, 2)), r"speed = \(1, 2\)"),
+    (lambda: pt.ImportedFlow(still(v="m/s")), "field: v is in m/s"),
+    (lambda: pt.ImportedFlow(still(z="m")), "field: z is in m"),
+    (lambda: _flow("lamb_oseen:radius=2", pt.FLOWS, (0, 0, 240)), "radius: .*core"),
+    (lambda: pt.ImportedFlow(__file__), "test_flows.py"),
+    (lambda: pt.ImportedFlow(xr.Dataset()), "u, v and w on x, y and z"),
 )
 
 
@@ -113,7 +113,3 @@ def still(**units):
     axes = {axis: (axis, [0.0, 1.0], {"units": units.get(axis, "mm")}) for axis in "xyz"}
     parts = {part: (tuple("xyz"), np.zeros((2, 2, 2)), {"units": units.get(part, "mm s-1")}) for part in "uvw"}
     return xr.Dataset(parts, axes)
-
-
-def test_units_that_are_as_expected_are_accepted():
-    assert (pt.ImportedFlow(still()).velocity(np.full((1, 3), 0.5)) == 0).all()

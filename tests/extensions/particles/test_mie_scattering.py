@@ -24,14 +24,6 @@ def test_bohren_and_huffmans_example():
     assert_allclose(2 * np.pi * sections @ weight / (np.pi * 0.525**2), 3.10543, rtol=2e-6)
 
 
-def test_small_spheres_scatter_as_rayleigh_has_it():
-    diameter, index, wavelength = 0.01, 1.2, 500.0
-    k, a = 2 * np.pi / (wavelength * 1e-3), diameter / 2
-    cosine = np.linspace(-1, 1, 7)
-    expected = k**4 * a**6 * ((index**2 - 1) / (index**2 + 2)) ** 2 * (1 + cosine**2) / 2
-    assert_allclose(cross_sections(np.array([diameter]), index, wavelength, cosine[None])[0], expected, rtol=3e-3)
-
-
 def test_large_spheres_against_sums_with_sixty_digits():
     # mpmath, 50 micrometres: the recurrences are the hardest here; sizes are computed together.
     large = [22567322.42022337, 160.69792057572855, 44.66098458652747, 15.76336871832395, 6.9625857851874144]

@@ -125,23 +125,18 @@ def test_voxels_are_projected_from_where_they_are_seen(projector):
     image, expected = (each.forward(light) for each in (through, projector(CAMERA, seen, wavelength=550)))
     assert_allclose(image, expected, atol=2e-5 * expected.max())
     # Only a projector that looks through the window explains what it shows, or points where it shows them.
-    truth = pt.particle_sequence(
-        CAMERA, GRID, pt.Seeding(count=1, index=None, medium=1.4, window=220), pt.Uniform((0, 0, 0)), interval=1, seed=1
-    )
+    seeding, still = pt.Seeding(count=1, index=None, medium=1.4, window=220), pt.Uniform((0, 0, 0))
+    truth = pt.particle_sequence(CAMERA, GRID, seeding, still, interval=1, seed=1)
     capture = mp.Capture(image, CAMERA, metadata={"particles": json.loads(truth.attrs["particles"])})
     apparent = mp.CaptureOperator(CAMERA, window.apparent(GRID.points, CAMERA, 550), wavelength=550)
     for other in (through, apparent):
         pt.reconstruct_volume(other, capture, GRID, iterations=1)
     for other in (projector(CAMERA, GRID, wavelength=550), mp.CaptureOperator(CAMERA, GRID.points, wavelength=550)):
-        refuses(r"capture: it is through Window\(.*=220.*1.4\)", pt.reconstruct_volume, other, capture, GRID)
+        refuses(r"Window\(.*=220.*1.4\)", pt.reconstruct_volume, other, capture, GRID)
 
 
-@pytest.mark.parametrize(
-    "camera",
-    [CAMERA.replace(mla_rotation=7.0, mla_offset=(0.01, 0.02)), CAMERA.replace(mla_lattice="hexagonal")],
-    ids=["rotated", "hexagonal"],
-)
-def test_points_between_voxels_follow_the_lattice(camera):
+def test_points_between_voxels_follow_the_lattice():
+    camera = CAMERA.replace(mla_lattice="hexagonal", mla_rotation=7.0, mla_offset=(0.01, 0.02))
     grid = pt.VoxelGrid((-0.09, -0.07, 235), (0.11, 0.13, 237), (1, 2, 2))
     projector = pt.VoxelProjector(camera, grid, wavelength=550, per_lens=3)
     # The light of a voxel is about its own place, and the points are a whole number of thirds of lattice steps apart.
@@ -194,10 +189,7 @@ def test_correlation_finds_exact_shifts():
     assert_allclose(found["x"][0], -1 + 8 / 24, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("across", "rate", "window"),
-    [("z", 0.01, (8, 24, 24)), ("z", 0.05, (8, 24, 24)), ("z", 0.05, (16, 24, 24)), ("y", 0.08, (16, 16, 16))],
-)
+@pytest.mark.parametrize(("across", "rate", "window"), [("z", 0.05, (8, 24, 24)), ("y", 0.08, (16, 16, 16))])
 def test_correlation_finds_shears_up_to_the_borders(across, rate, window):
     index = "xyz".index(across)
     centre = (0, 0, 101)[index]
@@ -211,21 +203,11 @@ def test_correlation_finds_shears_up_to_the_borders(across, rate, window):
     assert found["outlier"].mean() < 0.1
 
 
-@pytest.mark.parametrize(("voxels", "is_wrong"), [(6, False), (10, False), (14, True), (20, True)])
+@pytest.mark.parametrize(("voxels", "is_wrong"), [(10, False), (14, True)])
 def test_displacements_beyond_a_window_are_warned_of(voxels, is_wrong, recwarn):
     pair = shifted_pair(lambda places: np.array([voxels / 24, 0, 0]), 1500)
     pt.correlate_volumes(*pair, window=(16, 16, 16))
     assert ["vectors are outliers, and others" in str(each.message) for each in recwarn] == [True] * is_wrong
-
-
-def test_outliers_are_replaced():
-    first, second = shifted_pair(lambda places: np.array([0.1, 0, 0]))
-    # Noise instead of particles in one window.
-    second[8:16, 16:32, 16:32] = np.random.default_rng(1).random((8, 16, 16)) * 0.1
-    found = pt.correlate_volumes(first, second, window=(8, 16, 16), overlap=0)
-    assert found["outlier"].values[1, 1, 1]
-    assert found["outlier"].sum() < 4
-    assert np.abs(found["displacement"].values[1, 1, 1] - [0.1, 0, 0]).max() < 0.05
 
 
 def test_empty_windows_have_no_displacement_of_their_own():
@@ -274,54 +256,34 @@ def test_least_squares_find_positions_and_light():
 
 
 test_bad_volumes_are_refused_in_one_line = refused(
-    (lambda: pt.VoxelGrid((0, 0, 1), (1, 1, 1), (2, 2, 2)), "the volume is empty"),
-    (lambda: pt.VoxelGrid((0, 0, 0), (1, 1, 1), (0, 2, 2)), "shape = 0: it must be at least 1"),
-    (lambda: pt.VoxelGrid((0, 0, 0), (1, 1, 1), (2.7, 2, 2)), "shape = 2.7: it must be a whole number"),
-    (lambda: pt.RayProjector(CAMERA, GRID, wavelength=550, budget=1e-9), "budget = 1e-09 GiB: the matrix takes more"),
-    (lambda: pt.RayProjector(CAMERA, NEAR, wavelength=550), "beyond its focus at 80 only"),
-    (lambda: pt.VoxelProjector(CAMERA, NEAR, wavelength=550), "beyond its focus at 80 only"),
-    (
-        lambda: pt.RayProjector(CAMERA.replace(stray_light=0.1), GRID, wavelength=550),
-        "stray_light = 0.1: fits and projections of points by rays refuse it: .*use waves of points",
-    ),
-    (
-        lambda: pt.VoxelProjector(CAMERA.replace(mla_tilt=(1.0, 0.0)), GRID, wavelength=550),
-        "mla_tilt = .*: waves of points by method patch refuse it",
-    ),
-    (lambda: pt.drawn_particles(GRID, np.zeros((1, 3)), np.ones(1), (0.1, 0.1, 1)), "it must be half a voxel at least"),
+    (lambda: pt.VoxelGrid((0, 0, 1), (1, 1, 1), (2, 2, 2)), "empty"),
+    (lambda: pt.VoxelGrid((0, 0, 0), (1, 1, 1), (2.7, 2, 2)), "shape = 2.7"),
+    (lambda: pt.RayProjector(CAMERA, GRID, wavelength=550, budget=1e-9), "budget = 1e-09"),
+    (lambda: pt.RayProjector(CAMERA, NEAR, wavelength=550), "focus at 80"),
+    (lambda: pt.VoxelProjector(CAMERA, NEAR, wavelength=550), "focus at 80"),
+    (lambda: pt.RayProjector(CAMERA.replace(stray_light=0.1), GRID, wavelength=550), "stray_light = 0.1"),
+    (lambda: pt.VoxelProjector(CAMERA.replace(mla_tilt=(1.0, 0.0)), GRID, wavelength=550), "mla_tilt = "),
+    (lambda: pt.drawn_particles(GRID, np.zeros((1, 3)), np.ones(1), (0.1, 0.1, 1)), "half a voxel"),
     (lambda: pt.drawn_particles(GRID, np.full((1, 3), np.nan), [1], (0.1, 0.1, 9)), r"positions of shape \(1, 3\)"),
     (lambda: pt.drawn_particles(GRID, np.zeros((2, 3)), [1], (0.1, 0.1, 9)), r"weights of shape \(1,\): .* of 2"),
     (lambda: pt.match_particles([[0, 0, np.inf]], [[0, 0, 1]], [[0, 0, 0]], (1, 1, 1)), "first of shape"),
-    (lambda: pt.quality(EMPTY, EMPTY[:3]), "volumes: they must be on the same voxels, but differ in z"),
-    (lambda: pt.quality(FAR, FAR.assign_coords(x=FAR["x"] + 9e-4)), "on the same voxels, but differ in x"),
-    (lambda: pt.quality(EMPTY + np.inf, EMPTY), "volumes: their voxels must be finite"),
-    (lambda: pt.reconstruct_volume(dense_case()[0], np.full((10, 6), np.nan), GRID), "its pixels must be finite"),
-    (lambda: pt.reconstruct_volume(dense_case()[0], np.zeros((10, 6)), GRID), "dark everywhere"),
-    (
-        lambda: pt.reconstruct_volume(small_rays(), np.ones((16, 16)), TURNED),
-        r"grid of shape \(3, 3, 2\): it is not the op",
-    ),
-    (
-        lambda: pt.reconstruct_volume(
-            small_rays(), mp.Capture(np.ones((16, 16)), SMALL.replace(aperture_radius=3)), GRID
-        ),
-        "capture: its camera is not the",
-    ),
-    (lambda: small_rays().forward(np.full(18, np.nan)), "weights: all must be finite"),
-    (lambda: small_rays().adjoint(np.full((16, 16), np.inf)), "image of .*: its pixels must be finite"),
-    (lambda: pt.reconstruct_volume(dense_case(7)[0], np.ones((10, 6)), GRID), "grid of 18 voxels: the operator's"),
-    (lambda: pt.reconstruct_volume(dense_case()[0], np.ones((10, 6)), GRID, method="art"), "one of mart, sirt"),
+    (lambda: pt.quality(EMPTY, EMPTY[:3]), "differ in z"),
+    (lambda: pt.quality(FAR, FAR.assign_coords(x=FAR["x"] + 9e-4)), "differ in x"),
+    (lambda: pt.quality(EMPTY + np.inf, EMPTY), "finite"),
+    (lambda: pt.reconstruct_volume(DENSE, np.full((10, 6), np.nan), GRID), "finite"),
+    (lambda: pt.reconstruct_volume(DENSE, np.zeros((10, 6)), GRID), "dark"),
+    (lambda: pt.reconstruct_volume(small_rays(), np.ones((16, 16)), TURNED), r"grid of shape \(3, 3, 2\)"),
+    (lambda: pt.reconstruct_volume(small_rays(), mp.Capture(np.ones((16, 16)), NARROW), GRID), "capture: its camera"),
+    (lambda: small_rays().forward(np.full(18, np.nan)), "weights"),
+    (lambda: pt.reconstruct_volume(dense_case(7)[0], np.ones((10, 6)), GRID), "grid of 18 voxels"),
+    (lambda: pt.reconstruct_volume(DENSE, np.ones((10, 6)), GRID, method="art"), "one of mart, sirt"),
     (lambda: pt.correlate_volumes(EMPTY, EMPTY, window=(4, 4, 4)), "first: the volume is empty"),
-    (lambda: pt.correlate_volumes(EMPTY, EMPTY, window=(9, 4, 4)), r"window = \(9, 4, 4\): the volumes have"),
-    (lambda: pt.locate_particles(EMPTY), "volume: it is empty"),
+    (lambda: pt.correlate_volumes(EMPTY, EMPTY, window=(9, 4, 4)), r"window = \(9, 4, 4\)"),
+    (lambda: pt.locate_particles(EMPTY), "empty"),
 )
 
 
+DENSE, NARROW = dense_case()[0], SMALL.replace(aperture_radius=3)
 NEAR = pt.VoxelGrid((0, 0, 60), (1, 1, 90), (2, 2, 2))
 EMPTY = pt.VoxelGrid((0, 0, 0), (1, 1, 1), (4, 4, 4)).labelled(np.zeros(64))
 FAR = pt.VoxelGrid((0, 0, 240), (1, 1, 241), (4, 4, 4)).labelled(np.ones(64))
-
-
-def test_voxels_in_single_precision_are_the_same():
-    grid = pt.VoxelGrid((0, 0, 240), (1, 1, 241), (100, 4, 4)).labelled(np.ones(1600))
-    assert pt.quality(grid, grid.assign_coords(z=grid["z"].astype(np.float32))) == pytest.approx(1)

@@ -11,7 +11,7 @@ from mitsuba_plenoptic.extensions.calibrate.array_fit import fit_array
 from mitsuba_plenoptic.extensions.calibrate.field_fit import FieldNumbers
 from mitsuba_plenoptic.extensions.calibrate.micro_image import PupilNumbers
 from mitsuba_plenoptic.extensions.prediction.array_part import ArrayPart, CameraModel, PartPixels
-from mitsuba_plenoptic.extensions.prediction.point_patterns import distances_of, plane_of
+from mitsuba_plenoptic.extensions.prediction.point_patterns import plane_of
 from mitsuba_plenoptic.extensions.prediction.projector import SceneProjection
 from mitsuba_plenoptic.extensions.prediction.scene_fit import fit_scene
 from mitsuba_plenoptic.extensions.prediction.withheld import Ratio, Withheld, by_lens, misfit
@@ -42,8 +42,7 @@ def part_of(model):
 
 MODEL = model_of(CAMERA)
 PART = part_of(MODEL)
-FINE, MIDDLE, FAR = (plane_of(PART, depth) for depth in (0.0, 0.012, -0.03))
-PROJECTOR = SceneProjection(PART, [FINE, MIDDLE, FAR])
+PROJECTOR = SceneProjection(PART, [plane_of(PART, depth) for depth in (0.0, 0.012, -0.03)])
 
 
 def test_every_pixel_belongs_to_one_lens_whose_micro_image_is_near():
@@ -57,9 +56,7 @@ def test_every_pixel_belongs_to_one_lens_whose_micro_image_is_near():
 HEXAGONAL = THIN.replace(mla_lattice="hexagonal")
 
 
-@pytest.mark.parametrize(
-    ("camera", "distance"), [(CAMERA, 0.0), (CAMERA, 0.012), (CAMERA, -0.03), (THIN, 380.0), (HEXAGONAL, 470.0)]
-)
+@pytest.mark.parametrize(("camera", "distance"), [(CAMERA, 0.012), (HEXAGONAL, 380.0)])
 def test_elements_are_recorded_as_their_points_are(camera, distance):
     """Fine points of one element of a lens near the middle, through the whole turned camera."""
     part = part_of(model_of(camera))
@@ -93,6 +90,18 @@ def test_pictures_with_sharp_borders_are_weighted_evenly():
     white = part.white * (even.sum() / part.white.sum())
     assert np.abs(even - white).max() < 0.15 * white.max()
     assert np.linalg.norm(even - white) < 0.03 * np.linalg.norm(white)
+
+
+def test_each_lens_is_white_by_its_pupil():
+    """Radii that fall to 0.4 of the middle's within seven lenses: the light is the area of the pupil's image."""
+    model = model_of(CAMERA.replace(detector_blur=0.0), None)
+    radius = model.field.coefficients["radius"][0]
+    # 1; X, Y; X^2, X Y, Y^2 of places over half the picture.
+    model.field.coefficients["radius"] = radius * np.array([1.0, 0, 0, -0.7, 0, -0.7])
+    part = part_of(model)
+    area = np.pi * model.field.values(part.place)[:, 0] ** 2
+    assert area.min() < 0.2 * area.max()
+    np.testing.assert_allclose(np.bincount(part.lens_of, part.white), area, rtol=0.03)
 
 
 def test_the_adjoint_is_the_transpose():
@@ -169,10 +178,6 @@ def test_verdicts_can_come_out_either_way():
     assert 1 < found.low <= found.high < 1.5
 
 
-def test_planes_grow_apart_and_small_parts_are_refused():
-    depths = np.array(distances_of(CAMERA))
-    assert depths[len(depths) // 2] == 0
-    assert depths == pytest.approx(-depths[::-1])
-    assert (np.diff(depths[depths >= 0], 2) > 0).all()
+def test_small_parts_are_refused():
     few = PartPixels.of(MODEL, (20, 20, 120, 160))
-    refuses("part: 28 of its lenses are not at its border", Withheld.drawn, few, few.pixel > 0, 0)
+    refuses("part: 28 of its lenses", Withheld.drawn, few, few.pixel > 0, 0)

@@ -32,8 +32,10 @@ def mosaicked(capture, mosaic="RGGB"):
     return mp.Capture(image, capture.camera)
 
 
-@pytest.mark.parametrize("crop", [{}, {"crop_offset": (35, 53), "crop_size": (192, 194)}])
-@pytest.mark.parametrize("mosaic", ["RGGB", "BGGR", "GRBG", "GBRG"])
+CROP = {"crop_offset": (35, 53), "crop_size": (192, 194)}
+
+
+@pytest.mark.parametrize(("mosaic", "crop"), [("RGGB", {}), ("BGGR", CROP), ("GRBG", CROP), ("GBRG", {})])
 def test_expose_through_a_mosaic(mosaic, crop, tmp_path):
     """Each pixel has its channel's value, to a digital number and the photons' noise; the file remembers it."""
     given = coloured(CAMERA.replace(**crop))
@@ -50,19 +52,18 @@ def test_expose_through_a_mosaic(mosaic, crop, tmp_path):
         lambda: mp.decode(raw),
         lambda: mp.expose(raw, mp.Detector(), photons=100),
     ):
-        refuses(f"mosaic = {mosaic}: each pixel of the capture has one colour", work)
+        refuses(f"mosaic = {mosaic}: ", work)
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        {},
         {"mla_lattice": "hexagonal", "mla_rotation": 7.0},
         {"resolution": (96, 96)},
         {"crop_offset": (33, 20), "crop_size": (150, 131)},
-        {"aperture_radius": 6.5},
+        {"aperture_radius": 7.4},
     ],
-    ids=["square", "hexagonal", "few pixels", "crop", "touching"],
+    ids=["hexagonal", "few pixels", "crop", "touching"],
 )
 def test_colours_do_not_bleed_over_borders_of_micro_images(change):
     """Micro-images of even colours come back to 1e-5, where plain bilinear interpolation mixes neighbours."""
@@ -72,19 +73,14 @@ def test_colours_do_not_bleed_over_borders_of_micro_images(change):
     # Corners of small crops can lack a colour.
     known = lit & (np.abs(found - given.image).max(axis=2) < 1e-5)
     assert known.sum() / lit.sum() > 0.999
-    assert (
-        np.abs(plain - given.image).max(axis=2)[lit].mean() > 20 * np.abs(found - given.image).max(axis=2)[lit].mean()
-    )
+    errors = [np.abs(image - given.image).max(axis=2)[lit].mean() for image in (plain, found)]
+    assert errors[0] > 20 * errors[1]
     assert np.abs(plain - given.image)[lit].max() > 0.1
 
 
-@pytest.mark.parametrize(
-    "change",
-    [{"crop_offset": (9, 0), "crop_size": (101, 100)}, {"mla_lattice": "hexagonal", "mla_rotation": 7.0}],
-)
-def test_cut_micro_images_get_the_colours_they_lack(change):
+def test_cut_micro_images_get_the_colours_they_lack():
     """An even coloured world reads even in each bin, also where a border leaves a lens no pixel of a colour."""
-    camera = mp.PlenopticCamera(detector_width=1.28, resolution=(160, 160)).replace(**change)
+    camera = CAMERA.replace(resolution=(64, 64), crop_offset=(9, 0), crop_size=(51, 50))
     colours = np.array([0.9, 0.35, 0.12])
     given = mp.Capture(white_image(camera)[..., None] * colours, camera)
     found = demosaic(mosaicked(given), mosaic="RGGB")
@@ -115,20 +111,21 @@ def test_white_of_its_own():
 
 
 test_mistakes = refused(
-    (lambda: mp.Detector(mosaic="RGBG"), "mosaic = 'RGBG': it must be one of RGGB"),
-    (lambda: demosaic(coloured(CAMERA), mosaic="RGGB"), "capture of 3 channels: a mosaic has one"),
-    (lambda: demosaic(mosaicked(coloured(CAMERA))), "mosaic = None: the capture does not state it"),
-    (lambda: demosaic(mosaicked(coloured(CAMERA)), mosaic="X"), "mosaic = 'X': it must be one of"),
-    (
-        lambda: mp.expose(mosaicked(coloured(CAMERA)), mp.Detector(mosaic="RGGB"), photons=9),
-        "mosaic = RGGB: the capture has 1 channel",
-    ),
+    (lambda: mp.Detector(mosaic="RGBG"), "mosaic = 'RGBG': "),
+    (lambda: demosaic(coloured(CAMERA), mosaic="RGGB"), "capture of 3 channels: "),
+    (lambda: demosaic(mosaicked(coloured(CAMERA))), "mosaic = None: "),
+    (lambda: demosaic(mosaicked(coloured(CAMERA)), mosaic="X"), "mosaic = 'X': "),
+    (lambda: mp.expose(mosaicked(coloured(CAMERA)), mp.Detector(mosaic="RGGB"), photons=9), "mosaic = RGGB: "),
 )
 
 
-def test_the_commands(tmp_path, run, complaint):
+def test_the_commands(tmp_path, run, complaint, mistake):
+    mistake("demosaic {raw} -o {raw} --mosaic RGGB", "it is read, and would be lost")
+    mistake("demosaic {raw} -o {out}.exr --mosaic RGGB --linear", "--linear: ")
+    mistake("demosaic {raw} -o {out}.exr --mosaic RGGG", "did you mean RGGB?")
     colours, bayer, back = (tmp_path / name for name in ("colours.exr", "bayer.exr", "back.exr"))
-    write_capture(colours, coloured(CAMERA))
+    # By rays, as the white of a wave capture takes seconds.
+    write_capture(colours, mp.Capture(coloured(CAMERA).image, CAMERA))
     run("expose", colours, "-o", bayer, "--photons", "5000", "--mosaic", "BGGR")
     assert "256 x 256 pixels of three colours" in run("demosaic", bayer, "-o", back)
     assert mp.read_capture(back).image.shape == (256, 256, 3)
@@ -142,18 +139,6 @@ def test_the_commands(tmp_path, run, complaint):
     lit = white_image(CAMERA) > 0.02
     found = mp.read_capture(back).image / (60000 / 65535)
     assert np.abs(found - coloured(CAMERA).image)[lit].mean() < 1e-4
-
-
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("demosaic {raw} -o {raw} --mosaic RGGB", "it is read, and would be lost; write to another file"),
-        ("demosaic {raw} -o {out}.exr --mosaic RGGB --linear", "--linear: it is for pictures (.png, .tiff)"),
-        ("demosaic {raw} -o {out}.exr --mosaic RGGG", "did you mean RGGB?"),
-    ],
-)
-def test_mistakes_on_the_command_line(line, words, mistake):
-    mistake(line, words)
 
 
 @pytest.mark.slow

@@ -52,41 +52,18 @@ def test_a_white_picture_corrects_the_array(lytro, tmp_path, run):
     assert errors[0] < 0.5 * errors[1] and errors[0] < 0.01
 
 
-@pytest.mark.slow
-def test_decoded_and_reconstructed_by_both_models(lytro, tmp_path, run):
-    folder = lytro[0]
-    colours = tmp_path / "colours.exr"
-    run("demosaic", folder / "photo.lfr", "-o", colours, "--white", folder / "whites" / "MOD_0001.RAW")
-    assert "9 x 9 views" in run("views", colours, "-o", tmp_path / "views.png")
-    run("reconstruct", colours, "-o", tmp_path / "ray.exr", "--distance", "inf")
-    words = ["--method", "coherent", "--wavelength", "550"]
-    run("reconstruct", colours, "-o", tmp_path / "wave.exr", "--distance", "inf", *words)
-    ray, wave = (read_exr(tmp_path / name)[0] for name in ("ray.exr", "wave.exr"))
-    # Away from the rim both show the wedge, which is even along its other axis.
-    inner = (slice(4, -4), slice(4, -4))
-    true = np.linspace(0.1, 0.9, 16)[None, ::-1, None] * [1, 0.6, 0.3] * np.ones((12, 1, 1))
-    true = true if abs(ray[6, 4, 0] - true[6, 4, 0]) < abs(ray[6, 4, 0] - true[6, -5, 0]) else true[:, ::-1]
-    for image, tolerance in ((ray, 0.05), (wave, 0.15)):
-        image = image * true[inner].mean() / image[inner].mean()
-        assert np.abs(image[inner] / true[inner] - 1).max() < tolerance
-    assert '"zoomStep": 600' in run("info", folder / "photo.lfr")
-
-
 def test_a_mosaic_needs_to_be_demosaiced(lytro, tmp_path, complaint):
     photo = lytro[0] / "photo.lfr"
-    rule = "each pixel of the capture has one colour; demosaic it first"
-    assert rule in complaint("reconstruct", photo, "-o", tmp_path / "a.png", "--distance", "inf")
-    assert "demosaic it first" in complaint("views", photo, "-o", tmp_path / "a.png")
-    assert "demosaic it first" in complaint("calibrate", photo, "-o", tmp_path / "a.csv")
+    for words in (["reconstruct", "--distance", "inf"], ["views"], ["calibrate"]):
+        assert "demosaic it first" in complaint(words[0], photo, "-o", tmp_path / "a.png", *words[1:])
     assert "-D: " in complaint("info", photo, "-D", "a=1")
-    white = complaint("demosaic", photo, "-o", tmp_path / "a.exr", "--white", tmp_path)
-    assert white == f"{tmp_path}: it has no white pictures, .raw with .txt, .lfp or .lfr"
+    assert "no white pictures" in complaint("demosaic", photo, "-o", tmp_path / "a.exr", "--white", tmp_path)
 
 
 @pytest.mark.parametrize("mosaic", [None, "GRBG"])
 def test_a_tiff_file_and_its_camera(mosaic, tmp_path, run):
     """As industrial cameras, Raytrix's among them, write them: grey or a mosaic, 16 bits, above a black level."""
-    camera = PlenopticCamera.preset("raytrix").replace(crop_offset=(2000, 1500), crop_size=(186, 140))
+    camera = PlenopticCamera.preset("raytrix").replace(crop_offset=(2000, 1500), crop_size=(140, 117))
     (tmp_path / "camera.json").write_text(camera.to_json())
     white = white_image(camera)
     light = white[..., None] * [0.2, 0.4, 0.6]

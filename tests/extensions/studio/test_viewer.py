@@ -102,23 +102,16 @@ def test_what_is_left_out_is_stated(monkeypatch):
     assert one["raw"]["lenses"]["spacing"][0] == pytest.approx(CAMERA.micro_image_pitch / CAMERA.pixel_size)
 
 
-def test_negative_samples_are_stated():
+def test_negative_samples_are_stated_and_bright_lamps_held_in_16_bits():
     recorded = capture()
     noisy = dataclasses.replace(recorded, image=recorded.image - 0.15)
     fraction = float((mp.decode(noisy).values < 0).mean())
-    assert f"{fraction:.2%} of the samples are negative, and 0 in this page" in mp.view(noisy).page
+    assert f"{fraction:.2%} of the samples are negative" in mp.view(noisy).page
     assert "are negative" not in mp.view(recorded).page
-
-
-def test_bright_lamps_are_held_in_16_bits():
-    recorded = capture()
-    image = recorded.image.copy()
-    image[96:112, 96:112] = 300
-    one = content(mp.view(dataclasses.replace(recorded, image=image)))["recordings"][0]
+    recorded.image[96:112, 96:112] = 300
+    one = content(mp.view(recorded))["recordings"][0]
     assert one["views"]["bits"] == 16 and one["views"]["full"] > 290
-    faint = pixels(one["views"])[..., 0]
-    lf = mp.decode(dataclasses.replace(recorded, image=image))
-    assert faint.sum() == pytest.approx(float(lf.sum()), rel=1e-3)
+    assert pixels(one["views"])[..., 0].sum() == pytest.approx(float(mp.decode(recorded).sum()), rel=1e-3)
 
 
 def test_stacks_and_depths():
@@ -151,37 +144,26 @@ def test_light_fields_without_a_camera():
 
 test_refused = refused(
     (lambda: mp.view(), "sources: give at least one"),
-    (lambda: mp.view(1.5), "sources: of type float: they must be captures"),
-    (lambda: mp.view(*[capture()] * 3), "sources: 3 captures or light fields: a page compares two at most"),
-    (
-        lambda: mp.view(capture(), capture(colour=True)),
-        "sources: light fields of the shapes .* cannot be compared: they must be alike",
-    ),
-    (
-        lambda: mp.view(capture(), capture(CAMERA.replace(mla_distance=121.0))),
-        "sources: light fields whose v differ cannot be compared: they must be of the same camera",
-    ),
+    (lambda: mp.view(1.5), "sources: of type float"),
+    (lambda: mp.view(*[capture()] * 3), "sources: 3 captures"),
+    (lambda: mp.view(capture(), capture(colour=True)), "sources: .* shapes .* cannot be compared"),
+    (lambda: mp.view(capture(), capture(CAMERA.replace(mla_distance=121.0))), "sources: .* whose v differ"),
     (
         lambda: mp.view(*mp.reconstruct(capture(), [240.0]), *mp.reconstruct(capture(), [250.0], oversample=2)),
-        "sources: focal stack: all of its images must be of one size",
+        "sources: focal stack: .* one size",
     ),
 )
 
 
-def headline(*sources, **options):
-    return mp.view(*sources, **options).page.split("<title>")[1].split("</title>")[0]
-
-
 def test_the_title_states_scene_and_camera():
     recorded = dataclasses.replace(capture(), metadata={"scene": "still_life.xml"})
-    other = dataclasses.replace(recorded, model="wave")
-    assert headline(recorded) == headline(recorded, other) == "Still life, f/8, 16 x 16 microlenses"
-    assert headline(recorded, title="Mine") == "Mine"
-    # A scene without a name, and a camera that is known to the light field alone.
-    assert headline(capture()) == headline(mp.decode(recorded)) == "F/8, 16 x 16 microlenses"
-    hexagonal = CAMERA.replace(mla_lattice="hexagonal")
-    assert headline(capture(hexagonal)) == "F/8, 16 x 18 hexagonal microlenses"
-    assert headline(mp.reconstruct(recorded, [240.0])[0]) == "Light field"
+    titles = [
+        mp.view(*sources).page.split("<title>")[1].split("</title>")[0]
+        for sources in ([recorded], [mp.decode(recorded)], [capture(CAMERA.replace(mla_lattice="hexagonal"))])
+    ]
+    lenses = "16 x 16 microlenses", "16 x 18 hexagonal microlenses"
+    # The scene is known to the capture alone.
+    assert titles == [f"Still life, f/8, {lenses[0]}", f"F/8, {lenses[0]}", f"F/8, {lenses[1]}"]
 
 
 def opened(browser, path, **size):
@@ -369,31 +351,16 @@ SMALL = PlenopticCamera(resolution=(64, 32), detector_width=0.256, crop_size=(64
 
 
 def test_captures_and_reconstructions_are_pictures():
-    capture = Capture(np.ones((32, 64, 3)), SMALL, (611.0, 549.0, 464.0), "wave")
-    text = capture._repr_html_()
-    assert text.startswith('<figure><img src="data:image/png;base64,')
-    assert "wave model, (611.0, 549.0, 464.0) nm: 64 x 32 pixels; white is 1" in text
-    result = reconstruct(Capture(np.ones((32, 64)), SMALL), [240.0])[0]
-    assert "Reconstruction at 240 mm, ray: 4 x 2 bins of 0.128 mm" in result._repr_html_()
-    scene = np.linspace(0, 1, 64) * np.ones((32, 1))
-    planes = reconstruct(Capture(scene, SMALL), [200, 240])
-    assert repr(planes[0]) == "Reconstruction(4 x 2 bins at 200 mm by ray)" and len(repr(planes)) < 120
+    text = Capture(np.ones((32, 64, 3)), SMALL, (611.0, 549.0, 464.0), "wave")._repr_html_()
+    assert text.startswith('<figure><img src="data:image/png;base64,') and "(611.0, 549.0, 464.0) nm" in text
+    planes = reconstruct(Capture(np.linspace(0, 1, 64) * np.ones((32, 1)), SMALL), [200, 240])
     shown = planes._repr_html_()
     (scale,) = set(re.findall("white is [0-9.]+", shown))
     assert shown.count("<img") == 2 and len(scale) > 9
 
 
-@pytest.mark.parametrize(
-    ("camera", "pictures"),
-    [(SMALL, 1), (PlenopticCamera(main_lens="tessar"), 1), (PlenopticCamera.preset("lfm"), 0)],
-)
+@pytest.mark.parametrize(("camera", "pictures"), [(SMALL, 1), (PlenopticCamera.preset("lfm"), 0)])
 def test_cameras_begin_with_a_drawing_and_ten_lines_of_their_design_sheet(camera, pictures):
     first, _, rest = camera._repr_html_().partition("<details>")
     assert first.count("<img") == pictures and first.count("<tr>") == 10
     assert "focal length" in first and "pixel size" in rest
-
-
-def test_the_viewer_is_a_frame():
-    page = Capture(np.ones((32, 64)), SMALL).view(title='"A" & <b>')
-    text = page._repr_html_()
-    assert text.startswith("<iframe") and text.count("<") == 2 and "&lt;script&gt;" in text

@@ -1,0 +1,81 @@
+"""Try relations on random cameras for a time: python tests/relations/hunt.py SECONDS SEED, or RELATION:SEED:OPTIONS.
+
+A line a failure, with what repeats it; at the end, what was computed, and what less than five times: of several runs
+together if COUNTS in the environment names a file to which they add. The exit status is 1 where a relation fails.
+"""
+
+import itertools
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+os.environ.setdefault("DRJIT_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path += [str(Path(__file__).parents[1]), str(Path(__file__).parents[1] / "optiland_records" / "stand_in")]
+
+import numpy as np
+
+import mitsuba_plenoptic  # noqa: F401  chooses LLVM before Dr.Jit loads
+
+import mitsuba as mi  # isort: skip
+
+mi.set_variant("llvm_ad_mono")
+import of_captures  # noqa: E402, F401
+import of_extensions  # noqa: E402, F401
+import of_files  # noqa: E402, F401
+import of_models  # noqa: E402, F401
+import of_points  # noqa: E402, F401
+from camera_draws import Draw  # noqa: E402
+from coverage_of_draws import Tally  # noqa: E402
+from relation import RELATIONS, TooLongError, draw_of, judged, shrunk  # noqa: E402
+
+GRACE = 10.0
+"""Seconds after the end that a draw, or a failure that loses options, may take."""
+
+LONGEST = 60.0
+"""Seconds that one draw may take."""
+
+
+def stop(*_):
+    raise TooLongError
+
+
+def again(name, draw):
+    """Return the word by which a draw of a relation is judged again."""
+    return f"{name}:{draw.seed}:{','.join(draw.options)}"
+
+
+def hunt(seconds, seed):
+    """Return how many draws fail; print them, and at the end what was computed."""
+    end = time.monotonic() + seconds
+    signal.signal(signal.SIGALRM, stop)
+    tally = Tally()
+    # In an order of the seed's own, so that short hunts do not try the same relations.
+    spent = dict.fromkeys(np.random.default_rng(seed).permutation(list(RELATIONS)).tolist(), 0.0)
+    for number in itertools.count(seed * 10**6):
+        if time.monotonic() > end:
+            break
+        name = min(spent, key=lambda each: spent[each])
+        relation, start = RELATIONS[name], time.process_time()
+        signal.setitimer(signal.ITIMER_REAL, min(LONGEST, end + GRACE - time.monotonic()))
+        outcome = judged(relation, draw_of(relation, number))
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        if outcome.verdict == "fails":
+            outcome = shrunk(relation, outcome, end + GRACE)
+            print(f"{again(name, outcome.draw)}  {outcome.words}  {outcome.draw.parameters}", flush=True)
+        spent[name] += time.process_time() - start
+        tally.add(relation, outcome)
+    print(f"{sum(spent.values()):.0f} s of processor time")
+    tally.report()
+    return tally.failures
+
+
+if __name__ == "__main__":
+    if ":" in sys.argv[1]:
+        name, seed, options = sys.argv[1].split(":")
+        outcome = judged(RELATIONS[name], Draw(int(seed), options.split(",") if options else []))
+        print(outcome.verdict, outcome.words, outcome.draw.parameters)
+        sys.exit(outcome.verdict == "fails")
+    sys.exit(bool(hunt(float(sys.argv[1]), int(sys.argv[2]))))

@@ -1,0 +1,241 @@
+"""Relations of captures of scenes and of reconstructions: units, mirror, planes, channels, white, files."""
+
+import tempfile
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+from camera_draws import LENSES, OPTIONS, on_stage, scaled
+from of_points import AT_THE_LINE_D, IRREGULAR, bound, mirrored_options
+from relation import off, relation
+
+import mitsuba_plenoptic as mp
+import mitsuba_plenoptic.refocus
+from mitsuba_plenoptic.camera.entry import Use
+from mitsuba_plenoptic.extensions.deconvolution.response import Response
+from mitsuba_plenoptic.views import lens_numbers, white_image
+
+METHODS = {
+    "ray": Use.RAY_REFOCUSING,
+    "coherent": Use.FIELDS,
+    "partial": Use.FIELDS,
+    "incoherent": Use.RESPONSES,
+    "deconvolved": Use.RESPONSES,
+}
+
+
+def image_at(camera, image, distance, method, wavelength, **others):
+    """Return the image refocused from pixels at one distance, or images at several."""
+    options = others if method == "ray" or others else {"wavelength": wavelength}
+    options |= {"iterations": 2} if method == "deconvolved" else {}
+    result = mp.reconstruct(image, distance, camera=camera, method=method, **options)
+    return [each.image for each in result] if isinstance(result, list) else np.squeeze(result.image)
+
+
+def of_reconstructions(method):
+    """Add the relations of one method of reconstruction."""
+    use, rng_image = METHODS[method], lambda draw: draw.rng.random(draw.camera.shape, np.float32)
+
+    def units(draw):
+        """All lengths and the wavelength twice as long: the same refocused image."""
+        if draw.camera.prescription is not None and method != "ray":
+            return None
+        image, g = rng_image(draw), draw.point()[2]
+        other = image_at(mp.PlenopticCamera(**scaled(draw.parameters, 2.0)), image, 2 * g, method, 2 * draw.wavelength)
+        return off_bins(other, image_at(draw.camera, image, g, method, draw.wavelength)), 1e-3
+
+    def mirror(draw):
+        """Mirrored capture of the mirrored camera: the mirrored image."""
+        image, g = rng_image(draw), draw.point()[2]
+        other = mp.PlenopticCamera(**mirrored_options(draw))
+        there = image_at(other, np.ascontiguousarray(image[:, ::-1]), g, method, draw.wavelength)
+        return off_bins(there[:, ::-1], image_at(draw.camera, image, g, method, draw.wavelength)), bound(
+            draw, 0.005
+        ) if method == "ray" else 0.015
+
+    def planes(draw):
+        """Several distances at once are those of each alone, but for the samples of fields, which suit all of them."""
+        image, distances = rng_image(draw), [draw.point()[2], draw.point()[2]]
+        together = image_at(draw.camera, image, distances, method, draw.wavelength)
+        alone = [image_at(draw.camera, image, g, method, draw.wavelength) for g in distances]
+        return max(off_bins(*pair) for pair in zip(together, alone, strict=True)), 0.01 if use is Use.FIELDS else 1e-5
+
+    def channels(draw):
+        """Equal channels of colour are those of luminance."""
+        image, g = rng_image(draw), draw.point()[2]
+        colours = image_at(draw.camera, np.repeat(image[..., None], 3, 2), g, method, draw.wavelength)
+        mono = image_at(draw.camera, image, g, method, draw.wavelength)
+        return max(off_bins(colours[..., i], mono) for i in range(3)), 1e-4
+
+    def white(draw):
+        """A white world reads 1 over the middle of the image: by rays, where a method has responses of both models."""
+        capture = mp.render_capture(sky(draw.camera), model="ray", spp=64)
+        others = {"response": "ray"} if method == "deconvolved" else {}
+        image = image_at(
+            draw.camera, capture.image, 0.96 * draw.camera.focus_distance, method, draw.wavelength, **others
+        )
+        rows, columns = (count // 4 for count in image.shape)
+        return abs(float(np.nanmean(image[rows:-rows, columns:-columns])) - 1), 0.02
+
+    crops, costly = "crop_offset crop_size", "vignetting mla_focal_length" if use is Use.RESPONSES else ""
+    for judge, without in (
+        (units, AT_THE_LINE_D),
+        (mirror, f"{IRREGULAR} {crops} vignetting"),
+        (planes, ""),
+        (channels, ""),
+        (white, f"{crops} main_lens mla_focal_length"),
+    ):
+        judge.__name__ = f"{judge.__name__}_{method}"
+        relation(use, f"{without} {costly}", method)(judge)
+
+
+def off_bins(image, reference):
+    """Return the relative difference over the bins that light reaches, which must be the same; or infinity."""
+    empty = np.isnan(reference)
+    if image.shape != reference.shape or np.any(np.isnan(image) != empty) or empty.all():
+        return np.inf
+    return off(image[~empty], reference[~empty])
+
+
+def sky(camera):
+    """Return the scene of a sky of radiance 1."""
+    light = {"type": "constant"}
+    return mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "sensor": camera.to_sensor(), "light": light})
+
+
+for each in METHODS:
+    of_reconstructions(each)
+
+
+def wall(camera, g, moved=None):
+    """Return the scene of a textured wall at a distance, which may be moved together with the camera."""
+    texture = np.random.default_rng(5).random((8, 8, 1), np.float32)
+    radiance = {"type": "bitmap", "bitmap": mi.Bitmap(texture), "filter_type": "nearest", "raw": True}
+    width = 0.6 * camera.bin_count[0] * camera.bin_size(g)
+    moved = moved or mi.ScalarTransform4f()
+    place = moved.translate([0, 0, g]).rotate([0, 1, 0], 180).scale([width, width, 1])
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path"},
+            "sensor": camera.to_sensor(moved),
+            "wall": {"type": "rectangle", "to_world": place, "emitter": {"type": "area", "radiance": radiance}},
+        }
+    )
+
+
+def of_scenes(model, use):
+    """Add the relations of captures of scenes by one model of light."""
+    options = (lambda wavelength: {"wavelength": wavelength}) if model == "wave" else (lambda wavelength: {})
+
+    def units(draw):
+        """Lengths and the wavelength twice as long: the same capture by the same rays; catalogues have units."""
+        if draw.camera.prescription is not None and model == "wave":
+            return None
+        g = draw.point()[2]
+        other = mp.PlenopticCamera(**scaled(draw.parameters, 2.0))
+        two, one = (
+            mp.render_capture(wall(camera, s * g), model=model, spp=4, **options(s * draw.wavelength)).image
+            for camera, s in ((other, 2.0), (draw.camera, 1.0))
+        )
+        return off(two, one), 0.01
+
+    def seeds(draw):
+        """Two seeds agree within the noise that captures state."""
+        scene = wall(draw.camera, draw.point()[2])
+        one, two = (
+            mp.render_capture(scene, model=model, spp=16, seed=seed, noise=True, **options(draw.wavelength))
+            for seed in (1, 2)
+        )
+        stated = np.sqrt((np.asarray(one.noise, float) ** 2 + np.asarray(two.noise, float) ** 2).sum())
+        return float(np.linalg.norm(one.image - two.image) / stated), 1.3
+
+    for judge, without in ((units, f"{AT_THE_LINE_D} mla_jitter mla_seed"), (seeds, "")):
+        judge.__name__ = f"{judge.__name__}_of_scenes_by_{model}s"
+        relation(use, without, f"captures by {model}s")(judge)
+
+
+of_scenes("ray", Use.RAYS)
+of_scenes("wave", Use.SCENES)
+
+
+@relation(Use.SCENES, "mla_cra pixel_response mla_absorption crop_offset crop_size", "captures by waves")
+def white_of_scenes(draw):
+    """A white world is as bright by waves as by rays."""
+    scene = sky(draw.camera)
+    waves = mp.render_capture(scene, model="wave", spp=16, wavelength=draw.wavelength).image.mean()
+    return abs(float(waves / mp.render_capture(scene, model="ray", spp=64).image.mean()) - 1), 0.015
+
+
+@relation(Use.RAYS, method="files")
+def files(draw):
+    """Captures, cameras and sensors that are written and read are the same."""
+    camera = draw.camera
+    capture = mp.Capture(draw.rng.random(camera.shape, np.float32), camera)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder)
+        mp.write_capture(path / "raw.exr", capture)
+        (path / "camera.json").write_text(camera.to_json())
+        read = mp.read_capture(path / "raw.exr")
+        cameras = [read.camera, mp.PlenopticCamera.from_json(camera.to_json())]
+        cameras.append(mi.load_dict(camera.to_sensor()).camera)
+        same = all(each.to_dict() == camera.to_dict() for each in cameras)
+        return float(not same or not np.array_equal(read.image, capture.image)), 0.0
+
+
+@relation(
+    Use.RESPONSES | Use.WHITE_IMAGES,
+    "main_lens mla_focal_length mla_rotation crop_offset crop_size",
+    "incoherent",
+    lambda seed: on_stage(OPTIONS, "pupil"),
+)
+def light_of_lenses(draw):
+    """An even plane lights lenses off the axis as a white world does, but for what lenses diffract to others."""
+    count = draw.camera.resolution[0]
+    lens = count // LENSES
+    camera = draw.camera.replace(crop_offset=(count - 4 * lens, count // 2 - lens), crop_size=(4 * lens, 3 * lens))
+    response = Response(camera, [0.96 * camera.focus_distance], wavelength=draw.wavelength, oversample=1)
+    numbers = lens_numbers(camera).ravel()
+    even, white = (
+        np.bincount(numbers, image.ravel())[np.bincount(numbers) > 0.8 * lens**2]
+        for image in (response.forward(np.ones(response.source_shape, np.float32)), white_image(camera))
+    )
+    return float(
+        np.abs(even / white - 1).max()
+    ), 0.07  # pixels on the borders of displaced lenses count for one of them
+
+
+USES = {
+    "rays": lambda c, p, w: mp.render_capture(wall(c, p[2]), model="ray", spp=1).image,
+    "waves": lambda c, p, w: mp.render_capture(wall(c, p[2]), model="wave", spp=1, wavelength=w).image,
+    "spread by rays": lambda c, p, w: mp.point_spread_function(c, p, model="ray"),
+    "spread": lambda c, p, w: mp.point_spread_function(c, p, wavelength=w),
+    "full field": lambda c, p, w: mp.point_spread_function(c, p, wavelength=w, method="full_field"),
+    "gradient": lambda c, p, w: mp.CaptureOperator(c, [p], wavelength=w).gradient([1.0], np.ones(c.shape))["mla_pitch"],
+    "field": lambda c, p, w: mp.CaptureOperator(c, [p], wavelength=w).field([1.0]).power,
+    "decode": lambda c, p, w: mp.decode(np.ones(c.shape, np.float32), camera=c).values,
+    **{name: (lambda c, p, w, name=name: image_at(c, np.ones(c.shape, np.float32), p[2], name, w)) for name in METHODS},
+}
+"""Computations that any camera may be asked for."""
+
+
+@relation(Use(0), method="refusals")
+def refusals(draw):
+    """Every draw is computed, or refused in one line that names an option; bins without light alone are NaN."""
+    name = str(draw.rng.choice(sorted(USES)))
+    result = np.asarray(USES[name](draw.camera, draw.point(), draw.wavelength), float)
+    finite = np.isfinite(result)
+    return float(not (finite | (np.isnan(result) & (name in (*METHODS, "decode")))).all() or not finite.any()), 0.0
+
+
+@relation(Use.DECODING, method="light fields")
+def brightness(draw):
+    """Brighter captures have brighter views of the same weight, and dimmer lenses or pupils change no weight."""
+    image = draw.rng.random(draw.camera.shape, np.float32)
+    even = draw.camera.replace(mla_transmissions=None, pupil_apodisation=(0.0, 0.0))
+    one, other, plain = (
+        mp.decode(values, camera=camera)
+        for values, camera in ((image, draw.camera), (3 * image, draw.camera), (image, even))
+    )
+    weights = max(off(each["weight"], one["weight"]) for each in (other, plain))
+    return max(off_bins(other.values, 3 * one.values), weights), 1e-5

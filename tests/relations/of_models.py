@@ -1,0 +1,191 @@
+"""Relations of parts and their sum, of a quarter turn, of limits, and of models of light against each other."""
+
+import tempfile
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+from of_captures import wall
+from of_points import IRREGULAR, bound, picture
+from relation import off, relation
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.camera import is_supported
+from mitsuba_plenoptic.camera.entry import Use
+from mitsuba_plenoptic.runtime import Job
+
+CROPS = "crop_offset crop_size"
+
+
+@relation(Use.POINTS)
+def sum_of_lamps(draw):
+    """The picture of two lamps is the sum of their pictures, within the error of a patch."""
+    points, weights = [draw.point(), draw.point()], draw.rng.uniform(0.2, 2.0, 2)
+    one, two = (picture(draw.camera, [point], draw.wavelength) for point in points)
+    return off(picture(draw.camera, points, draw.wavelength, weights), weights[0] * one + weights[1] * two), bound(
+        draw, 0.005
+    )
+
+
+@relation(Use.POINTS)
+def channels_of_lamps(draw):
+    """Channels of single wavelengths are the pictures at each of them."""
+    points, wavelengths = [draw.point()], (500.0, 620.0)
+    operator = mp.CaptureOperator(draw.camera, points, spectrum=mp.Spectrum.lines(*wavelengths), accuracy=0.0)
+    image = np.asarray(operator.forward(np.ones((1, 2))), float)
+    return max(off(image[..., i], picture(draw.camera, points, w)) for i, w in enumerate(wavelengths)), 1e-5
+
+
+class StoppedError(Exception):
+    """Stands in for the end of a process."""
+
+
+@relation(Use.POINTS, method="checkpoints")
+def resumed(draw):
+    """A sum that was stopped and goes on from its checkpoint: the same picture."""
+    operator = mp.CaptureOperator(draw.camera, [draw.point() for _ in range(3)], wavelength=draw.wavelength)
+
+    def stop(done, total):
+        if done > 0:
+            raise StoppedError
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "sum.checkpoint"
+        try:
+            with mp.Checkpoint(path) as checkpoint:
+                operator.forward(np.ones(3), job=Job(progress=stop, keeper=checkpoint))
+        except StoppedError:
+            pass
+        with mp.Checkpoint(path, "resume_if_same") as checkpoint:
+            image = operator.forward(np.ones(3), job=Job(keeper=checkpoint))
+    return off(image, operator.forward(np.ones(3))), 0.0
+
+
+@relation(Use.POINTS, f"{CROPS} stray_light stray_width")
+def larger_detector(draw):
+    """A detector of more pixels records the same in the middle, but for what blur brings across the rim."""
+    camera, points, more = draw.camera, [draw.point()], int(draw.rng.integers(3, 12))
+    small = picture(camera, points, draw.wavelength)
+    count = camera.resolution[0]
+    pixels = count + 2 * more
+    larger = camera.replace(
+        detector_width=camera.detector_width * pixels / count, resolution=(pixels,) * 2, crop_size=(pixels,) * 2
+    )
+    whole = picture(larger, points, draw.wavelength)
+    rim = 8 if {"detector_blur", "pixel_crosstalk"} & set(draw.options) else 0
+    inner = np.s_[rim : count - rim, rim : count - rim]
+    return off(whole[more:-more, more:-more][inner], small[inner]), bound(draw, 2e-3)
+
+
+@relation(Use.POINTS, f"{IRREGULAR} {CROPS} wavefront vignetting mla_warp main_lens mla_cra")
+def quarter_turn(draw):
+    """Camera and point turned by 90 degrees: the turned picture."""
+    x, y, g = draw.point()
+    p = dict(draw.parameters)
+    if draw.camera.has_array:
+        p["mla_rotation"] = draw.camera.mla_rotation + 90.0
+    if "mla_offset" in p:
+        p["mla_offset"] = (-p["mla_offset"][1], p["mla_offset"][0])
+    if "aperture_blades" in p:
+        p["aperture_blades"] = (p["aperture_blades"][0], p["aperture_blades"][1] + 90.0)
+    if "aperture_image" in p:
+        p["aperture_image"] = mp.Aperture(np.rot90(p["aperture_image"].transmission, -1))
+    if isinstance(p.get("stray_light"), mp.StrayLight):
+        p["stray_light"] = mp.StrayLight(np.rot90(p["stray_light"].values, -1))
+    turned = picture(mp.PlenopticCamera(**p), [(-y, x, g)], draw.wavelength)
+    return off(turned, np.rot90(picture(draw.camera, [(x, y, g)], draw.wavelength), -1)), bound(draw, 2e-3)
+
+
+@relation(Use.RAYS, method="captures by rays")
+def moved_together(draw):
+    """Scene and camera moved and turned together: the same capture by the same rays."""
+    g, place = draw.point()[2], mi.ScalarTransform4f().translate([1.0, -2.0, 3.0]).rotate([0.6, 0.0, 0.8], 40.0)
+    one, two = (
+        mp.render_capture(wall(draw.camera, g, moved=each), model="ray", spp=4).image
+        for each in (mi.ScalarTransform4f(), place)
+    )
+    return off(two, one), 0.01
+
+
+VANISHING = {
+    "mla_offset": (1e-8, 0.0),
+    "mla_rotation": 1e-6,
+    "mla_tilt": (1e-6, 0.0),
+    "mla_fill": 1 - 1e-6,
+    "mla_medium": 1 + 1e-7,
+    "mla_absorption": 1e-7,
+    "mla_jitter": (1e-9, 0.0),
+    "mla_figure_error": (1e-10, 0.05),
+    "mla_warp": (1e-9,) * 14,
+    "distortion": (1e-9, 0.0, 0.0, 0.0, 0.0),
+    "wavefront": (0.0, 0.0, 0.0, 1e-7),
+    "pupil_apodisation": (1e-7, 0.0),
+    "detector_blur": 1e-6,
+    "pixel_crosstalk": 1e-7,
+    "stray_light": 1e-7,
+    "glass": {"index": 1.5, "abbe": 1e7},
+    "mla_glass": {"index": 1.5, "abbe": 1e7},
+}
+"""Values next to those at which parameters have no effect: gaps, dispersion, aberrations and blur vanish."""
+
+
+def without_effect(draw, use, image):
+    """Judge that a value next to none changes a capture next to nothing, of a parameter that is not drawn."""
+    allowed = [
+        name
+        for name in sorted(set(VANISHING) - set(draw.parameters))
+        if draw.camera.has_array or not name.startswith("mla_")
+    ]
+    other = draw.camera.replace(**{name: VANISHING[name] for name in [str(draw.rng.choice(allowed))]})
+    return (off(image(other), image(draw.camera)), 2e-3) if is_supported(other, use) else None
+
+
+@relation(Use.POINTS)
+def vanishing(draw):
+    """Gaps, dispersion, aberrations and blur next to none have next to no effect in captures of points."""
+    points = [draw.point()]
+    return without_effect(draw, Use.POINTS, lambda camera: picture(camera, points, draw.wavelength))
+
+
+@relation(Use.RAYS)
+def vanishing_for_rays(draw):
+    """They have next to none in captures by the same rays, either."""
+    g = draw.point()[2]
+    return without_effect(draw, Use.RAYS, lambda camera: mp.render_capture(wall(camera, g), model="ray", spp=4).image)
+
+
+@relation(Use.POINTS, f"mla_medium mla_absorption mla_shape mla_glass mla_cra pixel_response {CROPS}")
+def medium(draw):
+    """A medium behind the lenses is paraxially air whose lengths are those of the medium over its index.
+
+    Lobes of small lenses are steep: where a sine is 0.3, tangents in medium and air differ by 3 per cent.
+    """
+    camera, points, n = draw.camera, [draw.point()], 1.5
+    if not camera.has_array:
+        return None
+    lengths = np.array(camera.mla_focal_lengths) / n
+    air = camera.replace(mla_focal_length=tuple(lengths.tolist()), detector_distance=camera.detector_distance / n)
+    within = camera.replace(mla_medium=n)
+    return off(picture(within, points, draw.wavelength), picture(air, points, draw.wavelength)), 0.05
+
+
+@relation(Use.POINTS | Use.FULL_FIELDS, f"main_lens {CROPS}", "full fields")
+def full_fields(draw):
+    """Point spreads on the lit lenses are those on the whole array, within what their page states."""
+    point, methods = draw.point(), ("patch", "full_field")
+    one, two = (
+        mp.point_spread_function(draw.camera, point, wavelength=draw.wavelength, method=each) for each in methods
+    )
+    return off(one, two), bound(draw, 0.005)
+
+
+@relation(Use.POINTS | Use.RAY_SPREADS, "main_lens", "point spreads by rays")
+def short_waves(draw):
+    """Short waves have the light of rays, and come nearer to their picture than long ones."""
+    camera, point = draw.camera, draw.point()
+    rays = mp.point_spread_function(camera, point, model="ray", wavelength=draw.wavelength).astype(float)
+    long, short = (picture(camera.at_wavelength(draw.wavelength), [point], w) for w in (700.0, 200.0))
+    if rays.sum() < 0.1:
+        return None
+    light = abs(short.sum() / rays.sum() - 1) / 0.03
+    return max(light, off(short, rays) / off(long, rays)), 1.0
