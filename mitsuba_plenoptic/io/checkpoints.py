@@ -35,9 +35,8 @@ from ..runtime import (
     software,
     write_text,
 )
-from .versions import KEY, VERSION, stamped
+from .versions import FORMAT, KEY, VERSION, stamped
 
-FORMAT = 2
 CHECKPOINT_SUFFIX = ".checkpoint"
 
 Existing = Literal["refuse", "resume", "resume_if_same"]
@@ -261,7 +260,7 @@ def _write(path: Path, run: dict[str, Any], snapshot: Snapshot, prepared: dict[s
 
 def _write_archive(path: Path, run: dict[str, Any] | None, header: dict[str, Any], arrays: dict[str, Any]) -> None:
     with path.open("wb") as file:
-        np.savez(file, header=json.dumps(stamped({"format": FORMAT, "run": run, **header})), **arrays)
+        np.savez(file, header=json.dumps(stamped({"run": run, **header})), **arrays)
         file.flush()
         # On the disk before it replaces the one of before.
         os.fsync(file.fileno())

@@ -16,14 +16,17 @@ from ..runtime import Array
 VERSION = version("mitsuba-plenoptic")
 """The version that files written by this process state."""
 
+FORMAT = 1
+"""The number of the format of files: it grows where a reader of before would misread them."""
+
 KEY = "version"
 DIGEST = "digest"
-"""Names of the entries that state it, and the digest of pixels and other entries."""
+"""Names of the entries that state the version, and the digest of pixels and other entries."""
 
 
 def stamped(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a file's record with the version of this package added."""
-    return {**record, KEY: VERSION}
+    """Return a file's record with the version of this package and the number of the format added."""
+    return {**record, "format": FORMAT, KEY: VERSION}
 
 
 def sealed(record: Mapping[str, Any], parts: Sequence[Mapping[str, Array]]) -> dict[str, Any]:
@@ -33,7 +36,10 @@ def sealed(record: Mapping[str, Any], parts: Sequence[Mapping[str, Array]]) -> d
 
 
 def require_seal(record: dict[str, Any], parts: Sequence[Mapping[str, Array]]) -> None:
-    """Refuse a file whose pixels or record are not those of its digest; a file may have none."""
+    """Refuse a file of a newer format, or whose pixels or record are not those of its digest; it may have none."""
+    number = record.get("format")
+    newer = isinstance(number, int) and number > FORMAT
+    refuse_if(newer, f"format = {number}, of version {record.get(KEY)}: this version reads {FORMAT}")
     stated = record.get(DIGEST)
     refuse_if(
         stated is not None and stated != digest_of(record, parts),

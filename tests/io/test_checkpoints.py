@@ -133,7 +133,7 @@ def rewritten(content, change):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda header, _: header.update(format=3), "another run: format = 3 there, 2 here"),
+        (lambda header, _: header.update(format=3), "another run: format = 3 there, 1 here"),
         (lambda header, _: header["run"]["software"].update(mitsuba_plenoptic="0123"), "mitsuba_plenoptic = 0123"),
         (lambda header, _: header.pop("version"), "is not a checkpoint of this version"),
         (lambda header, _: header.update(batches=10**6), "1000000 batches"),

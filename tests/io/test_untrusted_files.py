@@ -236,6 +236,16 @@ class TestLightFields:
         changed.drop_attrs(deep=False).to_netcdf(path, engine="scipy")
         assert read(path).weight.max() == 0.5 * data.weight.max()
 
+    def test_newer_formats_are_refused_and_newer_versions_read(self, tmp_path, monkeypatch):
+        capture = mp.Capture(np.ones((64, 64)), CAMERA)
+        monkeypatch.setattr(versions, "VERSION", "1.9.0")
+        mp.write_capture(tmp_path / "raw.exr", capture)
+        assert np.array_equal(mp.read_capture(tmp_path / "raw.exr").image, capture.image)
+        with monkeypatch.context() as later:
+            later.setattr(versions, "FORMAT", 2)
+            mp.write_capture(tmp_path / "raw.exr", capture)
+        refuses(r"raw\.exr: format = 2, of version 1\.9\.0", mp.read_capture, tmp_path / "raw.exr")
+
     @pytest.mark.parametrize("size", [(2**31 - 1, 2**31 - 1), (100_000, 100_000)])
     def test_a_picture_that_claims_more_than_memory(self, tmp_path, size):
         path = tmp_path / "bomb.png"
