@@ -205,7 +205,6 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
     "mla_medium": (refused(Use.CALIBRATION, "it is not told from other distances"),),
     "mla_absorption": (
         *_BEHIND_LENSES,
-        approximate(_WHITE, "the medium counts as clear"),
         _NO_DERIVATIVE,
     ),
     "mla_shape": (
@@ -317,7 +316,6 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
     "pixel_response": (
         *_BEHIND_LENSES,
         refused(Use.SMALL_LENSES, "the responses contain it"),
-        approximate(_WHITE, "white images are those of pixels that record all directions alike"),
         _NO_DERIVATIVE,
     ),
     "main_lens": (

@@ -23,7 +23,7 @@ from ..design import focus_type, lens_footprint
 from ..errors import refuse_if, short_repr
 from ..io import Capture, digest
 from ..runtime import Array, fft
-from ..views import capture_white, mean_response, recorded_white
+from ..views import capture_white, recorded_white
 from ..views import white_pixels as white_pixels
 from .displacement import brought_back, displacements, is_known, rising, tilt
 from .methods import Progress, Task, portion
@@ -61,7 +61,7 @@ def as_reference(
         return np.ascontiguousarray(np.broadcast_to(pixels, image.shape))
     pixels = straightened_image(pixels, tilted)
     by_model = replace(white if isinstance(white, Capture) else capture, camera=tilted)
-    expected = computed_white(by_model, lambda done: None).mean(-1) / mean_response(capture.camera)
+    expected = computed_white(by_model, lambda done: None).mean(-1)
     scaled = recorded_white(pixels, pixels.shape, [capture.camera], expected)
     return np.ascontiguousarray(np.broadcast_to(scaled, image.shape))
 

@@ -241,7 +241,7 @@ def contrast_change(first: Array, second: Array, truth: Array) -> ContrastChange
 
 def middle_of_micro_images(camera: PlenopticCamera) -> Array:
     """Return a mask (rows, columns) of pixels that see the main lens within four fifths of its radius."""
-    return white_image(camera.replace(aperture_radius=0.8 * camera.aperture_radius)) > 0.5
+    return white_image(camera.replace(aperture_radius=0.8 * camera.aperture_radius, pixel_response=())) > 0.5
 
 
 def _root(squares: float, reference: float) -> float:

@@ -50,7 +50,6 @@ from .viewpoints import pick_views as pick_views
 from .viewpoints import view as view
 from .viewpoints import view_mosaic as view_mosaic
 from .white import PupilFraction as PupilFraction
-from .white import mean_response as mean_response
 from .white import open_fraction as open_fraction
 from .white import recorded_white as recorded_white
 from .white import white_image as white_image

@@ -19,7 +19,7 @@ from .coordinates import DIMS, light_field
 from .fourier_views import decode_views
 from .grid import LensGrid, bin_grid, lens_grid
 from .model_white import capture_white
-from .white import clear, divide_by_white, mean_response, open_fraction, recorded_white, white_image
+from .white import clear, divide_by_white, open_fraction, recorded_white, white_image
 
 
 @suggest_keywords
@@ -177,7 +177,7 @@ def checked_images(
         # Parameters by which parts of the pupil may be darker than others.
         if reference is None or any(
             getattr(upright, name) != getattr(opened, name)
-            for name in ("aperture_image", "pupil_apodisation", "vignetting")
+            for name in ("aperture_image", "pupil_apodisation", "vignetting", "pixel_response", "mla_absorption")
         ):
             seen = computed if opened == upright else white_image(opened, grid)[..., None]
         if reference is not None:
@@ -185,7 +185,7 @@ def checked_images(
         elif isinstance(recorded, Capture) and recorded.model == "wave":
             reference = capture_white(replace(recorded, camera=cameras[0]), np.atleast_3d(image).shape[2], progress)
         else:
-            reference = computed * np.float32(mean_response(upright))
+            reference = computed
     return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False), reference, seen, upright
 
 

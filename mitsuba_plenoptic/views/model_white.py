@@ -20,7 +20,7 @@ from ..extension import hook
 from ..io import Capture, mosaic_of, recording_of
 from ..optics import Spectrum, guards
 from ..runtime import DEFAULT_VARIANT, Doubles, Floats, Job, Progress, begin_step, set_variant, steps_counted
-from .white import mean_response, white_image
+from .white import white_image
 
 _SAMPLES = 64
 _LENSES = 576
@@ -66,7 +66,7 @@ def capture_white(capture: Capture, channels: int, progress: Progress | None = N
 @once_a_camera
 def white_pixels(camera: PlenopticCamera) -> Floats:
     """Return the white image (rows, columns) of a camera by rays, as bright as its pixels' response leaves it."""
-    return white_image(camera) * np.float32(mean_response(camera))
+    return white_image(camera).astype(np.float32)
 
 
 def _spectrum_of(capture: Capture, channels: int) -> Spectrum:

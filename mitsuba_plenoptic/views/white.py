@@ -142,10 +142,10 @@ _log = logging.getLogger(__name__)
 def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
     """Return the capture of a scene of uniform radiance 1, computed by rays.
 
-    Behind a thin main lens the value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds.
-    Each lens of a tilted array has its own distances; distortion changes nothing, as rays keep their position on the
-    pupil. Behind a real main lens rays are traced from the pixels. The detector records it as
-    `DetectorOperator` states.
+    Behind a thin main lens the value of a pixel is its `PupilFraction`, times what it records of light from all over
+    its lens; where micro-images overlap, their light adds. Each lens of a tilted array has its own distances;
+    distortion changes nothing, as rays keep their position on the pupil. Behind a real main lens rays are traced from
+    the pixels. The detector records it as `DetectorOperator` states.
 
     Parameters
     ----------
@@ -174,6 +174,9 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
     fractions = _Fractions(camera)
     half = fractions.half
     rows, columns = camera.shape
+    behind = camera.reduced_distance / camera.mla_distance
+    reach = math.hypot(camera.detector_width, camera.detector_height) / 2 * behind + half * camera.pixel_size
+    recorded = _Recorded(camera, reach) if camera.pixel_response or camera.mla_absorption else None
     require_memory(
         4.0 * (rows + 2 * half) * (columns + 2 * half) + 100.0 * _BLOCK * (2 * half + 1) ** 2,
         f"white image of {columns} x {rows} pixels, {2 * half + 1} x {2 * half + 1} for each lens",
@@ -207,6 +210,10 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
         step = camera.pixel_size * (camera.mla_distance - height) / distance
         x, y = ((base[:, axis, None] + window + 0.5 - row[:, axis, None]) * step[:, None] for axis in (0, 1))
         fraction = fractions(lens_types(camera, row), height, x, y) * bright
+        if recorded is not None:
+            # From a lens's centre c to its micro-image's, and from there to the pixel.
+            u, v = ((np.reshape(c, (-1, 1)) + to) * behind for c, to in zip(lens.centre, (x, y), strict=True))
+            fraction *= recorded(u[:, None, :], v[:, :, None])
         down = base[:, 1, None, None] + window[:, None] + half
         across = base[:, 0, None, None] + window + half
         keep = (down >= 0) & (down < image.shape[0]) & (across >= 0) & (across < image.shape[1])
@@ -242,8 +249,8 @@ def recorded_white(
     cameras : sequence of PlenopticCamera
         Allowed cameras of a white `Capture`, apart from `lens_model`; the first one scales the image.
     computed : (rows, columns) array, optional
-        Computed white image of the capture's camera, without the response of its pixels to oblique light. Default: the
-        image is not scaled, as without a camera, or before views are sampled.
+        Computed white image of the capture's camera. Default: the image is not scaled, as without a camera, or before
+        views are sampled.
     lenses : pair of arrays, optional
         For samples of other shapes than the detector's: the number of each sample's lens, and the distance of the
         sample from the axis.
@@ -281,7 +288,6 @@ def recorded_white(
         camera = cameras[0]
         x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
         lenses = (lens_numbers(camera), np.hypot(x, y[:, None]))
-        computed = computed * mean_response(camera)
     numbers, away, model = (values.ravel() for values in (*lenses, computed))
     radius = np.bincount(numbers, away) / np.maximum(np.bincount(numbers), 1)
     light = np.stack([np.bincount(numbers, channel.ravel()) for channel in np.moveaxis(image, -1, 0)], axis=-1)
@@ -339,6 +345,8 @@ def clear(camera: PlenopticCamera) -> PlenopticCamera:
         and replace(vignetting, slope_x=0.0, slope_y=0.0, apodisation_2=0.0, apodisation_4=0.0, transmission=()),
         stray_light=0.0,
         stray_width=None,
+        pixel_response=(),
+        **{"mla_absorption": 0.0} if camera.mla_absorption else {},
     )
 
 
@@ -385,21 +393,6 @@ def divide_by_white(light: Floats, white: Floats, weight: Floats, alone: Array |
         samples[dark] = 0
 
 
-def mean_response(camera: PlenopticCamera) -> float:
-    """Return the mean response of pixels to light of an on-axis lens, which computed white images leave out."""
-    if not camera.pixel_response and not camera.mla_absorption:
-        return 1.0
-    # Importing this takes longer than most commands of a shell need in all.
-    from scipy.stats import qmc
-
-    s, t, u, v = qmc.Sobol(4, scramble=False).random(4096).T
-    distance = camera.micro_image_diameter / 2 * np.sqrt(u)
-    x, y = camera.lattice.aperture_point(s, t)
-    across = np.hypot(distance * np.cos(2 * np.pi * v) - x, distance * np.sin(2 * np.pi * v) - y)
-    counts = second_leg(camera.pixel_response, camera.mla_absorption, np.ndarray)(across, camera.detector_distance)
-    return float(counts.mean())
-
-
 def _traced(camera: PlenopticCamera) -> Floats:
     """Return the white image of a camera with a real main lens or vignetting, by rays from its pixels.
 
@@ -412,6 +405,7 @@ def _traced(camera: PlenopticCamera) -> Floats:
     steps = even_steps(4).tolist()
     image = np.empty(camera.shape, np.float32)
     around = crosstalk_neighbours(camera).tolist()
+    recorded = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, types.Float64)
     for rows, px, py in detector_rows(camera):
         _, (i, j) = walk.chief_cell((px, py))
         pixel_number = dr.arange(types.UInt32, dr.width(px)) + dr.opaque(types.UInt32, rows.start * camera.crop_size[0])
@@ -430,10 +424,35 @@ def _traced(camera: PlenopticCamera) -> Floats:
                 _, _, is_open = walk.trace(position, passage)
                 slope, _, _ = walk.out_of_array(position, passage)
                 x, y = (walk.lens.pupil.point(m, t, lens.height) for m, t in zip(passage.point, slope, strict=True))
-                total += dr.select(is_open, walk.transmittance((x, y), passage.point) * lens.gain, 0.0)
+                power = walk.transmittance((x, y), passage.point) * lens.gain
+                if camera.pixel_response or camera.mla_absorption:
+                    aside = dr.hypot(passage.point[0] - position[0], passage.point[1] - position[1])
+                    power *= recorded(aside, camera.detector_distance + lens.height)
+                total += dr.select(is_open, power, 0.0)
             dr.eval(total)
         image[rows] = (total / _RAYS).numpy().reshape(-1, camera.crop_size[0])
     return image
+
+
+class _Recorded:
+    """The part of light from all over a microlens that pixels record, by where they lie behind the lens's centre."""
+
+    def __init__(self, camera: PlenopticCamera, reach: float) -> None:
+        nodes = np.linspace(-reach, reach, 129)
+        s, t = (np.indices((8, 8)) + 0.5) / 8
+        x, y = camera.lattice.aperture_point(s.ravel(), t.ravel())
+        aside = np.hypot(nodes[:, None] - x, nodes[:, None, None] - y)
+        power = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, np.ndarray)
+        self._table = power(aside, camera.detector_distance).mean(-1)
+        self._reach = reach
+
+    def __call__(self, x: Array, y: Array) -> Array:
+        """Return the part that counts at positions in mm, which are broadcast."""
+        # Most white images need no interpolation, whose import takes longer.
+        from scipy.ndimage import map_coordinates
+
+        nodes = [(axis / self._reach + 1) * 64 for axis in np.broadcast_arrays(y, x)]
+        return np.asarray(map_coordinates(self._table, nodes, order=1, mode="nearest"))
 
 
 class _Fractions:

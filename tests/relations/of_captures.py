@@ -167,6 +167,17 @@ def white_of_scenes(draw):
     return abs(float(waves / mp.render_capture(scene, model="ray", spp=64).image.mean()) - 1), 0.015
 
 
+@relation(Use.RAYS | Use.WHITE_IMAGES, "mla_cra mla_shape")
+def white_capture(draw):
+    """A white world is recorded as the white image states, over lenses and over rings of their micro-images."""
+    capture = mp.render_capture(sky(draw.camera), model="ray", spp=256).image
+    white = white_image(draw.camera)
+    numbers = lens_numbers(draw.camera).ravel() if draw.camera.has_array else np.zeros(white.size, int)
+    numbers = 4 * numbers + np.digitize(white.ravel(), np.quantile(white, [0.3, 0.6, 0.8]))
+    recorded, stated = (np.bincount(numbers, image.ravel()) for image in (capture, white))
+    return off(recorded, stated), 0.02
+
+
 @relation(Use.RAYS, method="files")
 def files(draw):
     """Captures, cameras and sensors that are written and read are the same."""
