@@ -49,9 +49,8 @@ def of_reconstructions(method):
         image, g = rng_image(draw), draw.point()[2]
         other = mp.PlenopticCamera(**mirrored_options(draw))
         there = image_at(other, np.ascontiguousarray(image[:, ::-1]), g, method, draw.wavelength)
-        return off_bins(there[:, ::-1], image_at(draw.camera, image, g, method, draw.wavelength)), bound(
-            draw, 0.005
-        ) if method == "ray" else 0.015
+        limit = bound(draw, 0.005) if method == "ray" else 0.015
+        return off_bins(there[:, ::-1], image_at(draw.camera, image, g, method, draw.wavelength)), limit
 
     def planes(draw):
         """Several distances at once are those of each alone, but for the samples of fields, which suit all of them."""
@@ -150,7 +149,9 @@ def of_scenes(model, use):
         stated = np.sqrt((np.asarray(one.noise, float) ** 2 + np.asarray(two.noise, float) ** 2).sum())
         return float(np.linalg.norm(one.image - two.image) / stated), 1.3
 
-    for judge, without in ((units, f"{AT_THE_LINE_D} mla_jitter mla_seed"), (seeds, "")):
+    # Waves choose rays by wavelengths and heights of lenses, whose rounding tells some of them apart.
+    rounded = "mla_tilt" if model == "wave" else ""
+    for judge, without in ((units, f"{AT_THE_LINE_D} mla_jitter mla_seed {rounded}"), (seeds, "")):
         judge.__name__ = f"{judge.__name__}_of_scenes_by_{model}s"
         relation(use, without, f"captures by {model}s")(judge)
 

@@ -70,9 +70,9 @@ def units_of_particles(draw):
     return max(off(images[1], images[0]), abs(references[1] / references[0] / 4 - 1)), 5e-3
 
 
-@relation(Use.POINT_FIELDS | Use.COHERENT_POINTS | Use.POINTS, method="laser light")
+@relation(Use.POINT_FIELDS | Use.COHERENT_POINTS | Use.POINTS, "crop_offset crop_size", "laser light")
 def single_laser_point(draw):
-    """A capture of one coherent point is that of an incoherent one."""
+    """A capture of one coherent point is that of an incoherent one, on detectors that hold more than its wings."""
     point = draw.point()
     operator = mp.CaptureOperator(draw.camera, [point], wavelength=draw.wavelength, accuracy=0.0)
     return off(laser.coherent_capture(operator, [1.0], modes=1, seed=2), operator.forward([1.0])), 0.01

@@ -179,7 +179,7 @@ def full_fields(draw):
     return off(one, two), bound(draw, 0.005)
 
 
-@relation(Use.POINTS | Use.RAY_SPREADS, "main_lens", "point spreads by rays")
+@relation(Use.POINTS | Use.RAY_SPREADS, f"main_lens {CROPS}", "point spreads by rays")
 def short_waves(draw):
     """Short waves have the light of rays, and come nearer to their picture than long ones."""
     camera, point = draw.camera, draw.point()

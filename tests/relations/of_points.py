@@ -24,7 +24,7 @@ AT_THE_LINE_D = "glass mla_glass"
 
 
 def bound(draw, exact):
-    return 0.013 if STRONG & set(draw.options) else exact
+    return 0.014 if STRONG & set(draw.options) else exact
 
 
 def picture(camera, points, wavelength, weights=None, s=1.0):
