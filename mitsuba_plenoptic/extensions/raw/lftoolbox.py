@@ -21,7 +21,7 @@ import scipy.io
 import xarray as xr
 
 from ...camera import PlenopticCamera
-from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
+from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_number
 from ...runtime import atomic_output, h5py_module, require_file, require_memory, stored_array
 from ...views import LensGrid, bin_grid, grid_of, light_field, open_fraction, require_light_field
 
