@@ -1,7 +1,6 @@
 """Captures and refocused images of cameras with other lattices than the default, by rays."""
 
 import math
-import warnings
 
 import mitsuba as mi
 import numpy as np
@@ -201,34 +200,6 @@ def test_any_camera_refocuses_as_a_thin_lens_focuses():
         assert best_shift(image, reference) == (0, 0)
         assert correlation > 0.975
         assert psnr > 31
-
-
-def test_offsets_may_be_points_and_numbers_of_the_lattice_can_be_changed(camera_dict):
-    sensor = mi.load_dict(camera_dict(mla_offset=mi.ScalarPoint3f(0.01, 0.02, 0), **HEXAGONAL))
-    assert sensor.camera.mla_offset == (0.01, 0.02)
-    parameters = mi.traverse(sensor)
-    parameters["mla_rotation"] = 12.0
-    parameters["mla_offset"] = [0.03, 0.0]
-    parameters["mla_fill"] = 0.75
-    parameters["mla_focal_length"] = [0.5, 0.55, 0.6]
-    parameters["mla_pitch"] = 0.05
-    parameters.update()
-    assert sensor.camera.mla_pitches == (0.05, 0.05)
-    parameters["mla_pitch"] = [0.06, 0.064]
-    parameters.update()
-    expected = mp.PlenopticCamera(
-        detector_width=1.024, resolution=(512, 512), mla_lattice="hexagonal", mla_rotation=12, mla_offset=(0.03, 0),
-        mla_fill=0.75, mla_pitch=(0.06, 0.064), mla_focal_length=(0.5, 0.55, 0.6), detector_distance=0.512,
-    )  # fmt: skip
-    assert sensor.camera == expected
-    # The same picture as of a sensor that was made so.
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        again = mi.load_dict(expected.to_sensor())
-    np.testing.assert_array_equal(*(white_capture(s, spp=4).image for s in (sensor, again)))
-    parameters["mla_fill"] = 1.25
-    with pytest.raises(mp.InputError, match=r"mla_fill = 1\.25"):
-        parameters.update()
 
 
 def test_indices_of_lenses_that_floats_cannot_hold():
