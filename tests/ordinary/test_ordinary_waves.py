@@ -178,30 +178,6 @@ def test_few_samples_have_the_mean_of_many(kind="textured wall", airy=2.0, seen=
     assert disagreement(1.0) < 1.7 and min(disagreement(1 - seen), disagreement(1 + seen)) > 2
 
 
-@pytest.mark.slow
-def test_gradients_by_the_scene_are_those_of_differences():
-    camera = mp.PlenopticCamera(**F10)
-    scene = textured(camera)
-    integrator = mi.load_dict({"type": "plenoptic_wave", "child": {"type": "prb"}})
-    parameters = mi.traverse(scene)
-    (key,) = (key for key in parameters.keys() if "reflectance" in key and "data" in key)  # noqa: SIM118
-    weights = mi.TensorXf(np.random.default_rng(1).random((16, 24, 1)).astype(np.float32))
-    before = np.array(parameters[key])
-    direction = np.random.default_rng(2).random(before.shape).astype(np.float32)
-
-    def merit(step):
-        parameters[key] = mi.TensorXf(before + np.float32(step) * direction)
-        parameters.update()
-        return float(dr.sum(mi.render(scene, integrator=integrator, spp=1024, seed=1) * weights, axis=None).array[0])
-
-    expected = (merit(1e-2) - merit(-1e-2)) / 2e-2
-    parameters[key] = mi.TensorXf(before)
-    dr.enable_grad(parameters[key])
-    parameters.update()
-    dr.backward(dr.sum(mi.render(scene, parameters, integrator=integrator, spp=1024, seed=1) * weights, axis=None))
-    assert (np.array(dr.grad(parameters[key])) * direction).sum() == pytest.approx(expected, rel=4e-3)
-
-
 def test_what_waves_refuse():
     with pytest.raises(InputError, match=r"detector_width = 0.01: pixels of 0.000417 mm"):
         by_waves(textured(mp.PlenopticCamera(**F10 | {"detector_width": 0.01})), 2)

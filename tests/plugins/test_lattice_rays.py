@@ -2,7 +2,6 @@
 
 import math
 
-import mitsuba as mi
 import numpy as np
 import pytest
 from cameras import disk
@@ -84,14 +83,6 @@ def test_mean_of_a_white_capture_is_the_closed_form_and_the_computed_one(camera_
     assert abs(difference.mean()) < 2e-3
     if camera.aperture_radius == 5:
         assert np.sqrt(np.mean(difference**2)) < 0.03
-
-
-@pytest.mark.parametrize("lattice", [ROTATED, {**MULTI_FOCUS, "mla_aperture": "circle"}, {**STRETCHED, **MULTI_FOCUS}])
-@pytest.mark.parametrize("aperture_radius", [5.0, 9.0, 20.0])
-def test_every_lens_that_can_light_a_pixel_is_tried(camera_dict, lattice, aperture_radius):
-    sensor = mi.load_dict(camera_dict(aperture_radius=aperture_radius, **lattice))
-    assert sensor.crosstalk_missed() == 0
-    assert (len(mp.design.crosstalk_neighbours(sensor.camera)) > 1) == (aperture_radius > 8)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import disk
 from cases import facing, radiating, scene_of
 from scipy.ndimage import binary_erosion
 
@@ -28,40 +27,6 @@ def picture_wall(texture, distance, half_width):
 def smooth_texture(size=32):
     y, x = np.mgrid[0:size, 0:size] / size
     return (0.5 + 0.3 * np.sin(7 * x + 1) * np.cos(5 * y))[..., None].astype(np.float32)
-
-
-def pupil_of_pixels(camera):
-    """Pupil coordinates that the centre of each column (or row) of a square detector sees through its lens."""
-    p = (np.arange(camera.resolution[0]) + 0.5) * camera.pixel_size - camera.detector_width / 2
-    b, z, pitch = camera.mla_distance, camera.detector_distance, camera.mla_pitch
-    c = (np.floor(p * b / (b + z) / pitch) + 0.5) * pitch
-    return c + b * (c - p) / z, c
-
-
-@pytest.mark.parametrize("lens_model", ["ideal", "parabolic"])
-def test_a_white_scene_reads_one_inside_the_micro_images_and_zero_between(camera_dict, lens_model):
-    capture = render_capture(white_scene(camera_dict(lens_model=lens_model)), spp=16)
-    pupil, _ = pupil_of_pixels(capture.camera)
-    radius = np.hypot(pupil[:, None], pupil[None, :])
-    # A pixel sees 0.47 mm of the pupil; keep its whole square away from the edge.
-    np.testing.assert_allclose(capture.image[radius < 4.6], 1, atol=2e-3)
-    np.testing.assert_array_equal(capture.image[radius > 5.4], 0)
-
-
-def test_a_point_lights_the_lenses_that_its_blur_covers(camera_dict):
-    """A small source's image on the MLA is a disc of the thin lens's blur diameter about its conjugate."""
-    capture = render_capture(scene_of(camera_dict(), source=disk([0.2, -0.15, 210], 0.02)), spp=64)
-    camera = capture.camera
-    _, centre = pupil_of_pixels(camera)
-    lit = capture.image > 0
-    rows, columns = np.nonzero(lit)
-    weights = capture.image[lit]
-    x, y = (weights * centre[columns]).sum() / weights.sum(), (weights * centre[rows]).sum() / weights.sum()
-    # Scene +x and +y lie to the left and up, in the capture as in any picture.
-    assert x == pytest.approx(-0.2 * 120 / 210, abs=0.01)
-    assert y == pytest.approx(0.15 * 120 / 210, abs=0.01)
-    reach = np.hypot(centre[columns] - x, centre[rows] - y).max()
-    assert abs(reach - camera.blur_diameter(210) / 2) < camera.mla_pitch
 
 
 def test_an_rgb_variant_records_three_channels_beside_a_scene_of_one(camera_dict):

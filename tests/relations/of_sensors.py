@@ -3,10 +3,13 @@
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from relation import relation
+from of_captures import wall
+from relation import off, relation
 
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.camera import PARAMETERS, with_gradient, with_parts
 from mitsuba_plenoptic.camera.entry import Captures, Use
+from mitsuba_plenoptic.detector import SHARP, DetectorOperator
 
 
 def exposed(params, names):
@@ -75,3 +78,59 @@ def derivative_of_rays(draw):
     miss, moved = (np.abs(each).max(0) for each in (slope - (higher - lower) / 2e-3, slope))
     lit = moved > 0
     return float(np.median(miss[lit]) / np.median(moved[lit])), 0.02
+
+
+MIXING = ("detector_blur", "pixel_crosstalk", "stray_light", "stray_width")
+
+
+def of_scenes(model, use):
+    """Add the relations of captures of a wall by one model of light."""
+    child = {"type": "path"} if model == "wave" else {}
+
+    def integrator(draw):
+        waves = {"type": "plenoptic_wave", "wavelength": draw.wavelength, "child": child}
+        return mi.load_dict(waves if model == "wave" else {"type": "prb"})
+
+    def detector(draw):
+        """Captures are recorded by the detector as its operator mixes pixels."""
+        g, options = draw.point()[2], {"wavelength": draw.wavelength} if model == "wave" else {}
+        recorded, light = (
+            mp.render_capture(wall(camera, g), model=model, spp=4, **options).image
+            for camera in (draw.camera, draw.camera.replace(**SHARP))
+        )
+        return off(recorded, DetectorOperator.of(draw.camera).forward(light)), 1e-5
+
+    def radiance(draw):
+        """The derivative by the radiance of all that shines is the capture, forward and in reverse."""
+        scene, options = wall(draw.camera, draw.point()[2]), {"integrator": integrator(draw), "spp": 4}
+        params, key = mi.traverse(scene), "wall.emitter.radiance.data"
+        image, texture = np.array(mi.render(scene, seed=2, **options), float), type(params[key])(params[key])
+        weights = draw.rng.random(image.shape, np.float32)
+
+        def rendered(of_factor):
+            factor = mi.Float(1.0)
+            dr.enable_grad(factor)
+            params[key] = texture * factor
+            params.update()
+            return of_factor(factor)
+
+        def forward(factor):
+            dr.forward(factor, dr.ADFlag.ClearEdges)
+            return np.array(dr.forward_to(mi.render(scene, params, seed=1, seed_grad=2, **options)))
+
+        def reverse(factor):
+            made = mi.render(scene, params, seed=1, seed_grad=2, **options)
+            dr.backward(dr.sum(made * mi.TensorXf(weights), axis=None))
+            return float(dr.grad(factor)[0])
+
+        expected = float(np.vdot(image, weights))
+        return max(off(rendered(forward), image), abs(rendered(reverse) / expected - 1)), 1e-4
+
+    for judge, first in ((detector, lambda seed: MIXING), (radiance, None)):
+        judge.__name__ = f"{judge.__name__}_by_{model}s"
+        derived = use | Use.SCENE_DERIVATIVES if judge is radiance and model == "wave" else use
+        relation(derived, "", f"captures by {model}s", first)(judge)
+
+
+of_scenes("ray", Use.RAYS)
+of_scenes("wave", Use.SCENES)

@@ -85,16 +85,6 @@ def test_orders_of_holes_are_airy_patterns():
 
 
 @some
-def test_orders_are_converged_and_hold_the_light(name):
-    camera = SMALL.replace(**LATTICES[name])
-    found = PlaneFactor(camera, WAVELENGTH, 0.35).orders()
-    assert error(found, PlaneFactor(camera, WAVELENGTH, 0.35, fine=1234).orders()) < 3e-3
-    open_part = camera.lattice.lens_area / camera.lattice.cell_area
-    # What is missing goes farther: of an edge's light a part that falls with the inverse of the angle.
-    assert 0.985 * open_part < (np.abs(found) ** 2).sum() < 1.001 * open_part
-
-
-@some
 @pytest.mark.parametrize("parameter", [None, ("position", 0, 0), ("fresnel", 1, 0)])
 def test_transmission_is_the_sum_of_its_orders(name, parameter):
     """Errors between samples of a table are far below those of a capture: gradients cancel nearly."""
