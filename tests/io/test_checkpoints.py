@@ -11,7 +11,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import letters, scattered, small_camera
+from cameras import HALF, letters, scattered, small_camera
 from stopped_runs import CheckpointStore, StoppedError, stopped_before
 
 from mitsuba_plenoptic import CaptureOperator, Checkpoint, InputError, Job, load_scene, render_capture
@@ -19,7 +19,7 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.waves import array_kernels, scheme, signed_rays
 
-SMALL = small_camera()
+SMALL = small_camera(4, **HALF)
 SCENE = letters(4, resolution=64)
 
 
@@ -62,7 +62,7 @@ def stopped(tmp_path_factory):
 
 
 def test_a_sum_goes_on_from_any_batch(count=30):
-    operator = CaptureOperator(SMALL, scattered(count, distances=(205, 275)), wavelength=633)
+    operator = CaptureOperator(SMALL, scattered(count, distances=(102, 137), image=0.1), wavelength=633)
     weights = np.random.default_rng(1).uniform(0, 1, (count, 2))
     weights[1] = 0
     keeper = CheckpointStore()
