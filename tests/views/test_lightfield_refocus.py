@@ -160,7 +160,7 @@ class TestDepth:
         edge = 20 + slope * view_steps(blank, "u")
         in_front = np.arange(40)[None, :] < edge[:, None]
         lf = blank.copy(data=np.where(in_front[None, :, None, :], near.values, far.values))
-        found = depth_map(lf, 195, 310, planes=48)
+        found = depth_map(lf, 195, 310, planes=32)
         left, right = found.isel(s=slice(2, 16)), found.isel(s=slice(23, 38))
         assert float(abs(left.depth - 212).median()) < 0.5
         assert float(abs(right.depth - 265).median()) < 1
@@ -236,7 +236,7 @@ class TestDepth:
 
     def test_the_default_search_reaches_as_far_as_views_show_depth(self, blank, distance=300.0):
         # Views move by 1.4 lenses and more.
-        found = depth_map(flat_scene(blank, distance, texture(5)), planes=96).isel(s=slice(12, -12), t=slice(12, -12))
+        found = depth_map(flat_scene(blank, distance, texture(5)), planes=64).isel(s=slice(12, -12), t=slice(12, -12))
         assert float(np.isfinite(found.depth).mean()) > 0.9
         assert float(abs(found.depth / distance - 1).max()) < 0.01
 
