@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from cameras import letters
 from light_field_cases import blobs, fall_off_of, of_square_lenses, straight_rays
 from scipy.io import savemat
 from scipy.ndimage import center_of_mass, gaussian_filter, map_coordinates, uniform_filter
@@ -97,6 +98,13 @@ class TestShiftAndAdd:
                         total += share * lf.values[j, i, yy, xx]
                         weight += share
         assert ours[row, column] == pytest.approx(total / weight, rel=1e-5)
+
+    def test_equals_the_ray_reconstruction(self):
+        capture = mp.render_capture(mp.load_scene("letters", parameters=letters(32)), spp=2)
+        ours = refocus(mp.decode(capture), 280.0).values
+        theirs = mp.reconstruct(capture, 280.0, footprint="lens").image
+        error = np.mean((ours - theirs) ** 2)
+        assert 10 * math.log10(theirs.max() ** 2 / error) > 45
 
     def test_a_falling_white_moves_no_blur(self):
         camera = of_square_lenses(10, 20)
