@@ -7,7 +7,7 @@ import pytest
 from cases import facing, radiating, scene_of
 from scipy.ndimage import binary_erosion
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
+from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.views import white_image
 
 
@@ -27,18 +27,6 @@ def picture_wall(texture, distance, half_width):
 def smooth_texture(size=32):
     y, x = np.mgrid[0:size, 0:size] / size
     return (0.5 + 0.3 * np.sin(7 * x + 1) * np.cos(5 * y))[..., None].astype(np.float32)
-
-
-def test_an_rgb_variant_records_three_channels_beside_a_scene_of_one(camera_dict):
-    first = white_scene(camera_dict(resolution=64, detector_width=0.128))
-    mi.set_variant("llvm_ad_rgb")
-    sensor = camera_dict(resolution=64, detector_width=0.128, film={"pixel_format": "rgb"})
-    sky = {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 0.5, 0.25]}}
-    capture = render_capture(scene_of(sensor, sky=sky), spp=16)
-    assert capture.image.shape == (64, 64, 3)
-    np.testing.assert_allclose(capture.image.reshape(-1, 3).max(axis=0), [1, 0.5, 0.25], rtol=1e-3)
-    mi.set_variant("llvm_ad_mono")
-    assert render_capture(first, spp=4).image.shape == (64, 64)
 
 
 LENSES = {"detector_width": 0.256, "resolution": (64, 48)}
