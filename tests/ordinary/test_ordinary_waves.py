@@ -44,7 +44,7 @@ PATHS = {
 @pytest.mark.parametrize(
     ("airy", "blur", "texel", "wavefront", "limit"),
     [
-        (0.5, 1, 8, (), 0.01),
+        pytest.param(0.5, 1, 8, (), 0.01, marks=pytest.mark.slow),
         (1, 0, 4, (), 0.008),
         pytest.param(2, 1, 2, (), 0.012, marks=pytest.mark.slow),
         pytest.param(10, 1, 2, (), 0.012, marks=pytest.mark.slow),
