@@ -58,7 +58,6 @@ test_mistakes = refused(
     (lambda: refocused(method="coherent", relay="no"), "relay = 'no'"),
     (lambda: operator([(0, 0, 240), (0, 0, -240)]), r"position = \(0, 0, -240\)"),
     (lambda: mp.load_scene("letters", parameters=["resolution"]), r"parameters = \['resolution'\]"),
-    (lambda: mp.decode(IMAGE, camera="paper"), "camera = 'paper'"),
     (lambda: Capture(IMAGE, "paper"), "camera = 'paper'"),
     (lambda: mp.with_camera(5, CAMERA), "scene of type int"),
     (lambda: mp.with_camera(CAMERA, scene()), "camera of type Scene, scene = .*: they are swapped; scene comes first"),
@@ -67,7 +66,6 @@ test_mistakes = refused(
     (lambda: PlenopticCamera(detector_width="5.5 mm"), "'5.5 mm': .* without a unit: lengths are in mm, "),
     (by_another_variant, "sensor of .* of variant llvm_ad_rgb: it must be .* active variant llvm_ad_mono"),
     (lambda: captured(model="wave", wavelength=[633, 500]), "wavelength: a value of type list"),
-    (lambda: mp.design.refocus_range(CAMERA, -5), "wavelength = -5"),
     (lambda: mp.LensSystem.of(CAMERA), "main_lens: the camera has none with surfaces"),
     (lambda: mp.expose(NOISY, mp.Detector(), photons=100), "capture: a detector has recorded it already"),
     (

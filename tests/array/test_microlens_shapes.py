@@ -78,25 +78,6 @@ def test_point_spreads_against_propagation(name, method):
     assert error(found, expected) < 0.005
 
 
-def test_a_sphere_is_as_far_from_a_parabola_as_its_sag():
-    """Its edge is deeper by r^4 / 8 R^3, which changes a spread and its phase alike."""
-    sphere, r = SHAPES["sphere"], 0.03
-    parabola = Conic(0.25, -1.0)
-    deeper = (sphere.waves(r, 0.0, GREEN) - parabola.waves(r, 0.0, GREEN)) * GREEN * 1e-6
-    assert deeper == pytest.approx(-0.5 * r**4 / (8 * 0.25**3), rel=0.02)
-    spreads = [
-        mp.point_spread_function(
-            small_camera(2, **HALF, mla_shape=shape),
-            (0.0, 0.0, 114.0),
-            wavelength=GREEN,
-            method="full_field",
-        )
-        for shape in (parabola, sphere, Conic(0.25, 0.0, (-1 / (8 * 0.25**3),)))
-    ]
-    # Without that term it is the parabola, but for the next one.
-    assert error(spreads[1], spreads[0]) > 10 * error(spreads[2], spreads[0])
-
-
 @pytest.mark.parametrize(("name", "rotation"), [("sphere", 0.0), ("sampled", 20.0)])
 def test_rays_refract_at_the_surface(name, rotation):
     """The tangential component of n times the direction changes by the gradient of the path."""
@@ -190,15 +171,3 @@ def test_samples_from_files(tmp_path):
     mi.Bitmap(height).write(str(tmp_path / "height.exr"))
     shapes = [Sampled(given, 0.066) for given in (height, tmp_path / "height.npy", str(tmp_path / "height.exr"))]
     assert shapes[0] == shapes[1] == shapes[2]
-
-
-def test_what_needs_parabolic_microlenses_refuses_others():
-    camera, image = small_camera(2, mla_shape=SHAPES["sphere"]), np.ones((64, 64), np.float32)
-    operator = mp.CaptureOperator(camera, [(0.0, 0.0, 230.0)], wavelength=GREEN)
-    for call in (
-        lambda: mp.reconstruct(image, 230.0, camera=camera, method="coherent", wavelength=GREEN),
-        lambda: operator.derivative([1.0], {"mla_distance": 1.0}),
-    ):
-        with pytest.raises(mp.InputError, match=r"mla_shape = .*refuse it"):
-            call()
-    assert np.isfinite(mp.reconstruct(image, 230.0, camera=camera).image).all()

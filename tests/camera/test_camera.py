@@ -34,34 +34,23 @@ def test_the_default_is_the_papers_camera():
     assert design.crosstalk_lenses(camera.replace(aperture_radius=10)) == 5
 
 
-def test_a_camera_survives_its_other_forms():
+def test_scene_files_and_sensors_have_its_place_and_its_colours():
     """With numbers that are none of single precision."""
-    numbers = {
-        "focus_distance": 300.3,
-        "mla_offset": (1 / 7, -2 / 3),
-        "mla_rotation": 1 / 3,
-        "mla_pitch": (0.064, 0.06),
-    }
-    camera = PlenopticCamera(**numbers, resolution=(64, 48), crop_offset=(3, 4), crop_size=(30, 20))
+    camera = PlenopticCamera(focus_distance=300.3, mla_offset=(1 / 7, -2 / 3), resolution=(64, 48), crop_size=(30, 20))
     assert eval(repr(camera)) == camera
     place = mi.ScalarTransform4f().look_at([1, 2, 3], [0, 0, 0], [0, 1, 0])
     text = camera.to_xml(to_world=place, pixel_format="rgb")
     assert '"pixel_format" value="rgb"' in text
-    written = mi.load_string(f'<scene version="3.0.0">{text}</scene>')
-    assert np.allclose(np.array(written.sensors()[0].world_transform().matrix).reshape(4, 4), place.matrix, atol=1e-6)
-    assert PlenopticCamera.from_sensor(written.sensors()[0]) == camera
-    sensor = mi.load_dict(camera.to_sensor(mi.ScalarTransform4f().translate([1, 2, 3])))
+    sensor = mi.load_string(f'<scene version="3.0.0">{text}</scene>').sensors()[0]
+    assert np.allclose(np.array(sensor.world_transform().matrix).reshape(4, 4), place.matrix, atol=1e-6)
     assert PlenopticCamera.from_sensor(sensor) == camera
     with pytest.raises(InputError, match="pixel_format = 'cmyk'"):
         camera.to_xml(pixel_format="cmyk")
-    assert sensor.film().base_channels_count() == 1
-    for variant in ("llvm_ad_rgb", "llvm_ad_spectral"):
+    for variant, channels in (("llvm_ad_mono", 1), ("llvm_ad_rgb", 3), ("llvm_ad_spectral", 3)):
         mi.set_variant(variant)
-        assert mi.load_dict(camera.to_sensor()).film().base_channels_count() == 3
-        assert '"pixel_format" value="rgb"' in camera.to_xml()
-    assert tuple(sensor.film().crop_size()) == camera.shape[::-1]
-    assert sensor.film().rfilter().is_box_filter()
-    np.testing.assert_array_equal(np.ravel(sensor.world_transform().translation()), [1, 2, 3])
+        film = mi.load_dict(camera.to_sensor()).film()
+        assert film.base_channels_count() == channels and tuple(film.crop_size()) == camera.shape[::-1]
+        assert ('"pixel_format" value="rgb"' in camera.to_xml()) == (channels == 3)
 
 
 def test_a_camera_is_a_value():

@@ -7,7 +7,7 @@ import re
 import mitsuba as mi
 import numpy as np
 import pytest
-from cases import agreement, facing, radiating, scene_of
+from cases import agreement
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.camera import micrometres
@@ -155,32 +155,6 @@ def test_refocused_to_the_best_distance_it_is_the_thin_lenses_image(name):
         assert correlation >= 0.995
 
 
-def grating(period, count=9):
-    """Radiating bars of half a period, upright, about the axis at 240 mm."""
-    return {
-        f"bar_{i}": facing(240.0, (period / 4, 0.5), ((i - count // 2) * period, 0.0), **radiating())
-        for i in range(count)
-    }
-
-
-def test_a_focused_camera_resolves_what_an_unfocused_one_does_not(camera_dict):
-    """Ten line pairs per mm, where a lens is 0.128 mm wide: two and a half samples per lens at least."""
-    contrast = {}
-    for name, numbers in (("unfocused", {}), ("keplerian", KEPLERIAN), ("galilean", GALILEAN)):
-        capture = mp.render_capture(scene_of(camera_dict(**numbers), **grating(0.1)), spp=64)
-        result = mp.reconstruct(capture, 240, oversample=10)
-        rows, columns = result.image.shape
-        x = (np.arange(columns) + 0.5 - columns / 2) * result.bin_size
-        middle = np.abs(x) < 0.3
-        profile = result.image[rows // 2 - 10 : rows // 2 + 10].mean(0)
-        wave = np.exp(2j * math.pi * x / 0.1)
-        # 1 for a square wave of full contrast
-        contrast[name] = math.pi / 2 * abs((profile * wave)[middle].sum()) / profile[middle].sum()
-    assert contrast["keplerian"] >= 0.85
-    assert contrast["galilean"] >= 0.85
-    assert contrast["unfocused"] <= 0.15
-
-
 # -- presets and scenes, and what is told of them ---------------------------------------------------
 
 
@@ -266,25 +240,6 @@ def test_no_warnings_where_all_is_well():
     # The MLA stands within the focal length, as it must to see what is far.
     far = mp.PlenopticCamera(**GALILEAN | {"mla_distance": 79.0})
     assert not any("no object plane" in text for text in mp.design.design_warnings(far))
-
-
-def test_remedy_for_overlap_makes_micro_images_touch():
-    (warning,) = mp.design.design_warnings(mp.PlenopticCamera(aperture_radius=10))
-    diameter = float(warning.split("a diameter of ")[1].split(" mm")[0])
-    camera = mp.PlenopticCamera(aperture_radius=diameter / 2)
-    assert camera.micro_image_diameter == pytest.approx(camera.micro_image_pitch, rel=1e-3)
-
-
-@pytest.mark.parametrize("aperture, distance", [(8.0, 240.0), (5.0, 1000.0)])
-def test_the_spherical_aberration_of_a_parabolic_lens(aperture, distance):
-    """On the axis, less defocus: a quarter of the path of third order at the edge."""
-    camera = mp.PlenopticCamera(
-        aperture_radius=aperture, focus_distance=distance, detector_width=0.008, resolution=(4, 4), mla_pitch=0.002
-    )
-    edge = aperture**4 / 8 * (1 / distance**3 + 1 / camera.mla_distance**3)
-    found = mp.design.parabolic_aberration(camera, 550)
-    assert found == pytest.approx(edge / 4 / 550e-6, rel=0.01)
-    assert mp.design.parabolic_aberration(camera.replace(lens_model="parabolic"), 1100) == pytest.approx(found / 2)
 
 
 def test_the_aberration_of_a_parabolic_lens_over_the_field(width=8.0):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drjit.llvm.ad import Float, Float64
+from drjit.llvm.ad import Float64
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import LensSystem, PlenopticCamera, Prescription
@@ -106,20 +106,6 @@ def test_near_the_axis_it_is_the_thin_lens_of_its_principal_planes(name):
         height = m + 120 * slope
         assert point[1] + (240 - point[2]) * there[1] == pytest.approx(-2 * m, abs=1e-8)
         assert there[1] == pytest.approx(slope - height / 80, abs=1e-9)
-
-
-@pytest.mark.parametrize("name", BUNDLED)
-def test_single_precision_keeps_a_ten_thousandth_of_a_millimetre(name):
-    lens = LensSystem.of(camera_with(name))
-    place, slope = bundle(lens)
-
-    def object_points(array):
-        point, there, is_open = lens.trace(tuple(map(array, place)), tuple(map(array, slope)))
-        return np.array([p + (240 - point[2]) * t for p, t in zip(point[:2], there, strict=True)]), np.array(is_open)
-
-    (single, open_), (double, _) = object_points(Float), object_points(np.asarray)
-    assert np.abs(single - double)[:, open_].max() < 1e-4
-    assert np.abs(object_points(Float64)[0] - double).max() < 1e-11
 
 
 def test_distortion_is_that_of_a_grid_of_chief_rays():

@@ -174,10 +174,3 @@ def test_walls_through_apertures_of_any_shape(name):
     # Light behind few cells comes from far pixels, of which one in four is traced.
     limit = 0.013 if name == "33 x 33 with 33 open" else 0.01
     assert [row for row in rows if row["waves"] >= limit or row["rays"] < 2 * row["waves"]] == []
-
-
-def test_a_white_scene_by_waves_reads_the_open_part(name="coded"):
-    given, mask = PUPILS[name]
-    found = by_waves(scene_of(ordinary_camera(1.0, 12, **given).to_sensor(), **WHITE), 16)
-    # Of far pixels, from which single cells bring light, one in four is traced.
-    assert found.mean() == pytest.approx(open_part(mask), rel=0.003) and found.std() < 0.002

@@ -108,19 +108,10 @@ def test_aberrated_and_defocused_stars_are_sums_over_the_pupil(name):
         assert relative(spread, expected) < 0.01
 
 
-def test_both_methods_agree_off_the_axis_and_behind_other_lenses():
-    crop = {"resolution": (1400, 16), "crop_offset": (1300, 0), "crop_size": (16, 16), "detector_width": 4.2}
-    off = -(1308 - 700) * 0.003 * FOCUS / B
-    glass = {"glass": {"index": 1.5, "abbe": 50.0}}
-    prescribed = ordinary(main_lens="double_gauss", focal_length=None, mla_distance=None, focus_distance=2000.0)
-    for camera, position in (
-        (ordinary(**crop), (off, 0.0, 302.0)),
-        (ordinary(lens_model="parabolic"), (0.02, 0.0, 302.0)),
-        (ordinary(**glass), (0.0, 0.0, FOCUS)),
-        (prescribed, (0.0, 0.0, 2000.0)),
-    ):
-        patch, whole = (mp.point_spread_function(camera, position, wavelength=WAVELENGTH, method=m) for m in METHODS)
-        assert 0.5 < whole.sum() < 1 and relative(patch, whole) < 0.002
+def test_both_methods_agree_behind_a_prescription():
+    camera = ordinary(main_lens="double_gauss", focal_length=None, mla_distance=None, focus_distance=2000.0)
+    patch, whole = (mp.point_spread_function(camera, (0.0, 0.0, 2000.0), wavelength=550.0, method=m) for m in METHODS)
+    assert 0.5 < whole.sum() < 1 and relative(patch, whole) < 0.002
 
 
 POINTS = [(0.01, 0.0, 305.0), (-0.04, 0.03, 296.0), (0.0, -0.02, FOCUS)]

@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 from cases import (
     ORDINARY_WAVELENGTH,
-    blurred,
     diffracted,
     facing,
     ordinary_camera,
-    radiating,
     relative,
     scene_of,
     textured_wall,
-    unit_of,
 )
 
 import mitsuba_plenoptic as mp
@@ -47,7 +44,7 @@ PATHS = {
 @pytest.mark.parametrize(
     ("airy", "blur", "texel", "wavefront", "limit"),
     [
-        (0.5, 1, 8, (), 0.01),
+        pytest.param(0.5, 1, 8, (), 0.01, marks=pytest.mark.slow),
         (1, 0, 4, (), 0.008),
         pytest.param(2, 1, 2, (), 0.012, marks=pytest.mark.slow),
         pytest.param(10, 1, 2, (), 0.012, marks=pytest.mark.slow),
@@ -65,38 +62,6 @@ def test_textured_walls_in_focus_and_blurred(airy, blur, texel, wavefront, limit
     found = by_waves(scene, 1024)
     assert relative(found, expected) < limit
     assert found.sum() == pytest.approx(expected.sum(), rel=3e-3)
-
-
-@pytest.mark.parametrize("airy", [1.0])
-def test_slanted_edges_have_the_transfer_function_of_a_disc(airy):
-    """Both sides of an edge at 5 degrees, whose oversampled profile gives the transfer function (ISO 12233)."""
-    camera = ordinary_camera(airy, 64)
-    distance, _ = blurred(camera, 0.0)
-    T = mi.ScalarTransform4f()
-    wide = 200 * camera.pixel_size * distance / camera.mla_distance
-    to_world = T.translate([0, 0, distance]) @ T.rotate([0, 0, 1], 5) @ T.translate([wide, 0, 0])
-    edge = {"type": "rectangle", "to_world": to_world @ T.rotate([0, 1, 0], 180) @ T.scale(wide), **radiating()}
-    image = by_waves(scene_of(camera.to_sensor(), "direct", edge=edge), 256)
-    middle = (np.arange(64) + 0.5 - 32) * camera.pixel_size
-    across = (middle * np.cos(np.radians(5)) + middle[:, None] * np.sin(np.radians(5))).ravel()
-    frequencies = np.array([0.25, 0.5, 0.75, 0.9]) * 2 / unit_of(camera)
-    frequencies = frequencies[frequencies < 0.5 / camera.pixel_size]
-    order = np.argsort(across)
-    step = camera.pixel_size / 8
-    bins = np.arange(across.min(), across.max(), step)
-    place = np.digitize(across[order], bins) - 1
-    profile = np.bincount(place, image.ravel()[order], len(bins)) / np.maximum(
-        np.bincount(place, minlength=len(bins)), 1
-    )
-    inner = slice(len(bins) // 6, -len(bins) // 6)
-    line, at = np.diff(profile[inner]), (bins[inner][1:] + bins[inner][:-1]) / 2
-    found = np.abs(np.exp(-2j * np.pi * np.outer(frequencies, at)) @ line)
-    s = frequencies * unit_of(camera) / 2
-    disc = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
-    # Pixels are squares, and so are the bins and differences of the profile.
-    pixel = np.sinc(frequencies * camera.pixel_size * np.cos(np.radians(5)))
-    pixel *= np.sinc(frequencies * camera.pixel_size * np.sin(np.radians(5))) * np.sinc(frequencies * step) ** 2
-    assert found == pytest.approx(disc * pixel, abs=0.01)
 
 
 def test_coarse_pixels_displace_rays_by_finite_steps():
@@ -176,30 +141,6 @@ def test_few_samples_have_the_mean_of_many(kind="textured wall", airy=2.0, seen=
         return ((factor * few - many) ** 2).sum() / (noise + least).sum()
 
     assert disagreement(1.0) < 1.7 and min(disagreement(1 - seen), disagreement(1 + seen)) > 2
-
-
-@pytest.mark.slow
-def test_gradients_by_the_scene_are_those_of_differences():
-    camera = mp.PlenopticCamera(**F10)
-    scene = textured(camera)
-    integrator = mi.load_dict({"type": "plenoptic_wave", "child": {"type": "prb"}})
-    parameters = mi.traverse(scene)
-    (key,) = (key for key in parameters.keys() if "reflectance" in key and "data" in key)  # noqa: SIM118
-    weights = mi.TensorXf(np.random.default_rng(1).random((16, 24, 1)).astype(np.float32))
-    before = np.array(parameters[key])
-    direction = np.random.default_rng(2).random(before.shape).astype(np.float32)
-
-    def merit(step):
-        parameters[key] = mi.TensorXf(before + np.float32(step) * direction)
-        parameters.update()
-        return float(dr.sum(mi.render(scene, integrator=integrator, spp=1024, seed=1) * weights, axis=None).array[0])
-
-    expected = (merit(1e-2) - merit(-1e-2)) / 2e-2
-    parameters[key] = mi.TensorXf(before)
-    dr.enable_grad(parameters[key])
-    parameters.update()
-    dr.backward(dr.sum(mi.render(scene, parameters, integrator=integrator, spp=1024, seed=1) * weights, axis=None))
-    assert (np.array(dr.grad(parameters[key])) * direction).sum() == pytest.approx(expected, rel=4e-3)
 
 
 def test_what_waves_refuse():

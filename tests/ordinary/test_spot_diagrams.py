@@ -6,9 +6,8 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
-from cases import scene_of
 
-from mitsuba_plenoptic import LensSystem, PlenopticCamera, render_capture
+from mitsuba_plenoptic import LensSystem, PlenopticCamera
 from mitsuba_plenoptic.prescription import bundled_prescription, paraxial
 
 SPOTS = json.loads((Path(__file__).parents[1] / "optiland_records" / "spots.json").read_text())["lenses"]
@@ -68,22 +67,6 @@ def test_the_sensors_rays_are_of_single_precision(name):
     started = (np.array(place, np.float64)[:, lit] - 0.5) * size
     assert lit.mean() > 0.1
     assert np.abs(landed - started).max() < SINGLE[name]
-
-
-@pytest.mark.parametrize("name", ["full_frame_50mm"])
-def test_presets_capture_white_by_rays_and_waves(name):
-    """In the middle of the film, by the traced pupil's area over that of the paraxial one; the noise is 1 %."""
-    camera = PlenopticCamera.preset(name)
-    middle = tuple(count // 2 - 8 for count in camera.resolution)
-    camera = camera.replace(crop_offset=middle, crop_size=(16, 16))
-    lens, axis = LensSystem.of(camera), np.linspace(-1.2, 1.2, 401) * camera.pupil_radius
-    x, y = (values.ravel() for values in np.meshgrid(axis, axis))
-    is_open = lens.ray((x, y), (0 * x, 0 * x))[2]
-    area = is_open.sum() * (axis[1] - axis[0]) ** 2 / (np.pi * camera.pupil_radius**2)
-    assert camera.f_number == pytest.approx(2.02, rel=0.005)
-    for model in ("ray", "wave"):
-        image = render_capture(scene_of(camera.to_sensor(), sky={"type": "constant"}), model=model, spp=512).image
-        assert image.mean() == pytest.approx(area, rel=0.04)
 
 
 def test_the_table_of_the_double_gauss_has_the_printed_focal_length_and_back_focus():

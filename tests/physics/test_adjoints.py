@@ -37,25 +37,17 @@ def test_points_that_share_spreads(accuracy, cells):
     require_adjoint(CaptureOperator(CAMERAS["turned"], points, **options))
 
 
-@pytest.mark.parametrize(
-    ("name", "wavelengths"),
-    [
-        ("square", (633,)),
-        *(pytest.param(name, (633, 532), marks=pytest.mark.slow) for name in ("three focal lengths", "real")),
-    ],
-)
-def test_derivatives(name, wavelengths):
+def test_derivatives():
     """<A' t, y> = <t, A'* y> to 1e-4 of |A' t| |y|, with every number changed so that it counts as much as another."""
     operator = CaptureOperator(
-        CAMERAS[name].replace(crop_offset=(40, 35), crop_size=(50, 51)),
-        seen_by(name),
-        spectrum=Spectrum.lines(*wavelengths),
+        CAMERAS["square"].replace(crop_offset=(40, 35), crop_size=(50, 51)),
+        seen_by("square"),
+        spectrum=Spectrum.lines(633),
         accuracy=0.02,
         pupil_weights=RANDOM.uniform(0.2, 1, (2, 3, 3)),
     )
-    channels = len(wavelengths)
-    weights = RANDOM.normal(size=(2, channels))
-    gradient = RANDOM.normal(size=(*operator.camera.shape, channels)).astype(np.float32)
+    weights = RANDOM.normal(size=(2, 1))
+    gradient = RANDOM.normal(size=(*operator.camera.shape, 1)).astype(np.float32)
     found = operator.gradient(weights, gradient)
     assert set(found) == set(DIFFERENTIABLE)
     assert len(found["wavefront"]) == 36 and len(found["mla_pitch"]) == 2

@@ -1,6 +1,5 @@
 """Rays of each colour go their own way through lenses of glass: against traces in double precision, and each alone."""
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -127,38 +126,3 @@ def test_waves_refocus_each_channel_with_its_own_lens():
         own = {"camera": camera.at_wavelength(wavelength), "wavelength": wavelength}
         alone = reconstruct(image[..., channel], 240.0, method="coherent", **own).image
         assert np.array_equal(made[..., channel], alone, equal_nan=True)
-
-
-def test_lateral_colour_in_pixels():
-    """Where the light of a small spot lies on the detector, by forward rays in double precision: to 0.1 pixel."""
-    mi.set_variant("llvm_ad_rgb")
-    camera = PlenopticCamera(
-        main_lens="singlet", focal_length=80, aperture_radius=3, focus_distance=240, mla_pitch=0.128,
-        mla_focal_length=1.024, detector_width=8.192, resolution=(1024, 1024), crop_offset=(412, 226),
-        crop_size=(200, 200),
-    )  # fmt: skip
-    point, width = (0.0, 3.0, 200.0), 0.15
-    random = np.random.default_rng(0).random((4, 2_000_000)).astype(np.float32)
-    sensor, found = sensor_of(camera), []
-    rows = (226 + 200 * random[1].astype(np.float64) - 512) * camera.pixel_size
-    for channel in range(3):
-        # The same random numbers for all of them, so that what is left of noise is the same, too.
-        lens = mi.Point2f((random[2] + channel) / 3, random[3])
-        ray, weight = sensor.sample_ray(0.0, 0.0, mi.Point2f(*random[:2]), lens)
-        step = (point[2] - ray.o.z) / ray.d.z
-        away = dr.square(ray.o.x + step * ray.d.x - point[0]) + dr.square(ray.o.y + step * ray.d.y - point[1])
-        light = np.array(weight[channel] * dr.exp(-away / (2 * width**2)), np.float64)
-        found.append((light * rows).sum() / light.sum())
-    expected = []
-    for wavelength in RGB_WAVELENGTHS:
-        lens, draw = LensSystem.of(camera, wavelength), np.random.default_rng(1)
-        start = *(c + width * draw.normal(size=1_000_000) for c in point[:2]), np.full(1_000_000, point[2])
-        pupil = draw.uniform(-4, 4, (2, 1_000_000))
-        slope = tuple((X - P) / (point[2] - lens.front) for X, P in zip(start[:2], pupil, strict=True))
-        (_, y), (_, ty), is_open, _ = lens.through(start, slope)
-        # Collimated light is focused where its ray through the lens's centre goes.
-        centre = (np.floor(y / camera.mla_pitch) + 0.5) * camera.mla_pitch
-        expected.append((centre - ty * camera.detector_distance)[is_open].mean())
-    shift = np.array(found) - found[0], np.array(expected) - expected[0]
-    assert abs(shift[1][2]) > 0.3 * camera.pixel_size
-    assert np.abs(shift[0] - shift[1]).max() < 0.1 * camera.pixel_size

@@ -70,12 +70,6 @@ def test_noise_and_light_of_many_candidates(more):
     assert np.median(images.std(0)) == 0
 
 
-def test_the_seed_makes_another_array():
-    seeds = (CAMERA.replace(mla_jitter=(0.001, 0.01), mla_seed=seed) for seed in (0, 1))
-    a, b = (camera.lenslet(np.arange(9), np.arange(9)) for camera in seeds)
-    assert not np.isclose(a.centre[0], b.centre[0], rtol=0, atol=1e-8).any()
-
-
 def test_pixels_that_answer_to_angles():
     """White pixels have the response at their angles of incidence, averaged over the lens."""
     pairs = (0.0, 1.0, 10.0, 0.2)

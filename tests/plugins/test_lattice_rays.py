@@ -1,16 +1,13 @@
 """Captures and refocused images of cameras with other lattices than the default, by rays."""
 
 import math
-import warnings
 
-import mitsuba as mi
 import numpy as np
 import pytest
 from cameras import disk
-from cases import agreement, best_shift, scene_of
+from cases import scene_of
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.views import white_image
 from tools.bench.cases.arrays import centroids
 
@@ -87,14 +84,6 @@ def test_mean_of_a_white_capture_is_the_closed_form_and_the_computed_one(camera_
         assert np.sqrt(np.mean(difference**2)) < 0.03
 
 
-@pytest.mark.parametrize("lattice", [ROTATED, {**MULTI_FOCUS, "mla_aperture": "circle"}, {**STRETCHED, **MULTI_FOCUS}])
-@pytest.mark.parametrize("aperture_radius", [5.0, 9.0, 20.0])
-def test_every_lens_that_can_light_a_pixel_is_tried(camera_dict, lattice, aperture_radius):
-    sensor = mi.load_dict(camera_dict(aperture_radius=aperture_radius, **lattice))
-    assert sensor.crosstalk_missed() == 0
-    assert (len(mp.design.crosstalk_neighbours(sensor.camera)) > 1) == (aperture_radius > 8)
-
-
 @pytest.mark.parametrize(
     ("corner", "more"),
     [
@@ -143,33 +132,6 @@ def test_opaque_gaps_swallow_what_is_focused_on_them(camera_dict):
     assert brightness(0.032, 0.5) / brightness(0.032, 1.0) == pytest.approx(4, rel=0.1)
 
 
-def test_three_types_of_lenses_have_three_sizes_of_white_spots_and_no_neighbours_alike(camera_dict):
-    sensor = camera_dict(aperture_radius=1.5, **{**MULTI_FOCUS, "mla_focal_length": "0.47, 0.512, 0.6"})
-    capture = white_capture(sensor, spp=256)
-    camera = capture.camera
-    assert camera.mla_focal_lengths == (0.47, 0.512, 0.6)
-    centres = model_centres(camera)
-    centres = centres[((centres > 20) & (centres < 512 - 20)).all(1)]
-    base = np.floor(centres).astype(int)
-    window = np.arange(-12, 13)
-    x, y = (base[:, axis, None] + window for axis in (0, 1))
-    patch = capture.image[y[:, :, None], x[:, None, :]].astype(np.float64)
-    dx, dy = x + 0.5 - centres[:, 0, None], y + 0.5 - centres[:, 1, None]
-    spread = (patch * (dx[:, None, :] ** 2 + dy[:, :, None] ** 2)).sum((1, 2)) / patch.sum((1, 2)) / 2
-    # The pupil's disc, the hexagon of the lens, enlarged, and the pixel each add their variance.
-    pixel = camera.pixel_size * 120 / 0.512
-    smear = [1 + 120 / 0.512 - 120 / f for f in camera.mla_focal_lengths]
-    expected = [(1.5**2 / 4 + 5 / 72 * (s * 0.064) ** 2) / pixel**2 + 1 / 12 for s in smear]
-    assert min(expected) == expected[1]
-    lens_type = np.abs(spread[:, None] - expected).argmin(1)
-    np.testing.assert_allclose(spread, np.array(expected)[lens_type], rtol=0.03)
-    assert np.bincount(lens_type).min() > 0.3 * len(lens_type)
-    apart = np.hypot(*(centres[:, None] - centres).transpose(2, 0, 1))
-    neighbours = (apart > 1) & (apart < 1.1 * camera.micro_image_pitch / camera.pixel_size)
-    assert neighbours.sum(1).max() == 6
-    assert not (neighbours & (lens_type[:, None] == lens_type)).any()
-
-
 @pytest.mark.parametrize(
     "lattice",
     [
@@ -186,49 +148,6 @@ def test_a_white_capture_is_refocused_to_one(lattice, footprint):
     for result in mp.reconstruct(white_image(camera), distances, camera=camera, footprint=footprint):
         assert result.image.shape == (16, 20)
         np.testing.assert_allclose(result.image[4:-4, 4:-4], 1, atol=2e-3)
-
-
-def test_any_camera_refocuses_as_a_thin_lens_focuses():
-    small = {"detector_width": "2.048", "resolution": "1024", "letter_scale": "0.25"}
-    scene = mp.load_scene("letters", parameters={**small, **HEXAGONAL, "mla_pitch": "0.064, 0.06"})
-    capture = mp.render_capture(scene, spp=16)
-    distances = (210.0, 240.0, 280.0)
-    images = [result.image.astype(np.float64) for result in mp.reconstruct(capture, distances)]
-    references = [thin_lens_image(scene, capture.camera, g, 256) for g in distances]
-    scale, scores = agreement(images, references)
-    assert scale == pytest.approx(1, abs=0.06)
-    for image, reference, (psnr, correlation) in zip(images, references, scores, strict=True):
-        assert best_shift(image, reference) == (0, 0)
-        assert correlation > 0.975
-        assert psnr > 31
-
-
-def test_offsets_may_be_points_and_numbers_of_the_lattice_can_be_changed(camera_dict):
-    sensor = mi.load_dict(camera_dict(mla_offset=mi.ScalarPoint3f(0.01, 0.02, 0), **HEXAGONAL))
-    assert sensor.camera.mla_offset == (0.01, 0.02)
-    parameters = mi.traverse(sensor)
-    parameters["mla_rotation"] = 12.0
-    parameters["mla_offset"] = [0.03, 0.0]
-    parameters["mla_fill"] = 0.75
-    parameters["mla_focal_length"] = [0.5, 0.55, 0.6]
-    parameters["mla_pitch"] = 0.05
-    parameters.update()
-    assert sensor.camera.mla_pitches == (0.05, 0.05)
-    parameters["mla_pitch"] = [0.06, 0.064]
-    parameters.update()
-    expected = mp.PlenopticCamera(
-        detector_width=1.024, resolution=(512, 512), mla_lattice="hexagonal", mla_rotation=12, mla_offset=(0.03, 0),
-        mla_fill=0.75, mla_pitch=(0.06, 0.064), mla_focal_length=(0.5, 0.55, 0.6), detector_distance=0.512,
-    )  # fmt: skip
-    assert sensor.camera == expected
-    # The same picture as of a sensor that was made so.
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        again = mi.load_dict(expected.to_sensor())
-    np.testing.assert_array_equal(*(white_capture(s, spp=4).image for s in (sensor, again)))
-    parameters["mla_fill"] = 1.25
-    with pytest.raises(mp.InputError, match=r"mla_fill = 1\.25"):
-        parameters.update()
 
 
 def test_indices_of_lenses_that_floats_cannot_hold():

@@ -78,18 +78,6 @@ def test_xml_takes_a_file_a_name_or_text(tmp_path):
         assert camera.focus_distance == pytest.approx(400)
 
 
-def test_numbers_change_through_traverse():
-    numbers = {"focal_length": 80, "aperture_radius": 5, "resolution": (256, 256)}
-    scene = white(mp.PlenopticCamera(main_lens="double_gauss", **numbers))
-    parameters = mi.traverse(scene)
-    parameters["camera.aperture_radius"] = mi.Float(2.5)
-    parameters.update()
-    camera = scene.sensors()[0].camera
-    assert camera.aperture_radius == 2.5
-    quarter = np.pi / 4 * (camera.micro_image_diameter / camera.micro_image_pitch) ** 2
-    assert np.array(mi.render(scene, spp=64)).mean() == pytest.approx(quarter, rel=0.03)
-
-
 def test_the_white_image_is_what_mitsuba_renders_of_a_white_scene():
     camera = mp.PlenopticCamera(
         main_lens="singlet", focal_length=80, aperture_radius=5, resolution=(128, 128), detector_width=0.256,

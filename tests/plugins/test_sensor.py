@@ -4,11 +4,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import disk
 from cases import facing, radiating, scene_of
 from scipy.ndimage import binary_erosion
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
+from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.views import white_image
 
 
@@ -28,65 +27,6 @@ def picture_wall(texture, distance, half_width):
 def smooth_texture(size=32):
     y, x = np.mgrid[0:size, 0:size] / size
     return (0.5 + 0.3 * np.sin(7 * x + 1) * np.cos(5 * y))[..., None].astype(np.float32)
-
-
-def pupil_of_pixels(camera):
-    """Pupil coordinates that the centre of each column (or row) of a square detector sees through its lens."""
-    p = (np.arange(camera.resolution[0]) + 0.5) * camera.pixel_size - camera.detector_width / 2
-    b, z, pitch = camera.mla_distance, camera.detector_distance, camera.mla_pitch
-    c = (np.floor(p * b / (b + z) / pitch) + 0.5) * pitch
-    return c + b * (c - p) / z, c
-
-
-@pytest.mark.parametrize("lens_model", ["ideal", "parabolic"])
-def test_a_white_scene_reads_one_inside_the_micro_images_and_zero_between(camera_dict, lens_model):
-    capture = render_capture(white_scene(camera_dict(lens_model=lens_model)), spp=16)
-    pupil, _ = pupil_of_pixels(capture.camera)
-    radius = np.hypot(pupil[:, None], pupil[None, :])
-    # A pixel sees 0.47 mm of the pupil; keep its whole square away from the edge.
-    np.testing.assert_allclose(capture.image[radius < 4.6], 1, atol=2e-3)
-    np.testing.assert_array_equal(capture.image[radius > 5.4], 0)
-
-
-def test_a_point_lights_the_lenses_that_its_blur_covers(camera_dict):
-    """A small source's image on the MLA is a disc of the thin lens's blur diameter about its conjugate."""
-    capture = render_capture(scene_of(camera_dict(), source=disk([0.2, -0.15, 210], 0.02)), spp=64)
-    camera = capture.camera
-    _, centre = pupil_of_pixels(camera)
-    lit = capture.image > 0
-    rows, columns = np.nonzero(lit)
-    weights = capture.image[lit]
-    x, y = (weights * centre[columns]).sum() / weights.sum(), (weights * centre[rows]).sum() / weights.sum()
-    # Scene +x and +y lie to the left and up, in the capture as in any picture.
-    assert x == pytest.approx(-0.2 * 120 / 210, abs=0.01)
-    assert y == pytest.approx(0.15 * 120 / 210, abs=0.01)
-    reach = np.hypot(centre[columns] - x, centre[rows] - y).max()
-    assert abs(reach - camera.blur_diameter(210) / 2) < camera.mla_pitch
-
-
-def test_moving_camera_and_scene_together_changes_nothing(camera_dict):
-    axis = np.array([1.0, 2.0, 3.0]) / np.sqrt(14)
-    motion = mi.ScalarTransform4f().translate([10, -20, 5]).rotate(axis, 70)
-
-    def render(transform):
-        wall = picture_wall(smooth_texture(), 250.0, 1.5)
-        wall["to_world"] = transform @ wall["to_world"]
-        sensor = camera_dict(to_world=transform)
-        return render_capture(scene_of(sensor, "direct", wall=wall), spp=16).image
-
-    np.testing.assert_allclose(render(motion), render(mi.ScalarTransform4f()), atol=5e-3)
-
-
-def test_an_rgb_variant_records_three_channels_beside_a_scene_of_one(camera_dict):
-    first = white_scene(camera_dict(resolution=64, detector_width=0.128))
-    mi.set_variant("llvm_ad_rgb")
-    sensor = camera_dict(resolution=64, detector_width=0.128, film={"pixel_format": "rgb"})
-    sky = {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 0.5, 0.25]}}
-    capture = render_capture(scene_of(sensor, sky=sky), spp=16)
-    assert capture.image.shape == (64, 64, 3)
-    np.testing.assert_allclose(capture.image.reshape(-1, 3).max(axis=0), [1, 0.5, 0.25], rtol=1e-3)
-    mi.set_variant("llvm_ad_mono")
-    assert render_capture(first, spp=4).image.shape == (64, 64)
 
 
 LENSES = {"detector_width": 0.256, "resolution": (64, 48)}
@@ -164,26 +104,12 @@ def test_shutter_times_reach_the_rays(camera_dict):
     assert dr.allclose(ray.time, 0.5)
 
 
-def test_differentials_are_the_rays_of_the_next_pixels(camera_dict):
-    sensor = mi.load_dict(camera_dict())
-    place, lens = mi.Point2f(0.4037, 0.7221), mi.Point2f(0.3, 0.8)
-    ray, _ = sensor.sample_ray_differential(0, 0.5, place, lens)
-    for o, d, step in ((ray.o_x, ray.d_x, [1 / 512, 0]), (ray.o_y, ray.d_y, [0, 1 / 512])):
-        neighbour, _ = sensor.sample_ray(0, 0.5, place + mi.Point2f(step), lens)
-        assert dr.allclose(o, neighbour.o, atol=2e-3)
-        assert dr.allclose(d, neighbour.d, atol=1e-5)
-
-
-def test_numbers_can_be_changed_and_are_checked(camera_dict):
-    sensor = mi.load_dict(camera_dict(focus_distance=300.0))
-    assert PlenopticCamera.from_sensor(sensor).focus_distance == pytest.approx(300, rel=1e-6)
+def test_numbers_and_places_are_checked(camera_dict):
+    sensor = mi.load_dict(camera_dict(mla_offset=mi.ScalarPoint3f(0.01, 0.02, 0)))
+    assert sensor.camera.mla_offset == (0.01, 0.02)
     parameters = mi.traverse(sensor)
-    parameters["mla_distance"] = 110.0
     parameters["aperture_radius"] = 10.0
     parameters.update()
-    assert sensor.camera == PlenopticCamera(
-        detector_width=1.024, resolution=(512, 512), mla_distance=110, aperture_radius=10
-    )
     assert np.allclose(sensor.bbox().max, [10, 10, 0])
     parameters["mla_pitch"] = -1.0
     with pytest.raises(InputError, match="mla_pitch = -1"):
@@ -217,28 +143,16 @@ def derivatives(scene, parameter, spp, step=None):
 
 @pytest.mark.parametrize(
     ("parameter", "integrator", "numbers"),
-    [
-        pytest.param("focal_length", "path", {}, marks=pytest.mark.slow),
-        ("mla_distance", "direct", {}),
-        ("mla_rotation", "path", {}),
-        # Of several numbers the last.
-        ("mla_pitch", "path", {"mla_pitch": "0.064, 0.06", "mla_lattice": "hexagonal"}),
-        pytest.param("mla_offset", "path", {"mla_lattice": "hexagonal"}, marks=pytest.mark.slow),
-        ("wavefront", "path", {"wavefront": "0, 0.4, 0, 1.5"}),
-    ],
+    [("mla_distance", "direct", {}), ("wavefront", "path", {"wavefront": "0, 0.4, 0, 1.5"})],
 )
 def test_gradients_agree_with_finite_differences(camera_dict, parameter, integrator, numbers):
     sensor = camera_dict(resolution=64, detector_width=0.128, **numbers)
     scene = scene_of(sensor, integrator, wall=picture_wall(smooth_texture(128), 210.0, 1.2))
-    # The edge of the pupil, which a change of the focal length moves over pixels, makes its gradient noisy.
-    spp = 1024 if parameter == "focal_length" else 256
-    # An angle starts at 0, where the lattice is upright.
-    gradient, difference = derivatives(scene, parameter, spp, {"mla_rotation": 0.2, "mla_offset": 1e-4}.get(parameter))
-    if parameter != "focal_length":
-        # The pupil's moving edge has no gradient: compare where the whole pixel is inside.
-        camera = PlenopticCamera.from_sensor(scene.sensors()[0])
-        inside = white_image(camera.replace(aperture_radius=4.75)) > 0.999
-        gradient, difference = gradient[inside], difference[inside]
+    gradient, difference = derivatives(scene, parameter, 256)
+    # The pupil's moving edge has no gradient: compare where the whole pixel is inside.
+    camera = PlenopticCamera.from_sensor(scene.sensors()[0])
+    inside = white_image(camera.replace(aperture_radius=4.75)) > 0.999
+    gradient, difference = gradient[inside], difference[inside]
     assert np.linalg.norm(difference) > 0
     assert np.linalg.norm(gradient - difference) <= 0.02 * np.linalg.norm(difference)
 

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from cameras import disk, error, film
 from cases import by_signed_rays, scene_of
-from scipy.ndimage import map_coordinates
-from scipy.signal import fftconvolve
 
-from mitsuba_plenoptic import InputError, design, point_spread_function, render_capture
+from mitsuba_plenoptic import InputError, point_spread_function, render_capture
 from mitsuba_plenoptic.plugins.wave_base import developed
 
 SHARED = {"resolution": 128, "detector_width": 0.256}
@@ -44,31 +42,6 @@ def test_wave_and_ray_captures_hold_the_same_energy(camera_dict):
     ray = render_capture(scene, spp=64)
     wave = by_signed_rays(scene, 16)
     assert wave.image.sum() == pytest.approx(ray.image.sum(), rel=0.02)
-
-
-def test_a_white_scene_is_the_pupil_blurred_by_the_microlens(camera_dict):
-    """Disc of the pupil * sinc^2 of the square microlens * pixel, repeated from lens to lens."""
-    film = {"crop_offset_x": 224, "crop_offset_y": 224, "crop_width": 64, "crop_height": 64}
-    wave = by_signed_rays(scene_of(camera_dict(film=film), wall=disk((0, 0, 240.0), 5.0)), 32)
-    camera, fine = wave.camera, 5
-    step = camera.pixel_size / fine
-    x = np.arange(-230 * fine, 230 * fine + 1) * step
-    spot = np.sinc(x / design.spot_radius(camera, 633)) ** 2
-    spot /= spot.sum()
-    box = np.ones(fine) / fine
-    profile = np.convolve(spot, box, mode="same")
-    disc = (np.hypot(x[:, None], x[None, :]) <= camera.micro_image_diameter / 2).astype(float)
-    blurred = fftconvolve(fftconvolve(disc, profile[None, :], mode="same"), profile[:, None], mode="same")
-    # Pixel centres seen from the nearest micro-images' centres.
-    pixels = (np.arange(224, 288) + 0.5 - 256) * camera.pixel_size
-    expected = np.zeros((64, 64))
-    for j in range(-6, 6):
-        for i in range(-6, 6):
-            rows, columns = ((pixels - (k + 0.5) * camera.micro_image_pitch) / step + 230 * fine for k in (j, i))
-            expected += map_coordinates(blurred, np.meshgrid(rows, columns, indexing="ij"), order=1)
-    assert error(wave.image, expected) <= 0.01
-    assert wave.image.max() == pytest.approx(expected.max(), rel=0.01)
-    assert wave.image.sum() == pytest.approx(expected.sum(), rel=0.002)
 
 
 def test_same_seed_same_bits_on_any_number_of_threads(camera_dict):

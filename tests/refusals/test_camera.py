@@ -16,8 +16,6 @@ FOURIER = Objective(20, 0.5, arrangement="fourier", fourier_focal_length=100)
 HEXAGONAL = {"mla_lattice": "hexagonal"}
 
 NUMBERS = [
-    ({"focal_length": -1}, "focal_length = -1: "),
-    ({"focal_length": math.nan}, "focal_length = nan: "),
     ({"focus_distance": 80}, "focus_distance = 80: .*80"),
     ({"focus_distance": 240, "mla_distance": 120}, "give one of the two"),
     ({"resolution": (0, 5)}, "resolution = 0: "),

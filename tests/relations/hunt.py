@@ -27,6 +27,7 @@ import of_extensions  # noqa: E402, F401
 import of_files  # noqa: E402, F401
 import of_models  # noqa: E402, F401
 import of_points  # noqa: E402, F401
+import of_sensors  # noqa: E402, F401
 from camera_draws import Draw  # noqa: E402
 from coverage_of_draws import Tally  # noqa: E402
 from relation import RELATIONS, TooLongError, draw_of, judged, shrunk  # noqa: E402

@@ -242,28 +242,23 @@ def test_without_cupy_waves_on_cuda_are_refused_with_the_remedy(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("error", "mistake"),
+    "mistake",
     [
-        (TypeError, lambda _, array: np.asarray(array)),
-        (TypeError, lambda _, array: array + np.ones(3)),
-        (TypeError, lambda _, array: array[np.arange(2)]),
-        (TypeError, lambda libraries, array: libraries.arrays.multiply(array, array, out=np.ones(3))),
-        (AttributeError, lambda libraries, _: libraries.arrays.spacing),
-        (AttributeError, lambda libraries, _: libraries.transforms.set_workers),
-        (AttributeError, lambda _, array: array.tolist()),
+        lambda _, array: np.asarray(array),
+        lambda _, array: array + np.ones(3),
+        lambda _, array: array[np.arange(2)],
+        lambda libraries, array: libraries.arrays.multiply(array, array, out=np.ones(3)),
+        lambda libraries, _: libraries.transforms.set_workers,
+        lambda _, array: array.tolist(),
     ],
 )
-def test_the_stand_in_refuses_to_mix_and_lacks_what_cupy_lacks(error, mistake):
-    libraries = device_stand_in.StandIn().backend
-    with pytest.raises(error):
-        mistake(libraries, libraries.arrays.zeros(3))
-
-
-def test_the_stand_in_counts_what_leaves():
+def test_the_stand_in_refuses_to_mix_lacks_what_cupy_lacks_and_counts_what_leaves(mistake):
     stand_in = device_stand_in.StandIn()
+    with pytest.raises((TypeError, AttributeError)):
+        mistake(stand_in.backend, stand_in.backend.arrays.zeros(3))
     one = stand_in.backend.arrays.ones(3)
-    assert float(one[0]) == int(one.sum()) / 3 == 1 and bool(one.all()) and complex(one[1]) == 1
-    assert stand_in.scalars == 4 and not stand_in.to_host
+    assert float(one[0]) == int(one.sum()) / 3 == 1 and bool(one.all())
+    assert stand_in.scalars == 3 and not stand_in.to_host
     assert (stand_in.backend.to_host(one) == 1).all() and stand_in.to_host == [(3,)]
 
 

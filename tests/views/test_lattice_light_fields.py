@@ -9,11 +9,11 @@ from light_field_cases import LATTICES, all_cameras
 from scipy.spatial import cKDTree
 
 from mitsuba_plenoptic import PlenopticCamera, decode, load_scene, reconstruct, render_capture
-from mitsuba_plenoptic.views import estimate_lens_grid, lens_grid, refocus, view, white_image
+from mitsuba_plenoptic.views import lens_grid, refocus, view
 
 
 @all_cameras
-def test_the_grid_holds_the_lenses_and_is_what_is_found_in_a_white_image(camera):
+def test_the_grid_holds_the_lenses(camera):
     grid = lens_grid(camera)
     centres = grid.centres().reshape(-1, 2)
     p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
@@ -29,11 +29,6 @@ def test_the_grid_holds_the_lenses_and_is_what_is_found_in_a_white_image(camera)
     expected = np.stack(lattice.centre(*index.T.astype(float)), axis=-1)
     distance = cKDTree(np.stack([x, y], axis=-1)).query(expected)[0]
     assert distance.max() < 1e-9
-
-    found = estimate_lens_grid(white_image(camera))
-    inner = ((centres > 20) & (centres < np.array(camera.crop_size) - 20)).all(1)
-    error = cKDTree(found.centres().reshape(-1, 2)).query(centres[inner])[0]
-    assert np.sqrt(np.mean(error**2)) < 0.02
 
 
 def test_rows_are_found_whatever_the_angle():
@@ -51,7 +46,7 @@ def test_views_show_the_scene_from_their_place_on_the_pupil(name="hexagonal, str
     """By a hexagonal lattice with two pitches."""
     lattice = {key: ", ".join(map(str, np.ravel(value))) for key, value in LATTICES[name].items()}
     scene = load_scene("letters", parameters=letters(32, **lattice))
-    capture = render_capture(scene, spp=64)
+    capture = render_capture(scene, spp=16)
     lf = decode(capture)
     assert (lf.sizes["s"], lf.sizes["t"]) == capture.camera.bin_count
 
@@ -59,7 +54,7 @@ def test_views_show_the_scene_from_their_place_on_the_pupil(name="hexagonal, str
         one = view(lf, u=u, v=v)
         shape = lf.sizes["s"], lf.sizes["t"]
         width = lf.sizes["s"] * capture.camera.row_pitch
-        expected = pinhole_picture(scene, *shape, width, float(one.u), float(one.v), spp=256)[..., 0]
+        expected = pinhole_picture(scene, *shape, width, float(one.u), float(one.v), spp=64)[..., 0]
         aside = [np.roll(expected, step, axis) for step in (-1, 1) for axis in (0, 1)]
         score = np.corrcoef(one.values.ravel(), expected.ravel())[0, 1]
         assert score > 0.97

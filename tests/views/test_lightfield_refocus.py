@@ -2,10 +2,9 @@
 
 import math
 
-import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import letters, pinhole_picture
+from cameras import letters
 from light_field_cases import blobs, fall_off_of, of_square_lenses, straight_rays
 from scipy.io import savemat
 from scipy.ndimage import center_of_mass, gaussian_filter, map_coordinates, uniform_filter
@@ -100,15 +99,6 @@ class TestShiftAndAdd:
                         weight += share
         assert ours[row, column] == pytest.approx(total / weight, rel=1e-5)
 
-    def test_a_scene_is_sharp_at_its_own_distance_only(self, blank):
-        function = texture()
-        lf = flat_scene(blank, 215.0, function)
-        sharp = refocus(lf, 215.0)
-        expected = function(np.arange(40.0), np.arange(40.0)[:, None])
-        np.testing.assert_allclose(sharp.values, expected, atol=0.03)
-        assert float(sharp.distance) == 215
-        assert sharp.values.std() > 2 * refocus(lf, 270.0).values.std()
-
     def test_equals_the_ray_reconstruction(self):
         capture = mp.render_capture(mp.load_scene("letters", parameters=letters(32)), spp=2)
         ours = refocus(mp.decode(capture), 280.0).values
@@ -136,7 +126,7 @@ class TestShiftAndAdd:
 
 class TestDepth:
     @pytest.mark.filterwarnings("ignore:white")
-    @pytest.mark.parametrize("source", ["white alone", "lenses", "vignetting", "white of LFToolbox"])
+    @pytest.mark.parametrize("source", ["lenses", "vignetting", "white of LFToolbox"])
     def test_behind_a_falling_white(self, source, tmp_path, slope=0.6):
         camera = of_square_lenses(10, 20)
         distance = float(distance_of(mp.decode(white_image(camera), camera=camera), slope))
@@ -150,14 +140,10 @@ class TestDepth:
         picture = straight_rays(camera, light, lens_gain)
         if source == "lenses":
             camera = camera.replace(mla_transmissions=mp.LensTransmissions(gain))
-        if source.startswith("white"):
-            dim = fall_off_of(camera, 0.2)
-            white = white_image(camera) * dim
-            alone = source == "white alone"
-            lf = mp.decode(picture * dim, white=white, **({"grid": lens_grid(camera)} if alone else {"camera": camera}))
-        else:
-            lf = mp.decode(picture, camera=camera)
+        lf = mp.decode(picture, camera=camera)
         if source == "white of LFToolbox":
+            dim = fall_off_of(camera, 0.2)
+            lf = mp.decode(picture * dim, white=white_image(camera) * dim, camera=camera)
             stored = np.stack([lf.values, lf.white.values / lf.white.values.max()], axis=-1)
             savemat(tmp_path / "a.mat", {"LF": stored})
             lf = mp.exchange.read_lftoolbox(tmp_path / "a.mat")
@@ -182,7 +168,7 @@ class TestDepth:
         edge = 20 + slope * view_steps(blank, "u")
         in_front = np.arange(40)[None, :] < edge[:, None]
         lf = blank.copy(data=np.where(in_front[None, :, None, :], near.values, far.values))
-        found = depth_map(lf, 195, 310, planes=48)
+        found = depth_map(lf, 195, 310, planes=32)
         left, right = found.isel(s=slice(2, 16)), found.isel(s=slice(23, 38))
         assert float(abs(left.depth - 212).median()) < 0.5
         assert float(abs(right.depth - 265).median()) < 1
@@ -258,7 +244,7 @@ class TestDepth:
 
     def test_the_default_search_reaches_as_far_as_views_show_depth(self, blank, distance=300.0):
         # Views move by 1.4 lenses and more.
-        found = depth_map(flat_scene(blank, distance, texture(5)), planes=96).isel(s=slice(12, -12), t=slice(12, -12))
+        found = depth_map(flat_scene(blank, distance, texture(5)), planes=64).isel(s=slice(12, -12), t=slice(12, -12))
         assert float(np.isfinite(found.depth).mean()) > 0.9
         assert float(abs(found.depth / distance - 1).max()) < 0.01
 
@@ -282,19 +268,3 @@ class TestDepth:
         found = depth_map(mp.decode(mp.expose(white, mp.Detector(), photons=500)), planes=48)
         assert float(np.isfinite(found.depth).mean()) < 0.02
         assert float(found.confidence.max()) < 0.9
-
-
-@pytest.mark.slow
-def test_depth_of_the_still_life():
-    scene = mp.load_scene("still_life")
-    capture = mp.render_capture(scene, spp=16)
-    integrator = mi.load_dict({"type": "aov", "aovs": "place:position"})
-    z = pinhole_picture(scene, 640, 640, 8.192, integrator=integrator, spp=1)[..., -1]
-    truth = np.median(z.reshape(128, 5, 128, 5).swapaxes(1, 2).reshape(128, 128, 25), axis=2)
-    found = depth_map(mp.decode(capture), 195, 310)
-    # A depth whose neighbours disagree is unknown, whatever its own confidence.
-    sure = (found.confidence.values > 0.5) & np.isfinite(found.depth.values)
-    error = np.abs(found.depth.values - truth) / (truth.max() - truth.min())
-    assert sure.mean() > 0.3
-    assert np.median(error[sure]) < 0.01
-    assert np.percentile(error[sure], 90) < 0.03

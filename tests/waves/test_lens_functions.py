@@ -96,9 +96,3 @@ def test_weights_are_one_over_the_density(points, plan):
         ((x > half) & (x < 3 * half) & (y < -half) & (y > -2 * half), 2 * half * half),
     ):
         assert np.mean(area * inside) == pytest.approx(wanted, rel=0.03)
-
-
-def test_kernels_of_small_lenses_stay_below_the_first(plan):
-    kernels = plan.kernels(plan.camera.pixel_size, plan.camera.mla_pitch)
-    energy = np.square(kernels).sum((1, 2))
-    assert energy.argmax() == 0

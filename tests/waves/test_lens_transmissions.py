@@ -45,13 +45,6 @@ def test_rows_of_hexagonal_lattices_are_straight():
     assert table.at(camera.lattice, i + 7, j) == pytest.approx(np.ones(9))
 
 
-def test_decoding_divides_it_out():
-    views = [mp.decode(mp.Capture(sky(camera, 64), camera), white=None) for camera in (PLAIN, CAMERA)]
-    seen = np.hypot(views[0].u, views[0].v) < 4
-    assert float(np.abs(views[1] - views[0]).where(seen).max()) < 0.02
-    assert float(views[1].where(seen).min()) > 0.96
-
-
 def test_files_and_refusals(tmp_path):
     np.save(tmp_path / "gains.npy", TABLE)
     (tmp_path / "gains.json").write_text(json.dumps({"values": TABLE.tolist(), "first": [-2, -2]}))

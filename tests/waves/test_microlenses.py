@@ -6,9 +6,8 @@ from cameras import LATTICES, WAVELENGTH, error, small_camera
 from drjit.llvm import Float64
 from scipy.special import j1
 
-from mitsuba_plenoptic.fields.microlens_orders import AxisFactor, PlaneFactor, axis_orders
+from mitsuba_plenoptic.fields.microlens_orders import PlaneFactor, axis_orders
 from mitsuba_plenoptic.fields.transmittance import transmission
-from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.runtime import turn
 
 SMALL = small_camera()
@@ -45,29 +44,6 @@ def test_orders_of_the_lens_array():
     assert np.sum(np.abs(axis_orders(SMALL, WAVELENGTH, 3000, 0)[0]) ** 2) == pytest.approx(1, abs=1e-4)
 
 
-@pytest.mark.filterwarnings("ignore:.*outer eighth of its window:mitsuba_plenoptic.PhysicsWarning")  # it is periodic
-@pytest.mark.parametrize("part", [0.25, 7.3])
-def test_self_imaging_of_a_bare_lens_array(part):
-    """A plane wave through the array, parts of a Talbot length on, against its Fourier orders with exact kz."""
-    pitch, lam = SMALL.mla_pitch, WAVELENGTH * 1e-6
-    periods, per_period = 6, 96
-    highest = 0.3
-    x = np.arange(periods * per_period) * pitch / per_period
-    t = to_numpy(AxisFactor(SMALL, WAVELENGTH, highest, 0).at(Float64(x)))
-    distance = part * 2 * pitch**2 / lam
-    field = propagate(t[None, :] * t[:, None], pitch / per_period, distance, WAVELENGTH)
-
-    q = np.arange(-int(highest * pitch / lam), int(highest * pitch / lam) + 1)
-    fine = (np.arange(100_000) + 0.5) / 100_000 * pitch
-    lens = np.exp(-1j * np.pi * (fine - pitch / 2) ** 2 / (lam * SMALL.mla_focal_length))
-    c = np.array([np.mean(lens * np.exp(-2j * np.pi * k * fine / pitch)) for k in q])
-    s2 = (q[:, None] ** 2 + q[None, :] ** 2) * (lam / pitch) ** 2
-    path = distance / lam * (np.sqrt(1 - s2) - 1)
-    waves = np.exp(2j * np.pi * q[None, :] * x[:, None] / pitch)
-    expected = waves @ (c[:, None] * c[None, :] * np.exp(2j * np.pi * path)) @ waves.T
-    assert error(field, expected) < 1e-4
-
-
 def test_orders_of_holes_are_airy_patterns():
     """Lenses of hardly any power on a hexagonal lattice, whose reciprocal lattice is hexagonal, too."""
     camera = SMALL.replace(mla_lattice="hexagonal", mla_aperture="circle", mla_fill=0.9, mla_focal_length=1e6)
@@ -82,16 +58,6 @@ def test_orders_of_holes_are_airy_patterns():
     # A lens's centre is on the axis, so that there is no other phase.
     assert np.abs(found - expected).max() < 3e-4
     assert np.abs(found[~there]).max() < 1e-5
-
-
-@some
-def test_orders_are_converged_and_hold_the_light(name):
-    camera = SMALL.replace(**LATTICES[name])
-    found = PlaneFactor(camera, WAVELENGTH, 0.35).orders()
-    assert error(found, PlaneFactor(camera, WAVELENGTH, 0.35, fine=1234).orders()) < 3e-3
-    open_part = camera.lattice.lens_area / camera.lattice.cell_area
-    # What is missing goes farther: of an edge's light a part that falls with the inverse of the angle.
-    assert 0.985 * open_part < (np.abs(found) ** 2).sum() < 1.001 * open_part
 
 
 @some

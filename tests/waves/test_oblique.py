@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter, shift
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.runtime.batches import Box
-from mitsuba_plenoptic.waves.oblique import Oblique, changes, directions, moved, terms
+from mitsuba_plenoptic.waves.oblique import Oblique, terms
 from mitsuba_plenoptic.waves.ray_sampler import LensSampler, Pixels
 from mitsuba_plenoptic.waves.scheme import plan_of
 
@@ -141,17 +141,6 @@ def test_pixels_know_the_direction_of_their_light():
     turn = math.radians(20.0)
     assert u.numpy() == pytest.approx(x * math.cos(turn) + y * math.sin(turn), abs=1e-5)
     assert v.numpy() == pytest.approx(y * math.cos(turn) - x * math.sin(turn), abs=1e-5)
-
-
-def test_changes_are_those_of_polynomials():
-    degree, rng = 4, np.random.default_rng(4)
-    slopes = rng.normal(size=degree * (degree + 3) // 2)
-    values = [1.0 + slopes @ np.array(terms(*s, degree)) for s in directions(degree)]
-    assert changes(degree) @ values == pytest.approx(slopes, rel=1e-9)
-    # Moved terms are those of the moved directions.
-    step = np.array([0.2, -0.1])
-    (s,) = rng.uniform(-1, 1, (1, 2))
-    assert moved(step, degree) @ [1, *terms(*s, degree)] == pytest.approx([1, *terms(*(s + step), degree)])
 
 
 def test_slopes_of_terms_are_their_differences():

@@ -154,15 +154,6 @@ def test_a_changed_crop_of_the_film_is_recorded():
     assert PlenopticCamera.from_sensor(loaded.sensors()[0]).crop_size == (8, 6)
 
 
-@pytest.mark.parametrize(("blur", "most"), [(0.0027, 0.032), (BLUR, 0.012)])
-def test_ray_captures_are_blurred_like_finer_pixels(blur, most):
-    """By a third of a pixel and by 1.5, against pixels of a fifth of the width, whose sums are blurred by SciPy."""
-    fine = CAMERA.replace(resolution=(160, 160))
-    parts = blurred(capture(fine, 256).image, blur, fine).reshape(32, 5, 32, 5).mean((1, 3))
-    assert error(capture(CAMERA.replace(detector_blur=blur), 4096).image, parts) < most
-    assert error(capture(CAMERA, 4096).image, parts) > 2 * most
-
-
 LENGTHS = CAMERA.replace(detector_blur=BLUR, pixel_crosstalk=0.05, stray_light=TABLE, stray_width=0.04)
 
 

@@ -85,11 +85,6 @@ def test_resolution_samples_the_same_detector(name):
     assert camera.pixels_per_lens == pytest.approx(full.pixels_per_lens * columns / full.resolution[0])
 
 
-def test_rows_can_be_given():
-    camera = load_scene("raytrix", parameters={"resolution": "102", "rows": "10"}).sensors()[0].camera
-    assert camera.resolution == (102, 10)
-
-
 @pytest.mark.parametrize(
     ("name", "variant"),
     [("vitrine", "llvm_ad_mono"), ("colour_chart", "llvm_ad_rgb"), ("colour_chart", "llvm_ad_spectral")],
