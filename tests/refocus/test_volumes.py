@@ -74,14 +74,6 @@ def test_files_hold_voxel_sizes(tmp_path):
         refuses(r"give a name that ends in .tif or", write_volume, tmp_path / name, volume)
 
 
-def test_zarr_is_what_xarray_reads(tmp_path):
-    xarray = pytest.importorskip("xarray")
-    pytest.importorskip("zarr")
-    volume = Volume(np.ones((2, 3, 4), np.float32), (210.0, 230.0), 0.03)
-    write_volume(tmp_path / "a.zarr", volume)
-    assert xarray.open_dataarray(tmp_path / "a.zarr", engine="zarr").equals(volume.to_xarray())
-
-
 def test_views_are_those_of_numpy():
     values = np.zeros((3, 4, 5), np.float32)
     values[1, 2, 3], values[2, 0, 0], values[0, 3, 4] = 5, 2, np.nan

@@ -204,9 +204,7 @@ SQUARE = START.replace(mla_lattice="square", mla_focal_length=0.56)
         (Board(4, 6, 6.0), START, "board of 4x6 inner corners: they do on one with 6 along each row"),
         (Board(6, 4, 60.0), START, "squares of 60 mm"),
         (cases.BOARD, SQUARE, "odd rows .* mla_lattice"),
-        (cases.BOARD, START.replace(mla_medium=1.5), r"mla_medium = 1\.5: "),
         (cases.BOARD, START.replace(mla_shape=Conic(0.25), mla_focal_length=None), "mla_shape = "),
-        (cases.BOARD, "raytrix", "start = 'raytrix': "),
     ],
 )
 def test_other_boards_and_cameras_are_refused(table, centres, board, start, words):

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import WAVELENGTH, error, scattered, small_camera
+from cameras import WAVELENGTH, scattered, small_camera
 from refusals import refused, refuses
 
 from mitsuba_plenoptic import CaptureOperator, InputError, Spectrum, StoredOperator, load_scene
@@ -44,7 +44,7 @@ def test_gradients_of_weights_and_images_in_double_precision():
         lambda w: bridge.forward(operator, w), random(2, 3), check_forward_ad=True, fast_mode=True
     )
     assert torch.autograd.gradcheck(
-        lambda y: bridge.adjoint(operator, y)[..., :2], random(*CAMERA.shape), fast_mode=True
+        lambda y: bridge.adjoint(operator, y)[..., :2], random(*CAMERA.shape), check_forward_ad=True, fast_mode=True
     )
     assert torch.autograd.gradgradcheck(lambda w: bridge.forward(operator, w) ** 2, random(3), fast_mode=True)
 
@@ -98,14 +98,6 @@ def test_tensors_of_other_types_and_layouts():
         torch.testing.assert_close(made.double(), expected, rtol=limit, atol=limit * float(expected.abs().max()))
 
 
-def test_captures_are_by_the_cameras_lens_model():
-    """Of a camera whose stigmatic lens and parabolic phase make captures that differ by half."""
-    camera = small_camera(2, aperture_radius=10.0, lens_model="parabolic")
-    made = bridge.capture(computing, camera, {"mla_distance": torch.tensor(120.0)}, torch.ones(3)).detach()
-    assert error(made.numpy(), computing(camera).forward(np.ones(3))) < 1e-5
-    assert error(made.numpy(), computing(camera.replace(lens_model="ideal")).forward(np.ones(3))) > 0.3
-
-
 def along(function, given, change, step):
     """Return the change of a function in a direction, by its forward mode and by central differences, and a dot test.
 
@@ -122,19 +114,6 @@ def along(function, given, change, step):
 
 def require_close(made, expected, limit):
     assert float((made - expected).norm() / expected.norm()) < limit
-
-
-def test_forward_mode_of_points():
-    operator = computing(CAMERA)
-    weights, change = (random(2, 3).detach().float() + shift for shift in (0, 0.5))
-    images = random(2, *CAMERA.shape).detach().float()
-    for function, given, moved, limit in (
-        (lambda w: bridge.forward(operator, w), weights, change, 1e-5),
-        (lambda y: bridge.adjoint(operator, y), images, images + 0.5, 1e-4),
-    ):
-        made, difference, *products = along(function, (given,), (moved,), 0.5)
-        require_close(made, difference, limit)
-        assert products[0] == pytest.approx(products[1], rel=1e-5)
 
 
 OPTIONS = {RayRefocus: {}, CoherentRefocus: {"wavelength": WAVELENGTH}, DeconvolvedRefocus: {"iterations": 3}}
@@ -364,9 +343,6 @@ test_refusals = refused(
     (lambda: rendered(values={RADIANCES[0]: torch.ones(3)}), r"^f\.emitter\.radiance\.value of shape \(3,\)"),
     (lambda: rendered(values={"f.faces": torch.ones(18)}), "^f.faces: it is UInt"),
     (lambda: rendered(values={"f.emitter.radiance": torch.ones(1)}), "^values: f.emitter.radiance: "),
-    (lambda: rendered(spp=-1), "^spp = -1: "),
-    (lambda: rendered(seed=0.5), "^seed = 0.5: "),
-    (lambda: rendered("nothing"), "^scene = 'nothing': "),
     (
         lambda: rendered(mi.load_dict({"type": "scene", "one": {"type": "path"}, "two": {"type": "sphere"}})),
         "no sensor",

@@ -212,8 +212,6 @@ def test_gaps_between_lenses_leave_the_brightness_of_a_wall():
     ("changes", "message"),
     [
         ({"mla_lattice": "hexagonal"}, "mla_lattice = hexagonal"),
-        ({"mla_rotation": 3.0}, "mla_rotation = 3.0"),
-        ({"mla_aperture": "circle"}, "mla_aperture = circle"),
         ({"mla_pitch": 0.0024}, "half a pitch"),
     ],
 )

@@ -110,8 +110,6 @@ def test_a_folder_is_read_with_its_nearest_shape_first(tmp_path):
         (None, "white.png"),
         ({"a": SHAPES["a"]}, "two distances"),
         ({"a": {"distance": 385}, "b": SHAPES["b"]}, "a: it has no region"),
-        (SHAPES | {"b": {"distance": 9, "region": [4, 0, 9, 8]}}, "8 x 8 bins"),
-        (SHAPES | {"b": {"distance": -1, "region": [4, 0, 4, 8]}}, "distance = -1"),
         ({"a": SHAPES["a"] | {"even": [1, 1, 0, 2]}}, "a: even = .1, 1, 0, 2."),
         ([], "no shapes"),
     ],

@@ -160,11 +160,6 @@ class TestLFToolbox:
         assert path.stat().st_size < 10_000
         refuses(r"shape .*: it would need .* GiB", read_lftoolbox, path)
 
-    def test_refused_writes(self, lf, tmp_path):
-        refuses("precision = 'double'", write_lftoolbox, tmp_path / "a.mat", lf, precision="double")
-        refuses("does not exist", write_lftoolbox, tmp_path / "missing" / "a.mat", lf)
-        assert list(tmp_path.iterdir()) == []
-
 
 class TestXarray:
     """Light fields are written and read by xarray itself, in all of its formats."""
@@ -236,13 +231,6 @@ class TestFiles:
         assert seen.values.max() == pytest.approx(0.6, rel=0.05)
         even = open_light_field(tmp_path / "raw.exr", white=tmp_path / "white.exr")
         np.testing.assert_allclose(even.values[even.weight.values > 0], 0.5, rtol=1e-3)
-
-    @pytest.mark.parametrize("name", ["a.nc", "a.zarr"])
-    def test_labelled_formats_keep_all(self, lf, name, tmp_path):
-        if name == "a.zarr":
-            pytest.importorskip("zarr")
-        save_light_field(tmp_path / name, lf)
-        assert open_light_field(tmp_path / name).identical(lf)
 
     def test_labelled_files_that_are_none_are_refused(self, lf, tmp_path, monkeypatch):
         save_light_field(tmp_path / "a.nc", lf)
