@@ -84,6 +84,7 @@ def test_parameters_are_followed_through_defaults_and_includes(raw, tmp_path, ru
         "reconstruct {raw} -o {link} --distance 240 --white {copy}",
         "depth {raw} -o {copy} --white {copy}",
         "expose {copy} -o {link} --photons 100",
+        pytest.param("calibrate {copy} -o {copy}", marks=pytest.mark.needs_extension("calibrate")),
     ],
 )
 def test_what_is_read_is_not_written_over(line, raw, tmp_path, complaint):

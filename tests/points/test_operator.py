@@ -166,11 +166,7 @@ def test_half_of_the_pupil_lights_half_of_the_image(axis):
 
 
 @pytest.mark.parametrize(
-    ("name", "distance"),
-    [
-        ("square", 240.0),
-        pytest.param("three focal lengths", 240.0, marks=pytest.mark.slow),
-    ],
+    ("name", "distance"), [("square", 240.0), pytest.param("three focal lengths", 240.0, marks=pytest.mark.slow)]
 )
 def test_shared_patterns_stay_true(name, distance):
     """One pattern for all lenses of a focal length in a zone, against a propagation of every radiator."""

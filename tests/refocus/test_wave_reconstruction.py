@@ -19,10 +19,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*back through the main lens:mit
 
 SMALL = small_camera(20, **HALF)
 DISTANCES = [105.0, 120.0, 140.0]
-METHODS = {
-    "coherent": {"method": "coherent"},
-    "auto": {"method": "partial", "interleave": "auto"},
-}
+METHODS = {"coherent": {"method": "coherent"}, "auto": {"method": "partial", "interleave": "auto"}}
 
 most_methods = pytest.mark.parametrize("options", METHODS.values(), ids=METHODS.keys())
 all_methods = pytest.mark.parametrize("options", [{"method": "ray"}, *METHODS.values()], ids=["ray", *METHODS.keys()])

@@ -38,6 +38,15 @@ def fields(draw):
     return max(adjoint / 1e-5, off(total, np.squeeze(expected)) / 5e-3), 1.0
 
 
+@relation(Use.POINTS, method="stored spreads")
+def stored(draw):
+    """Spreads that are stored have the products of those that are computed."""
+    points, options = [draw.point(), draw.point()], {"wavelength": draw.wavelength, "accuracy": 0.0}
+    weights, image = draw.rng.normal(size=2), draw.rng.random(draw.camera.shape)
+    one, other = (kind(draw.camera, points, **options) for kind in (mp.CaptureOperator, mp.StoredOperator))
+    return max(off(other.forward(weights), one.forward(weights)), off(other.adjoint(image), one.adjoint(image))), 2e-5
+
+
 @relation(Use.POINT_RAYS | Use.RAY_SPREADS, "main_lens", "fits of points by rays")
 def rays_of_points(draw):
     """The rays that fits follow are those of point spreads."""

@@ -25,10 +25,6 @@ OPEN = PlenopticCamera(
     detector_width=2.3, resolution=(360, 360),
 )  # fmt: skip
 """A camera whose microlenses have no power: its speckle is that of a plain camera, the same everywhere."""
-SMALL = PlenopticCamera(
-    focal_length=40, aperture_radius=1.25, mla_distance=60, detector_width=0.256, resolution=(128, 128)
-)
-"""A plenoptic camera of 4 x 4 lenses."""
 DISTANCE = 120.0
 """Distance that both focus on the array, at half the size."""
 
@@ -118,18 +114,6 @@ def test_pixels_are_integrals_of_the_squared_field():
     rows = fine[first : first + 128 * per_pixel, first : first + 128 * per_pixel]
     sums = rows.reshape(128, per_pixel, 128, per_pixel).sum((1, 3)) * (field.pitch / 4) ** 2
     assert error(image, sums) < 0.002
-
-
-@pytest.mark.slow
-def test_the_mean_over_modes_is_the_incoherent_capture():
-    camera = SMALL.replace(detector_width=0.064, resolution=(32, 32))
-    points, weights = scattered(20, distances=(119.5, 120.5), image=0.03), np.random.default_rng(0).random(20)
-    mean = laser.coherent_capture(operator_of(points, camera), weights, modes=60, seed=2)
-    exact = CaptureOperator(camera, points, wavelength=WAVELENGTH).forward(weights)
-    bright = exact > 0.2 * exact.max()
-    assert mean[bright].sum() == pytest.approx(exact[bright].sum(), rel=0.1)
-    # Each pixel scatters by its contrast, at most 1, over the root of the modes.
-    assert 0.4 / math.sqrt(60) < np.sqrt(np.mean((mean[bright] / exact[bright] - 1) ** 2)) < 1.15 / math.sqrt(60)
 
 
 def modes_of(source, pupil):

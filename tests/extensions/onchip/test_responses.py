@@ -210,10 +210,7 @@ def test_gaps_between_lenses_leave_the_brightness_of_a_wall():
 
 @pytest.mark.parametrize(
     ("changes", "message"),
-    [
-        ({"mla_lattice": "hexagonal"}, "mla_lattice = hexagonal"),
-        ({"mla_pitch": 0.0024}, "half a pitch"),
-    ],
+    [({"mla_lattice": "hexagonal"}, "mla_lattice = hexagonal"), ({"mla_pitch": 0.0024}, "half a pitch")],
 )
 def test_what_responses_do_not_describe_is_refused_by_name(changes, message):
     refuses(message, pixels_per_lens, camera_of(2.0, 40).replace(**changes))

@@ -72,11 +72,7 @@ def test_focused_cameras_keep_the_plane_in_focus_and_their_range():
 
 
 def test_pixels_against_range():
-    for ranges, verdict in (
-        ((0.1, 0.2, 0.3), "confirmed"),
-        ((0.1, 0.3, 0.2), "partly"),
-        ((0.3, 0.2, 0.1), "differs"),
-    ):
+    for ranges, verdict in (((0.1, 0.2, 0.3), "confirmed"), ((0.1, 0.3, 0.2), "partly"), ((0.3, 0.2, 0.1), "differs")):
         cameras = [FocusedCamera(PAPER, 3.0, 500.0, 240.0, 1 / (1 / 240 - 1e-3 * width)) for width in ranges]
         assert [each.range for each in cameras] == pytest.approx(ranges)
         assert pixels_against_range(cameras).verdict == verdict

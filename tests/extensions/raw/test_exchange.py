@@ -9,7 +9,6 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io
-import xarray as xr
 from foreign_files import write_matlab_7
 from PIL import Image
 from refusals import refused, refuses
@@ -24,7 +23,7 @@ from mitsuba_plenoptic.exchange import (
     write_lftoolbox,
     write_mosaic,
 )
-from mitsuba_plenoptic.views import LensGrid, camera_of, grid_of, refocus, white_image
+from mitsuba_plenoptic.views import LensGrid, grid_of, refocus, white_image
 
 CAMERA = PlenopticCamera(detector_width=0.4, resolution=(128, 96), mla_pitch=0.05, aperture_radius=4)
 
@@ -161,24 +160,9 @@ class TestLFToolbox:
         refuses(r"shape .*: it would need .* GiB", read_lftoolbox, path)
 
 
-class TestXarray:
-    """Light fields are written and read by xarray itself, in all of its formats."""
-
-    @pytest.mark.parametrize("engine", ["h5netcdf", "scipy", "zarr"])
-    def test_round_trip(self, lf, engine, tmp_path):
-        pytest.importorskip(engine)
-        if engine == "zarr":
-            lf.to_zarr(tmp_path / "a")
-        else:
-            lf.to_netcdf(tmp_path / "a", engine=engine)
-        with xr.open_dataarray(tmp_path / "a", engine=engine) as back:
-            assert back.identical(lf)
-            assert (camera_of(back), grid_of(back)) == (camera_of(lf), grid_of(lf))
-            xr.testing.assert_identical(refocus(back, 230.0), refocus(lf, 230.0))
-
-    def test_damaged_attributes_are_refused(self, lf):
-        for text in ("{", "[1]", 3):
-            refuses("light field: its attribute camera", refocus, lf.assign_attrs(camera=text), 230.0)
+def test_damaged_attributes_are_refused(lf):
+    for text in ("{", "[1]", 3):
+        refuses("light field: its attribute camera", refocus, lf.assign_attrs(camera=text), 230.0)
 
 
 class TestMosaics:
