@@ -21,6 +21,16 @@ OF_RAYS = "a ray capture does not take it"
 @pytest.mark.parametrize(
     ("line", "words"),
     [
+        ("recontruct x.exr", "Did you mean 'reconstruct'?"),
+        ("reconstruct {raw} -o {out}.exr --distance -30", "--distance = -30: .*greater than the focal length 80"),
+        ("reconstruct {raw} -o {out}.exr --distanc 210", "--distanc; did you mean --distance?"),
+        ("reconstruct {raw} -o {out}.exr --distance 210 --wavelength 0.5", "--wavelength = 0.5: .*micrometres"),
+        ("reconstruct {raw} -o {out}.exr --distance 210 --oversample 1.5", "--oversample = '1.5'"),
+        ("reconstruct {raw} -o {out}.exr --f-number 2", "--f-number; aperture_radius is focal_length / (2 f_number)"),
+        ("reconstruct -o {out}.exr --distance 210 -- -x.exr", "-x.exr: there is no such file"),
+        ("reconstruct {raw} --distance 210 -o", "'-o' requires"),
+        ("render letters -o {out}.exr -D a=1 -D b=-2 --seed 1 --spp 16", "parameter a: the scene "),
+        ("render letters -o {out}.exr --camera a=1,b=2", "a: it is not a camera parameter"),
         ("stack {raw} -o {out}.png", "--distance.*--help)"),
         ("render letters -o {out}.exr -D resolutoin=64", "resolutoin.*did you mean resolution?"),
         ("render letters -o {out}.exr --aov depht", "--aov = 'depht': .*did you mean depth?"),
