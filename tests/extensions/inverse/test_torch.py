@@ -2,7 +2,6 @@
 
 import gc
 import importlib
-import re
 import sys
 import weakref
 
@@ -324,29 +323,20 @@ def test_scenes_of_another_variant(letters):
     assert float(value.grad) > 0
 
 
-def rendered(scene="letters", values=None, **settings):
+def rendered(values):
     mi.set_variant("llvm_ad_mono")
-    scene = load_scene(scene) if scene == "letters" else scene
-    return bridge.render(scene, {RADIANCES[0]: torch.ones(1)} if values is None else values, **settings)
+    return bridge.render(load_scene("letters"), values)
 
 
 def forwarded(weights):
     return bridge.forward(stored(), weights)
 
 
-def refocused(shape):
-    return bridge.refocus(RayRefocus(CAMERA, 225.0), random(*shape))
-
-
 test_refusals = refused(
-    (lambda: rendered(values={}), "^values: "),
-    (lambda: rendered(values={RADIANCES[0]: torch.ones(3)}), r"^f\.emitter\.radiance\.value of shape \(3,\)"),
-    (lambda: rendered(values={"f.faces": torch.ones(18)}), "^f.faces: it is UInt"),
-    (lambda: rendered(values={"f.emitter.radiance": torch.ones(1)}), "^values: f.emitter.radiance: "),
-    (
-        lambda: rendered(mi.load_dict({"type": "scene", "one": {"type": "path"}, "two": {"type": "sphere"}})),
-        "no sensor",
-    ),
+    (lambda: rendered({}), "^values: "),
+    (lambda: rendered({RADIANCES[0]: torch.ones(3)}), r"^f\.emitter\.radiance\.value of shape \(3,\)"),
+    (lambda: rendered({"f.faces": torch.ones(18)}), "^f.faces: it is UInt"),
+    (lambda: rendered({"f.emitter.radiance": torch.ones(1)}), "^values: f.emitter.radiance: "),
     (lambda: forwarded(random(2, 4)), r"^weights of shape \(2, 4\)"),
     (lambda: forwarded([1, 2, 3]), r"^\[1, 2, 3\]: .* tensor"),
     *(
@@ -355,10 +345,10 @@ test_refusals = refused(
     ),
     (lambda: bridge.capture(computing, CAMERA, {"mla_distance": 120.0}, random(3)), r"^120\.0: .* tensor"),
     (lambda: bridge.capture(computing, CAMERA, {"wavelength": torch.ones(1)}, random(3)), "^parameters: wavelength: "),
-    *(
-        (lambda shape=shape: refocused(shape), rf"^captures of shape {re.escape(str(shape))}: .* \(64, 64\)$")
-        # Colours are axes before the rows.
-        for shape in ((3,), (0, *CAMERA.shape), (*CAMERA.shape, 3))
+    # Colours are axes before the rows.
+    (
+        lambda: bridge.refocus(RayRefocus(CAMERA, 225.0), random(64, 64, 3)),
+        r"^captures of shape \(64, 64, 3\): .* \(64, 64\)$",
     ),
 )
 

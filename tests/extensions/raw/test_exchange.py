@@ -115,11 +115,11 @@ class TestLFToolbox:
             ({"LF": np.ones((3, 3, 3, 3)), "LensletGridModel": {"HSpacing": 1.0}}, "cannot be read"),
             *(
                 ({"LF": wrong}, "not an array of numbers")
-                for wrong in (np.array([[1, "a"]], object), {"a": 1.0}, "text", np.ones((3, 3, 4, 4)) * 1j)
+                for wrong in (np.array([[1, "a"]], object), np.ones((3, 3, 4, 4)) * 1j)
             ),
             *(
                 (content, "it cannot be read as a light field: ")
-                for content in (bytes(512), b"MATLAB 5.0".ljust(126) + b"IM" + b"x" * 100, b"", b"not MATLAB" * 40)
+                for content in (bytes(512), b"MATLAB 5.0".ljust(126) + b"IM" + b"x" * 100)
             ),
             (b"MATLAB 7.3 MAT-file" + bytes(1000), "cannot be read"),
         ],
