@@ -206,7 +206,7 @@ def test_pixels_too_coarse_for_the_wave_are_subdivided():
 def test_the_command_writes_method_and_camera_into_the_header(tmp_path, run, complaint):
     camera = small_camera(2, **HALF)
     raw, out = tmp_path / "raw.exr", tmp_path / "out.exr"
-    write_capture(raw, Capture(np.ones(camera.shape), camera, 633.0, "wave"))
+    write_capture(raw, Capture(np.ones(camera.shape), camera, 633.0))
     arguments = ["reconstruct", raw, "-o", out, "--distance", "115", "--method", "partial"]
     run(*arguments, "--interleave", "auto", "--oversample", "2", "--no-relay")
     image, _, header = read_exr(out)

@@ -26,16 +26,13 @@ def random_image(draw: Draw, shape):
 
 @relation(Use.POINT_FIELDS | Use.COHERENT_POINTS | Use.POINTS, method="coherent fields")
 def fields(draw):
-    """Fields have their adjoint on any plane, and the squared fields of single points add up to the capture."""
+    """Fields have their adjoint, on any plane."""
     points, plane = [draw.point(), draw.point()], str(draw.rng.choice(["pupil", "array", "detector"]))
     operator = mp.CaptureOperator(draw.camera, points, wavelength=draw.wavelength, method="full_field")
     given = draw.rng.normal(size=2) + 1j * draw.rng.normal(size=2)
     field = operator.field(given, plane=plane).samples
     other = field * random_image(draw, field.shape)
-    total = sum(operator.coherent_fields.intensity(row.astype(np.complex64)) for row in np.eye(2))
-    expected = operator.forward([1.0, 1.0])
-    adjoint = apart(field, other, given, operator.field_adjoint(other, plane=plane))
-    return max(adjoint / 1e-5, off(total, np.squeeze(expected)) / 5e-3), 1.0
+    return apart(field, other, given, operator.field_adjoint(other, plane=plane)), 1e-5
 
 
 @relation(Use.POINTS, method="stored spreads")
