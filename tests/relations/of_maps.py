@@ -52,7 +52,7 @@ def rays_of_points(draw):
         OpticalSystem(draw.camera, draw.wavelength), np.ones(1)
     )
     expected = mp.point_spread_function(draw.camera, point, model="ray", wavelength=draw.wavelength)
-    return off(DetectorOperator.of(draw.camera).forward(image.astype(np.float32)), expected), 0.03
+    return off(DetectorOperator.of(draw.camera).forward(image.astype(np.float32)), expected), 0.05
 
 
 @relation(Use.RESPONSES, "vignetting mla_focal_length", "deconvolved")
