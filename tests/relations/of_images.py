@@ -22,8 +22,8 @@ def filled_bin(camera, row, column, g, wavelength, parts):
 
 
 def refocused(camera, image, g, method, wavelength, iterations=2):
-    """Return the image, and what is known of it."""
-    options = {} if method == "ray" else {"wavelength": wavelength}
+    """Return the image, and what is known of it; without a wavelength deconvolved by rays."""
+    options = {} if method == "ray" or wavelength is None else {"wavelength": wavelength}
     options |= {"iterations": iterations} if method == "deconvolved" else {}
     result = mp.reconstruct(image, g, camera=camera, method=method, **options)
     return result.image, result.facts
@@ -52,7 +52,7 @@ def of_method(method):
         cropped = camera.replace(crop_offset=tuple(offset.tolist()), crop_size=tuple(size.tolist()))
         window = np.s_[offset[1] : offset[1] + size[1], offset[0] : offset[0] + size[0]]
         (whole, _), (some, _) = (
-            refocused(each, pixels, g, method, draw.wavelength)
+            refocused(each, pixels, g, method, None if method == "deconvolved" else draw.wavelength)
             for each, pixels in ((camera, image), (cropped, np.ascontiguousarray(image[window])))
         )
         columns, rows = (
@@ -63,7 +63,7 @@ def of_method(method):
         beyond[max(rows.start - 3, 0) : rows.stop + 3, max(columns.start - 3, 0) : columns.stop + 3] = False
         if np.isfinite(some[beyond]).any():
             return np.inf, 0.0
-        return off_bins(some[rows, columns], whole[rows, columns]), 0.03
+        return off_bins(some[rows, columns], whole[rows, columns]), 0.06
 
     def wavelengths(draw):
         """Channels are those of captures of their wavelengths."""
@@ -82,7 +82,9 @@ def of_method(method):
     for judge, use in ((lamp, Use.POINTS), (part, Use(0)), (wavelengths, Use(0))):
         if method not in OTHERWISE[judge.__name__]:
             judge.__name__ = f"{judge.__name__}_{method}"
-            relation(METHODS[method] | use, f"crop_offset crop_size main_lens {costly}", method)(judge)
+            relation(
+                METHODS[method] | use, f"crop_offset crop_size stray_light stray_width main_lens {costly}", method
+            )(judge)
 
 
 OTHERWISE = {
