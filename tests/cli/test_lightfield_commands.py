@@ -50,28 +50,28 @@ def test_views(shot, lf, tmp_path, run):
     np.testing.assert_allclose(image, lf.values[middle, middle], rtol=1e-5)
 
 
-def test_epi(shot, lf, tmp_path, run):
+def test_epi_and_stack(shot, lf, tmp_path, run):
     run(
-        "epi", shot, "-o", tmp_path / "a.exr", "--axis", "vertical", "--at", float(lf.s[5]), "--through", float(lf.u[2])
+        "epi",
+        shot,
+        "-o",
+        tmp_path / "a.exr",
+        "--axis=vertical",
+        f"--at={float(lf.s[5])}",
+        f"--through={float(lf.u[2])}",
     )
     image = parts(tmp_path / "a.exr")[0]["epipolar"]
     np.testing.assert_array_equal(image, epipolar_image(lf, "vertical", at=lf.s[5], through=lf.u[2]).values)
-    run("epi", shot, "-o", tmp_path / "a.png")
-    assert Image.open(tmp_path / "a.png").size == (960 // 11 * 8, 960 // 11 * 11)
-
-
-def test_stack(shot, lf, tmp_path, run):
     distances = ("--distance", 210, "--distance", 250.5, "--distance", 280)
     run("stack", shot, "-o", tmp_path / "a.exr", *distances)
     images, header = parts(tmp_path / "a.exr")
     assert list(images) == ["210 mm", "250.5 mm", "280 mm"]
-    expected = focal_stack(lf, [210, 250.5, 280])
-    for image, plane in zip(images.values(), expected.values, strict=True):
-        np.testing.assert_allclose(image, plane, atol=1e-5)
+    np.testing.assert_allclose(list(images.values()), focal_stack(lf, [210, 250.5, 280]), atol=1e-5)
     assert header["coordinates"]["distance"] == [210, 250.5, 280]
-    run("stack", shot, "-o", tmp_path / "a.png", *distances)
-    # Three pictures in two rows of two.
-    assert Image.open(tmp_path / "a.png").size == (960, 960)
+    # Pixels of the eleven views; three pictures in two rows of two.
+    for words, size in ((["epi"], (960 // 11 * 8, 960 // 11 * 11)), (["stack", *distances], (960, 960))):
+        run(words[0], shot, "-o", tmp_path / "a.png", *words[1:])
+        assert Image.open(tmp_path / "a.png").size == size
 
 
 def test_depth(shot, lf, tmp_path, run, coarse_figures):

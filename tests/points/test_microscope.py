@@ -39,10 +39,7 @@ def debye(objective, radius, depth):
     return np.abs(amplitude) ** 2 / power
 
 
-@pytest.mark.parametrize(
-    ("objective", "depth"),
-    [(AIR, 0.01), (AIR, -0.03), (OIL, 0.0), (OIL, -0.004)],
-)
+@pytest.mark.parametrize(("objective", "depth"), [(AIR, 0.01), (AIR, -0.03), (OIL, 0.0), (OIL, -0.004)])
 def test_the_field_before_the_lenses_is_the_debye_integral(objective, depth):
     X, Y = 0.004, -0.003
     field = point_fields(camera_with(objective), (X, Y, depth), wavelength=WAVELENGTH).mla

@@ -13,7 +13,6 @@ from mitsuba_plenoptic.points.full_fields import FullFieldSum
 from mitsuba_plenoptic.points.patch_plan import PatchSum
 from mitsuba_plenoptic.points.pupil_weights import PupilWeights
 from mitsuba_plenoptic.points.tile import CopyCells
-from mitsuba_plenoptic.runtime import turn
 from mitsuba_plenoptic.runtime.batches import Threads
 
 SMALL = small_camera(4, **HALF)
@@ -35,17 +34,10 @@ def gaussian(cells=64):
     return np.exp(-((place[:, None] - 0.3) ** 2 + place**2) / 0.4)
 
 
-@pytest.mark.parametrize(
-    ("weights", "limit"),
-    # Between the samples of the pupil each method places the edge of the open half by itself.
-    [(half_open(), 0.015), (gaussian(), 0.005)],
-    ids=["half of the pupil", "gaussian"],
-)
-def test_patches_against_full_fields(weights, limit):
-    camera, positions = small_camera(4, **HALF), np.array([(0.05, -0.03, 120.0), (0.1, 0.1, 112.5)])
-    options = {"pupil_weights": [weights, weights], "accuracy": 0}
-    patch, full = (capture(camera, positions, [1.0, -2.0], method=name, **options) for name in ("patch", "full_field"))
-    assert error(patch, full) < limit
+def test_patches_against_full_fields():
+    positions, options = [(0.05, -0.03, 120.0), (0.1, 0.1, 112.5)], {"pupil_weights": [gaussian()] * 2, "accuracy": 0}
+    patch, full = (capture(SMALL, positions, [1.0, -2.0], method=name, **options) for name in ("patch", "full_field"))
+    assert error(patch, full) < 0.005
 
 
 @pytest.mark.parametrize("method", ["patch", "full_field"])
@@ -174,11 +166,7 @@ def test_half_of_the_pupil_lights_half_of_the_image(axis):
 
 
 @pytest.mark.parametrize(
-    ("name", "distance"),
-    [
-        ("square", 240.0),
-        pytest.param("three focal lengths", 240.0, marks=pytest.mark.slow),
-    ],
+    ("name", "distance"), [("square", 240.0), pytest.param("three focal lengths", 240.0, marks=pytest.mark.slow)]
 )
 def test_shared_patterns_stay_true(name, distance):
     """One pattern for all lenses of a focal length in a zone, against a propagation of every radiator."""
@@ -203,7 +191,7 @@ def test_shared_patterns_stay_true(name, distance):
 def test_unequal_lenses_share_nothing(change):
     """Pupils narrow by a tenth from lens to lens."""
     camera = small_camera(12, **change)
-    positions = in_every_lens(camera, 3, 240.0, per_lens=2, offset=1.7)
+    positions = in_every_lens(camera, 2, 240.0, per_lens=2, offset=1.7)
     shared, every = (
         CaptureOperator(camera, positions, wavelength=WAVELENGTH, accuracy=accuracy) for accuracy in (0.02, 0)
     )
@@ -263,15 +251,6 @@ def test_captures_are_the_same_either_way(monkeypatch, lattice):
     monkeypatch.setattr(CopyCells, "of", lambda *given: None)
     one_by_one = CaptureOperator(camera, points, wavelength=550.0, accuracy=0.1).forward(weights)
     assert np.linalg.norm(by_cells - one_by_one) <= 2e-6 * np.linalg.norm(one_by_one)
-
-
-def test_scene_and_lattice_turn_together():
-    camera, positions = SMALL.replace(mla_lattice="hexagonal", mla_offset=(0.011, 0.0)), near(5)
-    image = capture(camera, positions, np.ones(5))
-    around = camera.replace(mla_rotation=90.0, mla_offset=(0.0, 0.011))
-    turned = np.column_stack([*turn(*positions[:, :2].T, 90.0), positions[:, 2]])
-    # Rows grow with y and columns with x: from x to y is from columns to rows.
-    assert error(capture(around, turned, np.ones(5)), np.rot90(image, -1)) < 1e-3
 
 
 def test_pupil_weights_do_not_turn_with_the_lattice():

@@ -51,9 +51,8 @@ def test_sums_behind_fast_lenses_keep_their_accuracy(f_number, accuracy):
         pytest.param(
             PlenopticCamera(mla_pitch=0.02, detector_width=0.2, resolution=(100, 100)), 230.0, marks=pytest.mark.slow
         ),
-        pytest.param(small_camera(4, mla_fill=0.5, mla_aperture="circle"), 230.0, marks=pytest.mark.slow),
     ],
-    ids=["small pupil", "fine pixels", "weak lenses", "small lenses", "discs"],
+    ids=["small pupil", "fine pixels", "weak lenses", "small lenses"],
 )
 def test_patch_of_extreme_cameras_against_full_field(camera, g):
     position = (0.06, -0.05, g)

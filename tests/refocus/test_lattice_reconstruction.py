@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from cameras import HALF, LATTICES, WAVELENGTH, capture, error, scattered, small_camera
 
-from mitsuba_plenoptic import PlenopticCamera, point_spread_function, reconstruct
+from mitsuba_plenoptic import PlenopticCamera, reconstruct
 from mitsuba_plenoptic.refocus import lens_by_lens
 from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens
 from mitsuba_plenoptic.refocus.radiance import over_lenses
@@ -13,11 +13,6 @@ from mitsuba_plenoptic.views import white_image
 
 SMALL = small_camera(12, **HALF)
 SCATTERED = scattered(5, distances=(112.5, 127.5), image=0.4)
-WAVES = [
-    {"method": "coherent"},
-    {"method": "partial", "interleave": 2},
-    {"method": "partial", "interleave": "auto"},
-]
 
 
 def white_capture(camera):
@@ -79,33 +74,6 @@ def test_single_lenses_are_full_fields_of_one_lens(name):
         assert single.sum() == pytest.approx(full.sum(), rel=0.02)
         # in focus it is the sharp edge of a lens that falls on the samples
         assert error(single, full) < 0.03
-
-
-@pytest.fixture(scope="module", params=["square", "hexagonal"])
-def points(request):
-    """Return a camera, and its captures of points: distance, centre of the lens that a point is seen at, spread."""
-    camera = SMALL.replace(**LATTICES.get(request.param, {}))
-    made = []
-    for (x, y), distance in (((0.13, -0.08), 114.0), ((-0.1, 0.12), 120.0), ((0.08, 0.13), 133.0)):
-        # in focus a lens is the finest that can be told
-        cx, cy = camera.lattice.centre(*camera.lattice.cell(x, y))
-        position = (-cx * distance / camera.mla_distance, -cy * distance / camera.mla_distance, distance)
-        made.append((distance, (cx, cy), point_spread_function(camera, position, wavelength=WAVELENGTH)))
-    return camera, made
-
-
-@pytest.mark.parametrize("options", [{"method": "ray"}, *WAVES], ids=lambda o: str(list(o.values())))
-def test_forward_then_back_lands_where_the_point_is(options, points):
-    camera, captures = points
-    for distance, (cx, cy), spread in captures:
-        light = {} if options["method"] == "ray" else {"wavelength": WAVELENGTH}
-        image = reconstruct(spread, distance, camera=camera, **light, **options).image
-        row, column = np.unravel_index(image.argmax(), image.shape)
-        near = image[row - 1 : row + 2, column - 1 : column + 2].astype(float)
-        near -= min(near.min(), 0.2 * near.max())
-        rows, columns = np.mgrid[row - 1 : row + 2, column - 1 : column + 2] + 0.5 - 6
-        assert (near * columns).sum() / near.sum() == pytest.approx(cx / camera.row_pitch, abs=0.25)
-        assert (near * rows).sum() / near.sum() == pytest.approx(cy / camera.row_pitch, abs=0.25)
 
 
 def test_far_subsets_are_the_limit_of_single_lenses():

@@ -113,7 +113,7 @@ def test_bins_that_no_ray_reaches_are_marked(lattice):
 @pytest.mark.parametrize("wavelength", [None, (633.0, 550.0, 550.0)])
 def test_distances_outside_the_range_of_refocusing_are_told(wavelength):
     """Samples per lens fall with the distance from the plane in focus, in diopters, over that of the range's end."""
-    camera = PlenopticCamera(detector_width=0.256, resolution=(64, 64))
+    camera = PlenopticCamera(detector_width=0.128, resolution=(32, 32))
     image = np.ones((*camera.shape, 3) if isinstance(wavelength, tuple) else camera.shape)
     capture = Capture(image, camera, wavelength, "ray" if wavelength is None else "wave")
     near, far = mp.design.refocus_range(camera, None if wavelength is None else np.max(wavelength))

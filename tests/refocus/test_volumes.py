@@ -8,13 +8,10 @@ import pytest
 import tifffile
 from refusals import refuses
 
-from mitsuba_plenoptic import Capture, CaptureOperator, PlenopticCamera, Reconstruction, reconstruct
+from mitsuba_plenoptic import PlenopticCamera, Reconstruction
 from mitsuba_plenoptic.refocus import Volume, write_volume
 
-WAVELENGTH = 633.0
 SMALL = PlenopticCamera(detector_width=0.384, resolution=(192, 192))
-POWER = np.pi * 25 * 0.512**2 / (120**2 * 0.064**2 * 0.002**2)
-"""What the pixels together record of a square millimetre on the array of radiance 1."""
 
 
 def made(distance, image, oversample=1):
@@ -74,14 +71,6 @@ def test_files_hold_voxel_sizes(tmp_path):
         refuses(r"give a name that ends in .tif or", write_volume, tmp_path / name, volume)
 
 
-def test_zarr_is_what_xarray_reads(tmp_path):
-    xarray = pytest.importorskip("xarray")
-    pytest.importorskip("zarr")
-    volume = Volume(np.ones((2, 3, 4), np.float32), (210.0, 230.0), 0.03)
-    write_volume(tmp_path / "a.zarr", volume)
-    assert xarray.open_dataarray(tmp_path / "a.zarr", engine="zarr").equals(volume.to_xarray())
-
-
 def test_views_are_those_of_numpy():
     values = np.zeros((3, 4, 5), np.float32)
     values[1, 2, 3], values[2, 0, 0], values[0, 3, 4] = 5, 2, np.nan
@@ -94,29 +83,3 @@ def test_views_are_those_of_numpy():
     np.testing.assert_array_equal(above, values[:, 2])
     np.testing.assert_array_equal(side, values[:, :, 3])
     refuses("row = 4: the volume's are numbered from 0 to 3", volume.slices, row=4)
-
-
-@pytest.mark.slow
-def test_planes_come_back_apart():
-    """Points in three planes: their places, powers and planes, and how much of each is found in the others."""
-    distances, oversample = [222.0, 256.0, 280.0], 3
-    camera = PlenopticCamera(detector_width=0.64, resolution=(320, 320))
-    q = np.array([[0.061, -0.043], [-0.072, 0.055], [0.013, 0.091]])
-    powers = np.array([2000.0, 1500.0, 2500.0])
-    g = np.array(distances)
-    points = np.column_stack([-q * g[:, None] / camera.mla_distance, g])
-    image = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0).forward(powers)
-    capture = Capture(np.maximum(image, 0), camera, WAVELENGTH, "wave")
-    results = reconstruct(capture, distances, method="deconvolved", oversample=oversample, iterations=80, volume=True)
-    size = camera.mla_pitch / oversample
-    rows, columns = np.indices(results[0].image.shape)
-    x, y = ((index - (rows.shape[0] - 1) / 2) * size for index in (columns, rows))
-    for plane, result in enumerate(results):
-        light = np.nan_to_num(result.image.astype(np.float64)) * size**2 * POWER
-        near = np.hypot(x - q[plane, 0], y - q[plane, 1]) < 2.5 * size
-        found = light[near].sum()
-        place = np.array([(light[near] * x[near]).sum(), (light[near] * y[near]).sum()]) / found
-        assert np.hypot(*(place - q[plane])) < 0.1 * size
-        assert found == pytest.approx(powers[plane], rel=0.03)
-        # Cross-talk: what this plane holds beside its own point.
-        assert light.sum() - found < 0.03 * powers[plane]

@@ -5,14 +5,12 @@ import math
 import numpy as np
 import pytest
 from cameras import HALF, WAVELENGTH, small_camera
-from cameras import OTHER as OTHER_LENSES
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, point_spread_function, reconstruct, write_capture
 from mitsuba_plenoptic.io.exr import read_exr
 from mitsuba_plenoptic.refocus import planning, radiance, wave_methods
 from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens
 from mitsuba_plenoptic.refocus.planning import plan
-from mitsuba_plenoptic.refocus.radiance import white_sums
 from mitsuba_plenoptic.refocus.wave_methods import BackwardFields, lit_window, reconstruct_subsets
 from mitsuba_plenoptic.views import white_image
 
@@ -20,16 +18,9 @@ from mitsuba_plenoptic.views import white_image
 pytestmark = pytest.mark.filterwarnings("ignore:.*back through the main lens:mitsuba_plenoptic.PhysicsWarning")
 
 SMALL = small_camera(20, **HALF)
-OTHER = PlenopticCamera(**OTHER_LENSES, detector_width=1.2, resolution=(640, 560))
 DISTANCES = [105.0, 120.0, 140.0]
-METHODS = {
-    "coherent": {"method": "coherent"},
-    "auto": {"method": "partial", "interleave": "auto"},
-}
+METHODS = {"coherent": {"method": "coherent"}, "auto": {"method": "partial", "interleave": "auto"}}
 
-cameras = pytest.mark.parametrize(
-    "camera", [SMALL, pytest.param(OTHER, marks=pytest.mark.slow)], ids=["paper", "other"]
-)
 most_methods = pytest.mark.parametrize("options", METHODS.values(), ids=METHODS.keys())
 all_methods = pytest.mark.parametrize("options", [{"method": "ray"}, *METHODS.values()], ids=["ray", *METHODS.keys()])
 
@@ -156,21 +147,6 @@ def test_finer_bins_add_up_to_the_coarse_ones(options, sums):
 
 
 @most_methods
-def test_a_crop_lands_on_the_full_grid_of_bins(options, sums):
-    image = lit_inside(SMALL, 181, 300)
-    crop = SMALL.replace(crop_offset=(80, 170), crop_size=(240, 250))
-    whole, part = (
-        refocus(pixels, 110.0, camera, **options).image
-        for pixels, camera in ((image, SMALL), (image[170:420, 80:320], crop))
-    )
-    # Where rays do not reach there is some light that was diffracted.
-    reached = radiance.is_reached(white_sums(crop, 110.0, crop.lit_radius, "lens", 1))
-    assert 0.1 < reached.mean() < 0.9
-    np.testing.assert_allclose(part[reached], whole[reached], atol=1e-4 * whole.max())
-    assert whole[~reached].sum() < 0.05 * whole.sum()
-
-
-@most_methods
 def test_pixels_below_zero_leave_no_light_on_average(options):
     """Noise of mean zero beside a lit square: cut off at zero it would be light."""
     dark = np.random.default_rng(1).normal(0, 0.02, SMALL.shape).astype(np.float32)
@@ -215,18 +191,6 @@ def test_bins_are_sampled_finely_enough(monkeypatch, sums):
     assert np.linalg.norm(made - exact) < 2e-3 * np.linalg.norm(exact)
 
 
-def test_each_channel_has_its_wavelength():
-    camera = small_camera(4, **HALF)
-    image = np.random.default_rng(0).random((128, 128, 3), dtype=np.float32)
-    wavelengths = (WAVELENGTH, 550.0, WAVELENGTH)
-    result = reconstruct(Capture(image, camera, wavelengths), 125.0, method="coherent")
-    assert result.options["wavelength"] == list(wavelengths)
-    for channel in (1, 2):
-        of_channel = Capture(image[..., channel], camera, wavelengths[channel])
-        single = refocus(of_channel, 125.0, camera, wavelengths[channel], method="coherent")
-        np.testing.assert_allclose(result.image[..., channel], single.image, rtol=1e-3)
-
-
 def test_pixels_too_coarse_for_the_wave_are_subdivided():
     coarse = SMALL.replace(resolution=(160, 160))
     image = lit_inside(coarse, 65, 95)
@@ -240,13 +204,13 @@ def test_pixels_too_coarse_for_the_wave_are_subdivided():
 
 
 def test_the_command_writes_method_and_camera_into_the_header(tmp_path, run, complaint):
-    camera = small_camera(4, **HALF)
+    camera = small_camera(2, **HALF)
     raw, out = tmp_path / "raw.exr", tmp_path / "out.exr"
-    write_capture(raw, Capture(np.ones(camera.shape), camera, 633.0, "wave"))
+    write_capture(raw, Capture(np.ones(camera.shape), camera, 633.0))
     arguments = ["reconstruct", raw, "-o", out, "--distance", "115", "--method", "partial"]
     run(*arguments, "--interleave", "auto", "--oversample", "2", "--no-relay")
     image, _, header = read_exr(out)
-    assert image.shape == (8, 8)
+    assert image.shape == (4, 4)
     assert (header["method"], header["distance"]) == ("partial", 115.0)
     assert header["options"] == {"interleave": "auto", "oversample": 2, "relay": False, "wavelength": [633.0]}
     assert PlenopticCamera.from_dict(header["camera"]) == camera

@@ -25,6 +25,8 @@ mi.set_variant("llvm_ad_mono")
 import of_captures  # noqa: E402, F401
 import of_extensions  # noqa: E402, F401
 import of_files  # noqa: E402, F401
+import of_images  # noqa: E402, F401
+import of_maps  # noqa: E402, F401
 import of_models  # noqa: E402, F401
 import of_points  # noqa: E402, F401
 import of_sensors  # noqa: E402, F401

@@ -40,7 +40,6 @@ def test_paths_end_where_rays_leave_the_lens(height):
     [
         ({"main_lens": "singlet", "aperture_radius": 14}, 0.0),
         ({"main_lens": "singlet", "aperture_radius": 14}, 5.0),
-        ({"main_lens": "double_gauss", "aperture_radius": 13, "focus_distance": 1000}, 6.0),
         ({"main_lens": "double_gauss", "aperture_radius": 13, "focus_distance": 1e9}, 6.0),
         ({"main_lens": "cooke_triplet", "aperture_radius": 0.5, "focus_distance": 1000}, 6.0),
     ],
@@ -54,7 +53,7 @@ def test_spots_and_light_are_those_of_a_dense_trace(changes, height):
     # All rays pass this disc, twice as wide as the entrance pupil, about the chief ray where the pupil stands.
     wide, random = 1.6 * camera.aperture_radius, np.random.default_rng(0)
     depth = lens.front - lens.scale * lens.numbers.entrance_pupil
-    x, y = random.uniform(-wide, wide, (2, 400_000))
+    x, y = random.uniform(-wide, wide, (2, 200_000))
     y = y + start[1] + (depth - start[2]) * slope[1]
     (px, py), _, is_open, _ = lens.through((x, y, depth + 0 * x), (x / (depth - g), (y - seen) / (depth - g)))
     radius = np.sqrt(px[is_open].var() + py[is_open].var())
@@ -63,7 +62,7 @@ def test_spots_and_light_are_those_of_a_dense_trace(changes, height):
     assert np.sqrt(x.var() + y.var()) == pytest.approx(radius, rel=5e-3)
     # Which way the image lies about the chief ray's place.
     assert y.mean() == pytest.approx(py[is_open].mean() - height, abs=0.01 * radius)
-    exit_x, exit_y = random.uniform(-1.3 * camera.pupil_radius, 1.3 * camera.pupil_radius, (2, 400_000))
+    exit_x, exit_y = random.uniform(-1.3 * camera.pupil_radius, 1.3 * camera.pupil_radius, (2, 200_000))
     passing = [lens.ray((exit_x, exit_y), (0 * exit_x, field + 0 * exit_x))[2].mean() for field in (0.0, height)]
     assert figures.light == pytest.approx(passing[1] / passing[0], abs=4e-3)
 

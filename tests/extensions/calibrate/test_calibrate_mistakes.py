@@ -28,13 +28,6 @@ def test_mistakes(line, words, mistake, tmp_path_factory, monkeypatch):
     mistake(line, words)
 
 
-def test_what_is_read_is_not_written_over(tmp_path, complaint):
-    (tmp_path / "copy.exr").write_bytes(b"content")
-    said = complaint("calibrate", tmp_path / "copy.exr", "-o", tmp_path / "copy.exr")
-    assert "it is read, and would be lost; write to another file" in said
-    assert (tmp_path / "copy.exr").read_bytes() == b"content"
-
-
 BOARD = Board(9, 5, 3.0)
 
 test_the_size_of_a_file_is_judged_before_it_is_read = refused(

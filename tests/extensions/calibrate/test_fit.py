@@ -9,17 +9,8 @@ import pytest
 from refusals import refuses
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, calibrate
+from mitsuba_plenoptic import calibration as cal
 from mitsuba_plenoptic.array import Conic
-from mitsuba_plenoptic.calibration import (
-    Board,
-    LensIndex,
-    Table,
-    evaluate,
-    read_camera,
-    read_centres,
-    read_corners,
-    write_calibration,
-)
 from mitsuba_plenoptic.extensions.calibrate.adjustment import Problem, adjust
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, Observations, numbers_of, predict_centres
 
@@ -42,7 +33,7 @@ def centres():
     # A third of them, as a fit's time goes with their number.
     kept &= np.random.default_rng(6).random(len(kept)) < 1 / 3
     pixel = pixel[kept] + np.random.default_rng(5).normal(0, 0.05, (kept.sum(), 2))
-    return Table("centres.csv", {"k": k[kept], "l": l[kept], "u": pixel[:, 0], "v": pixel[:, 1]})
+    return cal.Table("centres.csv", {"k": k[kept], "l": l[kept], "u": pixel[:, 0], "v": pixel[:, 1]})
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +52,9 @@ def test_a_known_camera_comes_back(found, table, tmp_path):
     assert found.camera.crop_size == START.crop_size
     assert len(found.evaluation.outliers) < 3
     # Its file explains as much.
-    write_calibration(tmp_path / "camera.json", found, cases.BOARD)
-    assert read_camera(tmp_path / "camera.json") == (found.camera, found.index)
-    again = evaluate(table, cases.BOARD, found.camera, found.index)
+    cal.write_calibration(tmp_path / "camera.json", found, cases.BOARD)
+    assert cal.read_camera(tmp_path / "camera.json") == (found.camera, found.index)
+    again = cal.evaluate(table, cases.BOARD, found.camera, found.index)
     assert again.error == pytest.approx(found.evaluation.error, rel=1e-3)
 
 
@@ -107,14 +98,14 @@ def test_gross_errors_are_named_and_change_nothing(table, centres, found, kind):
     else:
         for name in "uv":
             columns[name][bad] += generator.choice([-1, 1], len(bad)) * generator.uniform(20, 500, len(bad))
-    spoiled = calibrate(Table("corners.csv", columns), cases.BOARD, START, centres)
+    spoiled = calibrate(cal.Table("corners.csv", columns), cases.BOARD, START, centres)
     assert set(bad) <= set(spoiled.evaluation.outliers)
     assert len(spoiled.evaluation.outliers) < len(bad) + 3
     assert spoiled.evaluation.error_without_outliers == pytest.approx(NOISE * 2**0.5, rel=0.05)
     for name, value in spoiled.numbers.items():
         # A twentieth of the rows less moves numbers by a fifth of their deviations.
         assert abs(value - found.numbers[name]) < 1.5 * found.deviations[name] + 1e-12, name
-    again = evaluate(Table("corners.csv", columns), cases.BOARD, spoiled.camera)
+    again = cal.evaluate(cal.Table("corners.csv", columns), cases.BOARD, spoiled.camera)
     assert set(bad) <= set(again.outliers)
     assert again.error_without_outliers == pytest.approx(NOISE * 2**0.5, rel=0.05)
 
@@ -125,7 +116,9 @@ def test_wrong_centres_are_left_out(table, centres, found):
     u, doubtful = centres["u"].copy(), np.zeros(len(centres["k"]), dtype=int)
     u[bad[::2]] += 9
     doubtful[bad[1::2]] = 1
-    spoiled = calibrate(table, cases.BOARD, START, Table("c.csv", {**centres.columns, "u": u, "doubtful": doubtful}))
+    spoiled = calibrate(
+        table, cases.BOARD, START, cal.Table("c.csv", {**centres.columns, "u": u, "doubtful": doubtful})
+    )
     np.testing.assert_array_equal(spoiled.centre_outliers, bad)
     for name in NAMES:
         assert abs(spoiled.numbers[name] - found.numbers[name]) < found.deviations[name] + 1e-12
@@ -140,7 +133,7 @@ def bent_frames(table, size):
         x, y = (columns["u"][mine] / 1000 - 1, columns["v"][mine] / 750 - 1)
         for name in "uv":
             columns[name][mine] += size * np.array([x, y, x * y, x * x, y * y]).T @ generator.normal(size=5)
-    return Table("corners.csv", columns)
+    return cal.Table("corners.csv", columns)
 
 
 def test_what_the_model_misses_is_in_the_deviations(table, centres, found):
@@ -191,7 +184,7 @@ def counted_along_columns(table):
     ],
 )
 def test_mistakes_get_one_line(table, change, words):
-    refuses(words, calibrate, Table("corners.csv", change(table)), cases.BOARD, START)
+    refuses(words, calibrate, cal.Table("corners.csv", change(table)), cases.BOARD, START)
 
 
 ONE_DISTANCE = np.tile([0.0, 0.0, 3.1, 14, 9, 300], (3, 1)) + [[0, 0, 0, shift, shift, 0] for shift in range(3)]
@@ -201,12 +194,10 @@ SQUARE = START.replace(mla_lattice="square", mla_focal_length=0.56)
 @pytest.mark.parametrize(
     ("board", "start", "words"),
     [
-        (Board(4, 6, 6.0), START, "board of 4x6 inner corners: they do on one with 6 along each row"),
-        (Board(6, 4, 60.0), START, "squares of 60 mm"),
+        (cal.Board(4, 6, 6.0), START, "board of 4x6 inner corners: they do on one with 6 along each row"),
+        (cal.Board(6, 4, 60.0), START, "squares of 60 mm"),
         (cases.BOARD, SQUARE, "odd rows .* mla_lattice"),
-        (cases.BOARD, START.replace(mla_medium=1.5), r"mla_medium = 1\.5: "),
         (cases.BOARD, START.replace(mla_shape=Conic(0.25), mla_focal_length=None), "mla_shape = "),
-        (cases.BOARD, "raytrix", "start = 'raytrix': "),
     ],
 )
 def test_other_boards_and_cameras_are_refused(table, centres, board, start, words):
@@ -215,7 +206,7 @@ def test_other_boards_and_cameras_are_refused(table, centres, board, start, word
 
 def test_a_lattice_that_is_not_the_cameras_is_refused(table):
     k, l = (index.ravel() for index in np.mgrid[0:60, 0:50])  # noqa: E741
-    straight = Table("centres.csv", {"k": k, "l": l, "u": 30.0 + 23.3 * k, "v": 30.0 + 23.3 * l})
+    straight = cal.Table("centres.csv", {"k": k, "l": l, "u": 30.0 + 23.3 * k, "v": 30.0 + 23.3 * l})
     refuses("does not shift its odd rows", calibrate, table, cases.BOARD, START, straight)
 
 
@@ -228,7 +219,7 @@ def test_corners_that_leave_predictions_open_are_refused():
     """As frames that disagree about the camera by pixels do; by less, the stated deviation is that from the truth."""
     table = some(cases.corners(0.1)[0], 0.15)
     found = calibrate(bent_frames(table, 1.0), cases.BOARD, START)
-    error = evaluate(cases.corners()[0], cases.BOARD, found.camera).error
+    error = cal.evaluate(cases.corners()[0], cases.BOARD, found.camera).error
     assert error / 2 < found.prediction_deviation < 2 * error
     with pytest.raises(InputError, match=r"open where .* in other poses, \+- "):
         calibrate(bent_frames(table, 4.0), cases.BOARD, START)
@@ -283,7 +274,7 @@ def test_bad_tables_get_one_line(tmp_path, complaint, text, words):
 
 @pytest.mark.parametrize("board", ["9", "9x1", "9x5x3"])
 def test_bad_boards(board):
-    refuses("board", Board.parse, board, 10.0)
+    refuses("board", cal.Board.parse, board, 10.0)
 
 
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
@@ -303,15 +294,15 @@ def test_a_real_camera(tmp_path, run):
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
 def test_compote_cameras_are_read():
     # Errors of three poses by COMPOTE's own model, which distorts points, not rays.
-    camera, index = read_camera(cases.REAL / "compote_intrinsics.json")
+    camera, index = cal.read_camera(cases.REAL / "compote_intrinsics.json")
     assert index is None
-    board = Board(9, 5, 10.0)
-    table = read_corners(cases.REAL / "corners.csv", board, camera.crop_size)
-    found = evaluate(table.keep(np.isin(table["frame"], [0, 8, 14])), board, camera)
+    board = cal.Board(9, 5, 10.0)
+    table = cal.read_corners(cases.REAL / "corners.csv", board, camera.crop_size)
+    found = cal.evaluate(table.keep(np.isin(table["frame"], [0, 8, 14])), board, camera)
     np.testing.assert_allclose(found.pose_errors, [1.112, 0.802, 0.684], atol=0.03)
-    assert len(read_centres(cases.REAL / "centres.csv")["k"]) > 26000
+    assert len(cal.read_centres(cases.REAL / "centres.csv")["k"]) > 26000
 
 
 def test_lenses_are_counted_as_rows_are_shifted():
-    places = LensIndex(0.5, -1, (3, 1)).unit(np.array([3, 3, 3]), np.array([1, 2, 3]))
+    places = cal.LensIndex(0.5, -1, (3, 1)).unit(np.array([3, 3, 3]), np.array([1, 2, 3]))
     np.testing.assert_array_equal(places, [[0, 0], [-0.5, -1], [0, -2]])

@@ -110,8 +110,6 @@ DIM = np.random.default_rng(0).normal(100, 2, (40, 50)).round()
 
 test_bad_input = refused(
     (lambda: mp.photon_transfer(DIM[:, :-1] * 9, DIM), r"dark of shape \(40, 50\)"),
-    (lambda: mp.photon_transfer(np.ones((40, 50, 3)), DIM), r"white of shape \(40, 50, 3\)"),
-    (lambda: mp.photon_transfer("white.png", DIM), "white = 'white.png'"),
     (lambda: mp.photon_transfer(DIM, DIM), "white: its mean is"),
     (lambda: mp.photon_transfer(DIM * 90, DIM, bits=12), "bits = 12"),
     (lambda: mp.photon_transfer(DIM * 9, np.maximum(DIM - 100, 0)), "dark: .* of its pixels are 0"),

@@ -161,7 +161,6 @@ def scene_like(light):
         (WHITE, DARK, SMALL.replace(mla_lattice="hexagonal"), "rows that are not shifted"),
         (WHITE.T, DARK.T, SMALL, "is the picture turned"),
         (WHITE.clip(None, 15000), DARK, SMALL, "saturated"),
-        (np.stack([WHITE] * 3, axis=-1), None, SMALL, "one channel"),
         (DARK, WHITE, SMALL, "dark: it is not darker"),
         (WHITE.max() - WHITE, None, SMALL, "no white picture by this camera"),
         (WHITE, None, PlenopticCamera(mla_lattice="none"), "mla_lattice = none"),
@@ -176,7 +175,6 @@ def test_wrong_pictures_are_refused(white, dark, camera, words):
     ("dark", "camera", "wavelength", "words"),
     [
         (DARK[:-1], SMALL, None, "dark of shape"),
-        (DARK, SMALL, 0.55, "wavelength = 0.55: "),
         (DARK, SMALL.replace(mla_pitch=4e-3, mla_focal_length=0.032), None, "pixels wide"),
         (DARK, SMALL.replace(mla_aperture="circle"), 550.0, "fit by rays"),
     ],

@@ -7,10 +7,9 @@ from cases import facing, scene_of
 from dataset_cases import small
 from refusals import refused
 
-from mitsuba_plenoptic import PlenopticCamera, dual_pixel, half_disparity, render_capture
+from mitsuba_plenoptic import PlenopticCamera, dual_pixel, render_capture
 from mitsuba_plenoptic.dataset import make_dataset, parse_recipe
 from mitsuba_plenoptic.extensions.data.dual_samples import truth_of_lenses
-from mitsuba_plenoptic.extensions.onchip.disparity import blur_radius
 
 CAMERA = {"preset": "phone_quad", "crop_offset": [4000, 2992], "crop_size": [64, 64]}
 
@@ -57,15 +56,6 @@ def test_what_is_sharp_is_the_sum_in_focus():
     assert np.abs(truth["blur_radius"]).max() < 1e-3
     assert truth["sharp"].mean() == pytest.approx(total.mean(), rel=0.01)
     assert np.corrcoef(truth["sharp"].ravel(), total.ravel())[0, 1] > 0.98
-
-
-def test_blur_radii_have_the_closed_form():
-    camera = PlenopticCamera.preset("full_frame_dual")
-    depths = np.array([800.0, 5000.0, np.inf])
-    expected = camera.aperture_radius * camera.defocus(800.0) / camera.mla_pitch
-    assert blur_radius(camera, depths)[0] == pytest.approx(expected)
-    assert blur_radius(camera, depths)[2] < blur_radius(camera, depths)[1] < 0
-    assert half_disparity(camera, 800.0) == pytest.approx(-8 * expected / (3 * np.pi))
 
 
 test_mistakes = refused(

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import scipy.ndimage
 from cameras import places_of
 from refusals import refuses
 from stopped_runs import StoppedError
@@ -171,17 +170,3 @@ def test_few_fields_of_a_wide_blur_are_in_memory_at_once():
         mp.reconstruct(image, 500, camera=camera, method="deconvolved", wavelength=550, batch_map=Watched(1))
     # On the array, fields have more samples than at the detector.
     assert max(samples) * 8 * 1.5**2 <= 2**27
-
-
-def test_crops_are_reconstructed_in_their_place():
-    """The bins over a crop of a white capture are those of the whole one; those away from it have no light."""
-    camera = mp.PlenopticCamera(detector_width=1.024, resolution=(256, 256))
-    part = camera.replace(crop_offset=(64, 128), crop_size=(128, 64))
-    white = mp.views.white_image(part)
-    image = mp.reconstruct(white, 240, camera=part, method="deconvolved", iterations=5).image
-    lit = np.zeros((16, 16), bool)
-    lit[8:12, 4:12] = True
-    assert image.shape == lit.shape
-    np.testing.assert_allclose(image[lit], 1, atol=0.02)
-    # Its edge sees light of the bins beside it.
-    assert not np.isfinite(image[~scipy.ndimage.binary_dilation(lit, np.ones((3, 3)))]).any()

@@ -81,16 +81,6 @@ def test_light_of_deep_planes_is_kept_as_far_as_it_goes():
     assert np.linalg.norm(found - expected) < 0.06 * np.linalg.norm(expected)
 
 
-def test_the_adjoint_of_a_volume_is_the_transpose():
-    camera = CAMERAS["warped"][0]
-    response = response_of(camera, [-0.02, 0.01], 2)
-    random = np.random.default_rng(0)
-    values = random.random(response.source_shape).astype(np.float32)
-    image = random.random(camera.shape).astype(np.float32)
-    forward = np.vdot(response.forward(values), image)
-    assert forward == pytest.approx(np.vdot(values, response.adjoint(image)), rel=1e-5)
-
-
 def test_an_even_object_reads_1():
     """But for what isotropic light has less of in the middle of the stop than on the mean."""
     response = response_of(SMALL, [0.0])

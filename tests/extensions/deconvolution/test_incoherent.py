@@ -12,10 +12,6 @@ from mitsuba_plenoptic.points.units import radiance_weight
 
 WAVELENGTH = 633.0
 SMALL = mp.PlenopticCamera(detector_width=0.256, resolution=(128, 128))
-CAMERAS = {
-    "hexagonal": SMALL.replace(mla_lattice="hexagonal"),
-    "focused": SMALL.replace(detector_distance=0.6, mla_distance=117.0),
-}
 
 
 def recorded(camera, image):
@@ -47,29 +43,6 @@ def test_it_is_linear_also_below_zero():
     random = np.random.default_rng(0).normal(size=(2, *SMALL.shape))
     parts = [refocused(SMALL, image) for image in (*random, random.sum(0))]
     assert np.allclose(parts[0] + parts[1], parts[2], atol=1e-5 * np.abs(parts[2]).max())
-
-
-@pytest.mark.parametrize("name", CAMERAS)
-def test_a_point_is_seen_where_it_is(name):
-    camera, distance = CAMERAS[name], 250.0
-    place = np.array([0.05, -0.03])
-    point = np.append(-place * distance / camera.mla_distance, distance)[None]
-    image = mp.CaptureOperator(camera, point, wavelength=WAVELENGTH).forward([1.0])
-    result = np.maximum(refocused(camera, image, distance, oversample=2), 0)
-    rows, columns = np.indices(result.shape)
-    centre = [np.average(axis, weights=result**4) for axis in (columns, rows)]
-    found = (np.array(centre) + 0.5 - np.array(result.shape[::-1]) / 2) * camera.mla_pitch / 2
-    assert found == pytest.approx(place, abs=0.25 * camera.mla_pitch)
-
-
-def test_a_crop_shows_its_part_of_the_whole_and_nothing_beyond():
-    points = np.array([[0.05, -0.03, 250.0], [-0.2, 0.1, 244.0]])
-    image = mp.CaptureOperator(SMALL, points, wavelength=WAVELENGTH).forward([1.0, 2.0])
-    cropped = SMALL.replace(crop_offset=(32, 0), crop_size=(64, 128))
-    whole, part = refocused(SMALL, image, 240.0), refocused(cropped, image[:, 32:96], 240.0)
-    assert np.isnan(part[:, [0, 3]]).all()
-    # Spots cross the border of the crop.
-    assert np.abs(part - whole)[:, 1:3].max() < 0.015 * whole.max()
 
 
 def test_channels_have_their_own_wavelengths():

@@ -53,16 +53,6 @@ def test_gradient_of_depth_against_differences():
     assert found == pytest.approx(difference(figure, wavefront=step), rel=0.05)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("accuracy", "limit"), [(0.02, 0.13), (0.0, 0.04)])
-def test_gradient_of_depth_against_differences_of_full_fields(accuracy, limit):
-    """The focal length changes this figure little, so that light beyond the patches weighs more than elsewhere."""
-    step = 4e-3
-    found = DepthInformation(POINT, 3000.0, accuracy=accuracy).gradient(CAMERA, ["focal_length"])[1]["focal_length"]
-    full = DepthInformation(POINT, 3000.0, method="full_field")
-    assert found * step == pytest.approx(difference(full, focal_length=step), rel=limit)
-
-
 def test_deviation_is_that_of_estimates_from_noise():
     """Least squares with all unknowns, of counts with Poisson's noise, spreads as is stated."""
     background = 2.0

@@ -81,12 +81,3 @@ def test_a_fit_is_checked_before_light_is_found(mistake, monkeypatch):
     mistake(f"{line} mla_pich --photons 9", "did you mean mla_pitch?")
     for name in ("focal_length=50", "resolution=256"):
         mistake(f"{line} mla_pitch --photons 9 -D {name}", "the scene's own camera")
-
-
-def test_the_capture_is_not_written_over(raw, tmp_path, complaint):
-    copy, link = tmp_path / "copy.exr", tmp_path / "copy.json"
-    copy.write_bytes(raw.read_bytes())
-    link.symlink_to(copy)
-    words = ["--scene", "letters", "--parameter", "mla_pitch", "--photons", "9"]
-    assert "it is read, and would be lost" in complaint("fit", copy, "-o", link, *words)
-    assert copy.read_bytes() == raw.read_bytes()

@@ -5,10 +5,10 @@ import itertools
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import HALF, WAVELENGTH, error, small_camera
+from cameras import HALF, WAVELENGTH, error
 from cases import film, scene_of
 
-from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
+from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.fitting import known_view
@@ -75,14 +75,3 @@ def test_captures_are_continuous_in_the_camera():
     steps = [np.linalg.norm(b - a) for a, b in itertools.pairwise(images)]
     assert max(steps) < 1.3 * min(steps)
     assert max(steps) < 0.005 * np.linalg.norm(images[0])
-
-
-def test_points_in_a_medium_lie_where_waves_have_them():
-    camera = small_camera(mla_medium=1.5, mla_focal_length=0.768, detector_distance=0.8, lens_model="parabolic")
-    points = np.array([(0.2, -0.1, 225.0)])
-    wave = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0).forward([1.0])
-    ray = PointRays(camera, points, WAVELENGTH).image(OpticalSystem(camera, WAVELENGTH), np.ones(1))
-    x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
-    for place, axis in ((x, 0), (y, 1)):
-        first, second = (image.sum(axis) @ place / image.sum() for image in (wave, ray))
-        assert first == pytest.approx(second, abs=0.4 * camera.pixel_size)

@@ -2,7 +2,6 @@
 
 import gc
 import importlib
-import re
 import sys
 import weakref
 
@@ -10,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import WAVELENGTH, error, scattered, small_camera
+from cameras import WAVELENGTH, scattered, small_camera
 from refusals import refused, refuses
 
 from mitsuba_plenoptic import CaptureOperator, InputError, Spectrum, StoredOperator, load_scene
@@ -44,7 +43,7 @@ def test_gradients_of_weights_and_images_in_double_precision():
         lambda w: bridge.forward(operator, w), random(2, 3), check_forward_ad=True, fast_mode=True
     )
     assert torch.autograd.gradcheck(
-        lambda y: bridge.adjoint(operator, y)[..., :2], random(*CAMERA.shape), fast_mode=True
+        lambda y: bridge.adjoint(operator, y)[..., :2], random(*CAMERA.shape), check_forward_ad=True, fast_mode=True
     )
     assert torch.autograd.gradgradcheck(lambda w: bridge.forward(operator, w) ** 2, random(3), fast_mode=True)
 
@@ -98,14 +97,6 @@ def test_tensors_of_other_types_and_layouts():
         torch.testing.assert_close(made.double(), expected, rtol=limit, atol=limit * float(expected.abs().max()))
 
 
-def test_captures_are_by_the_cameras_lens_model():
-    """Of a camera whose stigmatic lens and parabolic phase make captures that differ by half."""
-    camera = small_camera(2, aperture_radius=10.0, lens_model="parabolic")
-    made = bridge.capture(computing, camera, {"mla_distance": torch.tensor(120.0)}, torch.ones(3)).detach()
-    assert error(made.numpy(), computing(camera).forward(np.ones(3))) < 1e-5
-    assert error(made.numpy(), computing(camera.replace(lens_model="ideal")).forward(np.ones(3))) > 0.3
-
-
 def along(function, given, change, step):
     """Return the change of a function in a direction, by its forward mode and by central differences, and a dot test.
 
@@ -122,19 +113,6 @@ def along(function, given, change, step):
 
 def require_close(made, expected, limit):
     assert float((made - expected).norm() / expected.norm()) < limit
-
-
-def test_forward_mode_of_points():
-    operator = computing(CAMERA)
-    weights, change = (random(2, 3).detach().float() + shift for shift in (0, 0.5))
-    images = random(2, *CAMERA.shape).detach().float()
-    for function, given, moved, limit in (
-        (lambda w: bridge.forward(operator, w), weights, change, 1e-5),
-        (lambda y: bridge.adjoint(operator, y), images, images + 0.5, 1e-4),
-    ):
-        made, difference, *products = along(function, (given,), (moved,), 0.5)
-        require_close(made, difference, limit)
-        assert products[0] == pytest.approx(products[1], rel=1e-5)
 
 
 OPTIONS = {RayRefocus: {}, CoherentRefocus: {"wavelength": WAVELENGTH}, DeconvolvedRefocus: {"iterations": 3}}
@@ -345,32 +323,20 @@ def test_scenes_of_another_variant(letters):
     assert float(value.grad) > 0
 
 
-def rendered(scene="letters", values=None, **settings):
+def rendered(values):
     mi.set_variant("llvm_ad_mono")
-    scene = load_scene(scene) if scene == "letters" else scene
-    return bridge.render(scene, {RADIANCES[0]: torch.ones(1)} if values is None else values, **settings)
+    return bridge.render(load_scene("letters"), values)
 
 
 def forwarded(weights):
     return bridge.forward(stored(), weights)
 
 
-def refocused(shape):
-    return bridge.refocus(RayRefocus(CAMERA, 225.0), random(*shape))
-
-
 test_refusals = refused(
-    (lambda: rendered(values={}), "^values: "),
-    (lambda: rendered(values={RADIANCES[0]: torch.ones(3)}), r"^f\.emitter\.radiance\.value of shape \(3,\)"),
-    (lambda: rendered(values={"f.faces": torch.ones(18)}), "^f.faces: it is UInt"),
-    (lambda: rendered(values={"f.emitter.radiance": torch.ones(1)}), "^values: f.emitter.radiance: "),
-    (lambda: rendered(spp=-1), "^spp = -1: "),
-    (lambda: rendered(seed=0.5), "^seed = 0.5: "),
-    (lambda: rendered("nothing"), "^scene = 'nothing': "),
-    (
-        lambda: rendered(mi.load_dict({"type": "scene", "one": {"type": "path"}, "two": {"type": "sphere"}})),
-        "no sensor",
-    ),
+    (lambda: rendered({}), "^values: "),
+    (lambda: rendered({RADIANCES[0]: torch.ones(3)}), r"^f\.emitter\.radiance\.value of shape \(3,\)"),
+    (lambda: rendered({"f.faces": torch.ones(18)}), "^f.faces: it is UInt"),
+    (lambda: rendered({"f.emitter.radiance": torch.ones(1)}), "^values: f.emitter.radiance: "),
     (lambda: forwarded(random(2, 4)), r"^weights of shape \(2, 4\)"),
     (lambda: forwarded([1, 2, 3]), r"^\[1, 2, 3\]: .* tensor"),
     *(
@@ -379,10 +345,10 @@ test_refusals = refused(
     ),
     (lambda: bridge.capture(computing, CAMERA, {"mla_distance": 120.0}, random(3)), r"^120\.0: .* tensor"),
     (lambda: bridge.capture(computing, CAMERA, {"wavelength": torch.ones(1)}, random(3)), "^parameters: wavelength: "),
-    *(
-        (lambda shape=shape: refocused(shape), rf"^captures of shape {re.escape(str(shape))}: .* \(64, 64\)$")
-        # Colours are axes before the rows.
-        for shape in ((3,), (0, *CAMERA.shape), (*CAMERA.shape, 3))
+    # Colours are axes before the rows.
+    (
+        lambda: bridge.refocus(RayRefocus(CAMERA, 225.0), random(64, 64, 3)),
+        r"^captures of shape \(64, 64, 3\): .* \(64, 64\)$",
     ),
 )
 

@@ -7,7 +7,6 @@ from cameras import HALF, WAVELENGTH, error, scattered, small_camera
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
 from mitsuba_plenoptic.extensions.laser import pupil_sums
 from mitsuba_plenoptic.extensions.laser.nonuniform import PlaneWaves
-from mitsuba_plenoptic.points.point_spread import point_fields
 
 CAMERA = small_camera(4, **HALF)
 FAST = PlenopticCamera(
@@ -16,8 +15,6 @@ FAST = PlenopticCamera(
 )  # fmt: skip
 """A camera of f/2, of a fiftieth of the size of common ones."""
 
-NEAR = scattered(12, distances=(119.5, 120.5))
-"""Points within one layer."""
 
 DEEP = scattered(6, distances=(100.0, 140.0))
 """Points in several layers."""
@@ -111,38 +108,6 @@ def test_the_light_of_a_layer_may_leave_an_ideal_lens_collimated():
     camera = CAMERA.replace(focal_length=1 / np.mean(1 / points[:, 2]))
     with np.errstate(all="raise"):
         assert error_on_pupil(points, [1, 1j], camera) < 2e-5
-
-
-def test_a_single_point_is_the_full_field():
-    field = operator_of(NEAR[:1]).field([1j])
-    planes = point_fields(CAMERA, NEAR[0], wavelength=WAVELENGTH)
-    assert field.samples.shape == planes.detector.samples.shape
-    assert (field.origin, field.pitch) == (planes.detector.origin, planes.detector.pitch)
-    assert error(field.samples, 1j * planes.detector.samples) < 1e-5
-
-
-def test_squared_fields_are_the_incoherent_capture():
-    operator, weights = operator_of(NEAR[:3]), np.array([1.0, 0.5, 2.0])
-    fields = operator.coherent_fields
-    total = sum(fields.intensity(row.astype(np.complex64)) for row in np.diag(np.sqrt(weights)))
-    # Grids that hold all points differ from those of single points.
-    assert error(total, operator.forward(weights)) < 1e-3
-
-
-@pytest.mark.parametrize("plane", ["pupil", "array", "detector"])
-def test_adjoint(plane):
-    camera = CAMERA.replace(
-        mla_lattice="hexagonal", mla_rotation=7.0, crop_offset=(20, 31), crop_size=(80, 61), mla_medium=1.5,
-        lens_model="parabolic", mla_jitter=(0.002, 0.002),
-    )  # fmt: skip
-    operator, given = operator_of(DEEP[:3], camera), amplitudes(3)
-    field = operator.field(given, plane=plane).samples
-    rng = np.random.default_rng(3)
-    # Samples that are like the field, so that the product is no difference of large numbers.
-    other = field * (1 + 0.5 * rng.normal(size=field.shape)) + 0.1 * np.abs(field).max() * rng.normal(size=field.shape)
-    one = np.vdot(other, field)
-    two = np.vdot(operator.field_adjoint(other, plane=plane), given)
-    assert abs(one - two) < 1e-5 * abs(one)
 
 
 def test_plane_waves():

@@ -11,27 +11,11 @@ from refusals import refused, refuses
 from scipy.signal import fftconvolve
 from scipy.stats import qmc
 
-from mitsuba_plenoptic import (
-    Capture,
-    Detector,
-    PlenopticCamera,
-    StrayLight,
-    bank_disparity,
-    demosaic,
-    design,
-    dual_pixel,
-    expose,
-    half_disparity,
-    match_halves,
-    point_spread_function,
-    psf_bank,
-    render_capture,
-    write_capture,
-)
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.design import design_warnings
 from tools.bench.cases import dual_pixels
 
-CAMERA = PlenopticCamera(
+CAMERA = mp.PlenopticCamera(
     focal_length=6.8,
     aperture_radius=6.8 / 3.6,
     focus_distance=1000.0,
@@ -52,13 +36,13 @@ def noise(*shape):
 
 def test_photodiodes_are_sums_of_pixels():
     image = noise(128, 128, 3)
-    capture = Capture(image, CAMERA)
+    capture = mp.Capture(image, CAMERA)
     four = image.reshape(64, 2, 64, 2, 3).transpose(1, 3, 0, 2, 4)
     for layout, expected in (((2, 1), four.sum(0)[None]), ((1, 2), four.sum(1)[:, None]), ((2, 2), four)):
-        np.testing.assert_allclose(dual_pixel(capture, layout=layout), expected, rtol=1e-6)
+        np.testing.assert_allclose(mp.dual_pixel(capture, layout=layout), expected, rtol=1e-6)
     crop = CAMERA.replace(crop_offset=(4, 6), crop_size=(12, 20))
     np.testing.assert_array_equal(
-        dual_pixel(Capture(image[6:26, 4:16], crop)).values, dual_pixel(capture)[:, :, 3:13, 2:8].values
+        mp.dual_pixel(mp.Capture(image[6:26, 4:16], crop)).values, mp.dual_pixel(capture)[:, :, 3:13, 2:8].values
     )
 
 
@@ -66,26 +50,30 @@ def test_near_things_lie_further_right_in_the_left_picture():
     """As for a pair of eyes; a lamp nearer than the plane in focus, rendered."""
     distance = 400.0
     scene = scene_of(CAMERA.to_sensor(), "direct", lamp=facing(distance, 0.4, **radiating()))
-    halves = dual_pixel(render_capture(scene, spp=1024))
+    halves = mp.dual_pixel(mp.render_capture(scene, spp=1024))
     left, right = (float((each * each.s).sum() / each.sum()) for each in halves[0])
-    assert right - left == pytest.approx(half_disparity(CAMERA, distance), rel=0.01)
+    assert right - left == pytest.approx(mp.half_disparity(CAMERA, distance), rel=0.01)
     assert float(halves[0, 0].sum() / halves.sum()) == pytest.approx(0.5, abs=0.005)
 
 
 def test_quad_mosaics():
     """Each lens has one colour, so that each photodiode's picture is a Bayer mosaic."""
     image = np.broadcast_to(np.array([1.0, 2.0, 3.0], np.float32), (128, 128, 3))
-    quiet = Detector(read_noise=0, bits=16, full_well=60000, quantum_efficiency=1, mosaic="QUAD_GRBG")
-    exposed = expose(Capture(image, CAMERA, (650.0, 550.0, 450.0)), quiet, photons=10000)
-    halves = dual_pixel(exposed)
+    quiet = mp.Detector(read_noise=0, bits=16, full_well=60000, quantum_efficiency=1, mosaic="QUAD_GRBG")
+    exposed = mp.expose(mp.Capture(image, CAMERA, (650.0, 550.0, 450.0)), quiet, photons=10000)
+    halves = mp.dual_pixel(exposed)
     assert halves.attrs["mosaic"] == "GRBG"
     assert halves[0, 0, :2, :2].values == pytest.approx(2 * np.array([[2.0, 1.0], [3.0, 2.0]]), rel=0.05)
     shifted = CAMERA.replace(crop_offset=(2, 0), crop_size=(8, 8))
-    assert dual_pixel(Capture(exposed.image[:8, 2:10], shifted, metadata=exposed.metadata)).attrs["mosaic"] == "RGGB"
-    refuses("Bayer mosaics", demosaic, exposed)
-    refuses("several colours", dual_pixel, expose(Capture(image, CAMERA), Detector(mosaic="RGGB"), photons=100))
-    refuses(r"layout = \(3, 1\)", dual_pixel, exposed, layout=(3, 1))
-    refuses("halves: they are GRBG mosaics", match_halves, halves)
+    assert (
+        mp.dual_pixel(mp.Capture(exposed.image[:8, 2:10], shifted, metadata=exposed.metadata)).attrs["mosaic"] == "RGGB"
+    )
+    refuses("Bayer mosaics", mp.demosaic, exposed)
+    refuses(
+        "several colours", mp.dual_pixel, mp.expose(mp.Capture(image, CAMERA), mp.Detector(mosaic="RGGB"), photons=100)
+    )
+    refuses(r"layout = \(3, 1\)", mp.dual_pixel, exposed, layout=(3, 1))
+    refuses("halves: they are GRBG mosaics", mp.match_halves, halves)
 
 
 # -- point spreads -----------------------------------------------------------------------------------
@@ -102,16 +90,16 @@ def test_halves_of_a_defocused_point_are_half_discs():
         each = CAMERA.replace(focus_distance=focus)
         radius = each.blur_diameter(depth) / each.mla_pitch / 2
         assert radius > 8
-        bank = psf_bank(each, [depth])
+        bank = mp.psf_bank(each, [depth])
         left, right = centroids(bank, "s")[0, 0, 0]
-        expected = half_disparity(each, depth)
-        assert float(bank_disparity(bank)[0, 0]) == pytest.approx(right - left, rel=1e-5)
+        expected = mp.half_disparity(each, depth)
+        assert float(mp.bank_disparity(bank)[0, 0]) == pytest.approx(right - left, rel=1e-5)
         assert abs(expected) == pytest.approx(8 * radius / (3 * math.pi))
         assert right - left == pytest.approx(expected, rel=0.005)
         assert bank.sum(("t", "s")).values.ravel() == pytest.approx([0.5, 0.5], abs=2e-3)
-        above = bank_disparity(psf_bank(each, [depth], layout=(1, 2)), "vertical")
+        above = mp.bank_disparity(mp.psf_bank(each, [depth], layout=(1, 2)), "vertical")
         assert float(above[0, 0]) == pytest.approx(expected, rel=0.005)
-        quarters = psf_bank(each, [depth], layout=(2, 2))
+        quarters = mp.psf_bank(each, [depth], layout=(2, 2))
         assert centroids(quarters, "s")[0, 0].mean(0) == pytest.approx([left, right], abs=1e-3)
 
 
@@ -123,10 +111,10 @@ def test_a_bank_has_the_pupil_and_the_brightness_of_each_lens():
         mla_transmissions=np.random.default_rng(0).uniform(0.4, 1, (90, 90)).tolist(),
         vignetting={"radius": [1.0, 0, 0, -0.6, 0, -0.6], "scale": 24 * CAMERA.mla_pitch},
     )
-    bank = psf_bank(camera, [700.0], [(0.0361, 0.0217)], layout=(2, 2), model="wave", wavelength=GREEN, size=13)
+    bank = mp.psf_bank(camera, [700.0], [(0.0361, 0.0217)], layout=(2, 2), model="wave", wavelength=GREEN, size=13)
     index = (np.array([bank.x[0], bank.y[0]]) / CAMERA.mla_pitch - 0.5).round().astype(int)
     point = np.append(-700.0 / camera.mla_distance * np.array(camera.lattice.centre(*index)), 700.0)
-    image = point_spread_function(camera, point, wavelength=GREEN, method="full_field")
+    image = mp.point_spread_function(camera, point, wavelength=GREEN, method="full_field")
     left, top = 2 * (32 + index - 6)
     expected = image[top : top + 26, left : left + 26].reshape(13, 2, 13, 2).transpose(1, 3, 0, 2)
     assert relative(bank.values[0, 0], expected) < 0.004
@@ -141,12 +129,12 @@ def test_a_bank_has_the_pupil_and_the_brightness_of_each_lens():
     ],
 )
 def test_presets_divide_the_light_alike_up_to_the_corner(name, pixel, lenses):
-    camera = PlenopticCamera.preset(name)
+    camera = mp.PlenopticCamera.preset(name)
     assert camera.pixel_size == pytest.approx(1e-3 * pixel)
     assert camera.resolution == (2 * lenses[0], 2 * lenses[1])
     assert [warning for wavelength in (450, 550, 650) for warning in design_warnings(camera, wavelength)] == []
     corner = (0.48 * camera.detector_width, 0.48 * camera.detector_height)
-    bank = psf_bank(camera, [0.7 * camera.focus_distance], [(0.0, 0.0), corner], layout=(2, 2))
+    bank = mp.psf_bank(camera, [0.7 * camera.focus_distance], [(0.0, 0.0), corner], layout=(2, 2))
     quarters = bank.sum(("t", "s")).values[0]
     for axis in (1, 2):
         assert quarters.sum(axis) == pytest.approx(0.5, abs=0.01)
@@ -169,7 +157,7 @@ LENSES, SAMPLES, AROUND = 12, 64, 17
 
 def window(angle, **changes):
     """Return a telephone's camera that records lenses around a chief-ray angle in degrees, and the place of one."""
-    camera = PlenopticCamera.preset("phone_quad").replace(**changes)
+    camera = mp.PlenopticCamera.preset("phone_quad").replace(**changes)
     width, height = camera.resolution
     across = round(camera.mla_distance * math.tan(math.radians(angle)) / camera.mla_pitch)
     camera = camera.replace(
@@ -181,15 +169,15 @@ def window(angle, **changes):
 def left_of_even(camera, model, spp):
     """Return the part of an even scene's light in the left halves, and its light over the closed form by ideal rays."""
     wavelength = {"wavelength": GREEN} if model == "wave" else {}
-    capture = render_capture(white(camera), model=model, spp=spp, **wavelength)
-    halves = dual_pixel(capture).values[0, :, 2:-2, 2:-2]
+    capture = mp.render_capture(white(camera), model=model, spp=spp, **wavelength)
+    halves = mp.dual_pixel(capture).values[0, :, 2:-2, 2:-2]
     left, right = halves.mean((1, 2), dtype=float)
-    return left / (left + right), (left + right) / 4 / design.white_mean(camera)
+    return left / (left + right), (left + right) / 4 / mp.design.white_mean(camera)
 
 
 def left_of_point(camera, field, model):
     """Return the part of the light of a point in focus in its left half."""
-    bank = psf_bank(camera, [1000.0], [field], model=model, wavelength=GREEN, size=9)
+    bank = mp.psf_bank(camera, [1000.0], [field], model=model, wavelength=GREEN, size=9)
     left, right = bank.sum(("t", "s")).values.ravel()
     return float(left / (left + right))
 
@@ -290,7 +278,7 @@ def test_halves_by_waves_are_sums_of_plane_waves():
 
 
 def test_crosstalk_adds_each_half_to_the_other():
-    bank, crossed = (psf_bank(CAMERA.replace(pixel_crosstalk=x), [400.0]) for x in (0.0, 0.05))
+    bank, crossed = (mp.psf_bank(CAMERA.replace(pixel_crosstalk=x), [400.0]) for x in (0.0, 0.05))
     assert float(crossed.sum()) == pytest.approx(1, abs=1e-5)
     near, far = centroids(bank, "s")[0, 0, 0], centroids(crossed, "s")[0, 0, 0]
     # A pixel gives 5 % to the other one of its row, and 5 % to that of the next lens.
@@ -298,15 +286,15 @@ def test_crosstalk_adds_each_half_to_the_other():
 
 
 def test_light_strays_over_the_whole_detector():
-    stray = StrayLight([[0.2, 0.2], [0.2, 0.2]])
-    bank, strayed = (psf_bank(CAMERA.replace(stray_light=x), [400.0], size=19) for x in (0.0, stray))
+    stray = mp.StrayLight([[0.2, 0.2], [0.2, 0.2]])
+    bank, strayed = (mp.psf_bank(CAMERA.replace(stray_light=x), [400.0], size=19) for x in (0.0, stray))
     within = (2 * 19) ** 2 / np.prod(CAMERA.resolution)
     assert float(strayed.sum()) == pytest.approx(float(bank.sum()) * (1 + 0.2 * within), rel=1e-5)
 
 
 @pytest.mark.parametrize("model", ["ray", "wave"])
 def test_a_bank_at_infinity_is_the_limit_of_far_points(model):
-    far, infinite = psf_bank(CAMERA, [1e9, math.inf], [(0.02, -0.015)], model=model, size=19).values
+    far, infinite = mp.psf_bank(CAMERA, [1e9, math.inf], [(0.02, -0.015)], model=model, size=19).values
     assert np.linalg.norm(infinite - far) < 1e-4 * np.linalg.norm(far)
 
 
@@ -320,7 +308,7 @@ def test_vignetted_halves_follow_the_traced_pupil():
 
 def of_camera(**changes):
     camera = CAMERA.replace(**changes)
-    return dual_pixel(Capture(np.zeros(camera.shape, np.float32), camera))
+    return mp.dual_pixel(mp.Capture(np.zeros(camera.shape, np.float32), camera))
 
 
 test_other_cameras_and_mistakes_of_banks_are_refused = refused(
@@ -328,9 +316,8 @@ test_other_cameras_and_mistakes_of_banks_are_refused = refused(
     (lambda: of_camera(mla_lattice="hexagonal"), "mla_lattice = hexagonal"),
     (lambda: of_camera(mla_offset=(0.0012, 0.0)), "between two lenses"),
     (lambda: of_camera(crop_offset=(1, 0), crop_size=(126, 128)), "between two lenses"),
-    (lambda: psf_bank(CAMERA, [-math.inf]), "depths = -inf"),
-    (lambda: psf_bank(CAMERA, [500.0], [1.0]), "they must be distances and pairs"),
-    (lambda: psf_bank(CAMERA, [500.0], [(5.0, 0.0)]), r"fields = \(5, 0\)"),
+    (lambda: mp.psf_bank(CAMERA, [500.0], [1.0]), "they must be distances and pairs"),
+    (lambda: mp.psf_bank(CAMERA, [500.0], [(5.0, 0.0)]), r"fields = \(5, 0\)"),
 )
 
 
@@ -341,15 +328,15 @@ def test_matching_moved_pictures_finds_the_move():
     scene = np.random.default_rng(0).random((64, 80))
     pair = np.stack([scene[:, 10:74], scene[:, 7:71]], axis=-1)
     pixels = np.repeat(pair[:, None], 2, axis=1).reshape(128, 128).astype(np.float32)
-    found = match_halves(dual_pixel(Capture(pixels, CAMERA)), window=9, search=5)
+    found = mp.match_halves(mp.dual_pixel(mp.Capture(pixels, CAMERA)), window=9, search=5)
     assert found[10:-10, 10:-10].values == pytest.approx(3.0, abs=0.2)
-    flat = match_halves(dual_pixel(Capture(np.ones((128, 128), np.float32), CAMERA)), window=9, search=5)
+    flat = mp.match_halves(mp.dual_pixel(mp.Capture(np.ones((128, 128), np.float32), CAMERA)), window=9, search=5)
     assert np.isnan(flat.values).all()
     # What one lens shows, however bright, counts in its windows alone.
     pixels[64:66, 80:82] *= 1000
-    lit = match_halves(dual_pixel(Capture(pixels, CAMERA)), window=9, search=5)
+    lit = mp.match_halves(mp.dual_pixel(mp.Capture(pixels, CAMERA)), window=9, search=5)
     assert lit[10:-10, 10:25].values == pytest.approx(3.0, abs=0.2)
-    refuses("1 pictures along v", match_halves, dual_pixel(Capture(pixels, CAMERA)), "vertical")
+    refuses("1 pictures along v", mp.match_halves, mp.dual_pixel(mp.Capture(pixels, CAMERA)), "vertical")
 
 
 @pytest.mark.parametrize(("disparity", "side"), [(0.5, 4), (-0.77, 16), (2.37, 16), (-3.5, 4)])
@@ -366,8 +353,10 @@ def test_matching_finds_the_disparity_of_half_discs(disparity, side):
         pair = [fftconvolve(scene, disc[None] / disc.sum(), "same", axes=(1, 2))[:, 48:-48, 48:-48] for disc in discs]
         samples = np.stack(pair).reshape(2, 3, lenses, 8, lenses, 8).mean((3, 5))
         pixels = np.repeat(samples.transpose(2, 3, 0, 1)[:, None], 2, axis=1).reshape(2 * lenses, 2 * lenses, 3)
-        capture = Capture(pixels.astype(np.float32), camera, (610.0, 550.0, 465.0))
-        found = match_halves(dual_pixel(expose(capture, Detector(), photons=1000, seed=seed)))[16:-16, 16:-16]
+        capture = mp.Capture(pixels.astype(np.float32), camera, (610.0, 550.0, 465.0))
+        found = mp.match_halves(mp.dual_pixel(mp.expose(capture, mp.Detector(), photons=1000, seed=seed)))[
+            16:-16, 16:-16
+        ]
         assert float(found.median()) == pytest.approx(-disparity, abs=0.1)
         assert np.isfinite(found).mean() > 0.5
 
@@ -375,7 +364,7 @@ def test_matching_finds_the_disparity_of_half_discs(disparity, side):
 def fast(lenses):
     """Return an f/1.8 camera of lenses aligned to chief rays by a smaller pitch."""
     b = 2.2
-    return PlenopticCamera(
+    return mp.PlenopticCamera(
         focal_length=2.0, aperture_radius=0.55, mla_distance=b, mla_pitch=0.0028 * b / (b + 0.004 / 1.5),
         mla_focal_length=0.004, mla_medium=1.5, detector_width=0.0028 * lenses, resolution=(2 * lenses,) * 2,
     )  # fmt: skip
@@ -384,12 +373,12 @@ def fast(lenses):
 def test_spreads_by_waves_have_the_light_of_points_in_fast_main_lenses():
     camera = fast(40)
     near = 1 / (1 / camera.focus_distance + 3 * camera.mla_pitch / (0.55 * camera.mla_distance))
-    bank = psf_bank(camera, [camera.focus_distance, near], size=17, model="wave")
+    bank = mp.psf_bank(camera, [camera.focus_distance, near], size=17, model="wave")
     assert bank.sum(("v", "u", "t", "s")).values.ravel() == pytest.approx([0.99, 0.985], abs=0.01)
-    in_focus, found = bank_disparity(bank).values.ravel()
+    in_focus, found = mp.bank_disparity(bank).values.ravel()
     assert abs(in_focus) < 0.05
     # Diffraction mixes the halves.
-    assert 0.6 < found / half_disparity(camera, near) < 0.85
+    assert 0.6 < found / mp.half_disparity(camera, near) < 0.85
 
 
 @pytest.mark.parametrize(("changes", "least"), [({"lens_model": "parabolic"}, 0.97), ({"aperture_radius": 0.07}, 0.93)])
@@ -397,17 +386,17 @@ def test_banks_are_as_wide_as_aberrated_and_diffracted_light(changes, least):
     """A point in focus: 13 lenses of aberration, and an Airy pattern whose third dark ring has 94 % of the light."""
     camera = fast(100).replace(**changes)
     for model in ("ray", "wave"):
-        bank = psf_bank(camera, [camera.focus_distance], model=model)
+        bank = mp.psf_bank(camera, [camera.focus_distance], model=model)
         assert least < float(bank.sum()) <= 1.001, model
 
 
 def test_the_command(tmp_path, run, complaint):
-    capture = Capture(noise(128, 128), CAMERA)
-    write_capture(tmp_path / "raw.exr", capture)
+    capture = mp.Capture(noise(128, 128), CAMERA)
+    mp.write_capture(tmp_path / "raw.exr", capture)
     said = run("dual", tmp_path / "raw.exr", "-o", tmp_path / "halves.exr")
     assert said.endswith("2 x 1 pictures of 64 x 64 lenses\n")
     parts = {part.name(): part for part in OpenEXR.File(str(tmp_path / "halves.exr"), separate_channels=True).parts}
     assert list(parts) == ["left", "right", "sum"]
-    np.testing.assert_array_equal(parts["right"].channels["Y"].pixels, dual_pixel(capture)[0, 1])
+    np.testing.assert_array_equal(parts["right"].channels["Y"].pixels, mp.dual_pixel(capture)[0, 1])
     assert "2 x 2 pictures" in run("dual", tmp_path / "raw.exr", "-o", tmp_path / "four.png", "--layout", "2x2")
     assert "--layout" in complaint("dual", tmp_path / "raw.exr", "-o", tmp_path / "x.exr", "--layout", "3x1")

@@ -121,7 +121,7 @@ def test_far_sums_have_the_mean_of_all_rays():
                 y, x = (cell - window.first) * window.samples
                 expected[target] += light[ray] * table[first[ray] + y * size + x]
     nothing = [[mi.Float(np.zeros(4, np.float32))] * 2]
-    seeds = range(0, 64 * 2400, 64)
+    seeds = range(0, 64 * 1200, 64)
     draws = np.array([[part.numpy() for part in work._far_sums(grid, rays, nothing, seed)] for seed in seeds])
     drawn, deviation = draws.mean(0).T.reshape(2, 2, 4), np.linalg.norm(draws.std(0)) / np.sqrt(len(seeds))
     assert deviation < 0.1 * np.linalg.norm(expected)
@@ -210,12 +210,7 @@ def test_gaps_between_lenses_leave_the_brightness_of_a_wall():
 
 @pytest.mark.parametrize(
     ("changes", "message"),
-    [
-        ({"mla_lattice": "hexagonal"}, "mla_lattice = hexagonal"),
-        ({"mla_rotation": 3.0}, "mla_rotation = 3.0"),
-        ({"mla_aperture": "circle"}, "mla_aperture = circle"),
-        ({"mla_pitch": 0.0024}, "half a pitch"),
-    ],
+    [({"mla_lattice": "hexagonal"}, "mla_lattice = hexagonal"), ({"mla_pitch": 0.0024}, "half a pitch")],
 )
 def test_what_responses_do_not_describe_is_refused_by_name(changes, message):
     refuses(message, pixels_per_lens, camera_of(2.0, 40).replace(**changes))

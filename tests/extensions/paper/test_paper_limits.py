@@ -7,14 +7,6 @@ import pytest
 
 from mitsuba_plenoptic import PlenopticCamera, design
 from mitsuba_plenoptic.extensions.paper import paper_limits as limits
-from mitsuba_plenoptic.extensions.paper.paper_limits import (
-    FocusedCamera,
-    check_limits,
-    deconvolved_fraction,
-    focused_cameras,
-    pixels_against_range,
-    run_plain_sums,
-)
 from mitsuba_plenoptic.extensions.paper.procedures import back_path, light_path, micro_image
 from mitsuba_plenoptic.refocus.projection import pupil_radius, ray_sums
 
@@ -27,7 +19,7 @@ def test_the_plain_loop_gives_the_sums_of_our_reconstruction(distance):
     part = camera.replace(crop_offset=(32, 64), crop_size=(160, 96))
     image = np.random.default_rng(0).random((96, 160), np.float32)
     ours = ray_sums(image[..., None], part, distance, pupil_radius(part), "point", 1)[..., 0]
-    assert run_plain_sums(image, part, distance) == pytest.approx(ours, abs=1e-4)
+    assert limits.run_plain_sums(image, part, distance) == pytest.approx(ours, abs=1e-4)
     assert np.count_nonzero(ours) >= 15
 
 
@@ -43,15 +35,15 @@ def test_a_plain_loop_with_other_sums_is_not_timed(monkeypatch):
 def test_verdicts_on_limits_come_out_each_way():
     """Of the time of a plain program, and of narrow lenses, whose pixels are as wide as their spot of diffraction."""
     for plain, verdict in ((65.0, "differs"), (100.0, "confirmed")):
-        claim = check_limits(PAPER, WAVELENGTH, plain, 0.03)[2]
+        claim = limits.check_limits(PAPER, WAVELENGTH, plain, 0.03)[2]
         assert claim.statement.endswith("330 s.") and claim.verdict == verdict
     for pitch, verdict in ((0.064, "differs"), (0.0325, "partly"), (0.026, "confirmed")):
         size = {"mla_pitch": pitch, "detector_width": 64 * pitch, "resolution": (round(64 * pitch / 0.0065),) * 2}
-        assert check_limits(PAPER.replace(**size), WAVELENGTH, 1.0, 1.0)[1].verdict == verdict
+        assert limits.check_limits(PAPER.replace(**size), WAVELENGTH, 1.0, 1.0)[1].verdict == verdict
 
 
 def test_deconvolution_is_best_where_lenses_begin_to_see_different_phases():
-    distance, fraction = deconvolved_fraction(PAPER, WAVELENGTH)
+    distance, fraction = limits.deconvolved_fraction(PAPER, WAVELENGTH)
     # w^2 / 2 M^2 lambda from focus, at 2.1 M / w by Broxton's formula, of the b / 2 p g of the pixels.
     depth = 0.064**2 / (2 * 0.5**2 * 633e-6)
     assert distance == pytest.approx(240 + depth, abs=0.5)
@@ -59,7 +51,7 @@ def test_deconvolution_is_best_where_lenses_begin_to_see_different_phases():
 
 
 def test_focused_cameras_keep_the_plane_in_focus_and_their_range():
-    *focused, plain = focused_cameras(PAPER, WAVELENGTH)
+    *focused, plain = limits.focused_cameras(PAPER, WAVELENGTH)
     assert plain.camera is PAPER and plain.pixels == 128 and len(focused) == 4
     for each in focused:
         assert each.camera.focus_distance != pytest.approx(240) and design.focus_type(each.camera) == "keplerian"
@@ -72,15 +64,13 @@ def test_focused_cameras_keep_the_plane_in_focus_and_their_range():
 
 
 def test_pixels_against_range():
-    for ranges, verdict in (
-        ((0.1, 0.2, 0.3), "confirmed"),
-        ((0.1, 0.3, 0.2), "partly"),
-        ((0.3, 0.2, 0.1), "differs"),
-    ):
-        cameras = [FocusedCamera(PAPER, 3.0, 500.0, 240.0, 1 / (1 / 240 - 1e-3 * width)) for width in ranges]
+    for ranges, verdict in (((0.1, 0.2, 0.3), "confirmed"), ((0.1, 0.3, 0.2), "partly"), ((0.3, 0.2, 0.1), "differs")):
+        cameras = [limits.FocusedCamera(PAPER, 3.0, 500.0, 240.0, 1 / (1 / 240 - 1e-3 * width)) for width in ranges]
         assert [each.range for each in cameras] == pytest.approx(ranges)
-        assert pixels_against_range(cameras).verdict == verdict
-    assert "infinity" in pixels_against_range([FocusedCamera(PAPER, 3.0, 500.0, 200.0, math.inf)]).measured
+        assert limits.pixels_against_range(cameras).verdict == verdict
+    assert (
+        "infinity" in limits.pixels_against_range([limits.FocusedCamera(PAPER, 3.0, 500.0, 200.0, math.inf)]).measured
+    )
 
 
 def test_rays_of_a_point_meet_in_its_image(distance=210.0):
