@@ -206,19 +206,19 @@ class Draw:
         }
         self.wavelength = float(self.rng.choice([450.0, 550.0, 650.0]))
         self.format = ""  # of a file that a relation writes
-        self.slope = ""  # the parameter of a derivative
+        self.slopes: list[str] = []  # parameters by which a relation computes derivatives
 
     @cached_property
     def camera(self) -> mp.PlenopticCamera:
         """The camera of all options."""
         return mp.PlenopticCamera(**self.parameters)
 
-    def point(self) -> Any:
+    def point(self, beside: float = 1.0) -> Any:
         """Return a scene point that the camera sees, in focus or beside it."""
         if self.camera.objective is not None:
             return tuple((self.rng.uniform(-1, 1, 3) * (0.01, 0.01, 0.006)).tolist())
         focus = min(self.camera.focus_distance, 1000.0)
-        g = focus * float(self.rng.choice([0.94, 0.98, 1.0, 1.03, 1.07]))
+        g = focus * (1 + beside * float(self.rng.choice([-0.06, -0.02, 0.0, 0.03, 0.07])))
         reach = 0.25 * self.camera.detector_width * g / self.camera.mla_distance
         return (*self.rng.uniform(-reach, reach, 2).tolist(), g)
 

@@ -56,7 +56,7 @@ class Tally:
             options = outcome.draw.options
             self.counts["option"].update(options)
             self.counts["pair"].update(" ".join(pair) for pair in itertools.combinations(options, 2))
-            self.counts["slope"].update(f"{outcome.draw.slope} {name}" for name in options if outcome.draw.slope)
+            self.counts["slope"].update(f"{slope} {name}" for slope in outcome.draw.slopes for name in options)
             self.counts["method"][relation.method] += 1
             self.counts["format"].update(filter(None, [outcome.draw.format]))
 

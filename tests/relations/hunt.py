@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 os.environ.setdefault("DRJIT_NUM_THREADS", "1")
@@ -38,11 +39,23 @@ GRACE = 10.0
 """Seconds after the end that a draw, or a failure that loses options, may take."""
 
 LONGEST = 60.0
-"""Seconds that one draw may take."""
+"""Seconds of processor time that one draw may take, so that other work on the machine ends none."""
 
 
 def stop(*_):
     raise TooLongError
+
+
+@contextmanager
+def limited(end):
+    """End a draw after its processor time, or where the hunt ends."""
+    try:
+        signal.setitimer(signal.ITIMER_PROF, LONGEST)
+        signal.setitimer(signal.ITIMER_REAL, max(end - time.monotonic(), 0.1))
+        yield
+    finally:
+        for timer in (signal.ITIMER_PROF, signal.ITIMER_REAL):
+            signal.setitimer(timer, 0)
 
 
 def again(name, draw):
@@ -53,7 +66,8 @@ def again(name, draw):
 def hunt(seconds, seed):
     """Return how many draws fail; print them, and at the end what was computed."""
     end = time.monotonic() + seconds
-    signal.signal(signal.SIGALRM, stop)
+    for name in (signal.SIGALRM, signal.SIGPROF):
+        signal.signal(name, stop)
     tally = Tally()
     # In an order of the seed's own, so that short hunts do not try the same relations.
     spent = dict.fromkeys(np.random.default_rng(seed).permutation(list(RELATIONS)).tolist(), 0.0)
@@ -62,9 +76,8 @@ def hunt(seconds, seed):
             break
         name = min(spent, key=lambda each: spent[each])
         relation, start = RELATIONS[name], time.process_time()
-        signal.setitimer(signal.ITIMER_REAL, min(LONGEST, end + GRACE - time.monotonic()))
-        outcome = judged(relation, draw_of(relation, number))
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        with limited(end + GRACE):
+            outcome = judged(relation, draw_of(relation, number))
         if outcome.verdict == "fails":
             outcome = shrunk(relation, outcome, end + GRACE)
             print(f"{again(name, outcome.draw)}  {outcome.words}  {outcome.draw.parameters}", flush=True)

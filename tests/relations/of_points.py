@@ -188,13 +188,6 @@ LIMITS = {"aperture_radius": 0.25, "mla_fill": 0.25}
 """Of derivatives against differences, 0.06 else: samples of images follow the camera, and round edges most."""
 
 
-def pair_of(seed):
-    """Return a parameter with a derivative, and options that act on the same stage of a camera."""
-    rng = np.random.default_rng([seed, 3])
-    stage = str(rng.choice(["pupil", "array", "detector"]))
-    return str(rng.choice(on_stage(with_gradient(Captures.POINTS), stage))), on_stage(OPTIONS, stage)
-
-
 def differentiable(camera):
     """Return the camera with numbers whose parameters have derivatives on both sides."""
     camera = camera.replace(detector_distance=camera.detector_distance)
@@ -209,31 +202,32 @@ def direction_of(camera, name, rng):
     return value, value * rng.uniform(0.5, 1.5, count) if PARAMETERS[name].scale is None else value * 0 + 1.0
 
 
-@relation(Use.POINT_DERIVATIVES, "crop_offset crop_size", first=lambda seed: pair_of(seed)[1])
+def directions_of(camera, rng, count=None):
+    """Return values and directions of the parameters with a derivative that a camera has, or of some of them."""
+    both = {name: direction_of(camera, name, rng) for name in with_gradient(Captures.POINTS)}
+    names = [name for name, (value, _) in both.items() if value.size]
+    return {name: both[name] for name in (rng.choice(names, count, replace=False).tolist() if count else names)}
+
+
+@relation(Use.POINT_DERIVATIVES, "crop_offset crop_size")
 def derivative(draw):
-    """The derivative by a parameter is the difference of captures, of which two steps agree."""
-    camera, points, name = differentiable(draw.camera), [draw.point()], pair_of(draw.seed)[0]
-    value, direction = direction_of(camera, name, draw.rng)
-    if not value.size:
-        return None
-    draw.slope = name
-    operator = mp.CaptureOperator(camera, points, wavelength=draw.wavelength, accuracy=0.0)
-    slope = np.squeeze(operator.derivative([1.0], {name: direction})).astype(float)
-    size = float(np.linalg.norm(slope))
-    if size == 0:
-        return None
-    step = 0.01 * float(np.linalg.norm(operator.forward([1.0]))) / size
-
-    def difference(h):
-        one, other = (
-            picture(with_parts(camera, {name: value + sign * h * direction}), points, draw.wavelength)
-            for sign in (1, -1)
+    """Derivatives by all parameters are limits of differences of captures, of which two steps agree."""
+    camera, points = differentiable(draw.camera), [draw.point(0.5)]
+    moves = directions_of(camera, draw.rng)
+    operator = mp.CaptureOperator(camera, points, wavelength=draw.wavelength)
+    slopes = operator.jacobian([1.0], [{name: direction} for name, (_, direction) in moves.items()])
+    image, worst = picture(camera, points, draw.wavelength), []
+    for slope, (name, (value, direction)) in zip(slopes, moves.items(), strict=True):
+        step = 0.02 / (off(slope + image, image) or 1.0)
+        far, near = (
+            (picture(with_parts(camera, {name: value + h * direction}), points, draw.wavelength) - image) / h
+            for h in (step, step / 2)
         )
-        return (one - other) / (2 * h)
-
-    wide, narrow = difference(step), difference(step / 2)
-    limit = LIMITS.get(name, 0.06)
-    return (off(slope, narrow), limit) if off(wide, narrow) < limit / 2 else None
+        limit = LIMITS.get(name, 0.06)
+        if np.any(near) and off(far, near) < limit:
+            worst.append(off(slope, 2 * near - far) / limit)
+            draw.slopes.append(name)
+    return (max(worst), 1.0) if worst else None
 
 
 @relation(
@@ -241,24 +235,28 @@ def derivative(draw):
 )
 def product_rule(draw):
     """Derivatives of what pixels record are those of their light, as pixels mix it, and those of the mixing."""
-    camera, points, name = differentiable(draw.camera), [draw.point()], pair_of(draw.seed)[0]
-    value, direction = direction_of(camera, name, draw.rng)
-    if not value.size:
-        return None
+    camera, points = differentiable(draw.camera), [draw.point(0.5)]
+    moves = directions_of(camera, draw.rng, 3)
     recorded, light = (
-        mp.CaptureOperator(each, points, wavelength=draw.wavelength, accuracy=0.0)
-        for each in (camera, camera.replace(**SHARP))
+        mp.CaptureOperator(each, points, wavelength=draw.wavelength) for each in (camera, camera.replace(**SHARP))
     )
+    slopes, of_light = (
+        each.jacobian([1.0], [{name: direction} for name, (_, direction) in moves.items()])
+        for each in (recorded, light)
+    )
+    image, worst = light.forward([1.0]), []
+    for slope, plain, (name, (value, direction)) in zip(slopes, of_light, moves.items(), strict=True):
 
-    def mixed(h, image):
-        changed = with_parts(camera, {name: value + h * direction})
-        return DetectorOperator.of(changed).forward(np.squeeze(image).astype(float))
+        def mixed(h, image, name=name, value=value, direction=direction):
+            changed = with_parts(camera, {name: value + h * direction})
+            return DetectorOperator.of(changed).forward(np.squeeze(image).astype(float))
 
-    slope, h = np.squeeze(recorded.derivative([1.0], {name: direction})), 1e-4 * float(np.abs(value).max() or 1.0)
-    image = light.forward([1.0])
-    expected = mixed(0, light.derivative([1.0], {name: direction})) + (mixed(h, image) - mixed(-h, image)) / (2 * h)
-    draw.slope = name
-    return (off(slope, expected), 1e-5) if np.any(expected) else None
+        h = 1e-4 * float(np.abs(value).max() or 1.0)
+        expected = mixed(0, plain) + (mixed(h, image) - mixed(-h, image)) / (2 * h)
+        if np.any(expected):
+            worst.append(off(slope, expected))
+            draw.slopes.append(name)
+    return (max(worst), 1e-5) if worst else None
 
 
 @relation(Use.POINT_DERIVATIVES, f"{AT_THE_LINE_D} focus_distance crop_offset crop_size")
