@@ -75,6 +75,8 @@ def start_command(*words, limit=None, interrupt_after=-1):
     """
 
     def prepare():
+        # Shells start programs in the background with this signal ignored.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
         if limit is not None:
             signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))

@@ -110,11 +110,13 @@ class ProgressBar:
         # Before, plans are made, kernels compiled and memory mapped.
         middle = (self.start + self._reports[-1][0]) / 2
         later = next((report for report in self._reports[:-1] if report[0] >= middle), self._reports[-2])
-        gained = self.fraction - later[1]
+        # Of the farthest report: repetitions of a stage go back to where it began.
+        done = self._reports[-1][1]
+        gained = done - later[1]
         # The first step after a pause, in which a kernel is compiled, tells the pause's length rather than the speed.
         if later is self._reports[-2] and gained < _TELLING:
             return None
-        return (time.monotonic() - later[0]) * (1 - self.fraction) / gained
+        return (time.monotonic() - later[0]) * (1 - done) / gained
 
     def line(self) -> str:
         """Return the label, the percentage and the times as text."""

@@ -28,7 +28,7 @@ def box(tmp_path_factory):
 def camera(tmp_path_factory):
     """Save the preset lytro with a small detector."""
     path = tmp_path_factory.mktemp("camera") / "small.json"
-    small = mp.PlenopticCamera.preset("lytro").replace(resolution=(80, 80), detector_width=0.112)
+    small = mp.PlenopticCamera.preset("lytro").replace(resolution=(40, 40), detector_width=0.056)
     path.write_text(small.to_json())
     return path
 

@@ -120,6 +120,10 @@ def test_the_estimate_at_a_tenth_of_the_work_is_right_after_slow_plans(monkeypat
         if part in (110, 500, 900):
             assert clock[0] + bar.left() == pytest.approx(104, rel=0.05)
     assert len(bar._reports) <= progress._REPORTS
+    # A stage that is repeated goes back to any report.
+    for _, fraction in list(bar._reports):
+        bar(round(1000 * fraction), 1000)
+        assert bar.left() == pytest.approx(0, abs=1)
 
 
 def small_scene():

@@ -2,9 +2,10 @@
 
 import math
 
+import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import letters
+from cameras import letters, pinhole_picture
 from light_field_cases import blobs, fall_off_of, of_square_lenses, straight_rays
 from scipy.io import savemat
 from scipy.ndimage import center_of_mass, gaussian_filter, map_coordinates, uniform_filter
@@ -268,3 +269,19 @@ class TestDepth:
         found = depth_map(mp.decode(mp.expose(white, mp.Detector(), photons=500)), planes=48)
         assert float(np.isfinite(found.depth).mean()) < 0.02
         assert float(found.confidence.max()) < 0.9
+
+
+@pytest.mark.slow
+def test_depth_of_the_still_life():
+    scene = mp.load_scene("still_life")
+    capture = mp.render_capture(scene, spp=4)
+    integrator = mi.load_dict({"type": "aov", "aovs": "place:position"})
+    z = pinhole_picture(scene, 640, 640, 8.192, integrator=integrator, spp=1)[..., -1]
+    truth = np.median(z.reshape(128, 5, 128, 5).swapaxes(1, 2).reshape(128, 128, 25), axis=2)
+    found = depth_map(mp.decode(capture), 195, 310, planes=32)
+    # A depth whose neighbours disagree is unknown, whatever its own confidence.
+    sure = (found.confidence.values > 0.5) & np.isfinite(found.depth.values)
+    error = np.abs(found.depth.values - truth) / (truth.max() - truth.min())
+    assert sure.mean() > 0.3
+    assert np.median(error[sure]) < 0.01
+    assert np.percentile(error[sure], 90) < 0.03

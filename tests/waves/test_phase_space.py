@@ -12,7 +12,7 @@ from scipy.special import j0, j1
 from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.rays.tracer import Walk
-from mitsuba_plenoptic.waves.phase_space import PhaseSpace, coefficients_of
+from mitsuba_plenoptic.waves.phase_space import PhaseSpace, Table, coefficients_of
 from tools.bench.cases import phase_space
 
 PLACES = (0.0, 0.028, 0.036)
@@ -137,7 +137,7 @@ def test_plans_of_many_cameras_keep_tables_of_bounded_size(monkeypatch):
     monkeypatch.setattr("mitsuba_plenoptic.waves.phase_space._tables", {})
     monkeypatch.setattr(PhaseSpace, "tabulated", tabulated)
     plans = [PhaseSpace(PlenopticCamera(), 500.0, degree=1, radial=2, window=9 + k) for k in range(20)]
-    sizes = [sum(math.prod(shape) for shape in plan.shapes) * 4 for plan in plans]
+    sizes = [Table(plan.shapes).size for plan in plans]
     monkeypatch.setattr("mitsuba_plenoptic.waves.phase_space._BYTES", sum(sizes[-4:]))
     for plan in plans:
         assert plan.table is plan.table

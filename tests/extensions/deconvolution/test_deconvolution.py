@@ -35,6 +35,17 @@ def filled(camera, places, size, values, distance, across, wavelength=WAVELENGTH
     return operator.forward(np.repeat(values, across**2) * weight)
 
 
+def kept_light(camera, distance):
+    """Return what sums of point spreads keep of a bin's light; borders of lenses diffract some beyond their reach."""
+    wide = camera.replace(detector_width=2 * camera.detector_width, resolution=[2 * n for n in camera.resolution])
+    size, lattice = camera.row_pitch, camera.lattice
+    light = filled(wide, np.zeros((1, 2)), size, np.ones(1), distance, 6).sum()
+    light /= np.pi * (camera.aperture_radius * camera.detector_distance * size / camera.mla_medium) ** 2
+    (x, y), (x_right, y_right), (x_below, y_below) = (lattice.centre(*cell) for cell in ((0, 0), (1, 0), (0, 1)))
+    cell_area = abs((x_right - x) * (y_below - y) - (y_right - y) * (x_below - x))
+    return light * cell_area * (camera.pixel_size * camera.mla_distance) ** 2
+
+
 def test_white_planes_by_rays_follow_snells_law():
     """Against a ray capture at 35 degrees, where rays of slopes that the index divides land ten pixels away."""
     camera = mp.PlenopticCamera(
@@ -62,6 +73,17 @@ def test_volume_is_the_sum_of_its_planes():
     assert np.linalg.norm(alone - both.forward(far)) <= 0.02 * np.linalg.norm(alone)
 
 
+LATTICES = {
+    "low, turned": {"mla_pitch": (0.064, 0.0576), "mla_rotation": 7.0},
+    "circles, moved": {
+        "mla_lattice": "hexagonal", "mla_aperture": "circle", "mla_fill": 0.95, "mla_offset": (0.01, 0.02)
+    },
+    "stretched, turned": {"mla_lattice": "hexagonal", "mla_pitch": (0.056, 0.07), "mla_rotation": 4.0},
+    "three types": {"mla_lattice": "hexagonal", "mla_focal_length": (0.45, 0.512, 0.6), "detector_distance": 0.512},
+    "medium": {"mla_medium": 1.5, "mla_pitch": (0.064, 0.072)},
+}  # fmt: skip
+
+
 def test_an_even_light_makes_no_bin_darker():
     """As stray light, or a black level that was not subtracted, does; pixels between micro-images explain nothing."""
     camera = mp.PlenopticCamera(detector_width=0.384, resolution=(72, 72))
@@ -70,6 +92,27 @@ def test_an_even_light_makes_no_bin_darker():
         capture = mp.Capture(white + np.float32(even), camera)
         image = mp.reconstruct(capture, 223.2, method="deconvolved", iterations=10).image
         assert 1 < np.nanmedian(image) < 1 + 2 * even
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "low, turned")) for n in LATTICES])
+def test_filled_bins_come_back_on_every_lattice(name):
+    """Bins are squares of one pitch whatever the lattice: a bin keeps its light, and keeps it to itself."""
+    distance, camera = 222.0, mp.PlenopticCamera(detector_width=0.512, resolution=(256, 256), **LATTICES[name])
+    rows, columns = np.array(camera.bin_count[::-1])[:, None] // 2 + np.array([[1, -3, 1, -3], [1, -2, -3, 1]])
+    size = camera.row_pitch
+    places = (np.stack([columns, rows], -1) + 0.5 - np.array(camera.bin_count) / 2) * size
+    image = filled(camera, places, size, np.ones(4), distance, 6)
+    capture = mp.Capture(np.maximum(image, 0), camera, WAVELENGTH, "wave")
+    result = mp.reconstruct(capture, distance, method="deconvolved")
+    found = np.nan_to_num(result.image)
+    squares = [
+        found[row - 1 : row + 2, column - 1 : column + 2].sum() for row, column in zip(rows, columns, strict=True)
+    ]
+    kept = kept_light(camera, distance)
+    assert 0.98 < kept <= 1
+    np.testing.assert_allclose(squares, kept, atol=0.003)
+    np.testing.assert_allclose(found[rows, columns], kept, atol=0.004)
+    assert result.facts["residual"] < 0.03
 
 
 def test_noise_is_the_detectors():

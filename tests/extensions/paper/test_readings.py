@@ -75,15 +75,18 @@ def regular(along, across, shift):
 
 @pytest.mark.slow
 def test_diagonals_interfere_least_of_the_regular_subsets():
+    """On a bright square: an even world is divided by itself and shows nothing."""
     capture = white(small_camera(24))
+    rows, columns = np.abs(np.indices(capture.image.shape) - 383.5)
+    capture.image[(rows > 150) | (columns > 150)] = 0
     limit = reconstruct(capture, 280.0, method="partial", interleave="auto").image
-    every = [regular(along, 4 // along, shift) for along in (1, 2, 4) for shift in range(along)]
 
     def left(label):
         return interference(of_subsets(capture, 280.0, label), limit, (slice(3, -3),) * 2)
 
     # The other diagonal, 4 1 1, is its mirror image.
-    others = sorted(left(label) for label in every)
-    assert left(diagonals) == pytest.approx(others[0], rel=0.1)
-    assert left(diagonals) < 0.7 * others[2]
-    assert left(diagonals) < 0.7 * left(interleaved) < 0.3 * left(quarters)
+    others = sorted(left(regular(along, 4 // along, shift)) for along in (1, 2, 4) for shift in range(along))
+    of_diagonals = left(diagonals)
+    assert of_diagonals == pytest.approx(others[0], rel=0.1)
+    assert of_diagonals < 0.7 * others[2]
+    assert of_diagonals < 0.7 * left(interleaved) < 0.3 * left(quarters)
