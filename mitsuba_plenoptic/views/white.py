@@ -412,12 +412,14 @@ def _traced(camera: PlenopticCamera) -> Floats:
     steps = even_steps(4).tolist()
     image = np.empty(camera.shape, np.float32)
     around = crosstalk_neighbours(camera).tolist()
+    # 2**25: Rays of all pixels up to which each gets more behind thin lenses, so that rims are less noisy.
+    rays = min(1024, max(_RAYS, 2**25 // image.size)) if camera.lens_data.is_thin else _RAYS
     for rows, px, py in detector_rows(camera):
         _, (i, j) = walk.chief_cell((px, py))
         pixel_number = dr.arange(types.UInt32, dr.width(px)) + dr.opaque(types.UInt32, rows.start * camera.crop_size[0])
         shifts = [types.Float64(hashed(pixel_number * 4 + axis)) * (1 / 2**32) for axis in range(4)]
         total = types.Float64(0)
-        for ray in range(_RAYS):
+        for ray in range(rays):
             s, t, u, v = (
                 shift + dr.opaque(types.Float64, ray * step) for shift, step in zip(shifts, steps, strict=True)
             )
@@ -432,7 +434,7 @@ def _traced(camera: PlenopticCamera) -> Floats:
                 x, y = (walk.lens.pupil.point(m, t, lens.height) for m, t in zip(passage.point, slope, strict=True))
                 total += dr.select(is_open, walk.transmittance((x, y), passage.point) * lens.gain, 0.0)
             dr.eval(total)
-        image[rows] = (total / _RAYS).numpy().reshape(-1, camera.crop_size[0])
+        image[rows] = (total / rays).numpy().reshape(-1, camera.crop_size[0])
     return image
 
 
