@@ -406,12 +406,14 @@ def _traced(camera: PlenopticCamera) -> Floats:
     image = np.empty(camera.shape, np.float32)
     around = crosstalk_neighbours(camera).tolist()
     recorded = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, types.Float64)
+    # 2**25: Rays of all pixels up to which each gets more behind thin lenses, so that rims are less noisy.
+    rays = min(1024, max(_RAYS, 2**25 // image.size)) if camera.lens_data.is_thin else _RAYS
     for rows, px, py in detector_rows(camera):
         _, (i, j) = walk.chief_cell((px, py))
         pixel_number = dr.arange(types.UInt32, dr.width(px)) + dr.opaque(types.UInt32, rows.start * camera.crop_size[0])
         shifts = [types.Float64(hashed(pixel_number * 4 + axis)) * (1 / 2**32) for axis in range(4)]
         total = types.Float64(0)
-        for ray in range(_RAYS):
+        for ray in range(rays):
             s, t, u, v = (
                 shift + dr.opaque(types.Float64, ray * step) for shift, step in zip(shifts, steps, strict=True)
             )
@@ -430,7 +432,7 @@ def _traced(camera: PlenopticCamera) -> Floats:
                     power *= recorded(aside, camera.detector_distance + lens.height)
                 total += dr.select(is_open, power, 0.0)
             dr.eval(total)
-        image[rows] = (total / _RAYS).numpy().reshape(-1, camera.crop_size[0])
+        image[rows] = (total / rays).numpy().reshape(-1, camera.crop_size[0])
     return image
 
 

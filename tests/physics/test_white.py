@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cameras import CAMERAS, sky, white
 
-from mitsuba_plenoptic import Capture, decode, render_capture
+from mitsuba_plenoptic import Capture, Vignetting, decode, render_capture
 from mitsuba_plenoptic.views import micro_images, white_pixels
 
 
@@ -38,3 +38,10 @@ def test_views_by_rays_have_the_response_of_pixels():
     camera = CAMERAS["square"].replace(pixel_response=(0.0, 1.0, 20.0, 0.5))
     for lf in (decode(sky(camera, 64), camera=camera), decode(Capture(white_pixels(camera), camera))):
         assert lf.values[lf.weight.values > 0.9].mean() == pytest.approx(1, abs=0.01)
+
+
+def test_rims_by_rays_are_those_of_the_closed_form():
+    """An outline wider than the pupil hides nothing, but white is then summed over rays."""
+    camera = CAMERAS["square"].replace(resolution=(64, 64))
+    found, expected = (white_pixels(c) for c in (camera.replace(vignetting=Vignetting([2.0])), camera))
+    assert np.linalg.norm(found - expected) < 0.006 * np.linalg.norm(expected)

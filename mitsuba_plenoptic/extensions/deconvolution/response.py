@@ -411,7 +411,7 @@ class Response(StoredResponse):
         return middle
 
     def _width_of_pupils(self, widest: int) -> int:
-        """Return the width of zones over which the pupil changes by a quarter, which can be divided out, at most."""
+        """Return the width of zones over which the pupil changes by a tenth, a quarter behind a real lens, at most."""
         disc = self.cells.grid.lens.pupil.radius * _pairs(2**10)[1]
         index = self._sampled.index[:: max(1, len(self._sampled) // 100)]
 
@@ -424,7 +424,9 @@ class Response(StoredResponse):
         here = light(index)
         darkest = here.mean(1).clip(0.05)
         changes = [(abs(light(index + np.array(to)) - here).mean(1) / darkest).max() for to in ((step, 0), (0, step))]
-        return max(1, math.floor(step / max(1e-9, 4 * float(max(changes)))))
+        # Finer zones help where the kernels' pupil is even; that of real lenses changes within a kernel, too.
+        parts = 4 if self._vignetting is None else 10
+        return max(1, math.floor(step / max(1e-9, parts * float(max(changes)))))
 
     def _unlike(self, distance: float, job: Job) -> float:
         """Return the change of the light of 2 x 2 points from the middle to the corners, over this light.

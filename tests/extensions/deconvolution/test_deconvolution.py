@@ -195,6 +195,21 @@ def test_lamps_keep_their_light_where_the_pupil_narrows_from_lens_to_lens():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("distance", [30.0, 60.0])
+def test_lamps_behind_an_outline_that_narrows_within_a_zone_are_right(distance):
+    outline = mp.Vignetting(radius=[0.9, -0.05, 0, -0.3, 0, -0.3])
+    camera = mp.PlenopticCamera(
+        focal_length=4.0, aperture_radius=0.4, focus_distance=120.0, mla_pitch=0.04, mla_focal_length=0.207,
+        detector_width=2.24, resolution=(448, 448), crop_offset=(320, 240), crop_size=(64, 64), vignetting=outline,
+    )  # fmt: skip
+    image = filled(camera, np.array([[0.58, 0.18], [0.7, 0.3]]), 0.04, np.array([1.0, 0.7]), distance, 7, 550.0, 0.0)
+    capture = mp.Capture(np.maximum(image, 0), camera, 550.0, "wave")
+    found = np.nan_to_num(mp.reconstruct(capture, distance, method="deconvolved").image)
+    lamps = [found[row - 1 : row + 2, column - 1 : column + 2].sum() for row, column in ((32, 42), (35, 45))]
+    np.testing.assert_allclose(lamps, [1.0, 0.7], rtol=0.01)
+
+
+@pytest.mark.slow
 def test_a_prescription_that_vignettes_within_a_zone_lights_lenses_as_rays_do():
     camera = mp.PlenopticCamera(
         main_lens="double_gauss_f2", focal_length=4.0, focus_distance=120.0, mla_pitch=0.04, mla_focal_length=0.072,
