@@ -11,17 +11,10 @@ import pytest
 from cameras import SMALL_SENSOR, definitions, letters, write_scene
 from PIL import Image
 
-from mitsuba_plenoptic import Capture, Detector, PlenopticCamera, expose, read_capture, read_ground_truth, write_capture
+from mitsuba_plenoptic import Capture, PlenopticCamera, read_capture, read_ground_truth, write_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.presets import PRESETS
 from mitsuba_plenoptic.views import white_image
-
-
-def test_defaults_of_the_detector_are_those_of_the_library(raw, tmp_path, run):
-    run("expose", raw, "-o", tmp_path / "noisy.exr", "--photons", 500, "--seed", 1)
-    capture = read_capture(raw)
-    by_defaults = expose(capture, Detector(), photons=500, seed=1).image
-    np.testing.assert_array_equal(read_capture(tmp_path / "noisy.exr").image, by_defaults)
 
 
 def test_without_a_command_help_is_printed_and_the_version(run):

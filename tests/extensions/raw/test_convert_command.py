@@ -16,7 +16,8 @@ from mitsuba_plenoptic.views import camera_of, focal_stack, refocus, view
 
 
 def test_convert_there_and_back(shot, lf, tmp_path, run, complaint):
-    run("convert", shot, "-o", tmp_path / "a.mat")
+    run("convert", shot, "-o", tmp_path / "a.nc")
+    run("convert", tmp_path / "a.nc", "-o", tmp_path / "a.mat")
     run("convert", tmp_path / "a.mat", "-o", tmp_path / "a.eslf.png")
     run("convert", tmp_path / "a.eslf.png", "--view-count", lf.sizes["u"], "-o", tmp_path / "b.mat")
     # Mosaics state their number of views and how these lie, whatever their name.
