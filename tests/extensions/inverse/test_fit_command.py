@@ -68,6 +68,15 @@ def test_noise_and_saturation_are_those_that_expose_keeps(tmp_path, run, complai
     assert "mask.png: it has (4, 64) pixels" in complaint(*words, "--photons", "9", "--mask", tmp_path / "mask.png")
 
 
+def test_the_capture_is_not_written_over(raw, tmp_path, complaint):
+    copy, link = tmp_path / "copy.exr", tmp_path / "copy.json"
+    copy.write_bytes(raw.read_bytes())
+    link.symlink_to(copy)
+    words = ["--scene", "letters", "--parameter", "mla_pitch", "--photons", "9"]
+    assert "it is read, and would be lost" in complaint("fit", copy, "-o", link, *words)
+    assert copy.read_bytes() == raw.read_bytes()
+
+
 def test_a_fit_is_checked_before_light_is_found(mistake, monkeypatch):
     def found(*_, **__):
         raise AssertionError("light was found")

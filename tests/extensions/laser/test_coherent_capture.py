@@ -166,6 +166,7 @@ def test_limits_of_mode_counts():
 
 
 test_refusals = refused(
+    (lambda: laser.coherent_capture(operator_of(), -np.ones(20)), "weights: -1"),
     (lambda: laser.coherent_capture(operator_of(), np.ones(3)), r"weights of shape \(3,\)"),
     (lambda: laser.coherent_capture(operator_of(), np.full(20, 1e80)), r"weights: 1e\+80"),
     (lambda: laser.coherent_capture(operator_of(np.empty((0, 3))), []), "points: "),

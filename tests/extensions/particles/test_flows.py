@@ -100,6 +100,7 @@ test_bad_flows_are_refused_in_one_line = refused(
     (lambda: pt.Shear(along="x", across="x"), "along = x, across = x"),
     (lambda: pt.Uniform((1, 2)), r"speed = \(1, 2\)"),
     (lambda: pt.ImportedFlow(still(v="m/s")), "field: v is in m/s"),
+    (lambda: pt.ImportedFlow(still(z="m")), "field: z is in m"),
     (lambda: _flow("lamb_oseen:radius=2", pt.FLOWS, (0, 0, 240)), "radius: .*core"),
     (lambda: pt.ImportedFlow(__file__), "test_flows.py"),
 )
