@@ -5,7 +5,7 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
-from camera_draws import LENSES, OPTIONS, on_stage, scaled
+from camera_draws import LENSES, OPTIONS, Draw, on_stage, scaled
 from of_points import AT_THE_LINE_D, IRREGULAR, bound, mirrored_options
 from relation import off, relation
 
@@ -46,6 +46,9 @@ def of_reconstructions(method):
 
     def mirror(draw):
         """Mirrored capture of the mirrored camera: the mirrored image."""
+        if draw.camera.has_array and "mla_offset" not in draw.options:
+            # Middles of pixels lie on no border between lenses, where both might own them.
+            draw = Draw(draw.seed, [*draw.options, "mla_offset"])
         image, g = rng_image(draw), draw.point()[2]
         other = mp.PlenopticCamera(**mirrored_options(draw))
         there = image_at(other, np.ascontiguousarray(image[:, ::-1]), g, method, draw.wavelength)

@@ -188,4 +188,4 @@ def short_waves(draw):
     if rays.sum() < 0.1:
         return None
     light = abs(short.sum() / rays.sum() - 1) / 0.03
-    return max(light, off(short, rays) / off(long, rays)), 1.0
+    return max(light, off(short, rays) / (off(long, rays) + bound(draw, 0.005))), 1.0
