@@ -9,13 +9,19 @@ from pathlib import Path
 
 from camera_draws import OPTIONS, possible
 from of_files import FORMATS
-from relation import RELATIONS
+from relation import RELATIONS, supported
 
 from mitsuba_plenoptic.camera import with_gradient
 from mitsuba_plenoptic.camera.entry import Captures, Use
 
 ENOUGH = 5
 """Times that each is computed in a long hunt."""
+
+WITHOUT_LIGHT = {"files", "files of captures", "mosaics of colours", "far sources", "dual pixels", "particles"}
+"""Methods that compute next to nothing of a camera's options, so that they count for no pair of them."""
+
+OF_SLOPES = {"derivative", "product_rule"}
+"""Relations of derivatives by parameters, of which each is asked beside each option."""
 
 
 @cache
@@ -33,7 +39,7 @@ def allowed_pairs():
 @cache
 def allowed_slopes():
     """Return the pairs of a parameter with a derivative and an option beside which it has one."""
-    options = [name for name in OPTIONS if possible(1, [name], Use.POINT_DERIVATIVES).options == (name,)]
+    options = supported(Use.POINT_DERIVATIVES)
     return [f"{name} {option}" for name in with_gradient(Captures.POINTS) for option in options]
 
 
@@ -53,12 +59,24 @@ class Tally:
         self.counts["verdict"][f"{relation.name} {outcome.verdict}"] += 1
         self.failures += outcome.verdict == "fails"
         if outcome.verdict == "computed":
-            options = outcome.draw.options
+            options = outcome.draw.options if relation.method not in WITHOUT_LIGHT else ()
             self.counts["option"].update(options)
             self.counts["pair"].update(" ".join(pair) for pair in itertools.combinations(options, 2))
             self.counts["slope"].update(f"{slope} {name}" for slope in outcome.draw.slopes for name in options)
             self.counts["method"][relation.method] += 1
             self.counts["format"].update(filter(None, [outcome.draw.format]))
+
+    def times(self, relation, one, other):
+        """Return how often two options were computed together, or either beside derivatives."""
+        if relation.name not in OF_SLOPES:
+            return self.counts["pair"][f"{one} {other}"]
+        slopes = self.counts["slope"].items()
+        return min(sum(n for key, n in slopes if key.endswith(f" {name}")) for name in (one, other))
+
+    def wants(self, relation):
+        """Return whether a relation computes what was computed less often than enough."""
+        slopes = relation.name in OF_SLOPES and any(self.counts["slope"][each] < ENOUGH for each in allowed_slopes())
+        return slopes or self.counts["method"][relation.method] < ENOUGH
 
     def report(self):
         """Print counts, what was computed less often than enough, and relations that skip most of their draws."""

@@ -7,6 +7,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -67,15 +68,28 @@ class Outcome(NamedTuple):
     draw: Draw
 
 
-def draw_of(relation: Relation, seed: int) -> Draw:
-    """Return two to four options at once, seldom fewer, among those that the relation speaks of."""
+@cache
+def supported(use: Use) -> list[str]:
+    """Return the options that the table of support does not refuse for a use."""
+    return [name for name in OPTIONS if any(possible(seed, [name], use).options == (name,) for seed in (1, 2, 3))]
+
+
+def draw_of(relation: Relation, seed: int, times: Callable[[str, str], int] | None = None) -> Draw:
+    """Return two to four options at once, seldom fewer, among those that the relation speaks of.
+
+    If `times` tells how often two options were computed, a pair of few times is among them.
+    """
     rng = np.random.default_rng([seed, 2])
     allowed = [name for name in OPTIONS if name not in relation.without]
     names = rng.permutation(allowed)[: int(rng.choice([0, 1, 2, 3, 4], p=[0.04, 0.16, 0.3, 0.3, 0.2])) + 2]
+    if times:
+        both = [name for name in allowed if name in supported(relation.use)]
+        pairs = [sorted(rng.choice(both, 2, replace=False), key=both.index) for _ in range(20) if len(both) > 1]
+        names = [*min(pairs, key=lambda pair: times(*pair), default=[]), *names]
     if relation.first:
         names = [rng.choice([name for name in relation.first(seed) if name in allowed]), *names]
     drawn = possible(seed, [str(name) for name in names], relation.use)
-    return Draw(seed, drawn.options[:4])
+    return Draw(seed, drawn.options[:4] if not times else [str(name) for name in names if name in drawn.options][:4])
 
 
 def judged(relation: Relation, draw: Draw) -> Outcome:
