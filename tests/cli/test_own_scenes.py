@@ -89,7 +89,7 @@ def test_own_scenes_in_metres_are_swept(box, camera, tmp_path, run, complaint):
 
 
 @pytest.mark.slow
-def test_own_scenes_in_metres_are_compared(box, camera, tmp_path, monkeypatch, run):
+def test_own_scenes_in_metres_are_compared(box, camera, coarse_figures, tmp_path, monkeypatch, run):
     monkeypatch.setattr(experiment, "OBJECT_COLUMNS", 32)
     out, words = tmp_path / "out", ("--camera", camera, "--unit", "m", "--distance", WALL, "--spp", "4")
     assert "Rays against waves" in run("compare", box, "-o", out, *words)

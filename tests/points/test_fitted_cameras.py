@@ -27,7 +27,7 @@ def test_points_of_a_plane_are_the_white_of_a_scene():
     )  # fmt: skip
     crop = FITTED.replace(vignetting=gentle, crop_offset=(32, 32), crop_size=(16, 16))
     # Closer than half a period of the finest fringes, lambda b / 2 a; the light of points beyond is not recorded.
-    step, reach = 0.0072, 0.032 + 0.1
+    step, reach = 0.0072, 0.032 + 0.2
     along = np.arange(-reach, reach, step) + step / 2
     x, y = (values.ravel() for values in np.meshgrid(along, along))
     points = np.column_stack([-2 * x, -2 * y, np.full(x.size, 240.0)])
