@@ -165,7 +165,9 @@ def core_python(core, tmp_path_factory):
     venv.create(environment, with_pip=False, symlinks=True)
     paths = {"base": str(environment), "platbase": str(environment)}
     own = Path(sysconfig.get_path("purelib", "venv", paths))
-    (own / "core.pth").write_text(f"{core}\n{sysconfig.get_path('purelib')}\n")
+    # An environment may have its libraries from another one.
+    libraries = [path for path in sys.path if Path(path).name in ("site-packages", "dist-packages")]
+    (own / "core.pth").write_text("\n".join([str(core), *libraries]))
     return environment / "bin" / "python"
 
 
