@@ -3,12 +3,9 @@
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic.extensions.deconvolution.deconvolved import until_noise
 from mitsuba_plenoptic.linear.map import LinearMap
 from mitsuba_plenoptic.linear.noise import PixelNoise, misfit
 from mitsuba_plenoptic.linear.solver import RichardsonLucy, SolverState, relative_residual, solve
-
-pytestmark = pytest.mark.needs_extension("deconvolution")
 
 
 class Blur(LinearMap):
@@ -94,7 +91,10 @@ def test_lamps_in_the_dark_keep_their_light_with_a_response_that_is_a_thousandth
     assert found[97:104].sum() == pytest.approx(1, abs=0.005)
 
 
+@pytest.mark.needs_extension("deconvolution")
 def test_iteration_stops_at_the_noise():
+    from mitsuba_plenoptic.extensions.deconvolution.deconvolved import until_noise
+
     truth = np.linspace(1, 2, 20).astype(np.float32)
     truth[8] = 8
     image, noise = np.random.default_rng(3).poisson(BLUR.forward(truth) * 100).astype(np.float32), PixelNoise(1.0)
