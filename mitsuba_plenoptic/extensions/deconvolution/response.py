@@ -16,7 +16,6 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
-from scipy.stats import qmc
 
 from ...camera import PlenopticCamera, Use, Vignetting, require_support
 from ...design import resolution_limit
@@ -550,6 +549,9 @@ def _mean_response(camera: PlenopticCamera) -> float:
     """Return the part that pixels record of the light of an on-axis lens."""
     if not camera.pixel_response and not camera.mla_absorption:
         return 1.0
+    # Importing this takes longer than most commands of a shell need in all.
+    from scipy.stats import qmc
+
     s, t, u, v = qmc.Sobol(4, scramble=False).random(4096).T
     distance = camera.micro_image_diameter / 2 * np.sqrt(u)
     x, y = camera.lattice.aperture_point(s, t)
