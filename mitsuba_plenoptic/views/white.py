@@ -406,8 +406,8 @@ def _traced(camera: PlenopticCamera) -> Floats:
     image = np.empty(camera.shape, np.float32)
     around = crosstalk_neighbours(camera).tolist()
     recorded = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, types.Float64)
-    # 2**25: Rays of all pixels up to which each gets more behind thin lenses, so that rims are less noisy.
-    rays = min(1024, max(_RAYS, 2**25 // image.size)) if camera.lens_data.is_thin else _RAYS
+    # 2**22: Rays of all pixels up to which each gets more behind thin lenses, so that rims are less noisy.
+    rays = min(128, max(_RAYS, 2**22 // image.size)) if camera.lens_data.is_thin else _RAYS
     for rows, px, py in detector_rows(camera):
         _, (i, j) = walk.chief_cell((px, py))
         pixel_number = dr.arange(types.UInt32, dr.width(px)) + dr.opaque(types.UInt32, rows.start * camera.crop_size[0])

@@ -44,4 +44,4 @@ def test_rims_by_rays_are_those_of_the_closed_form():
     """An outline wider than the pupil hides nothing, but white is then summed over rays."""
     camera = CAMERAS["square"].replace(resolution=(64, 64))
     found, expected = (white_pixels(c) for c in (camera.replace(vignetting=Vignetting([2.0])), camera))
-    assert np.linalg.norm(found - expected) < 0.006 * np.linalg.norm(expected)
+    assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected)
