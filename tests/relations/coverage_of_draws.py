@@ -48,11 +48,12 @@ class Tally:
 
     def __init__(self):
         self.path = Path(os.environ["COUNTS"]) if "COUNTS" in os.environ else None
-        stored = json.loads(self.path.read_text()) if self.path and self.path.is_file() else {}
-        self.counts = {
-            kind: Counter(stored.get(kind)) for kind in ("verdict", "option", "pair", "slope", "method", "format")
-        }
+        self.before, self.counts = self._stored(), self._stored()
         self.failures = 0
+
+    def _stored(self):
+        stored = json.loads(self.path.read_text()) if self.path and self.path.is_file() else {}
+        return {kind: Counter(stored.get(kind)) for kind in ("verdict", "option", "pair", "slope", "method", "format")}
 
     def add(self, relation, outcome):
         """Count a draw of a relation; options, methods and formats where it was computed."""
@@ -97,4 +98,6 @@ class Tally:
             listed = ", ".join(rare[:20]) + (", ..." if len(rare) > 20 else "")
             print(f"{kind}: {len(names) - len(rare)} of {len(names)} computed {ENOUGH} times; less: {listed or 'none'}")
         if self.path:
-            self.path.write_text(json.dumps(self.counts))
+            # Other hunts may have added theirs meanwhile.
+            added = {kind: counts + self.counts[kind] - self.before[kind] for kind, counts in self._stored().items()}
+            self.path.write_text(json.dumps(added))

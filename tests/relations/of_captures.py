@@ -243,7 +243,7 @@ def refusals(draw):
     return float(not (finite | (np.isnan(result) & (name in (*METHODS, "decode")))).all() or not finite.any()), 0.0
 
 
-@relation(Use.DECODING, method="light fields")
+@relation(Use.DECODING, "mla_shape mla_figure_error", "light fields")  # of rays that take long
 def brightness(draw):
     """Brighter captures have brighter views of the same weight, and dimmer lenses or pupils change no weight."""
     image = draw.rng.random(draw.camera.shape, np.float32)
