@@ -188,8 +188,10 @@ def _trace(batch: RayBatch) -> Part:
     lenslet = walk.lenslet(*camera.lattice.cell(*m))
     passes = camera.lattice.in_aperture(m[0] - lenslet.centre[0], m[1] - lenslet.centre[1])
     landed, _ = walk.onto_detector(pupil, Passage((m[0], m[1]), lenslet))
-    power = np.broadcast_to(walk.transmittance(pupil, m), passes.shape)[passes]
-    position = ((np.stack(landed, axis=-1) - grid.origin) / grid.pitch)[passes]
+    # Of a small bin all rays may meet gaps: it has no light, at the place where they land.
+    lit = passes | ~passes.any()
+    power = (walk.transmittance(pupil, m) * passes)[lit]
+    position = ((np.stack(landed, axis=-1) - grid.origin) / grid.pitch)[lit]
     below = np.floor(position).astype(np.int64)
     low = below.min(0)
     columns, rows = (below.max(0) - low + 2).tolist()
