@@ -12,6 +12,7 @@ import scipy
 import skimage.metrics
 
 from ..camera import PlenopticCamera
+from ..fields import clear
 from ..io import Capture
 from ..runtime import Array, as_array
 from ..views import white_image
@@ -241,7 +242,7 @@ def contrast_change(first: Array, second: Array, truth: Array) -> ContrastChange
 
 def middle_of_micro_images(camera: PlenopticCamera) -> Array:
     """Return a mask (rows, columns) of pixels that see the main lens within four fifths of its radius."""
-    return white_image(camera.replace(aperture_radius=0.8 * camera.aperture_radius, pixel_response=())) > 0.5
+    return white_image(clear(camera.replace(aperture_radius=0.8 * camera.aperture_radius))) > 0.5
 
 
 def _root(squares: float, reference: float) -> float:

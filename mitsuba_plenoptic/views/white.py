@@ -176,7 +176,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
     rows, columns = camera.shape
     behind = camera.reduced_distance / camera.mla_distance
     reach = math.hypot(camera.detector_width, camera.detector_height) / 2 * behind + half * camera.pixel_size
-    recorded = _Recorded(camera, reach) if camera.pixel_response or camera.mla_absorption else None
+    response = _Response(camera, reach) if camera.pixel_response or camera.mla_absorption else None
     require_memory(
         4.0 * (rows + 2 * half) * (columns + 2 * half) + 100.0 * _BLOCK * (2 * half + 1) ** 2,
         f"white image of {columns} x {rows} pixels, {2 * half + 1} x {2 * half + 1} for each lens",
@@ -210,10 +210,10 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
         step = camera.pixel_size * (camera.mla_distance - height) / distance
         x, y = ((base[:, axis, None] + window + 0.5 - row[:, axis, None]) * step[:, None] for axis in (0, 1))
         fraction = fractions(lens_types(camera, row), height, x, y) * bright
-        if recorded is not None:
+        if response is not None:
             # From a lens's centre c to its micro-image's, and from there to the pixel.
             u, v = ((np.reshape(c, (-1, 1)) + to) * behind for c, to in zip(lens.centre, (x, y), strict=True))
-            fraction *= recorded(u[:, None, :], v[:, :, None])
+            fraction *= response(u[:, None, :], v[:, :, None])
         down = base[:, 1, None, None] + window[:, None] + half
         across = base[:, 0, None, None] + window + half
         keep = (down >= 0) & (down < image.shape[0]) & (across >= 0) & (across < image.shape[1])
@@ -405,7 +405,7 @@ def _traced(camera: PlenopticCamera) -> Floats:
     steps = even_steps(4).tolist()
     image = np.empty(camera.shape, np.float32)
     around = crosstalk_neighbours(camera).tolist()
-    recorded = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, types.Float64)
+    response = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, types.Float64)
     # 2**22: Rays of all pixels up to which each gets more behind thin lenses, so that rims are less noisy.
     rays = min(128, max(_RAYS, 2**22 // image.size)) if camera.lens_data.is_thin else _RAYS
     for rows, px, py in detector_rows(camera):
@@ -429,14 +429,14 @@ def _traced(camera: PlenopticCamera) -> Floats:
                 power = walk.transmittance((x, y), passage.point) * lens.gain
                 if camera.pixel_response or camera.mla_absorption:
                     aside = dr.hypot(passage.point[0] - position[0], passage.point[1] - position[1])
-                    power *= recorded(aside, camera.detector_distance + lens.height)
+                    power *= response(aside, camera.detector_distance + lens.height)
                 total += dr.select(is_open, power, 0.0)
             dr.eval(total)
         image[rows] = (total / rays).numpy().reshape(-1, camera.crop_size[0])
     return image
 
 
-class _Recorded:
+class _Response:
     """The part of light from all over a microlens that pixels record, by where they lie behind the lens's centre."""
 
     def __init__(self, camera: PlenopticCamera, reach: float) -> None:

@@ -57,10 +57,10 @@ def derivative_of_rays(draw):
     sensor, g = mi.load_dict(draw.camera.to_sensor()), 0.95 * draw.point()[2]
     params, random = mi.traverse(sensor), draw.rng.random((2, 2, 400)).astype(np.float32)
     keys = exposed(params, with_gradient(Captures.RAYS))
-    draw.slope = str(draw.rng.choice([name for name in sorted(keys) if name != "mla_fill"]))
-    key = keys[draw.slope]
+    name = str(draw.rng.choice([name for name in sorted(keys) if name != "mla_fill"]))
+    key = keys[name]
     start = np.ravel(params[key]).astype(float)
-    size = 20.0 if draw.slope == "mla_rotation" else np.abs(start).max() or draw.camera.pixel_size
+    size = 20.0 if name == "mla_rotation" else np.abs(start).max() or draw.camera.pixel_size
     change = size * draw.rng.uniform(0.5, 1.5, start.size)
 
     def met(number):

@@ -23,7 +23,7 @@ from ...detector import SHARP, DetectorOperator
 from ...errors import refuse_if
 from ...fields import OpticalSystem, upright
 from ...lenses import FittedLens, MainLens, RealLens, inverse_distance
-from ...optics import in_millimetres, second_leg
+from ...optics import in_millimetres
 from ...points import Copies, Fields, Grid, Recorder, Scatter, band_for, chunks_of, place, radiance_weight, scene_points
 from ...rays import Passage, Walk
 from ...refocus import regular_place, straightened
@@ -398,7 +398,7 @@ class Response(StoredResponse):
         batches = itertools.chain.from_iterable(self._batches(self.cells, distance, cell))
         sent = sum(copy.weights.sum() for batch in batches for copy in batch.copies)
         types = len(camera.mla_focal_lengths)
-        sent *= camera.lattice.lens_area * types / self.cells.vectors.diagonal().prod() * _mean_response(camera)
+        sent *= camera.lattice.lens_area * types / self.cells.vectors.diagonal().prod()
         if self._vignetting is not None:
             sent *= self._vignetting.power(*_pairs(2**10)[1], *self.cells.middle(cell)).mean()
         arrived = sum(float(block.matrix.sum(dtype=np.float64)) for block in kernel.blocks)
@@ -547,21 +547,6 @@ def _pupil_of(lens: MainLens, vignetting: Vignetting | None, pupil: Any, place: 
     return outline * radius, passed
 
 
-def _mean_response(camera: PlenopticCamera) -> float:
-    """Return the part that pixels record of the light of an on-axis lens."""
-    if not camera.pixel_response and not camera.mla_absorption:
-        return 1.0
-    # Importing this takes longer than most commands of a shell need in all.
-    from scipy.stats import qmc
-
-    s, t, u, v = qmc.Sobol(4, scramble=False).random(4096).T
-    distance = camera.micro_image_diameter / 2 * np.sqrt(u)
-    x, y = camera.lattice.aperture_point(s, t)
-    across = np.hypot(distance * np.cos(2 * np.pi * v) - x, distance * np.sin(2 * np.pi * v) - y)
-    counts = second_leg(camera.pixel_response, camera.mla_absorption, np.ndarray)(across, camera.detector_distance)
-    return float(counts.mean())
-
-
 def _dimmed(
     camera: PlenopticCamera, main_lens: MainLens, lens: Doubles, zone: NDArray[Any] | None, wavelength: float
 ) -> tuple[Floats, Floats, Floats]:
@@ -577,7 +562,7 @@ def _dimmed(
     blur = DetectorOperator(0.376 * airy / camera.pixel_size)
     white = np.ones(camera.shape, np.float32)
     if main_lens.is_uniform:
-        white = white_image(camera.replace(vignetting=None, mla_transmissions=None, pixel_response=(), **SHARP))
+        white = white_image(camera.replace(vignetting=None, mla_transmissions=None, **SHARP))
     places = np.meshgrid(*(camera.pixel_coordinates(axis) for axis in (0, 1)))
     centres = camera.lattice.centre(*lens)
     on_pupil = camera.pupil_distance / camera.reduced_distance
