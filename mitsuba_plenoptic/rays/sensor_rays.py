@@ -299,7 +299,8 @@ class LensRays:
 
     def second_leg(self, ray: Ray) -> Pair:
         """Return the path of the light of rays between array and detector: how far sideways, and how deep."""
-        return dr.hypot(*(m - p for m, p in zip(ray.m, ray.p, strict=True))), self.walk.detector_distance
+        depth = self.walk.detector_distance + self.walk.camera.array_height(*ray.m)
+        return dr.hypot(*(m - p for m, p in zip(ray.m, ray.p, strict=True))), depth
 
     def trace(self, pixel: Pair, passage: Passage) -> Traced:
         """Return traced rays from detector points through points of lenses."""

@@ -214,6 +214,8 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
             # From a lens's centre c to its micro-image's, and from there to the pixel.
             u, v = ((np.reshape(c, (-1, 1)) + to) * behind for c, to in zip(lens.centre, (x, y), strict=True))
             fraction *= response(u[:, None, :], v[:, :, None])
+            # The medium is deeper behind lenses that a tilt raises.
+            fraction *= np.exp(-(camera.mla_absorption or 0.0) * height[:, None, None])
         down = base[:, 1, None, None] + window[:, None] + half
         across = base[:, 0, None, None] + window + half
         keep = (down >= 0) & (down < image.shape[0]) & (across >= 0) & (across < image.shape[1])

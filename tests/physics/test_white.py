@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cameras import CAMERAS, sky, white
 
-from mitsuba_plenoptic import Capture, Vignetting, decode, render_capture
+from mitsuba_plenoptic import Capture, PlenopticCamera, Vignetting, decode, render_capture
 from mitsuba_plenoptic.views import micro_images, white_pixels
 
 
@@ -45,3 +45,15 @@ def test_rims_by_rays_are_those_of_the_closed_form():
     camera = CAMERAS["square"].replace(resolution=(64, 64))
     found, expected = (white_pixels(c) for c in (camera.replace(vignetting=Vignetting([2.0])), camera))
     assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected)
+
+
+def test_the_medium_is_deeper_behind_lenses_that_a_tilt_raises():
+    """By rays and in white images, as by waves; left of the axis the array is nearer to the detector."""
+    tilted = PlenopticCamera(
+        detector_width=4.096, resolution=(256, 256), mla_pitch=0.256, mla_focal_length=2.048, mla_tilt=(2.0, 0.0)
+    )
+    clear, dimmed = ((sky(c, 64).image, white_pixels(c)) for c in (tilted, tilted.replace(mla_absorption=0.5)))
+    # At x = +-1.28 mm.
+    for plain, dim in zip(clear, dimmed, strict=True):
+        left, right = (dim[:, s].sum() / plain[:, s].sum() for s in (slice(32, 64), slice(192, 224)))
+        assert right / left == pytest.approx(np.exp(-0.5 * 2 * 1.28 * np.tan(np.deg2rad(2.0))), abs=0.005)
