@@ -52,7 +52,7 @@ def test_the_medium_is_deeper_behind_lenses_that_a_tilt_raises():
     tilted = PlenopticCamera(
         detector_width=4.096, resolution=(256, 256), mla_pitch=0.256, mla_focal_length=2.048, mla_tilt=(2.0, 0.0)
     )
-    clear, dimmed = ((sky(c, 64).image, white_pixels(c)) for c in (tilted, tilted.replace(mla_absorption=0.5)))
+    clear, dimmed = ((sky(c, 64), white_pixels(c)) for c in (tilted, tilted.replace(mla_absorption=0.5)))
     # At x = +-1.28 mm.
     for plain, dim in zip(clear, dimmed, strict=True):
         left, right = (dim[:, s].sum() / plain[:, s].sum() for s in (slice(32, 64), slice(192, 224)))
