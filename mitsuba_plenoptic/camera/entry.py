@@ -79,6 +79,7 @@ class Use(Flag):
     POINT_DERIVATIVES = auto()
     RECONSTRUCTION_DERIVATIVES = auto()
     FIELD_DERIVATIVES = auto()
+    RAY_DERIVATIVES = auto()
 
     @property
     def words(self) -> str:
@@ -113,6 +114,7 @@ _WORDS = {
     Use.POINT_DERIVATIVES: "derivatives of captures of points",
     Use.RECONSTRUCTION_DERIVATIVES: "derivatives of reconstructions",
     Use.FIELD_DERIVATIVES: "derivatives of coherent and partial reconstructions",
+    Use.RAY_DERIVATIVES: "derivatives of refocused images by method ray",
 }
 
 

@@ -20,7 +20,8 @@ _PATCHES = Use.POINTS | Use.SCENE_POINTS | Use.POINT_DERIVATIVES
 _FIELDS_OF_POINTS = Use.FULL_FIELDS | Use.POINT_FIELDS | Use.COHERENT_POINTS | Use.WAVEFRONTS
 _RECONSTRUCTIONS = Use.RESPONSES | Use.FIELDS
 _ROUND_PUPILS = Use.SMALL_LENSES | Use.ROUND_PUPILS | Use.CALIBRATION
-_STRAIGHT = Use.KERNELS | Use.FIELD_DERIVATIVES
+_REGULAR = Use.FIELD_DERIVATIVES | Use.RAY_DERIVATIVES
+_STRAIGHT = Use.KERNELS | _REGULAR
 _WHITE = Use.DECODING | Use.WHITE_IMAGES
 _GEOMETRY = Use.RAY_REFOCUSING | Use.DECODING | Use.WHITE_IMAGES
 _RECORDED = (
@@ -294,6 +295,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             "apertures keep their size: lenses whose cells shrink by one per cent record one per cent too much",
         ),
         approximate(_RECONSTRUCTIONS | _GEOMETRY, "the lenses are those of the nearest regular array"),
+        refused(_REGULAR, "the light is that of a regular array", "reconstruct"),
         refused(
             Use.POINT_RAYS | Use.POINT_DERIVATIVES,
             "they are those of a regular lattice, from which lenses are displaced by a hundredth of a pixel or more",

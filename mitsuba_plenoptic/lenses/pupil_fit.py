@@ -234,7 +234,7 @@ def fit_pupil(
             break
     # A surface that lets all traced rays through does not vignette.
     cutting = np.flatnonzero(rays.stops.max(1) > 1)
-    stops = fitted(Degrees(*ACCURACY.stop_degrees), *rays.stops[cutting])
+    stops = fitted(Degrees(*ACCURACY.stop_degrees), *rays.stops[cutting]) if cutting.size else []
     return PupilFit(pupils, aberration, brightness, tuple(stops), tuple(cutting.tolist()), error)
 
 

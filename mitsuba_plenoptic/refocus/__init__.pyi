@@ -36,5 +36,6 @@ from .results import write_reconstruction as write_reconstruction
 from .results import write_volume as write_volume
 from .straight import regular_place as regular_place
 from .straight import straightened as straightened
+from .straight import straightened_image as straightened_image
 from .wave_methods import BackwardFields as BackwardFields
 from .wave_methods import signed_parts as signed_parts

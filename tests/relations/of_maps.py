@@ -66,11 +66,8 @@ def responses(draw):
     return apart(response.forward(x), y, x, response.adjoint(y)), 1e-5
 
 
-UNLIKE = "mla_jitter mla_seed mla_warp mla_tilt mla_cra mla_transmissions vignetting pupil_apodisation"
-"""Of cameras with these functions divide by the white of the regular camera."""
-
 FUNCTIONS = {
-    "ray": (lambda c, g, w: RayRefocus(c, g), Use.RAY_REFOCUSING),
+    "ray": (lambda c, g, w: RayRefocus(c, g), Use.RAY_REFOCUSING | Use.RAY_DERIVATIVES),
     "coherent": (CoherentRefocus, Use.FIELDS | Use.FIELD_DERIVATIVES),
     "deconvolved": (lambda c, g, w: DeconvolvedRefocus(c, g, iterations=2), Use.RESPONSES),
 }
@@ -97,7 +94,7 @@ def of_functions(method, make, use):
         return max(*found, apart(moved, y, change, back(y)) / 1e-5), 1.0
 
     function.__name__ = f"function_{method}"
-    without = f"{UNLIKE} mla_focal_length main_lens" if method == "deconvolved" else UNLIKE
+    without = "mla_focal_length main_lens" if method == "deconvolved" else ""
     relation(use | Use.RECONSTRUCTION_DERIVATIVES, without, f"derivatives of {method}")(function)
 
 

@@ -40,6 +40,8 @@ from ...refocus import (
     ray_sums,
     ray_sums_vjp,
     signed_parts,
+    straightened,
+    straightened_image,
     white_pixels,
     white_sums,
 )
@@ -81,14 +83,15 @@ class RayRefocus:
     def __init__(
         self, camera: PlenopticCamera, distance: float, *, footprint: str = "lens", oversample: int = 1
     ) -> None:
-        require_support(camera, Use.RAY_REFOCUSING | Use.RECONSTRUCTION_DERIVATIVES)
-        camera = camera.regular
+        require_support(camera, Use.RAY_REFOCUSING | Use.RECONSTRUCTION_DERIVATIVES | Use.RAY_DERIVATIVES)
         self.camera = camera
         distance = require_number("distance", distance, finite=False)
         lens_data.image_distance(camera.focal_length, distance)
         require_choice("footprint", footprint, FOOTPRINTS)
-        self._numbers = distance, pupil_radius(camera), footprint, require_count("oversample", oversample)
-        white = white_sums(camera, *self._numbers)
+        # Where lenses are unequally bright, captures are evened; the array is straight.
+        self._even = straightened(camera)
+        self._numbers = distance, pupil_radius(self._even), footprint, require_count("oversample", oversample)
+        white = self._sums(white_pixels(camera)[..., None])[..., 0].astype(np.float64)
         reached = divided_bins(white, white, distance)
         self._factor = np.where(reached, 1 / np.where(reached, white, 1), 0.0)
 
@@ -111,8 +114,7 @@ class RayRefocus:
             Radiance of the bins, as by `reconstruct`, but 0 where that has NaN.
         """
         pixels = as_channels(capture, self.camera.shape, "capture")
-        sums = ray_sums(np.ascontiguousarray(pixels, np.float32), self.camera, *self._numbers)
-        bins = (sums * self._factor[..., None]).astype(np.float32)
+        bins = (self._sums(pixels) * self._factor[..., None]).astype(np.float32)
         return bins[..., 0] if np.ndim(capture) == 2 else bins
 
     def adjoint(self, bins: Any) -> Array:
@@ -129,12 +131,18 @@ class RayRefocus:
             One value for each pixel.
         """
         channels = as_channels(bins, self._factor.shape, "bins") * self._factor[..., None]
-        pixels = ray_sums_vjp(channels, self.camera, *self._numbers).astype(np.float32)
+        pixels = ray_sums_vjp(channels, self._even, *self._numbers)
+        pixels = straightened_image(pixels, self.camera).astype(np.float32)
         return pixels[..., 0] if np.ndim(bins) == 2 else pixels
 
     def __call__(self, capture: Any) -> Any:
         """Refocus a tensor of Dr.Jit, (rows, columns) or (rows, columns, channels), differentiably."""
         return dr.custom(_RefocusOp, capture, lambda pixels: (self.forward(pixels), self.forward, self.adjoint))
+
+    def _sums(self, pixels: Array) -> Array:
+        """Return the sums of pixels (rows, columns, channels) over bins."""
+        even = straightened_image(pixels, self.camera)
+        return ray_sums(np.ascontiguousarray(even, np.float32), self._even, *self._numbers)
 
 
 class _RefocusOp(dr.CustomOp):
@@ -240,8 +248,8 @@ class CoherentRefocus:
     ) -> None:
         require_support(camera, Use.FIELDS | Use.FIELD_DERIVATIVES | Use.RECONSTRUCTION_DERIVATIVES)
         wavelength = require_wavelength(wavelength)
-        white = white_pixels(camera.regular)
-        camera = camera.regular.at_wavelength(wavelength)
+        white = white_pixels(camera)
+        camera = camera.at_wavelength(wavelength)
         camera.require_resolved()
         # Images are formed by the ideal lens, without aberrations.
         camera = camera.replace(wavefront=())
@@ -438,11 +446,14 @@ class DeconvolvedRefocus:
         oversample: int = 1,
     ) -> None:
         require_support(camera, Use.RESPONSES | Use.RECONSTRUCTION_DERIVATIVES)
-        camera = camera.regular
         self.camera, self.iterations = camera, require_count("iterations", iterations)
         distance = require_number("distance", distance, finite=False)
         oversample = require_count("oversample", oversample)
         wavelength = None if wavelength is None else require_wavelength(wavelength)
+        refuse_if(
+            wavelength is None and not camera.lens_data.is_thin,
+            "wavelength = None: behind a main_lens other than a thin one it must be stated, for a response by waves",
+        )
         self.response = response_of(camera)(camera, [distance], wavelength=wavelength, oversample=oversample)
         light = self.response.adjoint(np.ones(camera.shape, np.float32))
         visible = self.response.to_image(light / light.max(), 0)

@@ -68,6 +68,7 @@ test_refusals_of_refocusing = refused(
     (lambda: by_rays().forward(np.zeros((3, 3))), r"capture of shape \(3, 3\)"),
     (lambda: by_rays().adjoint(np.zeros((5, 3))), r"bins of shape \(5, 3\)"),
     (lambda: by_waves().gradient(white_image(CAMERA), np.zeros((2, 2, 2))), "image_gradient of 2 channels"),
+    (lambda: DeconvolvedRefocus(CAMERA.replace(main_lens="tessar"), 250.0), "^wavelength = None: .* must be stated"),
     (lambda: DeconvolvedRefocus(CAMERA, 250.0).forward(np.zeros(CAMERA.shape)), "^capture: none of its pixels is lit"),
 )
 
