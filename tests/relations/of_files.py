@@ -14,8 +14,8 @@ from mitsuba_plenoptic import choices, exchange
 from mitsuba_plenoptic.camera.entry import Use
 from mitsuba_plenoptic.refocus.results import Volume, write_volume
 
-STEP = 2.4 / 65535
-"""Of the sixteen bits of pictures, in sRGB at its steepest."""
+STEP = 1.15 / 65535
+"""Half of one of the sixteen bits of pictures, in sRGB at its steepest."""
 
 FORMATS = {
     "capture": [".exr", *choices.RAW_SUFFIXES[:3]],
