@@ -53,7 +53,10 @@ def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
             continue
         edge = _edge(lens, height, half, (float(x[passed].mean()), float(y[passed].mean())))
         along = np.roll(edge, -1, 0) - np.roll(edge, 1, 0)
-        normals = np.stack([along[:, 1], -along[:, 0]], -1) / np.hypot(*along.T)[:, None]
+        normals = np.stack([along[:, 1], -along[:, 0]], -1)
+        # Where nearly all light ends, the edge is a point: any direction leaves it.
+        normals[~normals.any(1)] = 1, 0
+        normals /= np.hypot(*normals.T)[:, None]
         distance, nearest = cKDTree(edge).query(nodes)
         # Beyond a pupil's corner normals do not tell on which side of the edge a node lies.
         inside = np.where(_is_open(lens, height, *nodes.T), distance, -distance)
