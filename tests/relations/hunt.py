@@ -21,6 +21,7 @@ import numpy as np
 
 import mitsuba_plenoptic  # noqa: F401  chooses LLVM before Dr.Jit loads
 
+import drjit as dr  # isort: skip
 import mitsuba as mi  # isort: skip
 
 mi.set_variant("llvm_ad_mono")
@@ -83,6 +84,8 @@ def hunt(seconds, seed):
         if outcome.verdict == "fails":
             outcome = shrunk(relation, outcome, end + GRACE)
             print(f"{again(name, outcome.draw)}  {outcome.words}  {outcome.draw.parameters}", flush=True)
+        # Arrays of all sizes would be kept for reuse.
+        dr.flush_malloc_cache()
         spent[name] += time.process_time() - start
         tally.add(relation, outcome)
     print(f"{sum(spent.values()):.0f} s of processor time")
