@@ -7,15 +7,17 @@
 
 from __future__ import annotations
 
+import functools
+import itertools
 import logging
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import drjit as dr
 import numpy as np
 
-from ..array import hashed
 from ..camera import Aperture, Opening, PlenopticCamera, Round, Use, are_alike, require_support
 from ..design import crosstalk_neighbours
 from ..detector import DetectorOperator
@@ -23,7 +25,7 @@ from ..errors import InputError, refuse_if, short_repr, warn
 from ..io import Capture, recording_of, require_demosaiced
 from ..optics import second_leg
 from ..rays import Passage, Walk, detector_rows, even_steps
-from ..runtime import Array, Floats, array_module, as_pixels, fft, require_memory
+from ..runtime import Array, Floats, Pair, array_module, as_pixels, fft, require_memory
 from .grid import LensGrid, lens_indices, lens_numbers, lens_types, micro_image_centres
 
 # Samples that see less of the pupil than this, or whose lens is darker, are left out: dividing by so little would only
@@ -133,8 +135,14 @@ _BLOCK = 128
 _DARKEST = 1 / 8
 _DIM = 1 / 2
 
-# Rays of a pixel through each lens that can light it, behind a real main lens.
-_RAYS = 32
+_PIXEL = 8
+_LENS = 4
+_MOST = 4
+"""Cells of pixels and lenses along the radius of the pupil on which they are seen, and along a side at most."""
+
+_ASIDE = math.sqrt(0.15)
+_STAR = _ASIDE * np.vstack([np.zeros(4), *([-axis, axis] for axis in np.eye(4))])
+"""Offsets of rays from the middle of a cell, over its widths: along each axis Gauss's quadrature with three points."""
 
 _log = logging.getLogger(__name__)
 
@@ -398,44 +406,103 @@ def divide_by_white(light: Floats, white: Floats, weight: Floats, alone: Array |
 def _traced(camera: PlenopticCamera) -> Floats:
     """Return the white image of a camera with a real main lens or vignetting, by rays from its pixels.
 
-    Every pixel has its own shift of one even set of rays, so that sampling errors at the rims of micro-images average
-    out within a bin.
+    The rays between a pixel and a lens are the points of a cube of four dimensions, which is divided into cells.
     """
     types = array_module()
     walk = Walk.of(camera)
-    p = camera.pixel_size
-    steps = even_steps(4).tolist()
     image = np.empty(camera.shape, np.float32)
-    around = crosstalk_neighbours(camera).tolist()
-    response = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, types.Float64)
-    # 2**22: Rays of all pixels up to which each gets more behind thin lenses, so that rims are less noisy.
-    rays = min(128, max(_RAYS, 2**22 // image.size)) if camera.lens_data.is_thin else _RAYS
-    for rows, px, py in detector_rows(camera):
-        _, (i, j) = walk.chief_cell((px, py))
-        pixel_number = dr.arange(types.UInt32, dr.width(px)) + dr.opaque(types.UInt32, rows.start * camera.crop_size[0])
-        shifts = [types.Float64(hashed(pixel_number * 4 + axis)) * (1 / 2**32) for axis in range(4)]
-        total = types.Float64(0)
-        for ray in range(rays):
-            s, t, u, v = (
-                shift + dr.opaque(types.Float64, ray * step) for shift, step in zip(shifts, steps, strict=True)
-            )
-            s, t, u, v = (value - dr.floor(value) for value in (s, t, u, v))
-            position = (px + (s - 0.5) * p, py + (t - 0.5) * p)
-            dx, dy = camera.lattice.aperture_point(u, v)
-            for across, down in around:
-                lens = walk.lenslet(i + across, j + down)
+    response = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, types.Float)
+    smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths)
+    reach = walk.lens.reach + smear * camera.lattice.aperture_reach + camera.pupil_step
+    counts = _cells(walk, smear)
+    cells = math.prod(counts)
+    for rows, px, py in detector_rows(camera, cells):
+        columns = [types.Float(value) for value in (px, py, *walk.chief_cell((px, py))[1])]
+        total = dr.zeros(types.Float, dr.width(px))
+        for across, down in crosstalk_neighbours(camera).tolist():
+            # Opaque, so that all neighbours share one kernel.
+            steps = [dr.opaque(types.Float, float(step)) for step in (across, down)]
+            lens = walk.lenslet(columns[2] + steps[0], columns[3] + steps[1])
+            slope, _, _ = walk.out_of_array((columns[0], columns[1]), Passage(lens.centre, lens))
+            middle = (walk.lens.pupil.point(c, t, lens.height) for c, t in zip(lens.centre, slope, strict=True))
+            lit = dr.compress(dr.hypot(*middle) < reach)
+            lane = dr.arange(types.UInt32, cells * dr.width(lit))
+            if not dr.width(lane):
+                continue
+            pixel = dr.gather(types.UInt32, lit, lane // cells)
+            x, y, i, j = (dr.gather(types.Float, column, pixel) for column in columns)
+            lens = walk.lenslet(i + steps[0], j + steps[1])
+            number = types.Float(lane % cells)
+            place = []
+            for count in counts:
+                place.append(types.Float(lane % count) + 0.5)
+                lane //= count
+
+            rays, offsets = [], [*_STAR]
+            if camera.aperture_image is not None:
+                # Light that changes in steps is that of one ray of each cell.
+                offsets.append([number * step - dr.floor(number * step) - 0.5 for step in even_steps(4).tolist()])
+            for offset in offsets:
+                s, t, u, v = ((at + off) / count for at, off, count in zip(place, offset, counts, strict=True))
+                position = x + (s - 0.5) * camera.pixel_size, y + (t - 0.5) * camera.pixel_size
+                dx, dy = camera.lattice.aperture_point(u, v)
                 passage = Passage((lens.centre[0] + dx, lens.centre[1] + dy), lens)
-                _, _, is_open = walk.trace(position, passage)
-                slope, _, _ = walk.out_of_array(position, passage)
-                x, y = (walk.lens.pupil.point(m, t, lens.height) for m, t in zip(passage.point, slope, strict=True))
-                power = walk.transmittance((x, y), passage.point) * lens.gain
+                inside, power = walk.outline(position, passage)
                 if camera.pixel_response or camera.mla_absorption:
                     aside = dr.hypot(passage.point[0] - position[0], passage.point[1] - position[1])
                     power *= response(aside, camera.detector_distance + lens.height)
-                total += dr.select(is_open, power, 0.0)
-            dr.eval(total)
-        image[rows] = (total / rays).numpy().reshape(-1, camera.crop_size[0])
+                rays.append((inside, types.Float(power)))
+            light = _light(rays)
+            dr.scatter_add(total, dr.block_sum(types.Float(light), cells) / cells, lit)
+        image[rows] = total.numpy().reshape(-1, camera.crop_size[0])
     return image
+
+
+def _cells(walk: Walk, smear: float) -> tuple[int, int, int, int]:
+    """Return into how many cells pixels (x, y) and lenses (along both sides of `aperture_point`) are divided."""
+    camera, lattice, radius = walk.camera, walk.lattice, float(walk.lens.pupil.radius)
+    if camera.aperture_image is not None:
+        return _MOST, _MOST, lattice.sectors * _MOST, _MOST
+    pixel = min(_MOST, math.ceil(_PIXEL * camera.pupil_step / radius))
+    wide = min(_MOST, _LENS * smear * lattice.aperture_width / radius)
+    if lattice.aperture == "circle":
+        # Cells of rings, whose perimeters are up to three diameters.
+        return pixel, pixel, math.ceil(wide) or 1, max(3, math.ceil(3 * wide))
+    side = math.ceil(wide / math.sqrt(lattice.sectors)) or 1
+    return pixel, pixel, lattice.sectors * side, side
+
+
+def _light(rays: list[Pair]) -> Any:
+    """Return the mean light of cells, of which the side of a straight edge counts that is inside.
+
+    Distance and light of the rays of `_STAR` are linear over a cell, up to curvatures, which change their means. The
+    distance is a sum of four evenly distributed numbers, whose chance to be positive is an alternating sum of powers.
+    """
+    (distance, widths), (power, rises) = (
+        (
+            middle + sum(end - middle for end in ends) / (24 * _ASIDE**2),
+            [(high - low) / (2 * _ASIDE) for low, high in zip(ends[::2], ends[1::2], strict=True)],
+        )
+        for middle, *ends in zip(*rays[: len(_STAR)], strict=True)
+    )
+    slope = sum(a * b for a, b in zip(widths, rises, strict=True)) / dr.maximum(sum(a * a for a in widths), 1e-30)
+    if len(rays) > len(_STAR):
+        slope, power = 0.0, rays[-1][1]
+    kind = dr.float64_array_t(type(distance))
+    widths = [dr.abs(width) for width in widths]
+    # Of narrower ones rounding is more than they change.
+    least = dr.maximum(0.02 * functools.reduce(dr.maximum, widths), 1e-9)
+    widths = [kind(dr.maximum(width, least)) for width in widths]
+    distance = dr.clip(kind(distance), -sum(widths) / 2, sum(widths) / 2)
+    part, above = kind(0), kind(0)
+    for signs in itertools.product((-0.5, 0.5), repeat=4):
+        end = dr.maximum(distance + sum(sign * width for sign, width in zip(signs, widths, strict=True)), 0)
+        term = math.prod(signs) * dr.square(dr.square(end))
+        part += term
+        above += term * end
+    volume = 1.5 * math.prod(widths)
+    # Mean of the light times whether it is inside, and of the distance where it is.
+    return dr.maximum(power * part + slope * (above / 5 - distance * part), 0) / volume
 
 
 class _Response:
