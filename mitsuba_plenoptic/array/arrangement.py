@@ -80,9 +80,6 @@ class Lattice(abc.ABC):
     lens_types: ClassVar[int]
     """Types of lenses that a multi-focus array interleaves so that no two neighbours are alike; 1: not supported."""
 
-    sectors: ClassVar[int] = 1
-    """Rhombi, one after the other along s, that `point_in_cell` makes of the unit square."""
-
     rectangular: ClassVar[bool]
     """Whether cells are rectangles along the rows."""
 

@@ -24,7 +24,6 @@ class HexagonalLattice(Lattice):
     row_ratio = _ROW
     stagger = 2
     lens_types = 3
-    sectors = 3
     rectangular = False
     unit_corners = regular_corners(6)
 

@@ -167,6 +167,14 @@ class LensSystem:
         x, y, z = (self.scale * value for value in point)
         return (x, y, self.front + z), (L / N, M / N), is_open
 
+    def clearance(self, position: Pair, slope: Pair) -> Any:
+        """Return how far rays from the MLA pass inside the nearest edge, over its radius, negative if blocked."""
+        squares: list[Any] = []
+        is_open = self._follow(position, slope, squares)[2]
+        squares = [square / surface.semi_aperture**2 for square, surface in zip(squares, self.backwards, strict=True)]
+        inside = 1 - sqrt(functools.reduce(maximum, squares))
+        return select(is_open, inside, -abs(inside))
+
     def _follow(self, position: Pair, slope: Pair, squares: list[Any] | None = None) -> tuple[Triple, Triple, Any, Any]:
         """Return what `sequential.follow` does of rays from the MLA, in lengths of the prescription."""
         tx, ty = slope
@@ -174,17 +182,6 @@ class LensSystem:
         x, y = (m / self.scale for m in position)
         start = (x, y, -self.back_distance / self.scale)
         return sequential.follow(self.backwards, start, (tx * N, ty * N, N), squares)
-
-    def clearance(self, position: Pair, slope: Pair) -> Any:
-        """Return how far rays from the MLA pass inside the nearest edge, over its radius, negative if blocked."""
-        squares: list[Any] = []
-        is_open = self._follow(position, slope, squares)[2]
-        within = [
-            square / (s.semi_aperture * s.semi_aperture) for square, s in zip(squares, self.backwards, strict=True)
-        ]
-        inside = 1 - sqrt(functools.reduce(maximum, within))
-        # Rays that miss a surface.
-        return select(is_open, inside, -abs(inside))
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Return the ray from a position on the MLA through a point of the exit pupil, as `trace` does."""

@@ -186,7 +186,7 @@ class Walk:
     def outline(self, pixel: Pair, passage: Passage) -> Pair:
         """Return how far rays as those of `trace` pass inside the nearest edge, in any unit, and their light inside it.
 
-        The distance is negative for blocked rays, and smooth about an edge; the light is the part that all transmit.
+        The distance is negative for blocked rays, and smooth about an edge.
         """
         m, lens = passage
         slope, weight, emerges = self.out_of_array(pixel, passage)

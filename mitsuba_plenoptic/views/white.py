@@ -150,10 +150,10 @@ _log = logging.getLogger(__name__)
 def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
     """Return the capture of a scene of uniform radiance 1, computed by rays.
 
-    Behind a thin main lens the value of a pixel is its `PupilFraction`, times what it records of light from all over
-    its lens; where micro-images overlap, their light adds. Each lens of a tilted array has its own distances;
-    distortion changes nothing, as rays keep their position on the pupil. Behind a real main lens rays are traced from
-    the pixels. The detector records it as `DetectorOperator` states.
+    Behind a thin main lens the value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds.
+    Distortion changes nothing, as rays keep their position on the pupil. Behind a real main lens, vignetting or a
+    tilted array, and where pixels record oblique light otherwise, rays are traced from the pixels, right to 0.2 %. The
+    detector records it as `DetectorOperator` states.
 
     Parameters
     ----------
@@ -175,16 +175,14 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
     """
     require_support(camera, Use.WHITE_IMAGES)
     camera = camera.regular
-    if camera.vignetting is not None or (grid is None and not camera.lens_data.is_thin):
-        # Vignetting states places of lenses, as the camera has them.
+    placed = camera.vignetting is not None or camera.pixel_response or camera.mla_absorption
+    if placed or (grid is None and (any(camera.mla_tilt) or not camera.lens_data.is_thin)):
+        # Vignetting and the light that pixels record depend on where the camera has its lenses.
         return np.asarray(DetectorOperator.of(camera).forward(_traced(camera)))
     require_support(camera, Use.LENS_CENTRES)
     fractions = _Fractions(camera)
     half = fractions.half
     rows, columns = camera.shape
-    behind = camera.reduced_distance / camera.mla_distance
-    reach = math.hypot(camera.detector_width, camera.detector_height) / 2 * behind + half * camera.pixel_size
-    response = _Response(camera, reach) if camera.pixel_response or camera.mla_absorption else None
     require_memory(
         4.0 * (rows + 2 * half) * (columns + 2 * half) + 100.0 * _BLOCK * (2 * half + 1) ** 2,
         f"white image of {columns} x {rows} pixels, {2 * half + 1} x {2 * half + 1} for each lens",
@@ -208,22 +206,12 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
         lens = camera.lenslet(*lens_indices(camera, row))
         height = np.broadcast_to(lens.height, len(row))
         bright = np.reshape(lens.gain, (-1, 1, 1))
-        if grid is None and any(camera.mla_tilt):
-            # Where the tilt has moved them: c (b + z) / (b - h).
-            middle = np.array(camera.resolution) / 2 - camera.crop_offset
-            row = middle + (row - middle) / (1 - height[:, None] / camera.mla_distance)
         base = np.floor(row).astype(np.int64)
         # Positions on the pupil that each pixel sees through its lens's centre, except for their sign.
         distance = camera.reduced_distance + height / camera.mla_medium
         step = camera.pixel_size * (camera.mla_distance - height) / distance
         x, y = ((base[:, axis, None] + window + 0.5 - row[:, axis, None]) * step[:, None] for axis in (0, 1))
         fraction = fractions(lens_types(camera, row), height, x, y) * bright
-        if response is not None:
-            # From a lens's centre c to its micro-image's, and from there to the pixel.
-            u, v = ((np.reshape(c, (-1, 1)) + to) * behind for c, to in zip(lens.centre, (x, y), strict=True))
-            fraction *= response(u[:, None, :], v[:, :, None])
-            # The medium is deeper behind lenses that a tilt raises.
-            fraction *= np.exp(-(camera.mla_absorption or 0.0) * height[:, None, None])
         down = base[:, 1, None, None] + window[:, None] + half
         across = base[:, 0, None, None] + window + half
         keep = (down >= 0) & (down < image.shape[0]) & (across >= 0) & (across < image.shape[1])
@@ -404,7 +392,7 @@ def divide_by_white(light: Floats, white: Floats, weight: Floats, alone: Array |
 
 
 def _traced(camera: PlenopticCamera) -> Floats:
-    """Return the white image of a camera with a real main lens or vignetting, by rays from its pixels.
+    """Return the white image of a camera by rays from its pixels.
 
     The rays between a pixel and a lens are the points of a cube of four dimensions, which is divided into cells.
     """
@@ -461,15 +449,15 @@ def _traced(camera: PlenopticCamera) -> Floats:
 def _cells(walk: Walk, smear: float) -> tuple[int, int, int, int]:
     """Return into how many cells pixels (x, y) and lenses (along both sides of `aperture_point`) are divided."""
     camera, lattice, radius = walk.camera, walk.lattice, float(walk.lens.pupil.radius)
-    if camera.aperture_image is not None:
-        return _MOST, _MOST, lattice.sectors * _MOST, _MOST
-    pixel = min(_MOST, math.ceil(_PIXEL * camera.pupil_step / radius))
-    wide = min(_MOST, _LENS * smear * lattice.aperture_width / radius)
+    steps = camera.aperture_image is not None
+    pixel = _MOST if steps else min(_MOST, math.ceil(_PIXEL * camera.pupil_step / radius))
+    wide = _MOST if steps else min(_MOST, _LENS * smear * lattice.aperture_width / radius)
     if lattice.aperture == "circle":
-        # Cells of rings, whose perimeters are up to three diameters.
         return pixel, pixel, math.ceil(wide) or 1, max(3, math.ceil(3 * wide))
-    side = math.ceil(wide / math.sqrt(lattice.sectors)) or 1
-    return pixel, pixel, lattice.sectors * side, side
+    # Cells of lenses are squares, or three rhombi one after the other.
+    sectors = 1 if lattice.rectangular else 3
+    side = math.ceil(wide / math.sqrt(sectors)) or 1
+    return pixel, pixel, sectors * side, side
 
 
 def _light(rays: list[Pair]) -> Any:
@@ -503,27 +491,6 @@ def _light(rays: list[Pair]) -> Any:
     volume = 1.5 * math.prod(widths)
     # Mean of the light times whether it is inside, and of the distance where it is.
     return dr.maximum(power * part + slope * (above / 5 - distance * part), 0) / volume
-
-
-class _Response:
-    """The part of light from all over a microlens that pixels record, by where they lie behind the lens's centre."""
-
-    def __init__(self, camera: PlenopticCamera, reach: float) -> None:
-        nodes = np.linspace(-reach, reach, 129)
-        s, t = (np.indices((8, 8)) + 0.5) / 8
-        x, y = camera.lattice.aperture_point(s.ravel(), t.ravel())
-        aside = np.hypot(nodes[:, None] - x, nodes[:, None, None] - y)
-        power = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, np.ndarray)
-        self._table = power(aside, camera.detector_distance).mean(-1)
-        self._reach = reach
-
-    def __call__(self, x: Array, y: Array) -> Array:
-        """Return the part that counts at positions in mm, which are broadcast."""
-        # Most white images need no interpolation, whose import takes longer.
-        from scipy.ndimage import map_coordinates
-
-        nodes = [(axis / self._reach + 1) * 64 for axis in np.broadcast_arrays(y, x)]
-        return np.asarray(map_coordinates(self._table, nodes, order=1, mode="nearest"))
 
 
 class _Fractions:
