@@ -175,13 +175,13 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
     """
     require_support(camera, Use.WHITE_IMAGES)
     camera = camera.regular
-    placed = camera.vignetting is not None or camera.pixel_response or camera.mla_absorption
-    if placed or (grid is None and (any(camera.mla_tilt) or not camera.lens_data.is_thin)):
-        # Vignetting and the light that pixels record depend on where the camera has its lenses.
+    uneven = camera.vignetting is not None or camera.pixel_response or camera.mla_absorption or any(camera.mla_tilt)
+    if uneven or (grid is None and not camera.lens_data.is_thin):
+        # What differs over the field depends on where the camera has its lenses.
         return np.asarray(DetectorOperator.of(camera).forward(_traced(camera)))
     require_support(camera, Use.LENS_CENTRES)
-    fractions = _Fractions(camera)
-    half = fractions.half
+    tables = [PupilFraction(camera, lens_type) for lens_type in range(len(camera.mla_focal_lengths))]
+    half = math.ceil(max(table.reach for table in tables) / camera.pupil_step)
     rows, columns = camera.shape
     require_memory(
         4.0 * (rows + 2 * half) * (columns + 2 * half) + 100.0 * _BLOCK * (2 * half + 1) ** 2,
@@ -202,16 +202,16 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
     )
     image = np.zeros((rows + 2 * half, columns + 2 * half), dtype=np.float32)
     window = np.arange(-half, half + 1)
+    step = camera.pixel_size * camera.mla_distance / camera.reduced_distance
     for row in np.array_split(centres, -(-len(centres) // _BLOCK) or 1):
-        lens = camera.lenslet(*lens_indices(camera, row))
-        height = np.broadcast_to(lens.height, len(row))
-        bright = np.reshape(lens.gain, (-1, 1, 1))
         base = np.floor(row).astype(np.int64)
         # Positions on the pupil that each pixel sees through its lens's centre, except for their sign.
-        distance = camera.reduced_distance + height / camera.mla_medium
-        step = camera.pixel_size * (camera.mla_distance - height) / distance
-        x, y = ((base[:, axis, None] + window + 0.5 - row[:, axis, None]) * step[:, None] for axis in (0, 1))
-        fraction = fractions(lens_types(camera, row), height, x, y) * bright
+        x, y = ((base[:, axis, None] + window + 0.5 - row[:, axis, None]) * step for axis in (0, 1))
+        fraction = np.zeros((len(row), len(window), len(window)), np.float32)
+        for lens_type, table in enumerate(tables):
+            alike = lens_types(camera, row) == lens_type
+            fraction[alike] = table(x[alike, None, :], y[alike, :, None])
+        fraction *= np.reshape(camera.lenslet(*lens_indices(camera, row)).gain, (-1, 1, 1))
         down = base[:, 1, None, None] + window[:, None] + half
         across = base[:, 0, None, None] + window + half
         keep = (down >= 0) & (down < image.shape[0]) & (across >= 0) & (across < image.shape[1])
@@ -491,44 +491,3 @@ def _light(rays: list[Pair]) -> Any:
     volume = 1.5 * math.prod(widths)
     # Mean of the light times whether it is inside, and of the distance where it is.
     return dr.maximum(power * part + slope * (above / 5 - distance * part), 0) / volume
-
-
-class _Fractions:
-    """`PupilFraction` for lenses of all types and heights."""
-
-    def __init__(self, camera: PlenopticCamera) -> None:
-        self._camera = camera
-        # Lenses of a tilted array whose heights differ by less, in detector distances, are blurred alike.
-        self._step = 0.01 * camera.detector_distance
-        self._tables: dict[tuple[int, int], PupilFraction] = {}
-        reach = max(math.hypot(*(camera.pixel_coordinates(axis)[end] for axis in (0, 1))) for end in (0, -1))
-        rise = round(reach * math.hypot(*np.tan(np.deg2rad(camera.mla_tilt))) / self._step)
-        pixels = [
-            self._table(lens_type, level).reach / self._at(level).pupil_step
-            for lens_type in range(len(camera.mla_focal_lengths))
-            for level in {-rise, rise}
-        ]
-        self.half = math.ceil(max(pixels))
-
-    def __call__(self, lens_type: Array, height: Array, x: Array, y: Array) -> Array:
-        """Return the fractions (n, rows, columns) of lenses at pupil positions x (n, columns), y (n, rows)."""
-        fraction = np.zeros((len(x), y.shape[1], x.shape[1]), dtype=np.float32)
-        kinds, kind_index = np.unique(np.stack([lens_type, np.round(height / self._step)]), axis=1, return_inverse=True)
-        for index, (kind, level) in enumerate(kinds.T.astype(int)):
-            of_kind = kind_index.ravel() == index
-            fraction[of_kind] = self._table(kind, level)(x[of_kind, None, :], y[of_kind, :, None])
-        return fraction
-
-    def _at(self, level: int) -> PlenopticCamera:
-        camera = self._camera
-        height = level * self._step
-        if not level:
-            return camera
-        b = camera.mla_distance - height
-        z = camera.detector_distance + height
-        return camera.replace(mla_distance=b, detector_distance=z, mla_tilt=(0.0, 0.0))
-
-    def _table(self, lens_type: int, level: int) -> PupilFraction:
-        if (lens_type, level) not in self._tables:
-            self._tables[lens_type, level] = PupilFraction(self._at(level), lens_type)
-        return self._tables[lens_type, level]
