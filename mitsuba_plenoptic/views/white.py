@@ -450,8 +450,12 @@ def _cells(walk: Walk, smear: float) -> tuple[int, int, int, int]:
     """Return into how many cells pixels (x, y) and lenses (along both sides of `aperture_point`) are divided."""
     camera, lattice, radius = walk.camera, walk.lattice, float(walk.lens.pupil.radius)
     steps = camera.aperture_image is not None
-    pixel = _MOST if steps else min(_MOST, math.ceil(_PIXEL * camera.pupil_step / radius))
-    wide = _MOST if steps else min(_MOST, _LENS * smear * lattice.aperture_width / radius)
+    # Edges have corners between blades.
+    finer = 2 if camera.aperture_blades else 1
+    pixel = _MOST if steps else min(_MOST, math.ceil(finer * _PIXEL * camera.pupil_step / radius))
+    # The response of pixels has a tip where light is upright.
+    wide = _MOST if steps else max(3 if camera.pixel_response else 0, _LENS * smear * lattice.aperture_width / radius)
+    wide = min(_MOST, wide)
     if lattice.aperture == "circle":
         return pixel, pixel, math.ceil(wide) or 1, max(3, math.ceil(3 * wide))
     # Cells of lenses are squares, or three rhombi one after the other.
