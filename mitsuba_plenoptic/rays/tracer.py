@@ -191,7 +191,8 @@ class Walk:
         m, lens = passage
         slope, weight, emerges = self.out_of_array(pixel, passage)
         pupil = tuple(self.lens.pupil.point(at, t, lens.height) for at, t in zip(m, slope, strict=True))
-        inside, power = math.inf, 1.0
+        inside = math.inf
+        power = 1.0
         if self.lens.is_uniform or not self.camera.has_even_pupil:
             x, y = (P / self.camera.pupil_radius for P in self.round_pupil(pupil, m))
             inside, power = self.camera.pupil_outline((x, y), m)

@@ -135,10 +135,8 @@ _BLOCK = 128
 _DARKEST = 1 / 8
 _DIM = 1 / 2
 
-_PIXEL = 8
-_LENS = 4
 _MOST = 4
-"""Cells of pixels and lenses along the radius of the pupil on which they are seen, and along a side at most."""
+"""Cells along a side of a pixel or a lens at most."""
 
 _ASIDE = math.sqrt(0.15)
 _STAR = _ASIDE * np.vstack([np.zeros(4), *([-axis, axis] for axis in np.eye(4))])
@@ -425,8 +423,8 @@ def _traced(camera: PlenopticCamera) -> Floats:
             for count in counts:
                 place.append(types.Float(lane % count) + 0.5)
                 lane //= count
-
-            rays, offsets = [], [*_STAR]
+            rays = []
+            offsets = [*_STAR]
             if camera.aperture_image is not None:
                 # Light that changes in steps is that of one ray of each cell.
                 offsets.append([number * step - dr.floor(number * step) - 0.5 for step in even_steps(4).tolist()])
@@ -440,21 +438,22 @@ def _traced(camera: PlenopticCamera) -> Floats:
                     aside = dr.hypot(passage.point[0] - position[0], passage.point[1] - position[1])
                     power *= response(aside, camera.detector_distance + lens.height)
                 rays.append((inside, types.Float(power)))
-            light = _light(rays)
-            dr.scatter_add(total, dr.block_sum(types.Float(light), cells) / cells, lit)
+            dr.scatter_add(total, dr.block_sum(types.Float(_light(rays)), cells) / cells, lit)
         image[rows] = total.numpy().reshape(-1, camera.crop_size[0])
     return image
 
 
 def _cells(walk: Walk, smear: float) -> tuple[int, int, int, int]:
     """Return into how many cells pixels (x, y) and lenses (along both sides of `aperture_point`) are divided."""
-    camera, lattice, radius = walk.camera, walk.lattice, float(walk.lens.pupil.radius)
+    camera = walk.camera
+    lattice = walk.lattice
+    radius = float(walk.lens.pupil.radius)
     steps = camera.aperture_image is not None
     # Edges have corners between blades.
-    finer = 2 if camera.aperture_blades else 1
-    pixel = _MOST if steps else min(_MOST, math.ceil(finer * _PIXEL * camera.pupil_step / radius))
+    fine = 16 if camera.aperture_blades else 8
+    pixel = _MOST if steps else min(_MOST, math.ceil(fine * camera.pupil_step / radius))
     # The response of pixels has a tip where light is upright.
-    wide = _MOST if steps else max(3 if camera.pixel_response else 0, _LENS * smear * lattice.aperture_width / radius)
+    wide = _MOST if steps else max(3 if camera.pixel_response else 0, 4 * smear * lattice.aperture_width / radius)
     wide = min(_MOST, wide)
     if lattice.aperture == "circle":
         return pixel, pixel, math.ceil(wide) or 1, max(3, math.ceil(3 * wide))
@@ -479,14 +478,16 @@ def _light(rays: list[Pair]) -> Any:
     )
     slope = sum(a * b for a, b in zip(widths, rises, strict=True)) / dr.maximum(sum(a * a for a in widths), 1e-30)
     if len(rays) > len(_STAR):
-        slope, power = 0.0, rays[-1][1]
+        slope = 0.0
+        power = rays[-1][1]
     kind = dr.float64_array_t(type(distance))
     widths = [dr.abs(width) for width in widths]
     # Of narrower ones rounding is more than they change.
     least = dr.maximum(0.02 * functools.reduce(dr.maximum, widths), 1e-9)
     widths = [kind(dr.maximum(width, least)) for width in widths]
     distance = dr.clip(kind(distance), -sum(widths) / 2, sum(widths) / 2)
-    part, above = kind(0), kind(0)
+    part = kind(0)
+    above = kind(0)
     for signs in itertools.product((-0.5, 0.5), repeat=4):
         end = dr.maximum(distance + sum(sign * width for sign, width in zip(signs, widths, strict=True)), 0)
         term = math.prod(signs) * dr.square(dr.square(end))
