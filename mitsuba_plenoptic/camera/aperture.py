@@ -44,18 +44,27 @@ NOT_ROUND = {"aperture_blades": None, "aperture_image": None, "pupil_apodisation
 """Parameters of pupils that are not evenly open discs, with their defaults."""
 
 
+class _Outlined:
+    """The power that passes an aperture, from its outline."""
+
+    def power(self, x: Any, y: Any) -> Any:
+        """Return the part of the power that passes at points over the pupil's radius, in the camera frame."""
+        inside, power = self.outline(x, y)
+        return select(inside >= 0, power, 0.0)
+
+    def outline(self, x: Any, y: Any) -> Pair:
+        """Return how far points are inside the circle over its radius, and the power as if the circle were wider."""
+        return 1 - module_of(x).sqrt(x * x + y * y), 1.0
+
+
 @dataclass(frozen=True)
-class Round:
+class Round(_Outlined):
     """A fully open pupil, with the methods of all apertures."""
 
     @property
     def share(self) -> float:
         """Mean power that passes, over the disc of the pupil."""
         return 1.0
-
-    def power(self, x: Any, y: Any) -> Any:
-        """Return the part of the power that passes at points over the pupil's radius: 1 within the circle."""
-        return select(x * x + y * y <= 1, 1.0, 0.0)
 
     def draws(self) -> Callable[[Any], Pair]:
         """Return a function that makes points, with the density of the power, from points of the unit square."""
@@ -72,7 +81,7 @@ class Round:
 
 
 @dataclass(frozen=True)
-class Blades:
+class Blades(_Outlined):
     """A regular polygon in the circle of the pupil, one of whose corners is at an angle in degrees from +x to +y."""
 
     count: int
@@ -83,14 +92,14 @@ class Blades:
         """Area of the polygon over that of the circle."""
         return self.count / (2 * math.pi) * math.sin(2 * math.pi / self.count)
 
-    def power(self, x: Any, y: Any) -> Any:
-        """Return 1 within the polygon."""
+    def outline(self, x: Any, y: Any) -> Pair:
+        """Return how far points are inside the polygon over the pupil's radius, and the power, 1."""
         module = module_of(x)
         sector = 2 * math.pi / self.count
         angle = (dr.atan2 if module is dr else np.arctan2)(y, x) - math.radians(self.angle)
         # From the middle of the nearest side.
         angle = angle - (module.floor(angle / sector) + 0.5) * sector
-        return select(module.sqrt(x * x + y * y) * module.cos(angle) <= math.cos(sector / 2), 1.0, 0.0)
+        return math.cos(sector / 2) - module.sqrt(x * x + y * y) * module.cos(angle), 1.0
 
     def draws(self) -> Callable[[Any], Pair]:
         """Return a map from the unit square to the triangles between the centre and the sides."""
@@ -123,7 +132,7 @@ class Blades:
 
 @suggest_keywords
 @dataclass(frozen=True, eq=False)
-class Aperture(PlainData):
+class Aperture(_Outlined, PlainData):
     """A picture in the pupil of the main lens: a coded aperture, a heart, an apodisation.
 
     The picture fills the square around the pupil, and each value holds for a cell of the square. Cells whose centres
@@ -173,21 +182,15 @@ class Aperture(PlainData):
         """Mean power that passes, over the disc of the pupil, as if the circle cut no cell."""
         return float(self.transmission.mean()) * 4 / math.pi
 
-    def power(self, x: Any, y: Any) -> Any:
-        """Return the part of the power that passes at points of the pupil, NumPy or Dr.Jit arrays.
-
-        Parameters
-        ----------
-        x, y : array
-            Coordinates in the camera frame over the radius of the pupil.
-        """
+    def outline(self, x: Any, y: Any) -> Pair:
+        """Return how far points are inside the circle over its radius, and the power of their cells."""
         count = len(self.transmission)
         module = module_of(x)
         column, row = (
             module.minimum(module.maximum(module.floor((coordinate + 1) * (count / 2)), 0), count - 1)
             for coordinate in (x, y)
         )
-        return select(x * x + y * y <= 1, take(self.transmission.ravel(), row * count + column), 0.0)
+        return super().outline(x, y)[0], take(self.transmission.ravel(), row * count + column)
 
     def draws(self) -> Callable[[Any], Pair]:
         """Return a map from the unit square to the cells, in which points may be beyond the circle."""
@@ -211,7 +214,7 @@ class Aperture(PlainData):
 
 
 @dataclass(frozen=True)
-class Apodised:
+class Apodised(_Outlined):
     """A round pupil whose transmission varies with the radius r over its own: 1 + a2 r^2 + a4 r^4, at least 0."""
 
     a2: float
@@ -226,10 +229,9 @@ class Apodised:
         """Mean power that passes, over the disc of the pupil; above 1 where the transmission rises."""
         return float(self._power((np.arange(_STEPS) + 0.5) / _STEPS).mean())
 
-    def power(self, x: Any, y: Any) -> Any:
-        """Return the power that passes at points over the pupil's radius, relative to the centre; 0 outside."""
-        square = x * x + y * y
-        return select(square <= 1, self._power(square), 0.0)
+    def outline(self, x: Any, y: Any) -> Pair:
+        """Return how far points are inside the circle over its radius, and the power relative to the centre."""
+        return super().outline(x, y)[0], self._power(x * x + y * y)
 
     def draws(self) -> Callable[[Any], Pair]:
         """Return a map from the unit square to the disc: the squares of radii have the density of the transmission."""

@@ -22,7 +22,7 @@ from ..array import (
 )
 from ..errors import InputError, refuse_if, require_number
 from ..prescription import THIN, Collimator, LensData, Objective, Prescription, defocus_factor, even_count
-from ..runtime import Array, Pair, take
+from ..runtime import Array, Pair, minimum, select, take
 from .aperture import Apodised, Opening, Round
 from .entry import one_if_equal, one_if_single, record
 from .parameters import CameraParameters
@@ -87,8 +87,16 @@ class CameraGeometry(CameraParameters):
 
         It is the product of all layers: blades, a picture or an apodisation, and vignetting.
         """
-        power = self.aperture.power(*pupil)
-        return power if self.vignetting is None else power * self.vignetting.power(*pupil, *position)
+        inside, power = self.pupil_outline(pupil, position)
+        return select(inside >= 0, power, 0.0)
+
+    def pupil_outline(self, pupil: Pair, position: Pair) -> Pair:
+        """Return how far pupil points are inside all edges, over its radius, and the power as if it were wider."""
+        inside, power = self.aperture.outline(*pupil)
+        if self.vignetting is None:
+            return inside, power
+        within, passed = self.vignetting.outline(*pupil, *position)
+        return minimum(inside, within), power * passed
 
     @property
     def f_number(self) -> float:

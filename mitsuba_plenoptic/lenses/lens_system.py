@@ -20,7 +20,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
 from ..prescription import Paraxial, Prescription, height, paraxial, vergence
-from ..runtime import Doubles, Pair, Triple, rsqrt
+from ..runtime import Doubles, Pair, Triple, maximum, rsqrt, select, sqrt
 from . import sequential
 from .accuracy import ACCURACY
 from .protocol import Traced
@@ -163,13 +163,25 @@ class LensSystem:
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA to the scene, as described in `MainLens.trace`."""
+        point, (L, M, N), is_open, _ = self._follow(position, slope)
+        x, y, z = (self.scale * value for value in point)
+        return (x, y, self.front + z), (L / N, M / N), is_open
+
+    def clearance(self, position: Pair, slope: Pair) -> Any:
+        """Return how far rays from the MLA pass inside the nearest edge, over its radius, negative if blocked."""
+        squares: list[Any] = []
+        is_open = self._follow(position, slope, squares)[2]
+        squares = [square / surface.semi_aperture**2 for square, surface in zip(squares, self.backwards, strict=True)]
+        inside = 1 - sqrt(functools.reduce(maximum, squares))
+        return select(is_open, inside, -abs(inside))
+
+    def _follow(self, position: Pair, slope: Pair, squares: list[Any] | None = None) -> tuple[Triple, Triple, Any, Any]:
+        """Return what `sequential.follow` does of rays from the MLA, in lengths of the prescription."""
         tx, ty = slope
         N = rsqrt(1 + tx * tx + ty * ty)
         x, y = (m / self.scale for m in position)
         start = (x, y, -self.back_distance / self.scale)
-        point, (L, M, N), is_open, _ = sequential.follow(self.backwards, start, (tx * N, ty * N, N))
-        x, y, z = (self.scale * value for value in point)
-        return (x, y, self.front + z), (L / N, M / N), is_open
+        return sequential.follow(self.backwards, start, (tx * N, ty * N, N), squares)
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Return the ray from a position on the MLA through a point of the exit pupil, as `trace` does."""

@@ -7,6 +7,7 @@ arrays, whose gradients it propagates. `optics.rays` has the formulas and the sy
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -19,7 +20,7 @@ from ..array import Lenslet
 from ..camera import PlenopticCamera
 from ..lenses import MainLens, Traced, cached_main_lens, chief_points, main_lens
 from ..optics import rays
-from ..runtime import Pair, array_module, drjit_array, fft
+from ..runtime import Pair, array_module, drjit_array, fft, minimum
 
 if TYPE_CHECKING:
     from ..fields import OpticalSystem
@@ -182,6 +183,24 @@ class Walk:
         point, slope, is_open = self.into_scene(passage.point, slope, passage.lens.height)
         return point, slope, is_open & emerges
 
+    def outline(self, pixel: Pair, passage: Passage) -> Pair:
+        """Return how far rays as those of `trace` pass inside the nearest edge, in any unit, and their light inside it.
+
+        The distance is negative for blocked rays, and smooth about an edge.
+        """
+        m, lens = passage
+        slope, weight, emerges = self.out_of_array(pixel, passage)
+        pupil = tuple(self.lens.pupil.point(at, t, lens.height) for at, t in zip(m, slope, strict=True))
+        inside = math.inf
+        power = 1.0
+        if self.lens.is_uniform or not self.camera.has_even_pupil:
+            x, y = (P / self.camera.pupil_radius for P in self.round_pupil(pupil, m))
+            inside, power = self.camera.pupil_outline((x, y), m)
+        if not self.lens.is_uniform:
+            position = m[0] - lens.height * slope[0], m[1] - lens.height * slope[1]
+            inside = minimum(cast("RealLens", self.lens).clearance(position, slope), inside)
+        return inside, dr.select(emerges, power * weight * lens.gain, 0.0)
+
     def through_centre(self, offset: Pair, height: Any) -> tuple[Pair, Any]:
         """Return slopes before the array, and weights, of rays through lens centres at offsets from detector points.
 
@@ -238,12 +257,12 @@ def follow_back(p: Any, m: Any, c: Any, distance: float, camera: PlenopticCamera
     return P, -camera.mla_distance * rays.object_direction(P, slope, distance)
 
 
-def detector_rows(camera: PlenopticCamera) -> Iterator[tuple[slice, Any, Any]]:
-    """Yield slices of rows with x and y of the centres of their pixels in millimetres, as Dr.Jit arrays."""
+def detector_rows(camera: PlenopticCamera, rays: int = 1) -> Iterator[tuple[slice, Any, Any]]:
+    """Yield slices of rows with x and y of the centres of their pixels, of some rays each, in mm, as Dr.Jit arrays."""
     types = array_module()
     rows, columns = camera.shape
     x, y = (drjit_array(types.Float64, camera.pixel_coordinates(axis)) for axis in (0, 1))
-    together = max(1, _LANES // columns)
+    together = max(1, _LANES // (rays * columns))
     for first in range(0, rows, together):
         last = min(rows, first + together)
         row, column = fft.rows_and_columns(types, last - first, columns)

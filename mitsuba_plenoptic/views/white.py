@@ -7,15 +7,17 @@
 
 from __future__ import annotations
 
+import functools
+import itertools
 import logging
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import drjit as dr
 import numpy as np
 
-from ..array import hashed
 from ..camera import Aperture, Opening, PlenopticCamera, Round, Use, are_alike, require_support
 from ..design import crosstalk_neighbours
 from ..detector import DetectorOperator
@@ -23,7 +25,7 @@ from ..errors import InputError, refuse_if, short_repr, warn
 from ..io import Capture, recording_of, require_demosaiced
 from ..optics import second_leg
 from ..rays import Passage, Walk, detector_rows, even_steps
-from ..runtime import Array, Floats, array_module, as_pixels, fft, require_memory
+from ..runtime import Array, Floats, Pair, array_module, as_pixels, fft, require_memory
 from .grid import LensGrid, lens_indices, lens_numbers, lens_types, micro_image_centres
 
 # Samples that see less of the pupil than this, or whose lens is darker, are left out: dividing by so little would only
@@ -133,8 +135,12 @@ _BLOCK = 128
 _DARKEST = 1 / 8
 _DIM = 1 / 2
 
-# Rays of a pixel through each lens that can light it, behind a real main lens.
-_RAYS = 32
+_MOST = 4
+"""Cells along a side of a pixel or a lens at most."""
+
+_ASIDE = math.sqrt(0.15)
+_STAR = _ASIDE * np.vstack([np.zeros(4), *([-axis, axis] for axis in np.eye(4))])
+"""Offsets of rays from the middle of a cell, over its widths: along each axis Gauss's quadrature with three points."""
 
 _log = logging.getLogger(__name__)
 
@@ -142,10 +148,10 @@ _log = logging.getLogger(__name__)
 def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
     """Return the capture of a scene of uniform radiance 1, computed by rays.
 
-    Behind a thin main lens the value of a pixel is its `PupilFraction`, times what it records of light from all over
-    its lens; where micro-images overlap, their light adds. Each lens of a tilted array has its own distances;
-    distortion changes nothing, as rays keep their position on the pupil. Behind a real main lens rays are traced from
-    the pixels. The detector records it as `DetectorOperator` states.
+    Behind a thin main lens the value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds.
+    Distortion changes nothing, as rays keep their position on the pupil. Behind a real main lens, vignetting or a
+    tilted array, and where pixels record oblique light otherwise, rays are traced from the pixels, right to 0.2 %. The
+    detector records it as `DetectorOperator` states.
 
     Parameters
     ----------
@@ -167,16 +173,14 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
     """
     require_support(camera, Use.WHITE_IMAGES)
     camera = camera.regular
-    if camera.vignetting is not None or (grid is None and not camera.lens_data.is_thin):
-        # Vignetting states places of lenses, as the camera has them.
+    uneven = camera.vignetting is not None or camera.pixel_response or camera.mla_absorption or any(camera.mla_tilt)
+    if uneven or (grid is None and not camera.lens_data.is_thin):
+        # What differs over the field depends on where the camera has its lenses.
         return np.asarray(DetectorOperator.of(camera).forward(_traced(camera)))
     require_support(camera, Use.LENS_CENTRES)
-    fractions = _Fractions(camera)
-    half = fractions.half
+    tables = [PupilFraction(camera, lens_type) for lens_type in range(len(camera.mla_focal_lengths))]
+    half = math.ceil(max(table.reach for table in tables) / camera.pupil_step)
     rows, columns = camera.shape
-    behind = camera.reduced_distance / camera.mla_distance
-    reach = math.hypot(camera.detector_width, camera.detector_height) / 2 * behind + half * camera.pixel_size
-    response = _Response(camera, reach) if camera.pixel_response or camera.mla_absorption else None
     require_memory(
         4.0 * (rows + 2 * half) * (columns + 2 * half) + 100.0 * _BLOCK * (2 * half + 1) ** 2,
         f"white image of {columns} x {rows} pixels, {2 * half + 1} x {2 * half + 1} for each lens",
@@ -196,26 +200,16 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
     )
     image = np.zeros((rows + 2 * half, columns + 2 * half), dtype=np.float32)
     window = np.arange(-half, half + 1)
+    step = camera.pixel_size * camera.mla_distance / camera.reduced_distance
     for row in np.array_split(centres, -(-len(centres) // _BLOCK) or 1):
-        lens = camera.lenslet(*lens_indices(camera, row))
-        height = np.broadcast_to(lens.height, len(row))
-        bright = np.reshape(lens.gain, (-1, 1, 1))
-        if grid is None and any(camera.mla_tilt):
-            # Where the tilt has moved them: c (b + z) / (b - h).
-            middle = np.array(camera.resolution) / 2 - camera.crop_offset
-            row = middle + (row - middle) / (1 - height[:, None] / camera.mla_distance)
         base = np.floor(row).astype(np.int64)
         # Positions on the pupil that each pixel sees through its lens's centre, except for their sign.
-        distance = camera.reduced_distance + height / camera.mla_medium
-        step = camera.pixel_size * (camera.mla_distance - height) / distance
-        x, y = ((base[:, axis, None] + window + 0.5 - row[:, axis, None]) * step[:, None] for axis in (0, 1))
-        fraction = fractions(lens_types(camera, row), height, x, y) * bright
-        if response is not None:
-            # From a lens's centre c to its micro-image's, and from there to the pixel.
-            u, v = ((np.reshape(c, (-1, 1)) + to) * behind for c, to in zip(lens.centre, (x, y), strict=True))
-            fraction *= response(u[:, None, :], v[:, :, None])
-            # The medium is deeper behind lenses that a tilt raises.
-            fraction *= np.exp(-(camera.mla_absorption or 0.0) * height[:, None, None])
+        x, y = ((base[:, axis, None] + window + 0.5 - row[:, axis, None]) * step for axis in (0, 1))
+        fraction = np.zeros((len(row), len(window), len(window)), np.float32)
+        for lens_type, table in enumerate(tables):
+            alike = lens_types(camera, row) == lens_type
+            fraction[alike] = table(x[alike, None, :], y[alike, :, None])
+        fraction *= np.reshape(camera.lenslet(*lens_indices(camera, row)).gain, (-1, 1, 1))
         down = base[:, 1, None, None] + window[:, None] + half
         across = base[:, 0, None, None] + window + half
         keep = (down >= 0) & (down < image.shape[0]) & (across >= 0) & (across < image.shape[1])
@@ -396,105 +390,109 @@ def divide_by_white(light: Floats, white: Floats, weight: Floats, alone: Array |
 
 
 def _traced(camera: PlenopticCamera) -> Floats:
-    """Return the white image of a camera with a real main lens or vignetting, by rays from its pixels.
+    """Return the white image of a camera by rays from its pixels.
 
-    Every pixel has its own shift of one even set of rays, so that sampling errors at the rims of micro-images average
-    out within a bin.
+    The rays between a pixel and a lens are the points of a cube of four dimensions, which is divided into cells.
     """
     types = array_module()
     walk = Walk.of(camera)
-    p = camera.pixel_size
-    steps = even_steps(4).tolist()
     image = np.empty(camera.shape, np.float32)
-    around = crosstalk_neighbours(camera).tolist()
-    response = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, types.Float64)
-    # 2**22: Rays of all pixels up to which each gets more behind thin lenses, so that rims are less noisy.
-    rays = min(128, max(_RAYS, 2**22 // image.size)) if camera.lens_data.is_thin else _RAYS
-    for rows, px, py in detector_rows(camera):
-        _, (i, j) = walk.chief_cell((px, py))
-        pixel_number = dr.arange(types.UInt32, dr.width(px)) + dr.opaque(types.UInt32, rows.start * camera.crop_size[0])
-        shifts = [types.Float64(hashed(pixel_number * 4 + axis)) * (1 / 2**32) for axis in range(4)]
-        total = types.Float64(0)
-        for ray in range(rays):
-            s, t, u, v = (
-                shift + dr.opaque(types.Float64, ray * step) for shift, step in zip(shifts, steps, strict=True)
-            )
-            s, t, u, v = (value - dr.floor(value) for value in (s, t, u, v))
-            position = (px + (s - 0.5) * p, py + (t - 0.5) * p)
-            dx, dy = camera.lattice.aperture_point(u, v)
-            for across, down in around:
-                lens = walk.lenslet(i + across, j + down)
+    response = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, types.Float)
+    smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths)
+    reach = walk.lens.reach + smear * camera.lattice.aperture_reach + camera.pupil_step
+    counts = _cells(walk, smear)
+    cells = math.prod(counts)
+    for rows, px, py in detector_rows(camera, cells):
+        columns = [types.Float(value) for value in (px, py, *walk.chief_cell((px, py))[1])]
+        total = dr.zeros(types.Float, dr.width(px))
+        for across, down in crosstalk_neighbours(camera).tolist():
+            # Opaque, so that all neighbours share one kernel.
+            steps = [dr.opaque(types.Float, float(step)) for step in (across, down)]
+            lens = walk.lenslet(columns[2] + steps[0], columns[3] + steps[1])
+            slope, _, _ = walk.out_of_array((columns[0], columns[1]), Passage(lens.centre, lens))
+            middle = (walk.lens.pupil.point(c, t, lens.height) for c, t in zip(lens.centre, slope, strict=True))
+            lit = dr.compress(dr.hypot(*middle) < reach)
+            lane = dr.arange(types.UInt32, cells * dr.width(lit))
+            if not dr.width(lane):
+                continue
+            pixel = dr.gather(types.UInt32, lit, lane // cells)
+            x, y, i, j = (dr.gather(types.Float, column, pixel) for column in columns)
+            lens = walk.lenslet(i + steps[0], j + steps[1])
+            number = types.Float(lane % cells)
+            place = []
+            for count in counts:
+                place.append(types.Float(lane % count) + 0.5)
+                lane //= count
+            rays = []
+            offsets = [*_STAR]
+            if camera.aperture_image is not None:
+                # Light that changes in steps is that of one ray of each cell.
+                offsets.append([number * step - dr.floor(number * step) - 0.5 for step in even_steps(4).tolist()])
+            for offset in offsets:
+                s, t, u, v = ((at + off) / count for at, off, count in zip(place, offset, counts, strict=True))
+                position = x + (s - 0.5) * camera.pixel_size, y + (t - 0.5) * camera.pixel_size
+                dx, dy = camera.lattice.aperture_point(u, v)
                 passage = Passage((lens.centre[0] + dx, lens.centre[1] + dy), lens)
-                _, _, is_open = walk.trace(position, passage)
-                slope, _, _ = walk.out_of_array(position, passage)
-                x, y = (walk.lens.pupil.point(m, t, lens.height) for m, t in zip(passage.point, slope, strict=True))
-                power = walk.transmittance((x, y), passage.point) * lens.gain
+                inside, power = walk.outline(position, passage)
                 if camera.pixel_response or camera.mla_absorption:
                     aside = dr.hypot(passage.point[0] - position[0], passage.point[1] - position[1])
                     power *= response(aside, camera.detector_distance + lens.height)
-                total += dr.select(is_open, power, 0.0)
-            dr.eval(total)
-        image[rows] = (total / rays).numpy().reshape(-1, camera.crop_size[0])
+                rays.append((inside, types.Float(power)))
+            dr.scatter_add(total, dr.block_sum(types.Float(_light(rays)), cells) / cells, lit)
+        image[rows] = total.numpy().reshape(-1, camera.crop_size[0])
     return image
 
 
-class _Response:
-    """The part of light from all over a microlens that pixels record, by where they lie behind the lens's centre."""
+def _cells(walk: Walk, smear: float) -> tuple[int, int, int, int]:
+    """Return into how many cells pixels (x, y) and lenses (along both sides of `aperture_point`) are divided."""
+    camera = walk.camera
+    lattice = walk.lattice
+    radius = float(walk.lens.pupil.radius)
+    steps = camera.aperture_image is not None
+    # Edges have corners between blades.
+    fine = 16 if camera.aperture_blades else 8
+    pixel = _MOST if steps else min(_MOST, math.ceil(fine * camera.pupil_step / radius))
+    # The response of pixels has a tip where light is upright.
+    wide = _MOST if steps else max(3 if camera.pixel_response else 0, 4 * smear * lattice.aperture_width / radius)
+    wide = min(_MOST, wide)
+    if lattice.aperture == "circle":
+        return pixel, pixel, math.ceil(wide) or 1, max(3, math.ceil(3 * wide))
+    # Cells of lenses are squares, or three rhombi one after the other.
+    sectors = 1 if lattice.rectangular else 3
+    side = math.ceil(wide / math.sqrt(sectors)) or 1
+    return pixel, pixel, sectors * side, side
 
-    def __init__(self, camera: PlenopticCamera, reach: float) -> None:
-        nodes = np.linspace(-reach, reach, 129)
-        s, t = (np.indices((8, 8)) + 0.5) / 8
-        x, y = camera.lattice.aperture_point(s.ravel(), t.ravel())
-        aside = np.hypot(nodes[:, None] - x, nodes[:, None, None] - y)
-        power = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, np.ndarray)
-        self._table = power(aside, camera.detector_distance).mean(-1)
-        self._reach = reach
 
-    def __call__(self, x: Array, y: Array) -> Array:
-        """Return the part that counts at positions in mm, which are broadcast."""
-        # Most white images need no interpolation, whose import takes longer.
-        from scipy.ndimage import map_coordinates
+def _light(rays: list[Pair]) -> Any:
+    """Return the mean light of cells, of which the side of a straight edge counts that is inside.
 
-        nodes = [(axis / self._reach + 1) * 64 for axis in np.broadcast_arrays(y, x)]
-        return np.asarray(map_coordinates(self._table, nodes, order=1, mode="nearest"))
-
-
-class _Fractions:
-    """`PupilFraction` for lenses of all types and heights."""
-
-    def __init__(self, camera: PlenopticCamera) -> None:
-        self._camera = camera
-        # Lenses of a tilted array whose heights differ by less, in detector distances, are blurred alike.
-        self._step = 0.01 * camera.detector_distance
-        self._tables: dict[tuple[int, int], PupilFraction] = {}
-        reach = max(math.hypot(*(camera.pixel_coordinates(axis)[end] for axis in (0, 1))) for end in (0, -1))
-        rise = round(reach * math.hypot(*np.tan(np.deg2rad(camera.mla_tilt))) / self._step)
-        pixels = [
-            self._table(lens_type, level).reach / self._at(level).pupil_step
-            for lens_type in range(len(camera.mla_focal_lengths))
-            for level in {-rise, rise}
-        ]
-        self.half = math.ceil(max(pixels))
-
-    def __call__(self, lens_type: Array, height: Array, x: Array, y: Array) -> Array:
-        """Return the fractions (n, rows, columns) of lenses at pupil positions x (n, columns), y (n, rows)."""
-        fraction = np.zeros((len(x), y.shape[1], x.shape[1]), dtype=np.float32)
-        kinds, kind_index = np.unique(np.stack([lens_type, np.round(height / self._step)]), axis=1, return_inverse=True)
-        for index, (kind, level) in enumerate(kinds.T.astype(int)):
-            of_kind = kind_index.ravel() == index
-            fraction[of_kind] = self._table(kind, level)(x[of_kind, None, :], y[of_kind, :, None])
-        return fraction
-
-    def _at(self, level: int) -> PlenopticCamera:
-        camera = self._camera
-        height = level * self._step
-        if not level:
-            return camera
-        b = camera.mla_distance - height
-        z = camera.detector_distance + height
-        return camera.replace(mla_distance=b, detector_distance=z, mla_tilt=(0.0, 0.0))
-
-    def _table(self, lens_type: int, level: int) -> PupilFraction:
-        if (lens_type, level) not in self._tables:
-            self._tables[lens_type, level] = PupilFraction(self._at(level), lens_type)
-        return self._tables[lens_type, level]
+    Distance and light of the rays of `_STAR` are linear over a cell, up to curvatures, which change their means. The
+    distance is a sum of four evenly distributed numbers, whose chance to be positive is an alternating sum of powers.
+    """
+    (distance, widths), (power, rises) = (
+        (
+            middle + sum(end - middle for end in ends) / (24 * _ASIDE**2),
+            [(high - low) / (2 * _ASIDE) for low, high in zip(ends[::2], ends[1::2], strict=True)],
+        )
+        for middle, *ends in zip(*rays[: len(_STAR)], strict=True)
+    )
+    slope = sum(a * b for a, b in zip(widths, rises, strict=True)) / dr.maximum(sum(a * a for a in widths), 1e-30)
+    if len(rays) > len(_STAR):
+        slope = 0.0
+        power = rays[-1][1]
+    kind = dr.float64_array_t(type(distance))
+    widths = [dr.abs(width) for width in widths]
+    # Of narrower ones rounding is more than they change.
+    least = dr.maximum(0.02 * functools.reduce(dr.maximum, widths), 1e-9)
+    widths = [kind(dr.maximum(width, least)) for width in widths]
+    distance = dr.clip(kind(distance), -sum(widths) / 2, sum(widths) / 2)
+    part = kind(0)
+    above = kind(0)
+    for signs in itertools.product((-0.5, 0.5), repeat=4):
+        end = dr.maximum(distance + sum(sign * width for sign, width in zip(signs, widths, strict=True)), 0)
+        term = math.prod(signs) * dr.square(dr.square(end))
+        part += term
+        above += term * end
+    volume = 1.5 * math.prod(widths)
+    # Mean of the light times whether it is inside, and of the distance where it is.
+    return dr.maximum(power * part + slope * (above / 5 - distance * part), 0) / volume
