@@ -27,7 +27,7 @@ from ...optics import in_millimetres
 from ...points import Copies, Fields, Grid, Recorder, Scatter, band_for, chunks_of, place, radiance_weight, scene_points
 from ...rays import Passage, Walk
 from ...refocus import regular_place, straightened
-from ...runtime import Box, Doubles, Floats, Integers, Job, Part, active_backend, add
+from ...runtime import Box, Doubles, Floats, Integers, Job, Part, active_backend, add, turn
 from ...views import lens_numbers, lenses_of_pixels, white_image
 from .cells import BinCells, UprightBins
 from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, merged, require_response_memory, zones
@@ -240,6 +240,7 @@ class Response(StoredResponse):
         # Kernels are of the light of regular lenses; displaced and dimmer ones send it elsewhere, and pixels mix it.
         self._detector = DetectorOperator.of(camera)
         self._gain: Any = np.float32(1)
+        self._bright: Any = np.float32(1)
         lens = lenses_of_pixels(camera).astype(np.float64)
         if camera.mla_transmissions is not None:
             self._gain = camera.mla_transmissions.at(camera.lattice, *lens).astype(np.float32)
@@ -347,8 +348,8 @@ class Response(StoredResponse):
                 ]
             done += _PROGRESS * len(bins)
             if wavelength:
-                zone = owners[len(owners) // 2]
-                far.append(self._far_light(kernels[zone], distance, middles[zone]))
+                central = owners[len(owners) // 2]
+                far.append(self._far_light(kernels[central], distance, middles[central]))
             matrices = [block.matrix for kernel in kernels for block in kernel.blocks]
             held = iter(self._stored(matrices, f"{len(self.planes)}"))
             kernels = [
@@ -357,7 +358,7 @@ class Response(StoredResponse):
             ]
             self.planes.append(PlaneResponse(self.cells, self._sampled, groups, [kernels[index] for index in owners]))
         # Gaps between lenses scatter half of it evenly.
-        self._far = np.float32(np.mean(far or [0.0])) * (beyond if camera.lattice.fills else (1 + beyond) / 2)
+        self._far: Any = np.float32(np.mean(far or [0.0])) * (beyond if camera.lattice.fills else (1 + beyond) / 2)
         self.bins = [
             UprightBins.over(self.cells, plane.lit, camera, distance, oversample)
             for plane, distance in zip(self.planes, distances, strict=True)
@@ -372,17 +373,28 @@ class Response(StoredResponse):
             # Edges of kernels are not quite those of pupils: a lens has the light that its pupil passes all the same.
             gain = self._gain
             self._gain = np.float32(1)
-            white = self._direct(np.ones(self.source_shape, np.float32))
+            far_light = self._far
+            self._far = np.float32(0)
+            ones = np.ones(self.source_shape, np.float32)
+            white = self._direct(ones)
             ratio = np.divide(own, whole, out=np.ones_like(own), where=whole > 1e-6 * whole.max()).clip(0, 4)
             number = lens_numbers(recorded).ravel()
-            light, right, at_zone, wrong = (
-                np.bincount(number, some.ravel()) for some in (white, own, whole, white * ratio)
-            )
-            share = np.divide(light * right, at_zone * wrong, out=np.ones_like(light), where=at_zone * wrong > 0)
-            dim = ratio * share[number].reshape(ratio.shape).astype(np.float32)
+            light, right, at_zone = (np.bincount(number, some.ravel()) for some in (white, own, whole))
+            # So have bins, of whose light the middle's pupil has passed more or less than those of the lenses do.
+            sent = self.adjoint(np.ones_like(own)) * self._passed(owner, middles)
+            dim = ratio
+            for step in range(4 if wavelength else 1):
+                self._gain = dim
+                if step:
+                    arrived = self.adjoint(np.ones_like(own))
+                    lit = arrived > 1e-3 * arrived.max()
+                    self._bright = self._bright * np.divide(sent, arrived, out=np.ones_like(sent), where=lit)
+                wrong = at_zone * np.bincount(number, self._direct(ones).ravel())
+                share = np.divide(light * right, wrong, out=np.ones_like(light), where=wrong > 0)
+                dim = dim * share[number].reshape(ratio.shape).astype(np.float32)
             self._gain = gain * dim
             # Far light has the lens's pupil, not the zone's.
-            self._far = self._far / dim.clip(0.1)
+            self._far = far_light / dim.clip(0.1)
         if recorded.stray_light:
             # Interpolation leaves less than no light between micro-images, which steps would divide stray light by.
             # 0.005: Light of a white scene there, over that of the brightest pixel, as in `RichardsonLucy`.
@@ -403,6 +415,41 @@ class Response(StoredResponse):
             sent *= self._vignetting.power(*_pairs(2**10)[1], *self.cells.middle(cell)).mean()
         arrived = sum(float(block.matrix.sum(dtype=np.float64)) for block in kernel.blocks)
         return max(0.0, sent / (arrived * self.cells.grid.pitch.prod()) - 1)
+
+    def _passed(self, owner: Integers, middles: Sequence[Integers]) -> Floats:
+        """Return the light of bins that the pupils of lenses pass, over that which the pupils of their zones pass."""
+        lens, cells, camera = self.cells.grid.lens, self.cells, self._camera
+        disc = _pairs(2**8)[1]
+        pupil: Any = tuple(lens.pupil.radius * disc)
+        edge = lens.pupil.radius * math.sqrt(math.pi / disc.shape[1])
+
+        def light(some: Integers) -> Floats:
+            inside, passed = _pupil_of(lens, self._vignetting, pupil, np.moveaxis(cells.middle(some), -1, 0)[..., None])
+            return np.asarray(np.clip(inside / edge + 0.5, 0, 1) * passed, np.float32)
+
+        dark = np.zeros((1, disc.shape[1]), np.float32)
+        index = self._sampled.index
+        of_lenses = np.concatenate([*map(light, np.array_split(index, -(-len(index) // 4096))), dark])
+        of_zones = np.concatenate([light(np.array(middles)), dark])
+        zone = np.append(owner, len(middles))
+        ratios = []
+        for distance, bins in zip(self._distances, self.bins, strict=True):
+            g = finite_distance(camera, distance)
+            axes = (
+                ((np.arange(count) + first + 0.5) / self._oversample - lenses / 2) * camera.row_pitch
+                for count, first, lenses in zip(bins.shape[::-1], bins.first, camera.bin_count, strict=True)
+            )
+            places = -np.stack(np.meshgrid(*axes), -1).reshape(-1, 2) * g / camera.mla_distance
+            for some in np.array_split(np.column_stack([places, np.full(len(places), g)]), -(-len(places) // 2048)):
+                landed = lens.bind(some).land(pupil, tuple(some.T[..., None]))
+                x, y = turn(landed[0], landed[1], -cells.grid.rotation)
+                row = np.floor(y / cells.vectors[1, 1])
+                column = np.floor((x - row * cells.vectors[1, 0]) / cells.vectors[0, 0])
+                cell = self._sampled.find(np.stack([column, row], -1).astype(np.int64))
+                samples = np.arange(disc.shape[1])
+                here, there = of_lenses[cell, samples].sum(1), of_zones[zone[cell], samples].sum(1)
+                ratios.append(np.divide(here, there, out=np.ones_like(here), where=there > 0.01 * disc.shape[1]))
+        return np.concatenate(ratios)
 
     def _middle(self, members: Integers) -> Integers:
         """Return the cell in the middle of a zone."""
@@ -499,7 +546,7 @@ class Response(StoredResponse):
         width, height = self.cells.size
         libraries = active_backend()
         samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
-        for plane, bins, radiance in zip(self.planes, self.bins, self.planes_of(values), strict=True):
+        for plane, bins, radiance in zip(self.planes, self.bins, self.planes_of(values * self._bright), strict=True):
             plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), samples)
         image = self._recorded(samples)
         return np.asarray(self._gain * (image + self._far * _around(self._camera, image)))
@@ -516,7 +563,7 @@ class Response(StoredResponse):
         sums = self._recorder.spread(light[..., None])[0]
         samples = self.cells.split(sums, self._recorder.box, self._sampled)
         planes = zip(self.planes, self.bins, strict=True)
-        return np.concatenate([bins.share @ plane.adjoint(samples).ravel() for plane, bins in planes])
+        return np.concatenate([bins.share @ plane.adjoint(samples).ravel() for plane, bins in planes]) * self._bright
 
 
 def _around(camera: PlenopticCamera, image: Floats) -> Floats:

@@ -12,7 +12,9 @@ import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.design import resolution_limit
 from mitsuba_plenoptic.extensions.deconvolution.deconvolved import noise_of
 from mitsuba_plenoptic.extensions.deconvolution.response import Response
+from mitsuba_plenoptic.fields import OpticalSystem
 from mitsuba_plenoptic.linear.noise import misfit
+from mitsuba_plenoptic.points.units import brightness_at
 from mitsuba_plenoptic.views import lens_numbers, white_image
 
 WAVELENGTH = 633.0
@@ -207,6 +209,23 @@ def test_lamps_behind_an_outline_that_narrows_within_a_zone_are_right(distance):
     found = np.nan_to_num(mp.reconstruct(capture, distance, method="deconvolved").image)
     lamps = [found[row - 1 : row + 2, column - 1 : column + 2].sum() for row, column in ((32, 42), (35, 45))]
     np.testing.assert_allclose(lamps, [1.0, 0.7], rtol=0.01)
+
+
+@pytest.mark.slow
+def test_a_lamp_behind_a_prescription_that_vignettes_within_a_zone_is_right():
+    camera = mp.PlenopticCamera(
+        main_lens="cooke_triplet", focal_length=4.0, focus_distance=120.0, mla_pitch=0.04, mla_focal_length=0.18,
+        detector_width=2.24, resolution=(448, 448), crop_offset=(376, 296), crop_size=(64, 64),
+    )  # fmt: skip
+    x, y = (0.04 * (index - 28 + (np.arange(7) + 0.5) / 7) for index in (49, 40))
+    q = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    points = np.column_stack([-q * 60 / camera.mla_distance, np.full(len(q), 60.0)])
+    system = OpticalSystem(camera.at_wavelength(550.0), 550.0)
+    weights = brightness_at(system, points) * (0.04 / 7 / system.lens.pupil.distance) ** 2
+    image = mp.CaptureOperator(camera, points, wavelength=550.0, accuracy=0.0).forward(weights)
+    capture = mp.Capture(np.maximum(image, 0), camera, 550.0, "wave")
+    found = np.nan_to_num(mp.reconstruct(capture, 60.0, method="deconvolved").image)
+    assert found[39:42, 48:51].sum() == pytest.approx(1, abs=0.01)
 
 
 @pytest.mark.slow
