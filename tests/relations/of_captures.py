@@ -260,6 +260,12 @@ def brightness(draw):
     return max(off_bins(other.values, 3 * one.values), weights), 1e-5
 
 
+MOVING = (
+    "main_lens mla_shape mla_figure_error lens_model wavefront phase_screen distortion aperture_image detector_distance"
+)
+"""What bends the rays of views, or moves them within a pixel's square of the pupil."""
+
+
 def seen_through(lf, camera, scene, u, v):
     """Return what a pinhole at a point of the pupil sees of a scene, in the bins of a light field's views."""
     width, height = np.array(camera.bin_count) * abs(float(lf.s[1] - lf.s[0]))
@@ -276,8 +282,7 @@ def seen_through(lf, camera, scene, u, v):
 
 @relation(
     Use.DECODING | Use.RAYS,
-    "main_lens mla_shape mla_figure_error crop_offset crop_size lens_model wavefront phase_screen distortion "
-    "aperture_image detector_distance detector_blur",
+    f"{MOVING} crop_offset crop_size detector_blur",
     "light fields",
 )
 def views_of_pinholes(draw):
@@ -293,3 +298,27 @@ def views_of_pinholes(draw):
     terms = np.stack([each[inner].ravel() for each in (expected, *np.gradient(expected), *blurs)], -1)
     bright, *others = np.linalg.lstsq(terms, view.values[inner].ravel(), rcond=None)[0]
     return float(np.hypot(*others[:2]) / bright), 0.1
+
+
+UNEVEN = "mla_transmissions vignetting pupil_apodisation mla_absorption pixel_response"
+"""What makes lenses or places of the pupil unequally bright, in a picture and in its white alike."""
+
+
+@relation(
+    Use.DECODING | Use.RAYS,
+    f"{MOVING} crop_offset crop_size detector_blur mla_rotation",
+    "depth",
+    lambda seed: UNEVEN.split(),
+)
+def depth_of_walls(draw):
+    """A wall is where it is, whatever lenses and pupil make of its brightness, or a fall-off in picture and white."""
+    camera = draw.camera
+    g = camera.focus_distance * float(draw.rng.choice([0.96, 1.03]))
+    capture = mp.render_capture(wall(camera, g), model="ray", spp=16)
+    fall = 1 + 0.7 * np.sin(np.arange(camera.crop_size[0]) / 9, dtype=np.float32)
+    picture, white = (np.float32(image * fall) for image in (capture.image, white_image(camera)))
+    ways = mp.decode(capture), mp.decode(picture, camera=camera, white=white)
+    depths = [views.depth_map(lf, 0.97 * g, 1.03 * g, planes=25).depth.values for lf in ways]
+    if not all(np.isfinite(depth).any() for depth in depths):
+        return None
+    return max(abs(float(np.nanmedian(depth)) / g - 1) for depth in depths), 0.003

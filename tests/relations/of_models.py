@@ -5,12 +5,13 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
+from camera_draws import OPTIONS, on_stage
 from of_captures import wall
 from of_points import IRREGULAR, bound, picture
 from relation import off, relation
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.camera import is_supported
+from mitsuba_plenoptic.camera import PARAMETERS, is_supported
 from mitsuba_plenoptic.camera.entry import Use
 from mitsuba_plenoptic.runtime import Job
 
@@ -190,3 +191,24 @@ def short_waves(draw):
         return None
     light = abs(short.sum() / rays.sum() - 1) / 0.03
     return max(light, off(short, rays) / (off(long, rays) + bound(draw, 0.005))), 1.0
+
+
+@relation(
+    Use.POINTS | Use.RAY_SPREADS,
+    " ".join(["crop_offset crop_size detector_blur", *on_stage(OPTIONS, "array")]),
+    "ordinary cameras",
+    lambda seed: on_stage(OPTIONS, "pupil"),
+)
+def contrast_without_array(draw):
+    """Far out of focus the longest waves of a picture have the contrast and place of rays, by waves and by rays."""
+    if draw.camera.objective is not None:
+        return None
+    ordinary = {name: value for name, value in draw.parameters.items() if not PARAMETERS[name].of_array}
+    camera, point = mp.PlenopticCamera(**ordinary, mla_lattice="none"), draw.point()
+    rays, waves = (
+        mp.point_spread_function(camera, point, model=model, wavelength=draw.wavelength).astype(float)
+        for model in ("ray", "wave")
+    )
+    one, other = (np.fft.fft2(image)[:2, :2] for image in (waves, rays))
+    print(abs(other).round(3).ravel(), np.angle(one/other).round(3).ravel(), abs(one/other).round(3).ravel(), camera.pixel_size, point[2]/camera.focus_distance)
+    return off(one - other + 1, 1), 0.02
