@@ -71,8 +71,8 @@ def point_spread_function(
     point = _check(camera, position)
     require_choice("model", model, ("wave", "ray"))
     if model == "ray":
-        camera = camera if wavelength is None else camera.at_wavelength(require_wavelength(wavelength))
-        spread = ray_spread(camera, point, 2 * sample_pairs(_RAYS)[:, :2] - 1).astype(np.float32)
+        wavelength = None if wavelength is None else require_wavelength(wavelength)
+        spread = ray_spread(camera, point, 2 * sample_pairs(_RAYS)[:, :2] - 1, wavelength).astype(np.float32)
         return np.asarray(DetectorOperator.of(camera).forward(spread))
     if wavelength is None:
         raise InputError("wavelength = None: waves need one")

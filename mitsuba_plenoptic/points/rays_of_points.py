@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,16 +17,23 @@ from ..runtime import Doubles
 _TOGETHER = 2**18
 
 
-def ray_spread(camera: PlenopticCamera, point: Doubles, pupil_samples: Doubles) -> Doubles:
+def ray_spread(
+    camera: PlenopticCamera, point: Doubles, pupil_samples: Doubles, wavelength: float | None = None
+) -> Doubles:
     """Return the fractions (rows, columns) of the light of a point (3,) through the pupil that rays bring to pixels.
 
     The point radiates evenly in all directions, as that of waves does. Samples (n, 2) are in radii of the pupil. The
-    detector's blur is left out.
+    detector's blur is left out. Without a wavelength glasses refract as they do at the line d.
     """
     require_support(camera, Use.RAY_SPREADS)
-    lens = OpticalSystem.by_design(camera).lens.waves_of(point[None])
+    system = OpticalSystem.by_design(camera)
+    if wavelength is not None:
+        system = OpticalSystem(camera.at_wavelength(wavelength), wavelength)
+    camera, lens = system.camera, system.waves_of(point[None])
     light = lens.bind(point[None])
     walk = Walk.of(camera, lens) if camera.has_array else None
+    if walk is not None and wavelength is not None and camera.mla_shape is not None:
+        walk = replace(walk, focal_lengths=walk.focal_lengths / camera.mla_shape.strength(wavelength))
     counts = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, np.ndarray)
     rows, columns = camera.shape
     image = np.zeros(rows * columns)

@@ -6,9 +6,11 @@ from cameras import HALF, WAVELENGTH, capture, error, in_every_lens, small_camer
 from scipy.special import j0, j1
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, point_spread_function
+from mitsuba_plenoptic.array import Conic
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.full_fields import full_field
 from mitsuba_plenoptic.points.pupil_weights import PupilWeights
+from mitsuba_plenoptic.prescription import Glass
 from tools.bench.cases import lens_models, point_spreads
 
 SMALL = small_camera(16)
@@ -106,6 +108,18 @@ def test_spreads_by_rays_share_the_pupils_image_on_the_array_among_lenses(change
     disc = point_spread_function(SMALL.replace(mla_lattice="none"), (X, Y, g), model="ray")
     area = np.pi * (camera.aperture_radius * camera.defocus(g) / camera.pixel_size) ** 2
     assert disc.sum() == pytest.approx(1, rel=1e-3) and np.median(disc[disc > 0]) == pytest.approx(1 / area, rel=0.02)
+
+
+def test_rays_refract_at_their_wavelength_in_microlenses_of_a_shape():
+    """As glass does whose index is the same at all wavelengths; spreads of prescriptions have a relation."""
+
+    def spread(glass, **options):
+        camera = SMALL.replace(mla_focal_length=None, mla_shape=Conic(0.3, glass=glass), detector_distance=0.5)
+        return point_spread_function(camera, (0.2, 0.1, 225.0), model="ray", **options)
+
+    flint = Glass.from_plain({"index": 1.7, "abbe": 25.0})
+    assert np.array_equal(spread(flint, wavelength=450.0), spread(flint.at(450.0)))
+    assert error(spread(flint, wavelength=450.0), spread(flint)) > 0.05
 
 
 def test_airy_pattern_of_the_bare_main_lens():

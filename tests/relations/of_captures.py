@@ -6,11 +6,14 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 from camera_draws import LENSES, OPTIONS, Draw, on_stage, scaled
+from cases import film
 from of_points import AT_THE_LINE_D, IRREGULAR, bound, mirrored_options
 from relation import off, relation
+from scipy.ndimage import correlate1d
 
 import mitsuba_plenoptic as mp
 import mitsuba_plenoptic.refocus
+from mitsuba_plenoptic import views
 from mitsuba_plenoptic.camera.entry import Use
 from mitsuba_plenoptic.extensions.deconvolution.response import Response
 from mitsuba_plenoptic.views import lens_numbers, white_image
@@ -109,11 +112,12 @@ for each in METHODS:
     of_reconstructions(each)
 
 
-def wall(camera, g, moved=None):
+def wall(camera, g, moved=None, smooth=False):
     """Return the scene of a textured wall at a distance, which may be moved together with the camera."""
     texture = np.random.default_rng(5).random((8, 8, 1), np.float32)
-    radiance = {"type": "bitmap", "bitmap": mi.Bitmap(texture), "filter_type": "nearest", "raw": True}
-    width = 0.6 * camera.bin_count[0] * camera.bin_size(g)
+    filtered = "bilinear" if smooth else "nearest"
+    radiance = {"type": "bitmap", "bitmap": mi.Bitmap(texture), "filter_type": filtered, "raw": True}
+    width = (1.5 if smooth else 0.6) * camera.bin_count[0] * camera.bin_size(g)
     moved = moved or mi.ScalarTransform4f()
     place = moved.translate([0, 0, g]).rotate([0, 1, 0], 180).scale([width, width, 1])
     return mi.load_dict(
@@ -254,3 +258,67 @@ def brightness(draw):
     )
     weights = max(off(each["weight"], one["weight"]) for each in (other, plain))
     return max(off_bins(other.values, 3 * one.values), weights), 1e-5
+
+
+MOVING = (
+    "main_lens mla_shape mla_figure_error lens_model wavefront phase_screen distortion aperture_image detector_distance"
+)
+"""What bends the rays of views, or moves them within a pixel's square of the pupil."""
+
+
+def seen_through(lf, camera, scene, u, v):
+    """Return what a pinhole at a point of the pupil sees of a scene, in the bins of a light field's views."""
+    width, height = np.array(camera.bin_count) * abs(float(lf.s[1] - lf.s[0]))
+    pinhole = {
+        "type": "perspective",
+        "fov": 2 * np.degrees(np.arctan(width / 2 / camera.focus_distance)),
+        "principal_point_offset_x": u / width,
+        "principal_point_offset_y": v / height,
+        "to_world": mi.ScalarTransform4f().translate([u, v, 0]),
+        "film": film(*camera.bin_count),
+    }
+    return np.array(mi.render(scene, sensor=mi.load_dict(pinhole), spp=64), float)[..., 0]
+
+
+@relation(
+    Use.DECODING | Use.RAYS,
+    f"{MOVING} crop_offset crop_size detector_blur",
+    "light fields",
+)
+def views_of_pinholes(draw):
+    """A view of a smooth wall is what a pinhole at its point of the pupil sees, within a tenth of a bin."""
+    camera, g = draw.camera, draw.point(0.4)[2]
+    scene = wall(camera, g, smooth=True)
+    lf = mp.decode(mp.render_capture(scene, model="ray", spp=256))
+    u, v = (float(draw.rng.uniform(-0.4, 0.4)) * camera.aperture_radius for _ in "uv")
+    view = views.view(lf, u=u, v=v)
+    expected = seen_through(lf, camera, scene, float(view.u), float(view.v))
+    inner = np.s_[1:-1, 1:-1]
+    blurs = (correlate1d(expected, [1, -2, 1], axis) for axis in (0, 1))
+    terms = np.stack([each[inner].ravel() for each in (expected, *np.gradient(expected), *blurs)], -1)
+    bright, *others = np.linalg.lstsq(terms, view.values[inner].ravel(), rcond=None)[0]
+    return float(np.hypot(*others[:2]) / bright), 0.1
+
+
+UNEVEN = "mla_transmissions vignetting pupil_apodisation mla_absorption pixel_response"
+"""What makes lenses or places of the pupil unequally bright, in a picture and in its white alike."""
+
+
+@relation(
+    Use.DECODING | Use.RAYS,
+    f"{MOVING} crop_offset crop_size detector_blur mla_rotation",
+    "depth",
+    lambda seed: UNEVEN.split(),
+)
+def depth_of_walls(draw):
+    """A wall is where it is, whatever lenses and pupil make of its brightness, or a fall-off in picture and white."""
+    camera = draw.camera
+    g = camera.focus_distance * float(draw.rng.choice([0.96, 1.03]))
+    capture = mp.render_capture(wall(camera, g), model="ray", spp=16)
+    fall = 1 + 0.7 * np.sin(np.arange(camera.crop_size[0]) / 9, dtype=np.float32)
+    picture, white = (np.float32(image * fall) for image in (capture.image, white_image(camera)))
+    ways = mp.decode(capture), mp.decode(picture, camera=camera, white=white)
+    depths = [views.depth_map(lf, 0.97 * g, 1.03 * g, planes=25).depth.values for lf in ways]
+    if not all(np.isfinite(depth).any() for depth in depths):
+        return None
+    return max(abs(float(np.nanmedian(depth)) / g - 1) for depth in depths), 0.003

@@ -1,18 +1,21 @@
 """Relations of parts and their sum, of a quarter turn, of limits, and of models of light against each other."""
 
+import pickle
 import tempfile
 from pathlib import Path
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
-from of_captures import wall
+from camera_draws import LENSES, OPTIONS, on_stage
+from of_captures import sky, wall
 from of_points import IRREGULAR, bound, picture
 from relation import off, relation
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.camera import is_supported
+from mitsuba_plenoptic.camera import PARAMETERS, is_supported
 from mitsuba_plenoptic.camera.entry import Use
-from mitsuba_plenoptic.runtime import Job
+from mitsuba_plenoptic.runtime import Job, Threads
 
 CROPS = "crop_offset crop_size"
 
@@ -190,3 +193,83 @@ def short_waves(draw):
         return None
     light = abs(short.sum() / rays.sum() - 1) / 0.03
     return max(light, off(short, rays) / (off(long, rays) + bound(draw, 0.005))), 1.0
+
+
+@relation(
+    Use.POINTS | Use.RAY_SPREADS,
+    " ".join(["crop_offset crop_size detector_blur", *on_stage(OPTIONS, "array")]),
+    "ordinary cameras",
+    lambda seed: on_stage(OPTIONS, "pupil"),
+)
+def contrast_without_array(draw):
+    """The longest waves of a picture out of focus have the contrast and place of rays in the limit of short waves."""
+    ordinary = {name: value for name, value in draw.parameters.items() if not PARAMETERS[name].of_array}
+    if draw.camera.objective is not None:
+        return None
+    camera, (x, y, _) = mp.PlenopticCamera(**ordinary | {"mla_lattice": "none"}), draw.point()
+    camera, point = camera.at_wavelength(draw.wavelength), (x, y, camera.focus_distance * draw.rng.uniform(1.05, 1.1))
+    rays = mp.point_spread_function(camera, point, model="ray", wavelength=draw.wavelength).astype(float)
+    # What diffraction adds is proportional to the wavelength, with which glasses of prescriptions change, too.
+    wavelengths = [draw.wavelength] * 2 if camera.prescription else [200.0, 400.0]
+    short, long = (picture(camera, [point], wavelength) for wavelength in wavelengths)
+    one, other = (np.fft.fft2(image)[:2, :2] for image in (2 * short - long, rays))
+    limit = 0.05 if {"aperture_image", "main_lens"} & set(draw.options) else 0.02
+    return float(np.abs(one - other).max()), limit
+
+
+class Elsewhere:
+    """Computes batches from their pickled copies, as other processes do."""
+
+    workers = threads = 1
+
+    def __call__(self, batches):
+        for batch in batches:
+            yield pickle.loads(pickle.dumps(batch)).prepare()()
+
+
+@relation(Use.POINTS, method="workers")
+def workers_of_points(draw):
+    """A sum of points has the same bits on one thread, on several, and where batches are sent to."""
+    operator = mp.CaptureOperator(draw.camera, [draw.point() for _ in range(3)], wavelength=draw.wavelength)
+    one, *others = (
+        operator.forward(np.ones(3), job=Job(batch_map=each)) for each in (Threads(1), Threads(3), Elsewhere())
+    )
+    return float(not all(np.array_equal(each, one) for each in others)), 0.0
+
+
+@relation(Use.SCENES, method="workers")
+def workers_of_scenes(draw):
+    """A wave capture of a scene has the same bits, too."""
+    scene = wall(draw.camera, draw.point()[2])
+    one, *others = (
+        mp.render_capture(scene, model="wave", spp=4, wavelength=draw.wavelength, batch_map=each).image
+        for each in (Threads(1), Threads(3), Elsewhere())
+    )
+    return float(not all(np.array_equal(each, one) for each in others)), 0.0
+
+
+@relation(Use.RAYS, method="workers")
+def threads_of_rays(draw):
+    """A ray capture has the same bits on one thread and on several, but for what blur leaves of numbers near none."""
+    scene, images = wall(draw.camera, draw.point()[2]), []
+    for count in (1, 3):
+        dr.set_thread_count(count)
+        images.append(mp.render_capture(scene, model="ray", spp=4).image)
+    dr.set_thread_count(1)
+    return float(np.abs(images[0] - images[1]).max()), 1e-36
+
+
+@relation(
+    Use.RAYS | Use.SCENES,
+    "mla_cra pixel_response wavefront phase_screen crop_offset crop_size main_lens",
+    "captures by waves",
+    lambda seed: ["mla_absorption", "mla_medium", "mla_tilt"],
+)
+def wide_array(draw):
+    """Forty lenses across, of few pixels, have the light of a white world by waves as by rays."""
+    lens = int(draw.rng.integers(3, 5))
+    width = draw.camera.detector_width * 40 / LENSES
+    camera = draw.camera.replace(detector_width=width, resolution=(40 * lens,) * 2, crop_size=(40 * lens,) * 2)
+    scene = sky(camera)
+    waves = mp.render_capture(scene, model="wave", spp=16, wavelength=draw.wavelength).image.mean()
+    return abs(float(waves / mp.render_capture(scene, model="ray", spp=64).image.mean()) - 1), 0.004
