@@ -204,10 +204,10 @@ def indications(views: Disagreement, samples: float, tolerance: float) -> tuple[
     # of s / (g sqrt(n)); the variance that is left rises by g^2 on each side.
     certain = np.sqrt(independent * np.maximum(rise, 0) / (4 * np.maximum(noise_here, 1e-6)))
     precise = erf(certain)
-    # Neighbours agree within two deviations of what noise moves their minima, which have a fifth of these samples, as
+    # Neighbours agree within the deviation by which noise moves their minima, which have a fifth of these samples, as
     # far as the valley reaches; but where another valley is as deep they may disagree about that. However far apart
     # planes are, the next ones agree.
-    noisy = _around(views.inverse, plane, tolerance * np.sqrt(4 + 10 * (1 - rival) / np.maximum(certain, 0.1) ** 2))
+    noisy = _around(views.inverse, plane, tolerance * np.sqrt(4 + 2.5 * (1 - rival) / np.maximum(certain, 0.1) ** 2))
     low = np.minimum(np.minimum(low, plane - 1), np.maximum(noisy[0], bottom))
     high = np.maximum(np.maximum(high, plane + 1), np.minimum(noisy[1], top))
     best_of_bin = energy.argmin(axis=0) == np.arange(len(energy))[:, None, None]
