@@ -73,8 +73,8 @@ def depth_map(
     micro-images. It is also unknown where most neighbours are at other distances. The confidence is 0 where views agree
     best at an end of the search, or within 1 % of it: the point is then probably at least that near, or that far. Near
     the plane in focus on a focused camera's array, neighbouring lenses see nothing in common; depths there are unknown
-    for the same reason. In noise the confidence of focused cameras can be off by more than 0.1 for coarse or weak texture, and
-    for images ten and more detector distances from the array.
+    for the same reason. In noise the confidence of focused cameras can be off
+    by more than 0.1 for coarse or weak texture, and for images ten and more detector distances from the array.
 
     Parameters
     ----------
