@@ -17,12 +17,13 @@ _WINDOW = 0.85
 _APART = 2
 
 
-def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array, Array]:
+def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array, Array, Array]:
     """Return the unexplained fraction of the variance between views that are shifted for one disparity.
 
     Returned, each (t, s), are that ratio, from 0 to 1, which noise alone reaches, NaN where too few views see a bin;
-    the variance to be explained; the number of samples, over which 1 is the variance of the ratio of pure noise; and
-    the variance of noise, half of the mean square of the differences between views that are two steps apart.
+    the variance to be explained; the number of samples, over which 1 is the variance of the ratio of pure noise; the
+    number of samples whose noise is independent; and the variance of noise, half of the mean square of the differences
+    between views that are two steps apart.
 
     The variance to be explained is that of the views in each bin, which is left unexplained, plus that of their mean
     among neighbouring bins. Interpolation reduces both alike. Where the ratio for the upper, lower, left or right half
@@ -48,7 +49,13 @@ def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Arr
     best = np.argmin(np.where(np.isnan(ratio), np.inf, ratio), axis=0)[None]
     ratio, samples = (np.take_along_axis(moment, best, 0)[0] for moment in (ratio, samples))
     squares, pairs = scipy.ndimage.gaussian_filter(noise, (0, _WINDOW, _WINDOW), mode="nearest")
-    return ratio, total_variance[0], samples, np.minimum(squares / np.maximum(pairs, 1e-6), parts[0])
+    return (
+        ratio,
+        total_variance[0],
+        samples,
+        np.sqrt(samples * (2 * np.pi * _WINDOW**2)),
+        np.minimum(squares / np.maximum(pairs, 1e-6), parts[0]),
+    )
 
 
 def finer_stripes(image: Array, moved: Array) -> Array:

@@ -73,8 +73,8 @@ def depth_map(
     micro-images. It is also unknown where most neighbours are at other distances. The confidence is 0 where views agree
     best at an end of the search, or within 1 % of it: the point is then probably at least that near, or that far. Near
     the plane in focus on a focused camera's array, neighbouring lenses see nothing in common; depths there are unknown
-    for the same reason. In noise the confidence of focused cameras can be off by more than 0.1 for coarse or weak
-    texture, and for images more than ten detector distances from the array.
+    for the same reason. In noise the confidence of focused cameras can be off
+    by more than 0.1 for coarse or weak texture, and for images ten and more detector distances from the array.
 
     Parameters
     ----------
@@ -152,9 +152,9 @@ def depth_map(
     for index in np.unique(nearest_plane):
         here = nearest_plane == index
         sharp[here] = shift_and_add(lf, slopes[index]).values[here]
-    # Several distances explain stripes alike, which no comparison of planes shows.
+    # Several distances explain stripes alike, of which sampled ones agree best on a wrong plane.
     if is_focused(lf):
-        ambiguous = wrong_by_repetition(micro_images or micro_images_of(lf), slopes)
+        ambiguous = choice.rival * wrong_by_repetition(micro_images or micro_images_of(lf), slopes)
     else:
         moved = np.abs(disparities) * view_steps(lf, "u").max() > 1
         ambiguous = finer_stripes(sharp.reshape(*nearest_plane.shape, -1).mean(axis=2), moved)
@@ -281,16 +281,16 @@ def disagreement_of_planes(
         measure = partial(view_disagreement, lf)
         samples = VIEWS
     brightness = scipy.ndimage.gaussian_filter(central, 2.0)
-    ratio, variance, counted_for, noise = np.empty((4, len(slopes), *lf.shape[2:4]), dtype=np.float32)
+    ratio, variance, counted_for, independent, noise = np.empty((5, len(slopes), *lf.shape[2:4]), dtype=np.float32)
     for index, slope in enumerate(counted(slopes, progress)):
-        ratio[index], variance[index], counted_for[index], noise[index] = measure(float(slope))
+        ratio[index], variance[index], counted_for[index], independent[index], noise[index] = measure(float(slope))
     distances = distance_of(lf, slopes) if lf.attrs.get("camera") else 1 / (_ORIGIN - slopes)
     if np.isnan(ratio).all():
         raise InputError(
             f"near = {distances[0]:g}, far = {distances[-1]:g}: views have nothing in common there; of a focused "
             "camera, neighbouring lenses see no common part of what is near the plane in focus on the microlens array"
         )
-    return disagreement(ratio, variance, counted_for, brightness, 1 / distances, noise), samples
+    return disagreement(ratio, variance, counted_for, independent, brightness, 1 / distances, noise), samples
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ class LensComparison:
         self._noise = _noise_of(images)
         self._steps = tuple(np.arange(size) - (size - 1) / 2 for size in images.weight.shape[2:])
 
-    def disagreement(self, slope: float) -> tuple[Array, Array, Array, Array]:
+    def disagreement(self, slope: float) -> tuple[Array, Array, Array, Array, Array]:
         """Return the unexplained fraction of the variance between neighbouring lenses, moved for a disparity.
 
         The results are those of `agreement.view_disagreement`; the ratio is NaN where no lenses can be compared. The
@@ -67,7 +67,7 @@ class LensComparison:
         shape = self._images.bins.shape
         # In focus on the array, or seen in one direction alone, nothing is seen by two lenses.
         if slope == 0 or min(self._images.weight.shape[2:]) < 3:
-            return np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape), np.zeros(shape)
+            return np.full(shape, np.nan), np.full(shape, np.nan), *np.zeros((3, *shape))
         values, opened = self._straightened(slope)
         squares, counts, sums, sums_of_squares = np.zeros((4, *opened.shape), dtype=np.float32)
         views = opened.shape[2:]
@@ -102,8 +102,9 @@ class LensComparison:
         ratio = np.divide(variance, total_variance, out=np.ones_like(total_variance), where=total_variance > 0)
         ratio, total_variance = np.where(count_near >= 5.0, (ratio, total_variance), np.nan).astype(np.float32)
         # Independent samples in a window for each comparison in a bin: found on even fields of noise, of which the
-        # ratio of variances then varies as much as the number of samples says.
-        return ratio, total_variance, 8.0 * count_near, np.minimum(noise / many, variance)
+        # ratio of variances then varies as much as the number of samples says. Of its thirteen comparisons smoothing
+        # leaves the noise of two independent.
+        return ratio, total_variance, 8.0 * count_near, 2.0 * count_near, np.minimum(noise / many, variance)
 
     @cached_property
     def _pairs(self) -> list[tuple[tuple[slice, slice], tuple[slice, slice], Array]]:

@@ -51,6 +51,8 @@ class Choice:
     probability: np.ndarray
     # Where most neighbours agree.
     agreed: np.ndarray
+    # Whether another valley of the disagreement is as deep: 0 up to half of the depth, 1 from three quarters on.
+    rival: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,8 @@ class Disagreement:
     contrast: np.ndarray
     # Inverse distances of the planes, falling or rising.
     inverse: np.ndarray
+    # Independent samples in a bin's window, like `ratio`, of the noise that moves the minimum.
+    independent: np.ndarray
     # Fraction of the variance that is to be explained which is noise, like `ratio`.
     noise: np.ndarray | float = 0.0
 
@@ -74,6 +78,7 @@ def disagreement(
     ratio: np.ndarray,
     total_variance: np.ndarray,
     samples: np.ndarray,
+    independent: np.ndarray,
     brightness: np.ndarray,
     inverse: np.ndarray,
     noise: np.ndarray | float = 0.0,
@@ -89,6 +94,7 @@ def disagreement(
         samples,
         contrast,
         inverse,
+        independent,
         noise / (total_variance + floor),
     )
 
@@ -98,7 +104,7 @@ def choose(views: Disagreement, samples: float, tolerance: float) -> Choice:
 
     `tolerance` is the relative error up to which a distance counts as right.
     """
-    plane, evidence, agreeing, precise = indications(views, samples, tolerance)
+    plane, evidence, agreeing, precise, rival = indications(views, samples, tolerance)
     probability = expit(np.tensordot(WEIGHTS, evidence, 1))
     probability = np.minimum(probability, np.minimum(precise, 1 - np.square(1 - agreeing)))
     # A mask of bins whose true plane may lie beyond the last plane. These are bins within the tolerance of the first or
@@ -109,7 +115,7 @@ def choose(views: Disagreement, samples: float, tolerance: float) -> Choice:
     low, high = _around(views.inverse, plane, tolerance)
     with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        energy = 0.5 * np.log(ratio)
+        energy = 0.5 * np.log(np.maximum(ratio - (1 - _UNSURE) * views.noise, _UNSURE * ratio))
         typical = np.nanmedian(energy, axis=0)
     planes = np.arange(len(energy))[:, None, None]
     least = np.where(np.abs(planes - plane) <= 1, np.nan_to_num(energy, nan=np.inf), np.inf).min(axis=0)
@@ -124,22 +130,22 @@ def choose(views: Disagreement, samples: float, tolerance: float) -> Choice:
         needed = np.where(before_gap, 0.06, 0.15)
         beyond |= ~(wall - least > needed * (typical - least))
     probability = np.where(np.asarray(beyond), 0, probability)
-    return Choice(plane, probability, agreeing >= 0.5)
+    return Choice(plane, probability, agreeing >= 0.5, rival)
 
 
 def indications(views: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, ...]:
     """Return the most probable planes with fractions, evidence on whether they are right, and what limits it.
 
-    The evidence, (4, rows, columns), is one, followed by logarithms. The second entry is the log odds that the plane is
-    right, if the average evidence of the bin's surroundings is taken literally, since repeated texture agrees at
-    several distances about as well. The third is the deviation on the best plane, without noise, over the brightness,
-    or 0.06 where it is less: at edges of foreground objects, on gloss and on steep surfaces no plane explains the
-    views. The fourth is by how many deviations of noise the surroundings' average ratio is below 1 on this plane,
-    beyond what pure noise would leave on the best of all planes.
+    The evidence, (4, rows, columns), is one, followed by logarithms. The second entry is the log odds that the plane,
+    or its valley, is right, if the average evidence of the bin's surroundings is taken literally, since repeated
+    texture agrees at several distances about as well. The third is the deviation on the best plane, without noise, over
+    the brightness, or 0.06 where it is less: at edges of foreground objects, on gloss and on steep surfaces no plane
+    explains the views. The fourth is by how many deviations of noise the surroundings' average ratio is below 1 on this
+    plane, beyond what pure noise would leave on the best of all planes.
 
     The third result is the fraction of neighbours that, by their own evidence, are within twice the tolerance of this
-    plane; the last the probability that noise moves the least disagreement by less than the tolerance, as it rises to
-    planes at twice the tolerance.
+    plane, or as far as noise moves them; the fourth the probability that noise moves the least disagreement by less
+    than the tolerance; the last the rival of `Choice`.
     """
     # What cannot be compared agrees as badly as any.
     worst = np.fmax.reduce(views.ratio, axis=0)
@@ -155,40 +161,62 @@ def indications(views: Disagreement, samples: float, tolerance: float) -> tuple[
     bend = 2 * at - before - after
     offset = np.divide(after - before, 2 * bend, out=np.zeros_like(bend), where=bend > 0)
     plane = np.asarray(best + np.where(inner == best, offset.clip(-0.5, 0.5), 0))
-    low, high = _around(views.inverse, plane, 2.0 * tolerance)
-    best_of_bin = energy.argmin(axis=0) == np.arange(len(energy))[:, None, None]
-    neighbours_best = scipy.ndimage.gaussian_filter(best_of_bin.astype(np.float32), (0, 3.0, 3.0), mode="nearest")
-    # However far apart planes are, the next ones agree.
-    low = np.minimum(low, plane - 1)
-    high = np.maximum(high, plane + 1)
-    agreeing = _mass(neighbours_best, low, high)
-    del best_of_bin, neighbours_best
     # An average holds so many times the independent samples of a bin, whose window has a standard deviation of 1.
-    averaged, explained, independent, noise = (
+    averaged, explained, samples_near, independent, noise = (
         scipy.ndimage.gaussian_filter(quantity, (0, _AVERAGED, _AVERAGED), mode="nearest")
         for quantity in (
             energy,
             1 - ratio,
             (1 + _AVERAGED**2) * views.samples,
+            (1 + _AVERAGED**2) * views.independent,
             np.broadcast_to(np.nan_to_num(views.noise), ratio.shape),
         )
     )
-    before, here, after = (np.rint(at.clip(0, len(ratio) - 1)).astype(np.int64)[None] for at in (low, plane, high))
-    independent, noise, rise = (
-        np.take_along_axis(quantity, here, 0)[0] for quantity in (independent, noise, 2 * explained)
+    here = np.rint(plane).astype(np.int64)[None]
+    samples_near, independent, noise_here, least = (
+        np.take_along_axis(quantity, here, 0)[0] for quantity in (samples_near, independent, noise, 1 - explained)
     )
-    significance = rise / 2 * np.sqrt(independent)
-    for side in (before, after):
-        rise -= np.take_along_axis(explained, side, 0)[0]
-    # Samples share lenses and views, so that noise moves the minimum 1.3 times as far as if they were independent. Of
-    # minima that noise hides about 0.3 are right.
-    precise = np.maximum(erf(np.sqrt(0.015 * independent * np.maximum(rise, 0) / np.maximum(noise, 1e-6))), 0.3)
+    significance = (1 - least) * np.sqrt(samples_near)
     # Noise, of many independent samples, is no error of the model: evidence is what it leaves of the variances.
-    noise = noise * (1 - _UNSURE)
+    noise = noise_here * (1 - _UNSURE)
+    unexplained = np.exp(2 * averaged)
     averaged = averaged + 0.5 * np.log(np.maximum(1 - noise / np.maximum(1 - explained, 1e-6), _UNSURE))
+    # The valley: planes about this one on which evidence is at least halfway from that of the typical plane.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        typical = np.nanmedian(np.where(np.isnan(views.ratio), np.nan, averaged), axis=0)
+    height = np.maximum(typical - np.take_along_axis(averaged, here, 0)[0], 1e-6)
+    depth = np.where(np.isnan(views.ratio), 0, (typical - averaged) / height)
+    gaps = np.cumsum(depth < 0.5, axis=0)
+    valley = (depth >= 0.5) & (gaps == np.take_along_axis(gaps, here, 0))
+    rival = (4 * np.where(valley, 0, depth).max(axis=0) - 2).clip(0, 1)
+    bottom = valley.argmax(axis=0)
+    top = len(valley) - 1 - valley[::-1].argmax(axis=0)
+    low, high = _around(views.inverse, plane, 2.0 * tolerance)
+    # The variance that is left rises as a parabola up to the ends of the valley, where noise hides it least.
+    rise = np.zeros_like(plane)
+    for end in (np.minimum(low, bottom), np.maximum(high, top)):
+        at = np.rint(end.clip(0, len(ratio) - 1)).astype(np.int64)
+        away = np.abs(views.inverse[at] / np.interp(plane, np.arange(len(ratio)), views.inverse) - 1)
+        left = np.take_along_axis(unexplained, at[None], 0) - np.take_along_axis(unexplained, here, 0)
+        rise += left[0] / np.maximum(away / tolerance, 2) ** 2
+    # Noise of variance s^2 in n samples, whose squared derivatives have the mean g^2, moves the minimum by a deviation
+    # of s / (g sqrt(n)); the variance that is left rises by g^2 on each side.
+    certain = np.sqrt(independent * np.maximum(rise, 0) / (4 * np.maximum(noise_here, 1e-6)))
+    precise = erf(certain)
+    # Neighbours agree within the deviation by which noise moves their minima, which have a fifth of these samples, as
+    # far as the valley reaches; but where another valley is as deep they may disagree about that. However far apart
+    # planes are, the next ones agree.
+    noisy = _around(views.inverse, plane, tolerance * np.sqrt(4 + 2.5 * (1 - rival) / np.maximum(certain, 0.1) ** 2))
+    low = np.minimum(np.minimum(low, plane - 1), np.maximum(noisy[0], bottom))
+    high = np.maximum(np.maximum(high, plane + 1), np.minimum(noisy[1], top))
+    best_of_bin = energy.argmin(axis=0) == np.arange(len(energy))[:, None, None]
+    neighbours_best = scipy.ndimage.gaussian_filter(best_of_bin.astype(np.float32), (0, 3.0, 3.0), mode="nearest")
+    agreeing = _mass(neighbours_best, low, high)
     least = ratio.min(axis=0)
     misfit = 0.5 * np.log(np.maximum(least - noise, _UNSURE * least)) + np.log(views.contrast + 1e-30)
-    mass = _mass(_normalised(-samples * averaged), *_around(views.inverse, plane, tolerance))
+    within = _around(views.inverse, plane, tolerance)
+    mass = _mass(_normalised(-samples * averaged), np.minimum(within[0], bottom), np.maximum(within[1], top))
     # Where views are apart by less than 0.06 of the brightness, that no longer makes a depth surer. Noise alone leaves
     # the ratio below 1 by two deviations on the best plane.
     evidence = (
@@ -197,10 +225,10 @@ def indications(views: Disagreement, samples: float, tolerance: float) -> tuple[
         misfit.clip(np.log(0.06)),
         np.log((significance - 2.0).clip(0.3, 30.0)),
     )
-    return plane, np.stack(evidence), agreeing, precise
+    return plane, np.stack(evidence), agreeing, precise, rival
 
 
-def _around(inverse: np.ndarray, plane: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+def _around(inverse: np.ndarray, plane: np.ndarray, tolerance: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
     """Return the planes, with fractions, that bound the distances within the tolerance of a plane, or the ends."""
     planes = np.arange(len(inverse))
     order = np.argsort(inverse)

@@ -67,7 +67,8 @@ def test_lenses_out_of_focus_do_not_move_depths(camera):
 # Where lenses are sharp before the array, and where the card's image is, in detector distances; its texture in lenses;
 # photons; brightness of the corners.
 @pytest.mark.filterwarnings("ignore:white")
-@pytest.mark.parametrize("case", [(3, 3, 1.5, 1000, 0.2), pytest.param((-3, -6, 0.4, 1000, 1), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("case", [(3, 3, 1.5, 1000, 0.2), (-3, -15.3, 0.8, 1000, 1),
+                                  pytest.param((-3, -6, 0.4, 1000, 1), marks=pytest.mark.slow)])  # fmt: skip
 def test_light_of_the_next_lens_and_a_falling_white_do_not_move_depths(case):
     focused, image, coarseness, photons, corner = case
     camera = of_square_lenses(20, 14, focused)

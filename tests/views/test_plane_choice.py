@@ -14,7 +14,8 @@ SAMPLES = 6000.0
 def found(deviation, contrast=0.3, inverse=INVERSE):
     """Views whose deviation on each plane, as a fraction of the one to be explained, is given; all bins alike."""
     ratio = np.tile(np.square(deviation)[:, None, None], (1, *SHAPE))
-    return Disagreement(ratio, np.full(ratio.shape, SAMPLES), np.full(SHAPE, contrast), inverse)
+    samples = np.full(ratio.shape, SAMPLES)
+    return Disagreement(ratio, samples, np.full(SHAPE, contrast), inverse, samples)
 
 
 @pytest.mark.parametrize(("samples", "times"), [(VIEWS, 3), (LENSES, 2)])
@@ -33,7 +34,8 @@ def test_neighbours_beyond_an_edge_are_a_minority():
     best = np.where(np.arange(40) < 20, 14.0, 26.0)
     ratio = np.square(1 - 0.95 * np.exp(-(((np.arange(PLANES)[:, None, None] - best) / 1.5) ** 2)))
     ratio = np.tile(ratio, (1, 20, 1))
-    edge = Disagreement(ratio, np.full(ratio.shape, SAMPLES), np.full(ratio.shape[1:], 0.3), INVERSE)
+    samples = np.full(ratio.shape, SAMPLES)
+    edge = Disagreement(ratio, samples, np.full(ratio.shape[1:], 0.3), INVERSE, samples)
     agreeing = indications(edge, VIEWS, 0.01)[2]
     assert agreeing.min() > 0.5
     # Of a Gaussian window of 3 bins about the last bin before the edge, half a bin more than half is before it.
