@@ -127,7 +127,9 @@ class TestShiftAndAdd:
 
 class TestDepth:
     @pytest.mark.filterwarnings("ignore:white")
-    @pytest.mark.parametrize("source", ["lenses", "vignetting", "white of LFToolbox"])
+    @pytest.mark.parametrize(
+        "source", ["lenses", pytest.param("vignetting", marks=pytest.mark.slow), "white of LFToolbox"]
+    )
     def test_behind_a_falling_white(self, source, tmp_path, slope=0.6):
         camera = of_square_lenses(10, 20)
         distance = float(distance_of(mp.decode(white_image(camera), camera=camera), slope))
