@@ -87,9 +87,7 @@ ALONE = """
     assert main(["--help"]) == 0 and main(["render", "--help"]) == 0
 """
 
-CORE = (
-    ALONE
-    + """
+CORE = """
     scene = mp.load_scene("letters", parameters={"detector_width": 0.128, "resolution": 64, "letter_scale": 0.015625})
     for model in ("ray", "wave"):
         capture = mp.render_capture(scene, model=model, spp=4)
@@ -101,7 +99,6 @@ CORE = (
     point = mp.CaptureOperator(capture.camera, [(0.0, 0.0, 240.0)], wavelength=633.0)
     assert point.forward([1.0]).sum() > 0
 """
-)
 
 ASKED = {
     "mp.PlenopticCamera(photodiode_response='a.json')": "photodiode_response: extension onchip",
@@ -151,7 +148,7 @@ def test_without_extensions_a_missing_one_is_named_in_one_line(copy):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*SHIPPED, "extensions"])
 def test_the_core_works_without_each_extension(copy, name):
-    made = copy([name], CORE)
+    made = copy([name], ALONE + CORE)
     assert made.returncode == 0, made.stderr
 
 

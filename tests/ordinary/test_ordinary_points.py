@@ -98,9 +98,7 @@ STARS = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in ("astigmatism", "before focus"))) for n in STARS]
-)
+@pytest.mark.parametrize("name", STARS)
 def test_aberrated_and_defocused_stars_are_sums_over_the_pupil(name):
     wavefront, position = STARS[name]
     camera = ordinary(wavefront=wavefront)
