@@ -196,7 +196,8 @@ TAKEN = {
 
 @pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")
 @pytest.mark.parametrize(
-    "method", [pytest.param(name, marks=DECONVOLUTION) if name == "deconvolved" else name for name in TAKEN]
+    "method",
+    [pytest.param(name, marks=[DECONVOLUTION, pytest.mark.slow]) if name == "deconvolved" else name for name in TAKEN],
 )
 def test_options_that_a_method_ignores_are_one_warning_even_at_their_defaults(method):
     unused = {name: value for name, value in OPTIONS.items() if name not in TAKEN[method]}

@@ -67,7 +67,11 @@ def measure_ordinary(experiment: Experiment, ordinary: Ordinary) -> dict[str, An
 
 def _pictures(experiment: Experiment, ordinary: Ordinary) -> dict[str, Array]:
     """Return the scene's pictures by name, the ordinary camera's first."""
-    refocused = {name: experiment.images[name, ordinary.distance] for name in SLIDER_METHODS}
+    refocused = {
+        name: experiment.images[name, ordinary.distance]
+        for name in SLIDER_METHODS
+        if (name, ordinary.distance) in experiment.images
+    }
     return {ORDINARY: ordinary.capture.image, **refocused}
 
 

@@ -65,9 +65,8 @@ def test_slopes_are_those_of_the_phase(name):
 @pytest.mark.parametrize(
     ("name", "method"),
     [
-        ("zones", "full_field"),
         ("sampled", "patch"),
-        *(pytest.param(name, "full_field", marks=pytest.mark.slow) for name in SHAPES if name != "zones"),
+        *(pytest.param(name, "full_field", marks=pytest.mark.slow) for name in SHAPES),
     ],
 )
 def test_point_spreads_against_propagation(name, method):

@@ -199,7 +199,7 @@ def press_keys(process, delay):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals differ")
-@pytest.mark.parametrize(("words", "delay"), [(WAVES, 0.0), (RAYS, 2.0)], ids=["waves", "rays"])
+@pytest.mark.parametrize(("words", "delay"), [(WAVES, 0.0), pytest.param(RAYS, 2.0, marks=pytest.mark.slow)])
 def test_ctrl_c_is_one_line_and_a_status(words, delay, tmp_path):
     """Sent from outside, at whatever moment of the capture."""
     command = [sys.executable, "-m", "mitsuba_plenoptic", *words, "-v", "-o", str(tmp_path / "raw.exr")]

@@ -105,7 +105,7 @@ GAUSS = {"main_lens": "double_gauss", "focal_length": 50, "aperture_radius": 6, 
         ("llvm_ad_mono", {"crop_offset": (8, 4), "crop_size": (12, 8)}),
         ("llvm_ad_mono", {"lens_model": "parabolic", "distortion": (1e-3, 0, 0, 0, 0)}),
         # Wider than the field that the lens lights.
-        ("llvm_ad_mono", GAUSS | {"detector_width": 36}),
+        pytest.param("llvm_ad_mono", GAUSS | {"detector_width": 36}, marks=pytest.mark.slow),
     ],
     ids=["thin", "cropped", "parabolic", "wide"],
 )

@@ -53,7 +53,7 @@ def test_rays_of_points_land_where_optilands_do(name):
         np.testing.assert_allclose(np.array(slope)[:, is_open], slopes, atol=EXACT, rtol=0)
 
 
-@pytest.mark.parametrize("name", SPOTS)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "phone")) for n in SPOTS])
 def test_the_sensors_rays_are_of_single_precision(name):
     """Followed to the detector in double precision, each lands where the sensor started it."""
     camera, lens = behind(name)

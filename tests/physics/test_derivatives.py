@@ -13,10 +13,10 @@ LIMITS = {
     # Differences of full fields round the edges of hexagonal lenses: 0.03, and 0.006 for circles and squares.
     "mla_fill": 0.035,
 }
-QUICK = [("medium", "mla_distance"), ("turned", "mla_pitch")]
+QUICK = [("turned", "mla_pitch")]
 SLOW = [
     ("square", "aperture_radius"), ("cropped", "detector_width"), ("square", "focal_length"), ("square", "wavefront"),
-    ("gaps", "detector_distance"),
+    ("gaps", "detector_distance"), ("medium", "mla_distance"),
     ("circles", "mla_fill"), ("stretched", "mla_rotation"), ("three focal lengths", "mla_focal_length"),
     ("three focal lengths", "mla_offset"), ("medium", "detector_distance"), ("real", "focal_length"),
     ("real", "aperture_radius"),

@@ -190,7 +190,7 @@ def test_shared_patterns_stay_true(name, distance):
 )
 def test_unequal_lenses_share_nothing(change):
     """Pupils narrow by a tenth from lens to lens."""
-    camera = small_camera(12, **change)
+    camera = small_camera(8, **change)
     positions = in_every_lens(camera, 2, 240.0, per_lens=2, offset=1.7)
     shared, every = (
         CaptureOperator(camera, positions, wavelength=WAVELENGTH, accuracy=accuracy) for accuracy in (0.02, 0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from cameras import HALF, LATTICES, WAVELENGTH, error, in_every_lens, scattered, small_camera
 
-from mitsuba_plenoptic import CaptureOperator, InputError, Job, PlenopticCamera, Spectrum
+from mitsuba_plenoptic import CaptureOperator, Job, PlenopticCamera, Spectrum
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.lenses.fitted_lens import lens_change
 from mitsuba_plenoptic.points import accuracy
@@ -44,24 +44,6 @@ def test_defocus_of_the_bare_main_lens_in_closed_form():
     change = operator.derivative([1.0], {"wavefront": (0.0, 0.0, 0.0, 1.0)})[1:3, 1:3].mean()
     assert operator.forward([1.0])[1:3, 1:3].mean() / sharp == pytest.approx(value, rel=1e-3)
     assert change / sharp == pytest.approx(slope, rel=1e-3)
-
-
-def test_several_directions_at_once_are_the_derivatives_by_each():
-    """Directions that change the pupil, the microlenses, free space or the pixels alone, beside each other."""
-    camera = small_camera(2, **HALF)
-    operator = CaptureOperator(
-        camera, scattered(2, distances=(112.0, 128.0), image=0.05), wavelength=WAVELENGTH, accuracy=0.1
-    )
-    weights = np.array([[1.0, 0.5], [0.0, -2.0]])
-    directions = [{"focal_length": 1.0}, {"mla_pitch": 0.1}, {"detector_distance": 1.0}, {"detector_width": 1.0}]
-    together = operator.jacobian(weights, directions)
-    assert together.shape == (4, *camera.shape, 2)
-    for found, changes in zip(together, directions, strict=True):
-        np.testing.assert_allclose(
-            found, operator.derivative(weights, changes), rtol=1e-5, atol=1e-7 * abs(found).max()
-        )
-    with pytest.raises(InputError, match=r"^directions: "):
-        operator.jacobian(weights, [])
 
 
 def test_directions_that_do_not_fit_into_memory_are_taken_in_turn(monkeypatch):

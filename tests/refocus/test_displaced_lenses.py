@@ -56,13 +56,9 @@ def correlation(image):
     return np.corrcoef(image[inner].ravel(), reference()[inner].ravel())[0, 1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "method"),
-    [
-        ("tilted", "partial"),
-        pytest.param("irregular", "partial", marks=pytest.mark.slow),
-        pytest.param("fitted", "deconvolved", marks=pytest.mark.slow),
-    ],
+    ("name", "method"), [("tilted", "partial"), ("irregular", "partial"), ("fitted", "deconvolved")]
 )
 def test_displaced_lenses_are_refocused_as_well_as_regular_ones(name, method):
     """The correlation with Mitsuba's thin lens is at most 0.002 below that of the straight camera."""

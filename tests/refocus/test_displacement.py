@@ -66,6 +66,7 @@ def test_focused_cameras_are_divided_alone():
     np.testing.assert_allclose(image[np.isfinite(image)], 0.5, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_plane_divided_by_a_white_capture_is_the_same_beside_others(method="coherent"):
     """Displacements are of single planes; with samples of their own they moved light by a tenth of a bin in focus."""
     capture, white = mp.example("letters-wave"), mp.example("white")

@@ -74,6 +74,7 @@ test_refused = refused(
     ),
     (lambda: spread(method="fast"), "^method"),
     (lambda: spread(camera=HUGE, method="full_field"), "full field of position.*GiB"),
+    (lambda: operator().jacobian([1.0, 1.0], []), "^directions: "),
     (lambda: operator(points=[(0, 0, 240), (0, 0, 0)]), "^position.*g at least"),
     (lambda: operator(wavelength=0), "^wavelength"),
     (lambda: operator(spectrum=mp.Spectrum.lines(633)), "^wavelength, spectrum"),

@@ -117,7 +117,7 @@ FILES = {
 }
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", ["tiny", pytest.param("dark corners", marks=pytest.mark.slow)])
 def test_a_lens_file_is_judged_where_parallel_light_is_in_focus(name, tmp_path, capsys):
     """By the lens-maker's formula, whatever the size; nothing of the built-in cameras is in the way."""
     (tmp_path / "lens.seq").write_text(FILES[name])

@@ -71,7 +71,7 @@ def test_a_page_has_its_sections_with_their_parts(tmp_path):
     ],
     ids=["spots below a pixel", "diffraction", "noise"],
 )
-def test_a_comparison_says_whether_rays_suffice(pitch, spp, rule, tmp_path, monkeypatch, caplog):
+def test_a_comparison_says_whether_rays_suffice(pitch, spp, rule, tmp_path, monkeypatch, caplog, coarse_figures):
     monkeypatch.setattr(experiment, "OBJECT_COLUMNS", 32)
     camera = mp.PlenopticCamera(
         mla_pitch=pitch, mla_focal_length=8 * pitch, detector_width=32 * pitch, resolution=(256, 256)

@@ -55,6 +55,7 @@ def test_two_processes_give_the_bits_of_one(cluster, tiny_groups, method, count)
     np.testing.assert_array_equal(operator.adjoint(alone, job=Job(batch_map=cluster)), operator.adjoint(alone))
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_costs_no_bit(cluster, tiny_groups):
     positions, weights = radiators(60)
     alone = capture(SMALL, positions, weights)

@@ -193,8 +193,8 @@ HANDED = {
 SCALARS = 48
 """Single numbers that may leave it: what arrived of each batch, of the image and of its white, and guarded powers."""
 QUICK = (
-    "step", "sum of patterns", "full field", "fields", "signed rays", "convolution", "derivatives of a reconstruction",
-    "rays", "subdivided pixels", "lens by lens", "adjoint on a turned array",
+    "step", "sum of patterns", "full field", "fields", "convolution", "derivatives of a reconstruction",
+    "rays", "subdivided pixels", "lens by lens",
 )  # fmt: skip
 """The others are run by `make slow`."""
 

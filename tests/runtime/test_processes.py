@@ -207,7 +207,7 @@ def test_python_without_docstrings_and_assertions():
     assert told.stdout.endswith("right\n")
 
 
-@pytest.mark.parametrize("swept", ["frozen", "symbolic"])
+@pytest.mark.parametrize("swept", [pytest.param("frozen", marks=pytest.mark.slow), "symbolic"])
 def test_collected_garbage_destroys_no_scene_that_drjit_counts(python, swept):
     """Neither frozen nor symbolic code ends the process when scenes of before are collected meanwhile."""
     told = python(

@@ -136,7 +136,7 @@ def captured(scene, model, reports=None):
     return render_capture(scene, model=model, spp=64, progress=shown).image
 
 
-@pytest.mark.parametrize(("model", "cores"), [("ray", 2), ("wave", 2), ("ray", 1)])
+@pytest.mark.parametrize(("model", "cores"), [("ray", 2), pytest.param("wave", 2, marks=pytest.mark.slow), ("ray", 1)])
 def test_kernels_report_while_they_run_and_give_the_same_bits(monkeypatch, request, model, cores):
     monkeypatch.setattr(batches, "_LOOK", 0.001)
     if cores == 1:

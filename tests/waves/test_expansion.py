@@ -18,9 +18,7 @@ def changed(**parts):
     return CAMERA.replace(**{name: getattr(CAMERA, name) * (1 + part) for name, part in parts.items()})
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n not in ("mla_distance", "mla_pitch"))) for n in OF_KERNELS]
-)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "mla_pitch")) for n in OF_KERNELS])
 def test_kernels_are_those_computed_anew(name):
     """At the farthest place from the grid of an accuracy of 0.01."""
     camera = changed(**{name: 0.0025})

@@ -168,6 +168,7 @@ def test_still_life_shows_everything_between_200_and_300():
             assert count > 100, name
 
 
+@pytest.mark.slow
 def test_meshes_and_textures_come_out_the_same(tmp_path):
     made = {path.relative_to(tmp_path) for path in write_all(tmp_path)}
     scenes = ROOT / "scenes"

@@ -42,7 +42,9 @@ def numbers_of(image, detector, seed, part=0.8):
     return np.rint(electrons * detector.gain + detector.black_level)
 
 
-@pytest.mark.parametrize("detector", DETECTORS.values(), ids=DETECTORS)
+@pytest.mark.parametrize(
+    "detector", [pytest.param(d, marks=[pytest.mark.slow] * (n == "16 bits"), id=n) for n, d in DETECTORS.items()]
+)
 def test_single_pictures_give_gain_and_noise(white, detector):
     """Within 2 %, though the micro-images vary a hundred times as much as the noise."""
     # With few bits it takes many pixels.

@@ -72,7 +72,7 @@ FADED = {
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "polynomial, gaps")) for name in FADED]
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name != "off the middle, hexagonal")) for name in FADED]
 )
 def test_centres_do_not_follow_the_fall_off(name):
     light, row = faded(*FADED[name])

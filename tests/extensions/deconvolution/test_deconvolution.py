@@ -96,7 +96,8 @@ def test_an_even_light_makes_no_bin_darker():
         assert 1 < np.nanmedian(image) < 1 + 2 * even
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "low, turned")) for n in LATTICES])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LATTICES)
 def test_filled_bins_come_back_on_every_lattice(name):
     """Bins are squares of one pitch whatever the lattice: a bin keeps its light, and keeps it to itself."""
     distance, camera = 222.0, mp.PlenopticCamera(detector_width=0.512, resolution=(256, 256), **LATTICES[name])

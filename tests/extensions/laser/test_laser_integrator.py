@@ -111,7 +111,7 @@ def test_points_whose_light_a_wavefront_brings_to_the_detector_are_found():
     assert (blurred - sharp) / 4 == pytest.approx(blur, rel=0.1)
 
 
-@pytest.mark.parametrize("laser", ["point", "spot"])
+@pytest.mark.parametrize("laser", [pytest.param("point", marks=pytest.mark.slow), "spot"])
 def test_small_things_far_out_of_focus_beside_the_field_are_found(laser, x=0.9):
     """Only its blur, of a radius of 1.25 mm, reaches the detector: it is imaged 1.35 mm from the axis."""
     given = LASER

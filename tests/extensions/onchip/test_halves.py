@@ -254,7 +254,7 @@ def left_of_star(camera, field, count=2**12):
     return float(light.reshape(AROUND, 2, -1)[:, 0].sum() / light.sum())
 
 
-@pytest.mark.parametrize("angle", [20, 35])
+@pytest.mark.parametrize("angle", [20, pytest.param(35, marks=pytest.mark.slow)])
 def test_lenses_aligned_by_snells_law_halve_the_light(angle):
     """Of an even scene and of a point; parabolic rays have coma, and all rays the light of the closed form."""
     camera, field = window(angle)

@@ -27,6 +27,7 @@ def files(folder):
     return {path.name: path.read_bytes() for path in (folder / "data").glob("*.exr")}
 
 
+@pytest.mark.slow
 def test_reproduce_writes_everything_and_then_keeps_it(
     quick_waves, coarse_figures, tiny, tmp_path, capsys, monkeypatch
 ):

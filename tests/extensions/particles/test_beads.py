@@ -136,7 +136,7 @@ def test_positions_of_beads_are_found(model):
     else:
         points = window.apparent(grid.points, CAMERA, 510)
         projector = mp.StoredOperator(CAMERA, points, wavelength=510, accuracy=0.1)
-    volume = pt.reconstruct_volume(projector, capture, grid, method="sirt", iterations=150)
+    volume = pt.reconstruct_volume(projector, capture, grid, method="sirt", iterations=60)
     found, light = pt.locate_particles(volume, threshold=0.3, apart=(5, 5, 5))
     assert len(found) == 2
     found, light = found[np.argsort(found[:, 2])], light[np.argsort(found[:, 2])]

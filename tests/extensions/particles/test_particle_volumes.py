@@ -116,7 +116,7 @@ def test_voxels_by_rays_are_points_by_rays():
     assert_allclose((image * other).sum(dtype=float), projector.adjoint(other) @ light, rtol=1e-5)
 
 
-@pytest.mark.parametrize("projector", [pt.RayProjector, pt.VoxelProjector])
+@pytest.mark.parametrize("projector", [pytest.param(pt.RayProjector, marks=pytest.mark.slow), pt.VoxelProjector])
 def test_voxels_are_projected_from_where_they_are_seen(projector):
     seen = pt.VoxelGrid((-0.2, -0.2, 220 + 16 / 1.4), (0.2, 0.2, 220 + 26 / 1.4), (2, 3, 3))
     light = np.random.default_rng(2).random(18)
