@@ -294,8 +294,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             Use.RAYS | Use.SCENES,
             "apertures keep their size: lenses whose cells shrink by one per cent record one per cent too much",
         ),
-        approximate(_RECONSTRUCTIONS | _GEOMETRY, "the lenses are those of the nearest regular array"),
-        refused(_REGULAR, "the light is that of a regular array", "reconstruct"),
+        approximate(_RECONSTRUCTIONS | _GEOMETRY | _REGULAR, "the lenses are those of the nearest regular array"),
         refused(
             Use.POINT_RAYS | Use.POINT_DERIVATIVES,
             "they are those of a regular lattice, from which lenses are displaced by a hundredth of a pixel or more",

@@ -8,7 +8,6 @@ raise an error with the reason.
 
 from __future__ import annotations
 
-import gc
 import importlib
 from collections.abc import Callable
 from functools import cache
@@ -16,7 +15,7 @@ from typing import Any, NoReturn
 
 import mitsuba as mi
 
-from ..runtime import hide_scenes, llvm
+from ..runtime import llvm, watch_collections
 
 _OWN = {"plenoptic": ("sensor", "sensor"), "plenoptic_wave": ("integrator", "integrator")}
 """Plugins of the core: their modules and kinds."""
@@ -58,6 +57,6 @@ def _register(old: str | None, new: str | None) -> None:
         getattr(mi, f"register_{kind}")(name, constructor)
 
 
-gc.callbacks.append(hide_scenes)
+watch_collections()
 mi.detail.add_variant_callback(_register)
 _register(None, mi.variant())

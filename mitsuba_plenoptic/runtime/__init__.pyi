@@ -80,7 +80,7 @@ from .files import require_writable as require_writable
 from .files import require_zarr as require_zarr
 from .files import stored_array as stored_array
 from .files import write_text as write_text
-from .garbage import hide_scenes as hide_scenes
+from .garbage import watch_collections as watch_collections
 from .limits import GIB as GIB
 from .limits import MEMORY_LIMIT as MEMORY_LIMIT
 from .limits import check_memory as check_memory

@@ -22,14 +22,6 @@ _hidden = False
 
 def hide_scenes(phase: str, info: dict[str, Any]) -> None:
     """Hide all objects from a collection of garbage, where Dr.Jit could not lose any; an entry of `gc.callbacks`."""
-    try:
-        _hide_scenes(phase)
-    except KeyboardInterrupt:
-        # Python prints and forgets what callbacks raise: the interrupt comes again, after the collection.
-        threading.Timer(0.1, _thread.interrupt_main).start()
-
-
-def _hide_scenes(phase: str) -> None:
     global _hidden
     if phase == "start":
         _hidden = dr.flag(dr.JitFlag.SymbolicScope)
@@ -46,3 +38,20 @@ def _hide_scenes(phase: str) -> None:
     elif phase == "stop" and _hidden:
         gc.unfreeze()
         _hidden = False
+
+
+def watch_collections() -> None:
+    """Hide scenes from collections of garbage, and keep interrupts that fall into them.
+
+    Python prints and forgets what callbacks raise: an interrupt comes again, after the collection.
+    """
+    report = sys.unraisablehook
+
+    def again(raised: Any) -> None:
+        if raised.object is hide_scenes and issubclass(raised.exc_type, KeyboardInterrupt):
+            threading.Timer(0.1, _thread.interrupt_main).start()
+        else:
+            report(raised)
+
+    sys.unraisablehook = again
+    gc.callbacks.append(hide_scenes)

@@ -107,7 +107,7 @@ def test_depth_says_where_to_widen_the_search(tmp_path, capfd, monkeypatch):
     assert re.search(wanted, told("225", "32"))
     assert "with --far" not in told("310", "16")
     monkeypatch.setattr("mitsuba_plenoptic.views.beyond_search", lambda estimate: (0.0, 0.5))
-    assert "with --far" in told("310", "8") and "with --far" not in told("inf", "8")
+    assert "with --far" in told("310", "16") and "with --far" not in told("inf", "16")
 
 
 def test_expose(shot, tmp_path, run):

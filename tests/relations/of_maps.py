@@ -94,7 +94,8 @@ def of_functions(method, make, use):
         return max(*found, apart(moved, y, change, back(y)) / 1e-5), 1.0
 
     function.__name__ = f"function_{method}"
-    without = "mla_focal_length main_lens" if method == "deconvolved" else ""
+    # Other functions know of lenses under chief rays the nearest regular array.
+    without = "mla_focal_length main_lens" if method == "deconvolved" else "mla_cra"
     relation(use | Use.RECONSTRUCTION_DERIVATIVES, without, f"derivatives of {method}")(function)
 
 

@@ -1,5 +1,6 @@
 """Threads, processes, variants and imports: what may run at once, and that the same seed gives the same bits."""
 
+import gc
 import subprocess
 import sys
 import textwrap
@@ -60,8 +61,13 @@ def test_the_same_bits_on_any_number_of_threads_and_by_two_threads_at_once(pytho
 
 
 def test_ctrl_c_within_a_collection_of_garbage_comes_after_it(monkeypatch):
-    monkeypatch.setattr(garbage, "_hide_scenes", mock.Mock(side_effect=[KeyboardInterrupt, *[None] * 100]))
-    garbage.hide_scenes("start", {})
+    flags = mock.Mock(side_effect=[KeyboardInterrupt, *[False] * 100])
+    monkeypatch.setattr(garbage, "dr", mock.Mock(flag=flags))
+    # pytest's hook stands before that of the import.
+    monkeypatch.setattr(sys, "unraisablehook", print)
+    garbage.watch_collections()
+    gc.callbacks.pop()
+    gc.collect()
     with pytest.raises(KeyboardInterrupt):
         for _ in range(100):
             time.sleep(0.05)

@@ -84,6 +84,7 @@ class RayRefocus:
         self, camera: PlenopticCamera, distance: float, *, footprint: str = "lens", oversample: int = 1
     ) -> None:
         require_support(camera, Use.RAY_REFOCUSING | Use.RECONSTRUCTION_DERIVATIVES | Use.RAY_DERIVATIVES)
+        camera = camera.regular
         self.camera = camera
         distance = require_number("distance", distance, finite=False)
         lens_data.image_distance(camera.focal_length, distance)
@@ -248,6 +249,7 @@ class CoherentRefocus:
     ) -> None:
         require_support(camera, Use.FIELDS | Use.FIELD_DERIVATIVES | Use.RECONSTRUCTION_DERIVATIVES)
         wavelength = require_wavelength(wavelength)
+        camera = camera.regular
         white = white_pixels(camera)
         camera = camera.at_wavelength(wavelength)
         camera.require_resolved()

@@ -142,7 +142,8 @@ def require_depths(found, *places):
     """See that at places of two disparities depths are those of 1/Z = d / (f in pixels * baseline) + 1 / focus."""
     for where, disparity, baseline in places:
         true = 1000 / (disparity / (100 / 35 * 64 * baseline) + 1 / 4.25)
-        assert np.mean(found["confidence"]["Y"][where] > 0.5) > 0.9
+        # It is lower beside the edges of what is nearer.
+        assert np.mean(found["confidence"]["Y"][where] > 0.5) > 0.85
         assert np.nanmedian(found["depth"]["Y"][where]) == pytest.approx(true, rel=0.01)
         # Files have this package's sign.
         assert np.median(found["disparity"]["Y"][where]) == pytest.approx(-disparity, abs=0.02)
