@@ -261,7 +261,7 @@ def threads_of_rays(draw):
 
 @relation(
     Use.RAYS | Use.SCENES,
-    "mla_cra pixel_response wavefront phase_screen crop_offset crop_size main_lens",
+    "mla_cra pixel_response wavefront phase_screen mla_warp crop_offset crop_size main_lens",
     "captures by waves",
     lambda seed: ["mla_absorption", "mla_medium", "mla_tilt"],
 )
