@@ -139,10 +139,7 @@ class Tensor:
 
 @pytest.mark.parametrize(
     ("kind", "words"),
-    [
-        ({"requires_grad": True}, "it requires gradients"),
-        ({"dtype": "torch.bfloat16"}, "of type bfloat16"),
-    ],
+    [({"requires_grad": True}, "it requires gradients"), ({"dtype": "torch.bfloat16"}, "of type bfloat16")],
 )
 def test_tensors_that_numpy_does_not_have(kind, words):
     image = Tensor(IMAGE, **kind)

@@ -15,12 +15,7 @@ from mitsuba_plenoptic.presets import PRESETS
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 
 # The paper's camera, whose lenses see the main lens's image 3 z before them, or behind them.
-KEPLERIAN = {
-    "mla_distance": 121.536,
-    "mla_focal_length": 0.384,
-    "detector_distance": 0.512,
-    "aperture_radius": 4.9,
-}
+KEPLERIAN = {"mla_distance": 121.536, "mla_focal_length": 0.384, "detector_distance": 0.512, "aperture_radius": 4.9}
 GALILEAN = KEPLERIAN | {"mla_distance": 118.464, "mla_focal_length": 0.768}
 FOCUSED = pytest.mark.parametrize("numbers", [KEPLERIAN, GALILEAN], ids=["keplerian", "galilean"])
 

@@ -291,10 +291,7 @@ class TestScenes:
             mp.load_scene(write_scene(tmp_path, '<default name="x" value="inner"/><include filename="$x.xml"/>'))
         refuses(r"scene\.xml", mp.load_scene, write_scene(tmp_path, '<include filename="scene.xml"/>'))
 
-    @pytest.mark.parametrize(
-        ("left", "words"),
-        [(7, None), (-1, "data window.* .-1, 0.")],
-    )
+    @pytest.mark.parametrize(("left", "words"), [(7, None), (-1, "data window.* .-1, 0.")])
     def test_windows_of_exr_pictures(self, tmp_path, left, words):
         window = np.array([left, 0], np.int32), np.array([left + 7, 3], np.int32)
         header = {"dataWindow": window, "displayWindow": window, "compression": OpenEXR.PXR24_COMPRESSION}

@@ -32,11 +32,7 @@ def bars_directly():
 
 
 @pytest.mark.parametrize(
-    "way",
-    [
-        "mirror",
-        *(pytest.param(way, marks=pytest.mark.slow) for way in ("slab", "half-open mask", "fog")),
-    ],
+    "way", ["mirror", *(pytest.param(way, marks=pytest.mark.slow) for way in ("slab", "half-open mask", "fog"))]
 )
 def test_bars_come_back_into_focus_at_their_virtual_distance(way, bars_directly):
     by_rays, by_waves = captures(bars_through(way, 20), 16)

@@ -41,11 +41,7 @@ def model_centres(camera):
     )
 
 
-@pytest.mark.parametrize(
-    "lattice",
-    [{}, {**HEXAGONAL, **ROTATED}, RECTANGULAR, {**STRETCHED, **ROTATED}],
-    ids=str,
-)
+@pytest.mark.parametrize("lattice", [{}, {**HEXAGONAL, **ROTATED}, RECTANGULAR, {**STRETCHED, **ROTATED}], ids=str)
 def test_micro_images_stand_where_the_lattice_says(camera_dict, lattice):
     crop = {"crop_offset_x": 4000, "crop_offset_y": 100, "crop_width": 96, "crop_height": 96}
     capture = white_capture(camera_dict(resolution=4096, detector_width=8.192, film=crop, **lattice), spp=256)

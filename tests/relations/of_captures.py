@@ -280,11 +280,7 @@ def seen_through(lf, camera, scene, u, v):
     return np.array(mi.render(scene, sensor=mi.load_dict(pinhole), spp=64), float)[..., 0]
 
 
-@relation(
-    Use.DECODING | Use.RAYS,
-    f"{MOVING} crop_offset crop_size detector_blur",
-    "light fields",
-)
+@relation(Use.DECODING | Use.RAYS, f"{MOVING} crop_offset crop_size detector_blur", "light fields")
 def views_of_pinholes(draw):
     """A view of a smooth wall is what a pinhole at its point of the pupil sees, within a tenth of a bin."""
     camera, g = draw.camera, draw.point(0.4)[2]

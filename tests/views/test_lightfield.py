@@ -9,12 +9,7 @@ from light_field_cases import LATTICES, PAPER, all_cameras, fall_off_of, square_
 from refusals import refuses
 from scipy.spatial import cKDTree
 
-from mitsuba_plenoptic import (
-    LensTransmissions,
-    PlenopticCamera,
-    Vignetting,
-    decode,
-)
+from mitsuba_plenoptic import LensTransmissions, PlenopticCamera, Vignetting, decode
 from mitsuba_plenoptic.views import (
     LensGrid,
     camera_of,

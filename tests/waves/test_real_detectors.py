@@ -8,13 +8,7 @@ from cameras import error
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import gaussian_filter
 
-from mitsuba_plenoptic import (
-    PlenopticCamera,
-    StrayLight,
-    point_spread_function,
-    reconstruct,
-    render_capture,
-)
+from mitsuba_plenoptic import PlenopticCamera, StrayLight, point_spread_function, reconstruct, render_capture
 from mitsuba_plenoptic.detector.operator import DetectorOperator
 from mitsuba_plenoptic.io.captures import Capture
 from mitsuba_plenoptic.views.white import white_image
