@@ -23,11 +23,6 @@ def require_adjoint(operator):
     assert abs(dot(forward, y) - dot(x, adjoint)) < 1e-5 * np.linalg.norm(x) * np.linalg.norm(adjoint)
 
 
-@pytest.mark.parametrize("name", ["coded", "microscope"])
-def test_full_fields(name):
-    require_adjoint(CaptureOperator(CAMERAS[name], seen_by(name), wavelength=WAVELENGTH, method="full_field"))
-
-
 @pytest.mark.parametrize(("accuracy", "cells"), [(0, None), (0.01, 4)], ids=["whole pupils", "weighted pupils"])
 def test_points_that_share_spreads(accuracy, cells):
     points = scattered(6, distances=(112.0, 128.0), image=0.05)

@@ -128,24 +128,6 @@ def test_opaque_gaps_swallow_what_is_focused_on_them(camera_dict):
     assert brightness(0.032, 0.5) / brightness(0.032, 1.0) == pytest.approx(4, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    "lattice",
-    [
-        {**HEXAGONAL, "mla_focal_length": (0.47, 0.512, 0.56), "detector_distance": 0.512},
-        {**HEXAGONAL, "mla_pitch": (0.064, 0.072), "mla_rotation": 7.0, "mla_offset": (0.02, 0.01), "mla_fill": 0.8},
-    ],
-    ids=str,
-)
-@pytest.mark.parametrize("footprint", ["lens", "point"])
-def test_a_white_capture_is_refocused_to_one(lattice, footprint):
-    camera = mp.PlenopticCamera(detector_width=1.28, resolution=(640, 480), **lattice)
-    # By points, bins stay empty in focus where they hold no lens's centre.
-    distances = (210.0, 240.0, 280.0) if footprint == "lens" else (210.0, 280.0)
-    for result in mp.reconstruct(white_image(camera), distances, camera=camera, footprint=footprint):
-        assert result.image.shape == (16, 20)
-        np.testing.assert_allclose(result.image[4:-4, 4:-4], 1, atol=2e-3)
-
-
 def test_indices_of_lenses_that_floats_cannot_hold():
     """Lenses of several focal lengths; an index of a type beyond their table ended in a segmentation fault."""
     camera = mp.PlenopticCamera(

@@ -5,11 +5,10 @@ import json
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import sky, white
+from cameras import white
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.prescription import bundled_prescription
-from mitsuba_plenoptic.views import white_image
 
 WIDE = {
     "main_lens": "cooke_triplet",
@@ -76,14 +75,3 @@ def test_xml_takes_a_file_a_name_or_text(tmp_path):
         camera = mp.PlenopticCamera.from_sensor(mp.load_scene(str(tmp_path / "scene.xml")).sensors()[0])
         assert camera.main_lens == lens
         assert camera.focus_distance == pytest.approx(400)
-
-
-def test_the_white_image_is_what_mitsuba_renders_of_a_white_scene():
-    camera = mp.PlenopticCamera(
-        main_lens="singlet", focal_length=80, aperture_radius=5, resolution=(128, 128), detector_width=0.256,
-        mla_lattice="hexagonal", mla_aperture="circle",
-    )  # fmt: skip
-    rendered, computed = sky(camera, 256), white_image(camera)
-    assert computed.mean(dtype=np.float64) == pytest.approx(rendered.mean(dtype=np.float64), rel=5e-3)
-    # Both sample the pixels at the rims of micro-images, 256 and 32 times.
-    assert np.sqrt(((computed - rendered) ** 2).mean()) < 0.05

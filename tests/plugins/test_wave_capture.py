@@ -44,18 +44,6 @@ def test_wave_and_ray_captures_hold_the_same_energy(camera_dict):
     assert wave.image.sum() == pytest.approx(ray.image.sum(), rel=0.02)
 
 
-def test_same_seed_same_bits_on_any_number_of_threads(camera_dict):
-    scene = scene_of(camera_dict(**SHARED), near=disk((0, 0.05, 230.0), 0.1))
-    first = by_signed_rays(scene, 2, seed=7).image
-    threads = dr.thread_count()
-    dr.set_thread_count(threads % 2 + 1)
-    again = by_signed_rays(scene, 2, seed=7).image
-    np.testing.assert_array_equal(again, first)
-    dr.set_thread_count(threads)
-    other = by_signed_rays(scene, 2, seed=8).image
-    assert not np.array_equal(other, first)
-
-
 @pytest.mark.parametrize(
     "variant",
     [

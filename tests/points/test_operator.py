@@ -28,18 +28,6 @@ def half_open(cells=16):
     return np.repeat(np.arange(cells)[None, :] >= cells / 2, cells, axis=0)
 
 
-def gaussian(cells=64):
-    """Return smooth pupil weights that are not symmetric."""
-    place = (np.arange(cells) + 0.5) / cells * 2 - 1
-    return np.exp(-((place[:, None] - 0.3) ** 2 + place**2) / 0.4)
-
-
-def test_patches_against_full_fields():
-    positions, options = [(0.05, -0.03, 120.0), (0.1, 0.1, 112.5)], {"pupil_weights": [gaussian()] * 2, "accuracy": 0}
-    patch, full = (capture(SMALL, positions, [1.0, -2.0], method=name, **options) for name in ("patch", "full_field"))
-    assert error(patch, full) < 0.005
-
-
 @pytest.mark.parametrize("method", ["patch", "full_field"])
 def test_a_surface_seen_slantwise_sends_more_light_to_one_side_of_the_pupil(method):
     r"""Power 1 + s x over a disc: the half at +x gets :math:`1/2 + 2 s / 3 \pi` of it."""
@@ -57,13 +45,6 @@ def test_what_cannot_be_seen_gives_nothing(points):
     operator = CaptureOperator(SMALL, points, wavelength=WAVELENGTH)
     assert not operator.forward(np.ones(len(points))).any()
     assert not operator.adjoint(np.ones(SMALL.shape)).any()
-
-
-def test_threads_do_not_change_a_bit():
-    positions = np.concatenate([near(10), in_every_lens(SMALL, 2, 120.0, per_lens=2)])
-    weights = np.random.default_rng(2).normal(size=(len(positions), 2))
-    operator = CaptureOperator(SMALL, positions, wavelength=WAVELENGTH)
-    assert np.array_equal(*(operator.forward(weights, job=Job(batch_map=Threads(count))) for count in (1, 3)))
 
 
 def test_a_job_that_fails_leaves_nothing_under_way():
