@@ -73,20 +73,15 @@ test_mistakes = refused(
         r"white: .* mla_pitch = 0\.05, that of the capture 0\.064",
     ),
     (lambda: mp.decode(Capture(IMAGE, CAMERA), white=MOSAIC), "mosaic = RGGB"),
+    *(
+        pytest.param(lambda o=options: refocused(method="deconvolved", **o), words, marks=DECONVOLUTION)
+        for options, words in (
+            ({"accelerate": 0}, "accelerate = 0"),
+            ({"volume": "no"}, "volume = 'no'"),
+            ({"response": "ray"}, "^wavelength: a response by rays has none"),
+        )
+    ),
 )
-
-
-@DECONVOLUTION
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"accelerate": 0}, "accelerate = 0"),
-        ({"volume": "no"}, "volume = 'no'"),
-        ({"response": "ray"}, "^wavelength: a response by rays has none"),
-    ],
-)
-def test_mistakes_of_deconvolution(options, words):
-    refuses(words, refocused, method="deconvolved", **options)
 
 
 @pytest.mark.parametrize(

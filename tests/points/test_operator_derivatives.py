@@ -8,7 +8,7 @@ from mitsuba_plenoptic import CaptureOperator, Job, PlenopticCamera, Spectrum
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.lenses.fitted_lens import lens_change
 from mitsuba_plenoptic.points import accuracy
-from mitsuba_plenoptic.points.derivatives import plan
+from mitsuba_plenoptic.points.derivatives import DIFFERENTIABLE, plan
 
 
 def test_the_opening_of_a_fast_stigmatic_lens_against_differences_of_captures():
@@ -89,6 +89,12 @@ def test_copies_change_as_points_of_their_own(many, monkeypatch):
     own = alone.jacobian(weights, [{name: change} for name, change in MOVING.items()])
     for name, found, expected in zip(MOVING, shared, own, strict=True):
         assert error(found, expected) < 0.07, name
+    image = np.random.default_rng(3).normal(size=operator.camera.shape)
+    gradient = operator.gradient(weights, image)
+    assert set(gradient) == set(DIFFERENTIABLE)
+    for (name, change), slope in zip(MOVING.items(), shared, strict=True):
+        product = np.vdot(slope.astype(float), image) - np.vdot(change, gradient[name])
+        assert abs(product) < 1e-4 * np.linalg.norm(slope) * np.linalg.norm(image), name
 
 
 def behind(name="double_gauss", **numbers):

@@ -154,7 +154,8 @@ def of_scenes(model, use):
             for seed in (1, 2)
         )
         stated = np.sqrt((np.asarray(one.noise, float) ** 2 + np.asarray(two.noise, float) ** 2).sum())
-        return float(np.linalg.norm(one.image - two.image) / stated), 1.3
+        ratio = float(np.linalg.norm(one.image - two.image) / stated)
+        return max(ratio, 1 / ratio), 1.15
 
     # Waves choose rays by wavelengths and heights of lenses, whose rounding tells some of them apart.
     rounded = "mla_tilt" if model == "wave" else ""
