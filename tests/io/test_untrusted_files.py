@@ -158,10 +158,7 @@ class TestCaptures:
         if part is None:
             attributes |= change
         else:
-            planes[part] |= {name: np.full(sizes[part], value) for name, value in change.items() if value is not None}
-            for name, value in change.items():
-                if value is None:
-                    del planes[part][name]
+            planes[part] |= {name: np.full(sizes[part], value) for name, value in change.items()}
         write_exr_parts(path, dict(zip(("capture", "views"), planes, strict=True)), attributes)
         refuses(words, mp.read_ground_truth, path)
         assert main(["views", str(path), "-o", str(tmp_path / "views.exr")]) == 2

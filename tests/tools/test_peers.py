@@ -4,7 +4,6 @@ import itertools
 import math
 
 import numpy as np
-import pytest
 from cases import relative
 
 from mitsuba_plenoptic import PlenopticCamera, decode
@@ -41,13 +40,6 @@ def timings(works, seconds):
     return {
         name: Timing(value, value, value / found[0], value / found[0]) for name, value in zip(works, found, strict=True)
     }
-
-
-@pytest.mark.parametrize("fresnel", [1.0, 12.9])
-def test_orders_of_a_microlens_are_their_integrals(fresnel):
-    numbers, u = np.arange(-20, 21), (np.arange(20000) + 0.5) / 20000 - 0.5
-    direct = [np.exp(-1j * math.pi * (fresnel * u**2 + 2 * m * u)).mean() for m in numbers]
-    assert np.abs(peers.closed_form_orders(numbers, fresnel) - direct).max() < 1e-6
 
 
 def test_our_microlenses_are_the_closed_form():
