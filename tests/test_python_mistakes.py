@@ -44,10 +44,7 @@ def by_another_variant():
     return captured(sensor=sensor)
 
 
-def of_plugins(sensor):
-    return mp.load_scene({"type": "scene", "sensor": sensor})
-
-
+MISSPELT = CAMERA.to_sensor() | {"focal_lenght": 80.0}
 OTHER = Capture(IMAGE, CAMERA.replace(mla_pitch=0.05))
 NOISY = mp.expose(Capture(IMAGE, CAMERA), mp.Detector(), photons=100)
 MOSAIC = mp.expose(Capture(np.ones((64, 64, 3)), CAMERA), mp.Detector(mosaic="RGGB"), photons=100)
@@ -99,7 +96,7 @@ test_mistakes = refused(
         (lambda: mp.load_scene("letters", parameters={"resolutoin": "64"}), InputError, "did you mean resolution?"),
         (lambda: mp.reconstrct, AttributeError, "did you mean reconstruct?"),
         (lambda: captured(modl="wave"), TypeError, "'modl'; did you mean model?"),
-        (lambda: of_plugins(CAMERA.to_sensor() | {"focal_lenght": 80.0}), InputError, "did you mean focal_length?"),
+        (lambda: mp.load_scene({"type": "scene", "s": MISSPELT}), InputError, "did you mean focal_length?"),
     ],
 )
 def test_an_unknown_name_comes_with_the_one_that_it_resembles_if_any(call, error, words):

@@ -63,7 +63,6 @@ THIN = [
     ({"mla_transmissions": [[5.0]]}, "mla_transmissions: .*values.0, 0. = 5: "),
     ({"mla_transmissions": {"values": [[1]], "last": [0, 0]}}, "mla_transmissions: .*last"),
     ({"mla_transmissions": {"values": [[1]], "first": [0.5, 0]}}, "mla_transmissions: .*first = 0.5: "),
-    ({"mla_transmissions": [[1.0]], "mla_lattice": "none"}, "mla_transmissions.*no microlens array"),
     ({"stray_light": 1.5}, "^stray_light = 1.5: "),
     ({"stray_light": [[0.1, 1.5]]}, r"^stray_light: values\[0, 1\] = 1.5: "),
     ({"stray_light": "absent.npy"}, "^stray_light: absent.npy: "),
