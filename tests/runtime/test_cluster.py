@@ -109,7 +109,7 @@ def test_a_mistake_in_a_batch_is_told_as_such(cluster, monkeypatch):
 
 def test_a_scheduler_at_an_address(cluster, tmp_path):
     address = cluster._client.scheduler.address
-    words = [*WAVE, "--spp", "4", *definitions(letters(4))]
+    words = [*WAVE, "--spp", "4", *definitions(letters(2))]
     assert main([*words, "-o", str(tmp_path / "alone.exr")]) == 0
     assert main([*words, "-o", str(tmp_path / "shared.exr"), "--scheduler", address]) == 0
     assert (tmp_path / "alone.exr").read_bytes() == (tmp_path / "shared.exr").read_bytes()
