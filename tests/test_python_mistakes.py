@@ -44,10 +44,7 @@ def by_another_variant():
     return captured(sensor=sensor)
 
 
-def of_plugins(sensor):
-    return mp.load_scene({"type": "scene", "sensor": sensor})
-
-
+MISSPELT = CAMERA.to_sensor() | {"focal_lenght": 80.0}
 OTHER = Capture(IMAGE, CAMERA.replace(mla_pitch=0.05))
 NOISY = mp.expose(Capture(IMAGE, CAMERA), mp.Detector(), photons=100)
 MOSAIC = mp.expose(Capture(np.ones((64, 64, 3)), CAMERA), mp.Detector(mosaic="RGGB"), photons=100)
@@ -73,20 +70,15 @@ test_mistakes = refused(
         r"white: .* mla_pitch = 0\.05, that of the capture 0\.064",
     ),
     (lambda: mp.decode(Capture(IMAGE, CAMERA), white=MOSAIC), "mosaic = RGGB"),
+    *(
+        pytest.param(lambda o=options: refocused(method="deconvolved", **o), words, marks=DECONVOLUTION)
+        for options, words in (
+            ({"accelerate": 0}, "accelerate = 0"),
+            ({"volume": "no"}, "volume = 'no'"),
+            ({"response": "ray"}, "^wavelength: a response by rays has none"),
+        )
+    ),
 )
-
-
-@DECONVOLUTION
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"accelerate": 0}, "accelerate = 0"),
-        ({"volume": "no"}, "volume = 'no'"),
-        ({"response": "ray"}, "^wavelength: a response by rays has none"),
-    ],
-)
-def test_mistakes_of_deconvolution(options, words):
-    refuses(words, refocused, method="deconvolved", **options)
 
 
 @pytest.mark.parametrize(
@@ -104,7 +96,7 @@ def test_mistakes_of_deconvolution(options, words):
         (lambda: mp.load_scene("letters", parameters={"resolutoin": "64"}), InputError, "did you mean resolution?"),
         (lambda: mp.reconstrct, AttributeError, "did you mean reconstruct?"),
         (lambda: captured(modl="wave"), TypeError, "'modl'; did you mean model?"),
-        (lambda: of_plugins(CAMERA.to_sensor() | {"focal_lenght": 80.0}), InputError, "did you mean focal_length?"),
+        (lambda: mp.load_scene({"type": "scene", "s": MISSPELT}), InputError, "did you mean focal_length?"),
     ],
 )
 def test_an_unknown_name_comes_with_the_one_that_it_resembles_if_any(call, error, words):
@@ -139,10 +131,7 @@ class Tensor:
 
 @pytest.mark.parametrize(
     ("kind", "words"),
-    [
-        ({"requires_grad": True}, "it requires gradients"),
-        ({"dtype": "torch.bfloat16"}, "of type bfloat16"),
-    ],
+    [({"requires_grad": True}, "it requires gradients"), ({"dtype": "torch.bfloat16"}, "of type bfloat16")],
 )
 def test_tensors_that_numpy_does_not_have(kind, words):
     image = Tensor(IMAGE, **kind)

@@ -30,7 +30,7 @@ def estimate_reconstruction(capture: CaptureLike, distance: float | Sequence[flo
     Examples
     --------
     >>> import mitsuba_plenoptic as mp
-    >>> cost = mp.estimate_reconstruction(mp.example("letters-wave"), 210, method="coherent")
+    >>> cost = mp.estimate_reconstruction(mp.example("letters-ray"), 210, method="coherent", wavelength=633)
     >>> cost.seconds < 60, cost.memory < 2**30
     (True, True)
     """

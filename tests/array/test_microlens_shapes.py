@@ -64,10 +64,7 @@ def test_slopes_are_those_of_the_phase(name):
 
 @pytest.mark.parametrize(
     ("name", "method"),
-    [
-        ("sampled", "patch"),
-        *(pytest.param(name, "full_field", marks=pytest.mark.slow) for name in SHAPES),
-    ],
+    [("sampled", "patch"), *(pytest.param(name, "full_field", marks=pytest.mark.slow) for name in SHAPES)],
 )
 def test_point_spreads_against_propagation(name, method):
     camera = small_camera(2, **HALF, mla_shape=SHAPES[name], mla_medium=1.3)

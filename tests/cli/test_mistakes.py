@@ -39,7 +39,6 @@ OF_RAYS = "a ray capture does not take it"
         ("render letters -o {out}/raw.exr", "does not exist"),
         ("render letters -o {out}.exr --camera {raw}", "it is an OpenEXR image"),
         ("render letters -o {out}.exr --white {out}.exr", "two results would be written to it"),
-        ("render letters -o {out}.exr --resume", f"--resume: {OF_RAYS}"),
         ("render letters --estimate --noise", "--noise: "),
         ("info paper_double_gauss --drawing {out}.jpg", "give a name that ends in .png"),
         ("info", "SCENE, --camera: give one of the two"),

@@ -158,10 +158,7 @@ class TestCaptures:
         if part is None:
             attributes |= change
         else:
-            planes[part] |= {name: np.full(sizes[part], value) for name, value in change.items() if value is not None}
-            for name, value in change.items():
-                if value is None:
-                    del planes[part][name]
+            planes[part] |= {name: np.full(sizes[part], value) for name, value in change.items()}
         write_exr_parts(path, dict(zip(("capture", "views"), planes, strict=True)), attributes)
         refuses(words, mp.read_ground_truth, path)
         assert main(["views", str(path), "-o", str(tmp_path / "views.exr")]) == 2
@@ -291,10 +288,7 @@ class TestScenes:
             mp.load_scene(write_scene(tmp_path, '<default name="x" value="inner"/><include filename="$x.xml"/>'))
         refuses(r"scene\.xml", mp.load_scene, write_scene(tmp_path, '<include filename="scene.xml"/>'))
 
-    @pytest.mark.parametrize(
-        ("left", "words"),
-        [(7, None), (-1, "data window.* .-1, 0.")],
-    )
+    @pytest.mark.parametrize(("left", "words"), [(7, None), (-1, "data window.* .-1, 0.")])
     def test_windows_of_exr_pictures(self, tmp_path, left, words):
         window = np.array([left, 0], np.int32), np.array([left + 7, 3], np.int32)
         header = {"dataWindow": window, "displayWindow": window, "compression": OpenEXR.PXR24_COMPRESSION}

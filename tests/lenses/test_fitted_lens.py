@@ -10,6 +10,7 @@ from cameras import thin_as_real
 from mitsuba_plenoptic import LensSystem, PlenopticCamera
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.lenses.common import inverse_distance, path_change
+from mitsuba_plenoptic.lenses.fitted_lens import open_area
 from mitsuba_plenoptic.lenses.pupil import Pupil
 from mitsuba_plenoptic.lenses.pupil_fit import ExitPupil
 from mitsuba_plenoptic.lenses.thin import ThinLens
@@ -106,3 +107,38 @@ def test_wavefronts_change_over_the_field_as_the_thin_lens_tells(fitted_thin_len
     found = path_change(fitted_thin_lens, radius, 0.064, WAVELENGTH)
     assert np.all(found < 1.6 * path_change(THIN, radius, 0.064, WAVELENGTH))
     assert np.all(found > 0.5 * path_change(THIN, radius, 0.064, WAVELENGTH))
+
+
+HEIGHTS = np.array([0.0, 4.0, 8.0, 10.0])
+POINTS = np.column_stack([0 * HEIGHTS, -HEIGHTS * 118 / 60, 118.0 + 0 * HEIGHTS])
+LINE_D = 587.5618
+
+
+def triplet(**numbers):
+    """A lens that lets through the less the farther from the axis."""
+    given = {"focal_length": 40.0, "aperture_radius": 3.5, "mla_distance": 60.0} | numbers
+    return PlenopticCamera(main_lens="cooke_triplet", detector_width=16.0, resolution=(64, 64), **given)
+
+
+def area(**numbers):
+    return open_area(OpticalSystem(triplet(**numbers), LINE_D).waves_of(POINTS), POINTS)
+
+
+def test_area_against_rays():
+    camera = triplet()
+    lens = OpticalSystem(camera, LINE_D).waves_of(POINTS)
+    images = np.hypot(*lens.images(POINTS).T)
+    counted = lens.open_fraction(0 * images, images) * np.pi * lens.reach**2
+    # From a place in focus the array sees the part of the pupil that the point lights.
+    assert area() == pytest.approx(counted, rel=0.005)
+    assert area()[-1] < 0.97 * area()[0]
+
+
+@pytest.mark.parametrize("apart", [0.0, 1.0], ids=["one place", "many places"])
+def test_many_points_are_interpolated(apart):
+    rng = np.random.default_rng(1)
+    points = np.column_stack([rng.uniform(-12, 12, (80, 2)), rng.uniform(100, 140, 80)])
+    points = points[:1] + apart * (points - points[:1])
+    lens = OpticalSystem(triplet(), LINE_D).waves_of(points)
+    single = np.concatenate([open_area(lens, points[at : at + 1]) for at in range(0, 80, 10)])
+    assert open_area(lens, points)[::10] == pytest.approx(single, rel=2e-3)

@@ -7,7 +7,7 @@ from drjit.llvm import Float64
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.lenses.pupil import Pupil
-from mitsuba_plenoptic.lenses.thin import ThinLens
+from mitsuba_plenoptic.lenses.thin import ThinLens, Wavefront, noll, zernike
 from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.points.sampling import footprint
 
@@ -144,3 +144,25 @@ def test_a_point_in_focus_is_an_airy_disc_before_lenses_of_a_few_wavelengths():
     # The first dark ring encloses 84 % of the light.
     assert within[0] == pytest.approx(0.838, abs=0.03)
     assert within[1] < 0.2
+
+
+def test_orthonormal_in_nolls_order():
+    # The table of Noll (1976).
+    expected = [(0, 0), (1, 1), (1, -1), (2, 0), (2, -2), (2, 2), (3, -1), (3, 1), (3, -3), (3, 3), (4, 0), (4, 2)]
+    assert [noll(j) for j in range(1, 13)] == expected
+    nodes, weights = np.polynomial.legendre.leggauss(16)
+    angle = 2 * np.pi * np.arange(64) / 64
+    radius = np.sqrt((nodes + 1) / 2)[:, None]
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    values = np.array([np.polynomial.polynomial.polyval2d(x, y, zernike(j)) for j in range(1, 37)])
+    products = np.einsum("iab,jab,a->ij", values, values, weights / 2) / 64
+    assert np.allclose(products, np.eye(36), atol=1e-12)
+    # Defocus: root of 3 times 2 r^2 - 1.
+    assert Wavefront([0, 0, 0, 1.0], 2.0).path(2.0, 0.0) == pytest.approx(3**0.5 * 633e-6)
+
+
+def test_slopes_are_derivatives():
+    wavefront, h = Wavefront(np.random.default_rng(0).normal(size=36).tolist(), 5.0), 1e-4
+    across = (wavefront.path(1 + h, 0.5) - wavefront.path(1 - h, 0.5)) / (2 * h)
+    up = (wavefront.path(1, 0.5 + h) - wavefront.path(1, 0.5 - h)) / (2 * h)
+    assert wavefront.slope(1.0, 0.5) == pytest.approx((across, up), rel=1e-6)

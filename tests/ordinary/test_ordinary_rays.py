@@ -101,7 +101,7 @@ def behind(**given):
 
 
 def test_a_prescription_vignettes_as_rays_traced_one_by_one():
-    """By the area of the exit pupil through which rays pass all surfaces, as Optiland's do (`test_spot_diagrams`)."""
+    """By the area of the exit pupil through which rays pass all surfaces, as Optiland's do (`test_ordinary_points`)."""
     camera = behind(aperture_radius=None, detector_width=60.0, resolution=(30, 20))
     image = render_capture(scene_of(camera.to_sensor(), **WHITE), spp=1024).image
     lens, axis = LensSystem.of(camera), np.linspace(-2, 2, 401)

@@ -4,15 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from cases import (
-    ORDINARY_WAVELENGTH,
-    diffracted,
-    facing,
-    ordinary_camera,
-    relative,
-    scene_of,
-    textured_wall,
-)
+from cases import ORDINARY_WAVELENGTH, diffracted, facing, ordinary_camera, relative, scene_of, textured_wall
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError

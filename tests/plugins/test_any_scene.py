@@ -1,9 +1,10 @@
-"""Wave captures of scenes whose light comes through mirrors, panes, glass and fog, or from infinity."""
+"""Wave captures of any scene: mirrors, panes, glass, fog, light from infinity; variants, seeds, energy, films."""
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import WAVELENGTH, error
+from cameras import WAVELENGTH, disk, error, film
 from cases import (
     TRANSPARENT,
     bars_through,
@@ -17,12 +18,14 @@ from cases import (
     lamp_behind_glass,
     lit_mirror,
     plastic,
+    scene_of,
     slanted,
     square_behind,
 )
 from scipy.ndimage import convolve1d
 
-from mitsuba_plenoptic import design, reconstruct
+from mitsuba_plenoptic import InputError, design, point_spread_function, reconstruct, render_capture
+from mitsuba_plenoptic.plugins.wave_base import developed
 
 
 @pytest.fixture(scope="module")
@@ -32,11 +35,7 @@ def bars_directly():
 
 
 @pytest.mark.parametrize(
-    "way",
-    [
-        "mirror",
-        *(pytest.param(way, marks=pytest.mark.slow) for way in ("slab", "half-open mask", "fog")),
-    ],
+    "way", ["mirror", *(pytest.param(way, marks=pytest.mark.slow) for way in ("slab", "half-open mask", "fog"))]
 )
 def test_bars_come_back_into_focus_at_their_virtual_distance(way, bars_directly):
     by_rays, by_waves = captures(bars_through(way, 20), 16)
@@ -106,3 +105,94 @@ def test_a_shiny_metal_lights_the_half_of_the_pupil_that_its_lamp_shines_to():
         shares.append(max(left, right) / min(left, right))
     assert shares[1] > 3.5
     assert shares[0] == pytest.approx(shares[1], rel=0.03)
+
+
+SHARED = {"resolution": 128, "detector_width": 0.256}
+"""Four lenses across: the camera of most tests, so that what is planned for it is planned once a wavelength."""
+
+
+def test_one_tiny_emitter_renders_its_point_spread(camera_dict):
+    place = (0.2, 0.4, 280.0)
+    # So many points that a source of 10 um is met a few times; only those that shine cost time.
+    scene = scene_of(camera_dict(resolution=256, detector_width=0.512), point=disk(place, 0.005))
+    wave = render_capture(scene, model="wave", method="points", spp=4096)
+    psf = point_spread_function(wave.camera, place, wavelength=633)
+    scale = (wave.image * psf).sum() / (psf * psf).sum()
+    # Of its size it is blurred a little.
+    assert error(wave.image, scale * psf) <= 0.015
+
+
+@pytest.mark.parametrize("method", ["signed_rays", "points"])
+def test_negative_light_is_refused(camera_dict, method):
+    """Negative pixels are taken for noise, and points that do not shine are left out."""
+    dark = disk((0.0, 0.0, 240.0), 2.0, emitter={"type": "area", "radiance": -1.0})
+    scene = scene_of(camera_dict(resolution=16, detector_width=0.128), dark=dark)
+    assert render_capture(scene, spp=2).image.min() == -1
+    with pytest.raises(InputError, match=r"^scene: 100%"):
+        render_capture(scene, model="wave", method=method, spp=4)
+
+
+def test_wave_and_ray_captures_hold_the_same_energy(camera_dict):
+    # A crop at the rim, so that light from beyond it counts too.
+    film = {"crop_offset_x": 352, "crop_offset_y": 160, "crop_width": 160, "crop_height": 192}
+    scene = scene_of(camera_dict(film=film), near=disk((-1.0, 0.2, 225.0), 0.5), far=disk((-0.5, -0.4, 260.0), 0.7))
+    ray = render_capture(scene, spp=64)
+    wave = by_signed_rays(scene, 16)
+    assert wave.image.sum() == pytest.approx(ray.image.sum(), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "variant",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name != "llvm_ad_spectral_polarized"))
+        for name in mi.variants()
+        if name.startswith("llvm")
+    ],
+)
+def test_every_variant_records_the_same_light(variant, camera_dict):
+    mi.set_variant(variant)
+    coloured = variant == "llvm_ad_rgb"
+    sensor = camera_dict(**SHARED, film={"pixel_format": "rgb" if coloured else "luminance"})
+    even = {"type": "uniform", "value": 0.5}  # of all wavelengths; a number would mean daylight
+    scene = scene_of(sensor, wall=disk((0, 0, 240.0), 20.0, emitter={"type": "area", "radiance": even}))
+    wave = by_signed_rays(scene, wavelength="611.4, 549.1, 464.3" if mi.is_rgb else 549.1)
+    ray = render_capture(scene, spp=256)
+    assert wave.wavelength == ((611.4, 549.1, 464.3) if coloured else 549.1)
+    assert wave.image.shape == ray.image.shape == ((128, 128, 3) if coloured else (128, 128))
+    assert ray.image.max() == pytest.approx(0.5, rel=0.1)
+    np.testing.assert_allclose(wave.image.mean((0, 1)) / ray.image.mean((0, 1)), 0.995, rtol=0.01)
+
+
+def test_models_wrap_and_unwrap_the_scenes_integrator(camera_dict):
+    sensor = camera_dict(**SHARED)
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "plenoptic_wave", "method": "signed_rays", "child": {"type": "direct"}},
+            "camera": sensor,
+            "point": disk((0, 0, 240.0), 0.3),
+        }
+    )
+    own = render_capture(scene, spp=1)
+    assert (own.model, own.wavelength, own.metadata["method"]) == ("wave", 633, "signed_rays")
+    changed = render_capture(scene, spp=1, wavelength=549.1)
+    assert (changed.wavelength, changed.metadata["method"]) == (549.1, "signed_rays")
+    assert render_capture(scene, model="ray", spp=1).metadata["integrator"] == "DirectIntegrator"
+    assert "method = signed_rays" in str(scene.integrator())
+
+
+@pytest.mark.parametrize(
+    ("variant", "channels", "pixel_format"), [("llvm_ad_mono", 1, "rgb"), ("llvm_ad_rgb", 3, "luminance")]
+)
+def test_film_forward_and_back(variant, channels, pixel_format):
+    """<D x, y> = <x, D' y>, whatever the image is."""
+    mi.set_variant(variant)
+    plate = mi.load_dict(film(7, 5) | {"pixel_format": pixel_format})
+    x = np.random.default_rng(0).normal(size=(5, 7, channels)).astype(np.float32)
+    light, image = developed(plate, np.ones_like(x))
+    dr.set_grad(light, mi.TensorXf(x))
+    change = np.array(dr.forward_to(image))
+    y = np.random.default_rng(1).normal(size=change.shape).astype(np.float32)
+    light, image = developed(plate, np.ones_like(x))
+    dr.backward(dr.sum(image * mi.TensorXf(y), axis=None))
+    assert np.vdot(change, y) == pytest.approx(np.vdot(x, dr.grad(light)), rel=1e-5)

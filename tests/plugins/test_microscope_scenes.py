@@ -52,10 +52,7 @@ def exact(points, weights, over_stop):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("depth", "tilt", "limit"),
-    [(0.02, 0, 0.02), (0.01, 40, 0.03)],
-)
+@pytest.mark.parametrize(("depth", "tilt", "limit"), [(0.02, 0, 0.02), (0.01, 40, 0.03)])
 def test_a_disc_is_the_sum_of_its_points(depth, tilt, limit):
     """Facing the objective, and turned by an angle at which Lambert's law matters."""
     expected = exact(*points_of(depth, math.radians(tilt)), lambert(math.radians(tilt)))

@@ -9,7 +9,6 @@ import tifffile
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, Detector, PlenopticCamera, expose, read_capture, write_capture, write_raw
 from mitsuba_plenoptic.exchange import read_picture
-from mitsuba_plenoptic.report.plots import Plot
 from refusals import refused, refuses
 
 CAMERA = PlenopticCamera(detector_width=0.128, resolution=(64, 48), crop_offset=(8, 4), crop_size=(40, 32))
@@ -37,23 +36,15 @@ test_refused = refused(
 )
 
 
-@pytest.mark.parametrize(
-    ("write", "words"),
-    [
-        (lambda folder: write_capture(folder / "nowhere" / "raw.exr", GREY), "nowhere"),
-        (lambda folder: write_capture(folder, GREY), "folder"),
-        (lambda folder: write_raw(folder / "a.tiff", GREY), "capture: .*expose"),
-        (
-            lambda folder: write_raw(folder / "a.tiff", Capture(MOSAIC.image * 1.03, CAMERA, metadata=MOSAIC.metadata)),
-            "capture: .*digital numbers",
-        ),
-        (lambda folder: write_raw(folder / "a.jpg", MOSAIC), "a.jpg.*.png or .tif"),
-        (lambda folder: Plot(1, 1).save(folder / "lens.jpg"), "lens.jpg.*.pdf"),
-    ],
+test_files_that_cannot_be_written = refused(
+    (lambda folder: write_capture(folder / "nowhere" / "raw.exr", GREY), "nowhere"),
+    (lambda folder: write_capture(folder, GREY), "folder"),
+    (lambda folder: write_raw(folder / "a.tiff", GREY), "capture: .*expose"),
+    (
+        lambda folder: write_raw(folder / "a.tiff", Capture(MOSAIC.image * 1.03, CAMERA, metadata=MOSAIC.metadata)),
+        "capture: .*digital numbers",
+    ),
 )
-def test_files_that_cannot_be_written(write, words, tmp_path):
-    refuses(words, write, tmp_path)
-    assert list(tmp_path.iterdir()) == []
 
 
 RAMP = np.linspace(0.1, 0.9, 32).reshape(4, 8)

@@ -10,37 +10,27 @@ from refusals import refuses
 
 
 @pytest.mark.parametrize(
-    ("parameters", "words"),
+    ("plugin", "parameters", "words"),
     [
-        ({"focal_length": -80.0}, "plenoptic: focal_length = -80"),
-        ({"focal_length": "eighty"}, "plenoptic: focal_length = 'eighty'"),
-        ({"near_clip": 1.0}, "plenoptic: near_clip = 1"),
-        ({"glass": "{1.5"}, "glass: .*JSON"),
-        ({"mla_pich": 3.0}, "plenoptic: mla_pich: .*mla_pitch"),
-        ({"mla_offset": [1.0, 2.0, 3.0]}, r"plenoptic: mla_offset = \(1.0, 2.0, 3.0\)"),
-        ({"film": {"rfilter": {"type": "gaussian"}}}, 'GaussianFilter .*<rfilter type="box"/>'),
+        ("plenoptic", {"focal_length": -80.0}, "plenoptic: focal_length = -80"),
+        ("plenoptic", {"focal_length": "eighty"}, "plenoptic: focal_length = 'eighty'"),
+        ("plenoptic", {"near_clip": 1.0}, "plenoptic: near_clip = 1"),
+        ("plenoptic", {"glass": "{1.5"}, "glass: .*JSON"),
+        ("plenoptic", {"mla_pich": 3.0}, "plenoptic: mla_pich: .*mla_pitch"),
+        ("plenoptic", {"mla_offset": [1.0, 2.0, 3.0]}, r"plenoptic: mla_offset = \(1.0, 2.0, 3.0\)"),
+        ("plenoptic", {"film": {"rfilter": {"type": "gaussian"}}}, 'GaussianFilter .*<rfilter type="box"/>'),
+        ("plenoptic_wave", {"wavelength": -633.0}, "plenoptic_wave: wavelength = -633"),
+        ("plenoptic_wave", {"wavelength": "600, 500, 400"}, "llvm_ad_mono has 1 channel"),
+        ("plenoptic_wave", {"wavelenght": 3.0}, "plenoptic_wave: wavelenght: .*wavelength"),
+        ("plenoptic_wave", {"method": "magic"}, "method = 'magic'"),
+        ("plenoptic_wave", {"child": {"type": "ptracer"}}, "radiance along a ray"),
+        ("plenoptic_wave", {"child": {"type": "aov", "aovs": "d:depth"}}, "nested AOVIntegrator"),
     ],
 )
-def test_parameters_of_the_sensor(camera_dict, parameters, words):
+def test_parameters_of_plugins(camera_dict, plugin, parameters, words):
+    sensor = camera_dict(**(parameters if plugin == "plenoptic" else {}))
     with pytest.raises(RuntimeError, match=words):
-        mi.load_dict({"type": "scene", "sensor": camera_dict(**parameters)})
-
-
-@pytest.mark.parametrize(
-    ("parameters", "words"),
-    [
-        ({"wavelength": -633.0}, "plenoptic_wave: wavelength = -633"),
-        ({"wavelength": "600, 500, 400"}, "llvm_ad_mono has 1 channel"),
-        ({"wavelenght": 3.0}, "plenoptic_wave: wavelenght: .*wavelength"),
-        ({"method": "magic"}, "method = 'magic'"),
-        ({"accuracy": -0.01}, "accuracy = -0.01"),
-        ({"child": {"type": "ptracer"}}, "radiance along a ray"),
-        ({"child": {"type": "aov", "aovs": "d:depth"}}, "nested AOVIntegrator"),
-    ],
-)
-def test_parameters_of_the_integrator(parameters, words):
-    with pytest.raises(RuntimeError, match=words):
-        mi.load_dict({"type": "plenoptic_wave", **parameters})
+        mi.load_dict({"type": "scene", "sensor": sensor} if plugin == "plenoptic" else {"type": plugin, **parameters})
 
 
 def test_a_sensor_needs_a_film_a_variant_and_a_lens_that_can_be_read(camera_dict, tmp_path):

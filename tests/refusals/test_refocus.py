@@ -63,18 +63,11 @@ test_refused = refused(
         r"response = ray: .*main_lens = 20x/0\.5 objective",
         marks=NEEDS_DECONVOLUTION,
     ),
-    pytest.param(
-        lambda: magnified(-10, method="deconvolved"),
-        "distance = -10",
-        marks=NEEDS_DECONVOLUTION,
-    ),
+    pytest.param(lambda: magnified(-10, method="deconvolved"), "distance = -10", marks=NEEDS_DECONVOLUTION),
     (lambda: RealConjugates.of(OpticalSystem(CAMERAS["real"], WAVELENGTH), [120.0, 12.0], 1), "distance = 12"),
     (lambda: planes(math.inf), "a volume needs"),
     (lambda: planes(230.0, 230.0), "it is given twice"),
-    (
-        lambda: mp.estimate_reconstruction(mp.example("letters-wave"), 210.0, progress=print),
-        "progress: ",
-    ),
+    (lambda: mp.estimate_reconstruction(mp.example("letters-wave"), 210.0, progress=print), "progress: "),
     (lambda: resolved(80.0), "distance = 80: .*80"),
     (lambda: resolved(math.nan), "distance = nan"),
 )
@@ -82,11 +75,7 @@ test_refused = refused(
 
 @pytest.mark.parametrize("options", [{"method": "coherent"}, {"interleave": "auto"}])
 @pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        (NARROW, "less than a pixel"),
-        ({"aperture_radius": 0.05}, "distance = 240: no light"),
-    ],
+    ("changes", "words"), [(NARROW, "less than a pixel"), ({"aperture_radius": 0.05}, "distance = 240: no light")]
 )
 def test_a_camera_without_white_is_refused(options, changes, words):
     """No pixel belongs to the lens beside the axis, or none is lit: images would be divided by nothing."""

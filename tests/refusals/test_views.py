@@ -118,12 +118,7 @@ test_refused = refused(
 
 
 @pytest.mark.parametrize(
-    "work",
-    [
-        lambda: depth_map(even(), 200, 300),
-        lambda: focal_stack(even(), [240.0] * 10),
-        lambda: even.__wrapped__(),
-    ],
+    "work", [lambda: depth_map(even(), 200, 300), lambda: focal_stack(even(), [240.0] * 10), lambda: even.__wrapped__()]
 )
 def test_light_fields_estimate_their_memory_first(work, monkeypatch):
     even()

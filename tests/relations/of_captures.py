@@ -154,7 +154,8 @@ def of_scenes(model, use):
             for seed in (1, 2)
         )
         stated = np.sqrt((np.asarray(one.noise, float) ** 2 + np.asarray(two.noise, float) ** 2).sum())
-        return float(np.linalg.norm(one.image - two.image) / stated), 1.3
+        ratio = float(np.linalg.norm(one.image - two.image) / stated)
+        return max(ratio, 1 / ratio), 1.15
 
     # Waves choose rays by wavelengths and heights of lenses, whose rounding tells some of them apart.
     rounded = "mla_tilt" if model == "wave" else ""
@@ -280,11 +281,7 @@ def seen_through(lf, camera, scene, u, v):
     return np.array(mi.render(scene, sensor=mi.load_dict(pinhole), spp=64), float)[..., 0]
 
 
-@relation(
-    Use.DECODING | Use.RAYS,
-    f"{MOVING} crop_offset crop_size detector_blur",
-    "light fields",
-)
+@relation(Use.DECODING | Use.RAYS, f"{MOVING} crop_offset crop_size detector_blur", "light fields")
 def views_of_pinholes(draw):
     """A view of a smooth wall is what a pinhole at its point of the pupil sees, within a tenth of a bin."""
     camera, g = draw.camera, draw.point(0.4)[2]

@@ -2,7 +2,6 @@
 
 import numpy as np
 from camera_draws import Draw
-from of_captures import image_at
 from relation import off, relation
 
 import mitsuba_plenoptic as mp
@@ -67,31 +66,44 @@ def responses(draw):
 
 
 FUNCTIONS = {
-    "ray": (lambda c, g, w: RayRefocus(c, g), Use.RAY_REFOCUSING | Use.RAY_DERIVATIVES),
-    "coherent": (CoherentRefocus, Use.FIELDS | Use.FIELD_DERIVATIVES),
-    "deconvolved": (lambda c, g, w: DeconvolvedRefocus(c, g, iterations=2), Use.RESPONSES),
-}
+    "ray": (RayRefocus, Use.RAY_REFOCUSING | Use.RAY_DERIVATIVES, lambda w: (
+        {}, {"footprint": "point", "oversample": 2}
+    )),
+    "partial": (CoherentRefocus, Use.FIELDS | Use.FIELD_DERIVATIVES, lambda w: (
+        {"wavelength": w, "interleave": 1}, {"wavelength": w, "interleave": 2, "oversample": 2}
+    )),
+    "deconvolved": (DeconvolvedRefocus, Use.RESPONSES, lambda w: (
+        {"iterations": 2}, {"iterations": 2, "wavelength": w}
+    )),
+}  # fmt: skip
+"""Classes, what they need, and their options at a wavelength: by rays there is none."""
 
 
-def of_functions(method, make, use):
+def of_functions(method, make, use, options):
     """Add the relation of refocusing by one method as a differentiable function."""
 
     def function(draw):
         """It gives the image of `reconstruct`, its derivative is a difference, and has a transpose."""
-        g, image = draw.point()[2], random_image(draw, draw.camera.shape)
-        refocus = make(draw.camera, g, draw.wavelength)
-        options = {"response": "ray", "accelerate": False} if method == "deconvolved" else {}
-        expected = np.nan_to_num(image_at(draw.camera, image, g, method, draw.wavelength, **options))
-        change, step = image * (random_image(draw, image.shape) - 1), 3e-3
-        if method == "ray":
-            made, moved, back = refocus.forward(image), refocus.forward(change), refocus.adjoint
-        else:
-            at = refocus.at(image)
-            made, moved, back = at.image, at.jvp(change), at.vjp
-        y = random_image(draw, made.shape) - 1
-        one, other = (refocus.forward(image + side * step * change).astype(float) for side in (1, -1))
-        found = off(made, expected) / 1e-4, off(moved, (one - other) / (2 * step)) / 5e-3
-        return max(*found, apart(moved, y, change, back(y)) / 1e-5), 1.0
+        g, image, worst = draw.point()[2], random_image(draw, draw.camera.shape), []
+        for chosen in options(draw.wavelength):
+            refocus = make(draw.camera, g, **chosen)
+            if method == "deconvolved":
+                chosen = chosen | {"accelerate": False, "response": "wave" if "wavelength" in chosen else "ray"}
+            expected = mp.reconstruct(image, g, camera=draw.camera, method=method, **chosen).image
+            change, step = image * (random_image(draw, image.shape) - 1), 3e-3
+            if method == "ray":
+                made, moved, back = refocus.forward(image), refocus.forward(change), refocus.adjoint
+            else:
+                at = refocus.at(image)
+                made, moved, back = at.image, at.jvp(change), at.vjp
+            y = random_image(draw, made.shape) - 1
+            one, other = (refocus.forward(image + side * step * change).astype(float) for side in (1, -1))
+            worst += [
+                off(made, np.nan_to_num(np.squeeze(expected))) / 1e-4,
+                off(moved, (one - other) / (2 * step)) / 5e-3,
+            ]
+            worst.append(apart(moved, y, change, back(y)) / 1e-5)
+        return max(worst), 1.0
 
     function.__name__ = f"function_{method}"
     # Other functions know of lenses under chief rays the nearest regular array.

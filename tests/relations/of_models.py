@@ -239,13 +239,14 @@ def workers_of_points(draw):
 
 @relation(Use.SCENES, method="workers")
 def workers_of_scenes(draw):
-    """A wave capture of a scene has the same bits, too."""
-    scene = wall(draw.camera, draw.point()[2])
-    one, *others = (
-        mp.render_capture(scene, model="wave", spp=4, wavelength=draw.wavelength, batch_map=each).image
-        for each in (Threads(1), Threads(3), Elsewhere())
-    )
-    return float(not all(np.array_equal(each, one) for each in others)), 0.0
+    """A wave capture of a scene has the same bits, too, also on several threads of Dr.Jit."""
+    scene, images = wall(draw.camera, draw.point()[2]), []
+    for count, each in ((1, Threads(1)), (3, Threads(3)), (1, Elsewhere())):
+        dr.set_thread_count(count)
+        options = {"wavelength": draw.wavelength, "batch_map": each}
+        images.append(mp.render_capture(scene, model="wave", spp=4, **options).image)
+    dr.set_thread_count(1)
+    return float(not all(np.array_equal(each, images[0]) for each in images[1:])), 0.0
 
 
 @relation(Use.RAYS, method="workers")
@@ -261,7 +262,7 @@ def threads_of_rays(draw):
 
 @relation(
     Use.RAYS | Use.SCENES,
-    "mla_cra pixel_response wavefront phase_screen crop_offset crop_size main_lens",
+    "mla_cra pixel_response wavefront phase_screen mla_warp crop_offset crop_size main_lens",
     "captures by waves",
     lambda seed: ["mla_absorption", "mla_medium", "mla_tilt"],
 )

@@ -167,10 +167,7 @@ def blur(draw):
 def file(draw):
     """A camera read from JSON, or made anew from its dictionary: the same picture."""
     points = [draw.point()]
-    others = [
-        mp.PlenopticCamera.from_json(draw.camera.to_json()),
-        mp.PlenopticCamera.from_dict(draw.camera.to_dict()),
-    ]
+    others = [mp.PlenopticCamera.from_json(draw.camera.to_json()), mp.PlenopticCamera.from_dict(draw.camera.to_dict())]
     expected = picture(draw.camera, points, draw.wavelength)
     return max(off(picture(each, points, draw.wavelength), expected) for each in others), 1e-6
 

@@ -87,9 +87,10 @@ def draw_of(relation: Relation, seed: int, times: Callable[[str, str], int] | No
         pairs = [sorted(rng.choice(both, 2, replace=False), key=both.index) for _ in range(20) if len(both) > 1]
         names = [*min(pairs, key=lambda pair: times(*pair), default=[]), *names]
     if relation.first:
-        names = [rng.choice([name for name in relation.first(seed) if name in allowed]), *names]
+        first = rng.permutation([name for name in relation.first(seed) if name in allowed])
+        names = [*first[[bool(possible(seed, [str(name)], relation.use).options) for name in first]][:1], *names]
     drawn = possible(seed, [str(name) for name in names], relation.use)
-    return Draw(seed, drawn.options[:4] if not times else [str(name) for name in names if name in drawn.options][:4])
+    return Draw(seed, [str(name) for name in names if name in drawn.options][:4])
 
 
 def judged(relation: Relation, draw: Draw) -> Outcome:

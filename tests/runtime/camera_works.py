@@ -95,10 +95,7 @@ TURNED = HALVED.replace(mla_rotation=7.0)
 UNEQUAL = HALVED.replace(mla_transmissions=TABLE)
 OF_ARRAY = ("mla_pitch", "mla_offset", "mla_focal_length", "mla_fill")
 NEGATIVE = {"interleave": "auto", "oversample": 2, "image": image_of(HALVED) - np.float32(0.02)}
-WITH_WHITE = {
-    "image": mp.Capture(image_of(HALVED), HALVED),
-    "white": mp.Capture(0.5 + image_of(HALVED), HALVED),
-}
+WITH_WHITE = {"image": mp.Capture(image_of(HALVED), HALVED), "white": mp.Capture(0.5 + image_of(HALVED), HALVED)}
 
 
 def planes():

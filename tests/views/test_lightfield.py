@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from cameras import letters, pinhole_picture
 from light_field_cases import LATTICES, PAPER, all_cameras, fall_off_of, square_cameras
 from refusals import refuses
 from scipy.spatial import cKDTree
@@ -14,6 +15,9 @@ from mitsuba_plenoptic import (
     PlenopticCamera,
     Vignetting,
     decode,
+    load_scene,
+    reconstruct,
+    render_capture,
 )
 from mitsuba_plenoptic.views import (
     LensGrid,
@@ -22,10 +26,12 @@ from mitsuba_plenoptic.views import (
     disparity,
     distance_of,
     epipolar_image,
+    estimate_lens_grid,
     lens_grid,
     lens_mosaic,
     open_light_field,
     pick_views,
+    refocus,
     save_light_field,
     view,
     view_mosaic,
@@ -245,3 +251,126 @@ class TestViews:
         steep = epipolar_image(lf, "vertical", at=float(lf.s[5]), through=float(lf.u[0]))
         assert steep.dims == ("v", "t")
         assert np.array_equal(steep.values, lf.values[:, 0, :, 5])
+
+
+@all_cameras
+def test_the_grid_holds_the_lenses(camera):
+    grid = lens_grid(camera)
+    centres = grid.centres().reshape(-1, 2)
+    p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
+    to_lenses = camera.mla_distance / (camera.mla_distance + camera.detector_distance)
+    x, y = (p * to_lenses).T
+    lattice = camera.lattice
+    # Every point of the grid is a lens, and every lens in the image is a point of the grid.
+    assert np.hypot(*(np.array(lattice.centre(*lattice.cell(x, y))) - [x, y])).max() < 1e-9
+    columns, rows = (camera.pixel_coordinates(axis) * to_lenses for axis in (0, 1))
+    index = lattice.lenses_within((columns[0], rows[0]), (columns[-1], rows[-1]))
+    if lattice.axis_aligned:
+        assert len(centres) == (len(index) if camera.is_cropped else math.prod(camera.lens_count))
+    expected = np.stack(lattice.centre(*index.T.astype(float)), axis=-1)
+    distance = cKDTree(np.stack([x, y], axis=-1)).query(expected)[0]
+    assert distance.max() < 1e-9
+
+
+def test_rows_are_found_whatever_the_angle():
+    for degrees in np.linspace(-360, 360, 289):
+        camera = PlenopticCamera(
+            detector_width=0.3, resolution=(150, 150), mla_lattice="hexagonal", mla_rotation=float(degrees)
+        )
+        grid = lens_grid(camera)
+        assert abs(grid.rotation) <= math.radians(15) + 1e-9
+        assert grid.shifted_rows is not None
+        assert grid.nearest_distance == pytest.approx(camera.micro_image_pitch / camera.pixel_size)
+
+
+def test_views_show_the_scene_from_their_place_on_the_pupil(name="hexagonal, stretched"):
+    """By a hexagonal lattice with two pitches."""
+    lattice = {key: ", ".join(map(str, np.ravel(value))) for key, value in LATTICES[name].items()}
+    scene = load_scene("letters", parameters=letters(32, **lattice))
+    capture = render_capture(scene, spp=16)
+    lf = decode(capture)
+    assert (lf.sizes["s"], lf.sizes["t"]) == capture.camera.bin_count
+
+    for u, v in ((0.0, 0.0), (3.0, 0.0), (0.0, -3.0)):
+        one = view(lf, u=u, v=v)
+        shape = lf.sizes["s"], lf.sizes["t"]
+        width = lf.sizes["s"] * capture.camera.row_pitch
+        expected = pinhole_picture(scene, *shape, width, float(one.u), float(one.v), spp=64)[..., 0]
+        aside = [np.roll(expected, step, axis) for step in (-1, 1) for axis in (0, 1)]
+        score = np.corrcoef(one.values.ravel(), expected.ravel())[0, 1]
+        assert score > 0.97
+        assert score > max(np.corrcoef(one.values.ravel(), other.ravel())[0, 1] for other in aside) + 0.02
+
+    # Refocused from the light field and straight from the capture.
+    for distance in (210.0, 280.0):
+        ours, theirs = refocus(lf, distance).values, reconstruct(capture, distance).image
+        assert 10 * math.log10(theirs.max() ** 2 / np.mean((ours - theirs)[3:-3, 3:-3] ** 2)) > 30
+
+
+ROOT3 = math.sqrt(3)
+
+
+def distances(found, truth, shape):
+    """Distance of every true centre within the image from the nearest one found, and of each found from a true one."""
+    ours, theirs = (grid.centres().reshape(-1, 2) for grid in (found, truth))
+    seen = theirs[((theirs > 0) & (theirs < shape[::-1])).all(1)]
+    inner = ours[((ours > 5) & (ours < np.array(shape[::-1]) - 5)).all(1)]
+    return cKDTree(ours).query(seen)[0], cKDTree(theirs).query(inner)[0]
+
+
+GRIDS = {
+    "square": LensGrid((16.317, 16.317), (-23.3, -17.2), (70, 70), math.radians(0.3)),
+    "hexagonal, upright": LensGrid((17.1 * ROOT3, 17.1 / 2), (-23.3, -17.2), (140, 45), math.radians(-0.3), 0),
+    "rectangular": LensGrid((17.0, 15.5), (-60.0, 17.3), (90, 80), math.radians(-3.0)),
+    "hexagonal, upright, hardly stretched": LensGrid(
+        (17.1 * ROOT3, 1.003 * 17.1 / 2), (-23.3, -17.2), (140, 45), math.radians(-3.0), 0
+    ),
+    "hexagonal, tall": LensGrid((20.0, 1.3 * 20.0 * ROOT3 / 2), (-95.3, -17.2), (60, 60), math.radians(-5.0), 1),
+}
+
+
+@pytest.mark.parametrize("grid", GRIDS.values(), ids=GRIDS)
+def test_centres_of_an_unknown_lattice(grid):
+    # A micro-image is 10.7 pixels wide. The picture is darker towards its corners and noisy.
+    image = white_image(PlenopticCamera(detector_width=3.2, resolution=(800, 720)), grid)
+    y, x = (np.linspace(-1, 1, n) for n in image.shape)
+    image = 900 * image * (1 - 0.15 * (x**2 + y[:, None] ** 2)) + 40
+    image += np.random.default_rng(0).normal(0, 20, image.shape)
+    missed, spurious = distances(estimate_lens_grid(image), grid, image.shape)
+    assert len(missed) > 1000
+    assert np.sqrt(np.mean(missed**2)) < 0.05
+    # Not a denser lattice that happens to hold the true one.
+    assert spurious.max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("diameter", "lattice", "rotation", "pitch"),
+    [
+        (0.8, "hexagonal", 8.0, 12.5),
+        (1.1, "square", 1.3, 8.3),
+        # Here the fundamental wave vanishes, beyond it is negative.
+        (1.22, "square", 14.0, 19.23),
+        (1.25, "hexagonal", 3.0, 12.5),
+    ],
+)
+def test_lattices_of_micro_images_that_overlap(diameter, lattice, rotation, pitch):
+    """Not the lattice of the gaps, turned by 45 degrees and finer by the root of two."""
+    wide = PlenopticCamera(mla_lattice=lattice, mla_rotation=rotation, mla_offset=(0.017, -0.023))
+    scale = diameter / wide.micro_image_diameter * wide.micro_image_pitch
+    step = wide.micro_image_pitch / pitch
+    camera = wide.replace(
+        aperture_radius=wide.aperture_radius * scale, resolution=(340, 300), detector_width=340 * step
+    )
+    image = np.random.default_rng(0).poisson(4000 * white_image(camera).clip(0)) + 300.0
+    found = estimate_lens_grid(image)
+    assert found.nearest_distance == pytest.approx(pitch, rel=1e-3)
+    sides = 4 if lattice == "square" else 12
+    assert abs((math.degrees(found.rotation) - rotation + 180 / sides) % (360 / sides) - 180 / sides) < 0.02
+    missed, spurious = distances(found, lens_grid(camera), image.shape)
+    assert max(missed.max(), spurious.max()) < 0.1
+
+
+def test_colour_pictures_count_by_their_mean():
+    white = white_image(PlenopticCamera(detector_width=0.512, resolution=(256, 256)))
+    grey, colour = estimate_lens_grid(white), estimate_lens_grid(white[..., None] * [0.5, 1.0, 1.5])
+    assert colour.offset == pytest.approx(grey.offset, abs=1e-3)

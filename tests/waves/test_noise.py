@@ -9,36 +9,6 @@ from cases import facing, scene_of
 import mitsuba_plenoptic as mp
 
 
-def lit_wall(sensor):
-    """A matte wall lit from the side: every light path brings something else."""
-    aside = mi.ScalarTransform4f().look_at(origin=[30, 30, 220], target=[0, 0, 236], up=[0, 1, 0]).scale(20)
-    lamp = {"type": "rectangle", "to_world": aside, "emitter": {"type": "area", "radiance": 20.0}}
-    return scene_of(sensor, "direct", wall=facing(236.0, 20.0), lamp=lamp)
-
-
-def rms(image):
-    return np.sqrt(np.mean(np.square(image), axis=(0, 1)))
-
-
-@pytest.mark.parametrize(
-    ("variant", "pixels", "options"),
-    [
-        ("llvm_ad_mono", "luminance", {"model": "ray", "spp": 16}),
-        pytest.param("llvm_ad_rgb", "rgb", {"model": "ray", "spp": 40}, marks=pytest.mark.slow),
-    ],
-)
-def test_the_noise_is_the_spread_of_seeds(camera_dict, variant, pixels, options):
-    mi.set_variant(variant)
-    film = {"pixel_format": pixels}
-    # Wide apertures give rays weights of their own.
-    scene = lit_wall(camera_dict(resolution=32, detector_width=0.128, aperture_radius=8.0, film=film))
-    captures = [mp.render_capture(scene, seed=seed, noise=seed < 3, **options) for seed in range(10)]
-    noise = np.mean([rms(capture.noise) for capture in captures[:3]], axis=0)
-    spread = rms(np.std([capture.image for capture in captures], axis=0, ddof=1))
-    np.testing.assert_allclose(noise, spread, rtol=0.1)
-    assert captures[0].noise.shape == captures[0].image.shape
-
-
 @pytest.mark.slow
 def test_the_noise_of_waves_is_that_of_compensated_pixels():
     """Letters on black with few samples: many pixels in the dark are negative before their compensation."""

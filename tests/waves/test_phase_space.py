@@ -150,8 +150,7 @@ def test_plans_of_many_cameras_keep_tables_of_bounded_size(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("pitch", "pixels", "tolerance"),
-    [pytest.param(0.5, 16, 0.01, marks=pytest.mark.slow), (0.4, 4, 0.02)],
+    ("pitch", "pixels", "tolerance"), [pytest.param(0.5, 16, 0.01, marks=pytest.mark.slow), (0.4, 4, 0.02)]
 )
 def test_kernels_of_large_lenses_keep_the_light(pitch, pixels, tolerance):
     """Far wider than their diffraction: samples of lenses repeat within the kernels' reach."""

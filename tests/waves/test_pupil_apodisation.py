@@ -1,12 +1,16 @@
-"""Apodised pupils: rays against the transmission itself, waves against sums over the pupil."""
+"""Pupils with a transmission or a phase screen, by rays, waves of points and signed rays."""
 
 import numpy as np
 import pytest
-from cameras import sky
+from cameras import disk, error, sky
+from cases import scene_of
 from scipy.special import j0
 
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
 from mitsuba_plenoptic.design import white_mean
+from mitsuba_plenoptic.lenses.thin import Wavefront
+from mitsuba_plenoptic.optics import guards
 from mitsuba_plenoptic.views.white import white_image
 
 A2, A4 = -0.6, 0.2
@@ -82,3 +86,39 @@ def test_point_spreads_are_sums_over_the_pupil(method, a2, a4):
 def test_ordinary_cameras_read_the_mean_transmission():
     camera = PlenopticCamera(mla_lattice="none", resolution=(8, 8), detector_width=0.128, pupil_apodisation=(A2, A4))
     assert sky(camera, 16) == pytest.approx(np.full((8, 8), 1 + A2 / 2 + A4 / 3), abs=1e-4)
+
+
+PLACES = np.linspace(-5.2, 5.2, 105)
+COMA = (0, 0, 0, 0, 0, 0.3, 0, 0.5)
+
+
+def capture_of_lamp(**changes):
+    scene = scene_of(
+        mp.PlenopticCamera(resolution=(32, 32), detector_width=0.128, **changes).to_sensor(),
+        lamp=disk([0.03, 0.02, 240.0], 0.1),
+    )
+    return mp.render_capture(scene, model="wave", wavelength=550.0, spp=8)
+
+
+def cubic(waves):
+    """A screen that rises by so many waves from the pupil's middle to its rim, by the cube of x."""
+    return mp.PhaseScreen(np.tile(waves * (PLACES / 5) ** 3, (len(PLACES), 1)), 10.4)
+
+
+def test_a_screen_of_zernike_terms_equals_the_terms():
+    of_terms = mp.PhaseScreen(Wavefront(COMA, 5.0).path(*np.meshgrid(PLACES, PLACES)) / 633e-6, 10.4)
+    screen, terms = capture_of_lamp(phase_screen=of_terms).image, capture_of_lamp(wavefront=COMA).image
+    assert error(screen, terms) < 2e-3
+    assert error(screen, capture_of_lamp().image) > 0.2
+
+
+def test_the_guard_has_the_third_derivative():
+    r"""Of points q apart along x the paths :math:`c x^3` differ by :math:`c q^3 / 4` more than by the slope."""
+    found = capture_of_lamp(phase_screen=cubic(10)).metadata["guards"]["phase_screen"]
+    along = 550e-6 * 120 / 0.064 * np.cos(np.pi * np.arange(360) / 360)
+    phase = 2 * np.pi * 10 * 633 / 550 / 5**3 * along**3 / 4
+    assert found == pytest.approx((1 - np.cos(phase)).mean(), rel=0.02)
+    with pytest.warns(mp.PhysicsWarning, match="phase_screen"):
+        capture_of_lamp(phase_screen=cubic(20))
+    with pytest.raises(guards.PhysicsError, match="of the light"):
+        capture_of_lamp(phase_screen=cubic(100))

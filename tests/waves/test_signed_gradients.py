@@ -206,15 +206,11 @@ def test_other_cameras(parameters):
     proportional(scene_of(camera.to_sensor(), through("path"), wall=facing(250.0, 0.3, **radiating(0.5))))
 
 
-def test_absorbing_fog_darkens_by_its_thickness():
+def test_absorbing_fog_darkens_by_its_thickness_and_light_scattered_once_is_proportional_to_the_albedo():
     scene = scene_of(sensor(4, 8), through("volpath"), fog=fog(albedo=0.0), wall=facing(260.0, 20.0, **radiating()))
     weights = np.ones((32, 32, 1))
     assert pulled(scene, SIGMA, weights, spp=256) == pytest.approx(-20 * captured(scene, spp=256).sum(), rel=0.01)
-
-
-def test_light_scattered_once_is_proportional_to_the_albedo():
     scene = scene_of(sensor(4, 8), through("prbvolpath", max_depth=2), fog=fog(albedo=0.6), lamp=POINT)
-    weights = np.ones((32, 32, 1))
     assert pulled(scene, ALBEDO, weights) == pytest.approx(captured(scene).sum() / 0.6, rel=0.01)
 
 

@@ -1,11 +1,15 @@
-"""The walk of rays: what leaves a detector point and what comes back to it, and a scene point's light in between."""
+"""Rays of signed captures: ways through lenses, evenly spread random numbers, and plans of cameras near another one."""
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
+from mitsuba_plenoptic.rays import random_numbers
 from mitsuba_plenoptic.rays.tracer import Passage, Walk, follow_back
+from mitsuba_plenoptic.waves.expansion import OF_KERNELS, ExpandedPlan, nearby
+from mitsuba_plenoptic.waves.phase_space import PhaseSpace
 
 CAMERAS = {
     "square": {},
@@ -72,3 +76,83 @@ def test_paraxial_rays_are_those_of_an_ideal_camera():
         pupil, place = follow_back(pixel[axis], passage.point[axis], passage.lens.centre[axis], 240.0, camera)
         assert np.allclose(pupil, point[axis])
         assert np.allclose(place, -120.0 / 240.0 * (point[axis] + 240.0 * slope[axis]))
+
+
+CAMERA = PlenopticCamera(
+    detector_width=3 * 0.064, resolution=(96, 96), mla_medium=1.2, mla_focal_length=0.6, mla_lattice="hexagonal"
+)
+PLAN = PhaseSpace(CAMERA, 633.0, degree=1, radial=6)
+STEP = CAMERA.pixel_size / 2
+
+
+def changed(**parts):
+    return CAMERA.replace(**{name: getattr(CAMERA, name) * (1 + part) for name, part in parts.items()})
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "mla_pitch")) for n in OF_KERNELS])
+def test_kernels_are_those_computed_anew(name):
+    """At the farthest place from the grid of an accuracy of 0.01."""
+    camera = changed(**{name: 0.0025})
+    step = STEP * camera.detector_width / CAMERA.detector_width
+    before = PLAN.kernels(STEP, PLAN.reach)
+    expected = PLAN.moved(camera).sampled_kernels(step, PLAN.kernel_samples(STEP, PLAN.reach))
+    found = ExpandedPlan.about(PLAN, camera).kernels(step, PLAN.reach)
+    assert np.linalg.norm(found - expected) < min(
+        0.001 * np.linalg.norm(before), 0.05 * np.linalg.norm(before - expected)
+    )
+
+
+@pytest.mark.parametrize("name", ["mla_distance", "mla_pitch"])
+def test_tables_are_those_computed_anew(name):
+    """Their overlaps are sampled, so that smooth sums over the table are compared."""
+
+    def spread(plan):
+        sums = []
+        for values, node in zip(plan.tabulated(), plan.nodes, strict=True):
+            across = np.cos(np.linspace(-np.pi, np.pi, node.counts[0], endpoint=False))
+            sums.append((values[..., 0].astype(float) * across).mean())
+        return np.array(sums)
+
+    camera = changed(**{name: 0.02})
+    expected, found = PLAN.moved(camera), ExpandedPlan.about(PLAN, camera)
+    before, expected, found = map(spread, (PLAN, expected, found))
+    assert np.linalg.norm(found - expected) < 0.1 * np.linalg.norm(expected - before)
+
+
+def test_the_camera_nearby_follows_from_the_camera_alone():
+    start = nearby(CAMERA, ("mla_distance", "focal_length"), 0.01)
+    assert 0 < abs(start.mla_distance / CAMERA.mla_distance - 1) < 0.0026
+    assert start.replace(mla_distance=CAMERA.mla_distance) == CAMERA
+    # A camera of the same cell of the grid has the same one.
+    between = CAMERA.replace(mla_distance=0.75 * start.mla_distance + 0.25 * CAMERA.mla_distance)
+    assert nearby(between, ("mla_distance",), 0.01) == start
+    assert nearby(CAMERA, ("focal_length",), 0.01) is CAMERA
+
+
+@pytest.mark.parametrize("start", [0, 2**22])
+def test_numbers_follow_the_sequence_at_any_index(start):
+    """In single precision an index of 2^22 leaves two bits of a fraction."""
+    index = start + np.arange(1024)
+    found = random_numbers.low_discrepancy(mi.UInt32(7), mi.UInt32(32), mi.UInt32(index), 3)
+    for numbers, step in zip(found, random_numbers.even_steps(3).tolist(), strict=True):
+        values = numbers.numpy().astype(float)
+        assert values.min() >= 0 and values.max() < 1
+        turned = (values - values[0] - (index - start) * step + 0.5) % 1 - 0.5
+        assert np.abs(turned).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    "draw", [lambda lanes, key: random_numbers.low_discrepancy(lanes, key, mi.UInt32(0), 6), random_numbers.chances_of]
+)
+def test_numbers_of_lanes_are_even_and_independent(draw):
+    count = 2**16
+    values = np.array([each.numpy() for each in draw(mi.UInt32(np.arange(count)), mi.UInt32(0))], float)
+    others = np.eye(len(values)), np.zeros(len(values) ** 2)
+    # Within five deviations of what uniform, independent numbers have.
+    assert values.mean(1) == pytest.approx(np.full(len(values), 0.5), abs=5 / np.sqrt(12 * count))
+    assert np.corrcoef(values) == pytest.approx(others[0], abs=5 / np.sqrt(count))
+    neighbours = [np.corrcoef(a[1:], b[:-1])[0, 1] for a in values for b in values]
+    assert neighbours == pytest.approx(others[1], abs=5 / np.sqrt(count))
+    held = np.array([np.bincount((each * 256).astype(int), minlength=256) for each in values])
+    chi = (np.square(held - count / 256) / (count / 256)).sum(1)
+    assert chi == pytest.approx(np.full(len(values), 255), abs=5 * np.sqrt(510))

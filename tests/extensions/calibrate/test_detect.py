@@ -55,7 +55,6 @@ POSES = np.array(
         [0.10, 0.05, 3.10, 4.5, 3, 300],
         [0.45, -0.10, 3.15, 4, 3, 280],
         [-0.15, 0.50, 3.05, 4.5, 2.5, 260],
-        [0.30, 0.40, 3.00, 4, 3, 240],
     ]
 )
 PHOTONS = 300
@@ -94,10 +93,10 @@ def corners(pictures, tmp_path_factory):
 
 
 def test_boards_are_found_where_the_model_sees_them(corners):
-    assert set(corners["frame"]) == {0, 1, 2, 3}
+    assert set(corners["frame"]) == set(range(len(POSES)))
     numbers = numbers_of(CAMERA)
-    assert len(corners["k"]) > 300
-    for frame in range(4):
+    assert len(corners["k"]) > 200
+    for frame in range(len(POSES)):
         mine = corners.keep(corners["frame"] == frame)
         assert len(np.unique(mine["cluster"])) == 12
         lens = np.stack([mine["k"] + 0.5 * (mine["l"] % 2), mine["l"]], axis=-1).astype(float)

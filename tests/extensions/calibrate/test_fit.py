@@ -6,11 +6,13 @@ from pathlib import Path
 import calibration_cases as cases
 import numpy as np
 import pytest
-from refusals import refuses
+from foreign_files import LARGE, large
+from refusals import refused, refuses
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, calibrate
 from mitsuba_plenoptic import calibration as cal
 from mitsuba_plenoptic.array import Conic
+from mitsuba_plenoptic.calibration import Board, read_camera, read_centres, read_corners
 from mitsuba_plenoptic.extensions.calibrate.adjustment import Problem, adjust
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, Observations, numbers_of, predict_centres
 
@@ -306,3 +308,32 @@ def test_compote_cameras_are_read():
 def test_lenses_are_counted_as_rows_are_shifted():
     places = cal.LensIndex(0.5, -1, (3, 1)).unit(np.array([3, 3, 3]), np.array([1, 2, 3]))
     np.testing.assert_array_equal(places, [[0, 0], [-0.5, -1], [0, -2]])
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("calibrate c.csv -o {out}.json --report {out}.json", "two results would be written to it"),
+        ("calibrate w.png -o {out}.csv --board 9x5 --square 3", "--square: detecting corners"),
+        ("calibrate --evaluate c.csv --white {raw}", "--white: "),
+        ("calibrate a.png --board 4x3 -o {out}.csv", "need a white image"),
+        ("calibrate a.png b.csv --board 4x3 -o {out}.csv", "one table of corners"),
+        ("calibrate a.png --report a.html -o {out}.csv", "a report is of a calibration"),
+        ("calibrate --evaluate a.csv -o {out}.csv", "writes no file"),
+    ],
+)
+def test_mistakes(line, words, mistake, tmp_path_factory, monkeypatch):
+    monkeypatch.chdir(tmp_path_factory.mktemp("files"))
+    for name in ("a.png", "w.png", "a.csv", "b.csv", "c.csv"):
+        Path(name).write_text("k,l")
+    mistake(line, words)
+
+
+BOARD = Board(9, 5, 3.0)
+
+test_the_size_of_a_file_is_judged_before_it_is_read = refused(
+    (lambda folder: read_camera(large(folder / "camera.json")), f"camera.json: {LARGE}"),
+    (lambda folder: read_corners(large(folder / "corners.csv"), BOARD, (64, 64)), f"corners.csv: {LARGE}"),
+    (lambda folder: read_centres(large(folder / "centres.csv")), f"centres.csv: {LARGE}"),
+    (lambda folder: read_centres(large(folder / "white.grid.json")), f"white.grid.json: {LARGE}"),
+)

@@ -11,15 +11,6 @@ CAMERA = small_camera(4, **HALF, detector_distance=0.512, wavefront=(*(0.0,) * 1
 POINT = [(0.03, 0.01, 116.0)]
 
 
-def difference(figure, **change):
-    """Return the central difference of a figure along changes of numbers."""
-    sides = []
-    for side in (1, -1):
-        moved = {name: np.add(getattr(CAMERA, name), np.multiply(side, step)) for name, step in change.items()}
-        sides.append(figure.value(CAMERA.replace(**{name: value.tolist() for name, value in moved.items()})))
-    return (sides[0] - sides[1]) / 2
-
-
 def spherical(amount):
     """Return a wavefront of the eleventh term."""
     return [0.0] * 10 + [amount]
@@ -34,23 +25,23 @@ def test_contrast_is_that_of_the_refocused_image():
     assert figure.value(CAMERA) == pytest.approx(expected, rel=1e-4)
 
 
-@pytest.mark.parametrize("name", ["mla_focal_length", "wavefront"])
-def test_gradient_of_contrast_against_differences(name):
-    figure = RefocusedContrast(CAMERA, POINT, (0.5, 0.8))
-    step = 2e-3 if name == "mla_focal_length" else spherical(0.02)
+@pytest.mark.parametrize(
+    ("figure", "name", "step", "limit"),
+    [
+        # At this accuracy derivatives keep another part of the diffracted light than spreads.
+        (RefocusedContrast(CAMERA, POINT, (0.5, 0.8)), "mla_focal_length", 2e-3, 0.06),
+        (RefocusedContrast(CAMERA, POINT, (0.5, 0.8)), "wavefront", spherical(0.02), 0.06),
+        (DepthInformation(POINT, 3000.0), "wavefront", spherical(0.02), 0.05),
+    ],
+)
+def test_gradients_against_differences(figure, name, step, limit):
     value, gradient = figure.gradient(CAMERA, [name])
     assert value == pytest.approx(figure.value(CAMERA), rel=1e-6)
     found = np.vdot(gradient[name][: np.size(step)], step)
-    # At this accuracy derivatives keep another part of the diffracted light than spreads.
-    assert found == pytest.approx(difference(figure, **{name: step}), rel=0.06)
-
-
-def test_gradient_of_depth_against_differences():
-    figure, step = DepthInformation(POINT, 3000.0), spherical(0.02)
-    value, gradient = figure.gradient(CAMERA, ["wavefront"])
-    assert value == pytest.approx(figure.value(CAMERA), rel=1e-6)
-    found = np.vdot(gradient["wavefront"][: np.size(step)], step)
-    assert found == pytest.approx(difference(figure, wavefront=step), rel=0.05)
+    moved = (
+        CAMERA.replace(**{name: np.add(getattr(CAMERA, name), side * np.array(step)).tolist()}) for side in (1, -1)
+    )
+    assert found == pytest.approx(-np.diff([figure.value(each) for each in moved])[0] / 2, rel=limit)
 
 
 def test_deviation_is_that_of_estimates_from_noise():

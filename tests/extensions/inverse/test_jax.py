@@ -2,7 +2,6 @@
 
 import gc
 import importlib
-import sys
 import weakref
 from functools import partial
 
@@ -222,11 +221,3 @@ def test_wrong_shapes_are_refused_before_anything_runs_on_the_host(compiled):
     ):
         with pytest.raises(InputError, match=words):
             compiled(function)(given)
-
-
-def test_jax_that_is_missing(monkeypatch):
-    monkeypatch.setitem(sys.modules, "jax", None)
-    for name in ("mitsuba_plenoptic.jax", "mitsuba_plenoptic.extensions.inverse.jax"):
-        monkeypatch.delitem(sys.modules, name)
-    with pytest.raises(InputError, match="pip install"):
-        importlib.import_module("mitsuba_plenoptic.jax")

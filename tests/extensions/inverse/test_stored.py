@@ -35,14 +35,24 @@ def require_equal(computed, stored, columns=None):
     assert abs(np.vdot(made, given) - np.vdot(weights, products)) < 1e-5 * scale
 
 
-def test_points_that_share_a_spread_have_their_own_copies():
-    points = np.concatenate([in_every_lens(SMALL, 3, 240.0, per_lens=3), scattered(2)])
-    require_equal(*both(SMALL, points, wavelength=WAVELENGTH, accuracy=0.1), columns=5)
+BAND = Spectrum(tuple(np.linspace(520, 560, 5).tolist()), (tuple(np.hanning(7)[1:-1].tolist()),), nodes=(525.0, 555.0))
+ALIKE = np.concatenate([in_every_lens(SMALL, 3, 240.0, per_lens=3), scattered(2)])
+NEAR = [(0.02, -0.03, 120.0), (0.01, 0.04, 112.5)]
+CELLS = [np.indices((8, 8)).sum(0) < 6, np.ones((8, 8))]
 
 
-def test_pupil_weights():
-    cells = [np.indices((8, 8)).sum(0) < 6, np.ones((8, 8))]
-    require_equal(*both(SMALL, scattered(2), wavelength=WAVELENGTH, accuracy=0, pupil_weights=cells))
+@pytest.mark.parametrize(
+    ("camera", "points", "options", "columns"),
+    [
+        (SMALL, ALIKE, {"accuracy": 0.1}, 5),
+        (SMALL, scattered(2), {"accuracy": 0, "pupil_weights": CELLS}, None),
+        (small_camera(2, **HALF), NEAR, {"method": "full_field"}, None),
+        (SMALL, scattered(2), {"accuracy": 0, "wavelength": None, "spectrum": BAND}, 5),
+    ],
+    ids=["shared spreads", "pupil weights", "full fields", "nodes"],
+)
+def test_products_are_those_of_spreads_that_are_computed(camera, points, options, columns):
+    require_equal(*both(camera, points, **{"wavelength": WAVELENGTH} | options), columns)
 
 
 def test_points_beyond_the_window_have_empty_columns():
@@ -52,11 +62,6 @@ def test_points_beyond_the_window_have_empty_columns():
     filled = np.diff(stored.to_sparse().indptr) > 0
     assert sorted(filled) == [False, True]
     assert [computed.forward(one).any() for one in np.eye(2)] == filled.tolist()
-
-
-def test_full_fields():
-    points = [(0.02, -0.03, 120.0), (0.01, 0.04, 112.5)]
-    require_equal(*both(small_camera(2, **HALF), points, wavelength=WAVELENGTH, method="full_field"))
 
 
 def test_wavelengths_are_stored_once_and_mixed_into_channels(monkeypatch):
@@ -76,12 +81,6 @@ def test_wavelengths_are_stored_once_and_mixed_into_channels(monkeypatch):
     matrix = stored.to_sparse()
     assert matrix.shape == (SMALL.shape[0] * SMALL.shape[1] * 2, 9)
     assert error(matrix @ weights.ravel(), stored.forward(weights).ravel()) < 1e-6
-
-
-def test_nodes_of_a_spectrum():
-    wavelengths = tuple(np.linspace(520, 560, 5).tolist())
-    spectrum = Spectrum(wavelengths, (tuple(np.hanning(7)[1:-1].tolist()),), nodes=(525.0, 555.0))
-    require_equal(*both(SMALL, scattered(2), spectrum=spectrum, accuracy=0), columns=5)
 
 
 def test_matrix_is_the_operator_and_scipy_solves_it_to_double_precision():

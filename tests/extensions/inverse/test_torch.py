@@ -2,7 +2,6 @@
 
 import gc
 import importlib
-import sys
 import weakref
 
 import drjit as dr
@@ -351,11 +350,3 @@ test_refusals = refused(
         r"^captures of shape \(64, 64, 3\): .* \(64, 64\)$",
     ),
 )
-
-
-def test_torch_that_is_missing(monkeypatch):
-    monkeypatch.setitem(sys.modules, "torch", None)
-    for name in ("mitsuba_plenoptic.torch", "mitsuba_plenoptic.extensions.inverse.torch"):
-        monkeypatch.delitem(sys.modules, name)
-    with pytest.raises(InputError, match="pip install"):
-        importlib.import_module("mitsuba_plenoptic.torch")
