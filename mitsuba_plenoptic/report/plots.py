@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import math
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -194,14 +195,11 @@ def annotate(axes: Axes, *, title: str = "", side: str = "", foot: str = "", siz
 
 def mark(axes: Axes, zoom: Zoom, corner: tuple[int, int], factor: float, name: str) -> None:
     """Draw the frame of a close-up on the picture of the whole detector."""
-    x = (zoom.columns.start - corner[1]) / factor
-    y = (zoom.rows.start - corner[0]) / factor
-    width = (zoom.columns.stop - zoom.columns.start) / factor
-    height = (zoom.rows.stop - zoom.rows.start) / factor
-    axes.add_patch(Rectangle((x, y), width, height, fill=False, edgecolor=ACCENT, linewidth=1.2))
+    corners = (np.array([[each.start, each.stop] for each in (zoom.columns, zoom.rows)]).T - corner[::-1]) / factor
+    axes.add_patch(Rectangle(corners[0], *np.ptp(corners, axis=0), fill=False, edgecolor=ACCENT, linewidth=1.2))
     axes.annotate(
         name,
-        (x, y),
+        corners[0],
         (3, -3),
         textcoords="offset points",
         color=INK,
@@ -253,7 +251,6 @@ _PAGE = 7.0
 _TEXT = 7.0
 _LINE = 0.2
 """Inches of a sheet for a line of text, for labels on the left, and for a colour bar."""
-_AT_DISTANCE = "bars: lengths at the distance of each image"
 
 
 @dataclass(frozen=True)
@@ -296,23 +293,23 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
     )
     distances = sorted({result.distance for result in results})
     models = {result.facts.get("model") for result in results}
-    by_label: dict[str, dict[float, Reconstruction]] = {}
+    by_label: dict[str, dict[float, Panel]] = defaultdict(dict)
     for result in results:
         model = result.facts.get("model")
         label = result.method if len(models) == 1 or model is None else f"{result.method} of {model} capture"
         labels = (label, *(f"{label} {number}" for number in range(2, len(results) + 1)))
-        row = next(row for row in labels if result.distance not in by_label.get(row, {}))
-        by_label.setdefault(row, {})[result.distance] = result
+        row = next(row for row in labels if result.distance not in by_label[row])
+        by_label[row][result.distance] = _panel(result.image, result.distance, result.bin_size)
+    rows = [
+        [row.get(distance, _panel(np.zeros((0, 0)), distance, 0.0)) for distance in distances]
+        for row in by_label.values()
+    ]
+    return _sheet(rows, list(by_label) if len(by_label) > 1 else [], white)
 
-    def panel(result: Reconstruction | None, distance: float) -> Panel:
-        title = distance_text(distance)
-        if result is None:
-            return Panel(np.zeros((0, 0)), title)
-        width = result.image.shape[1] * result.bin_size if np.isfinite(distance) else None
-        return Panel(result.image, title, width)
 
-    rows = [[panel(row.get(distance), distance) for distance in distances] for row in by_label.values()]
-    return _sheet(rows, list(by_label) if len(by_label) > 1 else [], white, _AT_DISTANCE)
+def _panel(image: Array, distance: float, bin_size: float) -> Panel:
+    """Return the panel of an image refocused to a distance."""
+    return Panel(image, distance_text(distance), image.shape[1] * bin_size if math.isfinite(distance) else None)
 
 
 def stack_figure(stack: xr.DataArray, white: float | None = None) -> Plot:
@@ -331,20 +328,14 @@ def stack_figure(stack: xr.DataArray, white: float | None = None) -> Plot:
         A Matplotlib figure, whose method `save` writes PNG or PDF.
     """
     if "disparity" in stack.dims:
-        panels = [Panel(image.values, f"disparity {float(image.disparity):g}", None) for image in stack]
-        return _sheet([panels], [], white, "pixels per view")
+        panels = [Panel(image.values, f"disparity {float(image.disparity):g}") for image in stack]
+        return _sheet([panels], [], white)
     camera = views.camera_of(stack)
-    panels = [
-        Panel(
-            image.values,
-            distance_text(float(image.distance)),
-            image.sizes["s"] * camera.bin_size(float(image.distance)) if np.isfinite(image.distance) else None,
-        )
-        for image in stack
-    ]
-    columns = len(panels) if len(panels) < 5 else int(np.ceil(np.sqrt(len(panels))))
+    distances = stack.distance.values.tolist()
+    panels = [_panel(image.values, at, camera.bin_size(at)) for image, at in zip(stack, distances, strict=True)]
+    columns = len(panels) if len(panels) < 5 else math.ceil(math.sqrt(len(panels)))
     rows = [panels[start : start + columns] for start in range(0, len(panels), columns)]
-    return _sheet(rows, [], white, _AT_DISTANCE)
+    return _sheet(rows, [], white)
 
 
 def views_figure(lf: xr.DataArray, white: float | None = None) -> Plot:
@@ -372,7 +363,7 @@ def views_figure(lf: xr.DataArray, white: float | None = None) -> Plot:
         ]
         for j in range(lf.sizes["v"])
     ]
-    return _sheet(rows, down, white, f"{IN_FOCUS}, in all views", below=True)
+    return _sheet(rows, down, white, f"{IN_FOCUS}, in all views")
 
 
 @styled
@@ -432,21 +423,19 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
     finite = depth[np.isfinite(depth)]
     near, far = (float(finite.min()), float(finite.max())) if finite.size else (found.attrs["near"], found.attrs["far"])
     unknown = "" if finite.size == depth.size else "; hatched: unknown"
-    maps: list[tuple[str, Array, Any, str, str]] = [
+    maps: list[Any] = [
         ("In focus everywhere", image, _grey([image], white), "gray", "radiance"),
         (sought, depth, Normalize(near, far), "viridis_r", f"{unit}{unknown}"),
         ("Confidence", found["confidence"].values, Normalize(0, 1), "gray", "probability"),
     ]
     plot = Plot(_PAGE, dpi=PRINT_DPI)
-    (panels,) = plot.panels(1, len(maps), depth.shape[0] / depth.shape[1])
+    (panels,) = plot.panels(1, 3, depth.shape[0] / depth.shape[1])
     for axes, (title, values, norm, colours, label) in zip(panels, maps, strict=True):
         artist = _draw(axes, values, norm, colours)
-        annotate(axes, title=title, size=_TEXT)
+        annotate(axes, title=title, foot="" if values.ndim == 2 else f"white: radiance {norm.vmax:.3g}", size=_TEXT)
         if (across := _in_focus(found)) is not None:
             scale_bar(axes, across, IN_FOCUS, size=_TEXT)
-        if values.ndim == 3:
-            annotate(axes, title=title, foot=f"white: radiance {norm.vmax:.3g}", size=_TEXT)
-        else:
+        if values.ndim == 2:
             bar = plot.colour_bar(artist, axes, label, location="bottom", text=_TEXT, extend=_end(values, norm))
             bar.locator = MaxNLocator(4)
             bar.update_ticks()
@@ -454,9 +443,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
 
 
 @styled
-def _sheet(
-    rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float | None, bars: str, below: bool = False
-) -> Plot:
+def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float | None, below: str = "") -> Plot:
     """Return a figure of panels of equal size and scale, with labels on the left, and scale bars in or below panels."""
     images = [panel.image for row in rows for panel in row if panel.image.size]
     grey = images[0].ndim == 2
@@ -464,8 +451,9 @@ def _sheet(
     norm = _grey(images, white)
     scaled: Any = None
     stated = [] if grey else [f"white: radiance {norm.vmax:.3g}"]
-    has_bars = any(panel.width is not None for row in rows for panel in row)
-    stated += [bars] if has_bars and not below else []
+    has_bars = any(panel.width for row in rows for panel in row)
+    if has_bars and not below:
+        stated.append("bars: lengths at the distance of each image")
     # Constrained layout takes minutes for the hundreds of views of a light field. All texts are of one size.
     across = _COLUMN if columns < 3 else _PAGE
     left = 0.24 if labels else _GAP
@@ -487,8 +475,8 @@ def _sheet(
             if panel.image.size:
                 artist = _draw(axes, panel.image, norm)
                 scaled = scaled or artist
-                if panel.width is not None:
-                    scale_bar(axes, panel.width, bars if below else "", below=below, size=_TEXT)
+                if panel.width:
+                    scale_bar(axes, panel.width, below, below=bool(below), size=_TEXT)
         for axes in panels[down, len(row) :]:
             axes.remove()
     if stated:
