@@ -110,5 +110,6 @@ def _spot(axes: Axes, field: FieldFigures, cell: float) -> None:
     bare(axes).set_aspect("equal")
     axes.set_title(f"spot at {field.height:.3g} mm", size=9, color=INK, loc="left")
     if cell:
-        axes.plot(np.array([-1, 1, 1, -1, -1]) * cell / 2, np.array([-1, -1, 1, 1, -1]) * cell / 2, color=INK, lw=0.6)
+        corners = np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
+        axes.plot(*corners * cell / 2, color=INK, lw=0.6)
         axes.set_xlabel(f"square: a microlens, {1e3 * cell:.3g} um", size=7, color=INK)

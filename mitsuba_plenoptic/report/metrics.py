@@ -64,7 +64,8 @@ def image_metrics(image: Array, reference: Array) -> ImageMetrics:
     Samples that are NaN in either are not compared: the error, the peak and the sums are those of all others, the
     structural similarity that of the windows without such samples, by channel.
     """
-    image, reference = (as_array(*pixels, dtype=np.float32) for pixels in (("image", image), ("reference", reference)))
+    image = as_array("image", image, dtype=np.float32)
+    reference = as_array("reference", reference, dtype=np.float32)
     finite = ~(np.isnan(image) | np.isnan(reference))
     if not finite.any():
         return ImageMetrics(psnr=math.nan, ssim=None, energy=math.nan)
@@ -91,8 +92,8 @@ def image_metrics(image: Array, reference: Array) -> ImageMetrics:
 
 def relative_error(image: Array, reference: Array) -> float:
     """Return the root of the summed squared differences over the root of the reference's squared sum."""
-    image, reference = (as_array(*named) for named in (("image", image), ("reference", reference)))
-    return float(np.linalg.norm(image - reference) / np.linalg.norm(reference))
+    reference = as_array("reference", reference)
+    return float(np.linalg.norm(as_array("image", image) - reference) / np.linalg.norm(reference))
 
 
 def interference(image: Array, limit: Array, region: Array | tuple[slice, slice]) -> float:

@@ -9,9 +9,8 @@ import io
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -229,12 +228,10 @@ def scale_bar(
     frame: dict[str, Any] = {"transform": blended_transform_factory(axes.transAxes, inches), "clip_on": False}
     # Bright pictures need something dark behind.
     outline = [] if below else [withStroke(linewidth=3, foreground="black")]
-    backing = {"facecolor": "black", "edgecolor": "none", "pad": 1.5}
+    backing = None if below else {"facecolor": "black", "edgecolor": "none", "pad": 1.5}
     axes.add_patch(Rectangle((left, low), fraction, thick, color=colour, linewidth=0, path_effects=outline, **frame))
-    if below:
-        axes.text(left + fraction + 0.02, low + thick / 2, label, color=colour, size=size, va="center", **frame)
-    else:
-        axes.text(left, low + 2 * thick, label, color=colour, size=size, va="bottom", bbox=backing, **frame)
+    x, y, align = (fraction + 0.02, low + thick / 2, "center") if below else (left, low + 2 * thick, "bottom")
+    axes.text(x, y, label, color=colour, size=size, va=align, bbox=backing, **frame)
 
 
 def object_bar(axes: Axes, camera: PlenopticCamera, distance: float, window: Window) -> None:
@@ -253,8 +250,7 @@ _LINE = 0.2
 """Inches of a sheet for a line of text, for labels on the left, and for a colour bar."""
 
 
-@dataclass(frozen=True)
-class Panel:
+class Panel(NamedTuple):
     """Image on a sheet with its title and, if known, its width in millimetres of the object."""
 
     image: Array
@@ -273,11 +269,6 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
     white : float, optional
         Radiance shown white. Default: the value that 99.5 % of the bins do not exceed, or less where highlights would
         darken images that are lit all over.
-
-    Returns
-    -------
-    Plot
-        A Matplotlib figure, whose method `save` writes PNG or PDF.
 
     Examples
     --------
@@ -300,11 +291,12 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
         labels = (label, *(f"{label} {number}" for number in range(2, len(results) + 1)))
         row = next(row for row in labels if result.distance not in by_label[row])
         by_label[row][result.distance] = _panel(result.image, result.distance, result.bin_size)
-    rows = [
-        [row.get(distance, _panel(np.zeros((0, 0)), distance, 0.0)) for distance in distances]
+    panels = [
+        row.get(distance, _panel(np.zeros((0, 0)), distance, 0.0))
         for row in by_label.values()
+        for distance in distances
     ]
-    return _sheet(rows, list(by_label) if len(by_label) > 1 else [], white)
+    return _sheet(panels, len(distances), white, list(by_label) if len(by_label) > 1 else [])
 
 
 def _panel(image: Array, distance: float, bin_size: float) -> Panel:
@@ -321,21 +313,14 @@ def stack_figure(stack: xr.DataArray, white: float | None = None) -> Plot:
         As `focal_stack` returns it: distance or disparity, t, s[, c].
     white : float, optional
         As for `contact_sheet`.
-
-    Returns
-    -------
-    Plot
-        A Matplotlib figure, whose method `save` writes PNG or PDF.
     """
     if "disparity" in stack.dims:
         panels = [Panel(image.values, f"disparity {float(image.disparity):g}") for image in stack]
-        return _sheet([panels], [], white)
+        return _sheet(panels, len(panels), white)
     camera = views.camera_of(stack)
     distances = stack.distance.values.tolist()
     panels = [_panel(image.values, at, camera.bin_size(at)) for image, at in zip(stack, distances, strict=True)]
-    columns = len(panels) if len(panels) < 5 else math.ceil(math.sqrt(len(panels)))
-    rows = [panels[start : start + columns] for start in range(0, len(panels), columns)]
-    return _sheet(rows, [], white)
+    return _sheet(panels, len(panels) if len(panels) < 5 else math.ceil(math.sqrt(len(panels))), white)
 
 
 def views_figure(lf: xr.DataArray, white: float | None = None) -> Plot:
@@ -347,23 +332,16 @@ def views_figure(lf: xr.DataArray, white: float | None = None) -> Plot:
         A light field, (v, u, t, s[, c]).
     white : float, optional
         As for `contact_sheet`.
-
-    Returns
-    -------
-    Plot
-        A Matplotlib figure, whose method `save` writes PNG or PDF.
     """
     unit = " mm" if "camera" in lf.attrs else ""
     across, down = (_labels(lf[name].values, name, unit) for name in ("u", "v"))
     values = _sampled(lf)
-    rows = [
-        [
-            Panel(values[j, i], across[i] if j == 0 else "", _in_focus(lf) if j + 1 == len(values) and i == 0 else None)
-            for i in range(lf.sizes["u"])
-        ]
-        for j in range(lf.sizes["v"])
+    last = len(values) - 1, 0
+    panels = [
+        Panel(values[j, i], "" if j else across[i], _in_focus(lf) if (j, i) == last else None)
+        for j, i in np.ndindex(values.shape[:2])
     ]
-    return _sheet(rows, down, white, f"{IN_FOCUS}, in all views")
+    return _sheet(panels, len(across), white, down, f"{IN_FOCUS}, in all views")
 
 
 @styled
@@ -376,19 +354,14 @@ def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Plot:
         As `epipolar_image` returns it: (u, s[, c]) or (v, t[, c]).
     white : float, optional
         As for `contact_sheet`.
-
-    Returns
-    -------
-    Plot
-        A Matplotlib figure, whose method `save` writes PNG or PDF.
     """
     down, across = (str(name) for name in image.dims[:2])
     unit = " (mm)" if "camera" in image.attrs else ""
     values = _sampled(image)
     plot = Plot(_COLUMN, dpi=PRINT_DPI)
     ((axes,),) = plot.panels(1, 1, 0.55)
-    edges = [edge for name in (across, down) for edge in _edges(image[name].values)]
-    artist = _draw(axes, values, _grey([values], white), extent=(edges[0], edges[1], edges[3], edges[2]))
+    extent = (*_edges(image[across].values), *_edges(image[down].values)[::-1])
+    artist = _draw(axes, values, _grey([values], white), extent=extent)
     axes.set_frame_on(True)
     axes.locator_params(nbins=5)
     for axis, name in ((axes.xaxis, across), (axes.yaxis, down)):
@@ -410,11 +383,6 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
         Depth map from `depth_map`; where the depth, or without it the disparity, is unknown, the figure is hatched.
     white : float, optional
         As for `contact_sheet`.
-
-    Returns
-    -------
-    Plot
-        A Matplotlib figure, whose method `save` writes PNG or PDF.
     """
     sought, unit = ("Depth", "mm from the main lens") if "depth" in found else ("Disparity", "pixels per view")
     found = found if "depth" in found else found.assign(depth=found.disparity.where(found.confidence > 0.5))
@@ -443,15 +411,19 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
 
 
 @styled
-def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float | None, below: str = "") -> Plot:
-    """Return a figure of panels of equal size and scale, with labels on the left, and scale bars in or below panels."""
-    images = [panel.image for row in rows for panel in row if panel.image.size]
+def _sheet(
+    panels: Sequence[Panel], columns: int, white: float | None, labels: Sequence[str] = (), below: str = ""
+) -> Plot:
+    """Return a figure of panels in rows, of equal size and scale, with labels on the left.
+
+    Scale bars lie in panels or, with a text on their plane, below them.
+    """
+    images = [panel.image for panel in panels if panel.image.size]
+    rows = math.ceil(len(panels) / columns)
     grey = images[0].ndim == 2
-    columns = max(len(row) for row in rows)
     norm = _grey(images, white)
-    scaled: Any = None
     stated = [] if grey else [f"white: radiance {norm.vmax:.3g}"]
-    has_bars = any(panel.width for row in rows for panel in row)
+    has_bars = any(panel.width for panel in panels)
     if has_bars and not below:
         stated.append("bars: lengths at the distance of each image")
     # Constrained layout takes minutes for the hundreds of views of a light field. All texts are of one size.
@@ -460,25 +432,24 @@ def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float 
     right = across - (0.6 if grey else 0.0)
     wide = (right - left - (columns - 1) * _GAP) / columns
     tall = wide * images[0].shape[0] / images[0].shape[1]
-    between = _LINE if any(panel.title for row in rows[1:] for panel in row) else _GAP
+    between = _LINE if any(panel.title for panel in panels[columns:]) else _GAP
     foot = (_LINE if stated else _GAP) + (_LINE if has_bars and below else 0.0)
-    height = _LINE + len(rows) * tall + (len(rows) - 1) * between + foot
+    height = _LINE + rows * tall + (rows - 1) * between + foot
     plot = Plot(across, height, PRINT_DPI)
     plot.set_layout_engine("none")
     edges = {"left": left / across, "right": right / across, "top": 1 - _LINE / height, "bottom": foot / height}
     spaces = {"wspace": _GAP / wide, "hspace": between / tall}
-    panels = plot.subplots(len(rows), columns, squeeze=False, gridspec_kw=edges | spaces)
-    for down, row in enumerate(rows):
-        for axes, panel in zip(panels[down], row, strict=False):
-            first = axes is panels[down, 0]
-            annotate(bare(axes), title=panel.title, side=labels[down] if labels and first else "", size=_TEXT)
-            if panel.image.size:
-                artist = _draw(axes, panel.image, norm)
-                scaled = scaled or artist
-                if panel.width:
-                    scale_bar(axes, panel.width, below, below=bool(below), size=_TEXT)
-        for axes in panels[down, len(row) :]:
-            axes.remove()
+    grid = plot.subplots(rows, columns, squeeze=False, gridspec_kw=edges | spaces).flat
+    artists = []
+    for index, (axes, (image, title, width)) in enumerate(zip(grid, panels, strict=False)):
+        side = labels[index // columns] if labels and index % columns == 0 else ""
+        annotate(bare(axes), title=title, side=side, size=_TEXT)
+        if image.size:
+            artists.append(_draw(axes, image, norm))
+            if width:
+                scale_bar(axes, width, below, below=bool(below), size=_TEXT)
+    for axes in grid[len(panels) :]:
+        axes.remove()
     if stated:
         plot.supxlabel("; ".join(stated), x=left / across, ha="left", size=_TEXT, color=INK)
     if grey:
@@ -486,7 +457,7 @@ def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float 
         where = plot.add_axes(
             (edges["right"] + _GAP / across, edges["bottom"], 0.1 / across, edges["top"] - edges["bottom"])
         )
-        explained(plot.colorbar(scaled, cax=where, extend=_end(values, norm)), "radiance", _TEXT)
+        explained(plot.colorbar(artists[0], cax=where, extend=_end(values, norm)), "radiance", _TEXT)
     return plot
 
 

@@ -42,7 +42,7 @@ class Row(NamedTuple):
 
 
 # Rows without their group: tuples of quantity, value, unit and note as texts; unit and note may be left out.
-_Lines = list[Any]
+_Lines = list[tuple[str, ...]]
 
 
 def sheet_tables(camera: PlenopticCamera, wavelength: float | None = None) -> Markup:
@@ -92,7 +92,7 @@ def _main_lens(camera: PlenopticCamera) -> _Lines:
     rows = [
         ("focal length", f"{camera.focal_length:.4g}", "mm"),
         ("diameter", f"{camera.aperture_diameter:.4g}", "mm", f"f/{camera.f_number:.3g}"),
-        (f"distance to {behind}", camera.mla_distance, "mm"),
+        (f"distance to {behind}", f"{camera.mla_distance:.4g}", "mm"),
         ("focused distance", *_distance(camera.focus_distance), f"on the {behind}"),
         ("field of view", f"{design.field_of_view(camera):.3g}", "deg", "horizontal, full angle"),
     ]
@@ -296,7 +296,7 @@ def _effective(camera: PlenopticCamera, distance: float, wavelength: float | Non
     """Return lines on the resolution at one distance."""
     finest = design.effective_resolution(camera, distance, wavelength)
     samples = f"along an axis; suits oversample = {design.suitable_oversample(camera, distance, wavelength)}"
-    rows = [
+    rows: _Lines = [
         ("effective resolution", f"{finest.columns:.0f} x {finest.rows:.0f}", "", "details across and down"),
         ("finest detail", f"{finest.line_width:.4g}", "mm", f"{finest.ratio:.3g} per pixel of the detector"),
         ("samples per lens", f"{finest.samples_per_lens:.3g}", "", samples),
@@ -337,7 +337,7 @@ def _diffraction(camera: PlenopticCamera, wavelength: float) -> _Lines:
     pixels = f"{spot / camera.pixel_size:.4g} pixels, centre to first zero"
     if camera.pixel_size > spot / 2:
         pixels += ", so that pixels average over it"
-    rows = [
+    rows: _Lines = [
         ("spot of a microlens", f"{1e3 * spot:.4g}", "um", pixels),
         ("directions by the spot", f"{camera.micro_image_diameter / spot:.4g}", "", "across a micro-image"),
         ("Fresnel number, microlens", f"{design.mla_fresnel_number(camera, wavelength):.3g}", "", "from the detector"),
