@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +66,7 @@ def compare(
     grey = experiment.grey()
     others = []
     measured = measure(grey)
-    if experiment.ordinary is not None and grey.ordinary is not None:
+    if experiment.ordinary and grey.ordinary:
         measured["ordinary"] = measure_ordinary(grey, grey.ordinary)
         others.append(ordinary_section(output, experiment, experiment.ordinary, measured["ordinary"]))
     zooms = [brightest_zoom(grey)]
@@ -102,8 +103,9 @@ def contrast_changes(experiment: Experiment) -> dict[float, ContrastChange]:
     """Return by distance, largest change first, what waves change of the contrast of images refocused by rays."""
     changes = {}
     for distance in experiment.settings.distances:
-        by_rays, by_waves = (experiment.images[name, distance] for name in ("ray_of_ray", "ray"))
-        changes[distance] = contrast_change(by_rays, by_waves, experiment.truths[distance])
+        changes[distance] = contrast_change(
+            experiment.images["ray_of_ray", distance], experiment.images["ray", distance], experiment.truths[distance]
+        )
     return dict(sorted(changes.items(), key=lambda item: -abs(item[1].ratio - 1)))
 
 
@@ -214,8 +216,8 @@ def shape_interference(experiment: Experiment) -> list[dict[str, Any]]:
         for distance in experiment.settings.distances:
             row = {"shape": name, "shape_distance": _depth(low), "distance": distance}
             for method in _COHERENT:
-                image, limit = (experiment.images[each, distance] for each in (method, "limit"))
-                row[method] = round(interference(image, limit, window), 5)
+                image = experiment.images[method, distance]
+                row[method] = round(interference(image, experiment.images["limit", distance], window), 5)
             rows.append(row)
     return rows
 
@@ -230,22 +232,13 @@ def _edges(experiment: Experiment) -> list[dict[str, Any]]:
             continue
         scale = camera.mla_distance / (low[2] * camera.row_pitch)
         column, row = (camera.bin_count[axis] / 2 - (low[axis] + high[axis]) / 2 * scale for axis in (0, 1))
+        bin_size = camera.bin_size(distance)
         side = float(high[0] - low[0]) / (math.cos(EDGE_TILT) + math.sin(EDGE_TILT)) * scale
         for method in ("truth", *(method.name for method in experiment.settings.methods)):
-            try:
+            with suppress(ValueError):
                 width, mtf50 = square_sharpness(experiment.image(method, distance), row, column, side)
-            except ValueError:
-                continue
-            bin_size = camera.bin_size(distance)
-            rows.append(
-                {
-                    "shape": name,
-                    "distance": distance,
-                    "method": method,
-                    "width_mm": round(width * bin_size, 4),
-                    "mtf50_per_mm": round(mtf50 / bin_size, 4),
-                }
-            )
+                figures = {"width_mm": round(width * bin_size, 4), "mtf50_per_mm": round(mtf50 / bin_size, 4)}
+                rows.append({"shape": name, "distance": distance, "method": method, **figures})
     return rows
 
 
@@ -318,10 +311,10 @@ def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, fl
     panels = plot.panels(len(distances) * lines, across, window.aspect)
     for rows, distance in zip(panels.reshape(len(distances), -1), distances, strict=True):
         for index, (axes, name) in enumerate(zip(rows, names, strict=False)):
-            show(axes, window.of(experiment.image(name, distance)), "", peak=peak)
-            object_bar(axes, experiment.camera, distance, window)
+            image = window.of(experiment.image(name, distance))
             side = "" if index % across else distance_text(distance)
-            annotate(axes, title=METHOD_TITLES[name], side=side, foot=notes.get((name, distance), ""))
+            show(axes, image, METHOD_TITLES[name], peak=peak, side=side, foot=notes.get((name, distance), ""))
+            object_bar(axes, experiment.camera, distance, window)
     plot.save_both(path, experiment.settings.pdf)
 
 
@@ -343,7 +336,7 @@ def figure_pairs(
     panels = plot.panels(len(images), 3, images[0][0].shape[0] / images[0][0].shape[1])
     for row, title, pair in zip(panels, pairs, images, strict=True):
         for axes, image in zip(row, pair, strict=False):
-            show(axes, image, "", peak=peak)
+            show(axes, image, peak=peak)
         mesh = show_difference(row[2], luminance(pair[1] - pair[0]), bound * peak)
         for axes, name in zip(row, ("By rays", "By waves", "Waves minus rays"), strict=True):
             annotate(axes, title=name if row[0] is panels[0, 0] else "", side=title if axes is row[0] else "")

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 from PIL import Image
 
 from .. import design
@@ -17,22 +16,13 @@ from ..runtime import Array, software
 from .experiment import METHOD_TITLES, Experiment
 from .images import Brightness, data_url, encoded, to_bytes
 from .metrics import ssim_text
-from .pages import Block, Page, Section, Table, pictures_in, prose, template
+from .pages import Block, Page, Section, Table, pictures_in, template
 from .plots import distance_text
 from .sheet import sheet_tables
 from .windows import Window, Zoom, lit_window
 
 ANSWER = "answer.png"
 """Name of the figure beside the answer."""
-
-_EXPLANATIONS = {
-    "truth": "Mitsuba's own thin-lens camera, focused at the distance",
-    "ray": "each pixel is followed back as rays through its lens",
-    "coherent": "one field, propagated back as if all light were coherent",
-    "partial": "four subsets of lenses, each coherent in itself",
-    "incoherent": "the capture weighed with the point spread of each bin",
-    "deconvolved": "the plane whose capture it is",
-}
 
 
 def write_report(
@@ -71,38 +61,19 @@ def write_report(
     widgets: Any = template("comparison.html").module
     viewer = widgets.viewer(captures(experiment, window), geometry, [zoom.title for zoom in zooms])
     height, width = window.of(next(iter(experiment.truths.values()))).shape[:2]
-    shown = ("truth", *experiment.settings.slider_methods)
-    titles = {name: METHOD_TITLES[name] for name in shown}
+    titles = {name: METHOD_TITLES[name] for name in ("truth", *experiment.settings.slider_methods)}
+    warnings = design.design_warnings(camera, wavelength)
+    settings = Table({"Setting": "{0}", "Value": "{1}"}, _facts(experiment, measured), words=2)
     first = distances.index(experiment.settings.distances[0])
-    warnings = [
-        Markup('<p class="warning">{}.</p>').format(prose(warning[:1].upper() + warning[1:]))
-        for warning in design.design_warnings(camera, wavelength)
-    ]
-    methods = Markup("<p>One bin per microlens, from the wave capture.")
-    for method in shown:
-        methods += Markup(" <strong>{}</strong>: {}.").format(METHOD_TITLES[method], prose(_EXPLANATIONS[method]))
     sections = [
         Section("Do rays suffice?", [measured["answer"], *pictures_in(folder, {ANSWER: plates[ANSWER]})]),
         Section("On the detector", [_capture_text(experiment, measured), viewer]),
-        Section(
-            "Refocused",
-            [methods + Markup("</p>"), widgets.refocus(width, height, titles, [*map(distance_text, distances)], first)],
-        ),
+        Section("Refocused", [widgets.refocus(width, height, titles, [*map(distance_text, distances)], first)]),
         *others,
         Section("In numbers", _numbers(measured)),
         Section("Figures", pictures_in(folder, {name: text for name, text in plates.items() if name != ANSWER})),
-        Section("The camera", [*warnings, sheet_tables(camera, wavelength)]),
-        Section(
-            "Make it again",
-            [
-                Markup("<pre><code>{} -o {}</code></pre>").format(command, folder.name),
-                Markup(
-                    "<p>Captures and reconstructions lie next to this file as OpenEXR, in <code>data/</code>, and all "
-                    "numbers in <code>results.json</code>. What is there and still valid is not computed again.</p>"
-                ),
-                Table({"Setting": "{0}", "Value": "{1}"}, _facts(experiment, measured), words=2),
-            ],
-        ),
+        Section("The camera", [widgets.warnings(warnings), sheet_tables(camera, wavelength)]),
+        Section("Make it again", [widgets.again(f"{command} -o {folder.name}"), settings]),
     ]
     data = {"capture": geometry, "refocus": reconstructions(experiment, measured, window)}
     foot = "Scalar waves and thin elements; objects do not diffract. Lengths in millimetres. Pictures are sRGB."
@@ -120,7 +91,7 @@ def _capture_text(experiment: Experiment, measured: Mapping[str, Any]) -> str:
         f"it by diffraction at the microlens: {spot:.2g} pixels from the middle of a spot to its first zero. The two "
         f"captures differ by {captures['relative_error']:.0%} (root mean square, relative), {captures['psnr']:.1f} dB."
     )
-    all_pixels, middle, rim = (captures["difference"][name] for name in ("all", "middle", "rim"))
+    all_pixels, middle, rim = captures["difference"].values()
     if all_pixels["noise"] is None:
         return text
     if all_pixels["noise_alone"]:

@@ -297,7 +297,8 @@ def _transfer(distance: Doubles, values: Doubles, reach: float, density: float) 
     order = np.argsort(distance)
     distance = distance[order]
     values = values[order]
-    low, high = (float(values[side].mean()) for side in (distance < -0.7 * reach, distance > 0.7 * reach))
+    low = float(values[distance < -0.7 * reach].mean())
+    high = float(values[distance > 0.7 * reach].mean())
     refuse_if(
         not abs(high - low) > 0.1 * np.abs(values).max(), "image: it has no edge: both sides of its line are alike"
     )

@@ -391,18 +391,18 @@ def run_experiment(
     columns = min(OBJECT_COLUMNS, max(256, 8 * camera.bin_count[0]))
     scene_key = replace(by_rays, spp=None).fingerprint()
 
-    def pictured(name: str, make: Callable[..., Array], *options: Any, at: dict[str, Any], **inputs: Any) -> Array:
-        inputs = {"scene": scene_key, **at, **inputs}
+    def pictured(name: str, make: Callable[..., Array], *options: Any, **facts: float) -> Array:
         picture = partial(make, scene, camera, *options, pixel_format=colours)
-        return store.image(name, inputs, lambda _: (picture(), {"kind": "photograph", **at}))[0]
+        inputs = {"scene": scene_key, "options": options}
+        return store.image(name, inputs, lambda _: (picture(), {"kind": "photograph", **facts}))[0]
 
-    pinhole = pictured("object", pinhole_image, columns, 64, at={}, columns=columns)
+    pinhole = pictured("object", pinhole_image, columns, 64)
     truths = {}
     for distance in distances:
         # The slider's pictures have no numbers.
         spp = settings.truth_spp if distance in settings.distances else max(1, settings.truth_spp // 4)
         name = f"thin_lens_{distance:g}"
-        truths[distance] = pictured(name, thin_lens_image, distance, spp, at={"distance": distance}, spp=spp)
+        truths[distance] = pictured(name, thin_lens_image, distance, spp, distance=distance)
     return Experiment(
         settings=settings,
         camera=camera,

@@ -77,10 +77,14 @@ def image_metrics(image: Array, reference: Array) -> ImageMetrics:
     complete = scipy.ndimage.minimum_filter(finite, window, mode="constant", cval=0)
     ssim = None
     if complete.any() and peak > 0:
-        filled = (np.where(finite, pixels, 0) for pixels in (image, reference))
         channels = -1 if image.ndim == 3 else None
         _, likeness = skimage.metrics.structural_similarity(
-            *filled, win_size=_WINDOW, data_range=peak, channel_axis=channels, full=True
+            np.where(finite, image, 0),
+            np.where(finite, reference, 0),
+            win_size=_WINDOW,
+            data_range=peak,
+            channel_axis=channels,
+            full=True,
         )
         ssim = float(likeness[complete].mean(dtype=np.float64))
     psnr = math.inf if mean_square == 0 else -math.inf
@@ -172,7 +176,7 @@ def capture_difference(a: Capture, b: Capture, pixels: Array | None = None) -> D
     pixels : array of bool, optional
         The pixels that count. Default: all.
     """
-    where = np.ones(b.image.shape, bool) if pixels is None else pixels
+    where = ... if pixels is None else pixels
     reference = float(np.sum(np.square(b.image, dtype=np.float64)))
     squares = float(np.sum(np.square(a.image.astype(np.float64) - b.image)[where]))
     measured = _root(squares, reference)

@@ -130,10 +130,10 @@ def figure_pictures(path: Path, experiment: Experiment, ordinary: Ordinary) -> N
     panels = plot.panels(2, len(pictures), (half[0] / half[1], 1))
     for (name, (image, width)), overview, crop in zip(pictures.items(), *panels, strict=True):
         for axes, (down, right), (high, wide) in ((overview, (0.0, 0.0), half), (crop, middle, (close, close))):
-            show(axes, image, "", peak=peak)
+            show(axes, image, peak=peak)
             bottom, end = np.array(image.shape[:2]) * width / 2
             axes.images[0].set_extent((-end, end, bottom, -bottom))
-            axes.set(xlim=(right - wide, right + wide), ylim=(down + high, down - high))
+            axes.axis((right - wide, right + wide, down + high, down - high))
             if name == ORDINARY:
                 scale_bar(axes, 2 * wide, f"at {ordinary.distance:g} mm")
         corner = middle[::-1] - close

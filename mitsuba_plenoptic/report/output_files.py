@@ -100,7 +100,7 @@ def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing
 def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing) -> None:
     """Write a focal stack: as parts named by distance or disparity, or as a PNG with the images side by side."""
     by = str(stack.dims[0])
-    images = {f"{at:.6g} {stack[by].units}": image for at, image in zip(stack[by].values, stack.values, strict=True)}
+    images = {f"{float(image[by]):.6g} {stack[by].units}": image.values for image in stack}
     white = drawing.brightness.peak([stack.values])
     # Rows of one picture, nearly square; empty positions stay black.
     columns = math.ceil(math.sqrt(len(stack)))
@@ -113,7 +113,7 @@ def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing) -> None
 def write_focal_sweep(path: Path, stack: xr.DataArray, drawing: Drawing) -> int:
     """Write a focal stack as an animation, there and back; return the number of its frames."""
     by = str(stack.dims[0])
-    frames = [(image, f"{at:.4g} {stack[by].units}") for at, image in zip(stack[by].values, stack.values, strict=True)]
+    frames = [(image.values, f"{float(image[by]):.4g} {stack[by].units}") for image in stack]
     frames += frames[-2:0:-1]
     write_animation(path, frames, drawing.brightness.peak([stack.values]), drawing.scale)
     return len(frames)

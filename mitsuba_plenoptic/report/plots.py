@@ -174,10 +174,10 @@ IN_FOCUS = "in the plane in focus"
 """Planes of scale bars, besides distances."""
 
 
-def show(axes: Axes, image: Array, title: str, *, peak: float | None = None, size: float = 10) -> None:
-    """Show a linear image, whose `peak` becomes white."""
+def show(axes: Axes, image: Array, title: str = "", *, peak: float | None = None, **texts: Any) -> None:
+    """Show a linear image, whose `peak` becomes white, with the texts of `annotate`."""
     axes.imshow(to_bytes(image, peak), cmap="gray", vmin=0, vmax=255, interpolation="auto", aspect="auto")
-    annotate(axes, title=title, size=size)
+    annotate(axes, title=title, **texts)
 
 
 def show_difference(axes: Axes, difference: Array, bound: float) -> Any:
@@ -334,7 +334,8 @@ def views_figure(lf: xr.DataArray, white: float | None = None) -> Plot:
         As for `contact_sheet`.
     """
     unit = " mm" if "camera" in lf.attrs else ""
-    across, down = (_labels(lf[name].values, name, unit) for name in ("u", "v"))
+    across = _labels(lf.u, unit)
+    down = _labels(lf.v, unit)
     values = _sampled(lf)
     last = len(values) - 1, 0
     panels = [
@@ -509,11 +510,11 @@ def _edges(positions: Array) -> tuple[float, float]:
     return float(positions[0] - half), float(positions[-1] + half)
 
 
-def _labels(positions: Array, name: str, unit: str) -> list[str]:
+def _labels(positions: xr.DataArray, unit: str) -> list[str]:
     """Return labels of positions, few enough not to overlap; the first names the quantity."""
     stride = -(-len(positions) // 9)
-    texts = [f"{value:.2f}" if index % stride == 0 else "" for index, value in enumerate(positions + 0.0)]
-    return [f"{name} = {texts[0]}{unit}", *texts[1:]]
+    texts = ["" if index % stride else f"{value + 0.0:.2f}" for index, value in enumerate(positions.values)]
+    return [f"{positions.name} = {texts[0]}{unit}", *texts[1:]]
 
 
 def distance_text(distance: float) -> str:

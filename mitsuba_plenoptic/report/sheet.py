@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -47,9 +46,8 @@ _Lines = list[tuple[str, ...]]
 
 def sheet_tables(camera: PlenopticCamera, wavelength: float | None = None) -> Markup:
     """Return the HTML of a camera's design sheet, a table for each group."""
-    groups = itertools.groupby(design_sheet(camera, wavelength), key=lambda row: row.group)
     widgets: Any = template("comparison.html").module
-    return Markup(widgets.sheet([(group, list(rows)) for group, rows in groups]))
+    return Markup(widgets.sheet(design_sheet(camera, wavelength)))
 
 
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:

@@ -84,4 +84,4 @@ def zoom_at(title: str, camera: PlenopticCamera, slopes: Array) -> Zoom:
         size = round(2 * half)
         first = min(max(0, round(middle - half)), max(0, camera.resolution[axis] - size))
         spans.append(slice(first, first + size))
-    return Zoom(title, spans[0], spans[1])
+    return Zoom(title, *spans)
