@@ -87,17 +87,13 @@ def edge_sharpness(image: ArrayLike) -> EdgeSharpness:
     Parameters
     ----------
     image : (rows, columns) or (rows, columns, channels) array
-        Values proportional to light, of which channels are averaged. Borders that are NaN are left out.
+        Values proportional to light, of which channels are averaged, with one edge that is slanted by 1 to 20 degrees
+        and not saturated. Borders that are NaN are left out.
 
     Returns
     -------
     EdgeSharpness
         Place and angle of the edge, its width, and the transfer function.
-
-    Raises
-    ------
-    InputError
-        If there is no edge or more than one, if it is not slanted by 1 to 20 degrees, or if it is saturated.
 
     Examples
     --------

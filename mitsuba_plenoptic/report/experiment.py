@@ -58,10 +58,16 @@ def thin_lens_image(
     columns, rows = camera.bin_count
     # Samples spread evenly over pixel and aperture leave a fraction of the noise of independent ones.
     spread: dict[str, Any] = {"sampler": {"type": "multijitter"}} if math.isqrt(spp) ** 2 == spp else {}
-    focus = min(distance, LONGEST)
-    lens: dict[str, Any] = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": focus}
-    size = (columns * oversample, rows * oversample)
-    sensor = photographic_sensor(scene, camera, size, pixel_format, **lens, **spread)
+    sensor = photographic_sensor(
+        scene,
+        camera,
+        (columns * oversample, rows * oversample),
+        pixel_format,
+        type="thinlens",
+        aperture_radius=camera.aperture_radius,
+        focus_distance=min(distance, LONGEST),
+        **spread,
+    )
     return photograph(scene, sensor, spp)
 
 
@@ -262,7 +268,7 @@ class Experiment:
     @property
     def light(self) -> str:
         """The wavelengths of the wave capture in nanometres, as text."""
-        return ", ".join(f"{length:g}" for length in np.atleast_1d(np.array(self.wave.wavelength)).tolist())
+        return ", ".join(f"{length:g}" for length in np.array(self.wave.wavelength).ravel())
 
     def grey(self) -> Experiment:
         """Return the experiment with the luminance of all images, in which colours are measured."""
@@ -424,7 +430,7 @@ def captured(
 ) -> tuple[Capture, str]:
     """Return a capture of a loaded scene as a stage, and the stage's key.
 
-    `seen` identifies a scene other than that of the specification, and `options` are further ones of `render_capture`.
+    `identity` is that of a scene other than the specification's, and `options` are further ones of `render_capture`.
     """
 
     def make(progress: Progress, checkpoint: Checkpoint) -> Capture:
@@ -447,10 +453,10 @@ def against_ordinary(
 ) -> Ordinary:
     """Return what an ordinary camera is compared by: wave captures like the plenoptic one, as stages."""
     capture, _ = captured(store, "capture_ordinary", spec, with_camera(scene, twin), twin.to_dict())
-    lenses = tuple(round(count * camera.micro_image_pitch / camera.pixel_size) for count in (32, 32))
+    lenses = round(32 * camera.micro_image_pitch / camera.pixel_size)
     recorded = {}
     # The edge's diffraction reaches many pixels of an ordinary camera to the sides.
-    for name, full_camera, count in ((ORDINARY, twin, (512, 128)), ("plenoptic", camera, lenses)):
+    for name, full_camera, count in ((ORDINARY, twin, (512, 128)), ("plenoptic", camera, (lenses, lenses))):
         middle = full_camera.replace(resolution=count, detector_width=count[0] * full_camera.pixel_size)
         edge_key = {"camera": middle.to_dict(), "edge": distance}
         recorded[name] = captured(store, f"edge_{name}", spec, edge_scene(middle, distance), edge_key)

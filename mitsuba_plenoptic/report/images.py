@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -151,7 +151,7 @@ class Brightness:
 class Drawing:
     """Settings for drawing pictures: exposure, scale, whether to draw a figure, and its dots per inch."""
 
-    brightness: Brightness = field(default_factory=Brightness)
+    brightness: Brightness = Brightness()
     # Pixels that a bin is wide; None: as suits the picture.
     scale: int | None = None
     # Whether a PNG is a labelled figure; a PDF always is.
