@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from skimage.util import montage
 
 from ..choices import ANIMATED, PICTURES
 from ..errors import refuse_if
@@ -104,8 +103,8 @@ def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing) -> None
     white = drawing.brightness.peak([stack.values])
     # Rows of one picture, nearly square; empty positions stay black.
     columns = math.ceil(math.sqrt(len(stack)))
-    grid = math.ceil(len(stack) / columns), columns
-    picture = montage(stack.values, fill=0, grid_shape=grid, channel_axis=3 if stack.ndim == 4 else None)
+    tiles = [*stack.values, *np.zeros_like(stack.values[: -len(stack) % columns])]
+    picture = np.vstack([np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)])
     parts = as_parts(**images)
     write_drawn(path, "focal stack", stack, parts, picture, white, drawing, lambda: _plots().stack_figure(stack, white))
 

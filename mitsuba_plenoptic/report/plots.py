@@ -79,9 +79,8 @@ class Plot(Figure):
             # More than they need; saving takes off the rest.
             self.set_figheight(sum(aspects) * self.get_figwidth() / columns + rows)
         panels = self.subplots(rows, columns, squeeze=False, height_ratios=aspects)
-        for row, high in zip(panels, aspects, strict=True):
-            for axes in row:
-                bare(axes).set_box_aspect(high)
+        for axes, high in zip(panels.flat, np.repeat(aspects, columns), strict=True):
+            bare(axes).set_box_aspect(high)
         return panels
 
     def colour_bar(
