@@ -46,17 +46,20 @@ def write_animation(
     """
     path = Path(path)
     scale = scale or enlargement(frames[0][0], 480)
-    pictures = [Image.fromarray(to_bytes(enlarge(image, scale), white)) for image, _ in frames]
-    for picture, (_, text) in zip(pictures, frames, strict=True):
-        if text:
-            size = max(9, picture.height // 20)
-            corner = (size // 2, picture.height - size // 2)
-            ink, edge = (255, 0) if picture.mode == "L" else ((255,) * 3, (0,) * 3)
-            font = ImageFont.load_default(size)
-            canvas = ImageDraw.Draw(picture)
-            canvas.text(
-                corner, text, fill=ink, font=font, anchor="ls", stroke_width=max(1, size // 12), stroke_fill=edge
-            )
+    pictures = []
+    for image, text in frames:
+        picture = Image.fromarray(to_bytes(enlarge(image, scale), white))
+        size = max(9, picture.height // 20)
+        ImageDraw.Draw(picture).text(
+            (size // 2, picture.height - size // 2),
+            text,
+            fill="white",
+            font=ImageFont.load_default(size),
+            anchor="ls",
+            stroke_width=max(1, size // 12),
+            stroke_fill="black",
+        )
+        pictures.append(picture)
     first, *following = pictures
     with atomic_output(path, *ANIMATED) as temporary:
         # Milliseconds a frame: GIF stores whole hundredths of a second.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +66,7 @@ def compare(
     grey = experiment.grey()
     others = []
     measured = measure(grey)
-    if experiment.ordinary is not None and grey.ordinary is not None:
+    if experiment.ordinary and grey.ordinary:
         measured["ordinary"] = measure_ordinary(grey, grey.ordinary)
         others.append(ordinary_section(output, experiment, experiment.ordinary, measured["ordinary"]))
     zooms = [brightest_zoom(grey)]
@@ -85,23 +86,26 @@ def compare(
 
 
 def _command(settings: Settings, against: str | None) -> str:
-    words = ["mitsuba-plenoptic compare", settings.scene]
-    words += [f"--distance {distance:g}" for distance in settings.distances]
-    words += [f"-D {name}={value}" for name, value in settings.parameters.items()]
-    words += [f"--camera {settings.camera_name}"] * (settings.camera_name is not None)
-    words += [f"--against {against}"] * (against is not None)
-    words += [f"--unit {settings.unit}"] * (settings.unit != "mm")
-    words += [f"--wavelength {settings.wavelength:g}"] * ("mono" in settings.variant)
-    words += [f"--spp {settings.spp}", f"--variant {settings.variant}"]
-    return " ".join(words)
+    words: list[Any] = [
+        f"mitsuba-plenoptic compare {settings.scene}",
+        *(f"--distance {distance:g}" for distance in settings.distances),
+        *(f"-D {name}={value}" for name, value in settings.parameters.items()),
+        settings.camera_name and f"--camera {settings.camera_name}",
+        against and f"--against {against}",
+        settings.unit != "mm" and f"--unit {settings.unit}",
+        "mono" in settings.variant and f"--wavelength {settings.wavelength:g}",
+        f"--spp {settings.spp} --variant {settings.variant}",
+    ]
+    return " ".join(filter(None, words))
 
 
 def contrast_changes(experiment: Experiment) -> dict[float, ContrastChange]:
     """Return by distance, largest change first, what waves change of the contrast of images refocused by rays."""
     changes = {}
     for distance in experiment.settings.distances:
-        by_rays, by_waves = (experiment.images[name, distance] for name in ("ray_of_ray", "ray"))
-        changes[distance] = contrast_change(by_rays, by_waves, experiment.truths[distance])
+        changes[distance] = contrast_change(
+            experiment.images["ray_of_ray", distance], experiment.images["ray", distance], experiment.truths[distance]
+        )
     return dict(sorted(changes.items(), key=lambda item: -abs(item[1].ratio - 1)))
 
 
@@ -117,7 +121,8 @@ def answer(experiment: Experiment, difference: Difference) -> str:
             f"At {distance_text(distance)} waves change contrast at {frequency:.2g} cycles a "
             f"{'radian' if math.isinf(distance) else 'mm'} by {change.ratio - 1:+.0%}"
         )
-    elif finest >= _FINE:
+    # Half of what bins can hold must be known to say that rays suffice.
+    elif finest >= 0.25:
         refocused = (
             "At these distances rays suffice for refocused images: contrast differs by less than 5 % up to "
             f"{finest:.2g} cycles a bin"
@@ -145,9 +150,6 @@ def answer(experiment: Experiment, difference: Difference) -> str:
     )
 
 
-_FINE = 0.25
-"""Cycles a bin up to which contrast must be known to say that rays suffice: half of what bins can hold."""
-
 _COHERENT = ("coherent", "partial")
 
 
@@ -155,32 +157,28 @@ def measure(experiment: Experiment) -> dict[str, Any]:
     """Return comparisons of the captures, and of the reconstructions with the thin lens and the one-lens limit."""
     ray = experiment.ray.image
     wave = experiment.wave.image
+    points = None
+    if experiment.points is not None:
+        exact = experiment.points.image
+        energy = float(wave.sum(dtype=np.float64) / exact.sum(dtype=np.float64))
+        points = {"relative_error": round(relative_error(wave, exact), 5), "energy": round(energy, 5)}
     middle = middle_of_micro_images(experiment.camera)
-    pixels = {"all": None, "middle": middle, "rim": ~middle}
+    differences = {
+        name: capture_difference(experiment.ray, experiment.wave, pixels)
+        for name, pixels in {"all": None, "middle": middle, "rim": ~middle}.items()
+    }
     return {
         "captures": {
             **rounded(image_metrics(ray, wave)),
             "relative_error": round(relative_error(ray, wave), 5),
-            "difference": {
-                name: rounded(capture_difference(experiment.ray, experiment.wave, where))
-                for name, where in pixels.items()
-            },
-            "points": _against_points(experiment),
+            "difference": {name: rounded(difference) for name, difference in differences.items()},
+            "points": points,
         },
-        "answer": answer(experiment, capture_difference(experiment.ray, experiment.wave)),
+        "answer": answer(experiment, differences["all"]),
         "reconstructions": _reconstructions(experiment),
         "interference": shape_interference(experiment),
         "edges": _edges(experiment),
     }
-
-
-def _against_points(experiment: Experiment) -> dict[str, float] | None:
-    if experiment.points is None:
-        return None
-    wave = experiment.wave.image
-    points = experiment.points.image
-    energy = float(wave.sum(dtype=np.float64) / points.sum(dtype=np.float64))
-    return {"relative_error": round(relative_error(wave, points), 5), "energy": round(energy, 5)}
 
 
 def _reconstructions(experiment: Experiment) -> list[dict[str, Any]]:
@@ -216,12 +214,11 @@ def shape_interference(experiment: Experiment) -> list[dict[str, Any]]:
         if high[2] - low[2] > 1e-3 * low[2] or window is None:
             continue
         for distance in experiment.settings.distances:
-            limit = experiment.images["limit", distance]
-            values = {
-                method: round(interference(experiment.images[method, distance], limit, window), 5)
-                for method in _COHERENT
-            }
-            rows.append({"shape": name, "shape_distance": _depth(low), "distance": distance, **values})
+            row = {"shape": name, "shape_distance": _depth(low), "distance": distance}
+            for method in _COHERENT:
+                image = experiment.images[method, distance]
+                row[method] = round(interference(image, experiment.images["limit", distance], window), 5)
+            rows.append(row)
     return rows
 
 
@@ -235,22 +232,13 @@ def _edges(experiment: Experiment) -> list[dict[str, Any]]:
             continue
         scale = camera.mla_distance / (low[2] * camera.row_pitch)
         column, row = (camera.bin_count[axis] / 2 - (low[axis] + high[axis]) / 2 * scale for axis in (0, 1))
+        bin_size = camera.bin_size(distance)
         side = float(high[0] - low[0]) / (math.cos(EDGE_TILT) + math.sin(EDGE_TILT)) * scale
         for method in ("truth", *(method.name for method in experiment.settings.methods)):
-            try:
+            with suppress(ValueError):
                 width, mtf50 = square_sharpness(experiment.image(method, distance), row, column, side)
-            except ValueError:
-                continue
-            bin_size = camera.bin_size(distance)
-            rows.append(
-                {
-                    "shape": name,
-                    "distance": distance,
-                    "method": method,
-                    "width_mm": round(width * bin_size, 4),
-                    "mtf50_per_mm": round(mtf50 / bin_size, 4),
-                }
-            )
+                figures = {"width_mm": round(width * bin_size, 4), "mtf50_per_mm": round(mtf50 / bin_size, 4)}
+                rows.append({"shape": name, "distance": distance, "method": method, **figures})
     return rows
 
 
@@ -288,11 +276,13 @@ def draw_comparison(
         for zoom in zooms
     }
     refocused = [window.of(experiment.images[name, distance]) for name in ("ray_of_ray", "ray")]
-
-    def on_detector(axes: Axes, image: np.ndarray) -> None:
-        scale_bar(axes, image.shape[1] * camera.pixel_size, ON_DETECTOR, below=True)
-
-    figure_pairs(folder / "captures.png", cuts, 0.6, on_detector, pdf)
+    figure_pairs(
+        folder / "captures.png",
+        cuts,
+        0.6,
+        lambda axes, image: scale_bar(axes, image.shape[1] * camera.pixel_size, ON_DETECTOR, below=True),
+        pdf,
+    )
     figure_pairs(
         folder / ANSWER,
         {distance_text(distance): refocused},
@@ -307,37 +297,33 @@ def draw_comparison(
     return captions
 
 
-_ACROSS = 4
-"""Panels of a row: with more, text could not be read where the figure is shown as wide as a page."""
-
-
 @styled
 def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, float], str]) -> None:
     """Draw every method at every distance next to the thin lens, with a note under each, in rows of four."""
+    # With more panels in a row, text could not be read where the figure is shown as wide as a page.
+    across = 4
     names = ["truth", *(method.name for method in experiment.settings.methods)]
     distances = experiment.settings.distances
     window = lit_window(list(experiment.truths.values()))
     peak = Brightness().peak([window.of(experiment.truths[distance]) for distance in distances])
-    lines = math.ceil(len(names) / _ACROSS)
+    lines = math.ceil(len(names) / across)
     plot = Plot(10.0)
-    panels = plot.panels(len(distances) * lines, _ACROSS, window.aspect)
-    for down, distance in enumerate(distances):
-        for index, name in enumerate(names):
-            line, across = divmod(index, _ACROSS)
-            axes = panels[down * lines + line, across]
-            show(axes, window.of(experiment.image(name, distance)), "", peak=peak)
+    panels = plot.panels(len(distances) * lines, across, window.aspect)
+    for rows, distance in zip(panels.reshape(len(distances), -1), distances, strict=True):
+        for index, (axes, name) in enumerate(zip(rows, names, strict=False)):
+            image = window.of(experiment.image(name, distance))
+            side = "" if index % across else distance_text(distance)
+            show(axes, image, METHOD_TITLES[name], peak=peak, side=side, foot=notes.get((name, distance), ""))
             object_bar(axes, experiment.camera, distance, window)
-            side = distance_text(distance) if across == 0 else ""
-            annotate(axes, title=METHOD_TITLES[name], side=side, foot=notes.get((name, distance), ""))
     plot.save_both(path, experiment.settings.pdf)
 
 
 @styled
 def figure_pairs(
     path: Path,
-    pairs: Mapping[str, Sequence[np.ndarray]],
+    pairs: Mapping[str, Sequence[Array]],
     bound: float,
-    bar: Callable[[Axes, np.ndarray], None],
+    bar: Callable[[Axes, Array], None],
     pdf: bool,
 ) -> None:
     """Draw images by rays, by waves, and their difference up to a bound relative to white; a row for each title.
@@ -350,7 +336,7 @@ def figure_pairs(
     panels = plot.panels(len(images), 3, images[0][0].shape[0] / images[0][0].shape[1])
     for row, title, pair in zip(panels, pairs, images, strict=True):
         for axes, image in zip(row, pair, strict=False):
-            show(axes, image, "", peak=peak)
+            show(axes, image, peak=peak)
         mesh = show_difference(row[2], luminance(pair[1] - pair[0]), bound * peak)
         for axes, name in zip(row, ("By rays", "By waves", "Waves minus rays"), strict=True):
             annotate(axes, title=name if row[0] is panels[0, 0] else "", side=title if axes is row[0] else "")
@@ -363,21 +349,18 @@ def figure_pairs(
 def figure_interference(path: Path, experiment: Experiment, notes: Mapping[tuple[str, float], str]) -> None:
     """Draw the difference of coherent methods from the limit in which no two lenses interfere."""
     window = lit_window(list(experiment.truths.values()))
-    distances = experiment.settings.distances
-    names = ("coherent", "partial")
-    plot = Plot(3.5 * len(distances) + 1.35)
-    panels = plot.panels(len(names), len(distances), window.aspect)
-    bound = 0.15 * max(float(np.nanmax(experiment.images["limit", distance])) for distance in distances)
-    for down, name in enumerate(names):
-        for across, distance in enumerate(distances):
-            axes = panels[down, across]
-            difference = experiment.images[name, distance] - experiment.images["limit", distance]
-            mesh = show_difference(axes, window.of(difference), bound)
+    limits = {distance: experiment.images["limit", distance] for distance in experiment.settings.distances}
+    plot = Plot(3.5 * len(limits) + 1.35)
+    panels = plot.panels(len(_COHERENT), len(limits), window.aspect)
+    bound = 0.15 * np.nanmax(list(limits.values()))
+    for row, name in zip(panels, _COHERENT, strict=True):
+        for axes, (distance, limit) in zip(row, limits.items(), strict=True):
+            mesh = show_difference(axes, window.of(experiment.images[name, distance] - limit), bound)
             object_bar(axes, experiment.camera, distance, window)
             annotate(
                 axes,
-                title=distance_text(distance) if down == 0 else "",
-                side=METHOD_TITLES[name] if across == 0 else "",
+                title=distance_text(distance) if axes in panels[0] else "",
+                side=METHOD_TITLES[name] if axes is row[0] else "",
                 foot=notes.get((name, distance), ""),
             )
     plot.colour_bar(mesh, panels, "radiance beyond the limit")

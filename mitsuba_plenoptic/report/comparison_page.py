@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 from PIL import Image
 
 from .. import design
@@ -17,22 +16,13 @@ from ..runtime import Array, software
 from .experiment import METHOD_TITLES, Experiment
 from .images import Brightness, data_url, encoded, to_bytes
 from .metrics import ssim_text
-from .pages import Block, Page, Section, Table, pictures_in, prose, template
+from .pages import Block, Page, Section, Table, pictures_in, template
 from .plots import distance_text
 from .sheet import sheet_tables
 from .windows import Window, Zoom, lit_window
 
 ANSWER = "answer.png"
 """Name of the figure beside the answer."""
-
-_EXPLANATIONS = {
-    "truth": "Mitsuba's own thin-lens camera, focused at the distance",
-    "ray": "each pixel is followed back as rays through its lens",
-    "coherent": "one field, propagated back as if all light were coherent",
-    "partial": "four subsets of lenses, each coherent in itself",
-    "incoherent": "the capture weighed with the point spread of each bin",
-    "deconvolved": "the plane whose capture it is",
-}
 
 
 def write_report(
@@ -67,42 +57,23 @@ def write_report(
     write_json(folder / "results.json", results)
     window = lit_window([*experiment.truths.values(), experiment.pinhole], fraction=0.02, margin=0.03)
     geometry = capture_geometry(experiment, zooms, window)
-    distances = shown_distances(experiment)
+    distances = list(experiment.truths)
     widgets: Any = template("comparison.html").module
     viewer = widgets.viewer(captures(experiment, window), geometry, [zoom.title for zoom in zooms])
     height, width = window.of(next(iter(experiment.truths.values()))).shape[:2]
-    shown = ("truth", *experiment.settings.slider_methods)
-    titles = {name: METHOD_TITLES[name] for name in shown}
+    titles = {name: METHOD_TITLES[name] for name in ("truth", *experiment.settings.slider_methods)}
+    warnings = design.design_warnings(camera, wavelength)
+    settings = Table({"Setting": "{0}", "Value": "{1}"}, _facts(experiment, measured), words=2)
     first = distances.index(experiment.settings.distances[0])
-    warnings = [
-        Markup('<p class="warning">{}.</p>').format(prose(warning[:1].upper() + warning[1:]))
-        for warning in design.design_warnings(camera, wavelength)
-    ]
-    methods = Markup("<p>One bin per microlens, from the wave capture.")
-    for method in shown:
-        methods += Markup(" <strong>{}</strong>: {}.").format(METHOD_TITLES[method], prose(_EXPLANATIONS[method]))
     sections = [
         Section("Do rays suffice?", [measured["answer"], *pictures_in(folder, {ANSWER: plates[ANSWER]})]),
         Section("On the detector", [_capture_text(experiment, measured), viewer]),
-        Section(
-            "Refocused",
-            [methods + Markup("</p>"), widgets.refocus(width, height, titles, [*map(distance_text, distances)], first)],
-        ),
+        Section("Refocused", [widgets.refocus(width, height, titles, [*map(distance_text, distances)], first)]),
         *others,
         Section("In numbers", _numbers(measured)),
         Section("Figures", pictures_in(folder, {name: text for name, text in plates.items() if name != ANSWER})),
-        Section("The camera", [*warnings, sheet_tables(camera, wavelength)]),
-        Section(
-            "Make it again",
-            [
-                Markup("<pre><code>{} -o {}</code></pre>").format(command, folder.name),
-                Markup(
-                    "<p>Captures and reconstructions lie next to this file as OpenEXR, in <code>data/</code>, and all "
-                    "numbers in <code>results.json</code>. What is there and still valid is not computed again.</p>"
-                ),
-                Table({"Setting": "{0}", "Value": "{1}"}, _facts(experiment, measured), words=2),
-            ],
-        ),
+        Section("The camera", [widgets.warnings(warnings), sheet_tables(camera, wavelength)]),
+        Section("Make it again", [widgets.again(f"{command} -o {folder.name}"), settings]),
     ]
     data = {"capture": geometry, "refocus": reconstructions(experiment, measured, window)}
     foot = "Scalar waves and thin elements; objects do not diffract. Lengths in millimetres. Pictures are sRGB."
@@ -120,7 +91,7 @@ def _capture_text(experiment: Experiment, measured: Mapping[str, Any]) -> str:
         f"it by diffraction at the microlens: {spot:.2g} pixels from the middle of a spot to its first zero. The two "
         f"captures differ by {captures['relative_error']:.0%} (root mean square, relative), {captures['psnr']:.1f} dB."
     )
-    all_pixels, middle, rim = (captures["difference"][name] for name in ("all", "middle", "rim"))
+    all_pixels, middle, rim = captures["difference"].values()
     if all_pixels["noise"] is None:
         return text
     if all_pixels["noise_alone"]:
@@ -177,20 +148,18 @@ def _numbers(measured: Mapping[str, Any]) -> list[Block]:
 def _facts(experiment: Experiment, measured: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the settings and versions of an experiment as pairs of texts."""
     settings = experiment.settings
-    against = []
-    points = measured["captures"]["points"]
+    apart = None
     seconds = experiment.seconds
-    longest = max(seconds, key=lambda name: seconds[name])
-    if points is not None:
+    longest = max(seconds, key=seconds.__getitem__)
+    if points := measured["captures"]["points"]:
         apart = f"{points['relative_error']:.2%} (relative L2, with the noise of both), energy {points['energy']:.4f}"
-        against = [(f"Wave capture against {settings.points} points per lens, each propagated by itself", apart)]
-    return [
+    facts = [
         ("Wavelength", f"{experiment.light} nm"),
         ("Samples per pixel, ray and wave capture", f"{settings.spp}"),
-        *against,
+        (f"Wave capture against {settings.points} points per lens, each propagated by itself", apart),
         ("Samples per pixel, thin lens", f"{settings.truth_spp}"),
         ("Scene", settings.scene),
-        *((("Camera instead of the scene's", settings.camera_name),) if settings.camera_name else ()),
+        ("Camera instead of the scene's", settings.camera_name),
         *((f"Scene parameter {name}", value) for name, value in sorted(settings.parameters.items())),
         ("Mitsuba variant", settings.variant),
         *(
@@ -199,13 +168,23 @@ def _facts(experiment: Experiment, measured: Mapping[str, Any]) -> list[tuple[st
         ),
         ("Time", f"{sum(seconds.values()):.0f} s, of which {seconds[longest]:.0f} s for {longest.replace('_', ' ')}"),
     ]
+    return [(name, fact) for name, fact in facts if fact is not None]
 
 
 def captures(experiment: Experiment, window: Window) -> dict[str, str]:
     """Return the captures as pictures of bounded size, drawn on one scale."""
     ray, wave = (window.of(capture.image) for capture in (experiment.ray, experiment.wave))
     peak = float(np.quantile(ray[ray > 0.05 * ray.max()], 0.98)) if ray.max() > 0 else 1.0
-    return {"ray": _webp(ray, peak), "wave": _webp(wave, peak)}
+    pictures = {}
+    for name, image in (("ray", ray), ("wave", wave)):
+        picture = Image.fromarray(to_bytes(image, peak))
+        for quality in (85, 70, 50, 30):
+            content = encoded(picture, format="WEBP", quality=quality, method=4)
+            # The page stays below 12 MB.
+            if len(content) <= 3_500_000:
+                break
+        pictures[name] = data_url("webp", content)
+    return pictures
 
 
 def capture_geometry(experiment: Experiment, zooms: Sequence[Zoom], window: Window) -> dict[str, Any]:
@@ -229,15 +208,9 @@ def capture_geometry(experiment: Experiment, zooms: Sequence[Zoom], window: Wind
     }
 
 
-def shown_distances(experiment: Experiment) -> list[float]:
-    """Return the distances of the report's slider."""
-    return sorted({*experiment.settings.slider, *experiment.settings.distances})
-
-
 def reconstructions(experiment: Experiment, measured: Mapping[str, Any], window: Window) -> dict[str, Any]:
     """Return pictures by method and distance, with metrics where they are known."""
-    distances = shown_distances(experiment)
-    peak = Brightness().peak([window.of(experiment.truths[distance]) for distance in distances])
+    peak = Brightness().peak([*map(window.of, experiment.truths.values())])
     facts: dict[str, dict[str, list[list[str]]]] = {}
     for row in measured["reconstructions"]:
         metrics = [
@@ -249,26 +222,13 @@ def reconstructions(experiment: Experiment, measured: Mapping[str, Any], window:
             metrics.append(["Interference", f"{row['interference']:.1%}"])
         facts.setdefault(row["method"], {})[distance_text(row["distance"])] = metrics
 
-    def png(name: str, distance: float) -> str:
-        picture = Image.fromarray(to_bytes(window.of(experiment.image(name, distance)), peak))
+    def png(image: Array) -> str:
+        picture = Image.fromarray(to_bytes(window.of(image), peak))
         return data_url("png", encoded(picture, format="PNG", optimize=True))
 
-    return {
-        "distances": [distance_text(distance) for distance in distances],
-        "images": {
-            name: {distance_text(distance): png(name, distance) for distance in distances}
-            for name in ("truth", *experiment.settings.slider_methods)
-        },
-        "facts": facts,
+    texts = {distance: distance_text(distance) for distance in experiment.truths}
+    images = {
+        name: {text: png(experiment.image(name, distance)) for distance, text in texts.items()}
+        for name in ("truth", *experiment.settings.slider_methods)
     }
-
-
-def _webp(image: Array, peak: float) -> str:
-    picture = Image.fromarray(to_bytes(image, peak))
-    content = b""
-    for quality in (85, 70, 50, 30):
-        content = encoded(picture, format="WEBP", quality=quality, method=4)
-        # The page stays below 12 MB.
-        if len(content) <= 3_500_000:
-            break
-    return data_url("webp", content)
+    return {"distances": [*texts.values()], "images": images, "facts": facts}

@@ -87,17 +87,13 @@ def edge_sharpness(image: ArrayLike) -> EdgeSharpness:
     Parameters
     ----------
     image : (rows, columns) or (rows, columns, channels) array
-        Values proportional to light, of which channels are averaged. Borders that are NaN are left out.
+        Values proportional to light, of which channels are averaged, with one edge that is slanted by 1 to 20 degrees
+        and not saturated. Borders that are NaN are left out.
 
     Returns
     -------
     EdgeSharpness
         Place and angle of the edge, its width, and the transfer function.
-
-    Raises
-    ------
-    InputError
-        If there is no edge or more than one, if it is not slanted by 1 to 20 degrees, or if it is saturated.
 
     Examples
     --------
@@ -139,14 +135,18 @@ def _measure(image: Doubles) -> EdgeSharpness:
         down, across = _slopes(image, extent / _LEAST_REACH)
         slope = np.hypot(down, across)
         tilt, start = _line(image, slope, down, across, extent)
-        rows = _rows_with_edge(image, slope, tilt, start)
-        first = int(rows[0])
-        last = int(rows[-1])
-        index = np.arange(first, last + 1)
+        index = _rows_with_edge(image, slope, tilt, start)
         line = np.asarray(start + tilt * index, np.float64)
         extent = max(extent, _half_width(across[index], line))
     angle = math.degrees(math.atan(tilt))
-    _refuse_others(slope, tilt, start, index, extent)
+    offset = np.abs(np.arange(image.shape[1]) - line[:, None]) / math.hypot(1, tilt)
+    height = np.median(np.max(slope[index] * (offset < 3), axis=1))
+    # What crosses the edge is in few rows.
+    away = slope[index] * (offset >= extent + 1)
+    beside = np.quantile(np.max(away * (offset <= _REACH), axis=1), 0.95)
+    wide = np.median(np.max(away, axis=1))
+    refuse_if(height <= 0, "image: it has no edge: all of it is alike")
+    refuse_if(max(beside, wide) > 0.3 * height, _TWO_EDGES)
     # Between these angles the pixels sample an edge finely and evenly.
     refuse_if(
         not 1.0 <= abs(angle) <= 20.0,
@@ -161,7 +161,7 @@ def _measure(image: Doubles) -> EdgeSharpness:
     reach = min(max(float(_REACH), 2 * extent), line.min(), image.shape[1] - 1 - line.max()) * math.cos(math.atan(tilt))
     least = _LEAST_REACH if extent == _LEAST_REACH else 1.3 * extent
     refuse_if(reach < least, f"image: its edge is nearer than {least:.3g} pixels to the border")
-    return _across(image[index], line, tilt, first, reach, _KNOTS * _LEAST_REACH / extent)
+    return _across(image[index], line, tilt, int(index[0]), reach, _KNOTS * _LEAST_REACH / extent)
 
 
 def window_sharpness(image: Doubles) -> EdgeSharpness:
@@ -226,16 +226,12 @@ def _line(image: Doubles, slope: Doubles, down: Doubles, across: Doubles, extent
     refuse_if(
         not steep.sum() > 0 or np.ptp(image) <= 0.1 * np.abs(image).max(), "image: it has no edge: all of it is alike"
     )
-    best = -1.0
-    tilt = 0.0
-    start = 0.0
-    for trial in np.linspace(-0.6, 0.6, 121):
-        offset = columns - trial * rows
+    lines = []
+    for tilt in np.linspace(-0.6, 0.6, 121):
+        offset = columns - tilt * rows
         sums = np.bincount(np.round(offset - offset.min()).astype(int).ravel(), weights=steep.ravel())
-        if sums.max() > best:
-            best = float(sums.max())
-            tilt = float(trial)
-            start = float(sums.argmax() + offset.min())
+        lines.append((sums.max(), tilt, sums.argmax() + offset.min()))
+    _, tilt, start = max(lines, key=lambda line: line[0])
     return _closed_in(slope, tilt, start, np.array((6.0, 5.0, 4.0, 4.0)) * extent / _LEAST_REACH)
 
 
@@ -261,22 +257,24 @@ def _rows_with_edge(image: Doubles, slope: Doubles, tilt: float, start: float) -
     columns = np.arange(image.shape[1])
     strength = (slope * (np.abs(columns - line[:, None]) < 3)).sum(axis=1) * inside
     good = strength > 0.7 * np.quantile(strength[inside], 0.8) if inside.any() else inside
-    runs = np.split(np.flatnonzero(good), np.flatnonzero(np.diff(np.flatnonzero(good)) > 1) + 1)
-    longest = max(runs, key=len)
-    ends = [2 if longest.size and longest[0] > 0 else 0, 2 if longest.size and longest[-1] < rows[-1] else 0]
-    longest = longest[ends[0] : longest.size - ends[1]]
+    there = np.flatnonzero(good)
+    longest = max(np.split(there, np.flatnonzero(np.diff(there) > 1) + 1), key=len)
+    # Ends at the border of the image stay.
+    longest = longest[2 * longest[:1].any() : longest.size - 2 * (longest[-1:] < rows[-1]).any()]
     refuse_if(longest.size < _LEAST_REACH, "image: it has no edge of more than a few pixels")
     return longest
 
 
 def _half_width(across: Doubles, line: Doubles) -> float:
     """Return how far an edge reaches from its line, which has a column in each row; refuse two edges side by side."""
-    offset = np.round(np.arange(across.shape[1]) - line[:, None]).astype(int)
-    count = np.bincount((offset - offset.min()).ravel())
-    profile = np.abs(np.bincount((offset - offset.min()).ravel(), across.ravel()) / count)[count >= 0.5 * len(line)]
-    middle = int(np.argmin(np.abs(np.flatnonzero(count >= 0.5 * len(line)) + offset.min())))
-    near = slice(max(middle - _LEAST_REACH, 0), middle + _LEAST_REACH + 1)
-    peak = near.start + int(np.argmax(profile[near]))
+    offset = np.round(np.arange(across.shape[1]) - line[:, None]).astype(int).ravel()
+    least = offset.min()
+    count = np.bincount(offset - least)
+    seen = count >= 0.5 * len(line)
+    profile = np.abs(np.bincount(offset - least, across.ravel()) / count)[seen]
+    middle = int(np.argmin(np.abs(np.flatnonzero(seen) + least)))
+    first = max(middle - _LEAST_REACH, 0)
+    peak = first + int(np.argmax(profile[first : middle + _LEAST_REACH + 1]))
     widest = 0
     for side in (profile[peak:], profile[peak::-1]):
         # The edge ends where its slope falls to a tenth of the largest.
@@ -287,20 +285,6 @@ def _half_width(across: Doubles, line: Doubles) -> float:
     return float(widest)
 
 
-def _refuse_others(slope: Doubles, tilt: float, start: float, index: NDArray[np.intp], extent: float) -> None:
-    """Refuse an image with other edges beside the rows of the found edge."""
-    columns = np.arange(slope.shape[1])
-    offset = np.abs(columns - (start + tilt * index)[:, None]) / math.hypot(1, tilt)
-    near_slope = slope[index]
-    height = np.median(np.max(near_slope * (offset < 3), axis=1))
-    # What crosses the edge is in few rows.
-    away = offset >= extent + 1
-    beside = np.quantile(np.max(near_slope * away * (offset <= _REACH), axis=1), 0.95)
-    wide = np.median(np.max(near_slope * away, axis=1))
-    refuse_if(height <= 0, "image: it has no edge: all of it is alike")
-    refuse_if(max(beside, wide) > 0.3 * height, _TWO_EDGES)
-
-
 def _transfer(distance: Doubles, values: Doubles, reach: float, density: float) -> tuple[float, Doubles]:
     """Return the width of an edge, and the transfer function, from pixels at distances from its line.
 
@@ -309,7 +293,8 @@ def _transfer(distance: Doubles, values: Doubles, reach: float, density: float) 
     order = np.argsort(distance)
     distance = distance[order]
     values = values[order]
-    low, high = (float(values[side].mean()) for side in (distance < -0.7 * reach, distance > 0.7 * reach))
+    low = float(values[distance < -0.7 * reach].mean())
+    high = float(values[distance > 0.7 * reach].mean())
     refuse_if(
         not abs(high - low) > 0.1 * np.abs(values).max(), "image: it has no edge: both sides of its line are alike"
     )

@@ -21,7 +21,7 @@ from ..errors import LONGEST, naming, refuse_if, require_choice
 from ..io import Cache, Capture, Checkpoint, StageOptions
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, reconstruct, require_distances
-from ..runtime import Progress, in_words
+from ..runtime import Array, Progress, in_words
 from ..scene import pass_counts
 from .images import luminance
 
@@ -35,7 +35,7 @@ def thin_lens_image(
     spp: int,
     oversample: int = 1,
     pixel_format: str = "luminance",
-) -> np.ndarray:
+) -> Array:
     """Return the image of a thin lens with the camera's aperture, focused at `distance`, one pixel per bin.
 
     Reconstructions of the same distance have the same bins, and can be compared with the image bin by bin.
@@ -58,16 +58,22 @@ def thin_lens_image(
     columns, rows = camera.bin_count
     # Samples spread evenly over pixel and aperture leave a fraction of the noise of independent ones.
     spread: dict[str, Any] = {"sampler": {"type": "multijitter"}} if math.isqrt(spp) ** 2 == spp else {}
-    focus = min(distance, LONGEST)
-    lens: dict[str, Any] = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": focus}
-    size = (columns * oversample, rows * oversample)
-    sensor = photographic_sensor(scene, camera, size, pixel_format, **lens, **spread)
+    sensor = photographic_sensor(
+        scene,
+        camera,
+        (columns * oversample, rows * oversample),
+        pixel_format,
+        type="thinlens",
+        aperture_radius=camera.aperture_radius,
+        focus_distance=min(distance, LONGEST),
+        **spread,
+    )
     return photograph(scene, sensor, spp)
 
 
 def pinhole_image(
     scene: Any, camera: PlenopticCamera, columns: int, spp: int, pixel_format: str = "luminance"
-) -> np.ndarray:
+) -> Array:
     """Return the sharp image of the camera's field from the centre of its main lens, `columns` pixels wide."""
     rows = round(columns * camera.bin_count[1] / camera.bin_count[0])
     sensor = photographic_sensor(scene, camera, (columns, rows), pixel_format, type="perspective")
@@ -98,7 +104,7 @@ def photographic_sensor(
     )
 
 
-def photograph(scene: Any, sensor: Any, spp: int) -> np.ndarray:
+def photograph(scene: Any, sensor: Any, spp: int) -> Array:
     """Return a picture by rays (rows, columns[, 3]), rendered in passes of bounded size."""
     columns, rows = sensor.film().crop_size()
     integrator = scene.integrator()
@@ -229,11 +235,11 @@ class Ordinary:
     # Distance in focus, of the edge as well.
     distance: float
     # The edge by the ordinary camera, under its name, and by the methods that refocus a capture of it.
-    edges: dict[str, np.ndarray]
+    edges: dict[str, Array]
 
 
 # Reconstructions by method and distance.
-Images = dict[tuple[str, float], np.ndarray]
+Images = dict[tuple[str, float], Array]
 
 
 @dataclass(frozen=True)
@@ -248,12 +254,12 @@ class Experiment:
     points: Capture | None
     wave_key: str
     # Thin-lens image by distance.
-    truths: dict[float, np.ndarray]
+    truths: dict[float, Array]
     images: Images
     # The scene from the centre of the main lens.
-    pinhole: np.ndarray
+    pinhole: Array
     # Bounding boxes of the scene's shapes in the camera's frame by id.
-    boxes: dict[str, tuple[np.ndarray, np.ndarray]]
+    boxes: dict[str, tuple[Array, Array]]
     # How long each stage took.
     seconds: dict[str, float]
     # What the captures are compared with besides each other.
@@ -262,15 +268,14 @@ class Experiment:
     @property
     def light(self) -> str:
         """The wavelengths of the wave capture in nanometres, as text."""
-        return ", ".join(f"{length:g}" for length in np.atleast_1d(np.array(self.wave.wavelength)).tolist())
+        return ", ".join(f"{length:g}" for length in np.array(self.wave.wavelength).ravel())
 
     def grey(self) -> Experiment:
         """Return the experiment with the luminance of all images, in which colours are measured."""
 
         def of_capture(capture: Capture) -> Capture:
-            noise = None if capture.noise is None else luminance(capture.noise)
             wavelength = None if capture.wavelength is None else self.settings.wavelength
-            return replace(capture, image=luminance(capture.image), noise=noise, wavelength=wavelength)
+            return replace(_changed(capture, luminance), wavelength=wavelength)
 
         if self.ray.image.ndim == 2:
             return self
@@ -290,7 +295,7 @@ class Experiment:
             ordinary=ordinary,
         )
 
-    def image(self, method: str, distance: float) -> np.ndarray:
+    def image(self, method: str, distance: float) -> Array:
         """Return the reconstruction by a method at a distance, or for ``truth`` the thin lens's image."""
         return self.truths[distance] if method == "truth" else self.images[method, distance]
 
@@ -391,24 +396,19 @@ def run_experiment(
     # Details much finer than the lenses are in no capture, and paths through a room of walls take long.
     columns = min(OBJECT_COLUMNS, max(256, 8 * camera.bin_count[0]))
     scene_key = replace(by_rays, spp=None).fingerprint()
-    pinhole, _ = store.image(
-        "object",
-        {"scene": scene_key, "columns": columns},
-        lambda _: (pinhole_image(scene, camera, columns, 64, colours), {"kind": "photograph"}),
-    )
+
+    def pictured(name: str, make: Callable[..., Array], *options: Any, **facts: float) -> Array:
+        picture = partial(make, scene, camera, *options, pixel_format=colours)
+        inputs = {"scene": scene_key, "options": options}
+        return store.image(name, inputs, lambda _: (picture(), {"kind": "photograph", **facts}))[0]
+
+    pinhole = pictured("object", pinhole_image, columns, 64)
     truths = {}
     for distance in distances:
         # The slider's pictures have no numbers.
         spp = settings.truth_spp if distance in settings.distances else max(1, settings.truth_spp // 4)
-
-        def thin_lens(
-            progress: Progress, distance: float = distance, spp: int = spp
-        ) -> tuple[np.ndarray, dict[str, Any]]:
-            image = thin_lens_image(scene, camera, distance, spp, pixel_format=colours)
-            return image, {"kind": "photograph", "distance": distance}
-
-        inputs = {"scene": scene_key, "distance": distance, "spp": spp}
-        truths[distance], _ = store.image(f"thin_lens_{distance:g}", inputs, thin_lens)
+        name = f"thin_lens_{distance:g}"
+        truths[distance] = pictured(name, thin_lens_image, distance, spp, distance=distance)
     return Experiment(
         settings=settings,
         camera=camera,
@@ -430,12 +430,15 @@ def captured(
 ) -> tuple[Capture, str]:
     """Return a capture of a loaded scene as a stage, and the stage's key.
 
-    `seen` identifies a scene other than that of the specification, and `options` are further ones of `render_capture`.
+    `identity` is that of a scene other than the specification's, and `options` are further ones of `render_capture`.
     """
 
     def make(progress: Progress, checkpoint: Checkpoint) -> Capture:
         resumed = {"checkpoint": checkpoint} if spec.model == "wave" else {}
-        return _grey(spec.render(scene, progress=progress, **resumed, **options))
+        capture = spec.render(scene, progress=progress, **resumed, **options)
+        # The film of a mono variant has three equal channels.
+        grey = capture.image.ndim == 3 and mi.is_monochromatic
+        return _changed(capture, lambda image: image[..., 1]) if grey else capture
 
     return store.capture(name, {"capture": spec.fingerprint(), "seen": identity, **options}, make)
 
@@ -450,10 +453,10 @@ def against_ordinary(
 ) -> Ordinary:
     """Return what an ordinary camera is compared by: wave captures like the plenoptic one, as stages."""
     capture, _ = captured(store, "capture_ordinary", spec, with_camera(scene, twin), twin.to_dict())
-    lenses = tuple(round(count * camera.micro_image_pitch / camera.pixel_size) for count in (32, 32))
+    lenses = round(32 * camera.micro_image_pitch / camera.pixel_size)
     recorded = {}
     # The edge's diffraction reaches many pixels of an ordinary camera to the sides.
-    for name, full_camera, count in ((ORDINARY, twin, (512, 128)), ("plenoptic", camera, lenses)):
+    for name, full_camera, count in ((ORDINARY, twin, (512, 128)), ("plenoptic", camera, (lenses, lenses))):
         middle = full_camera.replace(resolution=count, detector_width=count[0] * full_camera.pixel_size)
         edge_key = {"camera": middle.to_dict(), "edge": distance}
         recorded[name] = captured(store, f"edge_{name}", spec, edge_scene(middle, distance), edge_key)
@@ -498,14 +501,14 @@ def open_store(output: Path, stages: StageOptions | None) -> Cache:
 
 def refocused(
     store: Cache, name: str, capture: Capture, key: str, distances: Sequence[float], options: Mapping[str, Any]
-) -> dict[float, np.ndarray]:
+) -> dict[float, Array]:
     """Return reconstructions by distance of a capture, identified by a key, by options of `reconstruct`, as stages.
 
     The first that is missing makes all, which share the propagation to the main lens.
     """
     results: dict[float, Reconstruction] = {}
 
-    def make(distance: float, progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
+    def make(distance: float, progress: Progress) -> tuple[Array, dict[str, Any]]:
         if not results:
             together = reconstruct(capture, list(distances), progress=progress, **options)
             results.update({result.distance: result for result in together})
@@ -519,22 +522,19 @@ def refocused(
     return images
 
 
-def _grey(capture: Capture) -> Capture:
-    """Return a mono variant's capture, whose film has three equal channels, with one channel."""
-    if capture.image.ndim == 2 or not mi.is_monochromatic:
-        return capture
-    noise = None if capture.noise is None else capture.noise[..., 1]
-    return replace(capture, image=capture.image[..., 1], noise=noise)
+def _changed(capture: Capture, change: Callable[[Array], Array]) -> Capture:
+    """Return a capture whose image and noise are changed."""
+    noise = None if capture.noise is None else change(capture.noise)
+    return replace(capture, image=change(capture.image), noise=noise)
 
 
-def bounding_boxes(scene: Any) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def bounding_boxes(scene: Any) -> dict[str, tuple[Array, Array]]:
     """Return the bounding boxes of the shapes, by id, in the camera's frame."""
     to_camera = np.linalg.inv(scene.sensors()[0].world_transform().matrix.numpy()[..., 0].astype(np.float64))
     boxes = {}
     # Sorted, because Mitsuba loads shapes in parallel and lists them as they come.
     for shape in sorted(scene.shapes(), key=lambda shape: shape.id()):
-        box = shape.bbox()
-        corners = np.array([[*np.array(box.corner(i)).ravel(), 1.0] for i in range(8)])
+        corners = np.array([[*np.array(shape.bbox().corner(i)).ravel(), 1.0] for i in range(8)])
         inside = (corners @ to_camera.T)[:, :3]
         boxes[shape.id()] = (inside.min(axis=0), inside.max(axis=0))
     return boxes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -55,7 +55,7 @@ def encode(image: Array, bits: int, full: float) -> dict[str, Any]:
     above the lower eight in one picture. NaN is transparent. Values out of range are clipped.
     """
     finite = np.isfinite(image if image.ndim == 2 else image.sum(axis=2))
-    values = np.where(finite if image.ndim == 2 else finite[..., None], image, 0)
+    values = np.where(finite.T, image.T, 0).T
     codes = np.rint((2**bits - 1) * srgb(np.clip(values / full, 0, 1))).astype(np.uint16)
     pixels = (codes if bits == 8 else np.concatenate([codes >> 8, codes & 255])).astype(np.uint8)
     if not finite.all():
@@ -151,7 +151,7 @@ class Brightness:
 class Drawing:
     """Settings for drawing pictures: exposure, scale, whether to draw a figure, and its dots per inch."""
 
-    brightness: Brightness = field(default_factory=Brightness)
+    brightness: Brightness = Brightness()
     # Pixels that a bin is wide; None: as suits the picture.
     scale: int | None = None
     # Whether a PNG is a labelled figure; a PDF always is.

@@ -42,7 +42,7 @@ def main_lens_figure(lens: RealLens, distance: float, cell: float = 0.0) -> Plot
     largest = float(np.fmax.reduce(np.abs(positions), axis=None, initial=cell / 2))
     for axes, field in zip(spots, fields, strict=True):
         _spot(axes, field, cell)
-        axes.set(xlim=(-1.1 * largest, 1.1 * largest), ylim=(-1.1 * largest, 1.1 * largest))
+        axes.axis((-1.1 * largest, 1.1 * largest) * 2)
     scale_bar(spots[0], 2200 * largest, below=True, unit="um")
     spots[-1].legend(fontsize=6, loc="upper left", bbox_to_anchor=(1, 1), frameon=False, markerscale=4, handletextpad=0)
     heights = lens.corner * np.linspace(0, 1, 13)
@@ -110,5 +110,6 @@ def _spot(axes: Axes, field: FieldFigures, cell: float) -> None:
     bare(axes).set_aspect("equal")
     axes.set_title(f"spot at {field.height:.3g} mm", size=9, color=INK, loc="left")
     if cell:
-        axes.plot(np.array([-1, 1, 1, -1, -1]) * cell / 2, np.array([-1, -1, 1, 1, -1]) * cell / 2, color=INK, lw=0.6)
+        corners = np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
+        axes.plot(*corners * cell / 2, color=INK, lw=0.6)
         axes.set_xlabel(f"square: a microlens, {1e3 * cell:.3g} um", size=7, color=INK)

@@ -118,10 +118,8 @@ def chief(lens: RealLens, height: float, distance: float) -> tuple[float, float]
 
     Parameters
     ----------
-    lens : RealLens
-        The main lens.
-    height : float
-        Distance from the axis on the MLA in millimetres.
+    lens, height : RealLens, float
+        As for `ray_paths`.
     distance : float
         Distance g of the object plane in millimetres; where it is negative, infinity.
     """
@@ -259,11 +257,6 @@ def behind_lens(
     tuple
         The lens, the image plane in place of the MLA; the object's distance from the front principal plane, and the
         heights of chief rays in the image, both in millimetres.
-
-    Raises
-    ------
-    InputError
-        If there is no image behind the lens, or no chief ray of a field.
     """
     numbers = lens.paraxial
     from_pupil = lens.object_distance + numbers.entrance_pupil

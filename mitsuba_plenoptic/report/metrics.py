@@ -64,7 +64,8 @@ def image_metrics(image: Array, reference: Array) -> ImageMetrics:
     Samples that are NaN in either are not compared: the error, the peak and the sums are those of all others, the
     structural similarity that of the windows without such samples, by channel.
     """
-    image, reference = (as_array(*pixels, dtype=np.float32) for pixels in (("image", image), ("reference", reference)))
+    image = as_array("image", image, dtype=np.float32)
+    reference = as_array("reference", reference, dtype=np.float32)
     finite = ~(np.isnan(image) | np.isnan(reference))
     if not finite.any():
         return ImageMetrics(psnr=math.nan, ssim=None, energy=math.nan)
@@ -76,10 +77,14 @@ def image_metrics(image: Array, reference: Array) -> ImageMetrics:
     complete = scipy.ndimage.minimum_filter(finite, window, mode="constant", cval=0)
     ssim = None
     if complete.any() and peak > 0:
-        filled = (np.where(finite, pixels, 0) for pixels in (image, reference))
         channels = -1 if image.ndim == 3 else None
         _, likeness = skimage.metrics.structural_similarity(
-            *filled, win_size=_WINDOW, data_range=peak, channel_axis=channels, full=True
+            np.where(finite, image, 0),
+            np.where(finite, reference, 0),
+            win_size=_WINDOW,
+            data_range=peak,
+            channel_axis=channels,
+            full=True,
         )
         ssim = float(likeness[complete].mean(dtype=np.float64))
     psnr = math.inf if mean_square == 0 else -math.inf
@@ -91,8 +96,8 @@ def image_metrics(image: Array, reference: Array) -> ImageMetrics:
 
 def relative_error(image: Array, reference: Array) -> float:
     """Return the root of the summed squared differences over the root of the reference's squared sum."""
-    image, reference = (as_array(*named) for named in (("image", image), ("reference", reference)))
-    return float(np.linalg.norm(image - reference) / np.linalg.norm(reference))
+    reference = as_array("reference", reference)
+    return float(np.linalg.norm(as_array("image", image) - reference) / np.linalg.norm(reference))
 
 
 def interference(image: Array, limit: Array, region: Array | tuple[slice, slice]) -> float:
@@ -171,7 +176,7 @@ def capture_difference(a: Capture, b: Capture, pixels: Array | None = None) -> D
     pixels : array of bool, optional
         The pixels that count. Default: all.
     """
-    where = np.ones(b.image.shape, bool) if pixels is None else pixels
+    where = ... if pixels is None else pixels
     reference = float(np.sum(np.square(b.image, dtype=np.float64)))
     squares = float(np.sum(np.square(a.image.astype(np.float64) - b.image)[where]))
     measured = _root(squares, reference)

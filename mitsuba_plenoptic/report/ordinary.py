@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogLocator, NullLocator
 from scipy.ndimage import uniform_filter
@@ -38,8 +37,7 @@ def measure_ordinary(experiment: Experiment, ordinary: Ordinary) -> dict[str, An
     frequency = np.geomspace((1 / 32) / experiment.camera.bin_size(distance), cutoff, 128)
     share = np.minimum(frequency / cutoff, 1)
     pictures = []
-    for name, image in _pictures(experiment, ordinary).items():
-        pixel = _pixel(experiment, ordinary, name)
+    for name, (image, pixel) in _pictures(experiment, ordinary).items():
         with refusing(f"against = {ORDINARY}: distance = {distance:g}: {_TITLES[name]}:", ValueError):
             edge = window_sharpness(ordinary.edges[name])
         cycles = frequency[frequency * pixel <= 1] * pixel
@@ -65,23 +63,17 @@ def measure_ordinary(experiment: Experiment, ordinary: Ordinary) -> dict[str, An
     }
 
 
-def _pictures(experiment: Experiment, ordinary: Ordinary) -> dict[str, Array]:
-    """Return the scene's pictures by name, the ordinary camera's first."""
-    refocused = {
-        name: experiment.images[name, ordinary.distance]
-        for name in SLIDER_METHODS
-        if (name, ordinary.distance) in experiment.images
-    }
-    return {ORDINARY: ordinary.capture.image, **refocused}
+def _pictures(experiment: Experiment, ordinary: Ordinary) -> dict[str, tuple[Array, float]]:
+    """Return the scene's pictures by name, the ordinary camera's first, with the width of their pixels or bins.
 
-
-def _pixel(experiment: Experiment, ordinary: Ordinary, name: str) -> float:
-    """Return the width in the plane in focus of a picture's pixels or bins, in millimetres."""
-    camera = ordinary.capture.camera
+    The width is that in the plane in focus, in millimetres.
+    """
     distance = ordinary.distance
-    if name == ORDINARY:
-        return camera.pixel_in_object(distance)
-    return experiment.camera.bin_size(distance)
+    pictures = {ORDINARY: (ordinary.capture.image, ordinary.capture.camera.pixel_in_object(distance))}
+    for name in SLIDER_METHODS:
+        if (name, distance) in experiment.images:
+            pictures[name] = experiment.images[name, distance], experiment.camera.bin_size(distance)
+    return pictures
 
 
 def ordinary_section(folder: Path, experiment: Experiment, ordinary: Ordinary, measured: Mapping[str, Any]) -> Section:
@@ -125,51 +117,39 @@ def ordinary_section(folder: Path, experiment: Experiment, ordinary: Ordinary, m
 def figure_pictures(path: Path, experiment: Experiment, ordinary: Ordinary) -> None:
     """Draw the pictures in one frame of the plane in focus, and the place of most contrast with each pixel."""
     pictures = _pictures(experiment, ordinary)
-    pixels = {name: _pixel(experiment, ordinary, name) for name in pictures}
-    sides = np.array([np.array(image.shape[:2]) * pixels[name] for name, image in pictures.items()])
-    high, wide = sides.min(axis=0) / 2
+    picture, pixel = pictures[ORDINARY]
+    sides = np.array([np.array(image.shape[:2]) * width for image, width in pictures.values()])
+    half = sides.min(axis=0) / 2
     # Half of the close-up's eight bins.
-    close = min(4 * experiment.camera.bin_size(ordinary.distance), high, wide)
+    close = min(4 * experiment.camera.bin_size(ordinary.distance), *half)
     # Details that bins blur, without the noise of single pixels.
-    smooth = uniform_filter(luminance(pictures[ORDINARY]), max(1, round(pixels["ray"] / (2 * pixels[ORDINARY]))))
-    down, right = _most_contrast(smooth, pixels[ORDINARY], (high, wide), close)
-    peak = Brightness().peak([pictures[ORDINARY]])
+    smooth = uniform_filter(luminance(picture), max(1, round(pictures["ray"][1] / (2 * pixel))))
+    middle = _most_contrast(smooth, pixel, half, close)
+    peak = Brightness().peak([picture])
     plot = Plot(2.4 * len(pictures) + 0.1)
-    panels = plot.panels(2, len(pictures), (high / wide, 1))
-    for (name, image), overview, crop in zip(pictures.items(), *panels, strict=True):
-        for axes, middle, half in ((overview, (0.0, 0.0), (high, wide)), (crop, (down, right), (close, close))):
-            show(axes, image, "", peak=peak)
-            _frame(axes, image.shape, pixels[name], middle, half)
+    panels = plot.panels(2, len(pictures), (half[0] / half[1], 1))
+    for (name, (image, width)), overview, crop in zip(pictures.items(), *panels, strict=True):
+        for axes, (down, right), (high, wide) in ((overview, (0.0, 0.0), half), (crop, middle, (close, close))):
+            show(axes, image, peak=peak)
+            bottom, end = np.array(image.shape[:2]) * width / 2
+            axes.images[0].set_extent((-end, end, bottom, -bottom))
+            axes.axis((right - wide, right + wide, down + high, down - high))
             if name == ORDINARY:
-                scale_bar(axes, 2 * half[1], f"at {ordinary.distance:g} mm")
-        corner = right - close, down - close
+                scale_bar(axes, 2 * wide, f"at {ordinary.distance:g} mm")
+        corner = middle[::-1] - close
         overview.add_patch(Rectangle(corner, 2 * close, 2 * close, fill=False, edgecolor=ACCENT, linewidth=1))
         annotate(overview, title=_TITLES[name], foot=f"{image.shape[1]} x {image.shape[0]} pixels")
     plot.save_both(path)
 
 
-def _frame(
-    axes: Axes, shape: tuple[int, ...], pixel: float, middle: tuple[float, float], half: tuple[float, float]
-) -> None:
-    """Show a part of an image, whose middle and half sides, downwards and to the right, are in millimetres."""
-    down = shape[0] * pixel / 2
-    right = shape[1] * pixel / 2
-    axes.images[0].set_extent((-right, right, down, -down))
-    axes.set_xlim(middle[1] - half[1], middle[1] + half[1])
-    axes.set_ylim(middle[0] + half[0], middle[0] - half[0])
-
-
-def _most_contrast(image: Array, pixel: float, half: tuple[float, float], close: float) -> tuple[float, float]:
+def _most_contrast(image: Array, pixel: float, half: Array, close: float) -> Array:
     """Return the middle in mm, within half sides, of the square of half a side `close` that has the most contrast."""
     slope = uniform_filter(np.hypot(*np.gradient(image)), max(1, round(2 * close / pixel)))
-    centres = [(np.arange(count) + 0.5 - count / 2) * pixel for count in image.shape]
-    inside = [
-        np.flatnonzero(np.abs(centre) <= side - close + pixel) for centre, side in zip(centres, half, strict=True)
-    ]
-    row, column = np.unravel_index(np.argmax(slope[np.ix_(*inside)]), [indices.size for indices in inside])
-    reach = np.array(half) - close
-    down, right = np.clip([centres[0][inside[0][row]], centres[1][inside[1][column]]], -reach, reach)
-    return float(down), float(right)
+    down, right = ((np.arange(count) + 0.5 - count / 2) * pixel for count in image.shape)
+    reach = half - close
+    inside = np.logical_and.outer(np.abs(down) <= reach[0] + pixel, np.abs(right) <= reach[1] + pixel)
+    row, column = np.unravel_index(np.argmax(np.where(inside, slope, -1)), image.shape)
+    return np.clip([down[row], right[column]], -reach, reach)
 
 
 @styled

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -77,10 +78,9 @@ def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing) -> None:
     """
     truth = {channel: lf.coords[name].values for channel, name in TRUTH_COORDINATES.items() if name in lf.coords}
     parts = {
-        f"v={float(lf.v[j]):.4g} u={float(lf.u[i]):.4g}": image_channels(np.asarray(lf.values[j, i]))
+        f"v={float(lf.v[j]):.4g} u={float(lf.u[i]):.4g}": image_channels(lf.values[j, i])
         | {name: values[j, i] for name, values in truth.items()}
-        for j in range(lf.sizes["v"])
-        for i in range(lf.sizes["u"])
+        for j, i in np.ndindex(lf.shape[:2])
     }
     white = drawing.brightness.peak([lf.values])
     picture = view_mosaic(lf)
@@ -92,28 +92,19 @@ def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing
     values = image.values
     white = drawing.brightness.peak([values])
     parts = as_parts(epipolar=values)
-    write_drawn(
-        path,
-        "epipolar image",
-        image,
-        parts,
-        values,
-        white,
-        drawing,
-        lambda: _plots().epipolar_figure(image, white),
-    )
+    kind = "epipolar image"
+    write_drawn(path, kind, image, parts, values, white, drawing, lambda: _plots().epipolar_figure(image, white))
 
 
 def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing) -> None:
     """Write a focal stack: as parts named by distance or disparity, or as a PNG with the images side by side."""
     by = str(stack.dims[0])
-    images = {f"{at:.6g} {stack[by].units}": image for at, image in zip(stack[by].values, stack.values, strict=True)}
+    images = {f"{float(image[by]):.6g} {stack[by].units}": image.values for image in stack}
     white = drawing.brightness.peak([stack.values])
     # Rows of one picture, nearly square; empty positions stay black.
-    columns = int(np.ceil(np.sqrt(len(images))))
-    tiles = list(images.values()) + [np.zeros_like(stack.values[0])] * (-len(images) % columns)
-    rows = [np.concatenate(tiles[i : i + columns], axis=1) for i in range(0, len(tiles), columns)]
-    picture = np.concatenate(rows, axis=0)
+    columns = math.ceil(math.sqrt(len(stack)))
+    tiles = [*stack.values, *np.zeros_like(stack.values[: -len(stack) % columns])]
+    picture = np.vstack([np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)])
     parts = as_parts(**images)
     write_drawn(path, "focal stack", stack, parts, picture, white, drawing, lambda: _plots().stack_figure(stack, white))
 
@@ -121,7 +112,7 @@ def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing) -> None
 def write_focal_sweep(path: Path, stack: xr.DataArray, drawing: Drawing) -> int:
     """Write a focal stack as an animation, there and back; return the number of its frames."""
     by = str(stack.dims[0])
-    frames = [(image, f"{at:.4g} {stack[by].units}") for at, image in zip(stack[by].values, stack.values, strict=True)]
+    frames = [(image.values, f"{float(image[by]):.4g} {stack[by].units}") for image in stack]
     frames += frames[-2:0:-1]
     write_animation(path, frames, drawing.brightness.peak([stack.values]), drawing.scale)
     return len(frames)
@@ -159,13 +150,13 @@ def write_depth(path: str | Path, depth: xr.Dataset, drawing: Drawing) -> None:
         drawing = replace(drawing, figure=True)
     parts = {str(name): np.asarray(values) for name, values in depth.items()}
     # Even steps of disparity are what the eye would see.
-    low = float(parts["disparity"].min())
-    high = float(parts["disparity"].max())
-    closeness = (high - parts["disparity"]) / ((high - low) or 1)
-    white = drawing.brightness.peak([parts["image"]])
-    maps = [parts["image"] / white, closeness, parts["confidence"]]
-    if parts["image"].ndim == 3:
-        maps = [entry if entry.ndim == 3 else np.repeat(entry[..., None], 3, axis=2) for entry in maps]
+    disparity = parts["disparity"]
+    closeness = (disparity.max() - disparity) / (np.ptp(disparity) or 1)
+    image = parts["image"]
+    white = drawing.brightness.peak([image])
+    maps = [image / white, closeness, parts["confidence"]]
+    if image.ndim == 3:
+        maps = [entry if entry.ndim == 3 else np.dstack([entry] * 3) for entry in maps]
     picture = np.concatenate(maps, axis=1)
     stored = as_parts(**parts)
     write_drawn(path, "depth", depth, stored, picture, 1.0, drawing, lambda: _plots().depth_figure(depth, white))

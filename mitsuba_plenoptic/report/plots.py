@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import io
 import math
+from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -79,9 +79,8 @@ class Plot(Figure):
             # More than they need; saving takes off the rest.
             self.set_figheight(sum(aspects) * self.get_figwidth() / columns + rows)
         panels = self.subplots(rows, columns, squeeze=False, height_ratios=aspects)
-        for row, high in zip(panels, aspects, strict=True):
-            for axes in row:
-                bare(axes).set_box_aspect(high)
+        for axes, high in zip(panels.flat, np.repeat(aspects, columns), strict=True):
+            bare(axes).set_box_aspect(high)
         return panels
 
     def colour_bar(
@@ -174,10 +173,10 @@ IN_FOCUS = "in the plane in focus"
 """Planes of scale bars, besides distances."""
 
 
-def show(axes: Axes, image: Array, title: str, *, peak: float | None = None, size: float = 10) -> None:
-    """Show a linear image, whose `peak` becomes white."""
+def show(axes: Axes, image: Array, title: str = "", *, peak: float | None = None, **texts: Any) -> None:
+    """Show a linear image, whose `peak` becomes white, with the texts of `annotate`."""
     axes.imshow(to_bytes(image, peak), cmap="gray", vmin=0, vmax=255, interpolation="auto", aspect="auto")
-    annotate(axes, title=title, size=size)
+    annotate(axes, title=title, **texts)
 
 
 def show_difference(axes: Axes, difference: Array, bound: float) -> Any:
@@ -194,14 +193,11 @@ def annotate(axes: Axes, *, title: str = "", side: str = "", foot: str = "", siz
 
 def mark(axes: Axes, zoom: Zoom, corner: tuple[int, int], factor: float, name: str) -> None:
     """Draw the frame of a close-up on the picture of the whole detector."""
-    x = (zoom.columns.start - corner[1]) / factor
-    y = (zoom.rows.start - corner[0]) / factor
-    width = (zoom.columns.stop - zoom.columns.start) / factor
-    height = (zoom.rows.stop - zoom.rows.start) / factor
-    axes.add_patch(Rectangle((x, y), width, height, fill=False, edgecolor=ACCENT, linewidth=1.2))
+    corners = (np.array([[each.start, each.stop] for each in (zoom.columns, zoom.rows)]).T - corner[::-1]) / factor
+    axes.add_patch(Rectangle(corners[0], *np.ptp(corners, axis=0), fill=False, edgecolor=ACCENT, linewidth=1.2))
     axes.annotate(
         name,
-        (x, y),
+        corners[0],
         (3, -3),
         textcoords="offset points",
         color=INK,
@@ -231,12 +227,10 @@ def scale_bar(
     frame: dict[str, Any] = {"transform": blended_transform_factory(axes.transAxes, inches), "clip_on": False}
     # Bright pictures need something dark behind.
     outline = [] if below else [withStroke(linewidth=3, foreground="black")]
-    backing = {"facecolor": "black", "edgecolor": "none", "pad": 1.5}
+    backing = None if below else {"facecolor": "black", "edgecolor": "none", "pad": 1.5}
     axes.add_patch(Rectangle((left, low), fraction, thick, color=colour, linewidth=0, path_effects=outline, **frame))
-    if below:
-        axes.text(left + fraction + 0.02, low + thick / 2, label, color=colour, size=size, va="center", **frame)
-    else:
-        axes.text(left, low + 2 * thick, label, color=colour, size=size, va="bottom", bbox=backing, **frame)
+    x, y, align = (fraction + 0.02, low + thick / 2, "center") if below else (left, low + 2 * thick, "bottom")
+    axes.text(x, y, label, color=colour, size=size, va=align, bbox=backing, **frame)
 
 
 def object_bar(axes: Axes, camera: PlenopticCamera, distance: float, window: Window) -> None:
@@ -253,11 +247,9 @@ _PAGE = 7.0
 _TEXT = 7.0
 _LINE = 0.2
 """Inches of a sheet for a line of text, for labels on the left, and for a colour bar."""
-_AT_DISTANCE = "bars: lengths at the distance of each image"
 
 
-@dataclass(frozen=True)
-class Panel:
+class Panel(NamedTuple):
     """Image on a sheet with its title and, if known, its width in millimetres of the object."""
 
     image: Array
@@ -277,11 +269,6 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
         Radiance shown white. Default: the value that 99.5 % of the bins do not exceed, or less where highlights would
         darken images that are lit all over.
 
-    Returns
-    -------
-    Plot
-        A Matplotlib figure, whose method `save` writes PNG or PDF.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp
@@ -296,23 +283,24 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
     )
     distances = sorted({result.distance for result in results})
     models = {result.facts.get("model") for result in results}
-    by_label: dict[str, dict[float, Reconstruction]] = {}
+    by_label: dict[str, dict[float, Panel]] = defaultdict(dict)
     for result in results:
         model = result.facts.get("model")
         label = result.method if len(models) == 1 or model is None else f"{result.method} of {model} capture"
         labels = (label, *(f"{label} {number}" for number in range(2, len(results) + 1)))
-        row = next(row for row in labels if result.distance not in by_label.get(row, {}))
-        by_label.setdefault(row, {})[result.distance] = result
+        row = next(row for row in labels if result.distance not in by_label[row])
+        by_label[row][result.distance] = _panel(result.image, result.distance, result.bin_size)
+    panels = [
+        row.get(distance, _panel(np.zeros((0, 0)), distance, 0.0))
+        for row in by_label.values()
+        for distance in distances
+    ]
+    return _sheet(panels, len(distances), white, list(by_label) if len(by_label) > 1 else [])
 
-    def panel(result: Reconstruction | None, distance: float) -> Panel:
-        title = distance_text(distance)
-        if result is None:
-            return Panel(np.zeros((0, 0)), title)
-        width = result.image.shape[1] * result.bin_size if np.isfinite(distance) else None
-        return Panel(result.image, title, width)
 
-    rows = [[panel(row.get(distance), distance) for distance in distances] for row in by_label.values()]
-    return _sheet(rows, list(by_label) if len(by_label) > 1 else [], white, _AT_DISTANCE)
+def _panel(image: Array, distance: float, bin_size: float) -> Panel:
+    """Return the panel of an image refocused to a distance."""
+    return Panel(image, distance_text(distance), image.shape[1] * bin_size if math.isfinite(distance) else None)
 
 
 def stack_figure(stack: xr.DataArray, white: float | None = None) -> Plot:
@@ -324,27 +312,14 @@ def stack_figure(stack: xr.DataArray, white: float | None = None) -> Plot:
         As `focal_stack` returns it: distance or disparity, t, s[, c].
     white : float, optional
         As for `contact_sheet`.
-
-    Returns
-    -------
-    Plot
-        A Matplotlib figure, whose method `save` writes PNG or PDF.
     """
     if "disparity" in stack.dims:
-        panels = [Panel(image.values, f"disparity {float(image.disparity):g}", None) for image in stack]
-        return _sheet([panels], [], white, "pixels per view")
+        panels = [Panel(image.values, f"disparity {float(image.disparity):g}") for image in stack]
+        return _sheet(panels, len(panels), white)
     camera = views.camera_of(stack)
-    panels = [
-        Panel(
-            image.values,
-            distance_text(float(image.distance)),
-            image.sizes["s"] * camera.bin_size(float(image.distance)) if np.isfinite(image.distance) else None,
-        )
-        for image in stack
-    ]
-    columns = len(panels) if len(panels) < 5 else int(np.ceil(np.sqrt(len(panels))))
-    rows = [panels[start : start + columns] for start in range(0, len(panels), columns)]
-    return _sheet(rows, [], white, _AT_DISTANCE)
+    distances = stack.distance.values.tolist()
+    panels = [_panel(image.values, at, camera.bin_size(at)) for image, at in zip(stack, distances, strict=True)]
+    return _sheet(panels, len(panels) if len(panels) < 5 else math.ceil(math.sqrt(len(panels))), white)
 
 
 def views_figure(lf: xr.DataArray, white: float | None = None) -> Plot:
@@ -356,23 +331,17 @@ def views_figure(lf: xr.DataArray, white: float | None = None) -> Plot:
         A light field, (v, u, t, s[, c]).
     white : float, optional
         As for `contact_sheet`.
-
-    Returns
-    -------
-    Plot
-        A Matplotlib figure, whose method `save` writes PNG or PDF.
     """
     unit = " mm" if "camera" in lf.attrs else ""
-    across, down = (_labels(lf[name].values, name, unit) for name in ("u", "v"))
+    across = _labels(lf.u, unit)
+    down = _labels(lf.v, unit)
     values = _sampled(lf)
-    rows = [
-        [
-            Panel(values[j, i], across[i] if j == 0 else "", _in_focus(lf) if j + 1 == len(values) and i == 0 else None)
-            for i in range(lf.sizes["u"])
-        ]
-        for j in range(lf.sizes["v"])
+    last = len(values) - 1, 0
+    panels = [
+        Panel(values[j, i], "" if j else across[i], _in_focus(lf) if (j, i) == last else None)
+        for j, i in np.ndindex(values.shape[:2])
     ]
-    return _sheet(rows, down, white, f"{IN_FOCUS}, in all views", below=True)
+    return _sheet(panels, len(across), white, down, f"{IN_FOCUS}, in all views")
 
 
 @styled
@@ -385,19 +354,14 @@ def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Plot:
         As `epipolar_image` returns it: (u, s[, c]) or (v, t[, c]).
     white : float, optional
         As for `contact_sheet`.
-
-    Returns
-    -------
-    Plot
-        A Matplotlib figure, whose method `save` writes PNG or PDF.
     """
     down, across = (str(name) for name in image.dims[:2])
     unit = " (mm)" if "camera" in image.attrs else ""
     values = _sampled(image)
     plot = Plot(_COLUMN, dpi=PRINT_DPI)
     ((axes,),) = plot.panels(1, 1, 0.55)
-    edges = [edge for name in (across, down) for edge in _edges(image[name].values)]
-    artist = _draw(axes, values, _grey([values], white), extent=(edges[0], edges[1], edges[3], edges[2]))
+    extent = (*_edges(image[across].values), *_edges(image[down].values)[::-1])
+    artist = _draw(axes, values, _grey([values], white), extent=extent)
     axes.set_frame_on(True)
     axes.locator_params(nbins=5)
     for axis, name in ((axes.xaxis, across), (axes.yaxis, down)):
@@ -419,11 +383,6 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
         Depth map from `depth_map`; where the depth, or without it the disparity, is unknown, the figure is hatched.
     white : float, optional
         As for `contact_sheet`.
-
-    Returns
-    -------
-    Plot
-        A Matplotlib figure, whose method `save` writes PNG or PDF.
     """
     sought, unit = ("Depth", "mm from the main lens") if "depth" in found else ("Disparity", "pixels per view")
     found = found if "depth" in found else found.assign(depth=found.disparity.where(found.confidence > 0.5))
@@ -432,21 +391,19 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
     finite = depth[np.isfinite(depth)]
     near, far = (float(finite.min()), float(finite.max())) if finite.size else (found.attrs["near"], found.attrs["far"])
     unknown = "" if finite.size == depth.size else "; hatched: unknown"
-    maps: list[tuple[str, Array, Any, str, str]] = [
+    maps: list[Any] = [
         ("In focus everywhere", image, _grey([image], white), "gray", "radiance"),
         (sought, depth, Normalize(near, far), "viridis_r", f"{unit}{unknown}"),
         ("Confidence", found["confidence"].values, Normalize(0, 1), "gray", "probability"),
     ]
     plot = Plot(_PAGE, dpi=PRINT_DPI)
-    (panels,) = plot.panels(1, len(maps), depth.shape[0] / depth.shape[1])
+    (panels,) = plot.panels(1, 3, depth.shape[0] / depth.shape[1])
     for axes, (title, values, norm, colours, label) in zip(panels, maps, strict=True):
         artist = _draw(axes, values, norm, colours)
-        annotate(axes, title=title, size=_TEXT)
+        annotate(axes, title=title, foot="" if values.ndim == 2 else f"white: radiance {norm.vmax:.3g}", size=_TEXT)
         if (across := _in_focus(found)) is not None:
             scale_bar(axes, across, IN_FOCUS, size=_TEXT)
-        if values.ndim == 3:
-            annotate(axes, title=title, foot=f"white: radiance {norm.vmax:.3g}", size=_TEXT)
-        else:
+        if values.ndim == 2:
             bar = plot.colour_bar(artist, axes, label, location="bottom", text=_TEXT, extend=_end(values, norm))
             bar.locator = MaxNLocator(4)
             bar.update_ticks()
@@ -455,42 +412,44 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
 
 @styled
 def _sheet(
-    rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float | None, bars: str, below: bool = False
+    panels: Sequence[Panel], columns: int, white: float | None, labels: Sequence[str] = (), below: str = ""
 ) -> Plot:
-    """Return a figure of panels of equal size and scale, with labels on the left, and scale bars in or below panels."""
-    images = [panel.image for row in rows for panel in row if panel.image.size]
+    """Return a figure of panels in rows, of equal size and scale, with labels on the left.
+
+    Scale bars lie in panels or, with a text on their plane, below them.
+    """
+    images = [panel.image for panel in panels if panel.image.size]
+    rows = math.ceil(len(panels) / columns)
     grey = images[0].ndim == 2
-    columns = max(len(row) for row in rows)
     norm = _grey(images, white)
-    scaled: Any = None
     stated = [] if grey else [f"white: radiance {norm.vmax:.3g}"]
-    has_bars = any(panel.width is not None for row in rows for panel in row)
-    stated += [bars] if has_bars and not below else []
+    has_bars = any(panel.width for panel in panels)
+    if has_bars and not below:
+        stated.append("bars: lengths at the distance of each image")
     # Constrained layout takes minutes for the hundreds of views of a light field. All texts are of one size.
     across = _COLUMN if columns < 3 else _PAGE
     left = 0.24 if labels else _GAP
     right = across - (0.6 if grey else 0.0)
     wide = (right - left - (columns - 1) * _GAP) / columns
     tall = wide * images[0].shape[0] / images[0].shape[1]
-    between = _LINE if any(panel.title for row in rows[1:] for panel in row) else _GAP
+    between = _LINE if any(panel.title for panel in panels[columns:]) else _GAP
     foot = (_LINE if stated else _GAP) + (_LINE if has_bars and below else 0.0)
-    height = _LINE + len(rows) * tall + (len(rows) - 1) * between + foot
+    height = _LINE + rows * tall + (rows - 1) * between + foot
     plot = Plot(across, height, PRINT_DPI)
     plot.set_layout_engine("none")
     edges = {"left": left / across, "right": right / across, "top": 1 - _LINE / height, "bottom": foot / height}
     spaces = {"wspace": _GAP / wide, "hspace": between / tall}
-    panels = plot.subplots(len(rows), columns, squeeze=False, gridspec_kw=edges | spaces)
-    for down, row in enumerate(rows):
-        for axes, panel in zip(panels[down], row, strict=False):
-            first = axes is panels[down, 0]
-            annotate(bare(axes), title=panel.title, side=labels[down] if labels and first else "", size=_TEXT)
-            if panel.image.size:
-                artist = _draw(axes, panel.image, norm)
-                scaled = scaled or artist
-                if panel.width is not None:
-                    scale_bar(axes, panel.width, bars if below else "", below=below, size=_TEXT)
-        for axes in panels[down, len(row) :]:
-            axes.remove()
+    grid = plot.subplots(rows, columns, squeeze=False, gridspec_kw=edges | spaces).flat
+    artists = []
+    for index, (axes, (image, title, width)) in enumerate(zip(grid, panels, strict=False)):
+        side = labels[index // columns] if labels and index % columns == 0 else ""
+        annotate(bare(axes), title=title, side=side, size=_TEXT)
+        if image.size:
+            artists.append(_draw(axes, image, norm))
+            if width:
+                scale_bar(axes, width, below, below=bool(below), size=_TEXT)
+    for axes in grid[len(panels) :]:
+        axes.remove()
     if stated:
         plot.supxlabel("; ".join(stated), x=left / across, ha="left", size=_TEXT, color=INK)
     if grey:
@@ -498,7 +457,7 @@ def _sheet(
         where = plot.add_axes(
             (edges["right"] + _GAP / across, edges["bottom"], 0.1 / across, edges["top"] - edges["bottom"])
         )
-        explained(plot.colorbar(scaled, cax=where, extend=_end(values, norm)), "radiance", _TEXT)
+        explained(plot.colorbar(artists[0], cax=where, extend=_end(values, norm)), "radiance", _TEXT)
     return plot
 
 
@@ -550,11 +509,11 @@ def _edges(positions: Array) -> tuple[float, float]:
     return float(positions[0] - half), float(positions[-1] + half)
 
 
-def _labels(positions: Array, name: str, unit: str) -> list[str]:
+def _labels(positions: xr.DataArray, unit: str) -> list[str]:
     """Return labels of positions, few enough not to overlap; the first names the quantity."""
     stride = -(-len(positions) // 9)
-    texts = [f"{value:.2f}" if index % stride == 0 else "" for index, value in enumerate(positions + 0.0)]
-    return [f"{name} = {texts[0]}{unit}", *texts[1:]]
+    texts = ["" if index % stride else f"{value + 0.0:.2f}" for index, value in enumerate(positions.values)]
+    return [f"{positions.name} = {texts[0]}{unit}", *texts[1:]]
 
 
 def distance_text(distance: float) -> str:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,15 +40,14 @@ class Row(NamedTuple):
     note: str = ""
 
 
-# A row without its group: quantity, value as text or a number for four digits, unit and note, which may be left out.
-_Line = tuple[Any, ...]
+# Rows without their group: tuples of quantity, value, unit and note as texts; unit and note may be left out.
+_Lines = list[tuple[str, ...]]
 
 
 def sheet_tables(camera: PlenopticCamera, wavelength: float | None = None) -> Markup:
     """Return the HTML of a camera's design sheet, a table for each group."""
-    groups = itertools.groupby(design_sheet(camera, wavelength), key=lambda row: row.group)
     widgets: Any = template("comparison.html").module
-    return Markup(widgets.sheet([(group, list(rows)) for group, rows in groups]))
+    return Markup(widgets.sheet(design_sheet(camera, wavelength)))
 
 
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:
@@ -68,7 +67,7 @@ def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> li
             lens = main_lens(camera)
             groups["Surfaces of the main lens"] = _surfaces(lens)
             for field in field_figures(lens, [part * lens.corner for part in FIELDS], camera.focus_distance):
-                groups[f"Image {_four(field.height)} mm from the axis"] = _field(field)
+                groups[f"Image {field.height:.4g} mm from the axis"] = _field(field)
         if camera.has_array:
             groups["Microlenses"] = _microlenses(camera)
     groups["Detector"] = _detector(camera)
@@ -81,27 +80,23 @@ def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> li
     return _rows(groups)
 
 
-def _rows(groups: dict[str, list[_Line]]) -> list[Row]:
+def _rows(groups: dict[str, _Lines]) -> list[Row]:
     """Return the lines of groups as rows."""
-    return [
-        Row(group, name, value if isinstance(value, str) else _four(value), *others)
-        for group, lines in groups.items()
-        for name, value, *others in lines
-    ]
+    return [Row(group, *line) for group, lines in groups.items() for line in lines]
 
 
-def _main_lens(camera: PlenopticCamera) -> list[_Line]:
+def _main_lens(camera: PlenopticCamera) -> _Lines:
     behind = "microlenses" if camera.has_array else "detector"
     rows = [
-        ("focal length", camera.focal_length, "mm"),
-        ("diameter", camera.aperture_diameter, "mm", f"f/{camera.f_number:.3g}"),
-        (f"distance to {behind}", camera.mla_distance, "mm"),
+        ("focal length", f"{camera.focal_length:.4g}", "mm"),
+        ("diameter", f"{camera.aperture_diameter:.4g}", "mm", f"f/{camera.f_number:.3g}"),
+        (f"distance to {behind}", f"{camera.mla_distance:.4g}", "mm"),
         ("focused distance", *_distance(camera.focus_distance), f"on the {behind}"),
         ("field of view", f"{design.field_of_view(camera):.3g}", "deg", "horizontal, full angle"),
     ]
     if 0 < camera.focus_distance < math.inf:
         width = design.field_width(camera, camera.focus_distance)
-        rows.append(("field width", width, "mm", "in the focused plane"))
+        rows.append(("field width", f"{width:.4g}", "mm", "in the focused plane"))
     if camera.lens_data.is_thin:
         rows.append(("lens model", camera.lens_model))
     else:
@@ -113,17 +108,17 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
     if camera.aperture != Round():
         rows.append(("open part of the aperture", f"{camera.aperture.share:.3g}", "", "of its circle"))
     if any(camera.distortion):
-        rows.append(("distortion", ", ".join(map(_four, camera.distortion)), "", "k1, k2, k3, p1, p2; by rays only"))
+        rows.append(("distortion", _joined(camera.distortion), "", "k1, k2, k3, p1, p2; by rays only"))
     return rows + _aberrations(camera)
 
 
-def _aberrations(camera: PlenopticCamera) -> list[_Line]:
-    rows = []
+def _aberrations(camera: PlenopticCamera) -> _Lines:
+    rows: _Lines = []
     if any(camera.wavefront):
         strength = math.sqrt(sum(coefficient**2 for coefficient in camera.wavefront[3:]))
-        rows.append(("aberrations", strength, "waves", "root mean square at 633 nm, without tilt"))
+        rows.append(("aberrations", f"{strength:.4g}", "waves", "root mean square at 633 nm, without tilt"))
     if (screen := camera.phase_screen) is not None:
-        rows.append(("phase screen", float(screen.waves.std()), "waves", "root mean square of its samples"))
+        rows.append(("phase screen", f"{screen.waves.std():.4g}", "waves", "root mean square of its samples"))
     return rows
 
 
@@ -152,13 +147,14 @@ def lens_sheet(lens: RealLens, distance: float, heights: dict[float, float]) -> 
     return _rows(groups)
 
 
-def _surfaces(lens: RealLens) -> list[_Line]:
+def _surfaces(lens: RealLens) -> _Lines:
     """Return lines with a real main lens's paraxial quantities."""
     cardinal = lens.numbers
     scale = lens.scale
-    name = lens.prescription.name or "without a name"
+    described = lens.prescription
+    surfaces = f"{len(described.surfaces)} surfaces, scaled by {scale:.6g}"
     return [
-        ("prescription", name, "", f"{len(lens.prescription.surfaces)} surfaces, scaled by {scale:.6g}"),
+        ("prescription", described.name or "without a name", "", surfaces),
         ("focal length", f"{lens.focal_length:.8g}", "mm", f"at {lens.light:g} nm"),
         ("back focal length", f"{scale * cardinal.back_focal:.6g}", "mm", "from the last vertex"),
         ("front principal plane", f"{scale * cardinal.front_principal:.6g}", "mm", "behind the first vertex"),
@@ -169,10 +165,15 @@ def _surfaces(lens: RealLens) -> list[_Line]:
     ]
 
 
-def _field(field: FieldFigures) -> list[_Line]:
+def _field(field: FieldFigures) -> _Lines:
     """Return lines on a real main lens at one height."""
-    rows: list[_Line] = [
-        ("spot", 1e3 * math.sqrt(rays[:2].var(axis=1).sum()), "um", f"root mean square radius at {wavelength:g} nm")
+    rows: _Lines = [
+        (
+            "spot",
+            f"{1e3 * math.sqrt(rays[:2].var(axis=1).sum()):.4g}",
+            "um",
+            f"root mean square radius at {wavelength:g} nm",
+        )
         for wavelength, rays in field.rays.items()
     ]
     rows += [
@@ -186,7 +187,7 @@ def _field(field: FieldFigures) -> list[_Line]:
     return rows
 
 
-def _microlenses(camera: PlenopticCamera) -> list[_Line]:
+def _microlenses(camera: PlenopticCamera) -> _Lines:
     main = design.image_f_number(camera)
     micro = design.mla_f_number(camera)
     # Neighbouring micro-images touch where the two match, up to the factor (b + z)/b of their pitch.
@@ -204,17 +205,17 @@ def _microlenses(camera: PlenopticCamera) -> list[_Line]:
     ]
 
 
-def _lattice(camera: PlenopticCamera, bins: str = "") -> list[_Line]:
+def _lattice(camera: PlenopticCamera, bins: str = "") -> _Lines:
     columns, rows = camera.lens_count
     lattice = [f"{camera.mla_lattice} lattice"]
     if camera.mla_rotation:
-        lattice.append(f"turned by {_four(camera.mla_rotation)} deg")
+        lattice.append(f"turned by {camera.mla_rotation:.4g} deg")
     if camera.mla_offset != (0, 0):
-        lattice.append(f"moved by ({', '.join(map(_four, camera.mla_offset))}) mm")
+        lattice.append(f"moved by ({_joined(camera.mla_offset)}) mm")
     if any(camera.mla_tilt):
-        lattice.append(f"tilted by ({', '.join(map(_four, camera.mla_tilt))}) deg")
+        lattice.append(f"tilted by ({_joined(camera.mla_tilt)}) deg")
     if camera.mla_warp:
-        lattice.append(f"displaced by up to {_four(camera.most_displaced[0] / camera.pixel_size)} pixels")
+        lattice.append(f"displaced by up to {camera.most_displaced[0] / camera.pixel_size:.4g} pixels")
     medium = []
     if camera.mla_medium != 1:
         medium = [("medium behind it", f"{camera.mla_medium:g}", "", "refractive index, by which z is divided below")]
@@ -222,59 +223,59 @@ def _lattice(camera: PlenopticCamera, bins: str = "") -> list[_Line]:
     shape = "round" if camera.mla_aperture == "circle" else camera.mla_lattice
     form = "" if camera.mla_shape is None else f"of the {camera.mla_shape.form.replace('_', ' ')} mla_shape"
     return [
-        ("focal length", ", ".join(map(_four, camera.mla_focal_lengths)), "mm", form),
-        ("pitch", " x ".join(map(_four, dict.fromkeys(camera.mla_pitches))), "mm", ", ".join(lattice)),
-        ("lens width", camera.lattice.aperture_width, "mm", f"{shape}, {area:.0%} of the area"),
+        ("focal length", _joined(camera.mla_focal_lengths), "mm", form),
+        ("pitch", _joined(dict.fromkeys(camera.mla_pitches), " x "), "mm", ", ".join(lattice)),
+        ("lens width", f"{camera.lattice.aperture_width:.4g}", "mm", f"{shape}, {area:.0%} of the area"),
         ("lenses", f"{columns} x {rows}", "", bins),
-        ("distance to detector", camera.detector_distance, "mm"),
+        ("distance to detector", f"{camera.detector_distance:.4g}", "mm"),
         *medium,
     ]
 
 
-def _detector(camera: PlenopticCamera) -> list[_Line]:
-    columns, rows = camera.resolution
-    size = f"{_four(camera.detector_width)} x {_four(camera.detector_height)}"
-    sheet = [
-        ("size", size, "mm"),
-        ("pixels", f"{columns} x {rows}"),
-        ("pixel size", 1e3 * camera.pixel_size, "um"),
+def _joined(values: Iterable[float], by: str = ", ") -> str:
+    return by.join(f"{value:.4g}" for value in values)
+
+
+def _detector(camera: PlenopticCamera) -> _Lines:
+    lines = [
+        ("size", f"{camera.detector_width:.4g} x {camera.detector_height:.4g}", "mm"),
+        ("pixels", "{} x {}".format(*camera.resolution)),
+        ("pixel size", f"{1e3 * camera.pixel_size:.4g}", "um"),
     ]
     if camera.has_array:
-        sheet.append(("pixels per lens", camera.pixels_per_lens, "", "across its pitch"))
+        lines.append(("pixels per lens", f"{camera.pixels_per_lens:.4g}", "", "across its pitch"))
     if camera.is_cropped:
-        window = camera.crop_size
-        offset = camera.crop_offset
-        note = f"from column {offset[0]}, row {offset[1]}"
-        sheet.append(("recorded pixels", f"{window[0]} x {window[1]}", "", note))
-    return sheet
+        note = "from column {}, row {}".format(*camera.crop_offset)
+        lines.append(("recorded pixels", "{} x {}".format(*camera.crop_size), "", note))
+    return lines
 
 
-def _micro_images(camera: PlenopticCamera) -> list[_Line]:
+def _micro_images(camera: PlenopticCamera) -> _Lines:
     pixel = camera.pixel_size
     diameter = camera.micro_image_diameter
     pitch = camera.micro_image_pitch
     return [
-        ("diameter", diameter / pixel, "pixels", f"{_four(1e3 * diameter)} um, D1 z/b"),
-        ("pitch", pitch / pixel, "pixels", f"{_four(1e3 * pitch)} um, D2 (b + z)/b"),
+        ("diameter", f"{diameter / pixel:.4g}", "pixels", f"{1e3 * diameter:.4g} um, D1 z/b"),
+        ("pitch", f"{pitch / pixel:.4g}", "pixels", f"{1e3 * pitch:.4g} um, D2 (b + z)/b"),
         ("diameter over pitch", f"{diameter / pitch:.3g}"),
         ("mean of a white capture", f"{design.white_mean(camera):.3g}", "", "per unit radiance"),
     ]
 
 
-def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]:
+def _resolution(camera: PlenopticCamera, wavelength: float | None) -> _Lines:
     names = {"keplerian": "focused, Keplerian", "galilean": "focused, Galilean"}
     kinds = [names.get(kind, kind) for kind in dict.fromkeys(design.focus_types(camera))]
-    rows: list[_Line] = [("kind of camera", "; ".join(kinds), "", _seen(camera))]
+    rows: _Lines = [("kind of camera", "; ".join(kinds), "", _seen(camera))]
     limits_of_all = design.depth_ranges(camera, wavelength)
-    lenses = zip(camera.mla_focal_lengths, design.best_distances(camera), limits_of_all, strict=True)
-    for f2, best, limits in lenses:
-        lens_note = f"f2 = {_four(f2)} mm" if len(camera.mla_focal_lengths) > 1 else ""
+    lenses = camera.mla_focal_lengths
+    for f2, best, limits in zip(lenses, design.best_distances(camera), limits_of_all, strict=True):
+        lens_note = f"f2 = {f2:.4g} mm" if len(lenses) > 1 else ""
         rows.append(("sharpest distance", *_distance(best), lens_note))
         if camera.focal_length < best <= LONGEST:
             rows += _effective(camera, best, wavelength)
         note = "refocused" if design.focus_type(camera) == "unfocused" else "blur below a pixel or the spot, no gaps"
         rows.append(("depth range", *_range(limits), note))
-    if len(camera.mla_focal_lengths) > 1:
+    if len(lenses) > 1:
         together = [_range(limits)[0] for limits in _union(limits_of_all)]
         rows.append(("depth range, together", ", ".join(together) or "none", "mm" if together else ""))
     return rows
@@ -285,45 +286,40 @@ def _seen(camera: PlenopticCamera) -> str:
     if design.focus_type(camera) == "unfocused":
         return "the microlenses see the main lens"
     distances = design.mla_object_distances(camera)
-    where = [f"{_four(abs(a))} mm {'before' if a > 0 else 'behind'} them" for a in distances]
+    where = [f"{abs(a):.4g} mm {'before' if a > 0 else 'behind'} them" for a in distances]
     return f"the microlenses see an image {', '.join(where)}"
 
 
-def _effective(camera: PlenopticCamera, distance: float, wavelength: float | None) -> list[_Line]:
+def _effective(camera: PlenopticCamera, distance: float, wavelength: float | None) -> _Lines:
     """Return lines on the resolution at one distance."""
     finest = design.effective_resolution(camera, distance, wavelength)
-    rows = [
+    samples = f"along an axis; suits oversample = {design.suitable_oversample(camera, distance, wavelength)}"
+    rows: _Lines = [
         ("effective resolution", f"{finest.columns:.0f} x {finest.rows:.0f}", "", "details across and down"),
-        ("finest detail", finest.line_width, "mm", f"{finest.ratio:.3g} per pixel of the detector"),
-        (
-            "samples per lens",
-            f"{finest.samples_per_lens:.3g}",
-            "",
-            f"along an axis; suits oversample = {design.suitable_oversample(camera, distance, wavelength)}",
-        ),
+        ("finest detail", f"{finest.line_width:.4g}", "mm", f"{finest.ratio:.3g} per pixel of the detector"),
+        ("samples per lens", f"{finest.samples_per_lens:.3g}", "", samples),
     ]
     if design.focus_type(camera) != "unfocused":
-        across = f"{design.lenses_across(camera, distance):.3g}"
         rows += [
             ("virtual depth", f"{design.virtual_depth(camera, distance):.3g}", "", "image to MLA over z"),
-            ("lenses that see a point", across, "", "along an axis"),
+            ("lenses that see a point", f"{design.lenses_across(camera, distance):.3g}", "", "along an axis"),
         ]
     return rows
 
 
-def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]:
+def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> _Lines:
     near, far = design.refocus_range(camera, wavelength)
     limit = "in a micro-image, by its pixels" if wavelength is None else "in a micro-image, with diffraction"
-    rows: list[_Line] = [
+    rows = [
         ("directions resolved", f"{design.direction_count(camera, wavelength):.3g}", "", limit),
         ("nearest distance", *_distance(near), "with one sample per lens"),
         ("farthest distance", *_distance(far)),
     ]
     for distance in _finite(camera, near, far):
-        at = f"at {_four(distance)} mm"
+        at = f"at {distance:.4g} mm"
         rows += [
-            ("bin size", camera.bin_size(distance), "mm", at),
-            ("blur diameter", camera.blur_diameter(distance), "mm", f"{at}, on the MLA"),
+            ("bin size", f"{camera.bin_size(distance):.4g}", "mm", at),
+            ("blur diameter", f"{camera.blur_diameter(distance):.4g}", "mm", f"{at}, on the MLA"),
         ]
     return rows
 
@@ -334,14 +330,14 @@ def _finite(camera: PlenopticCamera, near: float, far: float) -> list[float]:
     return [distance for distance in distances if camera.focal_length < distance <= LONGEST]
 
 
-def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
+def _diffraction(camera: PlenopticCamera, wavelength: float) -> _Lines:
     spot = design.spot_radius(camera, wavelength)
-    pixels = f"{_four(spot / camera.pixel_size)} pixels, centre to first zero"
+    pixels = f"{spot / camera.pixel_size:.4g} pixels, centre to first zero"
     if camera.pixel_size > spot / 2:
         pixels += ", so that pixels average over it"
-    rows = [
-        ("spot of a microlens", 1e3 * spot, "um", pixels),
-        ("directions by the spot", camera.micro_image_diameter / spot, "", "across a micro-image"),
+    rows: _Lines = [
+        ("spot of a microlens", f"{1e3 * spot:.4g}", "um", pixels),
+        ("directions by the spot", f"{camera.micro_image_diameter / spot:.4g}", "", "across a micro-image"),
         ("Fresnel number, microlens", f"{design.mla_fresnel_number(camera, wavelength):.3g}", "", "from the detector"),
         ("Fresnel number, main lens", f"{design.main_fresnel_number(camera, wavelength):.3g}", "", "from the MLA"),
     ]
@@ -350,7 +346,7 @@ def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
         note = f"{limit.frequency / limit.lenses:.2g} times one sample a lens"
         if limit.in_focus:
             note = "in focus: the lens pitch decides, deconvolution does not help"
-        rows.append(("resolution, deconvolved", limit.frequency, "lp/mm", f"at {_four(distance)} mm; {note}"))
+        rows.append(("resolution, deconvolved", f"{limit.frequency:.4g}", "lp/mm", f"at {distance:.4g} mm; {note}"))
     return rows
 
 
@@ -358,7 +354,7 @@ def _distance(value: float) -> tuple[str, str]:
     """Return a distance and its unit as texts; "infinity" and, for no plane, "none" have no unit."""
     if value < 0:
         return "none", ""
-    return ("infinity", "") if math.isinf(value) else (_four(value), "mm")
+    return ("infinity", "") if math.isinf(value) else (f"{value:.4g}", "mm")
 
 
 def _range(limits: tuple[float, float] | None) -> tuple[str, str]:
@@ -379,47 +375,42 @@ def _union(ranges: list[tuple[float, float] | None]) -> list[tuple[float, float]
     return union
 
 
-def _four(value: float) -> str:
-    """Return a number as text with four digits, without an exponent for sizes usual in cameras."""
-    return f"{value:.4g}"
-
-
-def _telescope(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]:
+def _telescope(camera: PlenopticCamera, wavelength: float | None) -> _Lines:
     """Return the lines about a telescope with a collimator, as the fore-optics of a Shack-Hartmann sensor."""
     image = camera.blur_diameter(math.inf)
     # Angles before the telescope are smaller by the magnification of the pupil than those at the array.
     to_sky = math.degrees(image / camera.aperture_diameter / camera.reduced_distance) * 3600
     rows = [
         ("kind of camera", "Shack-Hartmann sensor", "", "array in the image of the pupil"),
-        ("focal length", camera.focal_length, "mm"),
-        ("diameter", camera.aperture_diameter, "mm", f"f/{camera.f_number:.3g}"),
-        ("image of the pupil", image, "mm"),
-        ("lenses across it", image / camera.row_pitch),
-        ("field of a lens", camera.row_pitch * to_sky, "arcsec", "within which a star moves in its cell"),
-        ("pixel on the sky", camera.pixel_size * to_sky, "arcsec"),
+        ("focal length", f"{camera.focal_length:.4g}", "mm"),
+        ("diameter", f"{camera.aperture_diameter:.4g}", "mm", f"f/{camera.f_number:.3g}"),
+        ("image of the pupil", f"{image:.4g}", "mm"),
+        ("lenses across it", f"{image / camera.row_pitch:.4g}"),
+        ("field of a lens", f"{camera.row_pitch * to_sky:.4g}", "arcsec", "within which a star moves in its cell"),
+        ("pixel on the sky", f"{camera.pixel_size * to_sky:.4g}", "arcsec"),
     ]
     if wavelength is not None:
         spot = design.spot_radius(camera, wavelength)
-        note = f"{_four(spot / camera.pixel_size)} pixels, centre to first zero, at {wavelength:g} nm"
-        rows.append(("spot of a microlens", 1e3 * spot, "um", note))
+        note = f"{spot / camera.pixel_size:.4g} pixels, centre to first zero, at {wavelength:g} nm"
+        rows.append(("spot of a microlens", f"{1e3 * spot:.4g}", "um", note))
     return rows + _aberrations(camera)
 
 
-def _objective(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
+def _objective(camera: PlenopticCamera, lens: Objective) -> _Lines:
     nearest, farthest = design.depth_of_field(camera)
-    depths = "nothing is sharp" if math.isnan(nearest) else f"{_four(1e3 * nearest)} to {_four(1e3 * farthest)}"
+    depths = "nothing is sharp" if math.isnan(nearest) else f"{1e3 * nearest:.4g} to {1e3 * farthest:.4g}"
     return [
-        ("magnification", f"{lens.magnification:g}", "", f"{_four(lens.image_aperture)} NA in the native image"),
+        ("magnification", f"{lens.magnification:g}", "", f"{lens.image_aperture:.4g} NA in the native image"),
         ("numerical aperture", f"{lens.numerical_aperture:g}", "", f"up to {math.degrees(lens.half_angle):.3g} deg"),
         ("immersion", f"{lens.immersion:g}", "", "refractive index"),
-        ("focal length", lens.focal_length, "mm", f"tube lens of {_four(lens.tube_focal_length)} mm"),
-        ("stop", 2 * lens.stop_radius, "mm", "diameter, in the back focal plane"),
-        ("object seen", 1e3 * design.native_field(camera), "um", "width"),
+        ("focal length", f"{lens.focal_length:.4g}", "mm", f"tube lens of {lens.tube_focal_length:.4g} mm"),
+        ("stop", f"{2 * lens.stop_radius:.4g}", "mm", "diameter, in the back focal plane"),
+        ("object seen", f"{1e3 * design.native_field(camera):.4g}", "um", "width"),
         ("depth of field", depths, "um", "by rays, of microlenses or by refocusing"),
     ]
 
 
-def _image(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
+def _image(camera: PlenopticCamera, lens: Objective) -> _Lines:
     micro = camera.reduced_distance / camera.lattice.aperture_width
     main = 1 / (2 * lens.image_aperture)
     pixel = camera.pixel_size
@@ -427,46 +418,46 @@ def _image(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
     step = 2 * camera.row_pitch / lens.blur_diameter(1)
     return [
         ("kind of camera", "light-field microscope", "", "array in the native image plane"),
-        ("lens pitch in the object", 1e3 * camera.row_pitch / lens.magnification, "um"),
-        ("axial step", 1e3 * step, "um", "of depth, by which the blur grows by a lens at either side"),
+        ("lens pitch in the object", f"{1e3 * camera.row_pitch / lens.magnification:.4g}", "um"),
+        ("axial step", f"{1e3 * step:.4g}", "um", "of depth, by which the blur grows by a lens at either side"),
         ("f-number z/width", f"{micro:.3g}"),
         ("objective's M/2NA", f"{main:.3g}", "", "micro-images touch where the two match"),
-        ("micro-image", camera.micro_image_diameter / pixel, "pixels", f"of {_four(camera.row_pitch / pixel)}"),
+        ("micro-image", f"{camera.micro_image_diameter / pixel:.4g}", "pixels", f"of {camera.row_pitch / pixel:.4g}"),
         ("mean of a white capture", f"{design.white_mean(camera):.3g}", "", "per unit radiance"),
     ]
 
 
-def _fourier(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
+def _fourier(camera: PlenopticCamera, lens: Objective) -> _Lines:
     outer = 0.5 * (lens.blur_diameter(0) - camera.row_pitch)
     rows = [
         (
             "kind of camera",
             "Fourier light-field microscope",
             "",
-            f"lens of {_four(lens.last_focal_length)} mm before the array",
+            f"lens of {lens.last_focal_length:.4g} mm before the array",
         ),
-        ("image of the stop", lens.blur_diameter(0), "mm"),
+        ("image of the stop", f"{lens.blur_diameter(0):.4g}", "mm"),
         ("lenses across it", f"{design.lenses_across_stop(camera):.3g}"),
-        ("numerical aperture of a lens", design.lens_aperture(camera)),
-        ("pixel in the object", 1e3 * camera.bin_size(0), "um"),
+        ("numerical aperture of a lens", f"{design.lens_aperture(camera):.4g}"),
+        ("pixel in the object", f"{1e3 * camera.bin_size(0):.4g}", "um"),
     ]
     if outer > 0:
-        note = f"per um of depth, of a lens {_four(outer)} mm from the axis"
-        rows.append(("parallax", abs(design.parallax(camera, outer)), "um", note))
+        note = f"per um of depth, of a lens {outer:.4g} mm from the axis"
+        rows.append(("parallax", f"{abs(design.parallax(camera, outer)):.4g}", "um", note))
     return rows
 
 
-def _microscope_diffraction(camera: PlenopticCamera, lens: Objective, wavelength: float) -> list[_Line]:
+def _microscope_diffraction(camera: PlenopticCamera, lens: Objective, wavelength: float) -> _Lines:
     spot = design.spot_radius(camera, wavelength)
-    rows: list[_Line] = [
-        ("objective's limit", 2e6 * lens.numerical_aperture / wavelength, "lp/mm", "2 NA over the wavelength"),
-        ("spot of a microlens", 1e3 * spot, "um", f"{_four(spot / camera.pixel_size)} pixels"),
+    rows: _Lines = [
+        ("objective's limit", f"{2e6 * lens.numerical_aperture / wavelength:.4g}", "lp/mm", "2 NA over the wavelength"),
+        ("spot of a microlens", f"{1e3 * spot:.4g}", "um", f"{spot / camera.pixel_size:.4g} pixels"),
     ]
     if lens.images_stop:
         aperture = design.lens_aperture(camera)
         depth = lens.immersion * wavelength * 1e-3 / aperture**2
-        rows.append(("limit of a lens", 2e6 * aperture / wavelength, "lp/mm"))
-        rows.append(("depth of field", depth, "um", "of a lens, n times the wavelength over its NA squared"))
+        rows.append(("limit of a lens", f"{2e6 * aperture / wavelength:.4g}", "lp/mm"))
+        rows.append(("depth of field", f"{depth:.4g}", "um", "of a lens, n times the wavelength over its NA squared"))
         shallow = 1e-3 * depth
         sample = "pixel"
     else:
@@ -474,6 +465,6 @@ def _microscope_diffraction(camera: PlenopticCamera, lens: Objective, wavelength
         sample = "lens"
     for depth in (shallow, 2 * shallow, 4 * shallow):
         limit = design.resolution_limit(camera, 1.001 * depth, wavelength)
-        note = f"at depths of {_four(1e3 * depth)} um; {limit.frequency / limit.lenses:.2g} times one sample a {sample}"
-        rows.append(("resolution, deconvolved", limit.frequency, "lp/mm", note))
+        note = f"at depths of {1e3 * depth:.4g} um; {limit.frequency / limit.lenses:.2g} times one sample a {sample}"
+        rows.append(("resolution, deconvolved", f"{limit.frequency:.4g}", "lp/mm", note))
     return rows

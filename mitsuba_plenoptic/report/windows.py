@@ -47,18 +47,15 @@ class Zoom(NamedTuple):
 
 def lit_window(images: Sequence[Array], *, fraction: float = 0.03, margin: float = 0.05) -> Window:
     """Return the part of the field, symmetric about its middle, that contains the light of all images."""
-    reach = []
-    for axis in (1, 0):
-        ends = []
-        for image in images:
-            most = image.max(axis=tuple(axes_left for axes_left in range(image.ndim) if axes_left != 1 - axis))
-            lit = np.flatnonzero(most > fraction * image.max())
-            middle = image.shape[1 - axis] / 2
-            if lit.size:
-                ends.append(max(abs(lit[0] - middle), abs(lit[-1] + 1 - middle)) / (2 * middle))
-        reach.append(min(0.5, max(ends, default=0.5) + margin))
+    ends = []
+    for image in images:
+        lit = np.argwhere(image > fraction * image.max())[:, :2]
+        size = np.array(image.shape[:2])
+        if lit.size:
+            ends.append((np.abs([lit - size / 2, lit + 1 - size / 2]) / size).max(axis=(0, 1)))
+    down, right = np.minimum(0.5, np.max(ends, axis=0) + margin).tolist() if ends else (0.5, 0.5)
     rows, columns = images[0].shape[:2]
-    return Window(0.5 - reach[0], 0.5 + reach[0], 0.5 - reach[1], 0.5 + reach[1], rows / columns)
+    return Window(0.5 - down, 0.5 + down, 0.5 - right, 0.5 + right, rows / columns)
 
 
 def brightest_zoom(experiment: Experiment) -> Zoom:
@@ -87,4 +84,4 @@ def zoom_at(title: str, camera: PlenopticCamera, slopes: Array) -> Zoom:
         size = round(2 * half)
         first = min(max(0, round(middle - half)), max(0, camera.resolution[axis] - size))
         spans.append(slice(first, first + size))
-    return Zoom(title, spans[0], spans[1])
+    return Zoom(title, *spans)
