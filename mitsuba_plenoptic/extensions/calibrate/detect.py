@@ -18,7 +18,7 @@ from ...errors import refuse_if
 from ...runtime import Array, as_pixels, atomic_output, require_memory
 from ...views import lens_types
 from .blur import CutBlur
-from .board_model import numbers_of, predict_centres
+from .board_model import centres_of
 from .boards import Picture, find_board, find_saddles
 from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, Board, LensIndex, Table
 
@@ -92,26 +92,17 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
     """
     require_support(camera, Use.LENS_CENTRES)
     camera.require_resolved()
-    lattice = camera.lattice
     size = np.array(camera.crop_size)
-    index = index or LensIndex(0.5 if lattice.stagger == 2 else 0.0, 1, (0, 0))
-
-    def pixels(unit: Array) -> Array:
-        pixel_size = camera.pixel_size
-        ratio = lattice.row_ratio
-        return predict_centres(numbers_of(camera), unit, pixel_size=pixel_size, row_ratio=ratio)[0]
-
+    index = index or LensIndex(0.5 if camera.lattice.stagger == 2 else 0.0, 1, (0, 0))
     # Where the picture's corners would be among the lenses, were the array not tilted.
-    first, *ends = pixels(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    first, *ends = centres_of(camera, np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * size
-    reach = np.abs(np.linalg.solve(np.stack([end - first for end in ends]).T, (corners - first).T)).max(1)
+    reach = np.abs(np.linalg.solve((ends - first).T, (corners - first).T)).max(1)
     across, up = np.ceil(reach + 0.02 * reach + 2).astype(int)
     require_memory(500.0 * (2 * across + 1) * (2 * up + 1), f"{across * up * 4} lenses")
-    k, l = (  # noqa: E741
-        np.stack(np.meshgrid(np.arange(-across, across + 1), np.arange(-up, up + 1)), axis=-1).reshape(-1, 2)
-        + index.first
-    ).T
-    pixel = pixels(index.unit(k, l))
+    k, l = index.first  # noqa: E741
+    l, k = np.mgrid[l - up : l + up + 1, k - across : k + across + 1].reshape(2, -1)  # noqa: E741
+    pixel = centres_of(camera, index.unit(k, l))
     inside = ((pixel > -0.5) & (pixel < size - 0.5)).all(1)
     return Table("camera", {"k": k[inside], "l": l[inside], "u": pixel[inside, 0], "v": pixel[inside, 1]})
 

@@ -19,7 +19,7 @@ import numpy as np
 from ...errors import InputError, refuse_if
 from ...runtime import Array
 from .adjustment import Problem, adjust, adjust_poses, both_axes, robust_lines
-from .board_model import AT, NAMES, Observations
+from .board_model import AT, NAMES, OFFSET, PRINCIPAL, Observations
 from .calibration_result import group_means
 from .observations import Board
 
@@ -64,10 +64,10 @@ def start_values(
     numbers = np.zeros(len(NAMES))
     numbers[:3] = f, b, z
     pitches = np.hypot(*grid[1:].T) * size / (1 + z / b)
-    numbers[[AT["pitch_along"], AT["pitch_across"]]] = pitches / [1, problem.row_ratio]
+    numbers[3:5] = pitches / [1, problem.row_ratio]
     numbers[AT["mla_rotation"]] = np.rad2deg(np.arctan2(grid[1, 1], grid[1, 0]))
-    numbers[[AT["offset_x"], AT["offset_y"]]] = (grid[0] - principal) * size / (1 + z / b)
-    numbers[[AT["principal_u"], AT["principal_v"]]] = principal
+    numbers[OFFSET] = (grid[0] - principal) * size / (1 + z / b)
+    numbers[PRINCIPAL] = principal
     groups = [np.flatnonzero(good & (observed.pose == pose)) for pose in range(observed.poses)]
     chosen = np.concatenate([group[:: max(1, len(group) // _THINNED)] for group in groups])
     few = observed.keep(chosen)
