@@ -102,14 +102,10 @@ def fit_blur(
         *heights, steep = np.linalg.lstsq(matrix, radius)[0]
         moved_lengths.append(solution.numbers[AT["detector_distance"]] / (1 - np.array(heights) / steep))
     camera = ((np.array(moved_lengths).reshape(-1, types) - z / over) ** 2).sum(0)
-    deviations = []
-    for index in range(types):
-        # Of z/f = 1 - position / slope.
-        slope = np.zeros(types + 1)
-        slope[index] = -1 / scale
-        slope[-1] = line[index] / scale**2
-        deviations.append(float(np.sqrt(slope @ covariance @ slope * (z / over[index] ** 2) ** 2 + camera[index])))
-    return Blur(tuple((z / over).tolist()), tuple(deviations), abs(float(scale)), math.sqrt(square))
+    # Of z/f = 1 - position / slope.
+    slopes = np.column_stack([-np.eye(types) / scale, line[:-1] / scale**2])
+    deviations = np.sqrt(((slopes @ covariance) * slopes).sum(1) * (z / over**2) ** 2 + camera)
+    return Blur(tuple((z / over).tolist()), tuple(deviations.tolist()), abs(float(scale)), math.sqrt(square))
 
 
 def image_ratios(observed: Observations, numbers: Array, poses: Array) -> Array:
@@ -162,9 +158,6 @@ class CutBlur:
         Shapes: `kind` (n,), `defocus` (n,), `arm` (n, pixels, 2); the result (n, pixels, 2).
         """
         at = arm[:, :, ::-1] / self._step + (_SAMPLES - 1) / 2
-        moved = np.zeros(arm.shape)
-        for index, mean in enumerate(self._means):
-            mine = kind == index
-            for axis in (0, 1):
-                moved[mine, :, axis] = map_coordinates(mean[axis], np.moveaxis(at[mine], 2, 0), order=1, mode="nearest")
-        return -defocus[:, None, None] * moved
+        index = np.broadcast_arrays(kind[:, None], *np.moveaxis(at, 2, 0))
+        moved = [map_coordinates(mean, index, order=1, mode="nearest") for mean in self._means.swapaxes(0, 1)]
+        return -defocus[:, None, None] * np.stack(moved, axis=-1)
