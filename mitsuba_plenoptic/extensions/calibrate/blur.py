@@ -137,14 +137,15 @@ class CutBlur:
         unit = (np.arange(_POINTS) + 0.5) / _POINTS
         d = np.stack(camera.lattice.aperture_point(*np.meshgrid(unit, unit)), axis=-1).reshape(-1, 2)
         self._step = (e[1] - e[0]) / camera.pixel_size
-        self._means = np.zeros((len(self._ratios), 2, _SAMPLES, _SAMPLES))
+        # Columns are real parts and rows imaginary ones.
+        self._means = np.zeros((len(self._ratios), _SAMPLES, _SAMPLES), complex)
         for kind, ratio in enumerate(self._ratios):
             slope = 1 + self._b / self._z * (1 - ratio)
             for row, y in enumerate(e):
                 px = slope * d[:, 0] - self._b / self._z * e[:, None]
                 py = slope * d[:, 1] - self._b / self._z * y
                 open_ = np.hypot(px, py) < camera.aperture_radius
-                self._means[kind, :, row] = (open_ @ d / np.maximum(open_.sum(1), 1)[:, None]).T / camera.pixel_size
+                self._means[kind, row] = open_ @ (d @ [1, 1j]) / np.maximum(open_.sum(1), 1) / camera.pixel_size
 
     def defocus(self, kind: Array, disparity: Array) -> Array:
         r"""Return the relative blur :math:`\kappa = 1 - z/f + z/a` of points of given disparities (`boards`)."""
@@ -158,6 +159,8 @@ class CutBlur:
         Shapes: `kind` (n,), `defocus` (n,), `arm` (n, pixels, 2); the result (n, pixels, 2).
         """
         at = arm[:, :, ::-1] / self._step + (_SAMPLES - 1) / 2
-        index = np.broadcast_arrays(kind[:, None], *np.moveaxis(at, 2, 0))
-        moved = [map_coordinates(mean, index, order=1, mode="nearest") for mean in self._means.swapaxes(0, 1)]
-        return -defocus[:, None, None] * np.stack(moved, axis=-1)
+        moved = np.zeros(arm.shape[:2], complex)
+        for index, mean in enumerate(self._means):
+            mine = kind == index
+            moved[mine] = map_coordinates(mean, np.moveaxis(at[mine], 2, 0), order=1, mode="nearest")
+        return -defocus[:, None, None] * moved.view(float).reshape(arm.shape)

@@ -173,7 +173,8 @@ def predict(
         of_pose = observed.pose == index
         rotated = Rotation.from_rotvec(pose[:3]).apply(corner[of_pose])
         X[of_pose] = rotated + pose[3:]
-        X_by[of_pose, :, :3] = np.cross(_left_jacobian(pose[:3]), rotated[:, None], axisa=0, axisc=1)
+        by_rotated = np.cross(_left_jacobian(pose[:3]), np.eye(3)[:, None], axisa=0, axisc=1)
+        X_by[of_pose, :, :3] = np.tensordot(rotated, by_rotated, 1)
         X_by[of_pose, :, 3:] = np.eye(3)
     g = X[:, 2]
     # Nearer than the focal length there is no image: the caller sees values that are not finite.

@@ -227,8 +227,8 @@ def find_saddles(
         arm = pixel - centre[rows][:, None]
         shown_at = pixel if displacement is None else pixel + displacement(rows, arm)
         # A window with a soft rim that is symmetrical about the corner, without what is beyond the evenly lit part.
-        w = weight[y, x] * (reach + 0.5 - np.linalg.norm(shown_at - start[:, None], axis=2)).clip(0, 1)
-        w *= np.linalg.norm(arm, axis=2) < even
+        w = weight[y, x] * (reach + 0.5 - np.hypot(*np.moveaxis(shown_at - start[:, None], 2, 0))).clip(0, 1)
+        w *= np.hypot(*np.moveaxis(arm, 2, 0)) < even
         w *= (pixel == np.stack([x, y], axis=-1)).all(2)
         total = w.sum(1)
         p = np.column_stack([start, angles[rows], np.full(len(rows), np.log(1.2))])
@@ -270,13 +270,14 @@ def _model(pixel: Array, value: Array, w: Array, p: Array) -> tuple[Array, Array
     arm = pixel - p[:, None, :2]
     blur = np.exp(p[:, 4])[:, None]
     # Of both edges: positions across and along them.
-    cosine = np.cos(p[:, None, 2:4])
-    sine = np.sin(p[:, None, 2:4])
-    x, y = (arm / blur[:, :, None]).transpose(2, 0, 1)[..., None]
+    angles = p[:, 2:4].T[:, :, None]
+    cosine = np.cos(angles)
+    sine = np.sin(angles)
+    x, y = np.moveaxis(arm, 2, 0) / blur
     t = cosine * y - sine * x
     along = sine * y + cosine * x
     edges = erf(t)
-    product = edges.prod(2)
+    product = edges.prod(0)
     weights = w.sum(1) + 1e-30
     mean = (w * product).sum(1) / weights
     mean_value = (w * value).sum(1) / weights
@@ -284,9 +285,10 @@ def _model(pixel: Array, value: Array, w: Array, p: Array) -> tuple[Array, Array
     contrast = (w * about * value).sum(1) / ((w * about * about).sum(1) + 1e-30)
     level = mean_value - contrast * mean
     residual = value - level[:, None] - contrast[:, None] * product
-    by_t = 2 / np.sqrt(np.pi) * np.exp(-t * t) * contrast[:, None, None] * edges[:, :, ::-1]
-    by_place = (by_t * np.stack([sine, -cosine])).sum(3) / blur
-    jacobian = np.dstack([*by_place, -by_t * along, -(by_t * t).sum(2)])
+    by_t = 2 / np.sqrt(np.pi) * np.exp(-t * t) * contrast[:, None] * edges[::-1]
+    by_x = (by_t * sine).sum(0) / blur
+    by_y = -(by_t * cosine).sum(0) / blur
+    jacobian = np.stack([by_x, by_y, *(-by_t * along), -(by_t * t).sum(0)], axis=-1)
     # What level and contrast make up for is no information.
     for base in (np.ones_like(product), about):
         projection = np.einsum("np,np,npa->na", w, base, jacobian) / ((w * base * base).sum(1) + 1e-30)[:, None]
