@@ -98,11 +98,12 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
     reach = np.abs(np.linalg.solve((ends - first).T, (corners - first).T)).max(1)
     across, up = np.ceil(reach + 0.02 * reach + 2).astype(int)
     require_memory(500.0 * (2 * across + 1) * (2 * up + 1), f"{across * up * 4} lenses")
-    k, l = index.first  # noqa: E741
-    l, k = np.mgrid[l - up : l + up + 1, k - across : k + across + 1].reshape(2, -1)  # noqa: E741
+    k0, l0 = index.first
+    l, k = np.mgrid[l0 - up : l0 + up + 1, k0 - across : k0 + across + 1].reshape(2, -1)  # noqa: E741
     pixel = centres_of(camera, index.unit(k, l))
+    inside = np.flatnonzero(((pixel > -0.5) & (pixel < size - 0.5)).all(1))
     u, v = pixel.T
-    return Table("camera", {"k": k, "l": l, "u": u, "v": v}).keep(((pixel > -0.5) & (pixel < size - 0.5)).all(1))
+    return Table("camera", {"k": k, "l": l, "u": u, "v": v}).keep(inside)
 
 
 def _picture(image: Array, white: Array, centres: Table, name: str) -> Picture:
