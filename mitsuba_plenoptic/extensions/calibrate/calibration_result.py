@@ -23,14 +23,6 @@ OPEN = 0.1
 REMEDY = "give centres of micro-images, or add poses nearer and farther, in which the board is tilted by 20 degrees"
 """What determines an open focal length."""
 
-GROUPED_BY = {
-    "lens": ("k", "l", "u", "v"),
-    "field": ("u", "v"),
-    "depth": ("nearest", "farthest"),
-    "pose": ("frame",),
-}
-"""Groups of residuals, each with the columns that identify a group."""
-
 
 def rms(residuals: Array) -> float:
     """Return the root mean square of two-dimensional distances."""
@@ -183,10 +175,10 @@ class ResidualMap:
     Attributes
     ----------
     by : str
-        Property, of `GROUPED_BY`, that a group's observations have in common.
+        Property that a group's observations have in common, as for `residual_map`.
     key : (groups, columns) array
-        Identity of the group, with the columns that `GROUPED_BY` names. ``lens``: indices as in the data, and the
-        camera's centre of the micro-image in pixels; ``field``: middle of a square of the detector, in pixels;
+        Identity of the group. ``lens``: indices k, l as in the data, and the camera's centre u, v of the
+        micro-image in pixels; ``field``: middle of a square of the detector, in pixels;
         ``depth``: least and greatest distance of the corners, in mm; ``pose``: number of the frame.
     count : (groups,) int array
         Number of observations in each group.
@@ -219,7 +211,7 @@ def residual_map(calibration: Calibration, board: Board, corners: Table, by: str
     parts : int
         Squares along the detector's rows, of ``field``; ranges with as many observations each, of ``depth``.
     """
-    require_choice("by", by, GROUPED_BY)
+    require_choice("by", by, ("lens", "field", "depth", "pose"))
     require_count("parts", parts, minimum=1, maximum=1000)
     evaluation = calibration.evaluation
     camera = calibration.camera

@@ -104,11 +104,12 @@ def find_centres(*whites: Capture | Array, like: Lattice | None = None) -> Centr
     for image in images:
         discs = Discs.of(image, vectors)
         centred = [_centred(image, block, discs) for block in blocks]
-        measured.append(tuple(np.concatenate(values) for values in zip(*centred, strict=True)))
-    centre = np.mean([pair[0] for pair in measured], axis=0)
-    light = np.mean([pair[1] for pair in measured], axis=0)
+        measured.append([np.concatenate(values) for values in zip(*centred, strict=True)])
+    centres, lights = map(np.stack, zip(*measured, strict=True))
+    centre = centres.mean(0)
+    light = lights.mean(0)
     # Micro-images fainter than this fraction of the median have no centre of their own.
-    kept_lenses = np.all([pair[1] > 0.1 * np.median(pair[1]) for pair in measured], axis=0)
+    kept_lenses = (lights > 0.1 * np.median(lights, axis=1, keepdims=True)).all(0)
     kept_lenses &= np.hypot(*(centre - start).T) < radius / 2
     lens = lens[kept_lenses]
     centre = centre[kept_lenses]
