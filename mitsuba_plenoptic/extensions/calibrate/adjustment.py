@@ -26,6 +26,11 @@ def deviation(distance: Array) -> float:
     return float(np.median(distance)) / 1.17741
 
 
+def rms(residuals: Array) -> float:
+    """Return the root mean square of two-dimensional distances."""
+    return float(np.sqrt((residuals**2).sum(1).mean()))
+
+
 def outlying(distance: Array) -> Array:
     """Return a mask of outliers by their distance from the expected position."""
     return distance > OUTLIER * max(deviation(distance), 1e-9)

@@ -18,7 +18,6 @@ from .board_model import (
     Observations,
     camera_of,
     numbers_of,
-    on_pixel_grid,
     predict_centres,
 )
 from .calibration_result import (
@@ -109,7 +108,8 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     # The principal point goes to the grid of half pixels that a detector can be centred on.
     free_names = [name for name in NAMES if not name.startswith("principal")]
     weights = _weights(problem, fit, frames)
-    final = adjust(problem, on_pixel_grid(fit.numbers), fit.poses, free_names, weights)
+    fit.numbers[PRINCIPAL] = np.round(2 * fit.numbers[PRINCIPAL]) / 2
+    final = adjust(problem, fit.numbers, fit.poses, free_names, weights)
     covariance, disagreement, by_frames = fit_covariance(problem, final, weights)
     deviations = np.sqrt(np.diag(covariance))
     beyond = prediction_deviation(problem, final, covariance)

@@ -214,15 +214,8 @@ def predict(
     return pixel, by_numbers, t_by_pose * (-(z + h) / pixel_size)[:, None, None]
 
 
-def on_pixel_grid(numbers: Array) -> Array:
-    """Return camera numbers whose principal point is moved to the nearest centre, edge or corner of a pixel."""
-    moved = numbers.copy()
-    moved[PRINCIPAL] = np.round(2 * moved[PRINCIPAL]) / 2
-    return moved
-
-
 def camera_of(numbers: Array, like: PlenopticCamera) -> PlenopticCamera:
-    """Return the camera of given parameters, with a principal point `on_pixel_grid`.
+    """Return the camera of given parameters, with a principal point at a centre, edge or corner of a pixel.
 
     Properties that the numbers do not determine are those of `like`: recorded pixels and their size, f-number, lattice,
     apertures and focal lengths of the microlenses, and the refraction model.

@@ -59,7 +59,7 @@ def find_board(picture: Picture, board: Board) -> tuple[float, Array]:
         view = _seen(picture, flat, tree.query(flat, k=_LENSES)[1], disparity)[0].reshape(positions.shape[:2])
         if not np.isfinite(view).any():
             continue
-        low, high = np.percentile(view[np.isfinite(view)], [2, 98])
+        low, high = np.nanpercentile(view, [2, 98])
         grey = np.nan_to_num((view - low) / max(high - low, 1e-12)).clip(0, 1)
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
         # The other detector, findChessboardCornersSB, finds corners in noise here, others each time.
@@ -72,7 +72,7 @@ def find_board(picture: Picture, board: Board) -> tuple[float, Array]:
                 corners = corners[::-1, ::-1]
             along = (corners[:, -1] - corners[:, 0]).sum(0)
             across = (corners[-1] - corners[0]).sum(0)
-            return disparity, corners if along[0] * across[1] > along[1] * across[0] else corners[::-1]
+            return disparity, corners if np.linalg.det([along, across]) > 0 else corners[::-1]
     raise InputError(
         f"{picture.name}: no checkerboard of {board.columns}x{board.rows} inner corners is seen in it, whole, at any "
         "distance at which several lenses see each corner"

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from ...camera import PlenopticCamera
 from ...errors import require_choice, require_count
 from ...runtime import Array
-from .adjustment import Adjusted, Problem, outlying
+from .adjustment import Adjusted, Problem, outlying, rms
 from .blur import Blur
 from .board_model import NAMES, centres_of
 from .observations import Board, LensIndex, Table, placed
@@ -22,11 +22,6 @@ OPEN = 0.1
 
 REMEDY = "give centres of micro-images, or add poses nearer and farther, in which the board is tilted by 20 degrees"
 """What determines an open focal length."""
-
-
-def rms(residuals: Array) -> float:
-    """Return the root mean square of two-dimensional distances."""
-    return float(np.sqrt((residuals**2).sum(1).mean()))
 
 
 @dataclass(frozen=True)

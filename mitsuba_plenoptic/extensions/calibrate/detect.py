@@ -15,12 +15,12 @@ from scipy.spatial import cKDTree
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import refuse_if
-from ...runtime import Array, as_pixels, atomic_output, require_memory
+from ...runtime import Array, as_pixels, require_memory
 from ...views import lens_types, pixels_around
 from .blur import CutBlur
 from .board_model import centres_of
 from .boards import Picture, find_board, find_saddles
-from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, Board, LensIndex, Table
+from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, Board, LensIndex, Table, write_table
 
 
 def detect_corners(
@@ -239,6 +239,4 @@ def _improved(picture: Picture, corner: Array, lens: Array, located: Array, posi
 
 def write_corners(path: str | Path, corners: Table) -> None:
     """Write corners as a CSV file for `calibrate`."""
-    with atomic_output(path, ".csv") as temporary:
-        rows = np.stack([corners[name] for name in CORNER_COLUMNS], axis=-1)
-        np.savetxt(temporary, rows, "%d,%d,%.4f,%.4f,%d,%d", header=",".join(CORNER_COLUMNS), comments="")
+    write_table(path, Table("corners", {name: corners[name] for name in CORNER_COLUMNS}))

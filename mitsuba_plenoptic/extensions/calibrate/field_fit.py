@@ -210,8 +210,7 @@ class WhiteRecording:
         at_lens = field.values(position)
         at_zone = field.values(position.mean(0)[None])[0]
         numbers = PupilNumbers(*at_zone)
-        models = np.stack([self.model.samples(numbers), *self.model.slopes(numbers)], axis=-1)
-        models = self.model.splines(x, y) @ models.reshape(-1, models.shape[-1])
+        models = self.model.splines(x, y) @ np.column_stack([image.ravel() for image in self.model.expanded(numbers)])
         slopes = models[:, 1:]
         change = at_lens - at_zone
         image = models[:, 0] + (slopes * change[lens]).sum(1)
@@ -292,21 +291,19 @@ class WhiteRecording:
         row, column = np.divmod(lit, self.side)
         splines = self.model.splines((column - self.side // 2) / _BINS, (row - self.side // 2) / _BINS)
         numbers = PupilNumbers(*field.values(position[np.concatenate(zones)]).mean(0))
-        images = [self.model.samples(numbers), *self.model.slopes(numbers), *self.model.shape_slopes(numbers)]
+        images = self.model.expanded(numbers) + self.model.shape_slopes(numbers)
         design = np.stack([splines @ image.ravel() for image in images], axis=-1)
         best = np.inf
         for terms, waves in product((0, 3, 7, 12, 18, 25), range(0, 29, 2)):
             # With the brightness and the numbers of the field.
-            counts = (1 + len(NUMBERS), terms, waves)
-            columns = np.concatenate([np.arange(n) + first for n, first in zip(counts, (0, 12, 37), strict=True)])
-            some = design[:, columns]
+            some = design[:, np.r_[: 12 + terms, 37 : 37 + waves]]
             equations = [some.T @ np.column_stack([some * w[:, None], r]) for w, r in zip(weights, sums, strict=True)]
             # Damped: micro-images that overlap do not tell all.
             misfit = sums[1] / weights[1] - some @ solved(equations[0], 1e-3)
             error = float(np.sqrt((weights[1] * misfit**2).sum()))
             if error < 0.95 * best:
                 best = error
-                change = np.split(solved(equations[0] + equations[1], 1e-3), np.cumsum(counts)[:2])
+                change = np.split(solved(equations[0] + equations[1], 1e-3), [12, 12 + terms])
         for name, step in zip(NUMBERS, change[0][1:], strict=True):
             field.coefficients[name][:1] += step
         coefficients: dict[str, Any] = dict(zip(SHAPE, change[1:], strict=True))

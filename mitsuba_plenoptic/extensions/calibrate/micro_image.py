@@ -116,15 +116,14 @@ class MicroImageModel:
         spectrum *= np.exp(-2 * (np.pi * numbers.blur) ** 2 * self._f2)
         return scipy.fft.irfft2(spectrum, (self._count, self._count), overwrite_x=True) + numbers.stray
 
-    def slopes(self, numbers: PupilNumbers) -> Array:
-        """Return the derivatives of `samples` by each of `NUMBERS`, as quotients of differences."""
-        samples = self.samples(numbers)
-        slopes = np.empty((len(NUMBERS), *samples.shape))
-        for name, slope in zip(NUMBERS, slopes, strict=True):
+    def expanded(self, numbers: PupilNumbers) -> list[Array]:
+        """Return `samples`, and their derivatives by each of `NUMBERS` as quotients of differences."""
+        images = [self.samples(numbers)]
+        for name in NUMBERS:
             step = _STEPS.get(name, 0.01)
             moved = replace(numbers, **{name: getattr(numbers, name) + step})
-            slope[:] = (self.samples(moved) - samples) / step
-        return slopes
+            images.append((self.samples(moved) - images[0]) / step)
+        return images
 
     def shape_slopes(self, numbers: PupilNumbers) -> list[Array]:
         """Return the derivatives of `samples` by all numbers of `SHAPE`, of a shape that has none yet."""

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...errors import NO_RECORD, InputError, refuse_if, refusing, require_count, require_number
-from ...runtime import read_text
+from ...runtime import atomic_output, read_text
 from ..raw.lftoolbox import grid_of_model
 from .adjustment import both_axes, robust_lines
 from .board_model import Observations
@@ -140,6 +140,14 @@ def read_table(path: str | Path, names: tuple[str, ...], optional: tuple[str, ..
     with refusing(f"{path}: it is no table of numbers:", ValueError):
         rows = np.loadtxt(lines, delimiter=",", usecols=[header.index(name) for name in names], ndmin=2)
     return _checked(path, dict(zip(names, rows.T, strict=True)), header=1)
+
+
+def write_table(path: str | Path, table: Table) -> None:
+    """Write a table as a CSV file."""
+    formats = ["%d" if name in _WHOLE else "%.4f" for name in table.columns]
+    with atomic_output(path, ".csv") as temporary:
+        rows = np.column_stack([*table.columns.values()])
+        np.savetxt(temporary, rows, formats, ",", header=",".join(table.columns), comments="")
 
 
 def _checked(path: Path, columns: dict[str, np.ndarray], header: int) -> Table:

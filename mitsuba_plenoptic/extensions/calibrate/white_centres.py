@@ -18,11 +18,11 @@ import numpy as np
 from ...array import Lattice
 from ...errors import refuse_if
 from ...io import Capture, require_demosaiced
-from ...runtime import Array, as_array, atomic_output
+from ...runtime import Array, as_array
 from ...views import Discs, LensGrid, estimate_lens_grid, pixels_around
-from .adjustment import OUTLIER
+from .adjustment import OUTLIER, rms
 from .array_fit import lattice_index
-from .observations import CENTRE_COLUMNS, DOUBTFUL_COLUMN, Table
+from .observations import DOUBTFUL_COLUMN, Table, write_table
 
 # Lenses on each side of one that it is compared with.
 _NEIGHBOURS = 4
@@ -59,7 +59,7 @@ class Centres:
     @property
     def error(self) -> float:
         """RMS distance of the centres from the regular grid, in pixels."""
-        return float(np.sqrt((self.residuals**2).sum(1).mean()))
+        return rms(self.residuals)
 
     def table(self, name: str) -> Table:
         """Return the centres as a table like that of `read_centres`."""
@@ -155,7 +155,4 @@ def _local_medians(lens: Array, values: Array) -> Array:
 
 def write_centres(path: str | Path, centres: Centres) -> None:
     """Write centres as a CSV file for `calibrate`."""
-    with atomic_output(path, ".csv") as temporary:
-        rows = np.column_stack([centres.lens, centres.pixel, centres.doubtful])
-        header = ",".join([*CENTRE_COLUMNS, DOUBTFUL_COLUMN])
-        np.savetxt(temporary, rows, "%d,%d,%.4f,%.4f,%d", header=header, comments="")
+    write_table(path, centres.table("centres"))

@@ -126,7 +126,9 @@ def fit_white(
     camera = of_size(plain, size)
     # What the lenses' light cannot be is known before their places are.
     MicroImageModel(camera, wavelength)
-    centres = find_centres(filled(frame), like=camera.lattice)
+    # Saturated and defective pixels have the median of their neighbours.
+    filled = np.where(frame.good, frame.light, scipy.ndimage.median_filter(frame.light, 5))
+    centres = find_centres(filled, like=camera.lattice)
     require_alike(centres.grid, camera)
     sure = ~centres.doubtful
     array = fit_array(centres.pixel[sure], lattice_index(centres.grid, centres.lens)[sure], camera)
@@ -220,8 +222,3 @@ def of_size(camera: PlenopticCamera, size: tuple[int, ...]) -> PlenopticCamera:
     )
     width = camera.pixel_size * size[0]
     return camera.replace(resolution=size, detector_width=width, crop_offset=(0, 0), crop_size=size)
-
-
-def filled(frame: WhiteFrame) -> Array:
-    """Return the light of a white picture, with medians of neighbours where pixels are saturated or defective."""
-    return np.where(frame.good, frame.light, scipy.ndimage.median_filter(frame.light, 5))
