@@ -145,7 +145,7 @@ def fit_array(pixels: Array, index: Array, camera: PlenopticCamera) -> ArrayFit:
 def places(fit: ArrayFit, index: Array, camera: PlenopticCamera) -> Array:
     """Return the places (n, 2) in pixels of the micro-images of lenses with indices (n, 2), see `lattice_index`."""
     lattice = camera.replace(**fit.lattice_parameters()).lattice
-    u, v = (index - fit.nearest).T * np.array([[lattice.pitches[0]], [lattice.row_distance]])
-    x, y = (first + step for first, step in zip(lattice.centre(0.0, 0.0), lattice.from_frame(u, v), strict=True))
-    warped = np.stack([x, y], axis=-1) + np.stack(Displacement(tuple(fit.warp.tolist())).smooth(x, y), axis=-1)
+    u, v = ((index - fit.nearest) * [lattice.pitches[0], lattice.row_distance]).T
+    regular = np.transpose(lattice.from_frame(u, v)) + lattice.centre(0.0, 0.0)
+    warped = regular + np.transpose(Displacement(tuple(fit.warp.tolist())).smooth(*regular.T))
     return warped * camera.image_growth / camera.pixel_size + (np.array(camera.resolution) - 1) / 2

@@ -266,6 +266,10 @@ def _undistorted(m: Array, distortion: Array) -> tuple[Array, Array, Array]:
     by_place[:, 0, 0] += radial + 6 * p1 * x + 2 * p2 * y
     by_place[:, 1, 1] += radial + 6 * p2 * y + 2 * p1 * x
     by_place[:, [0, 1], [1, 0]] += 2 * (p1 * y + p2 * x)[:, None]
-    by_radial = m[:, :, None] * square[:, None, None] ** np.arange(1, 4)
-    by_tangential = 2 * m[:, :, None] * m[:, None] + square[:, None, None] * np.eye(2)
-    return position, by_place, np.concatenate([by_radial, by_tangential], axis=2)
+    by_numbers = np.empty((len(m), 2, 5))
+    for power in range(3):
+        by_numbers[:, :, power] = m * (square ** (power + 1))[:, None]
+    by_numbers[:, 0, 3] = square + 2 * x * x
+    by_numbers[:, 1, 4] = square + 2 * y * y
+    by_numbers[:, 0, 4] = by_numbers[:, 1, 3] = 2 * x * y
+    return position, by_place, by_numbers

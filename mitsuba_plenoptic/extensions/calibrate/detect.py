@@ -116,12 +116,13 @@ def _picture(image: Array, white: Array, centres: Table, name: str) -> Picture:
     middle = centres.pixel
     distance, _ = cKDTree(middle).query(middle, k=2)
     nearest = float(np.median(distance[:, 1])) / 2
-    column, row = np.round(middle).astype(int).T
-    inside = (column >= 0) & (column < light.shape[1]) & (row >= 0) & (row < light.shape[0])
+    pixel = np.round(middle).astype(int)
+    inside = ((pixel >= 0) & (pixel < light.shape[::-1])).all(1)
+    column, row = pixel[inside].T
     refuse_if(
         inside.sum() < 16, f"{name}: {inside.sum()} of {centres.name} lie in it: 16 micro-images are needed at least"
     )
-    full = float(np.median(light[row[inside], column[inside]]))
+    full = float(np.median(light[row, column]))
     refuse_if(not full > 0, "white: it is dark in the middle of its micro-images")
     weight = (light / full).clip(max=1)
     weight[weight < 0.25] = 0

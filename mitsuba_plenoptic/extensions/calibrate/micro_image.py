@@ -122,7 +122,7 @@ class MicroImageModel:
         for name in NUMBERS:
             step = _STEPS.get(name, 0.01)
             moved = replace(numbers, **{name: getattr(numbers, name) + step})
-            images.append((self.samples(moved) - images[0]) / step)
+            images.append((self.samples(moved) - images[0]) / step if name != "stray" else np.ones_like(images[0]))
         return images
 
     def shape_slopes(self, numbers: PupilNumbers) -> list[Array]:

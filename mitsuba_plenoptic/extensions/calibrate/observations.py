@@ -275,9 +275,10 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
     )
     along, j = np.linalg.solve(grid[1:].T, middle - grid[0])
     j = np.round(j)
-    i = np.round(along - odd_rows * (j % 2))
+    shift = odd_rows * (j % 2)
+    i = np.round(along - shift)
     index = LensIndex(odd_rows, 1 if np.linalg.det(grid[1:]) > 0 else -1, (int(i), int(j)))
-    first = grid[0] + (LensIndex(odd_rows, 1, (0, 0)).unit(*np.array([[i], [j]])))[0] @ grid[1:]
+    first = grid[0] + np.array([i + shift, j]) @ grid[1:]
     return index, np.stack([first, grid[1], index.row_sign * grid[2]])
 
 

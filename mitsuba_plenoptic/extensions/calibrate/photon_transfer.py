@@ -128,7 +128,7 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
 
     offset = black.mean(0)
     level = float(np.median(offset))
-    noise = 1.4826 * float(np.median(np.abs(offset - np.median(offset)))) + 1
+    noise = 1.4826 * float(np.median(np.abs(offset - level))) + 1
     hot = np.abs(offset - level) > 10.0 * noise
     mean_light = bright.mean(0) - level
     dead, _ = stuck(mean_light, noise)

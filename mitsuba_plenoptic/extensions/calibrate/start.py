@@ -80,12 +80,10 @@ def start_values(
     except InputError:
         failure = "no camera sees the whole board in all poses"
     if failure:
-        low = magnification.min()
-        high = magnification.max()
         raise InputError(
-            f"corners: {failure}: the lens's images of the boards are {low:.3g} to {high:.3g} times as large as boards "
-            "with squares of this size: check the distance of the board's corners, the pixel size and the order of "
-            "corners"
+            f"corners: {failure}: the lens's images of the boards are {magnification.min():.3g} to "
+            f"{magnification.max():.3g} times as large as boards with squares of this size: check the distance of the "
+            "board's corners, the pixel size and the order of corners"
         )
     return fit.numbers, fit.poses, good
 
