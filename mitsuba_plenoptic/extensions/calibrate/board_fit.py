@@ -169,9 +169,9 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
     lattice = camera.lattice
     principal = numbers[PRINCIPAL]
     scale = camera.micro_image_pitch / camera.row_pitch / camera.pixel_size
-    u = np.array(lattice.from_frame(1.0, 0.0))
-    v = np.array(lattice.from_frame(0.0, 1.0))
-    grid = np.stack([numbers[OFFSET], u * lattice.pitches[0], v * lattice.row_distance]) * scale
+    along = lattice.from_frame(lattice.pitches[0], 0.0)
+    across = lattice.from_frame(0.0, lattice.row_distance)
+    grid = np.stack([numbers[OFFSET], along, across]) * scale
     grid[0] += principal
     if index is None:
         index, _ = find_lens_index(corners, lattice.stagger == 2, grid[0])

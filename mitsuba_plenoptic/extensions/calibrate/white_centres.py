@@ -145,8 +145,8 @@ def _local_medians(lens: Array, values: Array) -> Array:
     column, row = (lens - lens.min(0) + _NEIGHBOURS).T
     side = 2 * _NEIGHBOURS + 1
     medians = np.empty_like(values)
+    array = np.full((row.max() + side, column.max() + side), np.nan)
     for index, column_values in enumerate(values.T):
-        array = np.full((row.max() + side, column.max() + side), np.nan)
         array[row, column] = column_values
         around = np.lib.stride_tricks.sliding_window_view(array, (side, side))[row - _NEIGHBOURS, column - _NEIGHBOURS]
         medians[:, index] = np.nanmedian(around.reshape(len(values), -1), axis=1)
