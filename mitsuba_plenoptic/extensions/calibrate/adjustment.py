@@ -11,11 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ...errors import refuse_if
 from ...runtime import Array, single_threaded_blas
-from .board_model import NAMES, Observations, predict, predict_centres
+from .board_model import AT, NAMES, Observations, predict, predict_centres
 
 # Rows beyond this number of deviations are outliers: they are named, and do not count in a fit. In data with normal
 # errors one row in 60 million lies there.
@@ -25,6 +24,11 @@ OUTLIER = 6.0
 def deviation(distance: Array) -> float:
     """Return the standard deviation along one axis, estimated from the median of two-dimensional distances."""
     return float(np.median(distance)) / 1.17741
+
+
+def rms(residuals: Array) -> float:
+    """Return the root mean square of two-dimensional distances."""
+    return float(np.sqrt((residuals**2).sum(1).mean()))
 
 
 def outlying(distance: Array) -> Array:
@@ -74,7 +78,7 @@ def robust_lines(matrix: Array, values: Array) -> tuple[Array, Array, Array]:
 
 def both_axes(matrix: Array) -> Array:
     """Return the matrix (n, 2, 2 k) that applies a matrix (n, k) to x and to y, with coefficients for each axis."""
-    return np.einsum("ab,nk->nabk", np.eye(2), matrix).reshape(len(matrix), 2, -1)
+    return np.kron(np.eye(2), matrix[:, None])
 
 
 @dataclass(frozen=True)
@@ -90,18 +94,21 @@ class Problem:
     # Weight of a centre's residual: the deviation of a corner over that of a centre.
     centre_weight: float = 1.0
 
+    @property
+    def geometry(self) -> dict[str, float]:
+        """The numbers of the camera that are not fitted."""
+        return {"pixel_size": self.pixel_size, "row_ratio": self.row_ratio}
+
     def residuals(self, numbers: Array, poses: Array) -> np.ndarray:
         """Return predicted minus observed pixels of the corners, (n, 2)."""
         with np.errstate(all="ignore"):
-            pixel, _, _ = self._predict(numbers, poses)
-        return pixel - self.corners.pixel
+            return predict(numbers, poses, self.corners, **self.geometry)[0] - self.corners.pixel
 
     def centre_residuals(self, numbers: Array) -> Array:
         """Return predicted minus observed pixels of the centres, (n, 2)."""
         if self.centres is None:
             return np.zeros((0, 2))
-        pixel, _ = predict_centres(numbers, self.centres.lens, pixel_size=self.pixel_size, row_ratio=self.row_ratio)
-        return pixel - self.centres.pixel
+        return predict_centres(numbers, self.centres.lens, **self.geometry)[0] - self.centres.pixel
 
     def cost(self, numbers: Array, poses: Array, weights: Array) -> float:
         """Return half the weighted sum of squared residuals; infinite where the model has no value."""
@@ -109,35 +116,28 @@ class Problem:
         square += self.centre_weight**2 * (self.centre_residuals(numbers) ** 2).sum()
         return 0.5 * float(square) if np.isfinite(square) else np.inf
 
-    def _predict(self, numbers: Array, poses: Array) -> tuple[Array, Array, Array]:
-        return predict(numbers, poses, self.corners, pixel_size=self.pixel_size, row_ratio=self.row_ratio)
-
     def blocks(self, numbers: Array, poses: Array, weights: Array, free: Array) -> tuple[list[Array], list[Array]]:
         """Return the weighted linear system's triangular factor for each pose, and its rows for the camera alone.
 
         The result has the shape (6, 6 + free + 1), (rows, free + 1).
         """
-        pixel, by_numbers, by_pose = self._predict(numbers, poses)
+        pixel, by_numbers, by_pose = predict(numbers, poses, self.corners, **self.geometry)
         rows = (
             np.concatenate([by_pose, by_numbers[:, :, free], (self.corners.pixel - pixel)[:, :, None]], axis=2)
             * np.sqrt(weights)[:, None, None]
         )
-        triangles = []
-        for index in range(len(poses)):
-            residual_rows = rows[self.corners.pose == index].reshape(-1, rows.shape[2])
-            triangles.append(_triangle(residual_rows))
+        triangles = [_triangle(rows[self.corners.pose == index]) for index in range(len(poses))]
         camera = [triangle[6:, 6:] for triangle in triangles]
         if self.centres is not None:
-            pixel, by_numbers = predict_centres(
-                numbers, self.centres.lens, pixel_size=self.pixel_size, row_ratio=self.row_ratio
-            )
-            residual_rows = np.concatenate([by_numbers[:, :, free], (self.centres.pixel - pixel)[:, :, None]], axis=2)
-            camera.append(_triangle(self.centre_weight * residual_rows.reshape(-1, residual_rows.shape[2])))
+            pixel, by_numbers = predict_centres(numbers, self.centres.lens, **self.geometry)
+            rows = np.concatenate([by_numbers[:, :, free], (self.centres.pixel - pixel)[:, :, None]], axis=2)
+            camera.append(_triangle(self.centre_weight * rows))
         return [triangle[:6] for triangle in triangles], camera
 
 
 def _triangle(rows: Array) -> Array:
-    """Return the triangular factor of a matrix, with at least as many rows as columns."""
+    """Return the triangular factor of a matrix or of stacked ones, with at least as many rows as columns."""
+    rows = rows.reshape(-1, rows.shape[-1])
     return np.asarray(np.linalg.qr(np.pad(rows, ((0, max(0, rows.shape[1] - len(rows))), (0, 0))), mode="r"))
 
 
@@ -168,7 +168,7 @@ def adjust(
 
     Shapes: `weights` (n,).
     """
-    free_index = np.array([NAMES.index(name) for name in free], dtype=int)
+    free_index = np.array([AT[name] for name in free], dtype=int)
     weights = np.ones(len(problem.corners)) if weights is None else weights
     cost = problem.cost(numbers, poses, weights)
     refuse_if(
@@ -213,11 +213,7 @@ def adjust_poses(problem: Problem, numbers: Array, poses: Array, weights: Array)
     A flat board looks much the same tilted to either side (Necker's reversal); both are tried for each pose.
     """
     fitted = adjust(problem, numbers, poses, (), weights, most_steps=60).poses
-    flip = np.diag([1.0, 1.0, -1.0])
-    mirrored = fitted.copy()
-    for pose in mirrored:
-        pose[:3] = Rotation.from_matrix(flip @ Rotation.from_rotvec(pose[:3]).as_matrix() @ flip).as_rotvec()
-    mirrored = adjust(problem, numbers, mirrored, (), weights, most_steps=60).poses
+    mirrored = adjust(problem, numbers, fitted * [-1, -1, 1, 1, 1, 1], (), weights, most_steps=60).poses
     squares = [
         np.bincount(problem.corners.pose, weights * (problem.residuals(numbers, candidate) ** 2).sum(1))
         for candidate in (fitted, mirrored)

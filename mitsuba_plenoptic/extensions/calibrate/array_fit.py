@@ -13,12 +13,8 @@ from ...errors import refuse_if
 from ...runtime import Array, exponents, monomials
 from ...views import LensGrid
 
-_SURE = 3.0
-"""Standard errors by which one warp must place withheld lenses better than another to count as better."""
-
 _NOISE = 0.2
-_STEPS = 8
-"""Distance in pixels from which on a place has less weight, and steps of least squares with such weights."""
+"""Distance in pixels from which on a place has less weight."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +109,7 @@ def fit_array(pixels: Array, index: Array, camera: PlenopticCamera) -> ArrayFit:
     def fitted(degree: int, lenses: Array) -> Array:
         """Return pitch, distance of rows, angle, place of the nearest lens, and warp, by weighted least squares."""
         numbers = np.array([*start, *np.zeros(2 * len(exponents(degree, lowest=2)))])
-        for _ in range(_STEPS):
+        for _ in range(8):
             place, slopes = placed(numbers)
             off = (target - place)[lenses].ravel()
             slopes = slopes[lenses].reshape(len(off), -1)
@@ -132,7 +128,7 @@ def fit_array(pixels: Array, index: Array, camera: PlenopticCamera) -> ArrayFit:
             losses.append(np.sqrt(1 + (off / _NOISE) ** 2).sum(1))
     # Differences from the best, lens by lens: the noise of places is in both.
     more = np.array(losses) - min(losses, key=np.mean)
-    worse = more.mean(1) > _SURE * more.std(1) / math.sqrt(len(pixels))
+    worse = more.mean(1) > 3.0 * more.std(1) / math.sqrt(len(pixels))
     degree = 1 + int(np.argmin(worse))
     numbers = fitted(degree, np.ones(len(pixels), bool))
     pitch, row, angle, x0, y0 = numbers[:5] * [scale, scale, 1, scale, scale]
@@ -149,7 +145,7 @@ def fit_array(pixels: Array, index: Array, camera: PlenopticCamera) -> ArrayFit:
 def places(fit: ArrayFit, index: Array, camera: PlenopticCamera) -> Array:
     """Return the places (n, 2) in pixels of the micro-images of lenses with indices (n, 2), see `lattice_index`."""
     lattice = camera.replace(**fit.lattice_parameters()).lattice
-    u, v = (index - fit.nearest).T * np.array([[lattice.pitches[0]], [lattice.row_distance]])
-    x, y = (first + step for first, step in zip(lattice.centre(0.0, 0.0), lattice.from_frame(u, v), strict=True))
-    warped = np.stack([x, y], axis=-1) + np.stack(Displacement(tuple(fit.warp.tolist())).smooth(x, y), axis=-1)
+    u, v = ((index - fit.nearest) * [lattice.pitches[0], lattice.row_distance]).T
+    regular = np.transpose(lattice.from_frame(u, v)) + lattice.centre(0.0, 0.0)
+    warped = regular + np.transpose(Displacement(tuple(fit.warp.tolist())).smooth(*regular.T))
     return warped * camera.image_growth / camera.pixel_size + (np.array(camera.resolution) - 1) / 2

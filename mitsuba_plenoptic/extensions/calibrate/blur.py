@@ -102,14 +102,10 @@ def fit_blur(
         *heights, steep = np.linalg.lstsq(matrix, radius)[0]
         moved_lengths.append(solution.numbers[AT["detector_distance"]] / (1 - np.array(heights) / steep))
     camera = ((np.array(moved_lengths).reshape(-1, types) - z / over) ** 2).sum(0)
-    deviations = []
-    for index in range(types):
-        # Of z/f = 1 - position / slope.
-        slope = np.zeros(types + 1)
-        slope[index] = -1 / scale
-        slope[-1] = line[index] / scale**2
-        deviations.append(float(np.sqrt(slope @ covariance @ slope * (z / over[index] ** 2) ** 2 + camera[index])))
-    return Blur(tuple((z / over).tolist()), tuple(deviations), abs(float(scale)), math.sqrt(square))
+    # Of z/f = 1 - position / slope.
+    slopes = np.column_stack([-np.eye(types) / scale, line[:-1] / scale**2])
+    deviations = np.sqrt(((slopes @ covariance) * slopes).sum(1) * (z / over**2) ** 2 + camera)
+    return Blur(tuple((z / over).tolist()), tuple(deviations.tolist()), abs(float(scale)), math.sqrt(square))
 
 
 def image_ratios(observed: Observations, numbers: Array, poses: Array) -> Array:
@@ -141,14 +137,15 @@ class CutBlur:
         unit = (np.arange(_POINTS) + 0.5) / _POINTS
         d = np.stack(camera.lattice.aperture_point(*np.meshgrid(unit, unit)), axis=-1).reshape(-1, 2)
         self._step = (e[1] - e[0]) / camera.pixel_size
-        self._means = np.zeros((len(self._ratios), 2, _SAMPLES, _SAMPLES))
+        # Columns are real parts and rows imaginary ones.
+        self._means = np.zeros((len(self._ratios), _SAMPLES, _SAMPLES), complex)
         for kind, ratio in enumerate(self._ratios):
             slope = 1 + self._b / self._z * (1 - ratio)
             for row, y in enumerate(e):
                 px = slope * d[:, 0] - self._b / self._z * e[:, None]
                 py = slope * d[:, 1] - self._b / self._z * y
                 open_ = np.hypot(px, py) < camera.aperture_radius
-                self._means[kind, :, row] = (open_ @ d / np.maximum(open_.sum(1), 1)[:, None]).T / camera.pixel_size
+                self._means[kind, row] = open_ @ (d @ [1, 1j]) / np.maximum(open_.sum(1), 1) / camera.pixel_size
 
     def defocus(self, kind: Array, disparity: Array) -> Array:
         r"""Return the relative blur :math:`\kappa = 1 - z/f + z/a` of points of given disparities (`boards`)."""
@@ -162,9 +159,8 @@ class CutBlur:
         Shapes: `kind` (n,), `defocus` (n,), `arm` (n, pixels, 2); the result (n, pixels, 2).
         """
         at = arm[:, :, ::-1] / self._step + (_SAMPLES - 1) / 2
-        moved = np.zeros(arm.shape)
+        moved = np.zeros(arm.shape[:2], complex)
         for index, mean in enumerate(self._means):
             mine = kind == index
-            for axis in (0, 1):
-                moved[mine, :, axis] = map_coordinates(mean[axis], np.moveaxis(at[mine], 2, 0), order=1, mode="nearest")
-        return -defocus[:, None, None] * moved
+            moved[mine] = map_coordinates(mean, np.moveaxis(at[mine], 2, 0), order=1, mode="nearest")
+        return -defocus[:, None, None] * moved.view(float).reshape(arm.shape)

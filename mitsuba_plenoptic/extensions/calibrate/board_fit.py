@@ -11,13 +11,21 @@ from ...errors import InputError, naming, refuse_if, suggest_keywords
 from ...runtime import Array
 from .adjustment import Adjusted, Problem, adjust, adjust_poses, both_axes, deviation, huber, outlying, robust_lines
 from .blur import fit_blur
-from .board_model import AT, NAMES, Observations, camera_of, numbers_of, on_pixel_grid, predict_centres
+from .board_model import (
+    NAMES,
+    OFFSET,
+    PRINCIPAL,
+    Observations,
+    camera_of,
+    numbers_of,
+    predict_centres,
+)
 from .calibration_result import (
     OPEN,
     REMEDY,
     Calibration,
     Evaluation,
-    deviations,
+    fit_covariance,
     moved_solutions,
     prediction_deviation,
 )
@@ -87,7 +95,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         problem = _with_centres(problem, centres, inliers, index, weight)
     else:
         problem = _through_pupil(problem, problem.residuals(numbers, poses), good)
-    weights = np.where(good, huber(_distance(problem, numbers, poses)), 0.0)
+    weights = np.where(good, huber(np.hypot(*problem.residuals(numbers, poses).T)), 0.0)
     fit = adjust(problem, numbers, poses, weights=weights)
     steps = 0
     for _ in range(10):
@@ -100,15 +108,16 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     # The principal point goes to the grid of half pixels that a detector can be centred on.
     free_names = [name for name in NAMES if not name.startswith("principal")]
     weights = _weights(problem, fit, frames)
-    final = adjust(problem, on_pixel_grid(fit.numbers), fit.poses, free_names, weights)
-    uncertainty = deviations(problem, final, weights)
-    beyond = prediction_deviation(problem, final, uncertainty.covariance)
+    fit.numbers[PRINCIPAL] = np.round(2 * fit.numbers[PRINCIPAL]) / 2
+    final = adjust(problem, fit.numbers, fit.poses, free_names, weights)
+    covariance, disagreement, by_frames = fit_covariance(problem, final, weights)
+    deviations = np.sqrt(np.diag(covariance))
+    beyond = prediction_deviation(problem, final, covariance)
     refuse_if(
         not beyond < 1.0,
         f"corners: they leave open where this camera sees boards in other poses, +- {beyond:.2g} pixels: {REMEDY}",
     )
-    uncertain = uncertainty.values[AT["focal_length"]]
-    _require_matching_pupil(problem, final, weights, start, board, float(np.hypot(*grid[1])), uncertain)
+    _require_matching_pupil(problem, final, weights, start, board, float(np.hypot(*grid[1])), deviations[0])
     with naming("corners: the parameters that fit them best are no camera; cover more of it"):
         camera = camera_of(final.numbers, start)
     centre_residuals = np.zeros((0, 2))
@@ -121,23 +130,22 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     if BLUR_COLUMN in corners.columns:
         inliers = weights > 0
         types = len(start.mla_focal_lengths)
-        moved = moved_solutions(problem, final, weights, uncertainty.covariance)
+        moved = moved_solutions(problem, final, weights, covariance)
         radius = corners[BLUR_COLUMN][inliers]
-        numbers = final.numbers
-        blur = fit_blur(radius, observed.keep(inliers), numbers, final.poses, camera.lattice, types, moved)
+        blur = fit_blur(radius, observed.keep(inliers), final.numbers, final.poses, camera.lattice, types, moved)
         camera = camera.replace(mla_focal_length=blur.focal_lengths)
     return Calibration(
         camera,
         index,
         Evaluation(problem.residuals(final.numbers, final.poses), frames, observed.pose, final.poses),
         dict(zip(NAMES, final.numbers.tolist(), strict=True)),
-        dict(zip(NAMES, uncertainty.values.tolist(), strict=True)),
-        uncertainty.covariance / np.outer(uncertainty.values, uncertainty.values),
+        dict(zip(NAMES, deviations.tolist(), strict=True)),
+        covariance / np.outer(deviations, deviations),
         centre_residuals,
         steps + fit.steps + final.steps,
         blur,
-        uncertainty.disagreement,
-        uncertainty.by_frames,
+        disagreement,
+        by_frames,
         centre_outliers,
         beyond,
     )
@@ -159,12 +167,11 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
     require_on_detector(corners, camera.crop_size)
     numbers = numbers_of(camera)
     lattice = camera.lattice
-    principal = numbers[[AT["principal_u"], AT["principal_v"]]]
+    principal = numbers[PRINCIPAL]
     scale = camera.micro_image_pitch / camera.row_pitch / camera.pixel_size
-    u = np.array(lattice.from_frame(1.0, 0.0))
-    v = np.array(lattice.from_frame(0.0, 1.0))
-    offset = numbers[[AT["offset_x"], AT["offset_y"]]]
-    grid = np.stack([offset, u * lattice.pitches[0], v * lattice.row_distance]) * scale
+    along = lattice.from_frame(lattice.pitches[0], 0.0)
+    across = lattice.from_frame(0.0, lattice.row_distance)
+    grid = np.stack([numbers[OFFSET], along, across]) * scale
     grid[0] += principal
     if index is None:
         index, _ = find_lens_index(corners, lattice.stagger == 2, grid[0])
@@ -179,7 +186,7 @@ def _with_centres(problem: Problem, centres: Table, inliers: Array, index: LensI
     """Return a problem with some of the centres added."""
     nothing = np.zeros((0, 2))
     observed = Observations(index.unit(centres["k"], centres["l"])[inliers], centres.pixel[inliers], nothing, nothing)
-    return Problem(problem.corners, problem.pixel_size, problem.row_ratio, observed, weight)
+    return replace(problem, centres=observed, centre_weight=weight)
 
 
 def _through_pupil(problem: Problem, residuals: Array, good: Array) -> Problem:
@@ -210,11 +217,6 @@ def _used_centres(centres: Table, index: LensIndex, residuals: Array) -> tuple[A
     return inliers, scatter[0] / scatter[1] / _CORRELATED
 
 
-def _distance(problem: Problem, numbers: Array, poses: Array) -> Array:
-    """Return the distance between predicted and observed position of each corner, in pixels."""
-    return np.hypot(*problem.residuals(numbers, poses).T)
-
-
 def _require_matching_pupil(
     problem: Problem,
     fit: Adjusted,
@@ -232,7 +234,7 @@ def _require_matching_pupil(
     f, b, z = fit.numbers[:3]
     radius = z / b * f / (2 * start.f_number) / problem.pixel_size
     observed = problem.corners
-    middle, _ = predict_centres(fit.numbers, observed.lens, pixel_size=problem.pixel_size, row_ratio=problem.row_ratio)
+    middle, _ = predict_centres(fit.numbers, observed.lens, **problem.geometry)
     reach = float(np.quantile(np.hypot(*(observed.pixel - middle)[weights > 0].T), 0.95))
     if reach > 1.6 * radius:
         wrong = f"corners are seen {reach:.3g} pixels from the centres of their micro-images"
@@ -250,7 +252,7 @@ def _require_matching_pupil(
 
 def _weights(problem: Problem, fit: Adjusted, frames: Array) -> Array:
     """Return the weight of each corner in the fit: smaller for residuals beyond a limit, 0 for outliers."""
-    distance = _distance(problem, fit.numbers, fit.poses)
+    distance = np.hypot(*problem.residuals(fit.numbers, fit.poses).T)
     weights = np.where(outlying(distance), 0.0, huber(distance))
     pose = problem.corners.pose
     rows = np.bincount(pose)

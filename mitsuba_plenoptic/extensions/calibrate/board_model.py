@@ -49,7 +49,11 @@ NAMES = tuple(UNITS)
 """Their names, in the order of a vector of them."""
 
 AT = {name: index for index, name in enumerate(NAMES)}
-"""Index of each name in the vector."""
+"""Index of each name in the vector, which begins with f, b and z."""
+
+OFFSET = [AT["offset_x"], AT["offset_y"]]
+PRINCIPAL = [AT["principal_u"], AT["principal_v"]]
+"""Indices of the centre of lens (0, 0) and of the pixel on the axis."""
 
 
 @dataclass(frozen=True)
@@ -89,8 +93,7 @@ class Observations:
 def _left_jacobian(vector: Array) -> Array:
     """Return J with d(exp(w) x) = -[exp(w) x] J dw (Sola, "Quaternion kinematics", eq. 145 of SO(3))."""
     angle = float(np.linalg.norm(vector))
-    x, y, z = vector
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    cross = np.cross(np.eye(3), vector)
     if angle < 1e-4:
         return np.eye(3) + cross / 2 + cross @ cross / 6
     return np.eye(3) + (1 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross
@@ -112,21 +115,20 @@ def _lenses(numbers: Array, lens: Array, row_ratio: float) -> tuple[Array, Array
     c = spoke + np.array([ox, oy])
     slopes = np.tan(np.deg2rad([tilt_x, tilt_y]))
     c_by = np.zeros((len(lens), 2, len(NAMES)))
-    c_by[:, :, AT["pitch_along"]] = unit[:, :1] * rows[:, 0]
-    c_by[:, :, AT["pitch_across"]] = unit[:, 1:] * rows[:, 1]
-    c_by[:, :, AT["mla_rotation"]] = np.stack([-spoke[:, 1], spoke[:, 0]], axis=-1) * (np.pi / 180)
-    c_by[:, 0, AT["offset_x"]] = c_by[:, 1, AT["offset_y"]] = 1
-    h_by = np.einsum("a,nak->nk", slopes, c_by)
-    h_by[:, [AT["tilt_x"], AT["tilt_y"]]] += c * (1 + slopes**2) * (np.pi / 180)
+    # Pitches, rotation, offset, and below the tilt.
+    c_by[:, :, 3:5] = unit[:, None] * rows
+    c_by[:, :, 5] = np.deg2rad(spoke[:, ::-1] * [-1, 1])
+    c_by[:, :, OFFSET] = np.eye(2)
+    h_by = slopes @ c_by
+    h_by[:, 8:10] += np.deg2rad(c * (1 + slopes**2))
     return c, c @ slopes, c_by, h_by
 
 
 def _pixels(numbers: Array, p: Array, p_by: Array, pixel_size: float) -> tuple[Array, Array]:
     """Return positions on the detector and their derivatives, converted to pixels."""
     by_numbers = p_by / pixel_size
-    principal = [AT["principal_u"], AT["principal_v"]]
-    by_numbers[:, [0, 1], principal] += 1
-    return p / pixel_size + numbers[principal], by_numbers
+    by_numbers[:, :, PRINCIPAL] += np.eye(2)
+    return p / pixel_size + numbers[PRINCIPAL], by_numbers
 
 
 def predict_centres(numbers: Array, lens: Array, *, pixel_size: float, row_ratio: float) -> tuple[Array, Array]:
@@ -142,9 +144,15 @@ def predict_centres(numbers: Array, lens: Array, *, pixel_size: float, row_ratio
     behind = (z + h)[:, None]
     p_by = c_by * (1 + behind / before)[:, :, None]
     p_by += (c * (before + behind) / before**2)[:, :, None] * h_by[:, None]
-    p_by[:, :, AT["detector_distance"]] += c / before
-    p_by[:, :, AT["mla_distance"]] -= c * behind / before**2
+    p_by[:, :, 2] += c / before
+    p_by[:, :, 1] -= c * behind / before**2
     return _pixels(numbers, c * (1 + behind / before), p_by, pixel_size)
+
+
+def centres_of(camera: PlenopticCamera, lens: Array) -> Array:
+    """Return the centres (n, 2) in pixels of a camera's micro-images, for positions of lenses as in `Observations`."""
+    row_ratio = camera.lattice.row_ratio
+    return predict_centres(numbers_of(camera), lens, pixel_size=camera.pixel_size, row_ratio=row_ratio)[0]
 
 
 def predict(
@@ -165,26 +173,19 @@ def predict(
         of_pose = observed.pose == index
         rotated = Rotation.from_rotvec(pose[:3]).apply(corner[of_pose])
         X[of_pose] = rotated + pose[3:]
-        arm = np.zeros((len(rotated), 3, 3))
-        arm[:, 0, 1] = rotated[:, 2]
-        arm[:, 0, 2] = -rotated[:, 1]
-        arm[:, 1, 2] = rotated[:, 0]
-        X_by[of_pose, :, :3] = (arm - arm.transpose(0, 2, 1)) @ _left_jacobian(pose[:3])
+        by_rotated = np.cross(_left_jacobian(pose[:3]), np.eye(3)[:, None], axisa=0, axisc=1)
+        X_by[of_pose, :, :3] = np.tensordot(rotated, by_rotated, 1)
         X_by[of_pose, :, 3:] = np.eye(3)
     g = X[:, 2]
     # Nearer than the focal length there is no image: the caller sees values that are not finite.
     beyond = np.where(g > f, g - f, np.nan)
     q = -X[:, :2] * (f / beyond)[:, None]
     gamma = g * f / (beyond * b)
-    q_by_X = np.zeros((n, 2, 3))
-    q_by_X[:, 0, 0] = q_by_X[:, 1, 1] = -f / beyond
-    q_by_X[:, :, 2] = -q / beyond[:, None]
-    gamma_by_g = -(f**2) / (beyond**2 * b)
     q_by = np.zeros((n, 2, len(NAMES)))
     gamma_by = np.zeros((n, len(NAMES)))
-    q_by[:, :, AT["focal_length"]] = -X[:, :2] * (g / beyond**2)[:, None]
-    gamma_by[:, AT["focal_length"]] = g**2 / (beyond**2 * b)
-    gamma_by[:, AT["mla_distance"]] = -gamma / b
+    q_by[:, :, 0] = -X[:, :2] * (g / beyond**2)[:, None]
+    gamma_by[:, 0] = g**2 / (beyond**2 * b)
+    gamma_by[:, 1] = -gamma / b
     # The ray's slope.
     t = np.zeros((n, 2))
     for _ in range(2):
@@ -199,31 +200,22 @@ def predict(
     by_c = (1 - gamma)[:, None, None] * np.eye(2) + gamma[:, None, None] * bend
     by_h = -np.einsum("nab,nb->na", by_c, t)
     miss_by = by_c @ c_by + by_h[:, :, None] * h_by[:, None] + (source - P)[:, :, None] * gamma_by[:, None] - q_by
-    miss_by[:, :, AT["mla_distance"]] += (1 - gamma)[:, None] * t
+    miss_by[:, :, 1] += (1 - gamma)[:, None] * t
     miss_by[:, :, 12:] += gamma[:, None, None] * source_by
     t_by = -inverse @ miss_by
-    by_X = q_by_X.copy()
-    by_X[:, :, 2] -= (source - P) * gamma_by_g[:, None]
+    by_X = np.zeros((n, 2, 3))
+    by_X[:, 0, 0] = by_X[:, 1, 1] = -f / beyond
+    by_X[:, :, 2] = (source - P) * (f**2 / (beyond**2 * b))[:, None] - q / beyond[:, None]
     t_by_pose = inverse @ by_X @ X_by
     p = c - (z + h)[:, None] * t
     p_by = c_by - (z + h)[:, None, None] * t_by - t[:, :, None] * h_by[:, None]
-    p_by[:, :, AT["detector_distance"]] -= t
+    p_by[:, :, 2] -= t
     pixel, by_numbers = _pixels(numbers, p, p_by, pixel_size)
     return pixel, by_numbers, t_by_pose * (-(z + h) / pixel_size)[:, None, None]
 
 
-_PRINCIPAL = [AT["principal_u"], AT["principal_v"]]
-
-
-def on_pixel_grid(numbers: Array) -> Array:
-    """Return camera numbers whose principal point is moved to the nearest centre, edge or corner of a pixel."""
-    moved = numbers.copy()
-    moved[_PRINCIPAL] = np.round(2 * moved[_PRINCIPAL]) / 2
-    return moved
-
-
 def camera_of(numbers: Array, like: PlenopticCamera) -> PlenopticCamera:
-    """Return the camera of given parameters, with a principal point `on_pixel_grid`.
+    """Return the camera of given parameters, with a principal point at a centre, edge or corner of a pixel.
 
     Properties that the numbers do not determine are those of `like`: recorded pixels and their size, f-number, lattice,
     apertures and focal lengths of the microlenses, and the refraction model.
@@ -231,13 +223,12 @@ def camera_of(numbers: Array, like: PlenopticCamera) -> PlenopticCamera:
     ends = np.cumsum([len(parts_of(like, name)) for name in CALIBRATED])
     *leading, beyond = np.split(numbers, ends)
     values = dict(zip(CALIBRATED, leading, strict=True))
-    focal_length = numbers[AT["focal_length"]]
-    values |= {"distortion": beyond[2:], "aperture_radius": np.array([focal_length / (2 * like.f_number)])}
+    values |= {"distortion": beyond[2:], "aperture_radius": numbers[:1] / (2 * like.f_number)}
     offset = values["mla_offset"]
     values["mla_offset"] = np.zeros(2)
     resolution = []
     crop = []
-    for pixels, principal in zip(like.crop_size, numbers[_PRINCIPAL], strict=True):
+    for pixels, principal in zip(like.crop_size, numbers[PRINCIPAL], strict=True):
         # Twice the distance of the axis from the first pixel's edge.
         twice = round(2 * principal) + 1
         crop.append(max(0, pixels - twice))
@@ -261,21 +252,9 @@ def numbers_of(camera: PlenopticCamera) -> Array:
 
 
 def _undistorted(m: Array, distortion: Array) -> tuple[Array, Array, Array]:
-    """Return the undistorted positions U(m) for positions (n, 2), with their derivatives.
+    """Return the undistorted positions U(m) in mm for positions (n, 2), with derivatives by these and the distortion.
 
-    Parameters
-    ----------
-    m : (n, 2) array
-        Positions on the MLA in millimetres.
-    distortion : five numbers
-        k1, k2, k3, p1 and p2.
-
-    Returns
-    -------
-    place : (n, 2) array
-    by_place : (n, 2, 2) array
-    by_numbers : (n, 2, 5) array
-        With respect to k1, k2, k3, p1 and p2.
+    The derivatives have the shapes (n, 2, 2) and (n, 2, 5).
     """
     k1, k2, k3, p1, p2 = distortion
     x, y = m.T

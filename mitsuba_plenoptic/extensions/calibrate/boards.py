@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import mitsuba as mi
@@ -60,7 +59,7 @@ def find_board(picture: Picture, board: Board) -> tuple[float, Array]:
         view = _seen(picture, flat, tree.query(flat, k=_LENSES)[1], disparity)[0].reshape(positions.shape[:2])
         if not np.isfinite(view).any():
             continue
-        low, high = np.percentile(view[np.isfinite(view)], [2, 98])
+        low, high = np.nanpercentile(view, [2, 98])
         grey = np.nan_to_num((view - low) / max(high - low, 1e-12)).clip(0, 1)
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
         # The other detector, findChessboardCornersSB, finds corners in noise here, others each time.
@@ -73,7 +72,7 @@ def find_board(picture: Picture, board: Board) -> tuple[float, Array]:
                 corners = corners[::-1, ::-1]
             along = (corners[:, -1] - corners[:, 0]).sum(0)
             across = (corners[-1] - corners[0]).sum(0)
-            return disparity, corners if along[0] * across[1] > along[1] * across[0] else corners[::-1]
+            return disparity, corners if np.linalg.det([along, across]) > 0 else corners[::-1]
     raise InputError(
         f"{picture.name}: no checkerboard of {board.columns}x{board.rows} inner corners is seen in it, whole, at any "
         "distance at which several lenses see each corner"
@@ -149,19 +148,15 @@ def board_scene(
     rotation = Rotation.from_rotvec(pose[:3]).as_matrix()
     squares = np.array([board.columns + 1, board.rows + 1])
 
-    def rectangle(margin: float, back: float) -> Any:
+    def shining(radiance: Any, margin: float, back: float) -> dict[str, Any]:
         # The rectangle's front is its own +z: turned to the board's -z, which turns its y, too.
         half = (squares / 2 + margin) * board.square
-        middle = np.array([*(squares / 2 - 1) * board.square, back])
         matrix = np.eye(4)
-        matrix[:3, :3] = rotation @ np.diag([half[0], -half[1], -1.0])
-        matrix[:3, 3] = rotation @ middle + pose[3:]
-        return mi.ScalarTransform4f(matrix)
-
-    def shining(radiance: Any, to_world: Any) -> dict[str, Any]:
+        matrix[:3, :3] = rotation * [half[0], -half[1], -1.0]
+        matrix[:3, 3] = rotation @ [*(squares / 2 - 1) * board.square, back] + pose[3:]
         return {
             "type": "rectangle",
-            "to_world": to_world,
+            "to_world": mi.ScalarTransform4f(matrix),
             "emitter": {"type": "area", "radiance": radiance},
             "bsdf": {"type": "diffuse", "reflectance": 0.0},
         }
@@ -179,8 +174,8 @@ def board_scene(
             "type": "scene",
             "integrator": {"type": "path", "max_depth": 1},
             "sensor": camera.to_sensor() | {"sampler": {"type": "independent", "sample_count": spp}},
-            "squares": shining(texture, rectangle(0.0, 0.0)),
-            "margin": shining(light, rectangle(1.0, 1e-3 * board.square)),
+            "squares": shining(texture, 0.0, 0.0),
+            "margin": shining(light, 1.0, 1e-3 * board.square),
         },
         parallel=False,
     )
@@ -220,52 +215,37 @@ def find_saddles(
 
     Shapes: `image`, `weight` (rows, columns), `position` (n, 2), `angles` (n, 2), `centre` (n, 2).
     """
-    blocks = np.array_split(np.arange(len(position)), max(1, -(-len(position) // 2048)))
-    fits = []
-    for rows in blocks:
-        of_block = None if displacement is None else partial(displacement, rows)
-        fits.append(_fit(image, weight, position[rows], angles[rows], centre[rows], radius, even, of_block))
-    return Saddles(*(np.concatenate(values) for values in zip(*fits, strict=True)))
-
-
-def _fit(
-    image: Array,
-    weight: Array,
-    position: Array,
-    angles: Array,
-    centre: Array,
-    radius: float,
-    even: float,
-    displacement: Callable[[Array], Array] | None,
-) -> tuple[Array, Array, Array]:
-    n = len(position)
-    # Cut off at the rim of the micro-image alone, a window would draw the corner to one side.
-    reach = (radius - np.hypot(*(position - centre).T)).clip(2.0, _WINDOW * radius)[:, None]
     half = int(np.ceil(_WINDOW * radius))
-    steps = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2), axis=-1).reshape(-1, 2)
-    pixel = np.round(position).astype(int)[:, None] + steps
-    x, y = (pixel[:, :, axis].clip(0, image.shape[1 - axis] - 1) for axis in (0, 1))
-    arm = pixel - centre[:, None]
-    shown_at = pixel if displacement is None else pixel + displacement(arm)
-    # A window with a soft rim that is symmetrical about the corner, without what is beyond the evenly lit part.
-    distance = np.hypot(*np.moveaxis(shown_at - position[:, None], 2, 0))
-    w = weight[y, x] * (reach + 0.5 - distance).clip(0, 1)
-    w *= np.hypot(*np.moveaxis(arm, 2, 0)) < even
-    w *= (pixel == np.stack([x, y], axis=-1)).all(2)
-    value = image[y, x]
-    enough = w.sum(1) > 12
-    p = np.concatenate([position, angles, np.full((n, 1), np.log(1.2))], axis=1)
-    p, linear, square, information = _descend(shown_at, value, w, p, position)
-    degrees = np.maximum(w.sum(1) - 7, 1)
-    covariance = np.linalg.pinv(information[:, :2, :2]) * (square / degrees)[:, None, None]
-    deviation = np.sqrt(np.linalg.eigvalsh(covariance)[:, 1].clip(0))
-    deviation = np.where(enough & (np.hypot(*(p[:, :2] - position).T) < _FARTHEST), deviation, np.inf)
-    return p[:, :2], deviation, np.abs(linear[:, 1])
+    steps = np.indices((2 * half + 1,) * 2)[::-1].reshape(2, -1).T - half
+
+    def fitted(rows: Array) -> tuple[Array, Array, Array]:
+        start = position[rows]
+        # Cut off at the rim of the micro-image alone, a window would draw the corner to one side.
+        reach = (radius - np.hypot(*(start - centre[rows]).T)).clip(2.0, _WINDOW * radius)[:, None]
+        pixel = np.round(start).astype(int)[:, None] + steps
+        x, y = (pixel[:, :, axis].clip(0, image.shape[1 - axis] - 1) for axis in (0, 1))
+        arm = pixel - centre[rows][:, None]
+        shown_at = pixel if displacement is None else pixel + displacement(rows, arm)
+        # A window with a soft rim that is symmetrical about the corner, without what is beyond the evenly lit part.
+        w = weight[y, x] * (reach + 0.5 - np.hypot(*np.moveaxis(shown_at - start[:, None], 2, 0))).clip(0, 1)
+        w *= np.hypot(*np.moveaxis(arm, 2, 0)) < even
+        w *= (pixel == np.stack([x, y], axis=-1)).all(2)
+        total = w.sum(1)
+        p = np.column_stack([start, angles[rows], np.full(len(rows), np.log(1.2))])
+        p, linear, square, information = _descend(shown_at, image[y, x], w, p)
+        covariance = np.linalg.pinv(information[:, :2, :2]) * (square / np.maximum(total - 7, 1))[:, None, None]
+        deviation = np.sqrt(np.linalg.eigvalsh(covariance)[:, 1].clip(0))
+        good = (total > 12) & (np.hypot(*(p[:, :2] - start).T) < _FARTHEST)
+        return p[:, :2], np.where(good, deviation, np.inf), np.abs(linear[:, 1])
+
+    blocks = np.array_split(np.arange(len(position)), max(1, -(-len(position) // 2048)))
+    return Saddles(*map(np.concatenate, zip(*map(fitted, blocks), strict=True)))
 
 
-def _descend(pixel: Array, value: Array, w: Array, p: Array, position: Array) -> tuple[Array, Array, Array, Array]:
+def _descend(pixel: Array, value: Array, w: Array, p: Array) -> tuple[Array, Array, Array, Array]:
     """Return position, angles and blur of a corner that minimise the residual; level and contrast follow."""
-    linear, square, jacobian, residual = _model(pixel, value, w, p)
+    position = p[:, :2].copy()
+    linear, square, jacobian, residual = best = _model(pixel, value, w, p)
     damping = np.full(len(p), 1e-2)
     low, high = np.log([0.3, 6.0])
     for _ in range(12):
@@ -278,12 +258,9 @@ def _descend(pixel: Array, value: Array, w: Array, p: Array, position: Array) ->
         new[:, 4] = new[:, 4].clip(low, high)
         tried = _model(pixel, value, w, new)
         better = tried[1] < square
-        p = np.where(better[:, None], new, p)
         damping = np.where(better, damping / 5, damping * 5).clip(1e-6, 1e6)
-        linear = np.where(better[:, None], tried[0], linear)
-        square = np.where(better, tried[1], square)
-        jacobian = np.where(better[:, None, None], tried[2], jacobian)
-        residual = np.where(better[:, None], tried[3], residual)
+        for values, others in zip((p, *best), (new, *tried), strict=True):
+            values[better] = others[better]
     information = np.einsum("npa,np,npb->nab", jacobian, w, jacobian, optimize=True)
     return p, linear, square, information
 
@@ -292,14 +269,15 @@ def _model(pixel: Array, value: Array, w: Array, p: Array) -> tuple[Array, Array
     """Return level and contrast of a blurred corner's model, the sum of squares, its derivatives, and residuals."""
     arm = pixel - p[:, None, :2]
     blur = np.exp(p[:, 4])[:, None]
-    edges = []
-    for angle in (p[:, 2, None], p[:, 3, None]):
-        cosine = np.cos(angle)
-        sine = np.sin(angle)
-        t = (cosine * arm[:, :, 1] - sine * arm[:, :, 0]) / blur
-        # By t; by the angle; along both axes.
-        edges.append((erf(t), 2 / np.sqrt(np.pi) * np.exp(-t * t), t, arm, cosine, sine))
-    product = edges[0][0] * edges[1][0]
+    # Of both edges: positions across and along them.
+    angles = p[:, 2:4].T[:, :, None]
+    cosine = np.cos(angles)
+    sine = np.sin(angles)
+    x, y = np.moveaxis(arm, 2, 0) / blur
+    t = cosine * y - sine * x
+    along = sine * y + cosine * x
+    edges = erf(t)
+    product = edges.prod(0)
     weights = w.sum(1) + 1e-30
     mean = (w * product).sum(1) / weights
     mean_value = (w * value).sum(1) / weights
@@ -307,13 +285,10 @@ def _model(pixel: Array, value: Array, w: Array, p: Array) -> tuple[Array, Array
     contrast = (w * about * value).sum(1) / ((w * about * about).sum(1) + 1e-30)
     level = mean_value - contrast * mean
     residual = value - level[:, None] - contrast[:, None] * product
-    jacobian = np.zeros((*product.shape, 5))
-    for index, (crossed, (_, bell, t, _, cosine, sine)) in enumerate(zip(edges[::-1], edges, strict=True)):
-        by_t = contrast[:, None] * bell * crossed[0]
-        jacobian[:, :, 0] += by_t * sine / blur
-        jacobian[:, :, 1] -= by_t * cosine / blur
-        jacobian[:, :, 2 + index] = by_t * -(sine * arm[:, :, 1] + cosine * arm[:, :, 0]) / blur
-        jacobian[:, :, 4] -= by_t * t
+    by_t = 2 / np.sqrt(np.pi) * np.exp(-t * t) * contrast[:, None] * edges[::-1]
+    by_x = (by_t * sine).sum(0) / blur
+    by_y = -(by_t * cosine).sum(0) / blur
+    jacobian = np.stack([by_x, by_y, *(-by_t * along), -(by_t * t).sum(0)], axis=-1)
     # What level and contrast make up for is no information.
     for base in (np.ones_like(product), about):
         projection = np.einsum("np,np,npa->na", w, base, jacobian) / ((w * base * base).sum(1) + 1e-30)[:, None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +13,7 @@ from ...cli import inputs, options
 from ...errors import content_of, refuse_if
 
 if TYPE_CHECKING:
+    from ...camera import PlenopticCamera
     from ...runtime import Array
     from .calibration import Board
 
@@ -86,22 +87,22 @@ def calibrate(
 
       mitsuba-plenoptic calibrate --evaluate corners.csv --camera camera.json --board 9x5 --square 10
     """
-    from ...runtime import require_apart, require_different
+    from ...runtime import require_apart, require_different, require_writable
 
     sources = sources or []
     if bool(sources) == (evaluate is not None):
         raise typer.BadParameter("give corners or pictures, or corners to --evaluate", param_hint="SOURCE")
-    for path in [*sources, *filter(None, [evaluate])]:
-        content = content_of(path) if path == evaluate or path.suffix.lower() not in _PICTURES else "text"
-        refuse_if(
-            not content.startswith("text") and path.suffix.lower() not in choices.LYTRO_SUFFIXES,
-            f"{path}: it is {content}; corners are a table (.csv), pictures and white images .exr, .png or .tiff",
-        )
+    pictures = [path.suffix.lower() in _PICTURES for path in sources]
+    for path in sources if evaluate is None else [evaluate]:
         refuse_if(
             path.suffix.lower() in choices.LYTRO_SUFFIXES,
             f"{path}: a raw picture of a Lytro camera is a mosaic of colours; demosaic it first",
         )
-    pictures = [path.suffix.lower() in _PICTURES for path in sources]
+        content = "text" if evaluate is None and path.suffix.lower() in _PICTURES else content_of(path)
+        refuse_if(
+            not content.startswith("text"),
+            f"{path}: it is {content}; corners are a table (.csv), pictures and white images .exr, .png or .tiff",
+        )
     if evaluate is not None and output is not None:
         raise typer.BadParameter("--evaluate prints and writes no file", param_hint="--output")
     fitted = all(pictures) and board is None and output is not None and output.suffix.lower() == ".json"
@@ -117,9 +118,25 @@ def calibrate(
     if evaluate is not None:
         inputs.refuse_options("an evaluation", centres=centres, white=white, linear=linear)
         _evaluate(evaluate, camera, board, square)
-    elif fitted:
+        return
+    if output is None:
+        raise typer.BadParameter("name the file to write", param_hint="--output")
+    if len(sources) > 1 and (fitted or not all(pictures)):
+        message = "a camera is fitted to one white picture" if fitted else "give one table of corners, or pictures"
+        raise typer.BadParameter(message, param_hint="SOURCE")
+    require_writable(output, ".csv" if all(pictures) and not fitted else ".json")
+    if report:
+        require_writable(report, ".html")
+    if fitted:
         inputs.refuse_options("a fit to a white picture", square=square, centres=centres, white=white, linear=linear)
-        _fit(sources, output, camera, dark, wavelength, model, report)
+        by_rays = model == "ray"
+        refuse_if(
+            by_rays and wavelength is not None, f"--wavelength = {wavelength}: a fit by rays has none; leave it out"
+        )
+        nominal, _ = _camera(camera)
+        from .white_command import fit_camera
+
+        fit_camera(sources[0], output, nominal, dark, None if by_rays else wavelength or 550.0, report)
     elif all(pictures) and board is not None:
         inputs.refuse_options("detecting corners", square=square)
         _detect(sources, output, camera, board, centres, white, linear)
@@ -128,8 +145,6 @@ def calibrate(
             "finding centres in white images", camera=camera, square=square, centres=centres, white=white
         )
         _centres(sources, output, linear)
-    elif len(sources) > 1:
-        raise typer.BadParameter("give one table of corners, or pictures", param_hint="SOURCE")
     else:
         inputs.refuse_options("a calibration from corners", white=white, linear=linear)
         _calibrate(sources[0], output, camera, board, square, centres, report)
@@ -145,34 +160,25 @@ def _board(board: str | None, square: float | None) -> Board:
     return Board.parse(board, square)
 
 
-def _camera(camera: str | None) -> str:
+def _camera(camera: str | None) -> tuple[PlenopticCamera, Any]:
+    """Return the camera and the record of its calibration."""
     if camera is None:
         raise typer.BadParameter("name a camera: a preset, a JSON file or a scene", param_hint="--camera")
-    return camera
-
-
-def _output(output: Path | None, suffix: str) -> Path:
-    from ...runtime import require_writable
-
-    if output is None:
-        raise typer.BadParameter("name the file to write", param_hint="--output")
-    return require_writable(output, suffix)
+    return inputs.load_camera(camera, {})
 
 
 def _evaluate(path: Path, camera: str | None, board: str | None, square: float | None) -> None:
-    camera = _camera(camera)
+    tested, record = _camera(camera)
     from . import calibration
     from .calibrated_cameras import lens_index
     from .calibration_result import error_line, outlier_lines
 
-    tested, record = inputs.load_camera(camera, {})
     index = lens_index(record)
     size = _board(board, square)
     evaluation = calibration.evaluate(calibration.read_corners(path, size, tested.crop_size), size, tested, index)
     for frame, error in zip(evaluation.frames, evaluation.pose_errors, strict=True):
         typer.echo(f"frame {frame}: {error:.4f} px")
-    for line in [*outlier_lines(evaluation, _NAMED), error_line(evaluation)]:
-        typer.echo(line)
+    typer.echo("\n".join([*outlier_lines(evaluation, _NAMED), error_line(evaluation)]))
 
 
 def _picture(path: Path, linear: bool) -> Array:
@@ -185,14 +191,13 @@ def _picture(path: Path, linear: bool) -> Array:
 
 def _detect(
     paths: list[Path],
-    output: Path | None,
+    output: Path,
     camera: str | None,
     board: str,
     centres: Path | None,
     white: Path | None,
     linear: bool,
 ) -> None:
-    output = _output(output, ".csv")
     import numpy as np
 
     from ...views import white_image
@@ -201,9 +206,9 @@ def _detect(
 
     known_camera = None
     if camera is not None:
-        known_camera, record = inputs.load_camera(camera, {})
-        middles = calibration.camera_centres(known_camera, lens_index(record))
+        known_camera, record = _camera(camera)
         light = white_image(known_camera) if white is None else _picture(white, linear)
+        middles = calibration.camera_centres(known_camera, lens_index(record))
     elif white is not None:
         light = _picture(white, linear)
         middles = calibration.find_centres(light).table(white.name)
@@ -217,17 +222,18 @@ def _detect(
     tables = []
     for frame, path in enumerate(paths):
         picture = _picture(path, linear)
-        tables.append(
-            calibration.detect_corners(picture, light, middles, shape, camera=known_camera, frame=frame, name=path.name)
+        table = calibration.detect_corners(
+            picture, light, middles, shape, camera=known_camera, frame=frame, name=path.name
         )
-        distinct = len(np.unique(tables[-1]["cluster"]))
-        typer.echo(f"frame {frame}, {path.name}: {distinct} corners, seen {len(tables[-1]['k'])} times")
-    calibration.write_corners(output, calibration.concatenate(tables))
-    typer.echo(f"{output}: {sum(len(table['k']) for table in tables)} corners in {len(paths)} pictures")
+        tables.append(table)
+        distinct = len(np.unique(table["cluster"]))
+        typer.echo(f"frame {frame}, {path.name}: {distinct} corners, seen {len(table['k'])} times")
+    corners = calibration.concatenate(tables)
+    calibration.write_corners(output, corners)
+    typer.echo(f"{output}: {len(corners['k'])} corners in {len(paths)} pictures")
 
 
-def _centres(paths: list[Path], output: Path | None, linear: bool) -> None:
-    output = _output(output, ".csv")
+def _centres(paths: list[Path], output: Path, linear: bool) -> None:
     from . import calibration
     from .calibration_result import listed
 
@@ -248,52 +254,23 @@ def _centres(paths: list[Path], output: Path | None, linear: bool) -> None:
     )
 
 
-def _fit(
-    sources: list[Path],
-    output: Path | None,
-    camera: str | None,
-    dark: Path | None,
-    wavelength: float | None,
-    model: str | None,
-    report: Path | None,
-) -> None:
-    from ...runtime import require_writable
-
-    if len(sources) > 1:
-        raise typer.BadParameter("a camera is fitted to one white picture", param_hint="SOURCE")
-    nominal, _ = inputs.load_camera(_camera(camera), {})
-    by_rays = model == "ray"
-    refuse_if(by_rays and wavelength is not None, f"--wavelength = {wavelength}: a fit by rays has none; leave it out")
-    if report:
-        require_writable(report, ".html")
-    from .white_command import fit_camera
-
-    length = None if by_rays else wavelength or 550.0
-    fit_camera(sources[0], _output(output, ".json"), nominal, dark, length, report)
-
-
 def _calibrate(
     path: Path,
-    output: Path | None,
+    output: Path,
     camera: str | None,
     board: str | None,
     square: float | None,
     centres: Path | None,
     report: Path | None,
 ) -> None:
-    output = _output(output, ".json")
-    camera = _camera(camera)
-    from ...runtime import require_writable
+    start, _ = _camera(camera)
     from . import calibration
     from .board_model import UNITS
     from .calibration_result import summary
 
-    start, _ = inputs.load_camera(camera, {})
     size = _board(board, square)
     corners = calibration.read_corners(path, size, start.crop_size)
     middles = None if centres is None else calibration.read_centres(centres)
-    if report:
-        require_writable(report, ".html")
     calibration_found = calibration.calibrate(corners, size, start, middles)
     calibration.write_calibration(output, calibration_found, size)
     if report:
@@ -303,5 +280,4 @@ def _calibrate(
     for name, value in calibration_found.numbers.items():
         typer.echo(f"{name:>18} {value:14.7g} +- {calibration_found.deviations[name]:.2g} {UNITS[name]}".rstrip())
     *lines, error = summary(calibration_found, _NAMED)
-    for line in [*lines, f"{output}: {error}"]:
-        typer.echo(line)
+    typer.echo("\n".join([*lines, f"{output}: {error}"]))

@@ -174,8 +174,6 @@ def _inverse_distortion(distortion: Array, reach: float) -> Array:
     y = (radius * np.sin(angle)).ravel()
     k1, k2, k3, p1, p2 = distortion * [1, 1, 1, -1, -1]
     u, v = undistort(x, y, (k1, k2, k3, p1, p2))
-    unit = np.eye(5)
-    columns = [np.concatenate(undistort(u, v, e)) - np.concatenate([u, v]) for e in unit]
-    scale = np.array([np.abs(column).max() for column in columns])
-    target = np.concatenate([x - u, y - v])
-    return np.linalg.lstsq(np.stack(columns, axis=-1) / scale, target)[0] / scale
+    matrix = np.stack([np.ravel(undistort(u, v, e)) - np.ravel([u, v]) for e in np.eye(5)], axis=-1)
+    scale = np.abs(matrix).max(0)
+    return np.linalg.lstsq(matrix / scale, np.ravel([x - u, y - v]))[0] / scale

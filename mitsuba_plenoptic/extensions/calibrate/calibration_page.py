@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from matplotlib.axes import Axes
 
 from ...report import pages, plots
 from ...runtime import Array
+from .adjustment import rms
 from .board_model import UNITS
 from .calibration_result import Calibration, Evaluation, ResidualMap, field_cells, group_means, residual_map, summary
 from .observations import Board, placed
@@ -82,9 +82,8 @@ def _ranges(title: str, ranges: Iterable[Sequence[float]]) -> pages.Table:
 
 def _by(quantity: Array, residuals: Array) -> list[tuple[float, float, int, float]]:
     """Return ranges of a quantity that hold equally many observations, and the RMS residual in each range."""
-    squares = (residuals**2).sum(1)
     return [
-        (float(quantity[rows[0]]), float(quantity[rows[-1]]), len(rows), math.sqrt(squares[rows].mean()))
+        (quantity[rows[0]], quantity[rows[-1]], len(rows), rms(residuals[rows]))
         for rows in np.array_split(np.argsort(quantity), _PARTS)
         if len(rows)
     ]

@@ -12,9 +12,9 @@ from scipy.stats import chi2
 from ...camera import PlenopticCamera
 from ...errors import require_choice, require_count
 from ...runtime import Array
-from .adjustment import Adjusted, Problem, outlying
+from .adjustment import Adjusted, Problem, outlying, rms
 from .blur import Blur
-from .board_model import NAMES, numbers_of, predict_centres
+from .board_model import NAMES, centres_of
 from .observations import Board, LensIndex, Table, placed
 
 OPEN = 0.1
@@ -22,14 +22,6 @@ OPEN = 0.1
 
 REMEDY = "give centres of micro-images, or add poses nearer and farther, in which the board is tilted by 20 degrees"
 """What determines an open focal length."""
-
-GROUPED_BY = {
-    "lens": ("k", "l", "u", "v"),
-    "field": ("u", "v"),
-    "depth": ("nearest", "farthest"),
-    "pose": ("frame",),
-}
-"""Groups of residuals, each with the columns that identify a group."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +48,7 @@ class Evaluation:
     @property
     def error(self) -> float:
         """RMS of the distances between predicted and observed positions in pixels."""
-        return float(np.sqrt((self.residuals**2).sum(1).mean()))
+        return rms(self.residuals)
 
     @property
     def pose_errors(self) -> Array:
@@ -130,9 +122,7 @@ class Calibration:
     @property
     def centre_error(self) -> float | None:
         """RMS of the distances between predicted and observed centres in pixels; None without centres."""
-        if not len(self.centre_residuals):
-            return None
-        return float(np.sqrt((self.centre_residuals**2).sum(1).mean()))
+        return rms(self.centre_residuals) if len(self.centre_residuals) else None
 
     @property
     def open_direction(self) -> dict[str, float]:
@@ -141,12 +131,11 @@ class Calibration:
         Only parameters with a correlation above 0.5 are named. Empty if the deviation is below a tenth of the focal
         length.
         """
-        focal = NAMES.index("focal_length")
         if self.deviations["focal_length"] < OPEN * abs(self.numbers["focal_length"]):
             return {}
         return {
             name: float(correlation) * self.deviations[name]
-            for name, correlation in zip(NAMES, self.correlation[focal], strict=True)
+            for name, correlation in zip(NAMES, self.correlation[0], strict=True)
             if abs(correlation) > 0.5
         }
 
@@ -181,10 +170,10 @@ class ResidualMap:
     Attributes
     ----------
     by : str
-        Property, of `GROUPED_BY`, that a group's observations have in common.
+        Property that a group's observations have in common, as for `residual_map`.
     key : (groups, columns) array
-        Identity of the group, with the columns that `GROUPED_BY` names. ``lens``: indices as in the data, and the
-        camera's centre of the micro-image in pixels; ``field``: middle of a square of the detector, in pixels;
+        Identity of the group. ``lens``: indices k, l as in the data, and the camera's centre u, v of the
+        micro-image in pixels; ``field``: middle of a square of the detector, in pixels;
         ``depth``: least and greatest distance of the corners, in mm; ``pose``: number of the frame.
     count : (groups,) int array
         Number of observations in each group.
@@ -217,29 +206,28 @@ def residual_map(calibration: Calibration, board: Board, corners: Table, by: str
     parts : int
         Squares along the detector's rows, of ``field``; ranges with as many observations each, of ``depth``.
     """
-    require_choice("by", by, GROUPED_BY)
+    require_choice("by", by, ("lens", "field", "depth", "pose"))
     require_count("parts", parts, minimum=1, maximum=1000)
     evaluation = calibration.evaluation
     camera = calibration.camera
+    group = evaluation.pose
     if by == "lens":
         lenses, group = np.unique(np.stack([corners["k"], corners["l"]], axis=-1), axis=0, return_inverse=True)
-        unit = calibration.index.unit(*lenses.T)
-        geometry = {"pixel_size": camera.pixel_size, "row_ratio": camera.lattice.row_ratio}
-        key = np.concatenate([lenses, predict_centres(numbers_of(camera), unit, **geometry)[0]], axis=1)
+        key = np.concatenate([lenses, centres_of(camera, calibration.index.unit(*lenses.T))], axis=1)
     elif by == "field":
         key, group = field_cells(corners.pixel, camera.crop_size[0] / parts)
     elif by == "depth":
         depth = placed(board.places(corners["cluster"]), evaluation.poses, evaluation.pose)[:, 2]
-        group = np.empty(len(depth), dtype=int)
+        group = np.empty_like(group)
         ranges = [rows for rows in np.array_split(np.argsort(depth, kind="stable"), parts) if len(rows)]
         for index, rows in enumerate(ranges):
             group[rows] = index
         key = np.array([depth[rows[[0, -1]]] for rows in ranges])
     else:
         key = evaluation.frames[:, None]
-        group = evaluation.pose
-    count, mean = group_means(-evaluation.residuals, group.ravel())
-    square = np.bincount(group.ravel(), (evaluation.residuals**2).sum(1)) / count
+    group = group.ravel()
+    count, mean = group_means(-evaluation.residuals, group)
+    square = np.bincount(group, (evaluation.residuals**2).sum(1)) / count
     return ResidualMap(by, key.astype(float), count, mean, np.sqrt(square))
 
 
@@ -294,11 +282,8 @@ def outlier_lines(evaluation: Evaluation, most: int) -> list[str]:
     rows = evaluation.outliers
     if not len(rows):
         return []
-    frames = ", ".join(
-        f"{count} of {evaluation.frames[pose]}"
-        for pose, count in enumerate(np.bincount(evaluation.pose[rows]))
-        if count
-    )
+    poses, counts = np.unique(evaluation.pose[rows], return_counts=True)
+    frames = ", ".join(f"{n} of {frame}" for n, frame in zip(counts, evaluation.frames[poses], strict=True))
     return [
         f"{len(rows)} outliers, in lines {listed((rows + 2).tolist(), most)}; by frame: {frames}",
         f"without outliers {evaluation.error_without_outliers:.4f} px over {len(evaluation.residuals) - len(rows)} "
@@ -318,27 +303,11 @@ def listed(items: Sequence[object], most: int) -> str:
     return ", ".join(map(str, items[:most])) + more
 
 
-@dataclass(frozen=True)
-class Deviations:
-    """Standard deviations and covariance of the parameters of a fit."""
+def fit_covariance(problem: Problem, fit: Adjusted, weights: Array) -> tuple[Array, float, bool]:
+    """Return the covariance (17, 17) of a fit's parameters, of which none is held fixed, and how frames disagree.
 
-    # Of the parameters' errors; (17, 17).
-    covariance: Array
-    # By how much the frames disagree about the parameters, over what their residuals' scatter explains.
-    disagreement: float
-    # Whether that is more than chance allows, so that the covariance is that of leaving out frames.
-    by_frames: bool
-
-    @property
-    def values(self) -> Array:
-        """Standard deviations of the parameters, (17,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-
-def deviations(problem: Problem, fit: Adjusted, weights: Array) -> Deviations:
-    """Return standard deviations and covariance of a fit's parameters, of which none is held fixed.
-
-    Shapes: `weights` (n,).
+    That is by how much they disagree about the parameters, over what their residuals' scatter explains, and whether
+    this is more than chance allows, so that the covariance is that of leaving out frames. Shapes: `weights` (n,).
     """
     count = len(NAMES)
     _, blocks = problem.blocks(fit.numbers, fit.poses, weights, np.arange(count))
@@ -373,7 +342,7 @@ def deviations(problem: Problem, fit: Adjusted, weights: Array) -> Deviations:
         covariance = covariance + student * (frames - 1) / frames * without.T @ without
     else:
         covariance = covariance * disagreement
-    return Deviations(covariance / np.outer(scale, scale), float(np.sqrt(disagreement)), bool(by_frames))
+    return covariance / np.outer(scale, scale), float(np.sqrt(disagreement)), bool(by_frames)
 
 
 def moved_solutions(problem: Problem, fit: Adjusted, weights: Array, covariance: Array) -> list[Adjusted]:

@@ -15,12 +15,12 @@ from scipy.spatial import cKDTree
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import refuse_if
-from ...runtime import Array, as_pixels, atomic_output, require_memory
-from ...views import lens_types
+from ...runtime import Array, as_pixels, require_memory
+from ...views import lens_types, pixels_around
 from .blur import CutBlur
-from .board_model import numbers_of, predict_centres
+from .board_model import centres_of
 from .boards import Picture, find_board, find_saddles
-from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, Board, LensIndex, Table
+from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, Board, LensIndex, Table, write_table
 
 
 def detect_corners(
@@ -74,10 +74,8 @@ def detect_corners(
         not len(corner),
         f"{name}: a board of {board.columns}x{board.rows} is seen in it, but none of its corners sharply",
     )
-    columns = {index: centres[index][lens] for index in ("k", "l")}
-    columns |= {"u": position[:, 0], "v": position[:, 1]}
-    columns |= {"cluster": corner, "frame": np.full(len(corner), frame)}
-    return Table(name, {column: columns[column] for column in CORNER_COLUMNS})
+    columns = centres["k"][lens], centres["l"][lens], *position.T, corner, np.full(len(corner), frame)
+    return Table(name, dict(zip(CORNER_COLUMNS, columns, strict=True)))
 
 
 def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> Table:
@@ -92,28 +90,20 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
     """
     require_support(camera, Use.LENS_CENTRES)
     camera.require_resolved()
-    lattice = camera.lattice
     size = np.array(camera.crop_size)
-    index = index or LensIndex(0.5 if lattice.stagger == 2 else 0.0, 1, (0, 0))
-
-    def pixels(unit: Array) -> Array:
-        pixel_size = camera.pixel_size
-        ratio = lattice.row_ratio
-        return predict_centres(numbers_of(camera), unit, pixel_size=pixel_size, row_ratio=ratio)[0]
-
+    index = index or LensIndex(0.5 if camera.lattice.stagger == 2 else 0.0, 1, (0, 0))
     # Where the picture's corners would be among the lenses, were the array not tilted.
-    first, *ends = pixels(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    first, *ends = centres_of(camera, np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * size
-    reach = np.abs(np.linalg.solve(np.stack([end - first for end in ends]).T, (corners - first).T)).max(1)
+    reach = np.abs(np.linalg.solve((ends - first).T, (corners - first).T)).max(1)
     across, up = np.ceil(reach + 0.02 * reach + 2).astype(int)
     require_memory(500.0 * (2 * across + 1) * (2 * up + 1), f"{across * up * 4} lenses")
-    k, l = (  # noqa: E741
-        np.stack(np.meshgrid(np.arange(-across, across + 1), np.arange(-up, up + 1)), axis=-1).reshape(-1, 2)
-        + index.first
-    ).T
-    pixel = pixels(index.unit(k, l))
-    inside = ((pixel > -0.5) & (pixel < size - 0.5)).all(1)
-    return Table("camera", {"k": k[inside], "l": l[inside], "u": pixel[inside, 0], "v": pixel[inside, 1]})
+    k0, l0 = index.first
+    l, k = np.mgrid[l0 - up : l0 + up + 1, k0 - across : k0 + across + 1].reshape(2, -1)  # noqa: E741
+    pixel = centres_of(camera, index.unit(k, l))
+    inside = np.flatnonzero(((pixel > -0.5) & (pixel < size - 0.5)).all(1))
+    u, v = pixel.T
+    return Table("camera", {"k": k, "l": l, "u": u, "v": v}).keep(inside)
 
 
 def _picture(image: Array, white: Array, centres: Table, name: str) -> Picture:
@@ -126,12 +116,13 @@ def _picture(image: Array, white: Array, centres: Table, name: str) -> Picture:
     middle = centres.pixel
     distance, _ = cKDTree(middle).query(middle, k=2)
     nearest = float(np.median(distance[:, 1])) / 2
-    column, row = np.round(middle).astype(int).T
-    inside = (column >= 0) & (column < light.shape[1]) & (row >= 0) & (row < light.shape[0])
+    pixel = np.round(middle).astype(int)
+    inside = ((pixel >= 0) & (pixel < light.shape[::-1])).all(1)
+    column, row = pixel[inside].T
     refuse_if(
         inside.sum() < 16, f"{name}: {inside.sum()} of {centres.name} lie in it: 16 micro-images are needed at least"
     )
-    full = float(np.median(light[row[inside], column[inside]]))
+    full = float(np.median(light[row, column]))
     refuse_if(not full > 0, "white: it is dark in the middle of its micro-images")
     weight = (light / full).clip(max=1)
     weight[weight < 0.25] = 0
@@ -149,16 +140,13 @@ def evenly_lit(light: Array, centre: Array, radius: float) -> float:
     """Return the radius in pixels within which micro-images are, on average, as bright as in their middle."""
     half = int(radius) + 1
     uncut = centre[((centre > half) & (centre < np.array(light.shape)[::-1] - half - 1)).all(1)]
-    steps = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2), axis=-1).reshape(-1, 2)
-    pixel = np.round(uncut).astype(int)[:, None] + steps
-    values = light[pixel[:, :, 1], pixel[:, :, 0]]
-    middle = values[:, np.abs(steps).max(1) <= 1].mean(1)
-    lit = middle > 0
+    x, y, values = pixels_around(light, np.round(uncut), half)
+    middle = values[:, half - 1 : half + 2, half - 1 : half + 2].mean((1, 2), keepdims=True)
+    lit = middle[:, 0, 0] > 0
     # Rings of half a pixel, as far as all of them is seen.
-    ring = (2 * np.hypot(*np.moveaxis(pixel - uncut[:, None], 2, 0))[lit]).astype(int)
-    ratio = np.bincount(ring.ravel(), (values[lit] / middle[lit, None]).ravel()) / np.maximum(
-        np.bincount(ring.ravel()), 1
-    )
+    distance = np.hypot((x - uncut[:, :1])[:, None], (y - uncut[:, 1:])[:, :, None])
+    ring = (2 * distance[lit]).astype(int).ravel()
+    ratio = np.bincount(ring, (values[lit] / middle[lit]).ravel()) / np.maximum(np.bincount(ring), 1)
     dark = np.flatnonzero(ratio[: 2 * half] < 0.97)
     return min(radius, dark[0] / 2) if dark.size else radius
 
@@ -173,8 +161,9 @@ def _refined(
     picture: Picture, first_disparity: float, corners: Array, camera: PlenopticCamera | None
 ) -> tuple[Array, Array, Array]:
     """Return corners located through lenses: indices of corner and lens, and positions in pixels."""
-    cut = None if camera is None else CutBlur(camera)
-    lens_type = None if camera is None else lens_types(camera, picture.centre + 0.5)
+    cut = None
+    if camera is not None:
+        cut = partial(_displaced, CutBlur(camera), lens_types(camera, picture.centre + 0.5))
     # Directions in radians of the board's columns and rows at each corner.
     steps = np.gradient(corners, axis=1), np.gradient(corners, axis=0)
     angles = np.stack([np.arctan2(step[..., 1], step[..., 0]).ravel() for step in steps], axis=-1)
@@ -182,11 +171,6 @@ def _refined(
     disparity = np.full(len(position), first_disparity)
     for _ in range(3):
         corner, lens, expected = _expected(picture, position, disparity)
-        displacement = None
-        if cut is not None and lens_type is not None:
-            kinds = lens_type[lens]
-            defocus = cut.defocus(lens_type[lens], disparity[corner])
-            displacement = partial(_displaced, cut, kinds, defocus)
         # A micro-image shows the directions as they are, or turned by half a turn.
         saddles = find_saddles(
             picture.image,
@@ -196,7 +180,7 @@ def _refined(
             picture.centre[lens],
             radius=picture.radius,
             even=picture.even,
-            displacement=displacement,
+            displacement=cut and partial(cut, lens, disparity[corner]),
         )
         good = saddles.deviation < 0.5
         if good.any():
@@ -204,13 +188,14 @@ def _refined(
         corner = corner[good]
         lens = lens[good]
         located = saddles.position[good]
-        position, disparity, agreed = _agreed(picture, corner, lens, located, position, disparity)
+        agreed = _improved(picture, corner, lens, located, position, disparity)
     return corner[agreed], lens[agreed], located[agreed]
 
 
-def _displaced(cut: CutBlur, lens_type: Array, defocus: Array, rows: Array, arm: Array) -> Array:
+def _displaced(cut: CutBlur, lens_type: Array, lens: Array, disparity: Array, rows: Array, arm: Array) -> Array:
     """Return displacements from pixels to the positions that these pixels show, for rows of candidates."""
-    return cut.displaced(lens_type[rows], defocus[rows], arm)
+    kind = lens_type[lens[rows]]
+    return cut.displaced(kind, cut.defocus(kind, disparity[rows]), arm)
 
 
 def _expected(picture: Picture, position: Array, disparity: Array) -> tuple[Array, Array, Array]:
@@ -218,22 +203,13 @@ def _expected(picture: Picture, position: Array, disparity: Array) -> tuple[Arra
     reach = (picture.radius - 3.0) / np.abs(disparity)
     lenses = cKDTree(picture.centre).query_ball_point(position, reach)
     corner = np.repeat(np.arange(len(position)), [len(some) for some in lenses])
-    lens = np.concatenate([np.array(some, dtype=int) for some in lenses])
+    lens = np.concatenate(lenses).astype(int)
     centre = picture.centre[lens]
     return corner, lens, centre + disparity[corner, None] * (centre - position[corner])
 
 
-def _agreed(
-    picture: Picture,
-    corner: Array,
-    lens: Array,
-    located: Array,
-    position: Array,
-    disparity: Array,
-) -> tuple[Array, Array, Array]:
-    """Return recomputed positions and disparities of corners, and a mask of the observations that agree with both."""
-    position = position.copy()
-    disparity = disparity.copy()
+def _improved(picture: Picture, corner: Array, lens: Array, located: Array, position: Array, disparity: Array) -> Array:
+    """Recompute positions and disparities of corners; return a mask of the observations that agree with both."""
     agrees = np.zeros(len(located), dtype=bool)
     for index in range(len(position)):
         rows = np.flatnonzero(corner == index)
@@ -259,11 +235,9 @@ def _agreed(
             disparity[index] = slope
             position[index] = about - shift / slope
             agrees[rows[chosen]] = True
-    return position, disparity, agrees
+    return agrees
 
 
 def write_corners(path: str | Path, corners: Table) -> None:
     """Write corners as a CSV file for `calibrate`."""
-    with atomic_output(path, ".csv") as temporary:
-        rows = np.stack([corners[name] for name in CORNER_COLUMNS], axis=-1)
-        np.savetxt(temporary, rows, "%d,%d,%.4f,%.4f,%d,%d", header=",".join(CORNER_COLUMNS), comments="")
+    write_table(path, Table("corners", {name: corners[name] for name in CORNER_COLUMNS}))

@@ -9,6 +9,7 @@ nearly that of the zone), and leave the brightness of each lens free (variable p
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from ...camera import PlenopticCamera
 from ...runtime import Array, Progress, exponents, monomials
+from ...views import pixels_around
 from .micro_image import NUMBERS, SHAPE, MicroImageModel, PupilNumbers
 from .white_frames import WhiteFrame
 
@@ -69,8 +71,8 @@ class FieldNumbers:
 
     def values(self, position: Array) -> Array:
         """Return the numbers (n, 11) at places (n, 2) in pixels."""
-        products = self.terms(position) * np.concatenate([self.coefficients[name] for name in NUMBERS])
-        return np.stack([products[:, self.number == index].sum(1) for index in range(len(NUMBERS))], axis=-1)
+        coefficients = np.concatenate([self.coefficients[name] for name in NUMBERS])
+        return self.terms(position) @ (coefficients[:, None] * (self.number[:, None] == np.arange(len(NUMBERS))))
 
     def split(self, values: Array) -> dict[str, Array]:
         """Return values of all coefficients by the names of their numbers."""
@@ -177,31 +179,28 @@ class WhiteRecording:
     camera: PlenopticCamera
     model: MicroImageModel
 
+    @cached_property
+    def _bordered(self) -> Array:
+        """The light with a border of one pixel, and NaN there and where pixels are not good."""
+        return np.pad(np.where(self.frame.good, self.frame.light, np.nan), 1, constant_values=np.nan)
+
     def pixels(self, position: Array) -> tuple[Array, Array, Array, Array]:
         """Return numbers of lenses' first pixels (lenses + 1,), and values and offsets x and y of good pixels (n,).
 
         Places are (lenses, 2).
         """
         camera = self.camera
-        image = self.frame.light
         to_array = camera.pixel_size / camera.image_growth
         half = int(np.ceil(camera.lattice.cell_reach / to_array)) + 1
-        window = np.arange(-half, half + 1)
-        base = np.rint(position).astype(int)
-        column, row = np.broadcast_arrays(base[:, 0, None, None] + window, base[:, 1, None, None] + window[:, None])
-        rows, columns = image.shape
-        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-        inside[inside] = self.frame.good[row[inside], column[inside]]
-        lens = np.nonzero(inside)[0]
-        column = column[inside]
-        row = row[inside]
-        x = column - position[lens, 0]
-        y = row - position[lens, 1]
+        columns, rows, values = pixels_around(self._bordered, np.rint(position) + 1, half)
+        lens, row, column = np.nonzero(np.isfinite(values))
+        x = columns[lens, column] - 1 - position[lens, 0]
+        y = rows[lens, row] - 1 - position[lens, 1]
         middle = camera.lattice.centre(0.0, 0.0)
         i, j = camera.lattice.cell(x * to_array + middle[0], y * to_array + middle[1])
         near = (np.rint(i) == 0) & (np.rint(j) == 0)
         first = np.searchsorted(lens[near], np.arange(len(position) + 1))
-        return first, image[row[near], column[near]], x[near], y[near]
+        return first, values[lens, row, column][near], x[near], y[near]
 
     def beside(self, position: Array, field: FieldNumbers) -> LensPixels:
         """Return the pixels of a zone's lenses at places (n, 2) beside the model."""
@@ -211,8 +210,7 @@ class WhiteRecording:
         at_lens = field.values(position)
         at_zone = field.values(position.mean(0)[None])[0]
         numbers = PupilNumbers(*at_zone)
-        models = np.stack([self.model.samples(numbers), *self.model.slopes(numbers)], axis=-1)
-        models = self.model.splines(x, y) @ models.reshape(-1, models.shape[-1])
+        models = self.model.splines(x, y) @ np.column_stack([image.ravel() for image in self.model.expanded(numbers)])
         slopes = models[:, 1:]
         change = at_lens - at_zone
         image = models[:, 0] + (slopes * change[lens]).sum(1)
@@ -237,7 +235,7 @@ class WhiteRecording:
         best = np.inf
         damping = 0.0
         equations = np.zeros(0)
-        before = dict(field.coefficients)
+        before = field.coefficients
         for repeat in range(_REPEATS):
             normals = []
             square = 0.0
@@ -246,13 +244,13 @@ class WhiteRecording:
                 show(repeat * len(zones) + zone, _REPEATS * len(zones))
                 pixels = self.beside(position[lenses], field)
                 normals.append(pixels.equations(field.terms(position[lenses]), field.number))
-                square += float((pixels.weight * pixels.residual**2).sum())
-                count += float(pixels.weight.sum())
+                square += pixels.weight @ pixels.residual**2
+                count += pixels.weight.sum()
             error = np.sqrt(square / count)
             settled = abs(best - error) < 1e-4 * best
             if error < best:
                 equations = np.concatenate(normals)
-                before = dict(field.coefficients)
+                before = field.coefficients
                 best = error
                 damping = damping / 10
             else:
@@ -293,21 +291,19 @@ class WhiteRecording:
         row, column = np.divmod(lit, self.side)
         splines = self.model.splines((column - self.side // 2) / _BINS, (row - self.side // 2) / _BINS)
         numbers = PupilNumbers(*field.values(position[np.concatenate(zones)]).mean(0))
-        images = [self.model.samples(numbers), *self.model.slopes(numbers), *self.model.shape_slopes(numbers)]
+        images = self.model.expanded(numbers) + self.model.shape_slopes(numbers)
         design = np.stack([splines @ image.ravel() for image in images], axis=-1)
         best = np.inf
         for terms, waves in product((0, 3, 7, 12, 18, 25), range(0, 29, 2)):
             # With the brightness and the numbers of the field.
-            counts = (1 + len(NUMBERS), terms, waves)
-            columns = np.concatenate([np.arange(n) + first for n, first in zip(counts, (0, 12, 37), strict=True)])
-            some = design[:, columns]
+            some = design[:, np.r_[: 12 + terms, 37 : 37 + waves]]
             equations = [some.T @ np.column_stack([some * w[:, None], r]) for w, r in zip(weights, sums, strict=True)]
             # Damped: micro-images that overlap do not tell all.
             misfit = sums[1] / weights[1] - some @ solved(equations[0], 1e-3)
             error = float(np.sqrt((weights[1] * misfit**2).sum()))
             if error < 0.95 * best:
                 best = error
-                change = np.split(solved(equations[0] + equations[1], 1e-3), np.cumsum(counts)[:2])
+                change = np.split(solved(equations[0] + equations[1], 1e-3), [12, 12 + terms])
         for name, step in zip(NUMBERS, change[0][1:], strict=True):
             field.coefficients[name][:1] += step
         coefficients: dict[str, Any] = dict(zip(SHAPE, change[1:], strict=True))
@@ -328,10 +324,7 @@ class WhiteRecording:
         moved = np.full(position.shape, np.nan)
         brightness = np.full(len(position), np.nan)
         totals = np.zeros((2, self.side**2))
-        shared = np.zeros(2)
-        squares = 0.0
-        common = 0.0
-        dust = 0
+        sums = np.zeros(5)
         centres = [NUMBERS.index(name) for name in ("centre_x", "centre_y")]
         for zone, lenses in enumerate(zones):
             show(zone, len(zones))
@@ -341,26 +334,26 @@ class WhiteRecording:
             moved[lenses] = position[lenses] + field.values(position[lenses])[:, centres] + shift
             brightness[lenses] = pixels.brightness
             counts = pixels.weight > 0
-            dust += int((~counts).sum())
             bins = self.bins(pixels)[counts]
             residual = pixels.residual[counts]
             count, total, square = (np.bincount(bins, residual**power, self.side**2) for power in (0.0, 1.0, 2.0))
-            squares += float(square.sum())
             pairs = counts[1:] & counts[:-1] & (np.abs(np.diff(pixels.x) - 1) < 1e-6) & (np.diff(pixels.y) == 0)
-            shared += np.array([(pixels.residual[1:] * pixels.residual[:-1])[pairs].sum(), pairs.sum()])
+            shared = (pixels.residual[1:] * pixels.residual[:-1])[pairs].sum()
             totals += count, total
             # The mean's square less its expectation for residuals that are independent.
             repeated = count > 1
             mean = total[repeated] / count[repeated]
             variance = (square[repeated] - count[repeated] * mean**2).clip(0) / (count[repeated] - 1)
-            common += float((count[repeated] * mean**2 - variance).sum())
+            common = (count[repeated] * mean**2 - variance).sum()
+            sums += square.sum(), common, (~counts).sum(), shared, pairs.sum()
         show(1, 1)
+        squares, common, dust, shared, pair_count = sums.tolist()
         pixel_count = totals[0].sum()
         mean = totals[1] / np.maximum(totals[0], 1)
         return Judgement(
             residual=float(np.sqrt(squares / pixel_count)),
             systematic=float(np.sqrt(max(common / pixel_count, 0))),
-            structure=float(np.sqrt(max(shared[0] / max(shared[1], 1), 0))),
+            structure=float(np.sqrt(max(shared / max(pair_count, 1), 0))),
             mean_image=float(np.sqrt((totals[0] * mean**2).sum() / pixel_count)),
             outliers=dust / (pixel_count + dust),
             difference=mean.reshape(self.side, self.side),

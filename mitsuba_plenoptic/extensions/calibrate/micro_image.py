@@ -111,34 +111,29 @@ class MicroImageModel:
 
     def samples(self, numbers: PupilNumbers) -> Array:
         """Return the spline coefficients, for `at`, of a micro-image that is 1 in the middle of an even pupil."""
-        return self._image(self._pupil(numbers), self._blur(numbers)) + numbers.stray
+        spectrum = scipy.fft.rfft2(self._pupil(numbers))
+        spectrum *= self._transfer
+        spectrum *= np.exp(-2 * (np.pi * numbers.blur) ** 2 * self._f2)
+        return scipy.fft.irfft2(spectrum, (self._count, self._count), overwrite_x=True) + numbers.stray
 
-    def slopes(self, numbers: PupilNumbers) -> Array:
-        """Return the derivatives of `samples` by each of `NUMBERS`, as quotients of differences."""
-        pupil = self._pupil(numbers)
-        blur = self._blur(numbers)
-        slopes = np.empty((len(NUMBERS), self._count, self._count))
-        for name, slope in zip(NUMBERS, slopes, strict=True):
+    def expanded(self, numbers: PupilNumbers) -> list[Array]:
+        """Return `samples`, and their derivatives by each of `NUMBERS` as quotients of differences."""
+        images = [self.samples(numbers)]
+        for name in NUMBERS:
             step = _STEPS.get(name, 0.01)
             moved = replace(numbers, **{name: getattr(numbers, name) + step})
-            if name == "stray":
-                slope[:] = 1.0
-            elif name == "blur":
-                slope[:] = self._image(pupil, (self._blur(moved) - blur) / step)
-            else:
-                slope[:] = self._image((self._pupil(moved) - pupil) / step, blur)
-        return slopes
+            images.append((self.samples(moved) - images[0]) / step if name != "stray" else np.ones_like(images[0]))
+        return images
 
     def shape_slopes(self, numbers: PupilNumbers) -> list[Array]:
         """Return the derivatives of `samples` by all numbers of `SHAPE`, of a shape that has none yet."""
-        blur = self._blur(numbers)
         even = self.shape
-        pupil = self._pupil(numbers)
+        samples = self.samples(numbers)
         slopes = []
         for name, count in SHAPE.items():
             for step in 0.01 * np.eye(count):
                 self.shape = replace(even, **{name: step})
-                slopes.append(self._image((self._pupil(numbers) - pupil) / 0.01, blur))
+                slopes.append((self.samples(numbers) - samples) / 0.01)
         self.shape = even
         return slopes
 
@@ -164,17 +159,6 @@ class MicroImageModel:
     def pupil_light(self, numbers: PupilNumbers) -> float:
         """Return the light of the pupil's image, over that in the middle of an even one and the area of a pixel."""
         return float(self._pupil(numbers).sum()) * self._area
-
-    def _blur(self, n: PupilNumbers) -> Array:
-        """Return the transfer of the blur."""
-        return np.exp(-2 * (np.pi * n.blur) ** 2 * self._f2)
-
-    def _image(self, pupil: Array, blur: Array) -> Array:
-        """Return the spline coefficients of the image of a pupil's transmission."""
-        spectrum = scipy.fft.rfft2(pupil)
-        spectrum *= self._transfer
-        spectrum *= blur
-        return scipy.fft.irfft2(spectrum, (self._count, self._count), overwrite_x=True)
 
     def at(self, samples: Array, x: Array, y: Array) -> Array:
         """Return values of `samples`'s samples at offsets in pixels from the image of the lens's regular place."""

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...errors import NO_RECORD, InputError, refuse_if, refusing, require_count, require_number
-from ...runtime import read_text
+from ...runtime import atomic_output, read_text
 from ..raw.lftoolbox import grid_of_model
 from .adjustment import both_axes, robust_lines
 from .board_model import Observations
@@ -140,6 +140,14 @@ def read_table(path: str | Path, names: tuple[str, ...], optional: tuple[str, ..
     with refusing(f"{path}: it is no table of numbers:", ValueError):
         rows = np.loadtxt(lines, delimiter=",", usecols=[header.index(name) for name in names], ndmin=2)
     return _checked(path, dict(zip(names, rows.T, strict=True)), header=1)
+
+
+def write_table(path: str | Path, table: Table) -> None:
+    """Write a table as a CSV file."""
+    formats = ["%d" if name in _WHOLE else "%.4f" for name in table.columns]
+    with atomic_output(path, ".csv") as temporary:
+        rows = np.column_stack([*table.columns.values()])
+        np.savetxt(temporary, rows, formats, ",", header=",".join(table.columns), comments="")
 
 
 def _checked(path: Path, columns: dict[str, np.ndarray], header: int) -> Table:
@@ -267,9 +275,10 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
     )
     along, j = np.linalg.solve(grid[1:].T, middle - grid[0])
     j = np.round(j)
-    i = np.round(along - odd_rows * (j % 2))
+    shift = odd_rows * (j % 2)
+    i = np.round(along - shift)
     index = LensIndex(odd_rows, 1 if np.linalg.det(grid[1:]) > 0 else -1, (int(i), int(j)))
-    first = grid[0] + (LensIndex(odd_rows, 1, (0, 0)).unit(*np.array([[i], [j]])))[0] @ grid[1:]
+    first = grid[0] + np.array([i + shift, j]) @ grid[1:]
     return index, np.stack([first, grid[1], index.row_sign * grid[2]])
 
 

@@ -128,7 +128,7 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
 
     offset = black.mean(0)
     level = float(np.median(offset))
-    noise = 1.4826 * float(np.median(np.abs(offset - np.median(offset)))) + 1
+    noise = 1.4826 * float(np.median(np.abs(offset - level))) + 1
     hot = np.abs(offset - level) > 10.0 * noise
     mean_light = bright.mean(0) - level
     dead, _ = stuck(mean_light, noise)
@@ -292,10 +292,11 @@ class _Spread:
 
     def line(self) -> tuple[Doubles, Doubles]:
         """Return means and variances of equal numbers of used pixels, from dim to bright."""
-        means = self.means[self.good]
-        variances = self.variances[self.good]
-        groups = np.array_split(np.argsort(means), 12)
-        return np.array([means[rows].mean() for rows in groups]), np.array([variances[rows].mean() for rows in groups])
+        groups = np.array_split(np.argsort(self.means[self.good]), 12)
+        means, variances = (
+            np.array([values[self.good][rows].mean() for rows in groups]) for values in (self.means, self.variances)
+        )
+        return means, variances
 
 
 def _both(picture: Doubles, weights: Doubles) -> Doubles:

@@ -19,7 +19,7 @@ import numpy as np
 from ...errors import InputError, refuse_if
 from ...runtime import Array
 from .adjustment import Problem, adjust, adjust_poses, both_axes, robust_lines
-from .board_model import AT, NAMES, Observations
+from .board_model import AT, NAMES, OFFSET, PRINCIPAL, Observations
 from .calibration_result import group_means
 from .observations import Board
 
@@ -64,10 +64,10 @@ def start_values(
     numbers = np.zeros(len(NAMES))
     numbers[:3] = f, b, z
     pitches = np.hypot(*grid[1:].T) * size / (1 + z / b)
-    numbers[[AT["pitch_along"], AT["pitch_across"]]] = pitches / [1, problem.row_ratio]
+    numbers[3:5] = pitches / [1, problem.row_ratio]
     numbers[AT["mla_rotation"]] = np.rad2deg(np.arctan2(grid[1, 1], grid[1, 0]))
-    numbers[[AT["offset_x"], AT["offset_y"]]] = (grid[0] - principal) * size / (1 + z / b)
-    numbers[[AT["principal_u"], AT["principal_v"]]] = principal
+    numbers[OFFSET] = (grid[0] - principal) * size / (1 + z / b)
+    numbers[PRINCIPAL] = principal
     groups = [np.flatnonzero(good & (observed.pose == pose)) for pose in range(observed.poses)]
     chosen = np.concatenate([group[:: max(1, len(group) // _THINNED)] for group in groups])
     few = observed.keep(chosen)
@@ -80,12 +80,10 @@ def start_values(
     except InputError:
         failure = "no camera sees the whole board in all poses"
     if failure:
-        low = magnification.min()
-        high = magnification.max()
         raise InputError(
-            f"corners: {failure}: the lens's images of the boards are {low:.3g} to {high:.3g} times as large as boards "
-            "with squares of this size: check the distance of the board's corners, the pixel size and the order of "
-            "corners"
+            f"corners: {failure}: the lens's images of the boards are {magnification.min():.3g} to "
+            f"{magnification.max():.3g} times as large as boards with squares of this size: check the distance of the "
+            "board's corners, the pixel size and the order of corners"
         )
     return fit.numbers, fit.poses, good
 
@@ -145,28 +143,23 @@ def _agreeing(observed: Observations, board: Board, centre: Array, pixel: Array,
             f"frame {frame}: {count - len(rows)} of its {count} rows lie farther than a lens's width from the "
             "micro-image of the lens that k and l name: correct or remove the frame",
         )
-        explained, agrees = _board_fit(observed.board[rows], centre[rows], pixel[rows])
-        good[rows] = agrees
-        if not explained:
+        good[rows] = _board_fit(observed.board[rows], centre[rows], pixel[rows])
+        if not good[rows].any():
             strange.append(pose)
     if strange:
         # The number of corners along a row that most rows of the largest such frame agree with.
-        rows = np.flatnonzero(
-            near & (observed.pose == max(strange, key=lambda pose: int((observed.pose[near] == pose).sum())))
-        )
+        largest = max(strange, key=np.bincount(observed.pose[near]).__getitem__)
+        rows = np.flatnonzero(near & (observed.pose == largest))
         rows = rows[:: max(1, len(rows) // _THINNED)]
         column, row = np.round(observed.board[rows] / board.square).astype(int).T
         corner_number = row * board.columns + column
         fits = {
-            columns: agrees.mean() if explained else 0.0
+            columns: _board_fit(Board(columns, 1000, 1.0).places(corner_number), centre[rows], pixel[rows]).mean()
             for columns in range(2, corner_number.max() // 2 + 2)
-            for explained, agrees in [
-                _board_fit(Board(columns, 1000, 1.0).places(corner_number), centre[rows], pixel[rows])
-            ]
         }
-        along = max(fits, key=lambda columns: fits[columns], default=0)
+        along = max(fits, key=fits.__getitem__, default=0)
         refuse_if(
-            not fits.get(along, 0.0) > 0 and 2 * len(strange) <= observed.poses,
+            not fits.get(along) and 2 * len(strange) <= observed.poses,
             f"frame {frames[strange[0]]}: most of its corners do not lie as on a board, as those of other frames "
             "do: correct or remove the frame",
         )
@@ -178,8 +171,8 @@ def _agreeing(observed: Observations, board: Board, centre: Array, pixel: Array,
     return good
 
 
-def _board_fit(board: Array, centre: Array, pixel: Array) -> tuple[bool, Array]:
-    """Return whether a flat board explains the observed corners, and a mask of the rows that agree with it.
+def _board_fit(board: Array, centre: Array, pixel: Array) -> Array:
+    """Return a mask of the observed corners that agree with a flat board; none do if it does not explain most.
 
     Over a tilted board z/a changes linearly, and z q/a as a square of the position on the board. The lenses that see a
     corner surround its position; a wrong corner far from there would bend z/a by its distance alone.
@@ -193,7 +186,7 @@ def _board_fit(board: Array, centre: Array, pixel: Array) -> tuple[bool, Array]:
     good[good] = agrees
     # Wrongly numbered corners lie as far from the board as from the centres of their micro-images.
     explained = np.median(distance) < 0.35 * np.median(np.hypot(*(pixel - centre).T))
-    return bool(explained and good.mean() > _AGREEING), good
+    return good & (explained and good.mean() > _AGREEING)
 
 
 def upright_poses(maps: Array, focal_length: float) -> Array:

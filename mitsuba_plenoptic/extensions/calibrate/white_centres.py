@@ -18,11 +18,11 @@ import numpy as np
 from ...array import Lattice
 from ...errors import refuse_if
 from ...io import Capture, require_demosaiced
-from ...runtime import Array, as_array, atomic_output
+from ...runtime import Array, as_array
 from ...views import Discs, LensGrid, estimate_lens_grid, pixels_around
-from .adjustment import OUTLIER
+from .adjustment import OUTLIER, rms
 from .array_fit import lattice_index
-from .observations import CENTRE_COLUMNS, DOUBTFUL_COLUMN, Table
+from .observations import DOUBTFUL_COLUMN, Table, write_table
 
 # Lenses on each side of one that it is compared with.
 _NEIGHBOURS = 4
@@ -59,7 +59,7 @@ class Centres:
     @property
     def error(self) -> float:
         """RMS distance of the centres from the regular grid, in pixels."""
-        return float(np.sqrt((self.residuals**2).sum(1).mean()))
+        return rms(self.residuals)
 
     def table(self, name: str) -> Table:
         """Return the centres as a table like that of `read_centres`."""
@@ -104,11 +104,12 @@ def find_centres(*whites: Capture | Array, like: Lattice | None = None) -> Centr
     for image in images:
         discs = Discs.of(image, vectors)
         centred = [_centred(image, block, discs) for block in blocks]
-        measured.append(tuple(np.concatenate(values) for values in zip(*centred, strict=True)))
-    centre = np.mean([pair[0] for pair in measured], axis=0)
-    light = np.mean([pair[1] for pair in measured], axis=0)
+        measured.append([np.concatenate(values) for values in zip(*centred, strict=True)])
+    centres, lights = map(np.stack, zip(*measured, strict=True))
+    centre = centres.mean(0)
+    light = lights.mean(0)
     # Micro-images fainter than this fraction of the median have no centre of their own.
-    kept_lenses = np.all([pair[1] > 0.1 * np.median(pair[1]) for pair in measured], axis=0)
+    kept_lenses = (lights > 0.1 * np.median(lights, axis=1, keepdims=True)).all(0)
     kept_lenses &= np.hypot(*(centre - start).T) < radius / 2
     lens = lens[kept_lenses]
     centre = centre[kept_lenses]
@@ -144,8 +145,8 @@ def _local_medians(lens: Array, values: Array) -> Array:
     column, row = (lens - lens.min(0) + _NEIGHBOURS).T
     side = 2 * _NEIGHBOURS + 1
     medians = np.empty_like(values)
+    array = np.full((row.max() + side, column.max() + side), np.nan)
     for index, column_values in enumerate(values.T):
-        array = np.full((row.max() + side, column.max() + side), np.nan)
         array[row, column] = column_values
         around = np.lib.stride_tricks.sliding_window_view(array, (side, side))[row - _NEIGHBOURS, column - _NEIGHBOURS]
         medians[:, index] = np.nanmedian(around.reshape(len(values), -1), axis=1)
@@ -154,7 +155,4 @@ def _local_medians(lens: Array, values: Array) -> Array:
 
 def write_centres(path: str | Path, centres: Centres) -> None:
     """Write centres as a CSV file for `calibrate`."""
-    with atomic_output(path, ".csv") as temporary:
-        rows = np.column_stack([centres.lens, centres.pixel, centres.doubtful])
-        header = ",".join([*CENTRE_COLUMNS, DOUBTFUL_COLUMN])
-        np.savetxt(temporary, rows, "%d,%d,%.4f,%.4f,%d", header=header, comments="")
+    write_table(path, centres.table("centres"))

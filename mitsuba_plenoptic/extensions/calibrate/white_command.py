@@ -43,8 +43,7 @@ def fit_camera(
     values = {**fit.camera.to_dict(), "calibration": record(fit, noise)}
     write_text(output, json.dumps(values, indent=1) + "\n", ".json")
     lines = summary(fit, noise)
-    for line in lines:
-        typer.echo(line)
+    typer.echo("\n".join(lines))
     if report is not None:
         with progress_bar("Simulating the white picture"):
             write_white_report(report, fit, lines)
@@ -114,10 +113,7 @@ def record(fit: WhiteFit, noise: PhotonTransfer | str | None) -> dict[str, Any]:
         },
         "withheld": {
             "lenses": int(fit.withheld.sum()),
-            "residual": judgement.residual,
-            "systematic": judgement.systematic,
-            "scatter": judgement.scatter,
-            "mean_image": judgement.mean_image,
+            **{name: getattr(judgement, name) for name in ("residual", "systematic", "scatter", "mean_image")},
             "off_array_px": np.sqrt((fit.off_array[fit.withheld] ** 2).mean(0)).tolist(),
         },
     }

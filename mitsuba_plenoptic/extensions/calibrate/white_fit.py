@@ -110,6 +110,10 @@ def fit_white(
     """
     camera.require_array("calibrate")
     show = progress or (lambda done, total: None)
+
+    def quarter(first: int) -> Progress:
+        return lambda done, total: show(done + first * total, 4 * total)
+
     if wavelength is not None:
         require_wavelength(wavelength)
     frame = WhiteFrame.of(white, dark)
@@ -126,7 +130,9 @@ def fit_white(
     camera = of_size(plain, size)
     # What the lenses' light cannot be is known before their places are.
     MicroImageModel(camera, wavelength)
-    centres = find_centres(filled(frame), like=camera.lattice)
+    # Saturated and defective pixels have the median of their neighbours.
+    filled = np.where(frame.good, frame.light, scipy.ndimage.median_filter(frame.light, 5))
+    centres = find_centres(filled, like=camera.lattice)
     require_alike(centres.grid, camera)
     sure = ~centres.doubtful
     array = fit_array(centres.pixel[sure], lattice_index(centres.grid, centres.lens)[sure], camera)
@@ -148,24 +154,24 @@ def fit_white(
         with naming(
             "white: it is no white picture by this camera, or the camera's numbers, as its aperture, are far off"
         ):
-            recording.fit(position, few, field, lambda done, total: show(done, 4 * total))
+            recording.fit(position, few, field, quarter(0))
         start = PupilNumbers(*field.values(position[:1])[0])
     field = FieldNumbers(size, int((~withheld).sum()), start)
     zones = zones_of(position, ~withheld, ZONE_LENSES, generator)
     # What all lenses have alike is told best where the field is known, which then follows.
-    recording.fit(position, zones, field, lambda done, total: show(done + total, 4 * total))
+    recording.fit(position, zones, field, quarter(1))
     recording.fit_shape(position, zones, field)
-    equations = recording.fit(position, zones, field, lambda done, total: show(done + total, 4 * total))
+    equations = recording.fit(position, zones, field, quarter(1))
     deviations = field.deviations(equations, generator)
     everything = zones_of(position, np.ones(len(position), bool))
-    judged = recording.judged(position, everything, field, lambda done, total: show(done + 2 * total, 4 * total))
+    judged = recording.judged(position, everything, field, quarter(2))
     # Places become those of the array alone, fitted to lenses that are not withheld.
     array = fit_array(judged.place[~withheld], lens[~withheld], camera)
     for name in ("centre_x", "centre_y"):
         field.coefficients[name] = np.zeros_like(field.coefficients[name])
     at_array = places(array, lens, camera)
     tested = zones_of(at_array, withheld)
-    judgement = recording.judged(at_array, tested, field, lambda done, total: show(done + 3 * total, 4 * total))
+    judgement = recording.judged(at_array, tested, field, quarter(3))
     refuse_if(
         judgement.structure > 0.035 or judgement.outliers > 0.05,
         f"white: its micro-images differ from those of something evenly white by {judgement.structure:.1%} of their "
@@ -220,8 +226,3 @@ def of_size(camera: PlenopticCamera, size: tuple[int, ...]) -> PlenopticCamera:
     )
     width = camera.pixel_size * size[0]
     return camera.replace(resolution=size, detector_width=width, crop_offset=(0, 0), crop_size=size)
-
-
-def filled(frame: WhiteFrame) -> Array:
-    """Return the light of a white picture, with medians of neighbours where pixels are saturated or defective."""
-    return np.where(frame.good, frame.light, scipy.ndimage.median_filter(frame.light, 5))

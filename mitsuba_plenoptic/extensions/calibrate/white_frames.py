@@ -47,14 +47,14 @@ class WhiteFrame:
             defective = np.abs(away) > 10.0 * max(1.4826 * float(np.median(np.abs(away))), 1e-3 * np.ptp(light))
             refuse_if(dark.mean() > 0.5 * light.mean(), "dark: it is not darker than half of the white picture")
             light = light - dark
-        unlit = np.zeros(light.shape, bool)
+        lit_range = []
         for axis in (0, 1):
             mean = light.mean(axis=1 - axis)
             lit = np.flatnonzero(mean > 0.1 * np.median(mean))
             refuse_if(not len(lit), "white: it is dark")
-            outer = np.ones(len(mean), bool)
-            outer[lit[0] : lit[-1] + 1] = False
-            unlit |= outer[:, None] if axis == 0 else outer
+            lit_range.append(slice(lit[0], lit[-1] + 1))
+        unlit = np.ones(light.shape, bool)
+        unlit[tuple(lit_range)] = False
         defective &= ~unlit
         good = ~(saturated | defective | unlit)
         return cls(light, good, int(saturated.sum()), int(defective.sum()), int(unlit.sum()))

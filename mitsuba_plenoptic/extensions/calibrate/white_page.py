@@ -97,19 +97,14 @@ def _profile(axes: Axes, fit: WhiteFit, recorded: Array, simulated: Array) -> No
     bright = (fit.brightness / np.nanmean(fit.brightness))[lens]
     # Farther out, and at the picture's border, other lenses may be nearer.
     edges = np.arange(0, 0.6 * fit.camera.micro_image_pitch / fit.camera.pixel_size, 0.5)
-    bins = np.digitize(distance.ravel(), edges) - 1
-    counts = np.maximum(np.bincount(bins, minlength=len(edges)), 1)
+    counts = np.maximum(np.histogram(distance, edges)[0], 1)
     axes.set_frame_on(True)
-    for image, style, name in ((recorded, "o", "recorded"), (simulated, "-", "simulated")):
-        mean = np.bincount(bins, (image / bright).ravel(), minlength=len(edges)) / counts
-        axes.plot(
-            edges[:-1] + 0.25,
-            mean[:-1],
-            style,
-            color=plots.INK if style == "-" else "#d1495b",
-            markersize=4,
-            label=name,
-        )
+    for image, style, colour, name in (
+        (recorded, "o", "#d1495b", "recorded"),
+        (simulated, "-", plots.INK, "simulated"),
+    ):
+        mean = np.histogram(distance, edges, weights=image / bright)[0] / counts
+        axes.plot(edges[:-1] + 0.25, mean, style, color=colour, markersize=4, label=name)
     axes.set(xlim=(0, edges[-1]), xticks=np.arange(0, edges[-1], 4), yticks=np.linspace(0, 1, 6))
     axes.tick_params(labelsize=8)
     axes.legend(frameon=False, fontsize=8)
