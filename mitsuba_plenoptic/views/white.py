@@ -400,12 +400,14 @@ def _traced(camera: PlenopticCamera) -> Floats:
     response = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, types.Float)
     smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths)
     reach = walk.lens.reach + smear * camera.lattice.aperture_reach + camera.pupil_step
+    # Pixels lie behind the lenses of all their points.
+    neighbours = crosstalk_neighbours(camera, camera.pixel_size).tolist()
     counts = _cells(walk, smear)
     cells = math.prod(counts)
     for rows, px, py in detector_rows(camera, cells):
         columns = [types.Float(value) for value in (px, py, *walk.chief_cell((px, py))[1])]
         total = dr.zeros(types.Float, dr.width(px))
-        for across, down in crosstalk_neighbours(camera).tolist():
+        for across, down in neighbours:
             # Opaque, so that all neighbours share one kernel.
             steps = [dr.opaque(types.Float, float(step)) for step in (across, down)]
             lens = walk.lenslet(columns[2] + steps[0], columns[3] + steps[1])
@@ -485,6 +487,9 @@ def _light(rays: list[Pair]) -> Any:
     # Of narrower ones rounding is more than they change.
     least = dr.maximum(0.02 * functools.reduce(dr.maximum, widths), 1e-9)
     widths = [kind(dr.maximum(width, least)) for width in widths]
+    # Edges of rays that turn back in a lens have no curvature.
+    nearest, farthest = (functools.reduce(bound, (ray[0] for ray in rays)) for bound in (dr.minimum, dr.maximum))
+    distance = dr.clip(distance, nearest, farthest)
     distance = dr.clip(kind(distance), -sum(widths) / 2, sum(widths) / 2)
     part = kind(0)
     above = kind(0)
