@@ -173,7 +173,8 @@ class LensSystem:
         is_open = self._follow(position, slope, squares)[2]
         squares = [square / surface.semi_aperture**2 for square, surface in zip(squares, self.backwards, strict=True)]
         inside = 1 - sqrt(functools.reduce(maximum, squares))
-        return select(is_open, inside, -abs(inside))
+        # Farther outside, rays that turn back or miss surfaces tell no distance.
+        return select(is_open, inside, maximum(-abs(inside), -0.25))
 
     def _follow(self, position: Pair, slope: Pair, squares: list[Any] | None = None) -> tuple[Triple, Triple, Any, Any]:
         """Return what `sequential.follow` does of rays from the MLA, in lengths of the prescription."""

@@ -79,6 +79,23 @@ def test_white_by_rays_has_little_noise(changes):
     assert found.mean() == pytest.approx(np.mean(captures, dtype=float), rel=5e-4)
 
 
+@pytest.mark.parametrize("change", [{"mla_absorption": 1e-6}, {"vignetting": Vignetting([2.0])}])
+def test_pixels_between_micro_images_have_the_light_of_all_lenses(change):
+    camera = PlenopticCamera(
+        focal_length=50, aperture_radius=6.1, focus_distance=310, mla_pitch=0.1, mla_focal_length=0.47,
+        detector_width=0.96, resolution=(40, 32),
+    )  # fmt: skip
+    np.testing.assert_allclose(white_pixels(camera.replace(**change)), white_pixels(camera), atol=0.003)
+
+
+def test_rays_that_turn_back_in_a_lens_tell_no_edge():
+    size = {"mla_pitch": 0.19, "detector_width": 3.04, "resolution": (96, 96)}
+    camera = PlenopticCamera(main_lens="phone", focal_length=4.14, focus_distance=200, **size)
+    length = 0.49 * camera.mla_pitch * camera.pupil_distance / camera.pupil_radius
+    white = white_pixels(camera := camera.replace(mla_focal_length=length, detector_distance=length))
+    assert white[48, 48] < 1e-3 and white.mean() == pytest.approx(sky(camera, 64).mean(), rel=0.003)
+
+
 def test_the_medium_is_deeper_behind_lenses_that_a_tilt_raises():
     """By rays and in white images, as by waves; left of the axis the array is nearer to the detector."""
     tilted = PlenopticCamera(
