@@ -11,9 +11,9 @@ import numpy as np
 import scipy
 import xarray as xr
 
-from ..camera import are_alike
+from ..camera import PlenopticCamera, are_alike
 from ..design import focus_types
-from ..errors import InputError, require_count, require_number, suggest_keywords
+from ..errors import InputError, require_count, require_number, suggest_keywords, warn
 from ..runtime import Array, Progress, counted, require_memory
 from .agreement import finer_stripes, view_disagreement
 from .coordinates import (
@@ -120,6 +120,8 @@ def depth_map(
     lf = require_light_field(lf)
     nearest, farthest = _default_search(lf)
     has_camera = bool(lf.attrs.get("camera"))
+    if has_camera:
+        _warn_of_moved_views(camera_of(lf))
     # Views that are moved farther have nothing in common with the central one.
     most = None if has_camera else 2 * max(lf.shape[2:4]) / max(1, max(lf.shape[:2]) - 1)
     unit_note = "" if has_camera else ", a disparity without a camera,"
@@ -196,6 +198,19 @@ def beyond_search(depth: xr.Dataset) -> tuple[float, float]:
         near = near + 2 * _RIGHT_SHIFT
         far = far - 2 * _RIGHT_SHIFT
     return float((unknown & (position < near)).mean()), float((unknown & (position > far)).mean())
+
+
+def _warn_of_moved_views(camera: PlenopticCamera) -> None:
+    """Warn of what moves the views of points beside their distance, and is not known to the search."""
+    half = np.hypot(camera.detector_width, camera.detector_height) / 2
+    rise = half * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt))) / camera.reduced_distance
+    if rise > RIGHT:
+        warn(
+            f"mla_tilt = {camera.mla_tilt}: depths are those of an upright array: disparities towards the borders are "
+            f"up to {rise:.0%} off"
+        )
+    if camera.pixel_response:
+        warn("pixel_response: pixels prefer the near side of their lenses, which moves views: depths may be 1 % off")
 
 
 def _default_search(lf: xr.DataArray) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 import pickle
 import tempfile
+from contextlib import contextmanager
 from pathlib import Path
 
 import drjit as dr
@@ -237,15 +238,25 @@ def workers_of_points(draw):
     return float(not all(np.array_equal(each, one) for each in others)), 0.0
 
 
+@contextmanager
+def on_threads(count):
+    """Let Dr.Jit have so many threads; Mitsuba writes no OpenEXR where one is left of several."""
+    before = dr.thread_count()
+    dr.set_thread_count(count)
+    try:
+        yield
+    finally:
+        dr.set_thread_count(before)
+
+
 @relation(Use.SCENES, method="workers")
 def workers_of_scenes(draw):
     """A wave capture of a scene has the same bits, too, also on several threads of Dr.Jit."""
     scene, images = wall(draw.camera, draw.point()[2]), []
     for count, each in ((1, Threads(1)), (3, Threads(3)), (1, Elsewhere())):
-        dr.set_thread_count(count)
-        options = {"wavelength": draw.wavelength, "batch_map": each}
-        images.append(mp.render_capture(scene, model="wave", spp=4, **options).image)
-    dr.set_thread_count(1)
+        with on_threads(count):
+            options = {"wavelength": draw.wavelength, "batch_map": each}
+            images.append(mp.render_capture(scene, model="wave", spp=4, **options).image)
     return float(not all(np.array_equal(each, images[0]) for each in images[1:])), 0.0
 
 
@@ -254,9 +265,8 @@ def threads_of_rays(draw):
     """A ray capture has the same bits on one thread and on several, but for what blur leaves of numbers near none."""
     scene, images = wall(draw.camera, draw.point()[2]), []
     for count in (1, 3):
-        dr.set_thread_count(count)
-        images.append(mp.render_capture(scene, model="ray", spp=4).image)
-    dr.set_thread_count(1)
+        with on_threads(count):
+            images.append(mp.render_capture(scene, model="ray", spp=4).image)
     return float(np.abs(images[0] - images[1]).max()), 1e-36
 
 
