@@ -149,6 +149,7 @@ WRONG_KINDS = {
 }
 
 
+@pytest.mark.needs_extension("calibrate", "lensdesign", "raw")
 @pytest.mark.parametrize(
     ("kinds", "line"),
     [
