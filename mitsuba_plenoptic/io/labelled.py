@@ -66,7 +66,7 @@ def read_labelled_data(path: str | Path, what: str = "data set") -> xr.Dataset:
         else:
             refuse_if(
                 not (path / "zarr.json").is_file() and not (path / ".zgroup").is_file(),
-                f"{path}: it is no folder of Zarr, and no .nc file",
+                f"{path}: {'it is no' if path.exists() else 'there is no such'} folder of Zarr, and no .nc file",
             )
             require_zarr(path)
             # Without values so far.
