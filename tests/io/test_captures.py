@@ -29,8 +29,7 @@ from mitsuba_plenoptic import (
     write_raw,
 )
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.exchange import read_picture
-from mitsuba_plenoptic.io import exr
+from mitsuba_plenoptic.io import exr, read_picture
 from mitsuba_plenoptic.refocus import Volume
 
 
@@ -206,6 +205,7 @@ def test_a_bmp_means_what_the_same_png_means(tmp_path, mode):
     refuses("a.bmp: it cannot be read as a picture", read_picture, tmp_path / "a.bmp")
 
 
+@pytest.mark.needs_extension("raw")
 def test_folders_of_views_and_old_files_of_hci_become_mosaics(tmp_path):
     """By the step that the refusal names."""
     views = np.random.default_rng(2).integers(0, 256, (3, 3, 8, 10, 3), np.uint8)

@@ -8,7 +8,7 @@ import tifffile
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, Detector, PlenopticCamera, expose, read_capture, write_capture, write_raw
-from mitsuba_plenoptic.exchange import read_picture
+from mitsuba_plenoptic.io import read_picture
 from refusals import refused, refuses
 
 CAMERA = PlenopticCamera(detector_width=0.128, resolution=(64, 48), crop_offset=(8, 4), crop_size=(40, 32))
