@@ -91,7 +91,7 @@ class CameraGeometry(CameraParameters):
         return select(inside >= 0, power, 0.0)
 
     def pupil_outline(self, pupil: Pair, position: Pair) -> Pair:
-        """Return how far pupil points are inside all edges, over its radius, and the power as if it were wider."""
+        """Return how far points are inside all edges, over the pupil's radius, and the power as if edges were wider."""
         inside, power = self.aperture.outline(*pupil)
         if self.vignetting is None:
             return inside, power

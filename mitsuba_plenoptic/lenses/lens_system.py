@@ -168,7 +168,7 @@ class LensSystem:
         return (x, y, self.front + z), (L / N, M / N), is_open
 
     def clearance(self, position: Pair, slope: Pair) -> Any:
-        """Return how far rays from the MLA pass inside the nearest edge, over its radius, negative if blocked."""
+        """Return how far inside the nearest edge rays from the MLA pass, over that edge's radius; below 0: blocked."""
         squares: list[Any] = []
         is_open = self._follow(position, slope, squares)[2]
         squares = [square / surface.semi_aperture**2 for square, surface in zip(squares, self.backwards, strict=True)]

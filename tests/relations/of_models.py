@@ -127,6 +127,8 @@ VANISHING = {
     "pupil_apodisation": (1e-7, 0.0),
     "detector_blur": 1e-6,
     "pixel_crosstalk": 1e-7,
+    "pixel_response": (0.0, 1.0, 80.0, 1.0),
+    "vignetting": mp.Vignetting([2.0]),
     "stray_light": 1e-7,
     "glass": {"index": 1.5, "abbe": 1e7},
     "mla_glass": {"index": 1.5, "abbe": 1e7},
@@ -157,6 +159,16 @@ def vanishing_for_rays(draw):
     """They have next to none in captures by the same rays, either."""
     g = draw.point()[2]
     return without_effect(draw, Use.RAYS, lambda camera: mp.render_capture(wall(camera, g), model="ray", spp=4).image)
+
+
+@relation(Use.WHITE_IMAGES, "mla_figure_error")
+def vanishing_in_white(draw):
+    """They have next to none in white images, though other methods compute these.
+
+    Pictures in the aperture have steps, which rays sample; only rays know of figure errors.
+    """
+    judgement = without_effect(draw, Use.WHITE_IMAGES, mp.views.white_image)
+    return judgement and (judgement[0], 0.02 if "aperture_image" in draw.options else judgement[1])
 
 
 @relation(Use.POINTS, f"mla_medium mla_absorption mla_shape mla_glass mla_cra pixel_response {CROPS}")
