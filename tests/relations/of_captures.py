@@ -157,9 +157,27 @@ def of_scenes(model, use):
         ratio = float(np.linalg.norm(one.image - two.image) / stated)
         return max(ratio, 1 / ratio), 1.15
 
+    def channels(draw):
+        """A grey wall in equal channels of colour is that in luminance, by the same rays."""
+        g, images = draw.point()[2], []
+        try:
+            for variant, count in (("mono", 1), ("rgb", 3)):
+                mi.set_variant(f"llvm_ad_{variant}")
+                wavelengths = options(",".join([str(draw.wavelength)] * count))
+                images.append(mp.render_capture(wall(draw.camera, g), model=model, spp=4, **wavelengths).image)
+        finally:
+            mi.set_variant("llvm_ad_mono")
+        return max(off(images[1][..., i], images[0]) for i in range(3)), 1e-5
+
     # Waves choose rays by wavelengths and heights of lenses, whose rounding tells some of them apart.
     rounded = "mla_tilt" if model == "wave" else ""
-    for judge, without in ((units, f"{AT_THE_LINE_D} mla_jitter mla_seed {rounded}"), (seeds, "")):
+    # Rays through glass, of real lenses, too, have a wavelength each, of one channel.
+    dispersed = "glass mla_glass main_lens" if model == "ray" else ""
+    for judge, without in (
+        (units, f"{AT_THE_LINE_D} mla_jitter mla_seed {rounded}"),
+        (seeds, ""),
+        (channels, dispersed),
+    ):
         judge.__name__ = f"{judge.__name__}_of_scenes_by_{model}s"
         relation(use, without, f"captures by {model}s")(judge)
 
@@ -234,6 +252,11 @@ USES = {
     "gradient": lambda c, p, w: mp.CaptureOperator(c, [p], wavelength=w).gradient([1.0], np.ones(c.shape))["mla_pitch"],
     "field": lambda c, p, w: mp.CaptureOperator(c, [p], wavelength=w).field([1.0]).power,
     "decode": lambda c, p, w: mp.decode(np.ones(c.shape, np.float32), camera=c).values,
+    "views": lambda c, p, w: views.view(mp.decode(np.ones(c.shape, np.float32), camera=c), u=0.1, v=-0.2),
+    "views refocused": lambda c, p, w: views.refocus(mp.decode(np.ones(c.shape, np.float32), camera=c), p[2]),
+    "micro-images": lambda c, p, w: views.micro_images(mp.Capture(np.ones(c.shape, np.float32), c)).values,
+    "truth": lambda c, p, w: mp.ground_truth(wall(c, p[2]), ["shape_index"]).pixels["shape_index"],
+    "exposure": lambda c, p, w: mp.expose(mp.Capture(np.ones(c.shape, np.float32), c), photons=50.0).image,
     **{name: (lambda c, p, w, name=name: image_at(c, np.ones(c.shape, np.float32), p[2], name, w)) for name in METHODS},
 }
 """Computations that any camera may be asked for."""
@@ -245,7 +268,12 @@ def refusals(draw):
     name = str(draw.rng.choice(sorted(USES)))
     result = np.asarray(USES[name](draw.camera, draw.point(), draw.wavelength), float)
     finite = np.isfinite(result)
-    return float(not (finite | (np.isnan(result) & (name in (*METHODS, "decode")))).all() or not finite.any()), 0.0
+    return float(
+        not (
+            finite | (np.isnan(result) & (name in (*METHODS, "decode", "views", "views refocused", "micro-images")))
+        ).all()
+        or not finite.any()
+    ), 0.0
 
 
 @relation(Use.DECODING, "mla_shape mla_figure_error", "light fields")  # of rays that take long

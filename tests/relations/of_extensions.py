@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import of_captures
 from camera_draws import OPTIONS, scaled
 from of_points import picture
 from relation import off, relation
@@ -24,6 +25,18 @@ NOT_DRAWN = {
     "prediction": "its formulas are of one camera each; tests/extensions/prediction compares them with captures",
     "sharpness": "it measures pictures, not cameras",
     "studio": "it shows what others compute",
+}
+
+
+def operator_of(camera, point, wavelength):
+    return mp.CaptureOperator(camera, [point], wavelength=wavelength)
+
+
+of_captures.USES |= {
+    "laser": lambda c, p, w: laser.coherent_capture(operator_of(c, p, w), [1.0]),
+    "slopes": lambda c, p, w: wavefront.view_slopes(c, picture(c, [p], w), p).slope,
+    "stored": lambda c, p, w: mp.StoredOperator(c, [p], wavelength=w).forward([1.0]),
+    "mosaic": lambda c, p, w: mp.demosaic(mp.Capture(np.ones(c.shape, np.float32), c), mosaic="RGGB"),
 }
 
 
