@@ -151,11 +151,14 @@ def etendue_factor(before: Pair, behind: Pair, chief: Pair | None, index: Any) -
 
     The weight is the ratio of slope areas before a microlens and in the medium, divided by the factor n^2 that it has
     on the axis: c^-4 with the c of `into_medium`, and for lenses that turn direction cosines the square of the ratio of
-    1 + t^2. Without a medium it is 1.
+    1 + t^2. For ideal lenses without a medium it is 1.
     """
-    if _is_one(index):
+    if chief is None:
+        root = (1 + _dot(before, before)) / (1 + _dot(behind, behind))
+    elif _is_one(index):
         return 1.0
-    root = (1 + _dot(before, before)) / (1 + _dot(behind, behind)) if chief is None else _widening(chief, index)
+    else:
+        root = _widening(chief, index)
     return root * root
 
 

@@ -14,6 +14,7 @@ from .sensor_rays import sampler_of as sampler_of
 from .tracer import Passage as Passage
 from .tracer import Ray as Ray
 from .tracer import Walk as Walk
+from .tracer import deflects_cosines as deflects_cosines
 from .tracer import detector_rows as detector_rows
 from .tracer import follow_back as follow_back
 from .tracer import on_plane as on_plane

@@ -24,7 +24,7 @@ from ..detector import DetectorOperator
 from ..errors import InputError, refuse_if, short_repr, warn
 from ..io import Capture, recording_of, require_demosaiced
 from ..optics import second_leg
-from ..rays import Passage, Walk, detector_rows, even_steps
+from ..rays import Passage, Walk, deflects_cosines, detector_rows, even_steps
 from ..runtime import Array, Floats, Pair, array_module, as_pixels, fft, require_memory
 from .grid import LensGrid, lens_indices, lens_numbers, lens_types, micro_image_centres
 
@@ -150,8 +150,9 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
 
     Behind a thin main lens the value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds.
     Distortion changes nothing, as rays keep their position on the pupil. Behind a real main lens, vignetting or a
-    tilted array, and where pixels record oblique light otherwise, rays are traced from the pixels, right to 0.2 %, with
-    a picture in the aperture to 1.5 %. The detector records it as `DetectorOperator` states.
+    tilted array, with lenses that turn cosines or have figure errors, and where pixels record oblique light otherwise,
+    rays are traced from the pixels, right to 0.2 %, with a picture in the aperture to 1.5 %. The detector records it as
+    `DetectorOperator` states.
 
     Parameters
     ----------
@@ -174,7 +175,8 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
     require_support(camera, Use.WHITE_IMAGES)
     camera = camera.regular
     uneven = camera.vignetting is not None or camera.pixel_response or camera.mla_absorption or any(camera.mla_tilt)
-    if uneven or (grid is None and not camera.lens_data.is_thin):
+    traced = not camera.lens_data.is_thin or deflects_cosines(camera) or camera.figure_error is not None
+    if uneven or (grid is None and traced):
         # What differs over the field depends on where the camera has its lenses.
         return np.asarray(DetectorOperator.of(camera).forward(_traced(camera)))
     require_support(camera, Use.LENS_CENTRES)

@@ -8,6 +8,7 @@ import pytest
 from cameras import CAMERAS, sky, white
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, Vignetting, decode, render_capture
+from mitsuba_plenoptic.array import Conic
 from mitsuba_plenoptic.views import micro_images, white_pixels
 
 
@@ -77,6 +78,19 @@ def test_white_by_rays_has_little_noise(changes):
     limit = 0.004 if "aperture_image" in changes else 0.002
     assert error < (limit * np.quantile(found, 0.95)) ** 2
     assert found.mean() == pytest.approx(np.mean(captures, dtype=float), rel=5e-4)
+
+
+@pytest.mark.parametrize("change", [{"lens_model": "parabolic"}, {"mla_shape": Conic(0.288), "mla_focal_length": None}])
+@pytest.mark.parametrize("medium", [1.0, 1.5])
+def test_lenses_that_turn_cosines_have_the_light_of_the_pupil(change, medium):
+    """Rays from even points of a detector in air would bring 4 % more through lenses of f/3."""
+    values = {"mla_pitch": 0.19, "mla_focal_length": 0.576, "detector_distance": 0.576, "mla_distance": 60.0}
+    values |= {"mla_medium": medium, "aperture_radius": 10.0, "focal_length": 40.0} | change
+    period = 0.19 * (1 + 0.576 / medium / 60)
+    camera = PlenopticCamera(**values, detector_width=8 * period, resolution=(128, 128))
+    inner = camera.replace(crop_offset=(16, 16), crop_size=(96, 96))
+    for image in (sky(inner, 256), white_pixels(inner)):
+        assert image.mean() == pytest.approx(np.pi * 10**2 / (16 * camera.pupil_step) ** 2, rel=2e-3)
 
 
 @pytest.mark.parametrize("change", [{"mla_absorption": 1e-6}, {"vignetting": Vignetting([2.0])}])

@@ -66,7 +66,7 @@ def medium_of_particles(draw):
 @relation(Use.POINTS, "glass mla_glass crop_offset crop_size", "particles")
 def units_of_particles(draw):
     """All lengths twice as long: the same capture of particles, whose cross-sections are four times as large."""
-    if draw.camera.lens_data.traced_surfaces or draw.camera.objective is not None:
+    if draw.camera.lens_data.traced_surfaces or draw.camera.objective is not None or not draw.camera.has_array:
         return None
     g, reach = draw.point()[2], 1.5 * draw.camera.mla_pitches[0]
     images, references = [], []

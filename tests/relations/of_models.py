@@ -161,11 +161,11 @@ def vanishing_for_rays(draw):
     return without_effect(draw, Use.RAYS, lambda camera: mp.render_capture(wall(camera, g), model="ray", spp=4).image)
 
 
-@relation(Use.WHITE_IMAGES, "mla_figure_error")
+@relation(Use.WHITE_IMAGES)
 def vanishing_in_white(draw):
     """They have next to none in white images, though other methods compute these.
 
-    Pictures in the aperture have steps, which rays sample; only rays know of figure errors.
+    Pictures in the aperture have steps, which rays sample.
     """
     judgement = without_effect(draw, Use.WHITE_IMAGES, mp.views.white_image)
     return judgement and (judgement[0], 0.02 if "aperture_image" in draw.options else judgement[1])
