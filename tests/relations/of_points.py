@@ -221,7 +221,8 @@ def derivative(draw):
             for h in (step, step / 2)
         )
         limit = LIMITS.get(name, 0.06)
-        if np.any(near) and off(far, near) < limit:
+        # Steps that agree by more than half of it may both change how light is sampled.
+        if np.any(near) and off(far, near) < limit / 2:
             worst.append(off(slope, 2 * near - far) / limit)
             draw.slopes.append(name)
     return (max(worst), 1.0) if worst else None

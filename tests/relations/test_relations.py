@@ -28,7 +28,7 @@ def test_an_option_makes_a_camera_whose_unit_may_change(name):
 
 
 SEEDS = {
-    "derivative": 14, "mirror_deconvolved": 12, "channels_deconvolved": 14, "channels_incoherent": 19, "reverse": 2,
+    "derivative": 23, "mirror_deconvolved": 12, "channels_deconvolved": 14, "channels_incoherent": 19, "reverse": 2,
     "units_incoherent": 1, "white_of_scenes": 4, "detector_by_waves": 1, "product_rule": 6,
     "function_deconvolved": 6, "white_capture": 77, "refusals": 2, "depth_of_walls": 54,
 }  # fmt: skip
