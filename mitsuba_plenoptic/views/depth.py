@@ -13,10 +13,12 @@ import xarray as xr
 
 from ..camera import PlenopticCamera, are_alike
 from ..design import focus_types
-from ..errors import InputError, require_count, require_number, suggest_keywords, warn
+from ..errors import InputError, require_count, require_number, suggest_keywords
+from ..optics.rays import second_leg
 from ..runtime import Array, Progress, counted, require_memory
 from .agreement import finer_stripes, view_disagreement
 from .coordinates import (
+    array_scale,
     camera_of,
     depth_range,
     disparity,
@@ -120,8 +122,6 @@ def depth_map(
     lf = require_light_field(lf)
     nearest, farthest = _default_search(lf)
     has_camera = bool(lf.attrs.get("camera"))
-    if has_camera:
-        _warn_of_moved_views(camera_of(lf))
     # Views that are moved farther have nothing in common with the central one.
     most = None if has_camera else 2 * max(lf.shape[2:4]) / max(1, max(lf.shape[:2]) - 1)
     unit_note = "" if has_camera else ", a disparity without a camera,"
@@ -164,6 +164,7 @@ def depth_map(
     dims = ("t", "s")
     maps = dict[str, Any]()
     if has_camera:
+        disparities = _straightened(lf, disparities)
         depth = np.where((probability < 0.5) | ~choice.agreed, np.nan, distance_of(lf, disparities))
         maps["depth"] = (dims, depth, {"units": "mm"})
     maps |= {
@@ -200,17 +201,50 @@ def beyond_search(depth: xr.Dataset) -> tuple[float, float]:
     return float((unknown & (position < near)).mean()), float((unknown & (position > far)).mean())
 
 
-def _warn_of_moved_views(camera: PlenopticCamera) -> None:
-    """Warn of what moves the views of points beside their distance, and is not known to the search."""
-    half = np.hypot(camera.detector_width, camera.detector_height) / 2
-    rise = half * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt))) / camera.reduced_distance
-    if rise > RIGHT:
-        warn(
-            f"mla_tilt = {camera.mla_tilt}: depths are those of an upright array: disparities towards the borders are "
-            f"up to {rise:.0%} off"
-        )
-    if camera.pixel_response:
-        warn("pixel_response: pixels prefer the near side of their lenses, which moves views: depths may be 1 % off")
+def _straightened(lf: xr.DataArray, disparities: Array) -> Array:
+    """Return the disparities of bins behind an upright array of lenses that pixels see evenly, from those observed.
+
+    A lens at the height h sees the pupil point P of a place h P / b beside that of an upright array. Pixels that prefer
+    some directions see the pupil point P through a point beside the middle of their lens, by `_preferred` of P.
+    """
+    camera = camera_of(lf)
+    places = [lf[axis].values * array_scale(camera) for axis in "st"]
+    x, y = np.meshgrid(*places)
+    height = camera.array_height(x, y)
+    size = camera.pupil_step / camera.row_pitch
+    slope = -disparities / size
+    if not is_focused(lf) and (camera.pixel_response or camera.mla_absorption):
+        radii = np.linspace(0, np.hypot(x, y).max(), 9)
+        aside, along = (np.interp(np.hypot(x, y), radii, table) for table in _preferred(camera, radii))
+        slope = (slope + aside) / (1 + along)
+    return -(slope - height / (camera.pupil_distance - height)) * size
+
+
+def _preferred(camera: PlenopticCamera, radii: Array) -> tuple[list[float], list[float]]:
+    """Return by how much lenses at distances from the axis are seen beside their middle and their pupil point.
+
+    Both are fractions of the coordinates of the pupil point, fitted to all of the pupil.
+    """
+    steps = (np.arange(24) + 0.5) / 24
+    pupil = np.stack(np.meshgrid(2 * steps - 1, 2 * steps - 1)).reshape(2, -1, 1) * camera.pupil_radius
+    pupil = pupil[:, np.hypot(*pupil[..., 0]) < camera.pupil_radius]
+    point = np.stack(camera.lattice.aperture_point(*np.stack(np.meshgrid(steps, steps)).reshape(2, -1)))[:, None]
+    counts = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, np.ndarray)
+    tables: tuple[list[float], list[float]] = ([], [])
+    for radius in radii:
+        aside, along = 0.0, 0.0
+        for f2 in camera.mla_focal_lengths:
+            shift = camera.pupil_shift(f2)
+            there = np.hypot(*(pupil + shift * point)) < camera.pupil_radius
+            path = point + (pupil - [[[radius]], [[0.0]]]) * camera.reduced_distance / camera.pupil_distance
+            power = there * counts(np.hypot(*path), camera.detector_distance)
+            mean, centre = ((point * light).sum(2) / np.maximum(light.sum(1), 1e-9) for light in (power, there))
+            fraction = ((mean - centre) * pupil[..., 0]).sum() / np.square(pupil).sum() / len(camera.mla_focal_lengths)
+            aside += fraction
+            along += fraction * shift
+        tables[0].append(aside)
+        tables[1].append(along)
+    return tables
 
 
 def _default_search(lf: xr.DataArray) -> tuple[float, float]:

@@ -24,7 +24,9 @@ import numpy as np
 import scipy
 
 from ..camera import Use, require_support
+from ..optics.rays import second_leg
 from ..runtime import Array
+from .grid import array_places
 from .lens_images import MicroImages
 
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window.
@@ -40,6 +42,10 @@ _SPREAD = (0.125, 0.75, 0.125)
 
 # Points across the square that is mapped to a lens's aperture, for its open part's mean point.
 _POINTS = 32
+
+
+# Parts along rows and columns into which an array is divided whose lenses are tilted, or seen unevenly.
+_ZONES = 6
 
 
 class LensComparison:
@@ -144,13 +150,10 @@ class LensComparison:
         images = self._images
         values = np.empty_like(self._values)
         weight = np.empty_like(images.weight)
-        types = images.types
         position = np.indices(images.weight.shape[2:], dtype=np.float64)
         last = position[:, -1:, -1:]
         camera = images.camera
-        for lens_type, (mean, inwards) in enumerate(self._rims):
-            here = types == lens_type
-            kappa = camera.pupil_shift(camera.mla_focal_lengths[lens_type])
+        for here, kappa, mean, inwards in self._rims:
             views = kappa / camera.pupil_step + 1 / (slope * camera.row_pitch)
             # What each sample shows belongs so far from it, the other way; `at` shows what belongs at a place.
             away = mean * views - inwards
@@ -175,12 +178,12 @@ class LensComparison:
         return values, (weight >= 0.5).astype(np.float32)
 
     @cached_property
-    def _rims(self) -> list[tuple[Array, Array]]:
-        """Effects of the pupil's rim on the samples of each lens type: two arrays (2, v, u), along v and u.
+    def _rims(self) -> list[tuple[Array, float, Array, Array]]:
+        """Effects of the pupil's rim on the samples of lenses alike: which, their kappa, and two arrays (2, v, u).
 
         The first is the mean point, in mm, of the part of the lens through which a sample sees the pupil; the second is
         the displacement in pixels of the sample's recorded light: inwards, as less light comes from where less of the
-        lens is open.
+        lens is open, or pixels prefer it less. Both are along v and u.
         """
         camera = self._images.camera
         position = (np.arange(_POINTS) + 0.5) / _POINTS
@@ -188,12 +191,30 @@ class LensComparison:
         point = np.stack(camera.lattice.aperture_point(*(axis.ravel() for axis in np.meshgrid(position, position))))
         rims = []
         v, u = (np.append(np.append(step[0] - 1, step), step[-1] + 1) * camera.pupil_step for step in self._steps)
-        # Samples that take part in smoothing.
-        there = (self._images.weight > 0).any(axis=(0, 1))
         offset = np.arange(-1, 2)
-        for f2 in camera.mla_focal_lengths:
-            x, y = point * camera.pupil_shift(f2)
+        counts = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, np.ndarray)
+        uneven = camera.pixel_response or camera.mla_absorption or any(camera.mla_tilt)
+        types = self._images.types
+        row, column = (
+            index * _ZONES // size if uneven else 0 * index
+            for index, size in zip(np.indices(types.shape), types.shape, strict=True)
+        )
+        kinds = (types * _ZONES + row) * _ZONES + column
+        for kind in np.unique(kinds):
+            here = kinds == kind
+            middle = array_places(camera, self._images.grid.centres()[here].mean(axis=0))
+            height = float(camera.array_height(*middle))
+            # Samples that take part in smoothing.
+            there = (self._images.weight[here] > 0).any(axis=0)
+            kappa = camera.pupil_shift(camera.mla_focal_lengths[kind // _ZONES**2], height)
+            x, y = point * kappa
             open_ = np.hypot(x - u[None, :, None], y - v[:, None, None]) < camera.aperture_radius
+            if uneven:
+                depth = camera.detector_distance + height
+                near = depth / camera.mla_medium / (camera.pupil_distance - height)
+                right = point[0] - (u[None, :, None] + middle[0]) * near
+                up = point[1] - (v[:, None, None] + middle[1]) * near
+                open_ = open_ * counts(np.hypot(right, up), depth)
             sums = [open_.sum(axis=2), *((open_ * point[axis]).sum(axis=2) for axis in (1, 0))]
             count, *moments = (_weighted(total, _SPREAD, _SPREAD)[1:-1, 1:-1] * there for total in sums)
             off = [
@@ -206,7 +227,7 @@ class LensComparison:
             ]
             open_weight = np.maximum(_weighted(count, _SMOOTH, _SMOOTH), 1e-6)
             mean = np.stack([_weighted(moment, _SMOOTH, _SMOOTH) for moment in moments]) / open_weight
-            rims.append((mean, np.stack(off) / open_weight))
+            rims.append((here, kappa, mean, np.stack(off) / open_weight))
         return rims
 
     def _bins_of(self, slope: float) -> Array:
