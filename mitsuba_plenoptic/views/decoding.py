@@ -94,7 +94,7 @@ def decode(
     elif grid is not None:
         lenses = grid
         bins = _upright(grid)
-    half, reach = view_window(camera, lenses)
+    half, _ = view_window(camera, lenses)
     views = 2 * half + 1
     height, width, channels = image.shape
     # Light, white and weight, each as sampled and in the order of the light field; and the images.
@@ -103,7 +103,7 @@ def decode(
         4.0 * samples + 12.0 * height * width,
         f"light field of {views} x {views} views of {bins.shape[1]} x {bins.shape[0]} pixels",
     )
-    light, divisor, weight = lens_samples(image, reference, seen, lenses, half, reach, camera)
+    light, divisor, weight = lens_samples(image, reference, seen, lenses, camera)
     if not lenses.are_like(bins):
         # Lenses count by what they see, however bright they are.
         resampling = _between_lenses(lenses, bins)
@@ -251,13 +251,7 @@ def _between_lenses(lenses: LensGrid, bins: LensGrid) -> scipy.sparse.csr_array:
 
 
 def lens_samples(
-    image: Floats,
-    white: Floats,
-    seen: Floats | None,
-    lenses: LensGrid,
-    half: int,
-    reach: float,
-    camera: PlenopticCamera | None,
+    image: Floats, white: Floats, seen: Floats | None, lenses: LensGrid, camera: PlenopticCamera | None
 ) -> tuple[Floats, Floats, Floats]:
     """Return the radiance of each lens's samples, (rows, columns, v, u, channels), their white, and their weight.
 
@@ -265,9 +259,10 @@ def lens_samples(
     in the middle of the quarter of its lenses that is nearest to their middle, by their median. Behind a tilted array
     steps between samples are those of its micro-images, so that each view is seen from one point of the pupil.
     """
+    half, reach = view_window(camera, lenses)
     growth = np.ones(lenses.shape)
-    if camera is not None and any(camera.mla_tilt):
-        _, growth = camera.tilted_growth(camera.array_height(*array_places(camera, lenses.centres())))
+    if camera is not None:
+        growth *= camera.tilted_growth(camera.array_height(*array_places(camera, lenses.centres())))[1]
     sampled = partial(_sampled, lenses=lenses, growth=growth, half=half)
     offset = np.arange(-half, half + 1)
     away = np.hypot(offset[:, None], offset)

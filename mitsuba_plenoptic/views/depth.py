@@ -14,7 +14,6 @@ import xarray as xr
 from ..camera import PlenopticCamera, are_alike
 from ..design import focus_types
 from ..errors import InputError, require_count, require_number, suggest_keywords
-from ..optics.rays import second_leg
 from ..runtime import Array, Progress, counted, require_memory
 from .agreement import finer_stripes, view_disagreement
 from .coordinates import (
@@ -27,7 +26,7 @@ from .coordinates import (
     stated_disparities,
     view_steps,
 )
-from .lens_agreement import LensComparison
+from .lens_agreement import LensComparison, light_of_lens
 from .lens_images import MicroImages, micro_images_of
 from .plane_choice import LENSES, VIEWS, Disagreement, choose, disagreement
 from .refocusing import shift_and_add
@@ -208,43 +207,31 @@ def _straightened(lf: xr.DataArray, disparities: Array) -> Array:
     some directions see the pupil point P through a point beside the middle of their lens, by `_preferred` of P.
     """
     camera = camera_of(lf)
-    places = [lf[axis].values * array_scale(camera) for axis in "st"]
-    x, y = np.meshgrid(*places)
+    x, y = np.meshgrid(*(lf[axis].values * array_scale(camera) for axis in "st"))
     height = camera.array_height(x, y)
     size = camera.pupil_step / camera.row_pitch
     slope = -disparities / size
+    # The comparison of micro-images knows what pixels prefer.
     if not is_focused(lf) and (camera.pixel_response or camera.mla_absorption):
-        radii = np.linspace(0, np.hypot(x, y).max(), 9)
-        aside, along = (np.interp(np.hypot(x, y), radii, table) for table in _preferred(camera, radii))
-        slope = (slope + aside) / (1 + along)
+        radius = np.hypot(x, y)
+        radii = np.linspace(0, radius.max(), 9)
+        aside = np.interp(radius, radii, [_preferred(camera, place) for place in radii])
+        slope = (slope + aside) / (1 + aside * np.mean([camera.pupil_shift(f2) for f2 in camera.mla_focal_lengths]))
     return -(slope - height / (camera.pupil_distance - height)) * size
 
 
-def _preferred(camera: PlenopticCamera, radii: Array) -> tuple[list[float], list[float]]:
-    """Return by how much lenses at distances from the axis are seen beside their middle and their pupil point.
+def _preferred(camera: PlenopticCamera, radius: float) -> float:
+    """Return by how much a lens at a distance from the axis is seen beside its middle, over the pupil's coordinates.
 
-    Both are fractions of the coordinates of the pupil point, fitted to all of the pupil.
+    The ratio is fitted to what lies within the pupil for all of the lens.
     """
-    steps = (np.arange(24) + 0.5) / 24
-    pupil = np.stack(np.meshgrid(2 * steps - 1, 2 * steps - 1)).reshape(2, -1, 1) * camera.pupil_radius
-    pupil = pupil[:, np.hypot(*pupil[..., 0]) < camera.pupil_radius]
-    point = np.stack(camera.lattice.aperture_point(*np.stack(np.meshgrid(steps, steps)).reshape(2, -1)))[:, None]
-    counts = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, np.ndarray)
-    tables: tuple[list[float], list[float]] = ([], [])
-    for radius in radii:
-        aside, along = 0.0, 0.0
-        for f2 in camera.mla_focal_lengths:
-            shift = camera.pupil_shift(f2)
-            there = np.hypot(*(pupil + shift * point)) < camera.pupil_radius
-            path = point + (pupil - [[[radius]], [[0.0]]]) * camera.reduced_distance / camera.pupil_distance
-            power = there * counts(np.hypot(*path), camera.detector_distance)
-            mean, centre = ((point * light).sum(2) / np.maximum(light.sum(1), 1e-9) for light in (power, there))
-            fraction = ((mean - centre) * pupil[..., 0]).sum() / np.square(pupil).sum() / len(camera.mla_focal_lengths)
-            aside += fraction
-            along += fraction * shift
-        tables[0].append(aside)
-        tables[1].append(along)
-    return tables
+    f2 = camera.mla_focal_lengths[0]
+    reach = camera.pupil_radius - abs(camera.pupil_shift(f2)) * camera.lattice.aperture_reach
+    pupil = np.stack(np.meshgrid(*2 * [np.linspace(-1, 1, 24) * camera.pupil_radius]))
+    pupil = pupil[:, np.hypot(*pupil) < max(reach, camera.pupil_radius / 2)]
+    point, light, _ = light_of_lens(camera, f2, np.array([radius, 0.0]), *pupil)
+    aside = point @ light.T / np.maximum(light.sum(axis=1), 1e-9)
+    return float((aside * pupil).sum() / np.square(pupil).sum())
 
 
 def _default_search(lf: xr.DataArray) -> tuple[float, float]:

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ..camera import Use, require_support
+from ..camera import PlenopticCamera, Use, require_support
 from ..optics.rays import second_leg
 from ..runtime import Array
 from .grid import array_places
@@ -186,35 +186,20 @@ class LensComparison:
         lens is open, or pixels prefer it less. Both are along v and u.
         """
         camera = self._images.camera
-        position = (np.arange(_POINTS) + 0.5) / _POINTS
-        # Evenly on a lens's aperture, in mm from its centre.
-        point = np.stack(camera.lattice.aperture_point(*(axis.ravel() for axis in np.meshgrid(position, position))))
         rims = []
         v, u = (np.append(np.append(step[0] - 1, step), step[-1] + 1) * camera.pupil_step for step in self._steps)
         offset = np.arange(-1, 2)
-        counts = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, np.ndarray)
-        uneven = camera.pixel_response or camera.mla_absorption or any(camera.mla_tilt)
         types = self._images.types
-        row, column = (
-            index * _ZONES // size if uneven else 0 * index
-            for index, size in zip(np.indices(types.shape), types.shape, strict=True)
-        )
+        uneven = camera.pixel_response or camera.mla_absorption or any(camera.mla_tilt)
+        row, column = np.indices(types.shape) * _ZONES // np.reshape(types.shape, (2, 1, 1)) * bool(uneven)
         kinds = (types * _ZONES + row) * _ZONES + column
         for kind in np.unique(kinds):
             here = kinds == kind
-            middle = array_places(camera, self._images.grid.centres()[here].mean(axis=0))
-            height = float(camera.array_height(*middle))
             # Samples that take part in smoothing.
             there = (self._images.weight[here] > 0).any(axis=0)
-            kappa = camera.pupil_shift(camera.mla_focal_lengths[kind // _ZONES**2], height)
-            x, y = point * kappa
-            open_ = np.hypot(x - u[None, :, None], y - v[:, None, None]) < camera.aperture_radius
-            if uneven:
-                depth = camera.detector_distance + height
-                near = depth / camera.mla_medium / (camera.pupil_distance - height)
-                right = point[0] - (u[None, :, None] + middle[0]) * near
-                up = point[1] - (v[:, None, None] + middle[1]) * near
-                open_ = open_ * counts(np.hypot(right, up), depth)
+            middle = array_places(camera, self._images.grid.centres()[here].mean(axis=0))
+            f2 = camera.mla_focal_lengths[kind // _ZONES**2]
+            point, open_, kappa = light_of_lens(camera, f2, middle, -u, -v[:, None])
             sums = [open_.sum(axis=2), *((open_ * point[axis]).sum(axis=2) for axis in (1, 0))]
             count, *moments = (_weighted(total, _SPREAD, _SPREAD)[1:-1, 1:-1] * there for total in sums)
             off = [
@@ -239,6 +224,27 @@ class LensComparison:
         columns = np.rint(column[:, :, None] - across * slope).astype(np.int64)[:, :, None]
         inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
         return np.where(inside, rows * shape[1] + columns, math.prod(shape))
+
+
+def light_of_lens(camera: PlenopticCamera, f2: float, place: Array, x: Array, y: Array) -> tuple[Array, Array, float]:
+    """Return points of a lens (2, n), in mm from its centre, the light through them, and its kappa.
+
+    The light (..., n), to which pixels respond, is that of samples which see the pupil point (x, y) through the centre.
+    """
+    position = (np.arange(_POINTS) + 0.5) / _POINTS
+    # Evenly on the lens's aperture.
+    right, up = camera.lattice.aperture_point(*(axis.ravel() for axis in np.meshgrid(position, position)))
+    height = camera.array_height(*place)
+    kappa = camera.pupil_shift(f2, height)
+    x = x[..., None]
+    y = y[..., None]
+    light = np.hypot(x + kappa * right, y + kappa * up) < camera.aperture_radius
+    if camera.pixel_response or camera.mla_absorption:
+        depth = camera.detector_distance + height
+        near = depth / camera.mla_medium / (camera.pupil_distance - height)
+        counts = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, np.ndarray)
+        light = light * counts(np.hypot(right + (x - place[0]) * near, up + (y - place[1]) * near), depth)
+    return np.stack([right, up]), light, kappa
 
 
 def _noise_of(images: MicroImages) -> Array:
