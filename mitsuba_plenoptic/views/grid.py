@@ -110,9 +110,8 @@ class LensGrid:
 
     def are_like(self, bins: LensGrid) -> bool:
         """Return whether these lenses stand for bins: as many, regular or displaced by a small part of a bin."""
-        if replace(self, warp=(), middle=(0.0, 0.0)) != bins:
-            return False
-        return not self.warp or bool(abs(self.centres() - bins.centres()).max() < _ASIDE * min(bins.spacing))
+        regular = replace(self, warp=(), middle=(0.0, 0.0))
+        return regular == bins and np.abs(self.centres() - bins.centres()).max() < _ASIDE * min(bins.spacing)
 
     def regular(self, places: Array) -> Array:
         """Return the positions (n, 2) from which the warp displaces to given ones."""
