@@ -167,6 +167,22 @@ class CameraGeometry(CameraParameters):
         across, up = (math.tan(math.radians(angle)) for angle in self.mla_tilt)
         return x * across + y * up if across or up else 0.0
 
+    def tilted_growth(self, height: Any) -> Pair:
+        """Return the nearness to the pupil of lenses at a height, and the size of their images, over an upright's."""
+        # Chief rays behind an objective are parallel to the axis.
+        nearer = 1 - (self.image_growth > 1) * height / self.pupil_distance
+        return nearer, (1 + height / self.detector_distance) / nearer
+
+    @property
+    def chief_warp(self) -> tuple[float, ...]:
+        """Displacement of the places where chief rays of lenses cross the upright array: `mla_warp`, and of a tilt."""
+        warp = np.array(self.mla_warp or np.zeros(14)).reshape(2, -1)
+        # A tilt moves lenses by c h / b, where h is linear in c.
+        rise = np.tan(np.deg2rad(self.mla_tilt)) * (self.image_growth > 1) / self.pupil_distance
+        warp[0, :2] += rise
+        warp[1, 1:3] += rise
+        return tuple(warp.ravel().tolist()) if warp.any() else ()
+
     def focal_factor(self, i: Any, j: Any) -> Any:
         """Return the factor on the focal length of an irregular lens."""
         return 1 + self.mla_jitter[1] * deviates(self.mla_seed, i, j)[2]
@@ -301,17 +317,14 @@ class CameraGeometry(CameraParameters):
         """Radius in the pupil within which the projected centres of lit pixels lie: pupil plus half a pixel, in mm."""
         return self.pupil_radius + self.pupil_step / 2
 
-    def pupil_shift(self, mla_focal_length: float) -> float:
+    def pupil_shift(self, mla_focal_length: float, height: float = 0.0) -> float:
         r"""Return the shift of the pupil point seen by a detector point, per shift of the point on the microlens.
 
         :math:`\kappa = 1 + n b/z - n b/f_2`, which is 1 for :math:`z = f_2`. Behind an objective, whose stop all lenses
-        see in the same directions, it is smaller by 1.
+        see in the same directions, it is smaller by 1. A lens of a tilted array may have a height in mm.
         """
-        return (
-            self.lens_data.converges
-            + self.pupil_distance / self.reduced_distance
-            - self.pupil_distance / (mla_focal_length / self.mla_medium)
-        )
+        power = 1 / (self.detector_distance + height) - 1 / mla_focal_length
+        return self.lens_data.converges + self.mla_medium * (self.pupil_distance - height) * power
 
     @property
     def detector_height(self) -> float:

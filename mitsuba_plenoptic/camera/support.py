@@ -177,7 +177,6 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             "captures of scenes",
         ),
         refused(Use.SMALL_LENSES | _STRAIGHT, "the light is that of an upright array", "reconstruct"),
-        approximate(Use.DECODING, "samples count as an upright array's: of depths at a degree up to 1.2 per cent"),
         _NO_DERIVATIVE,
     ),
     "mla_aperture": (
@@ -317,7 +316,6 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
     "stray_width": _MIXES,
     "pixel_response": (
         *_BEHIND_LENSES,
-        approximate(Use.DECODING, "pixels prefer the near side of their lenses: depths are up to 1.3 per cent off"),
         refused(Use.SMALL_LENSES, "the responses contain it"),
         _NO_DERIVATIVE,
     ),

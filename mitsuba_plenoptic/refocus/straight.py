@@ -138,7 +138,7 @@ def _seen(camera: PlenopticCamera, regular: PlenopticCamera) -> Iterator[tuple[s
         p = np.meshgrid(px, down[first : first + height])
         cells = regular.lattice.cell(*(q / growth for q in p))
         lens = camera.lenslet(*cells)
-        nearer, larger = _growth(camera, lens)
+        nearer, larger = camera.tilted_growth(lens.height)
         places = [
             (c / nearer - larger * before) * growth + larger * q
             for q, c, before in zip(p, lens.centre, regular.lattice.centre(*cells), strict=True)
@@ -155,7 +155,7 @@ def regular_place(camera: PlenopticCamera, x: Any, y: Any) -> Pair:
     growth = camera.image_growth
     cells = camera.lattice.cell(x / growth, y / growth)
     lens = camera.lenslet(*cells)
-    nearer, larger = _growth(camera, lens)
+    nearer, larger = camera.tilted_growth(lens.height)
     regular = straightened(camera).lattice.centre(*cells)
     u, v = (
         (q - (c / nearer - larger * before) * growth) / larger
@@ -164,24 +164,11 @@ def regular_place(camera: PlenopticCamera, x: Any, y: Any) -> Pair:
     return u, v
 
 
-def _growth(camera: PlenopticCamera, lens: Any) -> Pair:
-    """Return the nearness of lenses of a tilted array to the pupil, and the size of their images, over an upright's."""
-    # Chief rays behind an objective are parallel to the axis.
-    nearer = 1 - (camera.image_growth > 1) * lens.height / camera.pupil_distance
-    z = camera.reduced_distance
-    return nearer, (z + lens.height / camera.mla_medium) / z / nearer
-
-
 def displaced_image(image: Floats, camera: PlenopticCamera, oversample: int) -> Floats:
     """Return a refocused image (rows, columns, channels) with its bins displaced like the camera's lenses."""
-    if straightened(camera) is camera:
+    if straightened(camera) is camera or not camera.chief_warp:
         return image
-    warp = np.array(camera.mla_warp or np.zeros(6)).reshape(2, -1)
-    # A tilt moves lenses by c h / b, where h is linear in c.
-    across, up = np.tan(np.deg2rad(camera.mla_tilt)) * (camera.image_growth > 1) / camera.pupil_distance
-    warp[0, :2] += across, up
-    warp[1, 1:3] += across, up
-    moved, rows, columns = Displacement(tuple(warp.ravel().tolist())), *image.shape[:2]
+    moved, rows, columns = Displacement(camera.chief_warp), *image.shape[:2]
     pitch = camera.row_pitch / oversample
     half = np.array([columns, rows]) * pitch / 2
     if moved.most_smooth(-half, half)[0] <= _ASIDE * camera.row_pitch:

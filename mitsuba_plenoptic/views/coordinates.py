@@ -89,14 +89,12 @@ def light_field(
             pupil_places(camera, views),
             {"units": "mm", "long_name": f"{'xy'[axis]} on the pupil"},
         )
-        places = -lens_places(camera, bins, axis)
+        places = lens_places(camera, bins, axis) / array_scale(camera)
         distance = camera.focus_distance
         if 0 < distance < math.inf:
-            places = places * distance / camera.mla_distance
             units = "mm"
             name = f"{'xy'[axis]} in the object plane at {distance:.6g} mm"
         else:
-            places = places / camera.mla_distance
             units = "1"
             name = f"slope in {'xy'[axis]}; no real plane is in focus"
         coordinates[spatial] = (spatial, places, {"units": units, "long_name": name})
@@ -119,6 +117,12 @@ def pupil_places(camera: PlenopticCamera, views: int) -> Array:
     """Return the coordinates in mm, on the pupil, of `count` views along x or y."""
     # A pixel one step to the right of its micro-image's centre looks one step to the left on the pupil axis.
     return -(np.arange(views) - (views - 1) / 2) * camera.pupil_step
+
+
+def array_scale(camera: PlenopticCamera) -> float:
+    """Return the factor from coordinates of a light field along ``s`` or ``t`` to places in mm on the array."""
+    distance = camera.focus_distance
+    return -camera.mla_distance / (distance if 0 < distance < math.inf else 1.0)
 
 
 def lens_places(camera: PlenopticCamera, bins: LensGrid, axis: int) -> Array:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,7 @@ from ..io import TRUTH_COORDINATES, Capture, CaptureLike, GroundTruth, channel_p
 from ..runtime import Floats, Progress, as_pixels, require_memory
 from .coordinates import DIMS, light_field
 from .fourier_views import decode_views
-from .grid import LensGrid, bin_grid, lens_grid
+from .grid import LensGrid, array_places, bin_grid, lens_grid
 from .model_white import capture_white
 from .white import clear, divide_by_white, open_fraction, recorded_white, white_image
 
@@ -92,7 +94,7 @@ def decode(
     elif grid is not None:
         lenses = grid
         bins = _upright(grid)
-    half, alone = view_window(camera, lenses)
+    half, _ = view_window(camera, lenses)
     views = 2 * half + 1
     height, width, channels = image.shape
     # Light, white and weight, each as sampled and in the order of the light field; and the images.
@@ -101,8 +103,8 @@ def decode(
         4.0 * samples + 12.0 * height * width,
         f"light field of {views} x {views} views of {bins.shape[1]} x {bins.shape[0]} pixels",
     )
-    light, divisor, weight = lens_samples(image, reference, seen, lenses, alone, camera is not None)
-    if lenses != bins:
+    light, divisor, weight = lens_samples(image, reference, seen, lenses, camera)
+    if not lenses.are_like(bins):
         # Lenses count by what they see, however bright they are.
         resampling = _between_lenses(lenses, bins)
         light *= weight[..., None]
@@ -193,11 +195,8 @@ _ROUNDING = 1e-6
 """Fraction of a pixel by which lengths may be off that are computed from detectors of different sizes."""
 
 
-def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:
-    """Return the number of views on either side of the central one, and a mask of views through one lens only.
-
-    The result has the shape (2 half + 1, 2 half + 1).
-    """
+def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, float]:
+    """Return the number of views on either side of the central one, and how many pixels from it a lens is alone."""
     reach = lenses.nearest_distance / 2
     views = math.inf
     if camera is not None:
@@ -213,8 +212,7 @@ def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, 
         smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths) - 1
         # Smear of a micro-image's rim, over that of the corners of lenses, up to which it holds hardly any light.
         reach -= max(0.3 * smear * camera.lattice.aperture_reach / camera.pupil_step, 0)
-    offset = np.arange(-half, half + 1)
-    return half, np.hypot(offset[:, None], offset) <= max(reach, 1 + _ROUNDING)
+    return half, max(reach, 1 + _ROUNDING)
 
 
 def _upright(lenses: LensGrid) -> LensGrid:
@@ -253,47 +251,52 @@ def _between_lenses(lenses: LensGrid, bins: LensGrid) -> scipy.sparse.csr_array:
 
 
 def lens_samples(
-    image: Floats, white: Floats, seen: Floats | None, lenses: LensGrid, alone: np.ndarray, is_scaled: bool
+    image: Floats, white: Floats, seen: Floats | None, lenses: LensGrid, camera: PlenopticCamera | None
 ) -> tuple[Floats, Floats, Floats]:
     """Return the radiance of each lens's samples, (rows, columns, v, u, channels), their white, and their weight.
 
-    `seen` tells the fraction of the pupil that pixels see; without it the white does. A white that is not scaled reads
-    1 in the middle of the quarter of its lenses that is nearest to their middle, by their median.
+    `seen` tells the fraction of the pupil that pixels see; without it the white does. Without a camera, a white reads 1
+    in the middle of the quarter of its lenses that is nearest to their middle, by their median. Behind a tilted array
+    steps between samples are those of its micro-images, so that each view is seen from one point of the pupil.
     """
-    half = alone.shape[0] // 2
-    light = _sampled(image, lenses, half)
-    of_colours = _sampled(white, lenses, half)
+    half, reach = view_window(camera, lenses)
+    growth = np.ones(lenses.shape)
+    if camera is not None:
+        growth *= camera.tilted_growth(camera.array_height(*array_places(camera, lenses.centres())))[1]
+    sampled = partial(_sampled, lenses=lenses, growth=growth, half=half)
+    offset = np.arange(-half, half + 1)
+    away = np.hypot(offset[:, None], offset)
+    light = sampled(image)
+    of_colours = sampled(white)
     divisor = of_colours.mean(-1)
     # Diffraction blurs rims more in red than in blue.
     light *= divisor[..., None] / np.maximum(of_colours, 1e-6)
-    weight = open_fraction(divisor, alone) if seen is None else _sampled(seen, lenses, half)[..., 0].clip(0, 1)
-    if not is_scaled:
+    weight = open_fraction(divisor, away <= reach) if seen is None else sampled(seen)[..., 0].clip(0, 1)
+    if camera is None:
         level = divisor[:, :, half, half]
         lit = level > 0
         refuse_if(not lit.any(), "white: it is black in the middle of every micro-image")
         centres = lenses.centres()
-        away = np.hypot(*np.moveaxis(centres - centres.mean(axis=(0, 1)), 2, 0))[lit]
-        divisor /= np.median(level[lit][away <= np.quantile(away, 0.25)])
-    divide_by_white(light, divisor, weight, alone)
+        radius = np.hypot(*np.moveaxis(centres - centres.mean(axis=(0, 1)), 2, 0))[lit]
+        divisor /= np.median(level[lit][radius <= np.quantile(radius, 0.25)])
+    divide_by_white(light, divisor, weight, growth[..., None, None] * away <= reach)
     return light, divisor, weight
 
 
-def _sampled(image: Floats, lenses: LensGrid, half: int) -> Floats:
-    """Return samples of an image at whole-pixel steps about each micro-image's centre.
+def _sampled(image: Floats, lenses: LensGrid, growth: np.ndarray, half: int) -> Floats:
+    """Return samples of an image about each micro-image's centre, in steps of its growth, (rows, columns), in pixels.
 
     The result has the shape (rows, columns, 2 half + 1, 2 half + 1, channels).
     """
     views = 2 * half + 1
-    channels = image.shape[2]
-    height, width = image.shape[:2]
-    samples = np.empty((*lenses.shape, views, views, channels), dtype=np.float32)
-    for out, row in zip(samples, lenses.centres() - 0.5, strict=True):
-        base = np.floor(row).astype(np.int64)
-        across, down = (base[:, axis, None] + np.arange(-half, half + 2) for axis in (0, 1))
-        inside = ((down >= 0) & (down < height))[:, :, None] & ((across >= 0) & (across < width))[:, None, :]
-        patch = image[down.clip(0, height - 1)[:, :, None], across.clip(0, width - 1)[:, None, :]]
-        patch = patch * inside[..., None]
-        fx, fy = (((row - base)[:, axis].astype(np.float32))[:, None, None, None] for axis in (0, 1))
-        patch = patch[:, :-1] * (1 - fy) + patch[:, 1:] * fy
-        out[...] = patch[:, :, :-1] * (1 - fx) + patch[:, :, 1:] * fx
+    samples = np.zeros((*lenses.shape, views, views, image.shape[2]), dtype=np.float32)
+    last = np.array([[image.shape[1]], [image.shape[0]]]) - 1
+    offset = np.arange(-half, half + 1)
+    for out, row, steps in zip(samples, lenses.centres() - 0.5, growth, strict=True):
+        place = row[..., None] + steps[:, None, None] * offset
+        for corner in itertools.product((0, 1), (0, 1)):
+            pixel = np.floor(place).astype(np.int64) + np.array(corner)[:, None]
+            share = ((1 - abs(place - pixel)) * ((pixel >= 0) & (pixel <= last))).astype(np.float32)
+            (x, y), (wx, wy) = (np.moveaxis(values, 1, 0) for values in (pixel.clip(0, last), share))
+            out += image[y[:, :, None], x[:, None]] * (wy[:, :, None] * wx[:, None])[..., None]
     return samples

@@ -13,10 +13,11 @@ import xarray as xr
 
 from ..camera import PlenopticCamera, are_alike
 from ..design import focus_types
-from ..errors import InputError, require_count, require_number, suggest_keywords, warn
+from ..errors import InputError, require_count, require_number, suggest_keywords
 from ..runtime import Array, Progress, counted, require_memory
 from .agreement import finer_stripes, view_disagreement
 from .coordinates import (
+    array_scale,
     camera_of,
     depth_range,
     disparity,
@@ -25,7 +26,7 @@ from .coordinates import (
     stated_disparities,
     view_steps,
 )
-from .lens_agreement import LensComparison
+from .lens_agreement import LensComparison, light_of_lens
 from .lens_images import MicroImages, micro_images_of
 from .plane_choice import LENSES, VIEWS, Disagreement, choose, disagreement
 from .refocusing import shift_and_add
@@ -120,8 +121,6 @@ def depth_map(
     lf = require_light_field(lf)
     nearest, farthest = _default_search(lf)
     has_camera = bool(lf.attrs.get("camera"))
-    if has_camera:
-        _warn_of_moved_views(camera_of(lf))
     # Views that are moved farther have nothing in common with the central one.
     most = None if has_camera else 2 * max(lf.shape[2:4]) / max(1, max(lf.shape[:2]) - 1)
     unit_note = "" if has_camera else ", a disparity without a camera,"
@@ -164,6 +163,7 @@ def depth_map(
     dims = ("t", "s")
     maps = dict[str, Any]()
     if has_camera:
+        disparities = _straightened(lf, disparities)
         depth = np.where((probability < 0.5) | ~choice.agreed, np.nan, distance_of(lf, disparities))
         maps["depth"] = (dims, depth, {"units": "mm"})
     maps |= {
@@ -200,17 +200,38 @@ def beyond_search(depth: xr.Dataset) -> tuple[float, float]:
     return float((unknown & (position < near)).mean()), float((unknown & (position > far)).mean())
 
 
-def _warn_of_moved_views(camera: PlenopticCamera) -> None:
-    """Warn of what moves the views of points beside their distance, and is not known to the search."""
-    half = np.hypot(camera.detector_width, camera.detector_height) / 2
-    rise = half * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt))) / camera.reduced_distance
-    if rise > RIGHT:
-        warn(
-            f"mla_tilt = {camera.mla_tilt}: depths are those of an upright array: disparities towards the borders are "
-            f"up to {rise:.0%} off"
-        )
-    if camera.pixel_response:
-        warn("pixel_response: pixels prefer the near side of their lenses, which moves views: depths may be 1 % off")
+def _straightened(lf: xr.DataArray, disparities: Array) -> Array:
+    """Return the disparities of bins behind an upright array of lenses that pixels see evenly, from those observed.
+
+    A lens at the height h sees the pupil point P of a place h P / b beside that of an upright array. Pixels that prefer
+    some directions see the pupil point P through a point beside the middle of their lens, by `_preferred` of P.
+    """
+    camera = camera_of(lf)
+    x, y = np.meshgrid(*(lf[axis].values * array_scale(camera) for axis in "st"))
+    height = camera.array_height(x, y)
+    size = camera.pupil_step / camera.row_pitch
+    slope = -disparities / size
+    # The comparison of micro-images knows what pixels prefer.
+    if not is_focused(lf) and (camera.pixel_response or camera.mla_absorption):
+        radius = np.hypot(x, y)
+        radii = np.linspace(0, radius.max(), 9)
+        aside = np.interp(radius, radii, [_preferred(camera, place) for place in radii])
+        slope = (slope + aside) / (1 + aside * np.mean([camera.pupil_shift(f2) for f2 in camera.mla_focal_lengths]))
+    return -(slope - height / (camera.pupil_distance - height)) * size
+
+
+def _preferred(camera: PlenopticCamera, radius: float) -> float:
+    """Return by how much a lens at a distance from the axis is seen beside its middle, over the pupil's coordinates.
+
+    The ratio is fitted to what lies within the pupil for all of the lens.
+    """
+    f2 = camera.mla_focal_lengths[0]
+    reach = camera.pupil_radius - abs(camera.pupil_shift(f2)) * camera.lattice.aperture_reach
+    pupil = np.stack(np.meshgrid(*2 * [np.linspace(-1, 1, 24) * camera.pupil_radius]))
+    pupil = pupil[:, np.hypot(*pupil) < max(reach, camera.pupil_radius / 2)]
+    point, light, _ = light_of_lens(camera, f2, np.array([radius, 0.0]), *pupil)
+    aside = point @ light.T / np.maximum(light.sum(axis=1), 1e-9)
+    return float((aside * pupil).sum() / np.square(pupil).sum())
 
 
 def _default_search(lf: xr.DataArray) -> tuple[float, float]:

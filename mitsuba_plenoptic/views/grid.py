@@ -19,6 +19,9 @@ from ..errors import MOST_PIXELS, put_checked, refuse_if, require_count, require
 from ..optics import rays
 from ..runtime import Array, Doubles, Integers, require_memory, turn
 
+_ASIDE = 0.05
+"""Displacement of lenses over the width of a bin up to which they are not interpolated."""
+
 
 @dataclass(frozen=True)
 class LensGrid:
@@ -105,6 +108,11 @@ class LensGrid:
         moved = Displacement(self.warp).smooth(*np.moveaxis(regular - self.middle, -1, 0))
         return regular + np.stack(moved, axis=-1)
 
+    def are_like(self, bins: LensGrid) -> bool:
+        """Return whether these lenses stand for bins: as many, regular or displaced by a small part of a bin."""
+        regular = replace(self, warp=(), middle=(0.0, 0.0))
+        return regular == bins and np.abs(self.centres() - bins.centres()).max() < _ASIDE * min(bins.spacing)
+
     def regular(self, places: Array) -> Array:
         """Return the positions (n, 2) from which the warp displaces to given ones."""
         if not self.warp:
@@ -166,14 +174,14 @@ def lens_grid(camera: PlenopticCamera) -> LensGrid:
 
 
 def _warped(grid: LensGrid, camera: PlenopticCamera) -> LensGrid:
-    """Return the grid of a regular array with the displacement of the camera's lenses."""
-    if not camera.mla_warp:
+    """Return the grid of a regular, upright array with the displacement of the camera's lenses."""
+    if not (of_array := camera.chief_warp):
         return grid
     # From millimetres on the array to pixels.
     size = camera.pixel_size / camera.image_growth
     warp = [
         coefficient * size ** (sum(powers) - 1)
-        for coefficient, powers in zip(camera.mla_warp, Displacement(camera.mla_warp).powers * 2, strict=True)
+        for coefficient, powers in zip(of_array, Displacement(of_array).powers * 2, strict=True)
     ]
     x, y = np.array(camera.resolution) / 2 - camera.crop_offset
     return replace(grid, warp=tuple(warp), middle=(float(x), float(y)))
@@ -196,8 +204,15 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> Array:
 
 def lens_indices(camera: PlenopticCamera, centres: Array) -> tuple[Doubles, Doubles]:
     """Return the lattice indices of the lenses of micro-image centres (..., 2), columns and rows."""
+    return camera.lattice.cell(*array_places(camera, centres))
+
+
+def array_places(camera: PlenopticCamera, centres: Array) -> Doubles:
+    """Return the places in mm on the array of the lenses of micro-image centres (..., 2), x and y."""
     p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
-    return rays.chief_lenses(camera, p[..., 0], p[..., 1])
+    place = np.moveaxis(rays.chief_point(camera, p), -1, 0)
+    nearer, _ = camera.tilted_growth(camera.array_height(*place))
+    return np.asarray(place * nearer)
 
 
 def lens_types(camera: PlenopticCamera, centres: Array) -> Array:

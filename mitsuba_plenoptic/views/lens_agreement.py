@@ -23,8 +23,10 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ..camera import Use, require_support
+from ..camera import PlenopticCamera, Use, require_support
+from ..optics.rays import second_leg
 from ..runtime import Array
+from .grid import array_places
 from .lens_images import MicroImages
 
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window.
@@ -40,6 +42,10 @@ _SPREAD = (0.125, 0.75, 0.125)
 
 # Points across the square that is mapped to a lens's aperture, for its open part's mean point.
 _POINTS = 32
+
+
+# Parts along rows and columns into which an array is divided whose lenses are tilted, or seen unevenly.
+_ZONES = 6
 
 
 class LensComparison:
@@ -144,13 +150,10 @@ class LensComparison:
         images = self._images
         values = np.empty_like(self._values)
         weight = np.empty_like(images.weight)
-        types = images.types
         position = np.indices(images.weight.shape[2:], dtype=np.float64)
         last = position[:, -1:, -1:]
         camera = images.camera
-        for lens_type, (mean, inwards) in enumerate(self._rims):
-            here = types == lens_type
-            kappa = camera.pupil_shift(camera.mla_focal_lengths[lens_type])
+        for here, kappa, mean, inwards in self._rims:
             views = kappa / camera.pupil_step + 1 / (slope * camera.row_pitch)
             # What each sample shows belongs so far from it, the other way; `at` shows what belongs at a place.
             away = mean * views - inwards
@@ -175,25 +178,28 @@ class LensComparison:
         return values, (weight >= 0.5).astype(np.float32)
 
     @cached_property
-    def _rims(self) -> list[tuple[Array, Array]]:
-        """Effects of the pupil's rim on the samples of each lens type: two arrays (2, v, u), along v and u.
+    def _rims(self) -> list[tuple[Array, float, Array, Array]]:
+        """Effects of the pupil's rim on the samples of lenses alike: which, their kappa, and two arrays (2, v, u).
 
         The first is the mean point, in mm, of the part of the lens through which a sample sees the pupil; the second is
         the displacement in pixels of the sample's recorded light: inwards, as less light comes from where less of the
-        lens is open.
+        lens is open, or pixels prefer it less. Both are along v and u.
         """
         camera = self._images.camera
-        position = (np.arange(_POINTS) + 0.5) / _POINTS
-        # Evenly on a lens's aperture, in mm from its centre.
-        point = np.stack(camera.lattice.aperture_point(*(axis.ravel() for axis in np.meshgrid(position, position))))
         rims = []
         v, u = (np.append(np.append(step[0] - 1, step), step[-1] + 1) * camera.pupil_step for step in self._steps)
-        # Samples that take part in smoothing.
-        there = (self._images.weight > 0).any(axis=(0, 1))
         offset = np.arange(-1, 2)
-        for f2 in camera.mla_focal_lengths:
-            x, y = point * camera.pupil_shift(f2)
-            open_ = np.hypot(x - u[None, :, None], y - v[:, None, None]) < camera.aperture_radius
+        types = self._images.types
+        uneven = camera.pixel_response or camera.mla_absorption or any(camera.mla_tilt)
+        row, column = np.indices(types.shape) * _ZONES // np.reshape(types.shape, (2, 1, 1)) * bool(uneven)
+        kinds = (types * _ZONES + row) * _ZONES + column
+        for kind in np.unique(kinds):
+            here = kinds == kind
+            # Samples that take part in smoothing.
+            there = (self._images.weight[here] > 0).any(axis=0)
+            middle = array_places(camera, self._images.grid.centres()[here].mean(axis=0))
+            f2 = camera.mla_focal_lengths[kind // _ZONES**2]
+            point, open_, kappa = light_of_lens(camera, f2, middle, -u, -v[:, None])
             sums = [open_.sum(axis=2), *((open_ * point[axis]).sum(axis=2) for axis in (1, 0))]
             count, *moments = (_weighted(total, _SPREAD, _SPREAD)[1:-1, 1:-1] * there for total in sums)
             off = [
@@ -206,7 +212,7 @@ class LensComparison:
             ]
             open_weight = np.maximum(_weighted(count, _SMOOTH, _SMOOTH), 1e-6)
             mean = np.stack([_weighted(moment, _SMOOTH, _SMOOTH) for moment in moments]) / open_weight
-            rims.append((mean, np.stack(off) / open_weight))
+            rims.append((here, kappa, mean, np.stack(off) / open_weight))
         return rims
 
     def _bins_of(self, slope: float) -> Array:
@@ -218,6 +224,27 @@ class LensComparison:
         columns = np.rint(column[:, :, None] - across * slope).astype(np.int64)[:, :, None]
         inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
         return np.where(inside, rows * shape[1] + columns, math.prod(shape))
+
+
+def light_of_lens(camera: PlenopticCamera, f2: float, place: Array, x: Array, y: Array) -> tuple[Array, Array, float]:
+    """Return points of a lens (2, n), in mm from its centre, the light through them, and its kappa.
+
+    The light (..., n), to which pixels respond, is that of samples which see the pupil point (x, y) through the centre.
+    """
+    position = (np.arange(_POINTS) + 0.5) / _POINTS
+    # Evenly on the lens's aperture.
+    right, up = camera.lattice.aperture_point(*(axis.ravel() for axis in np.meshgrid(position, position)))
+    height = camera.array_height(*place)
+    kappa = camera.pupil_shift(f2, height)
+    x = x[..., None]
+    y = y[..., None]
+    light = np.hypot(x + kappa * right, y + kappa * up) < camera.aperture_radius
+    if camera.pixel_response or camera.mla_absorption:
+        depth = camera.detector_distance + height
+        near = depth / camera.mla_medium / (camera.pupil_distance - height)
+        counts = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, np.ndarray)
+        light = light * counts(np.hypot(right + (x - place[0]) * near, up + (y - place[1]) * near), depth)
+    return np.stack([right, up]), light, kappa
 
 
 def _noise_of(images: MicroImages) -> Array:

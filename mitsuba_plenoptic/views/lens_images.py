@@ -87,13 +87,13 @@ def micro_images(
         "camera: each lens of a Fourier microscope makes a view, not a micro-image; use decode",
     )
     lenses = grid or lens_grid(upright)
-    half, alone = view_window(upright, lenses)
+    half, _ = view_window(upright, lenses)
     size = math.prod(lenses.shape) * (2 * half + 1) ** 2
     require_memory(
         4.0 * size * (image.shape[2] + 2) + 12.0 * image.shape[0] * image.shape[1],
         f"micro-images of {lenses.shape[1]} x {lenses.shape[0]} lenses",
     )
-    values, _, weight = lens_samples(image, reference, seen, lenses, alone, is_scaled=True)
+    values, _, weight = lens_samples(image, reference, seen, lenses, upright)
     return MicroImages(values, weight, lenses, bin_grid(upright), upright)
 
 
@@ -102,7 +102,7 @@ def micro_images_of(lf: xr.DataArray) -> MicroImages:
     camera = camera_of(lf)
     bins = bin_grid(camera)
     refuse_if(
-        (grid_of(lf) or lens_grid(camera)) != bins,
+        not (grid_of(lf) or lens_grid(camera)).are_like(bins),
         "micro_images = None: the bins of this light field are interpolated between lenses, which a focused "
         f"camera's depth cannot be found from; give {advice(python='micro_images(capture)', shell='the capture')}",
     )

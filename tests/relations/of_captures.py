@@ -333,7 +333,7 @@ UNEVEN = "mla_transmissions vignetting pupil_apodisation mla_absorption pixel_re
     Use.DECODING | Use.RAYS,
     f"{MOVING} crop_offset crop_size detector_blur mla_rotation",
     "depth",
-    lambda seed: UNEVEN.split(),
+    lambda seed: [*UNEVEN.split(), "mla_tilt"],
 )
 def depth_of_walls(draw):
     """A wall is where it is, whatever lenses and pupil make of its brightness, or a fall-off in picture and white."""

@@ -43,24 +43,31 @@ def of_square_lenses(pixels, lenses, focused=None, **changes):
 def straight_rays(camera, radiance, lens_gain=lambda i, j: 1.0):
     """Capture by rays through 16 points of each lens, and of 4 of each pixel; radiance (x, y, slopes) at the pupil."""
     generator = np.random.default_rng(0)
-    b, z, pitch, f2 = camera.mla_distance, camera.detector_distance, camera.mla_pitch, camera.mla_focal_length
+    b, z, n, lattice = camera.mla_distance, camera.detector_distance, camera.mla_medium, camera.lattice
+    rise = np.tan(np.deg2rad(camera.mla_tilt))
     total = np.zeros(camera.shape)
     for index in range(64):
         inside = np.array([index // 32, index // 16 % 2]) / 2 + 0.25 - 0.5
-        x, y = np.meshgrid(*(camera.pixel_coordinates(axis) + inside[axis] * camera.pixel_size for axis in (0, 1)))
-        i, j = (np.floor(p * b / (b + z) / pitch) for p in (x, y))
-        jitter = generator.random((2, *x.shape))
-        across, down = ((index // step % 4 + jitter[axis]) / 4 - 0.5 for axis, step in enumerate((4, 1)))
-        t = [(c + 0.5 + at) * pitch - p for c, at, p in ((i, across, x), (j, down, y))]
-        t = [part / z - at * pitch / f2 for part, at in zip(t, (across, down), strict=True)]
-        m = (i + 0.5 + across) * pitch, (j + 0.5 + down) * pitch
-        P = [place + b * slope for place, slope in zip(m, t, strict=True)]
+        p = np.meshgrid(*(camera.pixel_coordinates(axis) + inside[axis] * camera.pixel_size for axis in (0, 1)))
+        chief = [q * b / (b + z / n) for q in p]
+        i, j = lattice.cell(*(q * (1 - (rise[0] * chief[0] + rise[1] * chief[1]) / b) for q in chief))
+        centre = lattice.centre(i, j)
+        h = rise[0] * centre[0] + rise[1] * centre[1]
+        jitter = generator.random((2, *centre[0].shape))
+        aside = lattice.aperture_point(*((index // step % 4 + jitter[axis]) / 4 for axis, step in enumerate((4, 1))))
+        m = [c + at for c, at in zip(centre, aside, strict=True)]
+        behind = [(q - s) / (z + h) for q, s in zip(m, p, strict=True)]
+        t = [n * (slope - at / camera.mla_focal_length) for slope, at in zip(behind, aside, strict=True)]
+        P = [place + (b - h) * slope for place, slope in zip(m, t, strict=True)]
         light = lens_gain(i.astype(int), j.astype(int)) * camera.aperture.power(
-            *(p / camera.aperture_radius for p in P)
+            *(q / camera.aperture_radius for q in P)
         )
         if camera.vignetting is not None:
-            light = light * camera.vignetting.power(*(p / camera.aperture_radius for p in P), *m)
-        total += light * radiance(*P, *(s - p / camera.focal_length for s, p in zip(t, P, strict=True)))
+            light = light * camera.vignetting.power(*(q / camera.aperture_radius for q in P), *m)
+        if camera.pixel_response:
+            angle = np.rad2deg(np.arctan(np.hypot(*behind)))
+            light = light * np.interp(angle, camera.pixel_response[::2], camera.pixel_response[1::2])
+        total += light * radiance(*P, *(s - q / camera.focal_length for s, q in zip(t, P, strict=True)))
     return (total / 64).astype(np.float32)
 
 

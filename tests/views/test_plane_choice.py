@@ -218,6 +218,35 @@ def test_light_of_the_next_lens_and_a_falling_white_do_not_move_depths(case):
         assert found.confidence.values[region].mean() > 0.9
 
 
+RESPONSE = (0.0, 1.0, 5.0, 0.6, 12.0, 0.2)
+
+
+# Where lenses are sharp before the array, and where the card's image is, in detector distances and in mm.
+@pytest.mark.parametrize("case", [
+    (None, -5, {"mla_tilt": (1.0, -1.0)}), (None, 3, {"pixel_response": RESPONSE}),
+    (-3, -6, {"mla_tilt": (-1.0, 0.4), "pixel_response": RESPONSE}),
+    *(pytest.param(case, marks=pytest.mark.slow) for case in (
+        (None, 3, {"mla_tilt": (-1.0, 0.0), "pixel_response": RESPONSE, "mla_lattice": "hexagonal"}),
+        (None, 3, {"mla_tilt": (0.0, 1.0), "mla_medium": 1.5, "detector_distance": 0.75, "mla_focal_length": 0.75}),
+        (None, -5, {"mla_tilt": (1, 1), "pixel_response": RESPONSE, "crop_offset": (80, 90), "crop_size": (99, 110)}),
+        (3, 3, {"mla_tilt": (1.0, 0.3), "mla_lattice": "hexagonal"}),
+        (3, 3, {"mla_tilt": (1.0, 1.0), "crop_offset": (15, 10), "crop_size": (180, 180)}),
+    )),
+])  # fmt: skip
+def test_tilted_arrays_and_responses_do_not_move_depths(case):
+    focused, image, changes = case
+    camera = of_square_lenses(*(20, 10, focused) if focused else (10, 20)).replace(**changes)
+    distance = 1 / (1 / 50 - 1 / (62.5 - image))
+    light = blobs(distance, camera.row_pitch * distance / 62.5, 0.6 if focused else 0.75)
+    seen = mp.Capture(straight_rays(camera, light), camera)
+    lf = mp.decode(seen)
+    found = depth_map(lf, micro_images=micro_images(seen) if focused else None)
+    error = distance_of(lf, found.disparity.values) / distance - 1
+    for region in (np.s_[3:-3, 3:-3], np.s_[2:6, 3:-3], np.s_[-6:-2, 3:-3], np.s_[3:-3, 2:6], np.s_[3:-3, -6:-2]):
+        assert abs(np.median(error[region])) < 0.003
+        assert found.confidence.values[region].mean() > 0.9
+
+
 def test_micro_images_of_a_square_array_are_the_light_field():
     camera = mp.PlenopticCamera.preset("paper").replace(
         detector_width=0.512, resolution=(256, 256), mla_focal_length=0.384, mla_distance=121.536, aperture_radius=4.9
