@@ -399,6 +399,12 @@ class Response(StoredResponse):
             self._gain = gain * dim
             # Far light has the lens's pupil, not the zone's.
             self._far = far_light / dim.clip(0.1)
+        if wavelength is None:
+            # Samples show borders of micro-images but roughly, and steps would amplify that: white is exact.
+            made = self._direct(np.full(self.source_shape, 1 / len(distances), np.float32))
+            white = white_image(recorded.replace(**SHARP))
+            seen = made > 1e-3 * made.max()
+            self._gain = self._gain * np.divide(white, made, out=np.zeros_like(made), where=seen).clip(0, 20)
         if recorded.stray_light:
             # Interpolation leaves less than no light between micro-images, which steps would divide stray light by.
             # 0.005: Light of a white scene there, over that of the brightest pixel, as in `RichardsonLucy`.
