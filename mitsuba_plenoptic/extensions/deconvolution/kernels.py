@@ -116,7 +116,8 @@ def make_kernel(cells: BinCells, cell: Integers, spreads: Iterable[list[Part]], 
             reached = cells.holding(box)
             corners, around = cells.corners(reached)
             whole = arrays.zeros((around.rows, around.columns), np.float32)
-            left, top = box.left - around.left, box.top - around.top
+            left = box.left - around.left
+            top = box.top - around.top
             whole[top : top + box.rows, left : left + box.columns] = sums
             x, y = arrays.asarray(corners.T)
             entries.append((spread_index, reached.index - cell, cells.windows(whole)[y, x]))
