@@ -195,22 +195,35 @@ class PixelIntegrals:
 def _sum_of_products(terms: list[Pair], values: Any) -> Any:
     """Return the sum over terms of values (rows, columns) multiplied by sparse weights along y and x.
 
-    Where samples are made from pixels, x comes first: rows in memory then need not be turned into columns and back when
-    there are most of them.
+    Where samples are made from pixels, x comes first, as there are fewest rows then.
     """
     libraries = backend_of(values)
     total = None
-    contiguous = libraries.arrays.ascontiguousarray
     for along_y, along_x in terms:
-        made_from_pixels = along_y.shape[0] > along_y.shape[1]
-        if libraries.is_cuda:
-            along_y, along_x = (libraries.sparse.csr_matrix(weights) for weights in (along_y, along_x))
-        if made_from_pixels:
-            product = along_y @ contiguous((along_x @ contiguous(values.T)).T)
+        down = libraries.sparse.csr_matrix(along_y) if libraries.is_cuda else along_y
+        if along_y.shape[0] > along_y.shape[1]:
+            product = down @ _across(along_x, values)
         else:
-            product = contiguous((along_x @ (along_y @ values).T).T)
+            product = _across(along_x, down @ values)
         total = product if total is None else total + product
     return total
+
+
+_TOGETHER = 64
+"""Rows of weights in a dense block."""
+
+
+def _across(weights: scipy.sparse.csr_array, values: Any) -> Any:
+    """Return values (rows, columns) times the transpose of weights, in dense blocks around their diagonal."""
+    arrays = backend_of(values).arrays
+    result = arrays.zeros((len(values), weights.shape[0]), np.float32)
+    for start in range(0, weights.shape[0], _TOGETHER):
+        some = weights[start : start + _TOGETHER]
+        if some.nnz:
+            columns = slice(int(some.indices.min()), int(some.indices.max()) + 1)
+            block = arrays.asarray(some[:, columns].toarray().T)
+            result[:, start : start + _TOGETHER] = values[:, columns] @ block
+    return result
 
 
 _PARTS = 4096

@@ -23,7 +23,7 @@ from scipy.sparse import csr_array, vstack
 from ...camera import PlenopticCamera
 from ...lenses import FittedLens
 from ...points import Grid
-from ...runtime import Box, Doubles, Floats, Integers, backend_of, turn
+from ...runtime import Box, Doubles, Integers, backend_of, turn
 
 
 @dataclass(frozen=True)
@@ -115,42 +115,19 @@ class BinCells:
         last = (high[0] - rows * self.samples[1, 0]) // width
         return CellSet(int(rows[0]), first, last - first + 1)
 
-    def split(self, samples: Floats, box: Box, cells: CellSet) -> Floats:
-        """Return the samples of a box divided into cells; samples beyond the box are zero."""
-        arrays = backend_of(samples).arrays
-        width, height = self.size
-        result: Floats = arrays.zeros((len(cells), height, width), np.float32)
-        for cell_index, region, inside, position in self._strips(box, cells):
-            strip = samples[position]
-            if strip.shape != (height, region * width):
-                strip = arrays.zeros((height, region * width), np.float32)
-                strip[inside] = samples[position]
-            result[cell_index : cell_index + region] = strip.reshape(height, region, width).transpose(1, 0, 2)
-        return result
+    def corners(self, cells: CellSet) -> tuple[Integers, Box]:
+        """Return the first samples (x, y) of cells, counted from the corner of a box around all of their samples."""
+        corners = cells.index @ self.samples + self.first_sample
+        low = corners.min(0)
+        return corners - low, Box.between(low, corners.max(0) + self.size)
 
-    def join(self, values: Floats, cells: CellSet, box: Box) -> Floats:
-        """Return the samples of cells, put together on a box; the adjoint of `split`."""
+    def windows(self, samples: Any) -> Any:
+        """Return views (y, x, rows, columns) of samples: those of a cell from each sample on."""
         width, height = self.size
-        result: Floats = backend_of(values).arrays.zeros((box.rows, box.columns), np.float32)
-        for cell_index, region, inside, position in self._strips(box, cells):
-            strip = values[cell_index : cell_index + region].transpose(1, 0, 2).reshape(height, region * width)
-            result[position] = strip[inside]
-        return result
-
-    def _strips(self, box: Box, cells: CellSet) -> list[tuple[int, int, tuple[slice, slice], tuple[slice, slice]]]:
-        """Return, per row of cells, the index of the first cell, the count, and the overlap of the row with the box."""
-        width, height = self.size
-        strips = []
-        for row, (cell_index, first, count) in enumerate(zip(cells.start, cells.first, cells.count, strict=True)):
-            J = cells.top + row
-            left = int(self.first_sample[0] + first * width + J * self.samples[1, 0]) - box.left
-            top = int(self.first_sample[1] + J * height) - box.top
-            along = slice(max(0, left), min(box.columns, left + int(count) * width))
-            down = slice(max(0, top), min(box.rows, top + height))
-            if along.start < along.stop and down.start < down.stop:
-                inside = slice(down.start - top, down.stop - top), slice(along.start - left, along.stop - left)
-                strips.append((int(cell_index), int(count), inside, (down, along)))
-        return strips
+        rows, columns = samples.shape
+        shape = rows - height + 1, columns - width + 1, height, width
+        view = backend_of(samples).arrays.lib.stride_tricks.as_strided
+        return view(samples, shape, samples.strides * 2)
 
 
 _ALIGNED = 1e-6

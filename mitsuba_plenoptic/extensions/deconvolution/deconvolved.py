@@ -6,6 +6,7 @@ residual over noise hardly falls any more.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +20,8 @@ from ...io import digest
 from ...linear import LinearMap, PixelNoise, RichardsonLucy, SolverState, StopRule, misfit, relative_residual, solve
 from ...refocus import Found, Task, method, portion, work_of
 from ...runtime import Floats, Job
-from .fourier import response_of
+from .fourier import FourierResponse, response_of
+from .response import Response
 from .variation import TotalVariation
 
 DEFAULT_ITERATIONS = 30
@@ -45,16 +47,15 @@ def refocus(task: Task, **options: Any) -> list[Found]:
     """
     noise = noise_of(task.exposure, options["photons"])
     _require_light(task.image, noise)
-    groups = [[distance] for distance in task.distances]
+    planes = range(len(task.distances))
+    groups = [[plane] for plane in planes]
     if options["volume"]:
-        groups = [list(task.distances)]
+        groups = [list(planes)]
         for index, distance in enumerate(task.distances):
             refuse_if(
                 distance in task.distances[:index],
                 f"distance = {distance:g}: it is given twice; the planes of a volume are different ones",
             )
-    channels = task.image.shape[2]
-    planes = len(task.distances)
     arrays: Mapping[str, NDArray[Any]] = {}
     if task.checkpoint:
         begun = task.checkpoint.begin_arrays(
@@ -73,17 +74,39 @@ def refocus(task: Task, **options: Any) -> list[Found]:
             Solved(arrays[f"image.{index}"], int(done), float(left), bool(stopped))
             for index, (done, left, stopped) in enumerate(arrays.get("solved", np.zeros((0, 3))))
         ]
-    count = channels * planes
+    # Channels of one wavelength, or by rays, share a response.
+    lights = [None] * task.image.shape[2] if options["response"] == "ray" else task.wavelengths
+    runs = [list(run) for _, run in itertools.groupby(range(len(lights)), lights.__getitem__)]
+    works = list(itertools.product(runs, groups))
+    order = [(plane, channel) for run, group in works for channel in run for plane in group]
     done = len(solved)
-    refuse_if(done > count or done % len(groups[0]), f"checkpoint: it is damaged: {done} planes are no part of {count}")
-    works = np.repeat(work_of(task.wavelengths) or [1.0] * channels, len(groups)).tolist()
-    for index in range(done // len(groups[0]), channels * len(groups)):
-        channel, group = divmod(index, len(groups))
-        report = portion(task.progress, index, works)
-        solved += list(_solve(task, groups[group], channel, options, noise, solved, arrays, report))
-        # Only the first of them had been begun.
-        arrays = {}
-    by_plane = [[solved[channel * planes + plane] for channel in range(channels)] for plane in range(planes)]
+    refuse_if(
+        done > len(order) or done % len(groups[0]),
+        f"checkpoint: it is damaged: {done} planes are no part of {len(order)}",
+    )
+    amounts = work_of(task.wavelengths) or [1.0] * len(lights)
+    most = options["iterations"] or (MOST_ITERATIONS if noise else DEFAULT_ITERATIONS)
+    for index, (run, group) in enumerate(works):
+        left = [channel for channel in run if (group[0], channel) in order[done:]]
+        if not left:
+            continue
+        report = portion(task.progress, index, [sum(amounts[channel] for channel in some) for some, _ in works])
+        with response_of(task.camera)(
+            task.camera,
+            [task.distances[plane] for plane in group],
+            wavelength=lights[left[0]],
+            oversample=task.oversample,
+            job=Job(progress=lambda done, total, report=report: report(done / total), batch_map=task.batch_map),  # type: ignore[misc]
+            steps=most * len(left),
+        ) as response:
+            shares = [response.prepared, *[(1 - response.prepared) / len(left)] * len(left)]
+            for number, channel in enumerate(left, start=1):
+                stepped = portion(report, number, shares)
+                solved += list(_solve(task, response, channel, options, most, noise, solved, arrays, stepped))
+                # Only the first of them had been begun.
+                arrays = {}
+    found = dict(zip(order, solved, strict=True))
+    by_plane = [[found[plane, channel] for channel in range(len(lights))] for plane in planes]
     return [
         Found(np.stack([plane_image.image for plane_image in of_plane], axis=-1), _facts(task, distance, of_plane))
         for distance, of_plane in zip(task.distances, by_plane, strict=True)
@@ -142,9 +165,10 @@ def flat_field(response: LinearMap, white: Floats) -> Floats:
 
 def _solve(
     task: Task,
-    distances: Sequence[float],
+    response: Response | FourierResponse,
     channel: int,
     options: dict[str, Any],
+    most: int,
     noise: PixelNoise | None,
     solved: Sequence[Solved],
     arrays: Mapping[str, NDArray[Any]],
@@ -153,9 +177,7 @@ def _solve(
     """Yield the result of each plane for one channel, from the state in a checkpoint's arrays if there is one."""
     # What rounding leaves below 0 is no light; noise may be.
     image = np.maximum(task.image[..., channel], -np.inf if noise else 0)
-    iterations = options["iterations"]
     variation = options["variation"]
-    most = iterations or (MOST_ITERATIONS if noise else DEFAULT_ITERATIONS)
 
     facts = np.array([[one.iterations, one.residual, one.stopped] for one in solved], np.float64).reshape(-1, 3)
     images = {f"image.{index}": one.image for index, one in enumerate(solved)}
@@ -164,36 +186,28 @@ def _solve(
         if task.checkpoint:
             task.checkpoint.save_arrays(lambda: {"solved": facts, **images, **state.arrays()})
 
-    with response_of(task.camera)(
-        task.camera,
-        distances,
-        wavelength=None if options["response"] == "ray" else task.wavelengths[channel],
-        oversample=task.oversample,
-        job=Job(progress=lambda done, total: report(done / total), batch_map=task.batch_map),
-        steps=most,
-    ) as response:
-        operator: LinearMap = response
-        if task.white is not None:
-            operator = _Flat(response, flat_field(response, task.white[..., channel]))
-            image = np.where(operator.flat > 0, image, 0)
-        steps = RichardsonLucy(
-            operator,
-            image,
-            noise.shift if noise else 0.0,
-            TotalVariation(response.planes_of, variation) if variation else None,
-        )
-        solution = solve(
-            steps,
-            iterations=most,
-            accelerate=options["accelerate"],
-            stop=until_noise(noise) if noise and iterations is None else None,
-            state=SolverState.of(arrays, response.source_shape),
-            save=save,
-            progress=lambda done, total: report(response.prepared + (1 - response.prepared) * done / total),
-        )
+    operator: LinearMap = response
+    if task.white is not None:
+        operator = _Flat(response, flat_field(response, task.white[..., channel]))
+        image = np.where(operator.flat > 0, image, 0)
+    steps = RichardsonLucy(
+        operator,
+        image,
+        noise.shift if noise else 0.0,
+        TotalVariation(response.planes_of, variation) if variation else None,
+    )
+    solution = solve(
+        steps,
+        iterations=most,
+        accelerate=options["accelerate"],
+        stop=until_noise(noise) if noise and options["iterations"] is None else None,
+        state=SolverState.of(arrays, response.source_shape),
+        save=save,
+        progress=lambda done, total: report(done / total),
+    )
     residual = relative_residual(image, solution.model)
     brightness = steps.light / steps.light.max()
-    for plane in range(len(distances)):
+    for plane in range(len(response.shapes)):
         radiance, light = (response.to_image(values, plane) for values in (solution.point, brightness))
         visible = np.where(light >= LEAST_SEEN, radiance, np.float32(np.nan))
         yield Solved(visible, solution.iterations, residual, bool(solution.stopped))

@@ -114,8 +114,13 @@ def make_kernel(cells: BinCells, cell: Integers, spreads: Iterable[list[Part]], 
         for patch in parts:
             box, sums = merged(patch.box, arrays.asarray(patch.sums)[0], together)
             reached = cells.holding(box)
-            values = cells.split(sums, box, reached)
-            entries.append((spread_index, reached.index - cell, values))
+            corners, around = cells.corners(reached)
+            whole = arrays.zeros((around.rows, around.columns), np.float32)
+            left = box.left - around.left
+            top = box.top - around.top
+            whole[top : top + box.rows, left : left + box.columns] = sums
+            x, y = arrays.asarray(corners.T)
+            entries.append((spread_index, reached.index - cell, cells.windows(whole)[y, x]))
     low = np.min([index.min(0) for _, index, _ in entries], axis=0)
     high = np.max([index.max(0) for _, index, _ in entries], axis=0)
     size = high - low + 1
@@ -193,11 +198,13 @@ class PlaneResponse:
         steps = np.concatenate([kernel.steps for kernel in kernels])
         self.lit = sampled.grown(-steps.max(0), -steps.min(0))
         asarray = active_backend().arrays.asarray
+        corners, _ = cells.corners(sampled)
         self._zones = [
             _Placed(
                 kernel.blocks,
                 [asarray(block.steps) for block in kernel.blocks],
-                asarray(members),
+                asarray(corners[members, 1]),
+                asarray(corners[members, 0]),
                 asarray(self.lit.find(sampled.index[members][:, None] - kernel.steps).astype(np.int32)),
             )
             for members, kernel in zip(zones, kernels, strict=True)
@@ -209,29 +216,31 @@ class PlaneResponse:
         return len(self.lit), self._cells.bins[0] * self._cells.bins[1]
 
     def add_forward(self, values: Floats, samples: Any) -> None:
-        """Add the light of bins to the samples."""
+        """Add the light of bins to the samples around all cells."""
         arrays = active_backend().arrays
+        windows = self._cells.windows(samples)
         padded = arrays.asarray(np.concatenate([values, np.zeros((1, values.shape[1]), np.float32)]))
 
         def work(zone: _Placed) -> None:
             around = padded[zone.sources]
             for block, steps in zip(zone.blocks, zone.steps, strict=True):
                 light = around[:, steps].reshape(len(around), -1) @ arrays.asarray(block.matrix)
-                target = samples[zone.members, block.rows, block.columns]
-                samples[zone.members, block.rows, block.columns] = target + light.reshape(target.shape)
+                target = windows[zone.y, zone.x, block.rows, block.columns]
+                windows[zone.y, zone.x, block.rows, block.columns] = target + light.reshape(target.shape)
 
         _each(work, self._zones)
 
     def adjoint(self, samples: Any) -> Floats:
-        """Return, for each bin, the samples weighted by the bin's light."""
+        """Return, for each bin, the samples around all cells weighted by the bin's light."""
         arrays = active_backend().arrays
+        windows = self._cells.windows(samples)
         bins = self.shape[1]
         result = arrays.zeros((len(self.lit) + 1, bins), np.float32)
 
         def work(zone: _Placed) -> Any:
             around = arrays.zeros((*zone.sources.shape, bins), np.float32)
             for block, steps in zip(zone.blocks, zone.steps, strict=True):
-                block_samples = samples[zone.members, block.rows, block.columns].reshape(len(around), -1)
+                block_samples = windows[zone.y, zone.x, block.rows, block.columns].reshape(len(around), -1)
                 light = block_samples @ arrays.asarray(block.matrix).T
                 around[:, steps] += light.reshape(len(around), len(block.steps), -1)
             return around
@@ -245,11 +254,12 @@ class PlaneResponse:
 
 @dataclass(frozen=True)
 class _Placed:
-    """A zone on the backend's device: its blocks, steps and member cells, and the cells that light the members."""
+    """A zone on the backend's device: its blocks, steps, the corners of its cells, and the cells that light them."""
 
     blocks: list[SampleBlock]
     steps: list[Any]
-    members: Any
+    y: Any
+    x: Any
     sources: Any
 
 

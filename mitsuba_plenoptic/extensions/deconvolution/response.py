@@ -279,6 +279,8 @@ class Response(StoredResponse):
         everywhere = np.full((1, 2), 2**40)
         self._recorder = Recorder(camera, grid, -everywhere, everywhere, regular=places, aside=aside)
         self._sampled = self.cells.holding(self._recorder.box)
+        # Cells end beyond the samples on which pixels depend.
+        corners, self._recorder.box = self.cells.corners(self._sampled)
         kernel_bytes = [self._kernel_memory(distance, oversample) for distance in distances]
         # Far too large kernels are refused before the light of some is computed.
         self._require_memory(1, len(distances) > 1)
@@ -313,8 +315,10 @@ class Response(StoredResponse):
             seen = np.ones((3, len(self._sampled)), np.float32)
             for members, index in zip(groups, owners, strict=True):
                 seen[:2, members] = self.cells.middle(middles[index])[:, None]
-            samples = np.ones(self.cells.size[::-1], np.float32)
-            x, y, ones = (self._recorded(np.multiply.outer(some, samples)) for some in seen)
+            sums = [np.zeros((self._recorder.box.rows, self._recorder.box.columns), np.float32) for _ in seen]
+            for some, samples in zip(seen, sums, strict=True):
+                self.cells.windows(samples)[corners[:, 1], corners[:, 0]] = some[:, None, None]
+            x, y, ones = (self._recorded(active_backend().arrays.asarray(samples)) for samples in sums)
             zone = np.stack([x, y]) / ones
         own, whole, beyond = _dimmed(recorded, self.cells.grid.lens, lens, zone, wavelength or 0.0)
         self._store(len(distances) > 1 and _LIT * len(middles) * sum(kernel_bytes) > _MEMORY)
@@ -395,6 +399,14 @@ class Response(StoredResponse):
             self._gain = gain * dim
             # Far light has the lens's pupil, not the zone's.
             self._far = far_light / dim.clip(0.1)
+        if wavelength is None:
+            # Samples show borders of micro-images but roughly, and steps would amplify that: white is exact.
+            made = self._direct(np.full(self.source_shape, 1 / len(distances), np.float32))
+            white = white_image(recorded.replace(**SHARP))
+            # White images are not of light so oblique that a medium, or an even spacing, moves it by pixels.
+            if np.linalg.norm(white - made) < 0.25 * np.linalg.norm(white):
+                seen = made > 1e-3 * made.max()
+                self._gain = self._gain * np.divide(white, made, out=np.zeros_like(made), where=seen).clip(0, 20)
         if recorded.stray_light:
             # Interpolation leaves less than no light between micro-images, which steps would divide stray light by.
             # 0.005: Light of a white scene there, over that of the brightest pixel, as in `RichardsonLucy`.
@@ -543,25 +555,22 @@ class Response(StoredResponse):
 
     def _direct(self, values: Floats) -> Floats:
         """Return the light of planes that falls on the detector."""
-        width, height = self.cells.size
-        libraries = active_backend()
-        samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
+        box = self._recorder.box
+        samples = active_backend().arrays.zeros((box.rows, box.columns), np.float32)
         for plane, bins, radiance in zip(self.planes, self.bins, self.planes_of(values * self._bright), strict=True):
             plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), samples)
         image = self._recorded(samples)
         return np.asarray(self._gain * (image + self._far * _around(self._camera, image)))
 
     def _recorded(self, samples: Floats) -> Floats:
-        """Return the integrals over pixels of the samples of cells."""
-        sums = self.cells.join(active_backend().arrays.asarray(samples), self._sampled, self._recorder.box)
-        return np.asarray(self._recorder.record(sums[None])[..., 0])
+        """Return the integrals over pixels of the samples around all cells."""
+        return np.asarray(self._recorder.record(samples[None])[..., 0])
 
     def adjoint(self, image: Floats, /) -> Floats:
         """Return the transpose of `forward`, applied to an image."""
         light = self._gain * self._detector.adjoint(image)
         light += _around(self._camera, self._far * light)
-        sums = self._recorder.spread(light[..., None])[0]
-        samples = self.cells.split(sums, self._recorder.box, self._sampled)
+        samples = self._recorder.spread(light[..., None])[0]
         planes = zip(self.planes, self.bins, strict=True)
         return np.concatenate([bins.share @ plane.adjoint(samples).ravel() for plane, bins in planes]) * self._bright
 

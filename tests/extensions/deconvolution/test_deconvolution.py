@@ -467,3 +467,20 @@ def test_a_microscope_sees_a_point_where_it_is():
     middle = (np.array(result.shape) - 1) / 2
     # The object is upright, and x is to the left.
     assert np.hypot(abs(column - middle[1]) - 3, abs(row - middle[0]) - 2) <= 1
+
+
+@pytest.mark.parametrize(
+    ("options", "distance", "oversample"),
+    [
+        ({"mla_fill": 0.7}, 260.0, 2),
+        ({"mla_lattice": "hexagonal", "mla_rotation": 5.0}, 280.0, 2),
+        ({"resolution": (72, 72), "vignetting": mp.Vignetting(radius=[0.9, -0.05, 0, -0.1, 0, -0.1])}, 280.0, 1),
+        ({"detector_blur": 0.004, "crop_offset": (20, 9), "crop_size": (60, 70)}, 300.0, 3),
+    ],
+)
+def test_white_captures_by_rays_read_1_after_any_steps(options, distance, oversample):
+    """Steps amplify what the response lacks of the white image where few pixels see a bin, up to a quarter."""
+    camera = mp.PlenopticCamera(detector_width=0.768, resolution=(96, 96)).replace(**options)
+    capture = mp.Capture(white_image(camera), camera)
+    image = mp.reconstruct(capture, distance, method="deconvolved", oversample=oversample).image
+    np.testing.assert_allclose(image[oversample:-oversample, oversample:-oversample], 1, atol=0.005)
