@@ -58,6 +58,15 @@ class Part:
     # The sum there, on the backend's device; it is zero elsewhere; (channels, rows, columns).
     sums: Floats
 
+    @property
+    def samples(self) -> int:
+        """Number of samples, as that of a `Batch` that is computed already."""
+        return self.sums.size
+
+    def prepare(self) -> Callable[[], Part]:
+        """Return the function that returns the part; see `Batch`."""
+        return lambda: self
+
 
 class Batch(Protocol):
     """A part of some work still to be done; it holds plain arrays and can be pickled."""

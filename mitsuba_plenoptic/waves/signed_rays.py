@@ -120,8 +120,43 @@ class CellMeans(NamedTuple):
     values: list[Any]
 
 
-class SignedRaySum:
-    """A signed-ray capture, computed by blocks of the detector; a `runtime.batches.LongSum`."""
+class RaySum:
+    """A sum over rays of either sign, computed by blocks of the detector; a `runtime.batches.LongSum`."""
+
+    def __init__(
+        self,
+        # The camera, whose recorded window may be a crop.
+        camera: PlenopticCamera,
+        # Radiance along rays, a `SceneLight`.
+        light: Any,
+        # The wavelengths at which diffraction is computed, and the channels that record each.
+        nodes: Sequence[Node],
+        seed: int,
+    ) -> None:
+        self._camera = camera
+        self._light = light
+        self._nodes = nodes
+        self._seed = seed
+        self._groups = walks_of(node.plan.system for node in nodes)
+        self._channels = [channel for node in nodes for channel in node.channels]
+        self.channels = max(self._channels) + 1
+        rows, columns = camera.shape
+        self.box = Box(0, 0, columns, rows)
+
+    def image(self, total: PartialSum) -> Array:
+        """Return the image, the sum of all blocks."""
+        return np.ascontiguousarray(np.moveaxis(active_backend().to_host(total.sums), 0, -1))
+
+    @staticmethod
+    def _scene_rays(walk: Walk, pupil: Pair, place: Pair, valid: Any, height: Any = 0.0) -> tuple[Any, Any, Any]:
+        """Return the starts in the scene and the slopes of rays through pupil and array points, and a mask."""
+        start, slope, _ = walk.through_pupil(pupil, place, height)
+        # Outside the aperture, surfaces may reflect rays totally, whose values are not finite then.
+        return start, slope, valid & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
+
+
+class SignedRaySum(RaySum):
+    """A signed-ray capture: images of rays' coefficients, which are convolved."""
 
     _sets = 1
     """Values of a ray for each coefficient: 1, except for derivatives."""
@@ -131,11 +166,8 @@ class SignedRaySum:
 
     def __init__(
         self,
-        # The camera, whose recorded window may be a crop.
         camera: PlenopticCamera,
-        # Radiance along rays, a `SceneLight`.
         light: Any,
-        # The wavelengths at which diffraction is computed, and the channels that record each.
         nodes: Sequence[Node],
         # The distribution of the rays' wavelengths, if rays have wavelengths of their own.
         wavelengths: WavelengthSampler | None = None,
@@ -147,16 +179,12 @@ class SignedRaySum:
         spp: int,
         seed: int,
     ) -> None:
+        super().__init__(camera, light, nodes, seed)
         self.arrays: Any = active_backend().arrays
-        self._camera = camera
-        self._light = light
-        self._nodes = nodes
         self._wavelengths = wavelengths
         self._parts = parts
-        self._seed = seed
         self._step = camera.pixel_size / parts
         plans = [node.plan for node in nodes]
-        self._groups = walks_of(plan.system for plan in plans)
         self._sampler = (LensSampler if camera.has_array else PupilSampler)(camera, plans, parts)
         least = -(-_LEAST // parts**2)
         rays = max(least, round(spp / (parts**2 * max(1.0, self._sampler.lit_lenses))))
@@ -166,10 +194,6 @@ class SignedRaySum:
         self._passes = round(rays / self._spp)
         # Rays of a pixel and a lens in a pass.
         self._together = self._spp * parts**2
-        self._channels = [channel for node in nodes for channel in node.channels]
-        self.channels = max(self._channels) + 1
-        rows, columns = camera.shape
-        self.box = Box(0, 0, columns, rows)
         # Tables and kernels are computed before the images, so that the peaks of their memory do not add up.
         self._coefficients = coefficients_of(plans)
         self._bins = box_of(camera, max(map(margin_of, self._flat_kernels)))
@@ -197,10 +221,6 @@ class SignedRaySum:
             weakref.finalize(block, free.append, sums)
             yield block
             del block
-
-    def image(self, total: PartialSum) -> Array:
-        """Return the image, the sum of all blocks."""
-        return np.ascontiguousarray(np.moveaxis(active_backend().to_host(total.sums), 0, -1))
 
     @cached_property
     def _kernels(self) -> list[list[list[PixelKernels]]]:
@@ -438,18 +458,6 @@ class SignedRaySum:
         number = lane - pixel * dr.opaque(mi.UInt32, self._together)
         return self._sampler.draw(pixels, pixel, number, quotient(number, self._spp), key)
 
-    def _scene_rays(
-        self, walk: Walk, samples: RaySamples, colours: RayWavelengths | None, seed: int
-    ) -> tuple[Any, ...]:
-        """Return the rays in the scene, as the arguments of a call of the light: see `SceneLight`."""
-        ray = samples.ray
-        start, slope, _ = walk.through_pupil(ray.P, ray.m, samples.lens.height)
-        # Outside the aperture, surfaces may reflect rays totally, whose values are not finite then.
-        valid = ray.valid & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
-        if colours is None:
-            return start, slope, valid, seed
-        return start, slope, valid, seed, [dr.gather(mi.Float, value, samples.pixel) for value in colours.wavelengths]
-
     def estimate(self, batch: RayBatch, only: int | None = None) -> list[CellMeans | None]:
         """Return each node's mean values over the rays of the cells of a batch, to be evaluated; None without light.
 
@@ -458,20 +466,23 @@ class SignedRaySum:
         """
         samples = self.samples(batch.pixels, batch.key)
         power = self._sampler.power(samples)
-        counted = dr.select(samples.ray.valid, mi.Float(1), 0)
+        ray = samples.ray
+        counted = dr.select(ray.valid, mi.Float(1), 0)
         means: list[CellMeans | None] = [None for _ in self._nodes]
         for group in range(len(self._groups)) if only is None else [only]:
             walk, nodes = self._groups[group]
             colours = batch.wavelengths[group]
+            scene_rays = self._scene_rays(walk, ray.P, ray.m, ray.valid, samples.lens.height)
+            drawn = [[dr.gather(mi.Float, value, samples.pixel) for value in colours.wavelengths]] if colours else []
             # The radiance along the rays, as far as the pixels receive it.
-            radiance = [light * power for light in self._light(*self._scene_rays(walk, samples, colours, batch.seed))]
+            radiance = [light * power for light in self._light(*scene_rays, batch.seed, *drawn)]
             count_lanes(dr.width(power))
             # What the coefficients depend on, once for nodes that have those of a ray at the same place of tables.
             alike: dict[Any, list[int]] = {}
             for number in nodes:
                 alike.setdefault(self._coefficients[number].layout, []).append(number)
             arguments = [
-                [dr.select(samples.ray.valid, samples.ray.weight, 0), *self._arguments(samples, walk, numbers[0])]
+                [dr.select(ray.valid, ray.weight, 0), *self._arguments(samples, walk, numbers[0])]
                 for numbers in alike.values()
             ]
             # Any function may be the light; derivatives and band-limited light may be negative.
