@@ -22,7 +22,7 @@ from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from types import MappingProxyType, TracebackType
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -47,6 +47,11 @@ class Box:
     def between(cls, low: Integers, high: Integers) -> Box:
         """Return the rectangle between two corners, the second one excluded."""
         return cls(*(int(corner) for corner in (*low, *(high - low))))
+
+    def within(self, margin: int) -> Self:
+        """Return the rectangle with a margin on all sides."""
+        left, top = self.left - margin, self.top - margin
+        return replace(self, left=left, top=top, columns=self.columns + 2 * margin, rows=self.rows + 2 * margin)
 
 
 @dataclass(frozen=True)

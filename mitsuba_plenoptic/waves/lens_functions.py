@@ -87,7 +87,7 @@ class LensFunctions:
         """Coefficients (monomials, functions) of the functions."""
         return np.asarray(self.triangle @ self.functions)
 
-    def best(self, count: int, tolerance: float, points: tuple[Doubles, ...], images: Doubles) -> LensFunctions:
+    def best(self, count: int, tolerance: float, points: tuple[Doubles, Doubles], images: Doubles) -> LensFunctions:
         """Return the fewest combinations of polynomials that leave a part `tolerance` of the images of random light.
 
         At most `count` combinations are returned.
@@ -95,7 +95,7 @@ class LensFunctions:
         Parameters are points u and v that fill the aperture evenly, and images (polynomials, values): the integrals of
         the polynomials with K, in an orthonormal basis of the detector.
         """
-        expected = self._expected(*points)
+        expected = _differing(self.values(*points), *points, self.scale)
         products = images @ images.T
         odd = np.array(self.odd)
         candidates = []
@@ -130,11 +130,7 @@ class LensFunctions:
 
         The light is 0 on one side of the edge and 1 on the other; parameters are as for `best`.
         """
-        return np.asarray(self.duals.T @ _covariance(self._expected(u, v)) @ self.duals)
-
-    def _expected(self, u: Doubles, v: Doubles) -> Doubles:
-        """Return the covariance of the polynomials' coefficients for light with random edges, less the mean."""
-        return _differing(self.values(u, v), u, v, self.scale)
+        return np.asarray(self.duals.T @ edge_covariance(self.values(u, v), u, v, self.scale) @ self.duals)
 
 
 def even_polynomials(parts: Sequence[tuple[Doubles, Doubles]], degree: int) -> list[LensFunctions]:

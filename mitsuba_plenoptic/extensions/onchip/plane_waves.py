@@ -43,17 +43,8 @@ _STEPS = (14.0, 20.0)
 _POINTS = 16
 """Gauss-Legendre nodes of a photodiode along each axis."""
 
-_NEGLIGIBLE = 1e-5
-"""Energy of a mode of a photodiode, relative to its strongest, below which the mode is left out."""
-
 _FINE = 1024
 """Samples of a lens along an axis for its orders."""
-
-_STEP = 0.03
-"""Largest difference of direction cosines between zones of the detector."""
-
-_ALONG = 9
-"""Lenses along each axis whose positions over their pixels are compared."""
 
 
 def pixels_per_lens(camera: PlenopticCamera) -> int:
@@ -104,13 +95,13 @@ class Zones:
         """Return the zones of a camera with `count` pixels across a lens."""
         axes = []
         ranges = [lens_range(camera, count, axis) for axis in (0, 1)]
-        aside = displacement(
-            camera, count, *np.meshgrid(*(np.linspace(first, last - 1, _ALONG) for first, last in ranges))
-        )
+        # 9: Lenses along each axis whose positions over their pixels are compared.
+        aside = displacement(camera, count, *np.meshgrid(*(np.linspace(first, last - 1, 9) for first, last in ranges)))
         for axis, (first, last) in enumerate(ranges):
             moved = np.ptp(aside[axis]) * camera.mla_medium / camera.detector_distance
             turned = (last - 1 - first) * camera.row_pitch / camera.pupil_distance
-            steps = math.ceil(max(moved, turned) / _STEP - 0.2)
+            # 0.03: Largest difference of direction cosines between zones.
+            steps = math.ceil(max(moved, turned) / 0.03 - 0.2)
             middle = (first + last - 1) / 2
             axes.append(np.linspace(first, last - 1, steps + 1) if steps > 0 else np.array([middle]))
         return cls(*axes)
@@ -209,5 +200,6 @@ class PlaneWaveResponses:
         fields *= np.sqrt(np.outer(weights, weights).ravel() * pixel**2 / 4).astype(np.float32)
         flat = fields.reshape(-1, _POINTS**2)
         energy, vectors = np.linalg.eigh(flat.conj().T @ flat)
-        modes = flat @ vectors[:, energy > _NEGLIGIBLE * energy[-1]]
+        # 1e-5: Energy of a mode, relative to the strongest one, below which it is left out.
+        modes = flat @ vectors[:, energy > 1e-5 * energy[-1]]
         return np.ascontiguousarray(modes.T.reshape(-1, len(sy), len(sx)))

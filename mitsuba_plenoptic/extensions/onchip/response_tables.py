@@ -30,8 +30,7 @@ _OVERSAMPLING = 1.4
 """Samples across a window over those that its highest frequency requires."""
 
 _FAR = (25, 44)
-_FAR_WIDTHS = 28.0
-"""Least and greatest width of the far window in lenses, and its width in diffraction widths between these."""
+"""Least and greatest width of the far window in lenses."""
 
 _RIDGE = 1e-3
 """Relative weight by which table nodes that the pupil hardly covers are held."""
@@ -41,9 +40,6 @@ _MOST_MEMORY = 2**30
 
 _ALL = slice(None)
 _REVERSED = slice(None, None, -1)
-
-_ALIKE = 1e-6
-"""Relative difference that mirror images may have."""
 
 
 class TableWindow(NamedTuple):
@@ -104,7 +100,8 @@ class PhotodiodeResponses(PlaneWaveResponses):
             NEAR, 2 * math.ceil(_OVERSAMPLING * (2 * pairs + 1) / (2 * NEAR)), pairs, self.stride, 1
         )
         # 25 lenses or more, of two samples a lens, with pairs up to the largest difference that these resolve.
-        lenses = min(max(_FAR_WIDTHS * self.width, _FAR[0]), _FAR[1])
+        # Between the limits it is 28 diffraction widths wide.
+        lenses = min(max(28.0 * self.width, _FAR[0]), _FAR[1])
         finer = max(1, math.ceil(lenses / (NEAR * self.stride) - 0.3))
         across = NEAR * self.stride * finer
         resolved = math.floor(((2 * across + 1) / _OVERSAMPLING - 1) / 2)
@@ -172,14 +169,16 @@ class PhotodiodeResponses(PlaneWaveResponses):
         columns = len(self.zones.x)
         row, column = divmod(zone, columns)
         _, amplitude = self._orders
+        # Largest relative difference that mirror images may have.
+        alike = 1e-6
         for flips in itertools.product((_ALL, _REVERSED), repeat=2):
             mirrored = list(range(len(self.zones.y)))[flips[0]][row] * columns + list(range(columns))[flips[1]][column]
             signs = [-1 if flip == _REVERSED else 1 for flip in reversed(flips)]
             if (
                 mirrored < zone
                 and np.array_equal(pupils[mirrored].is_open[flips], pupils[zone].is_open)
-                and np.allclose(amplitude[flips], amplitude, rtol=0, atol=_ALIKE)
-                and np.allclose(self._displacement(mirrored) * signs, self._displacement(zone), rtol=0, atol=_ALIKE)
+                and np.allclose(amplitude[flips], amplitude, rtol=0, atol=alike)
+                and np.allclose(self._displacement(mirrored) * signs, self._displacement(zone), rtol=0, atol=alike)
             ):
                 return mirrored, flips
         return None

@@ -13,7 +13,7 @@ import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import drjit as dr
@@ -36,9 +36,6 @@ _LANES = 2**23
 _DRAWN = 8
 """Lenses of the far window that each ray of a lens draws."""
 
-_PROBES = 2**8
-"""Count of lenses whose light identifies a capture."""
-
 
 class Rays(NamedTuple):
     """The light of traced rays, by lens."""
@@ -54,18 +51,8 @@ class Rays(NamedTuple):
     counts: Any
 
 
-class LensCells(NamedTuple):
+class LensCells(Box):
     """A rectangle of lenses, by lattice indices."""
-
-    # Lattice indices of the first lens.
-    left: int
-    top: int
-    columns: int
-    rows: int
-
-    def within(self, margin: int) -> LensCells:
-        """Return the rectangle with a margin around it."""
-        return LensCells(self.left - margin, self.top - margin, self.columns + 2 * margin, self.rows + 2 * margin)
 
     def lenses(self) -> tuple[Pair, Any]:
         """Return the lattice indices of the lenses, row by row, and a unique number of each lens."""
@@ -151,8 +138,9 @@ class ResponseSum(RaySum):
     def probe(self) -> Floats:
         """Return the light of the rays of some lenses, a fingerprint of a scene and its camera."""
         columns = self._columns[1] - self._columns[0]
-        pixel_count = int(self.items.sum())
-        lens = np.linspace(0, pixel_count - 1, min(_PROBES, pixel_count)).astype(int)
+        count = int(self.items.sum())
+        # 2**8: Count of lenses whose light identifies a capture.
+        lens = np.linspace(0, count - 1, min(2**8, count)).astype(int)
         index = (lens % columns + self._columns[0], lens // columns + self._rows[0])
         rays = self._traced(
             tuple(drjit_array(mi.Int, coordinate) for coordinate in index), drjit_array(mi.UInt32, lens), 0
@@ -321,11 +309,9 @@ class ResponseCapture(SignedCapture):
         nodes[0].plan.require_memory(len(nodes))
         return nodes
 
-    def _sum(
-        self, kind: Callable[..., Any], light: Callable[..., list[Any]], nodes: list[Node], *, spp: int, seed: int
-    ) -> Callable[[], Any]:
-        """Return a function that constructs the sum of a capture; there is only one kind of sum."""
-        return partial(ResponseSum, self.camera, light, nodes, spp=spp, seed=seed)
+    def _sum(self, kind: Callable[..., Any]) -> Callable[..., Any]:
+        """Return the only kind of sum."""
+        return ResponseSum
 
     def projections(self, image: Floats) -> dict[int, NonNegative]:
         """Return no channels to mend: negative pixels stay, as the noise of few rays exceeds the light around them."""
