@@ -26,9 +26,6 @@ from numpy.typing import NDArray
 from ..runtime import Doubles, exponents, monomials, on_all_cores
 from .accuracy import USUAL
 
-_ROWS = 128
-"""Points of a lens whose distances from all others are computed at a time, so that these fit into a cache."""
-
 
 def of_middles(
     exponents: list[tuple[int, int]], fields: dict[tuple[int, int], NDArray[np.complex128]]
@@ -162,7 +159,8 @@ def _differing(values: Doubles, u: Doubles, v: Doubles, scale: float) -> Doubles
         apart = np.sqrt(np.square(u[rows, None] - u) + np.square(v[rows, None] - v))
         return np.asarray(values[rows].T @ (apart @ values))
 
-    parts = on_all_cores(of_some, [slice(row, row + _ROWS) for row in range(0, len(u), _ROWS)])
+    # 128: Points of a lens whose distances from all others are computed at a time, so that these fit into a cache.
+    parts = on_all_cores(of_some, [slice(row, row + 128) for row in range(0, len(u), 128)])
     return np.asarray(-sum(parts) / (scale * len(u) ** 2))
 
 

@@ -52,9 +52,6 @@ from .array_kernels import ArrayKernels
 FINE = 0.005
 """Accuracy below which finer plans are made."""
 
-_SMOOTH = "closer to a parabola, for the shortest wavelength, too; use CaptureOperator"
-"""The rule for the shape of microlenses."""
-
 _PACKET = 4
 """Count of coefficients that are gathered at a time."""
 
@@ -118,7 +115,11 @@ class PhaseSpace(ArrayKernels):
                 least_fill > camera.mla_fill,
                 f'{least_fill:.3g} or more, openings of {USUAL.narrowest_opening:g} wavelengths; use method="points"',
             ),
-            ("mla_shape", self.aberration > USUAL.most_phase, _SMOOTH),
+            (
+                "mla_shape",
+                self.aberration > USUAL.most_phase,
+                "closer to a parabola, for the shortest wavelength, too; use CaptureOperator",
+            ),
             ("mla_shape", not camera.microlens.is_parabolic and self.lands_by_point, "near the microlenses' focus"),
             (
                 "detector_distance",

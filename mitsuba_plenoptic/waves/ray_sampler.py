@@ -26,8 +26,7 @@ from ..runtime import Box, Doubles, Floats, Pair, drjit_array, quotient
 from .phase_space import PhaseSpace, TableNodes
 
 _AIRY = 1024
-_AIRY_REACH = 200.0
-"""Steps of the Airy pattern's energy table, and its extent in units of lambda b / 2 pi R; 0.3 % lies beyond."""
+"""Steps of the Airy pattern's energy table."""
 
 ORDER = 2
 """Order of the B-spline that is the density of detector points drawn around a cell: it suppresses aliasing of
@@ -313,7 +312,8 @@ class LensSampler(DetectorGrid):
         from scipy.special import j0, j1
 
         camera = self._camera
-        v = np.linspace(0, _AIRY_REACH, 1 << 14)
+        # 0.3 % of the energy lies beyond 200 units of lambda b / 2 pi R.
+        v = np.linspace(0, 200.0, 1 << 14)
         energy = 1 - j0(v) ** 2 - j1(v) ** 2
         radius = np.interp(np.linspace(0, energy[-1], _AIRY), energy, v)
         wavelength = in_millimetres(self._longest.wavelength)

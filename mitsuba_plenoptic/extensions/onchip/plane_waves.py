@@ -43,9 +43,6 @@ _STEPS = (14.0, 20.0)
 _POINTS = 16
 """Gauss-Legendre nodes of a photodiode along each axis."""
 
-_FINE = 1024
-"""Samples of a lens along an axis for its orders."""
-
 
 def pixels_per_lens(camera: PlenopticCamera) -> int:
     """Return the number of pixels across a lens; refuse cameras that photodiode responses do not describe."""
@@ -141,9 +138,10 @@ class PlaneWaveResponses:
         wavelength = in_millimetres(self.wavelength)
         most = math.ceil(camera.mla_medium * camera.row_pitch / wavelength) + 2
         order = np.arange(-most, most + 1)
-        x = ((np.arange(_FINE) + 0.5) / _FINE - 0.5) * camera.row_pitch
+        samples = 1024  # of a lens along an axis
+        x = ((np.arange(samples) + 0.5) / samples - 0.5) * camera.row_pitch
         waves = np.exp(-2j * math.pi * np.outer(order, x) / camera.row_pitch)
-        waves *= (np.abs(x) <= camera.mla_fill * camera.row_pitch / 2) / _FINE
+        waves *= (np.abs(x) <= camera.mla_fill * camera.row_pitch / 2) / samples
         phase = camera.microlens.waves(x, x[:, None], self.wavelength)
         return order, waves @ np.exp(2j * math.pi * phase) @ waves.T
 

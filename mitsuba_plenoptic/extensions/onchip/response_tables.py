@@ -26,17 +26,11 @@ from ...errors import refuse_if
 from ...runtime import Doubles, Flags, Floats, Integers, single_threaded_blas, unit_hint
 from .plane_waves import NEAR, PlaneWaveResponses, displacement
 
-_OVERSAMPLING = 1.4
-"""Samples across a window over those that its highest frequency requires."""
-
 _FAR = (25, 44)
 """Least and greatest width of the far window in lenses."""
 
 _RIDGE = 1e-3
 """Relative weight by which table nodes that the pupil hardly covers are held."""
-
-_MOST_MEMORY = 2**30
-"""Bytes of the tables of a camera."""
 
 _ALL = slice(None)
 _REVERSED = slice(None, None, -1)
@@ -94,17 +88,17 @@ class PhotodiodeResponses(PlaneWaveResponses):
 
     def __init__(self, camera: PlenopticCamera, wavelength: float, *, fine: bool = False) -> None:
         super().__init__(camera, wavelength, fine=fine)
+        # Samples across a window over those that its highest frequency requires.
+        oversampling = 1.4
         # 5 x 5 lenses, finely sampled.
         pairs = math.floor(self.reach / (self.step * self.stride)) + 1
-        self.near = TableWindow(
-            NEAR, 2 * math.ceil(_OVERSAMPLING * (2 * pairs + 1) / (2 * NEAR)), pairs, self.stride, 1
-        )
+        self.near = TableWindow(NEAR, 2 * math.ceil(oversampling * (2 * pairs + 1) / (2 * NEAR)), pairs, self.stride, 1)
         # 25 lenses or more, of two samples a lens, with pairs up to the largest difference that these resolve.
         # Between the limits it is 28 diffraction widths wide.
         lenses = min(max(28.0 * self.width, _FAR[0]), _FAR[1])
         finer = max(1, math.ceil(lenses / (NEAR * self.stride) - 0.3))
         across = NEAR * self.stride * finer
-        resolved = math.floor(((2 * across + 1) / _OVERSAMPLING - 1) / 2)
+        resolved = math.floor(((2 * across + 1) / oversampling - 1) / 2)
         pairs = min(resolved, math.floor(self.reach * finer / self.step) + 1)
         self.far = TableWindow(across, 2, pairs, 1, finer)
         # Approximate bytes of the tables.
@@ -114,11 +108,12 @@ class PhotodiodeResponses(PlaneWaveResponses):
     def require_memory(self, wavelengths: int) -> None:
         """Refuse tables that would exceed the limit of memory."""
         memory = wavelengths * self.nbytes
+        most = 2.0**30
         refuse_if(
-            memory > _MOST_MEMORY,
+            memory > most,
             f"mla_pitch = {self.camera.row_pitch:g}: tables of {memory / 2**30:.2g} GiB for {len(self.zones)} zones of "
             f"the detector and {wavelengths} wavelengths: at most 1 GiB; record a smaller window (crop_size)"
-            + unit_hint(memory, _MOST_MEMORY),
+            + unit_hint(memory, most),
         )
 
     @cached_property
