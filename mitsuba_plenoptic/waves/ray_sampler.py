@@ -150,12 +150,12 @@ class LensSampler(DetectorGrid):
         parts: int = 1,
     ) -> None:
         super().__init__(camera, parts)
-        self._lens = plans[0].system.lens
+        lens = plans[0].system.lens
         opaque = functools.partial(dr.opaque, mi.Float)
         self._lattice = opaque_lattice(camera, mi.Float)
         self.walk = replace(
-            Walk.of(camera, self._lens),
-            lens=self._lens.opaque(opaque),
+            Walk.of(camera, lens),
+            lens=lens.opaque(opaque),
             lattice=self._lattice,
             detector_distance=opaque(camera.detector_distance),
         )
@@ -176,13 +176,13 @@ class LensSampler(DetectorGrid):
             1.0 if self.lands_by_point else self.kinds.enlargement(kind.focal_length) for kind in plans[0].kinds
         ]
         self._longest = max(plans, key=lambda plan: plan.wavelength)
-        # Half the width in mm of the image of a pixel, and what is around its cells, in the pupil's plane.
+        # Half the width in mm, in the pupil's plane, of the image of a pixel and of what is around its cells.
         half = camera.pixel_size * (parts + ORDER - 1) / parts / 2 * camera.pupil_distance / camera.reduced_distance
         # Snell's law spreads them most at the corner, along the radius.
-        corner = self._lens.pupil.slope(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
+        corner = lens.pupil.slope(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
         half *= (1 + (1 - camera.mla_medium**-2) * corner**2) ** 1.5
         # Radius in mm there that contains all rays.
-        radius = self._lens.reach
+        radius = lens.reach
         if self.lands_by_point:
             radius += float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._pupil_shifts))[0])
         self._seen_by_pixels = radius, half
@@ -321,7 +321,7 @@ class LensSampler(DetectorGrid):
         return drjit_array(mi.Float, radius * unit)
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=16)
 def _lit_lenses(camera: PlenopticCamera, plan: PhaseSpace, parts: int) -> float:
     """Return `LensSampler.lit_lenses`, cached for further captures of the camera."""
     sampler = LensSampler(camera, [plan], parts)
