@@ -22,7 +22,7 @@ from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from types import MappingProxyType, TracebackType
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -48,6 +48,11 @@ class Box:
         """Return the rectangle between two corners, the second one excluded."""
         return cls(*(int(corner) for corner in (*low, *(high - low))))
 
+    def within(self, margin: int) -> Self:
+        """Return the rectangle with a margin on all sides."""
+        left, top = self.left - margin, self.top - margin
+        return replace(self, left=left, top=top, columns=self.columns + 2 * margin, rows=self.rows + 2 * margin)
+
 
 @dataclass(frozen=True)
 class Part:
@@ -57,6 +62,15 @@ class Part:
     box: Box
     # The sum there, on the backend's device; it is zero elsewhere; (channels, rows, columns).
     sums: Floats
+
+    @property
+    def samples(self) -> int:
+        """Number of samples, as that of a `Batch` that is computed already."""
+        return self.sums.size
+
+    def prepare(self) -> Callable[[], Part]:
+        """Return the function that returns the part; see `Batch`."""
+        return lambda: self
 
 
 class Batch(Protocol):

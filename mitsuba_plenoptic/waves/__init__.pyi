@@ -8,6 +8,7 @@ from .scheme import check_screen as check_screen
 from .signed_camera import require_parameters as require_parameters
 from .signed_capture import SignedCapture as SignedCapture
 from .signed_capture import SignedGradients as SignedGradients
+from .signed_rays import RaySum as RaySum
 from .spectral_nodes import Node as Node
 from .spectral_nodes import WavelengthSampler as WavelengthSampler
 from .spectral_nodes import mixed as mixed

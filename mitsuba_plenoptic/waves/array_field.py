@@ -16,12 +16,9 @@ to :math:`p_0`, and the amplitude per direction cosine is :math:`1/c^2`: :math:`
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
-from ..array import Lattice
 from ..camera import PlenopticCamera
 from ..fields import Kind, LensKinds, aperture_points
 from ..optics import in_millimetres
@@ -31,34 +28,20 @@ from .accuracy import USUAL
 Pair = tuple[Doubles, Doubles]
 
 
-@dataclass(frozen=True)
 class LensWaves:
     """Phases of a camera's microlenses at one wavelength, relative to the phases by which rays are deflected."""
 
-    # A camera whose detector is near the microlenses' focus; one with glass is taken `at_wavelength`.
-    camera: PlenopticCamera
-    wavelength: float
-
-    @property
-    def lattice(self) -> Lattice:
-        """The regular microlens lattice: kernels are those of a lens among neighbours at regular distances."""
-        return self.camera.lattice.regular
-
-    @cached_property
-    def _lens_kinds(self) -> LensKinds:
-        return LensKinds(self.camera)
-
-    @property
-    def kinds(self) -> list[Kind]:
-        """The kinds of microlenses."""
-        return self._lens_kinds.every
-
-    @property
-    def defocus(self) -> float:
-        """Largest defocus of the waves behind microlenses on the detector, in radians at the edge of a lens."""
-        square = float(self.lattice.aperture_reach) ** 2
+    def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
+        """Take a camera whose detector is near the microlenses' focus; one with glass is taken `at_wavelength`."""
+        self.camera = camera
+        self.wavelength = wavelength
+        # Kernels are those of a lens among neighbours at regular distances.
+        self.lattice = camera.lattice.regular
+        self._lens_kinds = LensKinds(camera)
+        self.kinds = self._lens_kinds.every
+        # Largest defocus of the waves behind microlenses on the detector, in radians at the edge of a lens.
         most = max(abs(self.convergence(kind)) for kind in self.kinds)
-        return math.pi * most * square / in_millimetres(self.wavelength)
+        self.defocus = math.pi * most * float(self.lattice.aperture_reach) ** 2 / in_millimetres(wavelength)
 
     @property
     def aberration(self) -> float:

@@ -17,13 +17,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera import PlenopticCamera
 from ..fields import Kind
 from ..optics import in_millimetres
 from ..runtime import (
@@ -42,40 +43,48 @@ from .array_field import LensWaves
 from .lens_functions import LensFunctions, of_middles
 from .oblique import Oblique, changes, directions, terms
 
-_PRODUCTS = 2**17
-"""Count of products of pairs that are computed at a time, so that these fit into a cache."""
-
 REACH = 2.5
 """Distance in microlens pitches to which kernels are computed."""
 
 
-@dataclass(frozen=True)
 class ArrayKernels(LensWaves):
     """Diffraction of one camera's microlenses at one wavelength, as kernels of images."""
 
-    # There are at most as many functions over a lens as polynomials of this degree, (degree + 1) (degree + 2) / 2.
-    degree: int = 4
-    # Shortest wavelength of the plans with which it is used, whose rays must land alike. Default: its own wavelength.
-    shortest: float | None = None
-    # Part of images of random light that is allowed to be missing for want of further functions and oblique kernels.
-    tolerance: float = 0.005
-    # Whether another plan with which it is used is far from focus, as all rays must land alike.
-    beside_far: bool = False
-
-    @property
-    def lands_by_point(self) -> bool:
-        """Whether a ray lands where its point on the lens sends it, instead of where the lens's centre does.
-
-        Far from the microlenses' focus a few functions cannot describe the difference. The spread by the pupil is then
-        taken as that of the whole pupil for all of its points.
-        """
-        most = USUAL.most_phase
-        return self.beside_far or self.defocus * self.wavelength / (self.shortest or self.wavelength) > most
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        wavelength: float,
+        *,
+        # There are at most as many functions over a lens as polynomials of this degree, (degree + 1) (degree + 2) / 2.
+        degree: int = 4,
+        # Shortest wavelength of the plans with which it is used, whose rays must land alike. Default: its own.
+        shortest: float | None = None,
+        # Part of images of random light that is allowed to be missing for want of more functions and oblique kernels.
+        tolerance: float = 0.005,
+        # Whether another plan with which it is used is far from focus, as all rays must land alike.
+        beside_far: bool = False,
+        # The plan whose functions it has.
+        basis: ArrayKernels | None = None,
+    ) -> None:
+        super().__init__(camera, wavelength)
+        self.degree = degree
+        self.tolerance = tolerance
+        self.basis = basis
+        # Whether a ray lands where its point on the lens sends it, instead of where the lens's centre does. Far from
+        # the microlenses' focus a few functions cannot describe the difference. The spread by the pupil is then taken
+        # as that of the whole pupil for all of its points.
+        self.lands_by_point = beside_far or self.defocus * wavelength / (shortest or wavelength) > USUAL.most_phase
+        # Distance in mm to which captures need kernels.
+        self.reach = REACH * max(camera.mla_pitches)
+        self._computed: dict[tuple[float, float, int], Doubles] = {}
 
     @cached_property
     @single_threaded_blas()
     def functions(self) -> LensFunctions:
         """Functions of a ray's point on a lens; polynomials of some degree if landing points depend on these points."""
+        if self.basis:
+            growth = self.lattice.period()[0] / self.basis.lattice.period()[0]
+            return replace(self.basis.functions, scale=self.basis.functions.scale * growth)
         u, v, inside = self.aperture_grid(USUAL.spectrum_samples if self.lands_by_point else USUAL.function_samples)
         higher = 0 if self.lands_by_point or self.degree == 0 else USUAL.higher_degrees
         scale = float(self.lattice.aperture_reach)
@@ -100,6 +109,8 @@ class ArrayKernels(LensWaves):
     @single_threaded_blas()
     def oblique(self) -> Oblique:
         """Combinations of the changes of kernels with the direction of light."""
+        if self.basis:
+            return self.basis.oblique
         functions = self.functions
         camera = self.camera
         if self.lands_by_point or functions.count == 1:
@@ -125,11 +136,6 @@ class ArrayKernels(LensWaves):
     def _samples_of(self, count: int) -> int:
         """Return the number of samples across a pitch, given the number across an aperture."""
         return math.ceil(count * self.lattice.pitches[0] / self.lattice.aperture_width)
-
-    @property
-    def values(self) -> int:
-        """Number of values of each ray, which is the number of kernels for one kind of lenses."""
-        return self.functions.count + self.oblique.count
 
     @cached_property
     def covariance(self) -> Doubles:
@@ -189,11 +195,6 @@ class ArrayKernels(LensWaves):
         v, u = np.meshgrid(along, along, indexing="ij")
         return u, v, np.asarray(self.lattice.in_aperture(*self.lattice.from_frame(u, v)))
 
-    @property
-    def reach(self) -> float:
-        """Distance in mm to which captures need kernels."""
-        return REACH * max(self.camera.mla_pitches)
-
     def kernels(self, step: float, reach: float, kind: int = 0) -> Doubles:
         """Return the kernels (n, k, k) of one kind of lenses on a grid of width `step`, times the area of a grid cell.
 
@@ -201,39 +202,34 @@ class ArrayKernels(LensWaves):
         folded back, which conserves energy.
         """
         key = step, reach, kind
-        if key not in self._kept:
-            self._require_memory(step, reach, kind)
-            if self.lands_by_point:
-                self._kept[key] = self._cell_kernels(step, reach, self.kinds[kind])
-            else:
-                self._kept[key] = self.sampled_kernels(step, self.kernel_samples(step, reach, kind), kind)
-        return self._kept[key]
-
-    def _require_memory(self, step: float, reach: float, kind: int) -> None:
-        """Refuse kernels that exceed the memory, as for pixels far larger than a lens's diffraction pattern."""
+        if key in self._computed:
+            return self._computed[key]
+        of_kind = self.kinds[kind]
+        samples = self.kernel_samples(step, reach, kind)
+        bytes_of_sample = 8.0
+        count = 2 * samples[2] + 1
         if self.lands_by_point:
             # Transforms of the aperture, their products, and the kernels themselves.
-            count = 2 * (math.ceil(reach / step) + 1) * self._cell_parts(step, self.kinds[kind])
             bytes_of_sample = 32.0
-        else:
-            count = 2 * self.kernel_samples(step, reach, kind)[2] + 1
-            bytes_of_sample = 8.0
-        spot = in_millimetres(self.wavelength) * self.kinds[kind].distance / float(self.lattice.aperture_width)
+            count = 2 * (math.ceil(reach / step) + 1) * self._cell_parts(step, of_kind)
+        spot = in_millimetres(self.wavelength) * of_kind.distance / float(self.lattice.aperture_width)
+        # As for pixels far larger than a lens's diffraction pattern.
         require_memory(
             bytes_of_sample * self.functions.count * float(count) ** 2,
             f"detector_width = {self.camera.detector_width:g}: pixels of {self.camera.pixel_size:.3g} mm behind lenses "
             f"whose diffraction spreads {self.wavelength:g} nm by {spot:.2g} mm, need kernels of {count} x {count} "
             "samples",
         )
+        if self.lands_by_point:
+            self._computed[key] = self._cell_kernels(step, reach, of_kind)
+        else:
+            self._computed[key] = self.sampled_kernels(step, samples, kind)
+        return self._computed[key]
 
     def _cell_parts(self, step: float, kind: Kind) -> int:
         """Return the number of samples across a cell that resolves a lens's diffraction."""
         scale = in_millimetres(self.wavelength) * kind.distance
         return math.ceil(USUAL.cycle_samples * step * float(self.lattice.aperture_width) / scale)
-
-    @cached_property
-    def _kept(self) -> dict[tuple[float, float, int], Doubles]:
-        return {}
 
     def kernel_samples(self, step: float, reach: float, kind: int = 0) -> tuple[int, int, int]:
         """Return the sampling of `kernels`: lag step in fine samples, number of lags, samples on either side."""
@@ -399,7 +395,8 @@ class ArrayKernels(LensWaves):
             for T_part in (T.real, T.imag)
         ]
         lines = [line[left - most : left + most + 1 : stride] for line in lines]
-        few = max(1, _PRODUCTS // ((bottom - top) * width))
+        # 2**17: Products of pairs that are computed at a time, so that these fit into a cache.
+        few = max(1, 2**17 // ((bottom - top) * width))
 
         def integrate(lags: Integers) -> None:
             for lag, start in itertools.product(lags.tolist(), range(first, count, few)):

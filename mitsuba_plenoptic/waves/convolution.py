@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +35,7 @@ class Convolution:
     ) -> None:
         self._window = box_of(camera, 0)
         self._margin = margin_of(kernels)
-        self.ranks, self.box = len(kernels), _grown(self._window, self._margin)
+        self.ranks, self.box = len(kernels), self._window.within(self._margin)
         support = 2 * self._margin + 1
         most = max(TILE - support, support)
         rows, columns = (
@@ -58,7 +57,7 @@ class Convolution:
 
     def reached(self, box: Box) -> Box:
         """Return the recorded pixels, counted from the first, that light of the samples in a box can reach."""
-        grown = _grown(box, self._margin)
+        grown = box.within(self._margin)
         window = self._window
         low = np.maximum((grown.left - window.left, grown.top - window.top), 0)
         high = (grown.left + grown.columns - window.left, grown.top + grown.rows - window.top)
@@ -88,7 +87,7 @@ class Convolution:
                     transform *= spectrum
                     total += transform
             square = transforms.irfft2(total, self._size, overwrite_x=True)[: size[0] + 2 * m, : size[1] + 2 * m]
-            return Part(_grown(Box(box.left + columns.start, box.top + rows.start, size[1], size[0]), m), square[None])
+            return Part(Box(box.left + columns.start, box.top + rows.start, size[1], size[0]).within(m), square[None])
 
         with fft.resting_drjit():
             for tile in on_all_cores(convolved, self._tiles(box)):
@@ -99,7 +98,7 @@ class Convolution:
         """Return one image per kernel by the adjoint of `forward`, from `pixels` (rows, columns)."""
         box = box or self.box
         m = self._margin
-        reached = _grown(box, m)
+        reached = box.within(m)
         tiles = list(self._tiles(box))
         libraries = backend_of(self._spectra)
         arrays = libraries.arrays
@@ -135,18 +134,13 @@ class Convolution:
 def box_of(camera: PlenopticCamera, margin: int) -> Box:
     """Return the recorded pixels and a margin of pixels, counted from the full detector's corner."""
     left, top = camera.crop_offset
-    return _grown(Box(left, top, camera.shape[1], camera.shape[0]), margin)
+    return Box(left, top, camera.shape[1], camera.shape[0]).within(margin)
 
 
 def margin_of(kernels: Sequence[Floats]) -> int:
     """Return the distance in samples from which light can still reach the recorded pixels."""
     # Kernels of different lens types have different widths.
     return max(len(kernel) for kernel in kernels) // 2
-
-
-def _grown(box: Box, margin: int) -> Box:
-    """Return a box with a margin on all sides."""
-    return Box(box.left - margin, box.top - margin, box.columns + 2 * margin, box.rows + 2 * margin)
 
 
 @dataclass(frozen=True)
@@ -167,18 +161,16 @@ class Block:
 
     def prepare(self) -> Callable[[], Part]:
         """Return the function that convolves the images."""
-        return partial(_convolve, self)
+        return self._convolved
 
-
-def _convolve(block: Block) -> Part:
-    # Kernels of longer wavelengths reach farther.
-    pixels = max(
-        (convolution.reached(block.bins) for convolution in block.convolutions), key=lambda box: box.rows * box.columns
-    )
-    sums = active_backend().arrays.zeros((max(block.channels) + 1, pixels.rows, pixels.columns), np.float32)
-    for channel, convolution, images in zip(block.channels, block.convolutions, block.images, strict=True):
-        sums[channel] += convolution.forward(images, block.bins, pixels)
-    return Part(pixels, sums)
+    def _convolved(self) -> Part:
+        # Kernels of longer wavelengths reach farther.
+        reached = (convolution.reached(self.bins) for convolution in self.convolutions)
+        pixels = max(reached, key=lambda box: box.rows * box.columns)
+        sums = active_backend().arrays.zeros((max(self.channels) + 1, pixels.rows, pixels.columns), np.float32)
+        for channel, convolution, images in zip(self.channels, self.convolutions, self.images, strict=True):
+            sums[channel] += convolution.forward(images, self.bins, pixels)
+        return Part(pixels, sums)
 
 
 def blocks_of(box: Box, most: int) -> list[Box]:

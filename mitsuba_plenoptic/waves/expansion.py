@@ -17,7 +17,6 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import fields
 
 import numpy as np
 
@@ -49,21 +48,22 @@ def nearby(camera: PlenopticCamera, names: Sequence[str], accuracy: float) -> Pl
 class ExpandedPlan(PhaseSpace):
     """Diffraction of a camera, by expansion about the plan of a camera nearby."""
 
-    @classmethod
-    def about(cls, plan: PhaseSpace, camera: PlenopticCamera) -> ExpandedPlan:
-        """Return the plan of a camera near that of `plan`."""
-        values = {field.name: getattr(plan, field.name) for field in fields(plan)}
-        expanded = cls(**values | {"camera": camera, "basis": plan})
-        # It decides which images suffice for random light, and hardly changes.
-        vars(expanded)["covariance"] = plan.covariance
-        expanded.take_basis(plan)
-        return expanded
+    @staticmethod
+    @functools.lru_cache(maxsize=16)
+    def about(plan: PhaseSpace, camera: PlenopticCamera) -> ExpandedPlan:
+        """Return the plan of a camera near that of `plan`, cached for further captures."""
+        return ExpandedPlan(camera, plan.wavelength, basis=plan, **plan.options)
 
     @property
     def start(self) -> PhaseSpace:
         """The plan about which this one is expanded."""
         assert self.basis is not None
         return self.basis
+
+    @property
+    def covariance(self) -> Doubles:
+        """That of `start`: it decides which images suffice for random light, and hardly changes."""
+        return self.start.covariance
 
     def tabulated(self, table: Table | None = None) -> Sequence[Array]:
         """Return the arrays of the table of coefficients, or fill a given table."""
@@ -72,7 +72,7 @@ class ExpandedPlan(PhaseSpace):
         camera = self.camera
         ratio = camera.mla_distance / start.mla_distance * start.mla_pitches[0] / camera.mla_pitches[0]
         change = np.float32(math.log(ratio))
-        rows = zip(arrays, _table(self.start), _width_slopes(self.start), strict=True)
+        rows = zip(arrays, *_tables(self.start), strict=True)
 
         def fill(row: tuple[Array, Array, Array]) -> None:
             into, value, slope = row
@@ -109,33 +109,26 @@ class ExpandedPlan(PhaseSpace):
 
 
 @functools.lru_cache(maxsize=4)
-def _table(plan: PhaseSpace) -> Sequence[Array]:
-    """Return a plan's table in single precision."""
-    return plan.tabulated()
+def _tables(plan: PhaseSpace) -> tuple[Sequence[Array], list[Array]]:
+    """Return a plan's table, and its derivatives by the logarithm of the pupil's diffraction width.
 
-
-@functools.lru_cache(maxsize=4)
-def width_slopes(start: PhaseSpace) -> Table:
-    """Return the table of derivatives of a plan's coefficients by the logarithm of the pupil's diffraction width."""
-    return Table.of(_width_slopes(start))
-
-
-@functools.lru_cache(maxsize=4)
-def _width_slopes(plan: PhaseSpace) -> list[Array]:
-    """Return the derivatives in single precision."""
+    Both are in single precision.
+    """
     distance = plan.camera.mla_distance
     sides = [
         plan.moved(plan.camera.replace(mla_distance=distance * (1 + side))).tabulated()
         for side in (_TABLE_STEP, -_TABLE_STEP)
     ]
-    return [(a - b) / np.float32(2 * _TABLE_STEP) for a, b in zip(*sides, strict=True)]
+    return plan.tabulated(), [(a - b) / np.float32(2 * _TABLE_STEP) for a, b in zip(*sides, strict=True)]
 
 
-def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[Doubles]:
-    """Return the derivatives of kernels with respect to each component of a parameter on which they depend."""
-    if not isinstance(plan, ExpandedPlan):
-        plan = ExpandedPlan.about(plan, plan.camera)
-    return plan.kernel_slopes(name, step, kind)
+@functools.lru_cache(maxsize=4)
+def width_slopes(start: PhaseSpace) -> Table:
+    """Return the table of derivatives of a plan's coefficients by the logarithm of the pupil's diffraction width."""
+    table = Table(start.shapes)
+    for rows, slopes in zip(table, _tables(start)[1], strict=True):
+        rows[...] = slopes
+    return table
 
 
 @functools.lru_cache(maxsize=32)

@@ -65,43 +65,51 @@ class PupilFunctions:
         return np.concatenate([share[:, None] * terms for share in shares], 1) @ self.combined
 
 
-@dataclass(frozen=True)
 class FittedPupil:
-    """Functions and kernels of one pupil of any shape."""
+    """Functions and kernels of one pupil of any shape, with polynomials of some degree."""
 
-    samples: PupilSamples
-    degree: int
-
-    # -- rays ----------------------------------------------------------------------------------------
-
-    @cached_property
-    def densities(self) -> list[Doubles]:
-        """Densities (n, n) of open and, if rays have to pass some, of closed parts; their integrals are 1."""
-        power, amplitude = (means(values, _SAMPLES) for values in (self.samples.power, abs(self.samples.transmission)))
+    @single_threaded_blas()
+    def __init__(self, samples: PupilSamples, degree: int) -> None:
+        self._aperture = samples.aperture
+        self._degree = degree
+        self._transmission = means(samples.transmission, _SAMPLES)
+        power = means(samples.power, _SAMPLES)
+        self._whole = power.sum()
         size = (2 * _SAMPLES,) * 2
-        x = along(_SAMPLES)
-        pairs = scipy.fft.irfft2(scipy.fft.rfft2(amplitude, size) ** 2, size)[::2, ::2]
+        pairs = scipy.fft.irfft2(scipy.fft.rfft2(means(abs(samples.transmission), _SAMPLES), size) ** 2, size)[::2, ::2]
         # Rays with the root of the mean square of the light that they bring have the least noise. Samples that the
         # circle cuts are left out.
-        farthest = abs(x) + 1 / _SAMPLES
+        farthest = abs(along(_SAMPLES)) + 1 / _SAMPLES
         within = np.hypot(farthest, farthest[:, None]) <= 1
         middles = np.where(within, np.sqrt(np.maximum(pairs - 1e-9 * pairs.max(), 0)), 0)
         closed = middles * (1 - power / power.max())
         some = closed.sum() > USUAL.least_closed * middles.sum()
-        return [density / (density.sum() * _AREA) for density in ([power, closed] if some else [power])]
-
-    @cached_property
-    def closed(self) -> Doubles | None:
-        """Density (n, n) of rays through closed parts, or None without such rays.
-
-        As large a part of them is beyond the circle as of the rays through open cells, some of which the circle cuts.
-        """
-        if len(self.densities) == 1:
-            return None
-        within = self.samples.whole / (math.pi * self.samples.aperture.share)
-        density = within * self.densities[1]
-        density[0, 0] = max(1 - within, 0) / _AREA
-        return density
+        # Densities (n, n) of open and, if rays have to pass some, of closed parts; their integrals are 1.
+        densities = np.stack([density / (density.sum() * _AREA) for density in ([power, closed] if some else [power])])
+        # Density (n, n) of rays through closed parts, or None without such rays. As large a part of them is beyond the
+        # circle as of the rays through open cells, some of which the circle cuts.
+        self.closed: Doubles | None = None
+        # Density (n, n) of all rays, and the shares (shares, n, n) that the parts have: their density over it.
+        self._density = densities[0]
+        if some:
+            passed = samples.whole / (math.pi * samples.aperture.share)
+            self.closed = passed * densities[1]
+            self.closed[0, 0] = max(1 - passed, 0) / _AREA
+            self._density = (1 - CLOSED) * densities[0] + CLOSED * densities[1]
+        self._shares = densities / np.where(self._density > 0, self._density, 1)
+        # Middle and half width, along x and y, of the box around the open parts.
+        lit = [np.flatnonzero(densities[0].any(axis)) for axis in (0, 1)]
+        ends = [
+            (2 * int(along_axis[0]) / _SAMPLES - 1, 2 * int(along_axis[-1] + 1) / _SAMPLES - 1) for along_axis in lit
+        ]
+        self._box = [((low + high) / 2, (high - low) / 2) for low, high in ends]
+        # The functions: the first has an integral of 1 over all rays, and the others of 0.
+        sets = even_polynomials([self._boxed(*spread_points(density)) for density in densities], degree)
+        combined = scipy.linalg.block_diag(*(functions.triangle for functions in sets))
+        count = len(sets[0].exponents)
+        # Rays through closed parts bring nothing of uniform light.
+        combined[0, count::count] -= 1
+        self.functions = PupilFunctions(sets[0].exponents, combined)
 
     def arguments(self, x: Any, y: Any) -> list[Any]:
         """Return, for pupil points over the radius, Dr.Jit arrays of which rays' functions are made.
@@ -109,57 +117,28 @@ class FittedPupil:
         They are the coordinates in the box around the open parts, and the shares of open and of closed parts.
         """
         places = self._boxed(x, y)
-        aperture = self.samples.aperture
         if self.closed is None:
             return list(places)
         column, row = (
             dr.clip(mi.Int(dr.floor((coordinate + 1) * (_SAMPLES / 2))), 0, _SAMPLES - 1) for coordinate in (x, y)
         )
         closed = dr.gather(mi.Float, drjit_array(mi.Float, self.closed.ravel()), mi.UInt32(row * _SAMPLES + column))
-        densities = aperture.power(x, y) / (math.pi * aperture.share), closed
+        densities = self._aperture.power(x, y) / (math.pi * self._aperture.share), closed
         density = (1 - CLOSED) * densities[0] + CLOSED * densities[1]
         return [*places, *(dr.select(density > 0, share_of_density / density, 0) for share_of_density in densities)]
 
     def _boxed(self, x: Any, y: Any) -> Pair:
         """Return coordinates in the box around the open parts, from -1 to 1."""
-        boxed = []
-        for axis, coordinate in enumerate((x, y)):
-            lit = np.flatnonzero(self.densities[0].any(axis))
-            low = 2 * int(lit[0]) / _SAMPLES - 1
-            high = 2 * int(lit[-1] + 1) / _SAMPLES - 1
-            boxed.append((coordinate - (low + high) / 2) / ((high - low) / 2))
+        boxed = [(coordinate - middle) / half for coordinate, (middle, half) in zip((x, y), self._box, strict=True)]
         return boxed[0], boxed[1]
-
-    @cached_property
-    def _drawn(self) -> tuple[Doubles, Doubles]:
-        """Density (n, n) of all rays, and the shares (shares, n, n) that the parts have: their density over it."""
-        parts = np.stack(self.densities)
-        combined = parts[0] if self.closed is None else (1 - CLOSED) * parts[0] + CLOSED * parts[1]
-        return combined, parts / np.where(combined > 0, combined, 1)
-
-    # -- functions -----------------------------------------------------------------------------------
-
-    @cached_property
-    @single_threaded_blas()
-    def functions(self) -> PupilFunctions:
-        """The functions; the first has an integral of 1 over all rays, and the others of 0."""
-        sets = even_polynomials([self._boxed(*spread_points(density)) for density in self.densities], self.degree)
-        combined = scipy.linalg.block_diag(*(functions.triangle for functions in sets))
-        count = len(sets[0].exponents)
-        # Rays through closed parts bring nothing of uniform light.
-        combined[0, count::count] -= 1
-        return PupilFunctions(sets[0].exponents, combined)
 
     @cached_property
     def covariance(self) -> Doubles:
         """Covariance of the functions' integrals over light with random edges."""
-        combined, shares = self._drawn
-        x, y = (coordinate[:: USUAL.fitted_every] for coordinate in spread_points(combined))
+        x, y = (coordinate[:: USUAL.fitted_every] for coordinate in spread_points(self._density))
         column, row = (np.asarray((coordinate + 1) * (_SAMPLES / 2), int) for coordinate in (x, y))
-        values = self.functions.values(*self._boxed(x, y), shares[:, row, column])
+        values = self.functions.values(*self._boxed(x, y), self._shares[:, row, column])
         return edge_covariance(values, x, y, 1.0)
-
-    # -- kernels -------------------------------------------------------------------------------------
 
     def kernels(self, places: Doubles) -> Doubles:
         """Return the kernels (functions, n, n) after the first, at places in lambda b / R along both axes."""
@@ -173,14 +152,13 @@ class FittedPupil:
     @cached_property
     def _spectra(self) -> NDArray[np.complex128]:
         """Spectra (functions, rows, columns) at `_frequencies` of the kernels after the first, by least squares."""
-        density, shares = self._drawn
         x = along(_SAMPLES)
         u, v = self._boxed((x + 0 * x[:, None]).ravel(), (x[:, None] + 0 * x).ravel())
-        values = self.functions.values(u, v, shares.reshape(len(shares), -1))
-        weighted = values * (density.ravel() * _AREA)[:, None]
+        values = self.functions.values(u, v, self._shares.reshape(len(self._shares), -1))
+        weighted = values * (self._density.ravel() * _AREA)[:, None]
         noise = USUAL.noise_weight * (values.T @ weighted)[1:, 1:]
         images = np.ascontiguousarray(np.swapaxes(weighted.reshape(_SAMPLES, _SAMPLES, -1), 1, 2), np.complex64)
-        lights = _lights(USUAL.tilt_limit * (self.degree + 1))
+        lights = _lights(USUAL.tilt_limit * (self._degree + 1))
         frequencies = _frequencies()
         weight = np.sqrt([light.weight for light in lights])
 
@@ -217,12 +195,12 @@ class FittedPupil:
         """Return the integrals of w with light that varies over the pupil, at `_frequencies`."""
         x = along(_SAMPLES)
         size = (2 * _SAMPLES,) * 2
-        bent = means(self.samples.transmission, _SAMPLES) * np.exp(1j * np.pi * light.blur * (x**2 + x[:, None] ** 2))
+        bent = self._transmission * np.exp(1j * np.pi * light.blur * (x**2 + x[:, None] ** 2))
         tilted = np.exp(1j * np.pi * (light.x * x + light.y * x[:, None]))
         first, second = (scipy.fft.fft2(light_field, size) for light_field in (bent * tilted, bent * tilted.conj()))
         steps = [np.round(frequency * _SAMPLES / 2).astype(int) for frequency in _frequencies()]
         correlation = scipy.fft.ifft2(first * second.conj())[np.ix_(*steps)]
-        return np.asarray(correlation / means(self.samples.power, _SAMPLES).sum(), np.complex64)
+        return np.asarray(correlation / self._whole, np.complex64)
 
 
 class _Light(NamedTuple):

@@ -26,9 +26,6 @@ from numpy.typing import NDArray
 from ..runtime import Doubles, exponents, monomials, on_all_cores
 from .accuracy import USUAL
 
-_ROWS = 128
-"""Points of a lens whose distances from all others are computed at a time, so that these fit into a cache."""
-
 
 def of_middles(
     exponents: list[tuple[int, int]], fields: dict[tuple[int, int], NDArray[np.complex128]]
@@ -87,7 +84,7 @@ class LensFunctions:
         """Coefficients (monomials, functions) of the functions."""
         return np.asarray(self.triangle @ self.functions)
 
-    def best(self, count: int, tolerance: float, points: tuple[Doubles, ...], images: Doubles) -> LensFunctions:
+    def best(self, count: int, tolerance: float, points: tuple[Doubles, Doubles], images: Doubles) -> LensFunctions:
         """Return the fewest combinations of polynomials that leave a part `tolerance` of the images of random light.
 
         At most `count` combinations are returned.
@@ -95,7 +92,7 @@ class LensFunctions:
         Parameters are points u and v that fill the aperture evenly, and images (polynomials, values): the integrals of
         the polynomials with K, in an orthonormal basis of the detector.
         """
-        expected = self._expected(*points)
+        expected = _differing(self.values(*points), *points, self.scale)
         products = images @ images.T
         odd = np.array(self.odd)
         candidates = []
@@ -130,11 +127,7 @@ class LensFunctions:
 
         The light is 0 on one side of the edge and 1 on the other; parameters are as for `best`.
         """
-        return np.asarray(self.duals.T @ _covariance(self._expected(u, v)) @ self.duals)
-
-    def _expected(self, u: Doubles, v: Doubles) -> Doubles:
-        """Return the covariance of the polynomials' coefficients for light with random edges, less the mean."""
-        return _differing(self.values(u, v), u, v, self.scale)
+        return np.asarray(self.duals.T @ edge_covariance(self.values(u, v), u, v, self.scale) @ self.duals)
 
 
 def even_polynomials(parts: Sequence[tuple[Doubles, Doubles]], degree: int) -> list[LensFunctions]:
@@ -166,7 +159,8 @@ def _differing(values: Doubles, u: Doubles, v: Doubles, scale: float) -> Doubles
         apart = np.sqrt(np.square(u[rows, None] - u) + np.square(v[rows, None] - v))
         return np.asarray(values[rows].T @ (apart @ values))
 
-    parts = on_all_cores(of_some, [slice(row, row + _ROWS) for row in range(0, len(u), _ROWS)])
+    # 128: Points of a lens whose distances from all others are computed at a time, so that these fit into a cache.
+    parts = on_all_cores(of_some, [slice(row, row + 128) for row in range(0, len(u), 128)])
     return np.asarray(-sum(parts) / (scale * len(u) ** 2))
 
 

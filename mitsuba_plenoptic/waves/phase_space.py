@@ -23,7 +23,6 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import drjit as dr
@@ -53,9 +52,6 @@ from .array_kernels import ArrayKernels
 FINE = 0.005
 """Accuracy below which finer plans are made."""
 
-_SMOOTH = "closer to a parabola, for the shortest wavelength, too; use CaptureOperator"
-"""The rule for the shape of microlenses."""
-
 _PACKET = 4
 """Count of coefficients that are gathered at a time."""
 
@@ -77,83 +73,68 @@ class TableNode(NamedTuple):
     angular: int
 
 
-@dataclass(frozen=True)
 class PhaseSpace(ArrayKernels):
     """Diffraction of one camera at one wavelength, as coefficients of rays and kernels of images."""
 
-    # Units across the window at the pupil's rim, where the spread of a ray is largest. A unit is a lens, or more behind
-    # pupils that diffract light over many lenses. Light outside is folded back by whole windows, which conserves the
-    # energy.
-    window: int = 9
-    # Nodes of the table along the pupil's radius, denser towards its rim.
-    radial: int = 12
-    # Longest wavelength of the plans with which it is used, whose tables have the same nodes. Default: its own.
-    longest: float | None = None
-    # The plan whose functions and nodes of the table it has, so that plans with others are not taken for this one.
-    basis: PhaseSpace | None = None
+    basis: PhaseSpace | None
 
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         camera: PlenopticCamera,
         wavelength: float,
-        fine: bool,
-        shortest: float,
-        longest: float | None,
-        beside_far: bool,
-    ) -> PhaseSpace:
-        """Return a usual or a finer plan; `shortest` and `longest` are the extreme wavelengths of a capture's plans."""
-        accuracy = FINER if fine else USUAL
-        plan = cls(
-            camera,
-            wavelength,
-            degree=accuracy.degree,
-            window=accuracy.window,
-            radial=accuracy.radial,
-            tolerance=accuracy.tolerance,
-            shortest=shortest,
-            longest=longest,
-            beside_far=beside_far,
-        )
-        is_far = plan.defocus > USUAL.high_defocus and not plan.lands_by_point
-        return replace(plan, degree=plan.degree + 2) if is_far else plan
-
-    def __post_init__(self) -> None:
-        camera = self.camera
+        *,
+        # Units across the window at the pupil's rim, where the spread of a ray is largest. A unit is a lens, or more
+        # behind pupils that diffract light over many lenses. Light outside is folded back by whole windows, which
+        # conserves the energy.
+        window: int = 9,
+        # Nodes of the table along the pupil's radius, denser towards its rim.
+        radial: int = 12,
+        # Extreme wavelengths of the plans with which it is used, whose tables have the same nodes. Default: its own.
+        shortest: float | None = None,
+        longest: float | None = None,
+        # The plan whose functions and nodes of the table it has.
+        basis: PhaseSpace | None = None,
+        # Those of `ArrayKernels`.
+        **options: Any,
+    ) -> None:
+        super().__init__(camera, wavelength, shortest=shortest, basis=basis, **options)
+        self.options = {"window": window, "radial": radial, "shortest": shortest, "longest": longest, **options}
+        self.window = window
+        self.radial = radial
+        self._extremes = longest or wavelength, shortest or wavelength
+        width = in_millimetres(wavelength)
+        opening = float(camera.lattice.aperture_width)
+        # Smallest `mla_fill` for which the kernels are valid, by the narrowest opening in wavelengths.
+        least_fill = USUAL.narrowest_opening * width * camera.mla_fill / opening
+        # Displacement of light, in pixels, by the pupil's diffraction, where landing points vary over a lens.
+        growth = max(abs(self.convergence(kind)) * kind.distance for kind in self.kinds)
+        shift = growth * width * camera.pupil_distance / (2 * camera.pupil_radius) / camera.pixel_size
         for name, refused, rule in (
             (
                 "mla_fill",
-                self._least_fill > camera.mla_fill,
-                f"{self._least_fill:.3g} or more, openings of {USUAL.narrowest_opening:g} wavelengths; "
-                'use method="points"',
+                least_fill > camera.mla_fill,
+                f'{least_fill:.3g} or more, openings of {USUAL.narrowest_opening:g} wavelengths; use method="points"',
             ),
-            ("mla_shape", self.aberration > USUAL.most_phase, _SMOOTH),
+            (
+                "mla_shape",
+                self.aberration > USUAL.most_phase,
+                "closer to a parabola, for the shortest wavelength, too; use CaptureOperator",
+            ),
             ("mla_shape", not camera.microlens.is_parabolic and self.lands_by_point, "near the microlenses' focus"),
-            ("detector_distance", self._shift > USUAL.most_shift, f"closer to the microlenses' focus, {self._limits}"),
+            (
+                "detector_distance",
+                self.lands_by_point and shift > USUAL.most_shift,
+                f"closer to the microlenses' focus, {self._limits()}",
+            ),
         ):
             if refused:
                 raise InputError(f"{name} = {short_repr(getattr(camera, name))}: for signed rays it must be {rule}")
+        # Widths in mm of a lens's diffraction on the detector, and of a lens.
+        self.widths = width * camera.reduced_distance / opening, min(camera.mla_pitches)
+        self.system = OpticalSystem(camera, wavelength)
 
-    @property
-    def _least_fill(self) -> float:
-        """Smallest `mla_fill` for which the kernels are valid, by the narrowest opening in wavelengths."""
-        camera = self.camera
-        opening = USUAL.narrowest_opening * in_millimetres(self.wavelength)
-        return opening * camera.mla_fill / float(camera.lattice.aperture_width)
-
-    @property
-    def _shift(self) -> float:
-        """Displacement of light, in pixels, by the pupil's diffraction, where landing points vary over a lens."""
-        if not self.lands_by_point:
-            return 0.0
-        camera = self.camera
-        most = max(abs(self.convergence(kind)) * kind.distance for kind in self.kinds)
-        width = in_millimetres(self.wavelength) * camera.pupil_distance / (2 * camera.pupil_radius)
-        return most * width / camera.pixel_size
-
-    @property
     def _limits(self) -> str:
-        """Allowed range of the detector's distance in mm, as text."""
+        """Return the allowed range of the detector's distance in mm, as text."""
         camera = self.camera
         aside = USUAL.most_phase * in_millimetres(self.wavelength) / math.pi / float(self.lattice.aperture_reach) ** 2
         vergence = camera.lens_data.converges / camera.pupil_distance
@@ -162,20 +143,18 @@ class PhaseSpace(ArrayKernels):
         return f"from {near:.4g} to {far:.4g} mm" if near <= far else "which several focal lengths do not allow"
 
     @functools.cached_property
-    def system(self) -> OpticalSystem:
-        """Optical system of the camera at the wavelength."""
-        return OpticalSystem(self.camera, self.wavelength)
-
-    @functools.cached_property
     def nodes(self) -> list[TableNode]:
         """Nodes of the table along the pupil's radius, each with its window and number of samples."""
+        if self.basis:
+            # Windows grow with the lattice.
+            scales = np.divide(self.lattice.period(), self.basis.lattice.period()).tolist()
+            return [
+                node._replace(sides=(node.sides[0] * scales[0], node.sides[1] * scales[1])) for node in self.basis.nodes
+            ]
         radius = self.camera.pupil_radius
         pitch = self.lattice.pitches[0]
         # Windows are for the longest wavelength, and samples for the shortest.
-        reach, least_reach = (
-            in_millimetres(limit or self.wavelength) * self.camera.pupil_distance
-            for limit in (self.longest, self.shortest)
-        )
+        reach, least_reach = (in_millimetres(limit) * self.camera.pupil_distance for limit in self._extremes)
         unit = max(pitch, USUAL.airy_unit * reach / radius)
         oversampling = USUAL.oversampling * (1 + (unit > USUAL.wide_unit * pitch))
         nodes = []
@@ -317,12 +296,6 @@ class PhaseSpace(ArrayKernels):
             scale = (area * np.maximum(aperture.power(Pu / radius, Pv / radius), dark)).sum()
         return np.asarray(np.tensordot(area.ravel() / scale, both.astype(np.float32), 1), np.float32)
 
-    @property
-    def widths(self) -> tuple[float, float]:
-        """Widths in mm of a lens's diffraction on the detector, and of a lens."""
-        extent = in_millimetres(self.wavelength) * self.camera.reduced_distance
-        return extent / float(self.lattice.aperture_width), min(self.camera.mla_pitches)
-
     def parts(self, fine: bool) -> int:
         """Return the number of cells of the grid across a pixel, for usual or finer plans."""
         if self.lands_by_point:
@@ -337,18 +310,7 @@ class PhaseSpace(ArrayKernels):
 
     def moved(self, camera: PlenopticCamera) -> PhaseSpace:
         """Return the plan of a slightly different camera, with the same functions and nodes of the table."""
-        plan = replace(self, camera=camera, basis=self)
-        plan.take_basis(self)
-        return plan
-
-    def take_basis(self, source: PhaseSpace) -> None:
-        """Use the functions of another plan and its nodes of the table, which grow with the lattice."""
-        scales = [after / before for after, before in zip(self.lattice.period(), source.lattice.period(), strict=True)]
-        vars(self)["functions"] = replace(source.functions, scale=source.functions.scale * scales[0])
-        vars(self)["oblique"] = source.oblique
-        vars(self)["nodes"] = [
-            node._replace(sides=(node.sides[0] * scales[0], node.sides[1] * scales[1])) for node in source.nodes
-        ]
+        return PhaseSpace(camera, self.wavelength, basis=self, **self.options)
 
 
 def coefficients_of(plans: Sequence[PhaseSpace]) -> list[RayCoefficients | Polynomials]:
@@ -446,26 +408,16 @@ class Table(list[NDArray[Any]]):
         """Bytes of the arrays."""
         return sum(array.nbytes for array in self)
 
-    @classmethod
-    def of(cls, arrays: Sequence[NDArray[Any]]) -> Table:
-        """Return arrays as a table; a table is returned without a copy, as it fills much memory."""
-        if isinstance(arrays, cls):
-            return arrays
-        table = cls([array.shape for array in arrays])
-        for rows, array in zip(table, arrays, strict=True):
-            rows[...] = array
-        return table
-
 
 class RayCoefficients:
     """The table of a `PhaseSpace`, or another table of the same layout, on the device of the active variant."""
 
-    def __init__(self, plan: PhaseSpace, table: Sequence[NDArray[Any]]) -> None:
+    def __init__(self, plan: PhaseSpace, table: Table) -> None:
         self.plan = plan
-        self.layout, packed = plan.layout, Table.of(table)
-        self._table = drjit_array(mi.Float16, packed.memory)
-        self._packets = range(packed.first, packed.first + packed.packets)
-        self._wide = packed.memory.shape[1] // _PACKET
+        self.layout = plan.layout
+        self._table = drjit_array(mi.Float16, table.memory)
+        self._packets = range(table.first, table.first + table.packets)
+        self._wide = table.memory.shape[1] // _PACKET
         *first, self._nowhere = np.cumsum([0] + [math.prod(array.shape[:3]) for array in table]).tolist()
         self._first = drjit_array(mi.Int, np.array(first))
         sides = np.array([n.sides for n in plan.nodes])
@@ -553,10 +505,6 @@ class Polynomials:
     def __init__(self, plan: Any) -> None:
         self.plan = plan
         self.layout: tuple[Any, ...] = (plan.functions.scale,)
-
-    def __call__(self, point: Pair, pupil: Any, jitter: Any, active: Any) -> list[Any]:
-        """Return the values of the polynomials."""
-        return self.read(*self.places(point, pupil, jitter, active))
 
     def places(self, point: Pair, pupil: Any, jitter: Any, active: Any) -> list[Any]:
         """Return the arguments of the polynomials, for `read`."""

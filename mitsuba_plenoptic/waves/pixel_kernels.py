@@ -22,10 +22,6 @@ from ..runtime import Doubles, Floats, backend_of, on_cuda, single_threaded_blas
 from .accuracy import USUAL
 from .oblique import Oblique, moved
 
-_TOGETHER = 2**19
-_ON_CUDA = 2**25
-"""Count of coefficients that are combined at a time, by a processor with caches and by a device."""
-
 
 class PixelKernels:
     """Kernels of pixel images, and the computation of pixel images from coefficients, for one kind of lenses."""
@@ -121,7 +117,8 @@ class PixelKernels:
 
     def portions(self, ends: Sequence[int]) -> list[slice]:
         """Return slices of pixels, from one of the ends to the next, whose coefficients fit into caches or memory."""
-        size = max(1, (_ON_CUDA if on_cuda() else _TOGETHER) // max(self._factors.shape))
+        # 2**25 and 2**19: Count of coefficients that are combined at a time by a device, and by processors with caches.
+        size = max(1, (2**25 if on_cuda() else 2**19) // max(self._factors.shape))
         return [
             slice(start, min(start + size, last))
             for first, last in itertools.pairwise(ends)

@@ -27,7 +27,6 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -35,7 +34,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
+from ..camera import Opening, PlenopticCamera
 from ..errors import WAVEFRONT_UNIT, refuse_if
 from ..fields import OpticalSystem
 from ..optics import in_millimetres
@@ -44,22 +43,14 @@ from .accuracy import FINER, USUAL
 from .fitted_pupil import FittedPupil, PupilFunctions
 from .lens_functions import LensFunctions, even_polynomials, of_middles
 from .oblique import Oblique
-from .pupil_samples import PupilSamples, along, spread_points
+from .pupil_samples import PupilSamples, along, samples_of, spread_points
 
 _SECOND = 6
 """Noll's polynomials up to the second order."""
 
 
-@dataclass(frozen=True)
 class PupilDiffraction:
     """Diffraction of one ordinary camera at one wavelength, as functions over the pupil and kernels of images."""
-
-    # One with glass is taken `at_wavelength`.
-    camera: PlenopticCamera
-    wavelength: float
-    fine: bool = False
-    # Shortest wavelength of the plans with which it is used, whose rays start alike. Default: its own wavelength.
-    shortest: float | None = None
 
     lands_by_point = True
     """Every ray lands by its own point, and its coefficients are polynomials."""
@@ -67,107 +58,75 @@ class PupilDiffraction:
     tolerance = 0.001
     """Part of images of random light that may be missing for want of images of the places in a pixel."""
 
-    def __post_init__(self) -> None:
+    def __init__(
+        self,
+        # One with glass is taken `at_wavelength`.
+        camera: PlenopticCamera,
+        wavelength: float,
+        fine: bool = False,
+        # Shortest wavelength of the plans with which it is used, whose rays start alike. Default: its own wavelength.
+        shortest: float | None = None,
+    ) -> None:
+        self.camera = camera
+        self.wavelength = wavelength
+        self.options: dict[str, Any] = {"fine": fine, "shortest": shortest}
+        # Width of the pupil's diffraction on the detector, lambda b / R, in mm: 1.64 radii of the Airy disc.
+        self.unit = in_millimetres(wavelength) * camera.pupil_distance / camera.pupil_radius
+        # Widths in mm of the diffraction, and of blur that may differ between wavelengths.
+        self.widths = self.unit / 2, self.unit
+        # Distance in mm to which captures need kernels.
+        self.reach = USUAL.airy_reach * self.unit
+        # Width of a pixel over the diffraction of the shortest wavelength.
+        pixel = camera.pixel_size / (self.unit * (shortest or wavelength) / wavelength)
         refuse_if(
-            self._pixel < USUAL.finest_pixel,
-            f"detector_width = {self.camera.detector_width:g}: pixels of {self.camera.pixel_size:.3g} mm are too fine "
-            f"for the pupil's diffraction, which is {self.unit:.3g} mm wide: waves of scenes need pixels of "
+            pixel < USUAL.finest_pixel,
+            f"detector_width = {camera.detector_width:g}: pixels of {camera.pixel_size:.3g} mm are too fine for the "
+            f"pupil's diffraction, which is {self.unit:.3g} mm wide: waves of scenes need pixels of "
             f"{USUAL.finest_pixel * self.unit:.2g} mm or more",
         )
-
-    @cached_property
-    def system(self) -> OpticalSystem:
-        """Optical system that refracts the rays, at the wavelength: without the aberrations of the kernels."""
-        by_rays = np.trim_zeros(np.subtract(self.camera.wavefront, self._in_kernels), "b")
-        return OpticalSystem(self.camera.replace(wavefront=tuple(by_rays.tolist())), self.wavelength)
-
-    @cached_property
-    def _in_kernels(self) -> Doubles:
-        """Coefficients of the aberrations that the kernels contain."""
-        coefficients = np.array(self.camera.wavefront, float)
-        index = np.arange(1, len(coefficients) + 1)
+        # Count of cells across a pixel that resolve the diffraction. In front of coarser pixels rays themselves are
+        # displaced by the point spread function, without kernels if cells are wider than these.
+        cells = math.ceil(pixel / USUAL.airy_cell)
+        self.is_coarse = cells > USUAL.most_airy_cells
+        self._is_wide = pixel > USUAL.coarse_cells * USUAL.coarse_reach
+        self._cells = USUAL.coarse_cells if self.is_coarse else cells
+        # Coefficients of the aberrations in the kernels; rays of the optical system follow the others.
+        coefficients = np.array(camera.wavefront, float)
+        lowest = 3 if np.linalg.norm(coefficients[3:]) <= USUAL.small_aberration else _SECOND
         if self.is_coarse or np.linalg.norm(coefficients[_SECOND:]) > USUAL.most_aberration:
-            return np.zeros(len(coefficients))
-        return np.where(
-            index > (3 if np.linalg.norm(coefficients[3:]) <= USUAL.small_aberration else _SECOND), coefficients, 0
-        )
-
-    @property
-    def unit(self) -> float:
-        """Width of the pupil's diffraction on the detector, lambda b / R, in mm: 1.64 radii of the Airy disc."""
-        return in_millimetres(self.wavelength) * self.camera.pupil_distance / self.camera.pupil_radius
-
-    @property
-    def _pixel(self) -> float:
-        """Width of a pixel over the diffraction of the shortest wavelength."""
-        return self.camera.pixel_size / (self.unit * (self.shortest or self.wavelength) / self.wavelength)
-
-    @property
-    def _cells(self) -> int:
-        """Number of cells across a pixel that resolve the diffraction."""
-        return math.ceil(self._pixel / USUAL.airy_cell)
-
-    @property
-    def is_coarse(self) -> bool:
-        """Whether rays themselves are displaced by the point spread function, as pixels are much wider."""
-        return self._cells > USUAL.most_airy_cells
-
-    @property
-    def _is_wide(self) -> bool:
-        """Whether cells of pixels are wider than kernels, and displaced rays do without."""
-        return self._pixel > USUAL.coarse_cells * USUAL.coarse_reach
-
-    @property
-    def widths(self) -> tuple[float, float]:
-        """Widths in mm of the pupil's diffraction on the detector, and of blur that may differ between wavelengths."""
-        return self.unit / 2, self.unit
+            lowest = len(coefficients)
+        in_kernels = np.where(np.arange(len(coefficients)) >= lowest, coefficients, 0)
+        by_rays = np.trim_zeros(coefficients - in_kernels, "b")
+        self.system = OpticalSystem(camera.replace(wavefront=tuple(by_rays.tolist())), wavelength)
+        waves = in_kernels * (WAVEFRONT_UNIT / wavelength)
+        self._opening = camera.aperture, tuple(waves.tolist()) if waves.any() else ()
+        is_aberrated = np.linalg.norm(in_kernels) > USUAL.small_aberration
+        # The pupil may have closed parts between open ones that matter: in coarse pixels they do not.
+        is_coded = camera.aperture_image is not None and not self.is_coarse
+        self._is_fitted = bool(is_coded or is_aberrated)
+        accuracy = FINER if fine or is_aberrated else USUAL
+        self._degree = accuracy.part_degree if is_coded else accuracy.pupil_degree
 
     def parts(self, fine: bool) -> int:
         """Return the number of cells of the grid across a pixel."""
-        return USUAL.coarse_cells if self.is_coarse else self._cells
+        return self._cells
 
     @cached_property
     def _pupil(self) -> PupilSamples:
-        """Transmission of the pupil."""
-        waves = self._in_kernels * (WAVEFRONT_UNIT / self.wavelength)
-        return PupilSamples(self.camera.aperture, tuple(waves.tolist()) if waves.any() else ())
-
-    @property
-    def _is_aberrated(self) -> bool:
-        """Whether kernels contain large aberrations."""
-        return bool(np.linalg.norm(self._in_kernels) > USUAL.small_aberration)
-
-    @property
-    def _is_coded(self) -> bool:
-        """Whether the pupil may have closed parts between open ones that matter: in coarse pixels they do not."""
-        return self.camera.aperture_image is not None and not self.is_coarse
-
-    @property
-    def _degree(self) -> int:
-        """Degree of the polynomials if all of them can be used."""
-        accuracy = FINER if self.fine or self._is_aberrated else USUAL
-        return accuracy.part_degree if self._is_coded else accuracy.pupil_degree
+        return samples_of(*self._opening)
 
     @cached_property
     def fitted(self) -> FittedPupil | None:
         """Functions and fitted kernels of coded or aberrated pupils."""
-        return _fitted(self._pupil, self._degree) if self._is_coded or self._is_aberrated else None
+        return _fitted(*self._opening, self._degree) if self._is_fitted else None
 
     @cached_property
     @single_threaded_blas()
-    def _polynomials(self) -> LensFunctions:
-        """Polynomials of a pupil point over the pupil's radius, fewer where little of the pupil is open."""
-        return even_polynomials([spread_points(self._pupil.power)], 0 if self._is_wide else self._degree)[0]
-
-    @property
     def functions(self) -> LensFunctions | PupilFunctions:
-        """Functions of a ray's `arguments`."""
-        return self.fitted.functions if self.fitted else self._polynomials
-
-    @property
-    def degree(self) -> int:
-        """Degree of the polynomials."""
-        return max(map(sum, self.functions.exponents))
+        """Functions of a ray's `arguments`: polynomials, fewer where little of the pupil is open."""
+        if self.fitted:
+            return self.fitted.functions
+        return even_polynomials([spread_points(self._pupil.power)], 0 if self._is_wide else self._degree)[0]
 
     @property
     def oblique(self) -> Oblique:
@@ -177,11 +136,11 @@ class PupilDiffraction:
     @cached_property
     def covariance(self) -> Doubles:
         """Covariance of the values of an image's rays, for light with random edges over the pupil."""
-        if self.fitted:
-            return self.fitted.covariance
-        return self._polynomials.light(
-            *(coordinate[:: USUAL.pupil_every] for coordinate in spread_points(self._pupil.power))
-        )
+        if isinstance(self.functions, LensFunctions):
+            points = spread_points(self._pupil.power)
+            return self.functions.light(*(coordinate[:: USUAL.pupil_every] for coordinate in points))
+        assert self.fitted
+        return self.fitted.covariance
 
     def arguments(self, point: Pair, pupil: Pair) -> list[Any]:
         """Return the numbers of which a ray's coefficients are polynomials: its pupil point over the radius.
@@ -193,7 +152,7 @@ class PupilDiffraction:
 
     def spots(self, places: Doubles) -> Doubles:
         """Return the point spread function in focus (1, n, n), at detector positions in mm along both axes."""
-        field = self._fields(places / self.unit)[0, 0]
+        field = self._fields(places / self.unit, [(0, 0)])[0, 0]
         return (np.abs(field) ** 2)[None] / np.abs(field).max() ** 2
 
     @cached_property
@@ -201,11 +160,6 @@ class PupilDiffraction:
         """The point spread function in focus on a grid, and the width of a cell of the grid in mm."""
         step = USUAL.airy_cell / 2
         return np.maximum(self._sampled(step, math.ceil(USUAL.airy_reach / step))[0], 0), step * self.unit
-
-    @property
-    def reach(self) -> float:
-        """Distance in mm to which captures need kernels."""
-        return USUAL.airy_reach * self.unit
 
     def kernels(self, step: float, reach: float, kind: int = 0) -> Doubles:
         """Return the kernels (n, k, k) on a grid of width `step` in mm, times the area of a grid cell."""
@@ -222,8 +176,8 @@ class PupilDiffraction:
         fine = step / parts
         spectra = scipy.fft.fft2(scipy.fft.ifftshift(self._sampled(fine / self.unit, count * parts // 2), (1, 2)))
         spread = spectra[0]
-        if self.shortest not in (None, self.wavelength):
-            shortest = replace(self, wavelength=self.shortest, shortest=None)
+        if self.options["shortest"] not in (None, self.wavelength):
+            shortest = PupilDiffraction(self.camera, self.options["shortest"], self.options["fine"])
             spread = scipy.fft.fft2(scipy.fft.ifftshift(shortest._sampled(fine / shortest.unit, count * parts // 2)[0]))
         # The lowest frequencies, which the grid of pixels can represent.
         order = scipy.fft.ifftshift(np.arange(count) - count // 2)
@@ -235,25 +189,20 @@ class PupilDiffraction:
         return np.asarray(scipy.fft.fftshift(scipy.fft.ifft2(ratio).real, (1, 2)))
 
     @single_threaded_blas()
-    def _fields(self, places: Doubles) -> dict[tuple[int, int], NDArray[np.complex128]]:
+    def _fields(self, places: Doubles, powers: list[tuple[int, int]]) -> dict[tuple[int, int], NDArray[np.complex128]]:
         """Return transforms of transmission times powers, at detector places in `unit` along both axes."""
         x = along(USUAL.pupil_samples)
         transmission = self._pupil.transmission
         waves = np.exp(-2j * np.pi * np.outer(places, x))
-        return {(a, b): waves @ (transmission * x**a * x[:, None] ** b) @ waves.T for a, b in self._moments[0]}
-
-    @property
-    def _moments(self) -> tuple[list[tuple[int, int]], Doubles]:
-        """Powers whose integrals with the pupil's light give kernels, and their coefficients (powers, kernels)."""
-        if self.fitted:
-            return [(0, 0)], np.ones((1, 1))
-        return self._polynomials.exponents, self._polynomials.combined
+        return {(a, b): waves @ (transmission * x**a * x[:, None] ** b) @ waves.T for a, b in powers}
 
     def _sampled(self, step: float, count: int) -> Doubles:
         """Return the kernels (n, k, k) at `count` samples on either side, `step` units apart, times their area."""
         places = step * np.arange(-count, count + 1.0)
-        exponents, combined = self._moments
-        products = of_middles(exponents, self._fields(places))
+        # Powers whose integrals with the pupil's light give kernels, and their coefficients (powers, kernels).
+        powers = [(0, 0)] if self.fitted else self.functions.exponents
+        combined = np.ones((1, 1)) if self.fitted else self.functions.combined
+        products = of_middles(powers, self._fields(places, powers))
         spacing = 2 / USUAL.pupil_samples
         kernels = np.einsum("mn,myx->nyx", combined, products) * (spacing**4 * step**2 / self._pupil.whole)
         if self.fitted:
@@ -267,6 +216,6 @@ class PupilDiffraction:
 
 
 @functools.lru_cache(maxsize=8)
-def _fitted(samples: PupilSamples, degree: int) -> FittedPupil:
+def _fitted(aperture: Opening, waves: tuple[float, ...], degree: int) -> FittedPupil:
     """Return the functions and kernels of a pupil, cached for further wavelengths and captures."""
-    return FittedPupil(samples, degree)
+    return FittedPupil(samples_of(aperture, waves), degree)

@@ -8,7 +8,6 @@ pixel, less a random displacement with the density of the point spread function.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -39,6 +38,13 @@ class PupilSampler(DetectorGrid):
         self.walk = Walk(camera, self._plan.system.lens)
         self._open = camera.aperture.draws()
         self.order = 0 if self._plan.is_coarse else 2 * ORDER - 1
+        # Distributions over cells of a square of the point spread function, with the width of a cell in mm, and of rays
+        # through closed parts, each with the count of cells across.
+        if self._plan.is_coarse:
+            spread, step = self._plan.spread
+            self._spread = _distribution(spread), len(spread), dr.opaque(mi.Float, step)
+        closed = self._plan.fitted.closed if self._plan.fitted else None
+        self._closed = None if closed is None else (_distribution(closed), len(closed))
 
     def lights(self, lenses: CellLenses) -> Any:
         """Return whether light can reach the pixels."""
@@ -104,13 +110,6 @@ class PupilSampler(DetectorGrid):
         )
         return x, y
 
-    @cached_property
-    def _closed(self) -> tuple[Any, int] | None:
-        """The distribution of rays through closed parts over cells of the square, and the cells across it."""
-        if self._plan.fitted is None or (closed := self._plan.fitted.closed) is None:
-            return None
-        return mi.DiscreteDistribution2D(closed.astype(np.float32)), len(closed)
-
     def _displacement(self, random: Sequence[Any]) -> Pair:
         """Return random displacements in mm with the density of the point spread function."""
         density, count, step = self._spread
@@ -120,8 +119,6 @@ class PupilSampler(DetectorGrid):
         x, y = ((mi.Float(index) + r - count / 2) * step for index, r in zip(cell, within, strict=True))
         return x, y
 
-    @cached_property
-    def _spread(self) -> tuple[Any, int, Any]:
-        """The point spread function as a distribution over cells of a square, their count across, and width in mm."""
-        spread, step = self._plan.spread
-        return mi.DiscreteDistribution2D(spread.astype(np.float32)), len(spread), dr.opaque(mi.Float, step)
+
+def _distribution(density: Doubles) -> Any:
+    return mi.DiscreteDistribution2D(density.astype(np.float32))

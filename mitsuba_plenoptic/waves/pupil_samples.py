@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,37 +16,26 @@ from ..runtime import Array, Doubles
 from .accuracy import USUAL
 
 
-@dataclass(frozen=True)
 class PupilSamples:
     """Transmission of a pupil, sampled over a square whose coordinates are divided by the pupil's radius."""
 
-    aperture: Opening
-    # Coefficients of Noll's polynomials, in waves of the light.
-    waves: tuple[float, ...] = ()
-
-    @cached_property
-    def transmission(self) -> NDArray[np.complex128]:
-        """Mean transmission of the samples, rows of rising y, with the aberrations as its phase."""
-        x = along(USUAL.pupil_samples)
-        path = Wavefront(self.waves, 1.0).path(x + 0 * x[:, None], x[:, None] + 0 * x) if any(self.waves) else 0.0
-        amplitude = means(np.sqrt(self._fine), USUAL.pupil_samples)
-        return amplitude * np.exp(2j * np.pi / in_millimetres(WAVEFRONT_UNIT) * path)
-
-    @cached_property
-    def power(self) -> Doubles:
-        """Mean power that passes the samples."""
-        return means(self._fine, USUAL.pupil_samples)
-
-    @property
-    def whole(self) -> float:
-        """Power that passes, the integral over the square."""
-        return float(self.power.mean()) * 4
-
-    @property
-    def _fine(self) -> Doubles:
-        """Power that passes at points of a grid that divides the samples."""
+    def __init__(self, aperture: Opening, waves: tuple[float, ...] = ()) -> None:
+        """Take an opening, and coefficients of Noll's polynomials in waves of the light."""
+        self.aperture = aperture
+        # Power that passes at points of a grid that divides the samples, its means, and its integral over the square.
         x = along(USUAL.pupil_samples * USUAL.sample_points)
-        return np.asarray(self.aperture.power(x + 0 * x[:, None], x[:, None] + 0 * x))
+        fine = np.asarray(aperture.power(x + 0 * x[:, None], x[:, None] + 0 * x))
+        self.power = means(fine, USUAL.pupil_samples)
+        self.whole = float(self.power.mean()) * 4
+        # Mean transmission of the samples, rows of rising y, with the aberrations as its phase.
+        x = along(USUAL.pupil_samples)
+        path = Wavefront(waves, 1.0).path(x + 0 * x[:, None], x[:, None] + 0 * x) if any(waves) else 0.0
+        phasors = np.exp(2j * np.pi / in_millimetres(WAVEFRONT_UNIT) * path)
+        self.transmission: NDArray[np.complex128] = means(np.sqrt(fine), USUAL.pupil_samples) * phasors
+
+
+samples_of = functools.lru_cache(maxsize=4)(PupilSamples)
+"""Return samples of a pupil, cached for further wavelengths and captures."""
 
 
 def along(count: int) -> Doubles:

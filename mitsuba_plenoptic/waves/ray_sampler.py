@@ -26,21 +26,14 @@ from ..runtime import Box, Doubles, Floats, Pair, drjit_array, quotient
 from .phase_space import PhaseSpace, TableNodes
 
 _AIRY = 1024
-_AIRY_REACH = 200.0
-"""Steps of the Airy pattern's energy table, and its extent in units of lambda b / 2 pi R; 0.3 % lies beyond."""
+"""Steps of the Airy pattern's energy table."""
 
 ORDER = 2
 """Order of the B-spline that is the density of detector points drawn around a cell: it suppresses aliasing of
 frequencies that the grid cannot represent."""
 
-_LANES = 2**22
-"""Approximate count of pairs of a pixel and a lens of which those with light are selected at once."""
-
 _CELLS = 64
 """Number of strips of a window, and of cells of a strip."""
-
-_LEAST = 0.05
-"""Fraction of the mean density that is added: other coefficients may be nonzero where the first is 0."""
 
 
 @dataclass(frozen=True)
@@ -113,14 +106,11 @@ class DetectorGrid:
     def __init__(self, camera: PlenopticCamera, parts: int) -> None:
         self._camera = camera
         self._parts = parts
+        # Width of a cell in millimetres.
+        self._step = camera.pixel_size / parts
         # Opaque values are kernel inputs, so that other values do not compile the kernels again.
         self._pixel, self._cell = (dr.opaque(mi.Float, width) for width in (camera.pixel_size, self._step))
         self._response = second_leg(camera.pixel_response or (), camera.mla_absorption or 0.0)
-
-    @property
-    def _step(self) -> float:
-        """Width of a cell in millimetres."""
-        return self._camera.pixel_size / self._parts
 
     def _middle(self, pixels: Pixels) -> Pair:
         """Return the centres of pixels."""
@@ -160,12 +150,12 @@ class LensSampler(DetectorGrid):
         parts: int = 1,
     ) -> None:
         super().__init__(camera, parts)
-        self._lens = plans[0].system.lens
+        lens = plans[0].system.lens
         opaque = functools.partial(dr.opaque, mi.Float)
         self._lattice = opaque_lattice(camera, mi.Float)
         self.walk = replace(
-            Walk.of(camera, self._lens),
-            lens=self._lens.opaque(opaque),
+            Walk.of(camera, lens),
+            lens=lens.opaque(opaque),
             lattice=self._lattice,
             detector_distance=opaque(camera.detector_distance),
         )
@@ -186,33 +176,24 @@ class LensSampler(DetectorGrid):
             1.0 if self.lands_by_point else self.kinds.enlargement(kind.focal_length) for kind in plans[0].kinds
         ]
         self._longest = max(plans, key=lambda plan: plan.wavelength)
+        # Half the width in mm, in the pupil's plane, of the image of a pixel and of what is around its cells.
+        half = camera.pixel_size * (parts + ORDER - 1) / parts / 2 * camera.pupil_distance / camera.reduced_distance
+        # Snell's law spreads them most at the corner, along the radius.
+        corner = lens.pupil.slope(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
+        half *= (1 + (1 - camera.mla_medium**-2) * corner**2) ** 1.5
+        # Radius in mm there that contains all rays.
+        radius = lens.reach
+        if self.lands_by_point:
+            radius += float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._pupil_shifts))[0])
+        self._seen_by_pixels = radius, half
+        # The lenses that can light a pixel, by the distance on the array of rays from one detector point to the pupil's
+        # middle and its widest point.
+        self.choice = LensChoice.of_pixels(camera, radius + half * math.sqrt(2), max(self.enlargements))
 
     @cached_property
     def _points(self) -> LensPoints:
         """Distribution of points around lenses for the longest wavelength, which is diffracted most."""
         return LensPoints(self._longest)
-
-    @cached_property
-    def _seen_by_pixels(self) -> tuple[float, float]:
-        """Radius in mm, in the pupil's plane, that contains all rays, and half the width of a pixel's image there."""
-        camera = self._camera
-        # Other points of the pixel and around its cells see other points of the pupil.
-        wide = camera.pixel_size * (self._parts + ORDER - 1) / self._parts
-        half = wide / 2 * camera.pupil_distance / camera.reduced_distance
-        # Snell's law spreads them most at the corner, along the radius.
-        corner = self._lens.pupil.slope(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
-        half *= (1 + (1 - camera.mla_medium**-2) * corner**2) ** 1.5
-        radius = self._lens.reach
-        if self.lands_by_point:
-            radius += float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._pupil_shifts))[0])
-        return radius, half
-
-    @cached_property
-    def choice(self) -> LensChoice:
-        """Lenses that can light a pixel."""
-        # The distance on the array of rays from one detector point to the pupil's middle and its widest point.
-        radius, half = self._seen_by_pixels
-        return LensChoice.of_pixels(self._camera, radius + half * math.sqrt(2), max(self.enlargements))
 
     def lights(self, lenses: CellLenses) -> Any:
         """Return whether light through the lenses can reach the pixels."""
@@ -331,7 +312,8 @@ class LensSampler(DetectorGrid):
         from scipy.special import j0, j1
 
         camera = self._camera
-        v = np.linspace(0, _AIRY_REACH, 1 << 14)
+        # 0.3 % of the energy lies beyond 200 units of lambda b / 2 pi R.
+        v = np.linspace(0, 200.0, 1 << 14)
         energy = 1 - j0(v) ** 2 - j1(v) ** 2
         radius = np.interp(np.linspace(0, energy[-1], _AIRY), energy, v)
         wavelength = in_millimetres(self._longest.wavelength)
@@ -339,7 +321,7 @@ class LensSampler(DetectorGrid):
         return drjit_array(mi.Float, radius * unit)
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=16)
 def _lit_lenses(camera: PlenopticCamera, plan: PhaseSpace, parts: int) -> float:
     """Return `LensSampler.lit_lenses`, cached for further captures of the camera."""
     sampler = LensSampler(camera, [plan], parts)
@@ -360,7 +342,8 @@ def lit(sampler: Any, box: Box, pixels: Any, has_rays: Any = True) -> list[list[
     kinds: list[list[Pair]] = [[] for _ in sampler.enlargements]
     width = dr.width(pixels)
     count = len(sampler.choice.lenses)
-    together = max(1, min(count, _LANES // width))
+    # 2**22: Approximate count of pairs of a pixel and a lens of which those with light are selected at once.
+    together = max(1, min(count, 2**22 // width))
     for first in range(0, count, together):
         lane = dr.arange(mi.UInt32, width * min(together, count - first))
         lens = quotient(lane, width)
@@ -432,7 +415,8 @@ def density_of(values: Floats) -> Doubles:
     for axis in (0, 1):
         square = (np.roll(square, 1, axis) + 2 * square + np.roll(square, -1, axis)) / 4
     root = np.sqrt(square)
-    return np.asarray(root + _LEAST * root.mean())
+    # 0.05: Part of the mean density that is added, as other coefficients may be nonzero where the first is 0.
+    return np.asarray(root + 0.05 * root.mean())
 
 
 def divided(density: Doubles) -> tuple[Doubles, Doubles]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import functools
-from typing import cast
+from typing import Any, cast
 
 from ..camera import PlenopticCamera
 from ..fields import OpticalSystem
 from ..lenses import ThinLens
 from ..optics import guards, in_millimetres
+from .accuracy import FINER, USUAL
 from .phase_space import PhaseSpace
 from .pupil_diffraction import PupilDiffraction
 
@@ -48,4 +49,16 @@ def plan_of(
     """
     if not camera.has_array:
         return PupilDiffraction(camera, wavelength, fine, shortest)
-    return PhaseSpace.of(camera, wavelength, fine, shortest, longest, beside_far)
+    accuracy = FINER if fine else USUAL
+    options: dict[str, Any] = {
+        "window": accuracy.window,
+        "radial": accuracy.radial,
+        "tolerance": accuracy.tolerance,
+        "shortest": shortest,
+        "longest": longest,
+        "beside_far": beside_far,
+    }
+    plan = PhaseSpace(camera, wavelength, degree=accuracy.degree, **options)
+    if plan.lands_by_point or plan.defocus <= USUAL.high_defocus:
+        return plan
+    return PhaseSpace(camera, wavelength, degree=accuracy.degree + 2, **options)

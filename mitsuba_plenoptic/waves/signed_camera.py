@@ -32,7 +32,7 @@ from ..optics import rays
 from ..rays import Walk
 from ..runtime import Array, Doubles, Pair, drjit_array
 from .array_kernels import displaced
-from .expansion import OF_KERNELS, kernel_slopes, width_slopes
+from .expansion import OF_KERNELS, ExpandedPlan, width_slopes
 from .phase_space import PhaseSpace, RayCoefficients
 from .pixel_kernels import PixelKernels
 from .ray_sampler import RaySamples
@@ -84,11 +84,12 @@ class CameraSum(SignedRaySum):
     parameter.
     """
 
+    _sets = 4
+    """Values for the kernels themselves, displaced along x and along y, and for all of their changes."""
+
     def __init__(self, *arguments: Any, names: Iterable[str], **options: Any) -> None:
         self._names = tuple(names)
         super().__init__(*arguments, **options)
-        # Values for the kernels themselves, displaced along x and along y, and for all of their changes.
-        self._sets = 4
         self._by_width = [RayCoefficients(node.plan, width_slopes(node.plan.start)) for node in self._nodes]
         with dr.resume_grad():
             self._varying = self._varied()
@@ -113,7 +114,8 @@ class CameraSum(SignedRaySum):
         assert isinstance(plan, PhaseSpace)
         kernels = plan.kernels(self._step, plan.reach, kind)
         # One set for each component, so that forward and reverse approximate the same kernels.
-        slopes = {name: kernel_slopes(plan, name, self._step, kind) for name, _ in self._of_kernels}
+        expanded = plan if isinstance(plan, ExpandedPlan) else ExpandedPlan.about(plan, plan.camera)
+        slopes = {name: expanded.kernel_slopes(name, self._step, kind) for name, _ in self._of_kernels}
         return [*displaced(kernels), *(slopes[name][i] for name, i in self._of_kernels)]
 
     def _arguments(self, samples: RaySamples, walk: Walk, node_index: int) -> list[Any]:
@@ -203,7 +205,7 @@ class CameraAdjoint(CameraSum):
         cosines = np.array([cosine.numpy() for cosine in node.cosines])
         terms = oblique.terms(cosines)
         kernels = self._kernels[node_index][kind]
-        rows = self._rows(node_index, kind)
+        rows = self._rows[node_index][kind]
         dr.eval(values)
         count = (len(values) - 2) // self._sets
         coefficients = np.stack([dr.detach(value).numpy() for value in values[-2 - count : -2]], axis=-1)

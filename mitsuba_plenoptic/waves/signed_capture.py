@@ -32,16 +32,11 @@ from .spectral_nodes import Node, WavelengthSampler, node_spectra
 
 Sum = TypeVar("Sum", bound=SignedRaySum)
 
-_SAMPLES = 4
-"""Samples per pixel of each capture from whose spread the noise is estimated: fewer correct each other less well."""
-
 _TRACING = 0.9
 """Approximate fraction of a capture's time in which rays are traced; then their images are convolved."""
 
-
 _STEPS = 4
-_STEPS_OF_RAY = 1e-6
-"""Steps of the plan of a node, and the time of a ray in that of a step, approximately."""
+"""Approximate count of the steps of a node's plan."""
 
 _REPORTED = 10**6
 """What is reported as the total of progress."""
@@ -113,12 +108,6 @@ class SignedCapture:
             result.append((node, tuple(lit.tolist()), values[lit]))
         return result
 
-    @property
-    def _parts(self) -> int:
-        """The number of grid cells across a pixel."""
-        shortest = min((node.plan for node in self.nodes), key=lambda plan: plan.wavelength)
-        return shortest.parts(self.accuracy < FINE)
-
     def sums(
         self,
         spp: int,
@@ -126,30 +115,27 @@ class SignedCapture:
         runs: int,
         kind: Callable[..., Sum],
         light: Callable[..., list[Any]] | None = None,
-        nodes: list[Node] | None = None,
     ) -> list[Callable[[], Sum]]:
         """Return functions that construct the sums of `runs` independent captures, which divide the rays equally.
 
-        The functions allow the memory of one sum to be freed before the next is made. By default, light and nodes are
-        those of the capture.
+        The functions allow the memory of one sum to be freed before the next is made. By default, the light is that of
+        the capture.
         """
-        light_and_nodes = light or self.light, self.nodes if nodes is None else nodes
-        return [
-            self._sum(kind, *light_and_nodes, spp=-(-spp // runs), seed=of_run)
-            # Captures with neighbouring seeds must not share runs.
-            for of_run in np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
-        ]
+        make = partial(self._sum(kind), self.camera, light or self.light, self.nodes, spp=-(-spp // runs))
+        # Captures with neighbouring seeds must not share runs.
+        seeds = np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
+        return [partial(make, seed=of_run) for of_run in seeds]
 
-    def _sum(
-        self, kind: Callable[..., Sum], light: Callable[..., list[Any]], nodes: list[Node], *, spp: int, seed: int
-    ) -> Callable[[], Sum]:
-        """Return a function that constructs one sum."""
+    def _sum(self, kind: Callable[..., Sum]) -> Callable[..., Sum]:
+        """Return a kind of sum with the wavelengths and the cells of the grid of this capture."""
         wavelengths = self.conversion if isinstance(self.conversion, WavelengthSampler) else None
-        return partial(kind, self.camera, light, nodes, wavelengths, parts=self._parts, spp=spp, seed=seed)
+        shortest = min((node.plan for node in self.nodes), key=lambda plan: plan.wavelength)
+        return partial(kind, wavelengths=wavelengths, parts=shortest.parts(self.accuracy < FINE))
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> Floats:
         """Return the light on the pixels (rows, columns, channels), with the deviations of what pixels make of it."""
-        runs = max(2, min(PARTS, spp // _SAMPLES)) if noise else 1
+        # 4: Samples per pixel of each capture from whose spread the noise is estimated: fewer correct each other less.
+        runs = max(2, min(PARTS, spp // 4)) if noise else 1
         progress = job.progress
         rows, columns = self.camera.shape
         check_memory(
@@ -168,7 +154,8 @@ class SignedCapture:
         if job.progress and not (path and path.exists()):
             # Plans are a larger part of the work the fewer rays there are.
             plans = _STEPS * len(self.nodes)
-            planned = plans / (plans + _STEPS_OF_RAY * math.prod(self.camera.shape) * spp)
+            # 1e-6: Approximate time of a ray in that of a step.
+            planned = plans / (plans + 1e-6 * math.prod(self.camera.shape) * spp)
         with steps_counted(lambda done: show(planned * done) if planned else None, _STEPS * len(self.nodes)):
             sums = self.sums(spp, seed, runs, SignedRaySum)
             first = sums[0]()

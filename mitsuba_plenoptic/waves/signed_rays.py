@@ -12,7 +12,6 @@ because the integrals of the coefficients over m are known. `SignedRaySum.estima
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import itertools
 import math
@@ -69,25 +68,8 @@ _BLOCK_PIXELS = 2**8
 _LANES = 2**22
 """Approximate count of rays that are traced at once."""
 
-_RAY_BYTES = 100
-"""Approximate bytes of a ray."""
-
-_VALUES = 15
-_TABLE_BYTES = 40 * 2**20
-"""Usual count of the values of a ray, each with an image and a kernel, and bytes of a wavelength's table."""
-
-_PROBES = 2**10
-"""Count of cells whose light identifies a capture."""
-
-_NEAR = 8
-"""Pixels from the recorded ones beyond which a coarse pixel, wider than spots of microlenses, brings these little
-light."""
-
 _THINNED = 2
 """Width in pixels of the squares, farther from the recorded pixels, of which one random pixel stands for all."""
-
-_LEAST = 2
-"""Smallest count of rays from each pixel through each lens: two halves of them correct each other."""
 
 
 class RayBatch(NamedTuple):
@@ -120,8 +102,43 @@ class CellMeans(NamedTuple):
     values: list[Any]
 
 
-class SignedRaySum:
-    """A signed-ray capture, computed by blocks of the detector; a `runtime.batches.LongSum`."""
+class RaySum:
+    """A sum over rays of either sign, computed by blocks of the detector; a `runtime.batches.LongSum`."""
+
+    def __init__(
+        self,
+        # The camera, whose recorded window may be a crop.
+        camera: PlenopticCamera,
+        # Radiance along rays, a `SceneLight`.
+        light: Any,
+        # The wavelengths at which diffraction is computed, and the channels that record each.
+        nodes: Sequence[Node],
+        seed: int,
+    ) -> None:
+        self._camera = camera
+        self._light = light
+        self._nodes = nodes
+        self._seed = seed
+        self._groups = walks_of(node.plan.system for node in nodes)
+        self._channels = [channel for node in nodes for channel in node.channels]
+        self.channels = max(self._channels) + 1
+        rows, columns = camera.shape
+        self.box = Box(0, 0, columns, rows)
+
+    def image(self, total: PartialSum) -> Array:
+        """Return the image, the sum of all blocks."""
+        return np.ascontiguousarray(np.moveaxis(active_backend().to_host(total.sums), 0, -1))
+
+    @staticmethod
+    def _scene_rays(walk: Walk, pupil: Pair, place: Pair, valid: Any, height: Any = 0.0) -> tuple[Any, Any, Any]:
+        """Return the starts in the scene and the slopes of rays through pupil and array points, and a mask."""
+        start, slope, _ = walk.through_pupil(pupil, place, height)
+        # Outside the aperture, surfaces may reflect rays totally, whose values are not finite then.
+        return start, slope, valid & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
+
+
+class SignedRaySum(RaySum):
+    """A signed-ray capture: images of rays' coefficients, which are convolved."""
 
     _sets = 1
     """Values of a ray for each coefficient: 1, except for derivatives."""
@@ -131,11 +148,8 @@ class SignedRaySum:
 
     def __init__(
         self,
-        # The camera, whose recorded window may be a crop.
         camera: PlenopticCamera,
-        # Radiance along rays, a `SceneLight`.
         light: Any,
-        # The wavelengths at which diffraction is computed, and the channels that record each.
         nodes: Sequence[Node],
         # The distribution of the rays' wavelengths, if rays have wavelengths of their own.
         wavelengths: WavelengthSampler | None = None,
@@ -147,18 +161,15 @@ class SignedRaySum:
         spp: int,
         seed: int,
     ) -> None:
+        super().__init__(camera, light, nodes, seed)
         self.arrays: Any = active_backend().arrays
-        self._camera = camera
-        self._light = light
-        self._nodes = nodes
         self._wavelengths = wavelengths
         self._parts = parts
-        self._seed = seed
         self._step = camera.pixel_size / parts
         plans = [node.plan for node in nodes]
-        self._groups = walks_of(plan.system for plan in plans)
         self._sampler = (LensSampler if camera.has_array else PupilSampler)(camera, plans, parts)
-        least = -(-_LEAST // parts**2)
+        # 2: Rays from each pixel through each lens at the least, as two halves of them correct each other.
+        least = -(-2 // parts**2)
         rays = max(least, round(spp / (parts**2 * max(1.0, self._sampler.lit_lenses))))
         # Rays of a cell through each lens. With drawn wavelengths, a pass has only the fewest that correct each other
         # and share these.
@@ -166,14 +177,15 @@ class SignedRaySum:
         self._passes = round(rays / self._spp)
         # Rays of a pixel and a lens in a pass.
         self._together = self._spp * parts**2
-        self._channels = [channel for node in nodes for channel in node.channels]
-        self.channels = max(self._channels) + 1
-        rows, columns = camera.shape
-        self.box = Box(0, 0, columns, rows)
         # Tables and kernels are computed before the images, so that the peaks of their memory do not add up.
         self._coefficients = coefficients_of(plans)
-        self._bins = box_of(camera, max(map(margin_of, self._flat_kernels)))
-        values = sum(len(flat) * len(node.channels) for flat, node in zip(self._flat_kernels, nodes, strict=True))
+        # Kernels of each node, each kind of lenses and each set of values of a ray, and their rows in a node's images.
+        self._kernels = [self._pixel_kernels(plan) for plan in plans]
+        self._rows = [_rows_of(kinds) for kinds in self._kernels]
+        self._ranks = [kinds[-1][-1].stop for kinds in self._rows]
+        flat = [kernel for kinds in self._kernels for sets in kinds for of_set in sets for kernel in of_set.kernels]
+        self._bins = box_of(camera, margin_of(flat))
+        values = sum(rank * len(node.channels) for rank, node in zip(self._ranks, nodes, strict=True))
         rays_of_pixel = self._together * self._passes * max(1, round(self._sampler.lit_lenses))
         self._blocks = blocks_of(
             self._bins, min(_BLOCK_BYTES // (4 * values), max(_BLOCK_PIXELS, _BLOCK_RAYS // rays_of_pixel))
@@ -198,46 +210,20 @@ class SignedRaySum:
             yield block
             del block
 
-    def image(self, total: PartialSum) -> Array:
-        """Return the image, the sum of all blocks."""
-        return np.ascontiguousarray(np.moveaxis(active_backend().to_host(total.sums), 0, -1))
-
-    @cached_property
-    def _kernels(self) -> list[list[list[PixelKernels]]]:
-        """Kernels of each node, each kind of lenses and each set of values of a ray."""
+    def _pixel_kernels(self, plan: Plan) -> list[list[PixelKernels]]:
+        """Return the kernels of a plan for each kind of lenses and each set of values of a ray."""
         sampler = self._sampler
-        grids = [
-            _Grid(self._parts, larger, tuple(map(tuple, sampler.cosine_steps(kind).tolist())), sampler.order)
-            for kind, larger in enumerate(sampler.enlargements)
-        ]
-        return [
-            [
-                [
-                    _kernels_of(plan, grid, kind),
-                    *(
-                        grid.for_pixels(plan, kernels, keeps_light=False)
-                        for kernels in self._further_kernels(plan, kind)
-                    ),
-                ]
-                for kind, grid in enumerate(grids)
-            ]
-            for plan in (node.plan for node in self._nodes)
-        ]
+        kinds = []
+        for kind, larger in enumerate(sampler.enlargements):
+            steps = tuple(map(tuple, sampler.cosine_steps(kind).tolist()))
+            grid = _Grid(self._parts, larger, steps, sampler.order)
+            further = [grid.for_pixels(plan, kernels, False) for kernels in self._further_kernels(plan, kind)]
+            kinds.append([_kernels_of(plan, grid, kind), *further])
+        return kinds
 
     def _further_kernels(self, plan: Plan, kind: int) -> list[Doubles]:
         """Return the kernels (values, k, k) of cells for a kind of lenses, for sets of values after the first."""
         return []
-
-    @cached_property
-    def _flat_kernels(self) -> list[list[Array]]:
-        """Flat list of the kernels of each node's images."""
-        return [[kernel for sets in kinds for of_set in sets for kernel in of_set.kernels] for kinds in self._kernels]
-
-    def _rows(self, node_index: int, kind: int) -> list[slice]:
-        """Return, for each set of values of a kind of lenses, the slice of a node's images that it fills."""
-        counts = [[len(of_set.kernels) for of_set in sets] for sets in self._kernels[node_index]]
-        ends = sum(map(sum, counts[:kind])) + np.cumsum([0, *counts[kind]])
-        return [slice(*pair) for pair in itertools.pairwise(ends.tolist())]
 
     @cached_property
     def _convolutions(self) -> list[Convolution]:
@@ -282,7 +268,7 @@ class SignedRaySum:
 
     def _empty(self, pixels: int) -> list[Array]:
         """Return arrays for the images of each channel of each node, not yet written."""
-        counts = [len(flat) for flat, node in zip(self._flat_kernels, self._nodes, strict=True) for _ in node.channels]
+        counts = [rank for rank, node in zip(self._ranks, self._nodes, strict=True) for _ in node.channels]
         return [self.arrays.empty((count, pixels), np.float32) for count in counts]
 
     @single_threaded_blas()
@@ -297,7 +283,7 @@ class SignedRaySum:
             if node is None:
                 continue
             kernels = self._kernels[node_index][batch.kind]
-            rows = self._rows(node_index, batch.kind)
+            rows = self._rows[node_index][batch.kind]
             index = shared(node.index).astype(np.intp)
             cosines = arrays.stack([shared(s) for s in node.cosines])
             # The pixels of a lens are in order, and each is contained once until the next lens; a device adds them all.
@@ -355,9 +341,11 @@ class SignedRaySum:
                     yield RayBatch(index, kind, pairs, wavelengths, of_pass, dr.width(index) / rays)
 
     def _far(self, box: Box) -> Flags:
-        """Return a mask (rows, columns) of the pixels of a box that are far from the recorded ones; see `_NEAR`."""
+        """Return a mask (rows, columns) of the pixels of a box that are far from the recorded ones."""
         window = box_of(self._camera, 0)
-        near = _NEAR if self._parts > 1 else math.inf
+        # 8: Pixels from the recorded ones beyond which a coarse pixel, wider than spots of microlenses, brings these
+        # little light.
+        near = 8 if self._parts > 1 else math.inf
         rows, columns = (
             np.abs(first + np.arange(count) - low - (size - 1) / 2) - (size - 1) / 2 > near
             for first, count, low, size in (
@@ -409,14 +397,15 @@ class SignedRaySum:
     def _product(self, images: Array, values: list[Any], node_index: int, kind: int, node: CellMeans) -> Any:
         """Return the product of adjoint images (kernels, pixels) with the images of a node's values, with gradients."""
         terms = self._nodes[node_index].plan.oblique.terms(np.array([cosine.numpy() for cosine in node.cosines]))
-        sets = zip(self._kernels[node_index][kind], self._rows(node_index, kind), strict=True)
+        sets = zip(self._kernels[node_index][kind], self._rows[node_index][kind], strict=True)
         adjoint = np.concatenate([kernels.adjoint(images[rows], terms) for kernels, rows in sets], axis=-1)
         return dr.sum(mixed([drjit_array(mi.Float, column) for column in adjoint.reshape(-1, len(values)).T], values))
 
     def probe(self) -> Array:
         """Return the light of some pixels, a fingerprint of a scene and its camera."""
         count = self._bins.rows * self._bins.columns
-        pixels = drjit_array(mi.UInt32, np.linspace(0, count - 1, min(_PROBES // self._parts**2, count)))
+        # 2**10: Count of cells whose light identifies a capture.
+        pixels = drjit_array(mi.UInt32, np.linspace(0, count - 1, min(2**10 // self._parts**2, count)))
         traced = self._trace(self._bins, pixels, np.random.SeedSequence(0))
         return np.concatenate([active_backend().to_host(image).ravel() for image in traced])
 
@@ -438,18 +427,6 @@ class SignedRaySum:
         number = lane - pixel * dr.opaque(mi.UInt32, self._together)
         return self._sampler.draw(pixels, pixel, number, quotient(number, self._spp), key)
 
-    def _scene_rays(
-        self, walk: Walk, samples: RaySamples, colours: RayWavelengths | None, seed: int
-    ) -> tuple[Any, ...]:
-        """Return the rays in the scene, as the arguments of a call of the light: see `SceneLight`."""
-        ray = samples.ray
-        start, slope, _ = walk.through_pupil(ray.P, ray.m, samples.lens.height)
-        # Outside the aperture, surfaces may reflect rays totally, whose values are not finite then.
-        valid = ray.valid & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
-        if colours is None:
-            return start, slope, valid, seed
-        return start, slope, valid, seed, [dr.gather(mi.Float, value, samples.pixel) for value in colours.wavelengths]
-
     def estimate(self, batch: RayBatch, only: int | None = None) -> list[CellMeans | None]:
         """Return each node's mean values over the rays of the cells of a batch, to be evaluated; None without light.
 
@@ -458,20 +435,23 @@ class SignedRaySum:
         """
         samples = self.samples(batch.pixels, batch.key)
         power = self._sampler.power(samples)
-        counted = dr.select(samples.ray.valid, mi.Float(1), 0)
+        ray = samples.ray
+        counted = dr.select(ray.valid, mi.Float(1), 0)
         means: list[CellMeans | None] = [None for _ in self._nodes]
         for group in range(len(self._groups)) if only is None else [only]:
             walk, nodes = self._groups[group]
             colours = batch.wavelengths[group]
+            scene_rays = self._scene_rays(walk, ray.P, ray.m, ray.valid, samples.lens.height)
+            drawn = [[dr.gather(mi.Float, value, samples.pixel) for value in colours.wavelengths]] if colours else []
             # The radiance along the rays, as far as the pixels receive it.
-            radiance = [light * power for light in self._light(*self._scene_rays(walk, samples, colours, batch.seed))]
+            radiance = [light * power for light in self._light(*scene_rays, batch.seed, *drawn)]
             count_lanes(dr.width(power))
             # What the coefficients depend on, once for nodes that have those of a ray at the same place of tables.
             alike: dict[Any, list[int]] = {}
             for number in nodes:
                 alike.setdefault(self._coefficients[number].layout, []).append(number)
             arguments = [
-                [dr.select(samples.ray.valid, samples.ray.weight, 0), *self._arguments(samples, walk, numbers[0])]
+                [dr.select(ray.valid, ray.weight, 0), *self._arguments(samples, walk, numbers[0])]
                 for numbers in alike.values()
             ]
             # Any function may be the light; derivatives and band-limited light may be negative.
@@ -573,11 +553,13 @@ class SignedRaySum:
 
 def memory_of(pixels: float, rays: float, nodes: Sequence[Node]) -> float:
     """Return the approximate bytes of a capture with a count of pixels and rays."""
-    values = _VALUES * sum(len(node.channels) for node in nodes)
+    # 15: Usual count of the values of a ray, each with an image and a kernel.
+    values = 15 * sum(len(node.channels) for node in nodes)
     # At a time two blocks are convolved, one waits and one is traced.
     blocks = 4 * min(_BLOCK_BYTES, 4 * values * pixels)
     spectra = 4 * values * min(TILE**2, 4 * pixels)
-    return blocks + spectra + len(nodes) * _TABLE_BYTES + _RAY_BYTES * min(_LANES, rays) + 8 * pixels
+    # 40 * 2**20 and 100: Approximate bytes of a wavelength's table, and of a ray.
+    return blocks + spectra + len(nodes) * 40 * 2**20 + 100 * min(_LANES, rays) + 8 * pixels
 
 
 def _portions(traced: Callable[[float], None] | None, items: float) -> Callable[[float], None]:
@@ -598,6 +580,13 @@ def _of_cells(values: Any, pixel: Any) -> Any:
     if isinstance(values, Sequence):
         return [_of_cells(value, pixel) for value in values]
     return values if dr.width(values) == 1 else dr.gather(type(values), values, pixel)
+
+
+def _rows_of(kinds: list[list[PixelKernels]]) -> list[list[slice]]:
+    """Return, for each kind of lenses and set of values, the slice of a node's images that the set fills."""
+    ends = itertools.accumulate((len(of_set.kernels) for sets in kinds for of_set in sets), initial=0)
+    slices = (slice(*pair) for pair in itertools.pairwise(ends))
+    return [[next(slices) for _ in sets] for sets in kinds]
 
 
 class _Grid(NamedTuple):
@@ -624,9 +613,10 @@ def _kernels_of(plan: Plan, grid: _Grid, kind: int) -> PixelKernels:
     """Return the kernels of a plan for one kind of lenses, cached for further captures of the camera."""
     begin_step("kernels of diffraction")
     camera = plan.camera
-    values = [getattr(plan, field.name) for field in dataclasses.fields(plan) if field.name != "camera"]
+    # A plan that is expanded about another one is another one.
+    cameras = [of_plan.camera.to_dict() for of_plan in (plan, getattr(plan, "start", plan))]
     kernels = prepared.get()(
-        [type(plan).__name__, camera.to_dict(), repr(values), grid.parts, kind],
+        [type(plan).__name__, cameras, repr((plan.wavelength, plan.options)), grid.parts, kind],
         lambda: plan.kernels(camera.pixel_size / grid.parts, plan.reach, kind),
     )
     return grid.for_pixels(plan, kernels, keeps_light=True)

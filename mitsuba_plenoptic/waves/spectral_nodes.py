@@ -189,15 +189,11 @@ def _enough(camera: PlenopticCamera, spectrum: Spectrum, error: float) -> Spectr
         noded = spectrum.interpolated(count)
         wrong = np.linalg.norm(weights @ noded.shares().T @ at(noded.computed) - true, axis=1)
         apart = noded if count > 1 else spectrum.interpolated(2)
-        powers = [_power(camera, node) for node in apart.computed]
+        systems = [OpticalSystem(camera.at_wavelength(node), node) for node in apart.computed]
+        # Reciprocals, in 1/mm, of the image distances behind the main lens for objects at the focus distance.
+        powers = [float(system.lens.vergence(camera.focus_distance)) for system in systems]
         blur = 2 * camera.aperture_radius * camera.mla_distance * np.abs(np.diff(powers)).max()
         good = (wrong / np.linalg.norm(true, axis=1)).max() <= USUAL.spot_error * error
         if good and blur <= USUAL.node_blur * math.sqrt(error) * coarse:
             break
     return noded
-
-
-def _power(camera: PlenopticCamera, wavelength: float) -> float:
-    """Return the reciprocal, in 1/mm, of the image distance behind the main lens for objects at the focus distance."""
-    lens = OpticalSystem(camera.at_wavelength(wavelength), wavelength).lens
-    return float(lens.vergence(camera.focus_distance))

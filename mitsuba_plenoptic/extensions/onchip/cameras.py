@@ -42,8 +42,9 @@ def _on_chip(
     # those of pixels; lenses stand nearer to the axis by the chief ray's path in the medium.
     corner = pixel / 2 * math.hypot(*resolution)
     table = []
-    for step in range(_HEIGHTS + 1):
-        slope = corner / mla_distance * step / _HEIGHTS
+    steps = 20
+    for step in range(steps + 1):
+        slope = corner / mla_distance * step / steps
         within = math.asin(math.sin(math.atan(slope)) / 1.5)
         table += [mla_distance * slope + height * math.tan(within), math.degrees(math.atan(slope))]
     return {
@@ -58,10 +59,6 @@ def _on_chip(
         "detector_width": pixel * resolution[0],
         "resolution": resolution,
     }
-
-
-_HEIGHTS = 20
-"""Steps of image height in a table of chief-ray angles."""
 
 
 CAMERAS: dict[str, dict[str, Any]] = {

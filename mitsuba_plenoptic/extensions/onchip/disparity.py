@@ -24,11 +24,6 @@ from ...views import require_light_field
 _FLAT = 1e-6
 """Least variance in a window, over its mean square, for which there is something to match."""
 
-_SMOOTHED = 1.0
-_BEYOND = 1.02
-"""Standard deviation in lenses of the curve that smooths pictures, so that a parabola finds peaks between lenses; and
-the disparity of peaks over that of centroids, for half discs with disparities of 0.5 to 3.5 lenses 1.01 to 1.03."""
-
 
 @suggest_keywords
 def half_disparity(camera: PlenopticCamera, distance: float) -> float:
@@ -125,7 +120,8 @@ def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int 
         f"halves: they are {halves.attrs.get('mosaic')} mosaics, whose colours alias: demosaic first",
     )
     pair = halves.sum([dim for dim in (second_pupil, "c") if dim in halves.dims]).transpose(pupil, "t", "s")
-    first, second = gaussian_filter(np.asarray(pair.values, np.float64), (0, _SMOOTHED, _SMOOTHED), mode="nearest")
+    # Smoothed with a standard deviation of 1 lens, so that a parabola finds peaks between lenses.
+    first, second = gaussian_filter(np.asarray(pair.values, np.float64), (0, 1.0, 1.0), mode="nearest")
     scores = np.stack([_correlation(first, second, step, along, window) for step in range(-search, search + 1)])
     best = scores.argmax(axis=0)
     inner = np.clip(best, 1, 2 * search - 1)
@@ -135,8 +131,9 @@ def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int 
         offset = (below - above) / (2 * bend)
     # Within the search the highest value is above its neighbours, or equal to one of them.
     reliable = (best == inner) & np.isfinite(offset) & (bend < 0)
+    # 1.02: Disparity of peaks over that of centroids: 1.01 to 1.03 for half discs 0.5 to 3.5 lenses apart.
     return xr.DataArray(
-        np.where(reliable, (inner + offset - search) / _BEYOND, np.nan),
+        np.where(reliable, (inner + offset - search) / 1.02, np.nan),
         dims=("t", "s"),
         coords={dim: halves[dim] for dim in ("t", "s")},
         name="disparity",

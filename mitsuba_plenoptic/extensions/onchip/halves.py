@@ -43,12 +43,6 @@ def dual_pixel(capture: Capture, layout: tuple[int, int] = (2, 1)) -> xr.DataArr
         A light field (v, u, t, s[, c]) with a view for each photodiode and a sample for each lens, upright, whose
         coordinates are in photodiodes and lenses: ``left, right = halves[0]`` for the first layout, ``top, bottom =
         halves[:, 0]`` for the second. ``halves.sum(("v", "u"))`` is the picture of the whole lenses.
-
-    Raises
-    ------
-    InputError
-        If the layout is another, the lenses of the camera are not such squares, or a mosaic gives the pixels of a lens
-        different colours.
     """
     if not isinstance(capture, Capture):
         raise InputError(f"dual_pixel({short_repr(capture)}): it takes a Capture")

@@ -70,11 +70,6 @@ class PhotodiodeResponse(PlainData):
         row a photodiode has two pixels, which record a half each.
     wavelengths : sequence of float, optional
         Wavelengths in nanometres, rising. Between them responses are interpolated, and those at the ends hold beyond.
-
-    Raises
-    ------
-    InputError
-        If angles or wavelengths do not rise or are out of range, or the responses have another shape or are negative.
     """
 
     angles_x: tuple[float, ...]

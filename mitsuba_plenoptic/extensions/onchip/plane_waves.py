@@ -19,7 +19,7 @@ integral over x is :math:`R_j(s, s)`. This module computes :math:`U_s`; `respons
 from __future__ import annotations
 
 import math
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -42,18 +42,6 @@ _STEPS = (14.0, 20.0)
 
 _POINTS = 16
 """Gauss-Legendre nodes of a photodiode along each axis."""
-
-_NEGLIGIBLE = 1e-5
-"""Energy of a mode of a photodiode, relative to its strongest, below which the mode is left out."""
-
-_FINE = 1024
-"""Samples of a lens along an axis for its orders."""
-
-_STEP = 0.03
-"""Largest difference of direction cosines between zones of the detector."""
-
-_ALONG = 9
-"""Lenses along each axis whose positions over their pixels are compared."""
 
 
 def pixels_per_lens(camera: PlenopticCamera) -> int:
@@ -104,13 +92,13 @@ class Zones:
         """Return the zones of a camera with `count` pixels across a lens."""
         axes = []
         ranges = [lens_range(camera, count, axis) for axis in (0, 1)]
-        aside = displacement(
-            camera, count, *np.meshgrid(*(np.linspace(first, last - 1, _ALONG) for first, last in ranges))
-        )
+        # 9: Lenses along each axis whose positions over their pixels are compared.
+        aside = displacement(camera, count, *np.meshgrid(*(np.linspace(first, last - 1, 9) for first, last in ranges)))
         for axis, (first, last) in enumerate(ranges):
             moved = np.ptp(aside[axis]) * camera.mla_medium / camera.detector_distance
             turned = (last - 1 - first) * camera.row_pitch / camera.pupil_distance
-            steps = math.ceil(max(moved, turned) / _STEP - 0.2)
+            # 0.03: Largest difference of direction cosines between zones.
+            steps = math.ceil(max(moved, turned) / 0.03 - 0.2)
             middle = (first + last - 1) / 2
             axes.append(np.linspace(first, last - 1, steps + 1) if steps > 0 else np.array([middle]))
         return cls(*axes)
@@ -119,58 +107,29 @@ class Zones:
         return len(self.x) * len(self.y)
 
 
-@dataclass(frozen=True)
 class PlaneWaveResponses:
-    """Responses of the photodiodes under one lens, one per pixel, to plane waves of one wavelength."""
-
-    camera: PlenopticCamera
-    # In nanometres.
-    wavelength: float
-    _: KW_ONLY
-    # Whether direction cosines have smaller steps.
-    fine: bool = False
+    """Responses of the photodiodes under one lens, one per pixel, to plane waves of one wavelength in nanometres."""
 
     lands_by_point = False
 
-    @cached_property
-    def system(self) -> OpticalSystem:
-        """Optical system of the camera at the wavelength; the main lens follows the camera's `lens_model`."""
-        return OpticalSystem(self.camera, self.wavelength)
-
-    @cached_property
-    def count(self) -> int:
-        """Number of pixels across a lens."""
-        return pixels_per_lens(self.camera)
-
-    @cached_property
-    def zones(self) -> Zones:
-        """Zones of the detector, with a response table at each corner."""
-        return Zones.of(self.camera, self.count)
-
-    @property
-    def reach(self) -> float:
-        """Largest difference of direction cosines between light through the pupil and through the pupil's centre."""
-        return float(self.system.lens.reach) / math.hypot(self.camera.pupil_distance, self.system.lens.reach)
-
-    @property
-    def width(self) -> float:
-        """Width on the array, in lenses, of the diffraction by the pupil: lambda N / D2."""
-        return in_millimetres(self.wavelength) / (2 * self.reach * self.camera.row_pitch)
-
-    @property
-    def stride(self) -> int:
-        """Number of table steps between the direction cosines of neighbouring pairs in the near table."""
-        return max(1, round(_STEPS[self.fine] * self.width / NEAR))
-
-    @property
-    def step(self) -> float:
-        """Step of the direction cosines in the table."""
-        return in_millimetres(self.wavelength) / (2 * NEAR * self.stride * self.camera.row_pitch)
-
-    @property
-    def across(self) -> int:
-        """Number of nodes of the table from its middle to its edge, along one direction cosine."""
-        return math.ceil(self.reach / self.step) + 1
+    def __init__(self, camera: PlenopticCamera, wavelength: float, *, fine: bool = False) -> None:
+        """Plan tables of direction cosines, whose steps are smaller if `fine`."""
+        self.camera = camera
+        self.wavelength = wavelength
+        # Count of pixels across a lens, and zones of the detector, with a response table at each corner.
+        self.count = pixels_per_lens(camera)
+        self.zones = Zones.of(camera, self.count)
+        self.system = OpticalSystem(camera, wavelength)
+        # Largest difference of direction cosines between light through the pupil and through the pupil's centre.
+        radius = float(self.system.lens.reach)
+        self.reach = radius / math.hypot(camera.pupil_distance, radius)
+        # Width on the array, in lenses, of the diffraction by the pupil: lambda N / D2.
+        self.width = in_millimetres(wavelength) / (2 * self.reach * camera.row_pitch)
+        # Steps of the table between the direction cosines of neighbouring pairs in the near table, and one step.
+        self.stride = max(1, round(_STEPS[fine] * self.width / NEAR))
+        self.step = in_millimetres(wavelength) / (2 * NEAR * self.stride * camera.row_pitch)
+        # Count of nodes of the table from its middle to its edge, along one direction cosine.
+        self.across = math.ceil(self.reach / self.step) + 1
 
     @cached_property
     def _orders(self) -> tuple[Integers, NDArray[np.complex128]]:
@@ -179,30 +138,29 @@ class PlaneWaveResponses:
         wavelength = in_millimetres(self.wavelength)
         most = math.ceil(camera.mla_medium * camera.row_pitch / wavelength) + 2
         order = np.arange(-most, most + 1)
-        x = ((np.arange(_FINE) + 0.5) / _FINE - 0.5) * camera.row_pitch
+        samples = 1024  # of a lens along an axis
+        x = ((np.arange(samples) + 0.5) / samples - 0.5) * camera.row_pitch
         waves = np.exp(-2j * math.pi * np.outer(order, x) / camera.row_pitch)
-        waves *= (np.abs(x) <= camera.mla_fill * camera.row_pitch / 2) / _FINE
+        waves *= (np.abs(x) <= camera.mla_fill * camera.row_pitch / 2) / samples
         phase = camera.microlens.waves(x, x[:, None], self.wavelength)
         return order, waves @ np.exp(2j * math.pi * phase) @ waves.T
 
-    def _place(self, x: float, y: float) -> list[float]:
-        """Return the position x, y in mm of a lens with given lattice indices."""
-        return [float(c) for c in self.camera.lattice.centre(x, y)]
-
     def chief(self, x: float, y: float) -> list[float]:
-        """Return the direction cosines, at a lens, of the light from the pupil's centre."""
-        slope = [-float(self.system.lens.pupil.slope(0.0, coordinate)) for coordinate in self._place(x, y)]
+        """Return the direction cosines, at a lens by its lattice indices, of the light from the pupil's centre."""
+        pupil = self.system.lens.pupil
+        slope = [-float(pupil.slope(0.0, float(c))) for c in self.camera.lattice.centre(x, y)]
         return [component / math.sqrt(1 + slope[0] ** 2 + slope[1] ** 2) for component in slope]
 
     def is_open(self, x: float, y: float, along: Doubles) -> Flags:
         """Return a mask of the pairs of direction cosines, relative to the chief ray, that pass the pupil to a lens."""
         chief = self.chief(x, y)
-        centre = self._place(x, y)
+        centre = [float(c) for c in self.camera.lattice.centre(x, y)]
         sy, sx = np.meshgrid(chief[1] + along, chief[0] + along, indexing="ij")
         cosine = np.sqrt(np.maximum(1 - sx**2 - sy**2, 1e-6))
         lens = self.system.lens
-        slopes = (-sx / cosine, -sy / cosine)
-        pupil = tuple(drjit_array(mi.Float, lens.pupil.point(c, t)) for c, t in zip(centre, slopes, strict=True))
+        pupil = tuple(
+            drjit_array(mi.Float, lens.pupil.point(c, -s / cosine)) for c, s in zip(centre, (sx, sy), strict=True)
+        )
         inner = Walk.of(self.camera, lens).round_pupil(pupil, tuple(mi.Float(c) for c in centre))
         square = sum(coordinate.numpy().astype(float) ** 2 for coordinate in inner)
         return (square <= self.camera.pupil_radius**2).reshape(sx.shape)
@@ -213,7 +171,6 @@ class PlaneWaveResponses:
         camera = self.camera
         k = 2 * math.pi / in_millimetres(self.wavelength)
         pixel = camera.pixel_size
-        z = camera.detector_distance
         index = camera.mla_medium
         order, amplitude = self._orders
         # Of the complex wave number in the medium; its imaginary part, which absorbs, is small.
@@ -224,8 +181,7 @@ class PlaneWaveResponses:
         nodes, weights = np.polynomial.legendre.leggauss(_POINTS)
         row, column = divmod(diode, self.count)
         py, px = (
-            ((nodes + 1) / 2 + row_order - self.count / 2) * pixel + s
-            for row_order, s in ((row, shift[1]), (column, shift[0]))
+            ((nodes + 1) / 2 + side - self.count / 2) * pixel + s for side, s in ((row, shift[1]), (column, shift[0]))
         )
         sx, sy = (chief + np.arange(-far, far + 1) * self.step for chief in self.chief(x, y))
         waves_x, waves_y = (np.exp(2j * math.pi * np.outer(order, p) / camera.row_pitch) for p in (px, py))
@@ -233,12 +189,15 @@ class PlaneWaveResponses:
         fields = np.empty((len(sy), len(sx), _POINTS**2), np.complex64)
         for row_order, ky_of_row in enumerate(ky):
             kz = np.sqrt(square - ky_of_row[:, None] ** 2 - kx[:, None, :] ** 2)
-            along_x = (amplitude * np.exp(1j * z * kz)) @ waves_x  # (x, order along y, point along x)
+            along_x = (
+                amplitude * np.exp(1j * camera.detector_distance * kz)
+            ) @ waves_x  # (x, order along y, point along x)
             field = np.matmul(waves_y.T, along_x)
             field *= np.exp(1j * k * (sy[row_order] * py[None, :, None] + sx[:, None, None] * px))
             fields[row_order] = field.reshape(len(sx), -1)
         fields *= np.sqrt(np.outer(weights, weights).ravel() * pixel**2 / 4).astype(np.float32)
         flat = fields.reshape(-1, _POINTS**2)
         energy, vectors = np.linalg.eigh(flat.conj().T @ flat)
-        modes = flat @ vectors[:, energy > _NEGLIGIBLE * energy[-1]]
+        # 1e-5: Energy of a mode, relative to the strongest one, below which it is left out.
+        modes = flat @ vectors[:, energy > 1e-5 * energy[-1]]
         return np.ascontiguousarray(modes.T.reshape(-1, len(sy), len(sx)))

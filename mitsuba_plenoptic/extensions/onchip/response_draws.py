@@ -55,12 +55,11 @@ class Tables:
         self._means = [[drjit_array(mi.Float, column) for column in plan.table.means.T] for plan in plans]
         # Lenses of the far window are drawn for the wavelength with the widest one.
         self._widest = widest = max(range(len(plans)), key=lambda number: plans[number].far.lenses)
-        self._drawn = drjit_array(mi.UInt32, _quantiles(plans[widest]))
-
-    @property
-    def margin(self) -> int:
-        """Number of lenses, on each side of a lens, whose rays light the lens's photodiodes."""
-        return self.plans[self._widest].far.lenses // 2
+        quantiles = _quantiles(plans[widest])
+        self._quantiles = quantiles.shape[1]
+        self._drawn = drjit_array(mi.UInt32, quantiles)
+        # Number of lenses, on each side of a lens, whose rays light the lens's photodiodes.
+        self.margin = plans[widest].far.lenses // 2
 
     def draw(self, index: Pair, lens: Any, half: Any, ray_index: Any, seed: Any) -> Aimed:
         """Return rays drawn for lenses of given lattice indices; the rays of the two halves are independent."""
@@ -101,9 +100,8 @@ class Tables:
 
     def drawn(self, node: Any, random: Any) -> tuple[Pair, Any]:
         """Return cells of the far window drawn at random for nodes, and the reciprocal probabilities of the cells."""
-        plan = self.plans[self._widest]
-        window = plan.far
-        quantiles = _quantiles_of(plan.far)
+        window = self.plans[self._widest].far
+        quantiles = self._quantiles
         entry = dr.gather(
             mi.UInt32, self._drawn, node * quantiles + mi.UInt32(dr.minimum(random * quantiles, quantiles - 1))
         )
@@ -130,14 +128,11 @@ class Tables:
 
     def zone_means(self, node_index: int, index: Pair) -> list[Any]:
         """Return the mean responses of the photodiodes of lenses, interpolated between zones."""
-        corners = []
-        for chance in ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)):
-            positions = [self._along(axis, numbers) for axis, numbers in enumerate(index)]
-            share = mi.Float(1)
-            for position, end in zip(positions, chance, strict=True):
-                aside = position - dr.floor(position)
-                share *= aside if end else 1 - aside
-            corners.append((self._zone(index, chance), share))
+        positions = (self._along(axis, numbers) for axis, numbers in enumerate(index))
+        right, high = (position - dr.floor(position) for position in positions)
+        left, low = (1 - aside for aside in (right, high))
+        shares = {(0.0, 0.0): left * low, (0.0, 1.0): left * high, (1.0, 0.0): right * low, (1.0, 1.0): right * high}
+        corners = [(self._zone(index, chance), share) for chance, share in shares.items()]
         return [
             sum((dr.gather(mi.Float, mean, zone) * share for zone, share in corners), mi.Float(0))
             for mean in self._means[node_index]
@@ -163,11 +158,6 @@ class Tables:
         return y * len(zones.x) + x
 
 
-def _quantiles_of(window: TableWindow) -> int:
-    """Return the number of quantiles for drawing cells of a window, which exceeds the number of cells."""
-    return 1 << math.ceil(math.log2(2 * window.lenses**2))
-
-
 @functools.lru_cache(maxsize=2)
 def _quantiles(plan: PhotodiodeResponses) -> NDArray[np.uint32]:
     """Return quantiles of the distribution over the far window's cells for each node, (nodes of all zones + 1, n).
@@ -176,8 +166,9 @@ def _quantiles(plan: PhotodiodeResponses) -> NDArray[np.uint32]:
     lower 16 bits the number of quantiles of this cell.
     """
     window = plan.far
-    count = _quantiles_of(plan.far)
     lenses = window.lenses
+    # More than there are cells.
+    count = 1 << math.ceil(math.log2(2 * lenses**2))
     low = -window.first - NEAR // 2
     nodes = plan.table.far.reshape(-1, *plan.table.far.shape[2:])
     result = np.full((len(nodes) + 1, count), 1, np.uint32)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -22,28 +21,19 @@ import scipy.sparse.linalg
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from ...camera import PlenopticCamera
 from ...errors import refuse_if
 from ...runtime import Doubles, Flags, Floats, Integers, single_threaded_blas, unit_hint
 from .plane_waves import NEAR, PlaneWaveResponses, displacement
 
-_OVERSAMPLING = 1.4
-"""Samples across a window over those that its highest frequency requires."""
-
 _FAR = (25, 44)
-_FAR_WIDTHS = 28.0
-"""Least and greatest width of the far window in lenses, and its width in diffraction widths between these."""
+"""Least and greatest width of the far window in lenses."""
 
 _RIDGE = 1e-3
 """Relative weight by which table nodes that the pupil hardly covers are held."""
 
-_MOST_MEMORY = 2**30
-"""Bytes of the tables of a camera."""
-
 _ALL = slice(None)
 _REVERSED = slice(None, None, -1)
-
-_ALIKE = 1e-6
-"""Relative difference that mirror images may have."""
 
 
 class TableWindow(NamedTuple):
@@ -52,6 +42,11 @@ class TableWindow(NamedTuple):
     lenses: int
     # Samples per lens, which is an even number.
     samples: int
+    # Count of direction pairs, from equal directions to the largest difference. Neighbouring pairs differ by `stride`
+    # steps of the nodes, divided by `finer`.
+    pairs: int
+    stride: int
+    finer: int
 
     @property
     def first(self) -> int:
@@ -88,88 +83,71 @@ class ResponseTable(NamedTuple):
     means: Floats
 
 
-@dataclass(frozen=True)
 class PhotodiodeResponses(PlaneWaveResponses):
     """The responses of the photodiodes of one lens to rays, at one wavelength in all zones."""
 
-    @property
-    def _near_pairs(self) -> int:
-        """Number of direction pairs in the near table, from equal directions to the largest difference."""
-        return math.floor(self.reach / (self.step * self.stride)) + 1
-
-    @property
-    def near(self) -> TableWindow:
-        """Near window of the table: 5 x 5 lenses, finely sampled."""
-        return TableWindow(NEAR, 2 * math.ceil(_OVERSAMPLING * (2 * self._near_pairs + 1) / (2 * NEAR)))
-
-    @property
-    def _finer(self) -> int:
-        """Ratio of two steps of direction: of neighbouring nodes to neighbouring pairs of the far table."""
-        lenses = min(max(_FAR_WIDTHS * self.width, _FAR[0]), _FAR[1])
-        return max(1, math.ceil(lenses / (NEAR * self.stride) - 0.3))
-
-    @property
-    def far(self) -> TableWindow:
-        """Far window of the table: 25 lenses or more, coarsely sampled."""
-        # 2: Samples of the far table per lens.
-        return TableWindow(NEAR * self.stride * self._finer, 2)
-
-    @property
-    def _far_pairs(self) -> int:
-        """Number of direction pairs in the far table, from equal directions to the largest resolved difference."""
-        resolved = math.floor((self.far.across / _OVERSAMPLING - 1) / 2)
-        return min(resolved, math.floor(self.reach * self._finer / self.step) + 1)
-
-    @property
-    def nbytes(self) -> float:
-        """Approximate size of the tables in bytes."""
+    def __init__(self, camera: PlenopticCamera, wavelength: float, *, fine: bool = False) -> None:
+        super().__init__(camera, wavelength, fine=fine)
+        # Samples across a window over those that its highest frequency requires.
+        oversampling = 1.4
+        # 5 x 5 lenses, finely sampled.
+        pairs = math.floor(self.reach / (self.step * self.stride)) + 1
+        self.near = TableWindow(NEAR, 2 * math.ceil(oversampling * (2 * pairs + 1) / (2 * NEAR)), pairs, self.stride, 1)
+        # 25 lenses or more, of two samples a lens, with pairs up to the largest difference that these resolve.
+        # Between the limits it is 28 diffraction widths wide.
+        lenses = min(max(28.0 * self.width, _FAR[0]), _FAR[1])
+        finer = max(1, math.ceil(lenses / (NEAR * self.stride) - 0.3))
+        across = NEAR * self.stride * finer
+        resolved = math.floor(((2 * across + 1) / oversampling - 1) / 2)
+        pairs = min(resolved, math.floor(self.reach * finer / self.step) + 1)
+        self.far = TableWindow(across, 2, pairs, 1, finer)
+        # Approximate bytes of the tables.
         samples = self.near.across**2 + self.far.across**2
-        return 2.0 * len(self.zones) * math.pi * self.across**2 * samples * self.count**2
+        self.nbytes = 2.0 * len(self.zones) * math.pi * self.across**2 * samples * self.count**2
 
     def require_memory(self, wavelengths: int) -> None:
         """Refuse tables that would exceed the limit of memory."""
         memory = wavelengths * self.nbytes
+        most = 2.0**30
         refuse_if(
-            memory > _MOST_MEMORY,
+            memory > most,
             f"mla_pitch = {self.camera.row_pitch:g}: tables of {memory / 2**30:.2g} GiB for {len(self.zones)} zones of "
             f"the detector and {wavelengths} wavelengths: at most 1 GiB; record a smaller window (crop_size)"
-            + unit_hint(memory, _MOST_MEMORY),
+            + unit_hint(memory, most),
         )
 
     @cached_property
     def table(self) -> ResponseTable:
         """Tables of the response W, with x in units of a lens."""
         zones = [(x, y) for y in self.zones.y for x in self.zones.x]
-        pupils = [_Pupil.of(self, x, y, self._finer) for x, y in zones]
+        windows = self.near, self.far
+        pupils = [_Pupil(self, x, y, self.far.finer) for x, y in zones]
         lit = np.any([pupil.mass > 0 for pupil in pupils], axis=0)
         index = np.where(lit, np.cumsum(lit).reshape(lit.shape) - 1, -1).astype(np.int32)
-        sizes = [
-            (len(zones), int(lit.sum()), window.across, window.across, self.count**2)
-            for window in (self.near, self.far)
-        ]
-        near, far = (np.empty(size, np.float16) for size in sizes)
+        near, far = (
+            np.empty((len(zones), int(lit.sum()), window.across, window.across, self.count**2), np.float16)
+            for window in windows
+        )
         means = np.empty((len(zones), self.count**2), np.float32)
-        fold, interpolation = _fold(self.near, self.far)
-        blurred = _blurred(self.near, self.far, self._far_pairs)
+        fold, interpolation = _fold(*windows)
+        blurred = _blurred(*windows)
         for zone, ((x, y), pupil) in enumerate(zip(zones, pupils, strict=True)):
             image = self._mirror_image(zone, pupils)
             if image is not None:
                 mirrored, flips = image
                 nodes = index[flips][lit]
-                for table, window in ((near, self.near), (far, self.far)):
+                for table, window in zip((near, far), windows, strict=True):
                     table[zone] = self._mirrored(table[mirrored][nodes], window, flips)
                 diodes = np.arange(self.count**2).reshape(self.count, self.count)[flips].ravel()
                 means[zone] = means[mirrored][diodes]
                 continue
-            steps = pupil.step * self.stride, pupil.step // self._finer
-            overlaps = [
-                pupil.overlap(np.arange(-pairs, pairs + 1) * lag)[lit]
-                for pairs, lag in zip((self._near_pairs, self._far_pairs), steps, strict=True)
-            ]
+            overlaps = [pupil.overlap(window)[lit] for window in windows]
             for diode in range(self.count**2):
                 modes = self.modes(x, y, diode)
-                close = self._response(modes, 1, self.stride, self.near, overlaps[0], lit)
-                wide = self._response(modes, self._finer, 1, self.far, overlaps[1], lit)
+                close, wide = (
+                    self._response(modes, window, overlap, lit)
+                    for window, overlap in zip(windows, overlaps, strict=True)
+                )
                 total = close[:, 1:, 1:].sum((1, 2)) / self.near.samples**2
                 # The far samples do not resolve the light within the near window, so that some of it appears beyond.
                 core = close - fold @ wide @ fold.T + interpolation @ wide @ interpolation.T
@@ -186,14 +164,16 @@ class PhotodiodeResponses(PlaneWaveResponses):
         columns = len(self.zones.x)
         row, column = divmod(zone, columns)
         _, amplitude = self._orders
+        # Largest relative difference that mirror images may have.
+        alike = 1e-6
         for flips in itertools.product((_ALL, _REVERSED), repeat=2):
             mirrored = list(range(len(self.zones.y)))[flips[0]][row] * columns + list(range(columns))[flips[1]][column]
             signs = [-1 if flip == _REVERSED else 1 for flip in reversed(flips)]
             if (
                 mirrored < zone
                 and np.array_equal(pupils[mirrored].is_open[flips], pupils[zone].is_open)
-                and np.allclose(amplitude[flips], amplitude, rtol=0, atol=_ALIKE)
-                and np.allclose(self._displacement(mirrored) * signs, self._displacement(zone), rtol=0, atol=_ALIKE)
+                and np.allclose(amplitude[flips], amplitude, rtol=0, atol=alike)
+                and np.allclose(self._displacement(mirrored) * signs, self._displacement(zone), rtol=0, atol=alike)
             ):
                 return mirrored, flips
         return None
@@ -214,20 +194,9 @@ class PhotodiodeResponses(PlaneWaveResponses):
         diodes = values.reshape(*values.shape[:3], self.count, self.count)
         return diodes[..., flips[0], flips[1]].reshape(values.shape)
 
-    def _response(
-        self,
-        modes: NDArray[np.complex64],
-        finer: int,
-        stride: int,
-        window: TableWindow,
-        overlap: Floats,
-        lit: Flags,
-    ) -> Floats:
-        """Return the response W of a photodiode at the used nodes, (nodes, y, x).
-
-        Neighbouring pairs differ in direction by `stride` steps of the modes, divided by `finer`.
-        """
-        pairs = overlap.shape[1] // 2
+    def _response(self, modes: NDArray[np.complex64], window: TableWindow, overlap: Floats, lit: Flags) -> Floats:
+        """Return the response W of a photodiode at the used nodes, (nodes, y, x), in a window."""
+        _, _, pairs, stride, finer = window
         inner = self.across + 1
         known = modes.shape[1] // 2
         half = inner * finer + pairs * stride
@@ -272,49 +241,34 @@ class PhotodiodeResponses(PlaneWaveResponses):
         return np.ascontiguousarray(values[:, index[:, None], index])
 
 
-@dataclass(frozen=True)
 class _Pupil:
     """The pupil as seen from a lens, sampled in direction cosines."""
 
-    is_open: Flags
-    # Samples per step of the nodes.
-    step: int
-    # Rows and columns of the open samples, and their values of the functions that are linear between nodes.
-    rows: Integers
-    columns: Integers
-    hats: scipy.sparse.csr_matrix
-    # Part of the direction cosines of the pupil around each node (n, n).
-    mass: Doubles
-    # Part of the area of the pupil, over which rays are even, around each node (n, n).
-    light: Doubles
-
-    @classmethod
-    def of(cls, plan: PlaneWaveResponses, x: float, y: float, multiple: int) -> _Pupil:
-        """Return the pupil as seen from a lens, with a multiple of the table's samples per step of direction."""
+    def __init__(self, plan: PlaneWaveResponses, x: float, y: float, multiple: int) -> None:
+        """Take a lens's lattice indices, and the number of which samples per step of direction are a multiple."""
         n = 2 * plan.across + 1
         # 4: Least count of samples of the pupil per step of the table.
-        step = multiple * math.ceil(4 / multiple)
-        far = (2 * plan.across + plan.stride) * step
-        along = (np.arange(-far, far) + 0.5) / step
-        is_open = plan.is_open(x, y, along * plan.step)
-        low = far - plan.across * step
-        rows, columns = np.nonzero(is_open[low : 2 * far - low, low : 2 * far - low])
-        rows = rows + low
-        columns = columns + low
-        sides = [np.floor(along[index]).astype(int) for index in (rows, columns)]
-        fractions = [along[index] - side for index, side in zip((rows, columns), sides, strict=True)]
-        count = np.arange(len(rows))
-        hats = scipy.sparse.csr_matrix((len(rows), n * n))
+        self.step = multiple * math.ceil(4 / multiple)
+        far = (2 * plan.across + plan.stride) * self.step
+        along = (np.arange(-far, far) + 0.5) / self.step
+        self.is_open = plan.is_open(x, y, along * plan.step)
+        low = far - plan.across * self.step
+        # Rows and columns of the open samples, and their values of the functions that are linear between nodes.
+        self._places = [low + index for index in np.nonzero(self.is_open[low : 2 * far - low, low : 2 * far - low])]
+        sides = [np.floor(along[index]).astype(int) for index in self._places]
+        fractions = [along[index] - side for index, side in zip(self._places, sides, strict=True)]
+        count = np.arange(len(sides[0]))
+        hats = scipy.sparse.csr_matrix((len(count), n * n))
         for dy, dx in ((0, 0), (0, 1), (1, 0), (1, 1)):
             node = (sides[0] + dy + plan.across) * n + sides[1] + dx + plan.across
             value = np.abs(1 - dy - fractions[0]) * np.abs(1 - dx - fractions[1])
             hats += scipy.sparse.csr_matrix((value, (count, node)), hats.shape)
+        self._hats = hats
+        # Parts around each node (n, n): of the pupil's direction cosines, and of its area, over which rays are even.
+        self.mass = (hats.T @ np.ones(len(count))).reshape(n, n)
         chief = plan.chief(x, y)
-        square = sum((c + plan.step * along[index]) ** 2 for c, index in zip(chief, (columns, rows), strict=True))
-        # Areas of the pupil per area of direction cosines.
-        even = (1 - square) ** -2
-        mass, light = ((hats.T @ density).reshape(n, n) for density in (np.ones(len(rows)), even))
-        return cls(is_open, step, rows, columns, hats, mass, light)
+        square = sum((c + plan.step * along[index]) ** 2 for c, index in zip(chief, self._places[::-1], strict=True))
+        self.light = (hats.T @ (1 - square) ** -2).reshape(n, n)
 
     @cached_property
     def _solve(self) -> scipy.sparse.linalg.SuperLU:
@@ -322,22 +276,25 @@ class _Pupil:
         mass = self.mass.ravel()
         # The ridge holds coefficients to their local means; nodes that are not open have none.
         return scipy.sparse.linalg.splu(
-            (self.hats.T @ self.hats + scipy.sparse.diags(np.where(mass > 0, _RIDGE * mass, 1.0))).tocsc()
+            (self._hats.T @ self._hats + scipy.sparse.diags(np.where(mass > 0, _RIDGE * mass, 1.0))).tocsc()
         )
 
     @single_threaded_blas()
-    def overlap(self, lags: Integers) -> Floats:
-        """Return coefficients of O for each node and pair, (n, n, lags, lags); lags are half differences in samples.
+    def overlap(self, window: TableWindow) -> Floats:
+        """Return coefficients of O for each node and pair of a window, (n, n, lags, lags).
 
         The coefficients are the projection of O on functions that are linear between nodes.
         """
         n = len(self.mass)
-        samples = np.arange(len(self.rows))
+        # Half differences in samples.
+        lags = np.arange(-window.pairs, window.pairs + 1) * (self.step * window.stride // window.finer)
+        rows, columns = self._places
+        samples = np.arange(len(rows))
         result = np.zeros((n * n, len(lags), len(lags)), np.float32)
         for index, lag in enumerate(lags):
-            up, down = (self.is_open[self.rows + side * lag] for side in (1, -1))
-            both = [up[samples, self.columns + across] & down[samples, self.columns - across] for across in lags]
-            moments = self.hats.T @ np.stack(both, 1).astype(np.float32)
+            up, down = (self.is_open[rows + side * lag] for side in (1, -1))
+            both = [up[samples, columns + across] & down[samples, columns - across] for across in lags]
+            moments = self._hats.T @ np.stack(both, 1).astype(np.float32)
             # The factor conserves energy against the ridge.
             result[:, index] = self._solve.solve(np.asarray(moments)) * (1 + _RIDGE)
         return result.reshape(n, n, len(lags), len(lags))
@@ -361,9 +318,9 @@ def _fold(near: TableWindow, far: TableWindow) -> tuple[Floats, Floats]:
     return folded.astype(np.float32), once.astype(np.float32)
 
 
-def _blurred(near: TableWindow, far: TableWindow, pairs: int) -> Floats:
+def _blurred(near: TableWindow, far: TableWindow) -> Floats:
     """Return the matrix that lowers samples within the near window to the resolution of the far window."""
-    lag = np.arange(-pairs, pairs + 1)
+    lag = np.arange(-far.pairs, far.pairs + 1)
     gain = (np.sinc(lag / (far.lenses * near.samples)) / np.sinc(lag / (far.lenses * far.samples))) ** 2
     far_waves, near_waves = (np.exp(2j * np.pi / far.lenses * np.outer(window.place, lag)) for window in (far, near))
     weights = np.full(near.across, 1 / near.samples)

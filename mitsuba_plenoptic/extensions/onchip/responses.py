@@ -13,7 +13,7 @@ import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import drjit as dr
@@ -23,10 +23,9 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...detector import NonNegative
 from ...errors import refuse_if
-from ...rays import walks_of
-from ...runtime import Box, Floats, Pair, Part, PartialSum, drjit_array, fft
+from ...runtime import Box, Floats, Pair, Part, drjit_array, fft
 from ...scene import require_finite
-from ...waves import FINE, Node, SignedCapture, mean_of_half, mixed, of_other_half
+from ...waves import FINE, Node, RaySum, SignedCapture, mean_of_half, mixed, of_other_half
 from .plane_waves import NEAR, lens_range
 from .response_draws import Tables
 from .response_tables import PhotodiodeResponses
@@ -36,9 +35,6 @@ _LANES = 2**23
 
 _DRAWN = 8
 """Lenses of the far window that each ray of a lens draws."""
-
-_PROBES = 2**8
-"""Count of lenses whose light identifies a capture."""
 
 
 class Rays(NamedTuple):
@@ -55,18 +51,8 @@ class Rays(NamedTuple):
     counts: Any
 
 
-class LensCells(NamedTuple):
+class LensCells(Box):
     """A rectangle of lenses, by lattice indices."""
-
-    # Lattice indices of the first lens.
-    left: int
-    top: int
-    columns: int
-    rows: int
-
-    def within(self, margin: int) -> LensCells:
-        """Return the rectangle with a margin around it."""
-        return LensCells(self.left - margin, self.top - margin, self.columns + 2 * margin, self.rows + 2 * margin)
 
     def lenses(self) -> tuple[Pair, Any]:
         """Return the lattice indices of the lenses, row by row, and a unique number of each lens."""
@@ -76,59 +62,41 @@ class LensCells(NamedTuple):
         y = mi.Int(row) + dr.opaque(mi.Int, self.top)
         return (x, y), (mi.UInt32(y + 2**15) << 16) | mi.UInt32(x + 2**15)
 
-
-@dataclass(frozen=True)
-class LensRows:
-    """The finished pixels of a block of rows of lenses."""
-
-    box: Box
-    sums: Floats
-
-    @property
-    def samples(self) -> int:
-        """Number of pixels in this block of rows."""
-        return self.sums.size
-
-    def prepare(self) -> Callable[[], Part]:
-        """Return the function that returns the finished pixels."""
-        return partial(Part, self.box, self.sums)
+    def displaced(self, margin: int, lens: Any, cell: Pair) -> Any:
+        """Return the indices, in the rectangle with a margin around it, of lenses displaced by a cell."""
+        row = lens // dr.opaque(mi.UInt32, self.columns)
+        x = lens - row * self.columns + margin
+        line = dr.opaque(mi.UInt32, self.columns + 2 * margin)
+        return (row + margin + mi.UInt32(mi.Int(cell[1]))) * line + x + mi.UInt32(mi.Int(cell[0]))
 
 
-class ResponseSum:
-    """A capture by photodiode responses, computed by rows of lenses; a `runtime.batches.LongSum`."""
+class ResponseSum(RaySum):
+    """A capture by photodiode responses, computed by rows of lenses, whose plans are `PhotodiodeResponses`."""
 
     arrays: Any = np
 
     def __init__(
         self,
         camera: PlenopticCamera,
-        # Radiance along rays.
         light: Callable[..., list[Any]],
-        # The wavelengths of the tables, and the channels that record each; their plans are `PhotodiodeResponses`.
         nodes: Sequence[Node],
         *,
         # Rays per pixel as in a ray capture, of which only those that pass the pupil are drawn.
         spp: int,
         seed: int,
     ) -> None:
-        self._camera = camera
-        self._light = light
-        self._nodes = nodes
-        self._seed = seed
+        super().__init__(camera, light, nodes, seed)
         self._tables = Tables(camera, [node.plan for node in nodes])
         self._across = across = self._tables.count
-        self._walks = walks_of(node.plan.system for node in nodes)
         # The images: the wavelength and the channel of each.
-        self._images = [(n, channel) for _, numbers in self._walks for n in numbers for channel in nodes[n].channels]
-        self.channels = max(channel for _, channel in self._images) + 1
-        rows, columns = camera.shape
-        self.box = Box(0, 0, columns, rows)
+        self._images = [(n, channel) for _, numbers in self._groups for n in numbers for channel in nodes[n].channels]
         self._columns, self._rows = (lens_range(camera, across, axis) for axis in (0, 1))
         plan = nodes[0].plan
-        lens = plan.system.lens
         # A pixel is the mean over its area and the lens's aperture of the radiance of all rays by way of the pupil.
         scale = camera.detector_distance / (camera.mla_medium * plan.camera.pupil_distance)
-        self._scale = (scale / (camera.pixel_size * camera.mla_fill)) ** 2 * math.pi * float(lens.reach) ** 2
+        self._scale = (
+            (scale / (camera.pixel_size * camera.mla_fill)) ** 2 * math.pi * float(plan.system.lens.reach) ** 2
+        )
         # Of the rays of a ray capture, those that pass the pupil. Two halves of them correct each other.
         rays = max(1, spp * across**2 * self._scale * (camera.pixel_size / camera.row_pitch) ** 2 / 2)
         lenses = self._columns[1] - self._columns[0]
@@ -142,35 +110,37 @@ class ResponseSum:
         self._blocks = list(range(*self._rows, height))
         self.items = np.diff([*self._blocks, self._rows[1]]) * lenses
 
-    def batches(self, first: int) -> Iterator[LensRows]:
-        """Yield the pixels of each block from index `first` on, after tracing its rays."""
+    def batches(self, first: int) -> Iterator[Part]:
+        """Yield the pixels of each block from index `first` on, after tracing its rays in several rounds."""
+        camera = self._camera
         size = self._across
-        columns = self._columns[1] - self._columns[0]
-        for block in range(first, len(self._blocks)):
-            top = self._blocks[block]
-            rows = int(self.items[block]) // columns
-            seeds = np.random.SeedSequence([self._seed]).generate_state(self._rounds).tolist()
+        left, right = self._columns
+        for top, items in zip(self._blocks[first:], self.items[first:].tolist(), strict=True):
+            grid = LensCells(left, top, right - left, items // (right - left))
+            around = grid.within(self._tables.margin)
+            sums = [[mi.Float(0)] * size**2 for _ in range(self.channels)]
             with fft.busy_drjit():
-                sums = self._captured(LensCells(self._columns[0], top, columns, rows), seeds)
+                for seed in np.random.SeedSequence([self._seed]).generate_state(self._rounds).tolist():
+                    values = self._gathered(grid, self._traced(*around.lenses(), seed), seed)
+                    for (_, channel), of_image in zip(self._images, values, strict=True):
+                        pairs = zip(sums[channel], of_image, strict=True)
+                        sums[channel] = [old + value * (self._scale / self._rounds) for old, value in pairs]
+                    dr.eval(sums)
             pixels = np.stack([np.stack([value.numpy() for value in diodes], -1) for diodes in sums])
-            pixels = pixels.reshape(-1, rows, columns, size, size).swapaxes(2, 3)
-            camera = self._camera
-            left, up = (
+            pixels = pixels.reshape(-1, grid.rows, grid.columns, size, size).swapaxes(2, 3)
+            x, y = (
                 low * size + count // 2 - crop
-                for low, count, crop in zip((self._columns[0], top), camera.resolution, camera.crop_offset, strict=True)
+                for low, count, crop in zip((left, top), camera.resolution, camera.crop_offset, strict=True)
             )
-            box = Box(left, up, int(columns * size), int(rows * size))
-            yield LensRows(box, np.ascontiguousarray(pixels.reshape(-1, rows * size, columns * size), np.float32))
-
-    def image(self, total: PartialSum) -> Floats:
-        """Return the image, the sum of all blocks."""
-        return np.ascontiguousarray(np.moveaxis(total.sums, 0, -1))
+            box = Box(x, y, grid.columns * size, grid.rows * size)
+            yield Part(box, np.ascontiguousarray(pixels.reshape(-1, box.rows, box.columns), np.float32))
 
     def probe(self) -> Floats:
         """Return the light of the rays of some lenses, a fingerprint of a scene and its camera."""
         columns = self._columns[1] - self._columns[0]
-        pixel_count = int(self.items.sum())
-        lens = np.linspace(0, pixel_count - 1, min(_PROBES, pixel_count)).astype(int)
+        count = int(self.items.sum())
+        # 2**8: Count of lenses whose light identifies a capture.
+        lens = np.linspace(0, count - 1, min(2**8, count)).astype(int)
         index = (lens % columns + self._columns[0], lens // columns + self._rows[0])
         rays = self._traced(
             tuple(drjit_array(mi.Int, coordinate) for coordinate in index), drjit_array(mi.UInt32, lens), 0
@@ -193,9 +163,8 @@ class ResponseSum:
         aimed = self._tables.draw(indices, word, half, ray - half * (count // 2), key)
         lights = []
         counted = mi.Float(0)
-        for walk, numbers in self._walks:
-            start, slope, _ = walk.through_pupil(aimed.pupil, aimed.place)
-            valid = aimed.open & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
+        for walk, numbers in self._groups:
+            start, slope, valid = self._scene_rays(walk, aimed.pupil, aimed.place, aimed.open)
             radiance = self._light(start, slope, valid, seed)
             counted = dr.select(valid, mi.Float(1), 0)
             require_finite(radiance, counted)
@@ -208,66 +177,34 @@ class ResponseSum:
         dr.eval(sums, counts)
         return Rays(lights, aimed.near, aimed.far, aimed.node, sums, counts)
 
-    def _captured(self, grid: LensCells, seeds: Sequence[int]) -> list[list[Any]]:
-        """Return the values of each lens's photodiodes for each channel: means over captures of all seeds."""
-        result = [[mi.Float(0)] * self._across**2 for _ in range(self.channels)]
-        for seed in seeds:
-            around = grid.within(self._tables.margin)
-            rays = self._traced(*around.lenses(), seed)
-            for (_, channel), values in zip(self._images, self._gathered(grid, rays, seed), strict=True):
-                pairs = zip(result[channel], values, strict=True)
-                result[channel] = [old + value * (self._scale / len(seeds)) for old, value in pairs]
-            dr.eval(result)
-        return result
-
     def _gathered(self, grid: LensCells, rays: Rays, seed: int) -> list[list[Any]]:
         """Return the values of each lens's photodiodes for each image, from the rays of all surrounding lenses."""
         tables = self._tables
-        count = self._rays
         size = self._across**2
-        around = grid.within(tables.margin)
         lens = dr.arange(mi.UInt32, grid.rows * grid.columns)
-        index, _ = grid.lenses()
-        line = dr.opaque(mi.UInt32, around.columns)
-
-        def at(lens: Any, cell: Pair) -> Any:
-            """Return the indices, in the surrounding grid, of lenses displaced by given cells."""
-            row = lens // dr.opaque(mi.UInt32, grid.columns)
-            x = lens - row * grid.columns + tables.margin
-            y = row + tables.margin
-            return (y + mi.UInt32(mi.Int(cell[1]))) * line + x + mi.UInt32(mi.Int(cell[0]))
-
-        # Means of the light of the lens and its eight neighbours, in each half of the rays.
-        cells: list[Pair] = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]
-        counts, sums = (
-            [
-                [
-                    sum((dr.gather(mi.Float, light, at(lens, cell) * 2 + half) for cell in cells), mi.Float(0))
-                    for half in (0, 1)
-                ]
-                for light in lights
-            ]
-            for lights in ([rays.counts], rays.sums)
+        # Sums of the light of the lens and its eight neighbours, in each half of the rays.
+        cells = [grid.displaced(tables.margin, lens, (x, y)) * 2 for x in (-1, 0, 1) for y in (-1, 0, 1)]
+        counts, *sums = (
+            [sum((dr.gather(mi.Float, light, cell + half) for cell in cells), mi.Float(0)) for half in (0, 1)]
+            for light in (rays.counts, *rays.sums)
         )
-        means = [mean_of_half(pair, counts[0]) for pair in sums]
+        means = [mean_of_half(pair, counts) for pair in sums]
         dr.eval(means, counts)
-        near = self._near_sums(grid, rays, means, at)
+        near = self._near_sums(grid, rays, means)
         far = self._far_sums(grid, rays, means, seed)
-        passed = (counts[0][0] + counts[0][1]) / (len(cells) * count)
+        passed = (counts[0] + counts[1]) / (len(cells) * self._rays)
+        index, _ = grid.lenses()
         result = []
         for image, (node_index, _) in enumerate(self._images):
             mean = (means[image][0] + means[image][1]) / 2 * passed
-            zone_values = tables.zone_means(node_index, index)
             diodes = slice(image * size, (image + 1) * size)
-            of_diodes = zip(near[diodes], far[diodes], zone_values, strict=True)
-            result.append([(close + wide) / count + mean * total for close, wide, total in of_diodes])
+            of_diodes = zip(near[diodes], far[diodes], tables.zone_means(node_index, index), strict=True)
+            result.append([(close + wide) / self._rays + mean * total for close, wide, total in of_diodes])
         dr.eval(result)
         return result
 
-    def _near_sums(self, grid: LensCells, rays: Rays, means: list[Pair], at: Callable[[Any, Pair], Any]) -> list[Any]:
+    def _near_sums(self, grid: LensCells, rays: Rays, means: list[Pair]) -> list[Any]:
         """Return the sums over all rays of the near windows of lenses, for each image and photodiode."""
-        tables = self._tables
-        size = self._across**2
         count = dr.opaque(mi.UInt32, self._rays)
         lane = dr.arange(mi.UInt32, grid.rows * grid.columns * self._rays)
         of_lens = lane // count
@@ -279,28 +216,26 @@ class ResponseSum:
         def add(k: Any, *totals: Any) -> tuple[Any, ...]:
             row = mi.Int(k) // NEAR
             cell = mi.Int(k) - row * NEAR - NEAR // 2, row - NEAR // 2
-            address = at(of_lens, cell) * count + ray
+            address = grid.displaced(self._tables.margin, of_lens, cell) * count + ray
             change = [
                 dr.gather(mi.Float, light, address) - mean for light, mean in zip(rays.lights, others, strict=True)
             ]
             first = [dr.gather(mi.UInt32, index, address) for index in rays.near]
-            products = self._products(change, lambda number: tables.values(tables.near[number], first[number], cell))
+            products = self._products(change, self._tables.near, first, cell)
             return k + 1, *(total + product for total, product in zip(totals, products, strict=True))
 
-        state = (mi.UInt32(0), *[mi.Float(0)] * (size * len(self._images)))
+        state = (mi.UInt32(0), *[mi.Float(0)] * (self._across**2 * len(self._images)))
         _, *totals = dr.while_loop(state, lambda k, *_: k < NEAR**2, add, label="near photodiodes")
         return [dr.block_sum(total, self._rays) for total in totals]
 
     def _far_sums(self, grid: LensCells, rays: Rays, means: list[Pair], seed: int) -> list[Any]:
         """Return estimates of the sums over all rays of the far windows of lenses, for each image and photodiode."""
         tables = self._tables
-        size = self._across**2
-        margin = self._tables.margin
+        margin = tables.margin
         around = grid.within(margin)
         count = dr.opaque(mi.UInt32, self._rays)
         columns = dr.opaque(mi.UInt32, around.columns)
-        width = dr.opaque(mi.Int, grid.columns)
-        height = dr.opaque(mi.Int, grid.rows)
+        width, height = (dr.opaque(mi.Int, size) for size in (grid.columns, grid.rows))
         lane = dr.arange(mi.UInt32, around.rows * around.columns * self._rays)
         lens = lane // count
         is_first = lane - lens * count < count // 2
@@ -314,7 +249,7 @@ class ResponseSum:
         brightest = float(max(dr.max(dr.abs(light))[0] for light in rays.lights))
         # 36: Bits after the point of integers that add up light, in units of the brightest ray; 27 remain before it.
         unit = dr.opaque(double, 2.0 ** (math.frexp(brightest)[1] - 36))
-        totals = [dr.zeros(integer, grid.rows * grid.columns) for _ in range(size * len(self._images))]
+        totals = [dr.zeros(integer, grid.rows * grid.columns) for _ in range(self._across**2 * len(self._images))]
 
         def add(k: Any) -> tuple[Any]:
             random = mi.sample_tea_float32(lane, key + k)
@@ -328,8 +263,7 @@ class ResponseSum:
                 * weight
                 for light, halves in zip(rays.lights, means, strict=True)
             ]
-            products = self._products(change, lambda number: tables.values(tables.far[number], rays.far[number], cell))
-            for total, product in zip(totals, products, strict=True):
+            for total, product in zip(totals, self._products(change, tables.far, rays.far, cell), strict=True):
                 dr.scatter_add(total, integer(double(product * (1 / _DRAWN)) / unit), index, active)
             return (k + 1,)
 
@@ -337,14 +271,13 @@ class ResponseSum:
         dr.eval(totals)
         return [mi.Float(double(total) * unit) for total in totals]
 
-    def _products(self, change: list[Any], values_of: Callable[[int], list[Any]]) -> list[Any]:
-        """Return the light of rays for each image times the responses of the photodiodes at its wavelength."""
-        responses = {node_index: values_of(node_index) for node_index in {node_index for node_index, _ in self._images}}
-        return [
-            value * light
-            for light, (node_index, _) in zip(change, self._images, strict=True)
-            for value in responses[node_index]
-        ]
+    def _products(self, change: list[Any], tables: list[Any], first: list[Any], cell: Pair) -> list[Any]:
+        """Return the light of rays for each image times the responses of the photodiodes at its wavelength.
+
+        `first` are the indices of the rays' samples in the first cells of the tables.
+        """
+        responses = {n: self._tables.values(tables[n], first[n], cell) for n in {n for n, _ in self._images}}
+        return [value * light for light, (n, _) in zip(change, self._images, strict=True) for value in responses[n]]
 
 
 @functools.lru_cache(maxsize=4)
@@ -376,11 +309,9 @@ class ResponseCapture(SignedCapture):
         nodes[0].plan.require_memory(len(nodes))
         return nodes
 
-    def _sum(
-        self, kind: Callable[..., Any], light: Callable[..., list[Any]], nodes: list[Node], *, spp: int, seed: int
-    ) -> Callable[[], Any]:
-        """Return a function that constructs the sum of a capture; there is only one kind of sum."""
-        return partial(ResponseSum, self.camera, light, nodes, spp=spp, seed=seed)
+    def _sum(self, kind: Callable[..., Any]) -> Callable[..., Any]:
+        """Return the only kind of sum."""
+        return ResponseSum
 
     def projections(self, image: Floats) -> dict[int, NonNegative]:
         """Return no channels to mend: negative pixels stay, as the noise of few rays exceeds the light around them."""

@@ -30,9 +30,6 @@ from ..inverse.point_rays import PointRays
 from .halves import photodiodes, require_layout
 from .photodiode_response import ACROSS, require_pixel_pairs
 
-_MARGIN = 4
-"""Lenses around the largest blur in a bank's default size."""
-
 
 @suggest_keywords
 def psf_bank(
@@ -96,7 +93,8 @@ def psf_bank(
             # 1.619: Radius of the third dark ring of an Airy pattern, in wavelengths times distance over the pupil's
             # radius. Within are 94 % of the light.
             reach += 1.619 * wavelength * 1e-6 * camera.mla_distance / camera.aperture_radius
-        count = 2 * math.ceil(reach / camera.row_pitch - 1e-9) + _MARGIN + 1
+        # 4: Lenses around the largest blur.
+        count = 2 * math.ceil(reach / camera.row_pitch - 1e-9) + 4 + 1
     else:
         count = require_count("size", size)
     refuse_if(count % 2 == 0, f"size = {count}: it must be odd")
