@@ -39,9 +39,9 @@ _TRACING = 0.9
 """Approximate fraction of a capture's time in which rays are traced; then their images are convolved."""
 
 
-_STEPS = 4
-_STEPS_OF_RAY = 1e-6
-"""Steps of the plan of a node, and the time of a ray in that of a step, approximately."""
+_STEPS = 6.1
+_STEPS_OF_RAY = 1.5e-6
+"""Work of the steps of the plan of a node, and that of a ray, approximately."""
 
 _REPORTED = 10**6
 """What is reported as the total of progress."""
