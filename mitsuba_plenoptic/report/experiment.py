@@ -18,7 +18,9 @@ from ..camera import PlenopticCamera
 from ..capture_spec import CaptureSpec
 from ..choices import Against
 from ..errors import LONGEST, naming, refuse_if, require_choice
+from ..extension import hook
 from ..io import Cache, Capture, Checkpoint, StageOptions
+from ..optics import RGB_WAVELENGTHS
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, reconstruct, require_distances
 from ..runtime import Array, Progress, in_words
@@ -164,8 +166,9 @@ def methods_of_both(names: Sequence[str]) -> tuple[RefocusMethod, ...]:
     return (*both, *(method for method in COMPARED_METHODS if method.name == "limit" and "limit" in names))
 
 
-_PRICES = {"ray": 0.05, "coherent": 0.15, "partial": 0.3, "incoherent": 0.3, "deconvolved": 4.0, "limit": 4.5}
-"""Seconds of two cores, by method, for a million pixels at a distance, within a factor of two or three."""
+_PRICES = {"ray": 0.05, "coherent": 0.15, "partial": 0.3, "incoherent": 0.0, "deconvolved": 2.0, "limit": 4.5}
+_STEPS = {"incoherent": 1.5, "deconvolved": 30.0}
+"""Seconds of two cores, by method, for a million pixels at a distance, or the steps with a response, which has one."""
 
 METHOD_TITLES = {
     "truth": "Thin lens (truth)",
@@ -345,18 +348,27 @@ def run_experiment(
     groups = {
         method.name: [distances] if method.name in settings.slider_methods else alone for method in settings.methods
     }
-    pixels = 1e-6 * math.prod(camera.resolution) * (1 if mi.is_monochromatic else 3)
-    # With the white image by waves, which the first method computes.
-    work = [("captures", 0.5 + 0.06 * pixels * settings.spp)]
+    pixels = math.prod(camera.resolution)
+    lights = [settings.wavelength] if mi.is_monochromatic else RGB_WAVELENGTHS
+    work = [("captures", 0.3 + 6e-8 * len(lights) * pixels * settings.spp)]
     for method in methods:
         name = method.name.partition("_")[0]
         for together in groups[method.name]:
-            seconds = 0.5 + _PRICES[name] * pixels * len(together)
+            seconds = 0.1 + 1e-6 * _PRICES[name] * pixels * len(together) * len(lights)
+            # A ray capture is deconvolved by rays.
+            if name in _STEPS and method.name != "deconvolved_of_ray":
+                price = hook("price of a response", name)
+                seconds = sum(price(camera, at, light, _STEPS[name]) for at in together for light in lights)
+            if method.name == "partial":
+                # The white image by waves, which the first method computes.
+                seconds += len(lights) * (2.0 + 1e-6 * pixels)
             work += [(name, seconds), *[(name, 0.0)] * (len(together) - 1)]
-    work.insert(1 + len(alone), ("captures", 5.0 + pixels * (3.5 + 0.25 * settings.spp)))
-    prices = {name: sum(seconds for other, seconds in work if other == name) for name in dict(work)}
+    work.insert(1 + len(alone), ("captures", len(lights) * (1.5 + 2.5e-7 * pixels * settings.spp)))
     others = 6 * (twin is not None) + (settings.points is not None) + 1 + len(distances)
-    store.expected = [seconds for _, seconds in work] + [1.0] * others
+    work += [("photographs", 1.0)] * others
+    store.expected = [seconds for _, seconds in work]
+    prices = {name: sum(seconds for other, seconds in work if other == name) for name in dict(work)}
+    prices["all"] = sum(store.expected)
     _log.info(
         "roughly, on two cores: %s", ", ".join(f"{name} {in_words(round(value, 1))}" for name, value in prices.items())
     )

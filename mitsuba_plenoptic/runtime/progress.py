@@ -35,33 +35,33 @@ _REPORTS = 256
 """Reports from which the speed of work is taken, at most."""
 
 _step = ""
-_steps: ContextVar[Callable[[str], None] | None] = ContextVar("steps", default=None)
+_steps: ContextVar[Callable[[str, float], None] | None] = ContextVar("steps", default=None)
 
 
-def begin_step(name: str) -> None:
-    """Tell the display of progress, by its name, that a step of preparation begins."""
+def begin_step(name: str, work: float = 1.0) -> None:
+    """Tell the display of progress, by its name, that a step of preparation begins, and its work in any unit."""
     if begin := _steps.get():
-        begin(name)
+        begin(name, work)
 
 
 @contextlib.contextmanager
-def steps_counted(progress: Callable[[float], None], steps: int) -> Iterator[None]:
-    """Report the fraction of the expected steps of preparation that are done; lines show their names meanwhile."""
-    count = 0
+def steps_counted(progress: Callable[[float], None], total: float) -> Iterator[None]:
+    """Report the fraction of the expected work of preparation that is done; lines show the steps' names meanwhile."""
+    begun = 0.0
 
-    def begin(name: str) -> None:
+    def begin(name: str, work: float) -> None:
         global _step
-        nonlocal count
+        nonlocal begun
         _step = name
-        progress(count / max(steps, count))
-        count += 1
+        progress(begun / max(total, begun))
+        begun += work
 
     before = _steps.set(begin)
     try:
         yield
     finally:
         _steps.reset(before)
-        begin("")
+        begin("", 0.0)
 
 
 def in_words(seconds: float) -> str:
@@ -104,11 +104,11 @@ class ProgressBar:
             self._show(done, total)
 
     def left(self) -> float | None:
-        """Return the seconds that the remaining work takes at the speed of the latter half; None if not known."""
+        """Return the seconds that the rest takes at the speed of the last three quarters; None if not known."""
         if len(self._reports) < 2:
             return None
         # Before, plans are made, kernels compiled and memory mapped.
-        middle = (self.start + self._reports[-1][0]) / 2
+        middle = self.start + (self._reports[-1][0] - self.start) / 4
         later = next((report for report in self._reports[:-1] if report[0] >= middle), self._reports[-2])
         # Of the farthest report: repetitions of a stage go back to where it began.
         done = self._reports[-1][1]
@@ -124,14 +124,14 @@ class ProgressBar:
         elapsed = time.monotonic() - self.start
         left = self.left() or 0.0
         remaining = f", about {in_words(left)} left" if left >= 1 else ""
-        hint = self.hint_after(elapsed)
+        hint = self.hint_of_long_work()
         names = f"{self.label}: {f'{_step}, ' if _step else ''}{done}{elapsed:.0f} s{remaining}"
         return f"{names}{'; ' * bool(hint)}{hint}"
 
-    def hint_after(self, seconds: float) -> str:
+    def hint_of_long_work(self) -> str:
         """Return what makes the work shorter, once, with the first fraction; nothing for a minute's work."""
         begun = self._reports[0][1] if len(self._reports) > 1 else 0.0
-        advised = self.fraction > 0 and seconds > MINUTE * (self.fraction - begun)
+        advised = self.fraction > 0 and time.monotonic() - self.start > MINUTE * (self.fraction - begun)
         hint, self._hint = (self._hint, "") if advised else ("", self._hint)
         return hint
 
@@ -154,10 +154,10 @@ class Forecast(ProgressBar):
         super().__call__(done, total)
         now = time.monotonic()
         left = self.left()
-        begun = next((moment for moment, fraction in self._reports if fraction), now)
+        moments = [moment for moment, fraction in self._reports if fraction]
         # A first step may be the compilation of a kernel.
-        settled = sum(fraction > 0 for _, fraction in self._reports) > 2
-        if self._tell and left is not None and settled and now - begun >= SETTLED and self.fraction >= self._least:
+        settled = len(moments) > 2 and now - moments[0] >= SETTLED
+        if self._tell and left is not None and settled and self.fraction >= self._least:
             tell, self._tell = self._tell, None
             tell(now - self.start + left)
 
@@ -189,12 +189,10 @@ def progress_bar(label: str, hint: str = "") -> Iterator[ProgressBar]:
         return
     with moving_bar() as bar:
         task = bar.add_task(label, total=1)
-        start = time.monotonic()
 
         def show(done: int, total: int) -> None:
             bar.update(task, completed=done, total=total)
-            elapsed = time.monotonic() - start
-            if elapsed >= FIRST_LINE and (text := display.hint_after(elapsed)):
+            if time.monotonic() - display.start >= FIRST_LINE and (text := display.hint_of_long_work()):
                 bar.console.print(text)
 
         display = ProgressBar(label, show, hint)

@@ -35,8 +35,8 @@ Sum = TypeVar("Sum", bound=SignedRaySum)
 _TRACING = 0.9
 """Approximate fraction of a capture's time in which rays are traced; then their images are convolved."""
 
-_STEPS = 4
-"""Approximate count of the steps of a node's plan."""
+_STEPS = 6.1
+"""Approximate work of the steps of the plan of a node."""
 
 _REPORTED = 10**6
 """What is reported as the total of progress."""
@@ -154,8 +154,8 @@ class SignedCapture:
         if job.progress and not (path and path.exists()):
             # Plans are a larger part of the work the fewer rays there are.
             plans = _STEPS * len(self.nodes)
-            # 1e-6: Approximate time of a ray in that of a step.
-            planned = plans / (plans + 1e-6 * math.prod(self.camera.shape) * spp)
+            # 1.5e-6: Approximate work of a ray.
+            planned = plans / (plans + 1.5e-6 * math.prod(self.camera.shape) * spp)
         with steps_counted(lambda done: show(planned * done) if planned else None, _STEPS * len(self.nodes)):
             sums = self.sums(spp, seed, runs, SignedRaySum)
             first = sums[0]()

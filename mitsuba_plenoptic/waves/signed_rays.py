@@ -611,7 +611,7 @@ class _Grid(NamedTuple):
 @functools.lru_cache(maxsize=16)
 def _kernels_of(plan: Plan, grid: _Grid, kind: int) -> PixelKernels:
     """Return the kernels of a plan for one kind of lenses, cached for further captures of the camera."""
-    begin_step("kernels of diffraction")
+    begin_step("kernels of diffraction", 4.0)
     camera = plan.camera
     # A plan that is expanded about another one is another one.
     cameras = [of_plan.camera.to_dict() for of_plan in (plan, getattr(plan, "start", plan))]
@@ -627,5 +627,5 @@ def _convolution_of(
     camera: PlenopticCamera, sets: tuple[PixelKernels, ...], size: tuple[int, int], cuda: bool
 ) -> Convolution:
     """Return the convolution with kernels, whose spectra are cached, on CUDA there, for further captures."""
-    begin_step("convolutions")
+    begin_step("convolutions", 0.1)
     return Convolution(camera, [kernel for of_set in sets for kernel in of_set.kernels], size)

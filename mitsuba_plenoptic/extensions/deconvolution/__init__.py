@@ -10,4 +10,5 @@ from ...extension import Extension
 EXTENSION = Extension(
     methods={"incoherent": "incoherent", "deconvolved": "deconvolved"},
     options={"deconvolved": "options:DeconvolvedOptions"},
+    hooks={"price of a response": "fourier:response_seconds"},
 )

@@ -9,7 +9,7 @@ import contextlib
 import functools
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -214,9 +214,6 @@ _MEMORY = 2 * 2**30
 _LIT = 0.6
 """Fraction of a kernel's blocks that hold light, at most."""
 
-_PROGRESS = 1000
-"""Parts of a bin's light in which progress is counted."""
-
 
 class Response(StoredResponse):
     r"""The capture of object planes made of bins of uniform radiance: :math:`I = \sum_k A_k x_k`.
@@ -284,9 +281,23 @@ class Response(StoredResponse):
         kernel_bytes = [self._kernel_memory(distance, oversample) for distance in distances]
         # Far too large kernels are refused before the light of some is computed.
         self._require_memory(1, len(distances) > 1)
+        # The unit of work is a sample of a point spread, 16 ns on two cores of a processor of 2023; in it, a kernel's
+        # sample and a product in a step of an inversion, which is a forward and an adjoint response.
+        step = (0.6 / self.cells.oversample**2 + 0.05) / 16
+        kernel_samples = sum(self._kernel_memory(distance, self.cells.oversample) for distance in distances) * _LIT / 4
+        applied = math.ceil(step * steps * kernel_samples * len(self._sampled))
+        middle = self._middle(np.arange(len(self._sampled)))
+        bins = [some for distance in distances for some in self._batches(self.cells, distance, middle)]
+        of_zone = _samples(bins)
+        compared = 0
         # Zones divide the work among the cores; where lenses are alike, one kernel serves several.
         groups = zones(self._sampled, _ZONE)
         if wavelength:
+            # The light of 2 x 2 points of lenses in the middle and in 12 positions around it.
+            points = (wave_batches(fine, BinCells(grid, 1), distance, middle, 2) for distance in distances)
+            compared = 13 * _samples(itertools.chain(*points))
+            self._done = 0
+            self._total = compared + of_zone + applied
             unlike = max(self._unlike(distance, job) for distance in distances)
         else:
             # Rays one lens apart are alike with an objective, or without aberrations.
@@ -325,32 +336,25 @@ class Response(StoredResponse):
         # Far too many bins are refused before they are put into batches.
         stored = self._folder is not None
         self._require_memory(len(middles), stored)
-        bins = [some for distance in distances for some in self._batches(self.cells, distance, middles[0])]
-        batches = [batch for some in bins for batch in some]
         # Beside those that the threads compute, another one is prepared.
-        self._require_memory(len(middles), stored, (job.workers.threads + 1) * max(batch.memory for batch in batches))
-        # In nanoseconds on two cores of a processor of 2023: of a sample of a point spread; of a kernel's sample and of
-        # a product in a step of an inversion, which is a forward and an adjoint response.
-        work = 16.0 * len(middles) * sum(batch.samples for batch in batches)
-        step = 0.6 / self.cells.oversample**2 + 0.05
-        samples_of = sum(self._kernel_memory(distance, self.cells.oversample) for distance in distances) * _LIT / 4
-        self.prepared = work / (work + step * steps * samples_of * len(self._sampled))
-        done = 0
-        total = math.ceil(_PROGRESS * len(bins) * len(middles) / self.prepared)
+        most = max(batch.memory for some in bins for batch in some)
+        self._require_memory(len(middles), stored, (job.workers.threads + 1) * most)
+        # How many zones there are is known by now: what is left has the rest of the progress.
+        left = len(middles) * of_zone + applied
+        self._done = compared * left // (of_zone + applied)
+        self._total = self._done + left
+        self.prepared = 1 - applied / self._total
         self.planes: list[PlaneResponse] = []
         far = []
         for distance in distances:
             # A zone may be a single batch: all cores are busy only if the batches of all zones are computed together.
-            of_zones = [self._batches(self.cells, distance, cell) for cell in middles]
-            bins = [some for of_zone in of_zones for some in of_zone]
-            flat = [batch for some in bins for batch in some]
-            share = [np.diff(np.arange(len(some) + 1) * _PROGRESS // len(some)) for some in bins]
-            with contextlib.closing(job.each(flat, np.concatenate(share).tolist(), done, total)) as parts:
+            of_middles = [self._batches(self.cells, distance, cell) for cell in middles]
+            bins = [some for of_middle in of_middles for some in of_middle]
+            with self._computed(bins, job) as parts:
                 kernels = [
-                    make_kernel(self.cells, cell, ([next(parts) for _ in some] for some in of_zone), self._together)
-                    for cell, of_zone in zip(middles, of_zones, strict=True)
+                    make_kernel(self.cells, cell, ([next(parts) for _ in some] for some in of_middle), self._together)
+                    for cell, of_middle in zip(middles, of_middles, strict=True)
                 ]
-            done += _PROGRESS * len(bins)
             if wavelength:
                 central = owners[len(owners) // 2]
                 far.append(self._far_light(kernels[central], distance, middles[central]))
@@ -412,6 +416,13 @@ class Response(StoredResponse):
             # 0.005: Light of a white scene there, over that of the brightest pixel, as in `RichardsonLucy`.
             white = self._direct(np.ones(self.source_shape, np.float32))
             self._gain = np.where(white > 0.005 * white.max(), self._gain, np.float32(0))
+
+    def _computed(self, bins: Sequence[Sequence[Any]], job: Job) -> contextlib.closing[Generator[Part, None, None]]:
+        """Return the results of the batches of bins, whose samples count as progress."""
+        done = self._done
+        self._done += _samples(bins)
+        batches = list(itertools.chain.from_iterable(bins))
+        return contextlib.closing(job.each(batches, [batch.samples for batch in batches], done, self._total))
 
     def _far_light(self, kernel: Kernel, distance: float, cell: Integers) -> float:
         """Return the light that falls beyond a cell's kernel, over that within.
@@ -507,8 +518,7 @@ class Response(StoredResponse):
         def light(cell: Integers) -> Any:
             left, top = (cell @ cells.samples + cells.first_sample - half).tolist()
             image = active_backend().arrays.zeros((1, 2 * half, 2 * half), np.float32)
-            batches = itertools.chain.from_iterable(self._batches(cells, distance, cell, 2))
-            with contextlib.closing(job.workers(batches)) as parts:
+            with self._computed(self._batches(cells, distance, cell, 2), job) as parts:
                 for block in parts:
                     box, sums = merged(block.box, block.sums[0], self._together)
                     add(Part(box, sums[None]), Box(left, top, 2 * half, 2 * half), image)
@@ -573,6 +583,11 @@ class Response(StoredResponse):
         samples = self._recorder.spread(light[..., None])[0]
         planes = zip(self.planes, self.bins, strict=True)
         return np.concatenate([bins.share @ plane.adjoint(samples).ravel() for plane, bins in planes]) * self._bright
+
+
+def _samples(bins: Iterable[Sequence[Any]]) -> int:
+    """Return the samples of the batches of bins, to which their time is about proportional."""
+    return sum(batch.samples for some in bins for batch in some)
 
 
 def _around(camera: PlenopticCamera, image: Floats) -> Floats:

@@ -164,14 +164,17 @@ class Points:
             spec = self.spec(point)
             if (key := repr((spec.parameters, spec.camera))) not in sizes:
                 scene = spec.load()
-                if not is_wave_capture(scene, spec.model):
+                by_waves = is_wave_capture(scene, spec.model)
+                if not by_waves:
                     refuse_by_rays(resume=self._store.resume or None, **for_waves)
                 camera = PlenopticCamera.from_sensor(scene.sensors()[0])
                 sizes[key] = camera.shape + (camera.bin_count if self.distances else ())
                 for distance in self.distances:
                     lens_data.image_distance(camera.focal_length, distance, name=DISTANCE)
             pixels = float(math.prod(sizes[key][:2]))
-            self._work += [pixels, *[of_image * pixels for _ in self.distances]]
+            # The first image waits for the white one.
+            white = 0.5 * (by_waves and not method.as_it_is)
+            self._work += [pixels, *[(of_image + white * (not index)) * pixels for index in range(len(self.distances))]]
         self.largest = tuple(map(max, zip(*sizes.values(), strict=True)))
 
     def compute(self, batch_map: BatchMap | None) -> Iterator[tuple[Capture, list[Array]]]:

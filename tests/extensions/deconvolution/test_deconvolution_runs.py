@@ -1,6 +1,7 @@
 """Deconvolution's longer runs: checkpoints, workers, volumes whose kernels lie on disk, and total variation."""
 
 import json
+import time
 
 import numpy as np
 import OpenEXR
@@ -72,6 +73,26 @@ def test_variation_lowers_the_error_of_an_even_and_noisy_target():
 
 
 TINY = SMALL.replace(detector_width=0.256, resolution=(128, 128))
+
+
+@pytest.mark.parametrize("lattice", ["square", pytest.param("hexagonal", marks=pytest.mark.slow)])
+def test_the_price_of_a_response_and_its_progress_follow_its_time_in_and_out_of_the_range(lattice):
+    camera = TINY.replace(mla_lattice=lattice)
+    options = {"camera": camera, "method": "incoherent", "wavelength": WAVELENGTH}
+    mp.reconstruct(np.ones(camera.shape, np.float32), 230, **options)
+    over = []
+    for distance in (258, 200):
+        start, reports = time.process_time(), []
+
+        def told(done, total, start=start, reports=reports):
+            reports.append((time.process_time() - start, done / total))
+
+        mp.reconstruct(np.ones(camera.shape, np.float32), distance, progress=told, **options)
+        seconds = time.process_time() - start
+        over.append(fourier.response_seconds(camera, distance, WAVELENGTH, 1.5) / seconds)
+    assert 0.5 < over[0] / over[1] < 2 and 0.25 < over[1] < 1.2
+    assert 0.2 < max(done for at, done in reports if at < seconds / 2) < 0.7
+    assert max(done for at, done in reports if at < seconds / 5) > 0.05
 
 
 def random_light(camera=TINY, channels=(3,), wavelengths=(633.0, 500.0, 450.0)):
