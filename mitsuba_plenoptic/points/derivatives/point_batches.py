@@ -26,7 +26,7 @@ from ...runtime import (
 )
 from ..patch import FieldChain, Memory, Parts, PatchBatch
 from ..patch_factors import Fields, PatchFactors
-from ..tile import Copies, CopySum, FieldBatch, reached
+from ..tile import Copies, FieldBatch, reached
 from ..windows import Windows, add_to_windows, gathered
 from .by_parameter import VaryingParameters
 
@@ -246,15 +246,15 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
         every = SpreadCopies.joined(work.copies)
         factors_of = [np.ones(len(every.places)), *every.places.T][: work.summed]
         weights = np.hstack([every.scaled(factor) for factor in factors_of])
-        size = np.array([box.rows, box.columns])
-        spreads = CopySum(all_windows, weights, finer_samples, size, batch.chained(finer)[0].stop)
+        spreads = arrays.zeros((weights.shape[1], box.rows, box.columns), np.float32)
     products = arrays.zeros((2, 2))
     memory = Memory(arrays)
     for points in batch.chained(finer):
         memory.restart()
         conjugate = factors.directions_of(returning, points)
         chain = FieldChain(factors.of_points(batch.parts, points), factors.axes, finer, memory, conjugate)
-        windows = all_windows.take(all_windows.of_patches(points.start, points.stop), points.start)
+        some = all_windows.of_patches(points.start, points.stop)
+        windows = all_windows.take(some, points.start)
         copies = SpreadCopies.joined(work.copies[points])
         along = [np.ones(len(copies.places))]
         if lattice and copies.moving.any():
@@ -265,7 +265,7 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
             with memory.lent():
                 products[:, axis] += chain.products(moment, moved)
         if spreads is not None:
-            spreads.add(points.start, (0, 0), chain.intensity)
+            add_to_windows(spreads, chain.intensity, windows, weights[some])
         *of_factors, transfer = chain.vjp(gradient, work.varies)
         for target, factor in zip(per_point, of_factors, strict=True):
             if target is not None:
@@ -278,4 +278,4 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
             add_to_windows(real[None], values, Windows(np.arange(len(values)), starts), ones)
     cotangents = [*per_point, total]
     products = batch.libraries.to_host(products)
-    return VjpResult(cotangents, products, None if spreads is None else Part(box, spreads.total()))
+    return VjpResult(cotangents, products, None if spreads is None else Part(box, spreads))
