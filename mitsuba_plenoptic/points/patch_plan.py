@@ -296,10 +296,7 @@ class PatchPlan:
         # No more batches are under way than there are.
         workers, threads = (min(count, len(self._chunks)) for count in (batch_map.workers, batch_map.threads))
         fields = (threads + 1) * fields_memory(samples)
-        tiles = workers + 1
-        if (self._last - self._first > 1).any():
-            tiles += 2 * threads  # with cells: buffers of patterns and of their sum
-        return channels * self._recorder.memory + tiles * tile + fields
+        return channels * self._recorder.memory + (workers + 1) * tile + fields
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> None:
         """Refuse sums too large for the memory."""

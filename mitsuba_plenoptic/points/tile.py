@@ -1,134 +1,21 @@
-"""Sums of many copies of patterns, each shifted by whole lenses, as products with a sparse matrix.
-
-If all copies are shifted by multiples of some width, patterns and their sum are divided into cells of that width. Each
-copy then adds whole cells, with equal weights for all samples of a cell. The sum is the product of a sparse matrix,
-with one row per cell of the sum, with the cells of the patterns.
-"""
+"""Sums of point spreads' intensities, and their products with images, on the rectangles of the grid they cover."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import numpy as np
-import scipy
 
 from ..optics import in_millimetres
-from ..runtime import Box, Doubles, Floats, Integers, Part, active_backend, array_module, backend_of, drjit_array, fft
+from ..runtime import Box, Doubles, Floats, Integers, Part, active_backend, array_module, drjit_array, fft
 from .field_grid import lens_amplitude
 from .patch import PatchBatch, PatchWorkspace
 from .patch_factors import Fields, fields_memory
-from .windows import Windows, add_on_device, products_on_device
-
-_TOGETHER = 2**20
-"""Samples of the patterns that are multiplied together, which fit into a core's caches."""
-
-
-@dataclass(frozen=True)
-class CopyCells:
-    """Patterns of one size, and their sum, divided into cells."""
-
-    width: Integers  # samples of a cell along x and y, (2,)
-    count: Integers  # largest number of cells that a pattern overlaps, (2,)
-
-    @classmethod
-    def of(cls, shifts: list[Integers], samples: int) -> CopyCells | None:
-        """Return cells for patterns of `samples` x `samples` and shifts of their copies; None if cells are slower.
-
-        `shifts` has an array (copies, 2) for each pattern, along x and y.
-        """
-        offsets = np.concatenate([shift - shift[0] for shift in shifts])
-        width = np.gcd.reduce(offsets, axis=0)
-        # Along an axis without motion, one cell contains the pattern.
-        width = np.where(width > 0, width, samples).astype(np.int64)
-        count = (samples + 2 * width - 2) // width
-        # 3: Mean number of copies of a pattern above which cells are faster.
-        # 64: Samples of a cell below which the matrix would be as large as the patterns.
-        pays = len(offsets) >= 3 * len(shifts) and width.prod() >= 64
-        # 4: Largest ratio of the samples of a pattern's cells to its own; smaller patterns are added one by one.
-        return cls(width, count) if pays and (count * width).prod() <= 4 * samples**2 else None
-
-    def sum(self, size: Integers, channels: int, patterns: int) -> CellSum:
-        """Return an empty sum of the given size along x and y, which buffers at least `patterns` at a time."""
-        return CellSum(self, size, channels, patterns)
-
-    def cut(self, planes: Any) -> Any:
-        """Return planes (n, x, y) of whole cells as (cells of all planes, samples)."""
-        shape = np.array(planes.shape[1:]) // self.width
-        cut = planes.reshape(len(planes), shape[0], self.width[0], shape[1], self.width[1])
-        return cut.transpose(0, 1, 3, 2, 4).reshape(-1, int(self.width.prod()))
-
-    def join(self, cells: Any, planes: int, shape: Integers) -> Any:
-        """Return planes of `shape` cells each, the inverse of `cut`."""
-        cells = cells.reshape(planes, *shape.tolist(), *self.width.tolist()).transpose(0, 1, 3, 2, 4)
-        return cells.reshape(planes, *(shape * self.width).tolist())
-
-
-class CellSum:
-    """A sum of copies of patterns, which are buffered and added several at a time."""
-
-    def __init__(self, cells: CopyCells, size: Integers, channels: int, patterns: int) -> None:
-        self._cells = cells
-        self._size = size
-        self._channels = channels
-        self._shape = size // cells.width + 1 + cells.count
-        self._arrays = active_backend().arrays
-        self._sums = self._arrays.zeros((channels * int(self._shape.prod()), int(cells.width.prod())), np.float32)
-        planes = max(patterns, _TOGETHER // int((cells.count * cells.width).prod()))
-        self.planes = self._arrays.zeros((planes, *(cells.count * cells.width).tolist()), np.float32)
-        self._held: dict[int, int] = {}
-        self._entries: list[tuple[Integers, Integers, Floats]] = []
-
-    def hold(self, pattern: int, positions: Integers, weights: Floats) -> tuple[int, int, int]:
-        """Return the buffer for a pattern's intensity, by its index in `planes`, and its first samples along x and y.
-
-        `positions` are the first samples of each copy along x and y. When another part of the pattern is written, its
-        index identifies it.
-        """
-        if pattern not in self._held:
-            self._held[pattern] = entry = len(self._held)
-            # The copies of the plane in the matrix.
-            inner = np.indices(self._cells.count.tolist()).reshape(2, -1)
-            x, y = (positions // self._cells.width).T[..., None] + inner[:, None]
-            copy, channel = np.nonzero(weights)
-            # The channels of a cell are adjacent, so that the cell they are added from stays in the processor's cache.
-            rows = (x[copy] * self._shape[1] + y[copy]) * self._channels + channel[:, None]
-            columns = np.broadcast_to(entry * inner.shape[1] + np.arange(inner.shape[1]), rows.shape)
-            values = np.broadcast_to(weights[copy, channel][:, None], rows.shape)
-            self._entries.append((rows.ravel(), columns.ravel(), values.ravel()))
-        x, y = (positions[0] % self._cells.width).tolist()
-        return self._held[pattern], x, y
-
-    @property
-    def free(self) -> int:
-        """Number of patterns that can be buffered before the next `add`."""
-        return len(self.planes) - len(self._held)
-
-    def add(self) -> None:
-        """Add the patterns in the buffer to the sum."""
-        if not self._held:
-            return
-        rows, columns, values = (np.concatenate(entries) for entries in zip(*self._entries, strict=True))
-        count = len(self._held)
-        shape = len(self._sums), count * int(self._cells.count.prod())
-        matrix: Any = scipy.sparse.csr_array((values, (rows, columns)), shape=shape)
-        libraries = active_backend()
-        if libraries.is_cuda:
-            matrix = libraries.sparse.csr_matrix(matrix)
-        self._sums += matrix @ self._cells.cut(self.planes[:count])
-        self.planes[:count] = 0
-        self._held = {}
-        self._entries = []
-
-    def total(self) -> Any:
-        """Return the sum, (channels, samples along x, along y)."""
-        self.add()
-        x, y = self._size.tolist()
-        sums = self._sums.reshape(*self._shape.tolist(), self._channels, *self._cells.width.tolist())
-        return self._cells.join(sums.transpose(2, 0, 1, 3, 4), self._channels, self._shape)[:, :x, :y]
+from .windows import Windows, add_to_windows, products, runs
 
 
 @dataclass(frozen=True)
@@ -139,72 +26,6 @@ class Copies:
     weights: Floats  # factors on the intensity, (copies, channels)
 
 
-class CopySum:
-    """Weighted sum of copies of patterns of one size, by cells where this is faster, otherwise copy by copy.
-
-    `places` are the first samples of each pattern's copies along both axes of the sum. Parts of `together` patterns may
-    be added alternately.
-    """
-
-    def __init__(
-        self, copies: Sequence[Copies], positions: list[Integers], samples: int, size: Integers, together: int
-    ) -> None:
-        self._places = positions
-        self._weights = [copy.weights for copy in copies]
-        self._together = together
-        self._last = 0
-        channels = self._weights[0].shape[1]
-        self._arrays = active_backend().arrays
-        # Cells depend only on the distances between copies, along the axes of `places`.
-        cells = CopyCells.of([position - position[0] for position in positions], samples)
-        self._cells = None if cells is None else cells.sum(size, channels, together)
-        self._sums: Any = None if self._cells else self._arrays.zeros((channels, *size.tolist()), np.float32)
-
-    def add(self, first: int, part: tuple[slice, slice], intensity: Any, work: Any = None) -> None:
-        """Add the copies of a part of patterns, from index `first` on; `work` is a buffer of the size of the parts."""
-        if self._cells is not None:
-            self._hold(self._cells, range(first, first + len(intensity)), part, intensity)
-        elif backend_of(intensity).is_cuda:
-            some = slice(first, first + len(intensity))
-            copies = Windows.of(self._places[some])
-            weights = np.concatenate(self._weights[some])
-            moved = replace(copies, start=copies.start + [along.start for along in part])
-            self._sums = add_on_device(self._sums, intensity, moved, weights)
-        else:
-            for pattern, spread in enumerate(intensity):
-                places = zip(self._places[first + pattern].tolist(), self._weights[first + pattern], strict=True)
-                for position, weights in places:
-                    window = tuple(
-                        slice(low + spread.start, low + spread.stop) for low, spread in zip(position, part, strict=True)
-                    )
-                    for channel in np.flatnonzero(weights).tolist():
-                        target = self._sums[(channel, *window)]
-                        weight = weights[channel]
-                        buffer = None if work is None else work[pattern]
-                        target += spread if weight == 1 else np.multiply(spread, weight, out=buffer)
-
-    def _hold(self, cells: CellSum, patterns: range, window: tuple[slice, slice], intensity: Any) -> None:
-        """Write a part of patterns into the buffer of cells, all at once on a device."""
-        if patterns[0] // self._together != self._last and cells.free < self._together:
-            cells.add()
-        self._last = patterns[0] // self._together
-        entries = np.array([cells.hold(pattern, self._places[pattern], self._weights[pattern]) for pattern in patterns])
-        if backend_of(intensity).is_cuda:
-            along_x, along_y = (
-                self._arrays.asarray(start[:, None] + np.arange(along.start, along.stop))
-                for start, along in zip(entries[:, 1:].T, window, strict=True)
-            )
-            planes = self._arrays.asarray(entries[:, 0])
-            cells.planes[planes[:, None, None], along_x[:, :, None], along_y[:, None]] = intensity
-        else:
-            for (plane, x, y), spread in zip(entries.tolist(), intensity, strict=True):
-                cells.planes[plane, x:, y:][window] = spread
-
-    def total(self) -> Any:
-        """Return the sum, (channels, ...)."""
-        return self._sums if self._cells is None else self._cells.total()
-
-
 class PatchTile:
     """The rectangle of the grid that the point spreads of one batch cover."""
 
@@ -213,54 +34,44 @@ class PatchTile:
         self._copies = copies
         self.box = reached(batch.corner, batch.samples, copies)
         low = np.array([self.box.left, self.box.top])
-        self._places = [corner + copy.shifts - low for corner, copy in zip(batch.corner, copies, strict=True)]
+        self._windows = Windows.of(
+            [corner + copy.shifts - low for corner, copy in zip(batch.corner, copies, strict=True)]
+        )
         self._arrays = active_backend().arrays
         # The intensities of several points would not fit into a core's cache together.
         together = batch.together if batch.libraries.is_cuda else 1
         self._block = min(batch.sizes.block, together * batch.samples**2)
-        self._scratch = self._arrays.empty((2, self._block), np.float32)
+        self._scratch = self._arrays.empty(self._block, np.float32)
         self._squares = self._arrays.empty(2 * self._block, np.float32)
 
     def sum(self) -> Part:
         """Return the sum of the weighted intensities of all copies."""
-        size = np.array([self.box.columns, self.box.rows])
-        together = self._batch.together
-        sums = CopySum(self._copies, self._places, self._batch.samples, size, together)
-        for first, window, intensity, weighted in self._intensities():
-            sums.add(first, window, intensity, weighted)
-        return Part(self.box, sums.total().transpose(0, 2, 1))
+        weights = np.concatenate([copy.weights for copy in self._copies])
+        sums = self._arrays.zeros((weights.shape[1], self.box.columns, self.box.rows), np.float32)
+        for first, inside, intensity in self._intensities():
+            some = self._windows.of_patches(first, first + len(intensity))
+            add_to_windows(sums, intensity, self._windows.take(some, first, inside), weights[some])
+        return Part(self.box, sums.transpose(0, 2, 1))
 
     def products(self, samples: Floats) -> list[Doubles]:
         """Return the products, (copies, channels), of each copy's intensity with the samples of the tile, summed."""
         turned = self._arrays.ascontiguousarray(self._arrays.asarray(samples).transpose(0, 2, 1))
-        if self._batch.libraries.is_cuda:
-            products = []
-            for first, _, intensity, _ in self._intensities():
-                windows = Windows.of(self._places[first : first + len(intensity)])
-                products.append(products_on_device(turned, intensity, windows))
-            joined = self._batch.libraries.to_host(self._arrays.concatenate(products))
-            return np.split(joined, np.cumsum([len(positions) for positions in self._places])[:-1])
-        products = [np.zeros((len(positions), len(turned))) for positions in self._places]
-        for first, (along_x, along_y), intensities, _ in self._intensities():
-            for point, intensity in enumerate(intensities, first):
-                for copy, (x, y) in enumerate(self._places[point].tolist()):
-                    region = turned[:, x + along_x.start : x + along_x.stop, y + along_y.start : y + along_y.stop]
-                    # Only rows are summed in single precision, which limits rounding errors.
-                    products[point][copy] += np.einsum("cij,ij->ci", region, intensity).sum(1, dtype=np.float64)
-        return products
+        sums = self._arrays.zeros((len(self._windows.patch), len(turned)))
+        for first, inside, intensity in self._intensities():
+            some = self._windows.of_patches(first, first + len(intensity))
+            sums[some] += products(turned, intensity, self._windows.take(some, first, inside))
+        ends = np.cumsum([len(copy.shifts) for copy in self._copies])
+        return np.split(self._batch.libraries.to_host(sums), ends[:-1])
 
     def powers(self) -> Doubles:
         """Return the sum of the samples of each point's intensity, (points,)."""
         sums = self._arrays.zeros(len(self._copies), np.float64)
-        for first, _, intensity, _ in self._intensities():
+        for first, _, intensity in self._intensities():
             sums[first : first + len(intensity)] += intensity.sum(2).sum(1, dtype=np.float64)
         return self._batch.libraries.to_host(sums)
 
-    def _intensities(self) -> Iterator[tuple[int, tuple[slice, slice], Any, Any]]:
-        """Yield the intensities of all points in parts, (points, along x, along y), each with a buffer of equal size.
-
-        Before them come the first point, and the part's position along both axes.
-        """
+    def _intensities(self) -> Iterator[tuple[int, tuple[int, int], Any]]:
+        """Yield the first point, the first samples along x and y, and the intensity, of parts (points, along x, y)."""
         batch = self._batch
         arrays = self._arrays
         work = PatchWorkspace(batch)
@@ -270,20 +81,15 @@ class PatchTile:
                 count, length, width = fields.shape
                 rows = max(1, min(length, self._block // width))
                 for points, along_x in itertools.product(
-                    _runs(count, max(1, self._block // (rows * width))), _runs(length, rows)
+                    runs(count, max(1, self._block // (rows * width))), runs(length, rows)
                 ):
                     field = fields[points, along_x]
-                    intensity, weighted = self._scratch[:, : field.size].reshape(2, *field.shape)
+                    intensity = self._scratch[: field.size].reshape(field.shape)
                     squares = self._squares[: 2 * field.size].reshape(*field.shape[:2], -1)
                     arrays.copyto(squares.view(np.complex64), field)
                     arrays.multiply(squares, squares, out=squares)
                     arrays.add(squares[..., ::2], squares[..., 1::2], out=intensity)
-                    yield first + points.start, (along_x, along_y), intensity, weighted
-
-
-def _runs(length: int, step: int) -> Iterator[slice]:
-    """Yield slices of at most `step` that cut a length."""
-    return (slice(start, min(start + step, length)) for start in range(0, length, step))
+                    yield first + points.start, (along_x.start, along_y.start), intensity
 
 
 def reached(corner: Integers, samples: int, copies: Sequence[Copies], finer: int = 1) -> Box:
@@ -357,7 +163,7 @@ def aperture_power(fields: Fields) -> Doubles:
     pitch = batch.samples * grid.pitch / size
     cosine = in_millimetres(grid.wavelength) / (2 * float(pitch.min()))
     result = np.empty(len(batch.pupil))
-    for points in _runs(len(result), batch.together):
+    for points in runs(len(result), batch.together):
         pupil = batch.pupil[points]
         field = arrays.zeros((len(pupil), size, size), np.complex64)
         field[:, :directions, :directions] = pupil

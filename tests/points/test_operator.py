@@ -15,7 +15,6 @@ from mitsuba_plenoptic.points.derivatives import DIFFERENTIABLE, plan
 from mitsuba_plenoptic.points.full_fields import FullFieldSum
 from mitsuba_plenoptic.points.patch_plan import PatchSum
 from mitsuba_plenoptic.points.pupil_weights import PupilWeights
-from mitsuba_plenoptic.points.tile import CopyCells
 from mitsuba_plenoptic.runtime.batches import Threads
 
 SMALL = small_camera(4, **HALF)
@@ -213,22 +212,6 @@ def test_many_points_keep_their_power_whatever_hides_others():
     open_ones = (np.arange(600) < 300).astype(float)
     image = CaptureOperator(camera, points, wavelength=550.0, accuracy=0.01, pupil_weights=seen).forward(open_ones)
     assert image.sum(dtype=float) == pytest.approx(300, rel=0.002)
-
-
-@pytest.mark.parametrize("lattice", ["square", pytest.param("hexagonal", marks=pytest.mark.slow)])
-def test_captures_are_the_same_either_way(monkeypatch, lattice):
-    """Of many radiators that share patterns, on lattices of which every second row lies half a lens aside, too."""
-    camera = small_camera(8, mla_lattice=lattice)
-    points = in_every_lens(camera, 5, 225.0)
-    weights = np.random.default_rng(2).random((len(points), 2))
-    used = []
-    choose = CopyCells.of
-    monkeypatch.setattr(CopyCells, "of", lambda *given: used.append(choose(*given)) or used[-1])
-    by_cells = CaptureOperator(camera, points, wavelength=550.0, accuracy=0.1).forward(weights)
-    assert any(used), "no copies were added by cells"
-    monkeypatch.setattr(CopyCells, "of", lambda *given: None)
-    one_by_one = CaptureOperator(camera, points, wavelength=550.0, accuracy=0.1).forward(weights)
-    assert np.linalg.norm(by_cells - one_by_one) <= 2e-6 * np.linalg.norm(one_by_one)
 
 
 def test_pupil_weights_do_not_turn_with_the_lattice():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
@@ -15,22 +15,19 @@ from ...camera import PlenopticCamera
 from ...runtime import (
     Box,
     Doubles,
-    Field,
     Flags,
     Floats,
-    Integers,
     Part,
     active_backend,
     array_module,
-    backend_of,
     drjit_array,
     fft,
     turn,
 )
 from ..patch import FieldChain, Memory, Parts, PatchBatch
 from ..patch_factors import Fields, PatchFactors
-from ..tile import Copies, CopySum, FieldBatch, reached
-from ..windows import Windows, add_on_device, gathered_on_device
+from ..tile import Copies, FieldBatch, reached
+from ..windows import Windows, add_to_windows, gathered
 from .by_parameter import VaryingParameters
 
 MOVED_LENSES = ("mla_pitch", "mla_distance", "mla_rotation")
@@ -66,10 +63,6 @@ def copy_slopes(camera: PlenopticCamera, wavelength: float, name: str) -> Double
     return np.array([[none, growth / wavelength * identity]])
 
 
-_BLOCK = 2**18
-"""Number of samples that are gathered together: they fit into the cache of one core."""
-
-
 @dataclass(frozen=True)
 class SpreadCopies(Copies):
     """Positions and weights of the copies of a point spread, and the changes of the copies."""
@@ -82,41 +75,16 @@ class SpreadCopies(Copies):
         """Return the copies of several point spreads, one after another."""
         return cls(*(np.concatenate([getattr(batch, field.name) for batch in batches]) for field in fields(cls)))
 
-    def summed(self, sums: int) -> SpreadCopies:
-        """Return the copies with weights repeated for 1 or 3 sums; of 3, the last two have weights times positions."""
-        factors = [np.ones(len(self.places)), *self.places.T][:sums]
-        weights = np.hstack([self.weights * factor[:, None].astype(np.float32) for factor in factors])
-        return replace(self, weights=weights)
+    def scaled(self, scale: Doubles) -> Floats:
+        """Return the weights, each times the scale of its copy."""
+        return np.asarray(scale[:, None] * self.weights, np.float32)
 
 
-def _windows(work: JvpBatch | VjpBatch, batch: PatchBatch, box: Box, points: slice) -> Windows:
-    """Return the windows of some points' copies in a box of the grid, which is finer than the patches."""
+def _windows(work: JvpBatch | VjpBatch, batch: PatchBatch, box: Box) -> Windows:
+    """Return the windows of all copies in a box of the grid, which is finer than the patches."""
     low = np.array([box.left, box.top])
-    corners = zip(batch.corner[points], work.copies[points], strict=True)
+    corners = zip(batch.corner, work.copies, strict=True)
     return Windows.of([(work.finer * (corner + copies.shifts) - low)[:, ::-1] for corner, copies in corners])
-
-
-def gathered(tile: Floats, windows: Windows, weights: Floats, moments: Doubles, size: int) -> list[Floats]:
-    """Return the weighted sums (patches, size, size) of each patch's windows in a tile, one for each row of `moments`.
-
-    The tile (channels, rows, columns) covers the box of the windows. Their weights are (windows, channels), times those
-    of a row of `moments`, (sums, windows).
-    """
-    libraries = backend_of(tile)
-    if libraries.is_cuda:
-        return gathered_on_device(tile, windows, weights, moments, (size, size))
-    points, channels = np.nonzero(weights)
-    factors = (moments[:, points] * weights[points, channels]).astype(np.float32)
-    places = [windows.start[window].tolist() for window in points]
-    result = np.empty((len(moments), 1, size, size), np.float32)
-    block = max(1, _BLOCK // max(1, len(points) * size))
-    for first in range(0, size, block):
-        last = min(size, first + block)
-        blocks = np.empty((len(points), last - first, size), np.float32)
-        for part, (top, left), channel in zip(blocks, places, channels.tolist(), strict=True):
-            part[...] = tile[channel, top + first : top + last, left : left + size]
-        result[:, 0, first:last] = (factors @ blocks.reshape(len(points), -1)).reshape(len(moments), last - first, size)
-    return list(result)
 
 
 def varying_factors(fields: Fields, parameters: VaryingParameters) -> tuple[bool, ...]:
@@ -188,13 +156,14 @@ def _jvp(work: JvpBatch, batch: PatchBatch, changes: list[Parts], lattice: list[
     channels = work.copies[0].weights.shape[1]
     box = reached(batch.corner, batch.samples, work.copies, finer)
     parts = len(changes) + (3 if work.placed else 1)
-    sums = list(arrays.zeros((parts, channels, box.rows, box.columns), np.float32))
+    sums = arrays.zeros((parts, channels, box.rows, box.columns), np.float32)
     of_points = batch.factors.of_points
     memory = Memory(arrays)
+    all_windows = _windows(work, batch, box)
     for points in batch.chained(finer):
         memory.restart()
         chain = FieldChain(of_points(batch.parts, points), batch.factors.axes, finer, memory)
-        windows = _windows(work, batch, box, points)
+        windows = all_windows.take(all_windows.of_patches(points.start, points.stop), points.start)
         copies = SpreadCopies.joined(work.copies[points])
         unchanged = np.ones(len(copies.weights))
         moved = []
@@ -206,30 +175,13 @@ def _jvp(work: JvpBatch, batch: PatchBatch, changes: list[Parts], lattice: list[
             for axis in (0, 1) if moved and slopes.any() else ():
                 both: Any = sum(np.float32(slope) * move for slope, move in zip(slopes[:, axis], moved, strict=True))
                 terms.append((chain.jvp_of_spectrum(both), places[:, axis]))
-            lit = [(slope, scale) for slope, scale in terms if slope is not None]
-            sums[number] = _added(sums[number], lit, copies, windows)
+            for slope, scale in terms:
+                if slope is not None:
+                    add_to_windows(sums[number], slope, windows, copies.scaled(scale))
         intensity = chain.intensity
         for number, scale in zip(range(len(changes), parts), (unchanged, *copies.places.T), strict=False):
-            sums[number] = _added(sums[number], [(intensity, scale)], copies, windows)
-    return Part(box, arrays.concatenate(sums))
-
-
-def _added(sums: Any, terms: list[tuple[Any, Doubles]], copies: SpreadCopies, windows: Windows) -> Any:
-    """Return sums with terms, multiplied by each copy's factors and weights, added to the window of each copy."""
-    if not terms:
-        return sums
-    if backend_of(sums).is_cuda:
-        for value, scale in terms:
-            sums = add_on_device(sums, value, windows, (scale[:, None] * copies.weights).astype(np.float32))
-        return sums
-    size = terms[0][0].shape[-1]
-    for copy, (patch, (top, left)) in enumerate(zip(windows.patch.tolist(), windows.start.tolist(), strict=True)):
-        total = sum(
-            value[patch] if scale[copy] == 1 else np.float32(scale[copy]) * value[patch] for value, scale in terms
-        )
-        for channel in np.flatnonzero(copies.weights[copy]).tolist():
-            sums[channel, top : top + size, left : left + size] += copies.weights[copy, channel] * total
-    return sums
+            add_to_windows(sums[number], intensity, windows, copies.scaled(scale))
+    return Part(box, sums.reshape(-1, box.rows, box.columns))
 
 
 @dataclass(frozen=True)
@@ -288,23 +240,21 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
     returning = arrays.conj(batch.parts[-1])
     spreads = None
     finer_samples = finer * batch.samples
+    all_windows = _windows(work, batch, box)
     if work.summed:
-        summed = [copies.summed(work.summed) for copies in work.copies]
-        low = np.array([box.left, box.top])
-        places = [
-            (finer * (corner + copies_of.shifts) - low)[:, ::-1]
-            for corner, copies_of in zip(batch.corner, summed, strict=True)
-        ]
-        size = np.array([box.rows, box.columns])
-        together = batch.chained(finer)[0].stop
-        spreads = CopySum(summed, places, finer_samples, size, together)
+        # With the weights, and if there are 3 sums, with the weights times the positions.
+        every = SpreadCopies.joined(work.copies)
+        factors_of = [np.ones(len(every.places)), *every.places.T][: work.summed]
+        weights = np.hstack([every.scaled(factor) for factor in factors_of])
+        spreads = arrays.zeros((weights.shape[1], box.rows, box.columns), np.float32)
     products = arrays.zeros((2, 2))
     memory = Memory(arrays)
     for points in batch.chained(finer):
         memory.restart()
         conjugate = factors.directions_of(returning, points)
         chain = FieldChain(factors.of_points(batch.parts, points), factors.axes, finer, memory, conjugate)
-        windows = _windows(work, batch, box, points)
+        some = all_windows.of_patches(points.start, points.stop)
+        windows = all_windows.take(some, points.start)
         copies = SpreadCopies.joined(work.copies[points])
         along = [np.ones(len(copies.places))]
         if lattice and copies.moving.any():
@@ -315,25 +265,17 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
             with memory.lent():
                 products[:, axis] += chain.products(moment, moved)
         if spreads is not None:
-            spreads.add(points.start, (slice(0, finer_samples),) * 2, chain.intensity)
+            add_to_windows(spreads, chain.intensity, windows, weights[some])
         *of_factors, transfer = chain.vjp(gradient, work.varies)
         for target, factor in zip(per_point, of_factors, strict=True):
             if target is not None:
                 target[points] = factor
         if total is not None and transfer is not None:
-            total = _added_directions(total, transfer, factors.first_directions[points, ::-1])
+            # Real and imaginary parts as neighbouring columns.
+            starts = factors.first_directions[points, ::-1] * np.array([1, 2])
+            real, values = (array.view(np.float32) for array in (total, transfer))
+            ones = np.ones((len(values), 1), np.float32)
+            add_to_windows(real[None], values, Windows(np.arange(len(values)), starts), ones)
     cotangents = [*per_point, total]
     products = batch.libraries.to_host(products)
-    return VjpResult(cotangents, products, None if spreads is None else Part(box, spreads.total()))
-
-
-def _added_directions(total: Field, parts: Field, starts: Integers) -> Field:
-    """Return cotangents of a transfer function with those of points (n, rows, columns) added to their windows."""
-    if backend_of(total).is_cuda:
-        windows = Windows(np.arange(len(parts)), starts * np.array([1, 2]))
-        # Real and imaginary parts as neighbouring columns.
-        real, values = (array.view(np.float32) for array in (total, parts))
-        return add_on_device(real[None], values, windows, np.ones((len(parts), 1), np.float32))[0].view(np.complex64)
-    for window, (top, left) in zip(parts, starts.tolist(), strict=True):
-        total[top : top + window.shape[0], left : left + window.shape[1]] += window
-    return total
+    return VjpResult(cotangents, products, None if spreads is None else Part(box, spreads))
