@@ -100,14 +100,20 @@ def products(planes: Floats, values: Floats, windows: Windows) -> Any:
     arrays = libraries.arrays
     channels = len(planes)
     size = values.shape[1:]
-    starts, patch = (np.repeat(each, channels, 0) for each in (windows.start, windows.patch))
-    plane = np.tile(np.arange(channels), len(windows.patch))
     sums = []
-    for some in runs(len(plane), max(1, _LANES // math.prod(size)) if libraries.is_cuda else 1):
-        part = taken(planes, plane[some], starts[some], size)
-        spread = taken(values, patch[some], np.zeros_like(starts[some]), size)
-        # Only rows are summed in single precision, which limits rounding errors.
-        sums.append(arrays.einsum("nij,nij->ni", part, spread).sum(1, dtype=np.float64))
+    # Only rows are summed in single precision, which limits rounding errors.
+    if not libraries.is_cuda:
+        rows, columns = size
+        for patch, (top, left) in zip(windows.patch.tolist(), windows.start.tolist(), strict=True):
+            window = planes[:, top : top + rows, left : left + columns]
+            sums.append(np.einsum("cij,ij->ci", window, values[patch]).sum(1, dtype=np.float64))
+        return np.array(sums).reshape(-1, channels)
+    starts, patches = (np.repeat(numbers, channels, 0) for numbers in (windows.start, windows.patch))
+    plane = np.tile(np.arange(channels), len(windows.patch))
+    for some in runs(len(plane), max(1, _LANES // math.prod(size))):
+        samples = taken(planes, plane[some], starts[some], size)
+        spread = taken(values, patches[some], np.zeros_like(starts[some]), size)
+        sums.append(arrays.einsum("nij,nij->ni", samples, spread).sum(1, dtype=np.float64))
     return arrays.concatenate(sums).reshape(-1, channels)
 
 
@@ -122,9 +128,11 @@ def gathered(planes: Floats, windows: Windows, weights: Floats, moments: Doubles
     count = int(windows.patch[-1]) + 1
     matrix = np.zeros((len(moments), count, len(window)), np.float32)
     matrix[:, windows.patch[window], np.arange(len(window))] = moments[:, window] * weights[window, channel]
-    total = arrays.zeros((len(moments) * count, size * size), np.float32)
-    for some in runs(len(window), max(1, (_LANES if libraries.is_cuda else _BLOCK) // size**2)):
-        parts = taken(planes, channel[some], windows.start[window[some]], (size, size))
-        factors = arrays.asarray(np.ascontiguousarray(matrix[..., some].reshape(len(total), -1)))
-        total += factors @ parts.reshape(len(parts), -1)
-    return list(total.reshape(len(moments), count, size, size))
+    factors = arrays.asarray(matrix.reshape(-1, len(window)))
+    result = arrays.empty((len(factors), size, size), np.float32)
+    block = (_LANES if libraries.is_cuda else _BLOCK) // max(1, len(window) * size)
+    for rows in runs(size, max(1, block)):
+        height = rows.stop - rows.start
+        samples = taken(planes, channel, windows.start[window] + (rows.start, 0), (height, size))
+        result[:, rows] = (factors @ samples.reshape(len(window), -1)).reshape(-1, height, size)
+    return list(result.reshape(len(moments), count, size, size))

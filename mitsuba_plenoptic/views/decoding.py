@@ -293,10 +293,10 @@ def _sampled(image: Floats, lenses: LensGrid, growth: np.ndarray, half: int) -> 
     last = np.array([[image.shape[1]], [image.shape[0]]]) - 1
     offset = np.arange(-half, half + 1)
     for out, row, steps in zip(samples, lenses.centres() - 0.5, growth, strict=True):
-        place = row[..., None] + steps[:, None, None] * offset
+        position = row[..., None] + steps[:, None, None] * offset
         for corner in itertools.product((0, 1), (0, 1)):
-            pixel = np.floor(place).astype(np.int64) + np.array(corner)[:, None]
-            share = ((1 - abs(place - pixel)) * ((pixel >= 0) & (pixel <= last))).astype(np.float32)
+            pixel = np.floor(position).astype(np.int64) + np.array(corner)[:, None]
+            share = ((1 - abs(position - pixel)) * ((pixel >= 0) & (pixel <= last))).astype(np.float32)
             (x, y), (wx, wy) = (np.moveaxis(values, 1, 0) for values in (pixel.clip(0, last), share))
             out += image[y[:, :, None], x[:, None]] * (wy[:, :, None] * wx[:, None])[..., None]
     return samples

@@ -215,7 +215,7 @@ def _straightened(lf: xr.DataArray, disparities: Array) -> Array:
     if not is_focused(lf) and (camera.pixel_response or camera.mla_absorption):
         radius = np.hypot(x, y)
         radii = np.linspace(0, radius.max(), 9)
-        aside = np.interp(radius, radii, [_preferred(camera, place) for place in radii])
+        aside = np.interp(radius, radii, [_preferred(camera, distance) for distance in radii])
         slope = (slope + aside) / (1 + aside * np.mean([camera.pupil_shift(f2) for f2 in camera.mla_focal_lengths]))
     return -(slope - height / (camera.pupil_distance - height)) * size
 

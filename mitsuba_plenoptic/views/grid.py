@@ -210,9 +210,9 @@ def lens_indices(camera: PlenopticCamera, centres: Array) -> tuple[Doubles, Doub
 def array_places(camera: PlenopticCamera, centres: Array) -> Doubles:
     """Return the places in mm on the array of the lenses of micro-image centres (..., 2), x and y."""
     p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
-    place = np.moveaxis(rays.chief_point(camera, p), -1, 0)
-    nearer, _ = camera.tilted_growth(camera.array_height(*place))
-    return np.asarray(place * nearer)
+    position = np.moveaxis(rays.chief_point(camera, p), -1, 0)
+    nearer, _ = camera.tilted_growth(camera.array_height(*position))
+    return np.asarray(position * nearer)
 
 
 def lens_types(camera: PlenopticCamera, centres: Array) -> Array:

@@ -130,9 +130,9 @@ class RaySum:
         return np.ascontiguousarray(np.moveaxis(active_backend().to_host(total.sums), 0, -1))
 
     @staticmethod
-    def _scene_rays(walk: Walk, pupil: Pair, place: Pair, valid: Any, height: Any = 0.0) -> tuple[Any, Any, Any]:
+    def _scene_rays(walk: Walk, pupil: Pair, position: Pair, valid: Any, height: Any = 0.0) -> tuple[Any, Any, Any]:
         """Return the starts in the scene and the slopes of rays through pupil and array points, and a mask."""
-        start, slope, _ = walk.through_pupil(pupil, place, height)
+        start, slope, _ = walk.through_pupil(pupil, position, height)
         # Outside the aperture, surfaces may reflect rays totally, whose values are not finite then.
         return start, slope, valid & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
 
@@ -442,9 +442,11 @@ class SignedRaySum(RaySum):
             walk, nodes = self._groups[group]
             colours = batch.wavelengths[group]
             scene_rays = self._scene_rays(walk, ray.P, ray.m, ray.valid, samples.lens.height)
-            drawn = [[dr.gather(mi.Float, value, samples.pixel) for value in colours.wavelengths]] if colours else []
+            wavelengths = (
+                [[dr.gather(mi.Float, value, samples.pixel) for value in colours.wavelengths]] if colours else []
+            )
             # The radiance along the rays, as far as the pixels receive it.
-            radiance = [light * power for light in self._light(*scene_rays, batch.seed, *drawn)]
+            radiance = [light * power for light in self._light(*scene_rays, batch.seed, *wavelengths)]
             count_lanes(dr.width(power))
             # What the coefficients depend on, once for nodes that have those of a ray at the same place of tables.
             alike: dict[Any, list[int]] = {}

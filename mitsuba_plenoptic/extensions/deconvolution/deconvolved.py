@@ -105,8 +105,8 @@ def refocus(task: Task, **options: Any) -> list[Found]:
                 solved += list(_solve(task, response, channel, options, most, noise, solved, arrays, stepped))
                 # Only the first of them had been begun.
                 arrays = {}
-    found = dict(zip(order, solved, strict=True))
-    by_plane = [[found[plane, channel] for channel in range(len(lights))] for plane in planes]
+    images = dict(zip(order, solved, strict=True))
+    by_plane = [[images[plane, channel] for channel in range(len(lights))] for plane in planes]
     return [
         Found(np.stack([plane_image.image for plane_image in of_plane], axis=-1), _facts(task, distance, of_plane))
         for distance, of_plane in zip(task.distances, by_plane, strict=True)

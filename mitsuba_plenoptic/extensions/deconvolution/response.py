@@ -405,12 +405,12 @@ class Response(StoredResponse):
             self._far = far_light / dim.clip(0.1)
         if wavelength is None:
             # Samples show borders of micro-images but roughly, and steps would amplify that: white is exact.
-            made = self._direct(np.full(self.source_shape, 1 / len(distances), np.float32))
+            flat = self._direct(np.full(self.source_shape, 1 / len(distances), np.float32))
             white = white_image(recorded.replace(**SHARP))
             # White images are not of light so oblique that a medium, or an even spacing, moves it by pixels.
-            if np.linalg.norm(white - made) < 0.25 * np.linalg.norm(white):
-                seen = made > 1e-3 * made.max()
-                self._gain = self._gain * np.divide(white, made, out=np.zeros_like(made), where=seen).clip(0, 20)
+            if np.linalg.norm(white - flat) < 0.25 * np.linalg.norm(white):
+                seen = flat > 1e-3 * flat.max()
+                self._gain = self._gain * np.divide(white, flat, out=np.zeros_like(flat), where=seen).clip(0, 20)
         if recorded.stray_light:
             # Interpolation leaves less than no light between micro-images, which steps would divide stray light by.
             # 0.005: Light of a white scene there, over that of the brightest pixel, as in `RichardsonLucy`.
