@@ -11,3 +11,4 @@ from .signed_capture import SignedGradients as SignedGradients
 from .spectral_nodes import Node as Node
 from .spectral_nodes import WavelengthSampler as WavelengthSampler
 from .spectral_nodes import mixed as mixed
+from .white_capture import WhiteCapture as WhiteCapture

@@ -119,6 +119,11 @@ class SignedCapture:
         shortest = min((node.plan for node in self.nodes), key=lambda plan: plan.wavelength)
         return shortest.parts(self.accuracy < FINE)
 
+    @property
+    def _kind(self) -> type[SignedRaySum]:
+        """The kind of the sums of which a capture is the mean."""
+        return SignedRaySum
+
     def sums(
         self,
         spp: int,
@@ -170,7 +175,7 @@ class SignedCapture:
             plans = _STEPS * len(self.nodes)
             planned = plans / (plans + _STEPS_OF_RAY * math.prod(self.camera.shape) * spp)
         with steps_counted(lambda done: show(planned * done) if planned else None, _STEPS * len(self.nodes)):
-            sums = self.sums(spp, seed, runs, SignedRaySum)
+            sums = self.sums(spp, seed, runs, self._kind)
             first = sums[0]()
         items = int(first.items.sum())
         if runs == 1:
