@@ -1,5 +1,8 @@
 """What other folders and extensions may use of `rays`."""
 
+from .edges import STAR as STAR
+from .edges import lens_cells as lens_cells
+from .edges import light_of_cells as light_of_cells
 from .entrance import Entrances as Entrances
 from .entrance import LensWindow as LensWindow
 from .lens_choice import CHIEF as CHIEF

@@ -7,13 +7,10 @@
 
 from __future__ import annotations
 
-import functools
-import itertools
 import logging
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -24,8 +21,8 @@ from ..detector import DetectorOperator
 from ..errors import InputError, refuse_if, short_repr, warn
 from ..io import Capture, recording_of, require_demosaiced
 from ..optics import second_leg
-from ..rays import Passage, Walk, deflects_cosines, detector_rows, even_steps
-from ..runtime import Array, Floats, Pair, array_module, as_pixels, fft, require_memory
+from ..rays import STAR, Passage, Walk, deflects_cosines, detector_rows, even_steps, lens_cells, light_of_cells
+from ..runtime import Array, Floats, array_module, as_pixels, fft, require_memory
 from .grid import LensGrid, lens_indices, lens_numbers, lens_types, micro_image_centres
 
 # Samples that see less of the pupil than this, or whose lens is darker, are left out: dividing by so little would only
@@ -137,10 +134,6 @@ _DIM = 1 / 2
 
 _MOST = 4
 """Cells along a side of a pixel or a lens at most."""
-
-_ASIDE = math.sqrt(0.15)
-_STAR = _ASIDE * np.vstack([np.zeros(4), *([-axis, axis] for axis in np.eye(4))])
-"""Offsets of rays from the middle of a cell, over its widths: along each axis Gauss's quadrature with three points."""
 
 _log = logging.getLogger(__name__)
 
@@ -428,7 +421,7 @@ def _traced(camera: PlenopticCamera) -> Floats:
                 place.append(types.Float(lane % count) + 0.5)
                 lane //= count
             rays = []
-            offsets = [*_STAR]
+            offsets = [*STAR]
             if camera.aperture_image is not None:
                 # Light that changes in steps is that of one ray of each cell.
                 offsets.append([number * step - dr.floor(number * step) - 0.5 for step in even_steps(4).tolist()])
@@ -442,7 +435,7 @@ def _traced(camera: PlenopticCamera) -> Floats:
                     aside = dr.hypot(passage.point[0] - position[0], passage.point[1] - position[1])
                     power *= response(aside, camera.detector_distance + lens.height)
                 rays.append((inside, types.Float(power)))
-            dr.scatter_add(total, dr.block_sum(types.Float(_light(rays)), cells) / cells, lit)
+            dr.scatter_add(total, dr.block_sum(types.Float(light_of_cells(rays)), cells) / cells, lit)
         image[rows] = total.numpy().reshape(-1, camera.crop_size[0])
     return image
 
@@ -459,44 +452,4 @@ def _cells(walk: Walk, smear: float) -> tuple[int, int, int, int]:
     # The response of pixels has a tip where light is upright.
     wide = _MOST if steps else max(3 if camera.pixel_response else 0, 4 * smear * lattice.aperture_width / radius)
     wide = min(_MOST, wide)
-    if lattice.aperture == "circle":
-        return pixel, pixel, math.ceil(wide) or 1, max(3, math.ceil(3 * wide))
-    # Cells of lenses are squares, or three rhombi one after the other.
-    sectors = 1 if lattice.rectangular else 3
-    side = math.ceil(wide / math.sqrt(sectors)) or 1
-    return pixel, pixel, sectors * side, side
-
-
-def _light(rays: list[Pair]) -> Any:
-    """Return the mean light of cells, of which the side of a straight edge counts that is inside.
-
-    Distance and light of the rays of `_STAR` are linear over a cell, up to curvatures, which change their means. The
-    distance is a sum of four evenly distributed numbers, whose chance to be positive is an alternating sum of powers.
-    """
-    (distance, widths), (power, rises) = (
-        (
-            middle + sum(end - middle for end in ends) / (24 * _ASIDE**2),
-            [(high - low) / (2 * _ASIDE) for low, high in zip(ends[::2], ends[1::2], strict=True)],
-        )
-        for middle, *ends in zip(*rays[: len(_STAR)], strict=True)
-    )
-    slope = sum(a * b for a, b in zip(widths, rises, strict=True)) / dr.maximum(sum(a * a for a in widths), 1e-30)
-    if len(rays) > len(_STAR):
-        slope = 0.0
-        power = rays[-1][1]
-    kind = dr.float64_array_t(type(distance))
-    widths = [dr.abs(width) for width in widths]
-    # Of narrower ones rounding is more than they change.
-    least = dr.maximum(0.02 * functools.reduce(dr.maximum, widths), 1e-9)
-    widths = [kind(dr.maximum(width, least)) for width in widths]
-    distance = dr.clip(kind(distance), -sum(widths) / 2, sum(widths) / 2)
-    part = kind(0)
-    above = kind(0)
-    for signs in itertools.product((-0.5, 0.5), repeat=4):
-        end = dr.maximum(distance + sum(sign * width for sign, width in zip(signs, widths, strict=True)), 0)
-        term = math.prod(signs) * dr.square(dr.square(end))
-        part += term
-        above += term * end
-    volume = 1.5 * math.prod(widths)
-    # Mean of the light times whether it is inside, and of the distance where it is.
-    return dr.maximum(power * part + slope * (above / 5 - distance * part), 0) / volume
+    return pixel, pixel, *lens_cells(lattice, wide)

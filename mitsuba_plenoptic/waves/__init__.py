@@ -13,7 +13,8 @@ functions and kernels a camera needs, by `array_kernels`, `array_field`, `lens_f
 `pupil_samples`; `expansion` plans cameras near another one. `spectral_nodes` chooses wavelengths. `signed_rays` is the
 estimator, which traces, weighs and sums, with the control variate of `control_variate`; `pixel_kernels` and
 `convolution` make images of the sums. `signed_capture` is a capture with its cost and the derivatives by a scene;
-`signed_camera` those by a camera. The numbers on which the accuracy depends are the records of `accuracy`.
+`signed_camera` those by a camera; `white_capture` is that of white. The numbers on which the accuracy depends are the
+records of `accuracy`.
 
 `__init__.pyi` names what other folders and extensions may use; it is imported when it is first asked for.
 """

@@ -12,3 +12,4 @@ from .signed_rays import RaySum as RaySum
 from .spectral_nodes import Node as Node
 from .spectral_nodes import WavelengthSampler as WavelengthSampler
 from .spectral_nodes import mixed as mixed
+from .white_capture import WhiteCapture as WhiteCapture

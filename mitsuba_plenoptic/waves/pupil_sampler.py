@@ -76,7 +76,7 @@ class PupilSampler(DetectorGrid):
 
     def draw(self, pixels: Pixels, pixel: Any, ray_index: Any, cell: Any, seed: Any) -> RaySamples:
         """Return rays drawn for pixels; rays of even and of odd numbers are independent. See `LensSampler.draw`."""
-        lenses, index = self._cells(self.lenses(pixels).at(pixel), pixel, cell)
+        lenses, index = self.cells(self.lenses(pixels).at(pixel), pixel, cell)
         lane = dr.gather(mi.UInt32, pixels.number, pixel)
         random = low_discrepancy(lane, seed ^ ((ray_index & 1) << 3), ray_index >> 1, 6)
         if self._plan.is_coarse:

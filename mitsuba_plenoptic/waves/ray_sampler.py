@@ -125,7 +125,7 @@ class DetectorGrid:
         )
         return x, y
 
-    def _cells(self, lenses: CellLenses, pixel: Any, cell: Any) -> tuple[CellLenses, Any]:
+    def cells(self, lenses: CellLenses, pixel: Any, cell: Any) -> tuple[CellLenses, Any]:
         """Return cells of some numbers in pixels, row by row, with the pixels' lenses, and their numbers among all."""
         row = quotient(cell, self._parts)
         x, y = (
@@ -226,20 +226,34 @@ class LensSampler(DetectorGrid):
 
     def power(self, samples: RaySamples) -> Any:
         """Return factors on the radiance of rays: étendue, transmission of pupil and lenses, and response of pixels."""
+        inside, factor = self.outline(samples)
+        return dr.select(inside >= 0, factor, 0.0)
+
+    def through(self, position: Pair, point: Pair, lenses: CellLenses) -> RaySamples:
+        """Return rays from detector points to what these see of the pupil, through points of lenses."""
+        pupil = self.seen(position, lenses)
+        if self.lands_by_point:
+            growth = dr.gather(mi.Float, self._pupil_shifts, lenses.kind)
+            pupil = tuple(P + growth * m for P, m in zip(pupil, point, strict=True))
+        passed = tuple(c + m for c, m in zip(lenses.centre, point, strict=True))
+        ray = Ray(position, passed, pupil, mi.Float(1), mi.Bool(True))
+        return RaySamples(ray, self.walk.round_pupil(pupil, lenses.centre), point, lenses, 4 * (None,), 0, 0, 0)
+
+    def outline(self, samples: RaySamples) -> Pair:
+        """Return how far rays are inside the pupil's edges, over its radius, and `power` as if edges were wider."""
         ray = samples.ray
         lens = samples.lens
         lattice = self._lattice
         offset = tuple(-p for p in self._chief(ray.p, lens))
         factor = self.walk.through_centre(offset, lens.height)[1] * lens.gain
-        if not self._camera.has_even_pupil:
-            x, y = (P / dr.opaque(mi.Float, self._camera.pupil_radius) for P in samples.round_pupil)
-            factor = factor * self._camera.pupil_power((x, y), ray.m)
+        x, y = (P / dr.opaque(mi.Float, self._camera.pupil_radius) for P in samples.round_pupil)
+        inside, passed = self._camera.pupil_outline((x, y), ray.m)
         # The path behind the lens starts within its aperture.
         u, v = lattice.to_frame(*samples.lens_point)
         across, up = lattice.aperture_widths
         x, y = lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
         aside = dr.hypot(x - (ray.p[0] - lens.centre[0]), y - (ray.p[1] - lens.centre[1]))
-        return self._response(aside, self.walk.detector_distance + lens.height) * factor
+        return inside, self._response(aside, self.walk.detector_distance + lens.height) * factor * passed
 
     def _chief(self, detector: Pair, lenses: CellLenses) -> Pair:
         """Return where light of detector points would land through the lens centres, from these."""
@@ -274,7 +288,7 @@ class LensSampler(DetectorGrid):
         For each ray, `pixel` is the index of its pixel, `ray_index` its index among the rays of the pixel, and `cell`
         the index of its cell in the pixel.
         """
-        lenses, index = self._cells(self.lenses(pixels).at(pixel), pixel, cell)
+        lenses, index = self.cells(self.lenses(pixels).at(pixel), pixel, cell)
         lattice = self._lattice
         lane = dr.gather(mi.UInt32, pixels.number, pixel)
         random = low_discrepancy(lane, seed ^ ((ray_index & 1) << 3), ray_index >> 1, 4)

@@ -108,6 +108,11 @@ class SignedCapture:
             result.append((node, tuple(lit.tolist()), values[lit]))
         return result
 
+    @property
+    def _kind(self) -> type[SignedRaySum]:
+        """The kind of the sums of which a capture is the mean."""
+        return SignedRaySum
+
     def sums(
         self,
         spp: int,
@@ -157,7 +162,7 @@ class SignedCapture:
             # 1.5e-6: Approximate work of a ray.
             planned = plans / (plans + 1.5e-6 * math.prod(self.camera.shape) * spp)
         with steps_counted(lambda done: show(planned * done) if planned else None, _STEPS * len(self.nodes)):
-            sums = self.sums(spp, seed, runs, SignedRaySum)
+            sums = self.sums(spp, seed, runs, self._kind)
             first = sums[0]()
         items = int(first.items.sum())
         if runs == 1:

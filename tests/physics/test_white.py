@@ -9,7 +9,7 @@ from cameras import CAMERAS, sky, white
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, Vignetting, decode, render_capture
 from mitsuba_plenoptic.array import Conic
-from mitsuba_plenoptic.views import micro_images, white_pixels
+from mitsuba_plenoptic.views import capture_white, micro_images, model_white, white_pixels
 
 
 @pytest.mark.parametrize(
@@ -71,11 +71,14 @@ KEPLERIAN = {
 def test_white_by_rays_has_little_noise(changes):
     """The root mean square error is below 0.2 % of the level; the product of differences has no noise of captures."""
     camera = PlenopticCamera(**{"detector_width": 0.1024, "resolution": (48, 40), "vignetting": NARROWING, **changes})
-    found = white_pixels(camera).astype(float)
     captures = [sky(camera, 2**14, seed=seed) for seed in (0, 1)]
+    little_noise(white_pixels(camera), captures, 0.004 if "aperture_image" in changes else 0.002)
+
+
+def little_noise(found, captures, limit):
+    found = found.astype(float)
     lit = found > 0.01 * found.max()
     error = np.mean(np.prod([found - capture for capture in captures], axis=0)[lit])
-    limit = 0.004 if "aperture_image" in changes else 0.002
     assert error < (limit * np.quantile(found, 0.95)) ** 2
     assert found.mean() == pytest.approx(np.mean(captures, dtype=float), rel=5e-4)
 
@@ -91,6 +94,36 @@ def test_lenses_that_turn_cosines_have_the_light_of_the_pupil(change, medium):
     inner = camera.replace(crop_offset=(16, 16), crop_size=(96, 96))
     for image in (sky(inner, 256), white_pixels(inner)):
         assert image.mean() == pytest.approx(np.pi * 10**2 / (16 * camera.pupil_step) ** 2, rel=2e-3)
+
+
+GAUSS = {"vignetting": None, "main_lens": "double_gauss", "focal_length": 80, "aperture_radius": 8}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"mla_jitter": (0.001, 0.0), "mla_transmissions": [[0.6, 1.0], [0.9, 0.7]], "mla_absorption": 0.5},
+        *(
+            pytest.param(changes, marks=pytest.mark.slow)
+            for changes in (
+                {"mla_lattice": "hexagonal", "mla_focal_length": (0.44, 0.512, 0.6)},
+                {"mla_aperture": "circle", "mla_fill": 0.8},
+                GAUSS | {"mla_lattice": "hexagonal", "mla_fill": 0.8},
+                KEPLERIAN | {"vignetting": None, "pixel_response": (0.0, 1.0, 8.0, 0.5)},
+                KEPLERIAN
+                | {"mla_aperture": "circle", "mla_fill": 0.9, "vignetting": Vignetting([1.0, 0.1, 0.0], scale=0.6)},
+                {"vignetting": None, "mla_tilt": (1.0, 0.5), "mla_medium": 1.5},
+            )
+        ),
+    ],
+)
+def test_white_by_waves_has_little_noise(changes, monkeypatch):
+    # Where rays were random, as few as for a large detector.
+    monkeypatch.setattr(model_white, "_RAYS", 0)
+    camera = PlenopticCamera(**{"detector_width": 0.1024, "resolution": (48, 40), "vignetting": NARROWING, **changes})
+    captures = [render_capture(white(camera), model="wave", spp=2**10, seed=seed) for seed in (1, 2)]
+    little_noise(capture_white(captures[0], 1)[..., 0], [capture.image for capture in captures], 0.002)
 
 
 @pytest.mark.parametrize("change", [{"mla_absorption": 1e-6}, {"vignetting": Vignetting([2.0])}])

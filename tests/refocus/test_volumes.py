@@ -152,11 +152,11 @@ def test_long_work_says_its_time_and_memory(monkeypatch, caplog):
     assert caplog.text.count("takes about") == 1
 
 
-def test_whites_of_even_arrays_report_while_they_are_fitted():
+def test_whites_by_waves_report_while_they_are_computed():
     camera = mp.PlenopticCamera(resolution=(128, 128), detector_width=0.512)
     seen = []
     capture_white(mp.Capture(white_image(camera), camera, 550.0, "wave"), 1, lambda done, of: seen.append(done / of))
-    assert seen == sorted(seen) and seen[-3:] == [0.5, 0.75, 1.0]
+    assert seen == sorted(seen) and seen[-1] == 1.0 and len(seen) > 10
 
 
 def test_the_command_prints_time_and_memory_and_writes_nothing(capture, tmp_path, run, complaint):
