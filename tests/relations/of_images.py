@@ -76,7 +76,7 @@ def of_method(method):
                 mp.reconstruct(mp.Capture(image[..., i], draw.camera, given[i]), g, method=method).image,
             )
             for i in (1, 2)
-        ), 1e-3
+        ), 2e-3
 
     costly = "mla_focal_length vignetting" if METHODS[method] is Use.RESPONSES else ""
     for judge, use in ((lamp, Use.POINTS), (part, Use(0)), (wavelengths, Use(0))):
