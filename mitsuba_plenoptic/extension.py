@@ -186,7 +186,7 @@ def format_of(suffix: str, holds: str, what: str, write: bool = False) -> tuple[
 SHIPPED = {
     "calibrate": ("calibrate", "calibration", "photon_transfer", "libpleno"),
     "data": ("dataset",),
-    "deconvolution": ("incoherent", "deconvolved"),
+    "deconvolution": ("incoherent", "deconvolved", "price of a response"),
     "inverse": (
         "fit", "StoredOperator", "volume_points", "refocus.CoherentRefocus", "refocus.DeconvolvedRefocus",
         "refocus.RayRefocus", "fitting", "optimisation", "array_functions", "scene_functions", "torch", "jax",

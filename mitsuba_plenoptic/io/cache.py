@@ -119,7 +119,8 @@ class Cache:
         before, work = sum(self.expected[: number - 1]), sum(self.expected[number - 1 : number])
 
         def progress(done: int, total: int) -> None:
-            if work:
+            # A stage that was made with the one before has no work of its own.
+            if self.expected:
                 done = round(1e3 * (before + work * done / max(total, 1)))
                 total = round(1e3 * sum(self.expected))
                 self._forecast(done, total)
