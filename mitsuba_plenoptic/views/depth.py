@@ -185,14 +185,16 @@ def depth_map(
 def _precise(lf: xr.DataArray, disparities: Array) -> Array:
     """Return the probabilities that interpolation between lenses leaves depths right.
 
-    Shifts of less than a quarter of a lens at the pupil's rim are found up to a twentieth too small.
+    Shifts of less than a quarter of a lens at the pupil's rim are found up to a twentieth too small; over a whole lens,
+    deviations cancel.
     """
     camera = camera_of(lf)
     steps = view_steps(lf, "u").max()
-    off = 0.05 * np.minimum(np.abs(disparities) * steps, 0.25)
+    moved = np.abs(disparities) * steps
+    off = 0.05 * np.minimum(moved, 1 - moved).clip(1e-9, 0.25)
     # What moves as far as the tolerance, in lenses at the pupil's rim; infinity is right.
     right = RIGHT * camera.mla_distance / distance_of(lf, disparities) * camera.pupil_step / camera.row_pitch * steps
-    return np.asarray(scipy.special.erf(np.where(right > 0, right, 1) / np.maximum(off, 1e-9) / math.sqrt(2)))
+    return np.asarray(scipy.special.erf(np.where(right > 0, right, 1) / off / math.sqrt(2)))
 
 
 def beyond_search(depth: xr.Dataset) -> tuple[float, float]:

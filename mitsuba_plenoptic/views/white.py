@@ -142,10 +142,10 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
     """Return the capture of a scene of uniform radiance 1, computed by rays.
 
     Behind a thin main lens the value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds.
-    Distortion changes nothing, as rays keep their position on the pupil. Behind a real main lens, vignetting or a
-    tilted array, with lenses that turn cosines or have figure errors, in a medium where light is oblique, and where
-    pixels record oblique light otherwise, rays are traced from the pixels, right to 0.2 %, with a picture in the
-    aperture to 1.5 %. The detector records it as `DetectorOperator` states.
+    Distortion changes nothing, as rays keep their position on the pupil. Behind a real main lens, vignetting, a tilted
+    array or one that follows chief rays, with lenses that turn cosines or have figure errors, in a medium where light
+    is oblique, and where pixels record oblique light otherwise, rays are traced from the pixels. Values are right
+    to 0.2 %, with a picture in the aperture to 1.5 %. The detector records it as `DetectorOperator` states.
 
     Parameters
     ----------
@@ -166,18 +166,18 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
         an hour, or too much memory.
     """
     require_support(camera, Use.WHITE_IMAGES)
-    camera = camera.regular
     uneven = camera.vignetting is not None or camera.pixel_response or camera.mla_absorption or any(camera.mla_tilt)
     traced = not camera.lens_data.is_thin or deflects_cosines(camera) or camera.figure_error is not None
     # By Snell's law a medium moves micro-images of oblique light from where a grid has them.
     slope = math.hypot(camera.detector_width, camera.detector_height) / 2 / camera.pupil_distance
     moved = camera.reduced_distance * (1 - camera.mla_medium**-2) * slope**3 / 2
     # 0.02: Pixels that are not noticed.
-    traced = traced or moved > 0.02 * camera.pixel_size
+    traced = traced or moved > 0.02 * camera.pixel_size or bool(camera.mla_cra)
     if uneven or (grid is None and traced):
         # What differs over the field depends on where the camera has its lenses.
         return np.asarray(DetectorOperator.of(camera).forward(_traced(camera)))
     require_support(camera, Use.LENS_CENTRES)
+    camera = camera.regular
     tables = [PupilFraction(camera, lens_type) for lens_type in range(len(camera.mla_focal_lengths))]
     half = math.ceil(max(table.reach for table in tables) / camera.pupil_step)
     rows, columns = camera.shape

@@ -194,7 +194,7 @@ def white_of_scenes(draw):
     return abs(float(waves / mp.render_capture(scene, model="ray", spp=64).image.mean()) - 1), 0.015
 
 
-@relation(Use.RAYS | Use.WHITE_IMAGES, "mla_cra")
+@relation(Use.RAYS | Use.WHITE_IMAGES)
 def white_capture(draw):
     """A white world is recorded as the white image states, over lenses and over rings of their micro-images."""
     capture = mp.render_capture(sky(draw.camera), model="ray", spp=256).image

@@ -62,11 +62,12 @@ def test_the_same_bits_on_any_number_of_threads_and_by_two_threads_at_once(pytho
 
 def test_ctrl_c_within_a_collection_of_garbage_comes_after_it(monkeypatch):
     flags = mock.Mock(side_effect=[KeyboardInterrupt, *[False] * 100])
-    monkeypatch.setattr(garbage, "dr", mock.Mock(flag=flags))
     # pytest's hook stands before that of the import.
     monkeypatch.setattr(sys, "unraisablehook", print)
     garbage.watch_collections()
     gc.callbacks.pop()
+    # Last, as Python may collect by itself.
+    monkeypatch.setattr(garbage, "dr", mock.Mock(flag=flags))
     gc.collect()
     with pytest.raises(KeyboardInterrupt):
         for _ in range(100):
