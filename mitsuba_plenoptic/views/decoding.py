@@ -173,15 +173,15 @@ def checked_images(
     if white is not None:
         reference = recorded_white(divisor, (*image.shape[:2], 3), cameras).astype(np.float32).mean(2, keepdims=True)
     if upright is not None and not upright.lens_data.images_stop:
-        computed = white_image(upright, grid)[..., None]
-        opened = clear(upright)
+        computed = white_image(cameras[0], grid)[..., None]
+        opened = clear(cameras[0])
         # Of an even pupil a recorded white tells more than the camera: what else cuts it.
         # Parameters by which parts of the pupil may be darker than others.
         if reference is None or any(
-            getattr(upright, name) != getattr(opened, name)
+            getattr(cameras[0], name) != getattr(opened, name)
             for name in ("aperture_image", "pupil_apodisation", "vignetting", "pixel_response", "mla_absorption")
         ):
-            seen = computed if opened == upright else white_image(opened, grid)[..., None]
+            seen = computed if opened == cameras[0] else white_image(opened, grid)[..., None]
         if reference is not None:
             reference = recorded_white(reference, reference.shape, [upright], computed[..., 0])
         elif isinstance(recorded, Capture) and recorded.model == "wave":
