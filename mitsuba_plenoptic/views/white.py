@@ -15,7 +15,7 @@ from dataclasses import replace
 import drjit as dr
 import numpy as np
 
-from ..camera import Aperture, Opening, PlenopticCamera, Round, Use, are_alike, require_support
+from ..camera import Aperture, Opening, PlenopticCamera, Round, Use, are_alike, require_camera, require_support
 from ..design import crosstalk_neighbours
 from ..detector import DetectorOperator
 from ..errors import InputError, refuse_if, short_repr, warn
@@ -145,7 +145,8 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
     Distortion changes nothing, as rays keep their position on the pupil. Behind a real main lens, vignetting, a tilted
     array or one that follows chief rays, with lenses that turn cosines or have figure errors, in a medium where light
     is oblique, and where pixels record oblique light otherwise, rays are traced from the pixels. Values are right
-    to 0.2 %, with a picture in the aperture to 1.5 %. The detector records it as `DetectorOperator` states.
+    to 0.2 %, with a picture in the aperture to 1.5 %; figure errors are left out above a million pixels. The detector
+    records them as `DetectorOperator` states.
 
     Parameters
     ----------
@@ -153,7 +154,8 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
         The camera.
     grid : LensGrid, optional
         Micro-image centres. Default: the camera's, displaced by its tilt, including centres beyond the image whose
-        micro-images reach into it.
+        micro-images reach into it. With vignetting, tilt, or pixels that record oblique light otherwise, the camera's
+        are taken in any case, as what differs over the field depends on them.
 
     Returns
     -------
@@ -165,7 +167,13 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
         If the array is in the image of the stop, or micro-images are so wide or so far out of focus that it would take
         an hour, or too much memory.
     """
+    require_camera(camera)
+    refuse_if(grid is not None and not isinstance(grid, LensGrid), f"grid = {short_repr(grid)}: it must be a LensGrid")
     require_support(camera, Use.WHITE_IMAGES)
+    if camera.figure_error and math.prod(camera.shape) > 2**20:
+        # It would take many minutes.
+        warn("mla_figure_error: white images of more than a million pixels leave it out")
+        camera = camera.replace(mla_figure_error=(0.0, 0.0))
     uneven = camera.vignetting is not None or camera.pixel_response or camera.mla_absorption or any(camera.mla_tilt)
     traced = not camera.lens_data.is_thin or deflects_cosines(camera) or camera.figure_error is not None
     # By Snell's law a medium moves micro-images of oblique light from where a grid has them.
@@ -399,9 +407,12 @@ def _traced(camera: PlenopticCamera) -> Floats:
     image = np.empty(camera.shape, np.float32)
     response = second_leg(camera.pixel_response, camera.mla_absorption or 0.0, types.Float)
     smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths)
-    reach = walk.lens.reach + smear * camera.lattice.aperture_reach + camera.pupil_step
+    # 4: Standard deviations of the slopes of figure errors that are followed.
+    size, length = camera.mla_figure_error if camera.figure_error else (0.0, 1.0)
+    turn = 4 * size / length
+    reach = walk.lens.reach + smear * camera.lattice.aperture_reach + camera.pupil_step + camera.pupil_distance * turn
     # Pixels lie behind the lenses of all their points.
-    neighbours = crosstalk_neighbours(camera, camera.pixel_size).tolist()
+    neighbours = crosstalk_neighbours(camera, camera.pixel_size + camera.detector_distance * turn).tolist()
     counts = _cells(walk, smear)
     cells = math.prod(counts)
     for rows, px, py in detector_rows(camera, cells):
@@ -457,4 +468,6 @@ def _cells(walk: Walk, smear: float) -> tuple[int, int, int, int]:
     # The response of pixels has a tip where light is upright.
     wide = _MOST if steps else max(3 if camera.pixel_response else 0, 4 * smear * lattice.aperture_width / radius)
     wide = min(_MOST, wide)
+    if camera.figure_error:
+        wide = min(8.0, max(wide, 3 * lattice.aperture_width / camera.mla_figure_error[1]))
     return pixel, pixel, *lens_cells(lattice, wide)

@@ -247,6 +247,18 @@ def test_tilted_arrays_and_responses_do_not_move_depths(case):
         assert found.confidence.values[region].mean() > 0.9
 
 
+def test_what_moves_by_hundredths_of_a_lens_is_not_sure():
+    """A hundredth of the distance moves views of this camera at the pupil's rim by 0.009 of a lens."""
+    camera = of_square_lenses(10, 24).replace(
+        detector_distance=0.16, mla_focal_length=0.16, mla_distance=6.0, focal_length=5.7, aperture_radius=0.75,
+        mla_pitch=0.04 * 6 / 6.16, detector_width=0.96,
+    )  # fmt: skip
+    distance = 1.2 * camera.focus_distance
+    light = blobs(distance, 0.6 * camera.row_pitch * distance / 6, 0.8)
+    found = depth_map(mp.decode(straight_rays(camera, light).astype(np.float32), camera=camera))
+    assert found.confidence.values[3:-3, 3:-3].mean() < 0.8
+
+
 def test_micro_images_of_a_square_array_are_the_light_field():
     camera = mp.PlenopticCamera.preset("paper").replace(
         detector_width=0.512, resolution=(256, 256), mla_focal_length=0.384, mla_distance=121.536, aperture_radius=4.9
