@@ -412,7 +412,8 @@ def main_fresnel_number(camera: PlenopticCamera, wavelength: float) -> float:
 def white_mean(camera: PlenopticCamera) -> float:
     r"""Return the mean of an unbounded capture of a scene of uniform radiance 1.
 
-    The closed form needs no capture.
+    The closed form needs no capture. It leaves out vignetting, transmissions of lenses, absorption, responses of pixels
+    and stray light, and takes pictures in the aperture by whole cells: `views.white_image` has all of them.
 
     A micro-image of area :math:`(\pi/4)(D_1 z / b)^2` reads 1 whatever its lens's aperture, because a pixel is the mean
     radiance over the aperture, less what the main lens's `aperture` keeps out; each :math:`A ((b + z)/b)^2` of the

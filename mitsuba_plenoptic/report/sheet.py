@@ -258,7 +258,12 @@ def _micro_images(camera: PlenopticCamera) -> _Lines:
         ("diameter", f"{diameter / pixel:.4g}", "pixels", f"{1e3 * diameter:.4g} um, D1 z/b"),
         ("pitch", f"{pitch / pixel:.4g}", "pixels", f"{1e3 * pitch:.4g} um, D2 (b + z)/b"),
         ("diameter over pitch", f"{diameter / pitch:.3g}"),
-        ("mean of a white capture", f"{design.white_mean(camera):.3g}", "", "per unit radiance"),
+        (
+            "mean of a white capture",
+            f"{design.white_mean(camera):.3g}",
+            "",
+            "per unit radiance, of even lenses and pixels",
+        ),
     ]
 
 
@@ -423,7 +428,12 @@ def _image(camera: PlenopticCamera, lens: Objective) -> _Lines:
         ("f-number z/width", f"{micro:.3g}"),
         ("objective's M/2NA", f"{main:.3g}", "", "micro-images touch where the two match"),
         ("micro-image", f"{camera.micro_image_diameter / pixel:.4g}", "pixels", f"of {camera.row_pitch / pixel:.4g}"),
-        ("mean of a white capture", f"{design.white_mean(camera):.3g}", "", "per unit radiance"),
+        (
+            "mean of a white capture",
+            f"{design.white_mean(camera):.3g}",
+            "",
+            "per unit radiance, of even lenses and pixels",
+        ),
     ]
 
 
