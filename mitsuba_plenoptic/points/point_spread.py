@@ -53,7 +53,7 @@ def point_spread_function(
     Returns
     -------
     float32 array (rows, columns)
-        Fractions of the power through the pupil.
+        Fractions of the power through the aperture, its blades, picture and apodisation; vignetting takes a part of it.
 
     Raises
     ------

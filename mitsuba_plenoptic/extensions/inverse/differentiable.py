@@ -71,7 +71,7 @@ class RayRefocus:
     Parameters
     ----------
     camera : PlenopticCamera
-        The camera.
+        The camera; lenses displaced by `mla_cra` count as those of the nearest regular array.
     distance : float
         Object distance in scene units, beyond the focal length; may be infinite.
     footprint : {"lens", "point"}
@@ -233,7 +233,7 @@ class CoherentRefocus:
     Parameters
     ----------
     camera : PlenopticCamera
-        The camera.
+        The camera; lenses displaced by `mla_cra` count as those of the nearest regular array.
     distance : float
         Object distance in scene units, beyond the focal length; may be infinite.
     wavelength : float
