@@ -234,8 +234,11 @@ def light_of_lenses(draw):
     camera = draw.camera.replace(crop_offset=(count - 4 * lens, count // 2 - lens), crop_size=(4 * lens, 3 * lens))
     response = Response(camera, [0.96 * camera.focus_distance], wavelength=draw.wavelength, oversample=1)
     numbers = lens_numbers(camera).ravel()
+    whole = np.bincount(numbers) > 0.8 * lens**2
+    if not whole.any():
+        return None
     even, white = (
-        np.bincount(numbers, image.ravel())[np.bincount(numbers) > 0.8 * lens**2]
+        np.bincount(numbers, image.ravel())[whole]
         for image in (response.forward(np.ones(response.source_shape, np.float32)), white_image(camera))
     )
     return float(

@@ -82,7 +82,7 @@ def of_method(method):
     for judge, use in ((lamp, Use.POINTS), (part, Use(0)), (wavelengths, Use(0))):
         if method not in OTHERWISE[judge.__name__]:
             # Aberrations spread the light of a bin over several lenses, so that crops have light from beyond.
-            aberrated = "glass lens_model" if judge is part else ""
+            aberrated = "glass lens_model wavefront" if judge is part else ""
             without = f"crop_offset crop_size stray_light stray_width main_lens {costly} {aberrated}"
             judge.__name__ = f"{judge.__name__}_{method}"
             relation(METHODS[method] | use, without, method)(judge)

@@ -78,7 +78,7 @@ def larger_detector(draw):
     whole = picture(larger, points, draw.wavelength)
     rim = 8 if {"detector_blur", "pixel_crosstalk"} & set(draw.options) else 0
     inner = np.s_[rim : count - rim, rim : count - rim]
-    return off(whole[more:-more, more:-more][inner], small[inner]), 2 * bound(draw, 1e-3)
+    return off(whole[more:-more, more:-more][inner], small[inner]), 2 * bound(draw, 2.5e-3)
 
 
 @relation(Use.POINTS, f"{IRREGULAR} {CROPS} wavefront vignetting mla_warp main_lens mla_cra")
