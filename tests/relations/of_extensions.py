@@ -5,7 +5,7 @@ import json
 import numpy as np
 import of_captures
 from camera_draws import OPTIONS, scaled
-from of_points import picture
+from of_points import bound, picture
 from relation import off, relation
 
 import mitsuba_plenoptic as mp
@@ -88,7 +88,7 @@ def single_laser_point(draw):
     """A capture of one coherent point is that of an incoherent one, on detectors that hold more than its wings."""
     point = draw.point()
     operator = mp.CaptureOperator(draw.camera, [point], wavelength=draw.wavelength, accuracy=0.0)
-    return off(laser.coherent_capture(operator, [1.0], modes=1, seed=2), operator.forward([1.0])), 0.01
+    return off(laser.coherent_capture(operator, [1.0], modes=1, seed=2), operator.forward([1.0])), bound(draw, 0.01)
 
 
 @relation(Use.POINTS | Use.LENS_CENTRES, "stray_light stray_width", "wavefronts")
