@@ -407,7 +407,7 @@ class Response(StoredResponse):
             # Samples show borders of micro-images but roughly, and steps would amplify that: white is exact.
             flat = self._direct(np.full(self.source_shape, 1 / len(distances), np.float32))
             white = white_image(recorded.replace(**SHARP))
-            # White images are of the nearest regular array, from which chief rays may lead pixels away.
+            # A response that is far from the white image is left as it is.
             if np.linalg.norm(white - flat) < 0.25 * np.linalg.norm(white):
                 seen = flat > 1e-3 * flat.max()
                 self._gain = self._gain * np.divide(white, flat, out=np.zeros_like(flat), where=seen).clip(0, 20)
