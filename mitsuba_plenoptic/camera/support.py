@@ -111,7 +111,10 @@ _BEHIND_LENSES = (
 _NO_DERIVATIVE = refused(
     Use.SCENE_DERIVATIVES, "rays fixed in the scene are traced again through plain thin lenses alone", "differences"
 )
-_MORE_TERMS = approximate(_GEOMETRY, "rays go back through an ideal main lens and the centres of microlenses")
+_MORE_TERMS = approximate(
+    _GEOMETRY,
+    "rays go back through an ideal main lens and the centres of microlenses; depths know what aberrations move",
+)
 _ALONE_BY_RAYS = refused(
     _RECONSTRUCTIONS, "the light goes back through smooth lenses without it", "method ray, which ignores it"
 )

@@ -157,11 +157,16 @@ def _places(lf: xr.DataArray, axis: str) -> Array:
     light, seen = (lf.coords.get(name, lf["weight"]).sum(("t", "s")) for name in ("white", "weight"))
     rise = np.gradient(np.log(light / seen), axis="vu".index(axis), edge_order=2)
     across = "uv".index(axis)
-    # Variance of the light of a sample along an axis, in squared pixels: interpolated between two pixels, and of each.
+    return steps + spread_of_samples(lf, across) * np.nansum(rise, axis=across) / np.maximum(
+        np.isfinite(rise).sum(axis=across), 1
+    )
+
+
+def spread_of_samples(lf: xr.DataArray, across: int) -> float:
+    """Return the variance of a sample's light along an axis in squared pixels: between two pixels, and within each."""
     grid = grid_of(lf)
     between = 0.2 if grid is None else (grid.centres()[..., across] - 0.5) % 1
-    spread = np.mean(between * (1 - between)) + 1 / 12
-    return steps + spread * np.nansum(rise, axis=across) / np.maximum(np.isfinite(rise).sum(axis=across), 1)
+    return float(np.mean(between * (1 - between)) + 1 / 12)
 
 
 def _sides(step: float) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from functools import partial
@@ -13,9 +14,10 @@ import xarray as xr
 
 from ..camera import PlenopticCamera, are_alike
 from ..design import focus_types
-from ..errors import InputError, require_count, require_number, suggest_keywords
+from ..errors import LONGEST, InputError, require_count, require_number, suggest_keywords
+from ..fields import OpticalSystem
 from ..runtime import Array, Progress, counted, require_memory
-from .agreement import finer_stripes, view_disagreement
+from .agreement import finer_stripes, spread_of_samples, view_disagreement
 from .coordinates import (
     array_scale,
     camera_of,
@@ -222,18 +224,20 @@ def _straightened(lf: xr.DataArray, disparities: Array) -> Array:
 
     A lens at the height h sees the pupil point P of a place h P / b beside that of an upright array. Pixels that prefer
     some directions see the pupil point P through a point beside the middle of their lens, by `_preferred` of P.
+    Aberrations move the light from P by `_aberrated` of P.
     """
     camera = camera_of(lf)
     x, y = np.meshgrid(*(lf[axis].values * array_scale(camera) for axis in "st"))
     height = camera.array_height(x, y)
     size = camera.pupil_step / camera.row_pitch
     slope = -disparities / size
+    radius = np.hypot(x, y)
+    radii = np.linspace(0, radius.max(), 9)
     # The comparison of micro-images knows what pixels prefer.
     if not is_focused(lf) and (camera.pixel_response or camera.mla_absorption):
-        radius = np.hypot(x, y)
-        radii = np.linspace(0, radius.max(), 9)
         aside = np.interp(radius, radii, [_preferred(camera, distance) for distance in radii])
         slope = (slope + aside) / (1 + aside * np.mean([camera.pupil_shift(f2) for f2 in camera.mla_focal_lengths]))
+    slope -= np.interp(radius, radii, [_aberrated(lf, distance) for distance in radii])
     return -(slope - height / (camera.pupil_distance - height)) * size
 
 
@@ -249,6 +253,23 @@ def _preferred(camera: PlenopticCamera, radius: float) -> float:
     point, light, _ = light_of_lens(camera, f2, np.array([radius, 0.0]), *pupil)
     aside = point @ light.T / np.maximum(light.sum(axis=1), 1e-9)
     return float((aside * pupil).sum() / np.square(pupil).sum())
+
+
+def _aberrated(lf: xr.DataArray, radius: float) -> float:
+    """Return by how much aberrations move light at a distance from the axis, over the pupil's coordinates.
+
+    The ratio is fitted to the views' mean light from the plane in focus, or from infinity.
+    """
+    camera = camera_of(lf)
+    seen = np.median(lf["weight"].values, axis=(2, 3)) >= 0.9
+    views = np.stack(np.meshgrid(lf.u.values, lf.v.values))[:, seen]
+    spread = [math.sqrt(spread_of_samples(lf, axis)) * camera.pupil_step for axis in (0, 1)]
+    pupil = views[..., None] + np.array(list(itertools.product(*([-side, side] for side in spread)))).T[:, None]
+    lens = OpticalSystem.by_design(camera).lens
+    distance = camera.focus_distance if 0 < camera.focus_distance < math.inf else LONGEST
+    (point,) = lens.points(np.array([[radius, 0.0]]), np.array([1 / distance]))
+    landed = np.stack(np.broadcast_arrays(*lens.land(tuple(pupil), tuple(point)))).mean(-1)
+    return float((landed * views).sum() / np.square(views).sum()) - camera.defocus(distance)
 
 
 def _default_search(lf: xr.DataArray) -> tuple[float, float]:

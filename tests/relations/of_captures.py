@@ -292,10 +292,8 @@ def brightness(draw):
     return max(off_bins(other.values, 3 * one.values), weights), 1e-5
 
 
-MOVING = (
-    "main_lens mla_shape mla_figure_error lens_model wavefront phase_screen distortion aperture_image detector_distance"
-)
-"""What bends the rays of views, or moves them within a pixel's square of the pupil."""
+MOVING = "main_lens mla_shape mla_figure_error phase_screen distortion aperture_image detector_distance"
+"""What bends the rays of views, or moves them within a pixel's square of the pupil, but for aberrations."""
 
 
 def seen_through(lf, camera, scene, u, v):
@@ -312,7 +310,7 @@ def seen_through(lf, camera, scene, u, v):
     return np.array(mi.render(scene, sensor=mi.load_dict(pinhole), spp=64), float)[..., 0]
 
 
-@relation(Use.DECODING | Use.RAYS, f"{MOVING} crop_offset crop_size detector_blur", "light fields")
+@relation(Use.DECODING | Use.RAYS, f"{MOVING} lens_model wavefront crop_offset crop_size detector_blur", "light fields")
 def views_of_pinholes(draw):
     """A view of a smooth wall is what a pinhole at its point of the pupil sees, within a tenth of a bin."""
     camera, g = draw.camera, draw.point(0.4)[2]
@@ -336,10 +334,13 @@ UNEVEN = "mla_transmissions vignetting pupil_apodisation mla_absorption pixel_re
     Use.DECODING | Use.RAYS,
     f"{MOVING} crop_offset crop_size detector_blur mla_rotation",
     "depth",
-    lambda seed: [*UNEVEN.split(), "mla_tilt"],
+    lambda seed: [*UNEVEN.split(), "mla_tilt", "lens_model", "wavefront"],
 )
 def depth_of_walls(draw):
-    """A wall is where it is, whatever lenses and pupil make of its brightness, or a fall-off in picture and white."""
+    """A wall is where it is, whatever lenses and pupil make of its light, or a fall-off in picture and white.
+
+    Aberrations beyond defocus move depths by the texture.
+    """
     camera = draw.camera
     g = camera.focus_distance * float(draw.rng.choice([0.96, 1.03]))
     capture = mp.render_capture(wall(camera, g), model="ray", spp=16)
@@ -349,4 +350,5 @@ def depth_of_walls(draw):
     depths = [views.depth_map(lf, 0.97 * g, 1.03 * g, planes=25).depth.values for lf in ways]
     if not all(np.isfinite(depth).any() for depth in depths):
         return None
-    return max(abs(float(np.nanmedian(depth)) / g - 1) for depth in depths), 0.003
+    beyond = float(np.linalg.norm(camera.wavefront[4:]))
+    return max(abs(float(np.nanmedian(depth)) / g - 1) for depth in depths), 0.003 + 0.06 * beyond

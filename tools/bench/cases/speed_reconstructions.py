@@ -1,4 +1,4 @@
-"""Reconstructions of captures by fast cameras: time and memory of each method, and what estimates said.
+"""Reconstructions of captures by fast cameras: time and memory of each method, what estimates said, and their price.
 
 The step by the angular spectrum against the bare pair of FFTs, and the route on a GPU.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +16,17 @@ import numpy as np
 from mitsuba_plenoptic import (
     PlenopticCamera,
     estimate_reconstruction,
+    load_scene,
     read_capture,
     reconstruct,
     render_capture,
+    with_camera,
     write_capture,
 )
 from mitsuba_plenoptic.refocus import METHODS
 
 from .. import Pivot, Row, at_most, case
-from ..timing import in_process, once, peak_memory
+from ..timing import in_process, once, paired, peak_memory
 from .lens_models import scene_of
 
 FAST_DISTANCE = 285.0
@@ -85,3 +88,28 @@ def _refocus(path: Path, method: str) -> Row:
         "most_off": 1.5 if seconds > LONG else None, "took": took, "memory": peak_memory() - start,
         "estimated_memory": cost.memory / 2**30,
     }  # fmt: skip
+
+
+@case(
+    "reconstruction.price",
+    "Refocusing a ray capture of the letters in three colours by each method, 64 samples a pixel, 64 x 42 lenses of "
+    "16 x 16 pixels: over the processor time of the capture",
+    {"method": "{method}", "processor s": "{seconds:.2f}", "over the capture": "{ratio:.2f}"},
+    (at_most("ratio", "most"),),
+    page="docs/theory/accuracy.md",
+    quick={"lenses": (16, 10), "runs": 1},
+    variant="llvm_ad_rgb",
+)
+def price(*, lenses: tuple[int, ...] = (64, 42), runs: int = 3) -> Iterator[Row]:
+    """Capture and refocus in turn, all in one process that has done both before."""
+    scene = load_scene("letters", parameters={"letter_scale": lenses[0] / 128})
+    camera = PlenopticCamera(detector_width=0.064 * lenses[0], resolution=(16 * lenses[0], 16 * lenses[1]))
+    scene = with_camera(scene, camera)
+    capture = render_capture(scene, model="ray", spp=64)
+    works: dict[str, Any] = {"capture": lambda: render_capture(scene, model="ray", spp=64)}
+    for method in METHODS:
+        options = {"wavelength": WAVELENGTHS} if METHODS[method].waves else {}
+        works[method] = partial(reconstruct, capture, 210.0, method=method, **options)
+    for name, timing in paired(works, runs).items():
+        most = 2.6 if name == "deconvolved" else None
+        yield {"method": name, "seconds": timing.processor, "ratio": timing.processor_ratio, "most": most}
