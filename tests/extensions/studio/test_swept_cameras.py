@@ -1,5 +1,6 @@
 """Cameras in sweeps: each capture is that of the camera with the varied value written into what states it."""
 
+import itertools
 import json
 
 import mitsuba as mi
@@ -8,7 +9,7 @@ import pytest
 import xarray as xr
 from cameras import write_scene
 
-from mitsuba_plenoptic import PlenopticCamera, load_scene, read_capture, render_capture, with_camera
+from mitsuba_plenoptic import PlenopticCamera, load_scene, read_capture, reconstruct, render_capture, with_camera
 from mitsuba_plenoptic.camera import camera_and_record, varied_camera
 from mitsuba_plenoptic.capture_spec import CaptureSpec
 from mitsuba_plenoptic.extensions.studio.sweep import sweep
@@ -91,61 +92,51 @@ def test_a_camera_of_parameters_whose_micro_images_touch_has_a_sheet(varied, she
     assert found["resolution"] == expected["resolution"]
 
 
-@pytest.mark.parametrize(
-    ("stated", "grid", "as_file"),
-    [
-        (SHEET, {"f_number": [2, 4], "focus_distance": [210, 280]}, False),
-        (BY_SIZE, {"sensor_size": [0.24, 0.36], "pixels_per_lens": [5, 6]}, True),
-    ],
-)
-def test_a_capture_equals_its_own_rendering(stated, grid, as_file, scene, tmp_path, run):
-    camera = tmp_path / "camera.json"
-    camera.write_text(json.dumps(stated))
-    words = [word for name, values in grid.items() for word in ("--vary", f"{name}={','.join(map(str, values))}")]
-    source = camera if as_file else text_of(stated)
-    run("sweep", scene, "-o", tmp_path / "s.nc", "--spp", "2", "--camera", source, *words)
+def test_points_are_captures_and_reconstructions_of_their_own(scene, tmp_path, run):
+    """Smaller images begin at the first pixel, and the rest is no number."""
+    camera, grid = tmp_path / "camera.json", {"sensor_size": [0.24, 0.36], "pixels_per_lens": [5, 6]}
+    camera.write_text(json.dumps(BY_SIZE))
+    words = ["--vary", "sensor_size=0.24,0.36", "--vary", "pixels_per_lens=5,6", "--vary", "distance=210,240"]
+    run("sweep", scene, "-o", tmp_path / "s.nc", "--spp", "2", "--camera", camera, *words)
     with xr.open_dataset(tmp_path / "s.nc", engine="h5netcdf") as made:
         assert made.capture.dims == (*grid, "row", "column")
-        for point in made.capture.stack(point=list(grid)).transpose("point", ...):
-            values = {name: float(point[name]) for name in grid}
-            single = stated | {name: int(value) if value == int(value) else value for name, value in values.items()}
-            run("render", scene, "-o", tmp_path / "r.exr", "--spp", "2", "--camera", text_of(single))
+        assert [made[name].attrs["units"] for name in ("sensor_size", "distance", "bin_size")] == ["mm"] * 3
+        for size, pixels in itertools.product(*grid.values()):
+            point = made.sel(sensor_size=size, pixels_per_lens=pixels)
+            stated = text_of(BY_SIZE | {"sensor_size": size, "pixels_per_lens": pixels})
+            run("render", scene, "-o", tmp_path / "r.exr", "--spp", "2", "--camera", stated)
             capture = read_capture(tmp_path / "r.exr")
-            rows, columns = capture.image.shape
-            np.testing.assert_array_equal(point.values[:rows, :columns], capture.image)
-            assert np.isnan(point.values[rows:]).all() and np.isnan(point.values[:, columns:]).all()
             assert capture.image.std() > 0.01
-            assert float(made.pixel_size.sel({name: values[name] for name in made.pixel_size.dims if name in values})
-                         ) == pytest.approx(capture.camera.pixel_size)  # fmt: skip
-
-
-def test_images_of_several_sizes_are_in_one_dataset(tmp_path):
-    """Smaller ones begin at the first pixel, and the rest is no number, in reconstructions as well."""
-    scene = write_scene(tmp_path, BALL, sensor='<float name="detector_width" value="0.128"/>')
-    spec = CaptureSpec(str(scene), camera=MATCHED_PARAMETERS, spp=2)
-    with sweep(spec, {"lenses": [2, 4], "distance": [240]}, tmp_path / "s.nc") as made:
-        assert made.capture.sizes["row"] == 20 and made.reconstruction.sizes["bin_row"] == 4
-        for lenses in (2, 4):
-            pixels = np.isfinite(made.capture.sel(lenses=lenses)).values
-            assert pixels[: 5 * lenses, : 5 * lenses].all() and pixels.sum() == (5 * lenses) ** 2
-            bins = np.isfinite(made.reconstruction.sel(lenses=lenses).squeeze()).values
-            assert bins[:lenses, :lenses].all() and bins.sum() == lenses**2
+            assert float(point.pixel_size) == pytest.approx(capture.camera.pixel_size)
+            found = [(point.capture, capture.image)]
+            for result in reconstruct(capture, [210, 240]):
+                plane = point.sel(distance=result.distance)
+                assert float(plane.bin_size) == pytest.approx(result.bin_size)
+                found.append((plane.reconstruction, result.image))
+            for image, expected in found:
+                rows, columns = expected.shape
+                np.testing.assert_array_equal(image[:rows, :columns], expected)
+                assert np.isnan(image[rows:]).all() and np.isnan(image[:, columns:]).all()
 
 
 @pytest.mark.parametrize(("colours", "pixel_format"), [("mono", "rgb"), ("rgb", "rgb")])
 def test_a_scenes_own_sensor_is_varied_in_what_it_states(tmp_path, colours, pixel_format):
     """Here the focus, from which another distance of the array follows, and the scene's sampler is kept."""
     fixed = '<float name="detector_width" value="0.128"/><float name="focus_distance" value="240"/>'
+    fixed += '<string name="mla_lattice" value="hexagonal"/>'
     fixed += '<sampler type="multijitter"><integer name="sample_count" value="4"/></sampler>'
     scene = write_scene(tmp_path, BALL, sensor=fixed, pixel_format=pixel_format)
     spec = CaptureSpec(str(scene), variant=f"llvm_ad_{colours}", spp=4)
-    with sweep(spec, {"focal_length": [60, 70]}, tmp_path / "s.nc") as made:
+    channel = ("channel",) if colours == "rgb" else ()
+    with sweep(spec, {"focal_length": [60, 70], "distance": [240]}, tmp_path / "s.nc") as made:
+        assert made.reconstruction.dims == ("focal_length", "distance", "bin_row", "bin_column", *channel)
         for length in (60, 70):
             own = f'<float name="focal_length" value="{length}"/>'
             scene = write_scene(tmp_path, BALL, sensor=fixed + own, pixel_format=pixel_format)
             mi.set_variant(f"llvm_ad_{colours}")
             capture = render_capture(load_scene(scene), spp=4)
             assert capture.camera.focus_distance == pytest.approx(240)
+            assert (made.sizes["bin_column"], made.sizes["bin_row"]) == capture.camera.bin_count
             np.testing.assert_array_equal(made.capture.sel(focal_length=length).values, capture.image)
 
 
