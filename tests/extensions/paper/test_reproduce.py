@@ -15,7 +15,6 @@ from mitsuba_plenoptic.capture_spec import scene_fingerprint
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.paper import reproduction as reproductions
 from mitsuba_plenoptic.extensions.paper.reproduction import processor_seconds, reproduce
-from mitsuba_plenoptic.io.cache import StageOptions
 from mitsuba_plenoptic.report import plots
 from mitsuba_plenoptic.report.comparison import compare
 from mitsuba_plenoptic.report.experiment import Settings, pinhole_image, thin_lens_image
@@ -43,7 +42,6 @@ def test_reproduce_writes_everything_and_then_keeps_it(
     assert early[0].count("<figure") == 5 and early[0].index("The letters refocused") < early[0].index("figure 1")
     assert "capture wave, 5 of 29 " in told.err and "partial 280, " in told.err and "reused" not in told.err
     assert "by construction Reconstructions by rays and by waves have the same number of pixels." in told.out
-    assert told.out.rstrip().endswith("report.html: open it in a browser")
     names = "first fig1 fig2 fig3 fig4 methods interference captures answer"
     figures = {f"{name}.png" for name in names.split()}
     assert {path.name for path in tmp_path.iterdir()} == figures | {"data", "results.json", "report.html"}
@@ -60,27 +58,22 @@ def test_reproduce_writes_everything_and_then_keeps_it(
     before, report = files(tmp_path), (tmp_path / "report.html").read_bytes()
     results = json.loads((tmp_path / "results.json").read_text())
     quick_waves.clear()
-    kept = []
     # Figures come from what is kept: they are the page's of before.
     monkeypatch.setattr(plots.Plot, "save", lambda self, path, dpi=None: None)
-    again = reproduce(tmp_path, stages=StageOptions(finished=lambda *told: kept.append(told[2])))
-    assert quick_waves == [] and all(kept)
-    assert files(tmp_path) == before
+    again = reproduce(tmp_path)
+    assert quick_waves == [] and files(tmp_path) == before
     assert json.loads(json.dumps(again)) == json.loads((tmp_path / "results.json").read_text()) == results
     assert (tmp_path / "report.html").read_bytes() == report
 
     # Both stand-ins of wave captures are the same.
     assert results["captures"]["points"] == {"relative_error": 0, "energy": 1}
-    assert b"4 points per lens" in report
     assert b"are confirmed with the preset quick." in report
 
     claims = {claim["statement"].split(":")[0]: claim for claim in results["claims"]}
     assert len(claims) == 15
     assert [(row["shape"], row["distance"]) for row in results["readings"]] == [("eight", 280), ("hash", 210)]
     for statement, verdict in (
-        ("Reconstructions by rays and by waves have the same number of pixels.", "by construction"),
         ("Partially coherent propagation strongly reduces the interference.", "confirmed"),
-        ("Reconstruction by waves is faster than by rays", "differs"),
         ("Without special optimization, reconstruction by rays takes 330 s.", "differs"),
     ):
         assert claims[statement]["verdict"] == verdict

@@ -88,11 +88,11 @@ def test_the_page_holds_the_views():
     assert raw["lenses"]["spacing"][0] == pytest.approx(CAMERA.micro_image_pitch / CAMERA.pixel_size)
 
 
-@pytest.mark.parametrize("lenses", [4, 64])
-def test_the_views_of_large_and_small_detectors_are_as_many(lenses):
-    camera = mp.PlenopticCamera(resolution=(20 * lenses,) * 2, detector_width=lenses * 0.064)
-    one = content(mp.view(mp.Capture(np.ones(camera.shape), camera)))["recordings"][0]
-    assert len(one["v"]) == len(one["u"]) == 11 and one["v"][5] == one["u"][5] == 0
+def test_the_views_of_large_and_small_detectors_are_as_many():
+    for lenses in (4, 64):
+        camera = mp.PlenopticCamera(resolution=(20 * lenses,) * 2, detector_width=lenses * 0.064)
+        one = content(mp.view(mp.Capture(np.ones(camera.shape), camera)))["recordings"][0]
+        assert len(one["v"]) == len(one["u"]) == 11 and one["v"][5] == one["u"][5] == 0
 
 
 def test_what_is_left_out_is_stated(monkeypatch):
@@ -156,17 +156,6 @@ test_refused = refused(
         "sources: focal stack: .* one size",
     ),
 )
-
-
-def test_the_title_states_scene_and_camera():
-    recorded = dataclasses.replace(capture(), metadata={"scene": "still_life.xml"})
-    titles = [
-        mp.view(*sources).page.split("<title>")[1].split("</title>")[0]
-        for sources in ([recorded], [mp.decode(recorded)], [capture(CAMERA.replace(mla_lattice="hexagonal"))])
-    ]
-    lenses = "16 x 16 microlenses", "16 x 18 hexagonal microlenses"
-    # The scene is known to the capture alone.
-    assert titles == [f"Still life, f/8, {lenses[0]}", f"F/8, {lenses[0]}", f"F/8, {lenses[1]}"]
 
 
 def opened(browser, path, **size):
@@ -378,7 +367,9 @@ def test_the_command_shows_files_of_every_kind(raw, computed, tmp_path, run):
     assert "open it in a browser" in run("view", raw, *planes, computed / "depth.exr", "-o", path)
     found = content(path)
     assert [(plane["distance"], plane["method"]) for plane in found["planes"]] == [(236, "ray"), (244, "ray")]
-    assert found["depth"] and "ray model; 256 x 256 pixels" in path.read_text()
+    page = path.read_text()
+    assert "<title>Letters, f/8, 128 x 128 microlenses</title>" in page and "ray model; 256 x 256 pixels" in page
+    assert found["depth"]
     run("view", computed / "convert.nc", raw, "-o", path)
     assert [one["name"] for one in content(path)["recordings"]] == ["convert", "raw"]
     run("view", computed / "stack.exr", "-o", path)
