@@ -168,8 +168,8 @@ def test_a_sweep_on_workers_has_the_same_bits(tmp_path):
     grid = {"wavelength": [500, 633]}
     alone = sweep(WAVES, grid, tmp_path / "alone.nc").load()
     scene = load_scene("letters", parameters=TINY)
-    capture = render_capture(scene, model="wave", method="signed_rays", spp=1, wavelength=633)
-    np.testing.assert_array_equal(alone.capture.sel(wavelength=633), capture.image)
+    capture = render_capture(scene, model="wave", method="signed_rays", spp=1, wavelength=500)
+    np.testing.assert_array_equal(alone.capture.sel(wavelength=500), capture.image)
     assert capture.image.any() and alone.wavelength.attrs["units"] == "nm"
     with Cluster(workers=2) as cluster:
         assert sweep(WAVES, grid, tmp_path / "shared.nc", batch_map=cluster).load().equals(alone)
