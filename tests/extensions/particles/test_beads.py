@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from cases import facing, film, radiating, scene_of
 from numpy.testing import assert_allclose
-from refusals import refused
+from refusals import refused, refuses
 from scattering_cases import needs_miepython, one_particle
 
 import mitsuba_plenoptic as mp
@@ -138,18 +138,27 @@ def test_positions_of_beads_are_found(model):
 
 
 test_bad_microscopes_are_refused_in_one_line = refused(
-    (lambda folder: make_dataset(parse_recipe(PAIRS), folder), "near and far"),
     (lambda: one_particle((0, 0, -12.0), CAMERA), "z = -12.* z = -11.97"),
     (lambda: one_particle((0, 0, 0.1), OILY), "medium=1.333.* 1.4"),
     (lambda: pt.RayProjector(FOURIER, pt.VoxelGrid((0, 0, 0), (1, 1, 1), (1, 1, 1)), wavelength=550), "objective"),
 )
 
 
-PAIRS = {
-    "count": 1, "camera": {"preset": "lfm_water"}, "models": ["ray"], "truth": [],
-    "scenes": [{"generator": "particles", "flow": "uniform", "per_lens": 0.1}],
-}  # fmt: skip
 OILY = CAMERA.replace(main_lens=mp.Objective(40, 1.4, 1.515))
 FOURIER = mp.PlenopticCamera(
     main_lens=mp.Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50), mla_pitch=0.5, mla_focal_length=20
 )
+
+
+@needs_miepython
+def test_data_sets_of_a_microscope(tmp_path):
+    scene = {"generator": "particles", "flow": "uniform", "per_lens": 0.1, "diameter": 0.5, "displacement": 1}
+    camera = {"preset": "lfm_water", "detector_width": 0.875, "resolution": [105, 105]}
+    recipe = {"count": 1, "camera": camera, "models": ["ray"], "truth": []}
+    refuses("near and far", make_dataset, parse_recipe(recipe | {"scenes": [scene]}), tmp_path / "none")
+    recipe |= {"scenes": [scene | {"near": -0.01, "far": 0.03}]}
+    sample = make_dataset(parse_recipe(recipe), tmp_path / "pairs")[0]
+    # Within 0.8 of the field of 0.875 mm / 20, and of one lens in the object.
+    position, move = sample.arrays["particle_position"], sample.arrays["particle_displacement"]
+    assert 0.01 < np.nanmax(np.abs(position[..., :2])) < 0.8 * 0.875 / 40
+    assert np.nanmax(np.linalg.norm(move, axis=-1)) == pytest.approx(0.125 / 20, rel=1e-3)
