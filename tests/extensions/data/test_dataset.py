@@ -128,9 +128,16 @@ def test_a_rerun_makes_shards_again_that_are_not_there_or_cut_off(made, tmp_path
     assert files(folder) == files(made)
 
 
-def test_other_software_does_not_continue_a_data_set(made, tmp_path, complaint):
-    recipe, folder = tmp_path / "recipe.yaml", shutil.copytree(made, tmp_path / "old")
-    recipe.write_text(yaml.safe_dump(small()))
+@pytest.fixture
+def recipe(tmp_path):
+    """Write the recipe of the data set."""
+    path = tmp_path / "recipe.yaml"
+    path.write_text(yaml.safe_dump(small()))
+    return path
+
+
+def test_other_software_does_not_continue_a_data_set(made, recipe, tmp_path, complaint):
+    folder = shutil.copytree(made, tmp_path / "old")
     manifest = json.loads((folder / "dataset.json").read_text())
     assert manifest["version"] == DataSet(folder)[0].facts["version"] == version("mitsuba-plenoptic")
     manifest["software"]["mitsuba_plenoptic"] = "1.0"
@@ -141,10 +148,8 @@ def test_other_software_does_not_continue_a_data_set(made, tmp_path, complaint):
     assert files(folder) == before
 
 
-def test_a_second_process_in_the_folder_is_refused(made, tmp_path, complaint):
-    recipe, folder = tmp_path / "recipe.yaml", tmp_path / "data"
-    recipe.write_text(yaml.safe_dump(small()))
-    found = []
+def test_a_second_process_in_the_folder_is_refused(made, recipe, tmp_path, complaint):
+    folder, found = tmp_path / "data", []
 
     def meanwhile(tasks):
         # The lock is that of an opened file, so that it keeps this process out as it does others.
@@ -201,14 +206,12 @@ def test_pytorch_reads_tensors(made):
     np.testing.assert_array_equal(batch["normal"][3].numpy(), expected)
 
 
-def test_ctrl_c_says_how_to_go_on(tmp_path, monkeypatch, capsys):
+def test_ctrl_c_says_how_to_go_on(recipe, tmp_path, monkeypatch, capsys):
     def stopped(recipe, folder, *, batch_map, progress):
         progress(2, 5)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(mp.dataset, "make_dataset", stopped)
-    recipe = tmp_path / "recipe.yaml"
-    recipe.write_text(yaml.safe_dump(small()))
     assert main(["dataset", str(recipe), "-o", str(tmp_path / "data")]) == 130
     assert "stopped at 40 %: the same command goes on from there" in capsys.readouterr().err
 

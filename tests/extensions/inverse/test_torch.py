@@ -194,23 +194,6 @@ def test_derivatives_by_the_camera():
         assert float(forward_ad.unpack_dual(figure(*changing)).tangent) == pytest.approx(float(made), rel=1e-6)
 
 
-def test_weights_and_camera_together():
-    weights, made = random(2, 3), []
-    pitch, offset = torch.tensor(0.064, requires_grad=True), torch.tensor([1e-3, 0.0], requires_grad=True)
-
-    def make(camera):
-        made.append(StoredOperator(camera, POINTS, wavelength=WAVELENGTH, accuracy=0))
-        return made[-1]
-
-    image = bridge.capture(make, CAMERA, {"mla_pitch": pitch, "mla_offset": offset}, weights)
-    image.square().sum().backward()
-    (operator,), given = made, 2 * np.moveaxis(image.detach().numpy(), 0, -1)
-    expected = operator.gradient(weights.detach().numpy().T, given, ["mla_pitch", "mla_offset"])
-    assert float(pitch.grad) == pytest.approx(float(expected["mla_pitch"].sum()), rel=1e-5)
-    np.testing.assert_allclose(offset.grad, expected["mla_offset"], rtol=1e-5)
-    np.testing.assert_allclose(weights.grad, operator.adjoint(given).T, rtol=1e-5)
-
-
 def test_steps_of_a_loop_keep_nothing():
     operators = []
 

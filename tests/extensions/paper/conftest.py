@@ -28,6 +28,8 @@ def quick_waves(monkeypatch, tiny):
 
     def render_capture(scene, *, model, spp, progress=None, **wave):
         calls.append("capture_points" if wave.get("method") == "points" else f"capture_{model}")
+        # By which a capture by waves goes on where a run was stopped.
+        assert ("checkpoint" in wave) == (model == "wave")
         capture = render(scene, model="ray", spp=spp, progress=progress)
         if model == "ray":
             return capture

@@ -15,8 +15,7 @@ from mitsuba_plenoptic.refocus.projection import pupil_radius, ray_sums
 PAPER, WAVELENGTH = PlenopticCamera(), 633.0
 
 
-@pytest.mark.parametrize("distance", [240.0, 280.0])
-def test_the_plain_loop_gives_the_sums_of_our_reconstruction(distance):
+def test_the_plain_loop_gives_the_sums_of_our_reconstruction(distance=280.0):
     camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
     part = camera.replace(crop_offset=(32, 64), crop_size=(160, 96))
     image = np.random.default_rng(0).random((96, 160), np.float32)

@@ -7,22 +7,17 @@ import shutil
 
 import numpy as np
 import pytest
-from cameras import letters
 from PIL import Image
 from refusals import refuses
-from stopped_runs import StoppedError, stopped_before
 
-from mitsuba_plenoptic import InputError, load_scene, read_capture, render_capture, scene_path, with_camera
+from mitsuba_plenoptic import load_scene, read_capture, render_capture, scene_path, with_camera
 from mitsuba_plenoptic.capture_spec import scene_fingerprint
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.paper import reproduction as reproductions
 from mitsuba_plenoptic.extensions.paper.reproduction import processor_seconds, reproduce
-from mitsuba_plenoptic.io.cache import Cache, StageOptions
-from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report import plots
 from mitsuba_plenoptic.report.comparison import compare
-from mitsuba_plenoptic.report.experiment import Settings, pinhole_image, run_experiment, thin_lens_image
-from mitsuba_plenoptic.waves import signed_rays
+from mitsuba_plenoptic.report.experiment import Settings, pinhole_image, thin_lens_image
 
 
 def files(folder):
@@ -47,7 +42,6 @@ def test_reproduce_writes_everything_and_then_keeps_it(
     assert early[0].count("<figure") == 5 and early[0].index("The letters refocused") < early[0].index("figure 1")
     assert "capture wave, 5 of 29 " in told.err and "partial 280, " in told.err and "reused" not in told.err
     assert "by construction Reconstructions by rays and by waves have the same number of pixels." in told.out
-    assert told.out.rstrip().endswith("report.html: open it in a browser")
     names = "first fig1 fig2 fig3 fig4 methods interference captures answer"
     figures = {f"{name}.png" for name in names.split()}
     assert {path.name for path in tmp_path.iterdir()} == figures | {"data", "results.json", "report.html"}
@@ -64,27 +58,22 @@ def test_reproduce_writes_everything_and_then_keeps_it(
     before, report = files(tmp_path), (tmp_path / "report.html").read_bytes()
     results = json.loads((tmp_path / "results.json").read_text())
     quick_waves.clear()
-    kept = []
     # Figures come from what is kept: they are the page's of before.
     monkeypatch.setattr(plots.Plot, "save", lambda self, path, dpi=None: None)
-    again = reproduce(tmp_path, stages=StageOptions(finished=lambda *told: kept.append(told[2])))
-    assert quick_waves == [] and all(kept)
-    assert files(tmp_path) == before
+    again = reproduce(tmp_path)
+    assert quick_waves == [] and files(tmp_path) == before
     assert json.loads(json.dumps(again)) == json.loads((tmp_path / "results.json").read_text()) == results
     assert (tmp_path / "report.html").read_bytes() == report
 
     # Both stand-ins of wave captures are the same.
     assert results["captures"]["points"] == {"relative_error": 0, "energy": 1}
-    assert b"4 points per lens" in report
     assert b"are confirmed with the preset quick." in report
 
     claims = {claim["statement"].split(":")[0]: claim for claim in results["claims"]}
     assert len(claims) == 15
     assert [(row["shape"], row["distance"]) for row in results["readings"]] == [("eight", 280), ("hash", 210)]
     for statement, verdict in (
-        ("Reconstructions by rays and by waves have the same number of pixels.", "by construction"),
         ("Partially coherent propagation strongly reduces the interference.", "confirmed"),
-        ("Reconstruction by waves is faster than by rays", "differs"),
         ("Without special optimization, reconstruction by rays takes 330 s.", "differs"),
     ):
         assert claims[statement]["verdict"] == verdict
@@ -95,41 +84,10 @@ def test_reproduce_writes_everything_and_then_keeps_it(
     assert [row["paper_over_ours"] for row in results["timing"]] == [None, None, None]
     assert [row["paper_seconds"] for row in results["timing"]] == [330, 65, 195]
 
-
-@pytest.mark.slow
-def test_what_is_missing_damaged_or_outdated_is_made_again(quick_waves, tiny, tmp_path, monkeypatch):
-    working = experiments.reconstruct
-
-    def killed(capture, distance, *, method, **options):
-        if method == "coherent":
-            raise KeyboardInterrupt
-        return working(capture, distance, method=method, **options)
-
-    monkeypatch.setattr(experiments, "reconstruct", killed)
-    with pytest.raises(KeyboardInterrupt):
-        reproduce(tmp_path / "killed")
-    monkeypatch.setattr(experiments, "reconstruct", working)
-    assert len(files(tmp_path / "killed")) > 10
-    quick_waves.clear()
-    reproduce(tmp_path / "killed")
-    assert "capture_wave" not in quick_waves and "partial_225" not in quick_waves
-    assert quick_waves[0] == "coherent_210"
-    reproduce(tmp_path / "whole")
-    whole = files(tmp_path / "whole")
-    assert files(tmp_path / "killed") == whole
-
-    damaged = tmp_path / "whole" / "data" / "capture_wave.exr"
-    damaged.write_bytes(damaged.read_bytes()[:1000])
-    quick_waves.clear()
-    reproduce(tmp_path / "whole")
-    assert quick_waves == ["capture_wave"]
-    assert files(tmp_path / "whole") == whole
-
+    # What another wavelength changes is made again.
     monkeypatch.setitem(reproductions.PRESETS, "quick", dataclasses.replace(tiny, wavelength=600.0))
-    quick_waves.clear()
-    reproduce(tmp_path / "whole")
-    assert "capture_wave" in quick_waves and "capture_ray" not in quick_waves
-    assert "coherent_280" in quick_waves
+    reproduce(tmp_path)
+    assert {"capture_wave", "coherent_280"} <= set(quick_waves) and "capture_ray" not in quick_waves
 
 
 @pytest.mark.slow
@@ -157,40 +115,6 @@ def test_compare_measures_the_charts_edges(quick_waves, tmp_path):
 def test_compare_refuses_what_it_cannot_compare(settings, message, tmp_path):
     refuses(message, compare, settings, tmp_path / "out")
     assert message == "black" or list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.slow
-def test_a_wave_capture_that_was_stopped_goes_on_in_its_midst(tiny, tmp_path, monkeypatch):
-    """The stage's checkpoint, with waves that are real; what comes after the capture is left out."""
-
-    def stop(*_):
-        raise StoppedError
-
-    settings = dataclasses.replace(tiny, parameters=letters(8), spp=1)
-    # Blocks of the detector are kept one by one.
-    monkeypatch.setattr(signed_rays, "_BLOCK_BYTES", 2**20)
-    monkeypatch.setattr(experiments, "pinhole_image", stop)
-
-    def run(folder, settings=settings, **options):
-        progress = []
-        store = Cache(folder, StageOptions(lambda *told: progress.append(told), **options))
-        with pytest.raises(StoppedError):
-            run_experiment(settings, store)
-        # What of the capture was done when it began, among the work of all stages.
-        before, start, *_ = [done for name, done, _ in progress if name.startswith("capture_wave")]
-        return start - before
-
-    assert run(tmp_path / "clean") == 0
-    checkpoint = tmp_path / "stopped" / "capture_wave.checkpoint"
-    with stopped_before(lambda _: checkpoint.exists()):
-        assert run(tmp_path / "stopped") == 0
-    assert checkpoint.exists() and not (tmp_path / "stopped" / "capture_wave.exr").exists()
-    with pytest.raises(InputError, match="wavelength = 633 there, 500 here"):
-        run(tmp_path / "stopped", dataclasses.replace(settings, wavelength=500.0), resume=True)
-    assert run(tmp_path / "stopped", resume=True) > 0
-    assert not checkpoint.exists()
-    wave = "capture_wave.exr"
-    assert (tmp_path / "stopped" / wave).read_bytes() == (tmp_path / "clean" / wave).read_bytes()
 
 
 def test_a_scenes_fingerprint_knows_its_files(tmp_path):

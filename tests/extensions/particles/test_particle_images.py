@@ -8,7 +8,7 @@ import xarray as xr
 from numpy.polynomial import legendre
 from numpy.testing import assert_allclose
 from refusals import refused, refuses
-from scattering_cases import needs_miepython
+from scattering_cases import needs_miepython, one_particle
 from scipy.special import spherical_jn, spherical_yn
 
 import mitsuba_plenoptic as mp
@@ -71,16 +71,6 @@ def test_sheets_light_what_is_within_them():
     assert_allclose(sheet.irradiance(np.array([[0, 0, 240.0], [9, 9, 243.0]]), VOLUME), [1, np.exp(-2)])
 
 
-def one_particle(place, diameter, camera=CAMERA, direction=(1.0, 0.0, 0.0), **seeding):
-    """Return a sequence of one particle at a place."""
-    box = pt.ParticleVolume(tuple(np.array(place) - 0.1), tuple(np.array(place) + 0.1))
-    still, given, light = pt.Uniform((0.0, 0.0, 0.0)), pt.Seeding(count=8, **seeding), pt.LightSheet(direction)
-    truth = pt.particle_sequence(camera, box, given, still, interval=1, frames=1, sheet=light, seed=4)
-    truth = truth.isel(particle=[0])
-    truth["position"][:], truth["diameter"][:] = np.array(place), diameter
-    return truth
-
-
 def test_rays_by_snells_law_come_from_where_particles_are_seen(recwarn):
     """Rays near the normal, traced out of the fluid, meet there; those of the rim are as much longer as warned of."""
     window, place = pt.Window(90.0, 1.5), np.array([[0.3, -0.2, 120.0]])
@@ -133,7 +123,7 @@ def test_images_of_spheres_are_those_of_coherent_points_with_their_amplitudes(de
     # Small, so that fields are: they are sampled over the whole pupil.
     short = {"focal_length": 8, "mla_distance": 12, "aperture_radius": 0.624, "mla_focal_length": 0.615}
     camera, place = CAMERA.replace(detector_width=0.256, resolution=(64, 64), **short), (0.03, -0.02, depth)
-    images = pt.ParticleImages(one_particle(place, diameter, camera), wavelength=550)
+    images = pt.ParticleImages(one_particle(place, camera, diameter=diameter), wavelength=550)
     at = np.linspace(-1, 1, 30) * camera.aperture_radius
     pupil = np.stack(np.meshgrid(at, at, 0.0), -1).reshape(-1, 3)
     pupil = pupil[np.hypot(*pupil.T[:2]) < 1.05 * camera.aperture_radius]
@@ -157,30 +147,16 @@ def test_images_of_spheres_are_those_of_coherent_points_with_their_amplitudes(de
 
 
 @needs_miepython
-def test_what_a_mirror_sphere_reflects_comes_from_the_mirror_point():
-    """Light along x that goes on along -z has been reflected where the surface faces both."""
-    place, radius = np.array([0.03, -0.02, 243.0]), 0.03
-    silver = one_particle(place, 2e3 * radius, index=0.2 + 4j, medium=1)
-    image = pt.ParticleImages(silver, wavelength=550).capture(0).image
-    errors = []
-    for side in (-1, 0, 1):
-        point = one_particle(place + side * radius * np.array([0.5**0.5, 0, 0]), 1.0, index=None)
-        other = pt.ParticleImages(point, wavelength=550).capture(0).image
-        errors.append(np.linalg.norm(image - other) / np.linalg.norm(other))
-    assert errors[0] < 0.1 < 0.3 < min(errors[1:])
-
-
-@needs_miepython
 @pytest.mark.parametrize(
     ("camera", "diameter", "direction"),
     [(CAMERA, 50.0, (1, 0, -1)), (FAST, 3.0, (0, 1, 0)), (FAST, 20.0, (0.3, 1, 0.4))],
 )
 def test_powers_are_integrals_over_the_pupil(camera, diameter, direction):
     for place in ([0.3, -0.2, 240.0], [-0.5, 0.6, 250.0]):
-        truth = one_particle(place, diameter, camera, direction)
+        truth = one_particle(place, camera, diameter, direction)
         found = pt.ParticleImages(truth, wavelength=550, model="ray").metadata(0)["reference"]
-        angle = 2 * np.pi * np.arange(80) / 80
-        radius = camera.aperture_radius * np.sqrt((np.arange(1000) + 0.5) / 1000)[:, None]
+        angle = 2 * np.pi * np.arange(60) / 60
+        radius = camera.aperture_radius * np.sqrt((np.arange(250) + 0.5) / 250)[:, None]
         pupil = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0 * radius * angle], -1)
         away, within = behind_window(place, pupil)
         distance = np.linalg.norm(away, axis=-1)
@@ -203,8 +179,8 @@ def test_light_over_the_pupil_is_that_of_single_angles():
     column = np.flatnonzero(image.sum(0))
     # A ray through the pupil's x meets the array at m = -X / 2, and the detector at c + z (m - x) / b.
     at, centre, meets = (column - 127.5) * CAMERA.pixel_size, -0.032, -place[0] / 2
-    edges = meets - (at[:, None] - centre + np.linspace(-0.5, 0.5, 41) * CAMERA.pixel_size) * 120 / 0.512
-    across = np.linspace(-5, 5, 401)
+    edges = meets - (at[:, None] - centre + np.linspace(-0.5, 0.5, 21) * CAMERA.pixel_size) * 120 / 0.512
+    across = np.linspace(-5, 5, 101)
     towards = np.stack(np.broadcast_arrays(edges[..., None], across, 0.0), -1) - place
     cosine = (towards[..., 0] / np.linalg.norm(towards, axis=-1) / 1.333).reshape(1, -1)
     section = pt.cross_sections(np.array([40.0]), 1.59 / 1.333, 550 / 1.333, cosine).reshape(towards.shape[:-1])

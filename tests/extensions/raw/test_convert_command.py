@@ -84,17 +84,12 @@ def test_one_capture_is_converted_to_a_folder_of_another_benchmark(tmp_path, run
     assert camera_of(found) == camera
     for axis in "vuts":
         np.testing.assert_allclose(found[axis], square[axis])
-    # Pictures have eight bits, of which half a step is lost, and end at white.
+    # Pictures have eight bits, and end at white.
     white = Brightness().peak([square.values])
-    linear = (np.clip(one.values / white, 0, 1) for one in (found, square))
-    # IEC 61966-2-1.
-    codes = [255 * np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055) for x in linear]
-    assert abs(codes[0] - codes[1]).max() < 0.51
+    np.testing.assert_array_equal(to_bytes(found.values, white), to_bytes(square.values, white))
     assert "parameters.cfg" in complaint("convert", tmp_path, "-o", back)
     (folder / "input_Cam007.png").unlink()
     assert complaint("convert", folder, "-o", back).startswith(f"{folder / 'input_Cam007.png'}: ")
-    (folder / "parameters.cfg").write_bytes(b"\xff\xfe")
-    assert complaint("convert", folder, "-o", back).startswith(f"{folder / 'parameters.cfg'}: ")
     assert complaint("convert", shot, "-o", folder, "--format", "hcl").startswith("--format = 'hcl': ")
     assert complaint("convert", shot, "-o", shot, "--format", "hci").startswith(f"{shot}: it is a file")
     run("convert", shot, "-o", tmp_path / "a.eslf.png")

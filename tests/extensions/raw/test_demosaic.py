@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+import tifffile
 from cameras import colour_filters
-from PIL import Image
 from refusals import refused, refuses
 
 import mitsuba_plenoptic as mp
@@ -128,14 +128,13 @@ def test_the_commands(tmp_path, run, complaint, mistake):
     assert "256 x 256 pixels of three colours" in run("demosaic", bayer, "-o", back)
     assert mp.read_capture(back).image.shape == (256, 256, 3)
     assert "capture of 3 channels" in complaint("demosaic", back, "-o", tmp_path / "again.exr")
-    # A raw picture of a camera in a file.
+    # A raw picture of a camera in a file, as industrial cameras write them: 16 bits, above a black level.
     (tmp_path / "camera.json").write_text(CAMERA.to_json())
-    picture = (mosaicked(coloured(CAMERA)).image * 60000).astype(np.uint16)
-    Image.fromarray(picture).save(tmp_path / "raw.png")
-    options = ["--camera", tmp_path / "camera.json", "--linear", "--mosaic", "RGGB"]
-    run("demosaic", tmp_path / "raw.png", "-o", back, *options)
+    tifffile.imwrite(tmp_path / "raw.tiff", np.uint16(256 + np.rint(mosaicked(coloured(CAMERA)).image * 60000)))
+    options = ["--camera", tmp_path / "camera.json", "--linear", "--mosaic", "RGGB", "--black-level", "256"]
+    run("demosaic", tmp_path / "raw.tiff", "-o", back, *options)
     lit = white_image(CAMERA) > 0.02
-    found = mp.read_capture(back).image / (60000 / 65535)
+    found = mp.read_capture(back).image / (60000 / (65535 - 256))
     assert np.abs(found - coloured(CAMERA).image)[lit].mean() < 1e-4
 
 

@@ -28,10 +28,8 @@ def lf():
 
 
 class TestLFToolbox:
-    @pytest.mark.parametrize(("precision", "levels"), [("uint8", 255), ("uint16", 65535), ("single", None)])
-    @pytest.mark.parametrize("colour", [True, False])
-    def test_round_trip(self, lf, precision, levels, colour, tmp_path):
-        lf = lf if colour else lf.sel(c="G", drop=True)
+    @pytest.mark.parametrize(("precision", "levels"), [("uint8", 255), ("single", None)])
+    def test_round_trip(self, lf, precision, levels, tmp_path):
         ex.write_lftoolbox(tmp_path / "a.mat", lf, precision=precision)
         back = ex.read_lftoolbox(tmp_path / "a.mat")
         assert back.dims == lf.dims
@@ -158,24 +156,19 @@ def test_damaged_attributes_are_refused(lf):
 
 
 class TestMosaics:
-    @pytest.mark.parametrize("layout", ["lenses", "views"])
-    @pytest.mark.parametrize("colour", [True, False])
-    def test_round_trip(self, lf, layout, colour, tmp_path):
-        lf = lf if colour else lf.sel(c="B", drop=True)
-        ex.write_mosaic(tmp_path / "a.png", lf, layout=layout)
-        back = ex.read_mosaic(tmp_path / "a.png", lf.sizes["u"], layout=layout)
-        assert back.dims == lf.dims
-        # 16 bits in sRGB are finer than this everywhere.
-        np.testing.assert_allclose(back.values, lf.values / lf.values.max(), atol=4e-5)
-        assert "camera" not in back.attrs
-
     def test_layouts(self, lf, tmp_path):
         views, (rows, columns) = lf.sizes["u"], lf.shape[2:4]
         for layout, place in (("lenses", (2 * views + 7, 3 * views + 5)), ("views", (7 * rows + 2, 5 * columns + 3))):
             ex.write_mosaic(tmp_path / "a.png", lf, layout=layout)
             assert Image.open(tmp_path / "a.png").size == (views * columns, views * rows)
-            picture = ex.read_picture(tmp_path / "a.png")
+            picture, back = (
+                ex.read_picture(tmp_path / "a.png"),
+                ex.read_mosaic(tmp_path / "a.png", views, layout=layout),
+            )
+            assert back.dims == lf.dims and "camera" not in back.attrs
+            # 16 bits in sRGB are finer than this everywhere.
             np.testing.assert_allclose(picture[place], lf.values[7, 5, 2, 3] / lf.values.max(), atol=4e-5)
+            np.testing.assert_allclose(back.values, lf.values / lf.values.max(), atol=4e-5)
 
     def test_eight_bits_grey_and_transparency(self, tmp_path):
         Image.fromarray(np.array([[0, 188], [255, 10]], np.uint8)).save(tmp_path / "grey.png")
