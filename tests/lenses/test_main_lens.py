@@ -8,7 +8,6 @@ from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.lenses.pupil import Pupil
 from mitsuba_plenoptic.lenses.thin import ThinLens, Wavefront, noll, zernike
-from mitsuba_plenoptic.points.sampling import footprint
 
 WAVELENGTH, LAMBDA = 633.0, 633e-6
 LENS = ThinLens(80.0, Pupil(5.0, 120.0), "parabolic")
@@ -89,17 +88,6 @@ def test_the_path_is_that_of_the_direct_formula():
     assert (np.abs(LENS.path(pupil, point, WAVELENGTH) - expected) < lost + 1e-9).all()
     of_drjit = LENS.path(tuple(map(Float64, pupil)), tuple(map(Float64, point)), WAVELENGTH)
     assert np.allclose(np.array(of_drjit), LENS.path(pupil, point, WAVELENGTH), rtol=0, atol=1e-8)
-
-
-def test_footprints_are_where_rays_land():
-    """The parabolic lens's aberrations are in them: small for a narrow pupil."""
-    camera = PlenopticCamera(aperture_radius=1.0)
-    lens = main_lens(camera)
-    found = footprint(lens, np.array([(0.3, -0.2, 225.0)]))
-    for axis, X in enumerate((0.3, -0.2)):
-        rim = [lens.land((P, P), (X, X, 225.0))[0] for P in (-1.0, 1.0)]
-        assert found.centre[0, axis] == pytest.approx(np.mean(rim), abs=1e-4)
-        assert found.half_width[0, axis] == pytest.approx(abs(rim[1] - rim[0]) / 2, rel=1e-2)
 
 
 @pytest.mark.parametrize("distance", [8.0, 20.0, 1e4])

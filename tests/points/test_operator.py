@@ -120,17 +120,6 @@ def test_responses_mix_channels_as_a_matrix():
     assert error(mixed.adjoint(image), lines.adjoint(image @ matrix)) < 1e-5
 
 
-def test_pupil_weights_are_relative_and_booleans_are_ones():
-    positions = near(3)
-    masks = np.random.default_rng(8).random((3, 8, 8)) > 0.4
-    seen, ones, thirds = (
-        capture(SMALL, positions, [1.0, 2.0, -1.0], pupil_weights=weights)
-        for weights in (masks, masks.astype(float), masks / 3)
-    )
-    assert np.array_equal(seen, ones)
-    assert error(thirds, seen) < 1e-5
-
-
 @pytest.mark.parametrize("axis", [0, 1])
 def test_half_of_the_pupil_lights_half_of_the_image(axis):
     """With all of the power, for a point out of focus."""

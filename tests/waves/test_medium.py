@@ -3,7 +3,7 @@
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import HALF, WAVELENGTH, error, small_camera
+from cameras import HALF, WAVELENGTH, error, sky, small_camera
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import PlenopticCamera
@@ -120,3 +120,15 @@ def test_rays_lose_light_along_their_paths():
     passes = clear > 0
     assert passes.sum() > 50 and np.ptp(path[passes]) > 0.003
     assert np.allclose(dimmed[passes], clear[passes] * np.exp(-15 * path[passes]), rtol=1e-4)
+
+
+def test_white_by_waves_is_dimmed_by_the_mean_over_paths():
+    """By ideal lenses all paths from the points of a lens to the micro-image of the pupil are equally frequent."""
+    m = (np.arange(60) + 0.5) / 60 * 0.04 - 0.02
+    p = ((np.arange(60) + 0.5) / 30 - 1) * 16 * 0.04 / 51
+    x, y, u, v = np.meshgrid(m, m, p, p, sparse=True)
+    path = np.sqrt((x - u) ** 2 + (y - v) ** 2 + 0.06**2)
+    inside = np.broadcast_to(u**2 + v**2 <= (16 * 0.04 / 51) ** 2, path.shape)
+    cameras = (PlenopticCamera(**STEEP, mla_absorption=each) for each in (0.0, 15.0))
+    clear, dimmed = (sky(camera, 16, "wave", wavelength=550.0)[8:-8, 8:-8].mean() for camera in cameras)
+    assert dimmed / clear == pytest.approx(np.exp(-15 * path)[inside].mean(), rel=0.005)

@@ -15,6 +15,9 @@ from mitsuba_plenoptic.rays.tracer import Walk
 from mitsuba_plenoptic.waves.phase_space import PhaseSpace, Table, coefficients_of
 from tools.bench.cases import phase_space
 
+PLACES = (0.0, 0.028, 0.036)
+"""In a point's image, where light of a lens is looked for."""
+
 DISCS = PlenopticCamera(mla_aperture="circle", mla_fill=0.5)
 GAPS = PlenopticCamera(mla_fill=0.5)
 
@@ -33,6 +36,35 @@ def test_the_first_kernel_has_the_transfer_function_of_its_aperture(camera, theo
     found = np.exp(-2j * np.pi * np.outer(frequency, place)) @ kernel.sum(0)
     assert found.real == pytest.approx(theory(frequency * 633e-6 * 0.512 / width), abs=0.004)
     assert np.abs(found.imag).max() < 1e-3
+
+
+def test_the_mean_over_the_pupil_is_airys_pattern(radius=0.25):
+    # How much of the light of a point in focus falls into a lens, over its place: the lens convolved with the pattern.
+    plan = PhaseSpace(PlenopticCamera(aperture_radius=radius), 633.0, degree=0)
+    mean = np.zeros(len(PLACES))
+    for radial, (node, part) in enumerate(zip(plan.nodes, plan.table, strict=True)):
+        t = 1 - radial / plan.radial
+        ring = part[..., 0]
+        # The other quarters of the pupil are mirror images.
+        ring = (ring + ring[:, ::-1] + ring[:, :, ::-1] + ring[:, ::-1, ::-1]) / 4
+        turn = np.where(np.arange(len(ring)) % (len(ring) - 1), 1, 0.5)
+        ring = np.tensordot(turn, ring, 1) / turn.sum()
+        axis = (np.arange(ring.shape[1]) + 0.5) / ring.shape[1] * node.sides[0] - node.sides[0] / 2
+        middle = (
+            ring[ring.shape[0] // 2 - 1 : ring.shape[0] // 2 + 1].mean(0)
+            if len(ring) % 2 == 0
+            else ring[len(ring) // 2]
+        )
+        mean += (1 - t * t) * t * np.interp(PLACES, axis, middle)
+    mean /= sum((1 - t * t) * t for t in 1 - np.arange(plan.radial + 1) / plan.radial)
+    step, scale = 0.001, math.pi * 2 * radius / (633e-6 * 120)
+    axis = (np.arange(-480, 480) + 0.5) * step
+    v = scale * np.hypot(axis, axis[:, None])
+    airy = (scale * j1(v) / v) ** 2 / math.pi
+    lens = np.abs(axis) < 0.032
+    for place, found in zip(PLACES, mean, strict=True):
+        expected = airy[np.ix_(lens, np.abs(axis + place) < 0.032)].sum() * step**2
+        assert found == pytest.approx(expected, abs=0.0015), place
 
 
 @pytest.mark.slow

@@ -166,6 +166,13 @@ def test_black_scenes_are_black_and_said_to_be():
     assert not image.any()
 
 
+def test_few_samples_have_the_light_of_many():
+    """Rays whose own light were among what is subtracted would keep a part of it undiffracted."""
+    scene = scene_of(sensor(4, 16), lamp=facing(240.0, 0.1, **radiating()))
+    few = np.mean([by_waves(scene, 2, seed=seed).image.sum() for seed in range(20)])
+    assert few == pytest.approx(by_waves(scene, 256).image.sum(), rel=0.02)
+
+
 def test_compensation_keeps_the_sum_and_moves_light_little():
     random = np.random.default_rng(0)
     image = random.standard_normal((37, 50)) + 0.2
