@@ -6,6 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import scene_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -188,8 +189,7 @@ class BrickLattice(Lattice):
 def test_a_new_lattice_is_one_class(monkeypatch, camera_dict):
     monkeypatch.setitem(LATTICES, "brick", BrickLattice)
     sensor = camera_dict(mla_lattice="brick", mla_pitch="0.064, 0.058", resolution=128, detector_width=0.512)
-    scene = {"type": "scene", "integrator": {"type": "path"}, "camera": sensor, "sky": {"type": "constant"}}
-    capture = render_capture(mi.load_dict(scene), spp=64)
+    capture = render_capture(scene_of(sensor, sky={"type": "constant"}), spp=64)
     camera = capture.camera
     assert not camera.lattice.axis_aligned
     assert camera.mla_pitches == (0.064, 0.058)

@@ -109,12 +109,6 @@ def test_shares_are_lagrange_polynomials():
     assert spectrum.interpolated(31).nodes == ()
 
 
-@pytest.mark.parametrize("count", [1, 5])
-def test_nodes_of_flat_responses_are_those_of_gauss_and_legendre(count):
-    spectrum = Spectrum.band(550, 100, 40).interpolated(count)
-    np.testing.assert_allclose(spectrum.nodes, 550 + 50 * np.polynomial.legendre.leggauss(count)[0], rtol=1e-12)
-
-
 def test_nodes_lie_where_channels_answer():
     """The sums over wavelengths of polynomials of almost twice the degree are exact where there is one channel."""
     wavelengths = np.linspace(400, 700, 61)

@@ -1,4 +1,4 @@
-"""Links of fields against sums in double precision by NumPy alone, their adjoints, and a point's light through all."""
+"""Links of fields against sums in double precision by NumPy alone, their adjoints, and a coherent sum through all."""
 
 import drjit as dr
 import numpy as np
@@ -6,7 +6,7 @@ import pytest
 from cameras import error
 from scipy.special import fresnel
 
-from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, point_spread_function
+from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
 from mitsuba_plenoptic.fields.elements import Element
 from mitsuba_plenoptic.fields.links import Chain, FreeSpace, Fresnel, FromSpectrum, Hop, Spectrum
 from mitsuba_plenoptic.fields.steps import AxisStep, Directions, LensAxis, Step
@@ -115,12 +115,11 @@ def test_one_transform_is_fresnels_integral():
 
 
 def links():
-    for name in STEPS:
+    """Return links beside hops, whose adjoint a relation judges."""
+    for name in ("cut and moved", "coarser"):
         step = step_of(name, "finer")
         held = step.x.held, step.y.held
         source, there = (step.y.count, step.x.count), step.shape
-        for space, given in SPACES.items():
-            yield f"{name}, {space}", Hop(step, given, Element(step, lens)), source, there
         separated = Element.separated(step, lambda x, y: phasor(30 * x * x - 20 * y), (0.0, 0.0))
         yield f"{name}, lines", Hop(step, SPACES["cosines"], separated), source, there
         yield f"{name}, directions", Spectrum(step, Element(step, lens)), source, held
@@ -209,13 +208,8 @@ POINTS = [(0.01, -0.02, 15.0), (-0.03, 0.02, 14.0)]
 
 def plain(amplitudes):
     pitch = CAMERA.pixel_size / FINER
-    fields = [a * plain_field(CAMERA, point, pitch, 1500) for a, point in zip(amplitudes, POINTS, strict=True) if a]
+    fields = [a * plain_field(CAMERA, point, pitch, 1500) for a, point in zip(amplitudes, POINTS, strict=True)]
     return plain_pixels(sum(fields), CAMERA, pitch)
-
-
-def test_a_full_field_is_that_of_plain_numpy():
-    full = point_spread_function(CAMERA, POINTS[1], wavelength=WAVELENGTH, method="full_field")
-    assert error(full, plain([0, 1])) < 3e-3
 
 
 @pytest.mark.needs_extension("laser")

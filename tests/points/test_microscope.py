@@ -1,9 +1,9 @@
 """Microscopes by waves and rays: against the Debye integral, closed forms, and one way of following light the other."""
 
-import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import error, pattern_count
+from cameras import disk, error, pattern_count, sky
+from cases import scene_of
 from numpy.polynomial.legendre import leggauss
 from scipy.special import j0
 
@@ -146,23 +146,14 @@ def test_each_lens_of_a_fourier_microscope_forms_an_airy_pattern():
 
 def test_rays_of_white_fill_the_micro_images():
     """Mean of a white capture: the stop's image under a lens, over a cell."""
-    camera = camera_with(mp.Objective(20, 0.4), resolution=(270, 270))
-    scene = mi.load_dict(
-        {"type": "scene", "sensor": camera.to_sensor(), "light": {"type": "constant", "radiance": 1.0}}
-    )
-    image = mi.render(scene, integrator=mi.load_dict({"type": "path", "hide_emitters": False}), spp=64).numpy()[..., 0]
+    image = sky(camera_with(mp.Objective(20, 0.4), resolution=(270, 270)), 64)
     assert image[30:-30, 30:-30].mean() == pytest.approx(np.pi * (0.02 * 3 / 0.15) ** 2, rel=0.005)
 
 
 def test_rays_see_a_small_light_where_waves_do():
     camera, X, Y, depth = camera_with(AIR), 0.0078, -0.0072, 0.02
-    light = {
-        "type": "disk",
-        "to_world": mi.ScalarTransform4f().translate([X, Y, depth]).rotate([0, 1, 0], 180).scale(4e-4),
-        "emitter": {"type": "area", "radiance": 1.0},
-    }
-    scene = mi.load_dict({"type": "scene", "sensor": camera.to_sensor(), "light": light})
-    by_rays = mi.render(scene, integrator=mi.load_dict({"type": "direct"}), spp=1024).numpy()[..., 0]
+    scene = scene_of(camera.to_sensor(), "direct", light=disk([X, Y, depth], 4e-4))
+    by_rays = mp.render_capture(scene, spp=1024).image
     # A surface shines with the cosine, which a point does not.
     cells = (np.arange(64) + 0.5) / 32 - 1
     cosine = np.sqrt(1 - 0.25 * np.minimum(cells**2 + cells[:, None] ** 2, 1))

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cameras import HALF, LATTICES, WAVELENGTH, capture, error, in_every_lens, pattern_count, scattered, small_camera
+from cameras import HALF, WAVELENGTH, capture, error, in_every_lens, pattern_count, scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, Job, PlenopticCamera, Spectrum, Vignetting
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
@@ -92,10 +92,14 @@ def test_weights_that_cancel_leave_nothing():
 
 
 def test_scipy_multiplies_spectra():
-    spectrum = Spectrum((633, 532), ((1.0, 0.3), (0.2, 0.8), (0.0, 0.5)))
-    operator = CaptureOperator(SMALL, near(4), spectrum=spectrum)
+    """And the adjoint is that of the sum, of interpolated spectra, shared spreads and weighted pupils, too."""
     rng = np.random.default_rng(2)
-    weights, image = rng.normal(size=(4, 2)), rng.normal(size=(*SMALL.shape, 3))
+    spectrum = Spectrum((633, 600, 570, 532), tuple(map(tuple, rng.random((3, 4)).tolist()))).interpolated(2)
+    points = np.append(near(3), near(1) + np.array([1e-4, 0, 0]), axis=0)
+    operator = CaptureOperator(
+        SMALL, points, spectrum=spectrum, accuracy=0.01, pupil_weights=rng.uniform(0, 1, (4, 4, 4))
+    )
+    weights, image = rng.normal(size=(4, 4)), rng.normal(size=(*SMALL.shape, 3))
     assert (operator.source_shape, operator.image_shape) == (weights.shape, image.shape)
     made, back = operator @ weights.ravel(), operator.T @ image.ravel()
     assert (made.reshape(image.shape) == operator.forward(weights)).all()
@@ -116,17 +120,6 @@ def test_responses_mix_channels_as_a_matrix():
     assert error(mixed.adjoint(image), lines.adjoint(image @ matrix)) < 1e-5
 
 
-def test_pupil_weights_are_relative_and_booleans_are_ones():
-    positions = near(3)
-    masks = np.random.default_rng(8).random((3, 8, 8)) > 0.4
-    seen, ones, thirds = (
-        capture(SMALL, positions, [1.0, 2.0, -1.0], pupil_weights=weights)
-        for weights in (masks, masks.astype(float), masks / 3)
-    )
-    assert np.array_equal(seen, ones)
-    assert error(thirds, seen) < 1e-5
-
-
 @pytest.mark.parametrize("axis", [0, 1])
 def test_half_of_the_pupil_lights_half_of_the_image(axis):
     """With all of the power, for a point out of focus."""
@@ -142,13 +135,10 @@ def test_half_of_the_pupil_lights_half_of_the_image(axis):
     assert error(opened, whole) < 1e-6
 
 
-@pytest.mark.parametrize(
-    ("name", "distance"), [("square", 240.0), pytest.param("three focal lengths", 240.0, marks=pytest.mark.slow)]
-)
-def test_shared_patterns_stay_true(name, distance):
-    """One pattern for all lenses of a focal length in a zone, against a propagation of every radiator."""
-    camera = small_camera(12, **LATTICES.get(name, {}))
-    positions = in_every_lens(camera, 4, distance, per_lens=2, offset=1.7)
+def test_shared_patterns_stay_true():
+    """One pattern for all lenses in a zone, against a propagation of every radiator."""
+    camera = small_camera(12)
+    positions = in_every_lens(camera, 4, 240.0, per_lens=2, offset=1.7)
     weights = np.random.default_rng(1).uniform(0, 1, len(positions))
     shared, every = (
         CaptureOperator(camera, positions, wavelength=WAVELENGTH, accuracy=accuracy) for accuracy in (0.02, 0)

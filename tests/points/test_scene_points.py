@@ -8,7 +8,7 @@ import pytest
 from cameras import error
 from cases import facing, radiating, scene_of, sensor
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, render_capture
+from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.points.units import radiance_weight
 
@@ -42,20 +42,8 @@ def by_signed_rays(scene, spp=256, **options):
     return np.mean([capture.image for capture in captures], axis=0)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {},
-        pytest.param(
-            {"mla_transmissions": [[0.5, 1.0, 1.0, 1.0], [1.0, 0.7, 1.0, 0.8], [1.0, 1.2, 1.0, 0.6]]},
-            marks=pytest.mark.slow,
-        ),
-    ],
-    ids=["even", "unequal lenses"],
-)
-def test_surfaces_are_seen_as_by_signed_rays(changes):
-    seen = PlenopticCamera(detector_width=0.256, resolution=(64, 64), lens_model="parabolic", **changes)
-    scene = scene_of(seen.to_sensor(), card=facing(240.0, 2.0, **striped(0.4)))
+def test_surfaces_are_seen_as_by_signed_rays():
+    scene = scene_of(camera(), card=facing(240.0, 2.0, **striped(0.4)))
     points, rays = by_points(scene, 64).image, by_signed_rays(scene)
     assert error(points, rays) < 0.03
     assert points.sum() == pytest.approx(rays.sum(), rel=0.005)
@@ -125,12 +113,6 @@ def test_colours_are_those_of_rays(variant):
     assert by_points(scene, 16, **options).image.mean((0, 1)) == pytest.approx(by_rays, rel=0.02)
 
 
-def test_the_noise_is_refused_and_the_cost_estimated(monkeypatch):
-    scene = scene_of(camera(2), wall=wall())
+def test_the_noise_is_refused():
     with pytest.raises(InputError, match="noise: method = points"):
-        by_points(scene, noise=True)
-    monkeypatch.setattr("mitsuba_plenoptic.runtime.progress.SETTLED", 0.0)
-    monkeypatch.setattr("mitsuba_plenoptic.points.patch_plan.PatchSum.image", lambda *_: pytest.fail("not abandoned"))
-    cost = estimate_capture(scene, model="wave", method="points", spp=8)
-    assert 0 < cost.seconds < 600
-    assert 0 < cost.memory < 2**32
+        by_points(scene_of(camera(2), wall=wall()), noise=True)

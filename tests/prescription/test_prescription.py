@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import yaml
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, Prescription, read_prescription
-from mitsuba_plenoptic.prescription import BUNDLED, Glass, bundled_prescription, paraxial
+from mitsuba_plenoptic import InputError, PlenopticCamera, read_prescription
+from mitsuba_plenoptic.prescription import BUNDLED, Glass, bundled_prescription
 
 BK7 = {"name": "N-BK7", "sellmeier": [1.03961212, 0.231792344, 1.01046945, 0.00600069867, 0.0200179144, 103.560653]}
 
@@ -17,14 +17,6 @@ BK7 = {"name": "N-BK7", "sellmeier": [1.03961212, 0.231792344, 1.01046945, 0.006
 def singlet(glass=1.5, radii=(50.0, -70.0), thickness=4.0, **changes):
     first = {"radius": radii[0], "thickness": thickness, "glass": glass, "semi_aperture": 10, "stop": True}
     return {"surfaces": [first | changes, {"radius": radii[1], "semi_aperture": 10}]}
-
-
-def test_focal_length_of_a_singlet_is_the_lensmakers(wavelength=450.0):
-    """The thick lens (Born and Wolf, section 4.4.3)."""
-    lens = Prescription.from_plain(singlet(BK7))
-    n = Glass.from_plain(BK7).at(wavelength)
-    power = (n - 1) * (1 / 50 + 1 / 70 - (n - 1) * 4 / (n * 50 * 70))
-    assert paraxial(lens, wavelength).focal_length == pytest.approx(1 / power, rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -58,16 +50,6 @@ def test_a_camera_holds_its_lens_in_full():
     own = PlenopticCamera(main_lens="double_gauss", focus_distance=1000)
     assert own.focal_length == pytest.approx(100.00375, rel=1e-7)
     assert own.f_number == pytest.approx(3, rel=1e-3)
-
-
-def test_pupils_of_a_lens_whose_stop_is_its_first_surface():
-    numbers = paraxial(Prescription.from_plain(singlet()))
-    assert numbers.entrance_pupil == 0 and numbers.entrance_radius == 10
-    # The stop seen through the glass and the second surface: n/x' - n/t = ... by the paraxial formula.
-    power = (1 - 1.5) / -70
-    place = 1 / (power - 1.5 / 4)
-    assert numbers.exit_pupil == pytest.approx(place, rel=1e-12)
-    assert numbers.exit_radius == pytest.approx(10 * abs(place) * 1.5 / 4, rel=1e-12)
 
 
 def test_surfaces_end_where_they_cross():

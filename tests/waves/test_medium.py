@@ -3,11 +3,10 @@
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import HALF, WAVELENGTH, error, small_camera
-from cases import facing, radiating, scene_of
+from cameras import HALF, WAVELENGTH, error, sky, small_camera
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic import PlenopticCamera, render_capture
+from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.points.point_spread import point_fields
 
 GLASS = {"mla_medium": 1.5, "mla_focal_length": 0.768, "detector_distance": 0.8}
@@ -68,9 +67,8 @@ def test_an_ideal_microlens_in_a_medium_is_stigmatic():
     assert np.ptp(at, axis=1).max() < 1e-3
 
 
-@pytest.mark.needs_extension("deconvolution")
 def test_near_the_axis_a_medium_is_a_shorter_length_of_air():
-    """Decoding, refocusing, design and ray reconstruction see no difference."""
+    """Design and ray reconstruction see no difference; a relation compares point spreads."""
     cameras = [small_camera(**changes) for changes in (GLASS, AIR)]
     for figure in (
         mp.design.mla_f_number, mp.design.mla_object_distances, mp.design.best_distances,
@@ -80,21 +78,12 @@ def test_near_the_axis_a_medium_is_a_shorter_length_of_air():
         glass, air = (np.array(figure(camera)) for camera in cameras)
         assert np.all(glass == air) or np.allclose(glass, air, rtol=1e-12)
     image = np.random.default_rng(2).random(cameras[0].shape, np.float32)
-    found = [
-        mp.reconstruct(image, 230.0, camera=camera, **options).image
-        for options in ({"method": "ray"}, {"method": "incoherent", "wavelength": WAVELENGTH})
-        for camera in cameras
-    ]
-    assert error(found[0], found[1]) < 1e-6
-    # Beyond the axis directions differ by a millionth of a radian.
-    assert 0 < error(found[2], found[3]) < 0.02
+    found, expected = (mp.reconstruct(image, 230.0, camera=camera).image for camera in cameras)
+    assert error(found, expected) < 1e-6
 
 
-@pytest.mark.parametrize(
-    "changes", [{}, pytest.param({"mla_lattice": "hexagonal"}, marks=pytest.mark.slow)], ids=["square", "hexagonal"]
-)
-def test_waves_against_an_angular_spectrum_in_the_medium(changes):
-    camera = small_camera(4, **HALF, **GLASS, **changes)
+def test_waves_against_an_angular_spectrum_in_the_medium():
+    camera = small_camera(4, **HALF, **GLASS)
     position = np.array([0.05, -0.03, 112.5])
     fields = point_fields(camera, position, wavelength=WAVELENGTH)
     lam, pitch, count = WAVELENGTH * 1e-6, fields.mla.pitch, fields.mla.samples.shape
@@ -133,26 +122,13 @@ def test_rays_lose_light_along_their_paths():
     assert np.allclose(dimmed[passes], clear[passes] * np.exp(-15 * path[passes]), rtol=1e-4)
 
 
-def white(camera, **options):
-    return render_capture(scene_of(camera.to_sensor(), wall=facing(900.0, 900.0, **radiating())), **options).image
-
-
-def transmitted(**options):
-    cameras = (PlenopticCamera(**STEEP, mla_absorption=each) for each in (0.0, 15.0))
-    clear, dimmed = (white(camera, **options)[8:-8, 8:-8].mean() for camera in cameras)
-    return dimmed / clear
-
-
-@pytest.mark.slow
-def test_white_walls_against_the_mean_over_paths():
+def test_white_by_waves_is_dimmed_by_the_mean_over_paths():
     """By ideal lenses all paths from the points of a lens to the micro-image of the pupil are equally frequent."""
     m = (np.arange(60) + 0.5) / 60 * 0.04 - 0.02
-    p = (np.arange(60) + 0.5) / 30 - 1
-    x, y, u, v = np.meshgrid(m, m, p * 16 * 0.04 / 51, p * 16 * 0.04 / 51, sparse=True)
+    p = ((np.arange(60) + 0.5) / 30 - 1) * 16 * 0.04 / 51
+    x, y, u, v = np.meshgrid(m, m, p, p, sparse=True)
     path = np.sqrt((x - u) ** 2 + (y - v) ** 2 + 0.06**2)
     inside = np.broadcast_to(u**2 + v**2 <= (16 * 0.04 / 51) ** 2, path.shape)
-    expected = np.exp(-15 * path)[inside].mean()
-    # A constant factor of perpendicular light differs.
-    assert expected < 0.97 * np.exp(-15 * 0.06)
-    assert transmitted(model="ray", spp=64) == pytest.approx(expected, rel=0.003)
-    assert transmitted(model="wave", wavelength=550.0, spp=16) == pytest.approx(expected, rel=0.005)
+    cameras = (PlenopticCamera(**STEEP, mla_absorption=each) for each in (0.0, 15.0))
+    clear, dimmed = (sky(camera, 16, "wave", wavelength=550.0)[8:-8, 8:-8].mean() for camera in cameras)
+    assert dimmed / clear == pytest.approx(np.exp(-15 * path)[inside].mean(), rel=0.005)

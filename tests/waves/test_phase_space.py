@@ -38,8 +38,7 @@ def test_the_first_kernel_has_the_transfer_function_of_its_aperture(camera, theo
     assert np.abs(found.imag).max() < 1e-3
 
 
-@pytest.mark.parametrize(("radius", "tolerance"), [(5.0, 0.015), (0.25, 0.0015)])
-def test_the_mean_over_the_pupil_is_airys_pattern(radius, tolerance):
+def test_the_mean_over_the_pupil_is_airys_pattern(radius=0.25):
     # How much of the light of a point in focus falls into a lens, over its place: the lens convolved with the pattern.
     plan = PhaseSpace(PlenopticCamera(aperture_radius=radius), 633.0, degree=0)
     mean = np.zeros(len(PLACES))
@@ -65,18 +64,7 @@ def test_the_mean_over_the_pupil_is_airys_pattern(radius, tolerance):
     lens = np.abs(axis) < 0.032
     for place, found in zip(PLACES, mean, strict=True):
         expected = airy[np.ix_(lens, np.abs(axis + place) < 0.032)].sum() * step**2
-        assert found == pytest.approx(expected, abs=tolerance), place
-
-
-def test_a_wall_is_that_of_point_spreads():
-    camera = PlenopticCamera()
-    wall = phase_space.Wall(camera, 0.0, 1, 8, 0.0)
-    view = phase_space.around(camera, wall, 1)
-    exact = phase_space.reference(view, wall)
-    plan = PhaseSpace(camera, 633.0, degree=2, window=5)
-    signed = phase_space.capture(plan, view, wall, 256, 1, 0)
-    assert relative(signed, exact) < 0.06
-    assert signed.sum() / exact.sum() == pytest.approx(1, abs=0.02)
+        assert found == pytest.approx(expected, abs=0.0015), place
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from cameras import error
+from cases import facing, radiating, scene_of
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import gaussian_filter
 
@@ -34,31 +35,15 @@ def with_stray_light(image, camera):
 
 def lit(camera, integrator, **film):
     """Return a scene of a small lamp in focus."""
-    place = mi.ScalarTransform4f().translate([0.05, 0, 238]).scale(0.1).rotate([0, 1, 0], 180)
-    lamp = {"type": "rectangle", "to_world": place, "light": {"type": "area", "radiance": 1.0}}
     sensor = camera.to_sensor()
     sensor["film"] |= film
-    return mi.load_dict({"type": "scene", "camera": sensor, "lamp": lamp, "integrator": integrator})
+    return scene_of(sensor, integrator, lamp=facing(238.0, 0.1, (0.05, 0.0), **radiating()))
 
 
-def capture(camera, spp, model="ray", **options):
-    """Return the capture of the lamp."""
-    return render_capture(lit(camera, {"type": "direct"}), spp=spp, model=model, **options)
-
-
-def blurred(image, blur, camera):
-    return gaussian_filter(image, blur / camera.pixel_size, mode="reflect", truncate=8, axes=(0, 1))
-
-
-def test_blurs_are_gaussian_and_keep_the_light():
-    a = np.random.default_rng(0).random((19, 17, 2))
-    camera = CAMERA.replace(detector_blur=BLUR)
-    mixed = DetectorOperator.of(camera).forward(a)
-    assert mixed == pytest.approx(blurred(a, BLUR, camera), abs=1e-6)
-    assert mixed.sum() == pytest.approx(a.sum())
+def test_blurs_below_a_pixel_are_gaussian_and_take_no_light_away():
     impulse = np.zeros((1, 41))
     impulse[0, 20] = 1
-    # Below a pixel, where samples of a Gaussian would have too small a variance.
+    # Samples of a Gaussian would have too small a variance.
     narrow = DetectorOperator(blur=0.4).forward(impulse)
     # Nowhere does it take light away, however wide it is.
     for width in (1e-6, 0.05, 0.4, 1.0, 1.5, 30.0):
@@ -68,24 +53,11 @@ def test_blurs_are_gaussian_and_keep_the_light():
     assert (narrow * smooth).sum() == pytest.approx(1 + np.exp(-0.5 * (0.4 * 2 * np.pi / 16) ** 2), abs=1e-3)
 
 
-MAP = np.linspace(0.01, 0.1, 21 * 18).reshape(21, 18)
-
-
-@pytest.mark.parametrize(("stray", "width"), [(0.05, np.inf), (MAP, 2.5)], ids=["number", "map"])
-def test_the_adjoint_is_the_transpose_for_arrays_and_tensors(stray, width):
-    operator = DetectorOperator(blur=1.5, crosstalk=0.04, stray_light=stray, stray_width=width)
+def test_the_adjoint_is_the_transpose():
+    stray = np.linspace(0.01, 0.1, 21 * 18).reshape(21, 18)
+    operator = DetectorOperator(blur=1.5, crosstalk=0.04, stray_light=stray, stray_width=2.5)
     x, y = np.random.default_rng(1).random((2, 21, 18, 3))
     assert np.sum(operator.forward(x) * y) == pytest.approx(np.sum(x * operator.adjoint(y)), rel=1e-12)
-    # An even image only brightens, by the stray light.
-    even = np.ones((21, 18, 3))
-    brighter = even + np.broadcast_to(np.asarray(stray), (21, 18))[..., None]
-    assert operator.forward(even) == pytest.approx(brighter, rel=1e-12)
-    tensor = mi.TensorXf(x.astype(np.float32))
-    dr.enable_grad(tensor)
-    made = operator.forward(tensor)
-    assert np.array(made) == pytest.approx(operator.forward(x), rel=1e-5)
-    dr.backward(dr.sum(made * mi.TensorXf(y.astype(np.float32)), axis=None))
-    assert np.array(dr.grad(tensor)) == pytest.approx(operator.adjoint(y), rel=1e-5)
 
 
 def test_stray_light_is_a_table_of_the_whole_detector(tmp_path):
@@ -96,7 +68,8 @@ def test_stray_light_is_a_table_of_the_whole_detector(tmp_path):
     stray = camera.replace(stray_light=tmp_path / "stray.npy", **mixing)
     assert stray == camera.replace(stray_light=np.array(TABLE), **mixing) and stray.stray_light == StrayLight(TABLE)
     plain = np.random.default_rng(2).random(camera.shape)
-    beside = np.pad(blurred(plain, BLUR, camera), 1, mode="symmetric")
+    blurred = gaussian_filter(plain, BLUR / camera.pixel_size, mode="reflect", truncate=8)
+    beside = np.pad(blurred, 1, mode="symmetric")
     mixed = 0.8 * beside[1:-1, 1:-1]
     mixed += 0.05 * (beside[:-2, 1:-1] + beside[2:, 1:-1] + beside[1:-1, :-2] + beside[1:-1, 2:])
     assert error(DetectorOperator.of(stray).forward(plain), with_stray_light(mixed, camera)) < 1e-6
@@ -169,20 +142,15 @@ def test_gradients_of_renders_by_the_width_hold_the_lengths_of_the_detector(inte
     assert gradient == pytest.approx(np.vdot(right, other), rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("model", "detector", "least"),
-    [
-        ("ray", {"detector_blur": BLUR}, 0.2),
-        pytest.param("ray", {"stray_light": TABLE}, 0.015, marks=pytest.mark.slow),
-        pytest.param("wave", {"pixel_crosstalk": 0.05}, 0.015, marks=pytest.mark.slow),
-    ],
-)
-def test_reconstructions_know_the_detector(model, detector, least):
+def test_reconstructions_know_the_detector():
     """They show the lamp as the camera without it does; a blur by 1.5 of 8 pixels a lens moves light off lenses."""
-    sharp, blurry = (capture(each, 1024, model) for each in (CAMERA, CAMERA.replace(**detector)))
+    sharp, blurry = (
+        render_capture(lit(camera, {"type": "direct"}), spp=1024)
+        for camera in (CAMERA, CAMERA.replace(detector_blur=BLUR))
+    )
     for method in ("ray", "coherent", "partial", "incoherent", "deconvolved"):
         options = {"method": method, "wavelength": None if method in ("ray", "deconvolved") else 633.0}
         found, expected = (reconstruct(each, 240, **options).image for each in (blurry, sharp))
         assert error(found, expected) < 0.05, method
-    ignored = reconstruct(Capture(blurry.image, CAMERA, 633.0, model), 240).image
-    assert error(ignored, reconstruct(sharp, 240).image) > least
+    ignored = reconstruct(Capture(blurry.image, CAMERA, 633.0, "ray"), 240).image
+    assert error(ignored, reconstruct(sharp, 240).image) > 0.2

@@ -5,7 +5,6 @@ import re
 import warnings
 from pathlib import Path
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -22,7 +21,6 @@ from mitsuba_plenoptic.scene.capture import pass_counts
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("letters", "white", "chart", "still_life", "vitrine", "colour_chart")
 DISTANCES = {"eight": 210.0, "f": 240.0, "hash": 280.0}
-STILL_LIFE = ("table", "backdrop", "pawn", "die", "ball", "lambda", "knot", "window", "lamp")
 
 
 def load(name, **parameters):
@@ -33,12 +31,6 @@ def thin_camera(resolution, **parameters):
     """Build one of Mitsuba's own cameras with the view of the plenoptic one."""
     view = {"fov": math.degrees(2 * math.atan(8.192 / 2 / 120)), "film": film(resolution, resolution)}
     return mi.load_dict({"type": "perspective", **view, **parameters})
-
-
-def first_rays(resolution):
-    """Return the rays of a thin camera through the middles of its pixels."""
-    x, y = dr.meshgrid(*[(dr.arange(mi.Float, resolution) + 0.5) / resolution] * 2)
-    return thin_camera(resolution).sample_ray(0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))[0]
 
 
 def render(scene, resolution=128, spp=64, **parameters):
@@ -88,19 +80,6 @@ def test_resolution_samples_the_same_detector(name):
     assert camera.pixels_per_lens == pytest.approx(full.pixels_per_lens * columns / full.resolution[0])
 
 
-@pytest.mark.parametrize(
-    ("name", "variant"),
-    [("vitrine", "llvm_ad_mono"), ("colour_chart", "llvm_ad_rgb"), ("colour_chart", "llvm_ad_spectral")],
-)
-def test_renders_in_every_colour_mode(name, variant):
-    mi.set_variant(variant)
-    capture = np.array(mi.render(load(name, mla_pitch="0.512", mla_focal_length="4.096"), spp=4, seed=3))
-    coloured = name == "colour_chart" and variant != "llvm_ad_mono"
-    assert capture.shape == (64, 64, 3 if coloured else 1)
-    assert np.isfinite(capture).all()
-    assert capture.max() > 0.5
-
-
 def test_letters_stand_where_they_should_and_scale_in_their_planes():
     found, small = shapes(load("letters")), shapes(load("letters", letter_scale="0.25"))
     assert set(found) == set(DISTANCES)
@@ -133,42 +112,6 @@ def test_letters_read_from_left_to_right():
         middle = areas @ ((a + b + c) / 3)[:, :2] / areas.sum() * (-scale, scale)
         seen = w * pixel**2, (letter * x).sum() / w, (letter * y).sum() / w
         np.testing.assert_allclose(seen, [areas.sum() * scale**2, *middle], atol=0.02, rtol=0.005)
-
-
-def test_white_wall_fills_the_view():
-    scene, aperture = load("white"), 10.0
-    low, high = box(shapes(scene)["wall"])
-    assert low[2] == high[2] == 240.0
-    camera = PlenopticCamera(aperture_radius=aperture)
-    # Any MLA point that the detector sees, through any pupil point.
-    edge = (camera.detector_width / 2 + camera.mla_pitch) * 240.0 / 120.0
-    assert min(-low[0], high[0], -low[1], high[1]) > edge + aperture
-    image = render(scene, 64, 64, type="thinlens", aperture_radius=aperture, focus_distance=200.0)
-    np.testing.assert_allclose(image, 1, atol=1e-5)
-    assert box(shapes(load("white", wall_distance="300"))["wall"])[0][2] == 300.0
-
-
-def test_still_life_shows_everything_between_200_and_300():
-    scene = load("still_life")
-    found = shapes(scene)
-    assert set(STILL_LIFE) <= set(found)
-    resolution = 128
-    image = render(scene, resolution, 16)
-    assert np.isfinite(image).all()
-    # A typical surface is between 0.1 and 1, and nothing is black.
-    assert np.mean((image > 0.08) & (image < 1)) > 0.75
-    assert image.min() > 0
-
-    hit = scene.ray_intersect(first_rays(resolution))
-    depth = np.array(hit.p.z)
-    assert depth.min() > 190
-    assert depth.max() < 300.01
-    for name, shape in found.items():
-        count = np.count_nonzero(np.array(hit.shape == mi.ShapePtr(shape)))
-        if name in ("window", "lamp"):
-            assert count == 0
-        elif not name.startswith("pearl"):
-            assert count > 100, name
 
 
 @pytest.mark.slow
@@ -324,9 +267,8 @@ def test_scaled_scenes_look_like_those_scaled_by_hand(volume, tmp_path):
     assert abs(found.mean() - known.mean()) < 2e-3 * known.mean()
 
 
-@pytest.mark.parametrize("variant", ["llvm_ad_rgb", "llvm_ad_spectral"])
-def test_lamps_of_any_colour_are_scaled(variant):
-    mi.set_variant(variant)
+def test_lamps_of_any_colour_are_scaled():
+    mi.set_variant("llvm_ad_spectral")
     wall = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, 4]).rotate([0, 1, 0], 180)}
     film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
     camera = {"type": "perspective", "fov": 10, "film": film}

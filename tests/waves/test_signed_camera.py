@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.ndimage
 import scipy.signal
+from cases import facing, radiating, scene_of
 
 from mitsuba_plenoptic import Job, PlenopticCamera
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
@@ -246,16 +247,9 @@ def test_gradients_by_another_parameter_before_change_nothing():
     camera = PlenopticCamera(detector_width=0.064, resolution=(8, 8))
     texels = np.random.default_rng(0).uniform(0, 1, (8, 8, 1)).astype(np.float32)
     texture = {"type": "bitmap", "bitmap": mi.Bitmap(texels), "raw": True}
-    place = mi.ScalarTransform4f().translate([0, 0, 232]).rotate([0, 1, 0], 180)
-    world = {
-        "type": "scene",
-        "integrator": {"type": "plenoptic_wave"},
-        "camera": camera.to_sensor(),
-        "card": {"type": "rectangle", "to_world": place, "emitter": {"type": "area", "radiance": texture}},
-    }
     slopes = {}
     for name, mode in (("mla_distance", "backward"), ("mla_pitch", "backward"), ("mla_pitch", "forward")):
-        scene = mi.load_dict(world)
+        scene = scene_of(camera.to_sensor(), "plenoptic_wave", card=facing(232.0, 1.0, **radiating(texture)))
         params = mi.traverse(scene)
         x = mi.Float(0.0)
         dr.enable_grad(x)

@@ -1,73 +1,16 @@
-"""Spectra of captures by signed rays: against exact sums of points, rays, lines by themselves, and one another."""
+"""Nodes of spectra of captures by signed rays: how they share light, and how many there are."""
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import error
-from cases import facing, line, radiating, scene_of, sensor
 
-from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, Spectrum, render_capture
+from mitsuba_plenoptic import PlenopticCamera, Spectrum
 from mitsuba_plenoptic.optics import colour
 from mitsuba_plenoptic.waves.signed_capture import SignedCapture
 from mitsuba_plenoptic.waves.spectral_nodes import WavelengthSampler, node_spectra, span
 
-CROWN = '{"index": 1.5168, "abbe": 64.2}'
-GLASS = {"glass": CROWN, "mla_glass": CROWN}
 SMALL = PlenopticCamera(resolution=(64, 64), detector_width=0.128)
-PATCH = 0.03
-"""Half the width of a small patch of light."""
-
-
-def by_waves(scene, spp=16, **options):
-    return render_capture(scene, model="wave", method="signed_rays", spp=spp, **options)
-
-
-def coloured(lenses=6, **parameters):
-    camera = sensor(lenses, 16, **parameters)
-    camera["film"]["pixel_format"] = "rgb"
-    return camera
-
-
-def wall(radiance, **parameters):
-    """Return the scene of a wall of one spectrum, before a film of colours."""
-    emitter = {"type": "area", "radiance": radiance}
-    black = {"type": "diffuse", "reflectance": 0.0}
-    return scene_of(coloured(**parameters), wall=facing(240.0, 60.0, emitter=emitter, bsdf=black))
-
-
-def seen(wavelengths, values):
-    """Return what linear sRGB reads of a spectrum, by the integral over Mitsuba's tables of CIE 1931."""
-    places = np.arange(380, 730, 0.02)
-    return np.trapezoid(colour.srgb_responses(places) * np.interp(places, wavelengths, values), places, axis=1)
-
-
-@pytest.mark.slow
-def test_a_narrow_line_has_its_colour_and_energy():
-    mi.set_variant("llvm_ad_spectral")
-    wavelengths, values, radiance = line(532, 2)
-    scene = wall(radiance)
-    expected = seen(wavelengths, values) * by_waves(scene, wavelength=532.0).image.mean()
-    capture = by_waves(scene, nodes=2)
-    assert capture.image.mean((0, 1)) == pytest.approx(expected, abs=0.02 * float(expected[1]))
-    assert capture.wavelength[0] > capture.wavelength[1] > capture.wavelength[2]
-
-
-@pytest.mark.slow
-def test_bands_of_a_patch_of_light_against_exact_sums():
-    width = 100.0
-    scene = scene_of(sensor(6, 16, **GLASS), patch=facing(240.0, PATCH, (0.03, -0.05), **radiating()))
-    options = {"wavelength": 550.0, "bandwidth": width}
-    image = by_waves(scene, 2048, **options).image
-    along = (np.arange(8) - 3.5) / 4 * PATCH
-    points = np.array([(0.03 + x, -0.05 + y, 240.0) for x in along for y in along])
-    spectrum = Spectrum.band(550, width, 8)
-    operator = CaptureOperator(PlenopticCamera.from_sensor(scene.sensors()[0]), points, spectrum=spectrum)
-    exact = operator.forward(np.ones((64, 8)))[..., 0]
-    exact *= image.sum() / exact.sum()
-    # Of so small a light that stands in focus, one line by itself is as far from exact sums.
-    assert error(image, exact) < 0.05
-    assert error(by_waves(scene, 2048, **options, nodes=1).image, exact) > 0.1
 
 
 def test_nodes_share_light_by_the_polynomial_through_them():
