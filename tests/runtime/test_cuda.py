@@ -215,7 +215,7 @@ def test_the_device_computes_the_same_and_only_what_is_finished_leaves_it(name, 
 
 def test_a_sum_goes_on_from_a_checkpoint(device, tmp_path):
     """Written from the device's memory, and taken back into it; threads of a device add in any order."""
-    points, path = (SMALL, POSITIONS[:8], WEIGHTS[:8]), tmp_path / "raw.checkpoint"
+    points, path = (CAMERA, POSITIONS, WEIGHTS), tmp_path / "raw.checkpoint"
     whole = capture(*points)
     with pytest.raises(StoppedError), stopped_before(len), mp.Checkpoint(path) as keeper:
         capture(*points, job=mp.Job(keeper=keeper))
