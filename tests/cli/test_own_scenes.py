@@ -89,15 +89,25 @@ def test_own_scenes_in_metres_are_swept(box, camera, tmp_path, run, complaint):
 
 
 @pytest.mark.slow
-def test_scenes_of_colours_are_compared_in_colour(tmp_path, monkeypatch, run, complaint):
-    """This one is in metres, and its camera is named."""
+def test_own_scenes_in_metres_are_compared(box, camera, coarse_figures, tmp_path, monkeypatch, run):
     monkeypatch.setattr(experiment, "OBJECT_COLUMNS", 32)
-    card = """<shape type="rectangle">
-    <transform name="to_world"><rotate y="1" angle="180"/><scale value="0.02"/><translate z="0.24"/></transform>
-    <emitter type="area"><rgb name="radiance" value="1, 0.4, 0.1"/></emitter></shape>"""
-    scene, camera, out = write_scene(tmp_path, card, pixel_format="rgb"), tmp_path / "small.json", tmp_path / "out"
-    camera.write_text(mp.PlenopticCamera(detector_width=0.256, resolution=(64, 64)).to_json())
-    words = ("--camera", camera, "--unit", "m", "--distance", 240, "--spp", 4)
+    out, words = tmp_path / "out", ("--camera", camera, "--unit", "m", "--distance", WALL, "--spp", "4")
+    assert "Rays against waves" in run("compare", box, "-o", out, *words)
+    settings = json.loads((out / "results.json").read_text())["settings"]
+    assert settings["camera"]["mla_pitch"] == 0.014 and settings["unit"] == "m"
+    assert f"--camera {camera} --unit m" in (out / "report.html").read_text()
+    scene = mp.with_camera(mp.load_scene(box, unit="m"), mp.PlenopticCamera.from_json(camera.read_text()))
+    known = mp.render_capture(scene, spp=4, noise=True)
+    assert (mp.read_capture(out / "data" / "capture_ray.exr").image == known.image).all()
+
+
+@pytest.mark.slow
+def test_scenes_of_colours_are_compared_in_colour(tmp_path, monkeypatch, run, complaint):
+    monkeypatch.setattr(experiment, "OBJECT_COLUMNS", 32)
+    card = """<shape type="rectangle"><transform name="to_world"><rotate y="1" angle="180"/><scale value="20"/>
+    <translate z="240"/></transform><emitter type="area"><rgb name="radiance" value="1, 0.4, 0.1"/></emitter></shape>"""
+    scene = write_scene(tmp_path, card, sensor='<float name="detector_width" value="0.256"/>', pixel_format="rgb")
+    out, words = tmp_path / "out", ("--distance", 240, "--spp", 4)
     run("compare", scene, "-o", out, *words, "--against", "ordinary")
     for model, wavelength in (("ray", None), ("wave", (611.4, 549.1, 464.3))):
         capture = mp.read_capture(out / "data" / f"capture_{model}.exr")
@@ -110,8 +120,7 @@ def test_scenes_of_colours_are_compared_in_colour(tmp_path, monkeypatch, run, co
         assert np.mean((drawn[..., 0] - drawn[..., 1] > 60) & (drawn[..., 1] - drawn[..., 2] > 40)) > least
     results = json.loads((out / "results.json").read_text())
     assert results["reconstructions"][0]["bins"] == [4, 4] and results["command"].endswith("--variant llvm_ad_rgb")
-    report = (out / "report.html").read_text()
-    assert "611.4, 549.1, 464.3 nm" in report and f"--camera {camera} --unit m" in report
+    assert "611.4, 549.1, 464.3 nm" in (out / "report.html").read_text()
     pictures = results["ordinary"]["pictures"]
     assert [row["picture"] for row in pictures] == ["ordinary", "ray", "coherent", "partial"]
     # Green light, which luminance mostly is, alone.
