@@ -130,9 +130,6 @@ def slanted(pane: str | None) -> Any:
     return scene_of(sensor(16), plane=plane, **panes)
 
 
-WAYS = ("directly", "mirror", *PANES, "slab", "fog")
-
-
 def contrast(capture: Capture, distance: float) -> float:
     """Return the modulation of the bars, at their period, in the image refocused at a distance."""
     image = reconstruct(capture, distance).image
@@ -213,16 +210,6 @@ def plastic(lenses: int = 16) -> Any:
     plane, there = turned_plane({"type": "plastic", "diffuse_reflectance": 0.02})
     light = {"type": "point", "position": [0.0, 30.0, 100.0], "intensity": 1e4}
     return scene_of(sensor(lenses, 16), plane=plane, light=light, **bars(300.0, there))
-
-
-def glass_sphere(angle: float = 20.0, lenses: int = 8) -> Any:
-    """Return the scene of a glass sphere that shows a lamp by reflection on the axis, at this angle of incidence."""
-    tilt = math.radians(angle)
-    centre = [20 * math.sin(tilt), 0.0, 240 + 20 * math.cos(tilt)]
-    place = [-200 * math.sin(2 * tilt), 0.0, 240 - 200 * math.cos(2 * tilt)]
-    sphere = {"type": "sphere", "center": centre, "radius": 20.0, "bsdf": {"type": "dielectric"}}
-    lamp = {"type": "sphere", "center": place, "radius": 3.0, **radiating(100.0)}
-    return scene_of(sensor(lenses, 16), sphere=sphere, lamp=lamp)
 
 
 def half_lit(bsdf: Scene | None, angle: float) -> Any:
@@ -488,14 +475,6 @@ def _bitmap(line: np.ndarray, rows: int) -> Any:
 def relative(image: np.ndarray, reference: np.ndarray) -> float:
     """Return the relative difference in the L2 norm."""
     return float(np.linalg.norm(image - reference) / np.linalg.norm(reference))
-
-
-def best_shift(image: np.ndarray, reference: np.ndarray) -> tuple[int, int]:
-    """Whole-bin shift (rows, columns) of `image` at which it correlates best with the reference."""
-    spectrum = np.fft.fft2(image - image.mean()) * np.conj(np.fft.fft2(reference - reference.mean()))
-    peak = np.unravel_index(np.argmax(np.fft.ifft2(spectrum).real), image.shape)
-    row, column = ((int(p) + n // 2) % n - n // 2 for p, n in zip(peak, image.shape, strict=True))
-    return row, column
 
 
 def agreement(

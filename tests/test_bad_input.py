@@ -10,6 +10,7 @@ import hypothesis.extra.numpy as arrays
 import numpy as np
 import OpenEXR
 import pytest
+from cameras import SMALL_SENSOR, write_scene
 from foreign_files import png
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
@@ -136,7 +137,7 @@ class TestArrays:
         else:
             assert np.isfinite(result.image).all()
 
-    @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1.1e30, -1e38])
+    @pytest.mark.parametrize("value", [math.nan, -math.inf, 1.1e30])
     def test_the_policy_is_the_same_everywhere(self, value):
         """NaN, infinity and what would overflow are refused with their number and the place of the first."""
         image = np.ones_like(IMAGE)
@@ -271,38 +272,30 @@ class TestFiles:
         path = folder / "wave.checkpoint"
         path.unlink(missing_ok=True)
         # The clock jumps, so that a checkpoint is due at every opportunity.
-        with (
-            mock.patch("time.monotonic", side_effect=itertools.count(0, 1000).__next__),
-            mp.Checkpoint(path) as checkpoint,
-        ):
-            whole = operator.forward([1.0, 2.0, 3.0], job=mp.Job(keeper=checkpoint))
-            data = path.read_bytes()
+        jumping = mock.patch("time.monotonic", side_effect=itertools.count(0, 1000).__next__)
+
+        def summed(existing):
+            with mp.Checkpoint(path, existing) as checkpoint:
+                image = operator.forward([1.0, 2.0, 3.0], job=mp.Job(keeper=checkpoint))
+                return image, path.read_bytes()
+
+        with jumping:
+            whole, data = summed("refuse")
         path.write_bytes(damaged(data, edits))
+        resumed = refused_or_done(lambda: summed("resume"))
+        assert resumed is None or np.array_equal(resumed[0], whole)
 
-        def resume():
-            with mp.Checkpoint(path, "resume") as checkpoint:
-                return operator.forward([1.0, 2.0, 3.0], job=mp.Job(keeper=checkpoint))
-
-        resumed = refused_or_done(resume)
-        assert resumed is None or np.array_equal(resumed, whole)
-
-    @pytest.mark.parametrize("sizes", [(0, 1), (60_000, 60_000), (2**31 - 1, 1)])
+    @pytest.mark.parametrize("sizes", [(0, 1), (2**31 - 1, 1)])
     def test_a_picture_that_lies_about_its_size_is_refused(self, folder, sizes):
         (folder / "input_Cam000.png").write_bytes(png(*sizes))
         (folder / "parameters.cfg").write_text(HCI)
         assert refused_or_done(lambda: read_hci(folder)) is None
 
 
-SCENE = """<scene version="3.0.0"><integrator type="path"/><sensor type="plenoptic">
-<float name="detector_width" value="0.128"/><film type="hdrfilm"><integer name="width" value="16"/>
-<integer name="height" value="16"/><string name="pixel_format" value="luminance"/>
-<string name="component_format" value="float32"/><rfilter type="box"/></film></sensor><emitter type="constant"/>
-</scene>"""
-
-
 @quick
 @given(edits=st.lists(EDITS, min_size=1, max_size=4))
 def test_a_damaged_scene_is_captured_or_refused(folder, edits):
-    (folder / "scene.xml").write_bytes(damaged(SCENE.encode(), edits))
-    capture = refused_or_done(lambda: mp.render_capture(mp.load_scene(folder / "scene.xml"), spp=1))
+    scene = write_scene(folder, sensor=SMALL_SENSOR)
+    scene.write_bytes(damaged(scene.read_bytes(), edits))
+    capture = refused_or_done(lambda: mp.render_capture(mp.load_scene(scene), spp=1))
     assert capture is None or np.isfinite(capture.image).all()

@@ -1,9 +1,7 @@
 """What a wheel would hold, and what make needs."""
 
-import os
 import re
 import runpy
-import subprocess
 import tarfile
 import tomllib
 import zipfile
@@ -42,21 +40,20 @@ def test_distributions_without_a_file_of_the_repository_are_refused(tmp_path):
     tracked = ["mitsuba_plenoptic/__init__.py", "scenes/a.xml", "tests/test_a.py", "README.md", ".gitignore"]
     installed = ["mitsuba_plenoptic/__init__.py", "mitsuba_plenoptic/scenes/a.xml", "p-1.dist-info/METADATA"]
 
-    def wheel(name, files):
-        with zipfile.ZipFile(tmp_path / name, "w") as archive:
-            for file in files:
-                archive.writestr(file, "")
+    def made(name, files):
+        if name.endswith(".whl"):
+            with zipfile.ZipFile(tmp_path / name, "w") as archive:
+                for file in files:
+                    archive.writestr(file, "")
+        else:
+            with tarfile.open(tmp_path / name, "w:gz") as archive:
+                for file in files:
+                    archive.addfile(tarfile.TarInfo(f"p-1/{file}"))
         return tmp_path / name
 
-    def sdist(name, files):
-        with tarfile.open(tmp_path / name, "w:gz") as archive:
-            for file in files:
-                archive.addfile(tarfile.TarInfo(f"p-1/{file}"))
-        return tmp_path / name
-
-    whole, source = wheel("whole.whl", installed), sdist("whole.tar.gz", [*tracked[:-1], "PKG-INFO"])
+    whole, source = made("whole.whl", installed), made("whole.tar.gz", [*tracked[:-1], "PKG-INFO"])
     tool["check_files"](tracked, whole, source, whole)
-    without_scene, without_test = wheel("less.whl", installed[::2]), sdist("less.tar.gz", [*tracked[:2], "README.md"])
+    without_scene, without_test = made("less.whl", installed[::2]), made("less.tar.gz", [*tracked[:2], "README.md"])
     for given, message in [
         ((without_scene, source, whole), "less.whl: .*missing .*scenes/a.xml"),
         ((whole, without_test, whole), "less.tar.gz: .*missing .*test_a.py"),
@@ -96,46 +93,3 @@ def test_pages_state_the_addresses_of_the_package_and_no_others():
         text = page.read_text()
         stated = re.findall(r"git clone (\S+)", text) + re.findall(r"https?://[^\s\"')>]*mitsuba[-_]plenoptic\S*", text)
         assert [one for one in stated if not one.startswith(known)] == [], page
-
-
-def test_the_start_page_can_be_run_from_the_page():
-    tool = runpy.run_path(str(ROOT / "tools" / "check_release.py"))
-    text = (ROOT / "docs" / "start" / "index.md").read_text()
-    commands, files = tool["page_commands"](text), tool["page_files"](text)
-    asked = " ".join(commands)
-    assert f"pip install {tool['CLONE']}" in asked
-    assert all(word in asked for word in ("doctor", "--model wave", "reconstruct", "depth", "python "))
-    # What the commands name is on the page, or made by one before.
-    made = {word for command in commands for word in re.findall(r"-o (\S+)", command)}
-    named = {word for command in commands for word in re.findall(r"[\w.]+\.(?:xml|json|py|exr)", command)}
-    assert named <= made | set(files) and set(files) <= named
-
-
-def test_make_help_names_every_target():
-    result = subprocess.run(["make", "help"], capture_output=True, text=True, check=True, cwd=ROOT)
-    targets = re.search(r"^\.PHONY: help (.*)$", (ROOT / "Makefile").read_text(), flags=re.MULTILINE)[1].split()
-    # What others need first is made by itself.
-    assert set(re.findall(r"^make ([\w-]+) ", result.stdout, flags=re.MULTILINE)) == set(targets) - {"llvm"}
-
-
-@pytest.mark.parametrize(
-    ("statuses", "found"),
-    [
-        ({"python3": 0, "python3.11": 0, "python3.12": 0, "python3.13": 1}, "2/python3.12"),
-        ({"python3": 127, "python3 ": 0}, "1/python3"),  # a shim that fails does not hide the real one
-        ({"python3": 1}, None),
-    ],
-)
-def test_the_newest_python_that_runs_is_found(statuses, found, tmp_path):
-    """`tools/find_python.sh` with a PATH of scripts that stand for Pythons, each in a folder of its own."""
-    for index, (name, status) in enumerate(statuses.items()):
-        program = tmp_path / str(index) / name.strip()
-        program.parent.mkdir()
-        program.write_text(f"#!/bin/sh\nexit {status}\n")
-        program.chmod(0o755)
-    path = {"PATH": os.pathsep.join(str(tmp_path / str(index)) for index in range(len(statuses)))}
-    script = ["/bin/sh", str(ROOT / "tools" / "find_python.sh")]
-    result = subprocess.run(script, capture_output=True, text=True, check=False, env=path)
-    assert result.stdout == (f"{tmp_path}/{found}\n" if found else "")
-    if not found:
-        assert result.returncode == 1 and "Python 3.11" in result.stderr

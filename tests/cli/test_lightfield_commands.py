@@ -40,7 +40,6 @@ def test_views(shot, lf, tmp_path, run):
     assert PlenopticCamera.from_dict(header["camera"]) == CAMERA
 
     assert "3 x 3 views of 8 x 8 pixels" in run("views", shot, "-o", tmp_path / "some.png", "--count", 3)
-    assert Image.open(tmp_path / "some.png").size == (960, 960)
     # The radiance of a white image is of no account: light fields stay in units of the capture.
     write_capture(tmp_path / "white.exr", Capture(2 * white_image(CAMERA), CAMERA))
     run("views", shot, "-o", tmp_path / "one.exr", "--count", 1, "--white", tmp_path / "white.exr")
@@ -50,15 +49,8 @@ def test_views(shot, lf, tmp_path, run):
 
 
 def test_epi_and_stack(shot, lf, tmp_path, run):
-    run(
-        "epi",
-        shot,
-        "-o",
-        tmp_path / "a.exr",
-        "--axis=vertical",
-        f"--at={float(lf.s[5])}",
-        f"--through={float(lf.u[2])}",
-    )
+    options = "--axis=vertical", f"--at={float(lf.s[5])}", f"--through={float(lf.u[2])}"
+    run("epi", shot, "-o", tmp_path / "a.exr", *options)
     image = parts(tmp_path / "a.exr")[0]["epipolar"]
     np.testing.assert_array_equal(image, epipolar_image(lf, "vertical", at=lf.s[5], through=lf.u[2]).values)
     distances = ("--distance", 210, "--distance", 250.5, "--distance", 280)
@@ -67,10 +59,9 @@ def test_epi_and_stack(shot, lf, tmp_path, run):
     assert list(images) == ["210 mm", "250.5 mm", "280 mm"]
     np.testing.assert_allclose(list(images.values()), focal_stack(lf, [210, 250.5, 280]), atol=1e-5)
     assert header["coordinates"]["distance"] == [210, 250.5, 280]
-    # Pixels of the eleven views; three pictures in two rows of two.
-    for words, size in ((["epi"], (960 // 11 * 8, 960 // 11 * 11)), (["stack", *distances], (960, 960))):
-        run(words[0], shot, "-o", tmp_path / "a.png", *words[1:])
-        assert Image.open(tmp_path / "a.png").size == size
+    # Three pictures in two rows of two.
+    run("stack", shot, "-o", tmp_path / "a.png", *distances)
+    assert Image.open(tmp_path / "a.png").size == (960, 960)
 
 
 def test_depth(shot, lf, tmp_path, run, coarse_figures):
@@ -111,16 +102,10 @@ def test_depth_says_where_to_widen_the_search(tmp_path, capfd, monkeypatch):
 
 
 def test_expose(shot, tmp_path, run):
-    told = run(
-        "expose", shot, "-o", tmp_path / "a.exr", "--photons", 500, "--bits", 10, "--seed", 4, "--full-well", 2000
-    )
-    assert "300 electrons" in told
-    noisy = read_capture(tmp_path / "a.exr")
-    assert noisy.image.mean() == pytest.approx(read_capture(shot).image.mean(), rel=0.02)
-    assert {"full_well": 2000, "seed": 4}.items() <= noisy.metadata["exposure"].items()
-    run("expose", shot, "-o", tmp_path / "b.exr", "--photons", 500, "--seed", 1)
-    by_defaults = expose(read_capture(shot), Detector(), photons=500, seed=1).image
-    np.testing.assert_array_equal(read_capture(tmp_path / "b.exr").image, by_defaults)
+    options = "--photons", 500, "--bits", 10, "--seed", 4, "--full-well", 2000
+    assert "300 electrons" in run("expose", shot, "-o", tmp_path / "a.exr", *options)
+    expected = expose(read_capture(shot), Detector(bits=10, full_well=2000), photons=500, seed=4).image
+    np.testing.assert_array_equal(read_capture(tmp_path / "a.exr").image, expected)
 
 
 def test_figures_enlarged_pictures_and_animations(shot, lf, tmp_path, run, coarse_figures):
@@ -131,19 +116,16 @@ def test_figures_enlarged_pictures_and_animations(shot, lf, tmp_path, run, coars
         assert Image.open(tmp_path / f"{command}.png").width in (255, 525)
     run("epi", shot, "-o", tmp_path / "epi.pdf")
     assert (tmp_path / "epi.pdf").read_bytes()[:5] == b"%PDF-"
-    assert len(list(tmp_path.iterdir())) == 4
 
-    for command, *options in (["stack", *distances], ["views", *few]):
-        run(command, shot, "-o", tmp_path / "plain.png", "--scale", 1, *options)
-        run(command, shot, "-o", tmp_path / "large.png", "--scale", 3, *options)
-        plain, large = (np.asarray(Image.open(tmp_path / f"{name}.png")) for name in ("plain", "large"))
-        np.testing.assert_array_equal(large, plain.repeat(3, 0).repeat(3, 1))
+    for scale in (1, 3):
+        run("stack", shot, "-o", tmp_path / f"{scale}.png", "--scale", scale, *distances)
+    plain, large = (np.asarray(Image.open(tmp_path / f"{scale}.png")) for scale in (1, 3))
+    np.testing.assert_array_equal(large, plain.repeat(3, 0).repeat(3, 1))
     run("epi", shot, "-o", tmp_path / "large.png", "--scale", 1)
     assert Image.open(tmp_path / "large.png").size == (8, lf.sizes["u"])
 
-    assert "46 images from 236 to 244 mm and back" in run(
-        "stack", shot, "-o", tmp_path / "a.gif", *distances, "--scale", 2
-    )
+    told = run("stack", shot, "-o", tmp_path / "a.gif", *distances, "--scale", 2)
+    assert "46 images from 236 to 244 mm and back" in told
     with Image.open(tmp_path / "a.gif") as picture:
         assert (picture.n_frames, picture.size) == (46, (16, 16))
     assert "one after the other" in run("views", shot, "-o", tmp_path / "b.gif")
@@ -152,32 +134,24 @@ def test_figures_enlarged_pictures_and_animations(shot, lf, tmp_path, run, coars
 
 @pytest.fixture(scope="module")
 def results(shot, tmp_path_factory):
-    """Write reconstructions by one method at two distances, and by another at one of them."""
-    folder = tmp_path_factory.mktemp("results")
-    capture = read_capture(shot)
-    found = [
-        *reconstruct(capture, [240, math.inf], method="ray"),
-        *reconstruct(capture, [240], method="ray", footprint="point"),
-    ]
-    paths = [folder / f"{index}.exr" for index in range(len(found))]
+    """Write reconstructions at two distances, and others at one of them, which are read as they were."""
+    folder, capture = tmp_path_factory.mktemp("results"), read_capture(shot)
+    paths = [folder / f"{index}.exr" for index in range(3)]
+    found = [*reconstruct(capture, [240, math.inf]), reconstruct(capture, 240, footprint="point")]
     for path, one in zip(paths, found, strict=True):
         write_reconstruction(path, one)
-    return paths, found
-
-
-def test_what_was_written_is_read(results):
-    for path, one in zip(*results, strict=True):
         back = read_reconstruction(path)
         np.testing.assert_array_equal(back.image, one.image)
-        assert (back.distance, back.bin_size, back.method) == (one.distance, one.bin_size, one.method)
-        assert back.camera == one.camera and back.options == one.options
+        for name in ("distance", "bin_size", "method", "camera", "options"):
+            assert getattr(back, name) == getattr(one, name)
+    return paths
 
 
 def test_figures_follow_no_settings_of_matplotlib_python_or_a_display(results, tmp_path, run):
     """With an inline backend, a matplotlibrc of somebody else, and with docstrings left out."""
     path, settings = tmp_path / "sheet.png", tmp_path / "matplotlibrc"
     settings.write_text("image.origin: lower\ntext.usetex: True\naxes.titleweight: bold\n")
-    words = ["sheet", *results[0][:2], "--dpi", 75, "-o"]
+    words = ["sheet", *results[:2], "--dpi", 75, "-o"]
     run(*words, tmp_path / "plain.png")
     environment = {**os.environ, "MPLBACKEND": "module://nowhere.inline", "MATPLOTLIBRC": str(settings)}
     command = [sys.executable, "-OO", "-m", "mitsuba_plenoptic", *map(str, words), str(path)]
@@ -192,13 +166,11 @@ def test_a_name_that_is_no_text_is_refused_first(shot, complaint):
 
 def test_sheets_of_all_or_of_chosen_distances(results, shot, tmp_path, run, complaint, coarse_figures):
     path = tmp_path / "sheet.pdf"
-    assert run("sheet", *results[0], "-o", path) == f"{path}: 3 images (methods: 1, distances: 2)\n"
+    assert run("sheet", *results, "-o", path) == f"{path}: 3 images (methods: 1, distances: 2)\n"
     assert path.read_bytes().startswith(b"%PDF-")
     path = tmp_path / "sheet.png"
-    told = run("sheet", *results[0], "-o", path, "--distance", "240")
+    told = run("sheet", *results, "-o", path, "--distance", "240")
     assert told == f"{path}: 2 images (methods: 1, distances: 1)\n"
-    assert path.read_bytes().startswith(b"\x89PNG")
-    said = complaint("sheet", *results[0], "-o", path, "--distance", "210")
+    said = complaint("sheet", *results, "-o", path, "--distance", "210")
     assert said.startswith("--distance = 210: ") and "240, inf" in said
     assert complaint("sheet", shot, "-o", path).startswith(f"{shot}: it holds a 'capture'")
-    assert "Missing argument" in complaint("sheet", "-o", path)

@@ -1,7 +1,6 @@
 """What the command says about a user's mistakes: one line, status 2, and nothing written."""
 
 import gzip
-import os
 import re
 
 import numpy as np
@@ -23,7 +22,6 @@ OF_RAYS = "a ray capture does not take it"
     [
         ("recontruct x.exr", "Did you mean 'reconstruct'?"),
         ("reconstruct {raw} -o {out}.exr --distance -30", "--distance = -30: .*greater than the focal length 80"),
-        ("reconstruct {raw} -o {out}.exr --distanc 210", "--distanc; did you mean --distance?"),
         ("reconstruct {raw} -o {out}.exr --distance 210 --wavelength 0.5", "--wavelength = 0.5: .*micrometres"),
         ("reconstruct {raw} -o {out}.exr --distance 210 --oversample 1.5", "--oversample = '1.5'"),
         ("reconstruct {raw} -o {out}.exr --f-number 2", "--f-number; aperture_radius is focal_length / (2 f_number)"),
@@ -32,10 +30,7 @@ OF_RAYS = "a ray capture does not take it"
         ("render letters -o {out}.exr -D a=1 -D b=-2 --seed 1 --spp 16", "parameter a: the scene "),
         ("render letters -o {out}.exr --camera a=1,b=2", "a: it is not a camera parameter"),
         ("render letters -o {out}.exr --camera focal_length=50,focal_length=60", "focal_length is given twice"),
-        ("stack {raw} -o {out}.png", "--distance.*--help)"),
-        ("render letters -o {out}.exr -D resolutoin=64", "resolutoin.*did you mean resolution?"),
         ("render letters -o {out}.exr --aov depht", "--aov = 'depht': .*did you mean depth?"),
-        # The output is checked before the scene is looked at.
         ("render letters -o {out}/raw.exr", "does not exist"),
         ("render letters -o {out}.exr --camera {raw}", "it is an OpenEXR image"),
         ("render letters -o {out}.exr --white {out}.exr", "two results would be written to it"),
@@ -50,6 +45,8 @@ OF_RAYS = "a ray capture does not take it"
         ("views {raw} -o {out}.png --view-count 3", "--view-count = 3: of no use for"),
         ("views {raw} -o {out}.exr --scale 2", "--scale 2: it is for plain pictures"),
         ("views {raw} -o {out}.gif --figure", "--figure: it is for .png and .pdf"),
+        ("render letters -o {out}.exr --model wave --workers 0", "--workers = 0: "),
+        ("render letters -o {out}.exr --model wave --workers 2 --scheduler here", "workers, scheduler: give one of"),
         ("stack {raw} -o {out}.gif --distance 240", "--distance: a focal sweep goes .*and 1 are given"),
     ],
 )
@@ -68,18 +65,13 @@ def test_parameters_are_followed_through_defaults_and_includes(raw, tmp_path, ru
         '<scene version="3.0.0"><shape type="sphere"><float name="radius" value="$of_part"/>'
         '<point name="center" x="0" y="0" z="240"/></shape></scene>'
     )
-    scene = tmp_path / "scene.xml"
-    scene.write_text("""<scene version="3.0.0">
-        <default name="base" value="3"/><default name="size" value="$base"/><default name="of_part" value="$base"/>
-        <default name="only" value="4"/><default name="width" value="$only"/><default name="spp" value="2"/>
-        <!-- <float name="radius" value="$only"/> -->
-        <integrator type="path"/><emitter type="constant"/>
-        <sensor type="plenoptic">
-            <float name="detector_width" value="$width"/>
-            <sampler type="independent"><integer name="sample_count" value="$spp"/></sampler>
-            <film type="hdrfilm"><rfilter type="box"/></film>
-        </sensor>
-        <include filename="part.xml"/></scene>""")
+    defaults = """<default name="base" value="3"/><default name="size" value="$base"/>
+        <default name="of_part" value="$base"/><default name="only" value="4"/><default name="width" value="$only"/>
+        <default name="spp" value="2"/><!-- <float name="radius" value="$only"/> --><integrator"""
+    sensor = """<float name="detector_width" value="$width"/>
+        <sampler type="independent"><integer name="sample_count" value="$spp"/></sampler>"""
+    scene = write_scene(tmp_path, '<emitter type="constant"/><include filename="part.xml"/>', sensor=sensor)
+    scene.write_text(scene.read_text().replace("<integrator", defaults))
     words = ["render", scene, "--camera", tmp_path / "camera.json", "-o", tmp_path / "a.exr"]
     (tmp_path / "camera.json").write_text(read_capture(raw).camera.to_json())
     run(*words, "-D", "base=1", "-D", "of_part=1", "-D", "spp=1")
@@ -93,7 +85,6 @@ def test_parameters_are_followed_through_defaults_and_includes(raw, tmp_path, ru
     [
         "reconstruct {copy} -o {copy} --distance 240",
         "reconstruct {raw} -o {link} --distance 240 --white {copy}",
-        "depth {raw} -o {copy} --white {copy}",
         "expose {copy} -o {link} --photons 100",
         pytest.param("calibrate {copy} -o {copy}", marks=pytest.mark.needs_extension("calibrate")),
     ],
@@ -141,9 +132,7 @@ WRONG_KINDS = {
     "empty": (b"", ".exr", "an empty file"),
     "text": ("naïve".encode() * 1000, ".txt", "text that begins with 'naïvenaïve"),
     "camera": (b' {"focal_length": 80}', ".js", "text in JSON"),
-    "lens": (b"VERS 190513\r\nMODE SEQ", ".zmx", "text that begins with 'VERS 190513'"),
     "metashape": (METASHAPE, ".xml", "XML with the root <document>"),
-    "opencv": (b"<?xml version='1.0'?><opencv_storage></opencv_storage>", ".xml", "XML with the root <opencv_storage>"),
     "yaml": (b"%YAML:1.0\n---\n", ".yml", "YAML of OpenCV"),
     "folder": (None, "", "a folder"),
 }
@@ -153,12 +142,11 @@ WRONG_KINDS = {
 @pytest.mark.parametrize(
     ("kinds", "line"),
     [
-        ("jpeg numpy lens camera metashape yaml", "views {given} -o {out}.png"),
-        ("folder gzip yaml", "stack {given} -o {out}.png --distance 240"),
-        ("jpeg empty lens matlab", "reconstruct {given} -o {out}.exr --distance 240"),
-        ("jpeg text camera metashape empty", "render {given} -o {out}.exr"),
-        ("opencv numpy", "compare {given} -o {out} --distance 240"),
-        ("jpeg lens metashape opencv", "render letters -o {out}.exr --camera {given}"),
+        ("numpy camera metashape yaml", "views {given} -o {out}.png"),
+        ("folder gzip", "stack {given} -o {out}.png --distance 240"),
+        ("jpeg empty", "reconstruct {given} -o {out}.exr --distance 240"),
+        ("text camera metashape empty", "render {given} -o {out}.exr"),
+        ("jpeg metashape", "render letters -o {out}.exr --camera {given}"),
         ("matlab folder", "info {given}"),
         ("jpeg numpy folder metashape", "calibrate {given} -o {out}.json"),
     ],
@@ -173,51 +161,27 @@ def test_files_of_a_wrong_kind_are_named(kinds, line, raw, tmp_path, complaint):
     assert not list(tmp_path.glob("out*"))
 
 
-@pytest.mark.parametrize(
-    ("sensor", "words"),
-    [
-        ('<string name="mla_pitch" value="wide"/>', ("mla_pitch = 'wide'", "line 3")),
-        ('<transform name="to_world"><scale value="2"/></transform>', ("to_world", "scale")),
-        ("<nothing", ("",)),
-    ],
-)
-def test_wrong_scenes(sensor, words, tmp_path, complaint):
-    path = write_scene(tmp_path, sensor=sensor)
+def test_wrong_scenes(tmp_path, complaint):
+    path = write_scene(tmp_path, sensor='<string name="mla_pitch" value="wide"/>')
     said = complaint("render", path, "-o", tmp_path / "raw.exr")
-    assert all(word in said for word in (str(path), *words))
-    assert [item.name for item in tmp_path.iterdir()] == ["scene.xml"]
+    assert all(words in said for words in (str(path), "line 3", "mla_pitch = 'wide'"))
 
 
-@pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write anywhere")
-def test_folder_without_permission(raw, tmp_path, complaint):
-    tmp_path.chmod(0o500)
-    assert "permission" in complaint("reconstruct", raw, "-o", tmp_path / "out.exr", "--distance", "240")
+@pytest.mark.parametrize("size", [200, -1000])
+def test_captures_that_are_cut_off(size, raw, tmp_path, complaint):
+    path, out = tmp_path / "damaged.exr", tmp_path / "out.exr"
+    path.write_bytes(raw.read_bytes()[:size])
+    for words in (["reconstruct", path, "-o", out, "--distance", "240"], ["info", path]):
+        assert complaint(*words).startswith(f"{path}: it cannot be read as an OpenEXR image, or is damaged: its ")
+    assert not out.exists()
 
 
-DAMAGES = {
-    "missing": "there is no such file",
-    "truncated": "it cannot be read as an OpenEXR image, or is damaged: its ",
-    "header": "it cannot be read as an OpenEXR image, or is damaged: its header or the table",
-    "foreign": "it has no attribute 'mitsuba_plenoptic' in its header",
-    "reconstruction": "it holds a 'reconstruction', not a capture",
-}
-
-
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_damaged_captures(damage, raw, tmp_path, complaint):
-    path, content = tmp_path / "damaged.exr", raw.read_bytes()
-    parts = {"truncated": content[: len(content) // 2], "header": content[:200]}
-    if damage in parts:
-        path.write_bytes(parts[damage])
-    elif damage == "foreign":
-        pixels = {"Y": np.zeros((4, 4), dtype=np.float32)}
-        OpenEXR.File({"type": OpenEXR.scanlineimage}, pixels).write(str(path))
-    elif damage == "reconstruction":
-        assert main(["reconstruct", str(raw), "-o", str(path), "--distance", "240"]) == 0
-    before = list(tmp_path.iterdir())
-    for words in (["reconstruct", path, "-o", tmp_path / "out.exr", "--distance", "240"], ["info", path]):
-        assert complaint(*words).startswith(f"{path}: {DAMAGES[damage]}")
-    assert list(tmp_path.iterdir()) == before
+def test_images_that_are_no_captures(raw, tmp_path, complaint):
+    foreign, result = tmp_path / "foreign.exr", tmp_path / "result.exr"
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, {"Y": np.zeros((4, 4), np.float32)}).write(str(foreign))
+    assert complaint("info", foreign).startswith(f"{foreign}: it has no attribute 'mitsuba_plenoptic' in its header")
+    assert main(["reconstruct", str(raw), "-o", str(result), "--distance", "240"]) == 0
+    assert complaint("info", result).startswith(f"{result}: it holds a 'reconstruction', not a capture")
 
 
 def test_our_own_mistakes_keep_their_traceback(monkeypatch):

@@ -35,7 +35,7 @@ def test_other_software_makes_entries_again(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["image.exr", ".image.exr.key"])
-@pytest.mark.parametrize("damage", [lambda content: content[: len(content) // 2], lambda _: b"", lambda _: b"?"])
+@pytest.mark.parametrize("damage", [lambda content: content[: len(content) // 2], lambda _: b""])
 def test_what_is_damaged_is_made_again(tmp_path, name, damage):
     make = Mock(return_value=(np.arange(64, dtype=np.float32).reshape(8, 8), {"kind": "image"}))
     first, key = Cache(tmp_path).image("image", {}, make)

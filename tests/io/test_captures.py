@@ -3,7 +3,6 @@
 import json
 import re
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 
 import make_examples
@@ -13,22 +12,12 @@ import PIL
 import pytest
 import tifffile
 import xarray as xr
-from cameras import letters, small_camera
+from cameras import small_camera
 from PIL import Image
 from refusals import refuses
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic import (
-    Capture,
-    Detector,
-    InputError,
-    PlenopticCamera,
-    expose,
-    read_capture,
-    write_capture,
-    write_raw,
-)
-from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic import Capture, Detector, InputError, PlenopticCamera, expose, read_capture, write_capture
 from mitsuba_plenoptic.io import exr, read_picture
 from mitsuba_plenoptic.refocus import Volume
 
@@ -40,11 +29,9 @@ def camera():
     )
 
 
-@pytest.mark.parametrize("channels", [(), (3,)])
-def test_a_capture_survives_the_disk(tmp_path, camera, channels):
-    image = np.random.default_rng(1).random((32, 40, *channels), dtype=np.float32)
-    wavelength = (610.0, 550.0, 465.0) if channels else 633.0
-    path = tmp_path / "raw.exr"
+def test_a_capture_in_colour_survives_the_disk(tmp_path, camera):
+    image = np.random.default_rng(1).random((32, 40, 3), dtype=np.float32)
+    path, wavelength = tmp_path / "raw.exr", (610.0, 550.0, 465.0)
     write_capture(path, Capture(image, camera, wavelength, "wave", {"seed": 3, "scene": 'ä "quoted"'}))
     read = read_capture(path)
     np.testing.assert_array_equal(read.image, image)
@@ -71,20 +58,6 @@ def test_any_viewer_sees_the_window_and_the_pixels(tmp_path, camera):
         assert [tuple(corner) for corner in header["dataWindow"]] == [(8, 4), (47, 35)]
         assert [tuple(corner) for corner in header["displayWindow"]] == [(0, 0), (63, 47)]
         assert file.channels()["Y"].pixels.dtype == np.float32
-
-
-def test_files_state_the_version(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    scene = mp.load_scene("letters", parameters=letters(2))
-    capture = mp.render_capture(scene, spp=1)
-    write_capture("raw.exr", capture)
-    mp.write_ground_truth("raw.truth.exr", mp.ground_truth(scene))
-    mp.write_raw("raw.png", mp.expose(capture, mp.Detector(), photons=100, seed=1))
-    assert main(["reconstruct", "raw.exr", "-o", "out.exr", "--distance", "240"]) == 0
-    for name in ("raw.exr", "raw.truth.exr", "out.exr"):
-        with OpenEXR.File(name, header_only=True) as file:
-            assert json.loads(file.header()["mitsuba_plenoptic"])["version"] == version("mitsuba-plenoptic")
-    assert f'"version": "{version("mitsuba-plenoptic")}"'.encode() in Path("raw.png").read_bytes()
 
 
 @pytest.mark.parametrize("within", ["read_parts", "require_seal"])
@@ -161,9 +134,8 @@ def test_the_tool_makes_them(tmp_path, monkeypatch):
 
 def test_command(tmp_path, monkeypatch, run):
     monkeypatch.chdir(tmp_path)
-    said = run("example", "letters-wave", "-o", "raw.exr")
-    assert said == "raw.exr: capture of 768 x 768 pixels, wave model; ground truth in raw.truth.exr\n"
-    read, packed = mp.read_capture("raw.exr"), mp.example("letters-wave")
+    run("example", "letters-wave", "-o", "raw.exr")
+    read, packed = read_capture("raw.exr"), mp.example("letters-wave")
     np.testing.assert_array_equal(read.image, packed.image)
     assert read.metadata == packed.metadata | {"ground_truth": "raw.truth.exr"} and read.camera == packed.camera
     truth, known = mp.read_ground_truth("raw.truth.exr"), mp.example_truth("letters-wave")
@@ -183,7 +155,6 @@ FOUR = mp.PlenopticCamera(detector_width=0.256, resolution=(64, 64))
         ((RAMP * 65535).astype(">u2"), {"byteorder": ">"}, (RAMP * 65535).astype("u2") / 65535),
         ((RAMP * 1e9).astype("u4"), {"bigtiff": True}, (RAMP * 1e9).astype("u4") / (2**32 - 1)),
         ((RAMP * 255).astype("u1"), {"photometric": "miniswhite"}, 1 - (RAMP * 255).astype("u1") / 255),
-        (COLOURS.astype("f4"), {"photometric": "rgb"}, COLOURS),
         (np.moveaxis(COLOURS, 2, 0).astype("f4"), {"photometric": "rgb", "planarconfig": "separate"}, COLOURS),
     ],
 )
@@ -192,15 +163,14 @@ def test_samples_of_tiff_mean_what_they_say(tmp_path, numbers, options, expected
     np.testing.assert_allclose(read_picture(tmp_path / "a.tiff", linear=True), expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize("mode", ["RGB", "P", "1"])
-def test_a_bmp_means_what_the_same_png_means(tmp_path, mode):
+@pytest.mark.parametrize(("mode", "same"), [("P", "RGB"), ("1", "L")])
+def test_a_bmp_means_what_the_same_png_means(tmp_path, mode, same):
     picture = Image.fromarray((COLOURS * 255).astype("u1")).convert(mode)
     picture.save(tmp_path / "a.bmp")
-    picture.convert("L" if mode == "1" else "RGB" if mode == "P" else mode).save(tmp_path / "a.png")
-    for linear in (True, False):
-        np.testing.assert_array_equal(*(read_picture(tmp_path / name, linear=linear) for name in ("a.bmp", "a.png")))
+    picture.convert(same).save(tmp_path / "a.png")
+    np.testing.assert_array_equal(read_picture(tmp_path / "a.bmp"), read_picture(tmp_path / "a.png"))
     camera = FOUR.replace(crop_offset=(0, 0), crop_size=(8, 4))
-    assert mp.read_capture(tmp_path / "a.bmp", camera=camera).image.shape[:2] == (4, 8)
+    assert read_capture(tmp_path / "a.bmp", camera=camera).image.shape[:2] == (4, 8)
     (tmp_path / "a.bmp").write_bytes((tmp_path / "a.bmp").read_bytes()[:-9])
     refuses("a.bmp: it cannot be read as a picture", read_picture, tmp_path / "a.bmp")
 
@@ -229,26 +199,21 @@ def test_numpy_takes_the_image_of_a_result():
     volume = Volume(np.ones((2, 3, 4), np.float32), (210.0, 230.0), 0.03)
     for taken, array in ((capture, capture.image), (result, result.image), (volume, volume.values)):
         assert np.shares_memory(np.asarray(taken), array) and not np.shares_memory(np.array(taken), array)
-        assert np.asarray(taken).shape == array.shape and np.asarray(taken, "f8").dtype == np.float64
+        assert np.asarray(taken, "f8").dtype == np.float64
         np.testing.assert_array_equal(np.asarray(taken, np.float64), array)
-    assert np.asarray([result, result]).shape == (2, *result.image.shape)
-
-
-def window(left, top, columns, rows):
-    return np.array([left, top], np.int32), np.array([left + columns - 1, top + rows - 1], np.int32)
 
 
 def test_plain_exr_is_a_raw_picture_of_a_given_camera(tmp_path):
     image, path = np.random.default_rng(0).random((70, 72, 3), dtype=np.float32), tmp_path / "a.exr"
     planes = {f"beauty.{name}": np.ascontiguousarray(image[..., i]) for i, name in enumerate("RGB")}
-    header = {"dataWindow": window(-3, -2, 72, 70), "displayWindow": window(0, 0, 64, 64)}
-    OpenEXR.File(header, planes).write(str(path))
-    np.testing.assert_array_equal(mp.read_capture(path, camera=FOUR).image, image[2:66, 3:67])
+    header = {"dataWindow": np.array([(-3, -2), (68, 67)], "i4"), "displayWindow": np.array([(0, 0), (63, 63)], "i4")}
+    OpenEXR.File({name: tuple(window) for name, window in header.items()}, planes).write(str(path))
     cut = FOUR.replace(crop_offset=(8, 16), crop_size=(32, 24))
-    np.testing.assert_array_equal(mp.read_capture(path, camera=cut).image, image[18:42, 11:43])
-    refuses("so its camera is unknown; give camera", mp.read_capture, path)
-    OpenEXR.File(header | {"displayWindow": window(20, 0, 64, 64)}, planes).write(str(path))
-    refuses("does not cover the 64 x 64 of the detector", mp.read_capture, path, camera=FOUR)
+    np.testing.assert_array_equal(read_capture(path, camera=cut).image, image[18:42, 11:43])
+    refuses("so its camera is unknown; give camera", read_capture, path)
+    header["displayWindow"] += (20, 0)
+    OpenEXR.File({name: tuple(window) for name, window in header.items()}, planes).write(str(path))
+    refuses("does not cover the 64 x 64 of the detector", read_capture, path, camera=FOUR)
 
 
 def test_units_of_phase_screens_are_converted():
@@ -272,35 +237,29 @@ def test_units_in_fits_are_converted(tmp_path):
 def test_names_are_followed_and_buffers_copied():
     image = np.random.default_rng(0).random((64, 64), dtype=np.float32)
     labelled = xr.DataArray(image, dims=("y", "x"))
-    np.testing.assert_array_equal(mp.Capture(labelled.transpose("x", "y"), FOUR).image, image)
+    np.testing.assert_array_equal(Capture(labelled.transpose("x", "y"), FOUR).image, image)
     with pytest.raises(InputError, match=r"\('lat', 'lon'\)"):
-        mp.Capture(xr.DataArray(image, dims=("lat", "lon")), FOUR)
-    kept = mp.Capture(image, FOUR)
+        Capture(xr.DataArray(image, dims=("lat", "lon")), FOUR)
+    kept = Capture(image, FOUR)
     image[:] = -1
     assert kept.image.min() >= 0
 
 
-def capture_of(channels=3):
-    camera = PlenopticCamera(detector_width=0.128, resolution=(64, 64), crop_offset=(3, 2), crop_size=(40, 33))
-    return Capture(np.random.default_rng(0).random((33, 40, channels)).astype(np.float32).squeeze(), camera)
-
-
-@pytest.mark.parametrize("suffix", [".png", ".tif", ".tiff"])
-def test_a_mosaic_comes_back_as_it_was(tmp_path, suffix):
-    """The numbers are those that other programs see: 12 bits, black where it is dark."""
-    raw = expose(capture_of(), Detector(mosaic="GBRG", bits=12, dark_electrons=3.0), photons=9000, seed=2)
+@pytest.mark.parametrize("suffix", [".png", ".tiff"])
+def test_a_mosaic_comes_back_as_it_was(tmp_path, camera, suffix):
+    """The numbers are those that other programs see: 12 bits, black where it is dark. Colours go to TIFF alone."""
+    given = Capture(np.random.default_rng(0).random((32, 40, 3)), camera)
+    raw = expose(given, Detector(mosaic="GBRG", bits=12, dark_electrons=3.0), photons=9000, seed=2)
     path = tmp_path / f"raw{suffix}"
-    write_raw(path, raw)
+    mp.write_raw(path, raw)
     back = read_capture(path)
     np.testing.assert_allclose(back.image, raw.image, atol=1e-6)
     assert back.camera == raw.camera and back.metadata == json.loads(json.dumps(raw.metadata))
     seen = np.asarray(Image.open(path)) if suffix == ".png" else tifffile.imread(path)
-    assert seen.dtype == np.uint16 and seen.shape == (33, 40)
-    assert 40 < seen.max() <= 4095
-
-
-def test_three_channels_go_to_tiff(tmp_path):
-    raw = expose(capture_of(), Detector(), photons=2000)
-    write_raw(tmp_path / "raw.tiff", raw)
-    np.testing.assert_allclose(read_capture(tmp_path / "raw.tiff").image, raw.image, atol=1e-6)
-    refuses(r"raw pictures of three channels are written as .tiff", write_raw, tmp_path / "raw.png", raw)
+    assert seen.dtype == np.uint16 and seen.shape == (32, 40) and 40 < seen.max() <= 4095
+    colours = expose(given, Detector(), photons=2000)
+    if suffix == ".png":
+        refuses(r"raw pictures of three channels are written as .tiff", mp.write_raw, path, colours)
+    else:
+        mp.write_raw(path, colours)
+        np.testing.assert_allclose(read_capture(path).image, colours.image, atol=1e-6)

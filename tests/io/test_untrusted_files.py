@@ -37,29 +37,20 @@ def capture(tmp_path):
 test_the_size_of_a_file_is_judged_before_it_is_read = refused(
     (lambda folder: mp.Spectrum.sensor(large(folder / "responses.csv")), f"responses.csv: {LARGE}"),
     (lambda folder: mp.read_prescription(large(folder / "lens.yaml")), f"lens.yaml: {LARGE}"),
-    pytest.param(
-        lambda folder: mp.read_prescription(large(folder / "lens.zmx")), f"lens.zmx: {LARGE}",
-        marks=pytest.mark.needs_extension("lensdesign"),
-    ),
     (lambda folder: mp.load_scene(large(folder / "scene.xml")), f"scene.xml: {LARGE}"),
-)  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("name", "read"), [("a.png", read_picture), ("a.tiff", read_picture), ("a.tiff", mp.read_capture)]
 )
-def test_pictures_are_judged_by_the_memory_that_is_allowed(tmp_path, monkeypatch, name, read):
+
+
+def test_pictures_are_judged_by_the_memory_that_is_allowed(tmp_path, monkeypatch):
     monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "4")
-    refuses(rf"{name}: 3221225472 bytes: it would need 6.0 GiB", read, large(tmp_path / name))
+    refuses(r"a.tiff: 3221225472 bytes: it would need 6.0 GiB", mp.read_capture, large(tmp_path / "a.tiff"))
 
 
 class TestCaptures:
-    @pytest.mark.parametrize("size", [(10**9, 10**9), (65, 64)])
-    def test_a_header_that_claims_more_than_the_file_holds(self, capture, size):
+    def test_a_header_that_claims_more_than_the_file_holds(self, capture):
         data = capture.read_bytes()
         place = data.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
-        window = struct.pack("<iiii", 0, 0, *(min(count, 2**30) - 1 for count in size))
-        capture.write_bytes(data[:place] + window + data[place + 16 :])
+        capture.write_bytes(data[:place] + struct.pack("<iiii", 0, 0, 2**30 - 1, 2**30 - 1) + data[place + 16 :])
         start = time.process_time()
         refuses(r"raw\.exr", mp.read_capture, capture)
         assert time.process_time() - start < 10
@@ -73,13 +64,7 @@ class TestCaptures:
         refuses(r"4000 x 4000 pixels of 1 channels: it would need 0\.1 GiB", mp.read_capture, path)
 
     @pytest.mark.parametrize(
-        ("kind", "keeps_all"),
-        [
-            (OpenEXR.NO_COMPRESSION, True),
-            (OpenEXR.PIZ_COMPRESSION, True),
-            (OpenEXR.PXR24_COMPRESSION, False),
-            (OpenEXR.DWAB_COMPRESSION, False),
-        ],
+        ("kind", "keeps_all"), [(OpenEXR.PIZ_COMPRESSION, True), (OpenEXR.PXR24_COMPRESSION, False)]
     )
     def test_other_programs_may_pack_it_anew_without_loss(self, capture, kind, keeps_all):
         image = np.random.default_rng(0).random((64, 64), dtype=np.float32)
@@ -94,21 +79,14 @@ class TestCaptures:
         else:
             refuses("lossy or unknown", mp.read_capture, capture)
 
-    @pytest.mark.parametrize(
-        "text",
-        [
-            "__import__('os').system('touch hacked')",
-            "!!python/object/apply:os.system ['touch hacked']",
-            '{"a":' * 100_000,
-        ],
-    )
+    @pytest.mark.parametrize("text", ["!!python/object/apply:os.system ['touch hacked']", '{"a":' * 100_000])
     def test_a_header_is_data_not_code(self, tmp_path, monkeypatch, text):
         monkeypatch.chdir(tmp_path)
         OpenEXR.File({"mitsuba_plenoptic": text}, {"Y": np.zeros((4, 4), np.float32)}).write("evil.exr")
         refuses(r"evil\.exr", mp.read_capture, "evil.exr")
         assert [item.name for item in tmp_path.iterdir()] == ["evil.exr"]
 
-    def test_no_name_of_a_header_becomes_a_path(self, tmp_path, capfd):
+    def test_no_name_of_a_header_becomes_a_path(self, tmp_path, run):
         """Names in the header that look like paths stay text: only the named outputs are written."""
         folder = tmp_path / "in" / "deep"
         folder.mkdir(parents=True)
@@ -116,22 +94,17 @@ class TestCaptures:
         path = folder / "raw.exr"
         mp.write_capture(path, mp.Capture(np.ones((64, 64)), CAMERA, 633.0, "wave", evil))
         before = set(tmp_path.rglob("*"))
-        for command, name, options in (
-            ("views", "views.exr", ["--count", "2"]),
-            ("convert", "lf.nc", []),
-            ("reconstruct", "r.exr", ["--distance", "210", "--distance", "240"]),
-            ("expose", "e.exr", ["--photons", "100"]),
-        ):
-            assert main([command, str(path), "-o", str(folder / name), *options]) == 0
+        run("views", path, "-o", folder / "views.exr", "--count", 2)
+        run("reconstruct", path, "-o", folder / "r.exr", "--distance", 210, "--distance", 240)
+        run("expose", path, "-o", folder / "e.exr", "--photons", 100)
         new = {item.relative_to(folder).as_posix() for item in {*tmp_path.rglob("*")} - before}
-        assert new == {"views.exr", "lf.nc", "r_210.exr", "r_240.exr", "e.exr"}
+        assert new == {"views.exr", "r_210.exr", "r_240.exr", "e.exr"}
 
-    def test_a_terminal_is_told_nothing_but_text(self, tmp_path, capfd):
+    def test_a_terminal_is_told_nothing_but_text(self, tmp_path, run):
         path = tmp_path / "raw.exr"
         evil = "\x1b]0;title\x07\x1b[2J\rline\nline\u202e"
         mp.write_capture(path, mp.Capture(np.ones((64, 64)), CAMERA, metadata={"scene": evil, evil: 1, "list": [evil]}))
-        assert main(["info", str(path)]) == 0
-        said = capfd.readouterr().out
+        said = run("info", path)
         assert "title" in said
         assert all(character.isprintable() or character == "\n" for character in said)
 
@@ -143,8 +116,6 @@ class TestCaptures:
             (None, {"views": [1, 2, 3]}, "views = "),
             (None, {"views": [1, 2, 4, 10**9]}, "its part views has the shape"),
             (None, {"shapes": "wall"}, "shapes = 'wall'"),
-            (None, {"to_world": [[1]]}, "to_world = "),
-            (None, {"camera": []}, "camera = "),
             (None, {"kind": "capture"}, "it holds a 'capture', not ground truth"),
         ],
     )
@@ -243,18 +214,16 @@ class TestLightFields:
             mp.write_capture(tmp_path / "raw.exr", capture)
         refuses(r"raw\.exr: format = 2, of version 1\.9\.0", mp.read_capture, tmp_path / "raw.exr")
 
-    @pytest.mark.parametrize("size", [(2**31 - 1, 2**31 - 1), (100_000, 100_000)])
-    def test_a_picture_that_claims_more_than_memory(self, tmp_path, size):
+    def test_a_picture_that_claims_more_than_memory(self, tmp_path):
         path = tmp_path / "bomb.png"
-        path.write_bytes(png(*size))
+        path.write_bytes(png(100_000, 100_000))
         refuses("it would need", read_picture, path)
 
 
 class TestScenes:
-    @pytest.mark.parametrize("name", ["evil.so", "EVIL.DLL"])
-    def test_native_code_beside_a_scene_is_not_run(self, tmp_path, name):
+    def test_native_code_beside_a_scene_is_not_run(self, tmp_path):
         (tmp_path / "plugins").mkdir()
-        (tmp_path / "plugins" / name).write_bytes(b"")
+        (tmp_path / "plugins" / "EVIL.DLL").write_bytes(b"")
         refuses("would run the native code", mp.load_scene, write_scene(tmp_path))
 
     @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
@@ -298,20 +267,9 @@ class TestScenes:
         with pytest.raises(mp.InputError, match=words) if words else contextlib.nullcontext():
             mp.load_scene(path)
 
-    def test_a_scene_of_radiance_nan_makes_no_capture(self, tmp_path, capfd):
-        light, output = (
-            '<emitter type="constant"><spectrum name="radiance" value="nan"/></emitter>',
-            tmp_path / "raw.exr",
-        )
-        path = write_scene(tmp_path, light, sensor=SMALL_SENSOR)
+    def test_a_scene_of_radiance_nan_makes_no_capture(self, tmp_path, complaint):
+        light = '<emitter type="constant"><spectrum name="radiance" value="nan"/></emitter>'
+        path, output = write_scene(tmp_path, light, sensor=SMALL_SENSOR), tmp_path / "raw.exr"
         for model in ("ray", "wave"):
-            assert main(["render", str(path), "-o", str(output), "--spp", "1", "--model", model]) == 2
-            assert "finite" in capfd.readouterr().err
+            assert "finite" in complaint("render", path, "-o", output, "--spp", 1, "--model", model)
             assert not output.exists()
-
-
-@pytest.mark.parametrize("parameter", ["phase_screen", "mla_shape"])
-def test_values_that_are_not_text_get_one_line(parameter, tmp_path):
-    path = tmp_path / "value.json"
-    path.write_bytes(b"\xff\xfe\x00{")
-    refuses(r"^[^\n]*value\.json: it is not text in UTF-8: [^\n]*$", mp.PlenopticCamera, **{parameter: str(path)})

@@ -6,8 +6,9 @@ import re
 
 import numpy as np
 import pytest
+from cameras import write_scene
 
-from mitsuba_plenoptic import InputError, Objective, PlenopticCamera, load_scene
+from mitsuba_plenoptic import Objective, PlenopticCamera, load_scene
 from refusals import refuses
 from tools.bench.cases.arrays import SHAPES, X, Y, bumpy
 
@@ -19,7 +20,6 @@ THIN = [
     ({"focus_distance": 80}, "focus_distance = 80: .*80"),
     ({"focus_distance": 240, "mla_distance": 120}, "give one of the two"),
     ({"resolution": (0, 5)}, "resolution = 0: "),
-    ({"resolution": 4096}, "resolution = 4096: "),
     ({"crop_offset": (4000, 0), "crop_size": (100, 100)}, "window"),
     ({"lens_model": "thick"}, "lens_model = 'thick': .*parabolic"),
     ({"mla_absorption": -1.0}, "mla_absorption = -1: "),
@@ -51,17 +51,14 @@ THIN = [
         r"pupil_apodisation = \(-0.2, 0.0\): .*stop",
     ),
     ({"vignetting": {"radius": [1, 0]}}, "radius = .*6"),
-    ({"vignetting": {"radius": [1], "slope": [0]}}, "slope"),
     ({"vignetting": {"scale": 1}}, "radius is missing"),
     ({"mla_jitter": (0.01, 0)}, "mla_jitter = 0.01: "),
     ({"mla_jitter": (0, 0.2)}, "mla_jitter = 0.2: "),
     ({"pixel_response": (0, 1, 10)}, "pixel_response.*pairs"),
     ({"pixel_response": (5, 1, 10, 0.5)}, "pixel_response.*angles"),
     ({"mla_warp": [0.0] * 15}, "mla_warp.*14.* 36"),
-    ({"mla_warp": [2e-3]}, "mla_warp.* 0.0336 mm"),
     ({"mla_warp": [0, 0, 0, 0, 0, 0, 4e-4], "mla_pitch": 0.05}, "mla_warp.* 0.0275 mm"),
     ({"mla_transmissions": [[5.0]]}, "mla_transmissions: .*values.0, 0. = 5: "),
-    ({"mla_transmissions": {"values": [[1]], "last": [0, 0]}}, "mla_transmissions: .*last"),
     ({"mla_transmissions": {"values": [[1]], "first": [0.5, 0]}}, "mla_transmissions: .*first = 0.5: "),
     ({"stray_light": 1.5}, "^stray_light = 1.5: "),
     ({"stray_light": [[0.1, 1.5]]}, r"^stray_light: values\[0, 1\] = 1.5: "),
@@ -78,7 +75,6 @@ PHASES = {"form": "phase_map", "phase": X.tolist(), "width": 0.066, "wavelengths
 MICROLENSES = [
     ({"mla_shape": {"form": "cone"}}, "mla_shape: form = 'cone'"),
     ({"mla_shape": {"form": "conic", "curvature_radius": 0.2, "conc": 1}}, "mla_shape.*conic"),
-    ({"mla_shape": {"form": "conic", "curvature_radius": 0.03}}, "mla_shape: .*all over"),
     ({"mla_shape": {"form": "conic", "curvature_radius": 0.2, "glass": 1.0}}, "mla_shape.*index.* 1"),
     ({"mla_shape": {"form": "sampled", "height": [[0, 1], [1, 0]], "width": 0.064}}, "mla_shape: height of shape"),
     ({"mla_shape": SAMPLED | {"height": (-bumpy(X, Y)).tolist(), "width": 0.066}}, "mla_shape.*focus"),
@@ -142,12 +138,6 @@ def test_impossible_cameras_are_refused_in_one_line(parameters, words):
     refuses(words, PlenopticCamera, **parameters)
 
 
-def test_a_camera_with_a_missing_name_is_refused():
-    values = PlenopticCamera().to_dict()
-    del values["mla_pitch"]
-    refuses("mla_pitch: it is missing", PlenopticCamera.from_dict, values)
-
-
 SHEET = {
     "f_number": 2.8, "lenses": 100, "pixels_per_lens": 10, "pixel_size": 0.005, "focal_length": 50.0,
     "focus_distance": 320.0,
@@ -161,7 +151,6 @@ SHEET = {
         ({"lenses": None}, "^lenses, resolution or sensor_size: missing"),
         ({"pixels_per_lens": None}, "^pixels_per_lens or mla_pitch: missing"),
         ({"focus_distance": None}, "^focus_distance or mla_distance: missing"),
-        ({"mla_distance": 60}, "give one of the two"),
         ({"aperture_radius": 5}, "^aperture_radius = 5: "),
         ({"resolution": (8, 8)}, "^lenses, resolution: "),
         ({"lenses": None, "resolution": 64, "sensor_size": 1}, "^resolution, sensor_size, pixel_size: "),
@@ -174,7 +163,6 @@ SHEET = {
             r"^sensor_size = \(0.001, 1\) with pixel_size = 0.0055: ",
         ),
         ({"pixels_per_lens": None, "mla_pitch": 20}, "^mla_pitch = 20: .*17.86 mm"),
-        ({"detector_width": 5}, "^detector_width = 5: "),
         ({"f_number": -1}, "^f_number = -1: "),
         ({"lenses": 200_000}, "^lenses = 200000: .*2000000"),
         ({"main_lens": "double_gauss"}, "^f_number = 2.8: aperture_radius = "),
@@ -190,40 +178,21 @@ def test_a_misspelt_number_of_a_data_sheet_is_answered_with_the_one_that_it_rese
         PlenopticCamera.matched(**sheet, f_numbr=2.8)
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("f_number", "aperture_radius is .*PlenopticCamera.matched"),
-        ("lattice", "mla_lattice is square or hexagonal"),
-        ("pixel_pitch", "detector_width is pixel_pitch"),
-    ],
-)
-def test_names_of_elsewhere_are_answered_with_the_parameter(name, words, tmp_path, complaint):
-    words = f"{name}.*; {words}"
-    path = tmp_path / "scene.xml"
-    sensor = PlenopticCamera().to_xml().replace("<film", f'<float name="{name}" value="2"/><film')
-    path.write_text(f'<scene version="3.0.0">{sensor}</scene>')
+def test_names_of_elsewhere_are_answered_with_the_parameter(tmp_path, complaint):
+    words = "pixel_pitch.*; detector_width is pixel_pitch"
+    given = {"pixel_pitch": 2}
     with pytest.raises(TypeError, match=words):
-        PlenopticCamera(**{name: 2})
-    for attempt in (
-        lambda: PlenopticCamera.from_json(json.dumps({name: 2})),
-        lambda: PlenopticCamera().replace(**{name: 2}),
-        lambda: load_scene("letters", variant="llvm_ad_mono", parameters={name: "2"}),
-        lambda: load_scene(path),
-    ):
-        with pytest.raises(InputError, match=words):
-            attempt()
-    assert re.search(words, complaint("info", f"{name}=2"))
+        PlenopticCamera(**given)
+    refuses(words, PlenopticCamera.from_json, json.dumps(given))
+    refuses(words, PlenopticCamera().replace, **given)
+    refuses(words, load_scene, "letters", variant="llvm_ad_mono", parameters=given)
+    refuses(words, load_scene, write_scene(tmp_path, sensor='<float name="pixel_pitch" value="2"/>'))
+    assert re.search(words, complaint("info", "pixel_pitch=2"))
 
 
 @pytest.mark.parametrize(
     ("place", "rule"),
-    [
-        ("x", "4 x 4"),
-        (np.diag([1, 1, math.nan, 1]), "finite"),
-        (2 * np.eye(4), "rotation"),
-        (np.eye(4) + 0.1 * np.eye(4, k=1), "rotation"),
-    ],
+    [("x", "4 x 4"), (np.diag([1, 1, math.nan, 1]), "finite"), (np.eye(4) + 0.1 * np.eye(4, k=1), "rotation")],
 )
 def test_places_of_a_camera_that_a_scene_would_refuse(place, rule):
     refuses(f"^to_world.*: .*{rule}", PlenopticCamera().to_xml, place)

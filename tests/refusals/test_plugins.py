@@ -2,7 +2,7 @@
 
 import mitsuba as mi
 import pytest
-from cameras import disk, film, write_scene
+from cameras import disk, film
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.views.white import white_image
@@ -12,14 +12,11 @@ from refusals import refuses
 @pytest.mark.parametrize(
     ("plugin", "parameters", "words"),
     [
-        ("plenoptic", {"focal_length": -80.0}, "plenoptic: focal_length = -80"),
         ("plenoptic", {"focal_length": "eighty"}, "plenoptic: focal_length = 'eighty'"),
         ("plenoptic", {"near_clip": 1.0}, "plenoptic: near_clip = 1"),
         ("plenoptic", {"glass": "{1.5"}, "glass: .*JSON"),
-        ("plenoptic", {"mla_pich": 3.0}, "plenoptic: mla_pich: .*mla_pitch"),
         ("plenoptic", {"mla_offset": [1.0, 2.0, 3.0]}, r"plenoptic: mla_offset = \(1.0, 2.0, 3.0\)"),
         ("plenoptic", {"film": {"rfilter": {"type": "gaussian"}}}, 'GaussianFilter .*<rfilter type="box"/>'),
-        ("plenoptic_wave", {"wavelength": -633.0}, "plenoptic_wave: wavelength = -633"),
         ("plenoptic_wave", {"wavelength": "600, 500, 400"}, "llvm_ad_mono has 1 channel"),
         ("plenoptic_wave", {"wavelenght": 3.0}, "plenoptic_wave: wavelenght: .*wavelength"),
         ("plenoptic_wave", {"method": "magic"}, "method = 'magic'"),
@@ -55,7 +52,6 @@ del BANDS["pixel_format"]
 @pytest.mark.parametrize(
     ("variant", "plate", "model", "words"),
     [
-        ("llvm_ad_mono", {"pixel_format": "luminance_alpha"}, "wave", "film: it has 2 channels"),
         ("llvm_ad_rgb", {"pixel_format": "rgba"}, "ray", "film: it has 4 channels"),
         ("llvm_ad_rgb", {"pixel_format": "xyz"}, "ray", "film: pixel_format = xyz"),
         ("llvm_ad_spectral", BANDS, "wave", "plenoptic_wave: film of type SpecFilm"),
@@ -128,10 +124,9 @@ def test_outputs_that_blocked_rays_would_dilute_are_refused(variant, camera, int
     refuses(f"plenoptic: {words}", mi.load_dict(integrator).render, scene, scene.sensors()[0], spp=4)
 
 
-def test_a_sensor_that_scales_is_refused(tmp_path):
-    path = write_scene(tmp_path, sensor='<transform name="to_world"><scale value="2"/></transform>')
-    path.write_text(path.read_text().replace("plenoptic", "orthographic"))
-    refuses("plenoptic: to_world", mp.with_camera, mp.load_scene(path), mp.PlenopticCamera())
+def test_a_sensor_that_scales_is_refused():
+    scene = scene_before({"type": "orthographic", "to_world": mi.ScalarTransform4f().scale(2)})
+    refuses("plenoptic: to_world", mp.with_camera, scene, mp.PlenopticCamera())
 
 
 def test_an_integrator_that_ignores_the_medium_around_an_ordinary_camera_is_refused():

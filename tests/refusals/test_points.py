@@ -9,7 +9,7 @@ from cameras import CAMERAS, HALF, WAVELENGTH, scattered, small_camera
 from cases import PANES, THIN_FOG, facing, radiating, sensor
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic import PlenopticCamera, Spectrum, point_spread_function
+from mitsuba_plenoptic import PlenopticCamera, Spectrum
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.lenses.pupil_fit import ExitPupil
 from mitsuba_plenoptic.optics.waves import propagate
@@ -70,10 +70,8 @@ BETWEEN = {"wavelength": None, "spectrum": mp.Spectrum.band(550, 40, 4).interpol
 VIGNETTED = {"vignetting": {"radius": [0.8]}, "main_lens": "double_gauss", "focal_length": 80}
 WEIGHTS = [-np.ones((2, 4, 4)), np.full((2, 4, 4), np.nan), np.full((2, 4, 4), "x"), np.ones((2, 4, 5), bool)]
 test_refused = refused(
-    *(
-        (lambda place=place: spread(position=place), "^position")
-        for place in ((0, 0, 0), (0, np.nan, 240), ("a", 0, 240))
-    ),
+    *((lambda place=place: spread(position=place), "^position") for place in ((0, np.nan, 240), ("a", 0, 240))),
+    (lambda: waves(mp.PlenopticCamera(), [(0, 0, 0.24)]), r"position = \(0, 0, .*\): .* metres"),
     (lambda: spread(method="fast"), "^method"),
     (lambda: spread(camera=HUGE, method="full_field"), "full field of position.*GiB"),
     (lambda: operator().jacobian([1.0, 1.0], []), "^directions: "),
@@ -86,13 +84,10 @@ test_refused = refused(
     *((lambda weights=weights: operator(pupil_weights=weights), "^pupil_weights") for weights in WEIGHTS),
     *(
         (lambda weights=weights: coloured().forward(weights), "^weights")
-        for weights in (np.ones(3), np.ones((2, 0)), [1.0, np.inf], "ab", np.ones((2, 3)))
+        for weights in (np.ones(3), np.ones((2, 0)), [1.0, np.inf], "ab")
     ),
-    *((lambda s=s: coloured().adjoint(np.ones(s)), "^image of shape") for s in ((8, 8), (256, 256), (256, 256, 3))),
-    *(
-        (lambda i=i: operator().adjoint(i), "^image")
-        for i in (np.full(SMALL.shape, np.nan), "image", [[1.0], [1.0, 2.0]])
-    ),
+    *((lambda s=s: coloured().adjoint(np.ones(s)), "^image of shape") for s in ((8, 8), (256, 256))),
+    (lambda: operator().adjoint([[1.0], [1.0, 2.0]]), "^image"),
     (lambda: waves(mp.PlenopticCamera(), FAR).forward(np.ones(100)), "^100 points by patches.*GiB"),
     (lambda: derived().derivative([1.0], {"f_number": 1.0}), "f_number"),
     (lambda: derived().derivative([1.0], {"mla_offset": 1.0}), "^mla_offset = 1.0: .*2"),
@@ -124,12 +119,6 @@ def test_coherent_fields_are_refused_with_what_is_missing():
     refuses("coherent field of 1 points: it would need", field, [1], [(0, 0, 120.0)], WIDE)
 
 
-@pytest.mark.parametrize("method", ["patch", "full_field"])
-def test_points_in_metres_are_recognised(method):
-    points = lambda: waves(mp.PlenopticCamera(), [(0, 0, 0.24)], method=method).forward([1.0])  # noqa: E731
-    refuses(r"position = \(0, 0, .*\): .* metres", points)
-
-
 def test_more_memory_than_allowed_is_refused_with_the_estimate(monkeypatch):
     monkeypatch.setattr("mitsuba_plenoptic.runtime.limits.MEMORY_LIMIT", 2**20)
     operator = waves(SMALL)
@@ -143,7 +132,6 @@ def test_more_memory_than_allowed_is_refused_with_the_estimate(monkeypatch):
     [
         ({"sky": {"type": "constant"}}, "emitter .* infinitely far"),
         ({"pane": pane(PANES["half-open mask"])}, "pane of type MaskBSDF"),
-        ({"pane": pane({"type": "roughplastic"})}, "pane of type RoughPlastic"),
         ({"fog": pane({"type": "diffuse"}) | {"type": "cube", "interior": THIN_FOG}}, "surface fog"),
         ({"integrator": {"type": "path", "hide_emitters": True}}, "hide_emitters"),
         ({"camera": sensor(2, 8, medium=THIN_FOG)}, "sensor is in a medium"),
@@ -171,11 +159,8 @@ def bell(places):
 test_spectra_are_refused = refused(
     (lambda: propagated(field=np.zeros(5)), "^field"),
     (lambda: propagated(pitch=0.0), "^pitch"),
-    (lambda: propagated(wavelength=-633.0), "^wavelength"),
     (lambda: Spectrum((), ()), "^spectrum: it must have a wavelength"),
-    (lambda: Spectrum((-633.0,), ((1.0,),)), "^wavelength = -633"),
     (lambda: Spectrum((633.0, 532.0), ((1.0,),)), r"^spectrum: responses of shape \(1, 1\)"),
-    (lambda: Spectrum((633.0,), ((np.nan,),)), "^spectrum: responses of shape"),
     (lambda: PlenopticCamera().lenslet(0, [1, 2]), r"^j = \[1, 2\]: "),
     (lambda: Spectrum.smooth(bell, 400, 700, 31, [TABLE]), "1024 wavelengths"),
 )
@@ -192,8 +177,5 @@ test_spectra_are_refused = refused(
     ],
 )
 def test_wavelengths_in_other_units(given, words):
-    for take in (
-        lambda: Spectrum((given,), ((1.0,),)),
-        lambda: point_spread_function(PlenopticCamera(), (0, 0, 240), wavelength=given),
-    ):
-        refuses(words, take)
+    refuses(words, Spectrum, (given,), ((1.0,),))
+    refuses(words, spread, wavelength=given)

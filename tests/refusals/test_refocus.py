@@ -48,14 +48,11 @@ def planes(*distances):
 
 test_refused = refused(
     (lambda: refocused(distance=[240.0, math.nan]), "distance = nan"),
-    (lambda: refocused(distance="far"), "distance = 'far'"),
     (lambda: mp.reconstruct(np.ones((64, 64)), 240.0, camera=None), "camera"),
     (lambda: refocused(capture=np.ones((3, 3))), "the camera records 64 rows"),
     (lambda: by_waves(wavelength=None), "wavelength = None"),
-    (lambda: by_waves(wavelength=-5), "wavelength = -5"),
     (lambda: by_waves(wavelength=(500, 600)), "the capture has 1 channels"),
     (lambda: by_waves(interleave=3), "interleave = 3: .*1 to 2"),
-    (lambda: by_waves(interleave=1.5), "interleave = 1.5"),
     (lambda: by_waves(oversample=0), "oversample = 0"),
     (lambda: refocused(SHORT, distance=160.0), "no light comes from any of the 4 bins there"),
     pytest.param(
@@ -73,27 +70,20 @@ test_refused = refused(
 )
 
 
-@pytest.mark.parametrize("options", [{"method": "coherent"}, {"interleave": "auto"}])
 @pytest.mark.parametrize(
     ("changes", "words"), [(NARROW, "less than a pixel"), ({"aperture_radius": 0.05}, "distance = 240: no light")]
 )
-def test_a_camera_without_white_is_refused(options, changes, words):
+def test_a_camera_without_white_is_refused(changes, words):
     """No pixel belongs to the lens beside the axis, or none is lit: images would be divided by nothing."""
-    refuses(words, by_waves, SMALL.replace(**changes), capture=np.zeros(SMALL.shape), **options)
+    refuses(words, by_waves, SMALL.replace(**changes), capture=np.zeros(SMALL.shape), interleave="auto")
 
 
 @pytest.mark.parametrize(
-    "tell",
-    [
-        mp.design.field_of_view,
-        mp.design.refocus_range,
-        mp.design.best_distances,
-        lambda camera: mp.design.virtual_depth(camera, 1.0),
-        lambda camera: camera.defocus(1.0),
-    ],
+    "tell", [mp.design.field_of_view, mp.design.refocus_range, mp.design.best_distances, mp.PlenopticCamera.defocus]
 )
 def test_numbers_of_a_lens_at_a_finite_distance_are_refused_behind_an_objective(tell):
-    refuses("is not defined behind an objective", tell, mp.PlenopticCamera.preset("lfm"))
+    distance = [1.0] if tell is mp.PlenopticCamera.defocus else []
+    refuses("is not defined behind an objective", tell, mp.PlenopticCamera.preset("lfm"), *distance)
 
 
 @pytest.mark.needs_extension("inverse")
@@ -106,7 +96,6 @@ def test_gradients_of_reconstructions_refuse_a_warp():
 
 CAMERA = mp.PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 CROPS = [CAMERA.replace(crop_offset=offset, crop_size=(64, 96)) for offset in ((0, 0), (64, 32))]
-COLOURS = (620.0, 540.0, 460.0)
 
 
 @functools.cache
@@ -143,7 +132,6 @@ WHITES = {
     "camera": (lambda: (ray(), ray(camera=CAMERA.replace(aperture_radius=4.0))), "aperture_radius = 4.0.* 5.0"),
     "crop": (lambda: tuple(mp.Capture(white_image(c), c) for c in CROPS), r"crop_offset = \(64, 32\).*\(0, 0\)"),
     "wavelength": (lambda: (wave(), wave(None, 532.0)), "532.0 nm: .*633.0 nm"),
-    "colours": (lambda: (wave(rgb(), COLOURS), wave(None, 540.0)), r"540.0 nm: .*\(620.0, 540.0, 460.0\) nm"),
     "model": (lambda: (ray(), wave()), "waves.*rays"),
     "mosaic": (lambda: (ray(), mp.expose(ray(rgb()), mp.Detector(mosaic="RGGB"), photons=1e4)), "mosaic = RGGB"),
     "channels": (lambda: (ray(), rgb()), r"white of shape \(128, 128, 3\)"),

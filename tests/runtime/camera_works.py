@@ -39,10 +39,6 @@ def spread(camera, point=POINT):
     return [mp.point_spread_function(camera, point, wavelength=WAVELENGTH, method="full_field")]
 
 
-def summed(camera, *points):
-    return [mp.CaptureOperator(camera, points, wavelength=WAVELENGTH).forward(np.arange(1.0, len(points) + 1))]
-
-
 def refocused(camera, method, distance=118.0, image=None, wavelength=WAVELENGTH, **options):
     image, options = image_of(camera) if image is None else image, {"wavelength": wavelength} | options
     return [mp.reconstruct(image, distance, camera=camera, method=method, **options).image]
@@ -92,7 +88,6 @@ def of_refocus(refocus):
 
 
 TURNED = HALVED.replace(mla_rotation=7.0)
-UNEQUAL = HALVED.replace(mla_transmissions=TABLE)
 OF_ARRAY = ("mla_pitch", "mla_offset", "mla_focal_length", "mla_fill")
 NEGATIVE = {"interleave": "auto", "oversample": 2, "image": image_of(HALVED) - np.float32(0.02)}
 WITH_WHITE = {"image": mp.Capture(image_of(HALVED), HALVED), "white": mp.Capture(0.5 + image_of(HALVED), HALVED)}
@@ -109,11 +104,12 @@ def of_scene():
 
 WORKS = {
     "microscope, full field": lambda: spread(MICROSCOPE, NEAR),
-    "microscope, patches": lambda: summed(MICROSCOPE, NEAR),
     "Fourier microscope, incoherent": lambda: refocused(FOURIER, "incoherent", 0.0),
     "Fourier microscope, deconvolved": lambda: refocused(FOURIER, "deconvolved", 0.01, iterations=2),
     "irregular lenses, full field": lambda: spread(HALVED.replace(mla_jitter=(1e-3, 1e-3))),
-    "unequal lenses, patches": lambda: summed(UNEQUAL, *POINTS),
+    "unequal lenses, patches": lambda: [
+        mp.CaptureOperator(HALVED.replace(mla_transmissions=TABLE), POINTS, wavelength=WAVELENGTH).forward([1.0, 2.0])
+    ],
     "vignetting, full field": lambda: spread(HALVED.replace(vignetting=mp.Vignetting(30.0, 4.0))),
     "real lens, gradients": lambda: gradients(REAL, ("focal_length", "wavefront", "wavelength")),
     "real lens, coherent": lambda: refocused(REAL, "coherent"),
@@ -124,7 +120,6 @@ WORKS = {
     ),
     "far light, full field": lambda: far_light(HALVED, 2.0),
     "coherent field": lambda: coherent_field(HALVED),
-    "turned array, coherent": lambda: refocused(TURNED, "coherent"),
     "coarse pixels, deconvolved": lambda: refocused(HALVED.replace(resolution=(20, 20)), "deconvolved", iterations=2),
     "negative pixels, lens by lens": lambda: refocused(HALVED, "partial", **NEGATIVE),
     "white capture, coherent": lambda: refocused(HALVED, "coherent", **WITH_WHITE),

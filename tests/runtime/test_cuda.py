@@ -2,12 +2,13 @@
 
 import sys
 
-import camera_works
 import device_stand_in
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from camera_works import WORKS as CAMERA_WORKS
+from camera_works import spread
 from cameras import capture
 from cases import bars, facing, scene_of, sensor
 from stopped_runs import StoppedError, stopped_before
@@ -40,7 +41,6 @@ POSITIONS = np.column_stack([_random.uniform(-0.4, 0.4, (20, 2)), _random.unifor
 WEIGHTS = _random.random((20, 2))
 WAVES = {"type": "plenoptic_wave", "method": "signed_rays", "child": {"type": "path"}}
 PHASORS = np.exp(2j * np.pi * _random.random(20)).astype(np.complex64)
-TWO = mp.Spectrum((550.0, 633.0), ((1.0, 0.5), (0.0, 1.0)))
 PUPILS = np.maximum(_random.random((20, 8, 8)) - 0.3, 0)
 
 
@@ -60,17 +60,13 @@ def operator(camera=SMALL, count=6, **options):
     return mp.CaptureOperator(camera, POSITIONS[:count], **{"wavelength": 633, **options})
 
 
-def spread(camera):
-    return [mp.point_spread_function(camera, POSITIONS[0], wavelength=633, method="full_field")]
-
-
 def full_fields():
     return operator(TINY, 2, method="full_field")
 
 
-def signed_rays(lenses=4, pixels=16, spp=4, **parameters):
-    scene = scene_of(sensor(lenses, pixels, **parameters), **bars(240.0))
-    return [mp.render_capture(scene, model="wave", method="signed_rays", spp=spp).image]
+def signed_rays(**parameters):
+    scene = scene_of(sensor(4, 16, **parameters), **bars(240.0))
+    return [mp.render_capture(scene, model="wave", method="signed_rays", spp=4).image]
 
 
 def convolutions():
@@ -125,34 +121,31 @@ WORKS = {
     "sum of all": lambda: [capture(CAMERA, POSITIONS, WEIGHTS, accuracy=0)],
     "sum of patterns": lambda: [capture(CAMERA, POSITIONS, WEIGHTS - 0.5, accuracy=0.05, pupil_weights=PUPILS)],
     "sum on a turned array": lambda: [capture(TURNED, POSITIONS[:6], WEIGHTS[:6])],
-    "full field": lambda: spread(SMALL),
+    "full field": lambda: spread(SMALL, POSITIONS[0]),
     "fields": fields,
     "signed rays": signed_rays,
-    "signed rays of coarse pixels": lambda: signed_rays(pixels=6),
     "signed rays by three focal lengths": lambda: signed_rays(
         mla_lattice="hexagonal", mla_focal_length="0.48, 0.512, 0.55"
     ),
     "coherent sums": coherent_sums,
     "stored operator": lambda: [mp.StoredOperator(TINY, POSITIONS[:3], wavelength=633).forward(WEIGHTS[:3, 0])],
-    "full field on a turned array": lambda: spread(TINY.replace(mla_rotation=7.0)),
+    "full field on a turned array": lambda: spread(TINY.replace(mla_rotation=7.0), POSITIONS[0]),
     "sum of full fields": lambda: [full_fields().forward(WEIGHTS[:2, 0]), full_fields().adjoint(CAPTURE[:64, :64])],
     "convolution": convolutions,
     "copies": lambda: [capture(SMALL, GRID, np.linspace(1, 2, len(GRID))[:, None])],
-    "copies of a turned array": lambda: [capture(SMALL.replace(mla_rotation=7.0), GRID[:9], np.ones((9, 1)))],
     "incoherent": lambda: refocused(TINY, [240.0], method="incoherent"),
     "focused camera": lambda: refocused(FOCUSED, [240.0], method="partial"),
     "gradient of signed rays": signed_gradient,
     "derivatives": derivatives,
     "derivatives of a reconstruction": lambda: refocus_derivatives(1),
     "derivatives of subsets": lambda: refocus_derivatives(4),
-    "two wavelengths": lambda: [operator(TINY, 2, spectrum=TWO, wavelength=None).forward(WEIGHTS[:2])],
     "rays": lambda: refocused(method="ray"),
     "coherent": lambda: refocused(method="coherent"),
     "subdivided pixels": lambda: refocused(COARSE, method="coherent"),
     "partially coherent": lambda: refocused(method="partial"),
     "lens by lens": lambda: refocused(method="partial", interleave="auto"),
+    **CAMERA_WORKS,
 }
-WORKS |= camera_works.WORKS
 ADJOINTS = {
     "adjoint": lambda: [mp.CaptureOperator(CAMERA, POSITIONS, wavelength=633, pupil_weights=PUPILS).adjoint(CAPTURE)],
     "adjoint on a turned array": lambda: [mp.CaptureOperator(TURNED, POSITIONS[:6], wavelength=633).adjoint(CAPTURE)],
@@ -183,7 +176,6 @@ HANDED = {
     # The orders of an array that is no product of two axes, and once for each array the shape of its lenses.
     "sum on a turned array": 150_000,
     "signed rays": 2**17 + 30_000,
-    "signed rays of coarse pixels": 2**17 + 30_000,
     "signed rays by three focal lengths": 2**17 + 30_000,
     # The square roots of the bins' intensities, of which the image is the sum.
     "derivatives of a reconstruction": 70_000,
@@ -245,7 +237,6 @@ def test_without_cupy_waves_on_cuda_are_refused_with_the_remedy(monkeypatch):
     "mistake",
     [
         lambda _, array: np.asarray(array),
-        lambda _, array: array + np.ones(3),
         lambda _, array: array[np.arange(2)],
         lambda libraries, array: libraries.arrays.multiply(array, array, out=np.ones(3)),
         lambda libraries, _: libraries.transforms.set_workers,

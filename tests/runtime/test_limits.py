@@ -93,7 +93,6 @@ def wave_capture(**options):
 @pytest.mark.parametrize(
     ("work", "words"),
     [
-        (lambda image, camera: reconstruct(image, 240.0, camera=camera, oversample=10**6), "oversample = "),
         (
             lambda image, camera: reconstruct(
                 image, 240.0, camera=camera.replace(detector_width=80, mla_pitch=2.5), method="coherent", wavelength=633

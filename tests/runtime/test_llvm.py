@@ -18,10 +18,8 @@ OLD = [item for item in llvm.candidates() if item.version and not item.usable]
     ("path", "version"),
     [
         ("/x/lib/libLLVM-14.0.6.so.1", (14, 0, 6)),
-        ("/usr/lib64/libLLVM.so.21.1", (21, 1)),
         ("/usr/lib64/llvm19/lib64/libLLVM.so", (19,)),
-        ("/opt/homebrew/Cellar/llvm/21.1.7_1/lib/libLLVM.dylib", (21, 1, 7)),
-        ("/opt/homebrew/Cellar/llvm@18/18.1.8/lib/libLLVM.dylib", (18, 1, 8)),
+        ("/opt/homebrew/Cellar/llvm@18/18.1.8_1/lib/libLLVM.dylib", (18, 1, 8)),
         ("/some/where/libLLVM.so", ()),
     ],
 )
@@ -64,34 +62,33 @@ def test_choose_takes_the_newest_and_leaves_a_users_choice(tmp_path, monkeypatch
 
 
 def test_fresh_process_loads_a_usable_llvm(python):
-    result = python(
-        "import mitsuba_plenoptic, drjit as dr, mitsuba as mi; mi.set_variant('llvm_ad_mono');"
-        "print(dr.detail.llvm_version()[0] >= 17, dr.maximum(mi.Float([1, 2]), 1.5))",
-        DRJIT_LIBLLVM_PATH="",
-    )
+    code = """
+    import mitsuba_plenoptic, drjit as dr, mitsuba as mi
+    mi.set_variant("llvm_ad_mono")
+    print(dr.detail.llvm_version()[0] >= 17, dr.maximum(mi.Float([1, 2]), 1.5))
+    """
+    result = python(code, DRJIT_LIBLLVM_PATH="")
     assert (result.stdout, result.stderr) == ("True [1.5, 2]\n", "")
 
 
-@pytest.mark.parametrize(
-    "library", ["text", *(pytest.param(str(item.path), marks=pytest.mark.slow) for item in OLD[:1])]
-)
-def test_unusable_llvm_raises_when_used_and_not_on_import(library, python, tmp_path):
-    if library == "text":
-        library = tmp_path / "libLLVM.so"
+@pytest.mark.parametrize("old", [pytest.param(item.path, marks=pytest.mark.slow) for item in OLD[:1]] + [None])
+def test_unusable_llvm_raises_when_used_and_not_on_import(old, python, tmp_path):
+    library = old or tmp_path / "libLLVM.so"
+    if not old:
         library.write_text("no library")
     code = """
-import mitsuba_plenoptic as mp, mitsuba as mi, numpy as np
-camera = mp.PlenopticCamera(resolution=(64, 64), detector_width=0.128)
-for use in (
-    lambda: mp.load_scene("letters"),
-    lambda: mp.reconstruct(np.zeros((64, 64)), 240, camera=camera),
-    lambda: mi.set_variant("llvm_ad_mono") or mi.load_dict({"type": "plenoptic"}),
-):
-    try:
-        use()
-    except Exception as error:
-        print(str(error).splitlines()[-1])
-"""
+    import mitsuba_plenoptic as mp, mitsuba as mi, numpy as np
+    camera = mp.PlenopticCamera(resolution=(64, 64), detector_width=0.128)
+    for use in (
+        lambda: mp.load_scene("letters"),
+        lambda: mp.reconstruct(np.zeros((64, 64)), 240, camera=camera),
+        lambda: mi.set_variant("llvm_ad_mono") or mi.load_dict({"type": "plenoptic"}),
+    ):
+        try:
+            use()
+        except Exception as error:
+            print(str(error).splitlines()[-1])
+    """
     result = python(code, DRJIT_LIBLLVM_PATH=str(library))
     # Not a negative status: the process is never aborted.
     assert result.returncode == 0, result.stderr
@@ -122,7 +119,7 @@ def test_explanations(loaded, named, found, words, monkeypatch):
 class TestTool:
     """`tools/ensure_llvm.py`, with apt and sudo replaced by scripts that write down what they are asked."""
 
-    def run(self, tmp_path, *, names, **environment):
+    def run(self, tmp_path, names):
         """Run the tool where only the programs in `names` exist and no LLVM is found."""
         programs = tmp_path / "bin"
         programs.mkdir()
@@ -136,32 +133,20 @@ class TestTool:
             shutil.copy(ROOT / name, tree / name)
         with (tree / name).open("a") as source:
             source.write(f"\n\ndef _folders():\n    yield Path({str(tmp_path)!r})\n")
-        result = subprocess.run(
-            [sys.executable, str(tree / "tools" / "ensure_llvm.py")],
-            capture_output=True,
-            text=True,
-            check=False,
-            env={"PATH": str(programs), **environment},
-        )
-        log = tmp_path / "log"
-        return result, log.read_text().splitlines() if log.exists() else []
+        command = [sys.executable, str(tree / "tools" / "ensure_llvm.py")]
+        return subprocess.run(command, capture_output=True, text=True, check=False, env={"PATH": str(programs)})
 
     @pytest.mark.skipif(os.geteuid() != 0, reason="as another user the tool goes through sudo")
     def test_installs_as_root_after_an_update(self, tmp_path):
         install = f'[ "$1" = install ] && /usr/bin/touch {tmp_path}/libLLVM-22.so; exit 0'
         names = {"apt-get": install, "apt-cache": "echo 'libllvm19 - x'; echo 'libllvm22 - x'"}
         names["env"] = 'exec /usr/bin/env "$@"'
-        result, log = self.run(tmp_path, names=names)
+        result = self.run(tmp_path, names)
         assert result.returncode == 0, result.stderr
-        assert "apt-get update -q" in log
-        assert "apt-get install -y -q libllvm22" in log
+        log = (tmp_path / "log").read_text().splitlines()
+        assert "apt-get update -q" in log and "apt-get install -y -q libllvm22" in log
 
     def test_says_what_to_run_where_nothing_can_be_installed(self, tmp_path):
-        result, _ = self.run(tmp_path, names={"dnf": "exit 1"})
+        result = self.run(tmp_path, {"dnf": "exit 1"})
         assert result.returncode == 1 and result.stderr.count("\n") == 1
         assert result.stderr.endswith("run: sudo dnf install llvm-libs\n")
-
-    def test_leaves_a_users_choice(self, tmp_path):
-        result, log = self.run(tmp_path, names={"apt-get": "", "apt-cache": ""}, DRJIT_LIBLLVM_PATH="/nowhere.so")
-        assert (result.returncode, [line for line in log if "install" in line]) == (1, [])
-        assert "there is no such file" in result.stderr
