@@ -42,7 +42,6 @@ def test_paths_end_where_rays_leave_the_lens(height):
 @pytest.mark.parametrize(
     ("changes", "height"),
     [
-        ({"main_lens": "singlet", "aperture_radius": 14}, 0.0),
         ({"main_lens": "singlet", "aperture_radius": 14}, 5.0),
         ({"main_lens": "double_gauss", "aperture_radius": 13, "focus_distance": 1e9}, 6.0),
         ({"main_lens": "cooke_triplet", "aperture_radius": 0.5, "focus_distance": 1000}, 6.0),
