@@ -8,7 +8,7 @@ import pytest
 from cases import facing, radiating, scene_of
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic import InputError, PlenopticCamera, design, render_capture, views
+from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera, design, render_capture, views
 from mitsuba_plenoptic.camera.parameters import PARAMETERS
 from mitsuba_plenoptic.cli import main
 
@@ -98,6 +98,25 @@ def test_a_small_pupil_of_a_real_lens_is_found_off_the_axis():
 def behind(**given):
     """An ordinary camera behind a real lens of its own size, focused to infinity."""
     return ordinary(**({"main_lens": "double_gauss", "focal_length": None, "focus_distance": math.inf} | given))
+
+
+def test_a_prescription_vignettes_as_rays_traced_one_by_one():
+    """By the area of the exit pupil through which rays pass all surfaces, as Optiland's do (`test_ordinary_points`)."""
+    camera = behind(aperture_radius=None, detector_width=60.0, resolution=(30, 20))
+    image = render_capture(scene_of(camera.to_sensor(), **WHITE), spp=1024).image
+    lens, axis = LensSystem.of(camera), np.linspace(-2, 2, 401)
+    x, y = (camera.pupil_radius * values.ravel() for values in np.meshgrid(axis, axis))
+    read, traced = [], []
+    for row in range(10):
+        column = 3 * row // 2
+        place = camera.pixel_coordinates(0)[column], camera.pixel_coordinates(1)[row]
+        is_open = lens.ray((x, y), tuple(at + 0 * x for at in place))[2]
+        traced.append(is_open.sum() * (axis[1] - axis[0]) ** 2 / math.pi)
+        read.append(image[row, column])
+    assert traced[0] < 0.4 * traced[-1]
+    assert traced[-1] == pytest.approx(1, abs=0.05)
+    assert read == pytest.approx(traced, abs=0.05)
+    assert np.mean(read) == pytest.approx(np.mean(traced), rel=0.02)
 
 
 OF_ARRAY = [name for name, entry in PARAMETERS.items() if entry.of_array]

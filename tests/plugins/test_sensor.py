@@ -8,7 +8,7 @@ from cameras import error
 from cases import facing, radiating, scene_of
 from scipy.ndimage import binary_erosion
 
-from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera, render_capture
+from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera, reconstruct, render_capture
 from mitsuba_plenoptic.views import white_image
 
 
@@ -366,3 +366,17 @@ def test_every_channel_is_the_capture_at_its_wavelength():
     # Glasses of one index for all wavelengths leave all channels to every ray.
     _, weight = rays(sensor_of(PlenopticCamera(glass=1.5, **SMALL)), 1)
     assert set(np.unique(np.array(weight))) <= {0.0, 1.0}
+
+
+@pytest.mark.filterwarnings("ignore:.*does not go back through the main lens")
+def test_waves_refocus_each_channel_with_its_own_lens():
+    """The plane that is sharp at a wavelength, where the stated focal length would blur it."""
+    mi.set_variant("llvm_ad_mono")
+    camera = PlenopticCamera(glass={"index": 1.5, "abbe": 20.0}, resolution=(128, 128), detector_width=0.256)
+    image = np.random.default_rng(0).random((128, 128, 3)).astype(np.float32)
+    wavelengths = (650.0, 550.0, 450.0)
+    made = reconstruct(image, 240.0, method="coherent", camera=camera, wavelength=wavelengths).image
+    for channel, wavelength in enumerate(wavelengths):
+        own = {"camera": camera.at_wavelength(wavelength), "wavelength": wavelength}
+        alone = reconstruct(image[..., channel], 240.0, method="coherent", **own).image
+        assert np.array_equal(made[..., channel], alone, equal_nan=True)

@@ -60,6 +60,13 @@ def test_white_captures_are_straightened():
     assert after < 0.4 * before
 
 
+def test_a_white_reference_is_straightened_too():
+    camera = STRAIGHT.replace(mla_warp=WARP, mla_tilt=(1.0, 0.0))
+    white = Capture(white_image(camera), camera)
+    image = reconstruct(Capture(2 * white.image, camera), DISTANCE, white=white).image
+    assert np.nanmax(np.abs(image - 2)) < 0.02
+
+
 CAMERA = PlenopticCamera(detector_width=0.768, resolution=(192, 192))
 FOCUSED = PlenopticCamera(detector_width=0.768, resolution=(192, 192), detector_distance=0.4)
 

@@ -31,7 +31,7 @@ def test_a_page_has_its_sections_with_their_parts(tmp_path):
     blocks = ['The "lens" isn\'t <thin>.', table, Picture(picture.getvalue(), "A field."), ["one"], Markup("<hr>")]
     Page("A & B", "In short.", [Section("In numbers", blocks)], foot="The end.").write(tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
-    texts = [(tag, html.unescape(text)) for tag, text in re.findall(r"<(\w+)[^>]*>\s*([^<]+?)\s*<", page)]
+    texts = [(tag, html.unescape(text)) for tag, text in re.findall(r"<(\w+)[^>]*>\s*([^<\s][^<]*?)\s*(?=<)", page)]
     links = re.findall(r' (?:href|src|id)="?([^" >]*)', page)
     assert {("h1", "A & B"), ("h2", "In numbers"), ("li", "one"), ("figcaption", "A field.")} < set(texts)
     assert ("p", "The “lens” isn\N{RIGHT SINGLE QUOTATION MARK}t <thin>.") in texts
