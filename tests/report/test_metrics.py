@@ -65,13 +65,6 @@ def test_the_window_of_a_letter_holds_its_image():
     assert metrics.shape_window(PlenopticCamera(), np.array([50, 0, 240]), np.array([60, 1, 240])) is None
 
 
-def test_images_smaller_than_the_window_of_ssim_have_none():
-    reference = np.linspace(1, 2, 240).reshape(6, 40)
-    found = metrics.image_metrics(1.1 * reference, reference)
-    assert found.ssim is None and found.energy == pytest.approx(1.1)
-    assert found.psnr == pytest.approx(20 * math.log10(reference.max() / (0.1 * np.sqrt(np.mean(reference**2)))))
-
-
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
 
 
