@@ -27,10 +27,8 @@ def rays_of_pixels(camera, grid):
     return result
 
 
-@pytest.mark.parametrize(
-    ("pixels", "f_number", "size", "half"), [(16, 22, 0.0065, 7), (32, 1.8, 0.0065, 15), (20, 2, 0.0014, 9)]
-)
-def test_detectors_of_every_size_have_as_many_views(pixels, f_number, size, half):
+@pytest.mark.parametrize(("pixels", "f_number", "size"), [(16, 22, 0.0065), (32, 1.8, 0.0065), (20, 2, 0.0014)])
+def test_detectors_of_every_size_have_as_many_views(pixels, f_number, size):
     # A lens's image is a whole number of pixels wide, or half a pixel more, where quotients round up and down.
     given = {"pixels_per_lens": pixels, "f_number": f_number, "pixel_size": size, "focal_length": 50}
     cameras = [PlenopticCamera.matched(**given, lenses=count, focus_distance=500) for count in (10, 11, 14, 23)]
@@ -105,8 +103,8 @@ class TestDecode:
     @pytest.mark.filterwarnings("ignore:white")
     @pytest.mark.parametrize(
         ("name", "source"),
-        [("lenses", "camera"), ("hexagonal", "white"), ("lenses", "white alone"), ("apodised", "white"),
-         ("outline", "camera"), ("outline", "white")],
+        [("hexagonal", "white"), ("lenses", "white alone"), ("apodised", "white"), ("outline", "camera"),
+         ("outline", "white")],
     )  # fmt: skip
     def test_what_is_seen_of_the_pupil_is_not_how_bright_it_is(self, name, source, tmp_path):
         even = PAPER.replace(**LATTICES["hexagonal"]) if name == "hexagonal" else PAPER
@@ -248,7 +246,7 @@ def test_the_grid_holds_the_lenses(camera):
 
 
 def test_rows_are_found_whatever_the_angle():
-    for degrees in np.linspace(-360, 360, 289):
+    for degrees in np.linspace(-360, 360, 97):
         camera = PlenopticCamera(
             detector_width=0.3, resolution=(150, 150), mla_lattice="hexagonal", mla_rotation=float(degrees)
         )
