@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -94,34 +95,33 @@ def test_files_and_texts_state_the_same_camera(tmp_path, run):
     assert PlenopticCamera.from_json(camera.to_json()) == camera
 
 
+KEPLERIAN = {"mla_distance": 121.536, "mla_focal_length": 0.384, "detector_distance": 0.512}
+OBJECTIVE = {"magnification": 20, "numerical_aperture": 0.5}
 POOR = {
-    "overlap": {"aperture_radius": 10},
-    "wasted": {"aperture_radius": 2},
-    "no focus": {"mla_distance": 70},
-    "no directions": {"resolution": (128, 128)},
-    "gaps": {"mla_distance": 121.536, "mla_focal_length": 0.384, "detector_distance": 0.512, "aperture_radius": 2.4},
-    "a type not focused": {"mla_lattice": "hexagonal", "mla_focal_length": (0.512, 0.47, 0.55)},
-    "small lenses": {"mla_pitch": 0.016, "mla_focal_length": 0.128, "resolution": (16384, 16384)},
-    "aberrations": {"lens_model": "parabolic"},
-    "metres": {"mla_pitch": 6.4e-5, "mla_focal_length": 5.12e-4, "detector_width": 8.192e-3}
+    "micro-images overlap: their diameter": {"aperture_radius": 10},
+    "pixels are wasted": {"aperture_radius": 2},
+    "no object plane is in focus": {"mla_distance": 70},
+    "no refocusing": {"resolution": (128, 128)},
+    "gaps at 240 mm": KEPLERIAN | {"aperture_radius": 2.4},
+    "only 0 of them": {"mla_lattice": "hexagonal", "mla_focal_length": (0.512, 0.47, 0.55)},
+    "hardly focus": {"mla_pitch": 0.016, "mla_focal_length": 0.128, "resolution": (16384, 16384)},
+    "lens_model parabolic: .* 0.74 waves": {"lens_model": "parabolic"},
+    "metre": {"mla_pitch": 6.4e-5, "mla_focal_length": 5.12e-4, "detector_width": 8.192e-3}
     | {"focal_length": 0.08, "aperture_radius": 0.005, "mla_distance": 0.12},
-    "microscope": {
-        "main_lens": {"magnification": 20, "numerical_aperture": 0.5},
-        "mla_pitch": 0.15,
-        "mla_focal_length": 1.0,
-    },
+    "fill 33% of their pitch": {"main_lens": OBJECTIVE, "mla_pitch": 0.15, "mla_focal_length": 1.0},
 }
+"""Cameras by what is said of them."""
 
 
-@pytest.mark.parametrize("numbers", POOR.values(), ids=POOR)
-def test_remedies_leave_no_warning(numbers):
-    camera = PlenopticCamera(**numbers)
-    assert design_warnings(camera, 633) and design_warnings(mended(camera, 633), 633) == []
+@pytest.mark.parametrize("words", POOR)
+def test_remedies_leave_no_warning(words):
+    camera = PlenopticCamera(**POOR[words])
+    assert any(re.search(words, warning) for warning in design_warnings(camera, 633))
+    assert design_warnings(mended(camera, 633), 633) == []
 
 
 def test_a_focused_camera_keeps_its_plane():
-    camera = PlenopticCamera(**POOR["overlap"] | {"mla_distance": 121.536, "mla_focal_length": 0.384})
-    camera = camera.replace(detector_distance=0.512)
+    camera = PlenopticCamera(**KEPLERIAN | {"aperture_radius": 10})
     better = mended(camera)
     touching = mended(PlenopticCamera(aperture_radius=10))
     assert touching.micro_image_diameter == pytest.approx(touching.micro_image_pitch)

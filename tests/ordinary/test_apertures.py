@@ -2,33 +2,18 @@
 
 import json
 
+import cases
 import mitsuba as mi
 import numpy as np
 import pytest
 from cameras import CODE
-from cases import APERTURES as OTHERS
-from cases import (
-    ORDINARY_WAVELENGTH,
-    WIDE,
-    diffracted,
-    facing,
-    opening,
-    ordinary_camera,
-    picture,
-    polygon,
-    radiating,
-    relative,
-    scene_of,
-    textured_wall,
-)
 
-import mitsuba_plenoptic as mp
-from mitsuba_plenoptic import Aperture, PlenopticCamera, render_capture, views
+from mitsuba_plenoptic import Aperture, PlenopticCamera, render_capture
 from mitsuba_plenoptic.report.sheet import design_sheet
 from tools.bench.cases import ordinary_cameras
 
 WHITE = {"sky": {"type": "constant"}}
-PUPILS = {"hexagon": polygon(6, 15.0), "square": polygon(4, 0.0), "coded": picture(CODE)}
+PUPILS = {"hexagon": cases.polygon(6, 15.0), "square": cases.polygon(4, 0.0), "coded": cases.picture(CODE)}
 """Parameters and masks. The code has nothing that turning or mirroring would leave alike."""
 
 MIRRORED = (CODE[::-1], CODE[:, ::-1], CODE.T, CODE[::-1, ::-1])
@@ -39,14 +24,10 @@ def ordinary(**given):
     return PlenopticCamera(mla_lattice="none", **(thin | {"resolution": (24, 16)} | given))
 
 
-def plenoptic(**given):
-    return PlenopticCamera(detector_width=1.024, resolution=(128, 128), **given)
-
-
 def samples(mask, count):
     """A mask and the open circle on a grid of the square around the pupil, and its coordinates over the radius."""
     along = (np.arange(count) + 0.5) * 2 / count - 1
-    return *(function(*np.meshgrid(along, along)) for function in (mask, opening)), along
+    return *(function(*np.meshgrid(along, along)) for function in (mask, cases.opening)), along
 
 
 def open_part(mask):
@@ -72,7 +53,7 @@ def test_pictures_are_read_from_files(tmp_path):
 @pytest.mark.parametrize(("given", "mask"), PUPILS.values(), ids=PUPILS)
 def test_a_white_scene_reads_the_open_part_of_the_circle(given, mask):
     part = open_part(mask)
-    image = render_capture(scene_of(ordinary(**given).to_sensor(), **WHITE), spp=16).image
+    image = render_capture(cases.scene_of(ordinary(**given).to_sensor(), **WHITE), spp=16).image
     assert image.mean() == pytest.approx(part, rel=0.002) and image.std() < 0.01 * part
 
 
@@ -89,82 +70,40 @@ def by_hand(camera, distance, half, centre):
     return lines[1] @ mask @ lines[0].T / circle.sum()
 
 
-@pytest.mark.parametrize("distance", [200.0, 600.0], ids=["near", "far"])
+@pytest.mark.parametrize("distance", [200.0, 600.0])
 def test_the_bokeh_of_a_lamp_is_the_picture_in_the_pupil(distance):
     """Light of a near lamp lands on the side of the axis where it passes the pupil; that of a far one has crossed it.
 
     Columns of a capture rise with x of the camera frame on the detector, and rows with y.
     """
     camera = ordinary(aperture_image=CODE, detector_width=4.0, resolution=(60, 40))
-    lamp = {"lamp": facing(distance, distance / 200, (distance / 120, 0.0), **radiating())}
-    image = render_capture(scene_of(camera.to_sensor(), **lamp), spp=2048).image
+    lamp = {"lamp": cases.facing(distance, distance / 200, (distance / 120, 0.0), **cases.radiating())}
+    image = render_capture(cases.scene_of(camera.to_sensor(), **lamp), spp=2048).image
     expected = by_hand(camera, distance, distance / 200, distance / 120)
-    assert relative(image, expected) < 0.07
+    assert cases.relative(image, expected) < 0.07
     assert image.sum() == pytest.approx(expected.sum(), rel=0.01)
     for other in MIRRORED:
-        wrong = render_capture(scene_of(camera.replace(aperture_image=other).to_sensor(), **lamp), spp=64).image
-        assert relative(wrong, expected) > 0.3
+        wrong = render_capture(cases.scene_of(camera.replace(aperture_image=other).to_sensor(), **lamp), spp=64).image
+        assert cases.relative(wrong, expected) > 0.3
     # Only the cell at +x is open.
     side = np.zeros((5, 5))
     side[2, 4] = 1
-    lit = render_capture(scene_of(camera.replace(aperture_image=side).to_sensor(), **lamp), spp=64).image
+    lit = render_capture(cases.scene_of(camera.replace(aperture_image=side).to_sensor(), **lamp), spp=64).image
     middle = -camera.mla_distance * (distance / 120) / distance
     moved = (lit.sum(0) @ camera.pixel_coordinates(0)) / lit.sum() - middle
     assert moved == pytest.approx(0.8 * camera.aperture_radius * camera.defocus(distance), rel=0.05)
 
 
-def test_the_picture_in_micro_images_is_the_right_way_round():
-    camera = plenoptic(aperture_image=CODE)
-    image = render_capture(scene_of(camera.to_sensor(), **WHITE), spp=64).image
-    assert image.mean() == pytest.approx(views.white_image(camera).mean(), rel=0.01)
-    assert relative(image, views.white_image(camera)) < 0.12
-    for other in MIRRORED:
-        assert relative(image, views.white_image(camera.replace(aperture_image=other))) > 0.3
-
-
-LAMP = (0.05, 0.02, 230.0)
-
-
-def test_waves_of_points_pass_the_picture(method="patch"):
-    """As with its cells as the point's pupil weights, and where rays of a small lamp arrive."""
-    camera = plenoptic(aperture_image=CODE).replace(detector_width=0.256, resolution=(64, 64))
-    found = mp.CaptureOperator(camera, [LAMP], wavelength=ORDINARY_WAVELENGTH, method=method).forward([1.0])
-    round_ = camera.replace(aperture_image=None)
-    weights = {"pupil_weights": CODE[None], "wavelength": ORDINARY_WAVELENGTH, "method": method}
-    assert relative(found, mp.CaptureOperator(round_, [LAMP], **weights).forward([1.0])) < 1e-4
-
-    def by_rays(picture):
-        lamp = facing(LAMP[2], 0.02, LAMP[:2], **radiating())
-        sensor = camera.replace(aperture_image=picture).to_sensor()
-        image = render_capture(scene_of(sensor, "direct", lamp=lamp), spp=512).image
-        return np.corrcoef(image.ravel(), found.ravel())[0, 1]
-
-    assert by_rays(CODE) > 0.87
-    assert all(by_rays(other) < 0.8 for other in MIRRORED)
-
-
-def by_waves(scene, spp):
-    return render_capture(scene, model="wave", spp=spp, wavelength=ORDINARY_WAVELENGTH).image
-
-
-WALLS = {
-    # Rays through the closed middle bring the fringes, without which the wall differs by more than a fifth.
-    "interference": (OTHERS["two holes"], 4.0, 4, 256, 0.015, 0.2),
-    # Blur and diffraction of single cells are alike.
-    "coded": (PUPILS["coded"], -6.0, 2, 4096, 0.01, 0.015),
-}
-
-
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "coded")) for n in WALLS])
-def test_walls_are_sums_over_the_mask(name):
-    aperture, blur, texel, spp, limit, by_rays = WALLS[name]
-    given, mask = aperture
-    camera = ordinary_camera(1.0, 16, **given)
-    scene, wall = textured_wall(camera, texel, blur, WIDE)
-    expected, found = diffracted(camera, wall, texel, blur, mask=mask), by_waves(scene, spp)
-    assert relative(found, expected) < limit
+def test_a_wall_through_two_holes_is_the_sum_over_the_mask():
+    """Rays through the closed middle bring the fringes, without which the wall differs by more than a fifth."""
+    given, mask = cases.APERTURES["two holes"]
+    camera = cases.ordinary_camera(1.0, 16, **given)
+    scene, wall = cases.textured_wall(camera, 4, 4.0, cases.WIDE)
+    expected = cases.diffracted(camera, wall, 4, 4.0, mask=mask)
+    found = render_capture(scene, model="wave", spp=256, wavelength=cases.ORDINARY_WAVELENGTH).image
+    assert cases.relative(found, expected) < 0.015
     assert found.sum() == pytest.approx(expected.sum(), rel=0.003)
-    assert relative(render_capture(scene, spp=256).image, expected) > by_rays
+    assert cases.relative(render_capture(scene, spp=256).image, expected) > 0.2
 
 
 @pytest.mark.slow

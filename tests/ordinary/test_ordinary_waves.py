@@ -13,21 +13,16 @@ from mitsuba_plenoptic.waves.pupil_sampler import PupilSampler
 from tools.bench.cases.ordinary_cameras import noisy_scene
 
 
-def by_waves(scene, spp=512, seeds=1, **options):
+def by_waves(scene, spp, **options):
     options = {"wavelength": ORDINARY_WAVELENGTH} | options
-    first = options.pop("seed", 0)
-    seeds = range(first, first + seeds)
-    images = [mp.render_capture(scene, model="wave", spp=spp, seed=seed, **options).image for seed in seeds]
-    return np.mean(images, axis=0, dtype=np.float64)
+    return mp.render_capture(scene, model="wave", spp=spp, **options).image.astype(float)
 
 
-# Path in waves of 550 nm, with Noll's coefficients in waves of 633 nm: coma, spherical aberration, astigmatism.
+# Path in waves of 550 nm, with Noll's coefficients in waves of 633 nm: coma, astigmatism.
 COMA = (0.0,) * 7 + (0.15,)
-SPHERICAL = (0.0,) * 10 + (0.12,)
 ASTIGMATISM = (0.0,) * 5 + (0.06,)
 PATHS = {
     COMA: lambda x, y: 0.15 * 633 / 550 * np.sqrt(8) * (3 * (x * x + y * y) - 2) * x,
-    SPHERICAL: lambda x, y: 0.12 * 633 / 550 * np.sqrt(5) * (6 * (x * x + y * y) ** 2 - 6 * (x * x + y * y) + 1),
     ASTIGMATISM: lambda x, y: 0.06 * 633 / 550 * np.sqrt(6) * (x * x - y * y),
     (): None,
 }
@@ -36,13 +31,10 @@ PATHS = {
 @pytest.mark.parametrize(
     ("airy", "blur", "texel", "wavefront", "limit"),
     [
-        pytest.param(0.5, 1, 8, (), 0.01, marks=pytest.mark.slow),
         (1, 0, 4, (), 0.008),
-        pytest.param(2, 1, 2, (), 0.012, marks=pytest.mark.slow),
         pytest.param(10, 1, 2, (), 0.012, marks=pytest.mark.slow),
         # Somewhere in the pupil the defocus undoes the aberration.
         pytest.param(1, 4, 4, COMA, 0.011, marks=pytest.mark.slow),
-        pytest.param(1, 0, 4, SPHERICAL, 0.008, marks=pytest.mark.slow),
         pytest.param(1, -1, 4, ASTIGMATISM, 0.012, marks=pytest.mark.slow),
     ],
 )
@@ -73,14 +65,12 @@ def test_white_has_hardly_any_noise():
     assert np.allclose(image, 1, atol=1e-3)
 
 
-def textured(camera, **film):
+def textured(camera):
     """A matte, textured wall in the light of a sky."""
     texture = mi.Bitmap(np.random.default_rng(0).random((8, 8, 3)).astype(np.float32))
     reflectance = {"type": "bitmap", "bitmap": texture, "filter_type": "nearest"}
-    sensor = camera.to_sensor()
-    sensor["film"] |= film
     card = facing(250.0, 3.0, bsdf={"type": "diffuse", "reflectance": reflectance})
-    return scene_of(sensor, "path", wall=card, sky={"type": "constant"})
+    return scene_of(camera.to_sensor(), "path", wall=card, sky={"type": "constant"})
 
 
 SMALL = {"mla_lattice": "none", "resolution": (24, 16), "detector_width": 24 * 0.008}
@@ -93,18 +83,14 @@ GAUSS = {"main_lens": "double_gauss", "focal_length": 50, "aperture_radius": 6, 
 @pytest.mark.parametrize(
     ("variant", "changes"),
     [
-        pytest.param("llvm_ad_rgb", {}, marks=pytest.mark.slow),
-        ("llvm_ad_mono", {"crop_offset": (8, 4), "crop_size": (12, 8)}),
-        ("llvm_ad_mono", {"lens_model": "parabolic", "distortion": (1e-3, 0, 0, 0, 0)}),
+        ("llvm_ad_rgb", {"crop_offset": (8, 4), "crop_size": (12, 8), "lens_model": "parabolic"}),
         # Wider than the field that the lens lights.
         pytest.param("llvm_ad_mono", GAUSS | {"detector_width": 36}, marks=pytest.mark.slow),
     ],
-    ids=["thin", "cropped", "parabolic", "wide"],
 )
 def test_waves_keep_the_light_of_rays(variant, changes):
     mi.set_variant(variant)
-    pixels = {} if "mono" in variant else {"pixel_format": "rgb"}
-    scene = textured(mp.PlenopticCamera(**F10 | changes), **pixels)
+    scene = textured(mp.PlenopticCamera(**F10 | changes))
     rays = mp.render_capture(scene, model="ray", spp=512).image.mean((0, 1))
     waves = mp.render_capture(scene, model="wave", spp=256).image.mean((0, 1))
     assert waves == pytest.approx(rays, rel=0.015)
@@ -125,7 +111,7 @@ def test_few_samples_have_the_mean_of_many(kind="textured wall", airy=2.0, seen=
     """Means over captures of two samples each, whose noise would show a difference of `seen`."""
     scene, taken = noisy_scene(kind, airy, 16), {}
     for spp, seeds in ((2, range(48)), (512, range(100, 104))):
-        images = [by_waves(scene, spp, 1, seed=seed) for seed in seeds]
+        images = [by_waves(scene, spp, seed=seed) for seed in seeds]
         taken[spp] = np.mean(images, 0), np.var(images, 0, ddof=1) / len(images)
 
     def disagreement(factor):

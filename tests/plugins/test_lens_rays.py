@@ -8,7 +8,7 @@ import pytest
 from cameras import white
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic import PlenopticCamera, reconstruct, render_capture
+from mitsuba_plenoptic import PlenopticCamera, render_capture
 from mitsuba_plenoptic.prescription import bundled_prescription
 
 WIDE = {
@@ -53,17 +53,6 @@ def test_a_micro_image_is_the_traced_pupil(lens_index):
     assert image.sum(1) @ x / image.sum() + offset[1] == pytest.approx(place[1], abs=0.1)
 
 
-def test_a_tilted_array_behind_it():
-    """A white scene reads what the pupil's size says, as behind a thin lens."""
-    numbers = {"focal_length": 80, "aperture_radius": 5, "resolution": (512, 512), "detector_width": 1.024}
-    camera = mp.PlenopticCamera(main_lens="double_gauss", mla_tilt=(0.4, -0.2), **numbers)
-    scene = white(camera)
-    assert mp.PlenopticCamera.from_sensor(scene.sensors()[0]) == camera
-    mean = np.array(mi.render(scene, spp=64)).mean()
-    ratio = camera.micro_image_diameter / camera.micro_image_pitch
-    assert mean == pytest.approx(np.pi / 4 * ratio**2, rel=0.02)
-
-
 def test_xml_takes_a_file_a_name_or_text(tmp_path):
     lens = bundled_prescription("tessar")
     (tmp_path / "mine.yaml").write_text(json.dumps(lens.to_plain()))
@@ -100,17 +89,3 @@ def test_light_ends_where_the_field_of_the_lens_ends():
     assert rays[0] > 0.7 and 0 < rays[4] < 0.02 < rays[3] and rays[5:].max() == 0
     assert np.abs(waves - rays).max() < 0.02
     assert np.abs(waves[5:]).max() < 1e-4
-
-
-def test_white_is_one_where_surfaces_take_half_of_the_light():
-    """Bins of a corner by rays: the traced white divides what is missing."""
-    camera = PlenopticCamera(
-        main_lens="cooke_triplet", focal_length=16, aperture_radius=1.55, focus_distance=np.inf, mla_focal_length=0.3,
-        crop_offset=(3800, 140), crop_size=(128, 128),
-    )  # fmt: skip
-    capture = render_capture(scene_of(camera, {"type": "constant"}), spp=64)
-    assert capture.image.mean() < 0.4
-    image = reconstruct(capture, np.inf).image
-    inside = image[np.isfinite(image)]
-    assert inside.size > 9
-    assert np.abs(inside - 1).max() < 0.03

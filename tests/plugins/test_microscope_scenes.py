@@ -62,27 +62,6 @@ def test_a_disc_is_the_sum_of_its_points(depth, tilt, limit):
     assert one.sum() + two.sum() == pytest.approx(2 * expected.sum(), rel=0.01)
 
 
-@pytest.mark.slow
-def test_a_card_hides_half_of_the_stop():
-    """What is between a light and the objective takes the directions that it stands in."""
-    depth, card = 0.01, -0.2
-    hides = mi.ScalarTransform4f().translate([PLACE[0] + 1, 0, card]).rotate([0, 1, 0], 180)
-    black = {"type": "rectangle", "to_world": hides, "bsdf": {"type": "diffuse", "reflectance": 0.0}}
-    found = wave_capture({"light": disc(depth), "card": black}, spp=256).image
-    points, weights = points_of(depth, 0.0)
-    # Light that reaches the stop at P goes by the card's edge, or not.
-    aside = 0.5 * AXIS / lambert(0.0) * (depth - card)
-    seen = (points[:, 0, None, None] + aside < PLACE[0]) * lambert(0.0)
-    inside = np.hypot(AXIS, AXIS[:, None]) < 1
-    share = ((seen > 0) & inside).sum((1, 2)) / inside.sum()
-    whole = wave_capture({"light": disc(depth)}, spp=256).image
-    assert found.sum() / whole.sum() == pytest.approx(share.mean(), rel=0.03)
-    operator = CaptureOperator(CAMERA, points, wavelength=550, pupil_weights=seen)
-    expected = operator.forward(weights * share)
-    # Shadow rays tell 16 cells across the stop apart, and the shadow's border runs smoothly between them.
-    assert np.linalg.norm(found - expected) < 0.15 * np.linalg.norm(expected)
-
-
 def test_what_the_objective_sets_is_not_exposed():
     exposed = {name.rsplit(".", 1)[-1] for name in mi.traverse(scene_of({})).properties}
     assert {"mla_pitch", "detector_distance"} <= exposed

@@ -8,43 +8,31 @@ import numpy as np
 import pytest
 from cameras import SMALL_SENSOR, write_scene
 
-from mitsuba_plenoptic import (
-    InputError,
-    PlenopticCamera,
-    estimate_capture,
-    ground_truth,
-    load_scene,
-    render_capture,
-    with_camera,
-)
+import mitsuba_plenoptic as mp
 
-ORDINARY = PlenopticCamera(
+ORDINARY = mp.PlenopticCamera(
     mla_lattice="none", focal_length=50, aperture_radius=5, focus_distance=400, resolution=(24, 18), detector_width=24
 )
 """A camera without an array, whose pictures are quickly taken."""
 
 
-def test_its_own_camera_sees_the_same_bits():
-    scene = load_scene("vitrine", parameters={"resolution": "64", "detector_width": "1.024"})
-    again = with_camera(scene, PlenopticCamera.from_sensor(scene.sensors()[0]))
-    assert np.array_equal(*(render_capture(each, spp=2).image for each in (scene, again)))
-
-
 def test_objects_without_names_and_the_film_of_colours_are_kept(tmp_path):
     text = '<emitter type="constant"/><shape type="sphere"/><shape type="cube"/>'
-    scene = load_scene(write_scene(tmp_path, text, sensor=SMALL_SENSOR, pixel_format="rgb"), variant="llvm_ad_rgb")
-    made = with_camera(scene, PlenopticCamera(detector_width=0.128, resolution=(32, 32)))
+    scene = mp.load_scene(write_scene(tmp_path, text, sensor=SMALL_SENSOR, pixel_format="rgb"), variant="llvm_ad_rgb")
+    made = mp.with_camera(scene, mp.PlenopticCamera(detector_width=0.128, resolution=(32, 32)))
     assert len(made.shapes()) == 2
-    assert render_capture(made, spp=1).image.shape == (32, 32, 3)
+    assert mp.render_capture(made, spp=1).image.shape == (32, 32, 3)
 
 
 def test_a_scene_without_a_camera_is_seen_from_the_origin(tmp_path):
     (tmp_path / "scene.xml").write_text(
         '<scene version="3.0.0"><integrator type="path"/><shape type="sphere"/></scene>'
     )
-    camera = PlenopticCamera.preset("lytro").replace(mla_tilt=(0.1, -0.2), distortion=(1e-4, -1e-6, 1e-8, 1e-5, -2e-5))
-    sensor = with_camera(load_scene(tmp_path / "scene.xml"), camera).sensors()[0]
-    assert PlenopticCamera.from_sensor(sensor) == camera
+    camera = mp.PlenopticCamera.preset("lytro").replace(
+        mla_tilt=(0.1, -0.2), distortion=(1e-4, -1e-6, 1e-8, 1e-5, -2e-5)
+    )
+    sensor = mp.with_camera(mp.load_scene(tmp_path / "scene.xml"), camera).sensors()[0]
+    assert mp.PlenopticCamera.from_sensor(sensor) == camera
     assert np.array_equal(np.ravel(sensor.world_transform().translation()), [0, 0, 0])
 
 
@@ -76,47 +64,49 @@ def ids(scene):
 
 
 def test_instances_ids_and_meters_stay_and_the_picture_is_that_of_the_scenes_own_camera():
-    scene, pinhole = load_scene(garden(ORDINARY.to_sensor())), {"type": "perspective"}
-    with pytest.raises(InputError, match=r"IrradianceMeter: .*sensor=1"):
-        render_capture(scene)
-    own = {model: render_capture(scene, sensor=1, model=model, spp=16).image for model in ("ray", "wave")}
+    scene, pinhole = mp.load_scene(garden(ORDINARY.to_sensor())), {"type": "perspective"}
+    with pytest.raises(mp.InputError, match=r"IrradianceMeter: .*sensor=1"):
+        mp.render_capture(scene)
+    own = {model: mp.render_capture(scene, sensor=1, model=model, spp=16).image for model in ("ray", "wave")}
     for given, models in (
         (mi.load_dict(garden(pinhole), parallel=False), ["ray"]),
-        (load_scene(garden(pinhole, 1e-3), unit="m"), ["ray", "wave"]),
+        (mp.load_scene(garden(pinhole, 1e-3), unit="m"), ["ray", "wave"]),
     ):
-        before, made = ids(given), with_camera(given, ORDINARY)
-        assert ids(given) == ids(made) == ids(with_camera(made, ORDINARY)) == before
+        before, made = ids(given), mp.with_camera(given, ORDINARY)
+        assert ids(given) == ids(made) == ids(mp.with_camera(made, ORDINARY)) == before
         assert {"0-wall", "tree", "i", "j", "key-light", "Camera"} <= set(before)
         for model in models:
-            np.testing.assert_allclose(render_capture(made, model=model, spp=16).image, own[model], atol=1e-5)
+            np.testing.assert_allclose(mp.render_capture(made, model=model, spp=16).image, own[model], atol=1e-5)
 
 
 def test_files_dictionaries_and_names_stand_for_scenes_and_presets_for_cameras(tmp_path):
     path = write_scene(tmp_path)
-    made = with_camera(path, "lytro")
-    assert made.sensors()[0].camera == PlenopticCamera.preset("lytro")
+    made = mp.with_camera(path, "lytro")
+    assert made.sensors()[0].camera == mp.PlenopticCamera.preset("lytro")
     described = {"type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant"}}
     described["camera"] = ORDINARY.to_sensor()
-    images = [render_capture(scene, spp=4).image for scene in (described, load_scene(described))]
+    images = [mp.render_capture(scene, spp=4).image for scene in (described, mp.load_scene(described))]
     np.testing.assert_array_equal(*images)
-    assert estimate_capture(described, spp=4).seconds > 0
-    assert ground_truth(described).camera == ORDINARY
-    assert with_camera(str(path), ORDINARY).sensors()[0].camera == ORDINARY
+    assert mp.estimate_capture(described, spp=4).seconds > 0
+    assert mp.ground_truth(described).camera == ORDINARY
+    assert mp.with_camera(str(path), ORDINARY).sensors()[0].camera == ORDINARY
 
 
 def test_the_camera_stands_where_the_named_or_the_first_camera_stood():
     T, tiny = mi.ScalarTransform4f, {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
     line = {"type": "radiancemeter", "film": tiny, "to_world": T().translate([1, 0, 0])}
     cameras = {name: {"type": "perspective", "to_world": T().translate([x, 0, 0])} for name, x in (("b", 2), ("c", 3))}
-    scene = load_scene({"type": "scene", "ball": {"type": "sphere", "center": [0, 0, 400]}, "a": line, **cameras})
+    scene = mp.load_scene({"type": "scene", "ball": {"type": "sphere", "center": [0, 0, 400]}, "a": line, **cameras})
     for sensor, name, x in ((None, "b", 2), (0, "a", 1), (1, "b", 2), (2, "c", 3)):
-        (made,) = with_camera(scene, ORDINARY, sensor).sensors()
+        (made,) = mp.with_camera(scene, ORDINARY, sensor).sensors()
         assert (made.id(), made.world_transform().translation().x[0]) == (name, x)
-    with pytest.raises(InputError, match="sensor = 3"):
-        with_camera(scene, ORDINARY, sensor=3)
-    both = load_scene({"type": "scene", "both": {"type": "batch", "film": {"type": "hdrfilm", "width": 4}, **cameras}})
-    with pytest.raises(InputError, match="sensor BatchSensor 'both'"):
-        with_camera(both, ORDINARY)
+    with pytest.raises(mp.InputError, match="sensor = 3"):
+        mp.with_camera(scene, ORDINARY, sensor=3)
+    both = mp.load_scene(
+        {"type": "scene", "both": {"type": "batch", "film": {"type": "hdrfilm", "width": 4}, **cameras}}
+    )
+    with pytest.raises(mp.InputError, match="sensor BatchSensor 'both'"):
+        mp.with_camera(both, ORDINARY)
 
 
 @pytest.mark.parametrize(
@@ -133,7 +123,7 @@ def test_the_colours_of_the_film_are_kept(variant, kind, channels):
     sky = {"type": "constant", "radiance": {"type": "rgb", "value": [0.7, 0.4, 0.2]}}
     scene = {"type": "scene", "integrator": {"type": "path"}, "sky": sky, "camera": {"type": "perspective"}}
     scene["camera"] |= {} if kind is None else {"film": {"type": "hdrfilm", "pixel_format": kind}}
-    image = render_capture(with_camera(load_scene(scene), ORDINARY), model="ray", spp=64).image
+    image = mp.render_capture(mp.with_camera(mp.load_scene(scene), ORDINARY), model="ray", spp=64).image
     assert image.shape[2:] == channels
     known = [0.7, 0.4, 0.2] if channels else [float(mi.luminance(mi.ScalarColor3f([0.7, 0.4, 0.2]))[0])]
     np.testing.assert_allclose(image.reshape(-1, len(known)).mean(0), known, atol=0.005)
@@ -142,17 +132,19 @@ def test_the_colours_of_the_film_are_kept(variant, kind, channels):
 def test_bands_of_a_spectral_film_are_not_lost_without_a_word():
     mi.set_variant("llvm_ad_spectral")
     film = {"type": "specfilm", "green": {"type": "spectrum", "value": [(500, 1), (600, 1)]}}
-    scene = load_scene({"type": "scene", "camera": {"type": "perspective", "film": film}})
+    scene = mp.load_scene({"type": "scene", "camera": {"type": "perspective", "film": film}})
     with pytest.warns(UserWarning, match="specfilm"):
-        assert with_camera(scene, ORDINARY).sensors()[0].film().base_channels_count() == 3
+        assert mp.with_camera(scene, ORDINARY).sensors()[0].film().base_channels_count() == 3
 
 
 def test_samplers_are_asked_for_no_other_count_and_keep_theirs(capfd):
     sensor = ORDINARY.to_sensor() | {"sampler": {"type": "orthogonal", "sample_count": 25}}
-    scene = load_scene({"type": "scene", "integrator": {"type": "path"}, "sky": {"type": "constant"}, "camera": sensor})
+    scene = mp.load_scene(
+        {"type": "scene", "integrator": {"type": "path"}, "sky": {"type": "constant"}, "camera": sensor}
+    )
     for model in ("ray", "wave"):
-        render_capture(scene, model=model)
-    render_capture(scene, model="ray", spp=4)
+        mp.render_capture(scene, model=model)
+    mp.render_capture(scene, model="ray", spp=4)
     assert scene.sensors()[0].sampler().sample_count() == 25
     assert "WARN" not in "".join(capfd.readouterr())
 
@@ -172,8 +164,8 @@ def test_plugins_are_made_in_the_thread_that_loads(tmp_path):
     shapes = {f"ball{index}": {"type": "sphere", "bsdf": {"type": "probe"}} for index in range(4)}
     text = "".join('<shape type="sphere"><bsdf type="probe"/></shape>' for _ in range(4))
     for unit in ("mm", "m"):
-        load_scene({"type": "scene", **shapes}, unit=unit)
-        load_scene(write_scene(tmp_path, text), unit=unit)
+        mp.load_scene({"type": "scene", **shapes}, unit=unit)
+        mp.load_scene(write_scene(tmp_path, text), unit=unit)
     assert found == [threading.get_ident()] * 16
 
 
@@ -197,15 +189,15 @@ def shapes(along):
     ("seen", "back"),
     [
         (lambda scene: np.array(mi.render(scene, spp=16, integrator=mi.load_dict({"type": "prb"}))), False),
-        (lambda scene: render_capture(scene, spp=16).image, True),
-        (lambda scene: render_capture(scene, spp=16, model="wave").image, False),
-        (lambda scene: np.nan_to_num(ground_truth(scene, ["depth"]).pixels["depth"], posinf=0), True),
+        (lambda scene: mp.render_capture(scene, spp=16).image, True),
+        (lambda scene: mp.render_capture(scene, spp=16, model="wave").image, False),
+        (lambda scene: np.nan_to_num(mp.ground_truth(scene, ["depth"]).pixels["depth"], posinf=0), True),
     ],
 )
 def test_shapes_move_in_both_scenes(seen, back):
     mi.set_variant("llvm_ad_mono")
-    first = with_camera(load_scene(shapes(0)), ORDINARY)
-    moved = with_camera(first, ORDINARY)
+    first = mp.with_camera(mp.load_scene(shapes(0)), ORDINARY)
+    moved = mp.with_camera(first, ORDINARY)
     if back:
         first, moved = moved, first
     before = seen(moved)
@@ -215,5 +207,5 @@ def test_shapes_move_in_both_scenes(seen, back):
         parameters[f"{name}.to_world"] = mi.Transform4f().translate(step) @ parameters[f"{name}.to_world"]
     parameters.update()
     after = seen(moved)
-    assert np.array_equal(after, seen(with_camera(load_scene(shapes(30)), ORDINARY)))
+    assert np.array_equal(after, seen(mp.with_camera(mp.load_scene(shapes(30)), ORDINARY)))
     assert not np.array_equal(after, before)

@@ -46,9 +46,9 @@ def third_order(camera, degrees):
     return abs(path).max() / (lens_models.WAVELENGTH * 1e-6)
 
 
-def test_the_thin_lens_by_the_way_of_real_ones_gives_its_reconstructions(method=reconstruct_lens_by_lens):
+def test_the_thin_lens_by_the_way_of_real_ones_gives_its_reconstructions():
     """Light within the pupil, whose edge is drawn otherwise: in and out of focus."""
-    camera = small_camera(6, mla_distance=118.0, lens_model="parabolic")
+    camera = small_camera(4, mla_distance=118.0, lens_model="parabolic")
     x, y = camera.pixel_coordinates(0), camera.pixel_coordinates(1)[:, None]
     pitch = camera.micro_image_pitch
     inner = np.hypot(x % pitch - pitch / 2, y % pitch - pitch / 2) < 0.35 * camera.micro_image_diameter
@@ -57,7 +57,8 @@ def test_the_thin_lens_by_the_way_of_real_ones_gives_its_reconstructions(method=
     for distance in (210.0, 280.0):
         assert real.distance(distance) == pytest.approx(distance)
         own, other = (
-            method(image, camera, [distance], WAVELENGTH, oversample=2, conjugates=given)[0] for given in (None, real)
+            reconstruct_lens_by_lens(image, camera, [distance], WAVELENGTH, oversample=2, conjugates=given)[0]
+            for given in (None, real)
         )
         assert np.linalg.norm(other - own) < 2e-4 * np.linalg.norm(own)
 

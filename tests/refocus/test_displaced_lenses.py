@@ -1,7 +1,5 @@
 """Reconstructions of captures by cameras whose lenses are displaced or whose array is tilted, like those of others."""
 
-import functools
-
 import cases
 import mitsuba as mi
 import numpy as np
@@ -23,16 +21,11 @@ HALF_WIDTH = 0.384
 WARP = warped(STRAIGHT, 0.6, 18)[0].mla_warp
 """Up to 0.6 pixels in the corners, of fifth degree."""
 
-CAMERAS = {
-    "straight": {},
-    "tilted": {"mla_tilt": (0.3, -0.2), "mla_warp": WARP},
-    "irregular": {"mla_jitter": (0.0005, 0.0), "mla_seed": 2},
-    "fitted": {
-        "mla_warp": WARP,
-        "mla_transmissions": np.random.default_rng(8).uniform(0.8, 1.2, (14, 14)),
-        "vignetting": {"radius": [0.97, 0, 0, -0.03, 0, 0], "scale": HALF_WIDTH, "apodisation_2": [-0.2]},
-    },
-}
+FITTED = STRAIGHT.replace(
+    mla_warp=WARP,
+    mla_transmissions=np.random.default_rng(8).uniform(0.8, 1.2, (14, 14)),
+    vignetting={"radius": [0.97, 0, 0, -0.03, 0, 0], "scale": HALF_WIDTH, "apodisation_2": [-0.2]},
+)
 DISTANCE = 114.0
 
 
@@ -44,43 +37,17 @@ def wall(camera):
     return scene_of(camera.to_sensor(), wall=facing(DISTANCE, size, emitter=light))
 
 
-@functools.cache
-def capture(name):
-    return render_capture(wall(STRAIGHT.replace(**CAMERAS[name])), model="wave", wavelength=633, spp=64)
-
-
-@functools.cache
-def reference():
-    return thin_lens_image(wall(STRAIGHT), STRAIGHT, DISTANCE, 512)
-
-
-def correlation(image):
-    inner = np.s_[2:-2, 2:-2]
-    return np.corrcoef(image[inner].ravel(), reference()[inner].ravel())[0, 1]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "method"), [("tilted", "partial"), ("irregular", "partial"), ("fitted", "deconvolved")]
-)
-def test_displaced_lenses_are_refocused_as_well_as_regular_ones(name, method):
-    """The correlation with Mitsuba's thin lens is at most 0.002 below that of the straight camera."""
-    straight, found = (
-        correlation(reconstruct(capture(each), DISTANCE, method=method).image) for each in ("straight", name)
-    )
-    assert straight > 0.9
-    # Vignetting takes light from the rims; it is a weight on scenes' light, which in responses diffracts at it, too.
-    vignetted = 0.006 if method == "deconvolved" else 0.003
-    assert found > straight - (vignetted if name == "fitted" else 0.002)
-
-
-def test_unequal_lenses_are_refocused_as_well_as_equal_ones():
-    """Their capture differs by a twelfth in its mean."""
-    straight, found = (reconstruct(capture(name), DISTANCE, method="coherent").image for name in ("straight", "fitted"))
-    assert correlation(found) > correlation(straight) - 0.002
+def test_unequal_and_displaced_lenses_are_refocused_as_well_as_equal_ones():
+    """By their correlation with Mitsuba's thin lens; their capture differs by a twelfth in its mean."""
+    captures = [render_capture(wall(each), model="wave", wavelength=633, spp=64) for each in (STRAIGHT, FITTED)]
+    images = [reconstruct(each, DISTANCE, method="coherent").image for each in captures]
+    images.append(thin_lens_image(wall(STRAIGHT), STRAIGHT, DISTANCE, 512))
+    correlations = np.corrcoef([image[2:-2, 2:-2].ravel() for image in images])[2]
+    assert correlations[1] > correlations[0] - 0.002 > 0.9
     # Waves lose light at the rims of micro-images, which the outline of the vignetting leaves out.
-    assert 0.99 * straight.mean() < found.mean() < 1.01 * reference().mean()
-    assert abs(capture("fitted").image.mean() / capture("straight").image.mean() - 1) > 0.05
+    straight, fitted, thin = (image.mean() for image in images)
+    assert 0.99 * straight < fitted < 1.01 * thin
+    assert abs(captures[1].image.mean() / captures[0].image.mean() - 1) > 0.05
 
 
 def test_white_captures_are_straightened():

@@ -96,20 +96,6 @@ def test_walls_are_right_to_the_border(lattice, distance):
     assert white.bin_size == pytest.approx(0.064 / 120 * (1 if math.isinf(distance) else distance))
 
 
-@pytest.mark.parametrize("lattice", [{}, {"mla_lattice": "hexagonal"}], ids=["square", "hexagonal"])
-def test_bins_that_no_ray_reaches_are_marked(lattice):
-    camera = PlenopticCamera(
-        detector_width=1.024, resolution=(512, 512), crop_offset=(0, 256), crop_size=(128, 256), **lattice
-    )
-    image = reconstruct(white_image(camera), 240.0, camera=camera).image
-    reached = np.zeros((16, 16), bool)
-    reached[8:, :4] = True
-    away = np.ones((16, 16), bool)
-    away[7:, :6] = False
-    assert np.isnan(image[away]).all()
-    np.testing.assert_allclose(image[reached], 1, atol=1e-5)
-
-
 @pytest.mark.parametrize("wavelength", [None, (633.0, 550.0, 550.0)])
 def test_distances_outside_the_range_of_refocusing_are_told(wavelength):
     """Samples per lens fall with the distance from the plane in focus, in diopters, over that of the range's end."""

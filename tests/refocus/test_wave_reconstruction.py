@@ -89,20 +89,6 @@ def test_a_lit_pixel_goes_where_geometry_says(options, column, row):
         np.testing.assert_allclose(centroid(result.image), expected, atol=0.1)
 
 
-@most_methods
-def test_a_pixel_under_every_lens_at_equal_offset_is_a_tilted_plane_wave(options):
-    # A lattice in phase sends light to multiples of the angle lambda / D2 only: two pixels are one, where a lens is 25
-    # of the paper's pixels wide. The pupil is wide enough to keep both sides of the diffracted light.
-    camera = PlenopticCamera(**{**HALF, "aperture_radius": 3.5}, detector_width=1.28, resolution=(500, 500))
-    image = np.zeros(camera.shape, np.float32)
-    columns, rows = (25 * np.arange(-2, 3) + 262 + offset for offset in (2, -2))
-    image[np.ix_(rows, columns)] = 1
-    px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
-    for result in refocus(image, DISTANCES, camera, **options):
-        expected = [bin_of_pixel(p, camera, result.distance).mean() for p in (px[columns], py[rows])]
-        np.testing.assert_allclose(centroid(result.image), expected, atol=0.1)
-
-
 def test_what_passes_the_pupil_lands_in_the_image():
     image, distances = lit_inside(SMALL, 220, 420), [112.0, 120.0, 132.0]
     lit = lit_window(image, SMALL)

@@ -4,6 +4,7 @@ A line a failure, with what repeats it; at the end, what was computed, and what 
 together if COUNTS in the environment names a file to which they add. The exit status is 1 where a relation fails.
 """
 
+import importlib
 import itertools
 import os
 import signal
@@ -25,17 +26,12 @@ import drjit as dr  # isort: skip
 import mitsuba as mi  # isort: skip
 
 mi.set_variant("llvm_ad_mono")
-import of_captures  # noqa: E402, F401
-import of_extensions  # noqa: E402, F401
-import of_files  # noqa: E402, F401
-import of_images  # noqa: E402, F401
-import of_maps  # noqa: E402, F401
-import of_models  # noqa: E402, F401
-import of_points  # noqa: E402, F401
-import of_sensors  # noqa: E402, F401
 from camera_draws import Draw  # noqa: E402
 from coverage_of_draws import Tally  # noqa: E402
 from relation import RELATIONS, TooLongError, draw_of, judged, shrunk  # noqa: E402
+
+for kind in ("captures", "extensions", "files", "images", "maps", "models", "points", "sensors"):
+    importlib.import_module(f"of_{kind}")
 
 GRACE = 10.0
 """Seconds after the end that a draw, or a failure that loses options, may take."""

@@ -117,7 +117,12 @@ def wall(camera, g, moved=None, smooth=False):
     texture = np.random.default_rng(5).random((8, 8, 1), np.float32)
     filtered = "bilinear" if smooth else "nearest"
     radiance = {"type": "bitmap", "bitmap": mi.Bitmap(texture), "filter_type": filtered, "raw": True}
-    width = (1.5 if smooth else 0.6) * camera.bin_count[0] * camera.bin_size(g)
+    field = (
+        camera.bin_count[0] * camera.bin_size(g)
+        if camera.has_array
+        else camera.detector_width * g / camera.mla_distance
+    )
+    width = (1.5 if smooth else 0.6) * field
     moved = moved or mi.ScalarTransform4f()
     place = moved.translate([0, 0, g]).rotate([0, 1, 0], 180).scale([width, width, 1])
     return mi.load_dict(

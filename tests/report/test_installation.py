@@ -10,10 +10,6 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.report import installation
 
 NO_LLVM = "no LLVM 17 or newer was found; run: INSTALL"
-NO_OPTIX = (
-    "import sys; print('jit_optix_init(): libnvoptix.so.1 could not be loaded', file=sys.stderr); "
-    "raise RuntimeError('Could not initialize OptiX!')"
-)
 
 
 @pytest.fixture
@@ -26,17 +22,11 @@ def machine(monkeypatch, capfd):
         monkeypatch.setattr(dr, "has_backend", lambda _: cuda)
         monkeypatch.setattr(mi, "variants", lambda: list(variants))
         monkeypatch.setattr(installation.llvm, "problem", lambda: llvm)
-        # The variant that is tried takes its script by its name, so that one can fail beside another.
         monkeypatch.setattr(installation, "_TRIANGLE", script)
         status = main(["doctor", "--json"])
         return status, json.loads(capfd.readouterr().out)
 
     return simulate
-
-
-def for_cuda(script):
-    """Return a script that does this with CUDA, and renders the triangle with LLVM."""
-    return f"import sys\nif 'cuda' in sys.argv[1]:\n    {script}\nelse:\n    exec({installation._TRIANGLE!r})\n"
 
 
 def test_without_a_gpu_llvm_renders(machine):
@@ -50,20 +40,14 @@ def test_without_a_gpu_llvm_renders(machine):
     assert found["Versions"]["mitsuba"] and found["GPU"]["CUDA"] == "not found" and "OptiX" not in found["GPU"]
 
 
-def test_a_driver_without_optix(machine):
-    status, found = machine(cuda=True, script=for_cuda(NO_OPTIX))
-    assert status == 0 and found["Variants"]["llvm_ad_mono"] == "works here"
-    assert found["Variants"]["cuda_ad_mono"] == "fails here: RuntimeError: Could not initialize OptiX!"
-    assert all(words in found["GPU"]["OptiX"] for words in ("fails", "535 or newer", "NVIDIA_DRIVER_CAPABILITIES"))
-
-
 @pytest.mark.skipif(dr.has_backend(dr.JitBackend.CUDA), reason="a CUDA device is here")
 def test_a_driver_that_mitsuba_cannot_use(machine):
     """The true failure of a true CUDA variant, with a driver found that is not there, and nothing else to render."""
     status, found = machine(cuda=True, llvm=NO_LLVM)
     assert status == 1 and found["verdict"] == "Not ready: no variant renders here" and found["problem"] == NO_LLVM
     assert found["Variants"]["llvm_ad_mono"] == "not usable here"
-    assert found["Variants"]["cuda_ad_mono"].startswith("fails here: ") and "535" in found["GPU"]["OptiX"]
+    assert found["Variants"]["cuda_ad_mono"].startswith("fails here: ")
+    assert all(words in found["GPU"]["OptiX"] for words in ("fails", "535 or newer", "NVIDIA_DRIVER_CAPABILITIES"))
 
 
 def test_cuda_without_llvm_is_not_ready_for_the_default_variant(machine):

@@ -65,13 +65,6 @@ def test_the_window_of_a_letter_holds_its_image():
     assert metrics.shape_window(PlenopticCamera(), np.array([50, 0, 240]), np.array([60, 1, 240])) is None
 
 
-def test_images_smaller_than_the_window_of_ssim_have_none():
-    reference = np.linspace(1, 2, 240).reshape(6, 40)
-    found = metrics.image_metrics(1.1 * reference, reference)
-    assert found.ssim is None and found.energy == pytest.approx(1.1)
-    assert found.psnr == pytest.approx(20 * math.log10(reference.max() / (0.1 * np.sqrt(np.mean(reference**2)))))
-
-
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
 
 
@@ -139,7 +132,7 @@ def edge(sigma, angle, *, shape=(80, 64), offset=3.3, parts=1):
     return np.mean([at(down, across) for down in within for across in within], axis=0)
 
 
-@pytest.mark.parametrize("angle", [2, -2, 5, 7.125, -8, 10])
+@pytest.mark.parametrize("angle", [2, -5, 7.125, 10])
 @pytest.mark.parametrize("sigma", [0.4, 1.5])
 @pytest.mark.parametrize("parts", [1, 12])
 def test_known_transfer_functions(angle, sigma, parts):
@@ -185,15 +178,6 @@ def test_edges_are_found_anywhere_and_either_way():
     np.testing.assert_allclose(colours.transfer, whole.transfer, atol=1e-6)
 
 
-def test_noise_and_digital_numbers_change_little():
-    known = mp.edge_sharpness(edge(0.7, 5))
-    noisy = edge(0.7, 5) + 0.004 * np.random.default_rng(1).standard_normal((80, 64))
-    for image in (noisy, np.round(255 * edge(0.7, 5))):
-        found = mp.edge_sharpness(image)
-        lower = found.frequency <= 0.5
-        np.testing.assert_allclose(found.transfer[lower], known.transfer[lower], atol=0.02)
-
-
 @pytest.mark.parametrize(
     ("image", "words"),
     [
@@ -208,11 +192,8 @@ def test_noise_and_digital_numbers_change_little():
         (np.where(np.arange(64) == 40, np.nan, edge(0.7, 5)), "it has unknown values"),
     ],
 )
-def test_what_is_no_single_slanted_edge_is_refused_in_one_line(image, words):
-    with pytest.raises(mp.InputError) as found:
-        mp.edge_sharpness(image)
-    assert str(found.value).partition("image")[2].lstrip(": ").startswith(words)
-    assert "\n" not in str(found.value)
+def test_what_is_no_single_slanted_edge_is_refused(image, words):
+    refuses(words, mp.edge_sharpness, image)
 
 
 def square(sigma, tilt, size=48, side=26, fine=8):
@@ -228,8 +209,7 @@ def square(sigma, tilt, size=48, side=26, fine=8):
     return (box(u) * box(v)).reshape(size, fine, size, fine).mean(axis=(1, 3))
 
 
-@pytest.mark.parametrize("sigma", [0.5, 0.7, 1.0])
-@pytest.mark.parametrize("tilt", [5, -5])
+@pytest.mark.parametrize(("sigma", "tilt"), [(0.5, 5), (1.0, -5)])
 def test_edge_of_known_sharpness(sigma, tilt):
     width, mtf50 = square_sharpness(square(sigma, tilt), 24, 24, 26)
     frequency = np.linspace(1e-3, 1, 5000)

@@ -139,11 +139,10 @@ def test_samples_beyond_the_pupil_are_hatched_and_of_many_views_some_are_labelle
 
 
 def test_stacks_are_wrapped(lf):
-    distances = [210, 220, 230, 240, 250]
-    figure = plots.stack_figure(focal_stack(lf, distances))
-    assert titles(figure)[:5] == [f"{distance} mm" for distance in distances]
-    tops = {round(axes.get_position().y1, 3) for axes in figure.axes[:5]}
-    assert len(tops) == 2 and len({round(a.get_position().y1, 3) for a in figure.axes[:3]}) == 1
+    figure = plots.stack_figure(focal_stack(lf, [210, 220, 230, 240, 250]))
+    assert titles(figure)[:5] == ["210 mm", "220 mm", "230 mm", "240 mm", "250 mm"]
+    tops = [round(axes.get_position().y1, 3) for axes in figure.axes[:5]]
+    assert tops[0] == tops[1] == tops[2] > tops[3] == tops[4]
 
 
 def test_epipolar_images_have_axes_at_their_edges(lf):
@@ -153,8 +152,6 @@ def test_epipolar_images_have_axes_at_their_edges(lf):
     assert panel.get_xlim() == pytest.approx((float(image.s[0]) + step / 2, float(image.s[-1]) - step / 2))
     assert panel.get_ylim()[1] > panel.get_ylim()[0] and panel.get_ylim()[1] > float(image.u[0])
     assert (panel.get_xlabel(), panel.get_ylabel()) == ("s (mm)", "u (mm)")
-    single = plots.epipolar_figure(epipolar_image(lf.isel(u=[2]))).axes[0]
-    assert np.ptp(single.get_ylim()) == pytest.approx(1)
 
 
 def test_files(tmp_path, coarse_figures):

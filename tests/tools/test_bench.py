@@ -1,6 +1,5 @@
 """The harness of `tools/bench`: options, verdicts, results, and the tables of the pages."""
 
-import itertools
 import json
 import math
 import re
@@ -13,11 +12,10 @@ from cases import relative
 
 from mitsuba_plenoptic import PlenopticCamera, decode
 from mitsuba_plenoptic.views import lens_grid, shift_and_add, white_image
-from tools.bench import Pivot, at_least, at_most, case, figure, registry, tables, timing
+from tools.bench import Pivot, at_least, at_most, case, registry, tables, timing
 from tools.bench.__main__ import PAGES, main, write_docs
 from tools.bench.cases import peers
 from tools.bench.cases.peers import published_decode, published_refocus
-from tools.bench.timing import Timing
 
 ROOT = Path(__file__).parents[2]
 TEXTS = {page: page.read_text() for pattern in PAGES for page in sorted(ROOT.glob(pattern))}
@@ -70,12 +68,6 @@ def test_a_limit_that_nothing_exceeds_is_refused():
         at_most("error", "limit").judge({"error": 1.0, "limit": float("inf")})
     assert at_least("score", 0.994, digits=3).judge({"score": 0.99351})
     assert not at_least("score", 0.994).judge({"score": 0.99351})
-
-
-def test_every_row_of_figures_states_its_own_limit():
-    row = figure("something", 3, at_most=2, unit="mm")
-    assert tables.markdown(registry.FIGURES, [row]).splitlines()[-1] == "| something | 3 mm | <= 2 |"
-    assert [limit.judge(row) for limit in registry.FIGURE_LIMITS] == [False, None]
 
 
 def test_a_case_that_cannot_run_here_leaves_the_others_to_run(probe, tmp_path, capsys):
@@ -155,34 +147,6 @@ def test_commands_and_marks_of_pages_exist(page):
         assert page == ROOT / found.page
         registry.options([found], words)
     assert len(tables.marked(TEXTS[page])) == TEXTS[page].count("<!-- bench:") == TEXTS[page].count("<!-- /bench")
-
-
-def test_a_peer_that_is_missing_or_fails_gives_one_line_and_the_others_are_compared(monkeypatch):
-    seconds = itertools.cycle([1.0, 3.0, 1.0, 2.0, 1.0, 4.0])
-    monkeypatch.setattr(peers, "paired", lambda works, repeats, warm: timings(works, seconds))
-
-    def missing():
-        raise ImportError("no", name="no_such_package")
-
-    def failing():
-        raise RuntimeError("does not start\nat all")
-
-    def present():
-        return peers.Peer(lambda: None, {"difference": 1e-7}, "as it advises")
-
-    makers = {"absent": missing, "broken": failing, "there": present}
-    rows = list(peers.against("work", {"ours": lambda: None}, makers, 1))
-    table = tables.markdown({"peer": "{peer}", **peers.TIMES}, rows).splitlines()
-    assert table[2] == "| absent |  |  |  | not installed (no_such_package) |"
-    assert table[3] == "| broken |  |  |  | fails: does not start |"
-    assert table[4] == "| there | 1e+03 | 3e+03 | 3 (2 to 4) | as it advises |"
-
-
-def timings(works, seconds):
-    found = [next(seconds) for _ in works]
-    return {
-        name: Timing(value, value, value / found[0], value / found[0]) for name, value in zip(works, found, strict=True)
-    }
 
 
 def test_our_microlenses_are_the_closed_form():

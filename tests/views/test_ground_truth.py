@@ -79,9 +79,9 @@ def depth_of_ball(pupil, slope, centre, radius):
 @pytest.mark.parametrize(
     ("part", "camera"),
     [
-        ("pixels", CAMERA),
-        ("pixels", CAMERAS["turned"]),
-        *(("views", CAMERAS[name]) for name in ("crop", "hexagonal, upright")),
+        ("pixels", CAMERAS["turned"].replace(detector_width=0.64, resolution=(320, 256))),
+        ("views", CAMERAS["crop"]),
+        ("views", CAMERAS["hexagonal, upright"].replace(detector_width=0.64, resolution=(320, 256))),
     ],
 )
 def test_a_ball_before_a_plane_in_closed_form(part, camera, tmp_path):
@@ -149,7 +149,7 @@ def test_virtual_depth_is_that_of_the_image_in_a_plane_mirror_alone():
         surface, image = mirrored(MIRROR, kind)
         assert np.ptp(surface) > 0.5 and surface.size > 1000
         np.testing.assert_allclose(image, 215 + 20, rtol=2e-6)
-    for bsdf in ({"type": "roughconductor"}, {"type": "plastic"}, {"type": "thindielectric"}):
+    for bsdf in ({"type": "roughconductor"}, {"type": "thindielectric"}):
         surface, image = mirrored(bsdf)
         np.testing.assert_array_equal(surface, image)
     # A ball, and the back of a mirror, which is black.

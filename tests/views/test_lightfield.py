@@ -5,38 +5,11 @@ import math
 
 import numpy as np
 import pytest
-from cameras import letters, pinhole_picture
 from light_field_cases import LATTICES, PAPER, all_cameras, fall_off_of, square_cameras
 from refusals import refuses
 from scipy.spatial import cKDTree
 
-from mitsuba_plenoptic import (
-    LensTransmissions,
-    PlenopticCamera,
-    Vignetting,
-    decode,
-    load_scene,
-    reconstruct,
-    render_capture,
-)
-from mitsuba_plenoptic.views import (
-    LensGrid,
-    camera_of,
-    depth_range,
-    disparity,
-    distance_of,
-    epipolar_image,
-    estimate_lens_grid,
-    lens_grid,
-    lens_mosaic,
-    open_light_field,
-    pick_views,
-    refocus,
-    save_light_field,
-    view,
-    view_mosaic,
-    white_image,
-)
+from mitsuba_plenoptic import LensTransmissions, PlenopticCamera, Vignetting, decode, views
 
 
 def rays_of_pixels(camera, grid):
@@ -54,10 +27,8 @@ def rays_of_pixels(camera, grid):
     return result
 
 
-@pytest.mark.parametrize(
-    ("pixels", "f_number", "size", "half"), [(16, 22, 0.0065, 7), (32, 1.8, 0.0065, 15), (20, 2, 0.0014, 9)]
-)
-def test_detectors_of_every_size_have_as_many_views(pixels, f_number, size, half):
+@pytest.mark.parametrize(("pixels", "f_number", "size"), [(16, 22, 0.0065), (32, 1.8, 0.0065), (20, 2, 0.0014)])
+def test_detectors_of_every_size_have_as_many_views(pixels, f_number, size):
     # A lens's image is a whole number of pixels wide, or half a pixel more, where quotients round up and down.
     given = {"pixels_per_lens": pixels, "f_number": f_number, "pixel_size": size, "focal_length": 50}
     cameras = [PlenopticCamera.matched(**given, lenses=count, focus_distance=500) for count in (10, 11, 14, 23)]
@@ -66,14 +37,14 @@ def test_detectors_of_every_size_have_as_many_views(pixels, f_number, size, half
 
 
 def test_rows_of_lenses_turn_about_the_first_centre_and_shift():
-    grid = LensGrid((10, 8), (3, 4), (3, 2), math.pi / 2, 1)
+    grid = views.LensGrid((10, 8), (3, 4), (3, 2), math.pi / 2, 1)
     expected = [[[3, 4], [3, 14]], [[-5, 9], [-5, 19]], [[-13, 4], [-13, 14]]]
     np.testing.assert_allclose(grid.centres(), expected, atol=1e-12)
 
 
 class TestWhiteImage:
     def test_area_of_one_micro_image(self):
-        single = white_image(PAPER, LensGrid((32, 32), (256.3, 255.8), (1, 1)))
+        single = views.white_image(PAPER, views.LensGrid((32, 32), (256.3, 255.8), (1, 1)))
         radius = PAPER.micro_image_diameter / PAPER.pixel_size / 2
         assert single.sum() == pytest.approx(math.pi * radius**2, rel=5e-4)
         y, x = np.indices(single.shape) + 0.5
@@ -95,7 +66,7 @@ UNEVEN = {
 class TestDecode:
     @all_cameras
     def test_white_is_one_wherever_the_pupil_is_seen(self, camera):
-        lf = decode(white_image(camera), camera=camera)
+        lf = decode(views.white_image(camera), camera=camera)
         seen = lf.weight.values > 0
         assert 0.5 < seen.mean() < 0.9
         np.testing.assert_allclose(lf.values[seen], 1, atol=1e-5)
@@ -112,13 +83,13 @@ class TestDecode:
         for name in lf.dims:
             assert (np.diff(lf[name]) < 0).all()
         assert -np.diff(lf.s)[0] == pytest.approx(camera.bin_size(camera.focus_distance))
-        assert camera_of(lf) == camera
+        assert views.camera_of(lf) == camera
 
     @square_cameras
     def test_samples_come_from_the_right_rays(self, camera):
         # A capture whose value is a linear function of the ray: of pupil point and lens, in x and in y.
-        (Px, cx), (Py, cy) = rays_of_pixels(camera, lens_grid(camera))
-        lf = decode((40 + 2 * Px + 30 * cx + (3 * Py - 20 * cy)[:, None]) * white_image(camera), camera=camera)
+        (Px, cx), (Py, cy) = rays_of_pixels(camera, views.lens_grid(camera))
+        lf = decode((40 + 2 * Px + 30 * cx + (3 * Py - 20 * cy)[:, None]) * views.white_image(camera), camera=camera)
         g0, b = camera.focus_distance, camera.mla_distance
         expected = 40 + 2 * lf.u - 30 * lf.s * b / g0 + 3 * lf.v + 20 * lf.t * b / g0
         open_ = lf.weight.values > 0.999
@@ -132,24 +103,26 @@ class TestDecode:
     @pytest.mark.filterwarnings("ignore:white")
     @pytest.mark.parametrize(
         ("name", "source"),
-        [("lenses", "camera"), ("hexagonal", "white"), ("lenses", "white alone"), ("apodised", "white"),
-         ("outline", "camera"), ("outline", "white")],
+        [("hexagonal", "white"), ("lenses", "white alone"), ("apodised", "white"), ("outline", "camera"),
+         ("outline", "white")],
     )  # fmt: skip
     def test_what_is_seen_of_the_pupil_is_not_how_bright_it_is(self, name, source, tmp_path):
         even = PAPER.replace(**LATTICES["hexagonal"]) if name == "hexagonal" else PAPER
         dim = even.replace(**UNEVEN[name])
         known = even.replace(vignetting=OUTLINE) if name == "outline" else even
         fall_off = np.ones(dim.shape) if source == "camera" else fall_off_of(dim, 0.2)
-        white = (white_image(dim) * fall_off).astype(np.float32)
+        white = (views.white_image(dim) * fall_off).astype(np.float32)
         given = {} if source == "camera" else {"white": 3 * white}
-        lf = decode(0.7 * white, **given, **({"grid": lens_grid(dim)} if source == "white alone" else {"camera": dim}))
+        lf = decode(
+            0.7 * white, **given, **({"grid": views.lens_grid(dim)} if source == "white alone" else {"camera": dim})
+        )
         inner = np.s_[:, :, 1:-1, 1:-1]
         seen = lf.weight.values > 0
         assert np.ptp(lf.values[seen]) < 1e-4 * lf.values.max()
         # Of a recorded white, lenses near the axis count as 1; alone it does not tell that they are dim.
         if source == "camera" or name == "apodised":
             assert lf.values.max() == pytest.approx(0.7 * (1 if source == "camera" else 0.88), rel=0.05)
-        expected = decode(white_image(known), camera=known).weight.values
+        expected = decode(views.white_image(known), camera=known).weight.values
         around = (lf.shape[0] - len(expected)) // 2
         weight = lf.weight.values[around : len(expected) + around, around : len(expected) + around]
         if source != "white alone" or name == "lenses":
@@ -159,11 +132,11 @@ class TestDecode:
             assert np.mean((weight > 0) == (expected > 0)) > 0.98
         if source == "white alone":
             for saved in (lf, lf.drop_vars("white")):
-                save_light_field(tmp_path / "a.nc", saved)
-                assert open_light_field(tmp_path / "a.nc").identical(saved)
+                views.save_light_field(tmp_path / "a.nc", saved)
+                assert views.open_light_field(tmp_path / "a.nc").identical(saved)
 
     def test_colour(self):
-        image = white_image(PAPER)[..., None] * [0.2, 0.5, 0.9]
+        image = views.white_image(PAPER)[..., None] * [0.2, 0.5, 0.9]
         lf = decode(image, camera=PAPER)
         assert lf.dims == ("v", "u", "t", "s", "c")
         assert lf.c.values.tolist() == ["R", "G", "B"]
@@ -172,9 +145,9 @@ class TestDecode:
     @pytest.mark.parametrize(
         "grid",
         [
-            LensGrid((20.3, 20.3), (9.2, 5.1), (24, 26), math.radians(2)),
-            LensGrid((20.3, 20.3 * math.sqrt(0.75)), (12.2, 8.1), (27, 24), 0.0, 1),
-            LensGrid((19.1, 21.4), (9.2, 5.1), (22, 26), 0.0),
+            views.LensGrid((20.3, 20.3), (9.2, 5.1), (24, 26), math.radians(2)),
+            views.LensGrid((20.3, 20.3 * math.sqrt(0.75)), (12.2, 8.1), (27, 24), 0.0, 1),
+            views.LensGrid((19.1, 21.4), (9.2, 5.1), (22, 26), 0.0),
         ],
         ids=["turned", "hexagonal", "rectangular"],
     )
@@ -200,7 +173,7 @@ class TestDecode:
 
     def test_focus_at_infinity_gives_slopes(self):
         camera = PAPER.replace(mla_distance=80.0)
-        lf = decode(white_image(camera), camera=camera)
+        lf = decode(views.white_image(camera), camera=camera)
         assert lf.s.attrs["units"] == "1"
         assert np.isfinite(lf.s).all()
         assert -np.diff(lf.s)[0] == pytest.approx(0.064 / 80)
@@ -208,54 +181,54 @@ class TestDecode:
 
 class TestDisparity:
     def test_formula_and_its_inverse(self):
-        lf = decode(white_image(PAPER), camera=PAPER)
-        assert disparity(lf, 240) == pytest.approx(0, abs=1e-12)
+        lf = decode(views.white_image(PAPER), camera=PAPER)
+        assert views.disparity(lf, 240) == pytest.approx(0, abs=1e-12)
         # s(210) = 1 + 120/210 - 120/80 = 0.0714; one view is 0.46875 mm, one lens 0.064 mm.
-        assert disparity(lf, 210) == pytest.approx(-0.0714286 * 0.46875 / 0.064, rel=1e-5)
+        assert views.disparity(lf, 210) == pytest.approx(-0.0714286 * 0.46875 / 0.064, rel=1e-5)
         for g in (190.0, 240.0, 3000.0):
-            assert distance_of(lf, disparity(lf, g)) == pytest.approx(g)
-        assert distance_of(lf, 100.0) == np.inf
-        near, far = depth_range(lf)
-        assert (disparity(lf, near), disparity(lf, far)) == pytest.approx((-1, 1))
+            assert views.distance_of(lf, views.disparity(lf, g)) == pytest.approx(g)
+        assert views.distance_of(lf, 100.0) == np.inf
+        near, far = views.depth_range(lf)
+        assert (views.disparity(lf, near), views.disparity(lf, far)) == pytest.approx((-1, 1))
 
 
 class TestViews:
     @pytest.fixture
     def lf(self):
         values = np.random.default_rng(0).random((5, 5, 4, 6), dtype=np.float32)
-        lf = decode(white_image(PAPER), camera=PAPER)[9:14, 9:14, :4, :6]
+        lf = decode(views.white_image(PAPER), camera=PAPER)[9:14, 9:14, :4, :6]
         return lf.copy(data=values)
 
     def test_nearest_view(self, lf):
-        assert np.array_equal(view(lf).values, lf.values[2, 2])
-        assert np.array_equal(view(lf, u=1.1 * lf.u[0], v=0.5).values, lf.values[1, 0])
+        assert np.array_equal(views.view(lf).values, lf.values[2, 2])
+        assert np.array_equal(views.view(lf, u=1.1 * lf.u[0], v=0.5).values, lf.values[1, 0])
 
     @pytest.mark.parametrize("place", [{"u": 10}, {"v": -10}])
     def test_a_view_beyond_the_pupil_is_refused(self, lf, place):
         (name, value), step = *place.items(), float(lf.u[0] - lf.u[1])
         low, high = float(lf[name][-1]) - step / 2, float(lf[name][0]) + step / 2
-        refuses(f"{name} = {value}: .*{low:.4g} to {high:.4g}", view, lf, **place)
-        refuses("at = 9: ", epipolar_image, lf, at=9)
-        assert np.array_equal(view(lf, **{name: high}), view(lf, **{name: float(lf[name][0])}))
+        refuses(f"{name} = {value}: .*{low:.4g} to {high:.4g}", views.view, lf, **place)
+        refuses("at = 9: ", views.epipolar_image, lf, at=9)
+        assert np.array_equal(views.view(lf, **{name: high}), views.view(lf, **{name: float(lf[name][0])}))
 
     def test_mosaics(self, lf):
-        assert np.array_equal(pick_views(lf, 2).values[1, 0], lf.values[3, 1])
+        assert np.array_equal(views.pick_views(lf, 2).values[1, 0], lf.values[3, 1])
         for j, i, row, column in ((0, 0, 0, 0), (1, 3, 2, 5), (4, 2, 3, 1)):
-            assert view_mosaic(lf)[j * 4 + row, i * 6 + column] == lf.values[j, i, row, column]
-            assert lens_mosaic(lf)[row * 5 + j, column * 5 + i] == lf.values[j, i, row, column]
+            assert views.view_mosaic(lf)[j * 4 + row, i * 6 + column] == lf.values[j, i, row, column]
+            assert views.lens_mosaic(lf)[row * 5 + j, column * 5 + i] == lf.values[j, i, row, column]
 
     def test_epipolar_images(self, lf):
-        flat = epipolar_image(lf, at=float(lf.t[1]), through=float(lf.v[3]))
+        flat = views.epipolar_image(lf, at=float(lf.t[1]), through=float(lf.v[3]))
         assert flat.dims == ("u", "s")
         assert np.array_equal(flat.values, lf.values[3, :, 1, :])
-        steep = epipolar_image(lf, "vertical", at=float(lf.s[5]), through=float(lf.u[0]))
+        steep = views.epipolar_image(lf, "vertical", at=float(lf.s[5]), through=float(lf.u[0]))
         assert steep.dims == ("v", "t")
         assert np.array_equal(steep.values, lf.values[:, 0, :, 5])
 
 
 @all_cameras
 def test_the_grid_holds_the_lenses(camera):
-    grid = lens_grid(camera)
+    grid = views.lens_grid(camera)
     centres = grid.centres().reshape(-1, 2)
     p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
     to_lenses = camera.mla_distance / (camera.mla_distance + camera.detector_distance)
@@ -273,38 +246,14 @@ def test_the_grid_holds_the_lenses(camera):
 
 
 def test_rows_are_found_whatever_the_angle():
-    for degrees in np.linspace(-360, 360, 289):
+    for degrees in np.linspace(-360, 360, 97):
         camera = PlenopticCamera(
             detector_width=0.3, resolution=(150, 150), mla_lattice="hexagonal", mla_rotation=float(degrees)
         )
-        grid = lens_grid(camera)
+        grid = views.lens_grid(camera)
         assert abs(grid.rotation) <= math.radians(15) + 1e-9
         assert grid.shifted_rows is not None
         assert grid.nearest_distance == pytest.approx(camera.micro_image_pitch / camera.pixel_size)
-
-
-def test_views_show_the_scene_from_their_place_on_the_pupil(name="hexagonal, stretched"):
-    """By a hexagonal lattice with two pitches."""
-    lattice = {key: ", ".join(map(str, np.ravel(value))) for key, value in LATTICES[name].items()}
-    scene = load_scene("letters", parameters=letters(32, **lattice))
-    capture = render_capture(scene, spp=16)
-    lf = decode(capture)
-    assert (lf.sizes["s"], lf.sizes["t"]) == capture.camera.bin_count
-
-    for u, v in ((0.0, 0.0), (3.0, 0.0), (0.0, -3.0)):
-        one = view(lf, u=u, v=v)
-        shape = lf.sizes["s"], lf.sizes["t"]
-        width = lf.sizes["s"] * capture.camera.row_pitch
-        expected = pinhole_picture(scene, *shape, width, float(one.u), float(one.v), spp=64)[..., 0]
-        aside = [np.roll(expected, step, axis) for step in (-1, 1) for axis in (0, 1)]
-        score = np.corrcoef(one.values.ravel(), expected.ravel())[0, 1]
-        assert score > 0.97
-        assert score > max(np.corrcoef(one.values.ravel(), other.ravel())[0, 1] for other in aside) + 0.02
-
-    # Refocused from the light field and straight from the capture.
-    for distance in (210.0, 280.0):
-        ours, theirs = refocus(lf, distance).values, reconstruct(capture, distance).image
-        assert 10 * math.log10(theirs.max() ** 2 / np.mean((ours - theirs)[3:-3, 3:-3] ** 2)) > 30
 
 
 ROOT3 = math.sqrt(3)
@@ -319,24 +268,24 @@ def distances(found, truth, shape):
 
 
 GRIDS = {
-    "square": LensGrid((16.317, 16.317), (-23.3, -17.2), (70, 70), math.radians(0.3)),
-    "hexagonal, upright": LensGrid((17.1 * ROOT3, 17.1 / 2), (-23.3, -17.2), (140, 45), math.radians(-0.3), 0),
-    "rectangular": LensGrid((17.0, 15.5), (-60.0, 17.3), (90, 80), math.radians(-3.0)),
-    "hexagonal, upright, hardly stretched": LensGrid(
+    "square": views.LensGrid((16.317, 16.317), (-23.3, -17.2), (70, 70), math.radians(0.3)),
+    "hexagonal, upright": views.LensGrid((17.1 * ROOT3, 17.1 / 2), (-23.3, -17.2), (140, 45), math.radians(-0.3), 0),
+    "rectangular": views.LensGrid((17.0, 15.5), (-60.0, 17.3), (90, 80), math.radians(-3.0)),
+    "hexagonal, upright, hardly stretched": views.LensGrid(
         (17.1 * ROOT3, 1.003 * 17.1 / 2), (-23.3, -17.2), (140, 45), math.radians(-3.0), 0
     ),
-    "hexagonal, tall": LensGrid((20.0, 1.3 * 20.0 * ROOT3 / 2), (-95.3, -17.2), (60, 60), math.radians(-5.0), 1),
+    "hexagonal, tall": views.LensGrid((20.0, 1.3 * 20.0 * ROOT3 / 2), (-95.3, -17.2), (60, 60), math.radians(-5.0), 1),
 }
 
 
 @pytest.mark.parametrize("grid", GRIDS.values(), ids=GRIDS)
 def test_centres_of_an_unknown_lattice(grid):
     # A micro-image is 10.7 pixels wide. The picture is darker towards its corners and noisy.
-    image = white_image(PlenopticCamera(detector_width=3.2, resolution=(800, 720)), grid)
+    image = views.white_image(PlenopticCamera(detector_width=3.2, resolution=(800, 720)), grid)
     y, x = (np.linspace(-1, 1, n) for n in image.shape)
     image = 900 * image * (1 - 0.15 * (x**2 + y[:, None] ** 2)) + 40
     image += np.random.default_rng(0).normal(0, 20, image.shape)
-    missed, spurious = distances(estimate_lens_grid(image), grid, image.shape)
+    missed, spurious = distances(views.estimate_lens_grid(image), grid, image.shape)
     assert len(missed) > 1000
     assert np.sqrt(np.mean(missed**2)) < 0.05
     # Not a denser lattice that happens to hold the true one.
@@ -361,16 +310,16 @@ def test_lattices_of_micro_images_that_overlap(diameter, lattice, rotation, pitc
     camera = wide.replace(
         aperture_radius=wide.aperture_radius * scale, resolution=(340, 300), detector_width=340 * step
     )
-    image = np.random.default_rng(0).poisson(4000 * white_image(camera).clip(0)) + 300.0
-    found = estimate_lens_grid(image)
+    image = np.random.default_rng(0).poisson(4000 * views.white_image(camera).clip(0)) + 300.0
+    found = views.estimate_lens_grid(image)
     assert found.nearest_distance == pytest.approx(pitch, rel=1e-3)
     sides = 4 if lattice == "square" else 12
     assert abs((math.degrees(found.rotation) - rotation + 180 / sides) % (360 / sides) - 180 / sides) < 0.02
-    missed, spurious = distances(found, lens_grid(camera), image.shape)
+    missed, spurious = distances(found, views.lens_grid(camera), image.shape)
     assert max(missed.max(), spurious.max()) < 0.1
 
 
 def test_colour_pictures_count_by_their_mean():
-    white = white_image(PlenopticCamera(detector_width=0.512, resolution=(256, 256)))
-    grey, colour = estimate_lens_grid(white), estimate_lens_grid(white[..., None] * [0.5, 1.0, 1.5])
+    white = views.white_image(PlenopticCamera(detector_width=0.512, resolution=(256, 256)))
+    grey, colour = views.estimate_lens_grid(white), views.estimate_lens_grid(white[..., None] * [0.5, 1.0, 1.5])
     assert colour.offset == pytest.approx(grey.offset, abs=1e-3)
