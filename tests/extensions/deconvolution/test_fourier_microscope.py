@@ -14,13 +14,9 @@ from mitsuba_plenoptic.points.units import radiance_weight
 WAVELENGTH = 550.0
 LENS = mp.Objective(20, 0.25, arrangement="fourier", fourier_focal_length=50)
 SMALL = mp.PlenopticCamera(
-    main_lens=LENS,
-    mla_pitch=0.5,
-    mla_focal_length=20.0,
-    mla_offset=(0.25, 0.25),
-    detector_width=1.5,
+    main_lens=LENS, mla_pitch=0.5, mla_focal_length=20.0, mla_offset=(0.25, 0.25), detector_width=1.5,
     resolution=(150, 150),
-)
+)  # fmt: skip
 CAMERAS = {
     "coarse odd pixels": (SMALL.replace(resolution=(61, 61), detector_width=1.525), 3),
     "hexagonal, three focal lengths": (
@@ -147,21 +143,3 @@ def test_the_limit_is_where_the_responses_own_spectrum_ends():
     assert contrast.min() < 0.02 < 0.3 < contrast[0]
     assert resolution_limit(camera, depth).waves == pytest.approx(1 / (2 * lens_aperture(camera) * depth))
     assert resolution_limit(SMALL, 0.0, WAVELENGTH).pixels == pytest.approx(400.0)
-
-
-def test_noise_ends_it_and_colours_keep_their_wavelengths():
-    beads = [(0.004, -0.003, 0.0), (-0.006, 0.002, 0.0)]
-    spreads = [
-        mp.CaptureOperator(SMALL, [bead], wavelength=lam, method="full_field").forward([1.0])
-        for bead, lam in zip(beads, (600.0, 450.0), strict=True)
-    ]
-    image = np.maximum(np.stack([spreads[0], spreads[1], spreads[0]], axis=-1), 0)
-    capture = mp.Capture(image, SMALL, (600.0, 450.0, 600.0), "wave", {})
-    noisy = mp.expose(capture, mp.Detector(gain=1.0), photons=2000 / float(image.max()), seed=0)
-    found = mp.reconstruct(noisy, 0.0, method="deconvolved", oversample=2, variation=0.002)
-    assert found.facts["stopped_by_noise"]
-    for channel, (X, Y, _) in zip((0, 1), beads, strict=True):
-        plane = np.nan_to_num(found.image[..., channel])
-        row, column = np.unravel_index(plane.argmax(), plane.shape)
-        place = (np.array(plane.shape[::-1]) / 2 - [column + 0.5, row + 0.5]) * found.bin_size
-        assert np.allclose(place, [X, Y], atol=found.bin_size)
