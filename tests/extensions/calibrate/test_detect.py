@@ -6,7 +6,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, calibrate, render_capture, write_capture
-from mitsuba_plenoptic.calibration import Board, board_scene, camera_centres, detect_corners, find_centres, read_corners
+from mitsuba_plenoptic.calibration import Board, board_scene, camera_centres, detect_corners, read_corners
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, Observations, numbers_of, predict
 from mitsuba_plenoptic.extensions.calibrate.boards import find_saddles
@@ -50,13 +50,7 @@ CAMERA = cases.CAMERA.replace(
     mla_fill=0.2,
 )  # fmt: skip
 BOARD = Board(4, 3, 3.0)
-POSES = np.array(
-    [
-        [0.10, 0.05, 3.10, 4.5, 3, 300],
-        [0.45, -0.10, 3.15, 4, 3, 280],
-        [-0.15, 0.50, 3.05, 4.5, 2.5, 260],
-    ]
-)
+POSES = np.array([[0.1, 0.05, 3.1, 4.5, 3, 300], [0.45, -0.1, 3.15, 4, 3, 280], [-0.15, 0.5, 3.05, 4.5, 2.5, 260]])
 PHOTONS = 300
 
 
@@ -118,18 +112,6 @@ def test_detected_boards_give_the_camera_back(corners):
     names = ["focal_length", "mla_distance", "detector_distance", "pitch_along", "pitch_across", "mla_rotation"]
     for name in (*names, "tilt_x", "tilt_y", "k1"):
         assert abs(found.numbers[name] - true[name]) < 4 * found.deviations[name], name
-    assert found.numbers["focal_length"] == pytest.approx(CAMERA.focal_length, rel=0.2)
-
-
-@pytest.mark.slow
-def test_a_white_image_is_enough(pictures, corners):
-    # Centres come from the white image, lenses are counted from its first: the same corners at the same places.
-    white = white_image(CAMERA)
-    found = detect_corners(pictures[1], white, find_centres(white).table("white"), BOARD)
-    mine = corners.pixel[corners["frame"] == 1]
-    nearest = np.array([np.hypot(*(mine - place).T).min() for place in found.pixel])
-    assert len(nearest) > 0.95 * len(mine)
-    assert np.percentile(nearest, 90) < 0.02
 
 
 @pytest.mark.parametrize(

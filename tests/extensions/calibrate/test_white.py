@@ -3,12 +3,11 @@
 import json
 import math
 
-import mitsuba as mi
 import numpy as np
 import pytest
 from refusals import refuses
 
-from mitsuba_plenoptic import Capture, PlenopticCamera, render_capture, write_capture
+from mitsuba_plenoptic import Capture, PlenopticCamera, write_capture
 from mitsuba_plenoptic.calibration import camera_centres, find_centres, read_centres, write_centres
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.views import LensGrid, lens_grid, white_image
@@ -109,20 +108,6 @@ def test_centres_that_dust_displaces_are_doubtful(tmp_path, capsys):
 CAMERA = PlenopticCamera.preset("raytrix").replace(
     resolution=(460, 340), detector_width=2.53, mla_rotation=0.3, mla_aperture="circle", mla_fill=0.6
 )
-
-
-def rendered(camera):
-    scene = {"type": "scene", "lamp": {"type": "constant"}, "integrator": {"type": "path", "max_depth": 1}}
-    return render_capture(mi.load_dict(scene | {"camera": camera.to_sensor()}), spp=32).image
-
-
-def test_white_images_of_tilted_arrays_are_those_that_rays_draw():
-    camera = CAMERA.replace(mla_tilt=(2.0, -1.0), distortion=(3e-4, 0, 0, -1e-4, 5e-5), mla_focal_length=0.56)
-    image = rendered(camera)
-    error = np.sqrt(((white_image(camera) - image) ** 2).mean())
-    # A pixel of fraction f has the noise sqrt(f (1 - f) / 32).
-    expected = white_image(camera)
-    assert error == pytest.approx(np.sqrt((expected * (1 - expected)).clip(0).mean() / 32), rel=0.15)
 
 
 def test_centres_at_several_apertures(tmp_path, capsys):

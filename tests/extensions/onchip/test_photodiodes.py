@@ -15,14 +15,9 @@ from mitsuba_plenoptic import PlenopticCamera, render_capture
 from mitsuba_plenoptic.extensions.onchip.photodiode_response import PhotodiodeResponse
 
 CAMERA = PlenopticCamera(
-    focal_length=6.8,
-    aperture_radius=6.8 / 3.6,
-    focus_distance=1000.0,
-    mla_focal_length=0.0045,
-    mla_pitch=0.0024,
-    detector_width=0.0384,
-    resolution=(32, 32),
-)
+    focal_length=6.8, aperture_radius=6.8 / 3.6, focus_distance=1000.0, mla_focal_length=0.0045, mla_pitch=0.0024,
+    detector_width=0.0384, resolution=(32, 32),
+)  # fmt: skip
 """A telephone's camera, f/1.8, of 16 x 16 lenses above 2 x 2 pixels."""
 
 
