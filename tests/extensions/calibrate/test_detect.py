@@ -54,13 +54,12 @@ POSES = np.array([[0.1, 0.05, 3.1, 4.5, 3, 300], [0.45, -0.1, 3.15, 4, 3, 280], 
 PHOTONS = 300
 
 
-@pytest.mark.parametrize("fill", [0.2, 0.5])
-def test_pixels_whose_light_the_rim_cuts_are_told(fill):
-    camera = CAMERA.replace(mla_fill=fill, mla_tilt=(0.0, 0.0), distortion=(0.0,) * 5)
+def test_pixels_whose_light_the_rim_cuts_are_told():
+    camera = CAMERA.replace(mla_fill=0.5, mla_tilt=(0.0, 0.0), distortion=(0.0,) * 5)
     # Through a lens's point d from its centre, a pixel p from its micro-image's sees the pupil at b p / z + d s.
     b, z = camera.mla_distance, camera.detector_distance
     slopes = [abs(1 + b / z - b / f) for f in camera.mla_focal_lengths]
-    reach = camera.aperture_radius - np.array(slopes) * camera.row_pitch / 2 * fill
+    reach = camera.aperture_radius - np.array(slopes) * camera.row_pitch / 2 * camera.mla_fill
     even = reach * z / b / camera.pixel_size
     found = evenly_lit(white_image(camera), camera_centres(camera).pixel, 9.0)
     assert even.min() - 0.5 <= found <= even.max() + 0.5

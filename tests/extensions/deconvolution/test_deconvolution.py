@@ -15,7 +15,7 @@ from mitsuba_plenoptic.extensions.deconvolution.response import Response
 from mitsuba_plenoptic.fields import OpticalSystem
 from mitsuba_plenoptic.linear.noise import misfit
 from mitsuba_plenoptic.points.units import brightness_at
-from mitsuba_plenoptic.views import lens_numbers, white_image
+from mitsuba_plenoptic.views import white_image
 
 SMALL, FOUR = small_camera(6), small_camera(4)
 
@@ -174,20 +174,6 @@ def test_lamps_keep_their_light(name):
     lamps = [found[row - 1 : row + 2, column - 1 : column + 2].sum() for row, column in bins]
     # Round lenses diffract a little more beyond the reach of spreads.
     np.testing.assert_allclose(lamps, powers, rtol=0.013 if name == "circles" else 0.01)
-
-
-@pytest.mark.slow
-def test_a_prescription_that_vignettes_within_a_zone_lights_lenses_as_rays_do():
-    camera = mp.PlenopticCamera(
-        **ZONES, main_lens="double_gauss_f2", mla_focal_length=0.072, crop_offset=(320, 240), crop_size=(64, 64)
-    )
-    number = lens_numbers(camera).ravel()
-    response = Response(camera, [156.0], wavelength=1000.0, oversample=1)
-    images = response.forward(np.ones(response.source_shape, np.float32)), white_image(camera)
-    found, expected = (np.bincount(number, image.ravel())[np.bincount(number) > 55] for image in images)
-    assert expected.min() < 0.8 * expected.max()
-    assert (found / expected).mean() == pytest.approx(1, abs=0.006)
-    assert (found / expected).std() < 0.015
 
 
 def test_points_come_back():

@@ -237,15 +237,14 @@ def left_of_star(camera, field, count=2**12):
     return float(light.reshape(AROUND, 2, -1)[:, 0].sum() / light.sum())
 
 
-@pytest.mark.parametrize("angle", [20, pytest.param(35, marks=pytest.mark.slow)])
-def test_lenses_aligned_by_snells_law_halve_the_light(angle):
+def test_lenses_aligned_by_snells_law_halve_the_light():
     """Of an even scene and of a point; parabolic rays have coma, and all rays the light of the closed form."""
-    camera, field = window(angle)
+    camera, field = window(20)
     left, light = left_of_even(camera, "ray", 8192)
     assert left == pytest.approx(0.5, abs=0.01)
     assert light == pytest.approx(1, abs=0.01)
     assert left_of_point(camera, field, "ray") == pytest.approx(0.5, abs=0.01)
-    camera, field = window(angle, lens_model="parabolic")
+    camera, field = window(20, lens_model="parabolic")
     left, light = left_of_even(camera, "ray", 8192)
     assert left == pytest.approx(left_by_cosines(camera, field), abs=0.006)
     assert light == pytest.approx(1, abs=0.01)
@@ -257,14 +256,6 @@ def test_halves_by_waves_are_sums_of_plane_waves():
     # A little is turned into evanescent waves.
     assert light == pytest.approx(0.998, abs=0.004)
     assert left_of_point(camera, field, "wave") == pytest.approx(left_of_star(camera, field, 2**11), abs=0.005)
-
-
-def test_crosstalk_adds_each_half_to_the_other():
-    bank, crossed = (mp.psf_bank(CAMERA.replace(pixel_crosstalk=x), [400.0]) for x in (0.0, 0.05))
-    assert float(crossed.sum()) == pytest.approx(1, abs=1e-5)
-    near, far = centroids(bank, "s")[0, 0, 0], centroids(crossed, "s")[0, 0, 0]
-    # A pixel gives 5 % to the other one of its row, and 5 % to that of the next lens.
-    assert far[1] - far[0] == pytest.approx((1 - 4 * 0.05) * (near[1] - near[0]) - 2 * 0.05, rel=1e-3)
 
 
 def test_light_strays_over_the_whole_detector():
@@ -343,32 +334,18 @@ def test_matching_finds_the_disparity_of_half_discs(disparity, side):
         assert np.isfinite(found).mean() > 0.5
 
 
-def fast(lenses):
-    """Return an f/1.8 camera of lenses aligned to chief rays by a smaller pitch."""
-    b = 2.2
-    return mp.PlenopticCamera(
-        focal_length=2.0, aperture_radius=0.55, mla_distance=b, mla_pitch=0.0028 * b / (b + 0.004 / 1.5),
-        mla_focal_length=0.004, mla_medium=1.5, detector_width=0.0028 * lenses, resolution=(2 * lenses,) * 2,
-    )  # fmt: skip
-
-
-def test_spreads_by_waves_have_the_light_of_points_in_fast_main_lenses():
-    camera = fast(40)
-    near = 1 / (1 / camera.focus_distance + 3 * camera.mla_pitch / (0.55 * camera.mla_distance))
-    bank = mp.psf_bank(camera, [camera.focus_distance, near], size=17, model="wave")
-    assert bank.sum(("v", "u", "t", "s")).values.ravel() == pytest.approx([0.99, 0.985], abs=0.01)
-    in_focus, found = mp.bank_disparity(bank).values.ravel()
-    assert abs(in_focus) < 0.05
-    # Diffraction mixes the halves.
-    assert 0.6 < found / mp.half_disparity(camera, near) < 0.85
+FAST = mp.PlenopticCamera(
+    focal_length=2.0, aperture_radius=0.55, mla_distance=2.2, mla_pitch=0.0028 * 2.2 / (2.2 + 0.004 / 1.5),
+    mla_focal_length=0.004, mla_medium=1.5, detector_width=0.28, resolution=(200, 200),
+)  # fmt: skip
+"""A camera of f/1.8, of lenses aligned to chief rays by a smaller pitch."""
 
 
 @pytest.mark.parametrize(("changes", "least"), [({"lens_model": "parabolic"}, 0.97), ({"aperture_radius": 0.07}, 0.93)])
 def test_banks_are_as_wide_as_aberrated_and_diffracted_light(changes, least):
     """A point in focus: 13 lenses of aberration, and an Airy pattern whose third dark ring has 94 % of the light."""
-    camera = fast(100).replace(**changes)
     for model in ("ray", "wave"):
-        bank = mp.psf_bank(camera, [camera.focus_distance], model=model)
+        bank = mp.psf_bank(FAST.replace(**changes), [FAST.focus_distance], model=model)
         assert least < float(bank.sum()) <= 1.001, model
 
 
