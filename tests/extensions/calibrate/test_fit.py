@@ -221,7 +221,7 @@ def corners_of(folder, text):
 COLUMNS = "k,l,u,v,cluster,frame\n"
 
 test_files_and_boards_are_refused = refused(
-    (lambda folder: corners_of(folder, ""), "corners.csv: .*empty"),
+    (lambda folder: corners_of(folder, ""), "corners.csv: it has no column k"),
     (lambda folder: corners_of(folder, "k,l,u,v,cluster\n1,1,1,1,1\n"), "no column frame"),
     (lambda folder: corners_of(folder, COLUMNS), "no rows"),
     (lambda folder: corners_of(folder, f"{COLUMNS}1,1,nan,1,1,1\n"), "row 2: u = nan"),
