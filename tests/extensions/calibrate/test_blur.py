@@ -83,12 +83,10 @@ def write_table(path, columns):
 
 
 def test_a_calibration_takes_them_and_keeps_them(tmp_path, radius):
-    table = cases.corners(0.05)[0]
     whole = {"resolution": (2000, 1500), "crop_size": (2000, 1500), "crop_offset": (0, 0), "detector_width": 11.0}
     start = cases.CAMERA.replace(**whole, mla_focal_length=(0.5,) * 3)
     path = tmp_path / "corners.csv"
-    columns = {**table.columns, "rho": radius}
-    write_table(path, columns)
+    write_table(path, {**cases.corners(0.05)[0].columns, "rho": radius})
     found = calibrate(read_corners(path, cases.BOARD, start.crop_size), cases.BOARD, start)
     assert found.blur is not None
     # Corners alone leave the distances open by a common factor, but z/f is told.
@@ -103,11 +101,9 @@ def test_a_calibration_takes_them_and_keeps_them(tmp_path, radius):
     assert json.loads(output.read_text())["calibration"]["blur"]["scale"] == pytest.approx(found.blur.scale)
 
 
-def test_a_column_of_one_value_is_left_out(tmp_path):
-    table = cases.corners()[0]
+def test_a_column_of_one_value_is_left_out(tmp_path, radius):
     path = tmp_path / "corners.csv"
-    columns = {**table.columns, "rho": np.zeros(len(table["k"]))}
-    write_table(path, columns)
+    write_table(path, {**cases.corners()[0].columns, "rho": 0 * radius})
     assert "rho" not in read_corners(path, cases.BOARD, (2000, 1500)).columns
 
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter
 
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, calibrate, render_capture, write_capture
-from mitsuba_plenoptic.calibration import Board, board_scene, camera_centres, detect_corners, find_centres, read_corners
+from mitsuba_plenoptic import Capture, InputError, render_capture, write_capture
+from mitsuba_plenoptic.calibration import Board, board_scene, camera_centres, detect_corners, read_corners
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, Observations, numbers_of, predict
+from mitsuba_plenoptic.extensions.calibrate.board_model import Observations, numbers_of, predict
 from mitsuba_plenoptic.extensions.calibrate.boards import find_saddles
 from mitsuba_plenoptic.extensions.calibrate.detect import evenly_lit
 from mitsuba_plenoptic.views import white_image
@@ -50,23 +50,16 @@ CAMERA = cases.CAMERA.replace(
     mla_fill=0.2,
 )  # fmt: skip
 BOARD = Board(4, 3, 3.0)
-POSES = np.array(
-    [
-        [0.10, 0.05, 3.10, 4.5, 3, 300],
-        [0.45, -0.10, 3.15, 4, 3, 280],
-        [-0.15, 0.50, 3.05, 4.5, 2.5, 260],
-    ]
-)
+POSES = np.array([[0.1, 0.05, 3.1, 4.5, 3, 300], [0.45, -0.1, 3.15, 4, 3, 280], [-0.15, 0.5, 3.05, 4.5, 2.5, 260]])
 PHOTONS = 300
 
 
-@pytest.mark.parametrize("fill", [0.2, 0.5])
-def test_pixels_whose_light_the_rim_cuts_are_told(fill):
-    camera = CAMERA.replace(mla_fill=fill, mla_tilt=(0.0, 0.0), distortion=(0.0,) * 5)
+def test_pixels_whose_light_the_rim_cuts_are_told():
+    camera = CAMERA.replace(mla_fill=0.5, mla_tilt=(0.0, 0.0), distortion=(0.0,) * 5)
     # Through a lens's point d from its centre, a pixel p from its micro-image's sees the pupil at b p / z + d s.
     b, z = camera.mla_distance, camera.detector_distance
     slopes = [abs(1 + b / z - b / f) for f in camera.mla_focal_lengths]
-    reach = camera.aperture_radius - np.array(slopes) * camera.row_pitch / 2 * fill
+    reach = camera.aperture_radius - np.array(slopes) * camera.row_pitch / 2 * camera.mla_fill
     even = reach * z / b / camera.pixel_size
     found = evenly_lit(white_image(camera), camera_centres(camera).pixel, 9.0)
     assert even.min() - 0.5 <= found <= even.max() + 0.5
@@ -105,31 +98,6 @@ def test_boards_are_found_where_the_model_sees_them(corners):
         error = mine.pixel - pixel
         assert np.sqrt((error**2).sum(1).mean()) < 0.25
         assert np.abs(error.mean(0)).max() < 0.05
-
-
-def test_detected_boards_give_the_camera_back(corners):
-    size = CAMERA.crop_size
-    start = PlenopticCamera.preset("raytrix").replace(
-        resolution=size, crop_size=size, crop_offset=(0, 0), detector_width=5.28
-    )
-    found = calibrate(corners, BOARD, start, camera_centres(CAMERA))
-    assert found.evaluation.error < 0.25
-    true = dict(zip(NAMES, numbers_of(CAMERA), strict=True))
-    names = ["focal_length", "mla_distance", "detector_distance", "pitch_along", "pitch_across", "mla_rotation"]
-    for name in (*names, "tilt_x", "tilt_y", "k1"):
-        assert abs(found.numbers[name] - true[name]) < 4 * found.deviations[name], name
-    assert found.numbers["focal_length"] == pytest.approx(CAMERA.focal_length, rel=0.2)
-
-
-@pytest.mark.slow
-def test_a_white_image_is_enough(pictures, corners):
-    # Centres come from the white image, lenses are counted from its first: the same corners at the same places.
-    white = white_image(CAMERA)
-    found = detect_corners(pictures[1], white, find_centres(white).table("white"), BOARD)
-    mine = corners.pixel[corners["frame"] == 1]
-    nearest = np.array([np.hypot(*(mine - place).T).min() for place in found.pixel])
-    assert len(nearest) > 0.95 * len(mine)
-    assert np.percentile(nearest, 90) < 0.02
 
 
 @pytest.mark.parametrize(

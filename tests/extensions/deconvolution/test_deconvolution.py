@@ -5,7 +5,7 @@ import functools
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import places_of, sky
+from cameras import HALF, LATTICES, WAVELENGTH, sky, small_camera
 from refusals import refuses
 
 import mitsuba_plenoptic as mp
@@ -13,40 +13,16 @@ from mitsuba_plenoptic.design import resolution_limit
 from mitsuba_plenoptic.extensions.deconvolution.deconvolved import noise_of
 from mitsuba_plenoptic.extensions.deconvolution.response import Response
 from mitsuba_plenoptic.fields import OpticalSystem
-from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.linear.noise import misfit
-from mitsuba_plenoptic.points.units import brightness_at, radiance_weight
-from mitsuba_plenoptic.views import lens_numbers, white_image
+from mitsuba_plenoptic.points.units import brightness_at
+from mitsuba_plenoptic.views import white_image
 
-WAVELENGTH = 633.0
-SMALL = mp.PlenopticCamera(detector_width=0.384, resolution=(192, 192))
+SMALL, FOUR = small_camera(6), small_camera(4)
 
 
 @functools.cache
 def response_of(camera, distance=253.0, oversample=2, wavelength=WAVELENGTH):
     return Response(camera, [distance], wavelength=wavelength, oversample=oversample)
-
-
-def filled(camera, places, size, values, distance, across, wavelength=WAVELENGTH, accuracy=None):
-    """Return the capture of points that fill bins, whose middles on the array are given; many keep all light."""
-    inside = ((np.arange(across) + 0.5) / across - 0.5) * size
-    q = (places[:, None] + np.stack(np.meshgrid(inside, inside), -1).reshape(-1, 2)).reshape(-1, 2)
-    weight = np.pi * camera.aperture_radius**2 * (camera.detector_distance / camera.mla_medium) ** 2 * size**2
-    weight /= camera.lattice.lens_area * camera.pixel_size**2 * camera.mla_distance**2 * across**2
-    points = np.column_stack([-q * distance / camera.mla_distance, np.full(len(q), distance)])
-    operator = mp.CaptureOperator(camera, points, wavelength=wavelength, accuracy=accuracy)
-    return operator.forward(np.repeat(values, across**2) * weight)
-
-
-def kept_light(camera, distance):
-    """Return what sums of point spreads keep of a bin's light; borders of lenses diffract some beyond their reach."""
-    wide = camera.replace(detector_width=2 * camera.detector_width, resolution=[2 * n for n in camera.resolution])
-    size, lattice = camera.row_pitch, camera.lattice
-    light = filled(wide, np.zeros((1, 2)), size, np.ones(1), distance, 6).sum()
-    light /= np.pi * (camera.aperture_radius * camera.detector_distance * size / camera.mla_medium) ** 2
-    (x, y), (x_right, y_right), (x_below, y_below) = (lattice.centre(*cell) for cell in ((0, 0), (1, 0), (0, 1)))
-    cell_area = abs((x_right - x) * (y_below - y) - (y_right - y) * (x_below - x))
-    return light * cell_area * (camera.pixel_size * camera.mla_distance) ** 2
 
 
 def test_white_planes_by_rays_follow_snells_law():
@@ -67,24 +43,10 @@ def test_white_planes_by_rays_follow_snells_law():
 def test_volume_is_the_sum_of_its_planes():
     both = Response(SMALL, [230.0, 253.0], wavelength=None, oversample=2)
     values = np.random.default_rng(2).random(both.source_shape).astype(np.float32)
-    near, far = values.copy(), values.copy()
-    both.planes_of(near)[1][:] = 0
-    both.planes_of(far)[0][:] = 0
-    np.testing.assert_allclose(both.forward(values), both.forward(near) + both.forward(far), atol=1e-4)
-    alone = response_of(SMALL, wavelength=None).forward(both.planes_of(values)[1])
-    # Its grid is another one.
-    assert np.linalg.norm(alone - both.forward(far)) <= 0.02 * np.linalg.norm(alone)
-
-
-LATTICES = {
-    "low, turned": {"mla_pitch": (0.064, 0.0576), "mla_rotation": 7.0},
-    "circles, moved": {
-        "mla_lattice": "hexagonal", "mla_aperture": "circle", "mla_fill": 0.95, "mla_offset": (0.01, 0.02)
-    },
-    "stretched, turned": {"mla_lattice": "hexagonal", "mla_pitch": (0.056, 0.07), "mla_rotation": 4.0},
-    "three types": {"mla_lattice": "hexagonal", "mla_focal_length": (0.45, 0.512, 0.6), "detector_distance": 0.512},
-    "medium": {"mla_medium": 1.5, "mla_pitch": (0.064, 0.072)},
-}  # fmt: skip
+    planes = zip((230.0, 253.0), both.planes_of(values), strict=True)
+    total = sum(response_of(SMALL, distance, wavelength=None).forward(plane) for distance, plane in planes)
+    # Their grids are others.
+    assert np.linalg.norm(both.forward(values) - total) <= 0.02 * np.linalg.norm(total)
 
 
 def test_an_even_light_makes_no_bin_darker():
@@ -95,28 +57,6 @@ def test_an_even_light_makes_no_bin_darker():
         capture = mp.Capture(white + np.float32(even), camera)
         image = mp.reconstruct(capture, 223.2, method="deconvolved", iterations=10).image
         assert 1 < np.nanmedian(image) < 1 + 2 * even
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", LATTICES)
-def test_filled_bins_come_back_on_every_lattice(name):
-    """Bins are squares of one pitch whatever the lattice: a bin keeps its light, and keeps it to itself."""
-    distance, camera = 222.0, mp.PlenopticCamera(detector_width=0.512, resolution=(256, 256), **LATTICES[name])
-    rows, columns = np.array(camera.bin_count[::-1])[:, None] // 2 + np.array([[1, -3, 1, -3], [1, -2, -3, 1]])
-    size = camera.row_pitch
-    places = (np.stack([columns, rows], -1) + 0.5 - np.array(camera.bin_count) / 2) * size
-    image = filled(camera, places, size, np.ones(4), distance, 6)
-    capture = mp.Capture(np.maximum(image, 0), camera, WAVELENGTH, "wave")
-    result = mp.reconstruct(capture, distance, method="deconvolved")
-    found = np.nan_to_num(result.image)
-    squares = [
-        found[row - 1 : row + 2, column - 1 : column + 2].sum() for row, column in zip(rows, columns, strict=True)
-    ]
-    kept = kept_light(camera, distance)
-    assert 0.98 < kept <= 1
-    np.testing.assert_allclose(squares, kept, atol=0.003)
-    np.testing.assert_allclose(found[rows, columns], kept, atol=0.004)
-    assert result.facts["residual"] < 0.03
 
 
 def test_noise_is_the_detectors():
@@ -130,12 +70,7 @@ def test_noise_is_the_detectors():
     assert noise_of(None, None) is None
 
 
-FAST = mp.PlenopticCamera(
-    focal_length=40.0, aperture_radius=2.5, mla_distance=60.0, mla_focal_length=0.64, detector_width=0.256,
-    resolution=(64, 64),
-)  # fmt: skip
-
-
+FAST = small_camera(4, **HALF).replace(mla_focal_length=0.64, detector_distance=0.64, resolution=(64, 64))
 NARROWING = mp.Vignetting(radius=[1.0, 0, 0, -0.2, 0, -0.2], slope_x=[0.2], scale=0.2)
 
 
@@ -180,69 +115,68 @@ def white_of_waves(camera, wavelength, points=81, step=4e-4, around=8):
 )
 def test_an_even_world_reads_1_in_all_planes_and_behind_gaps(options, distance, oversample):
     """Points do not show on pixels that resolve them, and light beyond kernels lies in pupils and at their rims."""
-    camera = FAST.replace(**{"detector_distance": 0.64} | options)
+    camera = FAST.replace(**options)
     capture = mp.Capture(white_of_waves(camera, 550.0), camera, 550.0, "wave")
     for method in ("incoherent", "deconvolved"):
         image = mp.reconstruct(capture, distance, method=method, oversample=oversample).image
         np.testing.assert_allclose(image, 1, atol=0.005)
 
 
+ZONES = {
+    "focal_length": 4.0,
+    "focus_distance": 120.0,
+    "mla_pitch": 0.04,
+    "detector_width": 2.24,
+    "resolution": (448, 448),
+}
+LAMPS = {
+    "circles": (small_camera(**LATTICES["circles"]), 222.0, [(5, 5), (1, 2)], 0.99),
+    "three focal lengths": (
+        small_camera(6, mla_lattice="hexagonal", mla_focal_length=(0.45, 0.512, 0.6), detector_distance=0.512),
+        222.0, [(3, 4), (1, 2)], 0.986,
+    ),
+    "from lens to lens": (
+        FAST.replace(detector_width=0.384, resolution=(96, 96), vignetting=NARROWING, mla_rotation=20.0),
+        112.0, [(2, 1), (3, 4)], 1.0,
+    ),
+    "within a zone": (
+        mp.PlenopticCamera(
+            **ZONES, aperture_radius=0.4, mla_focal_length=0.207, crop_offset=(320, 240), crop_size=(64, 64),
+            vignetting=mp.Vignetting(radius=[0.9, -0.05, 0, -0.3, 0, -0.3]),
+        ),
+        30.0, [(32, 42), (35, 45)], 1.0,
+    ),
+    "prescription": (
+        mp.PlenopticCamera(
+            **ZONES, main_lens="cooke_triplet", mla_focal_length=0.18, crop_offset=(376, 296), crop_size=(64, 64)
+        ),
+        60.0, [(40, 49)], 1.0,
+    ),
+}  # fmt: skip
+"""Cameras, of which some have pupils that change from lens to lens, a distance, bins, and their light.
+
+Borders of hexagonal lenses diffract some beyond the reach of point spreads.
+"""
+
+
 @pytest.mark.slow
-def test_lamps_keep_their_light_where_the_pupil_narrows_from_lens_to_lens():
+@pytest.mark.parametrize("name", LAMPS)
+def test_lamps_keep_their_light(name):
     """What the edge of the pupil diffracts to other lenses, and off the detector, is theirs, too."""
-    camera = FAST.replace(detector_width=0.384, resolution=(96, 96), vignetting=NARROWING, mla_rotation=20.0)
-    places = (np.array([[-1, 0], [2, 1]]) - 0.5) * 0.064
-    image = filled(camera, places, 0.064, np.array([1.0, 0.7]), 112.0, 9, 550.0, 0.0)
-    found = mp.reconstruct(mp.Capture(np.maximum(image, 0), camera, 550.0, "wave"), 112.0, method="deconvolved").image
-    lamps = [found[row - 1 : row + 2, column - 1 : column + 2].sum() for row, column in ((2, 1), (3, 4))]
-    np.testing.assert_allclose(lamps, [1.0, 0.7], rtol=0.01)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("distance", [30.0, 60.0])
-def test_lamps_behind_an_outline_that_narrows_within_a_zone_are_right(distance):
-    outline = mp.Vignetting(radius=[0.9, -0.05, 0, -0.3, 0, -0.3])
-    camera = mp.PlenopticCamera(
-        focal_length=4.0, aperture_radius=0.4, focus_distance=120.0, mla_pitch=0.04, mla_focal_length=0.207,
-        detector_width=2.24, resolution=(448, 448), crop_offset=(320, 240), crop_size=(64, 64), vignetting=outline,
-    )  # fmt: skip
-    image = filled(camera, np.array([[0.58, 0.18], [0.7, 0.3]]), 0.04, np.array([1.0, 0.7]), distance, 7, 550.0, 0.0)
-    capture = mp.Capture(np.maximum(image, 0), camera, 550.0, "wave")
-    found = np.nan_to_num(mp.reconstruct(capture, distance, method="deconvolved").image)
-    lamps = [found[row - 1 : row + 2, column - 1 : column + 2].sum() for row, column in ((32, 42), (35, 45))]
-    np.testing.assert_allclose(lamps, [1.0, 0.7], rtol=0.01)
-
-
-@pytest.mark.slow
-def test_a_lamp_behind_a_prescription_that_vignettes_within_a_zone_is_right():
-    camera = mp.PlenopticCamera(
-        main_lens="cooke_triplet", focal_length=4.0, focus_distance=120.0, mla_pitch=0.04, mla_focal_length=0.18,
-        detector_width=2.24, resolution=(448, 448), crop_offset=(376, 296), crop_size=(64, 64),
-    )  # fmt: skip
-    x, y = (0.04 * (index - 28 + (np.arange(7) + 0.5) / 7) for index in (49, 40))
-    q = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    points = np.column_stack([-q * 60 / camera.mla_distance, np.full(len(q), 60.0)])
+    camera, distance, bins, kept = LAMPS[name]
+    size, across, powers = camera.row_pitch, 8, np.array([1.0, 0.7])[: len(bins)]
+    inside = (np.arange(across) + 0.5) / across - camera.bin_count[0] / 2
+    places = [np.stack(np.meshgrid(column + inside, row + inside), -1).reshape(-1, 2) for row, column in bins]
+    q = size * np.concatenate(places)
+    points = np.column_stack([-q * distance / camera.mla_distance, np.full(len(q), distance)])
     system = OpticalSystem(camera.at_wavelength(550.0), 550.0)
-    weights = brightness_at(system, points) * (0.04 / 7 / system.lens.pupil.distance) ** 2
+    weights = brightness_at(system, points) * (size / across / system.lens.pupil.distance) ** 2
+    weights *= np.repeat(powers, across**2)
     image = mp.CaptureOperator(camera, points, wavelength=550.0, accuracy=0.0).forward(weights)
     capture = mp.Capture(np.maximum(image, 0), camera, 550.0, "wave")
-    found = np.nan_to_num(mp.reconstruct(capture, 60.0, method="deconvolved").image)
-    assert found[39:42, 48:51].sum() == pytest.approx(1, abs=0.01)
-
-
-@pytest.mark.slow
-def test_a_prescription_that_vignettes_within_a_zone_lights_lenses_as_rays_do():
-    camera = mp.PlenopticCamera(
-        main_lens="double_gauss_f2", focal_length=4.0, focus_distance=120.0, mla_pitch=0.04, mla_focal_length=0.072,
-        detector_width=2.24, resolution=(448, 448), crop_offset=(320, 240), crop_size=(64, 64),
-    )  # fmt: skip
-    number = lens_numbers(camera).ravel()
-    response = Response(camera, [156.0], wavelength=1000.0, oversample=1)
-    images = response.forward(np.ones(response.source_shape, np.float32)), white_image(camera)
-    found, expected = (np.bincount(number, image.ravel())[np.bincount(number) > 55] for image in images)
-    assert expected.min() < 0.8 * expected.max()
-    assert (found / expected).mean() == pytest.approx(1, abs=0.006)
-    assert (found / expected).std() < 0.015
+    found = np.nan_to_num(mp.reconstruct(capture, distance, method="deconvolved").image)
+    lamps = [found[row - 1 : row + 2, column - 1 : column + 2].sum() for row, column in bins]
+    np.testing.assert_allclose(lamps, kept * powers, rtol=0.003 if kept < 1 else 0.01)
 
 
 def test_points_come_back():
@@ -268,33 +202,13 @@ def test_points_come_back():
     assert not result.facts["in_focus"]
 
 
-def test_finer_than_the_lenses():
-    """A sinusoid of three times the lenses' own limit: rays lose it, deconvolution brings it back."""
-    distance, frequency, oversample = 253.0, 11.0, 4
-    camera = SMALL.replace(detector_width=0.256, resolution=(128, 128))
-    response = response_of(camera, distance, 5)
-    wave = 2 * np.pi * frequency * distance / camera.mla_distance
-    scene = 0.5 + 0.5 * np.cos(wave * places_of(response.bins[0], camera, 5)[..., 0])
-    capture = mp.Capture(np.maximum(response.forward(scene.astype(np.float32)), 0), camera, WAVELENGTH, "wave")
-
-    def contrast(capture, **options):
-        image = mp.reconstruct(capture, distance, oversample=oversample, **options).image
-        middle = image[len(image) // 4 : -len(image) // 4].mean(0)
-        x = (np.arange(len(middle)) - (len(middle) - 1) / 2) * camera.row_pitch / oversample
-        window = np.cos(np.pi * x / (len(middle) * camera.row_pitch / oversample)) ** 2
-        return 2 * (window * middle * np.cos(wave * x)).sum() / (window * middle).sum()
-
-    assert contrast(capture, method="deconvolved", iterations=20) > 0.5
-    assert contrast(mp.Capture(capture.image, camera), method="ray") < 0.1
-
-
 @pytest.mark.parametrize(
     ("pixel", "options", "words"),
     [
         ((5, 5, 0.0), {}, "none of its pixels is lit"),
         ((5, 5, 1.0), {"oversample": 3000}, "oversample = 3000"),
         ((5, 5, 1.0), {"response": "x"}, "response = 'x'"),
-        *(((5, 5, 1.0), {"variation": value}, "variation = ") for value in (-0.1, 0.3, np.nan)),
+        ((5, 5, 1.0), {"variation": 0.3}, "variation = "),
         ((5, 5, 1.0), {"distance": [230.0, 253.0, 253.0], "volume": True}, "distance = 253"),
         ((7, 7, -0.1), {}, "1 of its pixels are below 0"),
     ],
@@ -324,7 +238,7 @@ def test_a_dark_channel_stays_dark():
     assert (found.image[..., 1:] == 0).all() and np.isfinite(found.facts["residual"])
 
 
-@pytest.mark.parametrize(("distance", "waves", "pixels"), [(253, 16.55, 19.69), (270, 7.17, 8.53), (227, 16.55, 19.69)])
+@pytest.mark.parametrize(("distance", "waves", "pixels"), [(270, 7.17, 8.53), (227, 16.55, 19.69)])
 def test_resolution_limit_is_the_two_formulas(distance, waves, pixels):
     found = resolution_limit(mp.PlenopticCamera(), distance, WAVELENGTH)
     assert found.waves == pytest.approx(waves, rel=1e-3)
@@ -335,56 +249,12 @@ def test_resolution_limit_is_the_two_formulas(distance, waves, pixels):
     assert resolution_limit(mp.PlenopticCamera(), 240.0, WAVELENGTH).frequency == pytest.approx(3.906, rel=1e-3)
 
 
-CAMERAS = {"square": SMALL, "hexagonal": SMALL.replace(mla_lattice="hexagonal")}
-
-
-def transfer(camera, distance, fractions):
-    """Part of a sinusoid's contrast that arrives, root mean square, at fractions of the limit."""
-    limit = resolution_limit(camera, distance, 633.0)
-    oversample = int(np.ceil(4 * limit.frequency / (2 * limit.lenses)))
-    response = Response(camera, [distance], wavelength=633.0, oversample=oversample)
-    places = places_of(response.bins[0], camera, oversample)
-    scale = distance / camera.mla_distance
-    size = camera.mla_pitch / oversample * scale
-    white = response.forward(np.ones(places.shape[:2], np.float32))
-    found = []
-    for fraction in fractions:
-        # Along a direction in which no lattice repeats.
-        k = fraction * limit.frequency * np.array([np.cos(0.35), np.sin(0.35)])
-        blur = np.prod(np.sinc(k * size))
-        power = 0.0
-        for phase in (0, np.pi / 2):
-            values = np.cos(2 * np.pi * (places @ k) * scale + phase).astype(np.float32)
-            power += (response.forward(values).astype(np.float64) ** 2).sum() / blur**2
-        # A sinusoid that arrives whole has half the power of the white, its two phases the whole of it.
-        found.append(np.sqrt(power / (white.astype(np.float64) ** 2).sum()))
-    return limit, np.array(found)
-
-
-@pytest.mark.parametrize(
-    ("name", "distance"), [("square", 275), pytest.param("hexagonal", 226, marks=pytest.mark.slow)]
-)
-def test_contrast_ends_at_the_stated_limit(name, distance):
-    """Sparrow's limit is 0.94 of where a single square lens passes nothing: at it some hundredths are left.
-
-    Beyond it neighbouring lenses interfere, of which the docs tell. A limit that is 15 % too high or too low fails.
-    """
-    limit, (half, before, at, beyond, far) = transfer(CAMERAS[name], distance, [0.5, 0.85, 1.0, 1.15, 1.5])
-    assert not limit.in_focus and limit.frequency == limit.waves
-    assert half > 0.2
-    assert before > 0.04 > 0.034 > at > 0.012
-    assert beyond < 0.0175 and far < 0.0067
-
-
-FOUR = mp.PlenopticCamera(detector_width=0.256, resolution=(128, 128))
-
-
 def recorded(camera, image):
     return mp.Capture(image.astype(np.float32), camera, model="wave", wavelength=WAVELENGTH)
 
 
-def refocused(camera, image, distance=250.0, **options):
-    return mp.reconstruct(recorded(camera, image), distance, method="incoherent", **options).image
+def refocused(camera, image, distance=250.0):
+    return mp.reconstruct(recorded(camera, image), distance, method="incoherent").image
 
 
 def test_bins_weigh_the_capture_with_the_spreads_of_their_points():
@@ -392,7 +262,7 @@ def test_bins_weigh_the_capture_with_the_spreads_of_their_points():
     camera, distance, across = FOUR.replace(wavefront=(0.0, 0.0, 0.0, 0.0, 0.1, 0.05)), 250.0, 8
     random = np.random.default_rng(0).random(camera.shape)
     even = np.ones(camera.shape)
-    found = refocused(camera, random, distance) / refocused(camera, even, distance)
+    found = refocused(camera, random) / refocused(camera, even)
     count, pitch = camera.bin_count[0], camera.mla_pitch
     row, column = 1, 2
     inside = (np.arange(across) + 0.5) / across
@@ -405,68 +275,25 @@ def test_bins_weigh_the_capture_with_the_spreads_of_their_points():
 
 
 def test_it_is_linear_also_below_zero():
-    random = np.random.default_rng(0).normal(size=(2, *FOUR.shape))
-    parts = [refocused(FOUR, image) for image in (*random, random.sum(0))]
+    random = np.random.default_rng(0).normal(size=(2, *FAST.shape))
+    parts = [refocused(FAST, image, 125.0) for image in (*random, random.sum(0))]
     assert np.allclose(parts[0] + parts[1], parts[2], atol=1e-5 * np.abs(parts[2]).max())
 
 
 def test_channels_have_their_own_wavelengths():
-    image = np.random.default_rng(0).random((*FOUR.shape, 3), np.float32)
-    together = mp.reconstruct(mp.Capture(image, FOUR, (450.0, 633.0, 633.0), "wave"), 250, method="incoherent").image
+    image = np.random.default_rng(0).random((*FAST.shape, 3), np.float32)
+    together = mp.reconstruct(mp.Capture(image, FAST, (450.0, 633.0, 633.0), "wave"), 125, method="incoherent").image
     for channel, light in ((0, 450.0), (2, 633.0)):
-        alone = mp.Capture(image[..., channel], FOUR, light, "wave")
-        assert np.array_equal(together[..., channel], mp.reconstruct(alone, 250, method="incoherent").image)
+        alone = mp.Capture(image[..., channel], FAST, light, "wave")
+        assert np.array_equal(together[..., channel], mp.reconstruct(alone, 125, method="incoherent").image)
 
 
-@functools.cache
-def of_glasses():
-    """A camera with glasses, and four bins of radiance 1, filled with points, that it records at 480 nm."""
-    glass = {"index": 1.5168, "abbe": 64.2}
-    camera = FOUR.replace(resolution=(64, 64), glass=glass, mla_glass=glass)
-    known = camera.at_wavelength(480.0)
-    steps = np.ravel((np.arange(5) - 2) / 5 + np.array([[-0.5], [0.5]])) * 0.064
-    x, y = (2 * each.ravel() for each in np.meshgrid(steps, steps))
-    points = np.column_stack([x, y, np.full(len(x), 240.0)])
-    weight = radiance_weight(known, main_lens(known, 480.0), 0.064**2) / 25
-    return camera, mp.CaptureOperator(camera, points, wavelength=480.0).forward(np.full(len(x), weight))
-
-
-@pytest.mark.parametrize(
-    "method", [*(pytest.param(n, marks=pytest.mark.slow) for n in ("ray", "incoherent")), "deconvolved"]
-)
-def test_glasses_have_their_focal_lengths_at_the_wavelength(method):
-    camera, image = of_glasses()
-    known = camera.at_wavelength(480.0)
-    found, expected = (
-        mp.reconstruct(mp.Capture(image, each, 480.0, "wave"), 240.0, method=method).image for each in (camera, known)
-    )
-    np.testing.assert_array_equal(found, expected)
-    if method == "deconvolved":
-        assert found == pytest.approx(np.pad(np.ones((2, 2)), 1), abs=0.02)
-
-
-@pytest.mark.parametrize("method", ["incoherent", "deconvolved"])
-def test_lenses_may_differ_as_far_as_light_stays_within_pixels(method):
+def test_lenses_may_differ_as_far_as_light_stays_within_pixels():
     """Focal lengths that differ by 1 % widen a point's image by a third of a pixel, those by 3 % by a whole one."""
     image = np.random.default_rng(0).random(FOUR.shape)
     near, far = (recorded(FOUR.replace(mla_jitter=(0.0, focal)), image) for focal in (0.01, 0.03))
-    assert np.isfinite(mp.reconstruct(near, 250.0, method=method).image).any()
-    refuses(r"mla_jitter = \(0.0, 0.03\)", mp.reconstruct, far, 250.0, method=method)
-
-
-def test_a_microscope_sees_a_point_where_it_is():
-    lens = mp.Objective(20, 0.25, arrangement="fourier", fourier_focal_length=50)
-    camera = mp.PlenopticCamera(
-        main_lens=lens, mla_pitch=0.8, mla_focal_length=20, detector_width=3.2, resolution=(128, 128)
-    )
-    size, depth = camera.bin_size(0), 0.02
-    point = np.array([[3 * size, -2 * size, depth]])
-    image = mp.CaptureOperator(camera, point, wavelength=WAVELENGTH, method="full_field").forward([1.0])
-    result = refocused(camera, image, depth)
-    row, column = np.unravel_index(np.nanargmax(result), result.shape)
-    middle = (np.array(result.shape) - 1) / 2
-    # The object is upright, and x is to the left.
-    assert np.hypot(abs(column - middle[1]) - 3, abs(row - middle[0]) - 2) <= 1
+    assert np.isfinite(mp.reconstruct(near, 250.0, method="incoherent").image).any()
+    refuses(r"mla_jitter = \(0.0, 0.03\)", mp.reconstruct, far, 250.0, method="incoherent")
 
 
 @pytest.mark.parametrize(

@@ -7,27 +7,22 @@ import numpy as np
 import OpenEXR
 import pytest
 import tifffile
-from cameras import places_of
+from cameras import WAVELENGTH, small_camera
 from refusals import refuses
 from stopped_runs import StoppedError
+from test_fourier_microscope import SMALL as FOURIER
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic import Capture, PlenopticCamera, write_capture
-from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.deconvolution import deconvolved, fourier
 from mitsuba_plenoptic.extensions.deconvolution import response as response_module
-from mitsuba_plenoptic.extensions.deconvolution.deconvolved import until_noise
 from mitsuba_plenoptic.extensions.deconvolution.options import MOST_VARIATION
 from mitsuba_plenoptic.extensions.deconvolution.response import Response
 from mitsuba_plenoptic.extensions.deconvolution.variation import TotalVariation
 from mitsuba_plenoptic.io import checkpoints
-from mitsuba_plenoptic.linear.noise import PixelNoise
-from mitsuba_plenoptic.linear.solver import RichardsonLucy, solve
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.views import white_image
 
-WAVELENGTH = 633.0
-SMALL = mp.PlenopticCamera(detector_width=0.384, resolution=(192, 192))
+SMALL, TINY = small_camera(6), small_camera(4)
 
 
 def test_variation_is_that_of_an_even_slope():
@@ -51,35 +46,9 @@ def test_variation_is_that_of_an_even_slope():
     assert (found * direction).sum() == pytest.approx((total(1e-5) - total(-1e-5)) / 2e-5, rel=1e-2)
 
 
-@pytest.mark.slow
-def test_variation_lowers_the_error_of_an_even_and_noisy_target():
-    response = Response(SMALL, [253.0], wavelength=WAVELENGTH, oversample=4)
-    places = places_of(response.bins[0], SMALL, 4)
-    truth = np.where(np.abs(places - 0.02).max(-1) < 0.08, 1.0, 0.2).astype(np.float32)
-    image = response.forward(truth)
-    photons = 300 / image.max()
-    noisy = (np.random.default_rng(5).poisson(np.maximum(image, 0) * photons) / photons).astype(np.float32)
-    middle = np.abs(places).max(-1) < 0.16
-
-    def error(weight, **options):
-        penalty = TotalVariation(response.planes_of, weight) if weight else None
-        steps = RichardsonLucy(response, noisy, penalty=penalty)
-        found = solve(steps, accelerate=True, **options).point.reshape(truth.shape)
-        return np.linalg.norm((found - truth)[middle]) / np.linalg.norm(truth[middle])
-
-    plain = min(error(0, iterations=count) for count in (10, 20, 40))
-    stopped = error(0, iterations=100, stop=until_noise(PixelNoise(photons)))
-    assert error(0.01, iterations=40) < 0.8 * min(plain, stopped)
-
-
-TINY = SMALL.replace(detector_width=0.256, resolution=(128, 128))
-
-
-@pytest.mark.parametrize("lattice", ["square", pytest.param("hexagonal", marks=pytest.mark.slow)])
-def test_the_price_of_a_response_and_its_progress_follow_its_time_in_and_out_of_the_range(lattice):
-    camera = TINY.replace(mla_lattice=lattice)
-    options = {"camera": camera, "method": "incoherent", "wavelength": WAVELENGTH}
-    mp.reconstruct(np.ones(camera.shape, np.float32), 230, **options)
+def test_the_price_of_a_response_and_its_progress_follow_its_time_in_and_out_of_the_range():
+    even, options = np.ones(TINY.shape, np.float32), {"camera": TINY, "method": "incoherent", "wavelength": WAVELENGTH}
+    mp.reconstruct(even, 230, **options)
     over = []
     for distance in (258, 200):
         start, reports = time.process_time(), []
@@ -87,9 +56,9 @@ def test_the_price_of_a_response_and_its_progress_follow_its_time_in_and_out_of_
         def told(done, total, start=start, reports=reports):
             reports.append((time.process_time() - start, done / total))
 
-        mp.reconstruct(np.ones(camera.shape, np.float32), distance, progress=told, **options)
+        mp.reconstruct(even, distance, progress=told, **options)
         seconds = time.process_time() - start
-        over.append(fourier.response_seconds(camera, distance, WAVELENGTH, 1.5) / seconds)
+        over.append(fourier.response_seconds(TINY, distance, WAVELENGTH, 1.5) / seconds)
     assert 0.5 < over[0] / over[1] < 2 and 0.25 < over[1] < 1.2
     assert 0.2 < max(done for at, done in reports if at < seconds / 2) < 0.7
     assert max(done for at, done in reports if at < seconds / 5) > 0.05
@@ -100,20 +69,24 @@ def random_light(camera=TINY, channels=(3,), wavelengths=(633.0, 500.0, 450.0)):
     return mp.Capture(image, camera, wavelengths, "wave", {})
 
 
-FOURIER = mp.PlenopticCamera(
-    main_lens=mp.Objective(20, 0.25, arrangement="fourier", fourier_focal_length=50), mla_pitch=0.5,
-    mla_focal_length=20.0, mla_offset=(0.25, 0.25), detector_width=1.5, resolution=(150, 150),
-)  # fmt: skip
+def test_variation_makes_planes_more_even():
+    options = {"method": "deconvolved", "response": "ray", "iterations": 10}
+    plain, even = (mp.reconstruct(random_light(), 253.0, variation=weight, **options).image for weight in (0.0, 0.01))
+    assert abs(np.diff(even, axis=0)).sum() < 0.95 * abs(np.diff(plain, axis=0)).sum()
 
 
 RUNS = {
-    "waves": (random_light(), [253.0, 235.0], {"response": "wave", "variation": 0.005}, 2),
     "a later plane and channel": (random_light(), [253.0, 235.0], {"response": "ray", "variation": 0.005}, 11),
-    "spectra on disk": (random_light(FOURIER, (), WAVELENGTH), [0.0, 0.03], {"volume": True, "oversample": 2}, 2),
+    "spectra on disk": (
+        random_light(FOURIER, (), WAVELENGTH),
+        [0.0, 0.03],
+        {"volume": True, "oversample": 2, "variation": 0.002},
+        2,
+    ),
 }
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "waves")) for n in RUNS])
+@pytest.mark.parametrize("name", RUNS)
 def test_a_deconvolution_goes_on_where_it_was_stopped(tmp_path, monkeypatch, name):
     """The bits of one that was not stopped, also where the rest has its spectra on disk instead of in memory."""
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
@@ -155,10 +128,7 @@ def test_channels_of_one_light_share_a_response(monkeypatch):
     monkeypatch.setattr(deconvolved, "response_of", lambda _: response_of)
     capture = random_light(SMALL.replace(resolution=(48, 48)), wavelengths=(633.0, 500.0, 500.0))
     options = {"method": "deconvolved", "iterations": 1}
-    by_waves = [mp.reconstruct(capture, distance, **options).image for distance in (253.0, 235.0)]
-    made.clear()
-    for ours, alone in zip(mp.reconstruct(capture, [253.0, 235.0], **options), by_waves, strict=True):
-        np.testing.assert_array_equal(ours.image, alone)
+    mp.reconstruct(capture, [253.0, 235.0], **options)
     assert made == [([253.0], 633.0), ([235.0], 633.0), ([253.0], 500.0), ([235.0], 500.0)]
     made.clear()
     mp.reconstruct(capture, [253.0, 235.0], response="ray", **options)
@@ -190,12 +160,9 @@ def test_one_kernel_serves_all_lenses_behind_an_objective(monkeypatch):
     monkeypatch.setattr(Response, "_unlike", lambda *_: np.inf)
     own = Response(camera, [0.014], **options)
     assert len({id(zone.blocks) for zone in own.planes[0]._zones}) == len(own.planes[0]._zones) > 1
-    assert shared.shapes == own.shapes
     values = np.random.default_rng(0).random(shared.source_shape).astype(np.float32)
     image = own.forward(values)
     np.testing.assert_allclose(shared.forward(values), image, atol=2e-3 * image.max())
-    back = own.adjoint(image)
-    np.testing.assert_allclose(shared.adjoint(image), back, atol=2e-3 * back.max())
 
 
 def test_few_fields_of_a_wide_blur_are_in_memory_at_once():
@@ -221,46 +188,27 @@ def test_few_fields_of_a_wide_blur_are_in_memory_at_once():
 
 
 def test_reconstruct_deconvolved(tmp_path, run, complaint):
-    camera = PlenopticCamera(detector_width=0.384, resolution=(192, 192))
-    raw, out = tmp_path / "raw.exr", tmp_path / "out.exr"
-    write_capture(raw, Capture(white_image(camera), camera))
+    raw, out, stack = (tmp_path / name for name in ("raw.exr", "out.exr", "out.tif"))
+    mp.write_capture(raw, mp.Capture(white_image(TINY), TINY))
     options = "--method", "deconvolved", "--distance", 253, "--oversample", 2
     kept = tmp_path / "out.exr.checkpoint"
     kept.write_bytes(b"")
     assert "not a checkpoint of this version" in complaint("reconstruct", raw, "-o", out, *options, "--resume")
     told = run("reconstruct", raw, "-o", out, *options, "--iterations", 3)
     assert not kept.exists()
-    assert "12 x 12 bins" in told
+    assert "8 x 8 bins" in told
     assert "3 iterations, as many as were to be made" in told
     with OpenEXR.File(str(out)) as file:
         made = json.loads(file.header()["mitsuba_plenoptic"])
         image = file.channels()["Y"].pixels
     # A capture by rays is deconvolved by rays; white is white, at the borders too.
     assert made["options"]["response"] == "ray"
-    assert made["facts"]["iterations"] == 3
     np.testing.assert_allclose(image, 1, atol=0.06)
     assert "stopped by the noise" in run("reconstruct", raw, "-o", out, *options, "--photons", 50)
-    assert "photons = -1" in complaint("reconstruct", raw, "-o", out, *options, "--photons", -1)
-    assert "wavelength" in complaint("reconstruct", raw, "-o", out, *options, "--response", "wave")
+    for wrong, words in ((("--photons", -1), "photons = -1"), (("--response", "wave"), "wavelength")):
+        assert words in complaint("reconstruct", raw, "-o", out, *options, *wrong)
+    planes = [word for distance in (226, 253, 280) for word in ("--distance", distance)]
+    volume = "--method", "deconvolved", "--iterations", 2, "--volume", "--variation", 0.01
+    assert f"{stack}: volume of" in run("reconstruct", raw, "-o", stack, *volume, *planes)
+    assert tifffile.imread(stack).shape[0] == 3
     assert "deconvolution does not help" in run("info", "paper", "--wavelength", "633")
-
-
-def test_reconstruct_writes_a_volume(tmp_path, run, complaint, capfd):
-    camera = PlenopticCamera(detector_width=0.256, resolution=(128, 128))
-    raw, out = tmp_path / "raw.exr", tmp_path / "out.tif"
-    write_capture(raw, Capture(white_image(camera), camera))
-    planes = "--distance", 226, "--distance", 253, "--distance", 280
-    options = "--method", "deconvolved", "--iterations", 2, "--volume", "--variation", 0.01
-    told = run("reconstruct", raw, "-o", out, *options, *planes)
-    assert f"{out}: volume of" in told
-    assert not (tmp_path / "out.tif.checkpoint").exists()
-    with tifffile.TiffFile(out) as file:
-        assert file.imagej_metadata["spacing"] == 27_000 and file.imagej_metadata["slices"] == 3
-    uneven = "--distance", 226, "--distance", 253, "--distance", 290
-    assert "evenly spaced" in complaint("reconstruct", raw, "-o", out, *options, *uneven)
-    assert "variation = 1" in complaint("reconstruct", raw, "-o", out, *planes, *options[:2], "--variation", 1)
-    main([str(word) for word in ("reconstruct", raw, "-o", out, *planes, "--resume", "--workers", 2)])
-    note = capfd.readouterr().err
-    assert note == (
-        "mitsuba-plenoptic: warning: method ray has no use for --resume (of deconvolved), --workers (of deconvolved)\n"
-    )

@@ -20,14 +20,9 @@ from mitsuba_plenoptic.refocus import RayRefocus
 from tools.bench.cases import dual_pixels
 
 CAMERA = mp.PlenopticCamera(
-    focal_length=6.8,
-    aperture_radius=6.8 / 3.6,
-    focus_distance=1000.0,
-    mla_focal_length=0.0043,
-    mla_pitch=0.0024,
-    detector_width=0.1536,
-    resolution=(128, 128),
-)
+    focal_length=6.8, aperture_radius=6.8 / 3.6, focus_distance=1000.0, mla_focal_length=0.0043, mla_pitch=0.0024,
+    detector_width=0.1536, resolution=(128, 128),
+)  # fmt: skip
 """A telephone's camera, f/1.8, of 64 x 64 lenses above 2 x 2 pixels."""
 
 
@@ -155,8 +150,8 @@ def test_presets_divide_the_light_alike_up_to_the_corner(name, pixel, lenses):
 
 
 GREEN = 550.0
-LENSES, SAMPLES, AROUND = 12, 64, 17
-"""Lenses across the recorded window, samples across a lens for waves, lenses across the window of a star's waves."""
+LENSES, SAMPLES, AROUND = 12, 32, 17
+"""Lenses across the recorded window, samples across a lens, and lenses across the window of a star's waves."""
 
 
 def window(angle, **changes):
@@ -214,26 +209,11 @@ def left_by_cosines(camera, field, count=2**17):
     return float((np.floor(landed[:, 0] / camera.pixel_size) % 2 == 1).mean())
 
 
-def left_by_waves(camera, field, count=2**9):
-    """Return the same for plane waves through the array of lenses, which are thin phases, and exact propagation."""
-    shift, _, cosine = _through(camera, field, count)
-    n, k = camera.mla_medium, 2e6 * math.pi / GREEN
-    x = ((np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5) * camera.mla_pitch
-    along = np.exp(-0.5j * k * n * x**2 / camera.mla_focal_length)
-    orders = np.fft.fft2(np.outer(along, along))
-    step = np.fft.fftfreq(SAMPLES, 1 / SAMPLES) * (2 * math.pi / k / camera.mla_pitch)
-    # Samples move from those of the lens to those of its pixels.
-    moved = np.exp(1j * k * (step[:, None] * shift[1] + step * shift[0]))
-    total = np.zeros(SAMPLES)
-    for sx, sy in cosine:
-        square = n * n - (sx + step) ** 2 - (sy + step[:, None]) ** 2
-        axial = np.where(square > 0, np.exp(1j * k * camera.detector_distance * np.sqrt(np.abs(square))), 0)
-        total += (np.abs(np.fft.ifft2(orders * axial * moved)) ** 2).sum(0)
-    return float(total[: SAMPLES // 2].sum() / total.sum())
-
-
 def left_of_star(camera, field, count=2**12):
-    """Return the same for a point whose image by the main lens is a lens's centre: these waves are coherent."""
+    """Return the same by waves, for a point whose image by the main lens is a lens's centre.
+
+    Plane waves from the pupil, which are coherent, pass the array of lenses, which are thin phases.
+    """
     shift, *_ = _through(camera, field, 1)
     centre = np.array(field) - shift
     n, k, pitch = camera.mla_medium, 2e6 * math.pi / GREEN, camera.mla_pitch
@@ -243,8 +223,7 @@ def left_of_star(camera, field, count=2**12):
     slope, chief = (centre - pupil) / camera.mla_distance, centre / camera.mla_distance
     cosine = slope / np.sqrt(1 + (slope**2).sum(1, keepdims=True))
     base = chief / math.sqrt(1 + chief @ chief)
-    across = SAMPLES // 2
-    x = ((np.arange(AROUND * across) + 0.5) / across - AROUND / 2) * pitch
+    x = ((np.arange(AROUND * SAMPLES) + 0.5) / SAMPLES - AROUND / 2) * pitch
     waves = [np.exp(1j * k * np.outer(x, cosine[:, axis] - base[axis])) for axis in (0, 1)]
     # Equal powers from equal areas of the pupil.
     arriving = (waves[1] * (1 - (cosine**2).sum(1))) @ waves[0].T
@@ -258,15 +237,14 @@ def left_of_star(camera, field, count=2**12):
     return float(light.reshape(AROUND, 2, -1)[:, 0].sum() / light.sum())
 
 
-@pytest.mark.parametrize("angle", [20, pytest.param(35, marks=pytest.mark.slow)])
-def test_lenses_aligned_by_snells_law_halve_the_light(angle):
+def test_lenses_aligned_by_snells_law_halve_the_light():
     """Of an even scene and of a point; parabolic rays have coma, and all rays the light of the closed form."""
-    camera, field = window(angle)
+    camera, field = window(20)
     left, light = left_of_even(camera, "ray", 8192)
     assert left == pytest.approx(0.5, abs=0.01)
     assert light == pytest.approx(1, abs=0.01)
     assert left_of_point(camera, field, "ray") == pytest.approx(0.5, abs=0.01)
-    camera, field = window(angle, lens_model="parabolic")
+    camera, field = window(20, lens_model="parabolic")
     left, light = left_of_even(camera, "ray", 8192)
     assert left == pytest.approx(left_by_cosines(camera, field), abs=0.006)
     assert light == pytest.approx(1, abs=0.01)
@@ -274,19 +252,10 @@ def test_lenses_aligned_by_snells_law_halve_the_light(angle):
 
 def test_halves_by_waves_are_sums_of_plane_waves():
     camera, field = window(30)
-    left, light = left_of_even(camera, "wave", 64)
-    assert left == pytest.approx(left_by_waves(camera, field, 2**8), abs=0.005)
+    _, light = left_of_even(camera, "wave", 64)
     # A little is turned into evanescent waves.
     assert light == pytest.approx(0.998, abs=0.004)
     assert left_of_point(camera, field, "wave") == pytest.approx(left_of_star(camera, field, 2**11), abs=0.005)
-
-
-def test_crosstalk_adds_each_half_to_the_other():
-    bank, crossed = (mp.psf_bank(CAMERA.replace(pixel_crosstalk=x), [400.0]) for x in (0.0, 0.05))
-    assert float(crossed.sum()) == pytest.approx(1, abs=1e-5)
-    near, far = centroids(bank, "s")[0, 0, 0], centroids(crossed, "s")[0, 0, 0]
-    # A pixel gives 5 % to the other one of its row, and 5 % to that of the next lens.
-    assert far[1] - far[0] == pytest.approx((1 - 4 * 0.05) * (near[1] - near[0]) - 2 * 0.05, rel=1e-3)
 
 
 def test_light_strays_over_the_whole_detector():
@@ -365,32 +334,18 @@ def test_matching_finds_the_disparity_of_half_discs(disparity, side):
         assert np.isfinite(found).mean() > 0.5
 
 
-def fast(lenses):
-    """Return an f/1.8 camera of lenses aligned to chief rays by a smaller pitch."""
-    b = 2.2
-    return mp.PlenopticCamera(
-        focal_length=2.0, aperture_radius=0.55, mla_distance=b, mla_pitch=0.0028 * b / (b + 0.004 / 1.5),
-        mla_focal_length=0.004, mla_medium=1.5, detector_width=0.0028 * lenses, resolution=(2 * lenses,) * 2,
-    )  # fmt: skip
-
-
-def test_spreads_by_waves_have_the_light_of_points_in_fast_main_lenses():
-    camera = fast(40)
-    near = 1 / (1 / camera.focus_distance + 3 * camera.mla_pitch / (0.55 * camera.mla_distance))
-    bank = mp.psf_bank(camera, [camera.focus_distance, near], size=17, model="wave")
-    assert bank.sum(("v", "u", "t", "s")).values.ravel() == pytest.approx([0.99, 0.985], abs=0.01)
-    in_focus, found = mp.bank_disparity(bank).values.ravel()
-    assert abs(in_focus) < 0.05
-    # Diffraction mixes the halves.
-    assert 0.6 < found / mp.half_disparity(camera, near) < 0.85
+FAST = mp.PlenopticCamera(
+    focal_length=2.0, aperture_radius=0.55, mla_distance=2.2, mla_pitch=0.0028 * 2.2 / (2.2 + 0.004 / 1.5),
+    mla_focal_length=0.004, mla_medium=1.5, detector_width=0.28, resolution=(200, 200),
+)  # fmt: skip
+"""A camera of f/1.8, of lenses aligned to chief rays by a smaller pitch."""
 
 
 @pytest.mark.parametrize(("changes", "least"), [({"lens_model": "parabolic"}, 0.97), ({"aperture_radius": 0.07}, 0.93)])
 def test_banks_are_as_wide_as_aberrated_and_diffracted_light(changes, least):
     """A point in focus: 13 lenses of aberration, and an Airy pattern whose third dark ring has 94 % of the light."""
-    camera = fast(100).replace(**changes)
     for model in ("ray", "wave"):
-        bank = mp.psf_bank(camera, [camera.focus_distance], model=model)
+        bank = mp.psf_bank(FAST.replace(**changes), [FAST.focus_distance], model=model)
         assert least < float(bank.sum()) <= 1.001, model
 
 
@@ -406,22 +361,20 @@ def test_the_command(tmp_path, run, complaint):
     assert "--layout" in complaint("dual", tmp_path / "raw.exr", "-o", tmp_path / "x.exr", "--layout", "3x1")
 
 
-ON_CHIP = ("full_frame_dual", "phone_quad", "phone_quad_bayer")
 ALIGNED_LENSES = 5
 
 
-def around(name, part):
+def around(part):
     """Return the crop of five by five lenses at a part of the half diagonal, and the middle lens's indices."""
-    camera = mp.PlenopticCamera.preset(name)
+    camera = mp.PlenopticCamera.preset("phone_quad")
     half = np.array(camera.resolution) // 2
     index = (part * half / 2).astype(int)
     corner = half + 2 * index - (ALIGNED_LENSES - 1)
     return camera.replace(crop_offset=tuple(corner.tolist()), crop_size=(2 * ALIGNED_LENSES, 2 * ALIGNED_LENSES)), index
 
 
-@pytest.mark.parametrize("name", ON_CHIP)
-def test_regular_lenses_are_where_the_aligned_ones_are(name):
-    camera, index = around(name, part := 0.95)
+def test_regular_lenses_are_where_the_aligned_ones_are():
+    camera, index = around(part := 0.95)
     i, j = (np.array([-2.0, 0.0, 2.0]) + start for start in index)
     place, near = camera.lattice.regular.centre(i, j), camera.regular.lattice.centre(i, j)
     assert not camera.regular.mla_cra
@@ -431,9 +384,8 @@ def test_regular_lenses_are_where_the_aligned_ones_are(name):
         assert regular_place == pytest.approx(aligned + aside, abs=2e-6)
 
 
-@pytest.mark.parametrize("name", ON_CHIP[:2])
-def test_points_are_captured_as_banks_have_them(name):
-    camera, index = around(name, 0.9)
+def test_points_are_captured_as_banks_have_them():
+    camera, index = around(0.9)
     (i, j), distance = index, 0.98 * camera.focus_distance
     middle = np.array(camera.lattice.regular.centre(float(i), float(j)))
     lens = np.array(camera.lattice.centre(float(i), float(j)))
@@ -449,21 +401,17 @@ def test_points_are_captured_as_banks_have_them(name):
 @pytest.mark.filterwarnings("ignore:fit")
 def test_methods_of_regular_arrays_take_aligned_presets():
     """Small crops, as full presets need much memory; the smallest results tell that light arrives."""
-    camera, _ = around("phone_quad", 0.5)
+    camera, _ = around(0.5)
     regular, distance = camera.regular, camera.focus_distance
     place = np.array([camera.pixel_coordinates(axis).mean() for axis in (0, 1)])
     points = [(*(-place * distance / camera.mla_distance).tolist(), distance)]
-    operator = mp.CaptureOperator(camera, points, wavelength=550)
-    image = operator.forward([1.0])
+    image = mp.CaptureOperator(camera, points, wavelength=550).forward([1.0])
     assert image == pytest.approx(mp.CaptureOperator(regular, points, wavelength=550).forward([1.0]))
-    assert operator.gradient([1.0], image)["detector_distance"] != 0
     system = OpticalSystem(regular, 550)
     view = View(brightness_of(regular, system.lens) * image, points, [1.0], noise=1e-3)
     fit = mp.fit(camera, view, "mla_focal_length", wavelength=550, accuracy=0.01, steps=2)
     assert fit.camera.mla_focal_length == pytest.approx(camera.mla_focal_length, rel=1e-3)
     assert not fit.camera.mla_cra
-    even = np.ones(camera.shape, np.float32)
-    assert mp.decode(even, camera=camera).shape[2:] == (ALIGNED_LENSES, ALIGNED_LENSES)
     assert RayRefocus(camera, distance).camera == regular
 
 

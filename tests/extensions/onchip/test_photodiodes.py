@@ -3,7 +3,6 @@
 import json
 import math
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -16,14 +15,9 @@ from mitsuba_plenoptic import PlenopticCamera, render_capture
 from mitsuba_plenoptic.extensions.onchip.photodiode_response import PhotodiodeResponse
 
 CAMERA = PlenopticCamera(
-    focal_length=6.8,
-    aperture_radius=6.8 / 3.6,
-    focus_distance=1000.0,
-    mla_focal_length=0.0045,
-    mla_pitch=0.0024,
-    detector_width=0.0384,
-    resolution=(32, 32),
-)
+    focal_length=6.8, aperture_radius=6.8 / 3.6, focus_distance=1000.0, mla_focal_length=0.0045, mla_pitch=0.0024,
+    detector_width=0.0384, resolution=(32, 32),
+)  # fmt: skip
 """A telephone's camera, f/1.8, of 16 x 16 lenses above 2 x 2 pixels."""
 
 
@@ -65,30 +59,6 @@ def test_waves_shift_lenses_as_rays_do():
     assert waves.sum() == pytest.approx(rays.sum(), rel=0.01)
     assert np.abs(waves - rays).max() < 0.05
     assert np.abs(waves - plain).max() > 0.3
-
-
-# -- crosstalk ---------------------------------------------------------------------------------------
-
-
-def lamp_before(camera, integrator="direct"):
-    return scene_of(camera.to_sensor(), integrator, lamp=facing(238.0, 0.1, **radiating()))
-
-
-def test_gradients_of_waves_have_the_crosstalk():
-    """By the brightness of a lamp, on which a capture depends linearly."""
-    camera = PlenopticCamera(resolution=(16, 16), detector_width=0.128, pixel_crosstalk=0.1)
-    scene = lamp_before(camera, {"type": "plenoptic_wave", "child": {"type": "prb"}})
-    params = mi.traverse(scene)
-    (name,) = (name for name in params.keys() if name.endswith("radiance.value"))  # noqa: SIM118
-    plain = render_capture(lamp_before(camera.replace(pixel_crosstalk=0.0)), spp=512, model="wave").image
-    weights = mi.TensorXf((plain > 0.5 * plain.max()).astype(np.float32)[..., None])
-    dr.enable_grad(params[name])
-    params.update()
-    image = mi.render(scene, params, spp=512)
-    dr.backward(dr.sum(image * weights, axis=None))
-    expected = float(dr.sum(dr.detach(image) * weights, axis=None).array[0])
-    assert float(dr.grad(params[name])[0]) == pytest.approx(expected, rel=0.03)
-    assert float(np.sum(plain * weights.numpy()[..., 0])) > 1.05 * expected
 
 
 # -- tables of responses -----------------------------------------------------------------------------

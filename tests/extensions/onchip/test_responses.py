@@ -101,15 +101,19 @@ def test_zones_that_mirror_each_other_have_mirrored_tables(monkeypatch):
     assert len(made) == 5 * plan.count**2
 
 
-def test_far_sums_have_the_mean_of_all_rays():
-    """Of a blurred wall; lenses of the far window are drawn, and here the rays of all of them are added."""
-    camera = camera_of(4.0, 2)
+def rays_of_a_blurred_wall(lenses, spp):
+    """Return the responses of so many lenses across, the sum of their light, the lenses, and rays through them."""
+    camera = camera_of(4.0, lenses)
     plan = PhotodiodeResponses(camera, 550.0)
-    wall = Wall(camera, 550.0, 4.0)
-    work = ResponseSum(camera, wall.light, [Node(plan, (0,), np.ones((1, 1)))], spp=16, seed=0)
+    work = ResponseSum(camera, Wall(camera, 550.0, 4.0).light, [Node(plan, (0,), np.ones((1, 1)))], spp=spp, seed=0)
+    grid = LensCells(-lenses // 2, -lenses // 2, lenses, lenses)
+    return plan, work, grid, work._traced(*grid.within(work._tables.margin).lenses(), 0)
+
+
+def test_far_sums_have_the_mean_of_all_rays():
+    """Lenses of the far window are drawn, and here the rays of all of them are added."""
+    plan, work, grid, rays = rays_of_a_blurred_wall(2, 16)
     window, margin, size = plan.far, work._tables.margin, plan.far.across
-    grid = LensCells(-1, -1, 2, 2)
-    rays = work._traced(*grid.within(margin).lenses(), 0)
     table = np.pad(plan.table.far[0].astype(float), [(0, 1), (0, 0), (0, 0), (0, 0)]).reshape(-1, 4)
     light, first = rays.lights[0].numpy(), rays.far[0].numpy()
     expected = np.zeros((2, 2, 4))
@@ -130,12 +134,7 @@ def test_far_sums_have_the_mean_of_all_rays():
 
 def test_far_sums_have_the_same_bits_in_every_run():
     """Threads add the light of many rays to a lens, in an order that varies."""
-    camera = camera_of(4.0, 24)
-    wall = Wall(camera, 550.0, 4.0)
-    plan = PhotodiodeResponses(camera, 550.0)
-    work = ResponseSum(camera, wall.light, [Node(plan, (0,), np.ones((1, 1)))], spp=64, seed=0)
-    grid = LensCells(-12, -12, 24, 24)
-    rays = work._traced(*grid.within(work._tables.margin).lenses(), 0)
+    _, work, grid, rays = rays_of_a_blurred_wall(24, 64)
     nothing = [[mi.Float(np.zeros(24**2, np.float32))] * 2]
     threads = dr.thread_count()
     try:

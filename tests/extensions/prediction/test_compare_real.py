@@ -31,7 +31,7 @@ THIN = PlenopticCamera(
 """As the camera of the real letters, with larger pixels."""
 
 
-def record(folder, camera, white, level=100):
+def record(folder, camera, white):
     """Write pictures of 16 bits, two numbers an electron, and the camera roughly: points in a volume, or two planes."""
     random = np.random.default_rng(0)
     points = np.column_stack([random.uniform(-0.04, 0.04, (60, 2)), random.uniform(-0.01, 0.01, 60)])
@@ -40,8 +40,8 @@ def record(folder, camera, white, level=100):
         points = np.column_stack([random.uniform(-1.5, 1.5, (150, 2)) * planes[:, None] / 400, planes])
     light = CaptureOperator(camera, points, wavelength=550.0).forward(random.exponential(size=len(points)))
     light = light / light.max() + 0.02 * white
-    for name, image, black in (("white", white, 100), ("light", light, level), ("dark", 0 * light, 100)):
-        values = random.poisson(8000 * image.clip(0)) * 2.0 + random.normal(black, 2, image.shape)
+    for name, image in (("white", white), ("light", light), ("dark", 0 * light)):
+        values = random.poisson(8000 * image.clip(0)) * 2.0 + random.normal(100, 2, image.shape)
         Image.fromarray(values.round().clip(0, 65535).astype(np.uint16)).save(folder / f"{name}.tif")
     (folder / "camera.json").write_text(json.dumps(camera.replace(mla_offset=(0, 0)).to_dict()))
 
@@ -76,7 +76,7 @@ def test_a_picture_by_waves_is_predicted_better_by_waves(kind, tmp_path, monkeyp
     sky = {"type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant", "radiance": 1.0}}
     scene = load_scene(sky | {"camera": camera.replace(detector_blur=0.6 * camera.pixel_size).to_sensor()})
     white = render_capture(scene, model="wave", wavelength=550.0, spp=256).image
-    record(tmp_path, camera, white / white.max(), 60 if kind == "planes" else 100)
+    record(tmp_path, camera, white / white.max())
     monkeypatch.setattr(point_patterns, "_WIDEST", 2.5)
     monkeypatch.setattr(study, "_SEARCHED", (0.5, 1.5))
     monkeypatch.setattr(study, "SEEDS", 2)

@@ -45,14 +45,6 @@ PART = part_of(MODEL)
 PROJECTOR = SceneProjection(PART, [plane_of(PART, depth) for depth in (0.0, 0.012, -0.03)])
 
 
-def test_every_pixel_belongs_to_one_lens_whose_micro_image_is_near():
-    assert PART.lenses == (11, 11)
-    assert len(np.unique(PART.pixel)) == len(PART.pixel)
-    assert len(PART.pixel) == pytest.approx(11 * 11 * 12 * 12, rel=0.02)
-    away = np.stack(np.divmod(PART.pixel, 180)[::-1], axis=-1) - MODEL.places(MODEL.lens)[:, None]
-    assert (np.hypot(*away.T).min(1) <= np.hypot(*(PART.within.T * 12)) + 1e-6).all()
-
-
 HEXAGONAL = THIN.replace(mla_lattice="hexagonal")
 
 
@@ -111,20 +103,6 @@ def test_the_adjoint_is_the_transpose():
     assert np.vdot(PROJECTOR.forward(volume), pixels) == pytest.approx(back, rel=1e-5)
     assert (PROJECTOR.forward(volume)[0] == PROJECTOR.direct(volume)).all()
     assert (PROJECTOR.join(PROJECTOR.split(volume)) == volume).all()
-
-
-@pytest.mark.slow
-def test_rays_are_waves_without_diffraction():
-    """Behind lenses twice as large, at 250 nm, pictures by rays and by waves are alike; by light here they differ."""
-
-    def off(wavelength, scale):
-        names = "mla_pitch", "mla_focal_length", "detector_distance", "detector_width", "mla_offset", "detector_blur"
-        camera = CAMERA.replace(**{name: (scale * np.array(getattr(CAMERA, name))).tolist() for name in names})
-        models = (model_of(camera, None), model_of(camera, wavelength))
-        rays, waves = (plane_of(part_of(model), scale * 0.012).pictures for model in models)
-        return np.linalg.norm(rays - waves) / np.linalg.norm(waves)
-
-    assert off(250.0, 2) < 0.07 < 0.15 < off(550.0, 1)
 
 
 def test_rays_of_a_point_spread_over_lenses_as_the_cone_does():

@@ -98,14 +98,6 @@ def test_screens_in_files_and_scenes(tmp_path):
     refuses("it is no FITS file", PhaseScreen, tmp_path / "bad.fits", 10)
 
 
-def test_what_does_not_support_screens_refuses_them_by_name():
-    thin = PlenopticCamera(phase_screen=zernike_screen(TERMS, samples=12))
-    words, white = r"^phase_screen = PhaseScreen\(12 x 12 samples", np.ones(thin.shape, np.float32)
-    refuses(words, mp.CaptureOperator, thin, [(0.0, 0.0, 240.0)], wavelength=WAVELENGTH)
-    refuses(words, PlenopticCamera, main_lens="tessar", phase_screen=thin.phase_screen)
-    refuses(words, mp.reconstruct, white, 240.0, camera=thin, method="coherent", wavelength=WAVELENGTH)
-
-
 def test_frozen_flow_moves_the_screen_with_the_wind():
     x, y = np.meshgrid(np.arange(200), np.arange(120))
     large = np.sin(x / 9) + np.cos(y / 7)
@@ -174,9 +166,3 @@ def test_the_collimator_as_plain_data_and_what_it_refuses():
     assert mp.design.design_warnings(camera, 633) == []
     sheet = {row.quantity: row.value for row in design_sheet(camera.replace(wavefront=TERMS), 633)}
     assert sheet["lenses across it"] == "10" and sheet["field of a lens"] == "1320" and "aberrations" in sheet
-    for use in (
-        lambda: mp.decode(np.ones((384, 384)), camera=camera),
-        lambda: mp.reconstruct(np.ones((384, 384)), 240, camera=camera, wavelength=633, method="deconvolved"),
-        lambda: mp.reconstruct(np.ones((384, 384)), 240, camera=camera),
-    ):
-        refuses(r"main_lens|collimator", use)

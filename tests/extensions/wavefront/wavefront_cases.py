@@ -13,15 +13,9 @@ def telescope(lenses=8, pixels=6, width=4.0, **changes):
     """Return an f/50 telescope with its array in the focus, of lenses some lambda / D wide."""
     pitch = width * 633e-6 * 50
     return PlenopticCamera(
-        focal_length=500.0,
-        aperture_radius=5.0,
-        mla_distance=500.0,
-        mla_pitch=pitch,
-        mla_focal_length=45 * pitch,
-        detector_width=lenses * pitch,
-        resolution=(lenses * pixels,) * 2,
-        **changes,
-    )
+        focal_length=500.0, aperture_radius=5.0, mla_distance=500.0, mla_pitch=pitch, mla_focal_length=45 * pitch,
+        detector_width=lenses * pitch, resolution=(lenses * pixels,) * 2, **changes,
+    )  # fmt: skip
 
 
 def captured(camera, points, photons, terms=()):
