@@ -27,6 +27,7 @@ from typing import Any
 
 import cases
 import numpy as np
+from skimage.registration import phase_cross_correlation
 
 from mitsuba_plenoptic import (
     Capture,
@@ -112,18 +113,11 @@ def rays(output: Path, *, spp: int = 64, reference_spp: int = 4096, scenes: tupl
                 write_comparison(file, row["scale"] * images[index], references[index])
 
 
-def best_shift(image: np.ndarray, reference: np.ndarray) -> tuple[int, int]:
-    """Whole-bin shift (rows, columns) of `image` at which it correlates best with the reference."""
-    spectrum = np.fft.fft2(image - image.mean()) * np.conj(np.fft.fft2(reference - reference.mean()))
-    peak = np.unravel_index(np.argmax(np.fft.ifft2(spectrum).real), image.shape)
-    row, column = ((int(p) + n // 2) % n - n // 2 for p, n in zip(peak, image.shape, strict=True))
-    return row, column
-
-
 def _agreement(images: list[np.ndarray], references: list[np.ndarray], distances: tuple[float, ...]) -> Iterator[Row]:
     _, found = scores(images, references)
     for distance, image, reference, row in zip(distances, images, references, found, strict=True):
-        yield {"distance": distance, **row, "best_shift": best_shift(image, reference)}
+        shift = phase_cross_correlation(image, reference, normalization=None)[0]
+        yield {"distance": distance, **row, "best_shift": tuple(map(int, shift))}
 
 
 @functools.cache

@@ -42,8 +42,6 @@ from .. import Row, at_most, case, pick
 from ..measures import mean_of_seeds, without_noise, write_comparison
 from ..timing import once
 
-WAYS = ("directly", "mirror", *PANES, "slab", "fog")
-
 
 def glass_sphere(angle: float = 20.0, lenses: int = 8) -> Any:
     """Return the scene of a glass sphere that shows a lamp by reflection on the axis, at this angle of incidence."""
@@ -88,7 +86,7 @@ def transparent_cards() -> Iterator[Row]:
 def bars_seen_through() -> Iterator[Row]:
     """Refocus bars at the distance where they seem to be, directly and through many things."""
     direct: tuple[float, float] | None = None
-    for way in WAYS:
+    for way in ("directly", "mirror", *PANES, "slab", "fog"):
         by_rays, by_waves = captures(bars_through(way))
         rays, waves = (contrast(capture, 300.0) for capture in (by_rays, by_waves))
         direct = direct or (rays, waves)
