@@ -144,8 +144,10 @@ class Checkpoint:
         remove_leftovers(self.path)
         if not self.path.exists():
             return None
+        # Not within `try`: what is wrong with the run itself is no reason to begin anew.
+        known = self._known_facts()
         try:
-            state = _read(self.path, self._known_facts(), take)
+            state = _read(self.path, known, take)
         except InputError as error:
             if self.existing == "resume":
                 raise

@@ -43,12 +43,12 @@ def hide_scenes(phase: str, info: dict[str, Any]) -> None:
 def watch_collections() -> None:
     """Hide scenes from collections of garbage, and keep interrupts that fall into them.
 
-    Python prints and forgets what callbacks raise: an interrupt comes again, after the collection.
+    Python prints and forgets what callbacks raise, those of weak references, too: an interrupt comes again.
     """
     report = sys.unraisablehook
 
     def again(raised: Any) -> None:
-        if raised.object is hide_scenes and issubclass(raised.exc_type, KeyboardInterrupt):
+        if issubclass(raised.exc_type, KeyboardInterrupt):
             threading.Timer(0.1, _thread.interrupt_main).start()
         else:
             report(raised)
