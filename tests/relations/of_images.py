@@ -37,7 +37,7 @@ def of_method(method):
         camera, g = draw.camera, draw.point()[2]
         row, column = (int(draw.rng.integers(count // 2 - 1, count // 2 + 1)) for count in camera.bin_count[::-1])
         recorded = filled_bin(camera, row, column, g, draw.wavelength, 3 if method == "deconvolved" else 1)
-        image, facts = refocused(camera, recorded, g, method, draw.wavelength, 20)
+        image, facts = refocused(camera, recorded, g, method, draw.wavelength, 60)
         near = np.nan_to_num(image[row - 2 : row + 3, column - 2 : column + 3]).astype(float)
         peak = np.maximum(near - 0.3 * near.max(), 0)
         away = [float((peak.sum(axis) * np.arange(-2, 3)).sum() / peak.sum()) for axis in (0, 1)]

@@ -294,5 +294,7 @@ def wide_array(draw):
     width = draw.camera.detector_width * 40 / LENSES
     camera = draw.camera.replace(detector_width=width, resolution=(40 * lens,) * 2, crop_size=(40 * lens,) * 2)
     scene = sky(camera)
-    waves = mp.render_capture(scene, model="wave", spp=16, wavelength=draw.wavelength).image.mean()
-    return abs(float(waves / mp.render_capture(scene, model="ray", spp=64).image.mean()) - 1), 0.004
+    waves = mp.render_capture(scene, model="wave", spp=64, wavelength=draw.wavelength, noise=True)
+    rays = mp.render_capture(scene, model="ray", spp=256)
+    noise = float(np.linalg.norm(waves.noise) / waves.image.sum())
+    return abs(float(waves.image.mean() / rays.image.mean()) - 1), 0.002 + 3 * noise

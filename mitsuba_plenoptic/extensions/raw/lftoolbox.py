@@ -68,7 +68,7 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
         stored = np.round(np.clip(stored, 0, 1) * (2 ** (8 * kind.itemsize) - 1))
     variables: dict[str, Any] = {"LF": stored.astype(kind), "MaxLum": peak}
     if (grid := grid_of(lf)) is not None:
-        refuse_if(bool(grid.warp), "camera: it has mla_warp, which a lenslet grid model has not; leave it out")
+        refuse_if(bool(grid.warp), "camera: a lenslet grid model has no mla_warp and no mla_tilt; leave them out")
         rows, columns = grid.shape
         variables["LensletGridModel"] = {
             "HSpacing": grid.spacing[0],
