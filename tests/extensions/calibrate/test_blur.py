@@ -127,11 +127,7 @@ RADIUS = CAMERA.micro_image_diameter / 2 / CAMERA.pixel_size
 
 
 def micro_images(kind, distance, place, angles):
-    """Draw micro-images, side by side, of corners seen at places from their middle; and white ones.
-
-    Rays from pixels through points of the lens are refracted and followed to the pupil, and to the plane in which the
-    main lens images the corner, at this distance before the array.
-    """
+    """Draw micro-images, side by side, of corners at places from their middle, and white ones, by traced rays."""
     b, z, size = CAMERA.mla_distance, CAMERA.detector_distance, CAMERA.pixel_size
     f, generator = np.array(CAMERA.mla_focal_lengths)[kind], np.random.default_rng(5)
     points = generator.uniform(-1, 1, (800, 2))

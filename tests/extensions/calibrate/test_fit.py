@@ -91,7 +91,6 @@ def test_deviations_are_true():
 
 
 def test_gross_errors_are_named_and_change_nothing(table, centres, found):
-    """Rows that lie elsewhere, and rows of other corners."""
     generator = np.random.default_rng(3)
     columns, rows = {name: values.copy() for name, values in table.columns.items()}, len(table["k"])
     bad = generator.choice(rows, int(rows * 0.05), replace=False)
@@ -112,7 +111,6 @@ def test_gross_errors_are_named_and_change_nothing(table, centres, found):
 
 
 def test_wrong_centres_are_left_out(table, centres, found):
-    """Those that lie elsewhere, and those that are marked as doubtful."""
     bad = np.arange(7, len(centres["k"]), 50)
     u, doubtful = centres["u"].copy(), np.zeros(len(centres["k"]), dtype=int)
     u[bad[::2]] += 9
@@ -158,7 +156,6 @@ ONE_DISTANCE = np.tile([0.0, 0.0, 3.1, 14, 9, 300], (3, 1)) + [[0, 0, 0, shift, 
 
 
 def frame_12(table, **changes):
-    """Return the columns with others in one of the frames."""
     chosen = table["frame"] == 12
     return {**table.columns, **{name: np.where(chosen, values, table[name]) for name, values in changes.items()}}
 
@@ -213,7 +210,6 @@ def test_other_boards_cameras_and_lattices_are_refused(table, centres, board, st
 
 
 def corners_of(folder, text):
-    """Read corners that a file has as a text."""
     (folder / "corners.csv").write_text(text)
     return read_corners(folder / "corners.csv", cases.BOARD, (64, 64))
 
@@ -235,7 +231,6 @@ test_files_and_boards_are_refused = refused(
 
 
 def some(table, part):
-    """A part of the rows."""
     return table.keep(np.random.default_rng(0).random(len(table["k"])) < part)
 
 
@@ -280,7 +275,6 @@ def test_corners_alone_tell_where_micro_images_are(table, found):
 
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
 def test_a_real_camera(tmp_path, run):
-    """Found from that of the manual."""
     start, output, corners = tmp_path / "start.json", tmp_path / "camera.json", cases.REAL / "corners.csv"
     text = (Path(__file__).parents[3] / "docs" / "guides" / "calibration.md").read_text()
     start.write_text(text.split("```json\n")[1].split("```")[0])

@@ -19,11 +19,9 @@ from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.dataset import DataSet, make_dataset, make_sample, parse_recipe
 from mitsuba_plenoptic.extensions.data import dataset_production as production
-from mitsuba_plenoptic.extensions.data.dataset_production import write_preview
 
 
 def files(folder):
-    """All files of a data set with their bytes."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
@@ -130,7 +128,6 @@ def test_a_rerun_makes_shards_again_that_are_not_there_or_cut_off(made, tmp_path
 
 @pytest.fixture
 def recipe(tmp_path):
-    """Write the recipe of the data set."""
     path = tmp_path / "recipe.yaml"
     path.write_text(yaml.safe_dump(small()))
     return path
@@ -181,15 +178,6 @@ def test_what_is_asked_for_and_not_there_is_named(made):
     refuses("sample 0: it has no wave; it has depth, facts", lambda: DataSet(made, ["wave"])[0])
     assert [sample.index for sample in pickle.loads(pickle.dumps(DataSet(made, ["ray"])))] == [0, 1, 2, 3, 4]
     refuses("^missing: ", DataSet, "missing")
-
-
-def test_the_preview_names_samples_and_pictures(made, tmp_path, monkeypatch):
-    plots = []
-    monkeypatch.setattr(production.plots.Plot, "save", lambda plot, path: plots.append(plot))
-    write_preview(tmp_path / "preview.png", DataSet(made)[0:2])
-    rows = [plots[0].axes[row : row + 3] for row in (0, 3)]
-    assert [axes.get_title("left") for axes in rows[0]] == ["ray", "ray exposed", "depth, near in white"]
-    assert [row[0].get_ylabel() for row in rows] == ["sample 0", "sample 1"]
 
 
 def test_pytorch_reads_tensors(made):

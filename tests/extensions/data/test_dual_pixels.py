@@ -14,9 +14,7 @@ from mitsuba_plenoptic.extensions.data.dual_samples import truth_of_lenses
 CAMERA = {"preset": "phone_quad", "crop_offset": [4000, 2992], "crop_size": [64, 64]}
 
 
-@pytest.fixture(autouse=True)
-def coarse(coarse_figures):
-    """Draw previews quickly."""
+pytestmark = pytest.mark.usefixtures("coarse_figures")
 
 
 def dual(**changes):

@@ -12,7 +12,6 @@ POINT = [(0.03, 0.01, 116.0)]
 
 
 def spherical(amount):
-    """Return a wavefront of the eleventh term."""
     return [0.0] * 10 + [amount]
 
 
@@ -73,8 +72,6 @@ def test_deviation_of_depth_far_away():
 
 
 class Hill:
-    """A figure whose best is known."""
-
     def value(self, camera):
         return self.gradient(camera, [])[0]
 

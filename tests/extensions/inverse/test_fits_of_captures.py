@@ -125,7 +125,6 @@ def test_a_camera_is_found_from_afar():
 
 @pytest.fixture(scope="module")
 def recorded():
-    """A camera, some points, what they light by rays, and their weights."""
     true = small_camera(2, **HALF)
     points = scattered(8, distances=(106.0, 112.0), image=0.05)
     mi.set_variant("llvm_ad_mono")
@@ -133,7 +132,6 @@ def recorded():
 
 
 def quickly(camera, view, names="mla_pitch", **options):
-    """Fit by rays, from near."""
     start = camera.replace(mla_pitch=0.06402)
     return fit(start, view, names, wavelength=WAVELENGTH, model="ray", **({"photons": PHOTONS} | options))
 

@@ -45,7 +45,6 @@ def negative():
 
 
 def of_noise():
-    """Fit to a capture of noise alone."""
     seen = expose(Capture(np.zeros(TRUE.shape), TRUE), Detector(read_noise=3.0), photons=2000.0, seed=4)
     assert seen.image.max() > 0
     return fitted(seen=view(seen.image, noise=noise_of(seen)[0]), photons=None)

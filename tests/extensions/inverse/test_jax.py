@@ -39,10 +39,7 @@ def double_precision():
 
 
 def along(function, given, change, step):
-    """Return the change of a function in a direction, by forward mode, by reverse mode and by central differences.
-
-    Each is its product with a random image.
-    """
+    """Return a random product of a function's change by forward mode, by reverse mode and by central differences."""
     _, made = jax.jvp(function, given, change)
     felt = np.random.default_rng(9).normal(size=made.shape).cumsum(-1).cumsum(-2).astype(made.dtype)
     gradients = jax.vjp(function, *given)[1](felt)

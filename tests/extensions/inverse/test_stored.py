@@ -13,7 +13,6 @@ RED_AND_GREEN = Spectrum((633.0, 532.0), ((1.0, 0.1), (0.0, 1.0), (0.8, 0.2)))
 
 
 def both(camera, points, **options):
-    """Return the operator that computes its spreads, and the one that stores them."""
     return CaptureOperator(camera, points, **options), StoredOperator(camera, points, **options)
 
 

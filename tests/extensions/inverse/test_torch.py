@@ -31,7 +31,6 @@ def computing(camera):
 
 
 def random(*shape, low=-1.0):
-    """Return a tensor in double precision of which derivatives are taken."""
     values = np.random.default_rng(len(shape)).uniform(low, 1, shape)
     return torch.tensor(values, requires_grad=True)
 
@@ -97,10 +96,7 @@ def test_tensors_of_other_types_and_layouts():
 
 
 def along(function, given, change, step):
-    """Return the change of a function in a direction, by its forward mode and by central differences, and a dot test.
-
-    The last two are the products of the change with a random image, and of the direction with the reverse pass by it.
-    """
+    """Return a function's change by forward mode, by differences, and both sides of a dot test with the reverse."""
     _, made = torch.func.jvp(function, given, change)
     ahead, back = (function(*(a + sign * step * c for a, c in zip(given, change, strict=True))) for sign in (1, -1))
     felt = torch.tensor(np.random.default_rng(9).uniform(size=made.shape), dtype=made.dtype)
@@ -138,7 +134,6 @@ def test_refocusing_and_its_derivatives(kind, monkeypatch):
 
 
 def test_transforms_of_derivatives():
-    """Of PyTorch, which map changes, gradients, and arrays."""
     start, weights = torch.tensor(120.0, dtype=torch.float64), torch.tensor([0.5], dtype=torch.float64)
     make = lambda camera: CaptureOperator(camera, POINTS[:1], wavelength=WAVELENGTH, accuracy=0)  # noqa: E731
 

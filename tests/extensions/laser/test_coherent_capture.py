@@ -90,7 +90,6 @@ def test_pixels_are_integrals_of_the_squared_field():
 
 
 def modes_of(source, pupil):
-    """Return the modes of a source and a pupil of small angular radii."""
     options = {"source_diameter": 200 * source, "source_distance": 100.0}
     return laser.mode_count(PlenopticCamera(), wavelength=633, distance=5 / pupil, **options)
 

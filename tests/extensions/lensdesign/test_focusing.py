@@ -14,7 +14,6 @@ def of(name, **numbers):
 
 
 def from_first_vertex(camera):
-    """Distance from the first vertex to the array in millimetres."""
     numbers = paraxial(camera.main_lens)
     scale = camera.focal_length / numbers.focal_length
     return scale * (numbers.length + numbers.rear_principal) + camera.mla_distance

@@ -369,7 +369,6 @@ def test_apertures_of_neighbours_and_unused_private_glasses_of_codev(tmp_path):
     ids=["run with the stop", "single ones", "ends"],
 )
 def test_surfaces_without_an_aperture_of_codev_take_the_wider_of_the_nearest(tmp_path, caplog, given, expected):
-    """One remark names all surfaces."""
     rows = [(61.47, 6, 1.517), (-44.64, 2.5, 1.673), (-129.94, 5, 1), (0, 5, 1)]
     rows += [(80, 5, 1.517), (-60, 2, 1.673), (-200, 60, 1)]
 

@@ -13,10 +13,6 @@ from scipy.stats import qmc
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.design import design_warnings
-from mitsuba_plenoptic.fields.optical_system import OpticalSystem
-from mitsuba_plenoptic.fitting import View
-from mitsuba_plenoptic.points.units import brightness_of
-from mitsuba_plenoptic.refocus import RayRefocus
 from tools.bench.cases import dual_pixels
 
 CAMERA = mp.PlenopticCamera(
@@ -79,7 +75,6 @@ def test_quad_mosaics():
 
 
 def centroids(bank, axis):
-    """Mean position along an axis of the light in each photodiode's picture."""
     return ((bank * bank[axis]).sum(("t", "s")) / bank.sum(("t", "s"))).values
 
 
@@ -199,10 +194,7 @@ def _through(camera, field, count):
 
 
 def left_by_cosines(camera, field, count=2**17):
-    """Return the left half's part of the light of all points of the pupil through all of a lens, ray by ray.
-
-    The lens turns direction cosines, and Snell's law holds behind it.
-    """
+    """Return the left part of the light of pupil and lens, ray by ray: the lens turns direction cosines."""
     shift, d, cosine = _through(camera, field, count)
     behind = (cosine - d * (camera.mla_medium / camera.mla_focal_length)) / camera.mla_medium
     landed = d - shift + camera.detector_distance * behind / np.sqrt(1 - (behind**2).sum(1, keepdims=True))
@@ -210,10 +202,7 @@ def left_by_cosines(camera, field, count=2**17):
 
 
 def left_of_star(camera, field, count=2**12):
-    """Return the same by waves, for a point whose image by the main lens is a lens's centre.
-
-    Plane waves from the pupil, which are coherent, pass the array of lenses, which are thin phases.
-    """
+    """Return the same by plane waves from the pupil through thin phases, for a point imaged on a lens's centre."""
     shift, *_ = _through(camera, field, 1)
     centre = np.array(field) - shift
     n, k, pitch = camera.mla_medium, 2e6 * math.pi / GREEN, camera.mla_pitch
@@ -396,23 +385,6 @@ def test_points_are_captured_as_banks_have_them():
     image = operator.forward([1.0]).reshape(ALIGNED_LENSES, 2, ALIGNED_LENSES, 2).transpose(1, 3, 0, 2)
     assert image.sum() > 0.2
     assert np.linalg.norm(image - bank.values) < 0.01 * np.linalg.norm(image)
-
-
-@pytest.mark.filterwarnings("ignore:fit")
-def test_methods_of_regular_arrays_take_aligned_presets():
-    """Small crops, as full presets need much memory; the smallest results tell that light arrives."""
-    camera, _ = around(0.5)
-    regular, distance = camera.regular, camera.focus_distance
-    place = np.array([camera.pixel_coordinates(axis).mean() for axis in (0, 1)])
-    points = [(*(-place * distance / camera.mla_distance).tolist(), distance)]
-    image = mp.CaptureOperator(camera, points, wavelength=550).forward([1.0])
-    assert image == pytest.approx(mp.CaptureOperator(regular, points, wavelength=550).forward([1.0]))
-    system = OpticalSystem(regular, 550)
-    view = View(brightness_of(regular, system.lens) * image, points, [1.0], noise=1e-3)
-    fit = mp.fit(camera, view, "mla_focal_length", wavelength=550, accuracy=0.01, steps=2)
-    assert fit.camera.mla_focal_length == pytest.approx(camera.mla_focal_length, rel=1e-3)
-    assert not fit.camera.mla_cra
-    assert RayRefocus(camera, distance).camera == regular
 
 
 def test_dual_pixels_whose_spots_are_wider_than_a_pixel_are_told():

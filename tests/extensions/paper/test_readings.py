@@ -17,7 +17,6 @@ def white(camera):
 
 
 def interleaved(i, j):
-    """Label every second lens along both axes alike."""
     return i % 2 + 2 * (j % 2)
 
 

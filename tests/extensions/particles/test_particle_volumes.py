@@ -24,8 +24,6 @@ def small_rays():
 
 
 class Dense(LinearMap):
-    """A matrix as a projector."""
-
     def __init__(self, matrix, shape):
         super().__init__((matrix.shape[1],), shape, matrix.dtype)
         self.matrix = matrix

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.ndimage
 from PIL import Image
-from refusals import refuses
+from refusals import refused, refuses
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, load_scene, render_capture
 from mitsuba_plenoptic.extensions.calibrate.white_command import sensor_values
@@ -163,14 +163,13 @@ def test_messages_name_the_picture_that_is_wrong(recorded, complaint):
     refuses(r"light field of shape \(191, 192\)", study.Pictures, light[:-1], white, dark)
 
 
-@pytest.mark.parametrize(
-    ("changes", "part", "planes", "words"),
-    [
-        ({"mla_tilt": (1.0, 0.0)}, 210, [], "mla_tilt = "),
-        ({"pupil_apodisation": (-0.2, 0.0)}, 210, [], "pupil_apodisation = "),
-        ({}, 210, [385.0, 385.0], r"plane = \[385.0, 385.0\]"),
-        ({}, 150, [], "part: it shows 9[0-9] lenses"),
-    ],
+def judged(part=210, planes=(), **changes):
+    return study.Study(None, THIN.replace(**changes), 550.0, (0, 0, part, part), list(planes), None)
+
+
+test_what_cannot_be_judged_is_refused_at_once = refused(
+    (lambda: judged(mla_tilt=(1.0, 0.0)), "mla_tilt = "),
+    (lambda: judged(pupil_apodisation=(-0.2, 0.0)), "pupil_apodisation = "),
+    (lambda: judged(planes=[385.0, 385.0]), r"plane = \[385.0, 385.0\]"),
+    (lambda: judged(150), "part: it shows 9[0-9] lenses"),
 )
-def test_what_cannot_be_judged_is_refused_at_once(changes, part, planes, words):
-    refuses(words, study.Study, None, THIN.replace(**changes), 550.0, (0, 0, part, part), planes, None)

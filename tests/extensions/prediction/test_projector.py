@@ -106,10 +106,7 @@ def test_the_adjoint_is_the_transpose():
 
 
 def test_rays_of_a_point_spread_over_lenses_as_the_cone_does():
-    """Mean square of the lit lenses' distance, of a source that radiates evenly within the half angle alpha:
-
-    the mean of the squared tangent is (1 / cos(alpha) + cos(alpha) - 2) / (1 - cos(alpha)).
-    """
+    """Of a source even within alpha, tan^2 has the mean (1 / cos(alpha) + cos(alpha) - 2) / (1 - cos(alpha))."""
     depth = -0.05
     plane = plane_of(part_of(model_of(CAMERA, None)), depth)
     lenses = plane.pictures.shape[0] // 12

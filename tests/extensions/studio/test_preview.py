@@ -66,7 +66,6 @@ FIELD = 16 * 0.15 / 20
 
 
 def before_microscope(size, depth, across=0.0):
-    """A luminous disc before a microscope."""
     disk = mi.ScalarTransform4f().translate([across, 0, depth]).scale(size / 2).rotate([1, 0, 0], 180)
     lamp = {"type": "disk", "to_world": disk, "emitter": {"type": "area", "radiance": 1.0}}
     scene = cases.scene_of({"type": "perspective"}, lamp=lamp)

@@ -159,10 +159,7 @@ test_refused = refused(
 
 
 def opened(browser, path, **size):
-    """Open a page in a browser, and return it with functions that find an element, and what the scene's canvas shows.
-
-    The page draws, and writes what it has drawn, in the next frame after an action. Both functions wait for that frame.
-    """
+    """Open a page, and return functions that find an element and its canvas, after the frame that follows an action."""
     seen = browser(path, **size)
     seen.implicitly_wait(20)
     seen.find_element("css selector", "main:not([aria-busy])")
@@ -290,7 +287,6 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
 
 
 def boxed(page, identity):
-    """Return where an element is on a page."""
     return page.execute_script(
         "return document.getElementById(arguments[0]).getBoundingClientRect().toJSON()", identity
     )
@@ -311,10 +307,7 @@ def assert_sliders_in_line(page, columns):
     ("preset", "width", "spp", "noise"), [("paper_double_gauss", 0.512, 2, 1e-3), ("lfm", 1.2, 256, 0.1)]
 )
 def test_captures_by_real_lenses_and_microscopes(preset, width, spp, noise):
-    """A sky of radiance 1 is 1 in all views through the pupil, so that micro-images are where the page has them.
-
-    Rays of a microscope have weights, after the sine condition, so that few of them are noisy.
-    """
+    """A sky of radiance 1 is 1 in all views, so that micro-images are where the page has them."""
     camera = mp.PlenopticCamera.preset(preset)
     pixels = round(width / camera.pixel_size)
     camera = camera.replace(detector_width=pixels * camera.pixel_size, resolution=(pixels, pixels))
@@ -352,7 +345,6 @@ def test_cameras_begin_with_a_drawing_and_ten_lines_of_their_design_sheet(camera
 
 @pytest.fixture(scope="module")
 def computed(raw, tmp_path_factory):
-    """Write a focal stack, reconstructions and a depth map of the capture once."""
     folder = tmp_path_factory.mktemp("computed")
     distances = ["--distance", "236", "--distance", "244"]
     for command in (["stack", *distances], ["reconstruct", *distances], ["depth"], ["convert"], ["views"]):
