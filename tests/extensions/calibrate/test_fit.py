@@ -17,9 +17,7 @@ from mitsuba_plenoptic.extensions.calibrate.adjustment import Problem, adjust
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, Observations, numbers_of, predict_centres
 
 NOISE = 0.1
-START = PlenopticCamera.preset("raytrix").replace(
-    resolution=(2000, 1500), crop_size=(2000, 1500), detector_width=2000 * 0.0055
-)
+START = PlenopticCamera.preset("raytrix").replace(resolution=(2000, 1500), crop_size=(2000, 1500), detector_width=11.0)
 
 
 @pytest.fixture(scope="module")
@@ -112,12 +110,10 @@ def test_gross_errors_are_named_and_change_nothing(table, centres, found):
 
 def test_wrong_centres_are_left_out(table, centres, found):
     bad = np.arange(7, len(centres["k"]), 50)
-    u, doubtful = centres["u"].copy(), np.zeros(len(centres["k"]), dtype=int)
-    u[bad[::2]] += 9
-    doubtful[bad[1::2]] = 1
-    spoiled = calibrate(
-        table, cases.BOARD, START, cal.Table("c.csv", {**centres.columns, "u": u, "doubtful": doubtful})
-    )
+    columns = {**centres.columns, "u": centres["u"].copy(), "doubtful": np.zeros(len(centres["k"]), dtype=int)}
+    columns["u"][bad[::2]] += 9
+    columns["doubtful"][bad[1::2]] = 1
+    spoiled = calibrate(table, cases.BOARD, START, cal.Table("c.csv", columns))
     np.testing.assert_array_equal(spoiled.centre_outliers, bad)
     for name in NAMES:
         assert abs(spoiled.numbers[name] - found.numbers[name]) < found.deviations[name] + 1e-12
@@ -142,9 +138,8 @@ def test_what_the_model_misses_is_in_the_deviations(table, centres, found):
     assert bent.by_frames
     assert bent.disagreement > 2
     true = dict(zip(NAMES, numbers_of(cases.CAMERA), strict=True))
-    apart = [
-        (bent.numbers[name] - true[name]) / bent.deviations[name] for name in NAMES if not name.startswith("offset")
-    ]
+    told = [name for name in NAMES if not name.startswith("offset")]
+    apart = [(bent.numbers[name] - true[name]) / bent.deviations[name] for name in told]
     assert np.sqrt(np.mean(np.square(apart))) < 1.5
 
 

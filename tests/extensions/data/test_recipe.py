@@ -22,11 +22,9 @@ def test_values_have_the_distributions_that_they_are_said_to_have():
     recipe = parse_recipe(small(count=500, camera=camera, scenes=[shapes | {"share": 3}, white]))
     plans = [recipe.plan(index) for index in range(500)]
     drawn = [plan.draws for plan in plans]
-    linear, log = (
-        [each[part][name] for each in drawn] for part, name in (("camera", "focus_distance"), ("noise", "photons"))
-    )
-    assert stats.kstest(linear, stats.uniform(230, 20).cdf).pvalue > 0.01
-    assert stats.kstest(log, stats.loguniform(300, 3000).cdf).pvalue > 0.01
+    linear, log = stats.uniform(230, 20), stats.loguniform(300, 3000)
+    assert stats.kstest([each["camera"]["focus_distance"] for each in drawn], linear.cdf).pvalue > 0.01
+    assert stats.kstest([each["noise"]["photons"] for each in drawn], log.cdf).pvalue > 0.01
     steps = [each["scene"]["objects"] for each in drawn if "objects" in each["scene"]]
     assert stats.chisquare(np.bincount(steps)[3:]).pvalue > 0.01
     assert set(steps) == {3, 4, 5, 6}

@@ -122,8 +122,8 @@ def test_an_even_world_reads_1_in_all_planes_and_behind_gaps(options, distance, 
         np.testing.assert_allclose(image, 1, atol=0.005)
 
 
-SIZE = {"detector_width": 2.24, "resolution": (448, 448), "mla_pitch": 0.04}
-ZONES = {"focal_length": 4.0, "focus_distance": 120.0, **SIZE}
+SIZE = {"detector_width": 2.24, "resolution": (448, 448), "crop_size": (64, 64)}
+ZONES = {"focal_length": 4.0, "focus_distance": 120.0, "mla_pitch": 0.04, **SIZE}
 LAMPS = {
     "circles": (small_camera(**LATTICES["circles"]), 222.0, [(5, 5), (1, 2)], 0.99),
     "three focal lengths": (
@@ -136,15 +136,13 @@ LAMPS = {
     ),
     "within a zone": (
         mp.PlenopticCamera(
-            **ZONES, aperture_radius=0.4, mla_focal_length=0.207, crop_offset=(320, 240), crop_size=(64, 64),
+            **ZONES, aperture_radius=0.4, mla_focal_length=0.207, crop_offset=(320, 240),
             vignetting=mp.Vignetting(radius=[0.9, -0.05, 0, -0.3, 0, -0.3]),
         ),
         30.0, [(32, 42), (35, 45)], 1.0,
     ),
     "prescription": (
-        mp.PlenopticCamera(
-            **ZONES, main_lens="cooke_triplet", mla_focal_length=0.18, crop_offset=(376, 296), crop_size=(64, 64)
-        ),
+        mp.PlenopticCamera(**ZONES, main_lens="cooke_triplet", mla_focal_length=0.18, crop_offset=(376, 296)),
         60.0, [(40, 49)], 1.0,
     ),
 }  # fmt: skip

@@ -36,14 +36,11 @@ def random(*shape, low=-1.0):
 
 
 def test_gradients_of_weights_and_images_in_double_precision():
-    operator = stored()
-    assert torch.autograd.gradcheck(
-        lambda w: bridge.forward(operator, w), random(2, 3), check_forward_ad=True, fast_mode=True
-    )
-    assert torch.autograd.gradcheck(
-        lambda y: bridge.adjoint(operator, y)[..., :2], random(*CAMERA.shape), check_forward_ad=True, fast_mode=True
-    )
-    assert torch.autograd.gradgradcheck(lambda w: bridge.forward(operator, w) ** 2, random(3), fast_mode=True)
+    operator, options = stored(), {"check_forward_ad": True, "fast_mode": True}
+    gradcheck, second = torch.autograd.gradcheck, torch.autograd.gradgradcheck
+    assert gradcheck(lambda w: bridge.forward(operator, w), random(2, 3), **options)
+    assert gradcheck(lambda y: bridge.adjoint(operator, y)[..., :2], random(*CAMERA.shape), **options)
+    assert second(lambda w: bridge.forward(operator, w) ** 2, random(3), fast_mode=True)
 
 
 def test_batches_of_spectra_have_channels_before_rows():
@@ -84,12 +81,8 @@ def test_tensors_of_other_types_and_layouts():
     by = RayRefocus(CAMERA, 225.0)
     np.testing.assert_allclose(bridge.refocus(by, expected.mT.contiguous().mT), bridge.refocus(by, expected))
     assert not bridge.forward(operator, weights).requires_grad
-    for kind, limit in (
-        (torch.float32, 1e-6),
-        (torch.float16, 1e-3),
-        (torch.bfloat16, 1e-2),
-        (torch.float8_e5m2, 0.13),
-    ):
+    limits = {torch.float32: 1e-6, torch.float16: 1e-3, torch.bfloat16: 1e-2, torch.float8_e5m2: 0.13}
+    for kind, limit in limits.items():
         made = bridge.forward(operator, weights.to(kind))
         assert made.dtype == kind
         torch.testing.assert_close(made.double(), expected, rtol=limit, atol=limit * float(expected.abs().max()))
@@ -240,9 +233,7 @@ def test_captures_of_scenes(letters):
     # Derivatives draw from another seed, which Mitsuba derives from the first.
     other = int(mi.sample_tea_32(0, 1)[0])
     made, _, forward, reverse = along(letters, tuple(start), tuple(change), 0.02)
-    ahead, back = (
-        letters(*(a + step * c for a, c in zip(start, change, strict=True)), seed=other) for step in (0.02, -0.02)
-    )
+    ahead, back = (letters(start[0] + step, start[1] + step / 2, seed=other) for step in (0.02, -0.02))
     require_close(made, (ahead - back) / 0.04, 1e-3)
     assert forward == pytest.approx(reverse, rel=1e-5)
 
@@ -323,8 +314,5 @@ test_refusals = refused(
     (lambda: bridge.capture(computing, CAMERA, {"mla_distance": 120.0}, random(3)), r"^120\.0: .* tensor"),
     (lambda: bridge.capture(computing, CAMERA, {"wavelength": torch.ones(1)}, random(3)), "^parameters: wavelength: "),
     # Colours are axes before the rows.
-    (
-        lambda: bridge.refocus(RayRefocus(CAMERA, 225.0), random(64, 64, 3)),
-        r"^captures of shape \(64, 64, 3\): .* \(64, 64\)$",
-    ),
+    (lambda: bridge.refocus(RayRefocus(CAMERA, 225.0), random(64, 64, 3)), r"\(64, 64, 3\): .* \(64, 64\)$"),
 )

@@ -27,10 +27,6 @@ def amplitudes(count, seed=0):
     return rng.normal(size=count) + 1j * rng.normal(size=count)
 
 
-def operator_of(points, camera=CAMERA):
-    return CaptureOperator(camera, points, wavelength=WAVELENGTH, method="full_field")
-
-
 def direct_pupil(camera, points, given, x, y):
     """Sum of point sources behind a thin lens with aberrations, each of unit power, in double precision."""
     k, f1, radius = 2 * np.pi / (WAVELENGTH * 1e-6), camera.focal_length, camera.aperture_radius
@@ -38,9 +34,8 @@ def direct_pupil(camera, points, given, x, y):
     r, angle = radius * np.sqrt(rng.random(20000)), 2 * np.pi * rng.random(20000)
     total = np.zeros(np.shape(x), complex)
     for (X, Y, g), amplitude in zip(points, given, strict=True):
-        power = (
-            np.pi * radius**2 * np.mean((g / ((r * np.cos(angle) - X) ** 2 + (r * np.sin(angle) - Y) ** 2 + g**2)) ** 2)
-        )
+        away = (r * np.cos(angle) - X) ** 2 + (r * np.sin(angle) - Y) ** 2 + g**2
+        power = np.pi * radius**2 * np.mean((g / away) ** 2)
         square = (x - X) ** 2 + (y - Y) ** 2 + g**2
         if camera.lens_model == "parabolic":
             path = np.sign(g) * (np.sqrt(square) - np.sqrt(X**2 + Y**2 + g**2)) - (x**2 + y**2) / (2 * f1)

@@ -60,13 +60,11 @@ def test_quad_mosaics():
     assert halves.attrs["mosaic"] == "GRBG"
     assert halves[0, 0, :2, :2].values == pytest.approx(2 * np.array([[2.0, 1.0], [3.0, 2.0]]), rel=0.05)
     shifted = CAMERA.replace(crop_offset=(2, 0), crop_size=(8, 8))
-    assert (
-        mp.dual_pixel(mp.Capture(exposed.image[:8, 2:10], shifted, metadata=exposed.metadata)).attrs["mosaic"] == "RGGB"
-    )
+    part = mp.Capture(exposed.image[:8, 2:10], shifted, metadata=exposed.metadata)
+    assert mp.dual_pixel(part).attrs["mosaic"] == "RGGB"
     refuses("Bayer mosaics", mp.demosaic, exposed)
-    refuses(
-        "several colours", mp.dual_pixel, mp.expose(mp.Capture(image, CAMERA), mp.Detector(mosaic="RGGB"), photons=100)
-    )
+    bayer = mp.expose(mp.Capture(image, CAMERA), mp.Detector(mosaic="RGGB"), photons=100)
+    refuses("several colours", mp.dual_pixel, bayer)
     refuses(r"layout = \(3, 1\)", mp.dual_pixel, exposed, layout=(3, 1))
     refuses("halves: they are GRBG mosaics", mp.match_halves, halves)
 
@@ -134,14 +132,12 @@ def test_presets_divide_the_light_alike_up_to_the_corner(name, pixel, lenses):
         assert quarters.sum(axis) == pytest.approx(0.5, abs=0.01)
     # Snell's law compresses the pupil's image along the radius, so that quarters are sectors of an ellipse.
     slope = np.array([float(bank[axis][1]) for axis in ("x", "y")]) / camera.mla_distance
-    square, gain = slope @ slope, 1 - camera.mla_medium**-2
-    stretch = np.eye(2) + gain * np.outer(slope, slope)
+    stretch = np.eye(2) + (1 - camera.mla_medium**-2) * np.outer(slope, slope)
     x, y = (side / np.linalg.norm(side) for side in stretch)
-    assert square > 0.1
+    assert slope @ slope > 0.1
     alike = math.acos(x @ y) / (2 * math.pi)
-    assert quarters == pytest.approx(
-        np.array([[[0.25] * 2] * 2, [[alike, 0.5 - alike], [0.5 - alike, alike]]]), abs=0.01
-    )
+    expected = np.array([[[0.25, 0.25], [0.25, 0.25]], [[alike, 0.5 - alike], [0.5 - alike, alike]]])
+    assert quarters == pytest.approx(expected, abs=0.01)
 
 
 GREEN = 550.0
@@ -154,9 +150,8 @@ def window(angle, **changes):
     camera = mp.PlenopticCamera.preset("phone_quad").replace(**changes)
     width, height = camera.resolution
     across = round(camera.mla_distance * math.tan(math.radians(angle)) / camera.mla_pitch)
-    camera = camera.replace(
-        crop_offset=(width // 2 + 2 * across - LENSES, height // 2 - LENSES), crop_size=(2 * LENSES, 2 * LENSES)
-    )
+    corner = (width // 2 + 2 * across - LENSES, height // 2 - LENSES)
+    camera = camera.replace(crop_offset=corner, crop_size=(2 * LENSES, 2 * LENSES))
     return camera, ((across + 0.5) * camera.mla_pitch, 0.5 * camera.mla_pitch)
 
 
@@ -316,9 +311,8 @@ def test_matching_finds_the_disparity_of_half_discs(disparity, side):
         samples = np.stack(pair).reshape(2, 3, lenses, 8, lenses, 8).mean((3, 5))
         pixels = np.repeat(samples.transpose(2, 3, 0, 1)[:, None], 2, axis=1).reshape(2 * lenses, 2 * lenses, 3)
         capture = mp.Capture(pixels.astype(np.float32), camera, (610.0, 550.0, 465.0))
-        found = mp.match_halves(mp.dual_pixel(mp.expose(capture, mp.Detector(), photons=1000, seed=seed)))[
-            16:-16, 16:-16
-        ]
+        halves = mp.dual_pixel(mp.expose(capture, mp.Detector(), photons=1000, seed=seed))
+        found = mp.match_halves(halves)[16:-16, 16:-16]
         assert float(found.median()) == pytest.approx(-disparity, abs=0.1)
         assert np.isfinite(found).mean() > 0.5
 
@@ -375,12 +369,10 @@ def test_regular_lenses_are_where_the_aligned_ones_are():
 
 def test_points_are_captured_as_banks_have_them():
     camera, index = around(0.9)
-    (i, j), distance = index, 0.98 * camera.focus_distance
-    middle = np.array(camera.lattice.regular.centre(float(i), float(j)))
-    lens = np.array(camera.lattice.centre(float(i), float(j)))
-    point = (*(-lens * distance / camera.mla_distance).tolist(), distance)
+    distance, field = 0.98 * camera.focus_distance, [camera.lattice.regular.centre(*index.astype(float).tolist())]
+    lens = np.array(camera.lattice.centre(*index.astype(float)))
+    point = (*(-lens * distance / camera.mla_distance), distance)
     operator = mp.CaptureOperator(camera, [point], wavelength=550, accuracy=0)
-    field = [tuple(middle.tolist())]
     bank = mp.psf_bank(camera, [distance], field, layout=(2, 2), model="wave", size=ALIGNED_LENSES)[0, 0]
     image = operator.forward([1.0]).reshape(ALIGNED_LENSES, 2, ALIGNED_LENSES, 2).transpose(1, 3, 0, 2)
     assert image.sum() > 0.2

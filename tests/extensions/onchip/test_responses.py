@@ -190,9 +190,8 @@ def test_lenses_that_a_table_aligns_to_chief_rays_are_those_of_a_smaller_pitch()
     angles = np.degrees(np.arcsin(camera.mla_medium * np.sin(np.arctan(moved * heights / camera.detector_distance))))
     table = tuple(np.stack([heights, angles], -1).ravel().tolist())
     aligned, smaller = camera.replace(mla_cra=table), camera.replace(mla_pitch=camera.mla_pitch * (1 - moved))
-    one, other, plain = (
-        by_direction(PhotodiodeResponses(each, 550.0), 150.0, -60.0) for each in (aligned, smaller, camera)
-    )
+    plans = [PhotodiodeResponses(each, 550.0) for each in (aligned, smaller, camera)]
+    one, other, plain = (by_direction(plan, 150.0, -60.0) for plan in plans)
     assert np.linalg.norm(one - other) < 0.01 * np.linalg.norm(other)
     assert np.linalg.norm(plain - other) > 0.2 * np.linalg.norm(other)
     assert len(Zones.of(aligned, 2)) == len(Zones.of(smaller, 2)) > len(Zones.of(camera, 2))

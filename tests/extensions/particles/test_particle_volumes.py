@@ -227,9 +227,8 @@ def test_empty_windows_have_no_displacement_of_their_own():
 def test_particles_are_located_and_matched():
     grid = pt.VoxelGrid((-1, -1, 99), (1, 1, 101), (20, 40, 40))
     places = np.array([[0.21, 0.1, 100.03], [-0.51, 0.42, 99.7], [0.62, -0.63, 100.4]])
-    found, light = pt.locate_particles(
-        pt.drawn_particles(grid, places, np.array([1, 2, 1.5]), (0.06, 0.06, 0.12)), apart=(7, 7, 7)
-    )
+    volume = pt.drawn_particles(grid, places, np.array([1, 2, 1.5]), (0.06, 0.06, 0.12))
+    found, light = pt.locate_particles(volume, apart=(7, 7, 7))
     order = np.argsort(light)
     assert_allclose(found[order], places[[0, 2, 1]], atol=0.01)
     assert_allclose(light[order], [1, 1.5, 2], rtol=0.03)

@@ -287,9 +287,7 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
 
 
 def boxed(page, identity):
-    return page.execute_script(
-        "return document.getElementById(arguments[0]).getBoundingClientRect().toJSON()", identity
-    )
+    return page.execute_script(f"return document.getElementById('{identity}').getBoundingClientRect().toJSON()")
 
 
 def assert_sliders_in_line(page, columns):

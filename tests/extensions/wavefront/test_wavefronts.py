@@ -70,10 +70,8 @@ def test_spots_behind_a_collimator_show_the_terms_with_their_signs():
         points, weights = star()
         seen = sensor.replace(wavefront=wavefront)
         image = CaptureOperator(seen, points, wavelength=WAVELENGTH, method="full_field").forward(weights)
-        magnification = -sensor.main_lens.magnification(sensor.focal_length)
-        return wf.spot_slopes(
-            image, pixels_per_lens=32, pixel_size=0.01, focal_length=16.0, magnification=magnification
-        )
+        options = {"pixel_size": 0.01, "magnification": -sensor.main_lens.magnification(sensor.focal_length)}
+        return wf.spot_slopes(image, pixels_per_lens=32, focal_length=16.0, **options)
 
     flat, found = slopes(), slopes(tuple(terms))
     bent = replace(found, slope=found.slope - flat.slope)
@@ -94,11 +92,9 @@ def test_a_slope_over_a_lens_is_its_mean_in_the_pupil():
     pupil = pupil[np.hypot(*(np.abs(pupil) + width / 2).T) < 5]
     along, steps = (np.arange(400) + 0.5) / 400 * width - width / 2, np.array([-1, 1]) * width / 2
     x, y = pupil[:, 0, None], pupil[:, 1, None]
-    sides = [
-        [wavefront.path(x + s, y + along).mean(1) for s in steps],
-        [wavefront.path(x + along, y + s).mean(1) for s in steps],
-    ]
-    slope = np.stack([(high - low) / width for low, high in sides], -1)
+    right, left = (wavefront.path(x + s, y + along).mean(1) for s in steps[::-1])
+    above, below = (wavefront.path(x + along, y + s).mean(1) for s in steps[::-1])
+    slope = np.stack([right - left, above - below], -1) / width
     found = wf.modes_from_slopes(wf.Slopes(pupil, slope, np.ones(len(pupil)), width), 5.0, 11)
     np.testing.assert_allclose(found, terms, atol=2e-3)
     # Taken for slopes at the middles, a part of the spherical aberration is defocus.
@@ -165,9 +161,8 @@ def test_fits_of_two_stars_keep_the_terms_that_are_not_fitted():
     known, terms = (0.0, 0.1, 0.0, 0.2, 0.0, 0.0, 0.15), (0.0, 0.15, -0.1, 0.25, 0.0, 0.0, 0.15)
     stars, weights = [STAR, (1e5, 0.0, 1e9)], [1.0, 4.0]
     light = [captured(telescope(), [star], 50000 * w, terms) for star, w in zip(stars, weights, strict=True)]
-    found = wf.fit_wavefronts(
-        telescope(wavefront=known), sum(light), wf.Zone(stars, weights), modes=4, accuracy=ACCURACY
-    )
+    zone = wf.Zone(stars, weights)
+    found = wf.fit_wavefronts(telescope(wavefront=known), sum(light), zone, modes=4, accuracy=ACCURACY)
     assert found.camera.wavefront[4:] == known[4:]
     np.testing.assert_allclose(found.camera.wavefront[:4], terms[:4], atol=0.006)
 
