@@ -156,8 +156,7 @@ def frame_12(table, **changes):
 
 
 def mirrored(table):
-    cluster = table["cluster"]
-    columns = cases.BOARD.columns
+    cluster, columns = table["cluster"], cases.BOARD.columns
     return {**table.columns, "cluster": cluster - 2 * (cluster % columns) + columns - 1}
 
 
@@ -260,11 +259,9 @@ def test_corners_alone_tell_where_micro_images_are(table, found):
     assert not alone.open_direction
     assert abs(alone.numbers["focal_length"] - cases.CAMERA.focal_length) < 3 * alone.deviations["focal_length"]
     assert alone.deviations["focal_length"] > 2 * found.deviations["focal_length"]
-    unit = found.index.unit(table["k"], table["l"])
-    theirs, ours = (
-        predict_centres(np.array(list(each.numbers.values())), unit, pixel_size=0.0055, row_ratio=0.75**0.5)[0]
-        for each in (found, alone)
-    )
+    unit, given = found.index.unit(table["k"], table["l"]), {"pixel_size": 0.0055, "row_ratio": 0.75**0.5}
+    numbers = (np.array(list(each.numbers.values())) for each in (found, alone))
+    theirs, ours = (predict_centres(each, unit, **given)[0] for each in numbers)
     assert np.sqrt(((ours - theirs) ** 2).sum(1).mean()) < 1
 
 

@@ -40,9 +40,7 @@ def test_a_sample_of_a_pair(tmp_path):
 
 def test_what_is_sharp_is_the_sum_in_focus():
     """A pattern in the plane in focus, at an edge of the field: registered to a fraction of a lens."""
-    camera = PlenopticCamera(
-        **(PlenopticCamera.preset("phone_quad").to_dict() | {"crop_offset": (7800, 5800), "crop_size": (64, 64)})
-    )
+    camera = PlenopticCamera.preset("phone_quad").replace(crop_offset=(7800, 5800), crop_size=(64, 64))
     texture = mi.Bitmap(np.random.default_rng(0).uniform(0.2, 1, (400, 400, 1)).astype(np.float32))
     x, y = (-camera.pixel_coordinates(axis).mean() * 1000 / camera.mla_distance for axis in (0, 1))
     light = {"type": "bitmap", "bitmap": texture, "raw": True}

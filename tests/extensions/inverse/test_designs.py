@@ -52,10 +52,8 @@ def test_deviation_of_depth_is_that_of_differences_refined():
 
     rows = [1e4 * image(0).astype(np.float64)]
     for axis, step in enumerate((6e-6 * g, 6e-6 * g, 1.5e-5 * g**2)):
-        coarse, fine = (
-            1e4 * (image(move).astype(np.float64) - image(-move)) / (2 * move[axis])
-            for move in (part * step * np.eye(3)[axis] for part in (1.0, 0.5))
-        )
+        moves = np.outer([step, step / 2], np.eye(3)[axis])
+        coarse, fine = (5e3 * (image(move).astype(np.float64) - image(-move)) / move[axis] for move in moves)
         rows.append((4 * fine - coarse) / 3)
     whitened = np.stack(rows) / np.sqrt(rows[0].clip(0) + background)
     stated = DepthInformation([point], 1e4, background=background).deviations(camera)[0]

@@ -25,26 +25,15 @@ PHOTONS = 2000.0
 ACCURACY = 0.03
 
 
-def weights_of(brightest):
-    """Return the weights by which the brightest pixel has this value."""
+def test_numbers_are_found_within_their_deviations():
     operator = CaptureOperator(TRUE, POINTS, wavelength=WAVELENGTH, accuracy=ACCURACY)
     image = brightness_of(TRUE, main_lens(TRUE)) * operator.forward(np.ones(len(POINTS)))
-    return np.full(len(POINTS), brightest / image.max()), image * (brightest / image.max())
-
-
-def test_numbers_are_found_within_their_deviations():
-    weights, image = weights_of(1.0)
-    seen, tried = np.random.default_rng(4).poisson(image * PHOTONS) / PHOTONS, []
+    weights, image, tried = np.full(len(POINTS), 1 / image.max()), image / image.max(), []
+    seen = np.random.default_rng(4).poisson(image * PHOTONS) / PHOTONS
     start = TRUE.replace(mla_pitch=0.0643, mla_offset=(0.001, -0.001), detector_distance=TRUE.detector_distance * 1.01)
-    found = fit(
-        start,
-        View(seen, POINTS, weights),
-        ["mla_pitch", "mla_offset", "detector_distance"],
-        wavelength=WAVELENGTH,
-        photons=PHOTONS,
-        accuracy=ACCURACY,
-        progress=lambda done, total: tried.append(done),
-    )
+    names, options = ["mla_pitch", "mla_offset", "detector_distance"], {"photons": PHOTONS, "accuracy": ACCURACY}
+    options |= {"wavelength": WAVELENGTH, "progress": lambda done, total: tried.append(done)}
+    found = fit(start, View(seen, POINTS, weights), names, **options)
     true = {"mla_pitch": 0.064, "mla_offset.1": 0.0, "mla_offset.2": 0.0, "detector_distance": 0.512}
     assert list(found.values) == list(true)
     difference = np.array([found.values[name] - value for name, value in true.items()])
@@ -70,11 +59,14 @@ def test_single_parts_of_a_parameter_are_named_by_their_index():
     assert vector_of(camera, ["wavefront.5", "wavefront"]).labels == [f"wavefront.{term}" for term in range(2, 7)]
 
 
+def lit_by_rays(camera, points, weights):
+    rays, system = PointRays(camera, points, WAVELENGTH), OpticalSystem(camera, WAVELENGTH)
+    return brightness_of(camera, main_lens(camera)) * rays.image(system, weights)
+
+
 def by_rays(camera, points):
     """Return what a camera records of points by rays, the brightest pixel 1, and the light."""
-    image = brightness_of(camera, main_lens(camera)) * PointRays(camera, points, WAVELENGTH).image(
-        OpticalSystem(camera, WAVELENGTH), np.ones(len(points))
-    )
+    image = lit_by_rays(camera, points, np.ones(len(points)))
     return image / image.max(), np.full(len(points), 1 / image.max())
 
 
@@ -215,11 +207,8 @@ def test_a_number_at_a_bound_has_a_one_sided_deviation(recorded):
     with pytest.warns(UserWarning, match=r"fit: at a bound: mla_pitch = 0\.064002 \(its lowest\)"):
         found = quickly(true, View(seen, points, weights), bounds={"mla_pitch": (bound, 0.065)})
     assert found.at_bounds == {"mla_pitch": "lowest"}
-    images = []
-    for pitch in (bound, bound + found.deviations["mla_pitch"]):
-        camera = true.replace(mla_pitch=pitch)
-        rays = PointRays(camera, points, WAVELENGTH)
-        images.append(brightness_of(camera, main_lens(camera)) * rays.image(OpticalSystem(camera, WAVELENGTH), weights))
+    pitches = (bound, bound + found.deviations["mla_pitch"])
+    images = [lit_by_rays(true.replace(mla_pitch=pitch), points, weights) for pitch in pitches]
     variance = np.maximum(images[0], 1 / PHOTONS) / PHOTONS
     squares = [((one - seen) ** 2 / variance).sum() for one in images]
     assert squares[1] - squares[0] == pytest.approx(1, abs=0.15)

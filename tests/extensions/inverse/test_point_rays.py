@@ -58,14 +58,11 @@ def test_a_point_in_focus_is_a_disc_behind_one_lens():
 
 def test_captures_are_continuous_in_the_camera():
     """A small step makes a small change, where borders of lenses pass over the light, too."""
-    camera = PlenopticCamera(detector_width=0.256, resolution=(64, 64), **HALF)
-    rng = np.random.default_rng(2)
+    camera, rng = PlenopticCamera(detector_width=0.256, resolution=(64, 64), **HALF), np.random.default_rng(2)
     points = np.column_stack([rng.uniform(-0.1, 0.1, (20, 2)), rng.uniform(108, 114, 20)])
     rays = PointRays(camera, points, WAVELENGTH)
-    images = [
-        rays.image(OpticalSystem(camera.replace(mla_offset=(step, 0.0)), WAVELENGTH), np.ones(20))
-        for step in np.arange(5) * 2e-5
-    ]
+    moved = [camera.replace(mla_offset=(2e-5 * step, 0.0)) for step in range(5)]
+    images = [rays.image(OpticalSystem(each, WAVELENGTH), np.ones(20)) for each in moved]
     steps = [np.linalg.norm(b - a) for a, b in itertools.pairwise(images)]
     assert max(steps) < 1.3 * min(steps)
     assert max(steps) < 0.005 * np.linalg.norm(images[0])

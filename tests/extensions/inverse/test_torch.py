@@ -307,12 +307,11 @@ test_refusals = refused(
     (lambda: rendered({"f.emitter.radiance": torch.ones(1)}), "^values: f.emitter.radiance: "),
     (lambda: forwarded(random(2, 4)), r"^weights of shape \(2, 4\)"),
     (lambda: forwarded([1, 2, 3]), r"^\[1, 2, 3\]: .* tensor"),
-    *(
-        (lambda given=given: forwarded(given), r"^tensor of shape \(3,\), ")
-        for given in (torch.tensor([1, 2, 3]), torch.ones(3).to_sparse(), torch.ones(3, device="meta"))
-    ),
+    (lambda: forwarded(torch.tensor([1, 2, 3])), r"^tensor of shape \(3,\), "),
+    (lambda: forwarded(torch.ones(3).to_sparse()), r"^tensor of shape \(3,\), "),
+    (lambda: forwarded(torch.ones(3, device="meta")), r"^tensor of shape \(3,\), "),
     (lambda: bridge.capture(computing, CAMERA, {"mla_distance": 120.0}, random(3)), r"^120\.0: .* tensor"),
     (lambda: bridge.capture(computing, CAMERA, {"wavelength": torch.ones(1)}, random(3)), "^parameters: wavelength: "),
     # Colours are axes before the rows.
-    (lambda: bridge.refocus(RayRefocus(CAMERA, 225.0), random(64, 64, 3)), r"\(64, 64, 3\): .* \(64, 64\)$"),
+    (lambda: bridge.refocus(RayRefocus(CAMERA, 225.0), random(64, 64, 3)), r"^captures .*64, 3\): .* \(64, 64\)$"),
 )

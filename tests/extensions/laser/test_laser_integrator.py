@@ -150,11 +150,9 @@ def test_two_lasers_make_fringes_on_the_wall():
 
 def test_directional_lasers_make_straight_fringes():
     angle = 0.01
-    ahead = {"type": "directional", "irradiance": {"type": "spectrum", "value": 1.0}}
-    lasers = {
-        name: {**ahead, "direction": [side * math.sin(angle), 0, math.cos(angle)]}
-        for name, side in (("laser", 1), ("other", -1))
-    }
+    sine, cosine = math.sin(angle), math.cos(angle)
+    ahead = {"type": "directional", "irradiance": {"type": "spectrum", "value": 1.0}, "direction": [sine, 0, cosine]}
+    lasers = {"laser": ahead, "other": ahead | {"direction": [-sine, 0, cosine]}}
     points = lit(scene_of(**lasers), per_spot=16, names=("laser", "other"))
     one = lit(scene_of(**lasers), per_spot=16)
     phase = 2 * np.pi * points.positions[:, 0] * math.sin(angle) / LENGTH

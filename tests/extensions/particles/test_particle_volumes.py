@@ -79,10 +79,8 @@ def test_steps_stop_and_go_on(tmp_path):
     with pytest.raises(KeyboardInterrupt), saved:
         pt.reconstruct_volume(operator, image, GRID, iterations=40, progress=stop, checkpoint=saved)
     with mp.Checkpoint(tmp_path / "volume.checkpoint", "resume") as saved:
-        steps = []
-        again = pt.reconstruct_volume(
-            operator, image, GRID, iterations=40, progress=lambda *done: steps.append(done[0]), checkpoint=saved
-        )
+        steps, options = [], {"iterations": 40, "checkpoint": saved}
+        again = pt.reconstruct_volume(operator, image, GRID, progress=lambda *done: steps.append(done[0]), **options)
     assert steps[0] == 16
     assert (again.values == whole.values).all()
 

@@ -23,18 +23,16 @@ def numbers_of(bits, seed=0):
     return np.random.default_rng(seed).integers(0, 2**bits, (ROWS, COLUMNS))
 
 
-@pytest.mark.parametrize(
-    ("bits", "black", "white", "first", "mosaic"), [(12, 168, 4095, "r", "RGGB"), (10, 64, 1023, "gb", "GBRG")]
-)
-def test_pixels_and_header(bits, black, white, first, mosaic, tmp_path):
-    numbers, metadata = numbers_of(bits), lytro_metadata(COLUMNS, ROWS, bits=bits, upper_left=first)
+@pytest.mark.parametrize("bits, black, white, tile, name", [(12, 168, 4095, "r", "RGGB"), (10, 64, 1023, "gb", "GBRG")])
+def test_pixels_and_header(bits, black, white, tile, name, tmp_path):
+    numbers, metadata = numbers_of(bits), lytro_metadata(COLUMNS, ROWS, bits=bits, upper_left=tile)
     numbers[0, :2] = white, black
     found = read_lytro(write_lytro(tmp_path / "photo.LFR", numbers, metadata))
     np.testing.assert_allclose(found.image, (numbers - black) / (white - black), atol=1e-6)
     assert found.image[0, 0] == 1 and found.image[0, 1] == 0
     record = found.metadata["raw"]
     assert record["devices"] == metadata["devices"] and record["image"] == metadata["image"]
-    assert record["mosaic"] == mosaic
+    assert record["mosaic"] == name
     assert record["saturated_pixels"] == np.count_nonzero(numbers >= white)
 
 

@@ -39,11 +39,9 @@ def without(camera, *names):
 def scene(tmp_path):
     """Write a scene of a ball in the plane in focus, whose sensor is none of this package."""
     path = tmp_path / "ball.xml"
-    path.write_text(
-        '<scene version="3.0.0"><integrator type="path"/><sensor type="perspective">'
-        '<film type="hdrfilm"><string name="pixel_format" value="luminance"/></film></sensor>'
-        f"{BALL}</scene>"
-    )
+    film = '<film type="hdrfilm"><string name="pixel_format" value="luminance"/></film>'
+    sensor = f'<integrator type="path"/><sensor type="perspective">{film}</sensor>'
+    path.write_text(f'<scene version="3.0.0">{sensor}{BALL}</scene>')
     return path
 
 

@@ -51,11 +51,8 @@ def pixels(picture):
     if picture["bits"] == 16:
         half = len(codes) // 2
         opaque = codes[:half, :, picture["channels"] :]
-        codes = np.concatenate([256 * codes[:half] + codes[half:], opaque], axis=2)[
-            ..., : picture["channels"] + opaque.shape[2]
-        ]
-        if opaque.shape[2]:
-            codes[..., picture["channels"]] = opaque[..., 0]
+        codes = (256 * codes[:half] + codes[half:])[..., : picture["channels"]]
+        codes = np.concatenate([codes, opaque], axis=2)
     colours = codes[..., : picture["channels"]] / (2 ** picture["bits"] - 1)
     # IEC 61966-2-1
     values = picture["full"] * np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
@@ -148,13 +145,14 @@ def test_light_fields_without_a_camera():
     assert one["distances"] == [None] * len(one["disparities"]) and one["raw"] is None
 
 
+def refocused(**options):
+    return mp.reconstruct(capture(), [240.0], **options)
+
+
 test_refused = refused(
     (lambda: mp.view(capture(), capture(colour=True)), "sources: .* shapes .* cannot be compared"),
     (lambda: mp.view(capture(), capture(CAMERA.replace(mla_distance=121.0))), "sources: .* whose v differ"),
-    (
-        lambda: mp.view(*mp.reconstruct(capture(), [240.0]), *mp.reconstruct(capture(), [250.0], oversample=2)),
-        "sources: focal stack: .* one size",
-    ),
+    (lambda: mp.view(*refocused(), *refocused(oversample=2)), "sources: focal stack: .* one size"),
 )
 
 
@@ -295,15 +293,12 @@ def assert_sliders_in_line(page, columns):
     boxes = [boxed(page, name) for name in ("focus", "exposure", "span")]
     for end in ("left", "right"):
         assert len({round(box[end]) for box in boxes}) == columns
-    heights = page.execute_script(
-        "return [...document.querySelectorAll('.focus label')].map((label) => label.getBoundingClientRect().height)"
-    )
+    labels = "[...document.querySelectorAll('.focus label')]"
+    heights = page.execute_script(f"return {labels}.map((label) => label.getBoundingClientRect().height)")
     assert len({round(height) for height in heights}) == 1
 
 
-@pytest.mark.parametrize(
-    ("preset", "width", "spp", "noise"), [("paper_double_gauss", 0.512, 2, 1e-3), ("lfm", 1.2, 256, 0.1)]
-)
+@pytest.mark.parametrize("preset, width, spp, noise", [("paper_double_gauss", 0.512, 2, 1e-3), ("lfm", 1.2, 256, 0.1)])
 def test_captures_by_real_lenses_and_microscopes(preset, width, spp, noise):
     """A sky of radiance 1 is 1 in all views, so that micro-images are where the page has them."""
     camera = mp.PlenopticCamera.preset(preset)

@@ -49,9 +49,8 @@ def spots(image, lenses):
 def test_a_shack_hartmann_sensor_equals_that_of_hcipy():
     # HCIPy places the centre of a lens on the axis; the pupil's image of 1.6 mm has five lenses across.
     width, beam, magnification = 1.76e-3, 1.6e-3, 0.32
-    camera = PlenopticCamera.preset("shack_hartmann").replace(
-        aperture_radius=2.5, mla_offset=(0.16, 0.16), detector_width=1.76, resolution=(176, 176)
-    )
+    size = {"detector_width": 1.76, "resolution": (176, 176)}
+    camera = PlenopticCamera.preset("shack_hartmann").replace(aperture_radius=2.5, mla_offset=(0.16, 0.16), **size)
     grid = hcipy.make_pupil_grid(176 * FINER, width)
     given = wavefront(grid, beam)
     optics = hcipy.SquareShackHartmannWavefrontSensorOptics(grid, 50, 5, beam)
@@ -87,9 +86,8 @@ def test_an_array_in_the_focus_equals_that_of_hcipy():
 
 def test_screens_of_atmospheres_and_wavefronts_behind_them_agree():
     grid = hcipy.make_pupil_grid(160, 10.24e-3)
-    layer = hcipy.InfiniteAtmosphericLayer(
-        grid, hcipy.Cn_squared_from_fried_parameter(3e-3, WAVELENGTH), L0=10, seed=1, use_interpolation=True
-    )
+    strength = hcipy.Cn_squared_from_fried_parameter(3e-3, WAVELENGTH)
+    layer = hcipy.InfiniteAtmosphericLayer(grid, strength, L0=10, seed=1, use_interpolation=True)
     camera = PlenopticCamera.preset("shack_hartmann").replace(resolution=(128, 128))
     behind = CameraOptics(camera).forward(layer.forward(wavefront(grid, 10e-3, [0])))
     screen = phase_screen(layer.phase_for(WAVELENGTH), WAVELENGTH)
