@@ -58,8 +58,7 @@ def test_deviations_are_true_where_a_corner_errs_as_a_whole(seen, radius):
     group = np.unique(np.column_stack([seen.pose, seen.board]), axis=0, return_inverse=True)[1].ravel()
     errors = []
     for seed in range(60):
-        noise = np.random.default_rng(seed).normal(0, 0.1, group.max() + 1)[group]
-        found = fitted(radius + noise, seen)
+        found = fitted(radius + np.random.default_rng(seed).normal(0, 0.1, group.max() + 1)[group], seen)
         errors.append((np.array(found.focal_lengths) - FOCAL_LENGTHS) / found.deviations)
     # The mean square of 60 normal deviates is 1 to 0.18, and the three share their errors.
     assert 0.5 < np.mean(np.square(errors)) < 1.7
@@ -78,8 +77,7 @@ def test_radii_that_say_nothing_of_focus_are_refused(seen):
 
 
 def write_table(path, columns):
-    rows = np.column_stack(list(columns.values()))
-    np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="")
+    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
 
 
 def test_a_calibration_takes_them_and_keeps_them(tmp_path, radius):

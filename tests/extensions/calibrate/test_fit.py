@@ -295,20 +295,14 @@ def test_lenses_are_counted_as_rows_are_shifted():
     np.testing.assert_array_equal(places, [[0, 0], [-0.5, -1], [0, -2]])
 
 
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("calibrate c.csv -o {out}.json --report {out}.json", "two results would be written to it"),
-        ("calibrate w.png -o {out}.csv --board 9x5 --square 3", "--square: detecting corners"),
-        ("calibrate --evaluate c.csv --white {raw}", "--white: "),
-        ("calibrate a.png --board 4x3 -o {out}.csv", "need a white image"),
-        ("calibrate a.png b.csv --board 4x3 -o {out}.csv", "one table of corners"),
-        ("calibrate a.png --report a.html -o {out}.csv", "a report is of a calibration"),
-        ("calibrate --evaluate a.csv -o {out}.csv", "writes no file"),
-    ],
-)
-def test_mistakes(line, words, mistake, tmp_path_factory, monkeypatch):
+def test_mistakes(mistake, tmp_path_factory, monkeypatch):
     monkeypatch.chdir(tmp_path_factory.mktemp("files"))
     for name in ("a.png", "w.png", "a.csv", "b.csv", "c.csv"):
         Path(name).write_text("k,l")
-    mistake(line, words)
+    mistake("calibrate c.csv -o {out}.json --report {out}.json", "two results would be written to it")
+    mistake("calibrate w.png -o {out}.csv --board 9x5 --square 3", "--square: detecting corners")
+    mistake("calibrate --evaluate c.csv --white {raw}", "--white: ")
+    mistake("calibrate a.png --board 4x3 -o {out}.csv", "need a white image")
+    mistake("calibrate a.png b.csv --board 4x3 -o {out}.csv", "one table of corners")
+    mistake("calibrate a.png --report a.html -o {out}.csv", "a report is of a calibration")
+    mistake("calibrate --evaluate a.csv -o {out}.csv", "writes no file")

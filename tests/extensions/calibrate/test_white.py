@@ -67,8 +67,7 @@ def test_centres_do_not_follow_the_fall_off(name):
     assert found.error < 0.03
     # The pitches of the centres, too.
     steps = found.lens + [[0.5, 0]] * (found.lens[:, 1:] % 2 == found.grid.shifted_rows)
-    matrix = np.column_stack([np.ones(len(steps)), steps])
-    _, along, across = np.linalg.lstsq(matrix, found.pixel)[0]
+    _, along, across = np.linalg.lstsq(np.column_stack([np.ones(len(steps)), steps]), found.pixel)[0]
     np.testing.assert_allclose([math.hypot(*along), math.hypot(*across)], pitches, rtol=1.5e-5)
 
 

@@ -253,8 +253,7 @@ def test_withheld_places_choose_the_degree(camera, lenses, terms, most):
     index = np.stack(np.meshgrid(*2 * [np.linspace(-12.0, 12.0, lenses).round()]), axis=-1).reshape(-1, 2)
     centre = np.stack(camera.lattice.centre(*index.T), axis=-1)
     true = centre * camera.image_growth / camera.pixel_size + (np.array(camera.resolution) - 1) / 2
-    noise = np.random.default_rng(1).normal(0, 0.02, true.shape)
-    fit = fit_array(true + noise, index, STRAIGHT)
+    fit = fit_array(true + np.random.default_rng(1).normal(0, 0.02, true.shape), index, STRAIGHT)
     assert np.flatnonzero(fit.warp.reshape(2, -1).any(0)).max(initial=-1) + 1 == terms
     assert np.hypot(*(places(fit, index, camera) - true).T).max() < most
 

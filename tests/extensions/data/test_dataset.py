@@ -76,8 +76,7 @@ def test_samples_hold_what_the_library_itself_makes(made):
     assert json.loads(json.dumps(make_sample(recipe, 1).facts)) == sample.facts
     assert set(sample.arrays) == {"ray", "ray_exposed", "depth", "normal", "views_depth", "views_normal"}
     capture, record = sample.capture("ray"), sample.facts["captures"]["ray_exposed"]["metadata"]["exposure"]
-    photons = sample.facts["draws"]["noise"]["photons"]
-    again = mp.expose(capture, mp.Detector(), photons=photons, seed=record["seed"])
+    again = mp.expose(capture, mp.Detector(), photons=sample.facts["draws"]["noise"]["photons"], seed=record["seed"])
     np.testing.assert_array_equal(again.image, sample.capture("ray", exposed=True).image)
     np.testing.assert_array_equal(mp.decode(capture, truth=sample.truth).depth.values, sample.arrays["views_depth"])
     assert np.nanmin(sample.arrays["depth"]) > 100
@@ -190,8 +189,7 @@ def test_pytorch_reads_tensors(made):
         loader.dataset[0:2]
     assert batch["ray"].shape == (5, 64, 64)
     assert batch["normal"].shape == (5, 3, 64, 64)
-    expected = np.moveaxis(DataSet(made)[3].arrays["normal"], -1, 0)
-    np.testing.assert_array_equal(batch["normal"][3].numpy(), expected)
+    np.testing.assert_array_equal(batch["normal"][3].numpy(), np.moveaxis(DataSet(made)[3].arrays["normal"], -1, 0))
 
 
 def test_ctrl_c_says_how_to_go_on(recipe, tmp_path, monkeypatch, capsys):

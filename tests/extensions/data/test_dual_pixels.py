@@ -24,8 +24,7 @@ def dual(**changes):
 
 def test_a_sample_of_a_pair(tmp_path):
     sample = make_dataset(parse_recipe(dual(count=2)), tmp_path)[1]
-    halves = dual_pixel(sample.capture("ray"))
-    np.testing.assert_array_equal(sample.arrays["ray_left"], halves[0, 0])
+    np.testing.assert_array_equal(sample.arrays["ray_left"], dual_pixel(sample.capture("ray"))[0, 0])
     exposed = dual_pixel(sample.capture("ray", exposed=True))[0, 1]
     np.testing.assert_array_equal(sample.arrays["ray_exposed_right"], exposed)
     assert {sample.arrays[name].shape for name in ("sharp", "lens_depth", "blur_radius", "ray_left")} == {(32, 32)}

@@ -28,8 +28,7 @@ def test_values_have_the_distributions_that_they_are_said_to_have():
     steps = [each["scene"]["objects"] for each in drawn if "objects" in each["scene"]]
     assert stats.chisquare(np.bincount(steps)[3:]).pvalue > 0.01
     assert set(steps) == {3, 4, 5, 6}
-    lattices = [each["camera"]["mla_lattice"] for each in drawn]
-    assert stats.binomtest(lattices.count("hexagonal"), 500, 0.5).pvalue > 0.01
+    assert stats.binomtest([each["camera"]["mla_lattice"] for each in drawn].count("hexagonal"), 500, 0.5).pvalue > 0.01
     assert stats.binomtest(sum(plan.source for plan in plans), 500, 0.25).pvalue > 0.01
     assert all(each["camera"]["resolution"] == [64, 64] for each in drawn)
 
@@ -52,8 +51,7 @@ def test_shapes_stand_where_the_camera_resolves_them():
     depths = np.array([matrix[2, 3] for matrix in places])
     assert near < depths.min() < depths.max() < far
     # Evenly in disparity, which goes with the inverse distance.
-    share = (1 / depths - 1 / far) / (1 / near - 1 / far)
-    assert stats.kstest(share, "uniform").pvalue > 0.01
+    assert stats.kstest((1 / depths - 1 / far) / (1 / near - 1 / far), "uniform").pvalue > 0.01
     # Rotations and one scale but for cylinders: no shear.
     for matrix in places:
         axes = np.array(matrix)[:3, :3].T @ np.array(matrix)[:3, :3]

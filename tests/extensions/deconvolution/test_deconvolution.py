@@ -63,8 +63,7 @@ def test_noise_is_the_detectors():
     ramp = np.tile(np.linspace(0, 1, SMALL.shape[1]), (SMALL.shape[0], 1)).astype(np.float32)
     detector = mp.Detector(read_noise=20, dark_electrons=100, full_well=20000)
     noisy = mp.expose(mp.Capture(ramp, SMALL, WAVELENGTH, "wave"), detector, photons=3000, seed=1)
-    noise = noise_of(noisy.metadata["exposure"], None)
-    assert misfit(noise, noisy.image, ramp) == pytest.approx(1, abs=0.03)
+    assert misfit(noise_of(noisy.metadata["exposure"], None), noisy.image, ramp) == pytest.approx(1, abs=0.03)
     photons = np.random.default_rng(4).poisson(200 * ramp) / 200
     assert misfit(noise_of(None, 200.0), photons.astype(np.float32), ramp) == pytest.approx(1, abs=0.03)
     assert noise_of(None, None) is None
@@ -181,10 +180,9 @@ def test_points_come_back():
     weight = size**2 * np.pi * 25 * 0.512**2 / (120**2 * 0.064**2 * 0.002**2)
     for place, power in zip(q, (2000, 1000), strict=True):
         near = np.hypot(x - place[0], y - place[1]) < 2.5 * size
-        light = image[near].sum()
         found = [np.average(axis[near], weights=image[near]) for axis in (x, y)]
         assert np.hypot(*(found - place)) < 0.1 * size
-        assert light * weight == pytest.approx(power, rel=0.03)
+        assert image[near].sum() * weight == pytest.approx(power, rel=0.03)
     assert result.facts["iterations"] == 60
     assert 0 < result.facts["residual"] < 0.3
     assert result.facts["resolution_limit"] == resolution_limit(SMALL, distance, WAVELENGTH).frequency
@@ -212,8 +210,7 @@ def test_a_dark_channel_stays_dark():
     red = np.random.default_rng(0).random(SMALL.shape, np.float32)
     options = {"method": "deconvolved", "response": "ray", "iterations": 3}
     dark = np.zeros_like(red)
-    both = mp.Capture(np.stack([red, dark, dark - 1e-7], -1), SMALL, None, "wave")
-    found = mp.reconstruct(both, 253.0, **options)
+    found = mp.reconstruct(mp.Capture(np.stack([red, dark, dark - 1e-7], -1), SMALL, None, "wave"), 253.0, **options)
     alone = mp.reconstruct(mp.Capture(red, SMALL, None, "wave"), 253.0, **options)
     np.testing.assert_array_equal(found.image[..., 0], alone.image)
     assert (found.image[..., 1:] == 0).all()
@@ -250,8 +247,7 @@ def test_bins_weigh_the_capture_with_the_spreads_of_their_points():
     q = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     points = np.column_stack([-q * distance / camera.mla_distance, np.full(len(q), distance)])
     operator = mp.CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0)
-    expected = operator.adjoint(random).sum() / operator.adjoint(even).sum()
-    assert found[row, column] == pytest.approx(expected, rel=3e-4)
+    assert found[row, column] == pytest.approx(operator.adjoint(random).sum() / operator.adjoint(even).sum(), rel=3e-4)
 
 
 def test_it_is_linear_also_below_zero():

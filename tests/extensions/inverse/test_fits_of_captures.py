@@ -106,9 +106,8 @@ def test_a_camera_is_found_from_afar():
     image, weights = by_rays(true, points)
     view = View(np.random.default_rng(5).poisson(image * PHOTONS) / PHOTONS, points, weights)
     off = {"focal_length": 0.98, "mla_distance": 1.02, "detector_distance": 1.02}
-    start = true.replace(**{name: factor * getattr(true, name) for name, factor in off.items()})
     names = [*off, "mla_offset"]
-    near = coarse_fit(start, view, names)
+    near = coarse_fit(true.replace(**{name: factor * getattr(true, name) for name, factor in off.items()}), view, names)
     found = fit(near, view, names, photons=PHOTONS, model="ray")
     for name in off:
         assert getattr(near, name) == pytest.approx(getattr(true, name), rel=0.005)
@@ -150,8 +149,7 @@ def test_deviations_are_not_those_of_a_kink(recorded):
     names = ["mla_pitch", "focal_length", "mla_offset"]
     with pytest.warns(UserWarning, match="chi-square is"):
         bound = quickly(true, View(image, points, weights), names)
-    seen = np.random.default_rng(14).poisson(image * PHOTONS) / PHOTONS
-    found = quickly(true, View(seen, points, weights), names)
+    found = quickly(true, View(np.random.default_rng(14).poisson(image * PHOTONS) / PHOTONS, points, weights), names)
     errors = np.array([found.values[name] - value for name, value in bound.values.items()])
     assert errors @ np.linalg.solve(bound.covariance, errors) < 13.3
     for name, deviation in bound.deviations.items():
@@ -176,9 +174,8 @@ def test_chi_square_of_what_a_detector_records_is_one(recorded):
 
 def test_a_wrong_unit_is_warned_of(recorded):
     true, points, image, weights = recorded
-    counts = np.random.default_rng(1).poisson(image * PHOTONS).astype(float)
     with pytest.warns(UserWarning, match=r"chi-square is .* not 1: .* times as bright as the model"):
-        quickly(true, View(counts, points, weights))
+        quickly(true, View(np.random.default_rng(1).poisson(image * PHOTONS).astype(float), points, weights))
 
 
 def test_saturated_pixels_are_left_out(recorded):
@@ -267,8 +264,7 @@ def test_lattice_from_white(numbers):
     white = 1 / (1 + np.exp((np.hypot(across - cx, up - cy) - 0.02) / 0.001))
     pitches = np.array(camera.mla_pitches) * (1.02, 0.985 if "mla_pitch" in numbers else 1.02)
     pitch = tuple(pitches) if "mla_pitch" in numbers else pitches[0]
-    start = camera.replace(mla_pitch=pitch, mla_rotation=-0.3, mla_offset=(0.0, 0.0))
-    found = lattice_from_white(start, white)
+    found = lattice_from_white(camera.replace(mla_pitch=pitch, mla_rotation=-0.3, mla_offset=(0.0, 0.0)), white)
     assert found.mla_pitches == pytest.approx(camera.mla_pitches, rel=1e-3)
     assert found.mla_rotation == pytest.approx(0.7, abs=0.02)
     assert found.mla_offset == pytest.approx(camera.mla_offset, abs=3e-4)

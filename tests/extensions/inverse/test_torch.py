@@ -31,8 +31,7 @@ def computing(camera):
 
 
 def random(*shape, low=-1.0):
-    values = np.random.default_rng(len(shape)).uniform(low, 1, shape)
-    return torch.tensor(values, requires_grad=True)
+    return torch.tensor(np.random.default_rng(len(shape)).uniform(low, 1, shape), requires_grad=True)
 
 
 def test_gradients_of_weights_and_images_in_double_precision():
@@ -131,8 +130,7 @@ def test_transforms_of_derivatives():
     make = lambda camera: CaptureOperator(camera, POINTS[:1], wavelength=WAVELENGTH, accuracy=0)  # noqa: E731
 
     def halves(distance, weights):
-        image = bridge.capture(make, CAMERA, {"mla_distance": distance}, weights)
-        return image.reshape(2, -1).square().sum(-1)
+        return bridge.capture(make, CAMERA, {"mla_distance": distance}, weights).reshape(2, -1).square().sum(-1)
 
     ahead, back = (mode(halves, (0, 1))(start, weights) for mode in (torch.func.jacfwd, torch.func.jacrev))
     for one, other in zip(ahead, back, strict=True):
@@ -221,8 +219,7 @@ def letters():
     scene, integrator = load_scene("letters", parameters=small), mi.load_dict({"type": "plenoptic_wave"})
 
     def image(*values, names=RADIANCES, seed=0):
-        made = dict(zip(names, values, strict=True))
-        return bridge.render(scene, made, integrator=integrator, spp=8, seed=seed)
+        return bridge.render(scene, dict(zip(names, values, strict=True)), integrator=integrator, spp=8, seed=seed)
 
     image.scene = scene
     return image

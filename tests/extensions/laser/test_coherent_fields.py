@@ -89,18 +89,14 @@ def test_points_of_opposite_distances_are_one_layer():
 
 def test_the_light_of_a_layer_may_leave_an_ideal_lens_collimated():
     points = np.array([(0, 0, 98.5), (1, 0, 99.5)])
-    camera = CAMERA.replace(focal_length=1 / np.mean(1 / points[:, 2]))
     with np.errstate(all="raise"):
-        assert error_on_pupil(points, [1, 1j], camera) < 2e-5
+        assert error_on_pupil(points, [1, 1j], CAMERA.replace(focal_length=1 / np.mean(1 / points[:, 2]))) < 2e-5
 
 
 def test_plane_waves():
-    rng = np.random.default_rng(0)
-    frequencies, given = rng.uniform(-0.45, 0.2, (50, 2)), amplitudes(50).astype(np.complex64)
+    frequencies, given = np.random.default_rng(0).uniform(-0.45, 0.2, (50, 2)), amplitudes(50).astype(np.complex64)
     waves, order = PlaneWaves(frequencies, 37), np.arange(37) - 18
     exact = np.exp(2j * np.pi * (order[:, None, None] * frequencies[:, 1] + order[None, :, None] * frequencies[:, 0]))
-    found = np.concatenate([block for _, block in waves.forward(given)])
-    assert error(found, exact @ given) < 1e-6
+    assert error(np.concatenate([block for _, block in waves.forward(given)]), exact @ given) < 1e-6
     samples = amplitudes(37 * 37).reshape(37, 37).astype(np.complex64)
-    back = waves.adjoint(iter([(slice(0, 37), samples)]))
-    assert error(back, np.einsum("yxj,yx->j", exact.conj(), samples)) < 1e-6
+    assert error(waves.adjoint(iter([(slice(0, 37), samples)])), np.einsum("yxj,yx->j", exact.conj(), samples)) < 1e-6

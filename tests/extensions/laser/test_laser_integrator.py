@@ -51,8 +51,7 @@ def posed(turn, **objects):
 
 def lit(scene, per_spot=4.0, names=("laser",), camera=CAMERA, seed=0):
     system = OpticalSystem(camera, WAVELENGTH)
-    made = LaserScene(scene, scene.sensors()[0], named_lasers(scene, names, "test"), system)
-    return made.points(per_spot, seed)
+    return LaserScene(scene, scene.sensors()[0], named_lasers(scene, names, "test"), system).points(per_spot, seed)
 
 
 @pytest.mark.slow
@@ -114,12 +113,11 @@ def test_small_things_far_out_of_focus_beside_the_field_are_found(x=0.9):
     towards = mi.ScalarTransform4f().look_at(origin=[0, 0, 20], target=[x, 0.1, 40], up=[0, 1, 0])
     spot = {"type": "spot", "to_world": towards, "cutoff_angle": 0.5, "intensity": LASER["intensity"]}
     points = lit(scene_of(card=wall(40.0, 0.02, (x, 0.1)), laser=spot), per_spot=12)
-    weights = points.weights[points.positions[:, 2] < 60]
     # The radiance of a matte card of albedo 1/2, times the area of its image.
     square = x**2 + 0.1**2 + 20**2
     radiance = 1e4 * 20 / square**1.5 * 0.5 / math.pi
     expected = radiance_weight(CAMERA, OpticalSystem(CAMERA, WAVELENGTH).lens, (0.04 * 60 / 40) ** 2) * radiance
-    assert weights.sum() == pytest.approx(expected, rel=0.2)
+    assert points.weights[points.positions[:, 2] < 60].sum() == pytest.approx(expected, rel=0.2)
 
 
 def test_other_light_adds_as_intensity():
@@ -142,8 +140,7 @@ def test_two_lasers_make_fringes_on_the_wall():
     assert np.array_equal(points.positions, one.positions)
     paths = [np.hypot(np.hypot(points.positions[:, 0] - s * x, points.positions[:, 1]), 120.0) for s in (-1, 1)]
     fringes = 2 * np.sqrt(one.weights * two.weights) * np.cos(2 * np.pi * (paths[0] - paths[1]) / LENGTH)
-    expected = one.weights + two.weights + fringes
-    assert error(points.weights, expected) < 0.05
+    assert error(points.weights, one.weights + two.weights + fringes) < 0.05
     # Fringes of period lambda D / 2 x = 4.7 um, of contrast nearly 1.
     assert points.weights.min() < 0.01 * points.weights.max()
 
@@ -154,15 +151,13 @@ def test_directional_lasers_make_straight_fringes():
     ahead = {"type": "directional", "irradiance": {"type": "spectrum", "value": 1.0}, "direction": [sine, 0, cosine]}
     lasers = {"laser": ahead, "other": ahead | {"direction": [-sine, 0, cosine]}}
     points = lit(scene_of(**lasers), per_spot=16, names=("laser", "other"))
-    one = lit(scene_of(**lasers), per_spot=16)
     phase = 2 * np.pi * points.positions[:, 0] * math.sin(angle) / LENGTH
-    assert error(points.weights, 4 * one.weights * np.cos(phase) ** 2) < 1e-3
+    assert error(points.weights, 4 * lit(scene_of(**lasers), per_spot=16).weights * np.cos(phase) ** 2) < 1e-3
 
 
 def test_points_do_not_depend_on_where_the_camera_stands():
     # Half of a wall, in the camera's +x.
-    half = wall(place=(20.0, 0.0))
-    one, other = (lit(scene_of(**posed(turn, wall=half, laser=LASER))) for turn in (0, 40))
+    one, other = (lit(scene_of(**posed(turn, wall=wall(place=(20.0, 0.0)), laser=LASER))) for turn in (0, 40))
     assert len(one.weights) == len(other.weights) > 100
     np.testing.assert_allclose(other.positions, one.positions, atol=1e-4)
     np.testing.assert_allclose(other.weights, one.weights, rtol=1e-4)

@@ -112,9 +112,8 @@ def test_both_formats_give_the_lens(tmp_path, name, text, encoding):
 def test_units_of_length(tmp_path, kind, unit, size):
     """The lens is larger; coefficients, which are of powers of lengths, are smaller."""
     text = ZEMAX.replace("UNIT MM", f"UNIT {unit}") if kind == "ZMX" else CODEV.replace("DIM M", f"DIM {unit}")
-    powers = (-1, 1, 1, 0, -3, -5, 0, 0)
     for found, stated in zip(numbers(read(tmp_path, text, f"lens.{kind}")), SINGLET, strict=True):
-        scaled = [value * size**power for value, power in zip(stated, powers, strict=False)]
+        scaled = [value * size**power for value, power in zip(stated, (-1, 1, 1, 0, -3, -5, 0, 0), strict=False)]
         assert found == pytest.approx(scaled, rel=1e-9)
 
 
@@ -127,8 +126,7 @@ def test_forms_of_glass_and_curvature(tmp_path):
     assert numbers(read(tmp_path, curved, "lens.seq"))[0] == pytest.approx(SINGLET[0], rel=1e-12)
     assert read(tmp_path, CODEV.replace("STO; ", "").replace("GO", "STO S2"), "lens.seq").stop == 1
     assert read(tmp_path, ZEMAX.replace("64.17", "0")).surfaces[0].glass == Glass("index", (1.5168,), "model")
-    aperture = ZEMAX.replace("DIAM 9 1", "CLAP 0 8 0\n  DIAM 9 1")
-    assert read(tmp_path, aperture).surfaces[1].semi_aperture == 8
+    assert read(tmp_path, ZEMAX.replace("DIAM 9 1", "CLAP 0 8 0\n  DIAM 9 1")).surfaces[1].semi_aperture == 8
 
 
 OF_ZEMAX = [
@@ -200,8 +198,7 @@ def test_optiland_reads_the_same_lens(tmp_path, name, text):
 @pytest.mark.slow
 def test_glasses_of_catalogues_by_just_their_names(tmp_path):
     pytest.importorskip("optiland")
-    indices = {"N-BK7": 1.5168, "schott:SF5": 1.6727, "schott:F2": 1.62004, "CaF2:Malitson": 1.43385}
-    for name, index in indices.items():
+    for name, index in {"N-BK7": 1.5168, "schott:SF5": 1.6727, "schott:F2": 1.62004, "CaF2:Malitson": 1.43385}.items():
         assert Glass.from_plain(name).at(587.5618) == pytest.approx(index, abs=2e-5)
     meant = {"BK7": "schott:N-BK7", "F2": "schott:F2", "CaF2": "CaF2:", "schott:S-LAH53": "ohara:S-LAH53"}
     for name, message in meant.items():

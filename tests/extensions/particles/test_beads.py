@@ -117,8 +117,7 @@ def test_positions_of_beads_are_found(model):
     if model == "ray":
         projector = pt.RayProjector(CAMERA, grid, wavelength=510, window=window)
     else:
-        points = window.apparent(grid.points, CAMERA, 510)
-        projector = mp.StoredOperator(CAMERA, points, wavelength=510, accuracy=0.1)
+        projector = mp.StoredOperator(CAMERA, window.apparent(grid.points, CAMERA, 510), wavelength=510, accuracy=0.1)
     volume = pt.reconstruct_volume(projector, capture, grid, method="sirt", iterations=60)
     found, light = pt.locate_particles(volume, threshold=0.3, apart=(5, 5, 5))
     assert len(found) == 2

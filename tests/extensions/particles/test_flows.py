@@ -107,6 +107,5 @@ test_bad_flows_are_refused_in_one_line = refused(
 
 
 def still(**units):
-    axes = {axis: (axis, [0.0, 1.0], {"units": units.get(axis, "mm")}) for axis in "xyz"}
     parts = {part: (tuple("xyz"), np.zeros((2, 2, 2)), {"units": units.get(part, "mm s-1")}) for part in "uvw"}
-    return xr.Dataset(parts, axes)
+    return xr.Dataset(parts, {axis: (axis, [0.0, 1.0], {"units": units.get(axis, "mm")}) for axis in "xyz"})

@@ -124,8 +124,7 @@ def test_voxels_are_projected_from_where_they_are_seen():
     seeding, still = pt.Seeding(count=1, index=None, medium=1.4, window=220), pt.Uniform((0, 0, 0))
     truth = pt.particle_sequence(CAMERA, GRID, seeding, still, interval=1, seed=1)
     capture = mp.Capture(image, CAMERA, metadata={"particles": json.loads(truth.attrs["particles"])})
-    apparent = mp.CaptureOperator(CAMERA, window.apparent(GRID.points, CAMERA, 550), wavelength=550)
-    for other in (through, apparent):
+    for other in (through, mp.CaptureOperator(CAMERA, window.apparent(GRID.points, CAMERA, 550), wavelength=550)):
         pt.reconstruct_volume(other, capture, GRID, iterations=1)
     for other in (plain, mp.CaptureOperator(CAMERA, GRID.points, wavelength=550)):
         refuses(r"Window\(.*=220.*1.4\)", pt.reconstruct_volume, other, capture, GRID)
@@ -169,16 +168,14 @@ def shifted_pair(move, count=500):
     random = np.random.default_rng(8)
     low, high = np.array([-1.3, -1.3, 98.4]), np.array([1.3, 1.3, 103.6])
     places, light = random.uniform(low, high, (count, 3)), random.uniform(0.5, 1, count)
-    widths = (0.05, 0.05, 0.15)
-    return [pt.drawn_particles(grid, places + step, light, widths) for step in (0.0, move(places))]
+    return [pt.drawn_particles(grid, places + step, light, (0.05, 0.05, 0.15)) for step in (0.0, move(places))]
 
 
 def test_correlation_finds_exact_shifts():
     # 2.4, -1.3 and 3.2 voxels.
     move = np.array([0.1, -0.054, 0.4])
     found = pt.correlate_volumes(*shifted_pair(lambda places: move), window=(16, 16, 16))
-    voxel = np.array([2 / 48, 2 / 48, 4 / 32])
-    error = (found["displacement"].values - move) / voxel
+    error = (found["displacement"].values - move) / np.array([2 / 48, 2 / 48, 4 / 32])
     assert np.sqrt((error**2).mean((0, 1, 2))).max() < 0.15
     assert np.abs(error.mean((0, 1, 2))).max() < 0.05
     assert found.sizes == {"z": 3, "y": 5, "x": 5, "axis": 3}
@@ -201,8 +198,7 @@ def test_correlation_finds_shears_up_to_the_borders(across, rate, window):
 
 @pytest.mark.parametrize(("voxels", "is_wrong"), [(10, False), (14, True)])
 def test_displacements_beyond_a_window_are_warned_of(voxels, is_wrong, recwarn):
-    pair = shifted_pair(lambda places: np.array([voxels / 24, 0, 0]), 1500)
-    pt.correlate_volumes(*pair, window=(16, 16, 16))
+    pt.correlate_volumes(*shifted_pair(lambda places: np.array([voxels / 24, 0, 0]), 1500), window=(16, 16, 16))
     assert ["vectors are outliers, and others" in str(each.message) for each in recwarn] == [True] * is_wrong
 
 

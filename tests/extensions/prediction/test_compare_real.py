@@ -158,8 +158,7 @@ def test_wrong_options_get_one_line(empty, complaint):
 def test_messages_name_the_picture_that_is_wrong(recorded, complaint):
     folder, (light, white, dark) = recorded
     (folder / "camera.json").write_text(CAMERA.replace(mla_lattice="hexagonal").to_json())
-    words = f"{folder / 'white.tif'}: mla_lattice = hexagonal"
-    assert words in complaint(*command(folder, "--part", "0,0,1,1"))
+    assert f"{folder / 'white.tif'}: mla_lattice = hexagonal" in complaint(*command(folder, "--part", "0,0,1,1"))
     refuses(r"light field of shape \(191, 192\)", study.Pictures, light[:-1], white, dark)
 
 

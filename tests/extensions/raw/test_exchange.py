@@ -85,8 +85,7 @@ class TestLFToolbox:
                 group[name] = np.array([[float(value)]])
             group["Orientation"] = np.array([[ord(letter)] for letter in "horz"], dtype=np.uint16)
 
-        path = write_matlab_7(tmp_path / "a.mat", fill)
-        back = ex.read_lftoolbox(path)
+        back = ex.read_lftoolbox(write_matlab_7(tmp_path / "a.mat", fill))
         assert back.dims == ("v", "u", "t", "s", "c")
         np.testing.assert_allclose(back.values, stored[..., :3] / 65535, rtol=1e-6)
         np.testing.assert_allclose(back.white.values, stored[..., 3] / 65535, rtol=1e-6)
@@ -193,8 +192,7 @@ class TestFiles:
         image, gain = white_image(CAMERA), np.linspace(0.8, 1.2, CAMERA.shape[1])
         write_capture(tmp_path / "raw.exr", Capture(0.5 * image * gain, CAMERA))
         write_capture(tmp_path / "white.exr", Capture(image * gain, CAMERA))
-        seen = ex.open_light_field(tmp_path / "raw.exr")
-        assert seen.values.max() == pytest.approx(0.6, rel=0.05)
+        assert ex.open_light_field(tmp_path / "raw.exr").values.max() == pytest.approx(0.6, rel=0.05)
         even = ex.open_light_field(tmp_path / "raw.exr", white=tmp_path / "white.exr")
         np.testing.assert_allclose(even.values[even.weight.values > 0], 0.5, rtol=1e-3)
 
@@ -220,8 +218,7 @@ class TestFiles:
         white = white_image(camera, grid) * np.linspace(0.5, 0.9, 400, dtype=np.float32)
         # What it sees: brightness rises across the field.
         x = np.linspace(0.2, 1.0, 400, dtype=np.float32)
-        raw = white * x
-        for name, image in (("white.png", white), ("raw.png", raw)):
+        for name, image in (("white.png", white), ("raw.png", white * x)):
             # IEC 61966-2-1
             codes = np.where(image <= 0.0031308, 12.92 * image, 1.055 * image ** (1 / 2.4) - 0.055)
             Image.fromarray(np.round(65535 * codes).astype(np.uint16)).save(tmp_path / name)

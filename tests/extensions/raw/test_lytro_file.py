@@ -127,11 +127,8 @@ def test_metadata_that_are_not_understood(name, value, rule, tmp_path):
 def test_files_for_the_web_have_no_raw_picture(tmp_path):
     path = write_lytro(tmp_path / "a.lfp", numbers_of(12), lytro_metadata(COLUMNS, ROWS))
     content = path.read_bytes()
-    for cut, words in (
-        (content[: content.index(b"\x89LFC")], "no raw picture"),
-        (b"\x89PNG", "does not begin as a Lytro container"),
-        (content[:16], "no sections"),
-    ):
+    cuts = {"no raw picture": content[: content.index(b"\x89LFC")], "no sections": content[:16]}
+    for words, cut in (cuts | {"does not begin as a Lytro container": b"\x89PNG"}).items():
         path.write_bytes(cut)
         refuses(f"a.lfp: .*{words}", read_lytro, path)
 
@@ -140,8 +137,7 @@ def test_files_for_the_web_have_no_raw_picture(tmp_path):
 def test_cut_and_damaged_containers(bits, tmp_path):
     """Whatever is cut off or flipped: one line with the file's name, or the same picture."""
     path = tmp_path / "a.lfr"
-    small = np.arange(64).reshape(8, 8)
-    content = write_lytro(path, small, lytro_metadata(8, 8, bits=bits)).read_bytes()
+    content = write_lytro(path, np.arange(64).reshape(8, 8), lytro_metadata(8, 8, bits=bits)).read_bytes()
     whole, draw, refused = read_lytro(path), random.Random(bits), 0
     for _ in range(100):
         damaged = bytearray(content)

@@ -31,8 +31,7 @@ def test_what_is_printed(refocused, run):
     # A Gaussian of one bin, and the bin itself.
     known = np.exp(-2 * (np.pi * 0.25) ** 2) * np.sinc(0.25)
     assert float(re.search(r"^0\.25 cycles .* (\S+)$", text, re.M)[1]) == pytest.approx(known, abs=0.005)
-    inside = run("mtf", path, "--region", "10,5,45,50")
-    assert "edge at row 29.5" in inside
+    assert "edge at row 29.5" in run("mtf", path, "--region", "10,5,45,50")
 
 
 def test_captures_are_refocused(raw, complaint):

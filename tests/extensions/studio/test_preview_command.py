@@ -13,7 +13,6 @@ from mitsuba_plenoptic.extensions.studio import preview
 @pytest.fixture(autouse=True)
 def few_samples(monkeypatch, coarse_figures):
     monkeypatch.setattr(preview, "_SPP", 1)
-    monkeypatch.setattr(preview, "_OBJECTIVE_SPP", 1)
     monkeypatch.setattr(preview, "_COLUMNS", 32)
 
 

@@ -50,8 +50,7 @@ def test_finished_points_are_kept_and_a_grown_grid_computes_what_is_missing(tmp_
     with sweep(RAYS, {"aperture_radius": [3, 5], "distance": [240]}, output, stages=options) as data:
         assert [stages[f"capture,aperture_radius={radius}"] for radius in (3, 4, 5)] == ["made", "kept", "kept"]
         assert data.capture.sizes["aperture_radius"] == 2
-    other = CaptureSpec("letters", parameters=TINY, spp=3)
-    sweep(other, {"aperture_radius": [5]}, output, stages=options).close()
+    sweep(CaptureSpec("letters", parameters=TINY, spp=3), {"aperture_radius": [5]}, output, stages=options).close()
     assert stages["capture,aperture_radius=5"] == "made"
 
 
@@ -103,27 +102,21 @@ def test_the_dataset_does_not_grow_in_memory(tmp_path, monkeypatch):
     assert len(held) == 4
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ([], "grid: it is empty"),
-        (["--vary", "aperture_radius=4,nan"], "grid: aperture_radius = nan: "),
-        (["--vary", "aperture_radius=4,4.0"], "grid: aperture_radius = 4 is given twice"),
-        (["--vary", "../x=4"], "grid: '../x' is not a name"),
-        (["--vary", "wavelength=500"], "--wavelength: a ray capture"),
-        (["--vary", "letter_scale=1,2"], "grid: letter_scale varies and is set by -D too"),
-        (["--vary", f"distance={MANY}", "--vary", f"mla_distance={MANY}"], "grid: it has 1000000 points"),
-        (["--vary", "aperture_radius=3,4", "--method", "ray"], "--method: nothing is refocused"),
-        (["--vary", "aperture_radios=3,4"], "did you mean aperture_radius?"),
-    ],
-)
-def test_a_bad_grid_is_refused_before_the_work(tmp_path, monkeypatch, complaint, words, message):
-    def started(*_, **__):
-        raise AssertionError("workers were started")
-
-    monkeypatch.setattr("mitsuba_plenoptic.runtime.batches.Cluster.__enter__", started)
+def test_a_bad_grid_is_refused_before_the_work(tmp_path, monkeypatch, complaint):
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.batches.Cluster.__enter__", lambda _: pytest.fail("workers started"))
     monkeypatch.chdir(tmp_path)
-    assert message in complaint(*SWEEP, "-o", "out.nc", *words)
+    for words, message in (
+        ("", "grid: it is empty"),
+        ("--vary aperture_radius=4,nan", "grid: aperture_radius = nan: "),
+        ("--vary aperture_radius=4,4.0", "grid: aperture_radius = 4 is given twice"),
+        ("--vary ../x=4", "grid: '../x' is not a name"),
+        ("--vary wavelength=500", "--wavelength: a ray capture"),
+        ("--vary letter_scale=1,2", "grid: letter_scale varies and is set by -D too"),
+        (f"--vary distance={MANY} --vary mla_distance={MANY}", "grid: it has 1000000 points"),
+        ("--vary aperture_radius=3,4 --method ray", "--method: nothing is refocused"),
+        ("--vary aperture_radios=3,4", "did you mean aperture_radius?"),
+    ):
+        assert message in complaint(*SWEEP, "-o", "out.nc", *words.split())
     assert list(tmp_path.iterdir()) == []
 
 

@@ -78,8 +78,7 @@ def test_the_page_holds_the_views():
     assert one["name"] == "ray" and one["columns"] == lf.sizes["s"]
     views = pixels(one["views"])[..., 0].reshape(lf.sizes["v"], lf.sizes["t"], lf.sizes["u"], lf.sizes["s"])
     assert np.abs(views.transpose(0, 2, 1, 3) - lf.values).max() < 0.006 * one["views"]["full"]
-    middle = np.argmin(np.abs(one["disparities"]))
-    assert one["distances"][middle] == pytest.approx(CAMERA.focus_distance, rel=1e-3)
+    assert one["distances"][np.argmin(np.abs(one["disparities"]))] == pytest.approx(CAMERA.focus_distance, rel=1e-3)
     raw = one["raw"]
     assert pixels(raw["picture"])[..., 0] == pytest.approx(recorded.image, abs=0.006 * raw["picture"]["full"])
     assert raw["lenses"]["spacing"][0] == pytest.approx(CAMERA.micro_image_pitch / CAMERA.pixel_size)
@@ -232,8 +231,7 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
     def alike(image):
         return likeness(image, data["white"], drawn())
 
-    middle = one_view(lf)
-    assert alike(middle) > 40
+    assert alike(one_view(lf)) > 40
     # Drag, as far as to the edge of the pupil, along u.
     before = find("#view-text").text
     page.execute_script("""
@@ -260,8 +258,7 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
     find("input[value='1'][name=sources]").send_keys(" ")
     assert alike(shift_and_add(mp.decode(wave), steps[step])) >= 35
     find("input[value=difference]").click()
-    white = drawn()[8, 8, :3]
-    assert "wave - <b>" in find("#field-tag").text and (white > 200).all()
+    assert "wave - <b>" in find("#field-tag").text and (drawn()[8, 8, :3] > 200).all()
     # From lens to lens.
     before = find("#lens-text").text
     find("#raw").send_keys("\ue014")  # arrow right
@@ -323,8 +320,7 @@ SMALL = PlenopticCamera(resolution=(64, 32), detector_width=0.256, crop_size=(64
 def test_captures_and_reconstructions_are_pictures():
     text = Capture(np.ones((32, 64, 3)), SMALL, (611.0, 549.0, 464.0), "wave")._repr_html_()
     assert text.startswith('<figure><img src="data:image/png;base64,') and "(611.0, 549.0, 464.0) nm" in text
-    planes = reconstruct(Capture(np.linspace(0, 1, 64) * np.ones((32, 1)), SMALL), [200, 240])
-    shown = planes._repr_html_()
+    shown = reconstruct(Capture(np.linspace(0, 1, 64) * np.ones((32, 1)), SMALL), [200, 240])._repr_html_()
     (scale,) = set(re.findall("white is [0-9.]+", shown))
     assert shown.count("<img") == 2 and len(scale) > 9
 

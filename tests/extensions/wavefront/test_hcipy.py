@@ -53,8 +53,7 @@ def test_a_shack_hartmann_sensor_equals_that_of_hcipy():
     camera = PlenopticCamera.preset("shack_hartmann").replace(aperture_radius=2.5, mla_offset=(0.16, 0.16), **size)
     grid = hcipy.make_pupil_grid(176 * FINER, width)
     given = wavefront(grid, beam)
-    optics = hcipy.SquareShackHartmannWavefrontSensorOptics(grid, 50, 5, beam)
-    theirs = binned(optics.forward(given).power.shaped, 176)
+    theirs = binned(hcipy.SquareShackHartmannWavefrontSensorOptics(grid, 50, 5, beam).forward(given).power.shaped, 176)
     # The collimator images the pupil upside down.
     pupil = hcipy.make_pupil_grid(grid.dims, width / magnification)
     entering = hcipy.Wavefront(hcipy.Field(given.electric_field.shaped[::-1, ::-1].ravel(), pupil), WAVELENGTH)
@@ -132,14 +131,12 @@ def test_bad_wavefronts_are_refused():
     with pytest.raises(mp.PhysicsError, match="under-sampled"):
         optics.forward(hcipy.Wavefront(steep, WAVELENGTH))
     # Three times as wide as the telescope's aperture, of which the window holds a part.
-    large = hcipy.make_pupil_grid(64, 0.03)
     with pytest.raises(mp.PhysicsError, match=r"of the wavefront's power is outside the window"):
-        optics.forward(hcipy.Wavefront(large.ones() + 0j, WAVELENGTH))
+        optics.forward(hcipy.Wavefront(hcipy.make_pupil_grid(64, 0.03).ones() + 0j, WAVELENGTH))
     even = grid.ones() + 0j
-    polarized = hcipy.Wavefront(even, WAVELENGTH, input_stokes_vector=(1, 0, 0, 0))
     refuses("wavelength = 633", optics.forward, hcipy.Wavefront(even, 633))
     refuses("power 0", optics.forward, hcipy.Wavefront(0 * even, WAVELENGTH))
-    refuses("scalar", optics.forward, polarized)
+    refuses("scalar", optics.forward, hcipy.Wavefront(even, WAVELENGTH, input_stokes_vector=(1, 0, 0, 0)))
     refuses("complex", phase_screen, grid.ones() + 1j, WAVELENGTH)
     refuses("steps", phase_screen, hcipy.make_pupil_grid([16, 16], [0.01, 0.02]).zeros(), WAVELENGTH)
     refuses("centre", phase_screen, grid.shifted((0.01, 0)).zeros(), WAVELENGTH)

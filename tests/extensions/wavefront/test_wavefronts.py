@@ -29,8 +29,7 @@ def test_terms_are_those_of_their_slopes(rng):
     step = 1e-4
     sides = [[wavefront.path(*(pupil + sign * move).T) for sign in (1, -1)] for move in step * np.eye(2)]
     slope = np.stack([(high - low) / (2 * step) for high, low in sides], -1)
-    found = wf.modes_from_slopes(wf.Slopes(pupil, slope, np.ones(200)), 5.0, 15)
-    np.testing.assert_allclose(found, terms, atol=1e-6)
+    np.testing.assert_allclose(wf.modes_from_slopes(wf.Slopes(pupil, slope, np.ones(200)), 5.0, 15), terms, atol=1e-6)
     refuses("modes", wf.modes_from_slopes, wf.Slopes(pupil[:3], slope[:3], np.ones(3)), 5.0, 15)
 
 
@@ -48,8 +47,7 @@ def test_views_show_the_slopes_of_a_strong_wavefront(star):
     camera, terms = telescope(width=3.0, lenses=24, pixels=12), (0.0, 0.8, -0.5, 2.0, 0.3)
     bent, point = camera.replace(wavefront=terms), np.array([star])
     image = PointRays(bent, point, WAVELENGTH).image(OpticalSystem(bent, WAVELENGTH), np.ones(1))
-    found = wf.modes_from_slopes(wf.view_slopes(camera, image, star), 5.0, 5)
-    np.testing.assert_allclose(found, terms, atol=0.1)
+    np.testing.assert_allclose(wf.modes_from_slopes(wf.view_slopes(camera, image, star), 5.0, 5), terms, atol=0.1)
     refuses("black", wf.view_slopes, camera, 0 * image, star)
 
 
@@ -77,9 +75,8 @@ def test_spots_behind_a_collimator_show_the_terms_with_their_signs():
     bent = replace(found, slope=found.slope - flat.slope)
     np.testing.assert_allclose(wf.modes_from_slopes(bent, 5.0, 8), terms, atol=0.001)
     # A tilt, of which all lenses see the same.
-    tilt = slopes((0.0, 0.5))
     within = flat.light > 0.95 * flat.light.max()
-    moved = (tilt.slope - flat.slope)[within] / (0.5 * 2 / 5.0 * WAVELENGTH * 1e-6)
+    moved = (slopes((0.0, 0.5)).slope - flat.slope)[within] / (0.5 * 2 / 5.0 * WAVELENGTH * 1e-6)
     np.testing.assert_allclose(moved.mean(0), (1, 0), atol=0.002)
 
 
@@ -103,12 +100,10 @@ def test_a_slope_over_a_lens_is_its_mean_in_the_pupil():
 
 def test_small_wavefronts_are_linear(rng):
     camera, terms = telescope(), np.r_[0.0, rng.normal(size=9) * 0.01]
-    zone = wf.Zone([STAR])
-    matrix = wf.InteractionMatrix.of(camera, zone, modes=10, accuracy=ACCURACY)
+    matrix = wf.InteractionMatrix.of(camera, wf.Zone([STAR]), modes=10, accuracy=ACCURACY)
     assert matrix.responses.shape == (9, *camera.shape)
     image = captured(camera, [STAR], 1e6, tuple(terms))
-    found = matrix.estimate(image)
-    assert np.linalg.norm(found - terms) < 0.15 * np.linalg.norm(terms)
+    assert np.linalg.norm(matrix.estimate(image) - terms) < 0.15 * np.linalg.norm(terms)
     # Few photons: what is known beforehand helps.
     few = captured(camera, [STAR], 100, tuple(terms))
     errors = [np.linalg.norm(matrix.estimate(few, **given) - terms) for given in ({}, {"prior": 0.01}, {"rank": 4})]
