@@ -13,6 +13,10 @@ from scipy.stats import qmc
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.design import design_warnings
+from mitsuba_plenoptic.fitting import View
+from mitsuba_plenoptic.lenses.common import main_lens
+from mitsuba_plenoptic.points.units import brightness_of
+from mitsuba_plenoptic.refocus import RayRefocus
 from tools.bench.cases import dual_pixels
 
 CAMERA = mp.PlenopticCamera(
@@ -111,14 +115,13 @@ def test_a_bank_has_the_pupil_and_the_brightness_of_each_lens():
     assert relative(bank.values[0, 0], expected) < 0.004
 
 
-PIXELS = {"full_frame_dual": (2.68, 13440, 8960), "phone_quad": (1.22, 8064, 6048)}
-PIXELS["phone_quad_bayer"] = (1.12, 8000, 6000)
+SIZE = {"full_frame_dual": (2.68, 6720, 4480), "phone_quad": (1.22, 4032, 3024), "phone_quad_bayer": (1.12, 4000, 3000)}
 
 
-@pytest.mark.parametrize("name", PIXELS)
+@pytest.mark.parametrize("name", SIZE)
 def test_presets_divide_the_light_alike_up_to_the_corner(name):
     camera = mp.PlenopticCamera.preset(name)
-    assert (1e3 * camera.pixel_size, *camera.resolution) == pytest.approx(PIXELS[name])
+    assert (1e3 * camera.pixel_size, *np.array(camera.resolution) / 2) == pytest.approx(SIZE[name])
     assert [warning for wavelength in (450, 550, 650) for warning in design_warnings(camera, wavelength)] == []
     corner = (0.48 * camera.detector_width, 0.48 * camera.detector_height)
     bank = mp.psf_bank(camera, [0.7 * camera.focus_distance], [(0.0, 0.0), corner], layout=(2, 2))
@@ -370,6 +373,21 @@ def test_points_are_captured_as_banks_have_them():
     image = operator.forward([1.0]).reshape(ALIGNED_LENSES, 2, ALIGNED_LENSES, 2).transpose(1, 3, 0, 2)
     assert image.sum() > 0.2
     assert np.linalg.norm(image - bank.values) < 0.01 * np.linalg.norm(image)
+
+
+@pytest.mark.filterwarnings("ignore:fit")
+def test_methods_of_regular_arrays_take_aligned_presets():
+    """A small crop, as full presets need much memory."""
+    camera, _ = around(0.5)
+    regular, distance = camera.regular, camera.focus_distance
+    place = np.array([camera.pixel_coordinates(axis).mean() for axis in (0, 1)])
+    points = [(*(-place * distance / camera.mla_distance), distance)]
+    image = mp.CaptureOperator(camera, points, wavelength=550).forward([1.0])
+    view = View(brightness_of(regular, main_lens(regular)) * image, points, [1.0], noise=1e-3)
+    fit = mp.fit(camera, view, "mla_focal_length", wavelength=550, accuracy=0.01, steps=2)
+    assert fit.camera.mla_focal_length == pytest.approx(camera.mla_focal_length, rel=1e-3)
+    assert not fit.camera.mla_cra
+    assert RayRefocus(camera, distance).camera == regular
 
 
 def test_dual_pixels_whose_spots_are_wider_than_a_pixel_are_told():

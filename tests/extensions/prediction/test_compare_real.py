@@ -142,12 +142,9 @@ def test_real_letters_are_predicted_better_by_waves(tmp_path, run):
 
 
 def test_wrong_options_get_one_line(empty, complaint):
-    for words, line in (
-        (["chart"], "scene = chart"),
-        (["--distance", "200"], "--distance, --against, -D"),
-        (["--part", "0.5,0.5,0.2,1"], "part = 0.5,0.5,0.2,1"),
-    ):
-        assert line in complaint(*command(empty, *words))
+    assert "scene = chart" in complaint(*command(empty, "chart"))
+    assert "--distance, --against, -D" in complaint(*command(empty, "--distance", "200"))
+    assert "part = 0.5,0.5,0.2,1" in complaint(*command(empty, "--part", "0.5,0.5,0.2,1"))
     assert not (empty / "out").exists()
     *words, _, _, option, folder = command(empty)
     assert "--white, --camera and --wavelength" in complaint(*words, option, folder)
