@@ -84,10 +84,7 @@ def test_recipes_are_yaml_or_json_and_nothing_else(tmp_path):
     path = tmp_path / "recipe.json"
     path.write_text(json.dumps(small()))
     assert read_recipe(path) == parse_recipe(small())
-    for text, message in (
-        ("count: 1\ncount: 2\n", "count is given twice"),
-        ("- 1\n", "a mapping"),
-    ):
+    for text, message in (("count: 1\ncount: 2\n", "count is given twice"), ("- 1\n", "a mapping")):
         path.write_text(text)
         refuses(message, read_recipe, path)
 

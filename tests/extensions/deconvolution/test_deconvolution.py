@@ -256,6 +256,14 @@ def test_it_is_linear_also_below_zero():
     assert np.allclose(parts[0] + parts[1], parts[2], atol=1e-5 * np.abs(parts[2]).max())
 
 
+def test_channels_have_their_own_wavelengths():
+    image, lights = np.random.default_rng(0).random((*FAST.shape, 3), np.float32), (450.0, 633.0, 633.0)
+    together = mp.reconstruct(mp.Capture(image, FAST, lights, "wave"), 125, method="incoherent").image
+    for channel in (0, 2):
+        alone = mp.Capture(image[..., channel], FAST, lights[channel], "wave")
+        assert np.array_equal(together[..., channel], mp.reconstruct(alone, 125, method="incoherent").image)
+
+
 def test_lenses_may_differ_as_far_as_light_stays_within_pixels():
     """Focal lengths that differ by 1 % widen a point's image by a third of a pixel, those by 3 % by a whole one."""
     image = np.random.default_rng(0).random(FOUR.shape)
