@@ -14,7 +14,7 @@ from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.fitting import known_view
 from mitsuba_plenoptic.points.units import brightness_at
 
-DOUBLE_GAUSS = pytest.param({"main_lens": "double_gauss"}, 112.0, marks=pytest.mark.slow)
+DOUBLE_GAUSS = pytest.param({"main_lens": "double_gauss"}, 112.0, marks=pytest.mark.slow, id="double Gauss")
 
 
 @pytest.mark.parametrize(("numbers", "distance"), [DOUBLE_GAUSS, ({"wavefront": "0, 0, 0, 0.6"}, 125.0)])
