@@ -58,8 +58,7 @@ def test_deviations_are_true_where_a_corner_errs_as_a_whole(seen, radius):
     group = np.unique(np.column_stack([seen.pose, seen.board]), axis=0, return_inverse=True)[1].ravel()
     errors = []
     for seed in range(60):
-        noise = np.random.default_rng(seed).normal(0, 0.1, group.max() + 1)[group]
-        found = fitted(radius + noise, seen)
+        found = fitted(radius + np.random.default_rng(seed).normal(0, 0.1, group.max() + 1)[group], seen)
         errors.append((np.array(found.focal_lengths) - FOCAL_LENGTHS) / found.deviations)
     # The mean square of 60 normal deviates is 1 to 0.18, and the three share their errors.
     assert 0.5 < np.mean(np.square(errors)) < 1.7
@@ -78,8 +77,7 @@ def test_radii_that_say_nothing_of_focus_are_refused(seen):
 
 
 def write_table(path, columns):
-    rows = np.column_stack(list(columns.values()))
-    np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="")
+    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
 
 
 def test_a_calibration_takes_them_and_keeps_them(tmp_path, radius):
@@ -127,11 +125,7 @@ RADIUS = CAMERA.micro_image_diameter / 2 / CAMERA.pixel_size
 
 
 def micro_images(kind, distance, place, angles):
-    """Draw micro-images, side by side, of corners seen at places from their middle; and white ones.
-
-    Rays from pixels through points of the lens are refracted and followed to the pupil, and to the plane in which the
-    main lens images the corner, at this distance before the array.
-    """
+    """Draw micro-images, side by side, of corners at places from their middle, and white ones, by traced rays."""
     b, z, size = CAMERA.mla_distance, CAMERA.detector_distance, CAMERA.pixel_size
     f, generator = np.array(CAMERA.mla_focal_lengths)[kind], np.random.default_rng(5)
     points = generator.uniform(-1, 1, (800, 2))

@@ -17,9 +17,7 @@ from mitsuba_plenoptic.extensions.calibrate.adjustment import Problem, adjust
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, Observations, numbers_of, predict_centres
 
 NOISE = 0.1
-START = PlenopticCamera.preset("raytrix").replace(
-    resolution=(2000, 1500), crop_size=(2000, 1500), detector_width=2000 * 0.0055
-)
+START = PlenopticCamera.preset("raytrix").replace(resolution=(2000, 1500), crop_size=(2000, 1500), detector_width=11.0)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +89,6 @@ def test_deviations_are_true():
 
 
 def test_gross_errors_are_named_and_change_nothing(table, centres, found):
-    """Rows that lie elsewhere, and rows of other corners."""
     generator = np.random.default_rng(3)
     columns, rows = {name: values.copy() for name, values in table.columns.items()}, len(table["k"])
     bad = generator.choice(rows, int(rows * 0.05), replace=False)
@@ -112,14 +109,11 @@ def test_gross_errors_are_named_and_change_nothing(table, centres, found):
 
 
 def test_wrong_centres_are_left_out(table, centres, found):
-    """Those that lie elsewhere, and those that are marked as doubtful."""
     bad = np.arange(7, len(centres["k"]), 50)
-    u, doubtful = centres["u"].copy(), np.zeros(len(centres["k"]), dtype=int)
-    u[bad[::2]] += 9
-    doubtful[bad[1::2]] = 1
-    spoiled = calibrate(
-        table, cases.BOARD, START, cal.Table("c.csv", {**centres.columns, "u": u, "doubtful": doubtful})
-    )
+    columns = {**centres.columns, "u": centres["u"].copy(), "doubtful": np.zeros(len(centres["k"]), dtype=int)}
+    columns["u"][bad[::2]] += 9
+    columns["doubtful"][bad[1::2]] = 1
+    spoiled = calibrate(table, cases.BOARD, START, cal.Table("c.csv", columns))
     np.testing.assert_array_equal(spoiled.centre_outliers, bad)
     for name in NAMES:
         assert abs(spoiled.numbers[name] - found.numbers[name]) < found.deviations[name] + 1e-12
@@ -144,9 +138,8 @@ def test_what_the_model_misses_is_in_the_deviations(table, centres, found):
     assert bent.by_frames
     assert bent.disagreement > 2
     true = dict(zip(NAMES, numbers_of(cases.CAMERA), strict=True))
-    apart = [
-        (bent.numbers[name] - true[name]) / bent.deviations[name] for name in NAMES if not name.startswith("offset")
-    ]
+    told = [name for name in NAMES if not name.startswith("offset")]
+    apart = [(bent.numbers[name] - true[name]) / bent.deviations[name] for name in told]
     assert np.sqrt(np.mean(np.square(apart))) < 1.5
 
 
@@ -158,14 +151,12 @@ ONE_DISTANCE = np.tile([0.0, 0.0, 3.1, 14, 9, 300], (3, 1)) + [[0, 0, 0, shift, 
 
 
 def frame_12(table, **changes):
-    """Return the columns with others in one of the frames."""
     chosen = table["frame"] == 12
     return {**table.columns, **{name: np.where(chosen, values, table[name]) for name, values in changes.items()}}
 
 
 def mirrored(table):
-    cluster = table["cluster"]
-    columns = cases.BOARD.columns
+    cluster, columns = table["cluster"], cases.BOARD.columns
     return {**table.columns, "cluster": cluster - 2 * (cluster % columns) + columns - 1}
 
 
@@ -213,7 +204,6 @@ def test_other_boards_cameras_and_lattices_are_refused(table, centres, board, st
 
 
 def corners_of(folder, text):
-    """Read corners that a file has as a text."""
     (folder / "corners.csv").write_text(text)
     return read_corners(folder / "corners.csv", cases.BOARD, (64, 64))
 
@@ -235,7 +225,6 @@ test_files_and_boards_are_refused = refused(
 
 
 def some(table, part):
-    """A part of the rows."""
     return table.keep(np.random.default_rng(0).random(len(table["k"])) < part)
 
 
@@ -270,17 +259,14 @@ def test_corners_alone_tell_where_micro_images_are(table, found):
     assert not alone.open_direction
     assert abs(alone.numbers["focal_length"] - cases.CAMERA.focal_length) < 3 * alone.deviations["focal_length"]
     assert alone.deviations["focal_length"] > 2 * found.deviations["focal_length"]
-    unit = found.index.unit(table["k"], table["l"])
-    theirs, ours = (
-        predict_centres(np.array(list(each.numbers.values())), unit, pixel_size=0.0055, row_ratio=0.75**0.5)[0]
-        for each in (found, alone)
-    )
+    unit, given = found.index.unit(table["k"], table["l"]), {"pixel_size": 0.0055, "row_ratio": 0.75**0.5}
+    numbers = (np.array(list(each.numbers.values())) for each in (found, alone))
+    theirs, ours = (predict_centres(each, unit, **given)[0] for each in numbers)
     assert np.sqrt(((ours - theirs) ** 2).sum(1).mean()) < 1
 
 
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
 def test_a_real_camera(tmp_path, run):
-    """Found from that of the manual."""
     start, output, corners = tmp_path / "start.json", tmp_path / "camera.json", cases.REAL / "corners.csv"
     text = (Path(__file__).parents[3] / "docs" / "guides" / "calibration.md").read_text()
     start.write_text(text.split("```json\n")[1].split("```")[0])
@@ -309,20 +295,14 @@ def test_lenses_are_counted_as_rows_are_shifted():
     np.testing.assert_array_equal(places, [[0, 0], [-0.5, -1], [0, -2]])
 
 
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("calibrate c.csv -o {out}.json --report {out}.json", "two results would be written to it"),
-        ("calibrate w.png -o {out}.csv --board 9x5 --square 3", "--square: detecting corners"),
-        ("calibrate --evaluate c.csv --white {raw}", "--white: "),
-        ("calibrate a.png --board 4x3 -o {out}.csv", "need a white image"),
-        ("calibrate a.png b.csv --board 4x3 -o {out}.csv", "one table of corners"),
-        ("calibrate a.png --report a.html -o {out}.csv", "a report is of a calibration"),
-        ("calibrate --evaluate a.csv -o {out}.csv", "writes no file"),
-    ],
-)
-def test_mistakes(line, words, mistake, tmp_path_factory, monkeypatch):
+def test_mistakes(mistake, tmp_path_factory, monkeypatch):
     monkeypatch.chdir(tmp_path_factory.mktemp("files"))
     for name in ("a.png", "w.png", "a.csv", "b.csv", "c.csv"):
         Path(name).write_text("k,l")
-    mistake(line, words)
+    mistake("calibrate c.csv -o {out}.json --report {out}.json", "two results would be written to it")
+    mistake("calibrate w.png -o {out}.csv --board 9x5 --square 3", "--square: detecting corners")
+    mistake("calibrate --evaluate c.csv --white {raw}", "--white: ")
+    mistake("calibrate a.png --board 4x3 -o {out}.csv", "need a white image")
+    mistake("calibrate a.png b.csv --board 4x3 -o {out}.csv", "one table of corners")
+    mistake("calibrate a.png --report a.html -o {out}.csv", "a report is of a calibration")
+    mistake("calibrate --evaluate a.csv -o {out}.csv", "writes no file")

@@ -21,9 +21,8 @@ def calibration():
     # Exact, but for one lens that shows everything two pixels to the right, and noise.
     residuals = np.random.default_rng(1).normal(0, 0.1, (len(SEEN), 2))
     residuals[ODD, 0] -= 2
-    frames = np.unique(TABLE["frame"])
     numbers = dict(zip(NAMES, numbers_of(cases.CAMERA).tolist(), strict=True))
-    evaluation = Evaluation(residuals, frames, SEEN.pose, cases.POSES)
+    evaluation = Evaluation(residuals, np.unique(TABLE["frame"]), SEEN.pose, cases.POSES)
     exact = dict.fromkeys(numbers, 1.0), np.eye(len(numbers)), np.zeros((0, 2)), 1
     return Calibration(cases.CAMERA, cases.INDEX, evaluation, numbers, *exact)
 
@@ -66,9 +65,8 @@ def test_the_report_shows_lenses_and_residuals(calibration, tmp_path, coarse_fig
     write_calibration_report(tmp_path / "report.html", calibration, cases.BOARD, TABLE, None)
     text = (tmp_path / "report.html").read_text()
     assert "Error of the corners that each lens shows" in text and text.count("data:image/png") == 3
-    size = calibration.camera.crop_size
     lenses = residual_map(calibration, cases.BOARD, TABLE, "lens")
-    (shown,) = lens_errors(lenses, size).axes[0].collections
+    (shown,) = lens_errors(lenses, calibration.camera.crop_size).axes[0].collections
     assert len(shown.get_offsets()) == len(lenses.count)
     assert shown.get_array().max() == lenses.error.max()
 

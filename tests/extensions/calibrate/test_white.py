@@ -16,10 +16,7 @@ PITCH, ROTATION, PHOTONS = 16.37, 0.3, 2000
 
 
 def drawn(shifted, diameters, brightness=lambda x, y: 1.0):
-    """Return discs of diameters in turn over 24 x 24 lenses, of 4 x 4 parts of a pixel, their centres, and the pitches.
-
-    `brightness` is of places from -1 to 1, by which the light of the parts falls off.
-    """
+    """Return discs over 24 x 24 lenses, whose light falls off from place to place, their centres, and the pitches."""
     pitches = (PITCH, math.sqrt(0.75) * PITCH if shifted is not None else PITCH)
     grid = LensGrid(pitches, (-12.3, -17.6), (int(25 * PITCH / pitches[1]) + 2, 27), math.radians(ROTATION), shifted)
     centres = grid.centres().reshape(-1, 2)
@@ -70,8 +67,7 @@ def test_centres_do_not_follow_the_fall_off(name):
     assert found.error < 0.03
     # The pitches of the centres, too.
     steps = found.lens + [[0.5, 0]] * (found.lens[:, 1:] % 2 == found.grid.shifted_rows)
-    matrix = np.column_stack([np.ones(len(steps)), steps])
-    _, along, across = np.linalg.lstsq(matrix, found.pixel)[0]
+    _, along, across = np.linalg.lstsq(np.column_stack([np.ones(len(steps)), steps]), found.pixel)[0]
     np.testing.assert_allclose([math.hypot(*along), math.hypot(*across)], pitches, rtol=1.5e-5)
 
 
@@ -138,16 +134,13 @@ def test_centres_of_other_programs(tmp_path):
         np.testing.assert_array_equal(found["k"][: grid.shape[1]], np.arange(grid.shape[1]))
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
+def test_damaged_centres_of_other_programs(tmp_path):
+    path = tmp_path / "white.json"
+    for text, words in (
         ("{", "no grid"),
         ("[1]", "neither"),
         ('{"mic_list": [[1, NaN, 0, 0]]}', "row 1: u = nan"),
         ('{"LensletGridModel": {"Orientation": "vert"}}', "transpose"),
-    ],
-)
-def test_damaged_centres_of_other_programs(tmp_path, text, words):
-    path = tmp_path / "white.json"
-    path.write_text(text)
-    refuses(words, read_centres, path)
+    ):
+        path.write_text(text)
+        refuses(words, read_centres, path)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.ndimage
 from PIL import Image
-from refusals import refuses
+from refusals import refused, refuses
 
 from mitsuba_plenoptic import PlenopticCamera, Vignetting, render_capture
 from mitsuba_plenoptic.calibration import fit_white
@@ -30,7 +30,6 @@ THIN = PlenopticCamera(
 
 
 def recorded(light, seed=0, photons=20000, dark=100.0):
-    """White and dark pictures of a sensor with noise of photons."""
     generator = np.random.default_rng(seed)
     white = generator.poisson(photons * light.clip(0)) + generator.normal(dark, 2, light.shape)
     return white, generator.normal(dark, 2, light.shape)
@@ -147,35 +146,28 @@ def scene_like(light):
     return light * (0.3 + 0.7 * texture / texture.max()) ** 3
 
 
-@pytest.mark.parametrize(
-    ("white", "dark", "camera", "words"),
-    [
-        (scene_like(WHITE - DARK), None, SMALL, "no white picture"),
-        (WHITE, DARK, SMALL.replace(mla_pitch=0.11), "pixels apart"),
-        (WHITE, DARK, SMALL.replace(mla_lattice="hexagonal"), "rows that are not shifted"),
-        (WHITE.T, DARK.T, SMALL, "is the picture turned"),
-        (WHITE.clip(None, 15000), DARK, SMALL, "saturated"),
-        (DARK, WHITE, SMALL, "dark: it is not darker"),
-        (WHITE.max() - WHITE, None, SMALL, "no white picture by this camera"),
-        (WHITE, None, PlenopticCamera(mla_lattice="none"), "mla_lattice = none"),
-        (WHITE, DARK + 1000, SMALL, r"stray light of -0\.05"),
-    ],
-)
-def test_wrong_pictures_are_refused(white, dark, camera, words):
-    refuses(words, fit_white, white, camera, dark=dark, wavelength=None)
+def fitted(white=WHITE, dark=DARK, wavelength=None, **changes):
+    return fit_white(white, SMALL.replace(**changes), dark=dark, wavelength=wavelength)
 
 
-@pytest.mark.parametrize(
-    ("dark", "camera", "wavelength", "words"),
-    [
-        (DARK[:-1], SMALL, None, "dark of shape"),
-        (DARK, SMALL.replace(mla_pitch=4e-3, mla_focal_length=0.032), None, "pixels wide"),
-        (DARK, SMALL.replace(mla_aperture="circle"), 550.0, "fit by rays"),
-    ],
+test_wrong_pictures_are_refused = refused(
+    (lambda: fitted(scene_like(WHITE - DARK), None), "no white picture"),
+    (lambda: fitted(mla_pitch=0.11), "pixels apart"),
+    (lambda: fitted(mla_lattice="hexagonal"), "rows that are not shifted"),
+    (lambda: fitted(WHITE.T, DARK.T), "is the picture turned"),
+    (lambda: fitted(WHITE.clip(None, 15000)), "saturated"),
+    (lambda: fitted(DARK, WHITE), "dark: it is not darker"),
+    (lambda: fitted(WHITE.max() - WHITE, None), "no white picture by this camera"),
+    (lambda: fit_white(WHITE, PlenopticCamera(mla_lattice="none"), wavelength=None), "mla_lattice = none"),
+    (lambda: fitted(dark=DARK + 1000), r"stray light of -0\.05"),
 )
-def test_wrong_numbers_are_refused_before_lenses_are_searched(dark, camera, wavelength, words, monkeypatch):
+
+
+def test_wrong_numbers_are_refused_before_lenses_are_searched(monkeypatch):
     monkeypatch.setattr(white_fit, "find_centres", lambda white, like: pytest.fail("searched"))
-    refuses(words, fit_white, WHITE, camera, dark=dark, wavelength=wavelength)
+    refuses("dark of shape", fitted, dark=DARK[:-1])
+    refuses("pixels wide", fitted, mla_pitch=4e-3, mla_focal_length=0.032)
+    refuses("fit by rays", fitted, mla_aperture="circle", wavelength=550.0)
 
 
 def test_eight_bits_mirrored_pictures_and_dust_are_fitted():
@@ -241,10 +233,7 @@ def test_the_command_writes_a_camera_and_a_page(tmp_path, capsys, coarse_figures
     assert main([*words, "--model", "ray", "--wavelength", "500", "-o", files["camera.json"]]) == 2
 
 
-STRAIGHT = PlenopticCamera(
-    focal_length=50, aperture_radius=3.0, focus_distance=400, mla_focal_length=0.8, mla_pitch=0.1, mla_rotation=0.2,
-    mla_offset=(0.013, -0.021), detector_width=3.0, resolution=(300, 260),
-)  # fmt: skip
+STRAIGHT = THIN.replace(aperture_radius=3.0, detector_width=3.0, resolution=(300, 260))
 """30 x 26 lenses of ten pixels."""
 
 # Up to 0.3 pixels along x and along y, by Chebyshev's 16 t^5 - 20 t^3 + 5 t, which no lower degree resembles.
@@ -264,8 +253,7 @@ def test_withheld_places_choose_the_degree(camera, lenses, terms, most):
     index = np.stack(np.meshgrid(*2 * [np.linspace(-12.0, 12.0, lenses).round()]), axis=-1).reshape(-1, 2)
     centre = np.stack(camera.lattice.centre(*index.T), axis=-1)
     true = centre * camera.image_growth / camera.pixel_size + (np.array(camera.resolution) - 1) / 2
-    noise = np.random.default_rng(1).normal(0, 0.02, true.shape)
-    fit = fit_array(true + noise, index, STRAIGHT)
+    fit = fit_array(true + np.random.default_rng(1).normal(0, 0.02, true.shape), index, STRAIGHT)
     assert np.flatnonzero(fit.warp.reshape(2, -1).any(0)).max(initial=-1) + 1 == terms
     assert np.hypot(*(places(fit, index, camera) - true).T).max() < most
 

@@ -20,6 +20,4 @@ SMALL = {
 
 
 def small(**changes):
-    """Return the recipe with other entries; one of None is left out."""
-    content = {**copy.deepcopy(SMALL), **changes}
-    return {name: value for name, value in content.items() if value is not None}
+    return {name: value for name, value in {**copy.deepcopy(SMALL), **changes}.items() if value is not None}

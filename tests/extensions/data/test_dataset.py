@@ -19,11 +19,9 @@ from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.dataset import DataSet, make_dataset, make_sample, parse_recipe
 from mitsuba_plenoptic.extensions.data import dataset_production as production
-from mitsuba_plenoptic.extensions.data.dataset_production import write_preview
 
 
 def files(folder):
-    """All files of a data set with their bytes."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
@@ -78,8 +76,7 @@ def test_samples_hold_what_the_library_itself_makes(made):
     assert json.loads(json.dumps(make_sample(recipe, 1).facts)) == sample.facts
     assert set(sample.arrays) == {"ray", "ray_exposed", "depth", "normal", "views_depth", "views_normal"}
     capture, record = sample.capture("ray"), sample.facts["captures"]["ray_exposed"]["metadata"]["exposure"]
-    photons = sample.facts["draws"]["noise"]["photons"]
-    again = mp.expose(capture, mp.Detector(), photons=photons, seed=record["seed"])
+    again = mp.expose(capture, mp.Detector(), photons=sample.facts["draws"]["noise"]["photons"], seed=record["seed"])
     np.testing.assert_array_equal(again.image, sample.capture("ray", exposed=True).image)
     np.testing.assert_array_equal(mp.decode(capture, truth=sample.truth).depth.values, sample.arrays["views_depth"])
     assert np.nanmin(sample.arrays["depth"]) > 100
@@ -130,7 +127,6 @@ def test_a_rerun_makes_shards_again_that_are_not_there_or_cut_off(made, tmp_path
 
 @pytest.fixture
 def recipe(tmp_path):
-    """Write the recipe of the data set."""
     path = tmp_path / "recipe.yaml"
     path.write_text(yaml.safe_dump(small()))
     return path
@@ -183,15 +179,6 @@ def test_what_is_asked_for_and_not_there_is_named(made):
     refuses("^missing: ", DataSet, "missing")
 
 
-def test_the_preview_names_samples_and_pictures(made, tmp_path, monkeypatch):
-    plots = []
-    monkeypatch.setattr(production.plots.Plot, "save", lambda plot, path: plots.append(plot))
-    write_preview(tmp_path / "preview.png", DataSet(made)[0:2])
-    rows = [plots[0].axes[row : row + 3] for row in (0, 3)]
-    assert [axes.get_title("left") for axes in rows[0]] == ["ray", "ray exposed", "depth, near in white"]
-    assert [row[0].get_ylabel() for row in rows] == ["sample 0", "sample 1"]
-
-
 def test_pytorch_reads_tensors(made):
     torch = pytest.importorskip("torch")
     from mitsuba_plenoptic.extensions.data.torch_data import TorchDataset
@@ -202,8 +189,7 @@ def test_pytorch_reads_tensors(made):
         loader.dataset[0:2]
     assert batch["ray"].shape == (5, 64, 64)
     assert batch["normal"].shape == (5, 3, 64, 64)
-    expected = np.moveaxis(DataSet(made)[3].arrays["normal"], -1, 0)
-    np.testing.assert_array_equal(batch["normal"][3].numpy(), expected)
+    np.testing.assert_array_equal(batch["normal"][3].numpy(), np.moveaxis(DataSet(made)[3].arrays["normal"], -1, 0))
 
 
 def test_ctrl_c_says_how_to_go_on(recipe, tmp_path, monkeypatch, capsys):

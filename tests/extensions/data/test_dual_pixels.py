@@ -14,9 +14,7 @@ from mitsuba_plenoptic.extensions.data.dual_samples import truth_of_lenses
 CAMERA = {"preset": "phone_quad", "crop_offset": [4000, 2992], "crop_size": [64, 64]}
 
 
-@pytest.fixture(autouse=True)
-def coarse(coarse_figures):
-    """Draw previews quickly."""
+pytestmark = pytest.mark.usefixtures("coarse_figures")
 
 
 def dual(**changes):
@@ -26,8 +24,7 @@ def dual(**changes):
 
 def test_a_sample_of_a_pair(tmp_path):
     sample = make_dataset(parse_recipe(dual(count=2)), tmp_path)[1]
-    halves = dual_pixel(sample.capture("ray"))
-    np.testing.assert_array_equal(sample.arrays["ray_left"], halves[0, 0])
+    np.testing.assert_array_equal(sample.arrays["ray_left"], dual_pixel(sample.capture("ray"))[0, 0])
     exposed = dual_pixel(sample.capture("ray", exposed=True))[0, 1]
     np.testing.assert_array_equal(sample.arrays["ray_exposed_right"], exposed)
     assert {sample.arrays[name].shape for name in ("sharp", "lens_depth", "blur_radius", "ray_left")} == {(32, 32)}
@@ -42,9 +39,7 @@ def test_a_sample_of_a_pair(tmp_path):
 
 def test_what_is_sharp_is_the_sum_in_focus():
     """A pattern in the plane in focus, at an edge of the field: registered to a fraction of a lens."""
-    camera = PlenopticCamera(
-        **(PlenopticCamera.preset("phone_quad").to_dict() | {"crop_offset": (7800, 5800), "crop_size": (64, 64)})
-    )
+    camera = PlenopticCamera.preset("phone_quad").replace(crop_offset=(7800, 5800), crop_size=(64, 64))
     texture = mi.Bitmap(np.random.default_rng(0).uniform(0.2, 1, (400, 400, 1)).astype(np.float32))
     x, y = (-camera.pixel_coordinates(axis).mean() * 1000 / camera.mla_distance for axis in (0, 1))
     light = {"type": "bitmap", "bitmap": texture, "raw": True}

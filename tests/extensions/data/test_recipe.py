@@ -22,16 +22,13 @@ def test_values_have_the_distributions_that_they_are_said_to_have():
     recipe = parse_recipe(small(count=500, camera=camera, scenes=[shapes | {"share": 3}, white]))
     plans = [recipe.plan(index) for index in range(500)]
     drawn = [plan.draws for plan in plans]
-    linear, log = (
-        [each[part][name] for each in drawn] for part, name in (("camera", "focus_distance"), ("noise", "photons"))
-    )
-    assert stats.kstest(linear, stats.uniform(230, 20).cdf).pvalue > 0.01
-    assert stats.kstest(log, stats.loguniform(300, 3000).cdf).pvalue > 0.01
+    linear, log = stats.uniform(230, 20), stats.loguniform(300, 3000)
+    assert stats.kstest([each["camera"]["focus_distance"] for each in drawn], linear.cdf).pvalue > 0.01
+    assert stats.kstest([each["noise"]["photons"] for each in drawn], log.cdf).pvalue > 0.01
     steps = [each["scene"]["objects"] for each in drawn if "objects" in each["scene"]]
     assert stats.chisquare(np.bincount(steps)[3:]).pvalue > 0.01
     assert set(steps) == {3, 4, 5, 6}
-    lattices = [each["camera"]["mla_lattice"] for each in drawn]
-    assert stats.binomtest(lattices.count("hexagonal"), 500, 0.5).pvalue > 0.01
+    assert stats.binomtest([each["camera"]["mla_lattice"] for each in drawn].count("hexagonal"), 500, 0.5).pvalue > 0.01
     assert stats.binomtest(sum(plan.source for plan in plans), 500, 0.25).pvalue > 0.01
     assert all(each["camera"]["resolution"] == [64, 64] for each in drawn)
 
@@ -54,8 +51,7 @@ def test_shapes_stand_where_the_camera_resolves_them():
     depths = np.array([matrix[2, 3] for matrix in places])
     assert near < depths.min() < depths.max() < far
     # Evenly in disparity, which goes with the inverse distance.
-    share = (1 / depths - 1 / far) / (1 / near - 1 / far)
-    assert stats.kstest(share, "uniform").pvalue > 0.01
+    assert stats.kstest((1 / depths - 1 / far) / (1 / near - 1 / far), "uniform").pvalue > 0.01
     # Rotations and one scale but for cylinders: no shear.
     for matrix in places:
         axes = np.array(matrix)[:3, :3].T @ np.array(matrix)[:3, :3]
@@ -88,10 +84,7 @@ def test_recipes_are_yaml_or_json_and_nothing_else(tmp_path):
     path = tmp_path / "recipe.json"
     path.write_text(json.dumps(small()))
     assert read_recipe(path) == parse_recipe(small())
-    for text, message in (
-        ("count: 1\ncount: 2\n", "count is given twice"),
-        ("- 1\n", "a mapping"),
-    ):
+    for text, message in (("count: 1\ncount: 2\n", "count is given twice"), ("- 1\n", "a mapping")):
         path.write_text(text)
         refuses(message, read_recipe, path)
 

@@ -75,14 +75,10 @@ def test_variation_makes_planes_more_even():
     assert abs(np.diff(even, axis=0)).sum() < 0.95 * abs(np.diff(plain, axis=0)).sum()
 
 
+ON_DISK = {"volume": True, "oversample": 2, "variation": 0.002}
 RUNS = {
     "a later plane and channel": (random_light(), [253.0, 235.0], {"response": "ray", "variation": 0.005}, 11),
-    "spectra on disk": (
-        random_light(FOURIER, (), WAVELENGTH),
-        [0.0, 0.03],
-        {"volume": True, "oversample": 2, "variation": 0.002},
-        2,
-    ),
+    "spectra on disk": (random_light(FOURIER, (), WAVELENGTH), [0.0, 0.03], ON_DISK, 2),
 }
 
 

@@ -49,9 +49,8 @@ def exact(camera, oversample, row, column, depth, parts=3):
     x, y = np.meshgrid((column - columns / 2 + inner) * size, (row - rows / 2 + inner) * size)
     points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, depth)])
     operator = mp.CaptureOperator(camera, points, wavelength=WAVELENGTH, method="full_field")
-    return operator.forward(
-        np.full(len(points), radiance_weight(camera, main_lens(camera), bin_area(camera, oversample)) / len(points))
-    )
+    weight = radiance_weight(camera, main_lens(camera), bin_area(camera, oversample))
+    return operator.forward(np.full(len(points), weight / len(points)))
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name != "crop")) for name in BINS])

@@ -12,17 +12,15 @@ POINT = [(0.03, 0.01, 116.0)]
 
 
 def spherical(amount):
-    """Return a wavefront of the eleventh term."""
     return [0.0] * 10 + [amount]
 
 
 def test_contrast_is_that_of_the_refocused_image():
-    figure = RefocusedContrast(CAMERA, POINT, (0.5,), oversample=2)
     capture = CaptureOperator(CAMERA, POINT, wavelength=WAVELENGTH, accuracy=0.02).forward([1.0])
     bins = np.nan_to_num(reconstruct(capture, 116.0, camera=CAMERA, oversample=2).image)
     quarter = np.exp(-1j * np.pi / 2 * np.arange(8))  # half a period a bin of one lens, of which there are two
     expected = (abs((bins.sum(0) * quarter).sum()) + abs((bins.sum(1) * quarter).sum())) / 2 / bins.sum()
-    assert figure.value(CAMERA) == pytest.approx(expected, rel=1e-4)
+    assert RefocusedContrast(CAMERA, POINT, (0.5,), oversample=2).value(CAMERA) == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -37,11 +35,9 @@ def test_contrast_is_that_of_the_refocused_image():
 def test_gradients_against_differences(figure, name, step, limit):
     value, gradient = figure.gradient(CAMERA, [name])
     assert value == pytest.approx(figure.value(CAMERA), rel=1e-6)
-    found = np.vdot(gradient[name][: np.size(step)], step)
-    moved = (
-        CAMERA.replace(**{name: np.add(getattr(CAMERA, name), side * np.array(step)).tolist()}) for side in (1, -1)
-    )
-    assert found == pytest.approx(-np.diff([figure.value(each) for each in moved])[0] / 2, rel=limit)
+    ahead, back = (np.add(getattr(CAMERA, name), side * np.array(step)).tolist() for side in (1, -1))
+    change = figure.value(CAMERA.replace(**{name: ahead})) - figure.value(CAMERA.replace(**{name: back}))
+    assert np.vdot(gradient[name][: np.size(step)], step) == pytest.approx(change / 2, rel=limit)
 
 
 def test_deviation_of_depth_is_that_of_differences_refined():
@@ -54,10 +50,8 @@ def test_deviation_of_depth_is_that_of_differences_refined():
 
     rows = [1e4 * image(0).astype(np.float64)]
     for axis, step in enumerate((6e-6 * g, 6e-6 * g, 1.5e-5 * g**2)):
-        coarse, fine = (
-            1e4 * (image(move).astype(np.float64) - image(-move)) / (2 * move[axis])
-            for move in (part * step * np.eye(3)[axis] for part in (1.0, 0.5))
-        )
+        moves = np.outer([step, step / 2], np.eye(3)[axis])
+        coarse, fine = (5e3 * (image(move).astype(np.float64) - image(-move)) / move[axis] for move in moves)
         rows.append((4 * fine - coarse) / 3)
     whitened = np.stack(rows) / np.sqrt(rows[0].clip(0) + background)
     stated = DepthInformation([point], 1e4, background=background).deviations(camera)[0]
@@ -66,15 +60,12 @@ def test_deviation_of_depth_is_that_of_differences_refined():
 
 def test_deviation_of_depth_far_away():
     """Vergence is told as well at any distance far beyond the focal length, and dg = -g^2 d(1/g)."""
-    camera = small_camera(4, aperture_radius=1.0)
     points = np.array([[0.0004, 0.0001, 1.0]]) * [[1e6], [1e8]]
-    near, far = DepthInformation(points, 1e4).deviations(camera)
+    near, far = DepthInformation(points, 1e4).deviations(small_camera(4, aperture_radius=1.0))
     assert far == pytest.approx(1e4 * near, rel=2e-3)
 
 
 class Hill:
-    """A figure whose best is known."""
-
     def value(self, camera):
         return self.gradient(camera, [])[0]
 

@@ -25,26 +25,15 @@ PHOTONS = 2000.0
 ACCURACY = 0.03
 
 
-def weights_of(brightest):
-    """Return the weights by which the brightest pixel has this value."""
+def test_numbers_are_found_within_their_deviations():
     operator = CaptureOperator(TRUE, POINTS, wavelength=WAVELENGTH, accuracy=ACCURACY)
     image = brightness_of(TRUE, main_lens(TRUE)) * operator.forward(np.ones(len(POINTS)))
-    return np.full(len(POINTS), brightest / image.max()), image * (brightest / image.max())
-
-
-def test_numbers_are_found_within_their_deviations():
-    weights, image = weights_of(1.0)
-    seen, tried = np.random.default_rng(4).poisson(image * PHOTONS) / PHOTONS, []
+    weights, image, tried = np.full(len(POINTS), 1 / image.max()), image / image.max(), []
+    seen = np.random.default_rng(4).poisson(image * PHOTONS) / PHOTONS
     start = TRUE.replace(mla_pitch=0.0643, mla_offset=(0.001, -0.001), detector_distance=TRUE.detector_distance * 1.01)
-    found = fit(
-        start,
-        View(seen, POINTS, weights),
-        ["mla_pitch", "mla_offset", "detector_distance"],
-        wavelength=WAVELENGTH,
-        photons=PHOTONS,
-        accuracy=ACCURACY,
-        progress=lambda done, total: tried.append(done),
-    )
+    names, options = ["mla_pitch", "mla_offset", "detector_distance"], {"photons": PHOTONS, "accuracy": ACCURACY}
+    options |= {"wavelength": WAVELENGTH, "progress": lambda done, total: tried.append(done)}
+    found = fit(start, View(seen, POINTS, weights), names, **options)
     true = {"mla_pitch": 0.064, "mla_offset.1": 0.0, "mla_offset.2": 0.0, "detector_distance": 0.512}
     assert list(found.values) == list(true)
     difference = np.array([found.values[name] - value for name, value in true.items()])
@@ -70,11 +59,14 @@ def test_single_parts_of_a_parameter_are_named_by_their_index():
     assert vector_of(camera, ["wavefront.5", "wavefront"]).labels == [f"wavefront.{term}" for term in range(2, 7)]
 
 
+def lit_by_rays(camera, points, weights):
+    rays, system = PointRays(camera, points, WAVELENGTH), OpticalSystem(camera, WAVELENGTH)
+    return brightness_of(camera, main_lens(camera)) * rays.image(system, weights)
+
+
 def by_rays(camera, points):
     """Return what a camera records of points by rays, the brightest pixel 1, and the light."""
-    image = brightness_of(camera, main_lens(camera)) * PointRays(camera, points, WAVELENGTH).image(
-        OpticalSystem(camera, WAVELENGTH), np.ones(len(points))
-    )
+    image = lit_by_rays(camera, points, np.ones(len(points)))
     return image / image.max(), np.full(len(points), 1 / image.max())
 
 
@@ -114,9 +106,8 @@ def test_a_camera_is_found_from_afar():
     image, weights = by_rays(true, points)
     view = View(np.random.default_rng(5).poisson(image * PHOTONS) / PHOTONS, points, weights)
     off = {"focal_length": 0.98, "mla_distance": 1.02, "detector_distance": 1.02}
-    start = true.replace(**{name: factor * getattr(true, name) for name, factor in off.items()})
     names = [*off, "mla_offset"]
-    near = coarse_fit(start, view, names)
+    near = coarse_fit(true.replace(**{name: factor * getattr(true, name) for name, factor in off.items()}), view, names)
     found = fit(near, view, names, photons=PHOTONS, model="ray")
     for name in off:
         assert getattr(near, name) == pytest.approx(getattr(true, name), rel=0.005)
@@ -125,7 +116,6 @@ def test_a_camera_is_found_from_afar():
 
 @pytest.fixture(scope="module")
 def recorded():
-    """A camera, some points, what they light by rays, and their weights."""
     true = small_camera(2, **HALF)
     points = scattered(8, distances=(106.0, 112.0), image=0.05)
     mi.set_variant("llvm_ad_mono")
@@ -133,7 +123,6 @@ def recorded():
 
 
 def quickly(camera, view, names="mla_pitch", **options):
-    """Fit by rays, from near."""
     start = camera.replace(mla_pitch=0.06402)
     return fit(start, view, names, wavelength=WAVELENGTH, model="ray", **({"photons": PHOTONS} | options))
 
@@ -160,8 +149,7 @@ def test_deviations_are_not_those_of_a_kink(recorded):
     names = ["mla_pitch", "focal_length", "mla_offset"]
     with pytest.warns(UserWarning, match="chi-square is"):
         bound = quickly(true, View(image, points, weights), names)
-    seen = np.random.default_rng(14).poisson(image * PHOTONS) / PHOTONS
-    found = quickly(true, View(seen, points, weights), names)
+    found = quickly(true, View(np.random.default_rng(14).poisson(image * PHOTONS) / PHOTONS, points, weights), names)
     errors = np.array([found.values[name] - value for name, value in bound.values.items()])
     assert errors @ np.linalg.solve(bound.covariance, errors) < 13.3
     for name, deviation in bound.deviations.items():
@@ -186,9 +174,8 @@ def test_chi_square_of_what_a_detector_records_is_one(recorded):
 
 def test_a_wrong_unit_is_warned_of(recorded):
     true, points, image, weights = recorded
-    counts = np.random.default_rng(1).poisson(image * PHOTONS).astype(float)
     with pytest.warns(UserWarning, match=r"chi-square is .* not 1: .* times as bright as the model"):
-        quickly(true, View(counts, points, weights))
+        quickly(true, View(np.random.default_rng(1).poisson(image * PHOTONS).astype(float), points, weights))
 
 
 def test_saturated_pixels_are_left_out(recorded):
@@ -217,11 +204,8 @@ def test_a_number_at_a_bound_has_a_one_sided_deviation(recorded):
     with pytest.warns(UserWarning, match=r"fit: at a bound: mla_pitch = 0\.064002 \(its lowest\)"):
         found = quickly(true, View(seen, points, weights), bounds={"mla_pitch": (bound, 0.065)})
     assert found.at_bounds == {"mla_pitch": "lowest"}
-    images = []
-    for pitch in (bound, bound + found.deviations["mla_pitch"]):
-        camera = true.replace(mla_pitch=pitch)
-        rays = PointRays(camera, points, WAVELENGTH)
-        images.append(brightness_of(camera, main_lens(camera)) * rays.image(OpticalSystem(camera, WAVELENGTH), weights))
+    pitches = (bound, bound + found.deviations["mla_pitch"])
+    images = [lit_by_rays(true.replace(mla_pitch=pitch), points, weights) for pitch in pitches]
     variance = np.maximum(images[0], 1 / PHOTONS) / PHOTONS
     squares = [((one - seen) ** 2 / variance).sum() for one in images]
     assert squares[1] - squares[0] == pytest.approx(1, abs=0.15)
@@ -280,8 +264,7 @@ def test_lattice_from_white(numbers):
     white = 1 / (1 + np.exp((np.hypot(across - cx, up - cy) - 0.02) / 0.001))
     pitches = np.array(camera.mla_pitches) * (1.02, 0.985 if "mla_pitch" in numbers else 1.02)
     pitch = tuple(pitches) if "mla_pitch" in numbers else pitches[0]
-    start = camera.replace(mla_pitch=pitch, mla_rotation=-0.3, mla_offset=(0.0, 0.0))
-    found = lattice_from_white(start, white)
+    found = lattice_from_white(camera.replace(mla_pitch=pitch, mla_rotation=-0.3, mla_offset=(0.0, 0.0)), white)
     assert found.mla_pitches == pytest.approx(camera.mla_pitches, rel=1e-3)
     assert found.mla_rotation == pytest.approx(0.7, abs=0.02)
     assert found.mla_offset == pytest.approx(camera.mla_offset, abs=3e-4)

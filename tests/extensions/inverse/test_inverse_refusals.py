@@ -18,16 +18,12 @@ TRUE = small_camera(2, **HALF)
 POINTS = scattered(5, distances=(112.0, 128.0), image=0.05)
 POINT = [(0.03, 0.01, 116.0)]
 ONES = np.ones(len(POINTS))
-GREY = np.full((2, 4, 4), 0.5)
+BY_WAVES = CoherentRefocus(CAMERA, 225.0, WAVELENGTH)
 HALVES = small_camera(4, **HALF, detector_distance=0.512, wavefront=(*(0.0,) * 10, 0.05))
 
 
 def by_rays(camera=CAMERA, distance=225.0, **options):
     return RayRefocus(camera, distance, **options)
-
-
-def by_waves(**options):
-    return CoherentRefocus(CAMERA, **{"distance": 225.0, "wavelength": WAVELENGTH} | options)
 
 
 def view(image=1.0, weights=ONES, noise=None, **options):
@@ -45,7 +41,6 @@ def negative():
 
 
 def of_noise():
-    """Fit to a capture of noise alone."""
     seen = expose(Capture(np.zeros(TRUE.shape), TRUE), Detector(read_noise=3.0), photons=2000.0, seed=4)
     assert seen.image.max() > 0
     return fitted(seen=view(seen.image, noise=noise_of(seen)[0]), photons=None)
@@ -67,7 +62,7 @@ test_refusals_of_refocusing = refused(
     (lambda: by_rays(footprint="disc"), "footprint = 'disc'"),
     (lambda: by_rays().forward(np.zeros((3, 3))), r"capture of shape \(3, 3\)"),
     (lambda: by_rays().adjoint(np.zeros((5, 3))), r"bins of shape \(5, 3\)"),
-    (lambda: by_waves().gradient(white_image(CAMERA), np.zeros((2, 2, 2))), "image_gradient of 2 channels"),
+    (lambda: BY_WAVES.gradient(white_image(CAMERA), np.zeros((2, 2, 2))), "image_gradient of 2 channels"),
     (lambda: DeconvolvedRefocus(CAMERA.replace(main_lens="tessar"), 250.0), "^wavelength = None: .* must be stated"),
     (lambda: DeconvolvedRefocus(CAMERA, 250.0).forward(np.zeros(CAMERA.shape)), "^capture: none of its pixels is lit"),
 )

@@ -13,7 +13,6 @@ RED_AND_GREEN = Spectrum((633.0, 532.0), ((1.0, 0.1), (0.0, 1.0), (0.8, 0.2)))
 
 
 def both(camera, points, **options):
-    """Return the operator that computes its spreads, and the one that stores them."""
     return CaptureOperator(camera, points, **options), StoredOperator(camera, points, **options)
 
 
@@ -56,9 +55,8 @@ def test_products_are_those_of_spreads_that_are_computed(camera, points, options
 
 
 def test_points_beyond_the_window_have_empty_columns():
-    camera = small_camera(32, crop_offset=(0, 0), crop_size=(20, 20))
     points = np.array([(1.9, 1.9, 240.0), (-1.9, -1.9, 240.0)])
-    computed, stored = both(camera, points, wavelength=WAVELENGTH)
+    computed, stored = both(small_camera(32, crop_offset=(0, 0), crop_size=(20, 20)), points, wavelength=WAVELENGTH)
     filled = np.diff(stored.to_sparse().indptr) > 0
     assert sorted(filled) == [False, True]
     assert [computed.forward(one).any() for one in np.eye(2)] == filled.tolist()
@@ -93,8 +91,7 @@ def test_matrix_is_the_operator_and_scipy_solves_it_to_double_precision():
     assert error(stored.adjoint(image), dense.T @ image.ravel()) < 1e-14
     stored.to_sparse().data[:] = 0
     assert error(stored.forward(weights), image) == 0
-    found = lsqr(stored, image.ravel(), atol=1e-13, btol=1e-13)[0]
-    assert error(found, weights) < 1e-10
+    assert error(lsqr(stored, image.ravel(), atol=1e-13, btol=1e-13)[0], weights) < 1e-10
     (largest,) = svds(stored, k=1, return_singular_vectors=False, tol=1e-13)
     assert largest == pytest.approx(np.linalg.norm(dense, 2), rel=1e-12)
 

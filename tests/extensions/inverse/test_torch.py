@@ -31,20 +31,15 @@ def computing(camera):
 
 
 def random(*shape, low=-1.0):
-    """Return a tensor in double precision of which derivatives are taken."""
-    values = np.random.default_rng(len(shape)).uniform(low, 1, shape)
-    return torch.tensor(values, requires_grad=True)
+    return torch.tensor(np.random.default_rng(len(shape)).uniform(low, 1, shape), requires_grad=True)
 
 
 def test_gradients_of_weights_and_images_in_double_precision():
-    operator = stored()
-    assert torch.autograd.gradcheck(
-        lambda w: bridge.forward(operator, w), random(2, 3), check_forward_ad=True, fast_mode=True
-    )
-    assert torch.autograd.gradcheck(
-        lambda y: bridge.adjoint(operator, y)[..., :2], random(*CAMERA.shape), check_forward_ad=True, fast_mode=True
-    )
-    assert torch.autograd.gradgradcheck(lambda w: bridge.forward(operator, w) ** 2, random(3), fast_mode=True)
+    operator, options = stored(), {"check_forward_ad": True, "fast_mode": True}
+    gradcheck, second = torch.autograd.gradcheck, torch.autograd.gradgradcheck
+    assert gradcheck(lambda w: bridge.forward(operator, w), random(2, 3), **options)
+    assert gradcheck(lambda y: bridge.adjoint(operator, y)[..., :2], random(*CAMERA.shape), **options)
+    assert second(lambda w: bridge.forward(operator, w) ** 2, random(3), fast_mode=True)
 
 
 def test_batches_of_spectra_have_channels_before_rows():
@@ -85,22 +80,15 @@ def test_tensors_of_other_types_and_layouts():
     by = RayRefocus(CAMERA, 225.0)
     np.testing.assert_allclose(bridge.refocus(by, expected.mT.contiguous().mT), bridge.refocus(by, expected))
     assert not bridge.forward(operator, weights).requires_grad
-    for kind, limit in (
-        (torch.float32, 1e-6),
-        (torch.float16, 1e-3),
-        (torch.bfloat16, 1e-2),
-        (torch.float8_e5m2, 0.13),
-    ):
+    limits = {torch.float32: 1e-6, torch.float16: 1e-3, torch.bfloat16: 1e-2, torch.float8_e5m2: 0.13}
+    for kind, limit in limits.items():
         made = bridge.forward(operator, weights.to(kind))
         assert made.dtype == kind
         torch.testing.assert_close(made.double(), expected, rtol=limit, atol=limit * float(expected.abs().max()))
 
 
 def along(function, given, change, step):
-    """Return the change of a function in a direction, by its forward mode and by central differences, and a dot test.
-
-    The last two are the products of the change with a random image, and of the direction with the reverse pass by it.
-    """
+    """Return a function's change by forward mode, by differences, and both sides of a dot test with the reverse."""
     _, made = torch.func.jvp(function, given, change)
     ahead, back = (function(*(a + sign * step * c for a, c in zip(given, change, strict=True))) for sign in (1, -1))
     felt = torch.tensor(np.random.default_rng(9).uniform(size=made.shape), dtype=made.dtype)
@@ -138,13 +126,11 @@ def test_refocusing_and_its_derivatives(kind, monkeypatch):
 
 
 def test_transforms_of_derivatives():
-    """Of PyTorch, which map changes, gradients, and arrays."""
     start, weights = torch.tensor(120.0, dtype=torch.float64), torch.tensor([0.5], dtype=torch.float64)
     make = lambda camera: CaptureOperator(camera, POINTS[:1], wavelength=WAVELENGTH, accuracy=0)  # noqa: E731
 
     def halves(distance, weights):
-        image = bridge.capture(make, CAMERA, {"mla_distance": distance}, weights)
-        return image.reshape(2, -1).square().sum(-1)
+        return bridge.capture(make, CAMERA, {"mla_distance": distance}, weights).reshape(2, -1).square().sum(-1)
 
     ahead, back = (mode(halves, (0, 1))(start, weights) for mode in (torch.func.jacfwd, torch.func.jacrev))
     for one, other in zip(ahead, back, strict=True):
@@ -233,8 +219,7 @@ def letters():
     scene, integrator = load_scene("letters", parameters=small), mi.load_dict({"type": "plenoptic_wave"})
 
     def image(*values, names=RADIANCES, seed=0):
-        made = dict(zip(names, values, strict=True))
-        return bridge.render(scene, made, integrator=integrator, spp=8, seed=seed)
+        return bridge.render(scene, dict(zip(names, values, strict=True)), integrator=integrator, spp=8, seed=seed)
 
     image.scene = scene
     return image
@@ -245,9 +230,7 @@ def test_captures_of_scenes(letters):
     # Derivatives draw from another seed, which Mitsuba derives from the first.
     other = int(mi.sample_tea_32(0, 1)[0])
     made, _, forward, reverse = along(letters, tuple(start), tuple(change), 0.02)
-    ahead, back = (
-        letters(*(a + step * c for a, c in zip(start, change, strict=True)), seed=other) for step in (0.02, -0.02)
-    )
+    ahead, back = (letters(start[0] + step, start[1] + step / 2, seed=other) for step in (0.02, -0.02))
     require_close(made, (ahead - back) / 0.04, 1e-3)
     assert forward == pytest.approx(reverse, rel=1e-5)
 
@@ -321,15 +304,11 @@ test_refusals = refused(
     (lambda: rendered({"f.emitter.radiance": torch.ones(1)}), "^values: f.emitter.radiance: "),
     (lambda: forwarded(random(2, 4)), r"^weights of shape \(2, 4\)"),
     (lambda: forwarded([1, 2, 3]), r"^\[1, 2, 3\]: .* tensor"),
-    *(
-        (lambda given=given: forwarded(given), r"^tensor of shape \(3,\), ")
-        for given in (torch.tensor([1, 2, 3]), torch.ones(3).to_sparse(), torch.ones(3, device="meta"))
-    ),
+    (lambda: forwarded(torch.tensor([1, 2, 3])), r"^tensor of shape \(3,\), "),
+    (lambda: forwarded(torch.ones(3).to_sparse()), r"^tensor of shape \(3,\), "),
+    (lambda: forwarded(torch.ones(3, device="meta")), r"^tensor of shape \(3,\), "),
     (lambda: bridge.capture(computing, CAMERA, {"mla_distance": 120.0}, random(3)), r"^120\.0: .* tensor"),
     (lambda: bridge.capture(computing, CAMERA, {"wavelength": torch.ones(1)}, random(3)), "^parameters: wavelength: "),
     # Colours are axes before the rows.
-    (
-        lambda: bridge.refocus(RayRefocus(CAMERA, 225.0), random(64, 64, 3)),
-        r"^captures of shape \(64, 64, 3\): .* \(64, 64\)$",
-    ),
+    (lambda: bridge.refocus(RayRefocus(CAMERA, 225.0), random(64, 64, 3)), r"^captures .*64, 3\): .* \(64, 64\)$"),
 )

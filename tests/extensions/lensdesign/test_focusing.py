@@ -14,7 +14,6 @@ def of(name, **numbers):
 
 
 def from_first_vertex(camera):
-    """Distance from the first vertex to the array in millimetres."""
     numbers = paraxial(camera.main_lens)
     scale = camera.focal_length / numbers.focal_length
     return scale * (numbers.length + numbers.rear_principal) + camera.mla_distance
@@ -26,14 +25,12 @@ def from_first_vertex(camera):
 def test_rays_near_the_axis_meet_where_it_is_in_focus(name, group):
     camera, distance = of(name, focal_length=80, aperture_radius=4), 3000.0
     found = focus_by_group(camera, group, distance)
-    slope = 1e-5
-    point, towards, is_open = LensSystem.of(found).trace((0.0, 0.0), (slope, 0.0))
+    point, towards, is_open = LensSystem.of(found).trace((0.0, 0.0), (1e-5, 0.0))
     assert is_open
     assert point[2] - point[0] / towards[0] == pytest.approx(distance, rel=1e-6)
     # The array stays, before the surfaces that stay.
-    shift = from_first_vertex(found) - from_first_vertex(camera)
-    assert (abs(shift) > 1e-3) == (group[0] == 1)
-    before, after = (camera.main_lens.surfaces, found.main_lens.surfaces)
+    assert (abs(from_first_vertex(found) - from_first_vertex(camera)) > 1e-3) == (group[0] == 1)
+    before, after = camera.main_lens.surfaces, found.main_lens.surfaces
     kept = [number for number in range(len(before) - 1) if number not in (group[0] - 2, group[1] - 1)]
     assert all(before[number].thickness == after[number].thickness for number in kept)
     assert any(a.thickness != b.thickness for a, b in zip(before, after, strict=True))
@@ -65,14 +62,11 @@ def test_the_nearest_of_two_positions_is_taken(front, rear, gap, near):
 
 def test_groups_that_are_none_are_refused():
     camera = of("cooke_triplet")
-    for group, message in (
-        ((1, 6), r"group = \(1, 6\)"),
-        ((2, 3), r"group = \(2, 3\): .*surface 1"),
-        ((4, 3), "group"),
-        (3, "group = 3"),
-        ((1, 7), "group = 7"),
-    ):
-        refuses(message, focus_by_group, camera, group, 1000.0)
+    refuses(r"group = \(1, 6\)", focus_by_group, camera, (1, 6), 1000.0)
+    refuses(r"group = \(2, 3\): .*surface 1", focus_by_group, camera, (2, 3), 1000.0)
+    refuses("group", focus_by_group, camera, (4, 3), 1000.0)
+    refuses("group = 3", focus_by_group, camera, 3, 1000.0)
+    refuses("group = 7", focus_by_group, camera, (1, 7), 1000.0)
     refuses("distance = 51", focus_by_group, camera, (1, 2), 51.0)
     refuses("main_lens", focus_by_group, PlenopticCamera(), (1, 2), 1000.0)
 

@@ -112,9 +112,8 @@ def test_both_formats_give_the_lens(tmp_path, name, text, encoding):
 def test_units_of_length(tmp_path, kind, unit, size):
     """The lens is larger; coefficients, which are of powers of lengths, are smaller."""
     text = ZEMAX.replace("UNIT MM", f"UNIT {unit}") if kind == "ZMX" else CODEV.replace("DIM M", f"DIM {unit}")
-    powers = (-1, 1, 1, 0, -3, -5, 0, 0)
     for found, stated in zip(numbers(read(tmp_path, text, f"lens.{kind}")), SINGLET, strict=True):
-        scaled = [value * size**power for value, power in zip(stated, powers, strict=False)]
+        scaled = [value * size**power for value, power in zip(stated, (-1, 1, 1, 0, -3, -5, 0, 0), strict=False)]
         assert found == pytest.approx(scaled, rel=1e-9)
 
 
@@ -127,8 +126,7 @@ def test_forms_of_glass_and_curvature(tmp_path):
     assert numbers(read(tmp_path, curved, "lens.seq"))[0] == pytest.approx(SINGLET[0], rel=1e-12)
     assert read(tmp_path, CODEV.replace("STO; ", "").replace("GO", "STO S2"), "lens.seq").stop == 1
     assert read(tmp_path, ZEMAX.replace("64.17", "0")).surfaces[0].glass == Glass("index", (1.5168,), "model")
-    aperture = ZEMAX.replace("DIAM 9 1", "CLAP 0 8 0\n  DIAM 9 1")
-    assert read(tmp_path, aperture).surfaces[1].semi_aperture == 8
+    assert read(tmp_path, ZEMAX.replace("DIAM 9 1", "CLAP 0 8 0\n  DIAM 9 1")).surfaces[1].semi_aperture == 8
 
 
 OF_ZEMAX = [
@@ -172,11 +170,9 @@ OF_CODEV = [
 ]
 
 
-@pytest.mark.parametrize(
-    "name, text, old, new, message",
-    [*(("lens.zmx", ZEMAX, *row) for row in OF_ZEMAX), *(("lens.seq", CODEV, *row) for row in OF_CODEV)],
-)
-def test_what_a_file_may_not_hold(tmp_path, name, text, old, new, message):
+@pytest.mark.parametrize("old, new, message", OF_ZEMAX + OF_CODEV)
+def test_what_a_file_may_not_hold(tmp_path, old, new, message):
+    name, text = ("lens.zmx", ZEMAX) if (old, new, message) in OF_ZEMAX else ("lens.seq", CODEV)
     assert text.count(old) >= 1
     refuses(rf"{name}.*{re.escape(message)}", read, tmp_path, text.replace(old, new, 1), name)
 
@@ -202,15 +198,10 @@ def test_optiland_reads_the_same_lens(tmp_path, name, text):
 @pytest.mark.slow
 def test_glasses_of_catalogues_by_just_their_names(tmp_path):
     pytest.importorskip("optiland")
-    indices = {"N-BK7": 1.5168, "schott:SF5": 1.6727, "schott:F2": 1.62004, "CaF2:Malitson": 1.43385}
-    for name, index in indices.items():
+    for name, index in {"N-BK7": 1.5168, "schott:SF5": 1.6727, "schott:F2": 1.62004, "CaF2:Malitson": 1.43385}.items():
         assert Glass.from_plain(name).at(587.5618) == pytest.approx(index, abs=2e-5)
-    for name, message in [
-        ("BK7", "schott:N-BK7"),
-        ("F2", "schott:F2"),
-        ("CaF2", "CaF2:"),
-        ("schott:S-LAH53", "ohara:S-LAH53"),
-    ]:
+    meant = {"BK7": "schott:N-BK7", "F2": "schott:F2", "CaF2": "CaF2:", "schott:S-LAH53": "ohara:S-LAH53"}
+    for name, message in meant.items():
         refuses(message, Glass.from_plain, name)
     # Beyond its data a glass has no index, rather than one of the formula.
     refuses("400 to 700 nm", Glass.from_plain("hikari:F2").at, 850)
@@ -251,12 +242,8 @@ def test_usual_glasses_need_no_optiland(monkeypatch, tmp_path):
         refuses(f"line 27: glass = '{glass}'", read, tmp_path, text)
 
 
-OWN = {
-    "surfaces": [
-        {"radius": 50, "thickness": 5, "glass": 1.5, "semi_aperture": 10, "stop": True, "asphere": [1e-05, -2e-9]},
-        {"radius": -70, "semi_aperture": 10},
-    ]
-}
+FRONT = {"radius": 50, "thickness": 5, "glass": 1.5, "semi_aperture": 10, "stop": True, "asphere": [1e-05, -2e-9]}
+OWN = {"surfaces": [FRONT, {"radius": -70, "semi_aperture": 10}]}
 
 
 @pytest.mark.parametrize("name", ["own.json", "own.yaml"])
@@ -369,7 +356,6 @@ def test_apertures_of_neighbours_and_unused_private_glasses_of_codev(tmp_path):
     ids=["run with the stop", "single ones", "ends"],
 )
 def test_surfaces_without_an_aperture_of_codev_take_the_wider_of_the_nearest(tmp_path, caplog, given, expected):
-    """One remark names all surfaces."""
     rows = [(61.47, 6, 1.517), (-44.64, 2.5, 1.673), (-129.94, 5, 1), (0, 5, 1)]
     rows += [(80, 5, 1.517), (-60, 2, 1.673), (-200, 60, 1)]
 

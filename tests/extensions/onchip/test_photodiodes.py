@@ -30,9 +30,8 @@ def test_a_linear_chief_ray_angle_is_a_smaller_pitch():
     b, z = far.mla_distance, far.detector_distance
     heights = np.linspace(0, 3.5, 60)
     pairs = np.stack([heights, np.degrees(np.arctan(heights / (b + z)))], axis=1).ravel()
-    aligned, smaller, plain = (
-        sky(far.replace(**changes), 256) for changes in ({"mla_cra": pairs}, {"mla_pitch": 0.0024 * b / (b + z)}, {})
-    )
+    cameras = (far.replace(mla_cra=pairs), far.replace(mla_pitch=0.0024 * b / (b + z)), far)
+    aligned, smaller, plain = (sky(camera, 256) for camera in cameras)
     assert np.abs(aligned - smaller).mean() < 0.003
     # Without either, the micro-images lie 0.8 pixels aside.
     assert np.abs(plain - smaller).mean() > 0.05
@@ -41,13 +40,11 @@ def test_a_linear_chief_ray_angle_is_a_smaller_pitch():
 def test_shifts_of_more_than_a_pitch():
     """A steep chief ray, through a stop far outside of the axis: the light comes back into its own pixels."""
     camera = CAMERA.replace(resolution=(4000, 4000), detector_width=4.8, crop_offset=(3800, 1984), crop_size=(16, 32))
-    table = (0.0, 0.0, 1.0, 60.0, 4.0, 60.0)
-    x = camera.pixel_coordinates(0)
     shift = camera.detector_distance * math.tan(math.radians(60))
     assert shift > 3 * camera.mla_pitch
-    image = sky(camera.replace(mla_cra=table), 1024).sum(axis=0)
+    image = sky(camera.replace(mla_cra=(0.0, 0.0, 1.0, 60.0, 4.0, 60.0)), 1024).sum(axis=0)
     same = sky(camera.replace(mla_offset=(-shift, 0.0)), 1024).sum(axis=0)
-    assert x.min() > 2 and np.abs(image - same).max() < 0.02 * same.max()
+    assert camera.pixel_coordinates(0).min() > 2 and np.abs(image - same).max() < 0.02 * same.max()
 
 
 def test_waves_shift_lenses_as_rays_do():
@@ -81,10 +78,8 @@ def test_the_table_of_ideal_lenses_gives_the_ideal_capture():
     b, z = camera.mla_distance, camera.detector_distance
     camera = camera.replace(mla_pitch=0.0024 * b / (b + z))
     # Capture rows and columns grow with x and y, and a pixel at larger x sees smaller x of the pupil.
-    plain, tabled = (
-        render_capture(scene_of(each.to_sensor(), "direct", lamp=lamp), spp=2048).image
-        for each in (camera, camera.replace(photodiode_response=halves_of(camera)))
-    )
+    sensors = camera.to_sensor(), camera.replace(photodiode_response=halves_of(camera)).to_sensor()
+    plain, tabled = (render_capture(scene_of(each, "direct", lamp=lamp), spp=2048).image for each in sensors)
     assert plain.max() > 0.3
     assert tabled.sum() == pytest.approx(plain.sum(), rel=0.01)
     assert np.linalg.norm(tabled - plain) < 0.06 * np.linalg.norm(plain)
@@ -103,19 +98,16 @@ def test_polarized_variants_record_the_same_light_by_tables():
 def test_responses_by_angle_and_wavelength():
     """White light of three channels through a photodiode of four pixels, against the mean over the pupil."""
     mi.set_variant("llvm_ad_rgb")
-    rng = np.random.default_rng(0)
     angles, wavelengths = [-20.0, -5.0, 8.0, 20.0], [450.0, 550.0, 650.0]
-    table = rng.random((1, 1, 3, 4, 4))
+    table = np.random.default_rng(0).random((1, 1, 3, 4, 4))
     given = {"angles_x": angles, "angles_y": angles, "wavelengths": wavelengths, "responses": table.tolist()}
     camera = CAMERA.replace(photodiode_response=given)
     assert PlenopticCamera.from_json(camera.to_json()) == camera
     sensor = camera.to_sensor()
     image = render_capture(scene_of(sensor, "direct", sky={"type": "constant"}), spp=256).image.mean(axis=(0, 1))
     radius, turn = np.sqrt((np.arange(400) + 0.5) / 400), 2 * np.pi * (np.arange(400) + 0.5) / 400
-    x, y = (
-        np.degrees(np.arctan(camera.aperture_radius / camera.mla_distance * radius[:, None] * each(turn)))
-        for each in (np.cos, np.sin)
-    )
+    slope = camera.aperture_radius / camera.mla_distance * radius[:, None]
+    x, y = (np.degrees(np.arctan(slope * each(turn))) for each in (np.cos, np.sin))
     seen = (camera.pixel_size * camera.mla_distance / camera.detector_distance) ** 2
     for value, wavelength in zip(image, (611.4, 549.1, 464.3), strict=True):
         grid = RegularGridInterpolator((wavelengths, angles, angles), table[0, 0])

@@ -15,7 +15,6 @@ from mitsuba_plenoptic.report.experiment import Settings
 
 @pytest.fixture(scope="session")
 def tiny():
-    """Settings of the letters on 16 x 16 lenses."""
     small = letters(16) | {"lens_model": "parabolic"}
     return Settings("letters", small, spp=4, distances=(210.0, 240.0, 280.0), slider=(225.0,), truth_spp=64, pdf=False)
 

@@ -69,9 +69,8 @@ def test_pixels_against_range():
         cameras = [limits.FocusedCamera(PAPER, 3.0, 500.0, 240.0, 1 / (1 / 240 - 1e-3 * width)) for width in ranges]
         assert [each.range for each in cameras] == pytest.approx(ranges)
         assert limits.pixels_against_range(cameras).verdict == verdict
-    assert (
-        "infinity" in limits.pixels_against_range([limits.FocusedCamera(PAPER, 3.0, 500.0, 200.0, math.inf)]).measured
-    )
+    endless = limits.FocusedCamera(PAPER, 3.0, 500.0, 200.0, math.inf)
+    assert "infinity" in limits.pixels_against_range([endless]).measured
 
 
 def test_rays_of_a_point_meet_in_its_image(distance=210.0):
@@ -112,10 +111,8 @@ def verdicts(coherent, partial, seconds, mesh, **readings):
         for method, share in zip(("coherent", "partial"), shares, strict=True):
             images[method, distance] = ray + share * noise
     interference = [
-        {"shape": shape, "shape_distance": own, "distance": other, "coherent": a, "partial": b}
-        for shape, own, other, a, b in zip(
-            ("near", "far"), (210.0, 280.0), (280.0, 210.0), coherent, partial, strict=True
-        )
+        {"shape": shape, "shape_distance": own, "distance": other, "coherent": coherent[k], "partial": partial[k]}
+        for k, (shape, own, other) in enumerate((("near", 210.0, 280.0), ("far", 280.0, 210.0)))
     ]
     experiment = SimpleNamespace(settings=SimpleNamespace(distances=(210.0, 280.0)), images=images, camera=camera)
     read = {**READINGS, **readings}
@@ -128,10 +125,8 @@ def verdicts(coherent, partial, seconds, mesh, **readings):
         ],
     }
     named = dict(zip(("ray", "coherent", "partial"), seconds, strict=True))
-    return {
-        claim.statement.split(":")[0]: claim.verdict
-        for claim in check_claims(experiment, numbers, named, "near", "far")
-    }
+    claims = check_claims(experiment, numbers, named, "near", "far")
+    return {claim.statement.split(":")[0]: claim.verdict for claim in claims}
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,6 @@ def white(camera):
 
 
 def interleaved(i, j):
-    """Label every second lens along both axes alike."""
     return i % 2 + 2 * (j % 2)
 
 
@@ -50,13 +49,12 @@ def test_an_image_needs_the_light_around_it_alone():
 
 @pytest.mark.parametrize("distance", [225.0, 280.0])
 def test_colours_are_as_many_as_the_blur_asks_for(distance):
-    capture = white(small_camera(20))
     # The whole pupil, imaged through the point of the lens, written out.
     blur = abs(1 + 120 / distance - 120 / 80) * 10.0 / 0.064
     x, y = np.meshgrid(np.arange(20), np.arange(20))
     # Lenses that all overlap need a colour each; and a period of the blur and three bins would be enough.
     together = np.count_nonzero(np.hypot(x - 9.5, y - 9.5) < blur / 2)
-    assert together <= colour_count(capture, distance) <= (np.ceil(blur) + 3) ** 2
+    assert together <= colour_count(white(small_camera(20)), distance) <= (np.ceil(blur) + 3) ** 2
 
 
 def test_dark_lenses_take_no_colours():

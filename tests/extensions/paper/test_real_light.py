@@ -1,6 +1,7 @@
 """The paper's statements on a light field as a real camera records it, here a simulated one of 8 x 8 lenses."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,11 +19,7 @@ SHAPES = {
 }
 
 
-class Store:
-    """A store that keeps nothing."""
-
-    def capture(self, name, inputs, make):
-        return make(None, None), ""
+STORE = SimpleNamespace(capture=lambda name, inputs, make: (make(None, None), ""))
 
 
 def folder_of(folder):
@@ -62,7 +59,7 @@ def test_the_control_shows_a_plane_where_it_was_found(monkeypatch):
     image[16:36, 8:24] = 1
     by_waves = real_light.render_capture
     monkeypatch.setattr(real_light, "render_capture", lambda scene, **_: by_waves(scene, model="ray", spp=4))
-    control = real_light._control(Recording(black, black + 1, camera, {"a": shape}), {"a": image}, Store(), 550.0, 1e4)
+    control = real_light._control(Recording(black, black + 1, camera, {"a": shape}), {"a": image}, STORE, 550.0, 1e4)
     found = real_light.reconstruct(control.light, 391.0, camera=camera).image
     assert np.nanmean(found[2:4, 1:3]) > 0.6
     assert np.nanmean(found[5:7, 1:5]) < 0.1
@@ -76,6 +73,6 @@ def test_an_edge_within_a_lens_is_found_where_it_is():
     image[:, 36:] = 0.2
     blank = np.ones(CAMERA.shape, np.float32)
     recording = Recording(blank, blank, CAMERA, {"a": Shape(408.0, {"region": (0.0, 0.0, 8.0, 8.0)})})
-    control = real_light._control(recording, {"a": image}, Store(), 550.0, 1e4)
+    control = real_light._control(recording, {"a": image}, STORE, 550.0, 1e4)
     found = real_light._deconvolved(control.capture(550.0), control.white, 408.0)
     assert 16 + window_sharpness(found[20:44, 16:56].astype(np.float64)).column == pytest.approx(35.5, abs=1)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from PIL import Image
-from refusals import refuses
+from refusals import refused
 from scipy import ndimage
 
 from mitsuba_plenoptic import PlenopticCamera
@@ -96,16 +96,14 @@ def test_a_folder_is_read_with_its_nearest_shape_first(tmp_path):
     assert recording.shapes["b"].window("region", 8) == (slice(0, 64), slice(32, 64))
 
 
-@pytest.mark.parametrize(
-    ("shapes", "words"),
-    [
-        (None, "white.png"),
-        ({"a": SHAPES["a"]}, "two distances"),
-        ({"a": {"distance": 385}, "b": SHAPES["b"]}, "a: it has no region"),
-        ({"a": SHAPES["a"] | {"even": [1, 1, 0, 2]}}, "a: even = .1, 1, 0, 2."),
-        ([], "no shapes"),
-    ],
+def read_of(folder, shapes, names=("light", "white")):
+    return of_paper.read_recording_of(written(folder, shapes, names))
+
+
+test_a_folder_that_lacks_something_is_refused = refused(
+    (lambda folder: read_of(folder, SHAPES, ["light"]), "white.png"),
+    (lambda folder: read_of(folder, {"a": SHAPES["a"]}), "two distances"),
+    (lambda folder: read_of(folder, SHAPES | {"a": {"distance": 385}}), "a: it has no region"),
+    (lambda folder: read_of(folder, {"a": SHAPES["a"] | {"even": [1, 1, 0, 2]}}), "a: even = .1, 1, 0, 2."),
+    (lambda folder: read_of(folder, []), "no shapes"),
 )
-def test_a_folder_that_lacks_something_is_refused(tmp_path, shapes, words):
-    names = ("light", "white") if shapes is not None else ("light",)
-    refuses(words, of_paper.read_recording_of, written(tmp_path, shapes, names))

@@ -11,7 +11,6 @@ needs_miepython = pytest.mark.skipif(find_spec("miepython") is None, reason="sph
 
 
 def one_particle(place, camera, diameter=1.0, direction=(1.0, 0.0, 0.0), **seeding):
-    """Return a sequence of one particle at a place."""
     box = pt.ParticleVolume(tuple(np.array(place) - 0.1), tuple(np.array(place) + 0.1))
     still, given, light = pt.Uniform((0.0, 0.0, 0.0)), pt.Seeding(count=8, **seeding), pt.LightSheet(direction)
     truth = pt.particle_sequence(camera, box, given, still, interval=1, frames=1, sheet=light, seed=4)

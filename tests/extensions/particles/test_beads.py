@@ -17,15 +17,7 @@ from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.pupil_weights import PupilWeights
 from mitsuba_plenoptic.rays.tracer import Passage, Walk
 
-OBJECTIVE = mp.Objective(20, 0.5, 1.33, tube_focal_length=180)
-CAMERA = mp.PlenopticCamera(
-    main_lens=OBJECTIVE,
-    mla_pitch=0.125,
-    mla_focal_length=2.433,
-    mla_offset=(0.0625, 0.0625),
-    detector_width=0.875,
-    resolution=(105, 105),
-)
+CAMERA = mp.PlenopticCamera.preset("lfm_water").replace(detector_width=0.875, resolution=(105, 105))
 
 
 def test_points_by_rays_are_those_of_the_sensor():
@@ -125,8 +117,7 @@ def test_positions_of_beads_are_found(model):
     if model == "ray":
         projector = pt.RayProjector(CAMERA, grid, wavelength=510, window=window)
     else:
-        points = window.apparent(grid.points, CAMERA, 510)
-        projector = mp.StoredOperator(CAMERA, points, wavelength=510, accuracy=0.1)
+        projector = mp.StoredOperator(CAMERA, window.apparent(grid.points, CAMERA, 510), wavelength=510, accuracy=0.1)
     volume = pt.reconstruct_volume(projector, capture, grid, method="sirt", iterations=60)
     found, light = pt.locate_particles(volume, threshold=0.3, apart=(5, 5, 5))
     assert len(found) == 2

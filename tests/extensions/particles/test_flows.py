@@ -19,6 +19,7 @@ CASES = [
     pt.LambOseen(circulation=9.0, core=0.4, axis="x", centre=CENTRE),
     pt.HillVortex(speed=2.0, radius=1.1, axis="z", centre=CENTRE),
 ]
+NAMES = [type(case).__name__ for case in CASES]
 
 
 @pytest.fixture
@@ -26,11 +27,7 @@ def points():
     return np.random.default_rng(3).uniform(-1.5, 1.5, (60, 3)) + CENTRE
 
 
-def named(case):
-    return type(case).__name__
-
-
-@pytest.mark.parametrize("flow", CASES, ids=named)
+@pytest.mark.parametrize("flow", CASES, ids=NAMES)
 def test_flows_are_free_of_divergence(flow, points):
     step, divergence = 1e-5, 0.0
     for axis in np.eye(3):
@@ -39,7 +36,7 @@ def test_flows_are_free_of_divergence(flow, points):
     assert np.abs(divergence).max() < 1e-5
 
 
-@pytest.mark.parametrize("flow", CASES, ids=named)
+@pytest.mark.parametrize("flow", CASES, ids=NAMES)
 def test_displacements_are_integrals_of_velocities(flow, points):
     # Runge and Kutta's classical steps, written here.
     time, steps, now = 0.6, 400, points.copy()
@@ -107,6 +104,5 @@ test_bad_flows_are_refused_in_one_line = refused(
 
 
 def still(**units):
-    axes = {axis: (axis, [0.0, 1.0], {"units": units.get(axis, "mm")}) for axis in "xyz"}
     parts = {part: (tuple("xyz"), np.zeros((2, 2, 2)), {"units": units.get(part, "mm s-1")}) for part in "uvw"}
-    return xr.Dataset(parts, axes)
+    return xr.Dataset(parts, {axis: (axis, [0.0, 1.0], {"units": units.get(axis, "mm")}) for axis in "xyz"})

@@ -45,7 +45,6 @@ def test_densities_are_those_asked_for():
 @pytest.mark.parametrize(
     "flow",
     [pt.TaylorGreen(speed=10.0, length=0.35, axis="x", centre=(0, 0.1, 240)), pt.Uniform((9.0, -4.0, 100.0))],
-    ids=lambda flow: type(flow).__name__,
 )
 def test_particles_enter_and_leave_and_their_number_stays(flow):
     truth = sequence(flow, count=4000.0, diameter=1.0, frames=4, interval=0.03)

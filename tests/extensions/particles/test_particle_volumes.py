@@ -24,8 +24,6 @@ def small_rays():
 
 
 class Dense(LinearMap):
-    """A matrix as a projector."""
-
     def __init__(self, matrix, shape):
         super().__init__((matrix.shape[1],), shape, matrix.dtype)
         self.matrix = matrix
@@ -81,10 +79,8 @@ def test_steps_stop_and_go_on(tmp_path):
     with pytest.raises(KeyboardInterrupt), saved:
         pt.reconstruct_volume(operator, image, GRID, iterations=40, progress=stop, checkpoint=saved)
     with mp.Checkpoint(tmp_path / "volume.checkpoint", "resume") as saved:
-        steps = []
-        again = pt.reconstruct_volume(
-            operator, image, GRID, iterations=40, progress=lambda *done: steps.append(done[0]), checkpoint=saved
-        )
+        steps, options = [], {"iterations": 40, "checkpoint": saved}
+        again = pt.reconstruct_volume(operator, image, GRID, progress=lambda *done: steps.append(done[0]), **options)
     assert steps[0] == 16
     assert (again.values == whole.values).all()
 
@@ -128,8 +124,7 @@ def test_voxels_are_projected_from_where_they_are_seen():
     seeding, still = pt.Seeding(count=1, index=None, medium=1.4, window=220), pt.Uniform((0, 0, 0))
     truth = pt.particle_sequence(CAMERA, GRID, seeding, still, interval=1, seed=1)
     capture = mp.Capture(image, CAMERA, metadata={"particles": json.loads(truth.attrs["particles"])})
-    apparent = mp.CaptureOperator(CAMERA, window.apparent(GRID.points, CAMERA, 550), wavelength=550)
-    for other in (through, apparent):
+    for other in (through, mp.CaptureOperator(CAMERA, window.apparent(GRID.points, CAMERA, 550), wavelength=550)):
         pt.reconstruct_volume(other, capture, GRID, iterations=1)
     for other in (plain, mp.CaptureOperator(CAMERA, GRID.points, wavelength=550)):
         refuses(r"Window\(.*=220.*1.4\)", pt.reconstruct_volume, other, capture, GRID)
@@ -173,16 +168,14 @@ def shifted_pair(move, count=500):
     random = np.random.default_rng(8)
     low, high = np.array([-1.3, -1.3, 98.4]), np.array([1.3, 1.3, 103.6])
     places, light = random.uniform(low, high, (count, 3)), random.uniform(0.5, 1, count)
-    widths = (0.05, 0.05, 0.15)
-    return [pt.drawn_particles(grid, places + step, light, widths) for step in (0.0, move(places))]
+    return [pt.drawn_particles(grid, places + step, light, (0.05, 0.05, 0.15)) for step in (0.0, move(places))]
 
 
 def test_correlation_finds_exact_shifts():
     # 2.4, -1.3 and 3.2 voxels.
     move = np.array([0.1, -0.054, 0.4])
     found = pt.correlate_volumes(*shifted_pair(lambda places: move), window=(16, 16, 16))
-    voxel = np.array([2 / 48, 2 / 48, 4 / 32])
-    error = (found["displacement"].values - move) / voxel
+    error = (found["displacement"].values - move) / np.array([2 / 48, 2 / 48, 4 / 32])
     assert np.sqrt((error**2).mean((0, 1, 2))).max() < 0.15
     assert np.abs(error.mean((0, 1, 2))).max() < 0.05
     assert found.sizes == {"z": 3, "y": 5, "x": 5, "axis": 3}
@@ -205,8 +198,7 @@ def test_correlation_finds_shears_up_to_the_borders(across, rate, window):
 
 @pytest.mark.parametrize(("voxels", "is_wrong"), [(10, False), (14, True)])
 def test_displacements_beyond_a_window_are_warned_of(voxels, is_wrong, recwarn):
-    pair = shifted_pair(lambda places: np.array([voxels / 24, 0, 0]), 1500)
-    pt.correlate_volumes(*pair, window=(16, 16, 16))
+    pt.correlate_volumes(*shifted_pair(lambda places: np.array([voxels / 24, 0, 0]), 1500), window=(16, 16, 16))
     assert ["vectors are outliers, and others" in str(each.message) for each in recwarn] == [True] * is_wrong
 
 
@@ -229,9 +221,8 @@ def test_empty_windows_have_no_displacement_of_their_own():
 def test_particles_are_located_and_matched():
     grid = pt.VoxelGrid((-1, -1, 99), (1, 1, 101), (20, 40, 40))
     places = np.array([[0.21, 0.1, 100.03], [-0.51, 0.42, 99.7], [0.62, -0.63, 100.4]])
-    found, light = pt.locate_particles(
-        pt.drawn_particles(grid, places, np.array([1, 2, 1.5]), (0.06, 0.06, 0.12)), apart=(7, 7, 7)
-    )
+    volume = pt.drawn_particles(grid, places, np.array([1, 2, 1.5]), (0.06, 0.06, 0.12))
+    found, light = pt.locate_particles(volume, apart=(7, 7, 7))
     order = np.argsort(light)
     assert_allclose(found[order], places[[0, 2, 1]], atol=0.01)
     assert_allclose(light[order], [1, 1.5, 2], rtol=0.03)

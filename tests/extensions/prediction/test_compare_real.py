@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.ndimage
 from PIL import Image
-from refusals import refuses
+from refusals import refused, refuses
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, load_scene, render_capture
 from mitsuba_plenoptic.extensions.calibrate.white_command import sensor_values
@@ -142,12 +142,9 @@ def test_real_letters_are_predicted_better_by_waves(tmp_path, run):
 
 
 def test_wrong_options_get_one_line(empty, complaint):
-    for words, line in (
-        (["chart"], "scene = chart"),
-        (["--distance", "200"], "--distance, --against, -D"),
-        (["--part", "0.5,0.5,0.2,1"], "part = 0.5,0.5,0.2,1"),
-    ):
-        assert line in complaint(*command(empty, *words))
+    assert "scene = chart" in complaint(*command(empty, "chart"))
+    assert "--distance, --against, -D" in complaint(*command(empty, "--distance", "200"))
+    assert "part = 0.5,0.5,0.2,1" in complaint(*command(empty, "--part", "0.5,0.5,0.2,1"))
     assert not (empty / "out").exists()
     *words, _, _, option, folder = command(empty)
     assert "--white, --camera and --wavelength" in complaint(*words, option, folder)
@@ -158,19 +155,17 @@ def test_wrong_options_get_one_line(empty, complaint):
 def test_messages_name_the_picture_that_is_wrong(recorded, complaint):
     folder, (light, white, dark) = recorded
     (folder / "camera.json").write_text(CAMERA.replace(mla_lattice="hexagonal").to_json())
-    words = f"{folder / 'white.tif'}: mla_lattice = hexagonal"
-    assert words in complaint(*command(folder, "--part", "0,0,1,1"))
+    assert f"{folder / 'white.tif'}: mla_lattice = hexagonal" in complaint(*command(folder, "--part", "0,0,1,1"))
     refuses(r"light field of shape \(191, 192\)", study.Pictures, light[:-1], white, dark)
 
 
-@pytest.mark.parametrize(
-    ("changes", "part", "planes", "words"),
-    [
-        ({"mla_tilt": (1.0, 0.0)}, 210, [], "mla_tilt = "),
-        ({"pupil_apodisation": (-0.2, 0.0)}, 210, [], "pupil_apodisation = "),
-        ({}, 210, [385.0, 385.0], r"plane = \[385.0, 385.0\]"),
-        ({}, 150, [], "part: it shows 9[0-9] lenses"),
-    ],
+def judged(part=210, planes=(), **changes):
+    return study.Study(None, THIN.replace(**changes), 550.0, (0, 0, part, part), list(planes), None)
+
+
+test_what_cannot_be_judged_is_refused_at_once = refused(
+    (lambda: judged(mla_tilt=(1.0, 0.0)), "mla_tilt = "),
+    (lambda: judged(pupil_apodisation=(-0.2, 0.0)), "pupil_apodisation = "),
+    (lambda: judged(planes=[385.0, 385.0]), r"plane = \[385.0, 385.0\]"),
+    (lambda: judged(150), "part: it shows 9[0-9] lenses"),
 )
-def test_what_cannot_be_judged_is_refused_at_once(changes, part, planes, words):
-    refuses(words, study.Study, None, THIN.replace(**changes), 550.0, (0, 0, part, part), planes, None)

@@ -29,10 +29,9 @@ def model_of(camera, wavelength=550.0):
     index = np.column_stack([column + aside * (row % 2), row])
     centre = np.stack(camera.lattice.centre(index[:, 0] - aside * row, row), axis=-1)
     place = centre * camera.image_growth / camera.pixel_size + (np.array(camera.resolution) - 1) / 2
-    array = fit_array(place, index, camera)
     pupil = PupilNumbers(camera.pupil_radius / camera.pupil_step, blur=camera.detector_blur / camera.pixel_size)
     field = FieldNumbers(camera.resolution, 0, pupil)
-    return CameraModel(camera, wavelength, array, field, index, np.ones(len(index)))
+    return CameraModel(camera, wavelength, fit_array(place, index, camera), field, index, np.ones(len(index)))
 
 
 def part_of(model):
@@ -106,10 +105,7 @@ def test_the_adjoint_is_the_transpose():
 
 
 def test_rays_of_a_point_spread_over_lenses_as_the_cone_does():
-    """Mean square of the lit lenses' distance, of a source that radiates evenly within the half angle alpha:
-
-    the mean of the squared tangent is (1 / cos(alpha) + cos(alpha) - 2) / (1 - cos(alpha)).
-    """
+    """Of a source even within alpha, tan^2 has the mean (1 / cos(alpha) + cos(alpha) - 2) / (1 - cos(alpha))."""
     depth = -0.05
     plane = plane_of(part_of(model_of(CAMERA, None)), depth)
     lenses = plane.pictures.shape[0] // 12
@@ -126,8 +122,7 @@ def test_rays_of_a_point_spread_over_lenses_as_the_cone_does():
 def test_withheld_pixels_of_a_simulated_volume_are_predicted():
     """A volume with structure, noise of photons: the residual of pixels that the fit has not seen is that of noise."""
     generator = np.random.default_rng(1)
-    volume = (generator.random(PROJECTOR.source_shape) ** 8).astype(np.float32)
-    expected = PROJECTOR.direct(volume)
+    expected = PROJECTOR.direct((generator.random(PROJECTOR.source_shape) ** 8).astype(np.float32))
     electrons = generator.poisson(expected * (400 / expected.mean())).astype(np.float32)
     withheld = Withheld.drawn(PART.pixels, np.ones(len(PART.pixel), bool), 0)
     fit = fit_scene(PROJECTOR, electrons, withheld.used, dark_variance=1.0, strength=1e-3, iterations=60)

@@ -176,8 +176,7 @@ def test_depth_of_an_array_of_cameras_is_metric(array_of_cameras, tmp_path, run,
         ("[intrinsics]", "[meta]\ndisp_min = near\n[intrinsics]", "disp_min = 'near': "),
     ):
         (back / "parameters.cfg").write_text(PARAMETERS.replace(line, wrong))
-        said = complaint("depth", back, "-o", tmp_path / "b.exr")
-        assert said.startswith(f"{back / 'parameters.cfg'}: {words}")
+        assert complaint("depth", back, "-o", tmp_path / "b.exr").startswith(f"{back / 'parameters.cfg'}: {words}")
 
 
 def test_without_a_camera_disparities_are_found_and_refocused(array_of_cameras, tmp_path, run, complaint):

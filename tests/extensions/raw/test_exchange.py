@@ -85,8 +85,7 @@ class TestLFToolbox:
                 group[name] = np.array([[float(value)]])
             group["Orientation"] = np.array([[ord(letter)] for letter in "horz"], dtype=np.uint16)
 
-        path = write_matlab_7(tmp_path / "a.mat", fill)
-        back = ex.read_lftoolbox(path)
+        back = ex.read_lftoolbox(write_matlab_7(tmp_path / "a.mat", fill))
         assert back.dims == ("v", "u", "t", "s", "c")
         np.testing.assert_allclose(back.values, stored[..., :3] / 65535, rtol=1e-6)
         np.testing.assert_allclose(back.white.values, stored[..., 3] / 65535, rtol=1e-6)
@@ -159,26 +158,21 @@ class TestMosaics:
     def test_layouts(self, lf, tmp_path):
         views, (rows, columns) = lf.sizes["u"], lf.shape[2:4]
         for layout, place in (("lenses", (2 * views + 7, 3 * views + 5)), ("views", (7 * rows + 2, 5 * columns + 3))):
-            ex.write_mosaic(tmp_path / "a.png", lf, layout=layout)
-            assert Image.open(tmp_path / "a.png").size == (views * columns, views * rows)
-            picture, back = (
-                ex.read_picture(tmp_path / "a.png"),
-                ex.read_mosaic(tmp_path / "a.png", views, layout=layout),
-            )
+            path = tmp_path / "a.png"
+            ex.write_mosaic(path, lf, layout=layout)
+            assert Image.open(path).size == (views * columns, views * rows)
+            picture, back = ex.read_picture(path), ex.read_mosaic(path, views, layout=layout)
             assert back.dims == lf.dims and "camera" not in back.attrs
             # 16 bits in sRGB are finer than this everywhere.
             np.testing.assert_allclose(picture[place], lf.values[7, 5, 2, 3] / lf.values.max(), atol=4e-5)
             np.testing.assert_allclose(back.values, lf.values / lf.values.max(), atol=4e-5)
 
     def test_eight_bits_grey_and_transparency(self, tmp_path):
-        Image.fromarray(np.array([[0, 188], [255, 10]], np.uint8)).save(tmp_path / "grey.png")
+        path = tmp_path / "grey.png"
+        Image.fromarray(np.array([[0, 188], [255, 10]], np.uint8)).save(path)
         # (188/255 sRGB is 0.5029 linear; 10/255 is on the straight part: / 12.92)
-        np.testing.assert_allclose(
-            ex.read_picture(tmp_path / "grey.png"), [[0, 0.5029], [1, 10 / 255 / 12.92]], atol=1e-4
-        )
-        np.testing.assert_allclose(
-            ex.read_picture(tmp_path / "grey.png", linear=True), [[0, 188 / 255], [1, 10 / 255]], atol=1e-6
-        )
+        np.testing.assert_allclose(ex.read_picture(path), [[0, 0.5029], [1, 10 / 255 / 12.92]], atol=1e-4)
+        np.testing.assert_allclose(ex.read_picture(path, linear=True), [[0, 188 / 255], [1, 10 / 255]], atol=1e-6)
         Image.fromarray(np.full((2, 2, 4), 255, np.uint8)).save(tmp_path / "clear.png")
         assert ex.read_picture(tmp_path / "clear.png").shape == (2, 2, 3)
 
@@ -198,8 +192,7 @@ class TestFiles:
         image, gain = white_image(CAMERA), np.linspace(0.8, 1.2, CAMERA.shape[1])
         write_capture(tmp_path / "raw.exr", Capture(0.5 * image * gain, CAMERA))
         write_capture(tmp_path / "white.exr", Capture(image * gain, CAMERA))
-        seen = ex.open_light_field(tmp_path / "raw.exr")
-        assert seen.values.max() == pytest.approx(0.6, rel=0.05)
+        assert ex.open_light_field(tmp_path / "raw.exr").values.max() == pytest.approx(0.6, rel=0.05)
         even = ex.open_light_field(tmp_path / "raw.exr", white=tmp_path / "white.exr")
         np.testing.assert_allclose(even.values[even.weight.values > 0], 0.5, rtol=1e-3)
 
@@ -225,8 +218,7 @@ class TestFiles:
         white = white_image(camera, grid) * np.linspace(0.5, 0.9, 400, dtype=np.float32)
         # What it sees: brightness rises across the field.
         x = np.linspace(0.2, 1.0, 400, dtype=np.float32)
-        raw = white * x
-        for name, image in (("white.png", white), ("raw.png", raw)):
+        for name, image in (("white.png", white), ("raw.png", white * x)):
             # IEC 61966-2-1
             codes = np.where(image <= 0.0031308, 12.92 * image, 1.055 * image ** (1 / 2.4) - 0.055)
             Image.fromarray(np.round(65535 * codes).astype(np.uint16)).save(tmp_path / name)

@@ -24,16 +24,14 @@ def refocused(raw, tmp_path):
 def test_what_is_printed(refocused, run):
     path, made = refocused
     text = run("mtf", path)
-    assert re.search(
-        r"^edge at row 29\.5, column 31\.\d+, 60 bins long, turned by 4.98 degrees from the columns$", text, re.M
-    )
+    edge = r"^edge at row 29\.5, column 31\.\d+, 60 bins long, turned by 4.98 degrees from the columns$"
+    assert re.search(edge, text, re.M)
     half = float(re.search(r"half the contrast at (\S+) cycles per bin", text)[1])
     assert f"{half / made.bin_size:.2g}" in text
     # A Gaussian of one bin, and the bin itself.
     known = np.exp(-2 * (np.pi * 0.25) ** 2) * np.sinc(0.25)
     assert float(re.search(r"^0\.25 cycles .* (\S+)$", text, re.M)[1]) == pytest.approx(known, abs=0.005)
-    inside = run("mtf", path, "--region", "10,5,45,50")
-    assert "edge at row 29.5" in inside
+    assert "edge at row 29.5" in run("mtf", path, "--region", "10,5,45,50")
 
 
 def test_captures_are_refocused(raw, complaint):
@@ -49,10 +47,8 @@ def test_regions_and_options_of_captures_are_refused(refocused, complaint):
 
 
 def test_captures_without_microlenses_are_measured_themselves(refocused, tmp_path, run, complaint):
-    camera = mp.PlenopticCamera(
-        mla_lattice="none", focal_length=50, focus_distance=300, resolution=(60, 60), detector_width=6
-    )
-    path = tmp_path / "photograph.exr"
+    lens, path = {"focal_length": 50, "focus_distance": 300}, tmp_path / "photograph.exr"
+    camera = mp.PlenopticCamera(mla_lattice="none", resolution=(60, 60), detector_width=6, **lens)
     mp.write_capture(path, mp.Capture(refocused[1].image, camera))
     text, pixel = run("mtf", path), 0.1 * 300 / camera.mla_distance
     half, per_mm = re.search(r"half the contrast at (\S+) cycles per bin, (\S+) per mm", text).groups()

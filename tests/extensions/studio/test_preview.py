@@ -29,16 +29,14 @@ def scene_of(size, distance, across=0.0, light=None):
     pose = transform.look_at([0, 0, 0], [0, 0, 1], [0, 1, 0])
     disk = transform.translate([across, 0, distance]).scale(size / 2).rotate([1, 0, 0], 180)
     sensor, sky = {"type": "perspective", "to_world": pose}, light or {"type": "constant"}
-    scene = cases.scene_of(sensor, "direct", light=sky, disk={"type": "disk", "to_world": disk})
-    return with_camera(scene, CAMERA)
+    return with_camera(cases.scene_of(sensor, "direct", light=sky, disk={"type": "disk", "to_world": disk}), CAMERA)
 
 
 def test_what_is_seen_is_where_it_is():
     seen = preview_of(scene_of(WIDTH / 2, 240.0), CAMERA)
     assert seen.filled == pytest.approx(0.5, abs=1 / 64 + 1e-6)
     assert np.nanmax(np.abs(seen.distance - 240)) < 1e-3
-    known = np.isfinite(seen.distance)
-    assert known.mean() == pytest.approx(np.pi / 16, rel=0.03)
+    assert np.isfinite(seen.distance).mean() == pytest.approx(np.pi / 16, rel=0.03)
     # +x is to the left, +y up.
     assert np.nanmean(seen.points[:, :32, 0]) > 0 and np.nanmean(seen.points[:32, :, 1]) > 0
 
@@ -66,11 +64,9 @@ FIELD = 16 * 0.15 / 20
 
 
 def before_microscope(size, depth, across=0.0):
-    """A luminous disc before a microscope."""
     disk = mi.ScalarTransform4f().translate([across, 0, depth]).scale(size / 2).rotate([1, 0, 0], 180)
     lamp = {"type": "disk", "to_world": disk, "emitter": {"type": "area", "radiance": 1.0}}
-    scene = cases.scene_of({"type": "perspective"}, lamp=lamp)
-    return with_camera(scene, MICROSCOPE)
+    return with_camera(cases.scene_of({"type": "perspective"}, lamp=lamp), MICROSCOPE)
 
 
 def test_a_microscope_sees_through_its_objective():
@@ -93,8 +89,7 @@ def test_a_microscope_sees_through_its_objective():
 
 
 def test_framing_before_a_microscope(tmp_path):
-    far = before_microscope(0.8 * FIELD, 0.5)
-    seen = preview_of(far, MICROSCOPE)
+    seen = preview_of(before_microscope(0.8 * FIELD, 0.5), MICROSCOPE)
     (text,) = framing_warnings(seen)
     assert re.search("what is seen is from 500 to 500 um, and only 0% of it from -97.* to 97.* um, which", text), text
     small = preview_of(before_microscope(0.1 * FIELD, 0.0), MICROSCOPE)
@@ -104,8 +99,7 @@ def test_framing_before_a_microscope(tmp_path):
 
 
 def test_a_camera_without_a_plane_in_focus_is_refused():
-    camera = CAMERA.replace(mla_distance=79.0)
-    refuses("mla_distance = 79: ", preview_of, scene_of(1.0, 240.0), camera)
+    refuses("mla_distance = 79: ", preview_of, scene_of(1.0, 240.0), CAMERA.replace(mla_distance=79.0))
 
 
 def test_the_plan_shows_the_left_of_a_camera_that_looks_to_the_right_above():

@@ -8,13 +8,11 @@ from PIL import Image
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.extensions.studio import preview
-from mitsuba_plenoptic.runtime import in_words
 
 
 @pytest.fixture(autouse=True)
 def few_samples(monkeypatch, coarse_figures):
     monkeypatch.setattr(preview, "_SPP", 1)
-    monkeypatch.setattr(preview, "_OBJECTIVE_SPP", 1)
     monkeypatch.setattr(preview, "_COLUMNS", 32)
 
 
@@ -48,18 +46,6 @@ def test_the_picture_comes_first_and_waves_are_estimated_only_when_asked_for(tmp
     text = run("preview", "letters", *SMALL, "-o", path, "--variant", "llvm_ad_rgb")
     assert seen == [("ray", True, "llvm_ad_rgb")] and text.startswith(f"{path}: the picture")
     assert "ray capture: about 3 min and 1 GiB" in text and "wave" not in text
-
-
-@pytest.mark.parametrize(("seconds", "words"), [(0.123, "0.123 s"), (59, "59 s"), (3600, "1.0 h"), (9000, "2.5 h")])
-def test_times_in_words(seconds, words):
-    assert in_words(seconds) == words
-
-
-def test_microscopes(tmp_path, run):
-    text = run("preview", "beads", "-D", "resolution=150", "-D", "detector_width=1.5", "-o", tmp_path / "look.png")
-    assert "field: 75 x 75 um in the native object plane" in text
-    assert "made sharp by refocusing: -97.43 to 97.43 um" in text
-    assert "ray capture: about" in text
 
 
 def test_a_telescope_focused_at_infinity_sees_a_planet_farther_than_mitsubas_cameras_do_by_default(tmp_path, run):

@@ -1,6 +1,5 @@
 """Parameter sweeps: every point is what its own command gives, kept, labelled, and refused when it makes no sense."""
 
-import os
 import sys
 import weakref
 from dataclasses import replace
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from cameras import definitions, letters
-from refusals import refuses
+from refusals import refused, refuses
 from stopped_runs import StoppedError, stopped_before
 
 from mitsuba_plenoptic import Cluster, load_scene, render_capture
@@ -31,7 +30,6 @@ MANY = ",".join(map(str, range(1000)))
 
 @pytest.fixture
 def computed():
-    """Tell which stages were computed, and which were there."""
     stages = {}
 
     def finished(name, _, kept):
@@ -52,8 +50,7 @@ def test_finished_points_are_kept_and_a_grown_grid_computes_what_is_missing(tmp_
     with sweep(RAYS, {"aperture_radius": [3, 5], "distance": [240]}, output, stages=options) as data:
         assert [stages[f"capture,aperture_radius={radius}"] for radius in (3, 4, 5)] == ["made", "kept", "kept"]
         assert data.capture.sizes["aperture_radius"] == 2
-    other = CaptureSpec("letters", parameters=TINY, spp=3)
-    sweep(other, {"aperture_radius": [5]}, output, stages=options).close()
+    sweep(CaptureSpec("letters", parameters=TINY, spp=3), {"aperture_radius": [5]}, output, stages=options).close()
     assert stages["capture,aperture_radius=5"] == "made"
 
 
@@ -92,7 +89,6 @@ def test_the_command_takes_yaml_and_words(tmp_path, capsys):
 
 
 def test_the_dataset_does_not_grow_in_memory(tmp_path, monkeypatch):
-    """Only one point's images are held at a time."""
     held = []
     put = sweeps.SweepFile.put
 
@@ -106,53 +102,44 @@ def test_the_dataset_does_not_grow_in_memory(tmp_path, monkeypatch):
     assert len(held) == 4
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ([], "grid: it is empty"),
-        (["--vary", "aperture_radius=4,nan"], "grid: aperture_radius = nan: "),
-        (["--vary", "aperture_radius=4,4.0"], "grid: aperture_radius = 4 is given twice"),
-        (["--vary", "../x=4"], "grid: '../x' is not a name"),
-        (["--vary", "wavelength=500"], "--wavelength: a ray capture"),
-        (["--vary", "letter_scale=1,2"], "grid: letter_scale varies and is set by -D too"),
-        (["--vary", f"distance={MANY}", "--vary", f"mla_distance={MANY}"], "grid: it has 1000000 points"),
-        (["--vary", "aperture_radius=3,4", "--method", "ray"], "--method: nothing is refocused"),
-        (["--vary", "aperture_radios=3,4"], "did you mean aperture_radius?"),
-    ],
-)
-def test_a_bad_grid_is_refused_before_the_work(tmp_path, monkeypatch, complaint, words, message):
-    def started(*_, **__):
-        raise AssertionError("workers were started")
-
-    monkeypatch.setattr("mitsuba_plenoptic.runtime.batches.Cluster.__enter__", started)
+def test_a_bad_grid_is_refused_before_the_work(tmp_path, monkeypatch, complaint):
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.batches.Cluster.__enter__", lambda _: pytest.fail("workers started"))
     monkeypatch.chdir(tmp_path)
-    assert message in complaint(*SWEEP, "-o", "out.nc", *words)
+    for words, message in (
+        ("", "grid: it is empty"),
+        ("--vary aperture_radius=4,nan", "grid: aperture_radius = nan: "),
+        ("--vary aperture_radius=4,4.0", "grid: aperture_radius = 4 is given twice"),
+        ("--vary ../x=4", "grid: '../x' is not a name"),
+        ("--vary wavelength=500", "--wavelength: a ray capture"),
+        ("--vary letter_scale=1,2", "grid: letter_scale varies and is set by -D too"),
+        (f"--vary distance={MANY} --vary mla_distance={MANY}", "grid: it has 1000000 points"),
+        ("--vary aperture_radius=3,4 --method ray", "--method: nothing is refocused"),
+        ("--vary aperture_radios=3,4", "did you mean aperture_radius?"),
+    ):
+        assert message in complaint(*SWEEP, "-o", "out.nc", *words.split())
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("a: [1\n", "it is not YAML"),
-        ("a: [[1, 2]]\n", "a holds a list"),
-        ("a: 1\na: 2\n", "a is given twice"),
-        ("a: !!python/object/apply:os.system ['touch trap']\n", "it is not YAML"),
-        ("a: " + "[" * 500 + "]" * 500, "it is not YAML"),
-        ("a: [" + "1, " * 600_000 + "1]", "bytes: it may have at most 65536"),
-    ],
+def of_yaml(folder, text):
+    (folder / "grid.yaml").write_text(text)
+    return check_grid(stated_grid(folder / "grid.yaml", []))
+
+
+TRAP = "!!python/object/apply:os.system ['touch trap']"
+
+test_bad_yaml_is_refused = refused(
+    (lambda folder: of_yaml(folder, "a: [1\n"), "it is not YAML"),
+    (lambda folder: of_yaml(folder, "a: [[1, 2]]\n"), "a holds a list"),
+    (lambda folder: of_yaml(folder, "a: 1\na: 2\n"), "a is given twice"),
+    (lambda folder: of_yaml(folder, f"a: {TRAP}\n"), "it is not YAML"),
+    (lambda folder: of_yaml(folder, "a: " + "[" * 500 + "]" * 500), "it is not YAML"),
+    (lambda folder: of_yaml(folder, "a: [" + "1, " * 600_000 + "1]"), "bytes: it may have at most 65536"),
 )
-def test_bad_yaml_is_refused(tmp_path, monkeypatch, text, message):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "grid.yaml").write_text(text)
-    refuses(message, lambda: check_grid(stated_grid(tmp_path / "grid.yaml", [])))
-    assert os.listdir() == ["grid.yaml"]  # noqa: PTH208
 
 
 def test_numbers_of_yaml_are_taken_as_people_mean_them(tmp_path):
     """PyYAML reads YAML 1.1, where 1e3 is text and 010 is 8."""
-    path = tmp_path / "grid.yaml"
-    path.write_text("a: [1e3, 2.5, 010]\n")
-    assert check_grid(stated_grid(path, [])) == {"a": (1000.0, 2.5, 10.0)}
+    assert of_yaml(tmp_path, "a: [1e3, 2.5, 010]\n") == {"a": (1000.0, 2.5, 10.0)}
     assert check_grid(stated_grid(None, ["a=1e3, 2.5"])) == {"a": (1000.0, 2.5)}
 
 

@@ -39,11 +39,9 @@ def without(camera, *names):
 def scene(tmp_path):
     """Write a scene of a ball in the plane in focus, whose sensor is none of this package."""
     path = tmp_path / "ball.xml"
-    path.write_text(
-        '<scene version="3.0.0"><integrator type="path"/><sensor type="perspective">'
-        '<film type="hdrfilm"><string name="pixel_format" value="luminance"/></film></sensor>'
-        f"{BALL}</scene>"
-    )
+    film = '<film type="hdrfilm"><string name="pixel_format" value="luminance"/></film>'
+    sensor = f'<integrator type="path"/><sensor type="perspective">{film}</sensor>'
+    path.write_text(f'<scene version="3.0.0">{sensor}{BALL}</scene>')
     return path
 
 
@@ -65,8 +63,7 @@ def test_varied_values_are_stated_before_anything_follows(stated, grid, replaced
         varied = {name: values[min(place, len(values) - 1)] for name, values in grid.items()}
         single = camera_and_record(text_of(without(stated, *replaced) | varied))[0]
         assert varied_camera(stated, varied) == single
-        other = {name: values[0] for name, values in grid.items()}
-        assert place == 0 or varied_camera(stated, other) != single
+        assert place == 0 or varied_camera(stated, {name: values[0] for name, values in grid.items()}) != single
 
 
 @pytest.mark.parametrize(
@@ -186,5 +183,4 @@ def test_mistakes_name_what_works(camera, vary, words, scene, tmp_path, complain
 @pytest.mark.parametrize("name", ["capture", "bin_row"])
 def test_parameters_of_a_scene_with_the_names_of_the_dataset_are_refused(name, tmp_path, complaint):
     scene = write_scene(tmp_path, f'<emitter type="constant"><float name="radiance" value="${name}"/></emitter>')
-    said = complaint("sweep", scene, "-o", tmp_path / "s.nc", "--vary", f"{name}=1,2")
-    assert said.startswith(f"grid: {name}: ")
+    assert complaint("sweep", scene, "-o", tmp_path / "s.nc", "--vary", f"{name}=1,2").startswith(f"grid: {name}: ")

@@ -51,11 +51,8 @@ def pixels(picture):
     if picture["bits"] == 16:
         half = len(codes) // 2
         opaque = codes[:half, :, picture["channels"] :]
-        codes = np.concatenate([256 * codes[:half] + codes[half:], opaque], axis=2)[
-            ..., : picture["channels"] + opaque.shape[2]
-        ]
-        if opaque.shape[2]:
-            codes[..., picture["channels"]] = opaque[..., 0]
+        codes = (256 * codes[:half] + codes[half:])[..., : picture["channels"]]
+        codes = np.concatenate([codes, opaque], axis=2)
     colours = codes[..., : picture["channels"]] / (2 ** picture["bits"] - 1)
     # IEC 61966-2-1
     values = picture["full"] * np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
@@ -81,8 +78,7 @@ def test_the_page_holds_the_views():
     assert one["name"] == "ray" and one["columns"] == lf.sizes["s"]
     views = pixels(one["views"])[..., 0].reshape(lf.sizes["v"], lf.sizes["t"], lf.sizes["u"], lf.sizes["s"])
     assert np.abs(views.transpose(0, 2, 1, 3) - lf.values).max() < 0.006 * one["views"]["full"]
-    middle = np.argmin(np.abs(one["disparities"]))
-    assert one["distances"][middle] == pytest.approx(CAMERA.focus_distance, rel=1e-3)
+    assert one["distances"][np.argmin(np.abs(one["disparities"]))] == pytest.approx(CAMERA.focus_distance, rel=1e-3)
     raw = one["raw"]
     assert pixels(raw["picture"])[..., 0] == pytest.approx(recorded.image, abs=0.006 * raw["picture"]["full"])
     assert raw["lenses"]["spacing"][0] == pytest.approx(CAMERA.micro_image_pitch / CAMERA.pixel_size)
@@ -148,21 +144,19 @@ def test_light_fields_without_a_camera():
     assert one["distances"] == [None] * len(one["disparities"]) and one["raw"] is None
 
 
+def refocused(**options):
+    return mp.reconstruct(capture(), [240.0], **options)
+
+
 test_refused = refused(
     (lambda: mp.view(capture(), capture(colour=True)), "sources: .* shapes .* cannot be compared"),
     (lambda: mp.view(capture(), capture(CAMERA.replace(mla_distance=121.0))), "sources: .* whose v differ"),
-    (
-        lambda: mp.view(*mp.reconstruct(capture(), [240.0]), *mp.reconstruct(capture(), [250.0], oversample=2)),
-        "sources: focal stack: .* one size",
-    ),
+    (lambda: mp.view(*refocused(), *refocused(oversample=2)), "sources: focal stack: .* one size"),
 )
 
 
 def opened(browser, path, **size):
-    """Open a page in a browser, and return it with functions that find an element, and what the scene's canvas shows.
-
-    The page draws, and writes what it has drawn, in the next frame after an action. Both functions wait for that frame.
-    """
+    """Open a page, and return functions that find an element and its canvas, after the frame that follows an action."""
     seen = browser(path, **size)
     seen.implicitly_wait(20)
     seen.find_element("css selector", "main:not([aria-busy])")
@@ -237,8 +231,7 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
     def alike(image):
         return likeness(image, data["white"], drawn())
 
-    middle = one_view(lf)
-    assert alike(middle) > 40
+    assert alike(one_view(lf)) > 40
     # Drag, as far as to the edge of the pupil, along u.
     before = find("#view-text").text
     page.execute_script("""
@@ -265,8 +258,7 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
     find("input[value='1'][name=sources]").send_keys(" ")
     assert alike(shift_and_add(mp.decode(wave), steps[step])) >= 35
     find("input[value=difference]").click()
-    white = drawn()[8, 8, :3]
-    assert "wave - <b>" in find("#field-tag").text and (white > 200).all()
+    assert "wave - <b>" in find("#field-tag").text and (drawn()[8, 8, :3] > 200).all()
     # From lens to lens.
     before = find("#lens-text").text
     find("#raw").send_keys("\ue014")  # arrow right
@@ -290,10 +282,7 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
 
 
 def boxed(page, identity):
-    """Return where an element is on a page."""
-    return page.execute_script(
-        "return document.getElementById(arguments[0]).getBoundingClientRect().toJSON()", identity
-    )
+    return page.execute_script(f"return document.getElementById('{identity}').getBoundingClientRect().toJSON()")
 
 
 def assert_sliders_in_line(page, columns):
@@ -301,20 +290,14 @@ def assert_sliders_in_line(page, columns):
     boxes = [boxed(page, name) for name in ("focus", "exposure", "span")]
     for end in ("left", "right"):
         assert len({round(box[end]) for box in boxes}) == columns
-    heights = page.execute_script(
-        "return [...document.querySelectorAll('.focus label')].map((label) => label.getBoundingClientRect().height)"
-    )
+    labels = "[...document.querySelectorAll('.focus label')]"
+    heights = page.execute_script(f"return {labels}.map((label) => label.getBoundingClientRect().height)")
     assert len({round(height) for height in heights}) == 1
 
 
-@pytest.mark.parametrize(
-    ("preset", "width", "spp", "noise"), [("paper_double_gauss", 0.512, 2, 1e-3), ("lfm", 1.2, 256, 0.1)]
-)
+@pytest.mark.parametrize("preset, width, spp, noise", [("paper_double_gauss", 0.512, 2, 1e-3), ("lfm", 1.2, 256, 0.1)])
 def test_captures_by_real_lenses_and_microscopes(preset, width, spp, noise):
-    """A sky of radiance 1 is 1 in all views through the pupil, so that micro-images are where the page has them.
-
-    Rays of a microscope have weights, after the sine condition, so that few of them are noisy.
-    """
+    """A sky of radiance 1 is 1 in all views, so that micro-images are where the page has them."""
     camera = mp.PlenopticCamera.preset(preset)
     pixels = round(width / camera.pixel_size)
     camera = camera.replace(detector_width=pixels * camera.pixel_size, resolution=(pixels, pixels))
@@ -337,8 +320,7 @@ SMALL = PlenopticCamera(resolution=(64, 32), detector_width=0.256, crop_size=(64
 def test_captures_and_reconstructions_are_pictures():
     text = Capture(np.ones((32, 64, 3)), SMALL, (611.0, 549.0, 464.0), "wave")._repr_html_()
     assert text.startswith('<figure><img src="data:image/png;base64,') and "(611.0, 549.0, 464.0) nm" in text
-    planes = reconstruct(Capture(np.linspace(0, 1, 64) * np.ones((32, 1)), SMALL), [200, 240])
-    shown = planes._repr_html_()
+    shown = reconstruct(Capture(np.linspace(0, 1, 64) * np.ones((32, 1)), SMALL), [200, 240])._repr_html_()
     (scale,) = set(re.findall("white is [0-9.]+", shown))
     assert shown.count("<img") == 2 and len(scale) > 9
 
@@ -352,7 +334,6 @@ def test_cameras_begin_with_a_drawing_and_ten_lines_of_their_design_sheet(camera
 
 @pytest.fixture(scope="module")
 def computed(raw, tmp_path_factory):
-    """Write a focal stack, reconstructions and a depth map of the capture once."""
     folder = tmp_path_factory.mktemp("computed")
     distances = ["--distance", "236", "--distance", "244"]
     for command in (["stack", *distances], ["reconstruct", *distances], ["depth"], ["convert"], ["views"]):

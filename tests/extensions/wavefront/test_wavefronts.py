@@ -29,8 +29,7 @@ def test_terms_are_those_of_their_slopes(rng):
     step = 1e-4
     sides = [[wavefront.path(*(pupil + sign * move).T) for sign in (1, -1)] for move in step * np.eye(2)]
     slope = np.stack([(high - low) / (2 * step) for high, low in sides], -1)
-    found = wf.modes_from_slopes(wf.Slopes(pupil, slope, np.ones(200)), 5.0, 15)
-    np.testing.assert_allclose(found, terms, atol=1e-6)
+    np.testing.assert_allclose(wf.modes_from_slopes(wf.Slopes(pupil, slope, np.ones(200)), 5.0, 15), terms, atol=1e-6)
     refuses("modes", wf.modes_from_slopes, wf.Slopes(pupil[:3], slope[:3], np.ones(3)), 5.0, 15)
 
 
@@ -48,8 +47,7 @@ def test_views_show_the_slopes_of_a_strong_wavefront(star):
     camera, terms = telescope(width=3.0, lenses=24, pixels=12), (0.0, 0.8, -0.5, 2.0, 0.3)
     bent, point = camera.replace(wavefront=terms), np.array([star])
     image = PointRays(bent, point, WAVELENGTH).image(OpticalSystem(bent, WAVELENGTH), np.ones(1))
-    found = wf.modes_from_slopes(wf.view_slopes(camera, image, star), 5.0, 5)
-    np.testing.assert_allclose(found, terms, atol=0.1)
+    np.testing.assert_allclose(wf.modes_from_slopes(wf.view_slopes(camera, image, star), 5.0, 5), terms, atol=0.1)
     refuses("black", wf.view_slopes, camera, 0 * image, star)
 
 
@@ -70,18 +68,15 @@ def test_spots_behind_a_collimator_show_the_terms_with_their_signs():
         points, weights = star()
         seen = sensor.replace(wavefront=wavefront)
         image = CaptureOperator(seen, points, wavelength=WAVELENGTH, method="full_field").forward(weights)
-        magnification = -sensor.main_lens.magnification(sensor.focal_length)
-        return wf.spot_slopes(
-            image, pixels_per_lens=32, pixel_size=0.01, focal_length=16.0, magnification=magnification
-        )
+        options = {"pixel_size": 0.01, "magnification": -sensor.main_lens.magnification(sensor.focal_length)}
+        return wf.spot_slopes(image, pixels_per_lens=32, focal_length=16.0, **options)
 
     flat, found = slopes(), slopes(tuple(terms))
     bent = replace(found, slope=found.slope - flat.slope)
     np.testing.assert_allclose(wf.modes_from_slopes(bent, 5.0, 8), terms, atol=0.001)
     # A tilt, of which all lenses see the same.
-    tilt = slopes((0.0, 0.5))
     within = flat.light > 0.95 * flat.light.max()
-    moved = (tilt.slope - flat.slope)[within] / (0.5 * 2 / 5.0 * WAVELENGTH * 1e-6)
+    moved = (slopes((0.0, 0.5)).slope - flat.slope)[within] / (0.5 * 2 / 5.0 * WAVELENGTH * 1e-6)
     np.testing.assert_allclose(moved.mean(0), (1, 0), atol=0.002)
 
 
@@ -94,11 +89,9 @@ def test_a_slope_over_a_lens_is_its_mean_in_the_pupil():
     pupil = pupil[np.hypot(*(np.abs(pupil) + width / 2).T) < 5]
     along, steps = (np.arange(400) + 0.5) / 400 * width - width / 2, np.array([-1, 1]) * width / 2
     x, y = pupil[:, 0, None], pupil[:, 1, None]
-    sides = [
-        [wavefront.path(x + s, y + along).mean(1) for s in steps],
-        [wavefront.path(x + along, y + s).mean(1) for s in steps],
-    ]
-    slope = np.stack([(high - low) / width for low, high in sides], -1)
+    right, left = (wavefront.path(x + s, y + along).mean(1) for s in steps[::-1])
+    above, below = (wavefront.path(x + along, y + s).mean(1) for s in steps[::-1])
+    slope = np.stack([right - left, above - below], -1) / width
     found = wf.modes_from_slopes(wf.Slopes(pupil, slope, np.ones(len(pupil)), width), 5.0, 11)
     np.testing.assert_allclose(found, terms, atol=2e-3)
     # Taken for slopes at the middles, a part of the spherical aberration is defocus.
@@ -107,12 +100,10 @@ def test_a_slope_over_a_lens_is_its_mean_in_the_pupil():
 
 def test_small_wavefronts_are_linear(rng):
     camera, terms = telescope(), np.r_[0.0, rng.normal(size=9) * 0.01]
-    zone = wf.Zone([STAR])
-    matrix = wf.InteractionMatrix.of(camera, zone, modes=10, accuracy=ACCURACY)
+    matrix = wf.InteractionMatrix.of(camera, wf.Zone([STAR]), modes=10, accuracy=ACCURACY)
     assert matrix.responses.shape == (9, *camera.shape)
     image = captured(camera, [STAR], 1e6, tuple(terms))
-    found = matrix.estimate(image)
-    assert np.linalg.norm(found - terms) < 0.15 * np.linalg.norm(terms)
+    assert np.linalg.norm(matrix.estimate(image) - terms) < 0.15 * np.linalg.norm(terms)
     # Few photons: what is known beforehand helps.
     few = captured(camera, [STAR], 100, tuple(terms))
     errors = [np.linalg.norm(matrix.estimate(few, **given) - terms) for given in ({}, {"prior": 0.01}, {"rank": 4})]
@@ -165,9 +156,8 @@ def test_fits_of_two_stars_keep_the_terms_that_are_not_fitted():
     known, terms = (0.0, 0.1, 0.0, 0.2, 0.0, 0.0, 0.15), (0.0, 0.15, -0.1, 0.25, 0.0, 0.0, 0.15)
     stars, weights = [STAR, (1e5, 0.0, 1e9)], [1.0, 4.0]
     light = [captured(telescope(), [star], 50000 * w, terms) for star, w in zip(stars, weights, strict=True)]
-    found = wf.fit_wavefronts(
-        telescope(wavefront=known), sum(light), wf.Zone(stars, weights), modes=4, accuracy=ACCURACY
-    )
+    zone = wf.Zone(stars, weights)
+    found = wf.fit_wavefronts(telescope(wavefront=known), sum(light), zone, modes=4, accuracy=ACCURACY)
     assert found.camera.wavefront[4:] == known[4:]
     np.testing.assert_allclose(found.camera.wavefront[:4], terms[:4], atol=0.006)
 
