@@ -69,8 +69,7 @@ def test_detectors_and_pitches_as_data_sheets_print_them(lattice):
         for name in ("mla_pitch", "detector_distance", "mla_focal_length", "detector_width"):
             assert getattr(again, name) == pytest.approx(getattr(first, name), rel=1e-12)
     named = {**common, "sensor_size": "11.2512,7.032", "pixel_size": 0.00586, "pixels_per_lens": 14.3}
-    text = ",".join(f"{name}={value}" for name, value in named.items())
-    assert camera_and_record(text)[0] == first
+    assert camera_and_record(",".join(f"{name}={value}" for name, value in named.items()))[0] == first
 
 
 def test_a_real_lens_and_a_medium():

@@ -65,8 +65,7 @@ def test_rays_of_a_pixel_meet_in_the_best_plane_and_nowhere_else(camera_dict, nu
     assert np.array(weight).min() > 0
 
     def spread(distance):
-        hit = np.array(ray(distance / ray.d.z))
-        return np.ptp(hit[:2], axis=1)
+        return np.ptp(np.array(ray(distance / ray.d.z))[:2], axis=1)
 
     np.testing.assert_allclose(spread(240.0), 0, atol=1e-3)
     for distance in (236.0, 245.0):

@@ -44,8 +44,7 @@ def test_its_light_is_that_which_is_fitted_to_one_point(camera):
         one = ExitPupil.of(LensSystem.of(camera, WAVELENGTH), tuple(point))
         pupil = one.bundle[0].T[:, ::5]
         light, own = lens.bind(point[None]), tuple(P[None] for P in pupil)
-        path = light.path(own, None, WAVELENGTH)[0] - one.path(tuple(pupil), None, WAVELENGTH)
-        assert np.std(path) < 2e-3
+        assert np.std(light.path(own, None, WAVELENGTH)[0] - one.path(tuple(pupil), None, WAVELENGTH)) < 2e-3
         amplitude = light.amplitude(own, None)[0] / one.amplitude(tuple(pupil), None)
         assert np.std(amplitude) / np.mean(amplitude) < 1e-5
         theirs = one.inside(tuple(pupil))
@@ -62,8 +61,7 @@ def test_light_lands_where_rays_come_from_and_ends_where_they_are_stopped(camera
     point, slope, is_open = lens.ray((P[0], P[1]), light.land((P[0], P[1]), None))
     inside = light.inside((P[0], P[1]))
     assert ((inside > 0) == light.is_open((P[0], P[1]))).all()
-    wrong = is_open != (inside > 0)
-    assert np.abs(inside[wrong]).max(initial=0) < 1e-3
+    assert np.abs(inside[is_open != (inside > 0)]).max(initial=0) < 1e-3
     for axis in (0, 1):
         met = point[axis] + (points[:, 2:] - point[2]) * slope[axis]
         assert np.abs(met - points[:, axis, None])[is_open].max() < 3e-4
@@ -87,8 +85,7 @@ def test_the_thin_lens_by_the_way_of_real_ones_is_the_thin_lens(fitted_thin_lens
     """Point spreads, in and out of focus and off the axis, to 1e-6."""
     mi.set_variant("llvm_ad_mono")
     camera = PlenopticCamera(lens_model="parabolic")
-    points = np.array([(0.3, -0.2, 240.0), (5.6, -5.5, 210.0), (-8.0, 3.0, 280.0)])
-    for point in points:
+    for point in np.array([(0.3, -0.2, 240.0), (5.6, -5.5, 210.0), (-8.0, 3.0, 280.0)]):
         grid = Grid.of(OpticalSystem(camera, WAVELENGTH), band_for(0.01, 1), point[None])
         placement = place(grid, point[None])
         copies = [Copies(np.zeros((1, 2), np.int64), np.ones((1, 1), np.float32))]
@@ -125,8 +122,7 @@ def area(**numbers):
 
 
 def test_area_against_rays():
-    camera = triplet()
-    lens = OpticalSystem(camera, LINE_D).waves_of(POINTS)
+    lens = OpticalSystem(triplet(), LINE_D).waves_of(POINTS)
     images = np.hypot(*lens.images(POINTS).T)
     counted = lens.open_fraction(0 * images, images) * np.pi * lens.reach**2
     # From a place in focus the array sees the part of the pupil that the point lights.

@@ -87,8 +87,7 @@ def test_a_star_in_focus_is_an_airy_pattern(method, width, resolution, count, wi
     spread = mp.point_spread_function(camera, (*(-place * FOCUS / B), FOCUS), wavelength=WAVELENGTH, method=method)
     expected = airy(camera, place, count)
     x, y = (camera.pixel_coordinates(axis) - place[axis] for axis in (0, 1))
-    order = np.argsort(np.hypot(x, y[:, None]), axis=None)
-    encircled = np.cumsum((spread - expected).ravel()[order])
+    encircled = np.cumsum((spread - expected).ravel()[np.argsort(np.hypot(x, y[:, None]), axis=None)])
     assert np.abs(encircled).max() < 0.004 and relative(spread, expected) < 0.005
 
 

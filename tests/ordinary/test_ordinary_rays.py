@@ -52,7 +52,7 @@ def disagreement(one, other):
 
 def thinlens(camera, **changes):
     """Mitsuba's sensor with a camera's aperture, field, plane in focus and film."""
-    values = {
+    return {
         "type": "thinlens",
         "fov": math.degrees(2 * math.atan(camera.detector_width / (2 * camera.mla_distance))),
         "fov_axis": "x",
@@ -60,8 +60,7 @@ def thinlens(camera, **changes):
         "focus_distance": camera.focus_distance,
         "near_clip": 1.0,
         "film": camera.to_sensor()["film"],
-    }
-    return values | changes
+    } | changes
 
 
 @pytest.mark.parametrize(
@@ -110,8 +109,7 @@ def test_a_prescription_vignettes_as_rays_traced_one_by_one():
     for row in range(10):
         column = 3 * row // 2
         place = camera.pixel_coordinates(0)[column], camera.pixel_coordinates(1)[row]
-        is_open = lens.ray((x, y), tuple(at + 0 * x for at in place))[2]
-        traced.append(is_open.sum() * (axis[1] - axis[0]) ** 2 / math.pi)
+        traced.append(lens.ray((x, y), tuple(at + 0 * x for at in place))[2].sum() * (axis[1] - axis[0]) ** 2 / math.pi)
         read.append(image[row, column])
     assert traced[0] < 0.4 * traced[-1]
     assert traced[-1] == pytest.approx(1, abs=0.05)
@@ -136,8 +134,7 @@ def test_a_parameter_of_an_array_is_refused_and_absent(name):
 
 def test_cameras_are_replaced_both_ways():
     thin = {name: value for name, value in ordinary().to_dict().items() if name != "mla_lattice"}
-    array = PlenopticCamera(**thin, mla_pitch=0.1, mla_tilt=(1.0, 0.0))
-    assert array.replace(mla_lattice="none") == ordinary()
+    assert PlenopticCamera(**thin, mla_pitch=0.1, mla_tilt=(1.0, 0.0)).replace(mla_lattice="none") == ordinary()
     assert ordinary().replace(mla_lattice="square") == PlenopticCamera(**thin)
     assert ordinary().replace(mla_lattice="hexagonal", mla_pitch=0.2).mla_pitches == (0.2, 0.2)
     truncated = ordinary().to_dict()
@@ -172,8 +169,7 @@ def test_ground_truth_is_that_of_rays_through_the_middle_of_the_pupil(tmp_path, 
     """Squares of the scene by similar triangles."""
     monkeypatch.chdir(tmp_path)
     camera = ordinary(resolution=(96, 64))
-    scene = scene_of(camera.to_sensor(), **depths())
-    truth = mp.ground_truth(scene, ["depth", "shape_index"])
+    truth = mp.ground_truth(scene_of(camera.to_sensor(), **depths()), ["depth", "shape_index"])
     x, y = (-camera.pixel_coordinates(axis) / camera.mla_distance for axis in (0, 1))
     expected, names = np.full(camera.shape, np.inf), np.full(camera.shape, "", object)
     # Nearest last.

@@ -60,8 +60,7 @@ def test_coarse_pixels_displace_rays_by_finite_steps():
 
 def test_white_has_hardly_any_noise():
     """Every coefficient but the first is of light less its mean; far beyond the film some pixels stand for others."""
-    camera = ordinary_camera(1.0, 16)
-    image = by_waves(scene_of(camera.to_sensor(), "path", sky={"type": "constant"}), 8)
+    image = by_waves(scene_of(ordinary_camera(1.0, 16).to_sensor(), "path", sky={"type": "constant"}), 8)
     assert np.allclose(image, 1, atol=1e-3)
 
 
@@ -92,14 +91,12 @@ def test_waves_keep_the_light_of_rays(variant, changes):
     mi.set_variant(variant)
     scene = textured(mp.PlenopticCamera(**F10 | changes))
     rays = mp.render_capture(scene, model="ray", spp=512).image.mean((0, 1))
-    waves = mp.render_capture(scene, model="wave", spp=256).image.mean((0, 1))
-    assert waves == pytest.approx(rays, rel=0.015)
+    assert mp.render_capture(scene, model="wave", spp=256).image.mean((0, 1)) == pytest.approx(rays, rel=0.015)
 
 
 def test_noise_is_no_larger_than_that_of_rays():
     """Neighbours share rays, where diffraction blurs."""
-    camera = ordinary_camera(1.0, 24)
-    scene, _ = textured_wall(camera, 3, 0.5)
+    scene, _ = textured_wall(ordinary_camera(1.0, 24), 3, 0.5)
     spread = {}
     for model, options in (("ray", {}), ("wave", {"wavelength": ORDINARY_WAVELENGTH})):
         images = [mp.render_capture(scene, model=model, spp=32, seed=seed, **options).image for seed in range(6)]
@@ -131,7 +128,6 @@ def test_what_waves_refuse():
     (key,) = (key for key in parameters.keys() if key.endswith("focal_length"))  # noqa: SIM118
     dr.enable_grad(parameters[key])
     parameters.update()
-    integrator = mi.load_dict({"type": "plenoptic_wave"})
-    image = mi.render(scene, parameters, integrator=integrator, spp=2)
+    image = mi.render(scene, parameters, integrator=mi.load_dict({"type": "plenoptic_wave"}), spp=2)
     with pytest.raises(Exception, match=r"derivatives of .*mla_lattice = none"):
         dr.backward(dr.sum(image, axis=None))

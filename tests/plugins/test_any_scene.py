@@ -128,12 +128,11 @@ def test_every_variant_records_the_same_light(variant, camera_dict):
 
 
 def test_models_wrap_and_unwrap_the_scenes_integrator(camera_dict):
-    sensor = camera_dict(**SHARED)
     scene = mi.load_dict(
         {
             "type": "scene",
             "integrator": {"type": "plenoptic_wave", "method": "signed_rays", "child": {"type": "direct"}},
-            "camera": sensor,
+            "camera": camera_dict(**SHARED),
             "point": disk((0, 0, 240.0), 0.3),
         }
     )

@@ -79,8 +79,7 @@ def test_light_ends_where_the_field_of_the_lens_ends():
     """Along a radius of a film wider than the field, of 18.3 mm; the pupil closes to a sliver there."""
     wide = {"focal_length": 50, "aperture_radius": 5, "focus_distance": 1000, "detector_width": 52}
     wide |= {"resolution": (650, 650), "crop_offset": (450, 320), "crop_size": (200, 10)}
-    camera = PlenopticCamera(main_lens="double_gauss", mla_lattice="none", **wide)
-    scene = scene_of(camera, {"type": "constant"})
+    scene = scene_of(PlenopticCamera(main_lens="double_gauss", mla_lattice="none", **wide), {"type": "constant"})
     # Means over five lenses, 2 mm.
     rays, waves = (
         render_capture(scene, spp=64, **options).image.mean(0).reshape(8, 25).mean(1)

@@ -81,8 +81,7 @@ def test_instances_ids_and_meters_stay_and_the_picture_is_that_of_the_scenes_own
 
 def test_files_dictionaries_and_names_stand_for_scenes_and_presets_for_cameras(tmp_path):
     path = write_scene(tmp_path)
-    made = mp.with_camera(path, "lytro")
-    assert made.sensors()[0].camera == mp.PlenopticCamera.preset("lytro")
+    assert mp.with_camera(path, "lytro").sensors()[0].camera == mp.PlenopticCamera.preset("lytro")
     described = {"type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant"}}
     described["camera"] = ORDINARY.to_sensor()
     images = [mp.render_capture(scene, spp=4).image for scene in (described, mp.load_scene(described))]

@@ -71,8 +71,7 @@ def test_extra_outputs_are_those_of_rays_that_pass(camera, is_one):
     # Weights of 0 and 1 are their own squares; of other weights the mean square is the larger.
     assert np.allclose(of["m2_a.Y"], image[..., 0], atol=1e-6) == is_one
     assert (of["m2_a.Y"] >= image[..., 0] ** 2 - 1e-6).all()
-    expected = outputs(camera, {"type": "volpath"})[0]
-    assert image.mean() == pytest.approx(expected.mean(), rel=0.01)
+    assert image.mean() == pytest.approx(outputs(camera, {"type": "volpath"})[0].mean(), rel=0.01)
 
 
 def test_stokes_vectors_of_polarized_light_are_as_bright_as_the_image():
@@ -329,8 +328,7 @@ def test_spectral_rays_follow_their_first_wavelength():
     assert np.all(weight[1:] == 0) and np.any(weight[0] > 0)
     plain, _ = rays(sensor_of(alone), 0)
     for lane in np.flatnonzero(weight[0] > 0)[:3]:
-        there = camera.at_wavelength(float(wavelengths[lane]))
-        other, _ = rays(sensor_of(there), 0)
+        other, _ = rays(sensor_of(camera.at_wavelength(float(wavelengths[lane]))), 0)
         assert np.abs(np.array(other.d)[:, lane] - np.array(ray.d)[:, lane]).max() < 2e-6
         if abs(wavelengths[lane] - 587.56) > 30:
             assert np.abs(np.array(plain.d)[:, lane] - np.array(ray.d)[:, lane]).max() > 1e-5
@@ -354,8 +352,7 @@ def test_every_channel_is_the_capture_at_its_wavelength():
     camera = PlenopticCamera(glass=FLINT, mla_glass=FLINT, resolution=(64, 64), detector_width=0.128)
 
     def capture(camera, spp):
-        image = render_capture(wall(camera, "llvm_ad_rgb"), spp=spp).image
-        return image.reshape(16, 4, 16, 4, 3).mean((1, 3))
+        return render_capture(wall(camera, "llvm_ad_rgb"), spp=spp).image.reshape(16, 4, 16, 4, 3).mean((1, 3))
 
     found, plain = capture(camera, 768), capture(camera.replace(glass=None, mla_glass=None), 256)
     for channel, wavelength in ((0, RGB_WAVELENGTHS[0]), (2, RGB_WAVELENGTHS[2])):

@@ -137,10 +137,8 @@ def test_each_lens_of_a_fourier_microscope_has_its_part_of_the_stop():
 def test_each_lens_of_a_fourier_microscope_forms_an_airy_pattern():
     """Its width at half of the peak is 1.029 wavelengths times its f-number."""
     camera = fourier_camera(mla_aperture="circle", detector_width=0.5, resolution=(300, 300))
-    spread = mp.point_spread_function(camera, (0.0, 0.0, 0.0), wavelength=WAVELENGTH, method="full_field")
-    row = spread[149:151].mean(0)
-    x = camera.pixel_coordinates(0)
-    edge = np.interp(-row.max() / 2, -row[150:], x[150:])
+    row = mp.point_spread_function(camera, (0.0, 0.0, 0.0), wavelength=WAVELENGTH, method="full_field")[149:151].mean(0)
+    edge = np.interp(-row.max() / 2, -row[150:], camera.pixel_coordinates(0)[150:])
     assert 2 * edge == pytest.approx(1.029 * WAVELENGTH * 1e-6 * 20 / 0.5, rel=0.01)
 
 
@@ -152,8 +150,7 @@ def test_rays_of_white_fill_the_micro_images():
 
 def test_rays_see_a_small_light_where_waves_do():
     camera, X, Y, depth = camera_with(AIR), 0.0078, -0.0072, 0.02
-    scene = scene_of(camera.to_sensor(), "direct", light=disk([X, Y, depth], 4e-4))
-    by_rays = mp.render_capture(scene, spp=1024).image
+    by_rays = mp.render_capture(scene_of(camera.to_sensor(), "direct", light=disk([X, Y, depth], 4e-4)), spp=1024).image
     # A surface shines with the cosine, which a point does not.
     cells = (np.arange(64) + 0.5) / 32 - 1
     cosine = np.sqrt(1 - 0.25 * np.minimum(cells**2 + cells[:, None] ** 2, 1))

@@ -34,8 +34,7 @@ def half_open(cells=16):
 def test_a_surface_seen_slantwise_sends_more_light_to_one_side_of_the_pupil(method):
     r"""Power 1 + s x over a disc: the half at +x gets :math:`1/2 + 2 s / 3 \pi` of it."""
     weights = replace(PupilWeights.of(np.ones((1, 1, 1), bool), 1), slant=np.array([[0.3, 0.0]]))
-    point = np.array([(0.0, 0.0, 112.5)])
-    image = capture(SMALL, point, [1.0], method=method, pupil_weights=weights, accuracy=0)
+    image = capture(SMALL, np.array([(0.0, 0.0, 112.5)]), [1.0], method=method, pupil_weights=weights, accuracy=0)
     left, right = (half.sum() for half in np.split(image, 2, axis=1))
     # The blur of a point before the focus is upright.
     assert max(left, right) / (left + right) == pytest.approx(0.5 + 0.2 / np.pi, abs=0.003)
@@ -85,8 +84,7 @@ def test_a_job_that_fails_leaves_nothing_under_way():
 
 def test_weights_that_cancel_leave_nothing():
     """Of two radiators at one place, which share a point spread, beside others and alone."""
-    positions = in_every_lens(SMALL, 3, 120.0)[[4, 4, 0]]
-    operator = CaptureOperator(SMALL, positions, wavelength=WAVELENGTH, accuracy=0.1)
+    operator = CaptureOperator(SMALL, in_every_lens(SMALL, 3, 120.0)[[4, 4, 0]], wavelength=WAVELENGTH, accuracy=0.1)
     assert not operator.forward([1.0, -1.0, 0.0]).any()
     assert error(operator.forward([1.0, -1.0, 2.0]), operator.forward([0.0, 0.0, 2.0])) < 1e-6
 
@@ -105,8 +103,7 @@ def test_scipy_multiplies_spectra():
     assert (made.reshape(image.shape) == operator.forward(weights)).all()
     assert (back.reshape(weights.shape) == operator.adjoint(image)).all()
     assert made @ image.ravel() == pytest.approx(weights.ravel() @ back, rel=1e-5)
-    both = np.stack([weights.ravel(), -weights.ravel()], 1)
-    assert error(operator @ both, np.stack([made, -made], 1)) < 1e-6
+    assert error(operator @ np.stack([weights.ravel(), -weights.ravel()], 1), np.stack([made, -made], 1)) < 1e-6
 
 
 def test_responses_mix_channels_as_a_matrix():
@@ -178,8 +175,7 @@ def test_many_cores_are_no_reason_to_refuse(monkeypatch):
     alone = few.estimate(Job(batch_map=Threads(2))).memory
     monkeypatch.setattr("mitsuba_plenoptic.runtime.batches.worker_count", lambda: 256)
     assert few.estimate().memory == alone
-    many = CaptureOperator(SMALL, near(100), wavelength=WAVELENGTH)
-    assert alone < many.estimate().memory < 4 * 2**30
+    assert alone < CaptureOperator(SMALL, near(100), wavelength=WAVELENGTH).estimate().memory < 4 * 2**30
 
 
 @pytest.mark.parametrize(("method", "kind", "count"), [("patch", PatchSum, 30), ("full_field", FullFieldSum, 4)])
@@ -187,8 +183,7 @@ def test_the_estimate_leaves_the_sum_as_soon_as_its_speed_is_known(method, kind,
     monkeypatch.setattr("mitsuba_plenoptic.runtime.progress.SETTLED", 0.0)
     ended = []
     monkeypatch.setattr(kind, "image", lambda *_: ended.append(True))
-    operator = CaptureOperator(SMALL, near(count), wavelength=WAVELENGTH, method=method)
-    cost = operator.estimate(Job(batch_map=Threads(1)))
+    cost = CaptureOperator(SMALL, near(count), wavelength=WAVELENGTH, method=method).estimate(Job(batch_map=Threads(1)))
     assert not ended
     assert 0 < cost.seconds < 600
     assert 0 < cost.memory < 2**32
@@ -314,8 +309,7 @@ def test_changes_of_the_light_against_refitted_lenses():
     pupil = tuple(part[None] for part in 0.6 * lens.pupil.radius * rng.uniform(-1, 1, (2, 50)))
     fields, inverse_distance = lens.fitted.pupils.field(points)
     lanes = [np.array([[number]]) for number in change.aberration.at(fields, inverse_distance)[0]]
-    field = fields[:, :1], fields[:, 1:]
-    found = change.aberration.over_pupil(lanes, field).value(pupil)
+    found = change.aberration.over_pupil(lanes, (fields[:, :1], fields[:, 1:])).value(pupil)
     high, low = (
         OpticalSystem(camera, WAVELENGTH + step).waves_of(points).bind(points).length(pupil) for step in (1, -1)
     )

@@ -127,8 +127,7 @@ def test_airy_pattern_of_the_bare_main_lens():
     sine = camera.aperture_radius / np.hypot(camera.aperture_radius, 120)
     v = 2 * np.pi * sine * r / lam
     density = np.pi * (sine / lam) ** 2 * (2 * j1(v) / v) ** 2
-    expected = np.einsum("ijkl,k,l->ij", density, weights, weights) * (p / 2) ** 2
-    assert error(psf, expected) < 1e-3
+    assert error(psf, np.einsum("ijkl,k,l->ij", density, weights, weights) * (p / 2) ** 2) < 1e-3
 
 
 def test_light_that_converges_behind_the_lens_lands_where_its_rays_do():
@@ -183,5 +182,4 @@ def test_an_ordinary_camera_has_the_mean_response_of_its_pupil():
             point_spread_function(each, (0.0, 0.0, 240.0), wavelength=550.0, **options)
             for each in (camera.replace(pixel_response=(0, 1, 3, 0.3)), camera)
         )
-        expected = np.interp(angle, [0, 3], [1, 0.3]).mean()
-        assert dimmed.sum() / plain.sum() == pytest.approx(expected, rel=0.01)
+        assert dimmed.sum() / plain.sum() == pytest.approx(np.interp(angle, [0, 3], [1, 0.3]).mean(), rel=0.01)

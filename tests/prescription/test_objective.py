@@ -22,8 +22,7 @@ def test_a_sensor_takes_an_objective_as_text_and_as_a_file(tmp_path):
     assert mp.PlenopticCamera.from_sensor(mi.load_dict(camera.to_sensor())) == camera
     file = tmp_path / "objective.json"
     file.write_text(json.dumps(AIR.to_plain()))
-    sensor = camera.to_sensor() | {"main_lens": str(file)}
-    assert mp.PlenopticCamera.from_sensor(mi.load_dict(sensor)) == camera
+    assert mp.PlenopticCamera.from_sensor(mi.load_dict(camera.to_sensor() | {"main_lens": str(file)})) == camera
 
 
 def test_presets_have_touching_micro_images():
@@ -102,8 +101,7 @@ def test_at_the_ends_of_the_depth_of_field_a_lens_blurs_by_a_pixel(arrangement, 
     half, pixel = camera.mla_pitch / 2, camera.pixel_size
     for depth in ends:
         lens = width_seen(camera, depth, (0, 0), (-half, half))
-        of_pixel = width_seen(camera, depth, (-pixel / 2, pixel / 2), (0, 0))
-        assert lens == pytest.approx(of_pixel, rel=0.05)
+        assert lens == pytest.approx(width_seen(camera, depth, (-pixel / 2, pixel / 2), (0, 0)), rel=0.05)
     # Lenses focused on a real image before them see nearer depths in the image of the stop, and farther ones elsewhere.
     side = np.sign(detector_distance - 20) * (1 if arrangement == "image" else -1)
     assert ends[0] < ends[1] and {-1: ends[1] < 0, 0: ends[0] == -ends[1], 1: ends[0] > 0}[side]

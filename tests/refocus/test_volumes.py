@@ -43,8 +43,7 @@ def test_voxels_show_the_same_place_of_every_plane():
         inside = (np.abs(cube.x) <= half - 1e-9) & (np.abs(cube.y) <= half - 1e-9)
         np.testing.assert_array_equal(seen, inside.transpose("y", "x").values)
         # Beyond the centre of the last bin its value goes on.
-        middle = (np.abs(cube.x) < 0.9 * half) & (np.abs(cube.y) < 0.9 * half)
-        inner = middle.transpose("y", "x").values
+        inner = ((np.abs(cube.x) < 0.9 * half) & (np.abs(cube.y) < 0.9 * half)).transpose("y", "x").values
         np.testing.assert_allclose(plane.values[inner], expected.transpose("y", "x").values[inner], atol=1e-4)
 
 
@@ -70,8 +69,7 @@ def test_files_hold_voxel_sizes(tmp_path):
     assert float(pixels.attrib["PhysicalSizeX"]) == 30 and pixels.attrib["PhysicalSizeXUnit"] == "µm"
     assert "PhysicalSizeZ" not in pixels.attrib
     planes = [entry.attrib for entry in pixels if entry.tag.endswith("Plane")]
-    places = {int(plane["TheZ"]): float(plane["PositionZ"]) for plane in planes}
-    assert places == {0: 210_000, 1: 220_000, 2: 250_000}
+    assert {int(plane["TheZ"]): float(plane["PositionZ"]) for plane in planes} == {0: 210_000, 1: 220_000, 2: 250_000}
     for name in ("c.png", "c"):
         refuses(r"give a name that ends in .tif or", write_volume, tmp_path / name, volume)
 

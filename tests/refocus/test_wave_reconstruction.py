@@ -57,8 +57,7 @@ def micro_image(camera, i, j, radius=None):
     cx, cy = (((k + 0.5) * camera.mla_pitch) * (b + z) / b for k in (i, j))
     radius = radius or camera.micro_image_diameter / 2
     disc = np.hypot(px - cx, (py - cy)[:, None]) < radius
-    mine = (lens_of(px, camera) == i) & (lens_of(py, camera) == j)[:, None]
-    return (disc & mine).astype(np.float32)
+    return (disc & ((lens_of(px, camera) == i) & (lens_of(py, camera) == j)[:, None])).astype(np.float32)
 
 
 def bin_of_pixel(p, camera, distance):

@@ -64,8 +64,7 @@ def test_even_lenses_have_even_views(lf):
     sums = lf.sum(("s", "t")).values[lf.weight.values.max(axis=(2, 3)) > 0.9]
     assert np.ptp(sums) < 0.03 * sums.mean()
     # All of a pixel's lens is lit by a bin of radiance r with what radiance_weight says of it.
-    camera = camera_of(lf)
-    lenses = math.pi * (LENS.blur_diameter(0) / 2) ** 2 / camera.lattice.lens_area
+    lenses = math.pi * (LENS.blur_diameter(0) / 2) ** 2 / camera_of(lf).lattice.lens_area
     assert sums.mean() == pytest.approx(1 / lenses, rel=0.03)
 
 
@@ -80,8 +79,7 @@ def test_a_hexagonal_array_leaves_places_without_a_view(hexagonal):
 
 def test_views_are_upright_and_crops_lose_their_pixels(square):
     whole = decode(square)
-    cropped = SQUARE.replace(crop_offset=(70, 90), crop_size=(120, 100))
-    part = decode(capture_of(cropped))
+    part = decode(capture_of(SQUARE.replace(crop_offset=(70, 90), crop_size=(120, 100))))
     assert (np.diff(whole.s) < 0).all() and (np.diff(whole.u) < 0).all()
     assert part.shape == whole.shape
     seen = part.weight.values > 0.9
@@ -98,6 +96,5 @@ def test_a_white_capture_and_colours(square):
     assert colour.dims == ("v", "u", "t", "s", "c")
     lit = plain.weight.values > 0.9
     # This white knows no stop; its radiance is found by the computed one near the axis.
-    near = float(plain.white.max(("t", "s"))[1:4, 1:4].median())
-    expected = plain.values * plain.white.values / near
+    expected = plain.values * plain.white.values / float(plain.white.max(("t", "s"))[1:4, 1:4].median())
     assert np.allclose(colour.values[..., 0][lit], expected[lit], atol=1e-3 * float(plain.max()))

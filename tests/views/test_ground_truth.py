@@ -22,8 +22,7 @@ ORIGIN = [30, -20, 55]
 
 def pose():
     """Look sideways and up from a place in the world, rolled."""
-    to_world = mi.ScalarTransform4f().translate(ORIGIN).rotate([0, 1, 0], 35)
-    return to_world.rotate([1, 0, 0], -12).rotate([0, 0, 1], 8)
+    return mi.ScalarTransform4f().translate(ORIGIN).rotate([0, 1, 0], 35).rotate([1, 0, 0], -12).rotate([0, 0, 1], 8)
 
 
 def scene_of(camera, to_world, **objects):
@@ -190,8 +189,7 @@ def test_depth_maps_tell_their_error():
     assert error.median < 0.01
     assert error.share > 0.3
     # Moving the truth by 1 % moves all errors by as much.
-    moved = depth_error(found.assign(truth=found.truth * 1.05))
-    assert 0.03 < moved.median < 0.06
+    assert 0.03 < depth_error(found.assign(truth=found.truth * 1.05)).median < 0.06
     refuses("no ground truth", depth_error, found.drop_vars("truth"))
 
 
@@ -199,8 +197,7 @@ def test_variants(camera_dict):
     for variant in ("llvm_ad_rgb", "llvm_ad_spectral"):
         mi.set_variant(variant)
         scene = still(CAMERA, pose())
-        depth = mp.ground_truth(scene, ["depth"]).pixels["depth"]
-        assert np.isfinite(depth).any()
+        assert np.isfinite(mp.ground_truth(scene, ["depth"]).pixels["depth"]).any()
         if variant == "llvm_ad_spectral":
             refuses("rgb variant", mp.ground_truth, scene, ["albedo"])
         else:

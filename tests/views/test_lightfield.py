@@ -117,8 +117,7 @@ class TestDecode:
             0.7 * white, **given, **({"grid": views.lens_grid(dim)} if source == "white alone" else {"camera": dim})
         )
         inner = np.s_[:, :, 1:-1, 1:-1]
-        seen = lf.weight.values > 0
-        assert np.ptp(lf.values[seen]) < 1e-4 * lf.values.max()
+        assert np.ptp(lf.values[lf.weight.values > 0]) < 1e-4 * lf.values.max()
         # Of a recorded white, lenses near the axis count as 1; alone it does not tell that they are dim.
         if source == "camera" or name == "apodised":
             assert lf.values.max() == pytest.approx(0.7 * (1 if source == "camera" else 0.88), rel=0.05)
@@ -136,8 +135,7 @@ class TestDecode:
                 assert views.open_light_field(tmp_path / "a.nc").identical(saved)
 
     def test_colour(self):
-        image = views.white_image(PAPER)[..., None] * [0.2, 0.5, 0.9]
-        lf = decode(image, camera=PAPER)
+        lf = decode(views.white_image(PAPER)[..., None] * [0.2, 0.5, 0.9], camera=PAPER)
         assert lf.dims == ("v", "u", "t", "s", "c")
         assert lf.c.values.tolist() == ["R", "G", "B"]
         assert lf.sel(c="G").values[11, 11] == pytest.approx(0.5)
@@ -196,8 +194,7 @@ class TestViews:
     @pytest.fixture
     def lf(self):
         values = np.random.default_rng(0).random((5, 5, 4, 6), dtype=np.float32)
-        lf = decode(views.white_image(PAPER), camera=PAPER)[9:14, 9:14, :4, :6]
-        return lf.copy(data=values)
+        return decode(views.white_image(PAPER), camera=PAPER)[9:14, 9:14, :4, :6].copy(data=values)
 
     def test_nearest_view(self, lf):
         assert np.array_equal(views.view(lf).values, lf.values[2, 2])
@@ -228,8 +225,7 @@ class TestViews:
 
 @all_cameras
 def test_the_grid_holds_the_lenses(camera):
-    grid = views.lens_grid(camera)
-    centres = grid.centres().reshape(-1, 2)
+    centres = views.lens_grid(camera).centres().reshape(-1, 2)
     p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
     to_lenses = camera.mla_distance / (camera.mla_distance + camera.detector_distance)
     x, y = (p * to_lenses).T
@@ -240,8 +236,7 @@ def test_the_grid_holds_the_lenses(camera):
     index = lattice.lenses_within((columns[0], rows[0]), (columns[-1], rows[-1]))
     if lattice.axis_aligned:
         assert len(centres) == (len(index) if camera.is_cropped else math.prod(camera.lens_count))
-    expected = np.stack(lattice.centre(*index.T.astype(float)), axis=-1)
-    distance = cKDTree(np.stack([x, y], axis=-1)).query(expected)[0]
+    distance = cKDTree(np.stack([x, y], axis=-1)).query(np.stack(lattice.centre(*index.T.astype(float)), axis=-1))[0]
     assert distance.max() < 1e-9
 
 

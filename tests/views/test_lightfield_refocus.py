@@ -45,8 +45,7 @@ def flat_scene(lf, distance, function):
     t, s = (np.arange(lf.sizes[name], dtype=float) for name in ("t", "s"))
     v, u = (view_steps(lf, name) for name in ("v", "u"))
     x = s - slope * u[:, None]
-    y = t - slope * v[:, None]
-    values = function(x[None, :, None, :], y[:, None, :, None]).astype(np.float32)
+    values = function(x[None, :, None, :], (t - slope * v[:, None])[:, None, :, None]).astype(np.float32)
     return lf.copy(data=np.where(lf.weight.values > 0, values, 0))
 
 
@@ -94,8 +93,7 @@ class TestShiftAndAdd:
         capture = mp.render_capture(mp.load_scene("letters", parameters=letters(32)), spp=2)
         ours = views.refocus(mp.decode(capture), 280.0).values
         theirs = mp.reconstruct(capture, 280.0, footprint="lens").image
-        error = np.mean((ours - theirs) ** 2)
-        assert 10 * math.log10(theirs.max() ** 2 / error) > 45
+        assert 10 * math.log10(theirs.max() ** 2 / np.mean((ours - theirs) ** 2)) > 45
 
     def test_a_falling_white_moves_no_blur(self):
         camera = of_square_lenses(10, 20)
@@ -140,8 +138,7 @@ class TestDepth:
     def test_two_planes(self, blank):
         # The left half at 212 mm in front of the right half at 265 mm, by their place in the middle view.
         near, far = flat_scene(blank, 212.0, texture(1)), flat_scene(blank, 265.0, texture(2))
-        slope = views.disparity(blank, 212.0)
-        edge = 20 + slope * view_steps(blank, "u")
+        edge = 20 + views.disparity(blank, 212.0) * view_steps(blank, "u")
         in_front = np.arange(40)[None, :] < edge[:, None]
         lf = blank.copy(data=np.where(in_front[None, :, None, :], near.values, far.values))
         found = views.depth_map(lf, 195, 310, planes=32)
@@ -207,8 +204,7 @@ class TestDepth:
         # Where its lenses are in focus, samples near the rims of micro-images show their exact places.
         sharp = best_distances(camera)[0]
         lf = flat_scene(lf, sharp, lambda x, y: function(6 * x, 6 * y))
-        found = views.depth_map(lf, 220, 236, planes=40)
-        inner = found.isel(s=slice(3, -3), t=slice(3, -3))
+        inner = views.depth_map(lf, 220, 236, planes=40).isel(s=slice(3, -3), t=slice(3, -3))
         assert float(np.isfinite(inner.depth).mean()) > 0.9
         assert float(abs(inner.depth - sharp).max()) < 0.5
         # The views themselves agree about nothing.

@@ -34,8 +34,7 @@ def test_mean_and_variance_of_the_linear_model(detector, photons):
 
 
 def test_saturation():
-    detector = Detector(full_well=1000, bits=10)
-    numbers = detector.digital_numbers(np.array([1e4, 1e9, 1e30]), np.random.default_rng(0))
+    numbers = Detector(full_well=1000, bits=10).digital_numbers(np.array([1e4, 1e9, 1e30]), np.random.default_rng(0))
     assert numbers.dtype == np.uint16
     assert (numbers > 0.98 * 1023).all()
     assert numbers.max() <= 1023

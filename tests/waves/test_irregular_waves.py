@@ -65,14 +65,12 @@ def test_micro_images_are_displaced_by_the_polynomial():
     White images are those of rays by a relation.
     """
     camera, moved = warped(small_camera(8, crop_offset=(32, 0), crop_size=(224, 256)), 2.7, 18)
-    index = np.array([(i, j) for i in range(-3, 3) for j in range(-3, 3)])
-    regular = (index + 0.5) * camera.mla_pitch
+    regular = (np.array([(i, j) for i in range(-3, 3) for j in range(-3, 3)]) + 0.5) * camera.mla_pitch
     aside = moved(*regular.T).T
     expected = (regular + aside) * (1 + 0.512 / 120) / camera.pixel_size + 128 - camera.crop_offset
     assert np.hypot(*aside.T).max() > 0.6 * camera.pixel_size
     found = lens_grid(camera).centres().reshape(-1, 2)
-    near = np.hypot(*(found[:, None] - expected).transpose(2, 0, 1)).min(0)
-    assert near.max() < 1e-9
+    assert np.hypot(*(found[:, None] - expected).transpose(2, 0, 1)).min(0).max() < 1e-9
     assert np.abs(centroids(white_image(camera), expected) - expected).max() < 0.02
 
 
@@ -82,8 +80,7 @@ def test_polynomials_turn_with_their_frame():
     angle = np.radians(25)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     # A place of the turned frame, brought to the camera's, displaced and brought back.
-    there = np.array(shifts.smooth(*(turn @ [x, y])))
-    assert np.allclose(shifts.turned(25).smooth(x, y), turn.T @ there, atol=1e-12)
+    assert np.allclose(shifts.turned(25).smooth(x, y), turn.T @ np.array(shifts.smooth(*(turn @ [x, y]))), atol=1e-12)
     assert np.allclose(shifts.regular(*np.add([x, y], shifts.smooth(x, y))), [x, y], atol=1e-6)
 
 

@@ -91,8 +91,7 @@ def test_spots_of_fast_lenses_are_those_of_an_exact_propagation(cosines, medium)
     exact = np.abs(np.fft.ifft2(spectrum * np.exp(2j * np.pi * medium * kind.distance * across))) ** 2 / inside.sum()
     # The lens alone, at the same places by a plain sum over its points.
     reach = (np.arange(160) + 0.5) / 160 * 0.04 - 0.02
-    at = np.meshgrid(reach, reach)
-    _, field, share = plan.transmission(tuple(at), kind, cosines)
+    _, field, share = plan.transmission(tuple(np.meshgrid(reach, reach)), kind, cosines)
     own = np.where(share > 0, field, 0)
     behind = np.array(cosines) / math.sqrt(1 - (math.hypot(*cosines) / medium) ** 2)
     landing = kind.distance * LensSampler(camera, [plan]).enlargements[0] * behind
@@ -110,8 +109,7 @@ def test_spots_of_fast_lenses_are_those_of_an_exact_propagation(cosines, medium)
 def test_pixels_know_the_direction_of_their_light():
     camera = PlenopticCamera(mla_rotation=20.0, mla_medium=1.4)
     sampler = LensSampler(camera, [plan_of(camera, 633.0, False, 633.0)])
-    nearest = sampler.choice.lenses.index((0, 0))
-    pixels = Pixels(Box(40, 60, 8, 8), mi.UInt32(np.arange(64)), mi.UInt32(nearest))
+    pixels = Pixels(Box(40, 60, 8, 8), mi.UInt32(np.arange(64)), mi.UInt32(sampler.choice.lenses.index((0, 0))))
     u, v = sampler.cosines(pixels)
     lenses = sampler.lenses(pixels)
     pupil = sampler.seen(lenses.position, lenses)

@@ -142,12 +142,10 @@ def test_plans_of_many_cameras_keep_tables_of_bounded_size(monkeypatch):
 )
 def test_kernels_of_large_lenses_keep_the_light(pitch, pixels, tolerance):
     """Far wider than their diffraction: samples of lenses repeat within the kernels' reach."""
-    focal_length = 5.2 * pitch
     camera = PlenopticCamera(
-        focal_length=50, aperture_radius=5, focus_distance=1000, mla_pitch=pitch, mla_focal_length=focal_length,
+        focal_length=50, aperture_radius=5, focus_distance=1000, mla_pitch=pitch, mla_focal_length=5.2 * pitch,
         detector_width=8 * pitch, resolution=(8 * pixels,) * 2,
     )  # fmt: skip
     plan = PhaseSpace(camera, 633.0)
     assert plan.lands_by_point == (pitch == 0.5)
-    step = camera.pixel_size / plan.parts(False)
-    assert plan.kernels(step, 2 * pitch)[0].sum() == pytest.approx(1, abs=tolerance)
+    assert plan.kernels(camera.pixel_size / plan.parts(False), 2 * pitch)[0].sum() == pytest.approx(1, abs=tolerance)

@@ -72,8 +72,7 @@ def test_point_spreads_are_sums_over_the_pupil(method, a2, a4):
     )  # fmt: skip
     found = CaptureOperator(camera, [(0, 0, 240)], wavelength=633, method=method, accuracy=0).forward([1.0])
     r = (np.arange(2000) + 0.5) / 2000
-    within = (np.arange(5) - 2) / 5 * camera.pixel_size
-    along = (camera.pixel_coordinates(0)[:, None] + within).ravel()
+    along = (camera.pixel_coordinates(0)[:, None] + (np.arange(5) - 2) / 5 * camera.pixel_size).ravel()
     apart = np.hypot(along, along[:, None])
     radii = np.linspace(0, apart.max(), 500)
     waves = 2 * np.pi * radii[:, None] * r * camera.aperture_radius / (633e-6 * camera.mla_distance)

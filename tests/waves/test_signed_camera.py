@@ -150,8 +150,7 @@ class HeldRays(CameraTangents):
         total = [mi.Float(0)] * self._nodes[0].plan.functions.count
         for i, j in np.ndindex(2, 2):
             share = (shares[0] if i else 1 - shares[0]) * (shares[1] if j else 1 - shares[1])
-            ends = *drawn.chance[:2], mi.Float(i), mi.Float(j)
-            found = self.table(point, drawn.round_pupil, ends, drawn.ray.valid)
+            found = self.table(point, drawn.round_pupil, (*drawn.chance[:2], mi.Float(i), mi.Float(j)), drawn.ray.valid)
             total = [before + share * value for before, value in zip(total, found, strict=True)]
         return total
 

@@ -17,8 +17,7 @@ SIGMA, ALBEDO = "fog.interior_medium.sigma_t.value.value", "fog.interior_medium.
 
 
 def texture():
-    channels = 1 if "mono" in mi.variant() else 3
-    texels = np.random.default_rng(1).uniform(0.2, 1, (4, 4, channels)).astype(np.float32)
+    texels = np.random.default_rng(1).uniform(0.2, 1, (4, 4, 1 if "mono" in mi.variant() else 3)).astype(np.float32)
     return {"type": "bitmap", "raw": True, "bitmap": mi.Bitmap(texels)}
 
 

@@ -174,8 +174,7 @@ def test_few_samples_have_the_light_of_many():
 
 
 def test_compensation_keeps_the_sum_and_moves_light_little():
-    random = np.random.default_rng(0)
-    image = random.standard_normal((37, 50)) + 0.2
+    image = np.random.default_rng(0).standard_normal((37, 50)) + 0.2
     projection = NonNegative(image).image
     assert projection.min() >= 0
     assert projection.sum() == pytest.approx(image.sum(), rel=1e-12)

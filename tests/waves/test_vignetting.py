@@ -34,8 +34,7 @@ def expected(camera):
         (c - (p - c) * camera.mla_distance / camera.detector_distance) / camera.pupil_radius
         for p, c in ((x, cx), (y, cy))
     ]
-    inside = np.hypot(*pupil) <= 1
-    return inside * camera.vignetting.power(*pupil, cx, cy)
+    return (np.hypot(*pupil) <= 1) * camera.vignetting.power(*pupil, cx, cy)
 
 
 def test_micro_images_are_the_transmission_of_the_pupil():
@@ -69,8 +68,7 @@ def test_light_that_an_outline_keeps_out_is_not_missing_from_refocused_images(ou
     camera = PlenopticCamera(resolution=(256, 256), detector_width=0.512, vignetting=outline, **turned)
     white = Capture(white_image(camera), camera, wavelength=633.0)
     for method, distance, most in (("ray", 240, 0.01), ("ray", 225, 0.02), ("coherent", 240, 0.04)):
-        image = reconstruct(white, distance, method=method).image
-        assert np.abs(image - 1).max() < most
+        assert np.abs(reconstruct(white, distance, method=method).image - 1).max() < most
         divided = reconstruct(white, distance, method=method, white=white).image
         assert divided == pytest.approx(np.ones_like(divided), abs=1e-3)
 

@@ -137,8 +137,7 @@ def test_numbers_follow_the_sequence_at_any_index(start):
     for numbers, step in zip(found, random_numbers.even_steps(3).tolist(), strict=True):
         values = numbers.numpy().astype(float)
         assert values.min() >= 0 and values.max() < 1
-        turned = (values - values[0] - (index - start) * step + 0.5) % 1 - 0.5
-        assert np.abs(turned).max() < 1e-6
+        assert np.abs((values - values[0] - (index - start) * step + 0.5) % 1 - 0.5).max() < 1e-6
 
 
 @pytest.mark.parametrize(
