@@ -184,13 +184,13 @@ def test_ground_truth_is_that_of_rays_through_the_middle_of_the_pupil(tmp_path, 
     assert mp.read_ground_truth("a.truth.exr").views == {}
 
 
-PIXELS = {"pixel_response": (0.0, 1.0, 4.0, 0.8, 8.0, 0.1)}
+RESPONSE = (0.0, 1.0, 4.0, 0.8, 8.0, 0.1)
 
 
 @pytest.mark.parametrize("model", ["ray", "wave"])
 def test_pixels_respond_by_the_direction_of_light(model):
     """The mean of the response over the pupil, whose direction is that from its points to the pixel."""
-    camera = ordinary(aperture_radius=5.0, **PIXELS)
+    camera = ordinary(aperture_radius=5.0, pixel_response=RESPONSE)
     found = render_capture(scene_of(camera.to_sensor(), **WHITE), model=model, spp=2**13).image
     P = np.linspace(-5, 5, 200)
     inside = np.hypot(P, P[:, None]) <= 5
@@ -198,9 +198,7 @@ def test_pixels_respond_by_the_direction_of_light(model):
     expected = np.empty(camera.shape)
     for row, column in np.ndindex(*camera.shape):
         angle = np.degrees(np.arctan(np.hypot(P - x[column], P[:, None] - y[row]) / camera.mla_distance))
-        expected[row, column] = np.interp(angle, PIXELS["pixel_response"][::2], PIXELS["pixel_response"][1::2])[
-            inside
-        ].mean()
+        expected[row, column] = np.interp(angle[inside], RESPONSE[::2], RESPONSE[1::2]).mean()
     assert np.ptp(expected) > 0.2 and found == pytest.approx(expected, abs=0.015)
 
 

@@ -42,16 +42,14 @@ def test_rows_of_lenses_turn_about_the_first_centre_and_shift():
     np.testing.assert_allclose(grid.centres(), expected, atol=1e-12)
 
 
-class TestWhiteImage:
-    def test_area_of_one_micro_image(self):
-        single = views.white_image(PAPER, views.LensGrid((32, 32), (256.3, 255.8), (1, 1)))
-        radius = PAPER.micro_image_diameter / PAPER.pixel_size / 2
-        assert single.sum() == pytest.approx(math.pi * radius**2, rel=5e-4)
-        y, x = np.indices(single.shape) + 0.5
-        assert (single * x).sum() / single.sum() == pytest.approx(256.3, abs=1e-3)
-        assert (single * y).sum() / single.sum() == pytest.approx(255.8, abs=1e-3)
-        assert single.max() == 1
-        assert single[255, 256 + 12] == 0
+def test_area_of_one_micro_image():
+    single = views.white_image(PAPER, views.LensGrid((32, 32), (256.3, 255.8), (1, 1)))
+    radius = PAPER.micro_image_diameter / PAPER.pixel_size / 2
+    assert single.sum() == pytest.approx(math.pi * radius**2, rel=5e-4)
+    y, x = np.indices(single.shape) + 0.5
+    assert (single * x).sum() / single.sum() == pytest.approx(256.3, abs=1e-3)
+    assert (single * y).sum() / single.sum() == pytest.approx(255.8, abs=1e-3)
+    assert single.max() == 1 and single[255, 256 + 12] == 0
 
 
 OUTLINE = Vignetting([1, 0, 0, -0.3, 0, -0.3], scale=0.5)
@@ -113,9 +111,8 @@ class TestDecode:
         fall_off = np.ones(dim.shape) if source == "camera" else fall_off_of(dim, 0.2)
         white = (views.white_image(dim) * fall_off).astype(np.float32)
         given = {} if source == "camera" else {"white": 3 * white}
-        lf = decode(
-            0.7 * white, **given, **({"grid": views.lens_grid(dim)} if source == "white alone" else {"camera": dim})
-        )
+        given |= {"grid": views.lens_grid(dim)} if source == "white alone" else {"camera": dim}
+        lf = decode(0.7 * white, **given)
         inner = np.s_[:, :, 1:-1, 1:-1]
         assert np.ptp(lf.values[lf.weight.values > 0]) < 1e-4 * lf.values.max()
         # Of a recorded white, lenses near the axis count as 1; alone it does not tell that they are dim.
@@ -241,10 +238,8 @@ def test_the_grid_holds_the_lenses(camera):
 
 
 def test_rows_are_found_whatever_the_angle():
-    for degrees in np.linspace(-360, 360, 97):
-        camera = PlenopticCamera(
-            detector_width=0.3, resolution=(150, 150), mla_lattice="hexagonal", mla_rotation=float(degrees)
-        )
+    for turn in np.linspace(-360, 360, 97).tolist():
+        camera = PlenopticCamera(mla_lattice="hexagonal", mla_rotation=turn, detector_width=0.3, resolution=(150, 150))
         grid = views.lens_grid(camera)
         assert abs(grid.rotation) <= math.radians(15) + 1e-9
         assert grid.shifted_rows is not None
@@ -300,11 +295,9 @@ def test_centres_of_an_unknown_lattice(grid):
 def test_lattices_of_micro_images_that_overlap(diameter, lattice, rotation, pitch):
     """Not the lattice of the gaps, turned by 45 degrees and finer by the root of two."""
     wide = PlenopticCamera(mla_lattice=lattice, mla_rotation=rotation, mla_offset=(0.017, -0.023))
-    scale = diameter / wide.micro_image_diameter * wide.micro_image_pitch
+    radius = wide.aperture_radius * diameter / wide.micro_image_diameter * wide.micro_image_pitch
     step = wide.micro_image_pitch / pitch
-    camera = wide.replace(
-        aperture_radius=wide.aperture_radius * scale, resolution=(340, 300), detector_width=340 * step
-    )
+    camera = wide.replace(aperture_radius=radius, resolution=(340, 300), detector_width=340 * step)
     image = np.random.default_rng(0).poisson(4000 * views.white_image(camera).clip(0)) + 300.0
     found = views.estimate_lens_grid(image)
     assert found.nearest_distance == pytest.approx(pitch, rel=1e-3)

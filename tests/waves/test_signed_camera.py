@@ -33,15 +33,7 @@ MODELS = {
     "ideal": IDEAL,
     "parabolic in a medium": PlenopticCamera(mla_medium=1.5, mla_focal_length=0.768, lens_model="parabolic", **SIZE),
 }
-STEPS = {
-    "focal_length": 0.01,
-    "mla_distance": 0.01,
-    "mla_focal_length": 5e-4,
-    "mla_pitch": 2e-5,
-    "mla_offset": 2e-4,
-    "detector_distance": 1e-4,
-    "detector_width": 1e-4,
-}
+STEPS = {"focal_length": 0.01, "mla_distance": 0.01, "mla_focal_length": 5e-4, "mla_pitch": 2e-5, "mla_offset": 2e-4}
 
 
 def light(point, slope, active, seed):
@@ -113,29 +105,19 @@ class HeldRays(CameraTangents):
         same = all(bool(dr.all(a == b)) for a, b in zip(here.point, there.point, strict=True))
         # Where points do not move, the same nodes of the table have the same noise.
         values = self.table(point, drawn.round_pupil, drawn.chance, valid) if same else self.interpolated(point, drawn)
-        values = [np.asarray(value, float) for value in values]
         count = np.asarray(strength * dr.exp(there.measure - here.measure), float)
-        values = [value * count for value in values]
+        values = [np.asarray(value, float) * count for value in values]
         values[0] += np.asarray(mean * dr.exp(there.density - here.density), float)
         # Light meets the lenses of the other camera in another direction.
         oblique = node.plan.oblique
         if oblique.count:
             bent = oblique.terms(np.array([np.asarray(cosine) for cosine in there.cosines]))
             values += list(np.einsum("rnk,kx,nx->rx", oblique.factors, bent, np.array(values)))
-        place = [
-            np.asarray(whole, float) + first + self.margin + np.asarray(after - before, float)
-            for whole, first, after, before in zip(
-                (index // box.columns, index % box.columns),
-                (box.top, box.left),
-                there.cell[::-1],
-                here.cell[::-1],
-                strict=True,
-            )
-        ]
+        whole = np.divmod(np.asarray(index, float), box.columns)
+        ends = zip(whole, (box.top, box.left), here.cell[::-1], there.cell[::-1], strict=True)
+        place = [at + first + self.margin + np.asarray(after - before, float) for at, first, before, after in ends]
         for value, felt in zip(values, self.felt_by, strict=True):
-            self.total += (
-                np.sum(np.asarray(value, float) * scipy.ndimage.map_coordinates(felt, place, order=5)) / self._spp
-            )
+            self.total += np.vdot(value, scipy.ndimage.map_coordinates(felt, place, order=5)) / self._spp
         return [None for _ in self._nodes]
 
     def interpolated(self, point, drawn):
@@ -176,7 +158,7 @@ def test_against_differences_of_held_rays(node, name):
     with dr.suspend_grad():
         camera = node.plan.camera
         found = np.vdot(image(CameraTangents(camera, light, [node], **options)), weights())
-        held, step = HeldRays(camera, light, [node], **options), STEPS[name]
+        held, step = HeldRays(camera, light, [node], **options), STEPS.get(name, 1e-4)
         sides = [held.figure(moved(camera, name, side)) for side in (step, -step)]
     expected = (sides[0] - sides[1]) / (2 * step)
     # Where points move, rays that leave a window of the table make differences noisy, up to 4 % with these steps.
