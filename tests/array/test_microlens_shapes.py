@@ -135,9 +135,7 @@ def white_micro_image(camera, name, wavelength, step=5e-4):
 
 
 def test_signed_rays_of_a_wall_against_its_moved_spot(name="sampled"):
-    camera = mp.PlenopticCamera(
-        detector_width=0.064 * 3, resolution=(48, 48), **HALF, mla_shape=SHAPES[name], mla_offset=(0.032, 0.032)
-    )
+    camera = small_camera(3, **HALF, mla_shape=SHAPES[name], mla_offset=(0.032, 0.032)).replace(resolution=(48, 48))
     found, expected = sky(camera, 64, "wave", wavelength=GREEN)[16:32, 16:32], white_micro_image(camera, name, GREEN)
     assert error(found, expected) < 0.025
 

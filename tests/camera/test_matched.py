@@ -27,15 +27,9 @@ def centres(camera: PlenopticCamera, *lenses: tuple[int, int]) -> np.ndarray:
 def test_micro_images_are_as_wide_as_they_are_apart(lattice, count=(60, 41)):
     numbers = itertools.product((1.8, 2.8, 10.0), (6.84, 50.0, 135.0), (0.0014, 0.009), (2.5, 10, 16))
     for (f_number, focal_length, pixel, pixels), far in itertools.product(numbers, (6, math.inf)):
-        camera = PlenopticCamera.matched(
-            f_number=f_number,
-            lenses=count,
-            pixels_per_lens=pixels,
-            pixel_size=pixel,
-            focal_length=focal_length,
-            focus_distance=far * focal_length,
-            mla_lattice=lattice,
-        )
+        given = {"f_number": f_number, "pixels_per_lens": pixels, "pixel_size": pixel, "focal_length": focal_length}
+        given |= {"lenses": count, "focus_distance": far * focal_length, "mla_lattice": lattice}
+        camera = PlenopticCamera.matched(**given)
         assert (camera.f_number, camera.pixel_size) == pytest.approx((f_number, pixel), rel=1e-12)
         here, right, up = centres(camera, (0, 0), (1, 0), (0, 1))
         assert [np.hypot(*(each - here)) for each in (right, up)] == pytest.approx([pixels] * 2, rel=1e-9)

@@ -31,7 +31,6 @@ VECTORS = {
     "aberrations": ({"wavefront": (0, 0.1, 0.2)}, ["wavefront.2", "wavefront.3"], [0.1, 0.2], [1, 1]),
 }
 
-
 ROUTES = {
     "json": lambda camera: PlenopticCamera.from_json(camera.to_json()),
     "pickle": lambda camera: pickle.loads(pickle.dumps(camera)),
@@ -144,7 +143,6 @@ slope, more, less = captured(35.0, gradient=True), captured(37.0), captured(33.0
 step = (more - less) / 4
 print(np.abs(more / less - 1).max(), np.linalg.norm(slope - step) / np.linalg.norm(step))
 """
-
 
 _END = "\n\nif TYPE_CHECKING:\n\n    class ShippedParameters"
 """What follows the table."""

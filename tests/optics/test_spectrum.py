@@ -33,7 +33,6 @@ def test_a_sensor_is_read_from_a_table(tmp_path):
 
 
 def bell(places):
-    """Responses of two channels."""
     return np.stack([np.exp(-(((places - middle) / 40) ** 2)) for middle in (540, 610)])
 
 

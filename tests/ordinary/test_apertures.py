@@ -72,10 +72,8 @@ def by_hand(camera, distance, half, centre):
 
 @pytest.mark.parametrize("distance", [200.0, 600.0])
 def test_the_bokeh_of_a_lamp_is_the_picture_in_the_pupil(distance):
-    """Light of a near lamp lands on the side of the axis where it passes the pupil; that of a far one has crossed it.
-
-    Columns of a capture rise with x of the camera frame on the detector, and rows with y.
-    """
+    """Light of a near lamp lands on the side of the axis where it passes the pupil, that of a far one on the other."""
+    # Columns of a capture rise with x of the camera frame on the detector, and rows with y.
     camera = ordinary(aperture_image=CODE, detector_width=4.0, resolution=(60, 40))
     lamp = {"lamp": cases.facing(distance, distance / 200, (distance / 120, 0.0), **cases.radiating())}
     image = render_capture(cases.scene_of(camera.to_sensor(), **lamp), spp=2048).image

@@ -40,7 +40,6 @@ def over_pixels(camera, intensity, count):
 
 
 def airy(camera, place, count):
-    """The Airy pattern around a place on the detector, in closed form."""
     (x, _), (y, _) = (nodes(camera, axis, count) for axis in (0, 1))
     v = 2 * math.pi / LAMBDA * A * np.maximum(np.hypot(x - place[0], y[:, None] - place[1]), 1e-12) / B
     return over_pixels(camera, (2 * scipy.special.j1(v) / v) ** 2 * math.pi * (A / (LAMBDA * B)) ** 2, count)

@@ -23,7 +23,6 @@ def ordinary(**given):
 
 
 def chequers(distance, half, count, place=(0.0, 0.0)):
-    """A radiating wall of squares that faces the camera."""
     texture = np.indices((count, count)).sum(0)[..., None] % 2 + 0.1
     radiance = {"type": "bitmap", "data": mi.TensorXf(texture), "raw": True, "filter_type": "nearest"}
     return facing(distance, half, place, emitter={"type": "area", "radiance": radiance})
@@ -166,7 +165,6 @@ def test_what_needs_an_array_refuses_by_name(name):
 
 
 def test_ground_truth_is_that_of_rays_through_the_middle_of_the_pupil(tmp_path, monkeypatch):
-    """Squares of the scene by similar triangles."""
     monkeypatch.chdir(tmp_path)
     camera = ordinary(resolution=(96, 64))
     truth = mp.ground_truth(scene_of(camera.to_sensor(), **depths()), ["depth", "shape_index"])

@@ -65,7 +65,6 @@ def test_white_has_hardly_any_noise():
 
 
 def textured(camera):
-    """A matte, textured wall in the light of a sky."""
     texture = mi.Bitmap(np.random.default_rng(0).random((8, 8, 3)).astype(np.float32))
     reflectance = {"type": "bitmap", "bitmap": texture, "filter_type": "nearest"}
     card = facing(250.0, 3.0, bsdf={"type": "diffuse", "reflectance": reflectance})
@@ -74,7 +73,6 @@ def textured(camera):
 
 SMALL = {"mla_lattice": "none", "resolution": (24, 16), "detector_width": 24 * 0.008}
 F10 = SMALL | {"focal_length": 80, "aperture_radius": 4, "focus_distance": 240}
-
 
 GAUSS = {"main_lens": "double_gauss", "focal_length": 50, "aperture_radius": 6, "focus_distance": 2000}
 

@@ -46,7 +46,6 @@ def step_of(name, other="cut and moved"):
 
 
 def lens(x, y):
-    """A tilted lens with a stop beside it."""
     waves = (x * x + 2 * y * y) / 1e-3 + 17 * x
     if isinstance(x, np.ndarray):
         return np.exp(2j * np.pi * waves) * (x > -0.01)

@@ -166,7 +166,6 @@ def test_plugins_are_made_in_the_thread_that_loads(tmp_path):
 
 
 def shapes(x):
-    """Describe a mesh, a sphere and an instance, which are moved across the view, before a dim sky."""
     T, lamp = mi.ScalarTransform4f(), {"type": "area", "radiance": 2.0}
     copy = {"type": "instance", "to_world": T.translate([-40, x, 400]).scale(8), "tree": {"type": "ref", "id": "group"}}
     return {

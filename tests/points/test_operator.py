@@ -21,7 +21,6 @@ SMALL = small_camera(4, **HALF)
 
 
 def near(count):
-    """Return scattered points before it."""
     return scattered(count, distances=(112.0, 128.0), image=0.05)
 
 
@@ -118,7 +117,6 @@ def test_responses_mix_channels_as_a_matrix():
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_half_of_the_pupil_lights_half_of_the_image(axis):
-    """With all of the power, for a point out of focus."""
     camera, position = small_camera(16), [(0.0, 0.0, 210.0)]
     weights = half_open(8) if axis == 1 else half_open(8).T
     half, whole, opened = (
@@ -137,7 +135,6 @@ def shared_and_alone(camera, positions):
 
 
 def test_shared_patterns_stay_true():
-    """One pattern for all lenses in a zone, against a propagation of every radiator."""
     camera = small_camera(12)
     positions = in_every_lens(camera, 4, 240.0, per_lens=2, offset=1.7)
     weights = np.random.default_rng(1).uniform(0, 1, len(positions))
@@ -239,7 +236,6 @@ def test_defocus_of_the_bare_main_lens_in_closed_form():
 
 
 def test_directions_that_do_not_fit_into_memory_are_taken_in_turn(monkeypatch):
-    """Of two wavelengths, each mixed into its channels."""
     operator = CaptureOperator(
         small_camera(2, **HALF), near(2), spectrum=Spectrum.lines(550.0, WAVELENGTH), accuracy=0.1
     )

@@ -63,7 +63,6 @@ def test_patch_of_extreme_cameras_against_full_field(camera, g):
 
 
 def test_gaps_between_microlenses_at_the_default_accuracy():
-    """Many radiators, in 2 x 2 places of a lens."""
     camera = small_camera(4, mla_fill=0.5, **HALF)
     points = in_every_lens(camera, 1, 115.0, per_lens=2) + np.array([0.06, -0.05, 0.0])
     exact = capture(camera, points, np.full(len(points), 150.0), method="full_field")
@@ -137,7 +136,6 @@ def test_light_that_converges_behind_the_lens_lands_where_its_rays_do():
 
 
 def test_stars_are_airy_patterns_behind_ideal_lenses(monkeypatch):
-    """On the axis and off it."""
     monkeypatch.setattr(lens_models, "MODELS", ("ideal",))
     worst = [row["worst"] for row in lens_models.stars(f_numbers=(5.6,), places=(0.0,))]
     assert len(worst) == 2 and max(worst) < 0.003

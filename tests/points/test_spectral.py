@@ -64,7 +64,6 @@ def test_columns_are_as_few_as_the_spectra_need():
 
 
 def before(board, others=None, **film):
-    """Return the scene of a board, and of others, before a small detector."""
     described = CAMERA.replace(resolution=(64, 64), detector_width=0.128).to_sensor()
     described["film"] |= film
     return scene_of(described, board=facing(125.0, 10.0, **board), **(others or {}))

@@ -98,8 +98,7 @@ def test_zones_follow_the_aberrations_over_the_field():
     width = {}
     for name, blur in (("zones", real.blur), ("one", 100.0)):
         used = RealConjugates(real.camera, real.lens, WAVELENGTH, blur)
-        total = reconstruct_subsets(
-            capture, used.camera, [used.distance(g)], WAVELENGTH, oversample=8, conjugates=used
-        )[0]
+        at = [used.distance(g)]
+        total = reconstruct_subsets(capture, used.camera, at, WAVELENGTH, oversample=8, conjugates=used)[0]
         width[name] = total.max() / total.sum()
     assert width["zones"] > 1.1 * width["one"]

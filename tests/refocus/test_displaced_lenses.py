@@ -30,7 +30,6 @@ DISTANCE = 114.0
 
 
 def wall(camera):
-    """Return a scene of a wall with a random texture, somewhat finer than the lenses."""
     size = 1.3 * HALF_WIDTH * DISTANCE / camera.mla_distance
     texture = mi.Bitmap(np.random.default_rng(3).random((24, 24, 1)).astype(np.float32))
     light = {"type": "area", "radiance": {"type": "bitmap", "bitmap": texture, "raw": True}}

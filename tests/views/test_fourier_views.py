@@ -10,14 +10,8 @@ from mitsuba_plenoptic.design import parallax
 from mitsuba_plenoptic.views import camera_of
 
 LENS = Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50)
-SQUARE = PlenopticCamera(
-    main_lens=LENS,
-    mla_pitch=0.5,
-    mla_focal_length=20.0,
-    mla_offset=(0.25, 0.25),
-    detector_width=2.6,
-    resolution=(260, 260),
-)
+ARRAY = {"mla_pitch": 0.5, "mla_focal_length": 20.0, "mla_offset": (0.25, 0.25)}
+SQUARE = PlenopticCamera(main_lens=LENS, **ARRAY, detector_width=2.6, resolution=(260, 260))
 HEXAGONAL = SQUARE.replace(mla_lattice="hexagonal", mla_offset=(0, 0))
 TO_STOP = -200 / 50
 POINTS = np.array([[0.01, -0.004, 0.02]])
@@ -88,11 +82,10 @@ def test_views_are_upright_and_crops_lose_their_pixels(square):
 
 
 def test_a_white_capture_and_colours(square):
-    capture = square
     white = np.full(SQUARE.shape, 0.5, np.float32)
-    colour = decode(np.repeat(capture.image[..., None], 3, axis=2), camera=SQUARE, white=white)
-    np.testing.assert_allclose(decode(capture, white=6 * white).values, colour.values[..., 0], rtol=1e-5)
-    plain = decode(capture)
+    colour = decode(np.repeat(square.image[..., None], 3, axis=2), camera=SQUARE, white=white)
+    np.testing.assert_allclose(decode(square, white=6 * white).values, colour.values[..., 0], rtol=1e-5)
+    plain = decode(square)
     assert colour.dims == ("v", "u", "t", "s", "c")
     lit = plain.weight.values > 0.9
     # This white knows no stop; its radiance is found by the computed one near the axis.

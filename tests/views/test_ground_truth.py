@@ -21,7 +21,6 @@ ORIGIN = [30, -20, 55]
 
 
 def pose():
-    """Look sideways and up from a place in the world, rolled."""
     return mi.ScalarTransform4f().translate(ORIGIN).rotate([0, 1, 0], 35).rotate([1, 0, 0], -12).rotate([0, 0, 1], 8)
 
 

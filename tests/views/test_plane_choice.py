@@ -149,7 +149,6 @@ BLURRED = mp.PlenopticCamera(detector_width=1.536, resolution=(384, 384), **FOCU
 
 
 def wall(distance, camera):
-    """Render a wall with a random pattern, some pixels fine."""
     pattern = gaussian_filter(np.random.default_rng(1).normal(size=(256, 256)), 1.0, mode="wrap")
     pattern = np.clip(0.5 + 0.25 * pattern / pattern.std(), 0.02, 0.98).astype(np.float32)
     texture = {"type": "bitmap", "raw": True, "data": mi.TensorXf(pattern[..., None])}

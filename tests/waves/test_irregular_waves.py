@@ -6,7 +6,6 @@ import pytest
 from cameras import HALF, error, small_camera, warped
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, point_spread_function
-from mitsuba_plenoptic.array import Displacement
 from mitsuba_plenoptic.views import lens_grid, white_image
 from tools.bench.cases.arrays import GREEN, centroids, propagated
 
@@ -60,10 +59,7 @@ def test_a_figure_error_deflects_rays(lens_model):
 
 
 def test_micro_images_are_displaced_by_the_polynomial():
-    """To 0.02 pixels, of displacements by up to 3 pixels; the centres are c (b + z) / b.
-
-    White images are those of rays by a relation.
-    """
+    """To 0.02 pixels, of up to 3; the centres are c (b + z) / b. White images are those of rays by a relation."""
     camera, moved = warped(small_camera(8, crop_offset=(32, 0), crop_size=(224, 256)), 2.7, 18)
     regular = (np.array([(i, j) for i in range(-3, 3) for j in range(-3, 3)]) + 0.5) * camera.mla_pitch
     aside = moved(*regular.T).T
@@ -100,4 +96,3 @@ def test_lenses_in_a_rectangle_are_those_whose_displaced_centres_lie_in_it():
     inside = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
     assert found == set(zip(i[inside].tolist(), j[inside].tolist(), strict=True))
     assert found != {tuple(index) for index in camera.lattice.regular.lenses_within(low, high)}
-    assert isinstance(camera.lattice.displacement, Displacement)

@@ -19,10 +19,7 @@ WAVELENGTH, STEP, COUNT = 633e-6, 0.0005, 1024
 def exact_spot(
     camera: PlenopticCamera, lens: tuple[float, float], place: np.ndarray, centre: list[float]
 ) -> np.ndarray:
-    """Propagate light from the middle of the pupil through a lens and its neighbours, without paraxial approximation.
-
-    Returns the power per area of the lens, for unit irradiance, at positions `place` from a centre along both axes.
-    """
+    """Return a lens's power per area at `place` from a centre, for unit irradiance, without paraxial approximation."""
     along = (np.arange(COUNT) - COUNT // 2 + 0.5) * STEP
     pitch, f2, z, b = camera.mla_pitch, camera.mla_focal_length, camera.detector_distance, camera.mla_distance
     m, n = np.meshgrid(along, along)
@@ -67,7 +64,6 @@ def test_spots_of_oblique_light_are_those_of_an_exact_propagation():
 
 
 def fast_lens(medium: float) -> PlenopticCamera:
-    """Return a camera with microlenses of f/2.4 in a medium."""
     return PlenopticCamera(
         focal_length=10.0, aperture_radius=2.5, mla_distance=12.0, mla_pitch=0.04, mla_focal_length=0.0955 * medium,
         mla_medium=medium, detector_width=0.4, resolution=(100, 100),

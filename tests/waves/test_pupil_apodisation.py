@@ -92,10 +92,8 @@ COMA = (0, 0, 0, 0, 0, 0.3, 0, 0.5)
 
 
 def capture_of_lamp(**changes):
-    scene = scene_of(
-        mp.PlenopticCamera(resolution=(32, 32), detector_width=0.128, **changes).to_sensor(),
-        lamp=disk([0.03, 0.02, 240.0], 0.1),
-    )
+    sensor = mp.PlenopticCamera(resolution=(32, 32), detector_width=0.128, **changes).to_sensor()
+    scene = scene_of(sensor, lamp=disk([0.03, 0.02, 240.0], 0.1))
     return mp.render_capture(scene, model="wave", wavelength=550.0, spp=8)
 
 

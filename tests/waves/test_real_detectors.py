@@ -19,7 +19,6 @@ CAMERA = PlenopticCamera(resolution=(32, 32), detector_width=0.256)
 BLUR = 0.012
 """A blur of 1.5 pixels."""
 
-
 TABLE = [[0.02, 0.1, 0.05], [0.2, 0.0, 0.15]]
 """Stray light from the top left of the picture on."""
 
@@ -34,7 +33,6 @@ def with_stray_light(image, camera):
 
 
 def lit(camera, integrator, **film):
-    """Return a scene of a small lamp in focus."""
     sensor = camera.to_sensor()
     sensor["film"] |= film
     return scene_of(sensor, integrator, lamp=facing(238.0, 0.1, (0.05, 0.0), **radiating()))

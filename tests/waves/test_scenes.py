@@ -146,13 +146,10 @@ def test_passes_of_large_ray_captures_have_a_power_of_two_of_samples(monkeypatch
     scene, done = load_scene("letters", parameters={"resolution": "32", "detector_width": "0.064"}), []
     monkeypatch.setattr("mitsuba_plenoptic.scene.capture._RAYS_PER_PASS", 28 * 32**2)
     monkeypatch.setattr("mitsuba_plenoptic.runtime.batches._LOOK", 1e9)
-    for spp in (28, 40):
-        render_capture(
-            scene, model="ray", spp=spp, progress=lambda count, total, spp=spp: done.append(count * spp // total)
-        )
-    assert done == [16, 24, 28, 16, 32, 40]
-    render_capture(scene, model="ray", spp=7, progress=lambda count, total: done.append(count * 7 // total))
-    assert done[6:] == [4, 6, 7]
+    for spp in (28, 40, 7):
+        told = lambda count, total, spp=spp: done.append(count * spp // total)  # noqa: E731
+        render_capture(scene, model="ray", spp=spp, progress=told)
+    assert done == [16, 24, 28, 16, 32, 40, 4, 6, 7]
 
 
 @pytest.mark.parametrize(
@@ -176,7 +173,7 @@ def matte(reflectance):
     return {"type": "diffuse", "reflectance": reflectance}
 
 
-def described(volume, length, power=1.0, **lamp):
+def described(volume, length, power=1.0):
     """Describe a scene by hand whose lengths are multiplied by `length`, its lamps at points by `power`."""
     transform = mi.ScalarTransform4f
 
@@ -188,7 +185,8 @@ def described(volume, length, power=1.0, **lamp):
         return cube | {"interior": {"type": name, "sigma_t": density, "scale": 1 / length, "albedo": 0.7}}
 
     cloud = {"type": "gridvolume", "filename": str(volume), "to_world": at(-1, -1, 2.5) @ transform().scale(2 * length)}
-    large = transform().scale(3 * length)
+    large, tilted = transform().scale(3 * length), at(0.5, -1, 1) @ transform().rotate([1, 0, 0], 30).scale([2, 1, 1])
+    aimed = transform().look_at([-length, 0, -length], [0, 0, 3 * length], [0, 1, 0])
     stand = {"type": "cylinder", "p1": [0, 0, 0.5 * length], "radius": 0.1 * length, "to_world": at(0, 0, 0)}
     heights = {"type": "bitmap", "filename": str(volume.with_suffix(".exr")), "raw": True}
     checks = matte({"type": "checkerboard", "to_uv": transform().scale(5)})
@@ -210,17 +208,9 @@ def described(volume, length, power=1.0, **lamp):
         "mist": fog(at(0.9, 0, 1.5), "homogeneous", 1.5),
         "cloud": fog(at(-0.9, -0.8, 1.5), "heterogeneous", cloud | {"to_world": at(-2, -2, 0) @ large}),
         "group": {"type": "shapegroup", "stand": stand},
-        "first": {
-            "type": "instance",
-            "to_world": at(0.5, -1, 1) @ transform().rotate([1, 0, 0], 30).scale([2, 1, 1]),
-            "group": {"type": "ref", "id": "group"},
-        },
-        "lamp": {"type": "point", "position": [length, 2 * length, 0], "intensity": lamp.get("point", 8 * power)},
-        "spot": {
-            "type": "spot",
-            "to_world": transform().look_at([-length, 0, -length], [0, 0, 3 * length], [0, 1, 0]),
-            "intensity": 20 * power,
-        },
+        "first": {"type": "instance", "to_world": tilted, "group": {"type": "ref", "id": "group"}},
+        "lamp": {"type": "point", "position": [length, 2 * length, 0], "intensity": 8 * power},
+        "spot": {"type": "spot", "to_world": aimed, "intensity": 20 * power},
         "glow": facing(2 * length, 0.4 * length, (1.5 * length, 1.5 * length), **radiating(3.0)),
         "sky": {"type": "constant", "radiance": 0.1},
     }
@@ -238,7 +228,6 @@ def volume(tmp_path):
 
 
 def test_scaled_scenes_look_like_those_scaled_by_hand(volume, tmp_path):
-    """As dictionaries and as files."""
     config = mi.parser.ParserConfig("llvm_ad_mono")
     path = tmp_path / "scene.xml"
     mi.parser.write_file(mi.parser.parse_dict(config, described(volume, 1.0)), str(path))

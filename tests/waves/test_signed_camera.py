@@ -121,7 +121,6 @@ class HeldRays(CameraTangents):
         return [None for _ in self._nodes]
 
     def interpolated(self, point, drawn):
-        """Return coefficients that are interpolated linearly in the point."""
         _, radial = self.table._nodes.along(*drawn.round_pupil, drawn.chance[0])
         shares = []
         for axis in (1, 0):

@@ -23,7 +23,6 @@ def texture():
 
 
 def lamp():
-    """Return a lamp beside the camera that shines on what is before it."""
     aside = mi.ScalarTransform4f().translate([0, 20, 150]).rotate([1, 0, 0], 15).scale(3)
     return {"type": "rectangle", "to_world": aside, **radiating(50.0)}
 
@@ -33,7 +32,6 @@ def through(child, **options):
 
 
 def wall_of(bsdf, light=POINT):
-    """Return the scene of a wall smaller than the field."""
     return scene_of(sensor(4, 8), through("path"), wall=facing(250.0, 0.3, bsdf=bsdf), lamp=light)
 
 
@@ -128,7 +126,6 @@ def pulled(scene, key, gradient, spp=16):
 
 
 def disagreement(scene, key, change):
-    """Return how far reverse is from forward."""
     gradient = np.random.default_rng(2).normal(size=change.shape)
     back = pulled(scene, key, gradient)
     return abs(np.vdot(change, gradient) - back) / (np.linalg.norm(change) * np.linalg.norm(gradient))

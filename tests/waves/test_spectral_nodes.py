@@ -47,7 +47,6 @@ def test_drawn_wavelengths_integrate_responses():
 
 
 def nodes_of(spectrum, camera, accuracy):
-    """Return the wavelengths of all channels' nodes."""
     groups = node_spectra(camera, spectrum, accuracy)
     return sorted({node for _, of_channels in groups for node in of_channels.computed})
 
