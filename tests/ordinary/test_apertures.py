@@ -42,9 +42,8 @@ def test_pictures_are_read_from_files(tmp_path):
     mi.Bitmap(values.astype(np.float32)[..., None]).write(str(tmp_path / "code.exr"))
     np.save(tmp_path / "code.npy", values)
     (tmp_path / "code.json").write_text(json.dumps({"transmission": values.tolist()}))
-    assert [row.value for row in design_sheet(ordinary(aperture_blades=6)) if row.quantity.startswith("open part")] == [
-        "0.827"
-    ]
+    rows = design_sheet(ordinary(aperture_blades=6))
+    assert [row.value for row in rows if row.quantity.startswith("open part")] == ["0.827"]
     for file in tmp_path.iterdir():
         assert ordinary(aperture_image=file).aperture_image == Aperture(values)
         assert ordinary(aperture_image={"transmission": str(tmp_path / "code.npy")}).aperture_image == Aperture(values)

@@ -27,9 +27,8 @@ def test_objects_without_names_and_the_film_of_colours_are_kept(tmp_path):
 def test_a_scene_without_a_camera_is_seen_from_the_origin(tmp_path):
     text = '<scene version="3.0.0"><integrator type="path"/><shape type="sphere"/></scene>'
     (tmp_path / "scene.xml").write_text(text)
-    camera = mp.PlenopticCamera.preset("lytro").replace(
-        mla_tilt=(0.1, -0.2), distortion=(1e-4, -1e-6, 1e-8, 1e-5, -2e-5)
-    )
+    lytro = mp.PlenopticCamera.preset("lytro")
+    camera = lytro.replace(mla_tilt=(0.1, -0.2), distortion=(1e-4, -1e-6, 1e-8, 1e-5, -2e-5))
     sensor = mp.with_camera(mp.load_scene(tmp_path / "scene.xml"), camera).sensors()[0]
     assert mp.PlenopticCamera.from_sensor(sensor) == camera
     assert np.array_equal(np.ravel(sensor.world_transform().translation()), [0, 0, 0])

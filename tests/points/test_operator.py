@@ -287,9 +287,8 @@ def test_changes_of_the_light_against_refitted_lenses():
     fields, inverse_distance = lens.fitted.pupils.field(points)
     lanes = [np.array([[number]]) for number in change.aberration.at(fields, inverse_distance)[0]]
     found = change.aberration.over_pupil(lanes, (fields[:, :1], fields[:, 1:])).value(pupil)
-    high, low = (
-        OpticalSystem(camera, WAVELENGTH + step).waves_of(points).bind(points).length(pupil) for step in (1, -1)
-    )
+    lenses = (OpticalSystem(camera, WAVELENGTH + step).waves_of(points) for step in (1, -1))
+    high, low = (each.bind(points).length(pupil) for each in lenses)
     expected = (high - low) / 2
     found, expected = found - found.mean(), expected - expected.mean()
     assert np.abs(expected).max() > 1e-6

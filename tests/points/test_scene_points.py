@@ -35,10 +35,8 @@ def by_points(scene, spp=32, **options):
 
 
 def by_signed_rays(scene, spp=256, **options):
-    captures = [
-        render_capture(scene, model="wave", method="signed_rays", spp=spp, seed=seed, **options) for seed in (0, 1)
-    ]
-    return np.mean([capture.image for capture in captures], axis=0)
+    options |= {"model": "wave", "method": "signed_rays", "spp": spp}
+    return np.mean([render_capture(scene, seed=seed, **options).image for seed in (0, 1)], axis=0)
 
 
 def test_surfaces_are_seen_as_by_signed_rays():

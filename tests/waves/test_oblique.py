@@ -43,9 +43,8 @@ def test_spots_of_oblique_light_are_those_of_an_exact_propagation():
     cosines = [c / distance for c in lens]
     slopes = [c / camera.mla_distance for c in lens]
     kernels = plan.kernels(0.001, plan.reach) / 0.001**2
-    factors = plan.oblique.factors[:, 0] @ np.array(
-        terms(*(s / plan.oblique.largest for s in cosines), plan.oblique.degree)
-    )
+    bent = terms(*(s / plan.oblique.largest for s in cosines), plan.oblique.degree)
+    factors = plan.oblique.factors[:, 0] @ np.array(bent)
     place = (np.arange(kernels.shape[1]) - kernels.shape[1] // 2) * 0.001
     enlargement = LensSampler(camera, [plan]).enlargements[0]
     exact = exact_spot(camera, lens, place, [enlargement * camera.detector_distance * t for t in slopes])

@@ -50,11 +50,7 @@ def test_the_mean_over_the_pupil_is_airys_pattern(radius=0.25):
         turn = np.where(np.arange(len(ring)) % (len(ring) - 1), 1, 0.5)
         ring = np.tensordot(turn, ring, 1) / turn.sum()
         axis = (np.arange(ring.shape[1]) + 0.5) / ring.shape[1] * node.sides[0] - node.sides[0] / 2
-        middle = (
-            ring[ring.shape[0] // 2 - 1 : ring.shape[0] // 2 + 1].mean(0)
-            if len(ring) % 2 == 0
-            else ring[len(ring) // 2]
-        )
+        middle = ring[(len(ring) - 1) // 2 : len(ring) // 2 + 1].mean(0)
         mean += (1 - t * t) * t * np.interp(PLACES, axis, middle)
     mean /= sum((1 - t * t) * t for t in 1 - np.arange(plan.radial + 1) / plan.radial)
     step, scale = 0.001, math.pi * 2 * radius / (633e-6 * 120)

@@ -75,9 +75,8 @@ def test_plain_and_frozen_renders_are_recorded_and_depth_as_it_is():
     camera = CAMERA.replace(detector_blur=BLUR, pixel_crosstalk=0.05, stray_light=TABLE)
     operator = DetectorOperator.of(camera)
     depth = {"type": "aov", "aovs": "d:depth", "image": {"type": "path"}}
-    plain, found = (
-        np.array(mi.render(lit(each, depth, pixel_format="luminance_alpha"), spp=16)) for each in (CAMERA, camera)
-    )
+    scenes = (lit(each, depth, pixel_format="luminance_alpha") for each in (CAMERA, camera))
+    plain, found = (np.array(mi.render(scene, spp=16)) for scene in scenes)
     assert found.shape[2] == 3
     assert found[..., :1] == pytest.approx(operator.forward(plain[..., :1]), abs=1e-6)
     assert np.array_equal(found[..., 1:], plain[..., 1:])

@@ -106,9 +106,8 @@ def test_letters_read_from_left_to_right():
 def test_meshes_and_textures_come_out_the_same(tmp_path):
     made = {path.relative_to(tmp_path) for path in write_all(tmp_path)}
     scenes = ROOT / "scenes"
-    assert made == {
-        path.relative_to(scenes) for pattern in ("*.png", "*.hdr", "meshes/*.ply") for path in scenes.glob(pattern)
-    }
+    committed = (path for pattern in ("*.png", "*.hdr", "meshes/*.ply") for path in scenes.glob(pattern))
+    assert made == {path.relative_to(scenes) for path in committed}
     for path in made:
         assert (tmp_path / path).read_bytes() == (scenes / path).read_bytes(), path
     kept = (path for path in scenes.rglob("*") if path.suffix in (".png", ".hdr", ".ply", ".xml"))

@@ -88,10 +88,8 @@ class HeldRays(CameraTangents):
         start, _, _ = walk.through_pupil(drawn.ray.P, drawn.ray.m, drawn.lens.height)
         (radiance,) = light(start, direction, valid, 0)
         # Rays of even numbers subtract the mean of those of odd numbers, and vice versa.
-        halves = [
-            np.asarray(value, float).reshape(-1, self._spp // 2, 2)
-            for value in (radiance, dr.select(valid, mi.Float(1), 0))
-        ]
+        ones = dr.select(valid, mi.Float(1), 0)
+        halves = [np.asarray(value, float).reshape(-1, self._spp // 2, 2) for value in (radiance, ones)]
         mean = (halves[0].sum(1) / np.maximum(halves[1].sum(1), 1))[:, None, ::-1]
         mean = mi.Float(np.broadcast_to(mean, halves[0].shape).ravel().astype(np.float32))
         mean = dr.select(valid, mean, 0)
@@ -197,9 +195,8 @@ def test_reverse_is_the_transpose_of_forward(array, changes, monkeypatch):
         work = CameraTangents(camera, two_values, nodes, **options, changes=changes)
         items = int(work.items.sum())
         change = Job().run([SumTask(items, lambda: work, lambda image: image)], (16, 16, 2), items)
-        found = CameraAdjoint(camera, two_values, nodes, **options, names=tuple(changes)).backward(
-            np.moveaxis(gradient, -1, 0)
-        )
+        adjoint = CameraAdjoint(camera, two_values, nodes, **options, names=tuple(changes))
+        found = adjoint.backward(np.moveaxis(gradient, -1, 0))
     back = sum(part @ changes[name] for name, part in found.items())
     assert abs(np.vdot(change, gradient) - back) < 1e-6 * np.linalg.norm(change) * np.linalg.norm(gradient)
 

@@ -27,13 +27,9 @@ CAMERA = PlenopticCamera(
 def expected(camera):
     """Transmission at the pupil points that pixels see through the centres of their lenses."""
     x, y = np.meshgrid(camera.pixel_coordinates(0), camera.pixel_coordinates(1))
-    scale = camera.mla_distance / (camera.mla_distance + camera.detector_distance)
-    cx, cy = (np.floor(value * scale / camera.mla_pitch) + 0.5 for value in (x, y))
-    cx, cy = cx * camera.mla_pitch, cy * camera.mla_pitch
-    pupil = [
-        (c - (p - c) * camera.mla_distance / camera.detector_distance) / camera.pupil_radius
-        for p, c in ((x, cx), (y, cy))
-    ]
+    b, z, pitch = camera.mla_distance, camera.detector_distance, camera.mla_pitch
+    cx, cy = ((np.floor(value * b / (b + z) / pitch) + 0.5) * pitch for value in (x, y))
+    pupil = [(c - (p - c) * b / z) / camera.pupil_radius for p, c in ((x, cx), (y, cy))]
     return (np.hypot(*pupil) <= 1) * camera.vignetting.power(*pupil, cx, cy)
 
 
